@@ -1,0 +1,224 @@
+//! Instants on the two clocks of a host, and the difference between two instants of the same clock.
+//!
+//! All three are signed 64-bit nanoseconds: ±292 years around the epoch, enough for any wall clock this
+//! program meets. Arithmetic saturates instead of wrapping: a nonsensical stamp from a peer must not panic.
+
+use std::fmt;
+use std::ops::{Add, AddAssign, Neg, Sub};
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+/// A point on a host's wall clock (`CLOCK_REALTIME`): nanoseconds since 1970-01-01 00:00 UTC, no leap seconds.
+///
+/// Comparable only with stamps of the same host, unless a [`Relation`](crate::Relation) translates.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct WallTime(i64);
+
+/// A point on a host's monotonic clock (`CLOCK_MONOTONIC`): nanoseconds since an arbitrary moment near boot.
+///
+/// Never sent to another host as an instant: only differences travel.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct MonoTime(i64);
+
+/// A signed difference between two instants of one clock, in nanoseconds.
+#[derive(Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Span(i64);
+
+impl WallTime {
+    /// The instant `nanos` nanoseconds after the Unix epoch.
+    pub const fn from_unix_nanos(nanos: i64) -> Self {
+        Self(nanos)
+    }
+
+    /// Nanoseconds since the Unix epoch.
+    pub const fn unix_nanos(self) -> i64 {
+        self.0
+    }
+
+    /// Whole seconds since the Unix epoch, rounded towards the past.
+    pub const fn unix_seconds(self) -> i64 {
+        self.0.div_euclid(1_000_000_000)
+    }
+}
+
+impl MonoTime {
+    /// The instant `nanos` nanoseconds after the monotonic clock's own origin.
+    pub const fn from_nanos(nanos: i64) -> Self {
+        Self(nanos)
+    }
+
+    /// Nanoseconds since the monotonic clock's own origin.
+    pub const fn nanos(self) -> i64 {
+        self.0
+    }
+}
+
+impl Span {
+    /// No time at all.
+    pub const ZERO: Self = Self(0);
+
+    /// A span of `nanos` nanoseconds.
+    pub const fn from_nanos(nanos: i64) -> Self {
+        Self(nanos)
+    }
+
+    /// A span of `micros` microseconds.
+    pub const fn from_micros(micros: i64) -> Self {
+        Self(micros.saturating_mul(1_000))
+    }
+
+    /// A span of `millis` milliseconds.
+    pub const fn from_millis(millis: i64) -> Self {
+        Self(millis.saturating_mul(1_000_000))
+    }
+
+    /// A span of `seconds` whole seconds.
+    pub const fn from_seconds(seconds: i64) -> Self {
+        Self(seconds.saturating_mul(1_000_000_000))
+    }
+
+    /// The span nearest to `seconds`; not-a-number becomes zero and values out of range saturate.
+    pub fn from_seconds_f64(seconds: f64) -> Self {
+        Self((seconds * 1e9).round() as i64)
+    }
+
+    /// Nanoseconds.
+    pub const fn nanos(self) -> i64 {
+        self.0
+    }
+
+    /// Seconds, the unit in which durations are stored and served.
+    pub fn seconds(self) -> f64 {
+        self.0 as f64 * 1e-9
+    }
+
+    /// The same span as the standard library's unsigned duration; negative spans become zero.
+    pub fn to_duration(self) -> Duration {
+        Duration::from_nanos(u64::try_from(self.0).unwrap_or(0))
+    }
+
+    /// Whether the span is below zero.
+    pub const fn is_negative(self) -> bool {
+        self.0 < 0
+    }
+
+    /// The span without its sign.
+    pub const fn abs(self) -> Self {
+        Self(self.0.saturating_abs())
+    }
+}
+
+impl From<Duration> for Span {
+    fn from(duration: Duration) -> Self {
+        Self(i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX))
+    }
+}
+
+macro_rules! instant_arithmetic {
+    ($($instant:ident),*) => {$(
+        impl Sub for $instant {
+            type Output = Span;
+            fn sub(self, earlier: Self) -> Span {
+                Span(self.0.saturating_sub(earlier.0))
+            }
+        }
+
+        impl Add<Span> for $instant {
+            type Output = Self;
+            fn add(self, span: Span) -> Self {
+                Self(self.0.saturating_add(span.0))
+            }
+        }
+
+        impl Sub<Span> for $instant {
+            type Output = Self;
+            fn sub(self, span: Span) -> Self {
+                Self(self.0.saturating_sub(span.0))
+            }
+        }
+    )*};
+}
+
+instant_arithmetic!(WallTime, MonoTime);
+
+impl Add for Span {
+    type Output = Self;
+    fn add(self, other: Self) -> Self {
+        Self(self.0.saturating_add(other.0))
+    }
+}
+
+impl AddAssign for Span {
+    fn add_assign(&mut self, other: Self) {
+        *self = *self + other;
+    }
+}
+
+impl Sub for Span {
+    type Output = Self;
+    fn sub(self, other: Self) -> Self {
+        Self(self.0.saturating_sub(other.0))
+    }
+}
+
+impl Neg for Span {
+    type Output = Self;
+    fn neg(self) -> Self {
+        Self(self.0.saturating_neg())
+    }
+}
+
+impl std::iter::Sum for Span {
+    fn sum<I: Iterator<Item = Self>>(spans: I) -> Self {
+        spans.fold(Self::ZERO, |total, span| total + span)
+    }
+}
+
+impl fmt::Debug for Span {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
+    }
+}
+
+/// Milliseconds with three decimals: `12.345 ms`.
+impl fmt::Display for Span {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:.3} ms", self.0 as f64 * 1e-6)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn adding_a_difference_leads_back(a in -1i64 << 61..1 << 61, b in -1i64 << 61..1 << 61) {
+            let (a, b) = (WallTime::from_unix_nanos(a), WallTime::from_unix_nanos(b));
+            prop_assert_eq!(a + (b - a), b);
+        }
+
+        #[test]
+        fn no_stamp_can_panic(a: i64, b: i64, s: i64) {
+            let (a, b, s) = (MonoTime::from_nanos(a), MonoTime::from_nanos(b), Span::from_nanos(s));
+            let _ = (a - b, a + s, b - s, -s, s.abs(), (a - b) + s, s.to_duration());
+        }
+
+        #[test]
+        fn seconds_round_trip_within_a_nanosecond(nanos in -1i64 << 50..1 << 50) {
+            let span = Span::from_nanos(nanos);
+            prop_assert!((Span::from_seconds_f64(span.seconds()) - span).abs() <= Span::from_nanos(1));
+        }
+    }
+
+    #[test]
+    fn seconds_before_the_epoch_round_towards_the_past() {
+        assert_eq!(WallTime::from_unix_nanos(-1).unix_seconds(), -1);
+        assert_eq!(WallTime::from_unix_nanos(1_999_999_999).unix_seconds(), 1);
+    }
+}

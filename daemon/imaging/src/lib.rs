@@ -1,0 +1,1 @@
+//! peernet-imaging

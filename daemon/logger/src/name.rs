@@ -1,0 +1,165 @@
+//! Names of nodes, kinds and units.
+
+use std::borrow::Borrow;
+use std::fmt;
+use std::hash::{Hash, Hasher};
+use std::sync::Arc;
+
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use crate::stage;
+
+/// A short text that is cloned without copying: static for the standard names, shared for all others.
+#[derive(Clone)]
+pub struct Name(Repr);
+
+#[derive(Clone)]
+enum Repr {
+    Static(&'static str),
+    Shared(Arc<str>),
+}
+
+impl Name {
+    /// A name known at compile time.
+    pub const fn from_static(name: &'static str) -> Self {
+        Self(Repr::Static(name))
+    }
+
+    /// The name as text.
+    pub fn as_str(&self) -> &str {
+        match &self.0 {
+            Repr::Static(name) => name,
+            Repr::Shared(name) => name,
+        }
+    }
+}
+
+impl From<&str> for Name {
+    /// Standard names cost no allocation.
+    fn from(name: &str) -> Self {
+        stage::standard(name).map_or_else(|| Self(Repr::Shared(name.into())), Self::from_static)
+    }
+}
+
+impl From<String> for Name {
+    fn from(name: String) -> Self {
+        Self::from(name.as_str())
+    }
+}
+
+impl std::ops::Deref for Name {
+    type Target = str;
+    fn deref(&self) -> &str {
+        self.as_str()
+    }
+}
+
+impl Borrow<str> for Name {
+    fn borrow(&self) -> &str {
+        self.as_str()
+    }
+}
+
+impl PartialEq for Name {
+    fn eq(&self, other: &Self) -> bool {
+        self.as_str() == other.as_str()
+    }
+}
+
+impl PartialEq<str> for Name {
+    fn eq(&self, other: &str) -> bool {
+        self.as_str() == other
+    }
+}
+
+impl PartialEq<&str> for Name {
+    fn eq(&self, other: &&str) -> bool {
+        self.as_str() == *other
+    }
+}
+
+impl Eq for Name {}
+
+impl PartialOrd for Name {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Name {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        self.as_str().cmp(other.as_str())
+    }
+}
+
+impl Hash for Name {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        self.as_str().hash(state);
+    }
+}
+
+impl fmt::Debug for Name {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Debug::fmt(self.as_str(), f)
+    }
+}
+
+impl fmt::Display for Name {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
+    }
+}
+
+impl Serialize for Name {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.as_str())
+    }
+}
+
+impl<'de> Deserialize<'de> for Name {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Visitor;
+        impl serde::de::Visitor<'_> for Visitor {
+            type Value = Name;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a name")
+            }
+            fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<Name, E> {
+                Ok(Name::from(name))
+            }
+        }
+        deserializer.deserialize_str(Visitor)
+    }
+}
+
+/// A unit of measurement: an SI base or derived unit by its symbol, or a unit of the user's own.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Unit(Name);
+
+impl Unit {
+    /// Seconds.
+    pub const SECONDS: Self = Self(Name::from_static("s"));
+    /// Bytes.
+    pub const BYTES: Self = Self(Name::from_static("B"));
+    /// Bits per second.
+    pub const BITS_PER_SECOND: Self = Self(Name::from_static("bit/s"));
+    /// Tokens per second.
+    pub const TOKENS_PER_SECOND: Self = Self(Name::from_static("token/s"));
+    /// Watts.
+    pub const WATTS: Self = Self(Name::from_static("W"));
+    /// Degrees Celsius.
+    pub const CELSIUS: Self = Self(Name::from_static("°C"));
+    /// A plain number.
+    pub const NONE: Self = Self(Name::from_static(""));
+
+    /// A unit by its symbol.
+    pub fn new(symbol: &str) -> Self {
+        Self(symbol.into())
+    }
+
+    /// The symbol.
+    pub fn symbol(&self) -> &str {
+        self.0.as_str()
+    }
+}

@@ -1,0 +1,98 @@
+//! The standard names of nodes, written the same way in code, storage, API and pages.
+
+use crate::Name;
+
+macro_rules! standard_names {
+    ($($(#[$doc:meta])* $constant:ident = $name:literal;)*) => {
+        $($(#[$doc])* pub const $constant: Name = Name::from_static($name);)*
+
+        /// The static form of a standard name, of a standard unit's symbol, or `None` for any other text.
+        pub(crate) fn standard(name: &str) -> Option<&'static str> {
+            match name {
+                $($name => Some($name),)*
+                "" => Some(""),
+                "s" => Some("s"),
+                "B" => Some("B"),
+                "bit/s" => Some("bit/s"),
+                "token/s" => Some("token/s"),
+                "W" => Some("W"),
+                "°C" => Some("°C"),
+                _ => None,
+            }
+        }
+    };
+}
+
+standard_names! {
+    /// The root of every tree: one sample's trip through a pipeline.
+    ITERATION = "iteration";
+    /// Edge: asking the sensor → sample ready to send. Parent of `capture` and `transform`.
+    SENSING = "sensing";
+    /// Edge: the sensor's own part of `sensing`.
+    CAPTURE = "capture";
+    /// Edge: the transforms' part of `sensing`.
+    TRANSFORM = "transform";
+    /// Edge: sample → wire frames.
+    ENCODE = "encode";
+    /// Edge: ready → handed to the network (waiting for a free place in flight).
+    SEND_QUEUE = "send-queue";
+    /// Edge → cloud: handed to the network → whole message received. A transit, with bounds.
+    UPLOAD = "upload";
+    /// Cloud or edge: received → worker starts.
+    QUEUE = "queue";
+    /// Cloud or edge: input of the model made ready.
+    PREPROCESSING = "preprocessing";
+    /// Cloud or edge: the model itself, until the result is really there.
+    INFERENCE = "inference";
+    /// Cloud or edge: output of the model made into an answer.
+    POSTPROCESSING = "postprocessing";
+    /// Cloud → edge: as `upload`.
+    DOWNLOAD = "download";
+    /// Edge: answer → actuator done.
+    ACTUATION = "actuation";
+    /// Edge: intended start → end, monotonic, no cross-host error.
+    TOTAL = "total";
+    /// Sum of the stages: what the paper calls Total.
+    STAGES_TOTAL = "stages-total";
+    /// What `total` holds beyond the sum of its stages.
+    UNATTRIBUTED = "unattributed";
+    /// Payload bytes sent up.
+    UPLOAD_BYTES = "upload-bytes";
+    /// Bytes of metadata (header and logger tree) sent up.
+    UPLOAD_LOGGER_BYTES = "upload-logger-bytes";
+    /// Payload bytes sent down.
+    DOWNLOAD_BYTES = "download-bytes";
+    /// Bytes of metadata sent down.
+    DOWNLOAD_LOGGER_BYTES = "download-logger-bytes";
+    /// Payload and metadata over `upload`, bits per second, with the bounds that follow from the delay's.
+    UPLOAD_THROUGHPUT = "upload-throughput";
+    /// As `upload-throughput`, the other way.
+    DOWNLOAD_THROUGHPUT = "download-throughput";
+}
+
+/// The stages that add up to `stages-total`, in the order of every stack, key and table.
+pub const ORDER: [Name; 10] = [
+    SENSING,
+    ENCODE,
+    SEND_QUEUE,
+    UPLOAD,
+    QUEUE,
+    PREPROCESSING,
+    INFERENCE,
+    POSTPROCESSING,
+    DOWNLOAD,
+    ACTUATION,
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn standard_names_are_recognised() {
+        for stage in &ORDER {
+            assert_eq!(standard(stage), Some(stage.as_str()));
+        }
+        assert_eq!(standard("gripper-force"), None);
+    }
+}

@@ -1,0 +1,143 @@
+//! What the live lane carries: everything in it is a state, not a change, so that a lost update harms nothing.
+
+use peernet_clock::WallTime;
+use peernet_statistics::Summary;
+use serde::{Deserialize, Serialize};
+
+use super::HostMetrics;
+use crate::{HostId, Name, RunId, Slug};
+
+/// Sent every 250 ms while the connection is up, never queued behind older ones.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LiveUpdate {
+    /// Whose.
+    pub host: HostId,
+    /// The agent's wall clock when it was made.
+    pub sent: WallTime,
+    /// Every pipeline of the agent.
+    pub pipelines: Vec<PipelineLive>,
+    /// How the host fares.
+    pub metrics: HostMetrics,
+    /// What became of the agent's events.
+    pub accounting: Accounting,
+}
+
+/// One pipeline, now.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PipelineLive {
+    /// Name on its host.
+    pub pipeline: Slug,
+    /// What it does at the moment.
+    pub state: PipelineState,
+    /// The current or last run; `None` before the first.
+    pub run: Option<RunId>,
+    /// Where it computes.
+    pub placement: Placement,
+    /// The intended load in words: `closed`, `5 Hz`.
+    pub load: String,
+    /// The seconds that changed since the last update, newest first, each complete up to now: a receiver
+    /// replaces what it has of that second.
+    pub seconds: Vec<Second>,
+}
+
+/// What a pipeline does at the moment.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum PipelineState {
+    /// Preparing its sensor and model.
+    Starting,
+    /// Waiting for its peer; the text says for what.
+    Waiting(String),
+    /// Measuring.
+    Running,
+    /// Reached its limit.
+    Finished,
+    /// Could not start or had to stop; the text says why.
+    Failed(String),
+}
+
+/// Where a pipeline computes.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Placement {
+    /// Here or there.
+    pub kind: PlacementKind,
+    /// The serving host's name once known, for a remote placement.
+    pub peer: Option<Slug>,
+    /// Kind of network, such as `zmq-tcp`, for a remote placement.
+    pub network: Option<String>,
+    /// Address of the peer, for a remote placement.
+    pub address: Option<String>,
+    /// The model's name.
+    pub model: Slug,
+    /// The device it runs on, once known.
+    pub device: Option<String>,
+}
+
+/// Here or there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PlacementKind {
+    /// On the edge itself.
+    Local,
+    /// On a cloud over a network.
+    Remote,
+}
+
+/// What happened within one second of the edge's wall clock, by the iterations' ends.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Second {
+    /// Seconds since the Unix epoch.
+    pub at: i64,
+    /// Iterations by outcome, warm-up left out.
+    pub counts: OutcomeCounts,
+    /// Summaries by node name: the stages, `total`, `unattributed`, throughputs and sizes, in SI units;
+    /// successful iterations only, warm-up left out.
+    pub values: Vec<(Name, Summary)>,
+    /// Half-widths of the clock bound of `upload` and `download` in seconds, and how often each verdict was
+    /// given: (`upload` | `download`, verdict, count).
+    pub bounds: Vec<(Name, Summary)>,
+    /// Verdicts of the one-way delays: node, verdict's name, count.
+    pub verdicts: Vec<(Name, Name, u64)>,
+}
+
+/// Iterations by outcome.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct OutcomeCounts {
+    /// With an answer.
+    pub ok: u64,
+    /// The sample or the model failed.
+    pub failed: u64,
+    /// The connection broke.
+    pub lost: u64,
+    /// No answer in time.
+    pub timeout: u64,
+}
+
+/// What became of an agent's events since it started. At rest, offered = stored + waiting + dropped.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Accounting {
+    /// Events that were handed in.
+    pub offered: u64,
+    /// Events that were acknowledged as stored.
+    pub stored: u64,
+    /// Events that wait on the agent.
+    pub waiting: u64,
+    /// Events that were dropped.
+    pub dropped: u64,
+    /// Bytes that the waiting events take.
+    pub waiting_bytes: u64,
+}
+
+impl OutcomeCounts {
+    /// All iterations.
+    pub const fn total(&self) -> u64 {
+        self.ok + self.failed + self.lost + self.timeout
+    }
+
+    /// Adds the counts of another.
+    pub const fn merge(&mut self, other: &Self) {
+        self.ok += other.ok;
+        self.failed += other.failed;
+        self.lost += other.lost;
+        self.timeout += other.timeout;
+    }
+}

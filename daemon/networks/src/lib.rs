@@ -1,0 +1,1 @@
+//! Networks: one message, one session, and one file or folder per transport.

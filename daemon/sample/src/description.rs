@@ -1,0 +1,115 @@
+//! What the bytes of a payload part are.
+
+use serde::{Deserialize, Serialize};
+
+/// Media type, shape and element type of one payload part.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Description {
+    /// What kind of content this is.
+    pub media: MediaType,
+    /// Lengths of the dimensions, outermost first; empty when the content has no shape of its own.
+    /// Pictures: height, width, channels.
+    #[serde(default)]
+    pub shape: Vec<u32>,
+    /// Type of one element of `shape`; `None` when there is no shape.
+    #[serde(default)]
+    pub element: Option<ElementType>,
+}
+
+/// The kinds of content this program knows by name.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MediaType {
+    /// Bytes without further meaning.
+    Bytes,
+    /// A JPEG file.
+    Jpeg,
+    /// A PNG file.
+    Png,
+    /// Decoded pixels, rows from top to bottom, without padding; the shape is height, width, channels.
+    Pixels(PixelFormat),
+    /// A dense array in row-major order, little-endian.
+    Tensor,
+    /// UTF-8 text.
+    Text,
+    /// A JSON document: what a model answers (`peernet-inference` says with which keys).
+    Json,
+    /// Any other media type, by its IANA name.
+    Other(String),
+}
+
+/// Order of the channels of decoded pixels, one byte each.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PixelFormat {
+    /// Red, green, blue.
+    Rgb8,
+    /// One channel.
+    Grey8,
+}
+
+impl PixelFormat {
+    /// Bytes per pixel.
+    pub const fn channels(self) -> u32 {
+        match self {
+            Self::Rgb8 => 3,
+            Self::Grey8 => 1,
+        }
+    }
+}
+
+/// Type of one array element.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ElementType {
+    /// Unsigned byte.
+    U8,
+    /// 32-bit float.
+    F32,
+    /// 64-bit float.
+    F64,
+    /// 64-bit signed integer.
+    I64,
+}
+
+impl Description {
+    /// A description without shape.
+    pub const fn unshaped(media: MediaType) -> Self {
+        Self { media, shape: Vec::new(), element: None }
+    }
+
+    /// Bytes without further meaning.
+    pub const fn bytes() -> Self {
+        Self::unshaped(MediaType::Bytes)
+    }
+
+    /// Decoded pixels of the given size.
+    pub fn pixels(format: PixelFormat, width: u32, height: u32) -> Self {
+        Self {
+            media: MediaType::Pixels(format),
+            shape: vec![height, width, format.channels()],
+            element: Some(ElementType::U8),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_description_survives_the_wire_form() {
+        let tensor =
+            Description { media: MediaType::Tensor, shape: vec![1, 3, 4], element: Some(ElementType::F32) };
+        let all = [
+            Description::bytes(),
+            Description::pixels(PixelFormat::Rgb8, 1280, 960),
+            Description::unshaped(MediaType::Other("application/x-own".into())),
+            tensor,
+        ];
+        for description in all {
+            let wire = rmp_serde::to_vec(&description).expect("serialises");
+            assert_eq!(rmp_serde::from_slice::<Description>(&wire).expect("reads back"), description);
+        }
+    }
+}
