@@ -1,0 +1,77 @@
+# make demo   builds a release and runs the factory line on loopback: three processes, until Ctrl-C
+# make test   everything that must hold; installs what it needs
+# make check  the quick part: formatting, lints, unit and end-to-end tests
+# make bench  the measured tables, ratios side by side in one run
+# make deb    the Debian package, in target/debian/
+# make setup  ONNX Runtime's library, checked by hash, into onnxruntime/
+
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.ONESHELL:
+CARGO ?= cargo
+
+.PHONY: help demo setup build test check lint unit e2e configs units deny browser package deb bench clean
+help:
+	@sed -n 's/^# //p' $(firstword $(MAKEFILE_LIST)) | head -6
+
+demo: setup
+	$(CARGO) build --release --locked --package peernetd
+	deploy/demo.sh target/release/peernetd
+
+setup:
+	@python3 deploy/onnxruntime/fetch.py
+
+build:
+	$(CARGO) build --workspace --all-targets --locked
+
+# --- tests ---------------------------------------------------------------------------------------------------
+
+test: tools setup lint unit e2e configs units deny browser package
+	@echo "make test: all passed"
+
+check: lint unit e2e
+
+.PHONY: tools
+tools:
+	@deploy/install-tools.sh test
+
+lint:
+	$(CARGO) fmt --all --check
+	$(CARGO) clippy --workspace --all-targets --locked -- --deny warnings
+
+# Everything is built once, before anything runs: the end-to-end tests start the programs of the same build.
+unit: build
+	$(CARGO) test --workspace --locked --exclude peernet-tests
+
+e2e: setup build
+	$(CARGO) test --package peernet-tests --locked
+
+configs: setup build
+	@for file in configs/*.toml; do target/debug/peernetd check "$$file"; done
+
+units:
+	@deploy/systemd/verify.sh
+
+deny:
+	$(CARGO) deny --all-features --locked check licenses bans sources
+
+# A headless Chromium opens the running demo.
+browser: setup build
+	@tests/browser/run.sh target/debug/peernetd
+
+package: deb
+	@deploy/debian/test.sh target/debian/*.deb
+
+deb: setup
+	$(CARGO) deb --locked --package peernetd
+
+# --- measurements ---------------------------------------------------------------------------------------------
+
+bench: setup
+	@deploy/install-tools.sh bench
+	$(CARGO) build --release --locked --package peernetd
+	tests/bench/run.sh
+
+clean:
+	$(CARGO) clean
+	rm -rf onnxruntime demo-data .venv-tools

@@ -1,0 +1,78 @@
+//! From the path of a key to its line, so that a problem names file, line and key.
+
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+/// Finds the lines of keys in a configuration file.
+pub(crate) struct Locator<'a> {
+    text: &'a str,
+    root: Option<Spanned<DeTable<'a>>>,
+}
+
+impl<'a> Locator<'a> {
+    /// A locator for the text of a file; finds nothing in a text that is not TOML.
+    pub(crate) fn new(text: &'a str) -> Self {
+        Self { text, root: DeTable::parse(text).ok() }
+    }
+
+    /// The line, from 1, of a key such as `pipeline[1].sensor.path`, or of the nearest key above it that is
+    /// written in the file (a default value has no line of its own).
+    pub(crate) fn line(&self, key: &str) -> Option<usize> {
+        let root = self.root.as_ref()?;
+        let mut table = root.get_ref();
+        let mut line = None;
+        for step in key.split('.') {
+            let (name, index) = match step.strip_suffix(']').and_then(|step| step.split_once('[')) {
+                Some((name, index)) => (name, index.parse::<usize>().ok()),
+                None => (step, None),
+            };
+            let Some((written, value)) = table.iter().find(|(written, _)| written.get_ref() == name) else {
+                break;
+            };
+            line = Some(self.line_at(written.span().start));
+            let value = match (value.get_ref(), index) {
+                (DeValue::Array(items), Some(index)) => match items.get(index) {
+                    Some(item) => {
+                        line = Some(self.line_at(item.span().start));
+                        item.get_ref()
+                    }
+                    None => break,
+                },
+                (value, _) => value,
+            };
+            match value {
+                DeValue::Table(inner) => table = inner,
+                _ => break,
+            }
+        }
+        line
+    }
+
+    fn line_at(&self, offset: usize) -> usize {
+        self.text.bytes().take(offset).filter(|byte| *byte == b'\n').count() + 1
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TEXT: &str = "[agent]\nname = \"a\"\n\n[[pipeline]]\nname = \"one\"\n\n[[pipeline]]\nname = \"two\"\nsensor = { kind = \"images\",\n  path = \"x\" }\n";
+
+    #[test]
+    fn keys_lead_to_their_lines() {
+        let locator = Locator::new(TEXT);
+        assert_eq!(locator.line("agent.name"), Some(2));
+        assert_eq!(locator.line("pipeline[0].name"), Some(5));
+        assert_eq!(locator.line("pipeline[1].sensor.path"), Some(10));
+    }
+
+    #[test]
+    fn a_key_that_is_not_written_leads_to_the_one_above() {
+        let locator = Locator::new(TEXT);
+        assert_eq!(locator.line("pipeline[1].timeout_ms"), locator.line("pipeline[1]"));
+        assert_eq!(locator.line("agent.state_dir"), Some(1));
+        assert_eq!(locator.line("web.listen"), None);
+        assert_eq!(Locator::new("= nonsense").line("agent"), None);
+    }
+}

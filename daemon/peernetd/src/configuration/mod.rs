@@ -1,0 +1,7 @@
+//! The configuration file: one TOML file for all roles; a role is on when its table is there.
+
+mod load;
+mod locate;
+
+pub(crate) use load::load;
+pub(crate) use locate::Locator;

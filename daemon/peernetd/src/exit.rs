@@ -1,0 +1,46 @@
+//! Exit codes, as in sysexits(3), so that systemd and scripts can tell a mistake from an accident.
+
+use std::fmt;
+use std::process::ExitCode;
+
+/// How the program ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub(crate) enum Exit {
+    /// All went well.
+    Ok = 0,
+    /// The command line was wrong (64).
+    Usage = 64,
+    /// Something that was needed could not be had: a port, a file, a library (69).
+    Unavailable = 69,
+    /// A task died, or stopping took longer than allowed (70).
+    Software = 70,
+    /// The configuration is wrong: starting again will not help (78).
+    Configuration = 78,
+}
+
+impl From<Exit> for ExitCode {
+    fn from(exit: Exit) -> Self {
+        Self::from(exit as u8)
+    }
+}
+
+/// An error with the exit code that it leads to.
+#[derive(Debug)]
+pub(crate) struct Failure {
+    pub(crate) exit: Exit,
+    pub(crate) error: anyhow::Error,
+}
+
+impl Failure {
+    pub(crate) fn new(exit: Exit, error: impl Into<anyhow::Error>) -> Self {
+        Self { exit, error: error.into() }
+    }
+}
+
+impl fmt::Display for Failure {
+    /// The error and everything that led to it, in one line.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:#}", self.error)
+    }
+}

@@ -1,0 +1,156 @@
+#!/bin/sh
+# Installs, uses, upgrades, removes and purges the package, and looks for what it leaves behind.
+# Usage: test.sh PACKAGE.deb
+#
+# Runs in a throw-away copy of this machine (an overlay of its root, in a mount namespace of its own), so that nothing
+# is left even when a check fails. Where overlays are not allowed, as in some containers, it works on the machine
+# itself, provided that it is a container without PEERNet. Needs root, or sudo.
+set -eu
+
+fail() { echo "test.sh: $*" >&2; exit 1; }
+
+# --- inside: what is done with the package --------------------------------------------------------------------------
+
+# Files that belong to nobody in particular and change with any installation.
+noise='^/etc/(passwd|group|shadow|gshadow|subuid|subgid)-?$|^/etc/\.pwd\.lock$|^/etc/ld\.so\.cache$|^/var/(cache|log|tmp)/|^/var/lib/(dpkg|apt)/|^/usr/share/man/'
+
+listing() { find /etc /opt /srv /usr /var -xdev \( -type f -o -type l -o -type d \) | grep -Ev "$noise" | sort; }
+
+step() { echo "--- $*"; }
+
+check_installed() {
+    step "programs"
+    peernetd --version
+    peernet --version
+    for name in PEERNet peernet_cli; do
+        [ "$(readlink -f "/usr/bin/$name")" = /usr/bin/peernet ] || fail "/usr/bin/$name does not lead to peernet"
+    done
+    [ -e /usr/lib/peernet/libonnxruntime.so.1 ] || fail "the ONNX Runtime library is not in /usr/lib/peernet"
+
+    step "user and folders"
+    [ "$(getent passwd peernet | cut -d: -f6,7)" = /var/lib/peernet:/usr/sbin/nologin ] \
+        || fail "unexpected user: $(getent passwd peernet)"
+    getent group render >/dev/null || fail "no group render: the agent's unit would not start"
+    expect_owner /var/lib/peernet/agent "peernet peernet 750"
+    expect_owner /var/lib/peernet/aggregator "peernet peernet 750"
+    expect_owner /etc/peernet/keys "root peernet 750"
+
+    step "configurations, read as the user that the units have"
+    for role in agent aggregator; do
+        setpriv --reuid=peernet --regid=peernet --clear-groups \
+            env HOME=/var/lib/peernet STATE_DIRECTORY="/var/lib/peernet/$role" sh -c \
+            "cd /var/lib/peernet/$role && exec peernetd check /etc/peernet/$role.toml"
+    done
+
+    step "units"
+    for unit in agent aggregator; do
+        output=$(systemd-analyze verify --recursive-errors=no --man=no --generators=no \
+            "/usr/lib/systemd/system/peernet-$unit.service" 2>&1) || fail "systemd-analyze verify: $output"
+        [ -z "$output" ] || fail "systemd-analyze verify: $output"
+        # Installing starts nothing at boot; whoever wants it enables it.
+        [ "$(systemctl is-enabled "peernet-$unit" || true)" = disabled ] || fail "peernet-$unit is enabled"
+    done
+}
+
+expect_owner() {
+    found=$(stat -c '%U %G %a' "$1")
+    [ "$found" = "$2" ] || fail "$1 is $found, not $2"
+}
+
+inside() {
+    deb=$1
+    before=$(mktemp)
+    after=$(mktemp)
+    listing >"$before"
+
+    step "install"
+    install_package "$deb"
+    check_installed
+
+    step "an upgrade keeps edited configurations and what was enabled"
+    systemctl enable --quiet peernet-agent
+    echo "# edited" >>/etc/peernet/agent.toml
+    install_package "$deb"
+    tail -n 1 /etc/peernet/agent.toml | grep -q '# edited' || fail "the upgrade overwrote /etc/peernet/agent.toml"
+    [ "$(systemctl is-enabled peernet-agent)" = enabled ] || fail "the upgrade disabled peernet-agent"
+
+    step "remove keeps configuration and recordings"
+    touch /var/lib/peernet/agent/recording /etc/peernet/keys/key
+    dpkg --remove peernet
+    [ ! -e /usr/bin/peernetd ] || fail "remove left /usr/bin/peernetd"
+    [ ! -e /usr/lib/peernet ] || fail "remove left /usr/lib/peernet"
+    [ -f /etc/peernet/agent.toml ] || fail "remove took /etc/peernet/agent.toml away"
+    [ -f /var/lib/peernet/agent/recording ] || fail "remove took the recordings away"
+
+    step "installed again, it is enabled as before"
+    install_package "$deb"
+    [ "$(systemctl is-enabled peernet-agent)" = enabled ] || fail "peernet-agent is not enabled any more"
+
+    step "purge leaves nothing"
+    dpkg --purge peernet
+    listing >"$after"
+    left=$(comm -13 "$before" "$after")
+    gone=$(comm -23 "$before" "$after")
+    rm -f "$before" "$after"
+    [ -z "$left" ] || fail "left behind: $left"
+    [ -z "$gone" ] || fail "taken away, but not the package's: $gone"
+    ! getent passwd peernet || fail "purge left the user peernet"
+    ! getent group peernet || fail "purge left the group peernet"
+    echo "test.sh: $(basename "$deb") installs, works, upgrades, removes and purges cleanly"
+}
+
+# apt rather than dpkg: dependencies that this machine lacks are fetched.
+install_package() {
+    DEBIAN_FRONTEND=noninteractive apt-get install --yes --quiet --quiet --reinstall --allow-downgrades \
+        --no-install-recommends -o APT::Sandbox::User=root -o Dpkg::Use-Pty=0 -o Dpkg::Options::=--force-confold "$1"
+}
+
+# --- outside: find a place to do it ---------------------------------------------------------------------------------
+
+# Mounts a throw-away copy of / under the folder $2; fails where that is not allowed. Runs in a mount namespace.
+mount_overlay() {
+    # In memory: the upper half of an overlay cannot lie on another overlay, as a container's root often is.
+    mount -t tmpfs tmpfs "$2" || return 1
+    mkdir "$2/upper" "$2/work" "$2/root" || return 1
+    mount -t overlay overlay -o "lowerdir=/,upperdir=$2/upper,workdir=$2/work" "$2/root" || return 1
+    for folder in dev proc sys; do mount --rbind "/$folder" "$2/root/$folder" || return 1; done
+    # Not the machine's /run: its systemd must not be reached.
+    for folder in run tmp; do mount -t tmpfs tmpfs "$2/root/$folder" || return 1; done
+    cp "$1" "$2/root/package.deb" && cp "$0" "$2/root/test.sh"
+}
+
+case "${1:-}" in
+    --inside) inside "$2" ;;
+    --overlay)
+        mount_overlay "$2" "$3" || exit 75
+        echo "test.sh: in an overlay of /"
+        exec chroot "$3/root" sh /test.sh --inside /package.deb
+        ;;
+    *.deb)
+        [ -f "$1" ] || fail "no such file: $1"
+        if [ "$(id -u)" != 0 ]; then
+            echo "test.sh: installing a package needs root, calling sudo"
+            exec sudo sh "$0" "$1"
+        fi
+        for tool in apt-get dpkg systemd-analyze setpriv unshare; do
+            command -v "$tool" >/dev/null || fail "$tool not found; it needs a Debian system with systemd and util-linux"
+        done
+        scratch=$(mktemp -d)
+        status=0
+        unshare --mount --propagation private sh "$0" --overlay "$1" "$scratch" || status=$?
+        rmdir "$scratch"
+        # 75: no overlay. 1 without a namespace is unshare's own; then nothing was said and nothing was done.
+        if [ "$status" = 75 ] || ! unshare --mount true 2>/dev/null; then
+            [ -e /.dockerenv ] || [ -e /run/.containerenv ] || systemd-detect-virt --quiet --container \
+                || fail "no overlay can be mounted here, and this is no container: not installing on the machine itself"
+            if getent passwd peernet >/dev/null || [ -e /etc/peernet ] || [ -e /var/lib/peernet ]; then
+                fail "no overlay can be mounted here, and PEERNet is on this machine already: purge it first"
+            fi
+            echo "test.sh: no overlay can be mounted here, installing in this container"
+            status=0
+            sh "$0" --inside "$(readlink -f "$1")" || status=$?
+        fi
+        exit "$status"
+        ;;
+    *) fail "usage: test.sh PACKAGE.deb" ;;
+esac

@@ -1,0 +1,153 @@
+#!/bin/sh
+# Installs the tools that building, testing and benchmarking need, by name, and says which and why. Touches nothing
+# that is there already; takes a moment then. Debian and Ubuntu; elsewhere it lists what to install.
+# Usage: install-tools.sh build|test|bench…      (test and bench include build)
+set -eu
+
+cargo_deb=3.8.0
+cargo_deny=0.20.2
+
+root=$(cd "$(dirname "$0")/.." && pwd)
+venv=$root/.venv-tools
+
+say() { echo "install-tools: $*"; }
+fail() { echo "install-tools: $*" >&2; exit 69; }
+
+# --- packages of the distribution -----------------------------------------------------------------------------------
+# command that must exist (or one of several: a|b), package, what for. A leading / asks for a file instead.
+build_packages='
+cc            build-essential   C compiler and linker for the crates with C code
+make          build-essential   the Makefile
+ld.lld        lld               links in a fraction of the time
+pkg-config    pkg-config        build scripts look for libraries with it
+git           git               the commit in --version
+python3       python3           fetches ONNX Runtime
+/etc/ssl/certs/ca-certificates.crt  ca-certificates  downloads over HTTPS
+'
+test_packages='
+chromium|chromium-browser|google-chrome  chromium  the dashboard is tested in a browser
+node          nodejs            the browser test
+npm           npm               the browser test
+ip            iproute2          network namespaces as hosts
+unshare       util-linux        throw-away roots for the package test
+sqlite3       sqlite3           people open the store with it, so the tests do
+systemd-analyze  systemd        the units are checked with it
+dpkg-deb      dpkg              the Debian package
+dpkg-shlibdeps   dpkg-dev       the Debian package
+'
+
+# Prints "package  reason" for each line of $1 whose command is missing.
+missing_packages() {
+    echo "$1" | while read -r commands package reason; do
+        [ -n "$commands" ] || continue
+        found=
+        for command in $(echo "$commands" | tr '|' ' '); do
+            case $command in
+                /*) [ -e "$command" ] && found=1 ;;
+                *) command -v "$command" >/dev/null 2>&1 && found=1 ;;
+            esac
+        done
+        [ -n "$found" ] || echo "$package  $reason"
+    done
+}
+
+install_packages() {
+    missing=$(missing_packages "$1")
+    # The Python modules that Debian keeps in packages of their own.
+    python3 -m pip --version >/dev/null 2>&1 || missing="$missing
+python3-pip  fetches ONNX Runtime's wheel"
+    if [ -n "${wants_venv:-}" ] && ! python3 -c 'import ensurepip, venv' 2>/dev/null; then
+        missing="$missing
+python3-venv  an environment of its own for the benchmarks' Python packages"
+    fi
+    missing=$(echo "$missing" | sed '/^$/d')
+    [ -n "$missing" ] || return 0
+    say "missing:"
+    echo "$missing" | sed 's/^/    /'
+    packages=$(echo "$missing" | cut -d' ' -f1 | sort -u | tr '\n' ' ')
+    command -v apt-get >/dev/null || fail "no apt-get here; install these by the system's own means: $packages"
+    as_root=
+    if [ "$(id -u)" != 0 ]; then
+        command -v sudo >/dev/null || fail "not root and no sudo; as root: apt-get install $packages"
+        say "not root, calling sudo"
+        as_root=sudo
+    fi
+    say "installing with apt-get"
+    wait_for_lock="-o DPkg::Lock::Timeout=600"
+    # shellcheck disable=SC2086
+    $as_root apt-get $wait_for_lock update --quiet --quiet \
+        || fail "apt-get update failed; is there a network? the missing packages are: $packages"
+    # shellcheck disable=SC2086
+    $as_root env DEBIAN_FRONTEND=noninteractive apt-get $wait_for_lock install --yes --quiet --quiet \
+        --no-install-recommends -o Dpkg::Use-Pty=0 $packages \
+        || fail "apt-get install failed; try it by hand: apt-get install $packages"
+    still=$(missing_packages "$1" | cut -d' ' -f1 | sort -u | tr '\n' ' ')
+    [ -z "$still" ] || fail "apt-get is done, but what these packages should bring is not in PATH: $still"
+}
+
+# --- Rust -----------------------------------------------------------------------------------------------------------
+
+check_rust() {
+    command -v cargo >/dev/null || fail "no cargo in PATH; install Rust from https://rustup.rs, it then follows rust-toolchain.toml"
+    cd "$root"
+    cargo --version >/dev/null 2>&1 \
+        || fail "cargo cannot use the toolchain of rust-toolchain.toml; install it: rustup toolchain install"
+    for component in fmt clippy; do
+        cargo "$component" --version >/dev/null 2>&1 || {
+            say "cargo $component is missing, added with rustup"
+            rustup component add "$([ "$component" = fmt ] && echo rustfmt || echo clippy)" \
+                || fail "cargo $component is missing and rustup cannot add it"
+        }
+    done
+}
+
+# cargo_tool NAME VERSION WHAT-FOR
+cargo_tool() {
+    [ "$("$1" --version 2>/dev/null)" != "$1 $2" ] || return 0
+    say "$1 $2 ($3) is built with cargo install; this takes some minutes, once"
+    # Not into the workspace's own target folder, and without its linker flags.
+    (cd "$root" && env -u CARGO_TARGET_DIR -u RUSTFLAGS cargo install --locked --version "$2" "$1") \
+        || fail "cargo install $1 --version $2 --locked failed"
+    [ "$("$1" --version 2>/dev/null)" = "$1 $2" ] \
+        || fail "$1 $2 is installed, but another one comes first in PATH: $(command -v "$1" || echo none)"
+}
+
+# --- Python packages of the benchmarks ------------------------------------------------------------------------------
+
+install_bench_environment() {
+    requirements=$root/deploy/bench-requirements.txt
+    # The copy beside the packages says what was installed.
+    cmp -s "$requirements" "$venv/requirements.txt" && [ -x "$venv/bin/python" ] && return 0
+    python3 -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+        || fail "the benchmarks' onnxruntime needs Python 3.11 or newer, python3 is $(python3 --version 2>&1)"
+    say "numpy, onnxruntime, pillow and pyzmq go into $venv, for the comparisons of make bench"
+    python3 -m venv --clear "$venv" || fail "python3 -m venv $venv failed"
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --requirement "$requirements" \
+        || fail "pip could not install $requirements into $venv; is there a network?"
+    cp "$requirements" "$venv/requirements.txt"
+}
+
+# --------------------------------------------------------------------------------------------------------------------
+
+[ $# -gt 0 ] || fail "usage: install-tools.sh build|test|bench…"
+packages=$build_packages
+for set in "$@"; do
+    case $set in
+        build) ;;
+        test) packages=$packages$test_packages ;;
+        bench) wants_venv=1 ;;
+        *) fail "unknown set '$set'; known are build, test and bench" ;;
+    esac
+done
+install_packages "$packages"
+check_rust
+for set in "$@"; do
+    case $set in
+        test)
+            cargo_tool cargo-deny "$cargo_deny" "licences, bans and sources of the dependencies"
+            cargo_tool cargo-deb "$cargo_deb" "the Debian package"
+            ;;
+        bench) install_bench_environment ;;
+    esac
+done
+say "$*: everything is there"

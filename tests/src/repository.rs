@@ -1,0 +1,30 @@
+//! Where things are in the checkout.
+
+use std::path::{Path, PathBuf};
+
+/// The root of the checkout.
+pub fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("tests/ stands in the checkout's root")
+}
+
+/// A program that was built from this workspace, beside the test that runs.
+///
+/// # Panics
+/// When it has not been built.
+pub fn program(name: &str) -> PathBuf {
+    let test = std::env::current_exe().expect("a running test has a path");
+    // target/debug/deps/it-… → target/debug/NAME
+    let path = test.parent().and_then(Path::parent).expect("tests run from target/PROFILE/deps").join(name);
+    assert!(path.exists(), "{} is not there: build it with `cargo build --workspace`", path.display());
+    path
+}
+
+/// The folder with ONNX Runtime's library.
+///
+/// # Panics
+/// When `make setup` has not been run.
+pub fn onnxruntime() -> PathBuf {
+    let folder = root().join("onnxruntime/lib");
+    assert!(folder.is_dir(), "{} is not there: run `make setup`", folder.display());
+    folder
+}
