@@ -1,3 +1,5 @@
 //! End-to-end tests: the real programs, started as a user or systemd starts them.
 
+mod configuration;
 mod floors;
+mod lifecycle;

@@ -1,0 +1,108 @@
+//! `peernetd check` and the errors of a start: what, where, and what to do; with documented exit codes.
+
+use std::net::TcpListener;
+
+use peernet_tests::Site;
+
+const USAGE: i32 = 64;
+const CONFIGURATION: i32 = 78;
+
+/// Checks one file and returns the exit code and what was said.
+fn check(site: &Site, text: &str) -> (i32, String) {
+    site.write("it.toml", text);
+    let ended = site.peernetd(&["check", "it.toml"]).ended();
+    (ended.code(), ended.log)
+}
+
+#[test]
+fn an_unknown_key_is_named_with_file_line_and_what_exists() {
+    let (code, said) = check(&Site::new(), "[agent]\nname = \"edge\"\nagregator = \"tcp://127.0.0.1:1\"\n");
+    assert_eq!(code, CONFIGURATION, "{said}");
+    for part in ["it.toml:3", "agregator", "aggregator"] {
+        assert!(said.contains(part), "{part} is missing in:\n{said}");
+    }
+}
+
+#[test]
+fn every_problem_is_reported_at_once_with_its_line() {
+    let site = Site::new();
+    std::fs::create_dir(site.folder().join("empty")).expect("the temporary folder is writable");
+    let (code, said) = check(
+        &site,
+        r#"
+[agent]
+name = "edge"
+state_dir = "{folder}/edge"
+
+[[pipeline]]
+name = "one"
+sensor = { kind = "images", path = "{folder}/empty" }
+placement = { kind = "local", model = "classifier" }
+
+[[pipeline]]
+name = "one"
+sensor = { kind = "synthetic", size_bytes = 10 }
+placement = { kind = "remote", peer = "somewhere", network = "zmq-tcp", model = "echo" }
+"#,
+    );
+    assert_eq!(code, CONFIGURATION, "{said}");
+    for part in [
+        "it.toml:8: pipeline[0].sensor",
+        "it.toml:9: pipeline[0].placement.model",
+        "it.toml:12: pipeline[1].name",
+        "it.toml:14: pipeline[1].placement.peer",
+    ] {
+        assert!(said.contains(part), "{part} is missing in:\n{said}");
+    }
+}
+
+#[test]
+fn a_file_without_roles_or_without_existence_is_refused() {
+    let site = Site::new();
+    let (code, said) = check(&site, "[log]\nlevel = \"info\"\n");
+    assert_eq!(code, CONFIGURATION, "{said}");
+    assert!(said.contains("[agent]") && said.contains("[aggregator]"), "{said}");
+
+    let ended = site.peernetd(&["check", "nowhere.toml"]).ended();
+    assert_eq!(ended.code(), CONFIGURATION, "{}", ended.log);
+    assert!(ended.log.contains("nowhere.toml"), "{}", ended.log);
+
+    assert_eq!(site.peernetd(&["dance"]).ended().code(), USAGE);
+}
+
+#[test]
+fn a_port_in_use_is_named_at_the_start() {
+    let site = Site::new();
+    let taken = TcpListener::bind(("127.0.0.1", site.events)).expect("the port was free a moment ago");
+    site.write(
+        "it.toml",
+        "[aggregator]\nlisten = \"tcp://127.0.0.1:{events}\"\ndatabase = \"{folder}/a.sqlite\"\n",
+    );
+    let ended = site.start("it.toml").ended();
+    assert_ne!(ended.code(), 0);
+    assert!(ended.log.contains(&format!("127.0.0.1:{}", site.events)), "{}", ended.log);
+    drop(taken);
+}
+
+#[test]
+fn a_database_that_cannot_be_written_is_named() {
+    let site = Site::new();
+    std::fs::write(site.folder().join("file"), "in the way").expect("the temporary folder is writable");
+    let (code, said) = check(
+        &site,
+        "[aggregator]\nlisten = \"tcp://127.0.0.1:{events}\"\ndatabase = \"{folder}/file/a.sqlite\"\n",
+    );
+    assert_eq!(code, CONFIGURATION, "{said}");
+    assert!(said.contains("it.toml:3: aggregator.database"), "{said}");
+}
+
+#[test]
+fn listening_beyond_loopback_must_be_asked_for() {
+    let site = Site::new();
+    let (code, said) = check(
+        &site,
+        "[aggregator]\nlisten = \"tcp://127.0.0.1:{events}\"\ndatabase = \"{folder}/a.sqlite\"\n\n[web]\nlisten = \"0.0.0.0:{http}\"\n",
+    );
+    assert_eq!(code, CONFIGURATION, "{said}");
+    assert!(said.contains("web.listen") && said.contains("allow_unauthenticated"), "{said}");
+}

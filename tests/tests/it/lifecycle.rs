@@ -1,0 +1,99 @@
+//! Start, readiness, watchdog, stop and exit codes, as systemd sees them.
+
+use std::os::unix::net::UnixDatagram;
+
+use peernet_tests::{PATIENCE, Process, Site, program};
+use rustix::process::Signal;
+
+const AGENT: &str = r#"
+[agent]
+name = "edge"
+state_dir = "{folder}/edge"
+
+[[model]]
+name = "echo"
+kind = "echo"
+
+[[pipeline]]
+name = "loop"
+sensor = { kind = "synthetic", size_bytes = 1000 }
+placement = { kind = "local", model = "echo" }
+load = { mode = "rate", hz = 50.0 }
+"#;
+
+/// The end of systemd's notification socket that systemd holds.
+struct Manager {
+    socket: UnixDatagram,
+    path: String,
+}
+
+impl Manager {
+    fn new(site: &Site) -> Self {
+        let path = site.folder().join("notify.sock");
+        let socket = UnixDatagram::bind(&path).expect("the temporary folder is writable");
+        socket.set_read_timeout(Some(PATIENCE)).expect("a timeout can be set");
+        Self { socket, path: path.display().to_string() }
+    }
+
+    fn next(&self) -> String {
+        let mut message = [0; 4096];
+        let length = self.socket.recv(&mut message).expect("the daemon tells the service manager");
+        String::from_utf8_lossy(&message[..length]).into_owned()
+    }
+
+    fn wait_for(&self, state: &str) {
+        while !self.next().lines().any(|line| line == state) {}
+    }
+}
+
+#[test]
+fn the_service_manager_hears_ready_watchdog_and_stopping() {
+    let site = Site::new();
+    let manager = Manager::new(&site);
+    site.write("edge.toml", AGENT);
+    let daemon = Process::start(
+        &program("peernetd"),
+        &["run", "edge.toml"],
+        site.folder(),
+        &[("NOTIFY_SOCKET", &manager.path), ("WATCHDOG_USEC", "400000")],
+    );
+    manager.wait_for("READY=1");
+    manager.wait_for("WATCHDOG=1");
+    manager.wait_for("WATCHDOG=1");
+    daemon.terminate();
+    manager.wait_for("STOPPING=1");
+    let ended = daemon.ended();
+    assert_eq!(ended.code(), 0, "{}", ended.log);
+}
+
+#[test]
+fn ctrl_c_ends_it_as_sigterm_does() {
+    let site = Site::new();
+    site.write("edge.toml", AGENT);
+    let daemon = site.start("edge.toml");
+    daemon.wait_for("ready");
+    daemon.signal(Signal::INT);
+    assert_eq!(daemon.ended().code(), 0);
+}
+
+#[test]
+fn under_journald_lines_carry_priorities_instead_of_times() {
+    let site = Site::new();
+    site.write("edge.toml", AGENT);
+    let daemon =
+        Process::start(&program("peernetd"), &["run", "edge.toml"], site.folder(), &[("JOURNAL_STREAM", "8:1")]);
+    let line = daemon.wait_for("ready");
+    assert!(line.starts_with("<6>"), "{line}");
+    assert_eq!(daemon.stop().code(), 0);
+}
+
+#[test]
+fn the_version_names_the_commit() {
+    let site = Site::new();
+    let ended = site.peernetd(&["--version"]).ended();
+    assert_eq!(ended.code(), 0);
+    let words: Vec<&str> = ended.log.split_whitespace().collect();
+    assert_eq!(words[0], "peernetd");
+    assert_eq!(words[1], env!("CARGO_PKG_VERSION"));
+    assert!(words[2].starts_with('('), "{}", ended.log);
+}
