@@ -33,8 +33,9 @@ impl ClockIdentity {
     /// # Errors
     /// When the kernel's boot id cannot be read; the error names the file.
     pub fn of_this_machine(clock: &str) -> io::Result<Self> {
-        let boot = std::fs::read_to_string(Self::BOOT_ID)
-            .map_err(|error| io::Error::new(error.kind(), format!("cannot read {}: {error}", Self::BOOT_ID)))?;
+        let boot = std::fs::read_to_string(Self::BOOT_ID).map_err(|error| {
+            io::Error::new(error.kind(), format!("cannot read {}: {error}", Self::BOOT_ID))
+        })?;
         Ok(Self::new(boot.trim(), clock))
     }
 }

@@ -3,14 +3,27 @@
 //!
 //! No I/O. [`Recorder`] grows a [`Tree`] while an iteration runs; [`stage`] holds the standard names.
 
+pub mod csv;
+mod guard;
 mod host;
+pub mod limits;
+mod measure;
+mod meter;
 mod name;
 mod recorder;
 pub mod stage;
+mod stages;
 pub mod stream;
+mod text;
 mod tree;
+pub mod wire;
 
-pub use host::{HostId, Slug, InvalidName, RunId};
+pub use guard::{Measuring, Timing, Tokens};
+pub use host::{HostId, InvalidName, RunId, Slug};
+pub use measure::{Measure, Rate, Transit};
+pub use meter::Meter;
 pub use name::{Name, Unit};
-pub use recorder::{Recorder, Timing};
-pub use tree::{Anchor, Growth, HostIndex, Measure, Node, NodeId, Rate, Transit, Tree, TreeError};
+pub use recorder::Recorder;
+pub use stages::Stages;
+pub use text::Text;
+pub use tree::{Anchor, Growth, HostIndex, Node, NodeId, Tree, TreeError};

@@ -7,9 +7,12 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
+use crate::limits::MAX_NAME_BYTES;
 use crate::stage;
 
 /// A short text that is cloned without copying: static for the standard names, shared for all others.
+///
+/// Never longer than [`MAX_NAME_BYTES`]: what a program makes is cut off there, what arrives is refused.
 #[derive(Clone)]
 pub struct Name(Repr);
 
@@ -21,7 +24,11 @@ enum Repr {
 
 impl Name {
     /// A name known at compile time.
+    ///
+    /// # Panics
+    /// When it is longer than [`MAX_NAME_BYTES`]; in a constant, that is an error of compilation.
     pub const fn from_static(name: &'static str) -> Self {
+        assert!(name.len() <= MAX_NAME_BYTES, "a name is longer than its limit");
         Self(Repr::Static(name))
     }
 
@@ -37,6 +44,7 @@ impl Name {
 impl From<&str> for Name {
     /// Standard names cost no allocation.
     fn from(name: &str) -> Self {
+        let name = &name[..name.floor_char_boundary(MAX_NAME_BYTES)];
         stage::standard(name).map_or_else(|| Self(Repr::Shared(name.into())), Self::from_static)
     }
 }
@@ -125,6 +133,12 @@ impl<'de> Deserialize<'de> for Name {
                 f.write_str("a name")
             }
             fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<Name, E> {
+                if name.len() > MAX_NAME_BYTES {
+                    return Err(E::custom(format_args!(
+                        "a name of {} bytes, the limit is {MAX_NAME_BYTES}",
+                        name.len()
+                    )));
+                }
                 Ok(Name::from(name))
             }
         }
@@ -150,6 +164,10 @@ impl Unit {
     pub const WATTS: Self = Self(Name::from_static("W"));
     /// Degrees Celsius.
     pub const CELSIUS: Self = Self(Name::from_static("°C"));
+    /// Joules.
+    pub const JOULES: Self = Self(Name::from_static("J"));
+    /// Tokens of a language model.
+    pub const TOKENS: Self = Self(Name::from_static("token"));
     /// A plain number.
     pub const NONE: Self = Self(Name::from_static(""));
 
@@ -161,5 +179,26 @@ impl Unit {
     /// The symbol.
     pub fn symbol(&self) -> &str {
         self.0.as_str()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_is_cut_at_a_character_and_a_longer_one_is_not_read() {
+        let long = "ä".repeat(MAX_NAME_BYTES);
+        let name = Name::from(long.as_str());
+        assert_eq!(name.as_str(), "ä".repeat(MAX_NAME_BYTES / 2));
+        assert!(serde_json::from_str::<Name>(&format!("\"{name}\"")).is_ok());
+        assert!(serde_json::from_str::<Name>(&format!("\"{name}x\"")).is_err());
+    }
+
+    #[test]
+    fn a_shared_name_equals_a_static_one() {
+        assert_eq!(Name::from("sensing"), stage::SENSING);
+        assert!(matches!(Name::from("sensing").0, Repr::Static(_)));
+        assert!(matches!(Name::from("gripper").0, Repr::Shared(_)));
     }
 }

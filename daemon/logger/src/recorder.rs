@@ -1,13 +1,18 @@
 //! Growing a tree while an iteration runs.
 
-use std::ops::{Deref, DerefMut};
-
 use peernet_clock::{MonoTime, SharedClock, Span, Stamp, WallTime};
 
-use crate::tree::{Anchor, Growth, HostIndex, Measure, Node, NodeId, Transit, Tree, TreeError};
-use crate::{HostId, Name, Unit};
+use crate::guard::{Measuring, Timing, Tokens};
+use crate::limits::{MAX_ANCHORS, MAX_DEPTH, MAX_NODES, RESERVED_NODES};
+use crate::{
+    Anchor, Growth, HostId, HostIndex, Measure, Meter, Name, Node, NodeId, Transit, Tree, TreeError, Unit,
+    stage,
+};
 
 /// A tree under construction on one host: opens and closes nodes below the innermost open one.
+///
+/// It never grows a tree beyond [`crate::limits`]: nodes that do not fit are left out ([`NodeId::NOWHERE`]), their
+/// children join the innermost node that is there, and their number is recorded as `skipped-nodes`.
 ///
 /// ```
 /// # use std::sync::Arc;
@@ -23,15 +28,19 @@ use crate::{HostId, Name, Unit};
 /// let tree = log.finish();
 /// assert_eq!(tree.find(&["sensing", "capture"]).unwrap().1.measure.value(), Some(0.002));
 /// ```
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Recorder {
-    clock: SharedClock,
-    tree: Tree,
+    pub(crate) clock: SharedClock,
+    pub(crate) tree: Tree,
     host: HostIndex,
     /// This host's anchor on its monotonic clock.
     zero: MonoTime,
     /// The innermost open node.
-    open: NodeId,
+    pub(crate) open: NodeId,
+    /// Its level; the root is on level 1.
+    pub(crate) level: usize,
+    /// Nodes left out because the tree had reached its limits.
+    skipped: u32,
     /// For a tree that came from another host: what it looked like on arrival.
     received: Option<Received>,
 }
@@ -52,13 +61,13 @@ impl Recorder {
     /// Begins an iteration that was meant to begin at `at`, now or earlier.
     pub fn begin_at(clock: SharedClock, host: HostId, at: Stamp) -> Self {
         let tree = Tree::new(crate::stage::ITERATION, Anchor { host, wall: at.wall });
-        Self { clock, tree, host: HostIndex::EDGE, zero: at.mono, open: NodeId::ROOT, received: None }
+        Self::on(clock, tree, HostIndex::EDGE, at.mono, None)
     }
 
     /// Continues a tree that arrived from another host: closes `transit`, on which it came, at `arrival`.
     ///
     /// # Errors
-    /// When `transit` is not a transit under way.
+    /// When `transit` is not a transit under way, or the tree already spans as many hosts as it may.
     pub fn resume(
         clock: SharedClock,
         host: HostId,
@@ -67,6 +76,9 @@ impl Recorder {
         arrival: Stamp,
     ) -> Result<Self, TreeError> {
         let base = tree.nodes().len() as u32;
+        if tree.anchors.len() >= MAX_ANCHORS {
+            return Err(TreeError::TooManyHosts(tree.anchors.len() + 1));
+        }
         match tree.measure_mut(transit) {
             Some(Measure::Transit(open)) if open.received.is_none() => open.received = Some(arrival.wall),
             _ => return Err(TreeError::NotUnderWay(transit.index())),
@@ -74,7 +86,17 @@ impl Recorder {
         tree.anchors.push(Anchor { host, wall: arrival.wall });
         let host = HostIndex((tree.anchors.len() - 1) as u8);
         let received = Some(Received { base, closed: (transit, arrival.wall) });
-        Ok(Self { clock, tree, host, zero: arrival.mono, open: NodeId::ROOT, received })
+        Ok(Self::on(clock, tree, host, arrival.mono, received))
+    }
+
+    const fn on(
+        clock: SharedClock,
+        tree: Tree,
+        host: HostIndex,
+        zero: MonoTime,
+        received: Option<Received>,
+    ) -> Self {
+        Self { clock, tree, host, zero, open: NodeId::ROOT, level: 1, skipped: 0, received }
     }
 
     /// The clock this recorder reads.
@@ -100,11 +122,8 @@ impl Recorder {
     /// Opens a timer that closes when the guard goes; nodes opened through the guard are its children.
     #[inline]
     pub fn time(&mut self, name: Name) -> Timing<'_> {
-        let outer = self.open;
         let started = self.clock.mono();
-        let node = self.append_at(name, started, Measure::Timer(None));
-        self.open = node;
-        Timing { recorder: self, node, outer, started }
+        self.enter(name, started, Measure::Timer(None))
     }
 
     /// Opens a timer to be closed with [`stop`](Self::stop), where a guard cannot live long enough.
@@ -141,23 +160,34 @@ impl Recorder {
 
     /// Opens a container through the guard of which children are added.
     pub fn container(&mut self, name: Name) -> Timing<'_> {
-        let outer = self.open;
         let started = self.clock.mono();
-        let node = self.append_at(name, started, Measure::Container);
-        self.open = node;
-        Timing { recorder: self, node, outer, started }
+        self.enter(name, started, Measure::Container)
     }
 
-    /// Records a number.
+    /// Measures with an instrument of one's own from now until the guard goes; nodes opened through the guard
+    /// are its children.
+    pub fn measure<M: Meter>(&mut self, name: Name, meter: M) -> Measuring<'_, M> {
+        let started = self.clock.mono();
+        let measure = Measure::Custom(meter.kind(), meter.unit(), None);
+        Measuring::begin(self.enter(name, started, measure), meter)
+    }
+
+    /// Counts the tokens that a language model gives from now until the guard goes.
+    pub fn tokens(&mut self, name: Name) -> Tokens<'_> {
+        let started = self.clock.mono();
+        Tokens::begin(self.enter(name, started, Measure::TokenRate(None)), started)
+    }
+
+    /// Records a number; one that is not a number is recorded as a reading that failed.
     pub fn value(&mut self, name: Name, value: f64, unit: Unit) -> NodeId {
         let now = self.clock.mono();
-        self.append_at(name, now, Measure::Value(value, unit))
+        self.append_at(name, now, Measure::Value(value, unit).without_nan())
     }
 
     /// Records a measurement of a kind the user declared.
     pub fn custom(&mut self, name: Name, kind: Name, unit: Unit, value: f64) -> NodeId {
         let now = self.clock.mono();
-        self.append_at(name, now, Measure::Custom(kind, unit, Some(value)))
+        self.append_at(name, now, Measure::Custom(kind, unit, Some(value)).without_nan())
     }
 
     /// Opens the node of a message that is handed to the network at `sent`; the receiver closes it.
@@ -173,8 +203,25 @@ impl Recorder {
         }
     }
 
+    /// Puts a tree that was recorded elsewhere below the innermost open node, all of it or nothing. Returns the
+    /// position of what was its root.
+    ///
+    /// Its nodes keep their hosts; a host that is already part of this tree keeps its place in time by the wall
+    /// clock.
+    ///
+    /// # Errors
+    /// When this tree would grow beyond its limits, or the other one is none.
+    pub fn insert(&mut self, tree: &Tree) -> Result<NodeId, TreeError> {
+        let fits = self.tree.nodes.len() + tree.nodes().len() <= MAX_NODES - RESERVED_NODES;
+        if !fits {
+            return Err(TreeError::TooManyNodes(self.tree.nodes.len() + tree.nodes().len()));
+        }
+        self.tree.graft(self.open, tree)
+    }
+
     /// Ends the recording; nodes that are still open stay so.
-    pub fn finish(self) -> Tree {
+    pub fn finish(mut self) -> Tree {
+        self.note_skipped();
         self.tree
     }
 
@@ -182,55 +229,44 @@ impl Recorder {
     /// `None` for a tree that began here.
     pub fn into_growth(mut self) -> Option<Growth> {
         let Received { base, closed } = self.received?;
+        self.note_skipped();
         let nodes = self.tree.nodes.split_off(base as usize);
-        let anchor = self.tree.anchors.pop()?;
-        Some(Growth { base, anchor, closed, nodes })
+        let mut anchors = self.tree.anchors.drain(usize::from(self.host.0)..);
+        let anchor = anchors.next()?;
+        Some(Growth { base, anchor, others: anchors.collect(), closed, nodes })
     }
 
-    fn append_at(&mut self, name: Name, at: MonoTime, measure: Measure) -> NodeId {
-        let node =
-            Node { parent: Some(self.open), name, host: self.host, start: self.offset(at), measure };
-        self.tree.push(node)
-    }
-}
-
-/// An open node: everything recorded through it becomes its child, and dropping it closes it.
-#[derive(Debug)]
-pub struct Timing<'a> {
-    recorder: &'a mut Recorder,
-    node: NodeId,
-    outer: NodeId,
-    started: MonoTime,
-}
-
-impl Timing<'_> {
-    /// The open node.
-    pub fn id(&self) -> NodeId {
-        self.node
-    }
-}
-
-impl Deref for Timing<'_> {
-    type Target = Recorder;
-    fn deref(&self) -> &Recorder {
-        self.recorder
-    }
-}
-
-impl DerefMut for Timing<'_> {
-    fn deref_mut(&mut self) -> &mut Recorder {
-        self.recorder
-    }
-}
-
-impl Drop for Timing<'_> {
     #[inline]
-    fn drop(&mut self) {
-        self.recorder.open = self.outer;
-        if let Some(node) = self.recorder.tree.nodes.get_mut(self.node.index())
-            && let Measure::Timer(duration) = &mut node.measure
-        {
-            *duration = Some(self.recorder.clock.mono() - self.started);
+    fn enter(&mut self, name: Name, started: MonoTime, measure: Measure) -> Timing<'_> {
+        let (outer, outer_level) = (self.open, self.level);
+        let node = self.append_at(name, started, measure);
+        if node != NodeId::NOWHERE {
+            self.open = node;
+            self.level += 1;
+        }
+        Timing { recorder: self, node, outer, outer_level, started }
+    }
+
+    #[inline]
+    fn append_at(&mut self, name: Name, at: MonoTime, measure: Measure) -> NodeId {
+        if self.tree.nodes.len() >= MAX_NODES - RESERVED_NODES || self.level >= MAX_DEPTH {
+            self.skipped += 1;
+            return NodeId::NOWHERE;
+        }
+        let start = self.offset(at);
+        self.tree.push(Node { parent: Some(self.open), name, host: self.host, start, measure })
+    }
+
+    /// Says in the tree itself that nodes are missing from it.
+    fn note_skipped(&mut self) {
+        if self.skipped > 0 {
+            let start = self.offset(self.clock.mono());
+            let measure = Measure::Value(f64::from(self.skipped), Unit::NONE);
+            let (parent, name) = (Some(NodeId::ROOT), stage::SKIPPED_NODES);
+            self.tree.push(Node { parent, name, host: self.host, start, measure });
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

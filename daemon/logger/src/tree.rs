@@ -4,10 +4,12 @@
 //! are offsets on the host's monotonic clock from that host's [`Anchor`], the moment at which the host joined
 //! the tree: durations and order within a host carry no wall-clock error, and a wall time is one addition.
 
-use peernet_clock::{OneWayDelay, Span, WallTime};
+use peernet_clock::{Span, WallTime};
 use serde::{Deserialize, Serialize};
 
-use crate::{HostId, Name, Unit};
+use crate::limits::{MAX_ANCHORS, MAX_DEPTH, MAX_NODES};
+use crate::measure::Measure;
+use crate::{HostId, Name};
 
 /// Position of a node in its tree.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -17,6 +19,10 @@ pub struct NodeId(pub u32);
 impl NodeId {
     /// The root, present in every tree.
     pub const ROOT: Self = Self(0);
+
+    /// No position: what a recorder returns for a node that it had to leave out. Doing something to it does
+    /// nothing.
+    pub const NOWHERE: Self = Self(u32::MAX);
 
     /// The position as an index.
     pub const fn index(self) -> usize {
@@ -58,46 +64,6 @@ pub struct Node {
     pub measure: Measure,
 }
 
-/// Kind and content of a node.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Measure {
-    /// Holds other nodes.
-    Container,
-    /// A duration on one host; `None` while it is open.
-    Timer(Option<Span>),
-    /// A message's way from one host to another.
-    Transit(Box<Transit>),
-    /// A number with a unit.
-    Value(f64, Unit),
-    /// Bits per second.
-    Throughput(Rate),
-    /// Tokens per second of a language model; `None` while it is open.
-    TokenRate(Option<f64>),
-    /// A kind that the user declared by name and unit; `None` while it is open.
-    Custom(Name, Unit, Option<f64>),
-}
-
-/// A rate with the interval that follows from its delay's.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Rate {
-    /// The estimate; `None` when the delay has none.
-    pub value: Option<f64>,
-    /// Lower and upper bound; the upper one is infinite when the delay's interval reaches zero.
-    pub bounds: Option<(f64, f64)>,
-}
-
-/// A message between two hosts: opened by the sender, closed by the receiver, judged by the edge.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Transit {
-    /// The sender's wall clock just before the message was handed to the network.
-    pub sent: WallTime,
-    /// The receiver's wall clock when the whole message was there; `None` while it is under way.
-    pub received: Option<WallTime>,
-    /// The delay, once the edge has related the two clocks.
-    pub delay: Option<OneWayDelay>,
-}
-
 /// What is wrong with a tree or a growth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TreeError {
@@ -121,10 +87,28 @@ pub enum TreeError {
     /// A growth closes a node that is not an open transit.
     #[error("node {0} is not a transit under way")]
     NotUnderWay(usize),
+    /// A node is further from the root than is allowed.
+    #[error("node {0} lies deeper than the limit of {MAX_DEPTH} levels")]
+    TooDeep(usize),
+    /// The tree has more nodes than are allowed.
+    #[error("the tree has {0} nodes, the limit is {MAX_NODES}")]
+    TooManyNodes(usize),
+    /// The tree spans more hosts than are allowed.
+    #[error("the tree spans {0} hosts, the limit is {MAX_ANCHORS}")]
+    TooManyHosts(usize),
+    /// A measurement that would spoil every statistic it is added to.
+    #[error("node {0} measures something that is not a number")]
+    NotANumber(usize),
+    /// An interval whose lower end lies above its upper end.
+    #[error("node {0} has bounds that are crossed")]
+    CrossedBounds(usize),
 }
 
 /// The nodes of one iteration.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+///
+/// Serialised, it is its [wire form](crate::wire) as a byte string; in formats for people, such as JSON, it is an
+/// object of `anchors` and `nodes`. Whichever way it is read, it is checked.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Tree {
     pub(crate) anchors: Vec<Anchor>,
     pub(crate) nodes: Vec<Node>,
@@ -133,12 +117,15 @@ pub struct Tree {
 /// What another host added to a tree that was sent to it: the transit it closed and the nodes it appended.
 ///
 /// Sent back instead of the whole tree, so that a peer can add to what it was shown but never rewrite it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// Serialised like a [`Tree`].
+#[derive(Clone, Debug, PartialEq)]
 pub struct Growth {
     /// Nodes of the tree when it was received.
     pub base: u32,
     /// The host that grew it.
     pub anchor: Anchor,
+    /// Further hosts that have nodes in it: those whose trees were inserted.
+    pub others: Vec<Anchor>,
     /// The transit that ended at this host and the wall-clock stamp of its end.
     pub closed: (NodeId, WallTime),
     /// The appended nodes.
@@ -209,14 +196,18 @@ impl Tree {
     }
 
     /// Appends a node and returns its position.
+    #[inline]
     pub(crate) fn push(&mut self, node: Node) -> NodeId {
         let id = NodeId(self.nodes.len() as u32);
         self.nodes.push(node);
         id
     }
 
-    /// Appends a finished node of the edge under a parent: what is computed after the fact.
+    /// Appends a finished node of the edge under a parent: what is computed after the fact. A parent that is
+    /// not there stands for the root.
     pub fn add(&mut self, parent: NodeId, name: Name, start: Span, measure: Measure) -> NodeId {
+        let parent = if parent.index() < self.nodes.len() { parent } else { NodeId::ROOT };
+        let measure = measure.without_nan();
         self.push(Node { parent: Some(parent), name, host: HostIndex::EDGE, start, measure })
     }
 
@@ -239,11 +230,13 @@ impl Tree {
             Some(Measure::Transit(transit)) if transit.received.is_none() => {}
             _ => return Err(TreeError::NotUnderWay(closed.index())),
         }
+        let hosts = self.anchors.len();
         self.nodes.extend(growth.nodes);
         self.anchors.push(growth.anchor);
+        self.anchors.extend(growth.others);
         if let Err(error) = self.check(base) {
             self.nodes.truncate(base);
-            self.anchors.pop();
+            self.anchors.truncate(hosts);
             return Err(error);
         }
         if let Some(Measure::Transit(transit)) = self.measure_mut(closed) {
@@ -252,10 +245,45 @@ impl Tree {
         Ok(())
     }
 
-    /// Checks the nodes from position `from` on.
+    /// Puts a copy of another tree below a node. When it does not fit, this tree is unchanged.
+    pub(crate) fn graft(&mut self, below: NodeId, other: &Self) -> Result<NodeId, TreeError> {
+        let (base, hosts) = (self.nodes.len(), self.anchors.len());
+        let root = NodeId(base as u32);
+        let places: Vec<(HostIndex, Span)> = other.anchors.iter().map(|anchor| self.join(anchor)).collect();
+        self.nodes.extend(other.nodes.iter().cloned().map(|mut node| {
+            if let Some((host, shift)) = places.get(usize::from(node.host.0)) {
+                node.host = *host;
+                node.start += *shift;
+            }
+            node.parent = Some(node.parent.map_or(below, |parent| NodeId(parent.0 + root.0)));
+            node
+        }));
+        self.check(base).inspect_err(|_| {
+            self.nodes.truncate(base);
+            self.anchors.truncate(hosts);
+        })?;
+        Ok(root)
+    }
+
+    /// The place of a host among the anchors, made if it has none, and how much later its own anchor is.
+    fn join(&mut self, anchor: &Anchor) -> (HostIndex, Span) {
+        if let Some(place) = self.anchors.iter().position(|known| known.host == anchor.host) {
+            return (HostIndex(place as u8), anchor.wall - self.anchors[place].wall);
+        }
+        self.anchors.push(anchor.clone());
+        (HostIndex((self.anchors.len() - 1) as u8), Span::ZERO)
+    }
+
+    /// Checks the nodes from position `from` on, the others being known to be good.
     pub(crate) fn check(&self, from: usize) -> Result<(), TreeError> {
         if self.nodes.is_empty() {
             return Err(TreeError::Orphan(0));
+        }
+        if self.nodes.len() > MAX_NODES {
+            return Err(TreeError::TooManyNodes(self.nodes.len()));
+        }
+        if self.anchors.len() > MAX_ANCHORS {
+            return Err(TreeError::TooManyHosts(self.anchors.len()));
         }
         for (index, node) in self.nodes.iter().enumerate().skip(from) {
             match node.parent {
@@ -268,56 +296,27 @@ impl Tree {
             if usize::from(node.host.0) >= self.anchors.len() {
                 return Err(TreeError::UnknownHost(index));
             }
+            if self.level(NodeId(index as u32)).is_none() {
+                return Err(TreeError::TooDeep(index));
+            }
+            node.measure.check(index)?;
         }
         Ok(())
     }
-}
 
-impl Measure {
-    /// Whether the node still waits for its end.
-    pub fn is_open(&self) -> bool {
-        match self {
-            Self::Timer(None) | Self::TokenRate(None) | Self::Custom(_, _, None) => true,
-            Self::Transit(transit) => transit.received.is_none(),
-            _ => false,
+    /// How many levels down a node lies, the root on level 1; `None` below [`MAX_DEPTH`].
+    ///
+    /// Climbs instead of remembering: trees are shallow, and a hostile one costs 32 steps a node.
+    pub(crate) fn level(&self, id: NodeId) -> Option<usize> {
+        let mut parent = self.nodes.get(id.index())?.parent;
+        let mut level = 1;
+        while let Some(id) = parent {
+            level += 1;
+            if level > MAX_DEPTH {
+                return None;
+            }
+            parent = self.nodes.get(id.index())?.parent;
         }
-    }
-
-    /// The number to store and to compute statistics over, in the unit of [`unit`](Self::unit).
-    pub fn value(&self) -> Option<f64> {
-        match self {
-            Self::Container => None,
-            Self::Timer(span) => span.map(Span::seconds),
-            Self::Transit(transit) => transit.delay.and_then(|delay| delay.value).map(Span::seconds),
-            Self::Value(value, _) => Some(*value),
-            Self::Throughput(rate) => rate.value,
-            Self::TokenRate(rate) => *rate,
-            Self::Custom(_, _, value) => *value,
-        }
-    }
-
-    /// The unit of [`value`](Self::value).
-    pub fn unit(&self) -> Unit {
-        match self {
-            Self::Container => Unit::NONE,
-            Self::Timer(_) | Self::Transit(_) => Unit::SECONDS,
-            Self::Throughput(_) => Unit::BITS_PER_SECOND,
-            Self::TokenRate(_) => Unit::TOKENS_PER_SECOND,
-            Self::Value(_, unit) | Self::Custom(_, unit, _) => unit.clone(),
-        }
-    }
-
-    /// The name of the kind: `container`, `timer`, `transit`, `value`, `throughput`, `token-rate`, or the
-    /// user's own.
-    pub fn kind(&self) -> Name {
-        match self {
-            Self::Container => Name::from_static("container"),
-            Self::Timer(_) => Name::from_static("timer"),
-            Self::Transit(_) => Name::from_static("transit"),
-            Self::Value(..) => Name::from_static("value"),
-            Self::Throughput(_) => Name::from_static("throughput"),
-            Self::TokenRate(_) => Name::from_static("token-rate"),
-            Self::Custom(kind, ..) => kind.clone(),
-        }
+        Some(level)
     }
 }

@@ -1,10 +1,18 @@
 //! Statistics of a stream of numbers in bounded memory: moments without cancellation, a mergeable quantile
-//! sketch with a stated error, and summaries of both.
+//! sketch with a stated error, summaries of both, and a ring of one-second cells for the last minutes.
 
+mod merge;
 mod moments;
 mod sketch;
 mod summary;
+mod windows;
 
+pub use merge::Merge;
 pub use moments::Moments;
-pub use sketch::Sketch;
+pub use sketch::{PackedError, Sketch};
 pub use summary::Summary;
+pub use windows::Windows;
+
+/// Largest count that is taken from elsewhere: every integer up to it is an exact `f64`, and thousands of such
+/// counts can be added up in 64 bits.
+const MAX_COUNT: u64 = 1 << 53;

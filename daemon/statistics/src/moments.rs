@@ -2,11 +2,14 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::Merge;
+
 /// Count, mean, sum of squared deviations from the mean, and extremes.
 ///
 /// Welford 1962 for single numbers, Chan, Golub and LeVeque 1979 for merging: sums of squares would cancel
 /// when the mean is large beside the deviation, as it is for durations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Received")]
 pub struct Moments {
     /// How many numbers.
     pub count: u64,
@@ -22,8 +25,18 @@ pub struct Moments {
 
 impl Moments {
     /// Adds a number. Not-a-number and infinities are the caller's to keep out.
+    #[inline]
     pub fn record(&mut self, value: f64) {
-        self.merge(&Self { count: 1, mean: value, m2: 0.0, min: value, max: value });
+        if self.count == 0 {
+            *self = Self { count: 1, mean: value, m2: 0.0, min: value, max: value };
+            return;
+        }
+        self.count += 1;
+        let difference = value - self.mean;
+        self.mean += difference / self.count as f64;
+        self.m2 += difference * (value - self.mean);
+        self.min = self.min.min(value);
+        self.max = self.max.max(value);
     }
 
     /// Adds all numbers of another.
@@ -44,6 +57,11 @@ impl Moments {
         self.max = self.max.max(other.max);
     }
 
+    /// Their sum.
+    pub fn sum(&self) -> f64 {
+        self.mean * self.count as f64
+    }
+
     /// Sample variance; `None` below two numbers.
     pub fn variance(&self) -> Option<f64> {
         (self.count > 1).then(|| self.m2 / (self.count - 1) as f64)
@@ -52,5 +70,108 @@ impl Moments {
     /// Sample standard deviation; `None` below two numbers.
     pub fn std(&self) -> Option<f64> {
         self.variance().map(f64::sqrt)
+    }
+}
+
+/// Moments as they arrive, from anyone: one that is not a number would spoil all that it is merged with.
+#[derive(Deserialize)]
+struct Received {
+    count: u64,
+    mean: f64,
+    m2: f64,
+    min: f64,
+    max: f64,
+}
+
+impl TryFrom<Received> for Moments {
+    type Error = &'static str;
+
+    fn try_from(received: Received) -> Result<Self, &'static str> {
+        let Received { count, mean, m2, min, max } = received;
+        let finite = [mean, m2, min, max].iter().all(|number| number.is_finite());
+        if finite && m2 >= 0.0 && min <= max && count <= crate::MAX_COUNT {
+            Ok(Self { count, mean, m2, min, max })
+        } else {
+            Err("moments that no numbers have")
+        }
+    }
+}
+
+impl Merge for Moments {
+    fn merge(&mut self, other: &Self) {
+        Self::merge(self, other);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn of(values: &[f64]) -> Moments {
+        let mut moments = Moments::default();
+        values.iter().for_each(|value| moments.record(*value));
+        moments
+    }
+
+    /// Mean and sample variance in two passes, the textbook way.
+    fn two_passes(values: &[f64]) -> (f64, f64) {
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+        (mean, squares / (values.len() - 1) as f64)
+    }
+
+    fn close(a: f64, b: f64) -> bool {
+        (a - b).abs() <= 1e-9 * a.abs().max(b.abs())
+    }
+
+    /// Durations around a mean that is large beside their deviation: where sums of squares cancel.
+    fn durations() -> impl Strategy<Value = Vec<f64>> {
+        (1e-3..10.0_f64, prop::collection::vec(-1.0..1.0_f64, 2..300))
+            .prop_map(|(mean, noise)| noise.iter().map(|noise| mean * (1.0 + 1e-3 * noise)).collect())
+    }
+
+    proptest! {
+        #[test]
+        fn one_number_at_a_time_equals_two_passes(values in durations()) {
+            let (mean, variance) = two_passes(&values);
+            let moments = of(&values);
+            prop_assert!(close(moments.mean, mean));
+            prop_assert!(close(moments.variance().expect("two or more"), variance));
+            prop_assert_eq!(moments.count, values.len() as u64);
+            prop_assert_eq!(moments.min, values.iter().copied().fold(f64::MAX, f64::min));
+            prop_assert_eq!(moments.max, values.iter().copied().fold(f64::MIN, f64::max));
+        }
+
+        #[test]
+        fn merging_in_any_pieces_equals_two_passes(values in durations(), pieces in 1_usize..20) {
+            let mut merged = Moments::default();
+            for piece in values.chunks(pieces) {
+                merged.merge(&of(piece));
+            }
+            let (mean, variance) = two_passes(&values);
+            prop_assert!(close(merged.mean, mean));
+            prop_assert!(close(merged.variance().expect("two or more"), variance));
+            prop_assert!(close(merged.sum(), values.iter().sum()));
+        }
+    }
+
+    #[test]
+    fn moments_that_no_numbers_have_are_not_read() {
+        let good = of(&[1.0, 2.0]);
+        let nan = Moments { mean: f64::NAN, ..good };
+        let crossed = Moments { min: 3.0, ..good };
+        let wire = |moments| rmp_serde::to_vec(&moments).expect("serialises");
+        assert_eq!(rmp_serde::from_slice::<Moments>(&wire(good)).expect("reads back"), good);
+        assert!(rmp_serde::from_slice::<Moments>(&wire(nan)).is_err());
+        assert!(rmp_serde::from_slice::<Moments>(&wire(crossed)).is_err());
+    }
+
+    #[test]
+    fn nothing_has_no_variance_and_merging_it_changes_nothing() {
+        let mut moments = of(&[2.0]);
+        moments.merge(&Moments::default());
+        assert_eq!((moments, moments.variance()), (of(&[2.0]), None));
     }
 }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Moments, Sketch};
+use crate::{Merge, Moments, Sketch};
 
 /// All that is kept of a quantity, whatever the number of samples.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -15,6 +15,7 @@ pub struct Summary {
 
 impl Summary {
     /// Adds a number; what is not finite is left out.
+    #[inline]
     pub fn record(&mut self, value: f64) {
         if value.is_finite() {
             self.moments.record(value);
@@ -35,6 +36,59 @@ impl Summary {
 
     /// The number below which a fraction `q` lies, never outside the observed extremes.
     pub fn quantile(&self, q: f64) -> Option<f64> {
-        self.sketch.quantile(q).map(|value| value.clamp(self.moments.min, self.moments.max))
+        self.sketch.quantile(q).map(|value| value.max(self.moments.min).min(self.moments.max))
+    }
+
+    /// The share, 0 to 1, that lies below `x`: exactly 0 up to the smallest and exactly 1 above the largest.
+    pub fn fraction_below(&self, x: f64) -> Option<f64> {
+        if x <= self.moments.min {
+            (self.count() > 0).then_some(0.0)
+        } else if x > self.moments.max {
+            (self.count() > 0).then_some(1.0)
+        } else {
+            self.sketch.fraction_below(x)
+        }
+    }
+
+    /// How many lie between each edge and the next, for drawing: as [`Sketch::histogram`], with nothing drawn
+    /// outside the observed extremes.
+    pub fn histogram(&self, edges: &[f64]) -> Vec<f64> {
+        let below = |x: f64| self.fraction_below(x).unwrap_or(0.0) * self.count() as f64;
+        edges.windows(2).map(|pair| (below(pair[1]) - below(pair[0])).max(0.0)).collect()
+    }
+}
+
+impl Merge for Summary {
+    fn merge(&mut self, other: &Self) {
+        Self::merge(self, other);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_stay_within_the_observed_extremes() {
+        let mut summary = Summary::default();
+        summary.record(0.0101);
+        assert_eq!((summary.quantile(0.0), summary.quantile(1.0)), (Some(0.0101), Some(0.0101)));
+        assert_eq!((summary.fraction_below(0.0101), summary.fraction_below(0.0102)), (Some(0.0), Some(1.0)));
+    }
+
+    #[test]
+    fn what_is_not_finite_is_left_out_of_both_halves() {
+        let mut summary = Summary::default();
+        [f64::NAN, f64::INFINITY, 1.0].iter().for_each(|value| summary.record(*value));
+        assert_eq!((summary.count(), summary.sketch.count()), (1, 1));
+    }
+
+    #[test]
+    fn bars_add_up_to_the_count() {
+        let mut summary = Summary::default();
+        (1..=1000).for_each(|n| summary.record(f64::from(n)));
+        let bars = summary.histogram(&[0.0, 250.0, 500.0, 750.0, 1001.0]);
+        assert!((bars.iter().sum::<f64>() - 1000.0).abs() < 1e-9);
+        assert!(bars.iter().all(|bar| (bar - 250.0).abs() < 10.0), "{bars:?}");
     }
 }

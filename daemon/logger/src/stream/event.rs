@@ -182,4 +182,3 @@ pub struct Gap {
     /// Why.
     pub reason: String,
 }
-

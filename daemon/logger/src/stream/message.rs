@@ -52,6 +52,8 @@ pub enum ToAgent {
     Welcome {
         /// Name of the aggregator's host.
         aggregator: Slug,
+        /// The stream of the hello that this answers.
+        stream: StreamId,
         /// All batches of the stream up to and including this number are stored; 0 when none is.
         stored: u64,
     },
@@ -66,6 +68,13 @@ pub enum ToAgent {
         stream: StreamId,
         /// The number.
         through: u64,
+    },
+    /// Batches are missing here: send them again from this number on.
+    Resend {
+        /// The stream.
+        stream: StreamId,
+        /// The first missing number.
+        from: u64,
     },
     /// A message came from a host that has not said hello (the aggregator was restarted): say it again.
     Unknown,

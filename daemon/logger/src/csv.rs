@@ -1,0 +1,231 @@
+//! Trees as a table: one row per iteration, one column per path of names.
+//!
+//! The published rules: the first column is `iteration`; a child of the root is a column of its name, what lies
+//! deeper joins the names with `_`; a node that has both a value and children gets `_val`. Columns stand in the order
+//! in which nodes were logged. Seconds, bytes and bits per second, as plain numbers; a cell is empty where the
+//! iteration has no such node or its value is unknown.
+//!
+//! Later iterations may have nodes that earlier ones had not, so the columns are gathered in a first pass over the
+//! trees and the rows written in a second one; memory does not grow with the number of rows.
+
+use std::collections::{HashMap, HashSet};
+use std::io;
+
+use crate::{Name, NodeId, Tree};
+
+/// The first column.
+const ITERATION: &str = "iteration";
+
+/// Writes a whole table; `rows` is gone through twice.
+///
+/// ```
+/// # use std::sync::Arc;
+/// # use peernet_clock::{ClockIdentity, ManualClock, Span, WallTime};
+/// # use peernet_logger::{HostId, Recorder, Unit, csv, stage};
+/// # let clock = Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("b", "c")));
+/// # let mut log = Recorder::begin(clock.clone(), HostId::random());
+/// # log.value(stage::UPLOAD_BYTES, 150_000.0, Unit::BYTES);
+/// # let tree = log.finish();
+/// let mut table = Vec::new();
+/// csv::write(&mut table, [(1, &tree), (2, &tree)]).unwrap();
+/// assert_eq!(String::from_utf8(table).unwrap(), "iteration,upload-bytes\n1,150000\n2,150000\n");
+/// ```
+///
+/// # Errors
+/// When `out` fails.
+pub fn write<'a, R>(out: impl io::Write, rows: R) -> io::Result<()>
+where
+    R: IntoIterator<Item = (u64, &'a Tree), IntoIter: Clone>,
+{
+    let rows = rows.into_iter();
+    let mut columns = Columns::new();
+    rows.clone().for_each(|(_, tree)| columns.add(tree));
+    let mut table = Table::begin(out, columns)?;
+    for (iteration, tree) in rows {
+        table.row(iteration, tree)?;
+    }
+    table.end()
+}
+
+/// The columns of a table: the union of the paths of all trees that were added.
+#[derive(Clone, Debug, Default)]
+pub struct Columns {
+    /// Path segments by what they are: below which segment, called what, the how manieth of that name.
+    known: HashMap<(Option<usize>, Name, usize), usize>,
+    segments: Vec<Segment>,
+    /// All segments, in the order of their columns.
+    order: Vec<usize>,
+    deepest: Option<usize>,
+}
+
+/// The last name of a path.
+#[derive(Clone, Debug)]
+struct Segment {
+    parent: Option<usize>,
+    /// The name; of several siblings with one name, the second gets `_2`, and so on.
+    label: String,
+    has_value: bool,
+    has_children: bool,
+}
+
+impl Columns {
+    /// No columns but the first.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Columns for nodes down to that level only, the root's children being level 1: the published table has
+    /// `sensing`, not its parts.
+    pub fn down_to(level: usize) -> Self {
+        Self { deepest: Some(level), ..Self::default() }
+    }
+
+    /// Makes room for all nodes of a tree.
+    pub fn add(&mut self, tree: &Tree) {
+        let mut after = 0;
+        let mut siblings = Siblings::default();
+        let mut paths: Vec<Option<(usize, usize)>> = vec![None; tree.nodes().len()];
+        for (id, node) in tree.iter().skip(1) {
+            let Some((parent, level)) = self.parent(tree, id, &paths) else { continue };
+            let occurrence = siblings.next(parent, &node.name);
+            let key = (parent, node.name.clone(), occurrence);
+            let next = self.segments.len();
+            let at = *self.known.entry(key).or_insert(next);
+            if at == next {
+                self.insert(parent, &node.name, occurrence, after);
+            }
+            // New columns stand where this tree has them: behind the one before.
+            after = self.order.iter().position(|other| *other == at).map_or(after, |place| place + 1);
+            self.segments[at].has_value |= has_value(tree, id);
+            if let Some(parent) = parent {
+                self.segments[parent].has_children = true;
+            }
+            paths[id.index()] = Some((at, level));
+        }
+    }
+
+    fn insert(&mut self, parent: Option<usize>, name: &Name, occurrence: usize, place: usize) {
+        let label = if occurrence == 1 { name.to_string() } else { format!("{name}_{occurrence}") };
+        self.order.insert(place, self.segments.len());
+        self.segments.push(Segment { parent, label, has_value: false, has_children: false });
+    }
+
+    /// The segment of a node's parent (`None` for the root) and the node's level, if the node has a column.
+    fn parent(
+        &self,
+        tree: &Tree,
+        id: NodeId,
+        paths: &[Option<(usize, usize)>],
+    ) -> Option<(Option<usize>, usize)> {
+        let parent = tree.get(id)?.parent?;
+        let (segment, level) = match parent {
+            NodeId::ROOT => (None, 1),
+            other => paths[other.index()].map(|(segment, level)| (Some(segment), level + 1))?,
+        };
+        self.deepest.is_none_or(|deepest| level <= deepest).then_some((segment, level))
+    }
+
+    /// The columns' names after `iteration`, no two the same, each with its segment.
+    fn headers(&self) -> Vec<(usize, String)> {
+        let mut taken = HashSet::from([ITERATION.to_owned()]);
+        let with_value = self.order.iter().copied().filter(|at| self.segments[*at].has_value);
+        with_value
+            .map(|at| {
+                let segment = &self.segments[at];
+                let mut labels = vec![segment.label.as_str()];
+                let mut above = segment.parent;
+                while let Some(parent) = above {
+                    labels.push(&self.segments[parent].label);
+                    above = self.segments[parent].parent;
+                }
+                labels.reverse();
+                let mut path = labels.join("_");
+                if segment.has_children {
+                    path.push_str("_val");
+                }
+                let mut header = path.clone();
+                let mut number = 2;
+                while !taken.insert(header.clone()) {
+                    header = format!("{path}_{number}");
+                    number += 1;
+                }
+                (at, header)
+            })
+            .collect()
+    }
+}
+
+/// Counts siblings with one name within a tree.
+#[derive(Default)]
+struct Siblings<'a>(HashMap<(Option<usize>, &'a Name), usize>);
+
+impl<'a> Siblings<'a> {
+    fn next(&mut self, parent: Option<usize>, name: &'a Name) -> usize {
+        let count = self.0.entry((parent, name)).or_default();
+        *count += 1;
+        *count
+    }
+}
+
+fn has_value(tree: &Tree, id: NodeId) -> bool {
+    tree.get(id).is_some_and(|node| !matches!(node.measure, crate::Measure::Container))
+}
+
+/// A table whose columns are known, being written row by row.
+#[derive(Debug)]
+pub struct Table<W: io::Write> {
+    out: ::csv::Writer<W>,
+    columns: Columns,
+    /// Position of each segment's column.
+    place: HashMap<usize, usize>,
+    cells: Vec<String>,
+}
+
+impl<W: io::Write> Table<W> {
+    /// Writes the header.
+    ///
+    /// # Errors
+    /// When `out` fails.
+    pub fn begin(out: W, columns: Columns) -> io::Result<Self> {
+        let headers = columns.headers();
+        let mut out = ::csv::Writer::from_writer(out);
+        out.write_record(
+            std::iter::once(ITERATION).chain(headers.iter().map(|(_, header)| header.as_str())),
+        )?;
+        let place = headers.iter().enumerate().map(|(place, (at, _))| (*at, place)).collect();
+        Ok(Self { out, columns, place, cells: vec![String::new(); headers.len()] })
+    }
+
+    /// Writes an iteration. Nodes for which there is no column are left out: add the tree to the [`Columns`] first.
+    ///
+    /// # Errors
+    /// When `out` fails.
+    pub fn row(&mut self, iteration: u64, tree: &Tree) -> io::Result<()> {
+        self.cells.iter_mut().for_each(String::clear);
+        let mut siblings = Siblings::default();
+        let mut paths: Vec<Option<(usize, usize)>> = vec![None; tree.nodes().len()];
+        for (id, node) in tree.iter().skip(1) {
+            let Some((parent, level)) = self.columns.parent(tree, id, &paths) else { continue };
+            let key = (parent, node.name.clone(), siblings.next(parent, &node.name));
+            let Some(at) = self.columns.known.get(&key) else { continue };
+            paths[id.index()] = Some((*at, level));
+            if let (Some(place), Some(value)) = (self.place.get(at), node.measure.value()) {
+                self.cells[*place] = value.to_string();
+            }
+        }
+        let iteration = iteration.to_string();
+        let cells = self.cells.iter().map(String::as_str);
+        Ok(self.out.write_record(std::iter::once(iteration.as_str()).chain(cells))?)
+    }
+
+    /// Hands on what is still in memory.
+    ///
+    /// # Errors
+    /// When `out` fails.
+    pub fn end(mut self) -> io::Result<()> {
+        self.out.flush()
+    }
+}
+
+#[cfg(test)]
+mod tests;

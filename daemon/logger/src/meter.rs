@@ -1,0 +1,92 @@
+//! Instruments of the user's own.
+
+use crate::{Name, Unit};
+
+/// Measures something between two moments that only it knows how to measure: energy, a temperature's rise, cache
+/// misses.
+///
+/// ```
+/// # use std::sync::Arc;
+/// # use peernet_clock::{ClockIdentity, ManualClock, WallTime};
+/// # use peernet_logger::{HostId, Meter, Name, Recorder, Unit, stage};
+/// /// Counts joules; a real one reads a file of the kernel.
+/// struct Energy {
+///     joules: f64,
+///     before: f64,
+/// }
+///
+/// impl Meter for Energy {
+///     fn kind(&self) -> Name {
+///         Name::from_static("energy")
+///     }
+///     fn unit(&self) -> Unit {
+///         Unit::JOULES
+///     }
+///     fn begin(&mut self) {
+///         self.before = self.joules;
+///     }
+///     fn end(&mut self) -> f64 {
+///         self.joules - self.before
+///     }
+/// }
+///
+/// # let clock = Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("b", "c")));
+/// # let mut log = Recorder::begin(clock, HostId::random());
+/// let mut battery = Energy { joules: 100.0, before: 0.0 };
+/// {
+///     let mut inference = log.measure(Name::from_static("board"), &mut battery);
+///     inference.meter().joules += 1.5;
+/// }
+/// let tree = log.finish();
+/// let board = &tree.find(&["board"]).unwrap().1.measure;
+/// assert_eq!((board.kind().as_str(), board.value(), board.unit()), ("energy", Some(1.5), Unit::JOULES));
+/// ```
+pub trait Meter {
+    /// Name of the kind of node.
+    fn kind(&self) -> Name;
+
+    /// Unit of the readings.
+    fn unit(&self) -> Unit;
+
+    /// Measuring begins.
+    fn begin(&mut self);
+
+    /// Measuring ends. Returns the reading; not-a-number when there is none.
+    fn end(&mut self) -> f64;
+}
+
+impl<M: Meter + ?Sized> Meter for &mut M {
+    fn kind(&self) -> Name {
+        (**self).kind()
+    }
+
+    fn unit(&self) -> Unit {
+        (**self).unit()
+    }
+
+    fn begin(&mut self) {
+        (**self).begin();
+    }
+
+    fn end(&mut self) -> f64 {
+        (**self).end()
+    }
+}
+
+impl<M: Meter + ?Sized> Meter for Box<M> {
+    fn kind(&self) -> Name {
+        (**self).kind()
+    }
+
+    fn unit(&self) -> Unit {
+        (**self).unit()
+    }
+
+    fn begin(&mut self) {
+        (**self).begin();
+    }
+
+    fn end(&mut self) -> f64 {
+        (**self).end()
+    }
+}

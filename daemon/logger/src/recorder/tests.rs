@@ -1,0 +1,241 @@
+use std::sync::Arc;
+
+use peernet_clock::{ClockIdentity, ManualClock};
+
+use super::*;
+use crate::limits::{MAX_NODES, RESERVED_NODES};
+
+fn recorder() -> (Arc<ManualClock>, Recorder) {
+    let clock = Arc::new(ManualClock::new(WallTime::from_unix_nanos(1_000), ClockIdentity::new("b", "c")));
+    let log = Recorder::begin(Arc::<ManualClock>::clone(&clock), HostId::random());
+    (clock, log)
+}
+
+fn paths(tree: &Tree) -> Vec<(Option<u32>, String)> {
+    tree.nodes().iter().map(|node| (node.parent.map(|parent| parent.0), node.name.to_string())).collect()
+}
+
+#[test]
+fn guards_nest_and_close_what_they_opened() {
+    let (clock, mut log) = recorder();
+    {
+        let mut sensing = log.time(stage::SENSING);
+        clock.advance(Span::from_nanos(3));
+        {
+            let mut model = sensing.container("model".into());
+            let _capture = model.time(stage::CAPTURE);
+            clock.advance(Span::from_nanos(4));
+        }
+        let queue = sensing.start(stage::QUEUE);
+        clock.advance(Span::from_nanos(5));
+        sensing.stop(queue);
+        sensing.stop(queue);
+    }
+    let open = log.start(stage::INFERENCE);
+    let tree = log.finish();
+    let expected = [
+        (None, "iteration"),
+        (Some(0), "sensing"),
+        (Some(1), "model"),
+        (Some(2), "capture"),
+        (Some(1), "queue"),
+        (Some(0), "inference"),
+    ];
+    assert_eq!(paths(&tree), expected.map(|(parent, name)| (parent, name.to_owned())));
+    let nanos = |path: &[&str]| tree.find(path).and_then(|(_, node)| node.measure.value());
+    assert_eq!(nanos(&["sensing"]), Some(Span::from_nanos(12).seconds()));
+    assert_eq!(nanos(&["sensing", "model", "capture"]), Some(Span::from_nanos(4).seconds()));
+    assert_eq!(nanos(&["sensing", "queue"]), Some(Span::from_nanos(5).seconds()));
+    assert!(tree.get(open).is_some_and(|node| node.measure.is_open()));
+    assert_eq!(tree.check(0), Ok(()));
+}
+
+#[test]
+fn tokens_are_counted_and_the_wait_for_the_first_is_measured() {
+    let (clock, mut log) = recorder();
+    {
+        let mut tokens = log.tokens("answer".into());
+        clock.advance(Span::from_millis(400));
+        tokens.token();
+        clock.advance(Span::from_millis(100));
+        tokens.several(4);
+        clock.advance(Span::from_seconds(9));
+    }
+    drop(log.tokens("silence".into()));
+    let tree = log.finish();
+    let value = |path: &[&str]| tree.find(path).and_then(|(_, node)| node.measure.value());
+    assert_eq!(value(&["answer"]), Some(10.0));
+    assert_eq!(value(&["answer", "tokens"]), Some(5.0));
+    assert_eq!(value(&["answer", "time-to-first-token"]), Some(0.4));
+    assert_eq!((value(&["silence"]), value(&["silence", "tokens"])), (None, Some(0.0)));
+    assert_eq!(tree.find(&["silence", "time-to-first-token"]), None);
+}
+
+#[test]
+fn a_reading_that_failed_is_recorded_as_such() {
+    struct Broken;
+    impl Meter for Broken {
+        fn kind(&self) -> Name {
+            "energy".into()
+        }
+        fn unit(&self) -> Unit {
+            Unit::JOULES
+        }
+        fn begin(&mut self) {}
+        fn end(&mut self) -> f64 {
+            f64::NAN
+        }
+    }
+    let (_, mut log) = recorder();
+    drop(log.measure("board".into(), Broken));
+    let force = log.value("force".into(), f64::NAN, Unit::new("N"));
+    let tree = log.finish();
+    assert_eq!(tree.check(0), Ok(()));
+    let board = &tree.find(&["board"]).expect("recorded").1.measure;
+    assert_eq!((board.value(), board.unit(), board.is_open()), (None, Unit::JOULES, true));
+    let force = &tree.get(force).expect("recorded").measure;
+    assert_eq!((force.kind().as_str(), force.value(), force.unit()), ("value", None, Unit::new("N")));
+}
+
+#[test]
+fn a_tree_never_grows_beyond_its_limits_and_says_what_is_missing() {
+    let (_, mut log) = recorder();
+    for _ in 0..MAX_NODES {
+        log.start(stage::CAPTURE);
+    }
+    let nowhere = log.start(stage::CAPTURE);
+    log.stop(nowhere);
+    let mut tree = log.finish();
+    assert_eq!(nowhere, NodeId::NOWHERE);
+    let skipped = tree.find(&["skipped-nodes"]).and_then(|(_, node)| node.measure.value());
+    assert_eq!(skipped, Some((RESERVED_NODES + 2) as f64));
+    for _ in 1..RESERVED_NODES {
+        tree.add(nowhere, stage::TOTAL, Span::ZERO, Measure::Timer(None));
+    }
+    assert_eq!((tree.nodes().len(), tree.check(0)), (MAX_NODES, Ok(())));
+}
+
+#[test]
+fn nodes_below_the_deepest_level_are_left_out_and_their_elders_stay() {
+    fn descend(log: &mut Recorder, levels: usize) {
+        if levels > 0 {
+            let mut deeper = log.time("step".into());
+            descend(&mut deeper, levels - 1);
+        }
+    }
+    let (_, mut log) = recorder();
+    descend(&mut log, MAX_DEPTH + 5);
+    descend(&mut log, 1);
+    let tree = log.finish();
+    assert_eq!(tree.check(0), Ok(()));
+    let skipped = tree.find(&["skipped-nodes"]).and_then(|(_, node)| node.measure.value());
+    assert_eq!(skipped, Some(6.0));
+    assert_eq!(tree.nodes().len(), MAX_DEPTH + 2);
+    assert!(tree.nodes()[1..].iter().all(|node| !node.measure.is_open()));
+}
+
+/// A tree of a worker on another host, and of a third that the worker asked.
+fn foreign(third: HostId) -> Tree {
+    let (clock, mut log) = recorder();
+    clock.advance(Span::from_nanos(50));
+    log.value("force".into(), 2.0, Unit::new("N"));
+    let sent = log.clock().stamp();
+    let upload = log.depart(stage::UPLOAD, sent);
+    let tree = log.tree().clone();
+    let mut remote = Recorder::resume(log.clock().clone(), third, tree, upload, sent).expect("under way");
+    remote.value("grip".into(), 3.0, Unit::new("N"));
+    let growth = remote.into_growth().expect("resumed");
+    log.tree_mut().absorb(growth).expect("fits");
+    log.finish()
+}
+
+#[test]
+fn an_inserted_tree_keeps_its_shape_its_hosts_and_its_place_in_time() {
+    let third = HostId::random();
+    let other = foreign(third);
+    let (clock, _) = recorder();
+    clock.advance(Span::from_nanos(7));
+    // The third host is the one that inserts: it is already there.
+    let mut log = Recorder::begin(Arc::<ManualClock>::clone(&clock), third);
+    let root = {
+        let mut inference = log.container(stage::INFERENCE);
+        inference.insert(&other).expect("fits")
+    };
+    let again = log.insert(&other).expect("fits");
+    let tree = log.finish();
+    assert_eq!(tree.check(0), Ok(()));
+    assert_eq!(tree.anchors().len(), 2);
+    assert_eq!(tree.get(root).and_then(|node| node.parent), Some(NodeId(1)));
+    assert_eq!(tree.get(again).and_then(|node| node.parent), Some(NodeId::ROOT));
+    for (at, node) in other.nodes().iter().enumerate() {
+        let inserted = &tree.nodes()[root.index() + at];
+        assert_eq!((&inserted.name, &inserted.measure), (&node.name, &node.measure));
+        assert_eq!(tree.wall_start(inserted), other.wall_start(node));
+        let host = |tree: &Tree, node: &Node| tree.anchors()[usize::from(node.host.0)].host;
+        assert_eq!(host(&tree, inserted), host(&other, node));
+    }
+}
+
+#[test]
+fn a_tree_inserted_on_another_host_travels_back_with_the_growth() {
+    let other = foreign(HostId::random());
+    let (_, mut log) = recorder();
+    let sent = log.clock().stamp();
+    let upload = log.depart(stage::UPLOAD, sent);
+    let tree = log.tree().clone();
+    let mut remote =
+        Recorder::resume(log.clock().clone(), HostId::random(), tree, upload, sent).expect("under way");
+    remote.insert(&other).expect("fits");
+    let growth = remote.into_growth().expect("resumed");
+    assert_eq!(growth.others.len(), 2);
+    log.tree_mut().absorb(growth).expect("fits");
+    let tree = log.finish();
+    assert_eq!((tree.anchors().len(), tree.check(0)), (4, Ok(())));
+    assert!(tree.find(&["iteration", "grip"]).is_some());
+}
+
+#[test]
+fn an_insertion_that_does_not_fit_changes_nothing() {
+    let (_, mut log) = recorder();
+    for _ in 0..MAX_NODES - RESERVED_NODES - 3 {
+        log.start(stage::CAPTURE);
+    }
+    let before = log.tree().clone();
+    let other = foreign(HostId::random());
+    assert!(matches!(log.insert(&other), Err(TreeError::TooManyNodes(_))));
+    assert_eq!(log.tree(), &before);
+
+    let (_, mut log) = recorder();
+    for _ in 0..MAX_ANCHORS / 2 - 1 {
+        log.insert(&foreign(HostId::random())).expect("fits");
+    }
+    let before = log.tree().clone();
+    assert_eq!(log.insert(&foreign(HostId::random())), Err(TreeError::TooManyHosts(9)));
+    assert_eq!(log.tree(), &before);
+}
+
+#[test]
+fn only_an_open_transit_can_be_continued_and_a_growth_fits_once() {
+    let (_, mut log) = recorder();
+    let sent = log.clock().stamp();
+    let upload = log.depart(stage::UPLOAD, sent);
+    let resume = |log: &Recorder, at: NodeId| {
+        Recorder::resume(log.clock().clone(), HostId::random(), log.tree().clone(), at, sent)
+    };
+    assert!(matches!(resume(&log, NodeId::ROOT), Err(TreeError::NotUnderWay(0))));
+    assert!(matches!(resume(&log, NodeId::NOWHERE), Err(TreeError::NotUnderWay(_))));
+    let growth = resume(&log, upload).expect("under way").into_growth().expect("resumed");
+    let mut crooked = growth.clone();
+    crooked.nodes.push(Node {
+        parent: Some(NodeId(9)),
+        name: stage::QUEUE,
+        host: HostIndex(1),
+        start: Span::ZERO,
+        measure: Measure::Container,
+    });
+    let before = log.tree().clone();
+    assert_eq!(log.tree_mut().absorb(crooked), Err(TreeError::Order(2)));
+    assert_eq!(log.tree(), &before);
+    assert_eq!(log.tree_mut().absorb(growth.clone()), Ok(()));
+    assert_eq!(log.tree_mut().absorb(growth), Err(TreeError::NotUnderWay(1)));
+}

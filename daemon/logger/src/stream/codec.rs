@@ -1,0 +1,202 @@
+//! Messages of the event stream to bytes and back: MessagePack, one message a frame.
+
+use std::io::Write;
+
+use rmp::{decode, encode as put};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use super::{StreamId, ToAgent, ToAggregator};
+use crate::HostId;
+
+/// Longest message that is read. A batch is cut far below it; one tree of the largest size fits.
+pub const MAX_MESSAGE_BYTES: usize = 4 * 1024 * 1024;
+
+/// Deepest nesting of values (not of nodes: a tree is one byte string).
+const MAX_NESTING: usize = 32;
+
+/// Name of [`ToAggregator::Batch`] on the wire.
+const BATCH: &str = "Batch";
+
+/// Bytes that are no message.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CodecError {
+    /// Longer than anything that is read.
+    #[error("a message of {0} bytes is longer than the limit of {MAX_MESSAGE_BYTES}")]
+    TooLong(usize),
+    /// Not this kind of message, or not of this version.
+    #[error("the message cannot be read: {0}")]
+    Malformed(String),
+    /// Something follows.
+    #[error("{0} bytes follow the message")]
+    Trailing(usize),
+}
+
+/// What travels as a frame: [`ToAggregator`] and [`ToAgent`].
+pub trait Message: Serialize + DeserializeOwned {}
+
+impl Message for ToAggregator {}
+impl Message for ToAgent {}
+
+/// Which batch a frame holds: readable even when an event in it is not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BatchHead {
+    /// Whose.
+    pub host: HostId,
+    /// Which stream.
+    pub stream: StreamId,
+    /// Contiguous from 1.
+    pub number: u64,
+}
+
+/// The frame of a message.
+pub fn encode(message: &impl Message) -> Vec<u8> {
+    let mut frame = Vec::with_capacity(256);
+    append(&mut frame, message);
+    frame
+}
+
+/// Appends the wire form of plain data.
+pub(super) fn append(out: &mut Vec<u8>, data: &impl Serialize) {
+    rmp_serde::encode::write(out, data).expect("plain data written to memory always serialises");
+}
+
+/// Reads a frame that anyone may have sent.
+///
+/// # Errors
+/// When it is not exactly one message of this kind within the limits.
+pub fn decode<M: Message>(frame: &[u8]) -> Result<M, CodecError> {
+    if frame.len() > MAX_MESSAGE_BYTES {
+        return Err(CodecError::TooLong(frame.len()));
+    }
+    let mut reader = rmp_serde::Deserializer::new(frame);
+    reader.set_max_depth(MAX_NESTING);
+    let message = M::deserialize(&mut reader).map_err(|error| CodecError::Malformed(error.to_string()))?;
+    match reader.get_ref().len() {
+        0 => Ok(message),
+        more => Err(CodecError::Trailing(more)),
+    }
+}
+
+/// The head of a batch's frame; `None` for any other message. What follows the head is not looked at: a batch
+/// that [`decode()`] refuses can still be named, recorded as missing, and left behind.
+pub fn batch_head(frame: &[u8]) -> Option<BatchHead> {
+    let mut rest = frame;
+    let variants = decode::read_map_len(&mut rest).ok()?;
+    let name = decode::read_str_len(&mut rest).ok()? as usize;
+    let (name, mut rest) = rest.split_at_checked(name)?;
+    if variants != 1 || name != BATCH.as_bytes() || decode::read_array_len(&mut rest).ok()? != 4 {
+        return None;
+    }
+    let mut id = || {
+        (decode::read_bin_len(&mut rest).ok()? == 16).then_some(())?;
+        let (id, after) = rest.split_first_chunk::<16>()?;
+        rest = after;
+        Some(*id)
+    };
+    let (host, stream) = (HostId::from_bytes(id()?), StreamId::from_bytes(id()?));
+    Some(BatchHead { host, stream, number: decode::read_int(&mut rest).ok()? })
+}
+
+/// The frame of a batch of events that are encoded already: what [`encode`] makes of the [`super::Batch`].
+pub(super) fn batch_frame(head: BatchHead, events: u32, body: &[u8]) -> Vec<u8> {
+    let mut frame = Vec::with_capacity(body.len() + 64);
+    write_batch(&mut frame, head, events, body).expect("a vector takes all bytes");
+    frame
+}
+
+fn write_batch(
+    frame: &mut Vec<u8>,
+    head: BatchHead,
+    events: u32,
+    body: &[u8],
+) -> Result<(), put::ValueWriteError> {
+    put::write_map_len(frame, 1)?;
+    put::write_str(frame, BATCH)?;
+    put::write_array_len(frame, 4)?;
+    put::write_bin(frame, head.host.as_bytes())?;
+    put::write_bin(frame, head.stream.as_bytes())?;
+    put::write_uint(frame, head.number)?;
+    put::write_array_len(frame, events)?;
+    frame.write_all(body).map_err(put::ValueWriteError::InvalidDataWrite)
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::WallTime;
+    use proptest::prelude::*;
+
+    use super::super::{Batch, Event, Incident, IncidentKind};
+    use super::*;
+
+    fn batch(number: u64, events: usize) -> Batch {
+        let incident = Incident {
+            at: WallTime::from_unix_nanos(7),
+            kind: IncidentKind::Connected,
+            pipeline: Some("line".parse().expect("a name")),
+            run: None,
+            peer: Some(HostId::random()),
+            text: "back after 2 s".into(),
+        };
+        let events = vec![Event::Incident(incident); events];
+        Batch { host: HostId::random(), stream: StreamId::random(), number, events }
+    }
+
+    fn frame_of(batch: &Batch) -> Vec<u8> {
+        let mut body = Vec::new();
+        batch.events.iter().for_each(|event| append(&mut body, event));
+        let head = BatchHead { host: batch.host, stream: batch.stream, number: batch.number };
+        batch_frame(head, batch.events.len() as u32, &body)
+    }
+
+    #[test]
+    fn a_frame_of_encoded_events_is_the_frame_of_the_batch() {
+        for (number, events) in [(1, 0), (300, 1), (70_000, 40), (u64::MAX, 70_000)] {
+            let batch = batch(number, events);
+            let frame = frame_of(&batch);
+            let head = BatchHead { host: batch.host, stream: batch.stream, number };
+            assert_eq!(batch_head(&frame), Some(head));
+            if frame.len() <= MAX_MESSAGE_BYTES {
+                assert_eq!(decode(&frame), Ok(ToAggregator::Batch(batch.clone())));
+            }
+            assert!(frame == encode(&ToAggregator::Batch(batch)));
+        }
+    }
+
+    #[test]
+    fn a_batch_with_an_unreadable_event_can_still_be_named() {
+        let batch = batch(5, 2);
+        let mut frame = frame_of(&batch);
+        frame.truncate(frame.len() - 1);
+        assert!(decode::<ToAggregator>(&frame).is_err());
+        assert_eq!(batch_head(&frame).map(|head| head.number), Some(5));
+        assert_eq!(batch_head(&encode(&ToAggregator::Goodbye(batch.host))), None);
+    }
+
+    #[test]
+    fn limits_and_remainders_are_refused() {
+        let frame = encode(&ToAgent::Unknown);
+        assert_eq!(decode(&frame), Ok(ToAgent::Unknown));
+        assert_eq!(decode::<ToAgent>(&[&frame[..], &[0]].concat()), Err(CodecError::Trailing(1)));
+        let long = vec![0; MAX_MESSAGE_BYTES + 1];
+        assert_eq!(decode::<ToAgent>(&long), Err(CodecError::TooLong(long.len())));
+        let deep = vec![0x91; 100_000];
+        assert!(matches!(decode::<ToAggregator>(&deep), Err(CodecError::Malformed(_))));
+    }
+
+    proptest! {
+        #[test]
+        fn no_bytes_panic(bytes: Vec<u8>) {
+            let _ = (decode::<ToAggregator>(&bytes), decode::<ToAgent>(&bytes), batch_head(&bytes));
+        }
+
+        #[test]
+        fn no_damage_panics(at: prop::sample::Index, byte: u8, cut: prop::sample::Index) {
+            let mut frame = frame_of(&batch(5, 2));
+            let at = at.index(frame.len());
+            frame[at] = byte;
+            let _ = (decode::<ToAggregator>(&frame), batch_head(&frame));
+            let _ = (decode::<ToAggregator>(&frame[..cut.index(at + 1)]), batch_head(&frame[..at]));
+        }
+    }
+}

@@ -1,0 +1,219 @@
+//! Bytes to values, from whoever sent them.
+
+use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict, WallTime};
+use rmp::{Marker, decode};
+
+use super::{VERSION, WireError};
+use crate::limits::{MAX_ANCHORS, MAX_BYTES, MAX_NAME_BYTES, MAX_NODES};
+use crate::{Anchor, HostId, HostIndex, Measure, Name, Node, NodeId, Rate, Transit, Unit, stage};
+
+/// The shortest node on the wire: what room is made for beforehand follows from it and the bytes that are there.
+const SHORTEST_NODE: usize = 6;
+/// Likewise for an anchor.
+const SHORTEST_ANCHOR: usize = 20;
+
+pub(super) struct Reader<'a> {
+    rest: &'a [u8],
+    length: usize,
+}
+
+type Read<T> = Result<T, WireError>;
+
+impl<'a> Reader<'a> {
+    /// Reads the head that trees and growths share.
+    pub(super) fn begin(bytes: &'a [u8], fields: u32, what: &'static str) -> Read<Self> {
+        if bytes.len() > MAX_BYTES {
+            return Err(WireError::TooLong(bytes.len()));
+        }
+        let mut reader = Self { rest: bytes, length: bytes.len() };
+        let found = reader.array(what)?;
+        match reader.uint("a version")? {
+            VERSION if found == fields => Ok(reader),
+            VERSION => Err(WireError::Malformed { at: 0, expected: what }),
+            other => Err(WireError::Version(other)),
+        }
+    }
+
+    pub(super) fn end(self) -> Read<()> {
+        if self.rest.is_empty() { Ok(()) } else { Err(WireError::Trailing(self.rest.len())) }
+    }
+
+    const fn malformed(&self, expected: &'static str) -> WireError {
+        WireError::Malformed { at: self.length - self.rest.len(), expected }
+    }
+
+    fn array(&mut self, expected: &'static str) -> Read<u32> {
+        let error = self.malformed(expected);
+        decode::read_array_len(&mut self.rest).map_err(|_| error)
+    }
+
+    fn uint(&mut self, expected: &'static str) -> Read<u64> {
+        let error = self.malformed(expected);
+        decode::read_int(&mut self.rest).map_err(|_| error)
+    }
+
+    pub(super) fn int(&mut self, expected: &'static str) -> Read<i64> {
+        let error = self.malformed(expected);
+        decode::read_int(&mut self.rest).map_err(|_| error)
+    }
+
+    /// A position within a tree.
+    pub(super) fn small(&mut self, expected: &'static str) -> Read<u32> {
+        let number = self.uint(expected)?;
+        match u32::try_from(number) {
+            Ok(small) if small as usize <= MAX_NODES => Ok(small),
+            _ => {
+                let found = usize::try_from(number).unwrap_or(usize::MAX);
+                Err(WireError::Limit { what: "nodes", found, limit: MAX_NODES })
+            }
+        }
+    }
+
+    fn marker(&self) -> Option<Marker> {
+        self.rest.first().map(|byte| Marker::from_u8(*byte))
+    }
+
+    fn optional<T>(&mut self, read: impl FnOnce(&mut Self) -> Read<T>) -> Read<Option<T>> {
+        if self.marker() == Some(Marker::Null) {
+            self.rest = &self.rest[1..];
+            return Ok(None);
+        }
+        read(self).map(Some)
+    }
+
+    fn number(&mut self, expected: &'static str) -> Read<f64> {
+        if self.marker() == Some(Marker::F64) {
+            let error = self.malformed(expected);
+            return decode::read_f64(&mut self.rest).map_err(|_| error);
+        }
+        Ok(self.int(expected)? as f64)
+    }
+
+    fn span(&mut self, expected: &'static str) -> Read<Span> {
+        self.int(expected).map(Span::from_nanos)
+    }
+
+    fn wall(&mut self, expected: &'static str) -> Read<WallTime> {
+        self.int(expected).map(WallTime::from_unix_nanos)
+    }
+
+    fn text(&mut self, expected: &'static str) -> Read<&'a str> {
+        let error = self.malformed(expected);
+        let length = decode::read_str_len(&mut self.rest).map_err(|_| error)? as usize;
+        if length > MAX_NAME_BYTES {
+            return Err(WireError::Limit { what: "bytes of a name", found: length, limit: MAX_NAME_BYTES });
+        }
+        let (text, rest) = self.rest.split_at_checked(length).ok_or(error)?;
+        self.rest = rest;
+        std::str::from_utf8(text).map_err(|_| error)
+    }
+
+    fn name(&mut self) -> Read<Name> {
+        let error = self.malformed("a name");
+        match self.marker() {
+            Some(Marker::FixPos(_) | Marker::U8) => stage::decode(self.uint("a name")?).ok_or(error),
+            _ => self.text("a name").map(Name::from),
+        }
+    }
+
+    fn unit(&mut self) -> Read<Unit> {
+        self.text("a unit").map(Unit::new)
+    }
+
+    pub(super) fn anchor(&mut self) -> Read<Anchor> {
+        let error = self.malformed("a host and its wall clock");
+        if self.array("an anchor")? != 2 || decode::read_bin_len(&mut self.rest).ok() != Some(16) {
+            return Err(error);
+        }
+        let (host, rest) = self.rest.split_first_chunk::<16>().ok_or(error)?;
+        self.rest = rest;
+        Ok(Anchor { host: HostId::from_bytes(*host), wall: self.wall("a wall clock")? })
+    }
+
+    pub(super) fn anchors(&mut self) -> Read<Vec<Anchor>> {
+        let count = self.array("the hosts")? as usize;
+        if count > MAX_ANCHORS {
+            return Err(WireError::Limit { what: "hosts", found: count, limit: MAX_ANCHORS });
+        }
+        let mut anchors = Vec::with_capacity(count.min(self.rest.len() / SHORTEST_ANCHOR));
+        for _ in 0..count {
+            anchors.push(self.anchor()?);
+        }
+        Ok(anchors)
+    }
+
+    pub(super) fn nodes(&mut self) -> Read<Vec<Node>> {
+        let count = self.array("the nodes")? as usize;
+        if count > MAX_NODES {
+            return Err(WireError::Limit { what: "nodes", found: count, limit: MAX_NODES });
+        }
+        // A little more room than needed: the edge adds what it computes.
+        let mut nodes = Vec::with_capacity(count.min(self.rest.len() / SHORTEST_NODE) + 8);
+        for _ in 0..count {
+            nodes.push(self.node()?);
+        }
+        Ok(nodes)
+    }
+
+    fn node(&mut self) -> Read<Node> {
+        let error = self.malformed("a node");
+        let length = self.array("a node")?;
+        let parent = self.optional(|reader| reader.small("a parent"))?.map(NodeId);
+        let name = self.name()?;
+        let host = u8::try_from(self.uint("a host")?).map(HostIndex).map_err(|_| error)?;
+        let start = self.span("a start")?;
+        let measure = match (self.uint("a kind")?, length) {
+            (0, 5) => Measure::Container,
+            (1, 6) => Measure::Timer(self.optional(|reader| reader.span("a duration"))?),
+            (2, 8) => Measure::Transit(Box::new(self.transit()?)),
+            (3, 7) => Measure::Value(self.number("a value")?, self.unit()?),
+            (4, 8) => {
+                let value = self.optional(|reader| reader.number("a throughput"))?;
+                let lo = self.optional(|reader| reader.number("a lower bound"))?;
+                let hi = self.optional(|reader| reader.number("an upper bound"))?;
+                Measure::Throughput(Rate { value, bounds: both(lo, hi).ok_or(error)? })
+            }
+            (5, 6) => Measure::TokenRate(self.optional(|reader| reader.number("a rate"))?),
+            (6, 8) => {
+                let (kind, unit) = (self.name()?, self.unit()?);
+                Measure::Custom(kind, unit, self.optional(|reader| reader.number("a value"))?)
+            }
+            _ => return Err(error),
+        };
+        Ok(Node { parent, name, host, start, measure })
+    }
+
+    fn transit(&mut self) -> Read<Transit> {
+        let sent = self.wall("the moment of sending")?;
+        let received = self.optional(|reader| reader.wall("the moment of receipt"))?;
+        Ok(Transit { sent, received, delay: self.optional(Self::delay)? })
+    }
+
+    fn delay(&mut self) -> Read<OneWayDelay> {
+        let error = self.malformed("a delay");
+        if self.array("a delay")? != 6 {
+            return Err(error);
+        }
+        let raw = self.span("a raw delay")?;
+        let value = self.optional(|reader| reader.span("a delay"))?;
+        let lo = self.optional(|reader| reader.span("a lower bound"))?;
+        let hi = self.optional(|reader| reader.span("an upper bound"))?;
+        let bounds = both(lo, hi).ok_or(error)?.map(|(lo, hi)| Interval { lo, hi });
+        let source = variant(DelaySource::ALL, self.uint("a source")?).ok_or(error)?;
+        let verdict = variant(Verdict::ALL, self.uint("a verdict")?).ok_or(error)?;
+        Ok(OneWayDelay { raw, value, bounds, source, verdict })
+    }
+}
+
+/// Both, or neither; `None` for one without the other.
+fn both<T>(lo: Option<T>, hi: Option<T>) -> Option<Option<(T, T)>> {
+    match (lo, hi) {
+        (Some(lo), Some(hi)) => Some(Some((lo, hi))),
+        (None, None) => Some(None),
+        _ => None,
+    }
+}
+
+fn variant<T: Copy>(all: &[T], position: u64) -> Option<T> {
+    all.get(usize::try_from(position).ok()?).copied()
+}

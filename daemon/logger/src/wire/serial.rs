@@ -1,0 +1,92 @@
+//! Trees and growths inside other serialised things: bytes for machines, objects for people, checked both ways.
+
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use peernet_clock::WallTime;
+
+use super::{decode, decode_growth, encode, encode_growth};
+use crate::limits::MAX_NODES;
+use crate::{Anchor, Growth, Node, NodeId, Tree, TreeError};
+
+#[derive(Deserialize)]
+#[serde(rename = "Tree")]
+struct PlainTree {
+    anchors: Vec<Anchor>,
+    nodes: Vec<Node>,
+}
+
+#[derive(Serialize)]
+#[serde(rename = "Tree")]
+struct TreeView<'a> {
+    anchors: &'a [Anchor],
+    nodes: &'a [Node],
+}
+
+#[derive(Deserialize)]
+#[serde(rename = "Growth")]
+struct PlainGrowth {
+    base: u32,
+    anchor: Anchor,
+    others: Vec<Anchor>,
+    closed: (NodeId, WallTime),
+    nodes: Vec<Node>,
+}
+
+#[derive(Serialize)]
+#[serde(rename = "Growth")]
+struct GrowthView<'a> {
+    base: u32,
+    anchor: &'a Anchor,
+    others: &'a [Anchor],
+    closed: (NodeId, WallTime),
+    nodes: &'a [Node],
+}
+
+impl Serialize for Tree {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        if serializer.is_human_readable() {
+            return TreeView { anchors: &self.anchors, nodes: &self.nodes }.serialize(serializer);
+        }
+        let mut wire = Vec::with_capacity(self.nodes.len() * 24 + 64);
+        encode(self, &mut wire);
+        serializer.serialize_bytes(&wire)
+    }
+}
+
+impl<'de> Deserialize<'de> for Tree {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        if deserializer.is_human_readable() {
+            let PlainTree { anchors, nodes } = PlainTree::deserialize(deserializer)?;
+            return Self::from_parts(anchors, nodes).map_err(D::Error::custom);
+        }
+        let wire: std::borrow::Cow<'de, [u8]> = serde_bytes::deserialize(deserializer)?;
+        decode(&wire).map_err(D::Error::custom)
+    }
+}
+
+impl Serialize for Growth {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        if serializer.is_human_readable() {
+            let Self { base, anchor, others, closed, nodes } = self;
+            return GrowthView { base: *base, anchor, others, closed: *closed, nodes }.serialize(serializer);
+        }
+        let mut wire = Vec::with_capacity(self.nodes.len() * 24 + 64);
+        encode_growth(self, &mut wire);
+        serializer.serialize_bytes(&wire)
+    }
+}
+
+impl<'de> Deserialize<'de> for Growth {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        if deserializer.is_human_readable() {
+            let PlainGrowth { base, anchor, others, closed, nodes } = PlainGrowth::deserialize(deserializer)?;
+            if nodes.len() > MAX_NODES {
+                return Err(D::Error::custom(TreeError::TooManyNodes(nodes.len())));
+            }
+            return Ok(Self { base, anchor, others, closed, nodes });
+        }
+        let wire: std::borrow::Cow<'de, [u8]> = serde_bytes::deserialize(deserializer)?;
+        decode_growth(&wire).map_err(D::Error::custom)
+    }
+}

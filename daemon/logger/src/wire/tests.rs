@@ -1,0 +1,224 @@
+use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict};
+use proptest::prelude::*;
+
+use super::*;
+use crate::{Anchor, HostId, HostIndex, Measure, Name, Node, Rate, Transit, Unit, stage};
+
+fn name() -> impl Strategy<Value = Name> {
+    let standard = prop::sample::select(stage::ORDER.to_vec());
+    prop_oneof![standard, "\\PC{0,40}".prop_map(|name| Name::from(name.as_str()))]
+}
+
+fn unit() -> impl Strategy<Value = Unit> {
+    prop_oneof![Just(Unit::BYTES), Just(Unit::NONE), "\\PC{1,8}".prop_map(|symbol| Unit::new(&symbol))]
+}
+
+fn number() -> impl Strategy<Value = f64> {
+    let whole = (-1_i64 << 60..1 << 60).prop_map(|whole| whole as f64);
+    prop_oneof![prop::num::f64::ANY.prop_filter("a number", |x| !x.is_nan()), whole, Just(-0.0)]
+}
+
+fn span() -> impl Strategy<Value = Span> {
+    prop_oneof![any::<i64>(), 0_i64..1 << 34].prop_map(Span::from_nanos)
+}
+
+fn pair<T: Clone + PartialOrd + std::fmt::Debug>(
+    one: impl Strategy<Value = T> + Clone,
+) -> impl Strategy<Value = Option<(T, T)>> {
+    prop::option::of((one.clone(), one).prop_map(|(a, b)| if a <= b { (a, b) } else { (b, a) }))
+}
+
+fn delay() -> impl Strategy<Value = OneWayDelay> {
+    let source = prop::sample::select(DelaySource::ALL.to_vec());
+    let verdict = prop::sample::select(Verdict::ALL.to_vec());
+    let bounds = pair(any::<i64>().prop_map(Span::from_nanos))
+        .prop_map(|bounds| bounds.map(|(lo, hi)| Interval { lo, hi }));
+    (span(), prop::option::of(span()), bounds, source, verdict)
+        .prop_map(|(raw, value, bounds, source, verdict)| OneWayDelay { raw, value, bounds, source, verdict })
+}
+
+fn measure() -> impl Strategy<Value = Measure> {
+    let wall = || any::<i64>().prop_map(WallTime::from_unix_nanos);
+    let transit = (wall(), prop::option::of(wall()), prop::option::of(delay()));
+    let rate = (prop::option::of(number()), pair(any::<i32>().prop_map(f64::from)));
+    prop_oneof![
+        Just(Measure::Container),
+        prop::option::of(span()).prop_map(Measure::Timer),
+        transit.prop_map(|(sent, received, delay)| Measure::Transit(Box::new(Transit {
+            sent,
+            received,
+            delay
+        }))),
+        (number(), unit()).prop_map(|(value, unit)| Measure::Value(value, unit)),
+        rate.prop_map(|(value, bounds)| Measure::Throughput(Rate { value, bounds })),
+        prop::option::of(number()).prop_map(Measure::TokenRate),
+        (name(), unit(), prop::option::of(number()))
+            .prop_map(|(kind, unit, v)| Measure::Custom(kind, unit, v)),
+    ]
+}
+
+fn anchor() -> impl Strategy<Value = Anchor> {
+    let wall = any::<i64>().prop_map(WallTime::from_unix_nanos);
+    (any::<[u8; 16]>(), wall).prop_map(|(id, wall)| Anchor { host: HostId::from_bytes(id), wall })
+}
+
+fn tree() -> impl Strategy<Value = Tree> {
+    let node = (any::<prop::sample::Index>(), name(), any::<prop::sample::Index>(), span(), measure());
+    (prop::collection::vec(anchor(), 1..=MAX_ANCHORS), prop::collection::vec(node, 1..60)).prop_map(
+        |(anchors, nodes)| {
+            let hosts = anchors.len();
+            let mut grown: Vec<Node> = Vec::new();
+            for (at, (parent, name, host, start, measure)) in nodes.into_iter().enumerate() {
+                // Near the root, so that no branch grows deeper than is allowed.
+                let parent = (at > 0).then(|| NodeId(parent.index(at.min(MAX_DEPTH - 1)) as u32));
+                let host = HostIndex(host.index(hosts) as u8);
+                grown.push(Node { parent, name, host, start, measure });
+            }
+            Tree::from_parts(anchors, grown).expect("within the limits")
+        },
+    )
+}
+
+fn wire(tree: &Tree) -> Vec<u8> {
+    let mut out = Vec::new();
+    encode(tree, &mut out);
+    out
+}
+
+fn growth_of(tree: &Tree, anchor: Anchor) -> Growth {
+    let (nodes, closed) = (tree.nodes().to_vec(), (NodeId(3), anchor.wall));
+    Growth { base: 7, others: tree.anchors()[1..].to_vec(), anchor, closed, nodes }
+}
+
+proptest! {
+    #[test]
+    fn trees_and_growths_lead_back_in_every_form(tree in tree(), anchor in anchor()) {
+        let bytes = wire(&tree);
+        let read = decode(&bytes).expect("our own");
+        prop_assert_eq!(&read, &tree);
+        // Equality alone would not see the sign of a zero.
+        prop_assert_eq!(wire(&read), bytes);
+        let packed = rmp_serde::to_vec(&tree).expect("plain data");
+        prop_assert_eq!(&rmp_serde::from_slice::<Tree>(&packed).expect("our own"), &tree);
+
+        let growth = growth_of(&tree, anchor);
+        let mut bytes = Vec::new();
+        encode_growth(&growth, &mut bytes);
+        prop_assert_eq!(&decode_growth(&bytes), &Ok(growth.clone()));
+        let packed = rmp_serde::to_vec(&growth).expect("plain data");
+        prop_assert_eq!(&rmp_serde::from_slice::<Growth>(&packed).expect("our own"), &growth);
+    }
+
+    #[test]
+    fn what_is_cut_off_is_refused(tree in tree(), at: prop::sample::Index) {
+        let bytes = wire(&tree);
+        prop_assert!(decode(&bytes[..at.index(bytes.len())]).is_err());
+        prop_assert_eq!(decode(&[&bytes[..], &[0]].concat()), Err(WireError::Trailing(1)));
+    }
+
+    #[test]
+    fn what_is_damaged_is_refused_or_is_another_good_tree(
+        tree in tree(), damage in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),
+    ) {
+        let mut bytes = wire(&tree);
+        for (at, byte) in damage {
+            let at = at.index(bytes.len());
+            bytes[at] = byte;
+        }
+        if let Ok(other) = decode(&bytes) {
+            prop_assert_eq!(decode(&wire(&other)), Ok(other));
+        }
+        let _ = decode_growth(&bytes);
+    }
+
+    #[test]
+    fn no_bytes_panic(bytes: Vec<u8>) {
+        let _ = (decode(&bytes), decode_growth(&bytes));
+    }
+}
+
+#[test]
+fn for_people_a_tree_is_an_object_and_is_checked_as_well() {
+    let mut tree = Tree::new(stage::ITERATION, Anchor { host: HostId::random(), wall: WallTime::default() });
+    tree.add(NodeId::ROOT, stage::INFERENCE, Span::ZERO, Measure::Timer(Some(Span::from_nanos(5))));
+    let text = serde_json::to_string(&tree).expect("plain data");
+    assert!(text.contains("\"inference\""), "{text}");
+    assert_eq!(serde_json::from_str::<Tree>(&text).expect("our own"), tree);
+    let forward = text.replace("\"parent\":0", "\"parent\":1");
+    let error = serde_json::from_str::<Tree>(&forward).expect_err("a node is its own parent").to_string();
+    assert!(error.contains("stands before its parent"), "{error}");
+}
+
+/// A tree on the wire by hand: what our own writer would never write.
+fn by_hand(anchors: usize, nodes: &[&[u8]]) -> Vec<u8> {
+    let mut out = vec![0x93, 1];
+    writer::array(&mut out, anchors as u32);
+    for _ in 0..anchors {
+        writer::anchor(&mut out, &Anchor { host: HostId::from_bytes([7; 16]), wall: WallTime::default() });
+    }
+    writer::array(&mut out, nodes.len() as u32);
+    out.extend(nodes.concat());
+    out
+}
+
+const ROOT: &[u8] = &[0x95, 0xc0, 0, 0, 0, 0];
+
+#[test]
+fn each_limit_is_named_when_it_is_broken() {
+    assert_eq!(decode(&by_hand(1, &[ROOT])).map(|tree| tree.nodes().len()), Ok(1));
+
+    let limit = |what, found, limit| Err(WireError::Limit { what, found, limit });
+    assert_eq!(decode(&vec![0; MAX_BYTES + 1]), Err(WireError::TooLong(MAX_BYTES + 1)));
+    assert_eq!(decode(&[0x93, 2, 0x90, 0x90]), Err(WireError::Version(2)));
+    assert_eq!(decode(&by_hand(9, &[ROOT])), limit("hosts", 9, MAX_ANCHORS));
+    assert_eq!(
+        decode(&[0x93, 1, 0x90, 0xdd, 0xff, 0xff, 0xff, 0xff]),
+        limit("nodes", u32::MAX as usize, MAX_NODES)
+    );
+    let long = [&[0x95, 0, 0xd9, 129][..], &[b'x'; 129], &[0, 0, 0]].concat();
+    assert_eq!(decode(&by_hand(1, &[ROOT, &long])), limit("bytes of a name", 129, MAX_NAME_BYTES));
+    let distant: &[u8] = &[0x95, 0xce, 0xff, 0xff, 0xff, 0xff, 1, 0, 0, 0];
+    assert_eq!(decode(&by_hand(1, &[ROOT, distant])), limit("nodes", u32::MAX as usize, MAX_NODES));
+}
+
+#[test]
+fn what_is_not_a_tree_is_refused_with_the_reason() {
+    let tree = |nodes: &[&[u8]]| match decode(&by_hand(1, nodes)) {
+        Err(WireError::Tree(error)) => error,
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(tree(&[]), TreeError::Orphan(0));
+    assert_eq!(tree(&[ROOT, ROOT]), TreeError::Orphan(1));
+    let (itself, forward): (&[u8], &[u8]) = (&[0x95, 1, 1, 0, 0, 0], &[0x95, 2, 1, 0, 0, 0]);
+    assert_eq!(tree(&[ROOT, itself]), TreeError::Order(1));
+    assert_eq!(tree(&[ROOT, forward, itself]), TreeError::Order(1));
+    assert_eq!(tree(&[ROOT, &[0x95, 0, 1, 1, 0, 0]]), TreeError::UnknownHost(1));
+    let nan = [&[0x97, 0, 1, 0, 0, 3, 0xcb][..], &f64::NAN.to_be_bytes(), &[0xa0]].concat();
+    assert_eq!(tree(&[ROOT, &nan]), TreeError::NotANumber(1));
+    let crossed: &[u8] = &[0x98, 0, 1, 0, 0, 4, 1, 2, 1];
+    assert_eq!(tree(&[ROOT, crossed]), TreeError::CrossedBounds(1));
+
+    let chain: Vec<[u8; 6]> = (0..MAX_DEPTH as u8).map(|parent| [0x95, parent, 1, 0, 0, 0]).collect();
+    let mut nodes: Vec<&[u8]> = vec![ROOT];
+    nodes.extend(chain.iter().map(|node| &node[..]));
+    assert_eq!(tree(&nodes), TreeError::TooDeep(MAX_DEPTH));
+    nodes.pop();
+    assert!(decode(&by_hand(1, &nodes)).is_ok());
+}
+
+#[test]
+fn the_wire_form_stays_what_it_is() {
+    let host = HostId::from_bytes([0xaa; 16]);
+    let mut tree = Tree::new(stage::ITERATION, Anchor { host, wall: WallTime::from_unix_nanos(1) });
+    tree.add(NodeId::ROOT, stage::SENSING, Span::from_nanos(2), Measure::Timer(Some(Span::from_nanos(300))));
+    tree.add(NodeId::ROOT, "grip".into(), Span::ZERO, Measure::Value(1.5, Unit::BYTES));
+    let expected = [
+        &[0x93, 1, 0x91, 0x92, 0xc4, 16][..],
+        &[0xaa; 16],
+        &[1, 0x93],
+        &[0x95, 0xc0, 0, 0, 0, 0],
+        &[0x96, 0, 1, 0, 2, 1, 0xcd, 0x01, 0x2c],
+        &[0x97, 0, 0xa4, b'g', b'r', b'i', b'p', 0, 0, 3, 0xcb, 0x3f, 0xf8, 0, 0, 0, 0, 0, 0, 0xa1, b'B'],
+    ];
+    assert_eq!(wire(&tree), expected.concat());
+}

@@ -1,0 +1,133 @@
+//! Values to bytes.
+
+use peernet_clock::{OneWayDelay, Span};
+use rmp::encode;
+
+use crate::{Anchor, Measure, Name, Node, Unit, stage};
+
+/// Writing into memory cannot fail; the library's results are made for sockets and files.
+macro_rules! infallible {
+    ($result:expr) => {
+        $result.expect("a vector takes all bytes")
+    };
+}
+
+/// The largest magnitude below which every integer is an exact `f64`.
+const EXACT: f64 = 9_007_199_254_740_992.0;
+
+pub(super) fn array(out: &mut Vec<u8>, length: u32) {
+    infallible!(encode::write_array_len(out, length));
+}
+
+pub(super) fn uint(out: &mut Vec<u8>, number: u64) {
+    infallible!(encode::write_uint(out, number));
+}
+
+pub(super) fn int(out: &mut Vec<u8>, number: i64) {
+    infallible!(encode::write_sint(out, number));
+}
+
+fn nil(out: &mut Vec<u8>) {
+    infallible!(encode::write_nil(out));
+}
+
+fn optional<T>(out: &mut Vec<u8>, value: Option<T>, write: impl Fn(&mut Vec<u8>, T)) {
+    match value {
+        Some(value) => write(out, value),
+        None => nil(out),
+    }
+}
+
+/// Sizes and counts are whole numbers: five bytes instead of nine.
+fn number(out: &mut Vec<u8>, number: f64) {
+    let whole = number as i64;
+    if number.abs() < EXACT && (whole as f64).to_bits() == number.to_bits() {
+        int(out, whole);
+    } else {
+        infallible!(encode::write_f64(out, number));
+    }
+}
+
+fn span(out: &mut Vec<u8>, span: Span) {
+    int(out, span.nanos());
+}
+
+fn name(out: &mut Vec<u8>, name: &Name) {
+    match stage::code(name) {
+        Some(code) => uint(out, u64::from(code)),
+        None => infallible!(encode::write_str(out, name)),
+    }
+}
+
+fn unit(out: &mut Vec<u8>, unit: &Unit) {
+    infallible!(encode::write_str(out, unit.symbol()));
+}
+
+pub(super) fn anchor(out: &mut Vec<u8>, anchor: &Anchor) {
+    array(out, 2);
+    infallible!(encode::write_bin(out, anchor.host.as_bytes()));
+    int(out, anchor.wall.unix_nanos());
+}
+
+pub(super) fn anchors(out: &mut Vec<u8>, anchors: &[Anchor]) {
+    array(out, anchors.len() as u32);
+    anchors.iter().for_each(|one| anchor(out, one));
+}
+
+pub(super) fn nodes(out: &mut Vec<u8>, nodes: &[Node]) {
+    out.reserve(nodes.len() * 24);
+    array(out, nodes.len() as u32);
+    nodes.iter().for_each(|one| node(out, one));
+}
+
+fn node(out: &mut Vec<u8>, node: &Node) {
+    let (kind, length) = match &node.measure {
+        Measure::Container => (0, 5),
+        Measure::Timer(_) => (1, 6),
+        Measure::Transit(_) => (2, 8),
+        Measure::Value(..) => (3, 7),
+        Measure::Throughput(_) => (4, 8),
+        Measure::TokenRate(_) => (5, 6),
+        Measure::Custom(..) => (6, 8),
+    };
+    array(out, length);
+    optional(out, node.parent, |out, parent| uint(out, u64::from(parent.0)));
+    name(out, &node.name);
+    uint(out, u64::from(node.host.0));
+    span(out, node.start);
+    uint(out, kind);
+    match &node.measure {
+        Measure::Container => {}
+        Measure::Timer(duration) => optional(out, *duration, span),
+        Measure::Transit(transit) => {
+            int(out, transit.sent.unix_nanos());
+            optional(out, transit.received, |out, at| int(out, at.unix_nanos()));
+            optional(out, transit.delay.as_ref(), delay);
+        }
+        Measure::Value(value, symbol) => {
+            number(out, *value);
+            unit(out, symbol);
+        }
+        Measure::Throughput(rate) => {
+            optional(out, rate.value, number);
+            optional(out, rate.bounds.map(|(lo, _)| lo), number);
+            optional(out, rate.bounds.map(|(_, hi)| hi), number);
+        }
+        Measure::TokenRate(rate) => optional(out, *rate, number),
+        Measure::Custom(kind, symbol, value) => {
+            name(out, kind);
+            unit(out, symbol);
+            optional(out, *value, number);
+        }
+    }
+}
+
+fn delay(out: &mut Vec<u8>, delay: &OneWayDelay) {
+    array(out, 6);
+    span(out, delay.raw);
+    optional(out, delay.value, span);
+    optional(out, delay.bounds.map(|bounds| bounds.lo), span);
+    optional(out, delay.bounds.map(|bounds| bounds.hi), span);
+    uint(out, delay.source as u64);
+    uint(out, delay.verdict as u64);
+}

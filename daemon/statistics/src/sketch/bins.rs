@@ -1,0 +1,117 @@
+//! Counts per logarithmic bin, densely stored between the lowest and the highest bin in use.
+
+use super::Sketch;
+
+/// Bins, at most; the lowest share one when there would be more.
+pub(super) const MAX: usize = 2048;
+
+const GAMMA: f64 = (1.0 + Sketch::RELATIVE_ERROR) / (1.0 - Sketch::RELATIVE_ERROR);
+/// ln(γ) = 2 artanh(1 %), written out because logarithms are not constant functions.
+const LN_GAMMA: f64 = 0.020_000_666_706_669_524;
+const PER_LN_GAMMA: f64 = 1.0 / LN_GAMMA;
+
+/// Keys of all numbers between [`Sketch::SMALLEST`] and the largest finite one, with room for rounding.
+pub(super) const KEYS: std::ops::RangeInclusive<i32> = -1_200..=35_600;
+
+/// Bin of a finite magnitude.
+#[inline]
+pub(super) fn key(magnitude: f64) -> i32 {
+    (magnitude.ln() * PER_LN_GAMMA).ceil() as i32
+}
+
+/// Lower and upper end of a bin; the upper one belongs to it.
+pub(super) fn range(key: i32) -> (f64, f64) {
+    let upper = (f64::from(key) * LN_GAMMA).exp();
+    (upper / GAMMA, upper)
+}
+
+/// The number that stands for all of a bin: its relative distance to both ends is the same.
+pub(super) fn middle(key: i32) -> f64 {
+    let (lower, _) = range(key);
+    lower * (1.0 + Sketch::RELATIVE_ERROR)
+}
+
+/// The store: `counts[i]` belongs to key `first + i`.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Bins {
+    first: i32,
+    counts: Vec<u64>,
+    total: u64,
+}
+
+impl Bins {
+    #[inline]
+    pub(super) fn add(&mut self, key: i32, count: u64) {
+        let index = i64::from(key) - i64::from(self.first);
+        match usize::try_from(index).ok().and_then(|index| self.counts.get_mut(index)) {
+            Some(bin) => *bin += count,
+            None => self.add_outside(key, count),
+        }
+        self.total += count;
+    }
+
+    /// The rare case: the store must grow, or the number is below what it may hold.
+    #[cold]
+    fn add_outside(&mut self, key: i32, count: u64) {
+        self.cover(key, key);
+        let index = (key.max(self.first) - self.first) as usize;
+        self.counts[index] += count;
+    }
+
+    pub(super) fn merge(&mut self, other: &Self) {
+        let Some(highest) = other.highest() else { return };
+        self.cover(other.first, highest);
+        let below = usize::try_from(self.first - other.first).unwrap_or(0).min(other.counts.len());
+        let (shared, own) = other.counts.split_at(below);
+        self.counts[0] += shared.iter().sum::<u64>();
+        let at = usize::try_from(other.first - self.first).unwrap_or(0);
+        for (bin, count) in self.counts[at..].iter_mut().zip(own) {
+            *bin += count;
+        }
+        self.total += other.total;
+    }
+
+    pub(super) const fn count(&self) -> u64 {
+        self.total
+    }
+
+    /// Bins that are not empty, lowest first.
+    pub(super) fn iter(&self) -> impl DoubleEndedIterator<Item = (i32, u64)> + '_ {
+        let keyed = self.counts.iter().enumerate().map(|(index, count)| (self.first + index as i32, *count));
+        keyed.filter(|(_, count)| *count > 0)
+    }
+
+    fn highest(&self) -> Option<i32> {
+        Some(self.first + i32::try_from(self.counts.len()).ok()? - 1).filter(|_| !self.counts.is_empty())
+    }
+
+    /// Makes room for the keys `low..=high`, as far down as [`MAX`] bins reach from the highest.
+    fn cover(&mut self, low: i32, high: i32) {
+        let (lowest, highest) = match self.highest() {
+            None => (low, high),
+            Some(highest) => (self.first.min(low), highest.max(high)),
+        };
+        let lowest = lowest.max(highest - (MAX as i32 - 1));
+        if self.counts.is_empty() {
+            self.first = lowest;
+        } else if lowest > self.first {
+            let leaving = ((lowest - self.first) as usize).min(self.counts.len());
+            let shared: u64 = self.counts.drain(..leaving).sum();
+            self.first = lowest;
+            self.counts.resize(self.counts.len().max(1), 0);
+            self.counts[0] += shared;
+        } else if lowest < self.first {
+            let more = (self.first - lowest) as usize;
+            self.counts.splice(..0, std::iter::repeat_n(0, more));
+            self.first = lowest;
+        }
+        self.counts.resize((highest - self.first) as usize + 1, 0);
+    }
+}
+
+/// Two stores are equal when they count the same, however much room they have.
+impl PartialEq for Bins {
+    fn eq(&self, other: &Self) -> bool {
+        self.total == other.total && self.iter().eq(other.iter())
+    }
+}

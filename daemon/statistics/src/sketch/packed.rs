@@ -1,0 +1,120 @@
+//! The compact form: three runs of LEB128 numbers, the zeros' count, the negative and the positive bins. A run
+//! of bins is its length, the lowest key (zigzag) and, bin by bin, the count and the distance to the next key.
+
+use super::Sketch;
+use super::bins::{Bins, KEYS, MAX};
+
+/// Bytes that are not a sketch.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum PackedError {
+    /// The bytes end too early, or a number is longer than 64 bits.
+    #[error("the sketch is cut off or damaged at byte {0}")]
+    Damaged(usize),
+    /// More bins than a sketch has.
+    #[error("the sketch has {0} bins, the limit is {max}", max = MAX)]
+    TooManyBins(u64),
+    /// A bin that no finite number falls into, a bin twice, or bins too far apart.
+    #[error("the sketch has a bin that cannot be")]
+    ImpossibleBin,
+    /// The counts add up to more than 2⁵³: no one counted that, and sums of such counts could overflow.
+    #[error("the sketch counts more numbers than can be counted")]
+    Overflow,
+    /// Something follows.
+    #[error("{0} bytes follow the sketch")]
+    Trailing(usize),
+}
+
+pub(super) fn pack(sketch: &Sketch) -> Vec<u8> {
+    let mut out = Vec::with_capacity(64);
+    put(&mut out, sketch.zero);
+    put_bins(&mut out, &sketch.negative);
+    put_bins(&mut out, &sketch.positive);
+    out
+}
+
+pub(super) fn unpack(bytes: &[u8]) -> Result<Sketch, PackedError> {
+    let mut reader = Reader { bytes, at: 0 };
+    let zero = reader.take()?;
+    let negative = reader.take_bins()?;
+    let positive = reader.take_bins()?;
+    if reader.at < bytes.len() {
+        return Err(PackedError::Trailing(bytes.len() - reader.at));
+    }
+    if zero.saturating_add(negative.count()).saturating_add(positive.count()) > crate::MAX_COUNT {
+        return Err(PackedError::Overflow);
+    }
+    Ok(Sketch { positive, negative, zero })
+}
+
+fn put(out: &mut Vec<u8>, mut number: u64) {
+    while number >= 0x80 {
+        out.push(number as u8 | 0x80);
+        number >>= 7;
+    }
+    out.push(number as u8);
+}
+
+fn put_bins(out: &mut Vec<u8>, bins: &Bins) {
+    put(out, bins.iter().count() as u64);
+    let mut last = None;
+    for (key, count) in bins.iter() {
+        match last {
+            None => put(out, u64::from(((key << 1) ^ (key >> 31)).cast_unsigned())),
+            Some(last) => put(out, u64::from(key.abs_diff(last))),
+        }
+        put(out, count);
+        last = Some(key);
+    }
+}
+
+struct Reader<'a> {
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl Reader<'_> {
+    fn take(&mut self) -> Result<u64, PackedError> {
+        let mut number = 0;
+        for shift in (0..64).step_by(7) {
+            let byte = *self.bytes.get(self.at).ok_or(PackedError::Damaged(self.at))?;
+            self.at += 1;
+            let bits = u64::from(byte & 0x7f);
+            if shift == 63 && bits > 1 {
+                break;
+            }
+            number |= bits << shift;
+            if byte < 0x80 {
+                return Ok(number);
+            }
+        }
+        Err(PackedError::Damaged(self.at))
+    }
+
+    fn take_bins(&mut self) -> Result<Bins, PackedError> {
+        let length = self.take()?;
+        if length > MAX as u64 {
+            return Err(PackedError::TooManyBins(length));
+        }
+        let mut bins = Bins::default();
+        let mut first = None;
+        let mut key = 0_i64;
+        for _ in 0..length {
+            let number = i64::try_from(self.take()?).map_err(|_| PackedError::ImpossibleBin)?;
+            key = match first {
+                None => (number >> 1) ^ -(number & 1),
+                Some(_) if number == 0 => return Err(PackedError::ImpossibleBin),
+                Some(_) => key.checked_add(number).ok_or(PackedError::ImpossibleBin)?,
+            };
+            let first = *first.get_or_insert(key);
+            let small = i32::try_from(key).ok().filter(|key| KEYS.contains(key));
+            let small = small.filter(|_| key - first < MAX as i64).ok_or(PackedError::ImpossibleBin)?;
+            let count = self.take()?;
+            if count == 0 {
+                return Err(PackedError::ImpossibleBin);
+            }
+            bins.count().checked_add(count).ok_or(PackedError::Overflow)?;
+            bins.add(small, count);
+        }
+        Ok(bins)
+    }
+}

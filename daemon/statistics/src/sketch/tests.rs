@@ -1,0 +1,146 @@
+use proptest::prelude::*;
+
+use super::*;
+
+fn of(values: &[f64]) -> Sketch {
+    let mut sketch = Sketch::default();
+    values.iter().for_each(|value| sketch.record(*value));
+    sketch
+}
+
+/// The quantile by the same rank rule, from all numbers.
+fn exact(values: &[f64], q: f64) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted[(q * (sorted.len() - 1) as f64).round() as usize]
+}
+
+/// Durations, throughputs and temperatures as well as shapes that sketches find hard.
+/// Together they span a factor below the 6 × 10¹⁷ that a sketch tells apart.
+fn numbers() -> impl Strategy<Value = Vec<f64>> {
+    let uniform = 1e-6..1e7_f64;
+    let signed = (-1e3..1e3_f64).prop_filter("counts as zero", |value| value.abs() >= Sketch::SMALLEST);
+    let pareto = (1e-6..1.0_f64).prop_map(|u| 1e-3 * u.powf(-1.5));
+    let log_normal = (-5.0..6.0_f64).prop_map(|z| (3.0 * z).exp() * 1e-3);
+    let one = prop_oneof![uniform, signed, pareto, log_normal, Just(0.0), Just(0.02)];
+    prop::collection::vec(one, 1..400)
+}
+
+proptest! {
+    #[test]
+    fn quantiles_are_within_one_percent(values in numbers()) {
+        let sketch = of(&values);
+        for q in [0.0, 0.1, 0.5, 0.9, 0.95, 0.99, 0.999, 1.0] {
+            let (seen, truth) = (sketch.quantile(q).expect("not empty"), exact(&values, q));
+            prop_assert!((seen - truth).abs() <= truth.abs() * (Sketch::RELATIVE_ERROR + 1e-9), "q {q}: {seen} {truth}");
+        }
+    }
+
+    #[test]
+    fn merging_is_recording_everything(a in numbers(), b in numbers()) {
+        let mut merged = of(&a);
+        merged.merge(&of(&b));
+        let mut other_way = of(&b);
+        other_way.merge(&of(&a));
+        prop_assert_eq!(&merged, &of(&[a, b].concat()));
+        prop_assert_eq!(merged, other_way);
+    }
+
+    #[test]
+    fn merging_sketches_that_collapsed_is_recording_everything(
+        a in prop::collection::vec(-9.0..300.0_f64, 0..40), b in prop::collection::vec(-9.0..300.0_f64, 0..40),
+    ) {
+        let raise = |exponents: &[f64]| exponents.iter().map(|e| 10_f64.powf(*e)).collect::<Vec<_>>();
+        let (a, b) = (raise(&a), raise(&b));
+        let mut merged = of(&a);
+        merged.merge(&of(&b));
+        prop_assert_eq!(&merged, &of(&[&a[..], &b[..]].concat()));
+        prop_assert_eq!(merged.count(), (a.len() + b.len()) as u64);
+        prop_assert!(merged.bins().count() <= Sketch::MAX_BINS);
+    }
+
+    #[test]
+    fn the_compact_form_leads_back(values in numbers()) {
+        let sketch = of(&values);
+        prop_assert_eq!(&Sketch::from_bytes(&sketch.to_bytes()).expect("reads back"), &sketch);
+        let wire = rmp_serde::to_vec(&sketch).expect("serialises");
+        prop_assert_eq!(&rmp_serde::from_slice::<Sketch>(&wire).expect("reads back"), &sketch);
+    }
+
+    #[test]
+    fn damaged_bytes_are_refused_or_are_another_sketch(values in numbers(), at: prop::sample::Index, bit in 0..8) {
+        let mut bytes = of(&values).to_bytes();
+        let at = at.index(bytes.len());
+        bytes[at] ^= 1_u8 << bit;
+        if let Ok(sketch) = Sketch::from_bytes(&bytes) {
+            prop_assert_eq!(Sketch::from_bytes(&sketch.to_bytes()), Ok(sketch));
+        }
+        prop_assert!(Sketch::from_bytes(&bytes[..at]).is_err());
+    }
+
+    #[test]
+    fn arbitrary_bytes_never_panic(bytes: Vec<u8>) {
+        let _ = Sketch::from_bytes(&bytes);
+    }
+
+    #[test]
+    fn a_histogram_over_everything_counts_everything(values in numbers()) {
+        let sketch = of(&values);
+        let edges = [f64::MIN, -10.0, 0.0, 1e-3, 1.0, 1e3, f64::MAX];
+        let bars = sketch.histogram(&edges);
+        prop_assert_eq!(bars.len(), edges.len() - 1);
+        prop_assert!((bars.iter().sum::<f64>() - values.len() as f64).abs() < 1e-6);
+        prop_assert_eq!(sketch.fraction_below(f64::MAX), Some(1.0));
+        prop_assert_eq!(sketch.fraction_below(f64::MIN), Some(0.0));
+    }
+
+    #[test]
+    fn the_share_below_a_number_is_right_up_to_one_percent_of_the_number(values in numbers(), x in 1e-3..1e3_f64) {
+        let share = of(&values).fraction_below(x).expect("not empty");
+        let below = |x: f64| values.iter().filter(|value| **value < x).count() as f64 / values.len() as f64;
+        prop_assert!(below(x * 0.979) - 1e-9 <= share && share <= below(x * 1.021) + 1e-9);
+    }
+}
+
+#[test]
+fn an_empty_sketch_has_no_quantile() {
+    let sketch = Sketch::default();
+    assert_eq!((sketch.count(), sketch.quantile(0.5), sketch.fraction_below(1.0)), (0, None, None));
+    assert_eq!(sketch.to_bytes().len(), 3);
+}
+
+#[test]
+fn what_is_not_finite_is_left_out() {
+    assert_eq!(of(&[f64::NAN, f64::INFINITY, f64::NEG_INFINITY]), Sketch::default());
+}
+
+#[test]
+fn numbers_too_far_below_the_largest_share_a_bin_and_are_still_counted() {
+    let sketch = of(&[1e-9, 1e-8, 1e300]);
+    assert_eq!(sketch.count(), 3);
+    let top = sketch.quantile(1.0).expect("not empty");
+    assert!((top / 1e300 - 1.0).abs() <= 0.0101);
+}
+
+#[test]
+fn a_typical_stage_packs_small() {
+    let values: Vec<f64> = (0..10_000).map(|n| 0.002 * (1.0 + f64::from(n % 100) / 100.0)).collect();
+    let bytes = of(&values).to_bytes();
+    assert!(bytes.len() < 150, "{}", bytes.len());
+}
+
+#[test]
+fn a_sketch_of_impossible_content_is_refused() {
+    for (bytes, error) in [
+        (vec![0, 0, 0, 0], PackedError::Trailing(1)),
+        (vec![0, 0x81, 0x10, 0], PackedError::TooManyBins(2049)),
+        (vec![0, 1, 2, 0, 0], PackedError::ImpossibleBin),
+        (vec![0, 2, 2, 1, 0, 1, 0], PackedError::ImpossibleBin),
+        (vec![0, 1, 0xff, 0xff, 0x7f, 1, 0], PackedError::ImpossibleBin),
+    ] {
+        assert_eq!(Sketch::from_bytes(&bytes), Err(error), "{bytes:?}");
+    }
+    let most = [0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0x01];
+    let twice = [&most[..], &[1, 2], &most, &[0]].concat();
+    assert_eq!(Sketch::from_bytes(&twice), Err(PackedError::Overflow));
+}

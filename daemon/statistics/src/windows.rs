@@ -1,0 +1,158 @@
+//! The last seconds of something, second by second, in memory that does not grow.
+
+use crate::Merge;
+
+/// A ring of one-second cells: the newest overwrite the oldest, and any number of the last seconds can be
+/// merged into one.
+///
+/// Seconds are numbered by the caller, usually since the Unix epoch. A second further back than the ring
+/// reaches means that the wall clock was set back, not that news is that old: the ring then starts anew, so
+/// that it does not refuse everything until the clock has caught up.
+///
+/// ```
+/// # use peernet_statistics::{Summary, Windows};
+/// let mut windows = Windows::<Summary>::new(60);
+/// windows.record(100, |cell| cell.record(0.25));
+/// windows.record(101, |cell| cell.record(0.75));
+/// assert_eq!(windows.last(101, 1).count(), 1);
+/// assert_eq!(windows.last(101, 10).moments.mean, 0.5);
+/// ```
+#[derive(Clone, Debug)]
+pub struct Windows<C> {
+    /// The second that each cell holds; cell `second mod length` or empty.
+    cells: Box<[Option<(i64, C)>]>,
+    newest: Option<i64>,
+}
+
+impl<C: Merge + Default> Windows<C> {
+    /// A ring that reaches back `seconds`, at least one.
+    pub fn new(seconds: usize) -> Self {
+        Self { cells: (0..seconds.max(1)).map(|_| None).collect(), newest: None }
+    }
+
+    /// How many seconds the ring reaches back.
+    pub fn seconds(&self) -> usize {
+        self.cells.len()
+    }
+
+    /// The newest second that holds anything.
+    pub fn newest(&self) -> Option<i64> {
+        self.newest
+    }
+
+    /// Adds to a second.
+    pub fn record(&mut self, second: i64, add: impl FnOnce(&mut C)) {
+        add(self.cell(second));
+    }
+
+    /// Replaces what is known of a second: for news that is complete each time it comes.
+    pub fn replace(&mut self, second: i64, cell: C) {
+        *self.cell(second) = cell;
+    }
+
+    /// The cell of a second, made empty if the ring did not hold it.
+    fn cell(&mut self, second: i64) -> &mut C {
+        let length = self.cells.len() as i64;
+        if self.newest.is_some_and(|newest| newest.saturating_sub(second) >= length) {
+            self.clear();
+        }
+        self.newest = Some(self.newest.map_or(second, |newest| newest.max(second)));
+        let slot = &mut self.cells[second.rem_euclid(length) as usize];
+        let (held, cell) = slot.get_or_insert_with(|| (second, C::default()));
+        if *held != second {
+            (*held, *cell) = (second, C::default());
+        }
+        cell
+    }
+
+    /// What is known of a second.
+    pub fn get(&self, second: i64) -> Option<&C> {
+        let slot = self.cells[second.rem_euclid(self.cells.len() as i64) as usize].as_ref();
+        slot.filter(|(held, _)| *held == second).map(|(_, cell)| cell)
+    }
+
+    /// The `seconds` seconds up to and including `now`, oldest first, those that hold nothing left out; at
+    /// most as many as the ring reaches back.
+    pub fn iter(&self, now: i64, seconds: usize) -> impl Iterator<Item = (i64, &C)> {
+        let back = seconds.min(self.cells.len()) as i64;
+        (now.saturating_sub(back)..now)
+            .filter_map(|second| self.get(second.saturating_add(1)).map(|cell| (second + 1, cell)))
+    }
+
+    /// The `seconds` seconds up to and including `now`, merged into one.
+    pub fn last(&self, now: i64, seconds: usize) -> C {
+        let mut merged = C::default();
+        self.iter(now, seconds).for_each(|(_, cell)| merged.merge(cell));
+        merged
+    }
+
+    /// Forgets everything.
+    pub fn clear(&mut self) {
+        self.cells.iter_mut().for_each(|cell| *cell = None);
+        self.newest = None;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[derive(Clone, Copy, Debug, Default, PartialEq)]
+    struct Count(u64);
+
+    impl Merge for Count {
+        fn merge(&mut self, other: &Self) {
+            self.0 += other.0;
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_window_holds_what_was_recorded_within_it(
+            steps in prop::collection::vec((0_i64..4, 0_i64..5), 1..200), length in 5_usize..30, back in 1_usize..40,
+        ) {
+            let mut windows = Windows::<Count>::new(length);
+            let mut all = BTreeMap::<i64, u64>::new();
+            let mut now = -20;
+            for (forward, late) in steps {
+                now += forward;
+                windows.record(now - late, |cell| cell.0 += 1);
+                *all.entry(now - late).or_default() += 1;
+            }
+            let newest = windows.newest().expect("recorded");
+            let expected: u64 = all.range(newest - back.min(length) as i64 + 1..).map(|(_, count)| count).sum();
+            prop_assert_eq!(windows.last(newest, back), Count(expected));
+        }
+    }
+
+    #[test]
+    fn news_of_a_second_replaces_what_was_known() {
+        let mut windows = Windows::new(3);
+        windows.replace(7, Count(1));
+        windows.replace(7, Count(5));
+        assert_eq!((windows.last(7, 3), windows.get(7), windows.get(4)), (Count(5), Some(&Count(5)), None));
+    }
+
+    #[test]
+    fn the_ring_starts_anew_when_the_wall_clock_is_set_back() {
+        let mut windows = Windows::new(60);
+        windows.replace(10_000, Count(1));
+        windows.replace(6_400, Count(2));
+        assert_eq!((windows.newest(), windows.last(6_400, 60)), (Some(6_400), Count(2)));
+        assert_eq!(windows.last(10_000, 60), Count(0));
+    }
+
+    #[test]
+    fn no_second_is_too_far_away() {
+        let mut windows = Windows::new(4);
+        for second in [i64::MIN, i64::MAX, 0] {
+            windows.replace(second, Count(1));
+            assert_eq!(windows.get(second), Some(&Count(1)));
+            assert!(windows.last(second, 4).0 <= 1);
+        }
+    }
+}
