@@ -1,1 +1,24 @@
-//! Networks: one message, one session, and one file or folder per transport.
+//! Networks: one message, one session, and one file per transport.
+//!
+//! An edge [opens](Session::open) a session with a cloud's [`Listener`] and then sends samples with the logger
+//! tree of their iteration; the cloud answers with a sample and with what it added to the tree. All transports
+//! carry the same frames ([`NetworkKind`] lists them), and one session logic serves them all: state machines
+//! without I/O in `session/{client,server}.rs`, their drivers in `session/{edge,cloud}.rs`.
+
+mod address;
+mod figures;
+mod kind;
+mod message;
+mod session;
+mod settings;
+mod transport;
+
+pub use address::{Address, InvalidAddress};
+pub use figures::NetworkFigures;
+pub use kind::NetworkKind;
+pub use message::{PROTOCOL, SessionAccepted, SessionHello, SessionId};
+pub use session::{
+    BindError, CloseReason, Exchange, Failure, Incoming, IncomingRequest, Listener, OpenError, OpenRequest,
+    RequestError, Responder, Session,
+};
+pub use settings::{InvalidSettings, SessionSettings};

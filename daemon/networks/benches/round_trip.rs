@@ -1,0 +1,317 @@
+//! Closed-loop round trips over loopback: a session against bare TCP, in turns, in one run.
+//!
+//! `cargo bench -p peernet-networks --bench round_trip -- [--processes] [--runtime current|multi]
+//! [--answer BYTES|same] [--sizes BYTES,…] [--rounds N]`. A round of each contender follows a round of the other,
+//! so that a noisy machine is noisy for both. Up goes the payload, back comes an answer of 64 bytes unless told
+//! otherwise. `upload` is the one-way time: from just before the message is handed over to the moment at which the
+//! whole of it is there; both ends read one clock.
+
+#![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
+
+use std::error::Error;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::process::{Command, Stdio};
+use std::sync::Arc;
+use std::time::Duration;
+
+use bytes::Bytes;
+use peernet_clock::{ClockIdentity, SharedClock, Span, SystemClock};
+use peernet_logger::{HostId, Measure, Recorder, Slug};
+use peernet_networks::{
+    Address, Incoming, Listener, NetworkKind, PROTOCOL, Session, SessionAccepted, SessionHello,
+    SessionSettings,
+};
+use peernet_sample::{Description, Sample};
+
+type Anyhow<T> = Result<T, Box<dyn Error + Send + Sync>>;
+
+#[derive(Clone, Debug)]
+struct Plan {
+    sizes: Vec<usize>,
+    answer: Option<usize>,
+    rounds: usize,
+    multi_thread: bool,
+    processes: bool,
+    cloud: bool,
+}
+
+fn main() -> Anyhow<()> {
+    let plan = Plan::from_arguments()?;
+    if plan.cloud {
+        let (bare, session) = start_cloud(&plan)?;
+        println!("{bare} {session}");
+        // Until the edge closes our standard input.
+        std::io::stdin().read_to_end(&mut Vec::new())?;
+        return Ok(());
+    }
+    let mut child = None;
+    let (bare, session) = if plan.processes {
+        let arguments = std::env::args().skip(1).chain(["--cloud".to_owned()]);
+        let process = Command::new(std::env::current_exe()?)
+            .args(arguments)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()?;
+        let process = child.insert(process);
+        let mut line = String::new();
+        BufReader::new(process.stdout.take().ok_or("no stdout")?).read_line(&mut line)?;
+        let (bare, session) = line.trim().split_once(' ').ok_or("the cloud did not start")?;
+        (bare.to_owned(), session.parse::<Address>()?)
+    } else {
+        start_cloud(&plan)?
+    };
+    edge(&plan, &bare, &session)?;
+    if let Some(mut process) = child {
+        drop(process.stdin.take());
+        process.wait()?;
+    }
+    Ok(())
+}
+
+impl Plan {
+    fn from_arguments() -> Anyhow<Self> {
+        let mut plan = Self {
+            sizes: vec![64, 1_000, 150_000, 1_200_000],
+            answer: Some(64),
+            rounds: 20,
+            multi_thread: false,
+            processes: false,
+            cloud: false,
+        };
+        let mut arguments = std::env::args().skip(1);
+        while let Some(argument) = arguments.next() {
+            let mut value = || arguments.next().ok_or_else(|| format!("{argument} needs a value"));
+            match argument.as_str() {
+                "--processes" => plan.processes = true,
+                "--cloud" => plan.cloud = true,
+                "--runtime" => plan.multi_thread = value()? == "multi",
+                "--rounds" => plan.rounds = value()?.parse()?,
+                "--sizes" => {
+                    plan.sizes = value()?.split(',').map(str::parse).collect::<Result<_, _>>()?;
+                }
+                "--answer" => {
+                    let answer = value()?;
+                    plan.answer = if answer == "same" { None } else { Some(answer.parse()?) };
+                }
+                // What cargo itself passes.
+                "--bench" => {}
+                other => return Err(format!("unknown argument {other}").into()),
+            }
+        }
+        Ok(plan)
+    }
+
+    fn runtime(&self) -> Anyhow<tokio::runtime::Runtime> {
+        let mut builder = if self.multi_thread {
+            tokio::runtime::Builder::new_multi_thread()
+        } else {
+            tokio::runtime::Builder::new_current_thread()
+        };
+        Ok(builder.enable_all().build()?)
+    }
+
+    fn answer_bytes(&self, size: usize) -> usize {
+        self.answer.unwrap_or(size)
+    }
+}
+
+fn clock() -> SharedClock {
+    Arc::new(SystemClock::new(ClockIdentity::new("bench", "system")))
+}
+
+/// Starts both contenders' servers; returns where they listen.
+fn start_cloud(plan: &Plan) -> Anyhow<(String, Address)> {
+    let listener = TcpListener::bind("127.0.0.1:0")?;
+    let bare = listener.local_addr()?.to_string();
+    std::thread::spawn(move || {
+        for stream in listener.incoming() {
+            // The edge hangs up when it is done.
+            let _ = stream.map_err(Into::into).and_then(serve_bare);
+        }
+    });
+    let (tell, told) = std::sync::mpsc::sync_channel(1);
+    let plan = plan.clone();
+    std::thread::spawn(move || -> Anyhow<()> {
+        let runtime = plan.runtime()?;
+        // As a task of its own, as an agent would run it: the main future of a multi-thread runtime is not on a worker.
+        runtime.block_on(async { tokio::spawn(serve_session(plan, tell)).await })?
+    });
+    Ok((bare, told.recv()?))
+}
+
+/// `size u64 | answer u64 | payload` up; `arrival stamp i64 | answer` back.
+fn serve_bare(mut stream: TcpStream) -> Anyhow<()> {
+    let clock = clock();
+    stream.set_nodelay(true)?;
+    let mut payload = Vec::new();
+    let mut head = [0; 16];
+    loop {
+        stream.read_exact(&mut head)?;
+        let (size, answer) = (word(&head[..8]) as usize, word(&head[8..]) as usize);
+        payload.resize(size, 0);
+        stream.read_exact(&mut payload)?;
+        let arrived = clock.wall().unix_nanos();
+        payload.resize(size.max(answer), 0);
+        let mut reply = arrived.to_le_bytes().to_vec();
+        reply.extend_from_slice(&payload[..answer]);
+        stream.write_all(&reply)?;
+    }
+}
+
+fn word(bytes: &[u8]) -> u64 {
+    bytes.try_into().map_or(0, u64::from_le_bytes)
+}
+
+async fn serve_session(plan: Plan, tell: std::sync::mpsc::SyncSender<Address>) -> Anyhow<()> {
+    let (host, clock) = (HostId::random(), clock());
+    let any = "tcp://127.0.0.1:0".parse()?;
+    let mut listener =
+        Listener::bind(NetworkKind::ZmqTcp, &any, SessionSettings::default(), host, clock.clone()).await?;
+    tell.send(listener.address().clone())?;
+    while let Some(incoming) = listener.next().await {
+        match incoming {
+            Incoming::Open(open) => {
+                let accepted = SessionAccepted {
+                    host,
+                    name: "cloud".parse()?,
+                    clock: clock.identity().clone(),
+                    version: String::new(),
+                    model: open.hello.model.clone(),
+                    device: "cpu".into(),
+                    facts: Vec::new(),
+                };
+                open.accept(accepted);
+            }
+            Incoming::Request(request) => {
+                let payload = &request.sample.parts[0].bytes;
+                let answer = payload.slice(..plan.answer_bytes(payload.len()).min(payload.len()));
+                request.reply.send(request.log, Ok(Sample::of(Description::bytes(), answer)));
+            }
+            Incoming::Closed(_) => {}
+        }
+    }
+    Ok(())
+}
+
+/// What one contender did with one size.
+#[derive(Default)]
+struct Seen {
+    trips: Vec<Span>,
+    uploads: Vec<Span>,
+}
+
+impl Seen {
+    fn add(&mut self, trip: Span, upload: Span) {
+        self.trips.push(trip);
+        self.uploads.push(upload);
+    }
+}
+
+fn edge(plan: &Plan, bare: &str, address: &Address) -> Anyhow<()> {
+    let runtime = plan.runtime()?;
+    let mut stream = TcpStream::connect(bare)?;
+    stream.set_nodelay(true)?;
+    let hello = SessionHello {
+        protocol: PROTOCOL,
+        host: HostId::random(),
+        name: "edge".parse()?,
+        clock: clock().identity().clone(),
+        pipeline: "bench".parse()?,
+        model: "echo".parse::<Slug>()?,
+        device: None,
+    };
+    let opening = Session::open(NetworkKind::ZmqTcp, address, hello, SessionSettings::default(), clock());
+    let session = runtime.block_on(opening)?;
+    println!(
+        "{} runtimes, {}, answers of {}\n",
+        if plan.multi_thread { "multi-thread" } else { "current-thread" },
+        if plan.processes { "two processes" } else { "two threads" },
+        plan.answer.map_or("the same size".into(), |bytes| format!("{bytes} bytes")),
+    );
+    println!(
+        "{:>9} | {:>8} {:>8} {:>8} {:>8} | {:>7} {:>7} {:>6} | {:>7} {:>7} {:>6}",
+        "bytes", "TCP p50", "p99", "p50", "p99", "TCP/s", "/s", "ratio", "TCP up", "upload", "ratio"
+    );
+    for &size in &plan.sizes {
+        let payload = Bytes::from((0..size).map(|i| (i * 31) as u8).collect::<Vec<u8>>());
+        let trips = (20_000_000 / (size + 20_000)).clamp(30, 500);
+        let (mut tcp, mut ours) = (Seen::default(), Seen::default());
+        for round in 0..=plan.rounds {
+            let mut a = Seen::default();
+            round_bare(&mut stream, &payload, plan.answer_bytes(size), trips, &mut a)?;
+            let task = round_session(session.clone(), payload.clone(), trips);
+            let mut b = runtime.block_on(async { tokio::spawn(task).await })??;
+            // The first round warms both up.
+            if round > 0 {
+                tcp.trips.append(&mut a.trips);
+                tcp.uploads.append(&mut a.uploads);
+                ours.trips.append(&mut b.trips);
+                ours.uploads.append(&mut b.uploads);
+            }
+        }
+        report(size, &mut tcp, &mut ours);
+    }
+    println!("\ntimes in µs, upload p50; {:?}", session.figures());
+    runtime.block_on(session.close());
+    Ok(())
+}
+
+fn round_bare(
+    stream: &mut TcpStream,
+    payload: &[u8],
+    answer: usize,
+    trips: usize,
+    seen: &mut Seen,
+) -> Anyhow<()> {
+    let clock = clock();
+    let mut message = (payload.len() as u64).to_le_bytes().to_vec();
+    message.extend_from_slice(&(answer as u64).to_le_bytes());
+    message.extend_from_slice(payload);
+    let mut reply = vec![0; 8 + answer];
+    for _ in 0..trips {
+        let start = clock.stamp();
+        stream.write_all(&message)?;
+        stream.read_exact(&mut reply)?;
+        let arrived = word(&reply[..8]) as i64;
+        let upload = Span::from_nanos(arrived - start.wall.unix_nanos());
+        seen.add(clock.mono() - start.mono, upload);
+    }
+    Ok(())
+}
+
+async fn round_session(session: Session, payload: Bytes, trips: usize) -> Anyhow<Seen> {
+    let (clock, host, mut seen) = (clock(), HostId::random(), Seen::default());
+    for _ in 0..trips {
+        let sample = Sample::of(Description::bytes(), payload.clone());
+        let start = clock.mono();
+        let log = Recorder::begin(clock.clone(), host);
+        let exchange = session.request(log, &sample, Duration::from_secs(10)).await;
+        let trip = clock.mono() - start;
+        exchange.result?;
+        let upload = exchange.up.and_then(|up| exchange.log.tree().get(up)).map(|node| &node.measure);
+        let Some(Measure::Transit(upload)) = upload else { return Err("no upload".into()) };
+        let upload = upload.received.ok_or("upload did not end")? - upload.sent;
+        seen.add(trip, upload);
+    }
+    Ok(seen)
+}
+
+fn report(size: usize, tcp: &mut Seen, ours: &mut Seen) {
+    let at = |spans: &mut Vec<Span>, q: f64| {
+        spans.sort_unstable();
+        spans[((spans.len() - 1) as f64 * q) as usize].seconds() * 1e6
+    };
+    let rate = |spans: &[Span]| spans.len() as f64 / spans.iter().copied().sum::<Span>().seconds();
+    let (tcp_rate, our_rate) = (rate(&tcp.trips), rate(&ours.trips));
+    let (tcp_up, our_up) = (at(&mut tcp.uploads, 0.5), at(&mut ours.uploads, 0.5));
+    println!(
+        "{size:>9} | {:>8.1} {:>8.1} {:>8.1} {:>8.1} | {tcp_rate:>7.0} {our_rate:>7.0} {:>6.2} | {tcp_up:>7.1} {our_up:>7.1} {:>6.2}",
+        at(&mut tcp.trips, 0.5),
+        at(&mut tcp.trips, 0.99),
+        at(&mut ours.trips, 0.5),
+        at(&mut ours.trips, 0.99),
+        our_rate / tcp_rate,
+        our_up / tcp_up,
+    );
+}

@@ -1,0 +1,194 @@
+//! Where a peer is found.
+
+use std::fmt;
+use std::net::{IpAddr, Ipv6Addr};
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+/// The address of a peer or of a listener: `tcp://host:port`.
+///
+/// The host is a name, an IPv4 address, or an IPv6 address in brackets. `0.0.0.0` and `[::]` listen on every
+/// interface; port 0 lets the system choose one.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct Address {
+    host: Host,
+    port: u16,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+enum Host {
+    Ip(IpAddr),
+    Name(String),
+}
+
+/// A text that is not an address.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{text:?} is not an address: {problem}; write tcp://host:port, IPv6 hosts in brackets")]
+pub struct InvalidAddress {
+    /// What was given.
+    pub text: String,
+    /// What is wrong with it.
+    pub problem: String,
+}
+
+impl Address {
+    /// The address of an IP address and a port.
+    pub const fn of_ip(ip: IpAddr, port: u16) -> Self {
+        Self { host: Host::Ip(ip), port }
+    }
+
+    /// The host, without brackets.
+    pub fn host(&self) -> String {
+        match &self.host {
+            Host::Ip(ip) => ip.to_string(),
+            Host::Name(name) => name.clone(),
+        }
+    }
+
+    /// The port; 0 asks the system to choose.
+    pub const fn port(&self) -> u16 {
+        self.port
+    }
+
+    /// Whether only this machine can reach a listener at this address.
+    pub fn is_loopback(&self) -> bool {
+        match &self.host {
+            Host::Ip(ip) => ip.is_loopback(),
+            Host::Name(name) => name.eq_ignore_ascii_case("localhost"),
+        }
+    }
+
+    /// `host:port`, IPv6 in brackets.
+    pub(crate) fn authority(&self) -> String {
+        match &self.host {
+            Host::Ip(IpAddr::V6(ip)) => format!("[{ip}]:{}", self.port),
+            Host::Ip(IpAddr::V4(ip)) => format!("{ip}:{}", self.port),
+            Host::Name(name) => format!("{name}:{}", self.port),
+        }
+    }
+}
+
+impl FromStr for Address {
+    type Err = InvalidAddress;
+
+    fn from_str(text: &str) -> Result<Self, InvalidAddress> {
+        parse(text).map_err(|problem| InvalidAddress { text: text.to_owned(), problem })
+    }
+}
+
+fn parse(text: &str) -> Result<Address, String> {
+    let Some((scheme, rest)) = text.split_once("://") else {
+        return Err("the scheme is missing".into());
+    };
+    if scheme != "tcp" {
+        return Err(format!("unknown scheme {scheme:?}"));
+    }
+    let (host, port) = if let Some(bracketed) = rest.strip_prefix('[') {
+        let (host, after) = bracketed.split_once(']').ok_or("the closing bracket is missing")?;
+        let ip: Ipv6Addr = host.parse().map_err(|_| format!("{host:?} is not an IPv6 address"))?;
+        let port = after.strip_prefix(':').ok_or("the port is missing")?;
+        (Host::Ip(IpAddr::V6(ip)), port)
+    } else {
+        let (host, port) = rest.rsplit_once(':').ok_or("the port is missing")?;
+        (parse_host(host)?, port)
+    };
+    if port.is_empty() || !port.bytes().all(|byte| byte.is_ascii_digit()) {
+        return Err(format!("{port:?} is not a port"));
+    }
+    let port = port.parse().map_err(|_| format!("port {port} is above 65535"))?;
+    Ok(Address { host, port })
+}
+
+/// A name or an IPv4 address; what looks like an IPv4 address must be one.
+fn parse_host(host: &str) -> Result<Host, String> {
+    if host.is_empty() {
+        return Err("the host is missing".into());
+    }
+    if host.contains(':') {
+        return Err("an IPv6 host needs brackets".into());
+    }
+    if let Ok(ip) = host.parse() {
+        return Ok(Host::Ip(IpAddr::V4(ip)));
+    }
+    if host.bytes().all(|byte| byte.is_ascii_digit() || byte == b'.') {
+        return Err(format!("{host:?} is not an IPv4 address"));
+    }
+    let label = |label: &str| {
+        (1..=63).contains(&label.len())
+            && label.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"-_".contains(&byte))
+    };
+    if host.len() > 253 || !host.strip_suffix('.').unwrap_or(host).split('.').all(label) {
+        return Err(format!("{host:?} is not a host name"));
+    }
+    Ok(Host::Name(host.to_owned()))
+}
+
+impl fmt::Display for Address {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "tcp://{}", self.authority())
+    }
+}
+
+impl TryFrom<String> for Address {
+    type Error = InvalidAddress;
+    fn try_from(text: String) -> Result<Self, InvalidAddress> {
+        text.parse()
+    }
+}
+
+impl From<Address> for String {
+    fn from(address: Address) -> Self {
+        address.to_string()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn addresses_read_back_as_written() {
+        for text in [
+            "tcp://127.0.0.1:5551",
+            "tcp://[::1]:0",
+            "tcp://cloud-1.lab:65535",
+            "tcp://[fe80::1]:80",
+            "tcp://a:1",
+        ] {
+            assert_eq!(text.parse::<Address>().expect(text).to_string(), text);
+        }
+    }
+
+    #[test]
+    fn what_is_wrong_is_said() {
+        for (text, problem) in [
+            ("cloud:5551", "the scheme is missing"),
+            ("udp://cloud:5551", "unknown scheme \"udp\""),
+            ("tcp://cloud", "the port is missing"),
+            ("tcp://:5551", "the host is missing"),
+            ("tcp://cloud:", "\"\" is not a port"),
+            ("tcp://cloud:+1", "\"+1\" is not a port"),
+            ("tcp://cloud:65536", "port 65536 is above 65535"),
+            ("tcp://::1:5551", "an IPv6 host needs brackets"),
+            ("tcp://[::1:5551", "the closing bracket is missing"),
+            ("tcp://[cloud]:5551", "\"cloud\" is not an IPv6 address"),
+            ("tcp://256.0.0.1:5551", "\"256.0.0.1\" is not an IPv4 address"),
+            ("tcp://a b:5551", "\"a b\" is not a host name"),
+        ] {
+            assert_eq!(text.parse::<Address>().expect_err(text).problem, problem);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn no_text_can_panic_and_what_parses_reads_back(text in "(tcp://)?[a-z0-9.:\\[\\]-]{0,24}") {
+            if let Ok(address) = text.parse::<Address>() {
+                prop_assert_eq!(address.to_string().parse::<Address>(), Ok(address));
+            }
+        }
+    }
+}

@@ -1,0 +1,27 @@
+//! What goes over the wire.
+//!
+//! | message | from | header (frame 0) | frame 1 | further frames |
+//! | --- | --- | --- | --- | --- |
+//! | open | edge | hello, limits | | |
+//! | accepted, refused | cloud | session id and who serves, or the reason | | |
+//! | request | edge | session, number, departure, description of the sample | tree | payload parts, untouched |
+//! | reply | cloud | session, number, departure, outcome | growth of the tree | payload parts, untouched |
+//! | unknown-session | cloud | session, number | | |
+//! | goodbye | either | session, reason | | |
+//!
+//! The tree is encoded before the departure is stamped, and the header after: the transit node itself is not in
+//! either tree, the receiver puts it there from the header. `tests/it/wire.rs` writes the form down a second time.
+
+mod header;
+mod hello;
+mod tree;
+
+#[cfg(test)]
+pub(crate) mod strategies;
+
+pub(crate) use header::{
+    Accepted, Departure, Goodbye, Header, HeaderError, MAX_FRAMES, Open, Outcome, RefusalKind, Refused,
+    Reply, Request, SampleHeader, UnknownSession,
+};
+pub use hello::{PROTOCOL, SessionAccepted, SessionHello, SessionId};
+pub(crate) use tree::{decode_growth, decode_tree, encode_growth, encode_tree, put_upload};

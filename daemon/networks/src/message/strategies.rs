@@ -1,0 +1,129 @@
+//! Arbitrary messages, for property tests.
+
+use peernet_clock::{ClockIdentity, Span, WallTime};
+use peernet_logger::{HostId, Slug};
+use peernet_sample::{Description, ElementType, MediaType, PixelFormat};
+use proptest::prelude::*;
+
+use super::{
+    Accepted, Departure, Goodbye, Header, Open, Outcome, RefusalKind, Refused, Reply, Request, SampleHeader,
+    SessionAccepted, SessionHello, SessionId, UnknownSession,
+};
+
+fn slug() -> impl Strategy<Value = Slug> {
+    "[a-z0-9][a-z0-9._-]{0,20}".prop_map(|name| name.parse().expect("a name"))
+}
+
+fn host() -> impl Strategy<Value = HostId> {
+    any::<[u8; 16]>().prop_map(HostId::from_bytes)
+}
+
+fn clock() -> impl Strategy<Value = ClockIdentity> {
+    (".{0,40}", ".{0,10}").prop_map(|(boot, clock)| ClockIdentity::new(&boot, &clock))
+}
+
+pub(crate) fn hello() -> impl Strategy<Value = SessionHello> {
+    let device = proptest::option::of(".{0,12}");
+    (any::<u16>(), host(), slug(), clock(), slug(), slug(), device).prop_map(
+        |(protocol, host, name, clock, pipeline, model, device)| SessionHello {
+            protocol,
+            host,
+            name,
+            clock,
+            pipeline,
+            model,
+            device,
+        },
+    )
+}
+
+pub(crate) fn accepted() -> impl Strategy<Value = SessionAccepted> {
+    let facts = proptest::collection::vec((".{0,12}", ".{0,12}"), 0..4);
+    (host(), slug(), clock(), ".{0,12}", slug(), ".{0,12}", facts).prop_map(
+        |(host, name, clock, version, model, device, facts)| SessionAccepted {
+            host,
+            name,
+            clock,
+            version,
+            model,
+            device,
+            facts,
+        },
+    )
+}
+
+fn description() -> impl Strategy<Value = Description> {
+    let media = prop_oneof![
+        Just(MediaType::Bytes),
+        Just(MediaType::Jpeg),
+        Just(MediaType::Pixels(PixelFormat::Grey8)),
+        Just(MediaType::Tensor),
+        ".{0,20}".prop_map(MediaType::Other),
+    ];
+    let element = prop_oneof![Just(None), Just(Some(ElementType::U8)), Just(Some(ElementType::F64))];
+    let shape = proptest::collection::vec(any::<u32>(), 0..5);
+    (media, shape, element).prop_map(|(media, shape, element)| Description { media, shape, element })
+}
+
+fn sample() -> impl Strategy<Value = SampleHeader> {
+    (proptest::collection::vec(description(), 0..5), ".{0,30}", proptest::option::of(".{0,30}"))
+        .prop_map(|(parts, source, label)| SampleHeader { parts, source, label })
+}
+
+fn departure() -> impl Strategy<Value = Departure> {
+    (any::<i64>(), any::<i64>()).prop_map(|(sent, start)| Departure {
+        sent: WallTime::from_unix_nanos(sent),
+        start: Span::from_nanos(start),
+    })
+}
+
+/// Reading replaces control characters, so there are none.
+fn words() -> impl Strategy<Value = String> {
+    "[^\\pC]{0,30}"
+}
+
+fn outcome() -> impl Strategy<Value = Outcome> {
+    prop_oneof![
+        sample().prop_map(Outcome::Answer),
+        words().prop_map(Outcome::Failed),
+        words().prop_map(Outcome::Overloaded),
+    ]
+}
+
+/// Any message of any of the given sessions, or of one that nobody knows; requests are numbered 0 to 15.
+pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> {
+    let session = any::<prop::sample::Index>()
+        .prop_map(move |at| if sessions.is_empty() { SessionId::random() } else { *at.get(&sessions) });
+    let request = 0..16_u64;
+    let kind = prop_oneof![Just(RefusalKind::Refused), Just(RefusalKind::Incompatible)];
+    let of = (session, request, departure());
+    (
+        of,
+        sample(),
+        proptest::option::of(departure()),
+        outcome(),
+        (hello(), accepted()),
+        (kind, words(), any::<u64>()),
+    )
+        .prop_flat_map(
+            |((session, request, departure), sample, returned, outcome, (hello, accepted), rest)| {
+                let (kind, reason, max_message_bytes) = rest;
+                let protocol = hello.protocol;
+                prop_oneof![
+                    1 => Just(Header::Open(Box::new(Open { hello, max_message_bytes }))),
+                    1 => Just(Header::Accepted(Box::new(Accepted {
+                        protocol,
+                        session,
+                        accepted,
+                        max_message_bytes,
+                        max_in_flight: 7,
+                    }))),
+                    1 => Just(Header::Refused(Refused { protocol, kind, reason: reason.clone() })),
+                    4 => Just(Header::Request(Request { session, request, departure, sample })),
+                    4 => Just(Header::Reply(Reply { session, request, departure: returned, outcome })),
+                    1 => Just(Header::UnknownSession(UnknownSession { session, request })),
+                    1 => Just(Header::Goodbye(Goodbye { session, reason })),
+                ]
+            },
+        )
+}

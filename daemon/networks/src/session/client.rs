@@ -1,0 +1,254 @@
+//! The edge's side of a session, without I/O.
+
+use std::collections::HashMap;
+use std::fmt;
+
+use crate::message::{Accepted, Header, PROTOCOL, RefusalKind, Reply, SessionId};
+
+/// Why a session is over.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum CloseReason {
+    /// It was closed on this side.
+    Local,
+    /// The cloud said goodbye, and why.
+    Goodbye(String),
+    /// The cloud does not know the session: it was restarted, or it gave the session up.
+    UnknownSession,
+    /// The connection broke, and how.
+    Broken(String),
+}
+
+impl fmt::Display for CloseReason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Local => f.write_str("the session was closed here"),
+            Self::Goodbye(reason) => write!(f, "the cloud closed the session: {reason}"),
+            Self::UnknownSession => f.write_str("the cloud does not know the session any more"),
+            Self::Broken(reason) => write!(f, "the connection broke: {reason}"),
+        }
+    }
+}
+
+/// What an answer to a hello means.
+#[derive(Debug)]
+pub(crate) enum Opened {
+    /// The session exists.
+    Accepted(Box<Accepted>),
+    /// The cloud does not serve what was asked for.
+    Refused(String),
+    /// The cloud speaks this version of the protocol.
+    Incompatible(u16),
+    /// Not an answer to a hello; the real one may still come.
+    Nonsense,
+}
+
+/// Judges what arrives while a session opens.
+pub(crate) fn opened(header: Header) -> Opened {
+    match header {
+        Header::Accepted(accepted) if accepted.protocol == PROTOCOL => Opened::Accepted(accepted),
+        Header::Accepted(accepted) => Opened::Incompatible(accepted.protocol),
+        Header::Refused(refused) => match refused.kind {
+            RefusalKind::Refused => Opened::Refused(refused.reason),
+            RefusalKind::Incompatible => Opened::Incompatible(refused.protocol),
+        },
+        _ => Opened::Nonsense,
+    }
+}
+
+/// An open session. `W` is whatever waits for an answer.
+#[derive(Debug)]
+pub(crate) struct Client<W> {
+    session: SessionId,
+    next: u64,
+    waiting: HashMap<u64, W>,
+    over: Option<CloseReason>,
+}
+
+/// What a message from the cloud means.
+#[derive(Debug, PartialEq)]
+pub(crate) enum Heard<W> {
+    /// The answer that this one waits for.
+    Answer(W, Reply),
+    /// An answer that nobody waits for any more.
+    Late,
+    /// Makes no sense in this session.
+    Malformed(&'static str),
+    /// The session is over, and these wait in vain.
+    Over(CloseReason, Vec<W>),
+}
+
+impl<W> Client<W> {
+    pub(crate) fn new(session: SessionId) -> Self {
+        Self { session, next: 0, waiting: HashMap::new(), over: None }
+    }
+
+    /// Begins a request and gives it its number.
+    ///
+    /// # Errors
+    /// When the session is over.
+    pub(crate) fn begin(&mut self, waiter: W) -> Result<u64, CloseReason> {
+        if let Some(reason) = &self.over {
+            return Err(reason.clone());
+        }
+        let request = self.next;
+        self.next += 1;
+        self.waiting.insert(request, waiter);
+        Ok(request)
+    }
+
+    /// Stops waiting for an answer; whether it was still waited for.
+    pub(crate) fn give_up(&mut self, request: u64) -> bool {
+        self.waiting.remove(&request).is_some()
+    }
+
+    /// A message arrived.
+    pub(crate) fn hear(&mut self, header: Header) -> Heard<W> {
+        match header {
+            Header::Reply(reply) if reply.session != self.session => {
+                Heard::Malformed("a reply of another session")
+            }
+            Header::Reply(reply) if reply.request >= self.next => Heard::Malformed("a reply to no request"),
+            Header::Reply(reply) => match self.waiting.remove(&reply.request) {
+                Some(waiter) => Heard::Answer(waiter, reply),
+                None => Heard::Late,
+            },
+            Header::UnknownSession(unknown) if unknown.session == self.session => {
+                self.over_by(CloseReason::UnknownSession)
+            }
+            Header::Goodbye(goodbye) if goodbye.session == self.session => {
+                self.over_by(CloseReason::Goodbye(goodbye.reason))
+            }
+            Header::UnknownSession(_) | Header::Goodbye(_) => Heard::Malformed("the end of another session"),
+            Header::Open(_) | Header::Accepted(_) | Header::Refused(_) | Header::Request(_) => {
+                Heard::Malformed("out of place in an open session")
+            }
+        }
+    }
+
+    /// Ends the session; the first reason stays. Returns those who wait in vain.
+    pub(crate) fn end(&mut self, reason: CloseReason) -> Vec<W> {
+        self.over.get_or_insert(reason);
+        self.waiting.drain().map(|(_, waiter)| waiter).collect()
+    }
+
+    fn over_by(&mut self, reason: CloseReason) -> Heard<W> {
+        let waiters = self.end(reason.clone());
+        Heard::Over(reason, waiters)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::HashSet;
+
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::message::{Goodbye, Outcome, UnknownSession, strategies};
+
+    fn reply(session: SessionId, request: u64) -> Header {
+        Header::Reply(Reply { session, request, departure: None, outcome: Outcome::Failed(String::new()) })
+    }
+
+    #[test]
+    fn an_answer_is_delivered_once_and_is_late_after_that() {
+        let session = SessionId::random();
+        let mut client = Client::new(session);
+        let (a, b) = (client.begin('a').expect("open"), client.begin('b').expect("open"));
+        assert!(matches!(client.hear(reply(session, b)), Heard::Answer('b', _)));
+        assert_eq!(client.hear(reply(session, b)), Heard::Late);
+        assert!(client.give_up(a) && !client.give_up(a));
+        assert_eq!(client.hear(reply(session, a)), Heard::Late);
+        assert!(matches!(client.hear(reply(session, b + 1)), Heard::Malformed(_)));
+        assert!(matches!(client.hear(reply(SessionId::random(), a)), Heard::Malformed(_)));
+    }
+
+    #[test]
+    fn the_first_reason_for_the_end_stays() {
+        let session = SessionId::random();
+        let mut client = Client::new(session);
+        client.begin('a').expect("open");
+        let over = client.hear(Header::UnknownSession(UnknownSession { session, request: 0 }));
+        assert_eq!(over, Heard::Over(CloseReason::UnknownSession, vec!['a']));
+        assert_eq!(client.end(CloseReason::Broken("later".into())), Vec::<char>::new());
+        assert_eq!(client.begin('b'), Err(CloseReason::UnknownSession));
+        let other = Goodbye { session: SessionId::random(), reason: String::new() };
+        assert!(matches!(client.hear(Header::Goodbye(other)), Heard::Malformed(_)));
+    }
+
+    #[derive(Clone, Debug)]
+    enum Step {
+        Begin,
+        GiveUp(u64),
+        Hear(Header),
+        End,
+    }
+
+    fn steps(session: SessionId) -> impl Strategy<Value = Vec<Step>> {
+        let step = prop_oneof![
+            6 => Just(Step::Begin),
+            2 => (0..16_u64).prop_map(Step::GiveUp),
+            8 => strategies::header(vec![session]).prop_map(Step::Hear),
+            1 => Just(Step::End),
+        ];
+        proptest::collection::vec(step, 0..60)
+    }
+
+    proptest! {
+        #[test]
+        fn whatever_arrives_every_request_ends_once(
+            (session, steps) in any::<()>().prop_map(|()| SessionId::random()).prop_flat_map(|s| (Just(s), steps(s)))
+        ) {
+            let mut client = Client::new(session);
+            // A request is its own waiter.
+            let (mut begun, mut ended, mut over) = (0, HashSet::new(), false);
+            for step in steps {
+                match step {
+                    Step::Begin => match client.begin(begun) {
+                        Ok(request) => {
+                            prop_assert!(!over);
+                            prop_assert_eq!(request, begun);
+                            begun += 1;
+                        }
+                        Err(_) => prop_assert!(over),
+                    },
+                    Step::GiveUp(request) => {
+                        if client.give_up(request) {
+                            prop_assert!(request < begun && ended.insert(request));
+                        }
+                    }
+                    Step::Hear(header) => match client.hear(header) {
+                        Heard::Answer(waiter, reply) => {
+                            prop_assert_eq!(waiter, reply.request);
+                            prop_assert!(ended.insert(waiter));
+                        }
+                        Heard::Over(_, waiters) => {
+                            over = true;
+                            for waiter in waiters {
+                                prop_assert!(ended.insert(waiter));
+                            }
+                        }
+                        Heard::Late | Heard::Malformed(_) => {}
+                    },
+                    Step::End => {
+                        over = true;
+                        for waiter in client.end(CloseReason::Local) {
+                            prop_assert!(ended.insert(waiter));
+                        }
+                    }
+                }
+                prop_assert!(!over || ended.len() as u64 == begun);
+            }
+            for waiter in client.end(CloseReason::Local) {
+                prop_assert!(ended.insert(waiter));
+            }
+            prop_assert_eq!(ended.len() as u64, begun);
+        }
+
+        #[test]
+        fn only_an_answer_opens_a_session(header in strategies::header(Vec::new())) {
+            let answers = matches!(&header, Header::Accepted(accepted) if accepted.protocol == PROTOCOL);
+            prop_assert_eq!(matches!(opened(header), Opened::Accepted(_)), answers);
+        }
+    }
+}

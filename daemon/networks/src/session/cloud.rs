@@ -1,0 +1,363 @@
+//! The cloud's driver: all sessions of a port.
+
+use std::collections::VecDeque;
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use bytes::Bytes;
+use peernet_clock::{MonoTime, SharedClock, Stamp};
+use peernet_logger::{HostId, Recorder};
+use peernet_sample::Sample;
+use tokio::sync::Notify;
+
+use super::complaints::Complaints;
+use super::exchange::Sizes;
+use super::incoming::{Failure, Incoming, IncomingRequest, OpenRequest, Responder};
+use super::server::{Heard, Route, Server};
+use crate::figures::Counters;
+use crate::message::{
+    Departure, Header, HeaderError, MAX_FRAMES, Outcome, Reply, Request, SampleHeader, SessionAccepted,
+    SessionId, decode_tree, encode_growth, put_upload,
+};
+use crate::transport::{Arrival, BindFailure, CloudReceiver, CloudSender, Frames, Peer};
+use crate::{Address, NetworkFigures, NetworkKind, SessionSettings};
+
+/// Why a port could not be listened on.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum BindError {
+    /// Another program listens there.
+    #[error(
+        "cannot listen on {0}: another program uses port {port}; stop it or configure another port",
+        port = .0.port()
+    )]
+    InUse(Address),
+    /// The port needs a privilege.
+    #[error(
+        "cannot listen on {0}: permission denied; ports below 1024 need a privilege, configure a higher one"
+    )]
+    Denied(Address),
+    /// The address is another machine's.
+    #[error(
+        "cannot listen on {0}: this machine has no such address; use tcp://0.0.0.0:{port} for all of its interfaces",
+        port = .0.port()
+    )]
+    NotLocal(Address),
+    /// Anything else.
+    #[error("cannot listen on {0}: {1}")]
+    Other(Address, String),
+}
+
+/// A port at which edges open sessions.
+#[derive(Debug)]
+pub struct Listener {
+    shared: Arc<Shared>,
+    receiver: Box<dyn CloudReceiver>,
+    address: Address,
+    settings: SessionSettings,
+    /// Sessions that ended together, to be handed out one by one.
+    closed: VecDeque<SessionId>,
+}
+
+/// What the listener and all answers under way have in common. Answers hold it weakly: when the listener goes,
+/// the connections go.
+#[derive(Debug)]
+pub(crate) struct Shared {
+    machine: Mutex<Server>,
+    sender: Box<dyn CloudSender>,
+    clock: SharedClock,
+    host: HostId,
+    counters: Counters,
+    complaints: Mutex<Complaints>,
+    answered: Notify,
+}
+
+impl Listener {
+    /// Listens at `address`; port 0 lets the system choose one.
+    ///
+    /// # Errors
+    /// When the port is taken or the address is not this machine's; says what to do.
+    pub async fn bind(
+        kind: NetworkKind,
+        address: &Address,
+        settings: SessionSettings,
+        host: HostId,
+        clock: SharedClock,
+    ) -> Result<Self, BindError> {
+        let settings = settings.clamped();
+        let bound = kind.bind(address, &settings).await.map_err(|failure| match failure {
+            BindFailure::InUse => BindError::InUse(address.clone()),
+            BindFailure::Denied => BindError::Denied(address.clone()),
+            BindFailure::NotLocal => BindError::NotLocal(address.clone()),
+            BindFailure::Other(reason) => BindError::Other(address.clone(), reason),
+        })?;
+        let shared = Arc::new(Shared {
+            machine: Mutex::new(Server::new(&settings)),
+            sender: bound.sender,
+            clock,
+            host,
+            counters: Counters::default(),
+            complaints: Mutex::default(),
+            answered: Notify::new(),
+        });
+        let closed = VecDeque::new();
+        Ok(Self { shared, receiver: bound.receiver, address: bound.address, settings, closed })
+    }
+
+    /// Where it listens, with the real port.
+    pub const fn address(&self) -> &Address {
+        &self.address
+    }
+
+    /// What went over all sessions so far.
+    pub fn figures(&self) -> NetworkFigures {
+        self.shared.counters.figures()
+    }
+
+    /// What arrives next; `None` when the socket is closed. Dropping the future loses nothing.
+    pub async fn next(&mut self) -> Option<Incoming> {
+        loop {
+            if let Some(session) = self.closed.pop_front() {
+                return Some(Incoming::Closed(session));
+            }
+            match self.receiver.receive().await? {
+                Arrival::Message(peer, frames) => {
+                    let received = self.shared.clock.stamp();
+                    if let Some(incoming) = heard(&self.shared, &peer, frames, received) {
+                        return Some(incoming);
+                    }
+                }
+                Arrival::Gone(connection, reason) => {
+                    let sessions = self.shared.machine().gone(connection);
+                    tracing::debug!(reason, sessions = sessions.len(), "an edge's connection ended");
+                    self.closed.extend(sessions);
+                }
+                Arrival::Garbage(address, problem) => self.shared.malformed(address, &problem),
+            }
+        }
+    }
+
+    /// Waits for the answers under way, no longer than the configured time, tells all edges goodbye, and closes
+    /// the port.
+    pub async fn close(self) {
+        let wait = self.settings.close_timeout();
+        if tokio::time::timeout(wait, self.shared.drained()).await.is_err() {
+            let in_flight = self.shared.machine().in_flight();
+            tracing::warn!(in_flight, "closing the port although requests are still being computed");
+        }
+        let farewells = self.shared.machine().goodbye("the cloud shuts down");
+        for (peer, header) in farewells {
+            self.shared.tell(&peer, &header);
+        }
+        self.receiver.close(wait).await;
+    }
+}
+
+/// A message arrived: what to hand out, if anything.
+fn heard(shared: &Arc<Shared>, peer: &Peer, frames: Frames, received: Stamp) -> Option<Incoming> {
+    shared.counters.received(Sizes::of(&frames).total());
+    if frames.len() > MAX_FRAMES {
+        shared.malformed(peer.address, "too many frames");
+        return None;
+    }
+    let header = match Header::decode(frames.first().map_or(&[], |frame| frame)) {
+        Ok(header) => header,
+        Err(HeaderError::OtherProtocol(theirs)) => {
+            shared.tell(peer, &Server::incompatible(theirs));
+            return None;
+        }
+        Err(error) => {
+            shared.malformed(peer.address, &error.to_string());
+            return None;
+        }
+    };
+    // Bound, so that the lock is free again before the answers below take it.
+    let heard = shared.machine().hear(peer, header);
+    match heard {
+        Heard::Open(session, hello) => {
+            Some(Incoming::Open(OpenRequest::new(*hello, session, Arc::downgrade(shared))))
+        }
+        Heard::Request(request) => incoming_request(shared, peer, request, frames, received),
+        Heard::Answer(header) => {
+            shared.tell(peer, &header);
+            None
+        }
+        Heard::Closed(session) => Some(Incoming::Closed(session)),
+        Heard::Malformed(problem) => {
+            shared.malformed(peer.address, problem);
+            None
+        }
+    }
+}
+
+fn incoming_request(
+    shared: &Arc<Shared>,
+    peer: &Peer,
+    request: Request,
+    frames: Frames,
+    received: Stamp,
+) -> Option<Incoming> {
+    let (session, number) = (request.session, request.request);
+    let log = shared.resume(frames.get(1), request.departure, received);
+    let sample = request.sample.into_sample(frames.into_iter().skip(2)).map_err(|error| error.to_string());
+    match (log, sample) {
+        (Ok(log), Ok(sample)) => {
+            let reply = Responder::new(session, number, Arc::downgrade(shared));
+            Some(Incoming::Request(IncomingRequest { session, sample, log, received, reply }))
+        }
+        (Err(problem), _) | (_, Err(problem)) => {
+            shared.malformed(peer.address, &problem);
+            let failure = Failure::Failed(format!("the request makes no sense: {problem}"));
+            shared.answer(session, number, None, Err(failure));
+            None
+        }
+    }
+}
+
+impl Shared {
+    fn machine(&self) -> MutexGuard<'_, Server> {
+        self.machine.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Continues an edge's tree here: puts `upload` into it and closes it at `received`.
+    fn resume(
+        &self,
+        tree: Option<&Bytes>,
+        departure: Departure,
+        received: Stamp,
+    ) -> Result<Recorder, String> {
+        let mut tree = decode_tree(tree.ok_or("no tree")?)?;
+        let upload = put_upload(&mut tree, departure);
+        Recorder::resume(self.clock.clone(), self.host, tree, upload, received)
+            .map_err(|error| error.to_string())
+    }
+
+    pub(crate) fn accept(&self, session: SessionId, accepted: SessionAccepted) -> bool {
+        let Some((peer, header)) = self.machine().accept(session, accepted) else { return false };
+        self.tell(&peer, &header)
+    }
+
+    pub(crate) fn refuse(&self, session: SessionId, reason: String) {
+        let refusal = self.machine().refuse(session, reason);
+        if let Some((peer, header)) = refusal {
+            self.tell(&peer, &header);
+        }
+    }
+
+    /// Sends an answer with what `log` grew here; both are absent when no model was asked.
+    pub(crate) fn answer(
+        &self,
+        session: SessionId,
+        request: u64,
+        log: Option<Recorder>,
+        result: Result<Sample, Failure>,
+    ) {
+        let route = self.machine().finish(session, request);
+        let sent = route.is_some_and(|route| self.send_answer(&route, session, request, log, result));
+        if !sent {
+            self.counters.lost(1);
+        }
+        self.answered.notify_one();
+    }
+
+    fn send_answer(
+        &self,
+        route: &Route,
+        session: SessionId,
+        request: u64,
+        log: Option<Recorder>,
+        result: Result<Sample, Failure>,
+    ) -> bool {
+        let (outcome, payload) = outcome(result, route.max_message_bytes);
+        let (grown, zero) = grown(log);
+        let stamp = self.clock.stamp();
+        let departure = grown.as_ref().map(|_| {
+            let start = zero + (stamp.mono - MonoTime::default());
+            Departure { sent: stamp.wall, start }
+        });
+        let header = Header::Reply(Reply { session, request, departure, outcome });
+        let header = match header.encode() {
+            Ok(header) => header,
+            Err(error) => {
+                tracing::warn!(%error, "an answer was dropped");
+                return false;
+            }
+        };
+        let mut frames = Vec::with_capacity(2 + payload.len());
+        frames.extend([header, grown.unwrap_or_default()]);
+        frames.extend(payload);
+        self.send(&route.peer, frames)
+    }
+
+    fn tell(&self, peer: &Peer, header: &Header) -> bool {
+        match header.encode() {
+            Ok(header) => self.send(peer, vec![header]),
+            Err(error) => {
+                tracing::warn!(%error, "a message to an edge was dropped");
+                false
+            }
+        }
+    }
+
+    fn send(&self, peer: &Peer, frames: Frames) -> bool {
+        let bytes = Sizes::of(&frames).total();
+        match self.sender.send(peer, frames) {
+            Ok(()) => {
+                self.counters.sent(bytes);
+                true
+            }
+            Err(reason) => {
+                tracing::debug!(%reason, "a message to an edge was dropped");
+                false
+            }
+        }
+    }
+
+    fn malformed(&self, from: Option<SocketAddr>, problem: &str) {
+        self.counters.malformed();
+        let now = self.clock.mono();
+        let mut complaints = self.complaints.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(swallowed) = complaints.about(from.map(|address| address.ip()), now) {
+            let from = from.map_or_else(|| "an unknown peer".into(), |address| address.to_string());
+            tracing::warn!(from, problem, swallowed, "dropped what a peer sent");
+        }
+    }
+
+    async fn drained(&self) {
+        while self.machine().in_flight() > 0 {
+            self.answered.notified().await;
+        }
+    }
+}
+
+/// The outcome that a result is sent as, and its payload. What the edge would not take becomes a failure.
+fn outcome(result: Result<Sample, Failure>, max_message_bytes: u64) -> (Outcome, Vec<Bytes>) {
+    let failed = |reason: String| (Outcome::Failed(reason), Vec::new());
+    match result {
+        Ok(sample) if sample.payload_bytes() > max_message_bytes => failed(format!(
+            "the answer's {} bytes are more than the edge's max_message_bytes, {max_message_bytes}",
+            sample.payload_bytes()
+        )),
+        Ok(sample) => match SampleHeader::of(&sample) {
+            Ok(header) => {
+                (Outcome::Answer(header), sample.parts.into_iter().map(|part| part.bytes).collect())
+            }
+            Err(error) => failed(format!("the answer cannot be sent: {error}")),
+        },
+        Err(Failure::Failed(reason)) => failed(reason),
+        Err(Failure::Overloaded(reason)) => (Outcome::Overloaded(reason), Vec::new()),
+    }
+}
+
+/// The growth's wire form, and the offset of the monotonic clock's zero from this host's anchor.
+fn grown(log: Option<Recorder>) -> (Option<Bytes>, peernet_clock::Span) {
+    let Some(log) = log else { return (None, peernet_clock::Span::ZERO) };
+    let zero = log.offset(MonoTime::default());
+    let grown = log.into_growth().and_then(|growth| match encode_growth(&growth) {
+        Ok(wire) => Some(wire),
+        Err(error) => {
+            tracing::warn!(error, "an answer goes out without what was measured here");
+            None
+        }
+    });
+    (grown, zero)
+}

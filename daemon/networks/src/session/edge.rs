@@ -1,0 +1,302 @@
+//! The edge's driver: a session over a transport.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use peernet_clock::{SharedClock, Stamp};
+use peernet_logger::{NodeId, Recorder, stage};
+use peernet_sample::Sample;
+use tokio::sync::{Semaphore, SemaphorePermit, oneshot, watch};
+use tokio_util::sync::CancellationToken;
+
+use super::client::Client;
+pub use super::client::CloseReason;
+use super::exchange::{Exchange, RequestError, Sizes, absorb, result};
+pub use super::open::OpenError;
+use super::open::handshake;
+use super::receiving::Receiving;
+use crate::message::{
+    Accepted, Departure, Header, Reply, Request, SampleHeader, SessionAccepted, SessionHello, SessionId,
+    encode_tree, put_upload,
+};
+use crate::transport::{Dialled, EdgeSender, Frames, SendFailure};
+use crate::{Address, NetworkFigures, NetworkKind, SessionSettings, figures::Counters};
+
+/// Stands for a timeout that the clock cannot hold.
+const AGES: Duration = Duration::from_secs(10 * 365 * 24 * 3600);
+
+/// An open session with a cloud. Clones are the same session; it closes when the last one goes.
+///
+/// It lives and dies with its connection: [`closed`](Self::closed) tells when it is over, and going on is
+/// [`open`](Self::open)ing another.
+#[derive(Clone, Debug)]
+pub struct Session {
+    inner: Arc<Inner>,
+}
+
+#[derive(Debug)]
+struct Inner {
+    shared: Arc<Shared>,
+    accepted: SessionAccepted,
+    /// Cancelled to close; the receiving task listens.
+    stop: CancellationToken,
+    /// Cancelled by the receiving task when the connection is closed.
+    stopped: CancellationToken,
+}
+
+impl Drop for Inner {
+    fn drop(&mut self) {
+        self.stop.cancel();
+    }
+}
+
+/// What requests and the receiving task have in common.
+#[derive(Debug)]
+pub(crate) struct Shared {
+    pub(crate) session: SessionId,
+    machine: Mutex<Client<oneshot::Sender<Answer>>>,
+    pub(crate) sender: Box<dyn EdgeSender>,
+    pub(crate) clock: SharedClock,
+    pub(crate) counters: Counters,
+    /// Places in flight; closed when the session is over.
+    pub(crate) places: Semaphore,
+    /// The tighter limit of both ends.
+    max_message_bytes: u64,
+    pub(crate) over: watch::Sender<Option<CloseReason>>,
+}
+
+/// What a request waits for.
+#[derive(Debug)]
+pub(crate) enum Answer {
+    Reply { reply: Reply, frames: Frames, arrived: Stamp },
+    Over(CloseReason),
+}
+
+impl Session {
+    /// Opens a session with the cloud at `address`.
+    ///
+    /// # Errors
+    /// When nobody answers, not in time, or with a refusal.
+    pub async fn open(
+        kind: NetworkKind,
+        address: &Address,
+        hello: SessionHello,
+        settings: SessionSettings,
+        clock: SharedClock,
+    ) -> Result<Self, OpenError> {
+        let settings = settings.clamped();
+        let waited_ms = settings.open_timeout_ms;
+        let handshake = Box::pin(handshake(kind, address, hello, &settings));
+        let (dialled, accepted) = tokio::time::timeout(settings.open_timeout(), handshake)
+            .await
+            .unwrap_or_else(|_| Err(OpenError::TimedOut { address: address.clone(), waited_ms }))?;
+        Ok(Self::start(dialled, accepted, &settings, clock))
+    }
+
+    fn start(dialled: Dialled, accepted: Accepted, settings: &SessionSettings, clock: SharedClock) -> Self {
+        let places = accepted.max_in_flight.min(settings.max_in_flight).max(1);
+        let shared = Arc::new(Shared {
+            session: accepted.session,
+            machine: Mutex::new(Client::new(accepted.session)),
+            sender: dialled.sender,
+            clock,
+            counters: Counters::default(),
+            places: Semaphore::new(places as usize),
+            max_message_bytes: accepted.max_message_bytes.min(settings.max_message_bytes),
+            over: watch::Sender::new(None),
+        });
+        let (stop, stopped) = (CancellationToken::new(), CancellationToken::new());
+        let task = Receiving { shared: shared.clone(), stop: stop.clone(), stopped: stopped.clone() };
+        tokio::spawn(task.run(dialled.receiver, settings.close_timeout()));
+        Self { inner: Arc::new(Inner { shared, accepted: accepted.accepted, stop, stopped }) }
+    }
+
+    /// What the cloud said when it accepted the session.
+    pub fn accepted(&self) -> &SessionAccepted {
+        &self.inner.accepted
+    }
+
+    /// What went over the session so far.
+    pub fn figures(&self) -> NetworkFigures {
+        self.inner.shared.counters.figures()
+    }
+
+    /// Sends a sample and waits for the answer; any number of requests may be under way.
+    ///
+    /// Records on `log`: `send-queue` if it had to wait for a free place in flight, `encode`, `upload`,
+    /// `download`, their sizes, and what the cloud recorded. `timeout` covers all of it. Dropping the future
+    /// gives the request up.
+    pub async fn request(&self, log: Recorder, sample: &Sample, timeout: Duration) -> Exchange {
+        let shared = &*self.inner.shared;
+        let mut exchange =
+            Exchange { log, result: Err(RequestError::Timeout), arrived: None, up: None, down: None };
+        let now = tokio::time::Instant::now();
+        let deadline = now.checked_add(timeout).unwrap_or(now + AGES);
+        let _place = match shared.place(&mut exchange.log, deadline).await {
+            Ok(place) => place,
+            Err(error) => return Exchange { result: Err(error), ..exchange },
+        };
+        let mut pending = match shared.send(&mut exchange.log, sample) {
+            Ok(pending) => pending,
+            Err(error) => return Exchange { result: Err(error), ..exchange },
+        };
+        exchange.up = Some(pending.up);
+        let answer = tokio::time::timeout_at(deadline, &mut pending.answer).await;
+        match answer {
+            Ok(Ok(Answer::Reply { reply, frames, arrived })) => {
+                self.take(&mut exchange, &pending, reply, frames, arrived);
+            }
+            Ok(Ok(Answer::Over(reason))) => exchange.result = Err(RequestError::Lost(reason.to_string())),
+            Ok(Err(_)) => exchange.result = Err(RequestError::Lost("the receiving task is gone".into())),
+            Err(_) => {}
+        }
+        if exchange.arrived.is_none() {
+            pending.sizes.record(&mut exchange.log, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES);
+        }
+        exchange
+    }
+
+    /// Takes an answer. The cloud grew the tree as it was sent: nothing may be added before that is absorbed.
+    fn take(
+        &self,
+        exchange: &mut Exchange,
+        sent: &Pending<'_>,
+        reply: Reply,
+        frames: Frames,
+        arrived: Stamp,
+    ) {
+        let shared = &*self.inner.shared;
+        let sizes = Sizes::of(&frames);
+        let log = &mut exchange.log;
+        exchange.arrived = Some(arrived);
+        let absorbed = match (reply.departure, frames.get(1)) {
+            (Some(departure), Some(growth)) => {
+                absorb(log, self.inner.accepted.host, sent.up, growth, departure, arrived.wall).map(Some)
+            }
+            _ => Ok(None),
+        };
+        sent.sizes.record(log, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES);
+        sizes.record(log, stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES);
+        exchange.result = match absorbed {
+            Ok(down) => {
+                exchange.down = down;
+                result(reply.outcome, frames)
+            }
+            Err(problem) => {
+                shared.counters.malformed();
+                Err(RequestError::Failed(format!("the answer makes no sense: {problem}")))
+            }
+        };
+    }
+
+    /// Waits until the session is over, and tells why.
+    pub async fn closed(&self) -> CloseReason {
+        let mut over = self.inner.shared.over.subscribe();
+        match over.wait_for(Option::is_some).await {
+            Ok(reason) => reason.clone().unwrap_or(CloseReason::Local),
+            Err(_) => CloseReason::Local,
+        }
+    }
+
+    /// Says goodbye and closes the connection; requests under way are lost. Closing twice does no harm.
+    pub async fn close(&self) {
+        self.inner.stop.cancel();
+        self.inner.stopped.cancelled().await;
+    }
+}
+
+/// A request under way. Giving it up is dropping it.
+struct Pending<'a> {
+    shared: &'a Shared,
+    request: u64,
+    up: NodeId,
+    sizes: Sizes,
+    answer: oneshot::Receiver<Answer>,
+}
+
+impl Drop for Pending<'_> {
+    fn drop(&mut self) {
+        self.shared.machine().give_up(self.request);
+    }
+}
+
+impl Shared {
+    pub(crate) fn machine(&self) -> MutexGuard<'_, Client<oneshot::Sender<Answer>>> {
+        self.machine.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn over(&self) -> RequestError {
+        let reason = self.over.borrow().clone().unwrap_or(CloseReason::Local);
+        RequestError::Lost(reason.to_string())
+    }
+
+    /// A place in flight; recorded as `send-queue` only if there was none free.
+    async fn place(
+        &self,
+        log: &mut Recorder,
+        deadline: tokio::time::Instant,
+    ) -> Result<SemaphorePermit<'_>, RequestError> {
+        if let Ok(place) = self.places.try_acquire() {
+            return Ok(place);
+        }
+        let waiting = log.start(stage::SEND_QUEUE);
+        let place = tokio::time::timeout_at(deadline, self.places.acquire()).await;
+        log.stop(waiting);
+        place.map_err(|_| RequestError::Timeout)?.map_err(|_| self.over())
+    }
+
+    /// Encodes and hands to the network, from the task that asks for it.
+    fn send(&self, log: &mut Recorder, sample: &Sample) -> Result<Pending<'_>, RequestError> {
+        let failed = |reason: String| RequestError::Failed(format!("the sample cannot be sent: {reason}"));
+        let encoding = log.start(stage::ENCODE);
+        let prepared = self.prepare(log, sample);
+        let (tree, sample_header) = match prepared {
+            Ok(prepared) => prepared,
+            Err(reason) => {
+                log.stop(encoding);
+                return Err(failed(reason));
+            }
+        };
+        let (waiter, answer) = oneshot::channel();
+        let request =
+            self.machine().begin(waiter).map_err(|reason| RequestError::Lost(reason.to_string()))?;
+
+        let stamp = self.clock.stamp();
+        log.stop_at(encoding, stamp.mono);
+        let departure = Departure { sent: stamp.wall, start: log.offset(stamp.mono) };
+        let up = put_upload(log.tree_mut(), departure);
+        // From here on the request is given up by dropping it.
+        let mut pending = Pending { shared: self, request, up, sizes: Sizes::default(), answer };
+        let header =
+            Header::Request(Request { session: self.session, request, departure, sample: sample_header });
+        let header = header.encode().map_err(|error| failed(error.to_string()))?;
+        let mut frames = Vec::with_capacity(2 + sample.parts.len());
+        frames.extend([header, tree]);
+        frames.extend(sample.parts.iter().map(|part| part.bytes.clone()));
+        pending.sizes = Sizes::of(&frames);
+        match self.sender.send(frames) {
+            Ok(()) => {
+                self.counters.sent(pending.sizes.total());
+                Ok(pending)
+            }
+            Err(SendFailure::Full) => Err(RequestError::Overloaded(SendFailure::Full.to_string())),
+            Err(SendFailure::Gone(reason)) => {
+                self.counters.lost(1);
+                Err(RequestError::Lost(reason))
+            }
+        }
+    }
+
+    fn prepare(&self, log: &Recorder, sample: &Sample) -> Result<(bytes::Bytes, SampleHeader), String> {
+        let header = SampleHeader::of(sample).map_err(|error| error.to_string())?;
+        let tree = encode_tree(log.tree())?;
+        let bytes = sample.payload_bytes().saturating_add(tree.len() as u64);
+        if bytes > self.max_message_bytes {
+            return Err(format!(
+                "{bytes} bytes are more than max_message_bytes allows, {}",
+                self.max_message_bytes
+            ));
+        }
+        Ok((tree, header))
+    }
+}

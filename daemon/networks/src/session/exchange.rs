@@ -1,0 +1,116 @@
+//! One request and its answer, on the edge's tree.
+
+use peernet_clock::{Stamp, WallTime};
+use peernet_logger::{HostId, HostIndex, Measure, Name, Node, NodeId, Recorder, Transit, Unit, stage};
+use peernet_sample::Sample;
+
+use crate::message::{Departure, Outcome, decode_growth};
+use crate::transport::Frames;
+
+/// What became of a request. The log always comes back.
+#[derive(Debug)]
+pub struct Exchange {
+    /// The iteration's tree, with what the exchange and the cloud added.
+    pub log: Recorder,
+    /// The answer.
+    pub result: Result<Sample, RequestError>,
+    /// When the answer was there as a whole; `None` when none came.
+    pub arrived: Option<Stamp>,
+    /// The `upload` node; `None` when nothing was sent.
+    pub up: Option<NodeId>,
+    /// The `download` node; `None` when no model answered.
+    pub down: Option<NodeId>,
+}
+
+/// Why there is no answer.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum RequestError {
+    /// The session ended before the answer came, or was over already.
+    #[error("the request was lost: {0}")]
+    Lost(String),
+    /// The time was over; an answer that still comes is dropped and counted.
+    #[error("no answer in time")]
+    Timeout,
+    /// The sample could not be sent, or the cloud's model could not answer it. The next may well succeed.
+    #[error("the request failed: {0}")]
+    Failed(String),
+    /// The cloud, or the network to it, takes no more at the moment.
+    #[error("the cloud is overloaded: {0}")]
+    Overloaded(String),
+}
+
+/// Bytes of a message, apart.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Sizes {
+    /// Header and tree.
+    pub(crate) logger: u64,
+    /// Payload.
+    pub(crate) payload: u64,
+}
+
+impl Sizes {
+    pub(crate) fn of(frames: &Frames) -> Self {
+        let bytes = |frames: &[bytes::Bytes]| frames.iter().map(|frame| frame.len() as u64).sum();
+        let (logger, payload) = frames.split_at(frames.len().min(2));
+        Self { logger: bytes(logger), payload: bytes(payload) }
+    }
+
+    pub(crate) const fn total(self) -> u64 {
+        self.logger + self.payload
+    }
+
+    /// Records both as values.
+    pub(crate) fn record(self, log: &mut Recorder, payload: Name, logger: Name) {
+        log.value(payload, self.payload as f64, Unit::BYTES);
+        log.value(logger, self.logger as f64, Unit::BYTES);
+    }
+}
+
+/// Takes over what the cloud added to the tree: closes `upload`, appends the cloud's nodes and `download`.
+/// Returns the position of `download`.
+///
+/// # Errors
+/// When what the cloud sent does not fit; the tree is then as it was.
+pub(crate) fn absorb(
+    log: &mut Recorder,
+    cloud: HostId,
+    upload: NodeId,
+    growth: &[u8],
+    departure: Departure,
+    arrived: WallTime,
+) -> Result<NodeId, String> {
+    let mut growth = decode_growth(growth)?;
+    if growth.closed.0 != upload {
+        return Err("the cloud closed another node than upload".into());
+    }
+    if growth.anchor.host != cloud {
+        return Err("the cloud's nodes are another host's".into());
+    }
+    let joined = u8::try_from(log.tree().anchors().len()).map_err(|_| "too many hosts in one tree")?;
+    let host = HostIndex(joined);
+    if growth.nodes.iter().any(|node| node.host < host) {
+        return Err("the cloud added a node to a host that was there before it".into());
+    }
+    let transit = Transit { sent: departure.sent, received: Some(arrived), delay: None };
+    growth.nodes.push(Node {
+        parent: Some(NodeId::ROOT),
+        name: stage::DOWNLOAD,
+        host,
+        start: departure.start,
+        measure: Measure::Transit(Box::new(transit)),
+    });
+    log.tree_mut().absorb(growth).map_err(|error| error.to_string())?;
+    let last = log.tree().nodes().len() - 1;
+    u32::try_from(last).map(NodeId).map_err(|_| "too many nodes in one tree".into())
+}
+
+/// The result that an outcome and its payload stand for.
+pub(crate) fn result(outcome: Outcome, frames: Frames) -> Result<Sample, RequestError> {
+    match outcome {
+        Outcome::Answer(header) => header
+            .into_sample(frames.into_iter().skip(2))
+            .map_err(|error| RequestError::Failed(format!("the answer makes no sense: {error}"))),
+        Outcome::Failed(reason) => Err(RequestError::Failed(reason)),
+        Outcome::Overloaded(reason) => Err(RequestError::Overloaded(reason)),
+    }
+}

@@ -1,0 +1,116 @@
+//! What a listener hands out.
+
+use std::sync::Weak;
+
+use peernet_clock::Stamp;
+use peernet_logger::Recorder;
+use peernet_sample::Sample;
+
+use super::cloud::Shared;
+use crate::message::{SessionAccepted, SessionHello, SessionId};
+
+/// Something that arrived at a listener.
+#[derive(Debug)]
+pub enum Incoming {
+    /// An edge asks for a session.
+    Open(OpenRequest),
+    /// An edge wants an answer.
+    Request(IncomingRequest),
+    /// A session is over: the edge said goodbye or its connection is gone. Also comes for a session that was
+    /// asked for and not answered yet.
+    Closed(SessionId),
+}
+
+/// An edge's wish for a session. Dropping it unanswered refuses it.
+#[derive(Debug)]
+pub struct OpenRequest {
+    /// Who asks, and for what.
+    pub hello: SessionHello,
+    /// The session's id, if it is accepted.
+    pub session: SessionId,
+    shared: Option<Weak<Shared>>,
+}
+
+impl OpenRequest {
+    pub(crate) const fn new(hello: SessionHello, session: SessionId, shared: Weak<Shared>) -> Self {
+        Self { hello, session, shared: Some(shared) }
+    }
+
+    /// Opens the session; requests of it may arrive from now on. Returns whether the edge is still there.
+    pub fn accept(mut self, accepted: SessionAccepted) -> bool {
+        let shared = self.shared.take().and_then(|shared| shared.upgrade());
+        shared.is_some_and(|shared| shared.accept(self.session, accepted))
+    }
+
+    /// Tells the edge why there will be no session.
+    pub fn refuse(mut self, reason: impl Into<String>) {
+        if let Some(shared) = self.shared.take().and_then(|shared| shared.upgrade()) {
+            shared.refuse(self.session, reason.into());
+        }
+    }
+}
+
+impl Drop for OpenRequest {
+    fn drop(&mut self) {
+        if let Some(shared) = self.shared.take().and_then(|shared| shared.upgrade()) {
+            shared.refuse(self.session, "the cloud dropped the request for a session".into());
+        }
+    }
+}
+
+/// A sample that an edge wants an answer to.
+#[derive(Debug)]
+pub struct IncomingRequest {
+    /// The session it belongs to.
+    pub session: SessionId,
+    /// What to compute on.
+    pub sample: Sample,
+    /// The iteration's tree, continued on this host; `upload` ended at `received`.
+    pub log: Recorder,
+    /// When the whole message was there.
+    pub received: Stamp,
+    /// Takes the answer.
+    pub reply: Responder,
+}
+
+/// Why a model did not answer.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Failure {
+    /// This sample could not be computed on.
+    #[error("{0}")]
+    Failed(String),
+    /// There is no room for another sample at the moment.
+    #[error("{0}")]
+    Overloaded(String),
+}
+
+/// Takes the answer to one request, on any thread. Dropping it unanswered tells the edge that the request failed.
+#[derive(Debug)]
+pub struct Responder {
+    session: SessionId,
+    request: u64,
+    shared: Option<Weak<Shared>>,
+}
+
+impl Responder {
+    pub(crate) const fn new(session: SessionId, request: u64, shared: Weak<Shared>) -> Self {
+        Self { session, request, shared: Some(shared) }
+    }
+
+    /// Sends the answer with what this host added to the tree. Never waits; an answer that cannot be handed to
+    /// the network is dropped and counted.
+    pub fn send(mut self, log: Recorder, result: Result<Sample, Failure>) {
+        if let Some(shared) = self.shared.take().and_then(|shared| shared.upgrade()) {
+            shared.answer(self.session, self.request, Some(log), result);
+        }
+    }
+}
+
+impl Drop for Responder {
+    fn drop(&mut self) {
+        if let Some(shared) = self.shared.take().and_then(|shared| shared.upgrade()) {
+            let failure = Failure::Failed("the cloud dropped the request unanswered".into());
+            shared.answer(self.session, self.request, None, Err(failure));
+        }
+    }
+}

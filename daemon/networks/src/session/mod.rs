@@ -1,0 +1,19 @@
+//! One session logic for all transports.
+//!
+//! `client` and `server` are the protocol: what arrives goes in, what is to be done comes out, no I/O. `edge`
+//! and `cloud` drive them over a transport.
+
+mod client;
+mod cloud;
+mod complaints;
+mod edge;
+mod exchange;
+mod incoming;
+mod open;
+mod receiving;
+mod server;
+
+pub use cloud::{BindError, Listener};
+pub use edge::{CloseReason, OpenError, Session};
+pub use exchange::{Exchange, RequestError};
+pub use incoming::{Failure, Incoming, IncomingRequest, OpenRequest, Responder};

@@ -1,0 +1,127 @@
+//! The edge's receiving task, and what becomes of what it takes from the network.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use peernet_clock::Stamp;
+use tokio::sync::oneshot;
+use tokio_util::sync::CancellationToken;
+
+use super::client::{CloseReason, Heard};
+use super::edge::{Answer, Shared};
+use super::exchange::Sizes;
+use crate::message::{Goodbye, Header};
+use crate::transport::{EdgeReceiver, Frames};
+
+impl Shared {
+    /// A message arrived at `arrived`. Returns why the session is over, if it now is.
+    fn heard(&self, frames: Frames, arrived: Stamp) -> Option<CloseReason> {
+        self.counters.received(Sizes::of(&frames).total());
+        let header = frames.first().ok_or_else(|| "no frames".to_owned());
+        let header = header.and_then(|frame| Header::decode(frame).map_err(|error| error.to_string()));
+        let heard = match header {
+            Ok(header) => self.machine().hear(header),
+            Err(problem) => {
+                tracing::debug!(problem, "dropped a message from the cloud");
+                self.counters.malformed();
+                return None;
+            }
+        };
+        match heard {
+            Heard::Answer(waiter, reply) => {
+                // A request that was given up this very moment.
+                if waiter.send(Answer::Reply { reply, frames, arrived }).is_err() {
+                    self.counters.late();
+                }
+                None
+            }
+            Heard::Late => {
+                self.counters.late();
+                None
+            }
+            Heard::Malformed(problem) => {
+                tracing::debug!(problem, "dropped a message from the cloud");
+                self.counters.malformed();
+                None
+            }
+            Heard::Over(reason, waiters) => {
+                self.tell(&reason, waiters);
+                Some(reason)
+            }
+        }
+    }
+
+    fn tell(&self, reason: &CloseReason, waiters: Vec<oneshot::Sender<Answer>>) {
+        self.counters.lost(waiters.len() as u64);
+        for waiter in waiters {
+            // One that was given up this very moment needs no answer.
+            let _ = waiter.send(Answer::Over(reason.clone()));
+        }
+    }
+
+    fn end(&self, reason: &CloseReason) {
+        let waiters = self.machine().end(reason.clone());
+        self.tell(reason, waiters);
+        self.over.send_if_modified(|over| {
+            let first = over.is_none();
+            over.get_or_insert_with(|| reason.clone());
+            first
+        });
+        self.places.close();
+    }
+}
+
+/// The task that takes messages from the network. However it ends, the session ends with it.
+pub(crate) struct Receiving {
+    pub(crate) shared: Arc<Shared>,
+    /// Cancelled by those who want the session closed.
+    pub(crate) stop: CancellationToken,
+    /// Cancelled here when it is.
+    pub(crate) stopped: CancellationToken,
+}
+
+impl Receiving {
+    pub(crate) async fn run(self, mut receiver: Box<dyn EdgeReceiver>, linger: Duration) {
+        let reason = {
+            let mut stop = std::pin::pin!(self.stop.cancelled());
+            loop {
+                tokio::select! {
+                    biased;
+                    () = &mut stop => break CloseReason::Local,
+                    message = receiver.receive() => match message {
+                        Ok(frames) => {
+                            let arrived = self.shared.clock.stamp();
+                            if let Some(reason) = self.shared.heard(frames, arrived) {
+                                break reason;
+                            }
+                        }
+                        Err(reason) => break CloseReason::Broken(reason),
+                    },
+                }
+            }
+        };
+        if reason == CloseReason::Local {
+            self.say_goodbye();
+        }
+        self.shared.end(&reason);
+        receiver.close(linger).await;
+    }
+
+    fn say_goodbye(&self) {
+        let goodbye = Goodbye { session: self.shared.session, reason: "the edge closed the session".into() };
+        let sent = Header::Goodbye(goodbye)
+            .encode()
+            .map_err(|error| error.to_string())
+            .and_then(|header| self.shared.sender.send(vec![header]).map_err(|error| error.to_string()));
+        if let Err(error) = sent {
+            tracing::debug!(error, "could not say goodbye to the cloud");
+        }
+    }
+}
+
+impl Drop for Receiving {
+    fn drop(&mut self) {
+        self.shared.end(&CloseReason::Broken("the receiving task ended early".into()));
+        self.stopped.cancel();
+    }
+}

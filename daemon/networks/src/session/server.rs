@@ -1,0 +1,220 @@
+//! The cloud's side of all sessions of a listener, without I/O.
+
+use std::collections::{HashMap, HashSet};
+
+use crate::SessionSettings;
+use crate::message::{
+    Accepted, Goodbye, Header, Open, Outcome, PROTOCOL, RefusalKind, Refused, Reply, Request,
+    SessionAccepted, SessionHello, SessionId, UnknownSession,
+};
+use crate::transport::{ConnectionId, Peer};
+
+/// Sessions that one connection may hold at once.
+const SESSIONS_PER_CONNECTION: usize = 16;
+
+/// All sessions of a listener.
+#[derive(Debug)]
+pub(crate) struct Server {
+    max_sessions: usize,
+    max_in_flight: usize,
+    max_message_bytes: u64,
+    sessions: HashMap<SessionId, Entry>,
+    connections: HashMap<ConnectionId, Vec<SessionId>>,
+}
+
+#[derive(Debug)]
+struct Entry {
+    peer: Peer,
+    accepted: bool,
+    in_flight: HashSet<u64>,
+    /// Largest message that the edge takes.
+    max_message_bytes: u64,
+}
+
+/// What a message from an edge means.
+#[derive(Debug, PartialEq)]
+pub(crate) enum Heard {
+    /// An edge asks for a session, which has this id from now on.
+    Open(SessionId, Box<SessionHello>),
+    /// A request of an open session; it is in flight until [finished](Server::finish).
+    Request(Request),
+    /// Nothing to do but to answer this.
+    Answer(Header),
+    /// The edge ended its session.
+    Closed(SessionId),
+    /// Makes no sense.
+    Malformed(&'static str),
+}
+
+/// Where an answer goes.
+#[derive(Clone, Debug)]
+pub(crate) struct Route {
+    pub(crate) peer: Peer,
+    /// Largest message that the edge takes.
+    pub(crate) max_message_bytes: u64,
+}
+
+impl Server {
+    pub(crate) fn new(settings: &SessionSettings) -> Self {
+        Self {
+            max_sessions: settings.max_sessions as usize,
+            max_in_flight: settings.max_in_flight as usize,
+            max_message_bytes: settings.max_message_bytes,
+            sessions: HashMap::new(),
+            connections: HashMap::new(),
+        }
+    }
+
+    /// A message arrived from `peer`.
+    pub(crate) fn hear(&mut self, peer: &Peer, header: Header) -> Heard {
+        match header {
+            Header::Open(open) => self.open(peer, *open),
+            Header::Request(request) => self.request(peer, request),
+            Header::Goodbye(goodbye) => {
+                if self.owned(peer, goodbye.session).is_none() {
+                    return Heard::Malformed("a goodbye to no session");
+                }
+                self.forget(goodbye.session);
+                Heard::Closed(goodbye.session)
+            }
+            Header::Accepted(_) | Header::Refused(_) | Header::Reply(_) | Header::UnknownSession(_) => {
+                Heard::Malformed("only a cloud says that")
+            }
+        }
+    }
+
+    /// The answer to a hello of another version.
+    pub(crate) fn incompatible(theirs: u16) -> Header {
+        let reason = format!("this cloud speaks protocol {PROTOCOL}, the edge {theirs}");
+        Header::Refused(Refused { protocol: PROTOCOL, kind: RefusalKind::Incompatible, reason })
+    }
+
+    fn refusal(reason: String) -> Header {
+        Header::Refused(Refused { protocol: PROTOCOL, kind: RefusalKind::Refused, reason })
+    }
+
+    fn open(&mut self, peer: &Peer, open: Open) -> Heard {
+        if open.hello.protocol != PROTOCOL {
+            return Heard::Answer(Self::incompatible(open.hello.protocol));
+        }
+        let of_connection = self.connections.get(&peer.connection).map_or(0, Vec::len);
+        if self.sessions.len() >= self.max_sessions || of_connection >= SESSIONS_PER_CONNECTION {
+            let reason = format!(
+                "the cloud holds {} sessions already; close some or raise max_sessions there",
+                self.sessions.len()
+            );
+            return Heard::Answer(Self::refusal(reason));
+        }
+        let session = SessionId::random();
+        let entry = Entry {
+            peer: peer.clone(),
+            accepted: false,
+            in_flight: HashSet::new(),
+            max_message_bytes: open.max_message_bytes,
+        };
+        self.sessions.insert(session, entry);
+        self.connections.entry(peer.connection).or_default().push(session);
+        Heard::Open(session, Box::new(open.hello))
+    }
+
+    fn request(&mut self, peer: &Peer, request: Request) -> Heard {
+        let max_in_flight = self.max_in_flight;
+        let (session, number) = (request.session, request.request);
+        let Some(entry) = self.owned(peer, session) else {
+            return Heard::Answer(Header::UnknownSession(UnknownSession { session, request: number }));
+        };
+        if !entry.accepted {
+            return Heard::Malformed("a request before the session was accepted");
+        }
+        if entry.in_flight.len() >= max_in_flight {
+            let outcome =
+                Outcome::Overloaded(format!("{max_in_flight} requests of this session are in flight"));
+            return Heard::Answer(Header::Reply(Reply {
+                session,
+                request: number,
+                departure: None,
+                outcome,
+            }));
+        }
+        if !entry.in_flight.insert(number) {
+            return Heard::Malformed("a request number that is in flight already");
+        }
+        Heard::Request(request)
+    }
+
+    /// The session, if it is this connection's: to all others it does not exist.
+    fn owned(&mut self, peer: &Peer, session: SessionId) -> Option<&mut Entry> {
+        self.sessions.get_mut(&session).filter(|entry| entry.peer.connection == peer.connection)
+    }
+
+    /// Accepts a session that was asked for: what to send where. `None` when the edge is gone.
+    pub(crate) fn accept(&mut self, session: SessionId, accepted: SessionAccepted) -> Option<(Peer, Header)> {
+        let entry = self.sessions.get_mut(&session)?;
+        entry.accepted = true;
+        let header = Header::Accepted(Box::new(Accepted {
+            protocol: PROTOCOL,
+            session,
+            accepted,
+            max_message_bytes: self.max_message_bytes,
+            max_in_flight: u32::try_from(self.max_in_flight).unwrap_or(u32::MAX),
+        }));
+        Some((entry.peer.clone(), header))
+    }
+
+    /// Refuses a session that was asked for: what to send where. `None` when the edge is gone.
+    pub(crate) fn refuse(&mut self, session: SessionId, reason: String) -> Option<(Peer, Header)> {
+        self.forget(session).map(|entry| (entry.peer, Self::refusal(reason)))
+    }
+
+    /// A request has its answer: where to send it. `None` when the session is gone.
+    pub(crate) fn finish(&mut self, session: SessionId, request: u64) -> Option<Route> {
+        let entry = self.sessions.get_mut(&session)?;
+        entry
+            .in_flight
+            .remove(&request)
+            .then(|| Route { peer: entry.peer.clone(), max_message_bytes: entry.max_message_bytes })
+    }
+
+    /// A connection ended: its sessions are gone.
+    pub(crate) fn gone(&mut self, connection: ConnectionId) -> Vec<SessionId> {
+        let sessions = self.connections.remove(&connection).unwrap_or_default();
+        for session in &sessions {
+            self.sessions.remove(session);
+        }
+        sessions
+    }
+
+    /// Ends all sessions: what to send where.
+    pub(crate) fn goodbye(&mut self, reason: &str) -> Vec<(Peer, Header)> {
+        self.connections.clear();
+        let farewell = |session, entry: Entry| {
+            let header = if entry.accepted {
+                Header::Goodbye(Goodbye { session, reason: reason.to_owned() })
+            } else {
+                Self::refusal(reason.to_owned())
+            };
+            (entry.peer, header)
+        };
+        self.sessions.drain().map(|(session, entry)| farewell(session, entry)).collect()
+    }
+
+    /// Requests that wait for their answer.
+    pub(crate) fn in_flight(&self) -> usize {
+        self.sessions.values().map(|entry| entry.in_flight.len()).sum()
+    }
+
+    fn forget(&mut self, session: SessionId) -> Option<Entry> {
+        let entry = self.sessions.remove(&session)?;
+        let connection = entry.peer.connection;
+        if let Some(sessions) = self.connections.get_mut(&connection) {
+            sessions.retain(|other| *other != session);
+            if sessions.is_empty() {
+                self.connections.remove(&connection);
+            }
+        }
+        Some(entry)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,201 @@
+//! The cloud's state machine: single steps, and whatever any number of edges may do.
+
+use bytes::Bytes;
+use peernet_clock::ClockIdentity;
+use peernet_logger::HostId;
+use proptest::prelude::*;
+
+use super::*;
+use crate::message::{Departure, SampleHeader, strategies};
+
+fn peer(connection: u64) -> Peer {
+    Peer { connection: ConnectionId(connection), route: Bytes::new(), address: None }
+}
+
+fn hello() -> Header {
+    let hello = SessionHello {
+        protocol: PROTOCOL,
+        host: HostId::from_bytes([1; 16]),
+        name: "edge".parse().expect("a name"),
+        clock: ClockIdentity::new("b", "c"),
+        pipeline: "p".parse().expect("a name"),
+        model: "m".parse().expect("a name"),
+        device: None,
+    };
+    Header::Open(Box::new(Open { hello, max_message_bytes: 1_000 }))
+}
+
+fn accepted() -> SessionAccepted {
+    SessionAccepted {
+        host: HostId::from_bytes([2; 16]),
+        name: "cloud".parse().expect("a name"),
+        clock: ClockIdentity::new("b", "c"),
+        version: String::new(),
+        model: "m".parse().expect("a name"),
+        device: String::new(),
+        facts: Vec::new(),
+    }
+}
+
+fn request(session: SessionId, request: u64) -> Header {
+    let departure = Departure { sent: Default::default(), start: Default::default() };
+    let sample = SampleHeader { parts: Vec::new(), source: String::new(), label: None };
+    Header::Request(Request { session, request, departure, sample })
+}
+
+fn server() -> Server {
+    Server::new(&SessionSettings { max_sessions: 3, max_in_flight: 2, ..SessionSettings::default() })
+}
+
+fn opened(server: &mut Server, connection: u64) -> SessionId {
+    match server.hear(&peer(connection), hello()) {
+        Heard::Open(session, _) => session,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn a_request_is_routed_back_once_to_where_it_came_from() {
+    let mut server = server();
+    let session = opened(&mut server, 5);
+    assert!(matches!(server.hear(&peer(5), request(session, 0)), Heard::Malformed(_)), "not accepted yet");
+    let (to, header) = server.accept(session, accepted()).expect("the edge is there");
+    assert_eq!(to.connection, ConnectionId(5));
+    assert!(matches!(header, Header::Accepted(accepted) if accepted.session == session));
+    assert!(matches!(server.hear(&peer(5), request(session, 7)), Heard::Request(_)));
+    assert!(matches!(server.hear(&peer(5), request(session, 7)), Heard::Malformed(_)), "in flight already");
+    let route = server.finish(session, 7).expect("in flight");
+    assert_eq!((route.peer.connection, route.max_message_bytes), (ConnectionId(5), 1_000));
+    assert!(server.finish(session, 7).is_none());
+}
+
+#[test]
+fn a_refused_session_is_unknown() {
+    let mut server = server();
+    let session = opened(&mut server, 1);
+    let (_, header) = server.refuse(session, "no".into()).expect("the edge is there");
+    assert!(matches!(header, Header::Refused(refused) if refused.reason == "no"));
+    assert!(server.accept(session, accepted()).is_none() && server.refuse(session, "no".into()).is_none());
+    assert!(matches!(server.hear(&peer(1), request(session, 0)), Heard::Answer(Header::UnknownSession(_))));
+}
+
+#[test]
+fn a_goodbye_frees_the_place() {
+    let mut server = server();
+    let sessions: Vec<_> = (0..3).map(|connection| opened(&mut server, connection)).collect();
+    assert!(matches!(server.hear(&peer(9), hello()), Heard::Answer(Header::Refused(_))));
+    let bye = |session| Header::Goodbye(Goodbye { session, reason: String::new() });
+    assert!(matches!(server.hear(&peer(1), bye(sessions[0])), Heard::Malformed(_)), "not its own");
+    assert_eq!(server.hear(&peer(0), bye(sessions[0])), Heard::Closed(sessions[0]));
+    opened(&mut server, 9);
+}
+
+#[test]
+fn the_end_of_a_connection_is_the_end_of_its_sessions_alone() {
+    let mut server = server();
+    let (a, b, c) = (opened(&mut server, 1), opened(&mut server, 2), opened(&mut server, 1));
+    assert_eq!(server.gone(ConnectionId(1)), [a, c]);
+    assert_eq!(server.gone(ConnectionId(1)), []);
+    assert!(server.accept(a, accepted()).is_none());
+    assert!(server.accept(b, accepted()).is_some());
+    let farewells = server.goodbye("bye");
+    assert!(
+        matches!(&farewells[..], [(to, Header::Goodbye(bye))] if to.connection.0 == 2 && bye.session == b)
+    );
+}
+
+#[derive(Clone, Debug)]
+enum Step {
+    Open(u64),
+    /// A message of any kind from a connection, naming the session at this place in the list of all so far.
+    Hear(u64, prop::sample::Index, Box<Header>),
+    Request(u64, prop::sample::Index, u64),
+    Accept(prop::sample::Index),
+    Refuse(prop::sample::Index),
+    Finish(prop::sample::Index, u64),
+    Gone(u64),
+}
+
+fn step() -> impl Strategy<Value = Step> {
+    let connection = || 0..4_u64;
+    let session = any::<prop::sample::Index>;
+    prop_oneof![
+        4 => connection().prop_map(Step::Open),
+        2 => (connection(), session(), strategies::header(Vec::new()))
+            .prop_map(|(connection, session, header)| Step::Hear(connection, session, Box::new(header))),
+        8 => (connection(), session(), 0..4_u64).prop_map(|(c, s, n)| Step::Request(c, s, n)),
+        4 => session().prop_map(Step::Accept),
+        1 => session().prop_map(Step::Refuse),
+        6 => (session(), 0..4_u64).prop_map(|(s, n)| Step::Finish(s, n)),
+        1 => connection().prop_map(Step::Gone),
+    ]
+}
+
+/// The same message about another session.
+fn about(mut header: Header, session: SessionId) -> Header {
+    match &mut header {
+        Header::Request(request) => request.session = session,
+        Header::Reply(reply) => reply.session = session,
+        Header::UnknownSession(unknown) => unknown.session = session,
+        Header::Goodbye(goodbye) => goodbye.session = session,
+        Header::Accepted(accepted) => accepted.session = session,
+        Header::Open(_) | Header::Refused(_) => {}
+    }
+    header
+}
+
+proptest! {
+    #[test]
+    fn whatever_edges_do_limits_hold_and_the_books_balance(steps in proptest::collection::vec(step(), 0..120)) {
+        let mut server = server();
+        let mut sessions = vec![SessionId::random()];
+        let mut in_flight = HashSet::new();
+        for step in steps {
+            match step {
+                Step::Open(connection) => {
+                    if let Heard::Open(session, _) = server.hear(&peer(connection), hello()) {
+                        prop_assert!(!sessions.contains(&session));
+                        sessions.push(session);
+                    }
+                }
+                Step::Hear(connection, session, header) => {
+                    let header = about(*header, *session.get(&sessions));
+                    match server.hear(&peer(connection), header) {
+                        Heard::Open(session, _) => sessions.push(session),
+                        Heard::Request(request) => {
+                            prop_assert!(in_flight.insert((request.session, request.request)));
+                        }
+                        Heard::Closed(session) => in_flight.retain(|(of, _)| *of != session),
+                        Heard::Answer(_) | Heard::Malformed(_) => {}
+                    }
+                }
+                Step::Request(connection, session, number) => {
+                    let session = *session.get(&sessions);
+                    if let Heard::Request(_) = server.hear(&peer(connection), request(session, number)) {
+                        prop_assert!(in_flight.insert((session, number)));
+                    }
+                }
+                Step::Accept(session) => drop(server.accept(*session.get(&sessions), accepted())),
+                Step::Refuse(session) => {
+                    let session = *session.get(&sessions);
+                    drop(server.refuse(session, String::new()));
+                    in_flight.retain(|(of, _)| *of != session);
+                }
+                Step::Finish(session, number) => {
+                    let session = *session.get(&sessions);
+                    prop_assert_eq!(server.finish(session, number).is_some(), in_flight.remove(&(session, number)));
+                }
+                Step::Gone(connection) => {
+                    for session in server.gone(ConnectionId(connection)) {
+                        in_flight.retain(|(of, _)| *of != session);
+                    }
+                }
+            }
+            prop_assert_eq!(server.in_flight(), in_flight.len());
+            prop_assert!(server.sessions.len() <= 3);
+            prop_assert!(server.sessions.values().all(|entry| entry.in_flight.len() <= 2));
+            let listed: usize = server.connections.values().map(Vec::len).sum();
+            prop_assert_eq!(listed, server.sessions.len());
+        }
+    }
+}

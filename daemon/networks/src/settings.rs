@@ -1,0 +1,147 @@
+//! How a session behaves.
+
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+/// The longest time that can be set: a day. Milliseconds.
+const MAX_TIME_MS: u64 = 24 * 3600 * 1000;
+
+/// Most requests in flight that can be set; the transports reserve a place for each.
+const MAX_IN_FLIGHT: u32 = 4_096;
+
+/// Time limits and bounds of a session; both ends have their own, and where a bound concerns both, the tighter
+/// one holds.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SessionSettings {
+    /// How long opening a session may take, the cloud's loading of the model included. Milliseconds.
+    pub open_timeout_ms: u64,
+    /// How often a silent peer is asked for a sign of life. Milliseconds.
+    pub heartbeat_interval_ms: u64,
+    /// How long a peer may stay silent, or leave our bytes unacknowledged, before it counts as gone.
+    /// Milliseconds.
+    pub heartbeat_timeout_ms: u64,
+    /// How long closing waits for answers and a goodbye to go out. Milliseconds.
+    pub close_timeout_ms: u64,
+    /// Largest message accepted, all frames together. Bytes.
+    pub max_message_bytes: u64,
+    /// Requests of one session that may be under way at once. On the edge further ones wait; the cloud answers
+    /// further ones as overloaded.
+    pub max_in_flight: u32,
+    /// Sessions that a listener holds at once.
+    pub max_sessions: u32,
+}
+
+impl Default for SessionSettings {
+    fn default() -> Self {
+        Self {
+            open_timeout_ms: 30_000,
+            heartbeat_interval_ms: 1_000,
+            heartbeat_timeout_ms: 5_000,
+            close_timeout_ms: 2_000,
+            max_message_bytes: 64 * 1024 * 1024,
+            max_in_flight: 64,
+            max_sessions: 256,
+        }
+    }
+}
+
+/// Settings that cannot work.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{key} = {value}: {problem}")]
+pub struct InvalidSettings {
+    /// The key in the configuration.
+    pub key: &'static str,
+    /// What was given.
+    pub value: u64,
+    /// What is wrong with it.
+    pub problem: String,
+}
+
+impl SessionSettings {
+    /// Checks what the types alone do not.
+    ///
+    /// # Errors
+    /// When a session with these settings could never work; names the key and what it may be.
+    pub fn check(&self) -> Result<(), InvalidSettings> {
+        let between = |key, value: u64, least: u64, most: u64| {
+            if (least..=most).contains(&value) {
+                return Ok(());
+            }
+            Err(InvalidSettings { key, value, problem: format!("must be between {least} and {most}") })
+        };
+        between("open_timeout_ms", self.open_timeout_ms, 1, MAX_TIME_MS)?;
+        between("heartbeat_interval_ms", self.heartbeat_interval_ms, 10, MAX_TIME_MS)?;
+        between("heartbeat_timeout_ms", self.heartbeat_timeout_ms, 10, MAX_TIME_MS)?;
+        between("close_timeout_ms", self.close_timeout_ms, 0, MAX_TIME_MS)?;
+        between("max_message_bytes", self.max_message_bytes, 4 * 1024, 4 * 1024 * 1024 * 1024)?;
+        between("max_in_flight", u64::from(self.max_in_flight), 1, u64::from(MAX_IN_FLIGHT))?;
+        between("max_sessions", u64::from(self.max_sessions), 1, 65_536)?;
+        if self.heartbeat_timeout_ms < self.heartbeat_interval_ms.saturating_mul(2) {
+            return Err(InvalidSettings {
+                key: "heartbeat_timeout_ms",
+                value: self.heartbeat_timeout_ms,
+                problem: format!(
+                    "must be at least twice heartbeat_interval_ms, {}",
+                    self.heartbeat_interval_ms
+                ),
+            });
+        }
+        Ok(())
+    }
+
+    /// The same with every value brought to where it cannot do harm; what was checked stays as it is.
+    pub(crate) fn clamped(mut self) -> Self {
+        self.open_timeout_ms = self.open_timeout_ms.clamp(1, MAX_TIME_MS);
+        self.heartbeat_interval_ms = self.heartbeat_interval_ms.clamp(10, MAX_TIME_MS);
+        self.heartbeat_timeout_ms = self.heartbeat_timeout_ms.clamp(10, MAX_TIME_MS);
+        self.close_timeout_ms = self.close_timeout_ms.min(MAX_TIME_MS);
+        self.max_in_flight = self.max_in_flight.clamp(1, MAX_IN_FLIGHT);
+        self
+    }
+
+    pub(crate) const fn open_timeout(&self) -> Duration {
+        Duration::from_millis(self.open_timeout_ms)
+    }
+
+    pub(crate) const fn heartbeat_interval(&self) -> Duration {
+        Duration::from_millis(self.heartbeat_interval_ms)
+    }
+
+    pub(crate) const fn heartbeat_timeout(&self) -> Duration {
+        Duration::from_millis(self.heartbeat_timeout_ms)
+    }
+
+    pub(crate) const fn close_timeout(&self) -> Duration {
+        Duration::from_millis(self.close_timeout_ms)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_cannot_work_is_named_and_the_defaults_can() {
+        let with = |change: fn(&mut SessionSettings)| {
+            let mut settings = SessionSettings::default();
+            change(&mut settings);
+            settings
+        };
+        assert_eq!(SessionSettings::default().check(), Ok(()));
+        assert_eq!(SessionSettings::default().clamped(), SessionSettings::default());
+        for (settings, key) in [
+            (with(|s| s.max_in_flight = 0), "max_in_flight"),
+            (with(|s| s.max_in_flight = u32::MAX), "max_in_flight"),
+            (with(|s| s.open_timeout_ms = 0), "open_timeout_ms"),
+            (with(|s| s.heartbeat_interval_ms = 0), "heartbeat_interval_ms"),
+            (with(|s| s.heartbeat_timeout_ms = u64::MAX), "heartbeat_timeout_ms"),
+            (with(|s| s.heartbeat_timeout_ms = s.heartbeat_interval_ms), "heartbeat_timeout_ms"),
+            (with(|s| s.max_message_bytes = 1), "max_message_bytes"),
+            (with(|s| s.max_sessions = 0), "max_sessions"),
+        ] {
+            assert_eq!(settings.check().expect_err(key).key, key);
+        }
+    }
+}

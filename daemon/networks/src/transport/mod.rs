@@ -1,0 +1,124 @@
+//! What a transport is: whole messages of several frames, to and from peers that come and go.
+//!
+//! A new transport is one file here with a `dial` and a `bind`, plus one line in the registry (`kind.rs`).
+
+pub(crate) mod zmq_tcp;
+
+use std::fmt;
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use bytes::Bytes;
+use futures::future::BoxFuture;
+
+use crate::Address;
+
+/// The frames of one message, in order.
+pub(crate) type Frames = Vec<Bytes>;
+
+/// Why a message was not handed to the network.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum SendFailure {
+    /// The peer takes messages more slowly than they are made.
+    #[error("the network's send queue is full")]
+    Full,
+    /// There is no connection any more.
+    #[error("{0}")]
+    Gone(String),
+}
+
+/// The edge's end of one connection. It is never re-established: a session lives and dies with it.
+pub(crate) struct Dialled {
+    /// Hands messages to the network, from any task or thread.
+    pub(crate) sender: Box<dyn EdgeSender>,
+    /// Takes messages from the network, in one task.
+    pub(crate) receiver: Box<dyn EdgeReceiver>,
+}
+
+/// The sending half of the edge's end.
+pub(crate) trait EdgeSender: Send + Sync + fmt::Debug {
+    /// Hands over a whole message without waiting.
+    fn send(&self, frames: Frames) -> Result<(), SendFailure>;
+}
+
+/// The receiving half of the edge's end.
+pub(crate) trait EdgeReceiver: Send + fmt::Debug {
+    /// The next whole message, or why there will be none. Dropping the future loses nothing.
+    fn receive(&mut self) -> BoxFuture<'_, Result<Frames, String>>;
+
+    /// Closes the connection, after what was sent has gone out or `linger` has passed.
+    fn close(self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()>;
+}
+
+/// The cloud's end: one port, many peers.
+pub(crate) struct Bound {
+    /// Where it really listens.
+    pub(crate) address: Address,
+    /// Hands messages to the network, from any task or thread.
+    pub(crate) sender: Box<dyn CloudSender>,
+    /// Takes messages from the network, in one task.
+    pub(crate) receiver: Box<dyn CloudReceiver>,
+}
+
+/// The sending half of the cloud's end.
+pub(crate) trait CloudSender: Send + Sync + fmt::Debug {
+    /// Hands over a whole message without waiting.
+    fn send(&self, peer: &Peer, frames: Frames) -> Result<(), SendFailure>;
+}
+
+/// The receiving half of the cloud's end.
+pub(crate) trait CloudReceiver: Send + fmt::Debug {
+    /// What happened next; `None` when the socket is closed. Dropping the future loses nothing.
+    fn receive(&mut self) -> BoxFuture<'_, Option<Arrival>>;
+
+    /// Closes all connections, after what was sent has gone out or `linger` has passed.
+    fn close(self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()>;
+}
+
+/// Something that a listening transport noticed.
+#[derive(Debug)]
+pub(crate) enum Arrival {
+    /// A whole message.
+    Message(Peer, Frames),
+    /// A connection ended.
+    Gone(ConnectionId, String),
+    /// Bytes that are not even of the transport's own protocol; the connection was dropped.
+    Garbage(Option<SocketAddr>, String),
+}
+
+/// One connection of a listener, never used again after it ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct ConnectionId(pub(crate) u64);
+
+/// Who sent a message and how to answer.
+#[derive(Clone, Debug)]
+pub(crate) struct Peer {
+    /// The connection it came on.
+    pub(crate) connection: ConnectionId,
+    /// The transport's own key to that connection.
+    pub(crate) route: Bytes,
+    /// Where the peer is, for people.
+    pub(crate) address: Option<SocketAddr>,
+}
+
+/// Why there is no connection.
+#[derive(Debug)]
+pub(crate) enum DialFailure {
+    /// Nobody answers there, or not in this protocol.
+    Unreachable(String),
+    /// The time for it is over.
+    TimedOut,
+}
+
+/// Why a listener could not be bound.
+#[derive(Debug)]
+pub(crate) enum BindFailure {
+    /// Another socket has the port.
+    InUse,
+    /// The port needs a privilege.
+    Denied,
+    /// The address is not one of this machine.
+    NotLocal,
+    /// Anything else.
+    Other(String),
+}

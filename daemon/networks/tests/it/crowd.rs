@@ -1,0 +1,76 @@
+//! Many edges at once, on several threads.
+
+use std::time::Duration;
+
+use bytes::Bytes;
+use peernet_networks::{Incoming, RequestError, Session};
+use peernet_sample::{Description, Sample};
+use tokio::task::JoinSet;
+
+use crate::support::{Cloud, accepted, hello, log, open, settings, within};
+
+const EDGES: usize = 4;
+const TASKS: usize = 6;
+const REQUESTS: usize = 15;
+
+/// Sizes on both sides of what the kernel takes in one go, each with contents of its own.
+fn payload(seed: usize) -> Bytes {
+    let size = [10, 3_000, 70_000, 400_000][seed % 4] + seed;
+    (0..size).map(|i| (i * 7 + seed) as u8).collect::<Vec<u8>>().into()
+}
+
+async fn work(session: Session, task: usize) -> Result<(), RequestError> {
+    for n in 0..REQUESTS {
+        let sent = Sample::of(Description::bytes(), payload(task * REQUESTS + n));
+        let exchange = session.request(log(), &sent, Duration::from_secs(60)).await;
+        assert_eq!(exchange.result?, sent);
+        assert!(exchange.down.is_some());
+    }
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn every_request_of_a_crowd_gets_its_own_answer() {
+    let Cloud { host, mut listener } = Cloud::start().await;
+    let address = listener.address().clone();
+    let (done, mut all_done) = tokio::sync::oneshot::channel();
+    let cloud = tokio::spawn(async move {
+        let mut turn = 0;
+        loop {
+            let incoming = tokio::select! {
+                incoming = listener.next() => incoming.expect("the listener is open"),
+                _ = &mut all_done => break listener,
+            };
+            match incoming {
+                Incoming::Open(open) => assert!(open.accept(accepted(host))),
+                Incoming::Request(request) => {
+                    turn += 1;
+                    // Answers leave from the listening task and from others, interleaved.
+                    if turn % 2 == 0 {
+                        request.reply.send(request.log, Ok(request.sample));
+                    } else {
+                        tokio::task::spawn_blocking(move || {
+                            request.reply.send(request.log, Ok(request.sample));
+                        });
+                    }
+                }
+                Incoming::Closed(_) => {}
+            }
+        }
+    });
+    let mut tasks = JoinSet::new();
+    for edge in 0..EDGES {
+        let session = open(&address, hello(), settings()).await.expect("accepted");
+        for task in 0..TASKS {
+            tasks.spawn(work(session.clone(), edge * TASKS + task));
+        }
+    }
+    for finished in within(tasks.join_all()).await {
+        assert_eq!(finished, Ok(()));
+    }
+    done.send(()).expect("the cloud waits for it");
+    let listener = within(cloud).await.expect("no panic");
+    let figures = listener.figures();
+    assert_eq!((figures.malformed, figures.late, figures.lost), (0, 0, 0));
+    assert!(figures.received_messages >= (EDGES * TASKS * REQUESTS) as u64);
+}

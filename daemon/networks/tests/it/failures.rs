@@ -1,0 +1,118 @@
+//! Peers and connections that go away.
+
+use std::sync::Arc;
+
+use peernet_networks::{Address, CloseReason, RequestError, SessionSettings};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::Notify;
+
+use crate::support::{Cloud, PATIENCE, accepted, echo, hello, log, open, request, sample, settings, within};
+
+#[tokio::test]
+async fn a_killed_cloud_loses_what_is_under_way_at_once() {
+    let mut cloud = Cloud::start().await;
+    let (session, _) = cloud.session(settings()).await;
+    let pending: Vec<_> = (0..5).map(|n| request(&session, &n.to_string(), PATIENCE)).collect();
+    let mut held = Vec::new();
+    for _ in 0..5 {
+        held.push(cloud.next_request().await);
+    }
+    drop(cloud);
+    for pending in pending {
+        let exchange = within(pending).await.expect("no panic");
+        assert!(matches!(exchange.result, Err(RequestError::Lost(_))), "{:?}", exchange.result);
+    }
+    assert!(matches!(within(session.closed()).await, CloseReason::Broken(_)));
+    assert_eq!(session.figures().lost, 5);
+
+    let exchange = within(session.request(log(), &sample("too late"), PATIENCE)).await;
+    assert!(matches!(exchange.result, Err(RequestError::Lost(_))), "{:?}", exchange.result);
+    // Answers to a listener that is gone go nowhere, quietly.
+    for request in held {
+        request.reply.send(request.log, Ok(request.sample));
+    }
+}
+
+#[tokio::test]
+async fn a_restarted_cloud_takes_a_new_session_on_the_same_port() {
+    let mut cloud = Cloud::start().await;
+    let (old, _) = cloud.session(settings()).await;
+    let address = cloud.address();
+    echo(&mut cloud, &old, "before").await;
+    drop(cloud);
+    assert!(matches!(within(old.closed()).await, CloseReason::Broken(_)));
+
+    let mut cloud = restart(&address).await;
+    let (new, _) = cloud.session(settings()).await;
+    echo(&mut cloud, &new, "after").await;
+}
+
+/// The port is free as soon as the old listener's task has noticed that it is gone.
+async fn restart(address: &Address) -> Cloud {
+    while std::net::TcpListener::bind(address.to_string().trim_start_matches("tcp://")).is_err() {
+        tokio::task::yield_now().await;
+    }
+    Cloud::start_at(&address.to_string(), settings()).await
+}
+
+#[tokio::test]
+async fn a_vanished_edge_closes_its_sessions() {
+    let mut cloud = Cloud::start().await;
+    let address = cloud.address();
+    // The edge's runtime dies with all its sockets, without a goodbye.
+    let edge = std::thread::spawn(move || {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+        let session = runtime.block_on(open(&address, hello(), settings())).expect("accepted");
+        runtime.shutdown_background();
+        std::mem::forget(session);
+    });
+    let request = cloud.next_open().await;
+    let id = request.session;
+    request.accept(accepted(cloud.host));
+    assert_eq!(cloud.next_closed().await, id);
+    edge.join().expect("no panic");
+}
+
+#[tokio::test]
+async fn a_silent_connection_is_given_up_after_the_heartbeat_timeout() {
+    let mut cloud = Cloud::start().await;
+    let wire = Wire::before(cloud.address()).await;
+    let quick = SessionSettings { heartbeat_interval_ms: 50, heartbeat_timeout_ms: 200, ..settings() };
+    let address = wire.address.clone();
+    let edge = tokio::spawn(async move { open(&address, hello(), quick).await });
+    cloud.next_open().await.accept(accepted(cloud.host));
+    let session = within(edge).await.expect("no panic").expect("accepted");
+    echo(&mut cloud, &session, "the wire works").await;
+
+    let pending = request(&session, "the wire is cut", PATIENCE);
+    let _unanswered = cloud.next_request().await;
+    wire.cut.notify_waiters();
+    let exchange = within(pending).await.expect("no panic");
+    assert!(matches!(exchange.result, Err(RequestError::Lost(_))), "{:?}", exchange.result);
+    assert!(matches!(within(session.closed()).await, CloseReason::Broken(_)));
+}
+
+/// A relay in front of a cloud that can go silent without closing its connections, as a pulled cable does.
+struct Wire {
+    address: Address,
+    cut: Arc<Notify>,
+}
+
+impl Wire {
+    async fn before(cloud: Address) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
+        let local = listener.local_addr().expect("bound");
+        let cut = Arc::new(Notify::new());
+        let cutting = cut.clone();
+        tokio::spawn(async move {
+            let (mut edge, _) = listener.accept().await.expect("the edge comes");
+            let mut cloud =
+                TcpStream::connect((cloud.host(), cloud.port())).await.expect("the cloud listens");
+            tokio::select! {
+                _ = tokio::io::copy_bidirectional(&mut edge, &mut cloud) => {}
+                () = cutting.notified() => std::future::pending().await,
+            }
+        });
+        Self { address: Address::of_ip(local.ip(), local.port()), cut }
+    }
+}

@@ -1,0 +1,148 @@
+//! Opening and closing sessions.
+
+use std::time::Duration;
+
+use peernet_networks::{BindError, CloseReason, Listener, NetworkKind, OpenError, PROTOCOL, SessionSettings};
+
+use crate::support::{Cloud, accepted, clock, echo, hello, open, settings, within};
+
+#[tokio::test]
+async fn an_accepted_session_tells_both_sides_who_the_other_is() {
+    let mut cloud = Cloud::start().await;
+    let (address, expected) = (cloud.address(), hello());
+    assert_ne!(address.port(), 0);
+    let edge = tokio::spawn({
+        let hello = expected.clone();
+        async move { open(&address, hello, settings()).await }
+    });
+    let request = cloud.next_open().await;
+    assert_eq!(request.hello, expected);
+    let id = request.session;
+    assert!(request.accept(accepted(cloud.host)));
+    let session = within(edge).await.expect("no panic").expect("accepted");
+    assert_eq!(*session.accepted(), accepted(cloud.host));
+
+    within(session.close()).await;
+    assert_eq!(within(session.closed()).await, CloseReason::Local);
+    assert_eq!(cloud.next_closed().await, id);
+}
+
+#[tokio::test]
+async fn dropping_the_last_clone_closes_the_session() {
+    let mut cloud = Cloud::start().await;
+    let (session, id) = cloud.session(settings()).await;
+    let clone = session.clone();
+    drop(session);
+    echo(&mut cloud, &clone, "still open").await;
+    drop(clone);
+    assert_eq!(cloud.next_closed().await, id);
+}
+
+#[tokio::test]
+async fn a_refusal_arrives_with_its_reason() {
+    let mut cloud = Cloud::start().await;
+    let address = cloud.address();
+    let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
+    cloud.next_open().await.refuse("no model \"echo\"; there are: sleep, quality-control");
+    let error = within(edge).await.expect("no panic").expect_err("refused");
+    assert_eq!(
+        error,
+        OpenError::Refused {
+            address: cloud.address(),
+            reason: "no model \"echo\"; there are: sleep, quality-control".into()
+        }
+    );
+
+    let address = cloud.address();
+    let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
+    drop(cloud.next_open().await);
+    assert!(matches!(within(edge).await.expect("no panic"), Err(OpenError::Refused { .. })));
+}
+
+#[tokio::test]
+async fn another_protocol_is_incompatible() {
+    let mut cloud = Cloud::start().await;
+    let address = cloud.address();
+    let mut future = hello();
+    future.protocol = PROTOCOL + 1;
+    let edge = tokio::spawn(async move { open(&address, future, settings()).await });
+    let error = tokio::select! {
+        error = within(edge) => error.expect("no panic").expect_err("incompatible"),
+        incoming = cloud.next() => panic!("handed out {incoming:?}"),
+    };
+    let (ours, theirs) = (PROTOCOL + 1, PROTOCOL);
+    assert_eq!(error, OpenError::Incompatible { address: cloud.address(), ours, theirs });
+}
+
+#[tokio::test]
+async fn nobody_there_is_said_at_once() {
+    let cloud = Cloud::start().await;
+    let address = cloud.address();
+    cloud.listener.close().await;
+    let error = open(&address, hello(), settings()).await.expect_err("nobody listens");
+    let OpenError::Unreachable { reason, .. } = &error else { panic!("{error}") };
+    assert!(reason.contains("refused"), "{reason}");
+
+    let nowhere = "tcp://no-such-host.invalid:5551".parse().expect("an address");
+    let error = open(&nowhere, hello(), settings()).await.expect_err("no such host");
+    assert!(matches!(error, OpenError::Unreachable { .. }), "{error}");
+}
+
+#[tokio::test]
+async fn a_cloud_that_does_not_answer_times_out() {
+    let mut cloud = Cloud::start().await;
+    let impatient = SessionSettings { open_timeout_ms: 200, ..settings() };
+    let address = cloud.address();
+    let edge = tokio::spawn(async move { open(&address, hello(), impatient).await });
+    let unanswered = cloud.next_open().await;
+    let error = within(edge).await.expect("no panic").expect_err("no answer");
+    assert_eq!(error, OpenError::TimedOut { address: cloud.address(), waited_ms: 200 });
+    assert_eq!(cloud.next_closed().await, unanswered.session);
+    assert!(!unanswered.accept(accepted(cloud.host)), "the edge is gone");
+}
+
+#[tokio::test]
+async fn a_port_in_use_is_said_with_what_to_do() {
+    let cloud = Cloud::start().await;
+    let again = Listener::bind(NetworkKind::ZmqTcp, &cloud.address(), settings(), cloud.host, clock()).await;
+    let error = again.expect_err("the port is taken");
+    assert_eq!(error, BindError::InUse(cloud.address()));
+    assert!(error.to_string().contains("another program uses port"), "{error}");
+
+    let elsewhere = "tcp://192.0.2.1:0".parse().expect("an address");
+    let error = Listener::bind(NetworkKind::ZmqTcp, &elsewhere, settings(), cloud.host, clock()).await;
+    assert_eq!(error.expect_err("a documentation address"), BindError::NotLocal(elsewhere));
+}
+
+#[tokio::test]
+async fn sessions_beyond_the_limit_are_refused_until_one_goes() {
+    let limited = SessionSettings { max_sessions: 1, ..settings() };
+    let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", limited).await;
+    let (first, _) = cloud.session(settings()).await;
+    let address = cloud.address();
+    let second = tokio::spawn(async move { open(&address, hello(), settings()).await });
+    let refused = tokio::select! {
+        refused = within(second) => refused.expect("no panic"),
+        incoming = cloud.next() => panic!("handed out {incoming:?}"),
+    };
+    let error = refused.expect_err("one is the limit").to_string();
+    assert!(error.contains("max_sessions"), "{error}");
+    within(first.close()).await;
+    cloud.next_closed().await;
+    let (third, _) = within(cloud.session(settings())).await;
+    let exchange = echo(&mut cloud, &third, "in").await;
+    assert!(exchange.arrived.is_some());
+}
+
+#[tokio::test]
+async fn the_settings_refuse_unknown_keys_and_have_defaults() {
+    let read = |text: &str| serde_json::from_str::<SessionSettings>(text);
+    assert_eq!(read("{}").expect("all defaults"), SessionSettings::default());
+    assert!(read(r#"{"max_message_byte": 1}"#).is_err());
+    let kind: NetworkKind = serde_json::from_str("\"zmq-tcp\"").expect("the kind's name");
+    assert_eq!(kind.to_string(), "zmq-tcp");
+    assert_eq!(
+        Duration::from_millis(SessionSettings::default().heartbeat_timeout_ms),
+        Duration::from_secs(5)
+    );
+}

@@ -1,0 +1,336 @@
+//! Whoever reaches the port may send anything.
+
+use bytes::Bytes;
+use peernet_clock::{Span, WallTime};
+use peernet_logger::{Anchor, Growth, HostId, HostIndex, Measure, Node, NodeId, Tree, stage, wire as logger};
+use peernet_networks::{Address, CloseReason, Incoming, PROTOCOL, RequestError, SessionSettings};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpStream;
+use zeromq::{Message, Options, Socket, SocketType};
+
+use crate::support::{Cloud, PATIENCE, accepted, echo, hello, log, open, request, sample, settings, within};
+use crate::wire::{self, Header, Id, Outcome, Plain};
+
+fn tree() -> Bytes {
+    let anchor = Anchor { host: HostId::random(), wall: WallTime::default() };
+    let mut out = Vec::new();
+    logger::encode(&Tree::new(stage::ITERATION, anchor), &mut out);
+    out.into()
+}
+
+fn plain_request(session: &Id, number: u64, parts: usize) -> Header {
+    let parts = vec![("bytes".to_owned(), Vec::new(), None); parts];
+    Header::Request(session.clone(), number, (5, 5), (parts, String::new(), None))
+}
+
+/// Opens a session over a plain socket.
+async fn plain_session(cloud: &mut Cloud) -> (Plain, Id) {
+    let plain = Plain::dealer(&cloud.address(), Options::default()).await;
+    plain.say(&wire::open(PROTOCOL), Vec::new()).await;
+    cloud.next_open().await.accept(accepted(cloud.host));
+    match plain.hear().await {
+        (Header::Accepted { session, .. }, _) => (plain, session),
+        other => panic!("{other:?}"),
+    }
+}
+
+/// Lets the listener take in everything that is on its way, until a session's echo has come through.
+async fn malformed_after(cloud: &mut Cloud, expected: u64) {
+    let (session, _) = cloud.session(settings()).await;
+    echo(cloud, &session, "the port still serves").await;
+    within(session.close()).await;
+    within(async {
+        while cloud.listener.figures().malformed < expected {
+            tokio::select! {
+                incoming = cloud.listener.next() => assert!(matches!(incoming, Some(Incoming::Closed(_)))),
+                () = tokio::task::yield_now() => {}
+            }
+        }
+    })
+    .await;
+    assert_eq!(cloud.listener.figures().malformed, expected);
+}
+
+#[tokio::test]
+async fn any_zeromq_program_can_be_an_edge() {
+    let mut cloud = Cloud::start().await;
+    let (plain, session) = plain_session(&mut cloud).await;
+    plain.say(&plain_request(&session, 7, 1), vec![tree(), "payload".into()]).await;
+    let incoming = cloud.next_request().await;
+    assert_eq!(incoming.sample.parts[0].bytes, "payload");
+    incoming.reply.send(incoming.log, Ok(sample("answer")));
+    let (header, rest) = plain.hear().await;
+    assert!(matches!(header, Header::Reply(s, 7, Some(_), Outcome::Answer(_)) if s == session));
+    assert_eq!((rest.len(), &rest[1]), (2, &Bytes::from("answer")));
+}
+
+#[tokio::test]
+async fn bytes_that_are_not_zmtp_are_dropped_and_counted() {
+    let mut cloud = Cloud::start().await;
+    let address = (cloud.address().host(), cloud.address().port());
+    for garbage in
+        [&b"GET / HTTP/1.1\r\nHost: cloud\r\nAccept: */*\r\nUser-Agent: curl/8.0\r\n\r\n"[..], &[0xff; 4096]]
+    {
+        let mut stream = TcpStream::connect(address.clone()).await.expect("the port is open");
+        stream.write_all(garbage).await.expect("sent");
+        // Until the listener hangs up; how it does so is its own affair.
+        let _ = within(stream.read_to_end(&mut Vec::new())).await;
+    }
+    malformed_after(&mut cloud, 2).await;
+}
+
+#[tokio::test]
+async fn frames_that_are_no_message_are_dropped_and_counted() {
+    let mut cloud = Cloud::start().await;
+    let (plain, session) = plain_session(&mut cloud).await;
+    let garbage: Vec<Vec<Bytes>> = vec![
+        vec![Bytes::new()],
+        vec!["hello".into()],
+        vec![vec![0xff; 100].into(), vec![0; 100].into()],
+        // A map and an array that claim four billion entries.
+        vec![Bytes::from_static(&[0xdf, 0xff, 0xff, 0xff, 0xff])],
+        vec![Bytes::from_static(&[0xdd, 0xff, 0xff, 0xff, 0xff])],
+        vec![vec![0x91; 60_000].into()],
+        vec![vec![0xc0; 70_000].into()],
+        vec![Bytes::new(); 100],
+    ];
+    let mut expected = garbage.len() as u64;
+    for frames in garbage {
+        plain.frames(frames).await;
+    }
+    let out_of_place = [
+        Header::Refused { protocol: 1, kind: "refused".into(), reason: "me too".into() },
+        Header::Reply(session.clone(), 0, None, Outcome::Failed("no".into())),
+        Header::Goodbye { session: Id::from([9; 16]), reason: "whose?".into() },
+    ];
+    for header in &out_of_place {
+        plain.say(header, Vec::new()).await;
+        expected += 1;
+    }
+    malformed_after(&mut cloud, expected).await;
+}
+
+#[tokio::test]
+async fn requests_that_make_no_sense_are_answered_as_failed() {
+    let mut cloud = Cloud::start().await;
+    let (plain, session) = plain_session(&mut cloud).await;
+    let cases: Vec<(usize, Vec<Bytes>)> = vec![
+        (0, vec![]),
+        (0, vec!["no tree".into()]),
+        (0, vec![tree().slice(1..)]),
+        (0, vec![tree().slice(..tree().len() - 1)]),
+        (1, vec![tree()]),
+        (0, vec![tree(), "not described".into()]),
+        (1_000, vec![tree(), "too few".into()]),
+    ];
+    let count = cases.len() as u64;
+    for (number, (parts, rest)) in cases.into_iter().enumerate() {
+        let number = number as u64;
+        plain.say(&plain_request(&session, number, parts), rest).await;
+        let (header, _) = tokio::select! {
+            heard = plain.hear() => heard,
+            incoming = cloud.next() => panic!("handed out {incoming:?}"),
+        };
+        assert!(
+            matches!(&header, Header::Reply(_, n, None, Outcome::Failed(_)) if *n == number),
+            "{number}: {header:?}"
+        );
+    }
+    malformed_after(&mut cloud, count).await;
+}
+
+#[tokio::test]
+async fn a_session_is_its_own_connections_and_unknown_to_all_others() {
+    let mut cloud = Cloud::start().await;
+    let (_owner, session) = plain_session(&mut cloud).await;
+    let (thief, _) = plain_session(&mut cloud).await;
+    for (number, session) in [(3, session), (4, Id::from([7; 16]))] {
+        thief.say(&plain_request(&session, number, 1), vec![tree(), "x".into()]).await;
+        let (header, _) = tokio::select! {
+            heard = thief.hear() => heard,
+            incoming = cloud.next() => panic!("handed out {incoming:?}"),
+        };
+        assert!(
+            matches!(&header, Header::UnknownSession { session: s, request } if *s == session && *request == number),
+            "{header:?}"
+        );
+    }
+}
+
+#[tokio::test]
+async fn a_flood_beyond_the_limit_is_answered_as_overload() {
+    let two = SessionSettings { max_in_flight: 2, ..settings() };
+    let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", two).await;
+    let (plain, session) = plain_session(&mut cloud).await;
+    for number in 0..3 {
+        plain.say(&plain_request(&session, number, 0), vec![tree()]).await;
+    }
+    let held = [cloud.next_request().await, cloud.next_request().await];
+    let (header, _) = tokio::select! {
+        heard = plain.hear() => heard,
+        incoming = cloud.next() => panic!("handed out {incoming:?}"),
+    };
+    assert!(matches!(header, Header::Reply(_, 2, None, Outcome::Overloaded(_))), "{header:?}");
+    drop(held);
+}
+
+#[tokio::test]
+async fn a_hello_from_the_future_is_refused_with_our_version() {
+    let mut cloud = Cloud::start().await;
+    let plain = Plain::dealer(&cloud.address(), Options::default()).await;
+    let mut hello = wire::hello(PROTOCOL + 7);
+    hello.name = "names may have spaces then".into();
+    hello.colour = Some("green".into());
+    plain.say(&Header::Open { hello, max_message_bytes: 1 }, Vec::new()).await;
+    let (header, _) = tokio::select! {
+        heard = plain.hear() => heard,
+        incoming = cloud.next() => panic!("handed out {incoming:?}"),
+    };
+    let Header::Refused { protocol, kind, reason } = header else { panic!("{header:?}") };
+    assert_eq!((protocol, kind.as_str()), (PROTOCOL, "incompatible"));
+    assert!(reason.contains(&(PROTOCOL + 7).to_string()), "{reason}");
+}
+
+#[tokio::test]
+async fn a_chosen_routing_id_is_not_served() {
+    let mut cloud = Cloud::start().await;
+    let plain = Plain::dealer(&cloud.address(), Options::default().identity("robot-1")).await;
+    plain.say(&wire::open(PROTOCOL), Vec::new()).await;
+    malformed_after(&mut cloud, 1).await;
+}
+
+#[tokio::test]
+async fn an_oversize_message_ends_its_own_connection_alone() {
+    let small = SessionSettings { max_message_bytes: 100_000, ..settings() };
+    let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", small).await;
+    let (good, _) = cloud.session(settings()).await;
+    let (plain, session) = plain_session(&mut cloud).await;
+    plain.say(&plain_request(&session, 0, 1), vec![tree(), vec![0; 1_000_000].into()]).await;
+    cloud.next_closed().await;
+    echo(&mut cloud, &good, "not my fault").await;
+}
+
+/// A cloud that says what it likes.
+struct FakeCloud {
+    socket: zeromq::IdentitySocket,
+    address: Address,
+}
+
+impl FakeCloud {
+    async fn start() -> Self {
+        let socket = Socket::new(SocketType::Router, Options::default());
+        let endpoint = socket.bind("tcp://127.0.0.1:0").await.expect("a free port");
+        let socket = socket.identity_routing().expect("a router");
+        Self { socket, address: endpoint.to_string().parse().expect("an address") }
+    }
+
+    async fn hear(&self) -> (zeromq::Identity, Header) {
+        let (identity, message) = within(self.socket.recv_from()).await.expect("a message");
+        (identity, rmp_serde::from_slice(&message[0]).expect("a header"))
+    }
+
+    async fn say(&self, to: &zeromq::Identity, header: &Header, rest: Vec<Bytes>) {
+        let header = rmp_serde::to_vec_named(header).expect("serialises");
+        let message = Message::multipart([vec![header.into()], rest].concat());
+        within(self.socket.send_to(to, message)).await.expect("sent");
+    }
+
+    fn accepted(session: Id, protocol: u16) -> Header {
+        let accepted = wire::Accepted {
+            host: Id::from([2; 16]),
+            name: "fake".into(),
+            clock: wire::Clock { boot: "b".into(), clock: "c".into() },
+            version: "9".into(),
+            model: "echo".into(),
+            device: "cpu".into(),
+            facts: Vec::new(),
+        };
+        Header::Accepted { protocol, session, accepted, max_message_bytes: 1_000_000, max_in_flight: 8 }
+    }
+
+    async fn session(&self) -> (peernet_networks::Session, zeromq::Identity, Id) {
+        let address = self.address.clone();
+        let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
+        let (to, header) = self.hear().await;
+        assert!(matches!(header, Header::Open { .. }));
+        let id = Id::from([3; 16]);
+        // Nonsense before the answer is passed over.
+        self.say(&to, &Header::Goodbye { session: id.clone(), reason: String::new() }, Vec::new()).await;
+        self.say(&to, &Self::accepted(id.clone(), PROTOCOL), Vec::new()).await;
+        (within(edge).await.expect("no panic").expect("accepted"), to, id)
+    }
+}
+
+#[tokio::test]
+async fn a_cloud_that_lost_the_session_ends_it() {
+    let cloud = FakeCloud::start().await;
+    let (session, to, id) = cloud.session().await;
+    let pending = request(&session, "do you know me?", PATIENCE);
+    let (_, header) = cloud.hear().await;
+    let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
+    cloud.say(&to, &Header::UnknownSession { session: id, request: number }, Vec::new()).await;
+    let exchange = within(pending).await.expect("no panic");
+    assert!(matches!(exchange.result, Err(RequestError::Lost(_))), "{:?}", exchange.result);
+    assert_eq!(within(session.closed()).await, CloseReason::UnknownSession);
+}
+
+#[tokio::test]
+async fn answers_that_make_no_sense_change_no_tree() {
+    let cloud = FakeCloud::start().await;
+    let (session, to, id) = cloud.session().await;
+    // The edge's tree has three nodes: root, encode, upload.
+    let growth = |base: u32, host: u8, closed: u32, node_host: u8| -> Bytes {
+        let anchor = Anchor { host: HostId::from_bytes([host; 16]), wall: WallTime::default() };
+        let node = Node {
+            parent: Some(NodeId::ROOT),
+            name: stage::INFERENCE,
+            host: HostIndex(node_host),
+            start: Span::ZERO,
+            measure: Measure::Timer(Some(Span::ZERO)),
+        };
+        let closed = (NodeId(closed), WallTime::default());
+        let growth = Growth { base, anchor, others: Vec::new(), closed, nodes: vec![node] };
+        let mut out = Vec::new();
+        logger::encode_growth(&growth, &mut out);
+        out.into()
+    };
+    let bad = [
+        Bytes::from("garbage"),
+        growth(2, 2, 2, 1),
+        growth(3, 9, 2, 1),
+        growth(3, 2, 1, 1),
+        growth(3, 2, 2, 0),
+        growth(3, 2, 2, 7),
+    ];
+    let count = bad.len() as u64;
+    for growth in bad {
+        let pending = request(&session, "x", PATIENCE);
+        let (_, header) = cloud.hear().await;
+        let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
+        let answer = Outcome::Answer((Vec::new(), String::new(), None));
+        cloud.say(&to, &Header::Reply(id.clone(), number, Some((1, 1)), answer), vec![growth]).await;
+        let exchange = within(pending).await.expect("no panic");
+        assert!(matches!(exchange.result, Err(RequestError::Failed(_))), "{:?}", exchange.result);
+        assert_eq!((exchange.down, exchange.log.tree().anchors().len()), (None, 1));
+    }
+    assert_eq!(session.figures().malformed, count);
+
+    // Replies to requests never made, of other sessions, and plain garbage leave the session as it is.
+    for header in [
+        Header::Reply(id.clone(), 1_000, None, Outcome::Failed(String::new())),
+        Header::Reply(Id::from([8; 16]), 0, None, Outcome::Failed(String::new())),
+        FakeCloud::accepted(id.clone(), PROTOCOL),
+    ] {
+        cloud.say(&to, &header, Vec::new()).await;
+    }
+    let pending = tokio::spawn({
+        let session = session.clone();
+        async move { session.request(log(), &sample("y"), PATIENCE).await }
+    });
+    let (_, header) = cloud.hear().await;
+    let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
+    let answer = Outcome::Answer((Vec::new(), String::new(), None));
+    cloud.say(&to, &Header::Reply(id, number, Some((1, 1)), answer), vec![growth(3, 2, 2, 1)]).await;
+    assert!(within(pending).await.expect("no panic").result.is_ok());
+    assert_eq!(session.figures().malformed, count + 3);
+}

@@ -1,0 +1,10 @@
+//! Sessions over real sockets on loopback.
+
+mod crowd;
+mod failures;
+mod handshake;
+mod hostile;
+mod requests;
+mod shutdown;
+mod support;
+mod wire;

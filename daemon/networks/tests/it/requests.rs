@@ -1,0 +1,223 @@
+//! Requests and answers.
+
+use std::time::Duration;
+
+use peernet_clock::Span;
+use peernet_logger::{HostIndex, Measure, NodeId, stage};
+use peernet_networks::{Failure, RequestError, SessionSettings};
+use peernet_sample::{Description, Part, Sample};
+
+use crate::support::{Cloud, PATIENCE, echo, log, request, sample, settings, text, within};
+
+#[tokio::test]
+async fn the_tree_comes_back_with_both_hosts_and_both_transits() {
+    let mut cloud = Cloud::start().await;
+    let (session, id) = cloud.session(settings()).await;
+    let two = Sample {
+        parts: vec![
+            Part { description: Description::bytes(), bytes: vec![7; 200_000].into() },
+            Part { description: Description::bytes(), bytes: vec![8; 10].into() },
+        ],
+        source: "part-7.jpg".into(),
+        label: Some("good".into()),
+    };
+    let mut edge_log = log();
+    edge_log.time(stage::SENSING);
+    let edge_host = edge_log.tree().anchors()[0].host;
+    let pending = tokio::spawn({
+        let (session, two) = (session.clone(), two.clone());
+        async move { session.request(edge_log, &two, PATIENCE).await }
+    });
+
+    let mut incoming = cloud.next_request().await;
+    assert_eq!(incoming.session, id);
+    assert_eq!(incoming.sample, two);
+    let (upload, _) = incoming.log.tree().find(&["upload"]).expect("closed on arrival");
+    incoming.log.timed(stage::QUEUE, incoming.received.mono, incoming.received.mono + Span::from_micros(3));
+    incoming.log.time(stage::INFERENCE);
+    incoming.reply.send(incoming.log, Ok(sample("answer")));
+
+    let exchange = within(pending).await.expect("no panic");
+    assert_eq!(exchange.result.as_ref().map(text), Ok("answer"));
+    let tree = exchange.log.tree();
+    let anchors: Vec<_> = tree.anchors().iter().map(|anchor| anchor.host).collect();
+    assert_eq!(anchors, [edge_host, cloud.host]);
+    assert_eq!(exchange.up, Some(upload));
+    let (down, download) = tree.find(&["download"]).expect("the way back");
+    assert_eq!(exchange.down, Some(down));
+    assert_eq!(download.host, HostIndex(1));
+    let (_, inference) = tree.find(&["inference"]).expect("the cloud's node");
+    assert_eq!((inference.host, inference.parent), (HostIndex(1), Some(NodeId::ROOT)));
+    assert!(download.start >= inference.start, "{:?} {:?}", download.start, inference.start);
+    let (_, encode) = tree.find(&["encode"]).expect("on the edge");
+    assert!(!encode.measure.is_open());
+
+    let transit = |node: NodeId| match &tree.get(node).expect("in the tree").measure {
+        Measure::Transit(transit) => (transit.sent, transit.received.expect("arrived")),
+        other => panic!("{other:?}"),
+    };
+    let ((sent, received), (answered, arrived)) = (transit(upload), transit(down));
+    assert_eq!(received, incoming.received.wall);
+    assert_eq!(Some(arrived), exchange.arrived.map(|stamp| stamp.wall));
+    assert!(sent <= received && received <= answered && answered <= arrived);
+
+    let value = |name| tree.find(&[name]).and_then(|(_, node)| node.measure.value()).expect(name);
+    assert_eq!(value("upload-bytes"), 200_010.0);
+    assert_eq!(value("download-bytes"), 6.0);
+    let logger = value("upload-logger-bytes") + value("download-logger-bytes");
+    let figures = session.figures();
+    assert_eq!(figures.sent_bytes + figures.received_bytes, 200_016 + logger as u64);
+    assert_eq!((figures.sent_messages, figures.received_messages), (1, 1));
+}
+
+#[tokio::test]
+async fn answers_out_of_order_find_their_requests() {
+    let mut cloud = Cloud::start().await;
+    let (session, _) = cloud.session(settings()).await;
+    let pending: Vec<_> = (0..50).map(|n| request(&session, &n.to_string(), PATIENCE)).collect();
+    let mut incoming = Vec::new();
+    for _ in 0..pending.len() {
+        incoming.push(cloud.next_request().await);
+    }
+    // A model's worker is a plain thread.
+    let worker = std::thread::spawn(move || {
+        for request in incoming.into_iter().rev() {
+            request.reply.send(request.log, Ok(request.sample));
+        }
+    });
+    for (n, pending) in pending.into_iter().enumerate() {
+        let exchange = within(pending).await.expect("no panic");
+        assert_eq!(exchange.result.as_ref().map(text), Ok(n.to_string().as_str()));
+    }
+    worker.join().expect("no panic");
+}
+
+#[tokio::test]
+async fn failures_come_back_with_their_reason_and_what_was_measured() {
+    let mut cloud = Cloud::start().await;
+    let (session, _) = cloud.session(settings()).await;
+
+    // A timeout beyond what the clock can hold is none.
+    let pending = request(&session, "broken picture", Duration::MAX);
+    let mut incoming = cloud.next_request().await;
+    incoming.log.time(stage::PREPROCESSING);
+    incoming.reply.send(incoming.log, Err(Failure::Failed("not a JPEG".into())));
+    let exchange = within(pending).await.expect("no panic");
+    assert_eq!(exchange.result, Err(RequestError::Failed("not a JPEG".into())));
+    assert!(exchange.down.is_some() && exchange.log.tree().find(&["preprocessing"]).is_some());
+
+    let pending = request(&session, "one too many", PATIENCE);
+    let incoming = cloud.next_request().await;
+    incoming.reply.send(incoming.log, Err(Failure::Overloaded("16 samples wait".into())));
+    let exchange = within(pending).await.expect("no panic");
+    assert_eq!(exchange.result, Err(RequestError::Overloaded("16 samples wait".into())));
+
+    let pending = request(&session, "forgotten", PATIENCE);
+    drop(cloud.next_request().await);
+    let exchange = within(pending).await.expect("no panic");
+    assert!(matches!(exchange.result, Err(RequestError::Failed(_))), "{:?}", exchange.result);
+    assert!(exchange.arrived.is_some() && exchange.down.is_none());
+    echo(&mut cloud, &session, "all is well").await;
+}
+
+#[tokio::test]
+async fn a_late_answer_is_dropped_and_counted() {
+    let mut cloud = Cloud::start().await;
+    let (session, _) = cloud.session(settings()).await;
+    let pending = request(&session, "slow", Duration::from_millis(30));
+    let slow = cloud.next_request().await;
+    let exchange = within(pending).await.expect("no panic");
+    assert_eq!(exchange.result, Err(RequestError::Timeout));
+    assert_eq!((exchange.arrived, exchange.down), (None, None));
+    let upload = exchange.log.tree().get(exchange.up.expect("was sent")).expect("in the tree");
+    assert!(upload.measure.is_open());
+    assert!(exchange.log.tree().find(&["upload-bytes"]).is_some());
+
+    slow.reply.send(slow.log, Ok(slow.sample));
+    // The next answer comes behind the late one.
+    echo(&mut cloud, &session, "next").await;
+    assert_eq!(session.figures().late, 1);
+    assert_eq!(session.figures().lost, 0);
+}
+
+#[tokio::test]
+async fn a_request_that_is_given_up_frees_its_place() {
+    let mut cloud = Cloud::start().await;
+    let one = SessionSettings { max_in_flight: 1, ..settings() };
+    let (session, _) = cloud.session(one).await;
+    let pending = request(&session, "dropped", PATIENCE);
+    let incoming = cloud.next_request().await;
+    pending.abort();
+    assert!(within(pending).await.expect_err("aborted").is_cancelled());
+    incoming.reply.send(incoming.log, Ok(incoming.sample));
+    echo(&mut cloud, &session, "next").await;
+    assert_eq!(session.figures().late, 1);
+}
+
+#[tokio::test]
+async fn requests_beyond_the_tighter_limit_wait_and_say_so() {
+    let two = SessionSettings { max_in_flight: 1, ..settings() };
+    let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", two).await;
+    let (session, _) = cloud.session(settings()).await;
+    let (first, second) = (request(&session, "a", PATIENCE), request(&session, "b", PATIENCE));
+    for _ in 0..2 {
+        let incoming = cloud.next_request().await;
+        incoming.reply.send(incoming.log, Ok(incoming.sample));
+    }
+    let (first, second) = (within(first).await.expect("no panic"), within(second).await.expect("no panic"));
+    assert!(first.result.is_ok() && second.result.is_ok());
+    let waited = |exchange: &peernet_networks::Exchange| exchange.log.tree().find(&["send-queue"]).is_some();
+    assert_eq!([waited(&first), waited(&second)].iter().filter(|waited| **waited).count(), 1);
+
+    let held = request(&session, "c", PATIENCE);
+    let incoming = cloud.next_request().await;
+    let impatient = within(request(&session, "d", Duration::from_millis(20))).await.expect("no panic");
+    assert_eq!(impatient.result, Err(RequestError::Timeout));
+    assert_eq!(impatient.up, None);
+    incoming.reply.send(incoming.log, Ok(incoming.sample));
+    assert!(within(held).await.expect("no panic").result.is_ok());
+}
+
+#[tokio::test]
+async fn a_sample_or_an_answer_too_large_fails_alone() {
+    let small = SessionSettings { max_message_bytes: 100_000, ..settings() };
+    let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", small.clone()).await;
+    let (session, _) = cloud.session(settings()).await;
+    let large = Sample::of(Description::bytes(), vec![0; 100_001].into());
+    let exchange = within(session.request(log(), &large, PATIENCE)).await;
+    let Err(RequestError::Failed(reason)) = &exchange.result else { panic!("{:?}", exchange.result) };
+    assert!(reason.contains("max_message_bytes"), "{reason}");
+    assert_eq!(exchange.up, None);
+    echo(&mut cloud, &session, "small").await;
+
+    let mut cloud = Cloud::start().await;
+    let (session, _) = cloud.session(small).await;
+    let pending = request(&session, "zoom in", PATIENCE);
+    let incoming = cloud.next_request().await;
+    incoming.reply.send(incoming.log, Ok(large));
+    let exchange = within(pending).await.expect("no panic");
+    let Err(RequestError::Failed(reason)) = &exchange.result else { panic!("{:?}", exchange.result) };
+    assert!(reason.contains("max_message_bytes"), "{reason}");
+    echo(&mut cloud, &session, "small").await;
+}
+
+#[tokio::test]
+async fn samples_with_too_many_parts_or_too_much_to_say_fail_alone() {
+    let mut cloud = Cloud::start().await;
+    let (session, _) = cloud.session(settings()).await;
+    let part = Part { description: Description::bytes(), bytes: "x".into() };
+    let crowded = Sample { parts: vec![part; 65], source: String::new(), label: None };
+    let talkative = Sample { source: "x".repeat(70_000), ..sample("x") };
+    for bad in [crowded, talkative] {
+        let exchange = within(session.request(log(), &bad, PATIENCE)).await;
+        assert!(matches!(exchange.result, Err(RequestError::Failed(_))), "{:?}", exchange.result);
+    }
+    let empty = Sample { parts: Vec::new(), source: String::new(), label: None };
+    let pending = tokio::spawn({
+        let (session, empty) = (session.clone(), empty.clone());
+        async move { session.request(log(), &empty, PATIENCE).await }
+    });
+    let incoming = cloud.next_request().await;
+    incoming.reply.send(incoming.log, Ok(incoming.sample));
+    assert_eq!(within(pending).await.expect("no panic").result, Ok(empty));
+}

@@ -1,0 +1,144 @@
+//! An edge and a cloud on loopback, and a limit on how long anything may take.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use bytes::Bytes;
+use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
+use peernet_logger::{HostId, Recorder};
+use peernet_networks::{
+    Address, Exchange, Incoming, IncomingRequest, Listener, NetworkKind, OpenError, OpenRequest, PROTOCOL,
+    Session, SessionAccepted, SessionHello, SessionId, SessionSettings,
+};
+use peernet_sample::{Description, Sample};
+
+/// Far more than anything here needs; a test that hangs fails.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
+
+pub(crate) async fn within<T>(what: impl Future<Output = T>) -> T {
+    tokio::time::timeout(PATIENCE, what).await.expect("the test hangs")
+}
+
+pub(crate) fn clock() -> SharedClock {
+    Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")))
+}
+
+pub(crate) fn settings() -> SessionSettings {
+    SessionSettings { open_timeout_ms: 10_000, ..SessionSettings::default() }
+}
+
+pub(crate) fn hello() -> SessionHello {
+    SessionHello {
+        protocol: PROTOCOL,
+        host: HostId::random(),
+        name: "robot-1".parse().expect("a name"),
+        clock: ClockIdentity::new("boot", "system"),
+        pipeline: "line".parse().expect("a name"),
+        model: "echo".parse().expect("a name"),
+        device: None,
+    }
+}
+
+pub(crate) fn accepted(host: HostId) -> SessionAccepted {
+    SessionAccepted {
+        host,
+        name: "rack-1".parse().expect("a name"),
+        clock: ClockIdentity::new("boot", "system"),
+        version: "0.1.0".into(),
+        model: "echo".parse().expect("a name"),
+        device: "cpu".into(),
+        facts: vec![("parameters".into(), "none".into())],
+    }
+}
+
+pub(crate) fn sample(text: &str) -> Sample {
+    Sample::of(Description::bytes(), Bytes::copy_from_slice(text.as_bytes()))
+}
+
+pub(crate) fn text(sample: &Sample) -> &str {
+    std::str::from_utf8(&sample.parts[0].bytes).expect("a text")
+}
+
+pub(crate) struct Cloud {
+    pub(crate) host: HostId,
+    pub(crate) listener: Listener,
+}
+
+impl Cloud {
+    pub(crate) async fn start() -> Self {
+        Self::start_at("tcp://127.0.0.1:0", settings()).await
+    }
+
+    pub(crate) async fn start_at(address: &str, settings: SessionSettings) -> Self {
+        let (host, address) = (HostId::random(), address.parse().expect("an address"));
+        let listener = Listener::bind(NetworkKind::ZmqTcp, &address, settings, host, clock());
+        Self { host, listener: within(listener).await.expect("the port is free") }
+    }
+
+    pub(crate) fn address(&self) -> Address {
+        self.listener.address().clone()
+    }
+
+    pub(crate) async fn next(&mut self) -> Incoming {
+        within(self.listener.next()).await.expect("the listener is open")
+    }
+
+    pub(crate) async fn next_open(&mut self) -> OpenRequest {
+        match self.next().await {
+            Incoming::Open(open) => open,
+            other => panic!("expected a hello, not {other:?}"),
+        }
+    }
+
+    pub(crate) async fn next_request(&mut self) -> IncomingRequest {
+        match self.next().await {
+            Incoming::Request(request) => request,
+            other => panic!("expected a request, not {other:?}"),
+        }
+    }
+
+    pub(crate) async fn next_closed(&mut self) -> SessionId {
+        match self.next().await {
+            Incoming::Closed(session) => session,
+            other => panic!("expected the end of a session, not {other:?}"),
+        }
+    }
+
+    /// Opens a session with an edge that goes by its own settings.
+    pub(crate) async fn session(&mut self, settings: SessionSettings) -> (Session, SessionId) {
+        let address = self.address();
+        let edge = tokio::spawn(async move { open(&address, hello(), settings).await });
+        let request = self.next_open().await;
+        let id = request.session;
+        assert!(request.accept(accepted(self.host)));
+        (within(edge).await.expect("no panic").expect("accepted"), id)
+    }
+}
+
+pub(crate) async fn open(
+    address: &Address,
+    hello: SessionHello,
+    settings: SessionSettings,
+) -> Result<Session, OpenError> {
+    within(Session::open(NetworkKind::ZmqTcp, address, hello, settings, clock())).await
+}
+
+pub(crate) fn log() -> Recorder {
+    Recorder::begin(clock(), HostId::random())
+}
+
+/// A request that runs by itself.
+pub(crate) fn request(session: &Session, what: &str, timeout: Duration) -> tokio::task::JoinHandle<Exchange> {
+    let (session, sample) = (session.clone(), sample(what));
+    tokio::spawn(async move { session.request(log(), &sample, timeout).await })
+}
+
+/// Sends a request and lets the cloud echo it: the session works.
+pub(crate) async fn echo(cloud: &mut Cloud, session: &Session, what: &str) -> Exchange {
+    let pending = request(session, what, PATIENCE);
+    let incoming = cloud.next_request().await;
+    incoming.reply.send(incoming.log, Ok(incoming.sample));
+    let exchange = within(pending).await.expect("no panic");
+    assert_eq!(exchange.result.as_ref().map(text), Ok(what));
+    exchange
+}

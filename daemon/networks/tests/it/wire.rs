@@ -1,0 +1,107 @@
+//! The wire form, written down a second time: what any ZeroMQ program has to send.
+
+use bytes::Bytes;
+use serde::{Deserialize, Serialize};
+use zeromq::{Message, Options, Socket, SocketType};
+
+use crate::support::within;
+
+#[derive(Serialize, Deserialize, Debug)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum Header {
+    Open { hello: Hello, max_message_bytes: u64 },
+    Accepted { protocol: u16, session: Id, accepted: Accepted, max_message_bytes: u64, max_in_flight: u32 },
+    Refused { protocol: u16, kind: String, reason: String },
+    Request(Id, u64, (i64, i64), (Vec<Description>, String, Option<String>)),
+    Reply(Id, u64, Option<(i64, i64)>, Outcome),
+    UnknownSession { session: Id, request: u64 },
+    Goodbye { session: Id, reason: String },
+}
+
+/// Sixteen random bytes.
+pub(crate) type Id = serde_bytes::ByteBuf;
+
+/// Media type, shape, element type.
+pub(crate) type Description = (String, Vec<u32>, Option<String>);
+
+#[derive(Serialize, Deserialize, Debug)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum Outcome {
+    Answer((Vec<Description>, String, Option<String>)),
+    Failed(String),
+    Overloaded(String),
+}
+
+#[derive(Serialize, Deserialize, Debug)]
+pub(crate) struct Hello {
+    pub(crate) protocol: u16,
+    pub(crate) host: Id,
+    pub(crate) name: String,
+    pub(crate) clock: Clock,
+    pub(crate) pipeline: String,
+    pub(crate) model: String,
+    pub(crate) device: Option<String>,
+    /// Something a later version adds.
+    #[serde(default)]
+    pub(crate) colour: Option<String>,
+}
+
+#[derive(Serialize, Deserialize, Debug)]
+pub(crate) struct Clock {
+    pub(crate) boot: String,
+    pub(crate) clock: String,
+}
+
+#[derive(Serialize, Deserialize, Debug)]
+pub(crate) struct Accepted {
+    pub(crate) host: Id,
+    pub(crate) name: String,
+    pub(crate) clock: Clock,
+    pub(crate) version: String,
+    pub(crate) model: String,
+    pub(crate) device: String,
+    pub(crate) facts: Vec<(String, String)>,
+}
+
+pub(crate) fn hello(protocol: u16) -> Hello {
+    Hello {
+        protocol,
+        host: Id::from([1; 16]),
+        name: "plain".into(),
+        clock: Clock { boot: "b".into(), clock: "c".into() },
+        pipeline: "p".into(),
+        model: "echo".into(),
+        device: None,
+        colour: None,
+    }
+}
+
+pub(crate) fn open(protocol: u16) -> Header {
+    Header::Open { hello: hello(protocol), max_message_bytes: 1_000_000 }
+}
+
+/// A plain ZeroMQ socket.
+pub(crate) struct Plain(pub(crate) Socket);
+
+impl Plain {
+    pub(crate) async fn dealer(address: &peernet_networks::Address, options: Options) -> Self {
+        let socket = Socket::new(SocketType::Dealer, options);
+        within(socket.connect(address.to_string())).await.expect("a socket");
+        Self(socket)
+    }
+
+    pub(crate) async fn frames(&self, frames: Vec<Bytes>) {
+        within(self.0.send(Message::multipart(frames))).await.expect("sent");
+    }
+
+    pub(crate) async fn say(&self, header: &Header, rest: Vec<Bytes>) {
+        let header = rmp_serde::to_vec_named(header).expect("serialises");
+        self.frames([vec![header.into()], rest].concat()).await;
+    }
+
+    pub(crate) async fn hear(&self) -> (Header, Vec<Bytes>) {
+        let message = within(self.0.recv()).await.expect("an answer");
+        let frames: Vec<Bytes> = message.iter().collect();
+        (rmp_serde::from_slice(&frames[0]).expect("a header"), frames[1..].to_vec())
+    }
+}
