@@ -1,1 +1,34 @@
-//! peernet-agent
+//! The agent: what runs on every edge and every cloud.
+//!
+//! It composes the four modules, which do not know each other: sensors, networks, inference and actuators make
+//! [pipelines](config::PipelineConfig); models and a network make a [server](config::ServeConfig). What it
+//! measures goes to the aggregator as the event stream of `peernet_logger::stream`: live summaries of each
+//! second, and every finished iteration through the outbox. Measuring never waits for storing.
+//!
+//! ```text
+//! pipeline tasks ──┬─ live board ─┐
+//!   (one each)     └─ feed ───────┴─ outbox task ── aggregator
+//! serve task ────────── feed ─────┘
+//! telemetry task ───────────────────┘
+//! ```
+
+mod agent;
+mod check;
+pub mod config;
+mod host;
+mod identity;
+mod incidents;
+mod link;
+mod live;
+mod outbox;
+mod pauses;
+mod pipeline;
+mod random;
+mod serve;
+mod tasks;
+mod telemetry;
+
+pub use agent::{Agent, Failure, Running, StartError};
+pub use check::Problem;
+pub use config::AgentConfig;
+pub use identity::{IdentityError, host_id};

@@ -1,0 +1,212 @@
+//! Starting and stopping.
+
+use std::sync::Arc;
+
+use peernet_clock::SharedClock;
+use peernet_inference::Bank;
+use peernet_logger::stream::{HostDescription, HostMetrics, IncidentKind, LiveUpdate, PipelineState};
+use peernet_logger::{InvalidName, Slug};
+use peernet_networks::{Address, BindError, Listener};
+use tokio::sync::watch;
+use tokio_util::sync::CancellationToken;
+use tokio_util::task::TaskTracker;
+
+use crate::check::{Problem, check};
+use crate::config::{AgentConfig, HostConfig, PipelineConfig, StartMode};
+use crate::host::{Host, VERSION};
+use crate::identity::{IdentityError, host_id};
+use crate::incidents::{Concerning, Incidents};
+use crate::live::{Board, Display};
+use crate::outbox::Outbox;
+use crate::tasks::Tasks;
+use crate::{pipeline, serve, telemetry};
+
+pub use crate::tasks::Failure;
+
+/// Why an agent did not start.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// The machine's own name cannot be used as the agent's.
+    #[error("{0}; set [agent] name")]
+    Name(#[from] InvalidName),
+    /// The host id could not be read or made.
+    #[error(transparent)]
+    Identity(#[from] IdentityError),
+    /// The port for peers could not be had.
+    #[error(transparent)]
+    Bind(#[from] BindError),
+}
+
+/// The agent role of a host.
+#[derive(Debug)]
+pub enum Agent {}
+
+/// An agent that has started.
+#[derive(Debug)]
+pub struct Running {
+    host: Host,
+    board: Board,
+    metrics: watch::Receiver<HostMetrics>,
+    serves: Option<Address>,
+    tasks: Tasks,
+    outbox: Option<Outbox>,
+}
+
+impl Agent {
+    /// Everything that can be found wrong with a configuration without starting it: names, files, folders,
+    /// models, the port. Blocks while it reads them.
+    pub fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
+        check(config, clock)
+    }
+
+    /// Starts the agent: takes its port, begins its pipelines. It runs until `stop` is cancelled; then
+    /// [`Running::join`] sees it to its end.
+    ///
+    /// # Errors
+    /// When the host has no identity or the port cannot be had. A pipeline that cannot start is no error: it
+    /// is reported, and the others run.
+    pub async fn start(
+        config: AgentConfig,
+        clock: SharedClock,
+        stop: CancellationToken,
+    ) -> Result<Running, StartError> {
+        let name = host_name(&config.agent)?;
+        let id = host_id(&config.agent.state_dir)?;
+        let (feed, exit) = crate::outbox::entrance(&config.agent, &clock);
+        let incidents = Incidents::new(Arc::clone(&clock), feed.clone());
+        let bank = Arc::new(bank(&config, &clock, incidents.clone()));
+        let host = Host { id, name, clock, bank, feed, incidents };
+
+        let listener = match &config.serve {
+            None => None,
+            Some(serve) => {
+                let (session, clock) = (serve.session.clone(), Arc::clone(&host.clock));
+                Some(Listener::bind(serve.network, &serve.listen, session, id, clock).await?)
+            }
+        };
+        let serves = listener.as_ref().map(|listener| listener.address().clone());
+
+        let mut tasks = Tasks::new(&stop);
+        let (figures, metrics) = watch::channel(HostMetrics::default());
+        tasks.keep("telemetry", telemetry::run(Arc::clone(&host.clock), figures, tasks.stop()));
+        let pipelines = TaskTracker::new();
+        let board = start_pipelines(&mut tasks, &pipelines, &config, &host);
+        if let Some(listener) = listener {
+            // Pipelines may compute on this very host: they finish first.
+            let (told, served) = (tasks.stop(), CancellationToken::new());
+            let serving = serve::run(listener, host.clone(), served.clone());
+            tasks.keep("order of stopping", async move {
+                told.cancelled().await;
+                pipelines.close();
+                pipelines.wait().await;
+                served.cancel();
+            });
+            tasks.keep_or_fail("serve", serving);
+        }
+        let outbox = match (exit, &config.agent.aggregator) {
+            (Some(exit), Some(address)) => {
+                let description = describe(&config, &host, serves.as_ref());
+                let live = (board.clone(), metrics.clone());
+                Some(Outbox::start(&config.agent, address.clone(), exit, description, live, &host))
+            }
+            _ => None,
+        };
+        if let Some(outbox) = &outbox {
+            // It outlives the other tasks, but they are not to outlive it.
+            let (ended, told) = (outbox.ended(), tasks.stop());
+            tasks.keep("outbox", async move {
+                let _ = told.run_until_cancelled(ended.cancelled()).await;
+            });
+        }
+        tracing::info!(host = %host.name, id = %host.id, "the agent is up");
+        Ok(Running { host, board, metrics, serves, tasks, outbox })
+    }
+}
+
+impl Running {
+    /// Where peers may ask for models, with the real port.
+    pub fn serves(&self) -> Option<&Address> {
+        self.serves.as_ref()
+    }
+
+    /// What the agent shows of itself now: every pipeline with the seconds that the aggregator has not seen
+    /// yet, the host's figures, the accounting of events.
+    pub fn live(&self) -> LiveUpdate {
+        let (pipelines, _) = self.board.look();
+        LiveUpdate {
+            host: self.host.id,
+            sent: self.host.clock.wall(),
+            pipelines,
+            metrics: self.metrics.borrow().clone(),
+            accounting: self.outbox.as_ref().map(Outbox::accounting).unwrap_or_default(),
+        }
+    }
+
+    /// Waits for the end: that of a task, which is a failure, or the token's. Then pipelines finish what is
+    /// under way, runs end, the outbox hands over what it holds, all within the configured time.
+    ///
+    /// # Errors
+    /// When a task ended that should not have.
+    pub async fn join(self) -> Result<(), Failure> {
+        let Self { host, tasks, outbox, .. } = self;
+        let ended = tasks.join().await;
+        let stored = match outbox {
+            Some(outbox) => outbox.close().await,
+            None => Ok(()),
+        };
+        let bank = Arc::clone(&host.bank);
+        let unloaded = tokio::task::spawn_blocking(move || bank.shutdown()).await;
+        unloaded.map_err(|error| Failure { part: "models".to_owned(), reason: error.to_string() })?;
+        ended.and(stored)
+    }
+}
+
+/// The configured name, or the machine's.
+pub(crate) fn host_name(config: &HostConfig) -> Result<Slug, StartError> {
+    match &config.name {
+        Some(name) => Ok(name.clone()),
+        None => Ok(sysinfo::System::host_name().unwrap_or_default().parse()?),
+    }
+}
+
+fn bank(config: &AgentConfig, clock: &SharedClock, incidents: Incidents) -> Bank {
+    Bank::new(config.models.clone(), config.onnxruntime.clone(), Arc::clone(clock)).on_load(move |pool| {
+        let text =
+            format!("loaded {} on {} in {:.1} s", pool.name(), pool.device(), pool.loaded_in().seconds());
+        incidents.report(IncidentKind::ModelLoaded, Concerning::default(), text);
+    })
+}
+
+fn start_pipelines(tasks: &mut Tasks, tracker: &TaskTracker, config: &AgentConfig, host: &Host) -> Board {
+    // Half of the time to stop is for what is under way, the other half for handing it over.
+    let patience = config.agent.stop_timeout() / 2;
+    let start = |pipeline: &PipelineConfig| {
+        let placement = pipeline::intended(&pipeline.placement);
+        let display = Arc::new(Display::new(pipeline.name.clone(), pipeline.load.describe(), placement));
+        match pipeline.start {
+            StartMode::Boot => {
+                let (config, shown) = (Arc::new(pipeline.clone()), Arc::clone(&display));
+                let running = pipeline::run(config, shown, host.clone(), tasks.stop(), patience);
+                tasks.let_end(&format!("pipeline {}", pipeline.name), tracker.track_future(running));
+            }
+            StartMode::Manual => {
+                let reason = "not started: its configuration says start = \"manual\"";
+                display.set_state(PipelineState::Waiting(reason.to_owned()));
+            }
+        }
+        display
+    };
+    Board::new(config.pipelines.iter().map(start).collect())
+}
+
+fn describe(config: &AgentConfig, host: &Host, serves: Option<&Address>) -> HostDescription {
+    HostDescription {
+        id: host.id,
+        name: host.name.clone(),
+        clock: host.clock.identity().clone(),
+        version: VERSION.to_owned(),
+        hardware: telemetry::hardware(),
+        serves: serves.map(Address::to_string),
+        models: config.models.iter().map(|model| model.name().clone()).collect(),
+    }
+}

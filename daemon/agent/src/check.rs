@@ -1,0 +1,140 @@
+//! Everything that can be found wrong with a configuration before anything starts.
+
+use std::collections::HashSet;
+use std::fmt;
+use std::io;
+use std::net::TcpListener;
+use std::path::Path;
+use std::sync::Arc;
+
+use peernet_clock::SharedClock;
+use peernet_inference::Bank;
+use peernet_logger::Slug;
+use rustix::fs::{Access, access};
+
+use crate::agent::host_name;
+use crate::config::{AgentConfig, PipelineConfig, PlacementConfig, ServeConfig};
+use crate::identity::existing_id;
+
+/// Something wrong with a configuration.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Problem {
+    /// Where: the path of the key, such as `pipeline[1].placement.model`, counted from 0.
+    pub key: String,
+    /// What is wrong and what to do about it.
+    pub text: String,
+}
+
+impl fmt::Display for Problem {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.key, self.text)
+    }
+}
+
+/// Collects problems.
+#[derive(Default)]
+struct Report(Vec<Problem>);
+
+impl Report {
+    fn add(&mut self, key: impl Into<String>, text: impl fmt::Display) {
+        self.0.push(Problem { key: key.into(), text: text.to_string() });
+    }
+
+    fn unless_ok<T>(&mut self, key: impl Into<String>, result: Result<T, impl fmt::Display>) {
+        if let Err(error) = result {
+            self.add(key, error);
+        }
+    }
+}
+
+/// Checks a configuration. Reads files and tries the port; changes nothing. Blocks.
+pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
+    let mut report = Report::default();
+    report.unless_ok("agent.name", host_name(&config.agent));
+    report.unless_ok("agent.state_dir", usable(&config.agent.state_dir));
+    report.unless_ok("agent.state_dir", existing_id(&config.agent.state_dir));
+    let bank = Bank::new(config.models.clone(), config.onnxruntime.clone(), Arc::clone(clock));
+    for error in bank.check() {
+        report.add("model", error);
+    }
+    if let Some(serve) = &config.serve {
+        check_serve(&mut report, serve, &bank.names());
+    }
+    let mut names = HashSet::new();
+    for (index, pipeline) in config.pipelines.iter().enumerate() {
+        let at = format!("pipeline[{index}]");
+        if !names.insert(&pipeline.name) {
+            let text = format!("another pipeline is named {} already; give each its own name", pipeline.name);
+            report.add(format!("{at}.name"), text);
+        }
+        check_pipeline(&mut report, &at, pipeline, &bank.names());
+    }
+    report.0
+}
+
+fn check_serve(report: &mut Report, serve: &ServeConfig, models: &[Slug]) {
+    if models.is_empty() {
+        report.add("serve", "there is no model to serve; add a [[model]] or remove [serve]");
+    }
+    let (host, port) = (serve.listen.host(), serve.listen.port());
+    if let Err(error) = TcpListener::bind((host.as_str(), port)) {
+        let advice = match error.kind() {
+            io::ErrorKind::AddrInUse => "stop the program that uses it or choose another port",
+            io::ErrorKind::AddrNotAvailable => "use tcp://0.0.0.0:… for all addresses of this machine",
+            io::ErrorKind::PermissionDenied => "ports below 1024 need a privilege, choose a higher one",
+            _ => "check the address",
+        };
+        report.add("serve.listen", format!("cannot listen on {}: {error}; {advice}", serve.listen));
+    }
+}
+
+fn check_pipeline(report: &mut Report, at: &str, pipeline: &PipelineConfig, models: &[Slug]) {
+    report.unless_ok(format!("{at}.sensor"), peernet_sensors::open(&pipeline.sensor));
+    for (index, transform) in pipeline.transforms.iter().enumerate() {
+        report.unless_ok(format!("{at}.transforms[{index}]"), transform.build());
+    }
+    if let PlacementConfig::Local { model } = &pipeline.placement
+        && !models.contains(model)
+    {
+        let known = match models {
+            [] => "there is no [[model]] at all".to_owned(),
+            models => {
+                let names: Vec<&str> = models.iter().map(Slug::as_str).collect();
+                format!("there is {}", names.join(", "))
+            }
+        };
+        report.add(format!("{at}.placement.model"), format!("no [[model]] is named {model}; {known}"));
+    }
+    if let Some(hz) = pipeline.load.hz()
+        && !(hz > 0.0 && hz <= 100_000.0)
+    {
+        report
+            .add(format!("{at}.load.hz"), format!("{hz} is not a rate above 0 and up to 100000 per second"));
+    }
+    if let Some(seconds) = pipeline.limit.duration_s
+        && !(seconds > 0.0 && seconds.is_finite())
+    {
+        report.add(format!("{at}.limit.duration_s"), format!("{seconds} is not a number of seconds above 0"));
+    }
+    let warm_up = &pipeline.warm_up;
+    if pipeline.episode_steps.is_none() && (warm_up.episodes > 0 || warm_up.steps > 0) {
+        let text = "episodes and steps mean nothing without episode_steps; set it or use iterations";
+        report.add(format!("{at}.warm_up"), text);
+    }
+}
+
+/// Whether files can be made in a folder, or the folder itself.
+fn usable(folder: &Path) -> Result<(), String> {
+    let existing = folder.ancestors().find(|part| part.exists() || part.as_os_str().is_empty());
+    let existing = existing.filter(|part| !part.as_os_str().is_empty()).unwrap_or_else(|| Path::new("."));
+    if !existing.is_dir() {
+        return Err(format!("{} is not a folder; choose another state_dir", existing.display()));
+    }
+    access(existing, Access::WRITE_OK | Access::EXEC_OK).map_err(|error| {
+        format!(
+            "cannot write to {}: {}; change its permissions or choose another state_dir",
+            existing.display(),
+            io::Error::from(error)
+        )
+    })
+}

@@ -1,0 +1,74 @@
+//! `[agent]`
+
+use std::num::NonZeroUsize;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use peernet_clock::ClockIdentity;
+use peernet_logger::Slug;
+use peernet_networks::Address;
+use serde::{Deserialize, Serialize};
+
+/// `[agent]`: the host itself and its connection to the aggregator.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct HostConfig {
+    /// Name for people, unique among the agents of one aggregator: 1 to 64 letters, digits, dots, underscores
+    /// and hyphens. Default: the machine's host name.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub name: Option<Slug>,
+    /// Folder for what must outlive a restart, such as the host id; made when missing. Each agent needs its
+    /// own. Default: `/var/lib/peernet`.
+    pub state_dir: PathBuf,
+    /// Where finished iterations and live figures are sent: `tcp://host:port`, usually port 5550. Without it
+    /// the agent measures and serves, and nothing is stored.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub aggregator: Option<Address>,
+    /// Which clock this agent reads: agents of one machine with equal names share one, so that one-way delays
+    /// between them are exact. Another name makes peers treat it as a clock of its own, which is for tests and
+    /// rehearsals. Default: `system`.
+    pub clock_identity: String,
+    /// Events that may wait for the aggregator; when they are this many the newest are dropped, counted and
+    /// reported as a gap. Default: 50000.
+    pub queue_events: NonZeroUsize,
+    /// Bytes that those events may take; the same happens beyond. Default: 33554432 (32 MiB).
+    pub queue_bytes: NonZeroUsize,
+    /// Nodes per batch at most. Default: 8192.
+    pub batch_nodes: NonZeroUsize,
+    /// Bytes per batch at most. Small batches keep live figures prompt on slow links, because a live update
+    /// waits for the batches under way. Default: 131072 (128 KiB).
+    pub batch_bytes: NonZeroUsize,
+    /// How long the first event of a batch may wait for more; milliseconds. Default: 200.
+    pub batch_delay_ms: u32,
+    /// How long stopping may take, iterations in flight and unsent events together; milliseconds.
+    /// Default: 5000.
+    pub stop_timeout_ms: u64,
+}
+
+impl Default for HostConfig {
+    fn default() -> Self {
+        Self {
+            name: None,
+            state_dir: PathBuf::from("/var/lib/peernet"),
+            aggregator: None,
+            clock_identity: ClockIdentity::SYSTEM.to_owned(),
+            queue_events: at_least_one(50_000),
+            queue_bytes: at_least_one(32 << 20),
+            batch_nodes: at_least_one(8192),
+            batch_bytes: at_least_one(128 << 10),
+            batch_delay_ms: 200,
+            stop_timeout_ms: 5000,
+        }
+    }
+}
+
+impl HostConfig {
+    /// How long stopping may take.
+    pub fn stop_timeout(&self) -> Duration {
+        Duration::from_millis(self.stop_timeout_ms)
+    }
+}
+
+const fn at_least_one(count: usize) -> NonZeroUsize {
+    NonZeroUsize::MIN.saturating_add(count - 1)
+}

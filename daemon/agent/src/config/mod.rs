@@ -1,0 +1,35 @@
+//! What an agent can be told.
+//!
+//! The doc comments here are the reference of the configuration: one per key, with unit and default.
+
+mod host;
+mod pipeline;
+mod serve;
+
+pub use host::HostConfig;
+pub use pipeline::{Limit, LoadConfig, PipelineConfig, PlacementConfig, RemoteConfig, StartMode, WarmUp};
+pub use serve::ServeConfig;
+
+use peernet_inference::{ModelConfig, OnnxRuntimeConfig};
+use serde::{Deserialize, Serialize};
+
+/// The tables of a configuration file that belong to the agent.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AgentConfig {
+    /// `[agent]`: the host itself and its connection to the aggregator.
+    #[serde(default)]
+    pub agent: HostConfig,
+    /// `[serve]`: where peers may ask for this host's models; without it they may not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub serve: Option<ServeConfig>,
+    /// `[[model]]`: the models that this host offers to its own pipelines and, with `[serve]`, to its peers.
+    #[serde(default, rename = "model", skip_serializing_if = "Vec::is_empty")]
+    pub models: Vec<ModelConfig>,
+    /// `[onnxruntime]`: the library that runs models of kind `onnx`.
+    #[serde(default)]
+    pub onnxruntime: OnnxRuntimeConfig,
+    /// `[[pipeline]]`: what this host measures.
+    #[serde(default, rename = "pipeline", skip_serializing_if = "Vec::is_empty")]
+    pub pipelines: Vec<PipelineConfig>,
+}

@@ -1,0 +1,208 @@
+//! `[[pipeline]]`
+
+use std::num::{NonZeroU32, NonZeroU64, NonZeroUsize};
+use std::time::Duration;
+
+use peernet_actuators::ActuatorConfig;
+use peernet_logger::Slug;
+use peernet_networks::{Address, NetworkKind, SessionSettings};
+use peernet_sensors::{SensorConfig, TransformConfig};
+use serde::{Deserialize, Serialize};
+
+/// `[[pipeline]]`: sensor → transforms → placement → actuator, and how often.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PipelineConfig {
+    /// Name for people, unique on this host.
+    pub name: Slug,
+    /// Where samples come from: `{ kind = "images", path = "…" }` and so on.
+    pub sensor: SensorConfig,
+    /// What is done with each sample before it is sent or computed on, in order. Default: nothing.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub transforms: Vec<TransformConfig>,
+    /// Where it computes: `{ kind = "local", model = "…" }` or
+    /// `{ kind = "remote", peer = "tcp://host:5551", model = "…" }`.
+    pub placement: PlacementConfig,
+    /// When iterations begin. Default: `{ mode = "closed" }`.
+    #[serde(default)]
+    pub load: LoadConfig,
+    /// Iterations that may be under way at once, except with `mode = "closed"`, which has one. As many starts
+    /// again may wait; older ones are skipped and counted (`skipped-starts`). Default: 4.
+    #[serde(default = "four")]
+    pub max_in_flight: NonZeroUsize,
+    /// How long to wait for an answer; milliseconds. Later ones count as `timeout`. Default: 5000.
+    #[serde(default = "five_seconds")]
+    pub timeout_ms: NonZeroU64,
+    /// Iterations that are kept but left out of statistics.
+    #[serde(default)]
+    pub warm_up: WarmUp,
+    /// Iterations per episode. Default: one episode without end.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub episode_steps: Option<NonZeroU32>,
+    /// When to stop. Default: never.
+    #[serde(default)]
+    pub limit: Limit,
+    /// What is done with each answer. Default: nothing.
+    #[serde(default)]
+    pub actuator: ActuatorConfig,
+    /// Whether it starts with the agent. Default: `boot`.
+    #[serde(default)]
+    pub start: StartMode,
+}
+
+/// Where a pipeline computes.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum PlacementConfig {
+    /// On this host.
+    Local {
+        /// Name of one of this host's `[[model]]`.
+        model: Slug,
+    },
+    /// On a peer, over a network.
+    Remote(RemoteConfig),
+}
+
+/// `placement = { kind = "remote", … }`
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RemoteConfig {
+    /// Address of the peer's `[serve] listen`: `tcp://host:port`.
+    pub peer: Address,
+    /// Kind of network. Default: `zmq-tcp`.
+    #[serde(default = "zmq_tcp")]
+    pub network: NetworkKind,
+    /// Name of one of the peer's models.
+    pub model: Slug,
+    /// The device that the model must run on. Default: whatever the peer has configured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub device: Option<String>,
+    /// Time limits and bounds of the session.
+    #[serde(default)]
+    pub session: SessionSettings,
+}
+
+impl PlacementConfig {
+    /// The model's name.
+    pub fn model(&self) -> &Slug {
+        match self {
+            Self::Local { model } => model,
+            Self::Remote(remote) => &remote.model,
+        }
+    }
+}
+
+/// When iterations begin.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "mode", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum LoadConfig {
+    /// The next one after the answer to the last.
+    Closed {},
+    /// At a fixed rate, whether or not earlier ones are done. Latency counts from the intended start.
+    Rate {
+        /// Starts per second, above 0 and at most 100,000.
+        hz: f64,
+    },
+    /// At random moments: exponentially distributed gaps, as of many independent askers.
+    Poisson {
+        /// Starts per second on average, above 0 and at most 100,000.
+        hz: f64,
+        /// Equal seeds give equal gaps. Default: 0.
+        #[serde(default)]
+        seed: u64,
+    },
+}
+
+impl Default for LoadConfig {
+    fn default() -> Self {
+        Self::Closed {}
+    }
+}
+
+impl LoadConfig {
+    /// Starts per second, where they are set.
+    pub fn hz(&self) -> Option<f64> {
+        match *self {
+            Self::Closed {} => None,
+            Self::Rate { hz } | Self::Poisson { hz, .. } => Some(hz),
+        }
+    }
+
+    /// In words: `closed`, `5 Hz`, `Poisson, 5 Hz`.
+    pub fn describe(&self) -> String {
+        match self {
+            Self::Closed {} => "closed".to_owned(),
+            Self::Rate { hz } => format!("{hz} Hz"),
+            Self::Poisson { hz, .. } => format!("Poisson, {hz} Hz"),
+        }
+    }
+}
+
+/// Iterations that are kept, but flagged and left out of statistics: caches fill, connections open up, models
+/// compile. An iteration is warm-up when any of these says so.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct WarmUp {
+    /// The first so many iterations. Default: 5.
+    pub iterations: u64,
+    /// The first so many episodes; needs `episode_steps`. Default: 0.
+    pub episodes: u32,
+    /// The first so many steps of every episode; needs `episode_steps`. Default: 0.
+    pub steps: u32,
+}
+
+impl Default for WarmUp {
+    fn default() -> Self {
+        Self { iterations: 5, episodes: 0, steps: 0 }
+    }
+}
+
+/// When a pipeline stops by itself: at whichever comes first. Without a limit it runs for ever, and a new run
+/// begins at midnight UTC.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Limit {
+    /// After this many iterations; those of the warm-up do not count.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub iterations: Option<NonZeroU64>,
+    /// So many seconds after the first iteration that is not warm-up.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub duration_s: Option<f64>,
+}
+
+impl Limit {
+    /// Whether there is none.
+    pub fn is_none(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// Whether a pipeline starts with the agent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum StartMode {
+    /// As soon as the agent is up.
+    #[default]
+    Boot,
+    /// Checked and shown, but not started.
+    Manual,
+}
+
+impl PipelineConfig {
+    /// How long to wait for an answer.
+    pub fn timeout(&self) -> Duration {
+        Duration::from_millis(self.timeout_ms.get())
+    }
+}
+
+pub(super) const fn zmq_tcp() -> NetworkKind {
+    NetworkKind::ZmqTcp
+}
+
+const fn four() -> NonZeroUsize {
+    NonZeroUsize::MIN.saturating_add(3)
+}
+
+const fn five_seconds() -> NonZeroU64 {
+    NonZeroU64::MIN.saturating_add(4999)
+}

@@ -1,0 +1,31 @@
+//! `[serve]`
+
+use std::net::{IpAddr, Ipv4Addr};
+
+use peernet_networks::{Address, NetworkKind, SessionSettings};
+use serde::{Deserialize, Serialize};
+
+use super::pipeline::zmq_tcp;
+
+/// `[serve]`: where peers may ask for this host's models.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ServeConfig {
+    /// Address to listen on: `tcp://0.0.0.0:5551` takes peers on every interface.
+    /// Default: `tcp://127.0.0.1:5551`, which takes those of this machine only.
+    pub listen: Address,
+    /// Kind of network. Default: `zmq-tcp`.
+    pub network: NetworkKind,
+    /// Time limits and bounds of each session.
+    pub session: SessionSettings,
+}
+
+impl Default for ServeConfig {
+    fn default() -> Self {
+        Self {
+            listen: Address::of_ip(IpAddr::V4(Ipv4Addr::LOCALHOST), 5551),
+            network: zmq_tcp(),
+            session: SessionSettings::default(),
+        }
+    }
+}

@@ -1,0 +1,24 @@
+//! What all parts of the agent share.
+
+use std::sync::Arc;
+
+use peernet_clock::SharedClock;
+use peernet_inference::Bank;
+use peernet_logger::{HostId, Slug};
+
+use crate::incidents::Incidents;
+use crate::outbox::Feed;
+
+/// This host as its own parts see it.
+#[derive(Clone, Debug)]
+pub(crate) struct Host {
+    pub(crate) id: HostId,
+    pub(crate) name: Slug,
+    pub(crate) clock: SharedClock,
+    pub(crate) bank: Arc<Bank>,
+    pub(crate) feed: Feed,
+    pub(crate) incidents: Incidents,
+}
+
+/// The agent's version, as peers and the aggregator are told.
+pub(crate) const VERSION: &str = env!("CARGO_PKG_VERSION");

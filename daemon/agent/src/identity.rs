@@ -1,0 +1,114 @@
+//! Who this host is: an id that outlives restarts.
+
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use peernet_logger::HostId;
+
+/// Why the host id could not be had.
+#[derive(Debug, thiserror::Error)]
+pub enum IdentityError {
+    /// The folder or a file in it cannot be used.
+    #[error("cannot {action} {}: {source}; check [agent] state_dir and its permissions", .path.display())]
+    Io {
+        /// What was tried.
+        action: &'static str,
+        /// On what.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The file holds something else.
+    #[error("{} holds no host id but {found:?}; restore it, or remove it to become a new host", .path.display())]
+    NotAnId {
+        /// The file.
+        path: PathBuf,
+        /// What it holds.
+        found: String,
+    },
+}
+
+/// The id in `host-id` in `state_dir`; made, with the folder, when it is not there yet.
+///
+/// The file appears whole or not at all: a power cut cannot leave half an id, and two agents that start
+/// together in one folder agree on one.
+///
+/// # Errors
+/// When the folder cannot be used or the file is not one of ours.
+pub fn host_id(state_dir: &Path) -> Result<HostId, IdentityError> {
+    let path = state_dir.join("host-id");
+    let io = |action, path: &Path| {
+        let path = path.to_owned();
+        move |source| IdentityError::Io { action, path, source }
+    };
+    if let Some(id) = existing_id(state_dir)? {
+        return Ok(id);
+    }
+    fs::create_dir_all(state_dir).map_err(io("make", state_dir))?;
+    let fresh = HostId::random();
+    let draft = state_dir.join(format!("host-id.{fresh}"));
+    let written = File::create_new(&draft)
+        .and_then(|mut file| writeln!(file, "{fresh}").and_then(|()| file.sync_all()))
+        .map_err(io("write", &draft));
+    // Linking, unlike renaming, fails when another process was first.
+    let linked = written.and_then(|()| match fs::hard_link(&draft, &path) {
+        Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(io("write", &path)(error)),
+        _ => Ok(()),
+    });
+    let removed = fs::remove_file(&draft).map_err(io("remove", &draft));
+    linked?;
+    removed?;
+    File::open(state_dir).and_then(|folder| folder.sync_all()).map_err(io("write", state_dir))?;
+    existing_id(state_dir)?.ok_or_else(|| {
+        let gone = io::Error::new(io::ErrorKind::NotFound, "it vanished while it was being made");
+        io("read", &path)(gone)
+    })
+}
+
+/// The id in `host-id` in `state_dir`, if there is one already.
+pub(crate) fn existing_id(state_dir: &Path) -> Result<Option<HostId>, IdentityError> {
+    let path = state_dir.join("host-id");
+    match fs::read_to_string(&path) {
+        Ok(text) => text.trim().parse().map(Some).map_err(|_| {
+            let found = text.trim().chars().take(40).collect();
+            IdentityError::NotAnId { path, found }
+        }),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(source) => Err(IdentityError::Io { action: "read", path, source }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_id_outlives_the_process_and_the_folder_is_made() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let state = folder.path().join("a").join("b");
+        let first = host_id(&state).expect("made");
+        assert_eq!(host_id(&state).expect("read"), first);
+        let files: Vec<_> =
+            fs::read_dir(&state).expect("there").map(|entry| entry.expect("readable")).collect();
+        assert_eq!(files.len(), 1, "no draft is left behind");
+    }
+
+    #[test]
+    fn agents_that_start_together_agree() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let ids: Vec<_> = std::thread::scope(|scope| {
+            let threads: Vec<_> = (0..8).map(|_| scope.spawn(|| host_id(folder.path()))).collect();
+            threads.into_iter().map(|thread| thread.join().expect("no panic").expect("an id")).collect()
+        });
+        assert!(ids.iter().all(|id| *id == ids[0]));
+    }
+
+    #[test]
+    fn a_foreign_file_is_left_alone_and_named() {
+        let folder = tempfile::tempdir().expect("a folder");
+        fs::write(folder.path().join("host-id"), "my notes\n").expect("written");
+        let error = host_id(folder.path()).expect_err("not an id").to_string();
+        assert!(error.contains("host-id") && error.contains("my notes"), "{error}");
+    }
+}

@@ -1,0 +1,48 @@
+//! What happens beside the measurements: to the log and to the aggregator in one call.
+
+use peernet_clock::SharedClock;
+use peernet_logger::stream::{Event, Incident, IncidentKind};
+use peernet_logger::{HostId, RunId, Slug};
+
+use crate::outbox::Feed;
+
+/// Reports incidents.
+#[derive(Clone, Debug)]
+pub(crate) struct Incidents {
+    clock: SharedClock,
+    feed: Feed,
+}
+
+/// What an incident concerns.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Concerning<'a> {
+    pub(crate) pipeline: Option<&'a Slug>,
+    pub(crate) run: Option<RunId>,
+    pub(crate) peer: Option<HostId>,
+}
+
+impl Incidents {
+    pub(crate) const fn new(clock: SharedClock, feed: Feed) -> Self {
+        Self { clock, feed }
+    }
+
+    /// Logs and reports an incident; `text` is one sentence for people.
+    pub(crate) fn report(&self, kind: IncidentKind, what: Concerning<'_>, text: String) {
+        let pipeline = what.pipeline.map_or("-", Slug::as_str);
+        match kind {
+            IncidentKind::Connected | IncidentKind::ModelLoaded | IncidentKind::Control => {
+                tracing::info!(%kind, pipeline, "{text}");
+            }
+            _ => tracing::warn!(%kind, pipeline, "{text}"),
+        }
+        let incident = Incident {
+            at: self.clock.wall(),
+            kind,
+            pipeline: what.pipeline.cloned(),
+            run: what.run,
+            peer: what.peer,
+            text,
+        };
+        self.feed.event(what.pipeline, what.run, Event::Incident(incident));
+    }
+}

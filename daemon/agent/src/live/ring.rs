@@ -1,0 +1,154 @@
+//! The last seconds of one pipeline.
+
+use std::collections::VecDeque;
+
+use peernet_logger::Tree;
+use peernet_logger::stream::{Outcome, Second};
+
+use super::cell::Cell;
+
+/// Seconds kept.
+const KEPT: usize = 64;
+/// Seconds in one update at most: after an outage the newest go first and the others follow.
+const SENT: usize = 8;
+/// A second this far before the newest one means that the wall clock was set back.
+const STEP: i64 = 5;
+
+/// One cell per second in which something ended, oldest first.
+#[derive(Debug, Default)]
+pub(super) struct Ring {
+    cells: VecDeque<Cell>,
+    version: u64,
+}
+
+/// What of a ring was put into an update: (second, version).
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Shown(Vec<(i64, u64)>);
+
+impl Ring {
+    /// Adds an iteration that ended within the second `at`.
+    pub(super) fn record(&mut self, at: i64, outcome: &Outcome, tree: &Tree) {
+        self.version += 1;
+        let version = self.version;
+        let cell = self.cell(at);
+        cell.version = version;
+        cell.record(outcome, tree);
+    }
+
+    fn cell(&mut self, at: i64) -> &mut Cell {
+        if self.cells.back().is_some_and(|newest| at < newest.at - STEP) {
+            self.cells.clear();
+        }
+        let after = self.cells.iter().rposition(|cell| cell.at <= at);
+        let index = match after {
+            Some(index) if self.cells[index].at == at => index,
+            other => {
+                let mut index = other.map_or(0, |index| index + 1);
+                self.cells.insert(index, Cell::new(at));
+                if self.cells.len() > KEPT && index > 0 {
+                    self.cells.pop_front();
+                    index -= 1;
+                }
+                index
+            }
+        };
+        &mut self.cells[index]
+    }
+
+    /// The seconds that changed since they were last shown, newest first.
+    pub(super) fn changed(&self) -> (Vec<Second>, Shown) {
+        let changed = self.cells.iter().rev().filter(|cell| cell.version > cell.shown).take(SENT);
+        let (seconds, shown) = changed.map(|cell| (cell.second(), (cell.at, cell.version))).unzip();
+        (seconds, Shown(shown))
+    }
+
+    /// Notes that an update was handed on.
+    pub(super) fn shown(&mut self, shown: &Shown) {
+        for (at, version) in &shown.0 {
+            if let Some(cell) = self.cells.iter_mut().find(|cell| cell.at == *at) {
+                cell.shown = *version;
+            }
+        }
+    }
+
+    /// Every second is to be shown again: the receiver has lost what it knew.
+    pub(super) fn forget_shown(&mut self) {
+        for cell in &mut self.cells {
+            cell.shown = 0;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use peernet_clock::{ClockIdentity, ManualClock, OneWayDelay, Span, WallTime};
+    use peernet_logger::{HostId, Measure, Recorder, stage};
+
+    use super::*;
+
+    fn tree(millis: i64) -> Tree {
+        let clock =
+            Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system")));
+        let mut log = Recorder::begin(Arc::<ManualClock>::clone(&clock), HostId::random());
+        let upload = log.depart(stage::UPLOAD, peernet_clock::Clock::stamp(&*clock));
+        log.arrive(upload, WallTime::from_unix_nanos(0) + Span::from_millis(millis));
+        if let Some(Measure::Transit(transit)) = log.tree_mut().measure_mut(upload) {
+            transit.delay = Some(OneWayDelay::same_clock(Span::from_millis(millis)));
+        }
+        log.finish()
+    }
+
+    #[test]
+    fn a_second_is_complete_each_time_it_is_shown_and_shown_again_only_when_it_changed() {
+        let mut ring = Ring::default();
+        ring.record(10, &Outcome::Ok, &tree(4));
+        ring.record(11, &Outcome::Ok, &tree(6));
+        ring.record(11, &Outcome::Timeout, &tree(500));
+
+        let (seconds, shown) = ring.changed();
+        assert_eq!(seconds.iter().map(|second| second.at).collect::<Vec<_>>(), [11, 10]);
+        assert_eq!((seconds[0].counts.ok, seconds[0].counts.timeout), (1, 1));
+        let (name, upload) = &seconds[0].values[0];
+        assert_eq!((name.as_str(), upload.count(), upload.moments.mean), ("upload", 1, 0.006));
+        assert_eq!(seconds[0].bounds[0].1.moments.max, 0.0, "one clock: the bound is exact");
+        assert_eq!(seconds[0].verdicts, [("upload".into(), "ok".into(), 1)]);
+
+        assert_eq!(ring.changed().0.len(), 2, "not handed on: still to be shown");
+        ring.record(11, &Outcome::Ok, &tree(8));
+        ring.shown(&shown);
+        let (seconds, _) = ring.changed();
+        assert_eq!((seconds.len(), seconds[0].at, seconds[0].counts.ok), (1, 11, 2));
+    }
+
+    #[test]
+    fn updates_and_memory_are_bounded_however_long_nobody_looks() {
+        let mut ring = Ring::default();
+        for at in 0..1000 {
+            ring.record(at, &Outcome::Ok, &tree(1));
+        }
+        assert_eq!(ring.cells.len(), KEPT);
+        let mut seen = Vec::new();
+        loop {
+            let (seconds, shown) = ring.changed();
+            if seconds.is_empty() {
+                break;
+            }
+            assert!(seconds.len() <= SENT);
+            seen.extend(seconds.iter().map(|second| second.at));
+            ring.shown(&shown);
+        }
+        assert!(seen.iter().copied().eq((1000 - KEPT as i64..1000).rev()), "newest first: {seen:?}");
+    }
+
+    #[test]
+    fn a_wall_clock_set_back_begins_anew() {
+        let mut ring = Ring::default();
+        ring.record(5000, &Outcome::Ok, &tree(1));
+        ring.record(4999, &Outcome::Ok, &tree(1));
+        assert_eq!(ring.cells.len(), 2);
+        ring.record(1400, &Outcome::Ok, &tree(1));
+        assert_eq!(ring.changed().0.iter().map(|second| second.at).collect::<Vec<_>>(), [1400]);
+    }
+}

@@ -1,0 +1,101 @@
+//! One connection to the aggregator: a DEALER that lives and dies with it.
+
+use std::time::Duration;
+
+use peernet_networks::Address;
+use zeromq::options::WorkloadProfile;
+use zeromq::{
+    DisconnectReason, Message, MonitorEvent, MonitorStream, Options, ReconnectPolicy, Socket, SocketType,
+    TrySendError,
+};
+
+/// Messages that the socket takes before the connection has: a window of batches and little more, so that live
+/// figures never grow old in it.
+const QUEUE: u32 = 8;
+const HEARTBEAT: Duration = Duration::from_secs(1);
+/// A peer this silent is gone.
+const SILENCE: Duration = Duration::from_secs(5);
+const HANDSHAKE: Duration = Duration::from_secs(5);
+/// The library would dial again by itself, behind our back and with the old messages still in its queue.
+const NEVER: Duration = Duration::from_secs(365 * 24 * 3600);
+
+/// An open connection.
+#[derive(Debug)]
+pub(super) struct Connection {
+    socket: Socket,
+    monitor: MonitorStream,
+}
+
+impl Connection {
+    /// Opens a connection.
+    ///
+    /// # Errors
+    /// What stood in the way, in a few words.
+    pub(super) async fn open(address: &Address) -> Result<Self, String> {
+        let options = Options::default()
+            .workload_profile(WorkloadProfile::Latency)
+            .send_hwm(QUEUE)
+            .max_message_size(peernet_logger::stream::codec::MAX_MESSAGE_BYTES)
+            .heartbeat_interval(HEARTBEAT)
+            .heartbeat_timeout(SILENCE)
+            .tcp_user_timeout(SILENCE)
+            .handshake_timeout(HANDSHAKE)
+            .reconnect(ReconnectPolicy::Fixed(NEVER))
+            .linger(Duration::ZERO);
+        let socket = Socket::try_new(SocketType::Dealer, options).map_err(|error| error.to_string())?;
+        let mut monitor = socket.monitor();
+        socket.connect(address.to_string()).await.map_err(|error| error.to_string())?;
+        loop {
+            match monitor.recv().await.map_err(|error| error.to_string())? {
+                MonitorEvent::HandshakeSucceeded { .. } => return Ok(Self { socket, monitor }),
+                MonitorEvent::HandshakeFailed { reason, .. } => {
+                    return Err(format!("something else answers there ({reason})"));
+                }
+                MonitorEvent::ConnectDelayed { .. } => return Err("nobody answers".to_owned()),
+                MonitorEvent::Disconnected { reason, .. } | MonitorEvent::ConnectStopped { reason, .. } => {
+                    return Err(in_words(&reason));
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// Hands a frame to the connection; gives it back when there is no room now.
+    pub(super) fn send(&self, frame: Vec<u8>) -> Result<(), Vec<u8>> {
+        match self.socket.try_send(Message::single(frame)) {
+            Err(TrySendError::Full(message)) => Err(message.into_bytes().map(Into::into).unwrap_or_default()),
+            // A connection that is closed shows itself at the next receive; what was sent last is repeated.
+            Ok(()) | Err(TrySendError::Closed | TrySendError::Error(_)) => Ok(()),
+        }
+    }
+
+    /// The next message's frames, or why there will be none. Dropping the future loses nothing.
+    pub(super) async fn receive(&mut self) -> Result<Message, String> {
+        loop {
+            tokio::select! {
+                biased;
+                message = self.socket.recv() => return message.map_err(|error| error.to_string()),
+                event = self.monitor.recv() => match event {
+                    Ok(MonitorEvent::Disconnected { reason, .. }) => return Err(in_words(&reason)),
+                    Ok(_) => {}
+                    Err(error) => return Err(error.to_string()),
+                },
+            }
+        }
+    }
+
+    /// Closes after what was handed over has gone, no later than after `linger`.
+    pub(super) async fn close(self, linger: Duration) {
+        if let Err(error) = self.socket.close_with_linger(Some(linger)).await {
+            tracing::debug!(%error, "closing the connection to the aggregator did not end cleanly");
+        }
+    }
+}
+
+fn in_words(reason: &DisconnectReason) -> String {
+    match reason {
+        DisconnectReason::PeerClosed => "the aggregator closed the connection".to_owned(),
+        DisconnectReason::Error(text) => text.clone(),
+        other => format!("{other:?}"),
+    }
+}

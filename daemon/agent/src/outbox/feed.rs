@@ -1,0 +1,146 @@
+//! Where measuring hands over its events: never waiting, never losing one uncounted.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use peernet_clock::SharedClock;
+use peernet_logger::stream::{Event, Gap, Iteration};
+use peernet_logger::{RunId, Slug};
+use tokio::sync::mpsc;
+
+/// Iterations between the pipelines and the outbox task, which looks every few milliseconds.
+const PLACES: usize = 4096;
+/// Places kept for other events: without the start of its run an iteration means nothing.
+const RESERVE: usize = 512;
+
+/// The entrance of the outbox; clones are the same.
+#[derive(Clone, Debug)]
+pub(crate) struct Feed(Option<Arc<Entrance>>);
+
+#[derive(Debug)]
+struct Entrance {
+    queue: mpsc::Sender<Event>,
+    overflow: Arc<Overflow>,
+}
+
+/// The outbox task's end: what came in, and what did not fit.
+#[derive(Debug)]
+pub(crate) struct Exit {
+    pub(super) queue: mpsc::Receiver<Event>,
+    pub(super) overflow: Arc<Overflow>,
+}
+
+/// What was dropped for want of a place.
+#[derive(Debug)]
+pub(super) struct Overflow {
+    clock: SharedClock,
+    dropped: AtomicU64,
+    /// What was dropped since it was last taken, by pipeline and run.
+    gaps: Mutex<BTreeMap<Origin, Gap>>,
+}
+
+/// Pipeline and run.
+type Origin = (Option<Slug>, Option<RunId>);
+
+/// An entrance and an exit with a queue between them.
+pub(crate) fn channel(clock: SharedClock) -> (Feed, Exit) {
+    let (sender, queue) = mpsc::channel(PLACES + RESERVE);
+    let overflow = Arc::new(Overflow { clock, dropped: AtomicU64::new(0), gaps: Mutex::default() });
+    let entrance = Entrance { queue: sender, overflow: Arc::clone(&overflow) };
+    (Feed(Some(Arc::new(entrance))), Exit { queue, overflow })
+}
+
+impl Feed {
+    /// A feed into nothing, for an agent without an aggregator.
+    pub(crate) const fn nowhere() -> Self {
+        Self(None)
+    }
+
+    /// Hands in an iteration of `pipeline`.
+    pub(crate) fn iteration(&self, pipeline: &Slug, iteration: Iteration) {
+        let Some(entrance) = &self.0 else { return };
+        let run = iteration.run;
+        let room = entrance.queue.capacity() > RESERVE;
+        if !room || entrance.queue.try_send(Event::Iteration(iteration)).is_err() {
+            entrance.overflow.count(Some(pipeline), Some(run));
+        }
+    }
+
+    /// Hands in anything else, which concerns `pipeline` and `run` or neither.
+    pub(crate) fn event(&self, pipeline: Option<&Slug>, run: Option<RunId>, event: Event) {
+        let Some(entrance) = &self.0 else { return };
+        if entrance.queue.try_send(event).is_err() {
+            entrance.overflow.count(pipeline, run);
+        }
+    }
+}
+
+impl Overflow {
+    /// Events that were dropped.
+    pub(super) fn dropped(&self) -> u64 {
+        self.dropped.load(Ordering::Relaxed)
+    }
+
+    /// Takes what was dropped since the last call, to be reported.
+    pub(super) fn take_gaps(&self) -> Vec<Gap> {
+        // Nearly always nothing was dropped: no lock then.
+        if self.dropped() == 0 {
+            return Vec::new();
+        }
+        let gaps = std::mem::take(&mut *self.gaps.lock().unwrap_or_else(PoisonError::into_inner));
+        gaps.into_values().collect()
+    }
+
+    fn count(&self, pipeline: Option<&Slug>, run: Option<RunId>) {
+        self.dropped.fetch_add(1, Ordering::Relaxed);
+        let now = self.clock.wall();
+        let mut gaps = self.gaps.lock().unwrap_or_else(PoisonError::into_inner);
+        let gap = gaps.entry((pipeline.cloned(), run)).or_insert_with(|| Gap {
+            pipeline: pipeline.cloned(),
+            run,
+            from: now,
+            to: now,
+            count: 0,
+            reason: "the agent made events faster than it could queue them".to_owned(),
+        });
+        gap.count += 1;
+        gap.to = now;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::{Clock, ClockIdentity, ManualClock, Span, WallTime};
+    use peernet_logger::stream::{Outcome, RunEnded};
+    use peernet_logger::{HostId, Recorder};
+
+    use super::*;
+
+    fn iteration(clock: &Arc<ManualClock>, run: RunId, number: u64) -> Iteration {
+        let tree = Recorder::begin(Arc::<ManualClock>::clone(clock), HostId::random()).finish();
+        Iteration { run, number, episode: 0, step: 0, warm_up: false, outcome: Outcome::Ok, tree }
+    }
+
+    #[test]
+    fn what_does_not_fit_is_counted_by_run_and_the_end_of_a_run_still_gets_through() {
+        let clock =
+            Arc::new(ManualClock::new(WallTime::from_unix_nanos(5), ClockIdentity::new("boot", "system")));
+        let (feed, exit) = channel(Arc::<ManualClock>::clone(&clock));
+        let (pipeline, run): (Slug, _) = ("line".parse().expect("a name"), RunId::random());
+        let offered = PLACES as u64 + 2;
+        for number in 1..=offered {
+            clock.advance(Span::from_nanos(10));
+            feed.iteration(&pipeline, iteration(&clock, run, number));
+        }
+        let ended = RunEnded { run, ended: clock.wall(), reason: "stopped".into() };
+        feed.event(Some(&pipeline), Some(run), Event::RunEnded(ended));
+
+        assert_eq!((exit.queue.len(), exit.overflow.dropped()), (PLACES + 1, 2));
+        let gaps = exit.overflow.take_gaps();
+        assert_eq!(gaps.len(), 1);
+        assert_eq!((gaps[0].count, gaps[0].run, gaps[0].pipeline.as_ref()), (2, Some(run), Some(&pipeline)));
+        assert_eq!(gaps[0].to - gaps[0].from, Span::from_nanos(10));
+        assert!(exit.overflow.take_gaps().is_empty());
+    }
+}

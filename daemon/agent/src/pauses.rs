@@ -1,0 +1,66 @@
+//! How long to wait before the next try. No I/O.
+
+use std::time::Duration;
+
+use peernet_logger::HostId;
+
+use crate::random::SplitMix;
+
+/// Growing pauses with jitter, so that many edges do not all come back to a restarted cloud at once.
+#[derive(Debug)]
+pub(crate) struct Pauses {
+    next: Duration,
+    random: SplitMix,
+}
+
+impl Pauses {
+    pub(crate) const SHORTEST: Duration = Duration::from_millis(250);
+    pub(crate) const LONGEST: Duration = Duration::from_secs(5);
+    /// Between tries after a refusal, which rarely mends itself.
+    pub(crate) const REFUSED: Duration = Duration::from_secs(15);
+
+    /// Pauses whose jitter is the host's own.
+    pub(crate) fn new(host: HostId) -> Self {
+        let [a, b, c, d, e, f, g, h, ..] = *host.as_bytes();
+        let seed = u64::from_le_bytes([a, b, c, d, e, f, g, h]);
+        Self { next: Self::SHORTEST, random: SplitMix::new(seed) }
+    }
+
+    /// The pause before the next try: it doubles each time up to the longest, ± 20 %.
+    pub(crate) fn grow(&mut self) -> Duration {
+        let pause = self.next;
+        self.next = (pause * 2).min(Self::LONGEST);
+        self.jitter(pause)
+    }
+
+    /// A try succeeded: the next pause is the shortest again.
+    pub(crate) const fn reset(&mut self) {
+        self.next = Self::SHORTEST;
+    }
+
+    /// The pause after a refusal, ± 20 %.
+    pub(crate) fn refused(&mut self) -> Duration {
+        self.jitter(Self::REFUSED)
+    }
+
+    fn jitter(&mut self, pause: Duration) -> Duration {
+        pause.mul_f64(0.8 + 0.4 * self.random.unit())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pauses_grow_to_the_longest_and_begin_anew_after_a_success() {
+        let mut pauses = Pauses::new(HostId::from_bytes([7; 16]));
+        let around = |pause: Duration, middle: f64| (pause.as_secs_f64() / middle - 1.0).abs() <= 0.2;
+        for middle in [0.25, 0.5, 1.0, 2.0, 4.0, 5.0, 5.0] {
+            let pause = pauses.grow();
+            assert!(around(pause, middle), "{pause:?} should be about {middle} s");
+        }
+        pauses.reset();
+        assert!(around(pauses.grow(), 0.25));
+    }
+}

@@ -1,0 +1,105 @@
+//! A timer that is exact enough for starts.
+
+use std::io;
+use std::os::fd::OwnedFd;
+
+use peernet_clock::{MonoTime, SharedClock};
+use rustix::time::{
+    Itimerspec, TimerfdClockId, TimerfdFlags, TimerfdTimerFlags, Timespec, timerfd_create, timerfd_settime,
+};
+use tokio::io::unix::AsyncFd;
+
+/// Waits for a moment of the monotonic clock.
+///
+/// The timers of tokio are rounded up to whole milliseconds, which would stand in the latency of every
+/// iteration that is counted from its intended start; the kernel's are not.
+#[derive(Debug)]
+pub(crate) struct Alarm {
+    timer: AsyncFd<OwnedFd>,
+    clock: SharedClock,
+    /// What the timer is set to.
+    set: Option<MonoTime>,
+}
+
+impl Alarm {
+    /// An alarm that is not set.
+    ///
+    /// # Errors
+    /// When the kernel has no timer to give: too many open files.
+    pub(crate) fn new(clock: SharedClock) -> io::Result<Self> {
+        let flags = TimerfdFlags::NONBLOCK | TimerfdFlags::CLOEXEC;
+        let timer = timerfd_create(TimerfdClockId::Monotonic, flags)?;
+        #[expect(
+            deprecated,
+            reason = "its successor is unsafe, for types whose descriptor can change; ours cannot"
+        )]
+        let timer = AsyncFd::new(timer)?;
+        Ok(Self { timer, clock, set: None })
+    }
+
+    /// Waits until `at`; returns at once when that has passed. Cancelling and waiting again for the same
+    /// moment costs nothing.
+    ///
+    /// # Errors
+    /// When the kernel refuses to set the timer.
+    pub(crate) async fn until(&mut self, at: MonoTime) -> io::Result<()> {
+        // The clock may be a rehearsed one: only the difference is the kernel's business.
+        let left = at - self.clock.mono();
+        if left.nanos() <= 0 {
+            return Ok(());
+        }
+        if self.set != Some(at) {
+            let left =
+                Timespec { tv_sec: left.nanos() / 1_000_000_000, tv_nsec: left.nanos() % 1_000_000_000 };
+            let once = Itimerspec { it_interval: Timespec { tv_sec: 0, tv_nsec: 0 }, it_value: left };
+            timerfd_settime(self.timer.get_ref(), TimerfdTimerFlags::empty(), &once)?;
+            self.set = Some(at);
+        }
+        loop {
+            let mut ready = self.timer.readable().await?;
+            let mut ticks = [0; 8];
+            match ready.try_io(|timer| rustix::io::read(timer.get_ref(), &mut ticks).map_err(Into::into)) {
+                Ok(result) => {
+                    self.set = None;
+                    return result.map(|_| ());
+                }
+                Err(_would_block) => {}
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use peernet_clock::{ClockIdentity, Span, SystemClock};
+
+    use super::*;
+
+    #[tokio::test]
+    async fn an_alarm_never_rings_early_and_can_be_set_anew() {
+        let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
+        let mut alarm = Alarm::new(Arc::clone(&clock)).expect("a timer");
+        for millis in [3, 1, 0, -5, 2] {
+            let at = clock.mono() + Span::from_millis(millis);
+            alarm.until(at).await.expect("rings");
+            assert!(clock.mono() >= at);
+        }
+    }
+
+    #[tokio::test]
+    async fn a_wait_that_was_given_up_does_not_disturb_the_next() {
+        let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
+        let mut alarm = Alarm::new(Arc::clone(&clock)).expect("a timer");
+        let far = clock.mono() + Span::from_seconds(3600);
+        tokio::select! {
+            biased;
+            _ = alarm.until(far) => unreachable!("an hour has not passed"),
+            () = std::future::ready(()) => {}
+        }
+        let near = clock.mono() + Span::from_millis(2);
+        alarm.until(near).await.expect("rings");
+        assert!(clock.mono() >= near);
+    }
+}

@@ -1,0 +1,182 @@
+//! The state of a pipeline's inner loop and its transitions; waiting is in `drive`.
+
+use peernet_clock::{MonoTime, SharedClock};
+use peernet_logger::Recorder;
+use peernet_logger::stream::Outcome;
+use tokio::sync::oneshot;
+
+use super::brake::Brake;
+use super::flight::{Landed, Ticket, Waiting};
+use super::iteration;
+use super::line::Line;
+use super::load::Start;
+use super::placement::Computed;
+use super::run::Run;
+use super::sensing::{Sensed, Sensing};
+use crate::host::Host;
+
+/// Why the loop ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Ended {
+    /// The run reached its limit.
+    Limit,
+    /// The sensor has no more samples.
+    NoMoreSamples,
+    /// A new day began.
+    Midnight,
+    /// The placement is gone; the text says why.
+    Disconnected(String),
+    /// The agent stops.
+    Stopped,
+    /// The pipeline cannot go on; the text says why.
+    Broken(String),
+}
+
+/// A sample that the sensor's thread is asked for.
+pub(super) struct Awaited {
+    start: Start,
+    begun: MonoTime,
+    pub(super) sample: oneshot::Receiver<Sensed>,
+}
+
+/// Where the loop stands.
+///
+/// One iteration at a time is sensed, then waits for a place, then is aloft; only being aloft is possible for
+/// several at once.
+pub(super) struct Cycle<'a> {
+    pub(super) line: &'a mut Line,
+    run: &'a mut Run,
+    host: &'a Host,
+    pub(super) sensing: Option<Awaited>,
+    waiting: Option<Waiting>,
+    aloft: Vec<Ticket>,
+    ending: Option<Ended>,
+    brake: Brake,
+}
+
+impl<'a> Cycle<'a> {
+    pub(super) fn new(line: &'a mut Line, run: &'a mut Run, host: &'a Host) -> Self {
+        let aloft = Vec::with_capacity(line.places());
+        Self { line, run, host, sensing: None, waiting: None, aloft, ending: None, brake: Brake::default() }
+    }
+
+    /// The sample that may be sent now: there is one, and a place for it.
+    pub(super) fn launch(&mut self) -> Option<Waiting> {
+        let places = self.line.places();
+        let ready = self.waiting.take_if(|_| self.aloft.len() < places)?;
+        self.aloft.push(ready.ticket);
+        Some(ready)
+    }
+
+    /// Begins an iteration if it is time for one. Returns whether something happened.
+    pub(super) fn begin(&mut self) -> bool {
+        if !self.may_begin() {
+            return false;
+        }
+        let clock = &self.host.clock;
+        let now = clock.mono();
+        if self.brake.holds_until(now).is_some() {
+            return false;
+        }
+        if self.run.is_yesterdays(clock.wall()) {
+            self.ending = Some(Ended::Midnight);
+            return true;
+        }
+        let next = self.line.schedule.next_at(now);
+        if self.run.is_over(next) {
+            self.ending = Some(Ended::Limit);
+            return true;
+        }
+        let Some(start) = self.line.schedule.take(now) else { return false };
+        let (log, begun) = iteration::begin(clock, self.host.id, start.intended);
+        match self.line.senses.begin(log) {
+            Sensing::Done(sensed) => self.judge(start, begun, sensed),
+            Sensing::Pending(sample) => self.sensing = Some(Awaited { start, begun, sample }),
+        }
+        true
+    }
+
+    /// When the loop has to look again even if nothing happens.
+    pub(super) fn wakes_at(&mut self) -> Option<MonoTime> {
+        if !self.may_begin() {
+            return None;
+        }
+        let now = self.host.clock.mono();
+        self.brake.holds_until(now).or_else(|| Some(self.line.schedule.next_at(now)))
+    }
+
+    /// Nothing begins any more. The first reason counts.
+    pub(super) fn end(&mut self, reason: Ended) {
+        self.ending.get_or_insert(reason);
+    }
+
+    /// Why the loop is over, once everything that had begun is done.
+    pub(super) fn ended(&self) -> Option<Ended> {
+        let done = self.sensing.is_none() && self.waiting.is_none() && self.aloft.is_empty();
+        self.ending.clone().filter(|_| done)
+    }
+
+    /// The sensor's thread has answered.
+    pub(super) fn sensed(&mut self, sensed: Sensed) {
+        if let Some(Awaited { start, begun, .. }) = self.sensing.take() {
+            self.judge(start, begun, sensed);
+        }
+    }
+
+    /// An iteration came back.
+    pub(super) fn land(&mut self, landed: Landed) {
+        let Landed { ticket, source, computed: Computed { mut log, result } } = landed;
+        self.aloft.retain(|other| other.position.number != ticket.position.number);
+        let outcome = match (result, &mut self.line.actuator) {
+            (Ok(answer), Some(actuator)) => {
+                let acted = actuator.act(&source, &answer, &mut log.time(peernet_logger::stage::ACTUATION));
+                acted.map_or_else(|error| Outcome::Failed(error.to_string()), |()| Outcome::Ok)
+            }
+            (Ok(_), None) => Outcome::Ok,
+            (Err(outcome), _) => outcome,
+        };
+        self.finish(ticket, log, outcome);
+    }
+
+    /// Gives up what is under way: it is recorded as lost.
+    pub(super) fn abandon(&mut self, reason: &str) {
+        let waiting = self.waiting.take().map(|waiting| waiting.ticket);
+        for ticket in std::mem::take(&mut self.aloft).into_iter().chain(waiting) {
+            // What was measured is with the peer or the model; what remains is that it began.
+            let (log, _) = iteration::begin(&self.host.clock, self.host.id, ticket.start.intended);
+            self.finish(ticket, log, Outcome::Lost(reason.to_owned()));
+        }
+    }
+
+    fn may_begin(&self) -> bool {
+        let idle = self.ending.is_none() && self.sensing.is_none() && self.waiting.is_none();
+        idle && (self.aloft.is_empty() || !self.line.schedule.is_closed())
+    }
+
+    /// Gives the iteration its number, now that it is known to be one.
+    fn judge(&mut self, start: Start, begun: MonoTime, Sensed { log, sample }: Sensed) {
+        let mut ticket = || Ticket { position: self.run.place(start.intended), start, begun };
+        match sample {
+            Ok(None) => self.end(Ended::NoMoreSamples),
+            Ok(Some(sample)) => {
+                let ticket = ticket();
+                self.waiting = Some(Waiting::new(ticket, log, sample, self.line.schedule.is_closed()));
+            }
+            Err(error) => {
+                let ticket = ticket();
+                self.finish(ticket, log, Outcome::Failed(error.to_string()));
+            }
+        }
+    }
+
+    fn finish(&mut self, ticket: Ticket, log: Recorder, outcome: Outcome) {
+        let clock: &SharedClock = &self.host.clock;
+        let ended = clock.stamp();
+        let closed_loop = self.line.schedule.is_closed();
+        if closed_loop {
+            self.brake.note(&outcome, ended.mono);
+        }
+        let tree = iteration::close(log, &ticket, ended.mono, closed_loop);
+        self.run.record(ticket.position, outcome, tree, ended, self.host, &self.line.display);
+    }
+}

@@ -1,0 +1,83 @@
+//! The inner loop of a pipeline: from start to start until something ends it.
+
+use std::pin::pin;
+use std::time::Duration;
+
+use futures::stream::{FuturesUnordered, StreamExt};
+use tokio_util::sync::CancellationToken;
+
+use super::cycle::{Cycle, Ended};
+use super::line::Line;
+use super::placement::Placement;
+use super::run::Run;
+use crate::host::Host;
+
+/// Runs iterations of `run` at `placement` until one of the ends; all that had begun has been recorded by then.
+///
+/// After `stop` nothing begins any more, and what is under way has `patience` to finish.
+pub(super) async fn drive(
+    line: &mut Line,
+    run: &mut Run,
+    placement: &Placement,
+    host: &Host,
+    stop: &CancellationToken,
+    patience: Duration,
+) -> Ended {
+    let timeout = line.config.timeout();
+    let mut cycle = Cycle::new(line, run, host);
+    let mut flights = FuturesUnordered::new();
+    let mut stopping = pin!(stop.cancelled());
+    let mut gone = pin!(placement.closed());
+    let mut given_up = pin!(tokio::time::sleep(Duration::ZERO));
+    let (mut is_stopping, mut is_gone) = (false, false);
+    loop {
+        if let Some(ready) = cycle.launch() {
+            flights.push(ready.fly(placement, timeout));
+        }
+        if cycle.begin() {
+            // A loop of parts that never wait would keep its thread from all other tasks.
+            tokio::task::consume_budget().await;
+            continue;
+        }
+        if let Some(ended) = cycle.ended() {
+            return ended;
+        }
+        let alarm_at = cycle.wakes_at();
+        let sensing = cycle.sensing.as_mut().map(|sensing| &mut sensing.sample);
+        let alarm = &mut cycle.line.alarm;
+        tokio::select! {
+            biased;
+            () = &mut stopping, if !is_stopping => {
+                is_stopping = true;
+                given_up.as_mut().reset(tokio::time::Instant::now() + patience);
+                cycle.end(Ended::Stopped);
+            }
+            reason = &mut gone, if !is_gone => {
+                is_gone = true;
+                cycle.end(Ended::Disconnected(reason.to_string()));
+            }
+            Some(landed) = flights.next() => cycle.land(landed),
+            Some(sensed) = maybe(sensing) => match sensed {
+                Ok(sensed) => cycle.sensed(sensed),
+                Err(_) => cycle.end(Ended::Broken("the sensor's thread has died; the log says why".to_owned())),
+            },
+            Some(rung) = maybe(alarm_at.map(|at| Box::pin(alarm.until(at)))) => {
+                if let Err(error) = rung {
+                    cycle.end(Ended::Broken(format!("the timer of the pipeline failed: {error}")));
+                }
+            }
+            () = &mut given_up, if is_stopping => {
+                cycle.abandon("the agent stopped before the answer came");
+                return Ended::Stopped;
+            }
+        }
+    }
+}
+
+/// What `future` yields, if there is one.
+async fn maybe<F: Future>(future: Option<F>) -> Option<F::Output> {
+    match future {
+        Some(future) => Some(future.await),
+        None => None,
+    }
+}

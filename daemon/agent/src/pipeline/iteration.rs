@@ -1,0 +1,150 @@
+//! The tree of one iteration, from its intended start to its end.
+
+use peernet_clock::{MonoTime, SharedClock, Span, Stamp, Verdict};
+use peernet_logger::{HostId, Measure, Name, NodeId, Recorder, Tree, Unit, stage};
+
+use super::flight::Ticket;
+
+/// Starts that were skipped between this iteration and the one before it, because the pipeline was too far
+/// behind its rate. Absent when there were none.
+const SKIPPED_STARTS: Name = Name::from_static("skipped-starts");
+/// From the intended start to the real one. Part of `unattributed`, named because it says that the pipeline
+/// did not keep up. Absent in a closed loop, which is never late.
+const LATENESS: Name = Name::from_static("lateness");
+
+/// Begins the tree of an iteration that was meant to begin at `intended`: its root begins then. Returns when
+/// it really began, too.
+pub(super) fn begin(clock: &SharedClock, host: HostId, intended: MonoTime) -> (Recorder, MonoTime) {
+    let now = clock.stamp();
+    let at = Stamp { wall: now.wall - (now.mono - intended), mono: intended };
+    (Recorder::begin_at(SharedClock::clone(clock), host, at), now.mono)
+}
+
+/// Closes the tree of an iteration that ended at `ended`: adds what is computed over the whole.
+pub(super) fn close(mut log: Recorder, ticket: &Ticket, ended: MonoTime, closed_loop: bool) -> Tree {
+    let intended = ticket.start.intended;
+    if !closed_loop {
+        log.timed(LATENESS, intended, ticket.begun);
+    }
+    if ticket.start.skipped > 0 {
+        log.value(SKIPPED_STARTS, ticket.start.skipped as f64, Unit::NONE);
+    }
+    let total = ended - intended;
+    log.timed(stage::TOTAL, intended, ended);
+    let mut tree = log.finish();
+    if let Some(stages) = stages_total(&tree, total) {
+        let mut add = |name, start, span| tree.add(NodeId::ROOT, name, start, Measure::Timer(Some(span)));
+        add(stage::STAGES_TOTAL, Span::ZERO, stages);
+        add(stage::UNATTRIBUTED, stages, total - stages);
+    }
+    tree
+}
+
+/// The sum of the stages; `None` when one of them took place and it is not known how long it took.
+///
+/// Of two clocks that were never related the way up and the way down are unknown, but not their sum: what the
+/// one raw difference has too much, the other has too little.
+fn stages_total(tree: &Tree, total: Span) -> Option<Span> {
+    let mut sum = Span::ZERO;
+    let mut unrelated = (0, Span::ZERO);
+    for (_, node) in tree.children(NodeId::ROOT).filter(|(_, node)| stage::ORDER.contains(&node.name)) {
+        match &node.measure {
+            Measure::Timer(Some(span)) => sum += *span,
+            Measure::Transit(transit) => match transit.delay {
+                Some(delay) if delay.verdict == Verdict::Unsynchronised => {
+                    unrelated = (unrelated.0 + 1, unrelated.1 + delay.raw);
+                }
+                Some(delay) => sum += delay.value?,
+                None => {}
+            },
+            _ => {}
+        }
+    }
+    let (ways, raw) = unrelated;
+    // A clock that was stepped between the two ways leaves nonsense.
+    let plausible = !raw.is_negative() && raw <= total;
+    match ways {
+        0 => Some(sum),
+        2 if plausible => Some(sum + raw),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use peernet_clock::{Clock, ClockIdentity, ManualClock, Relation, WallTime};
+
+    use super::super::load::Start;
+    use super::super::progress::Position;
+    use super::*;
+    use crate::link::correct;
+
+    const STEP: Span = Span::from_millis(1);
+
+    /// An iteration that began 3 ms late, sensed for 1 ms, went up, down and was acted upon for 1 ms each, with
+    /// 2 ms on a cloud whose wall clock is `ahead`; 1 ms passed outside of all stages.
+    fn iteration(ahead: Span, relation: Relation) -> Tree {
+        let clock =
+            Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system")));
+        let pass = |steps: i64| clock.advance(Span::from_nanos(STEP.nanos() * steps));
+        let intended = clock.mono();
+        pass(3);
+        let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
+        let (mut log, begun) = begin(&shared, HostId::random(), intended);
+        {
+            let _sensing = log.time(stage::SENSING);
+            pass(1);
+        }
+        let up = log.depart(stage::UPLOAD, clock.stamp());
+        pass(1);
+        log.arrive(up, clock.wall() + ahead);
+        {
+            let _inference = log.time(stage::INFERENCE);
+            pass(2);
+        }
+        let sent = Stamp { wall: clock.wall() + ahead, mono: clock.mono() };
+        let down = log.depart(stage::DOWNLOAD, sent);
+        pass(1);
+        log.arrive(down, clock.wall());
+        correct(log.tree_mut(), &relation, Some(up), Some(down));
+        pass(1);
+        {
+            let _actuation = log.time(stage::ACTUATION);
+            pass(1);
+        }
+        let position = Position { number: 1, episode: 0, step: 0, warm_up: false };
+        let ticket = Ticket { position, start: Start { intended, skipped: 7 }, begun };
+        close(log, &ticket, clock.mono(), false)
+    }
+
+    fn millis(tree: &Tree, name: &str) -> Option<f64> {
+        Some((tree.find(&[name])?.1.measure.value()? * 1e3).round())
+    }
+
+    #[test]
+    fn stages_and_what_lies_beside_them_add_up_to_the_total() {
+        let tree = iteration(Span::ZERO, Relation::SameClock);
+        assert_eq!(millis(&tree, "total"), Some(10.0));
+        assert_eq!(millis(&tree, "stages-total"), Some(6.0));
+        assert_eq!(millis(&tree, "unattributed"), Some(4.0));
+        assert_eq!(millis(&tree, "lateness"), Some(3.0));
+        assert_eq!(tree.find(&["skipped-starts"]).and_then(|(_, node)| node.measure.value()), Some(7.0));
+    }
+
+    #[test]
+    fn the_sum_does_not_depend_on_what_the_peers_clock_shows() {
+        for ahead in [Span::from_seconds(3600), Span::from_seconds(-5)] {
+            let tree = iteration(ahead, Relation::Unknown);
+            assert_eq!(millis(&tree, "upload"), None, "not known");
+            assert_eq!(millis(&tree, "stages-total"), Some(6.0));
+        }
+    }
+
+    #[test]
+    fn a_clock_that_was_stepped_gives_no_sum() {
+        let tree = iteration(Span::from_seconds(-1), Relation::SameClock);
+        assert_eq!((millis(&tree, "total"), millis(&tree, "stages-total")), (Some(10.0), None));
+    }
+}

@@ -1,0 +1,76 @@
+//! What a pipeline keeps over all its runs: its sensor, its actuator, its beat.
+
+use std::sync::Arc;
+
+use peernet_actuators::{Actuator, ActuatorConfig};
+use peernet_clock::SharedClock;
+use peernet_sensors::{Transform, build_transform};
+
+use super::alarm::Alarm;
+use super::load::Schedule;
+use super::sensing::{Chain, Senses};
+use crate::config::PipelineConfig;
+use crate::live::Display;
+
+/// An assembled pipeline without a place to compute.
+pub(super) struct Line {
+    pub(super) config: Arc<PipelineConfig>,
+    pub(super) display: Arc<Display>,
+    pub(super) senses: Senses,
+    /// `None` when answers are not acted upon: then nothing is recorded either.
+    pub(super) actuator: Option<Box<dyn Actuator>>,
+    pub(super) schedule: Schedule,
+    pub(super) alarm: Alarm,
+    /// Sensor, transforms, load and so on, as pairs for people.
+    facts: Vec<(String, String)>,
+}
+
+impl Line {
+    /// Opens the sensor and sets up the rest. Blocks: a folder of pictures may be on a slow disk.
+    ///
+    /// # Errors
+    /// A sentence that says what could not be set up.
+    pub(super) fn assemble(
+        config: Arc<PipelineConfig>,
+        display: Arc<Display>,
+        clock: SharedClock,
+    ) -> Result<Self, String> {
+        let sensor = peernet_sensors::open(&config.sensor).map_err(|error| error.to_string())?;
+        let transforms = config.transforms.iter().map(build_transform).collect::<Result<Vec<_>, _>>();
+        let transforms = transforms.map_err(|error| error.to_string())?;
+        let mut facts = sensor.facts();
+        if !transforms.is_empty() {
+            facts.push(("Transforms".to_owned(), in_words(&transforms)));
+        }
+        facts.push(("Load".to_owned(), config.load.describe()));
+        if config.load.hz().is_some() {
+            facts.push(("In flight".to_owned(), format!("at most {}", config.max_in_flight)));
+        }
+        let senses = Senses::new(Chain { sensor, transforms }, &config.name)
+            .map_err(|error| format!("cannot start a thread for the sensor: {error}"))?;
+        let acts = config.actuator != ActuatorConfig::None;
+        Ok(Self {
+            actuator: acts.then(|| config.actuator.build()),
+            schedule: Schedule::new(&config.load, config.max_in_flight.get(), clock.mono()),
+            alarm: Alarm::new(clock).map_err(|error| format!("cannot have a timer: {error}"))?,
+            config,
+            display,
+            senses,
+            facts,
+        })
+    }
+
+    /// What the run's page says of sensor, transforms and load, then of the model.
+    pub(super) fn facts(&self, model: Vec<(String, String)>) -> Vec<(String, String)> {
+        self.facts.iter().cloned().chain(model).collect()
+    }
+
+    /// Iterations that may be under way at once.
+    pub(super) fn places(&self) -> usize {
+        if self.schedule.is_closed() { 1 } else { self.config.max_in_flight.get() }
+    }
+}
+
+fn in_words(transforms: &[Box<dyn Transform>]) -> String {
+    transforms.iter().map(|transform| transform.describe()).collect::<Vec<_>>().join(", ")
+}

@@ -1,0 +1,209 @@
+//! When iterations are meant to begin. No I/O: time comes in as an argument.
+
+use std::collections::VecDeque;
+
+use peernet_clock::{MonoTime, Span};
+
+use crate::config::LoadConfig;
+use crate::random::SplitMix;
+
+/// The plan of a pipeline's starts.
+///
+/// With a rate the plan does not wait for the pipeline: starts come due while earlier iterations are still
+/// under way, and an iteration that begins late is measured from the moment it was meant to begin. A stall
+/// therefore shows in the latencies of all who waited through it (what is known as avoiding coordinated
+/// omission). So many may wait; the oldest beyond that are skipped, and the next start says how many.
+#[derive(Debug)]
+pub(crate) struct Schedule {
+    plan: Plan,
+    /// Starts that came due and were not taken yet, oldest first.
+    due: VecDeque<MonoTime>,
+    /// How many may wait.
+    patience: usize,
+    /// Skipped since the last start that was taken.
+    skipped: u64,
+}
+
+#[derive(Debug)]
+enum Plan {
+    Closed,
+    Rate { origin: MonoTime, period: f64, number: u64 },
+    Poisson { at: MonoTime, mean: f64, random: SplitMix },
+}
+
+/// One start of the plan.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Start {
+    /// When the iteration was meant to begin.
+    pub(crate) intended: MonoTime,
+    /// Starts before it that were skipped.
+    pub(crate) skipped: u64,
+}
+
+impl Schedule {
+    /// A plan that begins `now`; at most `patience` starts wait.
+    pub(crate) fn new(load: &LoadConfig, patience: usize, now: MonoTime) -> Self {
+        let plan = match *load {
+            LoadConfig::Closed {} => Plan::Closed,
+            LoadConfig::Rate { hz } => Plan::Rate { origin: now, period: 1e9 / hz, number: 0 },
+            LoadConfig::Poisson { hz, seed } => {
+                let mut random = SplitMix::new(seed);
+                let mean = 1e9 / hz;
+                Plan::Poisson { at: now + gap(mean, &mut random), mean, random }
+            }
+        };
+        Self { plan, due: VecDeque::with_capacity(patience + 1), patience, skipped: 0 }
+    }
+
+    /// Whether the next iteration begins when the last one is done.
+    pub(crate) const fn is_closed(&self) -> bool {
+        matches!(self.plan, Plan::Closed)
+    }
+
+    /// The next start, if one is due. Always one with a closed loop: the caller waits for the answer.
+    pub(crate) fn take(&mut self, now: MonoTime) -> Option<Start> {
+        if self.is_closed() {
+            return Some(Start { intended: now, skipped: 0 });
+        }
+        self.catch_up(now);
+        let intended = self.due.pop_front()?;
+        Some(Start { intended, skipped: std::mem::take(&mut self.skipped) })
+    }
+
+    /// Starts that were skipped and that no later start has told of.
+    pub(crate) const fn untold(&self) -> u64 {
+        self.skipped
+    }
+
+    /// When the next iteration is meant to begin: in the past when it is late, `now` in a closed loop.
+    pub(crate) fn next_at(&mut self, now: MonoTime) -> MonoTime {
+        self.catch_up(now);
+        self.due.front().copied().or_else(|| self.plan.next_at()).unwrap_or(now)
+    }
+
+    /// Moves the starts that have come due into the waiting ones. Worth a call now and then while nothing is
+    /// taken for long, so that there is not too much to catch up with at once.
+    pub(crate) fn catch_up(&mut self, now: MonoTime) {
+        while let Some(at) = self.plan.next_at().filter(|at| *at <= now) {
+            self.plan.advance();
+            self.due.push_back(at);
+            if self.due.len() > self.patience {
+                self.due.pop_front();
+                self.skipped += 1;
+            }
+        }
+    }
+}
+
+impl Plan {
+    fn next_at(&self) -> Option<MonoTime> {
+        match self {
+            Self::Closed => None,
+            // From the origin each time: rounding does not add up.
+            Self::Rate { origin, period, number } => {
+                Some(*origin + Span::from_nanos((*period * *number as f64).round() as i64))
+            }
+            Self::Poisson { at, .. } => Some(*at),
+        }
+    }
+
+    fn advance(&mut self) {
+        match self {
+            Self::Closed => {}
+            Self::Rate { number, .. } => *number += 1,
+            Self::Poisson { at, mean, random } => *at = *at + gap(*mean, random),
+        }
+    }
+}
+
+/// A random gap; at least a nanosecond, so that the plan always moves on.
+fn gap(mean: f64, random: &mut SplitMix) -> Span {
+    Span::from_nanos(((mean * random.exponential()).round() as i64).max(1))
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn at(millis: i64) -> MonoTime {
+        MonoTime::from_nanos(millis * 1_000_000)
+    }
+
+    fn ten_hz(patience: usize) -> Schedule {
+        Schedule::new(&LoadConfig::Rate { hz: 10.0 }, patience, at(0))
+    }
+
+    #[test]
+    fn a_closed_loop_starts_whenever_it_is_asked() {
+        let mut schedule = Schedule::new(&LoadConfig::Closed {}, 4, at(0));
+        assert_eq!(schedule.next_at(at(6)), at(6));
+        assert_eq!(schedule.take(at(7)), Some(Start { intended: at(7), skipped: 0 }));
+        assert_eq!(schedule.take(at(7)), Some(Start { intended: at(7), skipped: 0 }));
+    }
+
+    #[test]
+    fn a_rate_keeps_its_beat_however_late_it_is_asked() {
+        let mut schedule = ten_hz(4);
+        assert_eq!(schedule.take(at(3)), Some(Start { intended: at(0), skipped: 0 }));
+        assert_eq!(schedule.take(at(99)), None);
+        assert_eq!(schedule.next_at(at(99)), at(100));
+        assert_eq!(schedule.take(at(150)), Some(Start { intended: at(100), skipped: 0 }));
+        assert_eq!(schedule.next_at(at(150)), at(200));
+    }
+
+    #[test]
+    fn a_stall_leaves_the_latest_starts_waiting_and_counts_the_others() {
+        let mut schedule = ten_hz(2);
+        // Due by then: 0, 100, …, 900, of which two may wait.
+        assert_eq!(schedule.take(at(950)), Some(Start { intended: at(800), skipped: 8 }));
+        assert_eq!(schedule.take(at(951)), Some(Start { intended: at(900), skipped: 0 }));
+        assert_eq!(schedule.take(at(952)), None);
+        assert_eq!(schedule.take(at(1000)), Some(Start { intended: at(1000), skipped: 0 }));
+    }
+
+    #[test]
+    fn equal_seeds_give_equal_arrivals_and_the_mean_is_the_rate() {
+        let arrivals = |seed| {
+            let mut schedule = Schedule::new(&LoadConfig::Poisson { hz: 100.0, seed }, 1, at(0));
+            (0..2000)
+                .map(|_| {
+                    let next = schedule.next_at(at(0));
+                    schedule.take(next).expect("due").intended
+                })
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(arrivals(1), arrivals(1));
+        assert_ne!(arrivals(1), arrivals(2));
+        let mean = (arrivals(1)[1999] - at(0)).seconds() / 2000.0;
+        assert!((mean - 0.01).abs() < 0.001, "{mean}");
+    }
+
+    proptest! {
+        /// Whatever the moments at which the plan is asked, every start is taken, skipped or still waiting.
+        #[test]
+        fn no_start_goes_missing(
+            hz in 0.5..500.0f64,
+            patience in 1usize..6,
+            waits in prop::collection::vec(0i64..2000, 1..40),
+        ) {
+            let mut schedule = Schedule::new(&LoadConfig::Rate { hz }, patience, at(0));
+            let (mut now, mut seen, mut last) = (0, 0u64, None);
+            for wait in waits {
+                now += wait;
+                if let Some(start) = schedule.take(at(now)) {
+                    prop_assert!(start.intended <= at(now));
+                    prop_assert!(last < Some(start.intended));
+                    last = Some(start.intended);
+                    seen += 1 + start.skipped;
+                }
+            }
+            schedule.catch_up(at(now));
+            let waiting = schedule.due.len() as u64;
+            prop_assert!(waiting <= patience as u64);
+            let planned = (0u64..).take_while(|k| (*k as f64 * 1e9 / hz).round() as i64 <= now * 1_000_000);
+            prop_assert_eq!(seen + waiting + schedule.skipped, planned.count() as u64);
+        }
+    }
+}

@@ -1,0 +1,21 @@
+//! Pipelines: sensor → transforms → placement → actuator, again and again.
+//!
+//! `load`, `progress` and `brake` decide without I/O; `cycle` is the state of the inner loop and
+//! `drive` its waiting; `runner` is the life around it.
+
+mod alarm;
+mod brake;
+mod cycle;
+mod drive;
+mod flight;
+mod iteration;
+mod line;
+mod load;
+mod placement;
+mod progress;
+mod run;
+mod runner;
+mod sensing;
+
+pub(crate) use placement::intended;
+pub(crate) use runner::run;

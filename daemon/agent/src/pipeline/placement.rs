@@ -1,0 +1,212 @@
+//! Where a pipeline computes: here or there, behind one question.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use peernet_clock::Relation;
+use peernet_inference::{Done, Job, LoadError, Pool};
+use peernet_logger::stream::{Outcome, Placement as Description, PlacementKind};
+use peernet_logger::{HostId, Recorder, Slug};
+use peernet_networks::{
+    CloseReason, OpenError, PROTOCOL, RequestError, Session, SessionHello, SessionSettings,
+};
+use peernet_sample::Sample;
+use tokio::sync::oneshot;
+
+use crate::config::{PipelineConfig, PlacementConfig, RemoteConfig};
+use crate::host::Host;
+use crate::link::correct;
+
+/// An open placement: a loaded model or a session with a peer that has one.
+#[derive(Debug)]
+pub(super) enum Placement {
+    Local(Arc<Pool>),
+    Remote { session: Session, relation: Relation, config: RemoteConfig },
+}
+
+/// What became of a sample. The recorder holds everything that was measured on the way.
+pub(super) struct Computed {
+    pub(super) log: Recorder,
+    /// The answer, or how the iteration ended without one.
+    pub(super) result: Result<Sample, Outcome>,
+}
+
+/// Why a placement could not be opened.
+#[derive(Debug)]
+pub(super) enum OpenFailure {
+    /// The host's own model cannot be loaded: a matter of the configuration.
+    Model(LoadError),
+    /// The thread that loaded the model died.
+    Panicked,
+    /// The peer is not there, or not in time.
+    Away(OpenError),
+    /// The peer is there and does not want.
+    Refused(OpenError),
+}
+
+impl Placement {
+    /// Loads the model or opens a session with the peer.
+    pub(super) async fn open(config: &PipelineConfig, host: &Host) -> Result<Self, OpenFailure> {
+        match &config.placement {
+            PlacementConfig::Local { model } => {
+                let (bank, model) = (Arc::clone(&host.bank), model.clone());
+                let loading = tokio::task::spawn_blocking(move || bank.load(&model, None));
+                let pool = loading.await.map_err(|_| OpenFailure::Panicked)?;
+                pool.map(Self::Local).map_err(OpenFailure::Model)
+            }
+            PlacementConfig::Remote(remote) => {
+                let hello = SessionHello {
+                    protocol: PROTOCOL,
+                    host: host.id,
+                    name: host.name.clone(),
+                    clock: host.clock.identity().clone(),
+                    pipeline: config.name.clone(),
+                    model: remote.model.clone(),
+                    device: remote.device.clone(),
+                };
+                // The pipeline bounds what is in flight itself; a tighter bound of the session would hide it.
+                let wanted = u32::try_from(config.max_in_flight.get()).unwrap_or(u32::MAX);
+                let settings = SessionSettings {
+                    max_in_flight: remote.session.max_in_flight.max(wanted),
+                    ..remote.session.clone()
+                };
+                let clock = Arc::clone(&host.clock);
+                let session = Session::open(remote.network, &remote.peer, hello, settings, clock).await?;
+                let relation = Relation::between(host.clock.identity(), &session.accepted().clock);
+                Ok(Self::Remote { session, relation, config: remote.clone() })
+            }
+        }
+    }
+
+    /// Asks for an answer and waits no longer than `timeout`.
+    pub(super) async fn compute(&self, log: Recorder, sample: &Sample, timeout: Duration) -> Computed {
+        match self {
+            Self::Local(pool) => compute_here(pool, log, sample, timeout).await,
+            Self::Remote { session, relation, .. } => {
+                let mut exchange = session.request(log, sample, timeout).await;
+                correct(exchange.log.tree_mut(), relation, exchange.up, exchange.down);
+                Computed { log: exchange.log, result: exchange.result.map_err(outcome) }
+            }
+        }
+    }
+
+    /// Waits until it cannot be used any more, and tells why. A local one always can.
+    pub(super) async fn closed(&self) -> CloseReason {
+        match self {
+            Self::Local(_) => std::future::pending().await,
+            Self::Remote { session, .. } => session.closed().await,
+        }
+    }
+
+    /// Takes leave of the peer.
+    pub(super) async fn close(&self) {
+        if let Self::Remote { session, .. } = self {
+            session.close().await;
+        }
+    }
+
+    /// The peer and its name.
+    pub(super) fn peer(&self) -> Option<(HostId, &Slug)> {
+        match self {
+            Self::Local(_) => None,
+            Self::Remote { session, .. } => Some((session.accepted().host, &session.accepted().name)),
+        }
+    }
+
+    /// What the model is, in words.
+    pub(super) fn facts(&self) -> Vec<(String, String)> {
+        match self {
+            Self::Local(pool) => pool.facts(),
+            Self::Remote { session, .. } => session.accepted().facts.clone(),
+        }
+    }
+
+    /// For the store and the pages.
+    pub(super) fn describe(&self) -> Description {
+        match self {
+            Self::Local(pool) => Description {
+                kind: PlacementKind::Local,
+                peer: None,
+                network: None,
+                address: None,
+                model: pool.name().clone(),
+                device: Some(pool.device()),
+            },
+            Self::Remote { session, config, .. } => Description {
+                peer: Some(session.accepted().name.clone()),
+                device: Some(session.accepted().device.clone()),
+                ..remote(config)
+            },
+        }
+    }
+}
+
+/// For the store and the pages, as far as the configuration tells.
+pub(crate) fn intended(config: &PlacementConfig) -> Description {
+    match config {
+        PlacementConfig::Local { model } => Description {
+            kind: PlacementKind::Local,
+            peer: None,
+            network: None,
+            address: None,
+            model: model.clone(),
+            device: None,
+        },
+        PlacementConfig::Remote(config) => remote(config),
+    }
+}
+
+fn remote(config: &RemoteConfig) -> Description {
+    Description {
+        kind: PlacementKind::Remote,
+        peer: None,
+        network: Some(config.network.name().to_owned()),
+        address: Some(config.peer.to_string()),
+        model: config.model.clone(),
+        device: config.device.clone(),
+    }
+}
+
+async fn compute_here(pool: &Pool, log: Recorder, sample: &Sample, timeout: Duration) -> Computed {
+    let (reply, done) = oneshot::channel();
+    // The model takes the recorder along; when it does not come back this copy tells what was known before.
+    // A few nodes: a fraction of a microsecond.
+    let spare = log.clone();
+    let received = log.clock().mono();
+    let reply = Box::new(move |done: Done| {
+        // Nobody waits any more after a timeout.
+        let _ = reply.send(done);
+    });
+    if let Err(refused) = pool.submit(Job { sample: sample.clone(), log, received, reply }) {
+        let result = Err(Outcome::Failed(refused.reason.to_string()));
+        return Computed { log: refused.job.log, result };
+    }
+    match tokio::time::timeout(timeout, done).await {
+        Ok(Ok(Done { log, result })) => {
+            Computed { log, result: result.map_err(|error| Outcome::Failed(error.to_string())) }
+        }
+        Ok(Err(_)) => {
+            let reason = format!("model {} dropped the sample unanswered", pool.name());
+            Computed { log: spare, result: Err(Outcome::Failed(reason)) }
+        }
+        Err(_) => Computed { log: spare, result: Err(Outcome::Timeout) },
+    }
+}
+
+/// How an iteration ended for want of an answer. A model or queue that is too full failed this sample.
+fn outcome(error: RequestError) -> Outcome {
+    match error {
+        RequestError::Lost(reason) => Outcome::Lost(reason),
+        RequestError::Timeout => Outcome::Timeout,
+        error @ (RequestError::Failed(_) | RequestError::Overloaded(_)) => Outcome::Failed(error.to_string()),
+    }
+}
+
+impl From<OpenError> for OpenFailure {
+    fn from(error: OpenError) -> Self {
+        match error {
+            error @ (OpenError::Unreachable { .. } | OpenError::TimedOut { .. }) => Self::Away(error),
+            error @ (OpenError::Refused { .. } | OpenError::Incompatible { .. }) => Self::Refused(error),
+        }
+    }
+}

@@ -1,0 +1,149 @@
+//! Numbers, episodes, warm-up and limits of a run. No I/O.
+
+use std::num::NonZeroU32;
+
+use peernet_clock::{MonoTime, Span};
+
+use crate::config::{Limit, PipelineConfig, WarmUp};
+
+/// Where an iteration stands in its run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Position {
+    /// Contiguous from 1.
+    pub(crate) number: u64,
+    /// From 0.
+    pub(crate) episode: u32,
+    /// Within the episode, from 0.
+    pub(crate) step: u32,
+    /// Left out of statistics.
+    pub(crate) warm_up: bool,
+}
+
+/// How far a run has come.
+#[derive(Debug)]
+pub(crate) struct Progress {
+    warm_up: WarmUp,
+    episode_steps: Option<NonZeroU32>,
+    limit: Limit,
+    /// The run directly continues another: nothing is cold any more.
+    warm: bool,
+    given: u64,
+    measured: u64,
+    /// Intended start of the first iteration that is not warm-up.
+    measuring_since: Option<MonoTime>,
+}
+
+impl Progress {
+    /// A run of this pipeline; `warm` when it directly continues an earlier one.
+    pub(crate) fn new(config: &PipelineConfig, warm: bool) -> Self {
+        Self {
+            warm_up: config.warm_up,
+            episode_steps: config.episode_steps,
+            limit: config.limit,
+            warm,
+            given: 0,
+            measured: 0,
+            measuring_since: None,
+        }
+    }
+
+    /// Whether an iteration that is meant to begin at `intended` is beyond the run's limit.
+    pub(crate) fn is_over(&self, intended: MonoTime) -> bool {
+        let enough = self.limit.iterations.is_some_and(|limit| self.measured >= limit.get());
+        let late = match (self.measuring_since, self.limit.duration_s) {
+            (Some(since), Some(seconds)) => intended >= since + Span::from_seconds_f64(seconds),
+            _ => false,
+        };
+        enough || late
+    }
+
+    /// Gives the next iteration its place.
+    pub(crate) fn place(&mut self, intended: MonoTime) -> Position {
+        let index = self.given;
+        let (episode, step) = match self.episode_steps {
+            // Beyond four billion the numbers stay at their largest; the iteration's own number goes on.
+            Some(steps) => {
+                (saturate(index / u64::from(steps.get())), (index % u64::from(steps.get())) as u32)
+            }
+            None => (0, saturate(index)),
+        };
+        let cold = index < self.warm_up.iterations
+            || self.episode_steps.is_some() && episode < self.warm_up.episodes;
+        let settling = self.episode_steps.is_some() && step < self.warm_up.steps;
+        let warm_up = cold && !self.warm || settling;
+        self.given += 1;
+        if !warm_up {
+            self.measured += 1;
+            self.measuring_since.get_or_insert(intended);
+        }
+        Position { number: self.given, episode, step, warm_up }
+    }
+}
+
+fn saturate(number: u64) -> u32 {
+    u32::try_from(number).unwrap_or(u32::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn progress(keys: &str, warm: bool) -> Progress {
+        let table = format!(
+            "name = 'p'\nsensor = {{ kind = 'synthetic', size_bytes = 1 }}\n\
+             placement = {{ kind = 'local', model = 'm' }}\n{keys}"
+        );
+        Progress::new(&toml::from_str(&table).expect("a pipeline"), warm)
+    }
+
+    fn at(seconds: i64) -> MonoTime {
+        MonoTime::from_nanos(seconds * 1_000_000_000)
+    }
+
+    #[test]
+    fn the_limit_counts_what_is_not_warm_up() {
+        let mut progress = progress("warm_up = { iterations = 2 }\nlimit = { iterations = 3 }", false);
+        let mut warm_up = Vec::new();
+        while !progress.is_over(at(0)) {
+            warm_up.push(progress.place(at(0)).warm_up);
+        }
+        assert_eq!(warm_up, [true, true, false, false, false]);
+    }
+
+    #[test]
+    fn the_duration_counts_from_the_first_measured_iteration() {
+        let mut progress = progress("warm_up = { iterations = 1 }\nlimit = { duration_s = 2.5 }", false);
+        progress.place(at(10));
+        assert!(!progress.is_over(at(1000)), "still warming up");
+        assert_eq!(progress.place(at(20)), Position { number: 2, episode: 0, step: 1, warm_up: false });
+        assert!(!progress.is_over(at(22)));
+        assert!(progress.is_over(at(23)));
+    }
+
+    #[test]
+    fn episodes_and_their_first_steps_warm_up() {
+        let keys = "episode_steps = 3\nwarm_up = { iterations = 0, episodes = 1, steps = 1 }";
+        let mut progress = progress(keys, false);
+        let places: Vec<_> = (0..7).map(|_| progress.place(at(0))).collect();
+        let shape: Vec<_> = places.iter().map(|place| (place.episode, place.step, place.warm_up)).collect();
+        assert_eq!(
+            shape,
+            [
+                (0, 0, true),
+                (0, 1, true),
+                (0, 2, true),
+                (1, 0, true),
+                (1, 1, false),
+                (1, 2, false),
+                (2, 0, true)
+            ]
+        );
+        assert!(places.iter().map(|place| place.number).eq(1..=7));
+    }
+
+    #[test]
+    fn a_run_that_continues_another_is_warm() {
+        assert!(!progress("", true).place(at(0)).warm_up);
+        assert!(progress("", false).place(at(0)).warm_up);
+    }
+}

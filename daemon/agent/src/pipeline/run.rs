@@ -1,0 +1,113 @@
+//! One run: its description, its numbers, its events.
+
+use peernet_clock::{MonoTime, Stamp, WallTime};
+use peernet_logger::stream::{Event, Iteration, Outcome, Placement as Description, RunDescription, RunEnded};
+use peernet_logger::{RunId, Slug, Tree};
+
+use super::progress::{Position, Progress};
+use crate::config::PipelineConfig;
+use crate::host::{Host, VERSION};
+use crate::live::Display;
+
+const SECONDS_PER_DAY: i64 = 86_400;
+
+/// A run under way.
+#[derive(Debug)]
+pub(super) struct Run {
+    id: RunId,
+    pipeline: Slug,
+    /// Days since the Unix epoch at its start; `None` when midnight does not concern it.
+    day: Option<i64>,
+    placement: Description,
+    progress: Progress,
+}
+
+impl Run {
+    /// Begins a run and reports it. `warm` when it directly continues another.
+    pub(super) fn begin(
+        config: &PipelineConfig,
+        placement: Description,
+        facts: Vec<(String, String)>,
+        warm: bool,
+        host: &Host,
+        display: &Display,
+    ) -> Self {
+        let id = RunId::random();
+        let started = host.clock.wall();
+        let description = RunDescription {
+            run: id,
+            pipeline: config.name.clone(),
+            started,
+            placement: placement.clone(),
+            facts,
+            configuration: configuration(config),
+            version: VERSION.to_owned(),
+        };
+        host.feed.event(Some(&config.name), Some(id), Event::RunStarted(description));
+        display.set_run(id);
+        Self {
+            id,
+            pipeline: config.name.clone(),
+            day: config.limit.is_none().then(|| day(started)),
+            placement,
+            progress: Progress::new(config, warm),
+        }
+    }
+
+    pub(super) const fn id(&self) -> RunId {
+        self.id
+    }
+
+    /// Whether the run describes a pipeline that computes there.
+    pub(super) fn is_at(&self, placement: &Description) -> bool {
+        self.placement == *placement
+    }
+
+    /// Whether an iteration that is meant to begin at `intended` is beyond the limit.
+    pub(super) fn is_over(&self, intended: MonoTime) -> bool {
+        self.progress.is_over(intended)
+    }
+
+    /// Whether midnight (UTC) has passed since the start and the run is one of those that end there.
+    pub(super) fn is_yesterdays(&self, now: WallTime) -> bool {
+        self.day.is_some_and(|started| day(now) > started)
+    }
+
+    /// Gives the next iteration its place.
+    pub(super) fn place(&mut self, intended: MonoTime) -> Position {
+        self.progress.place(intended)
+    }
+
+    /// Hands a finished iteration to the live statistics and to the outbox.
+    pub(super) fn record(
+        &self,
+        position: Position,
+        outcome: Outcome,
+        tree: Tree,
+        ended: Stamp,
+        host: &Host,
+        display: &Display,
+    ) {
+        if !position.warm_up {
+            display.record(ended.wall.unix_seconds(), &outcome, &tree);
+        }
+        let Position { number, episode, step, warm_up } = position;
+        let iteration = Iteration { run: self.id, number, episode, step, warm_up, outcome, tree };
+        host.feed.iteration(&self.pipeline, iteration);
+    }
+
+    /// Reports the end.
+    pub(super) fn end(&self, reason: &str, host: &Host) {
+        let ended = RunEnded { run: self.id, ended: host.clock.wall(), reason: reason.to_owned() };
+        host.feed.event(Some(&self.pipeline), Some(self.id), Event::RunEnded(ended));
+    }
+}
+
+fn day(at: WallTime) -> i64 {
+    at.unix_seconds().div_euclid(SECONDS_PER_DAY)
+}
+
+/// The pipeline's table, as it could stand in a configuration file.
+fn configuration(config: &PipelineConfig) -> String {
+    toml::to_string(config).unwrap_or_else(|error| format!("# cannot be written down: {error}\n"))
+}

@@ -1,0 +1,212 @@
+//! The life of a pipeline: assembled, waiting for its place, running, finished.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use peernet_logger::RunId;
+use peernet_logger::stream::{IncidentKind, PipelineState};
+use peernet_networks::Address;
+use tokio_util::sync::CancellationToken;
+
+use super::cycle::Ended;
+use super::drive::drive;
+use super::line::Line;
+use super::placement::{OpenFailure, Placement};
+use super::run::Run;
+use crate::config::{PipelineConfig, PlacementConfig};
+use crate::host::Host;
+use crate::incidents::Concerning;
+use crate::live::Display;
+use crate::pauses::Pauses;
+
+/// Runs one pipeline until it finishes, fails, or the agent stops; its failure is its own affair and ends
+/// nothing else.
+pub(crate) async fn run(
+    config: Arc<PipelineConfig>,
+    display: Arc<Display>,
+    host: Host,
+    stop: CancellationToken,
+    patience: Duration,
+) {
+    let runner = Runner { config, display, host, stop, patience };
+    match runner.live().await {
+        Ok(()) => runner.display.set_state(PipelineState::Finished),
+        Err(reason) => {
+            runner.report(IncidentKind::PipelineFailed, None, reason.clone());
+            runner.display.set_state(PipelineState::Failed(reason));
+        }
+    }
+}
+
+struct Runner {
+    config: Arc<PipelineConfig>,
+    display: Arc<Display>,
+    host: Host,
+    stop: CancellationToken,
+    /// How long iterations under way may take when the agent stops.
+    patience: Duration,
+}
+
+/// Why a pipeline waits for its peer.
+#[derive(Debug, PartialEq, Eq)]
+enum Trouble {
+    Away,
+    Refused(String),
+}
+
+impl Trouble {
+    const fn kind(&self) -> IncidentKind {
+        match self {
+            Self::Away => IncidentKind::Disconnected,
+            Self::Refused(_) => IncidentKind::Refused,
+        }
+    }
+
+    /// How it will go on.
+    fn outlook(&self) -> String {
+        let (shortest, longest) = (Pauses::SHORTEST.as_secs_f64(), Pauses::LONGEST.as_secs());
+        match self {
+            Self::Away => {
+                format!("trying again every {shortest} to {longest} s; the pipeline goes on by itself")
+            }
+            Self::Refused(_) => format!("trying again every {} s", Pauses::REFUSED.as_secs()),
+        }
+    }
+}
+
+impl Runner {
+    /// The whole life. An error is why the pipeline could not start or had to stop.
+    async fn live(&self) -> Result<(), String> {
+        let mut line = self.assemble().await?;
+        let mut run: Option<Run> = None;
+        loop {
+            let Some(placement) = self.connect(&mut line, run.as_ref().map(Run::id)).await? else {
+                self.end(run.as_ref(), "stopped");
+                return Ok(());
+            };
+            // A peer that came back as something else, on another device say, is another configuration.
+            if let Some(other) = run.take_if(|run| !run.is_at(&placement.describe())) {
+                self.end(Some(&other), "the peer changed");
+            }
+            let current = run.get_or_insert_with(|| self.begin(&line, &placement, false));
+            let ended = self.measure(&mut line, current, &placement).await;
+            let (reason, result) = match ended {
+                Ended::Disconnected(reason) => {
+                    self.disconnected(&placement, current.id(), reason);
+                    continue;
+                }
+                Ended::Limit | Ended::NoMoreSamples | Ended::Midnight => ("finished".to_owned(), Ok(())),
+                Ended::Stopped => ("stopped".to_owned(), Ok(())),
+                Ended::Broken(reason) => (reason.clone(), Err(reason)),
+            };
+            self.end(run.as_ref(), &reason);
+            if line.schedule.untold() > 0 {
+                let (pipeline, starts) = (&self.config.name, line.schedule.untold());
+                tracing::warn!(%pipeline, starts, "the last starts before the end were skipped");
+            }
+            placement.close().await;
+            return result;
+        }
+    }
+
+    /// Sets up sensor, transforms and actuator on a thread that may block.
+    async fn assemble(&self) -> Result<Line, String> {
+        let (config, display) = (Arc::clone(&self.config), Arc::clone(&self.display));
+        let clock = Arc::clone(&self.host.clock);
+        tokio::task::spawn_blocking(move || Line::assemble(config, display, clock))
+            .await
+            .unwrap_or_else(|error| Err(format!("setting up the sensor panicked: {error}")))
+    }
+
+    /// Measures at one placement; midnight begins a new run on the way.
+    async fn measure(&self, line: &mut Line, run: &mut Run, placement: &Placement) -> Ended {
+        self.display.set_state(PipelineState::Running);
+        loop {
+            let ended = drive(line, run, placement, &self.host, &self.stop, self.patience).await;
+            if ended != Ended::Midnight {
+                return ended;
+            }
+            run.end("finished", &self.host);
+            *run = self.begin(line, placement, true);
+        }
+    }
+
+    fn begin(&self, line: &Line, placement: &Placement, warm: bool) -> Run {
+        let facts = line.facts(placement.facts());
+        Run::begin(&self.config, placement.describe(), facts, warm, &self.host, &self.display)
+    }
+
+    fn end(&self, run: Option<&Run>, reason: &str) {
+        if let Some(run) = run {
+            run.end(reason, &self.host);
+        }
+    }
+
+    /// Opens the placement, however long that takes. `None` when the agent stops.
+    async fn connect(&self, line: &mut Line, run: Option<RunId>) -> Result<Option<Placement>, String> {
+        let mut pauses = Pauses::new(self.host.id);
+        // What was said last: each trouble is reported once, not at each try. That a peer went away in mid-run
+        // has been said.
+        let mut said = run.map(|_| Trouble::Away);
+        loop {
+            let opening = self.stop.run_until_cancelled(Placement::open(&self.config, &self.host));
+            let Some(opened) = opening.await else { return Ok(None) };
+            // The plan goes on meanwhile: what comes due now is skipped and counted.
+            line.schedule.catch_up(self.host.clock.mono());
+            let (trouble, error, pause) = match opened {
+                Ok(placement) => {
+                    self.connected(&placement, run);
+                    return Ok(Some(placement));
+                }
+                Err(OpenFailure::Model(error)) => return Err(error.to_string()),
+                Err(OpenFailure::Panicked) => return Err("loading the model panicked".to_owned()),
+                Err(OpenFailure::Away(error)) => (Trouble::Away, error.to_string(), pauses.grow()),
+                Err(OpenFailure::Refused(error)) => {
+                    let error = error.to_string();
+                    (Trouble::Refused(error.clone()), error, pauses.refused())
+                }
+            };
+            if said.as_ref() != Some(&trouble) {
+                self.report(trouble.kind(), run, format!("{error} ({})", trouble.outlook()));
+                said = Some(trouble);
+            }
+            self.display.set_state(PipelineState::Waiting(error));
+            if self.stop.run_until_cancelled(tokio::time::sleep(pause)).await.is_none() {
+                return Ok(None);
+            }
+        }
+    }
+
+    fn connected(&self, placement: &Placement, run: Option<RunId>) {
+        let description = placement.describe();
+        if let Some((peer, name)) = placement.peer() {
+            let model = &description.model;
+            let device = description.device.as_deref().unwrap_or("an unknown device");
+            let text = format!("connected to {name}, which runs {model} on {device}");
+            let what = Concerning { pipeline: Some(&self.config.name), run, peer: Some(peer) };
+            self.host.incidents.report(IncidentKind::Connected, what, text);
+        }
+        self.display.set_placement(description);
+    }
+
+    fn disconnected(&self, placement: &Placement, run: RunId, reason: String) {
+        let Some((peer, name)) = placement.peer() else { return };
+        let address = self.peer_address().map(Address::to_string).unwrap_or_default();
+        let text = format!("lost {name} at {address}: {reason}; the run goes on when it is back");
+        let what = Concerning { pipeline: Some(&self.config.name), run: Some(run), peer: Some(peer) };
+        self.host.incidents.report(IncidentKind::Disconnected, what, text);
+        self.display.set_state(PipelineState::Waiting(reason));
+    }
+
+    fn peer_address(&self) -> Option<&Address> {
+        match &self.config.placement {
+            PlacementConfig::Local { .. } => None,
+            PlacementConfig::Remote(remote) => Some(&remote.peer),
+        }
+    }
+
+    fn report(&self, kind: IncidentKind, run: Option<RunId>, text: String) {
+        let what = Concerning { pipeline: Some(&self.config.name), run, peer: None };
+        self.host.incidents.report(kind, what, text);
+    }
+}

@@ -1,0 +1,62 @@
+//! A small generator of random numbers whose sequence is part of what a configuration means.
+
+/// SplitMix64 (Steele, Lea and Flood, OOPSLA 2014).
+///
+/// Own code because a library's default generator may change between versions, and with it the arrivals that
+/// a `seed` in a configuration stands for.
+#[derive(Clone, Debug)]
+pub(crate) struct SplitMix(u64);
+
+impl SplitMix {
+    pub(crate) const fn new(seed: u64) -> Self {
+        Self(seed)
+    }
+
+    const fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    /// A number in the half-open interval from 0 to 1.
+    pub(crate) fn unit(&mut self) -> f64 {
+        (self.next() >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// An exponentially distributed number with mean 1.
+    pub(crate) fn exponential(&mut self) -> f64 {
+        // 1 − u is never 0, so that the logarithm is finite.
+        -(1.0 - self.unit()).ln()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_sequence_is_the_published_one() {
+        // The reference values for seed 1234567 that implementations of SplitMix64 are compared by.
+        let mut random = SplitMix::new(1_234_567);
+        let first: Vec<u64> = (0..5).map(|_| random.next()).collect();
+        assert_eq!(
+            first,
+            [
+                6_457_827_717_110_365_317,
+                3_203_168_211_198_807_973,
+                9_817_491_932_198_370_423,
+                4_593_380_528_125_082_431,
+                16_408_922_859_458_223_821
+            ]
+        );
+    }
+
+    #[test]
+    fn the_mean_of_the_exponential_is_one() {
+        let mut random = SplitMix::new(3);
+        let mean = (0..100_000).map(|_| random.exponential()).sum::<f64>() / 100_000.0;
+        assert!((mean - 1.0).abs() < 0.02, "{mean}");
+    }
+}

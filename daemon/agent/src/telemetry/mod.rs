@@ -1,0 +1,43 @@
+//! How the host fares, once a second.
+
+mod hardware;
+mod own;
+mod sampler;
+
+pub(crate) use hardware::hardware;
+
+use std::time::Duration;
+
+use peernet_clock::SharedClock;
+use peernet_logger::stream::HostMetrics;
+use tokio::sync::watch;
+use tokio::time::MissedTickBehavior;
+use tokio_util::sync::CancellationToken;
+
+use sampler::Sampler;
+
+const INTERVAL: Duration = Duration::from_secs(1);
+
+/// Measures until it is told to stop.
+pub(crate) async fn run(clock: SharedClock, figures: watch::Sender<HostMetrics>, stop: CancellationToken) {
+    let mut sampler = Sampler::new(clock);
+    let mut ticks = tokio::time::interval(INTERVAL);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    while stop.run_until_cancelled(ticks.tick()).await.is_some() {
+        // Some boards' temperature sensors take milliseconds to answer: not on an I/O thread.
+        let sampled = tokio::task::spawn_blocking(move || {
+            let metrics = sampler.sample();
+            (sampler, metrics)
+        });
+        match sampled.await {
+            Ok((back, metrics)) => {
+                sampler = back;
+                figures.send_replace(metrics);
+            }
+            Err(error) => {
+                tracing::error!(%error, "host metrics could not be read and end here");
+                return;
+            }
+        }
+    }
+}

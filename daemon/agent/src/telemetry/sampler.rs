@@ -1,0 +1,78 @@
+//! Reads the host's figures.
+
+use peernet_clock::SharedClock;
+use peernet_logger::stream::HostMetrics;
+use sysinfo::{Components, CpuRefreshKind, MemoryRefreshKind, System};
+
+use super::own::Own;
+
+/// What is kept between two readings: shares of time need the previous one.
+///
+/// Accelerators and power get their own readers here, each `None` where the host has no such thing.
+#[derive(Debug)]
+pub(super) struct Sampler {
+    system: Option<System>,
+    temperatures: Option<Components>,
+    own: Own,
+    /// The first share of CPU time has nothing to compare with.
+    seen: bool,
+}
+
+impl Sampler {
+    pub(super) fn new(clock: SharedClock) -> Self {
+        let quiet = |what: &str, error: sysinfo::Error| {
+            tracing::info!(%error, "{what} cannot be read on this host and will not be shown");
+        };
+        Self {
+            system: System::new().map_err(|error| quiet("processor and memory load", error)).ok(),
+            temperatures: Components::new().map_err(|error| quiet("temperatures", error)).ok(),
+            own: Own::new(clock),
+            seen: false,
+        }
+    }
+
+    pub(super) fn sample(&mut self) -> HostMetrics {
+        let mut metrics = HostMetrics { agent_memory_bytes: Own::memory_bytes(), ..HostMetrics::default() };
+        metrics.agent_cpu = self.own.cpu_share();
+        if let Some(system) = &mut self.system {
+            system.refresh_cpu_specifics(CpuRefreshKind::nothing().with_usage());
+            system.refresh_memory_specifics(MemoryRefreshKind::nothing().with_ram());
+            metrics.cpu = self.seen.then(|| f64::from(system.global_cpu_usage()) / 100.0);
+            metrics.memory_used_bytes = Some(system.used_memory());
+            self.seen = true;
+        }
+        if let Some(temperatures) = &mut self.temperatures {
+            temperatures.refresh(true);
+            metrics.temperature_celsius = temperatures
+                .iter()
+                .filter_map(sysinfo::Component::temperature)
+                .filter(|celsius| celsius.is_finite())
+                .max_by(f32::total_cmp)
+                .map(f64::from);
+        }
+        metrics
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use peernet_clock::{ClockIdentity, SystemClock};
+
+    use super::*;
+
+    #[test]
+    fn figures_are_within_what_is_possible() {
+        let clock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
+        let mut sampler = Sampler::new(clock);
+        let first = sampler.sample();
+        assert_eq!((first.cpu, first.agent_cpu), (None, None), "a share needs two readings");
+        let second = sampler.sample();
+        assert!(second.cpu.is_some_and(|share| (0.0..=1.0).contains(&share)), "{second:?}");
+        assert!(second.agent_cpu.is_some_and(|share| share >= 0.0), "{second:?}");
+        assert!(second.memory_used_bytes.is_some_and(|bytes| bytes > 1 << 20), "{second:?}");
+        assert!(second.agent_memory_bytes.is_some_and(|bytes| bytes > 100 << 10), "{second:?}");
+        assert_eq!((second.gpu, second.power_watts), (None, None));
+    }
+}

@@ -1,0 +1,79 @@
+//! Configurations and what is wrong with them.
+
+use peernet_agent::{Agent, AgentConfig};
+
+use crate::harness::{clock, config};
+
+fn problems(config: &AgentConfig) -> Vec<String> {
+    Agent::check(config, &clock("system")).iter().map(ToString::to_string).collect()
+}
+
+#[test]
+fn a_sound_configuration_has_no_problems_and_reads_back_as_it_was() {
+    let state = tempfile::tempdir().expect("a folder");
+    let mut sound = config(
+        "[serve]\nlisten = 'tcp://127.0.0.1:0'\n[[model]]\nname = 'echo'\nkind = 'echo'\n\
+         [[pipeline]]\nname = 'line'\nsensor = { kind = 'synthetic', sizes_bytes = [1, 2] }\n\
+         placement = { kind = 'remote', peer = 'tcp://cloud:5551', network = 'zmq-tcp', model = 'm', device = 'cuda:0' }\n\
+         load = { mode = 'poisson', hz = 5.0, seed = 3 }\nmax_in_flight = 2\ntimeout_ms = 100\n\
+         warm_up = { iterations = 5, episodes = 1, steps = 2 }\nepisode_steps = 10\n\
+         limit = { iterations = 7, duration_s = 1.5 }\nactuator = { kind = 'log' }\nstart = 'manual'",
+    );
+    sound.agent.state_dir = state.path().join("new").join("er");
+    assert_eq!(problems(&sound), Vec::<String>::new());
+    let written = toml::to_string(&sound).expect("can be written");
+    assert_eq!(toml::from_str::<AgentConfig>(&written).expect("reads back"), sound);
+}
+
+#[test]
+fn every_problem_is_found_at_once_with_its_key_and_a_remedy() {
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    let port = taken.local_addr().expect("bound").port();
+    let state = tempfile::tempdir().expect("a folder");
+    std::fs::write(state.path().join("host-id"), "junk").expect("written");
+    let mut broken = config(&format!(
+        "[serve]\nlisten = 'tcp://127.0.0.1:{port}'\n\
+         [[model]]\nname = 'echo'\nkind = 'echo'\n[[model]]\nname = 'echo'\nkind = 'echo'\n\
+         [[pipeline]]\nname = 'line'\nsensor = {{ kind = 'images', path = '/nowhere' }}\n\
+         placement = {{ kind = 'local', model = 'ecco' }}\nload = {{ mode = 'rate', hz = 0.0 }}\n\
+         warm_up = {{ steps = 1 }}\nlimit = {{ duration_s = -1.0 }}\n\
+         [[pipeline]]\nname = 'line'\nsensor = {{ kind = 'synthetic', size_bytes = 1 }}\n\
+         placement = {{ kind = 'local', model = 'echo' }}\n"
+    ));
+    broken.agent.state_dir = state.path().to_owned();
+    let found = problems(&broken);
+    for expected in [
+        "agent.state_dir: ",
+        "model: two models are named echo",
+        &format!("serve.listen: cannot listen on tcp://127.0.0.1:{port}"),
+        "pipeline[0].sensor: cannot read /nowhere",
+        "pipeline[0].placement.model: no [[model]] is named ecco; there is echo",
+        "pipeline[0].load.hz: 0 is not a rate",
+        "pipeline[0].limit.duration_s: -1 is not",
+        "pipeline[0].warm_up: ",
+        "pipeline[1].name: another pipeline is named line",
+    ] {
+        assert!(found.iter().any(|problem| problem.starts_with(expected)), "{expected} in {found:#?}");
+    }
+    assert_eq!(found.len(), 9, "{found:#?}");
+}
+
+#[test]
+fn unknown_keys_are_refused_by_name() {
+    let line = "[[pipeline]]\nname = 'l'\nsensor = { kind = 'synthetic', size_bytes = 1 }\n";
+    for (tables, key) in [
+        ("[agent]\nnam = 'x'".to_owned(), "nam"),
+        ("[serve]\nport = 1".to_owned(), "port"),
+        (format!("{line}placement = {{ kind = 'local', model = 'm', peer = 'x' }}"), "peer"),
+        (
+            format!(
+                "{line}placement = {{ kind = 'local', model = 'm' }}\nload = {{ mode = 'closed', hz = 1.0 }}"
+            ),
+            "hz",
+        ),
+        (format!("{line}placement = {{ kind = 'local', model = 'm' }}\nrate = 3"), "rate"),
+    ] {
+        let error = toml::from_str::<AgentConfig>(&tables).expect_err("has an unknown key").to_string();
+        assert!(error.contains(&format!("`{key}`")), "{error}");
+    }
+}

@@ -1,0 +1,107 @@
+//! An agent in this process.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use peernet_agent::{Agent, AgentConfig, Failure, Running};
+use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
+use peernet_logger::stream::{LiveUpdate, PipelineLive, PipelineState};
+use tempfile::TempDir;
+use tokio_util::sync::CancellationToken;
+
+use super::PATIENCE;
+
+/// An agent and what it needs.
+pub(crate) struct TestAgent {
+    pub(crate) running: Running,
+    stop: CancellationToken,
+    /// Goes with the agent.
+    _state: TempDir,
+}
+
+/// This machine's clock under a name.
+pub(crate) fn clock(name: &str) -> SharedClock {
+    Arc::new(SystemClock::new(ClockIdentity::of_this_machine(name).expect("linux has a boot id")))
+}
+
+/// A configuration of these tables, without `[agent]`.
+pub(crate) fn config(tables: &str) -> AgentConfig {
+    toml::from_str(tables).unwrap_or_else(|error| panic!("{error}\n{tables}"))
+}
+
+impl TestAgent {
+    /// Starts an agent on the system's clock.
+    pub(crate) async fn start(name: &str, aggregator: Option<&str>, tables: &str) -> Self {
+        Self::start_with(name, aggregator, config(tables), "system").await
+    }
+
+    /// Starts an agent on a clock of a given name.
+    pub(crate) async fn start_with(
+        name: &str,
+        aggregator: Option<&str>,
+        config: AgentConfig,
+        clock_name: &str,
+    ) -> Self {
+        Self::start_on(clock(clock_name), name, aggregator, config).await
+    }
+
+    /// Starts an agent on this clock.
+    pub(crate) async fn start_on(
+        clock: SharedClock,
+        name: &str,
+        aggregator: Option<&str>,
+        mut config: AgentConfig,
+    ) -> Self {
+        let state = tempfile::tempdir().expect("a folder");
+        config.agent.name = Some(name.parse().expect("a name"));
+        config.agent.state_dir = state.path().to_owned();
+        config.agent.aggregator = aggregator.map(|address| address.parse().expect("an address"));
+        let stop = CancellationToken::new();
+        let running = Agent::start(config, clock, stop.clone()).await.expect("starts");
+        Self { running, stop, _state: state }
+    }
+
+    /// Where it serves.
+    pub(crate) fn address(&self) -> String {
+        self.running.serves().expect("it serves").to_string()
+    }
+
+    /// Its only pipeline.
+    pub(crate) fn pipeline(&self) -> PipelineLive {
+        self.running.live().pipelines.pop().expect("it has a pipeline")
+    }
+
+    /// Waits until its only pipeline is in such a state.
+    pub(crate) async fn until_state(&self, wanted: impl Fn(&PipelineState) -> bool) -> PipelineState {
+        let live = self.until(|live| wanted(&live.pipelines[0].state)).await;
+        live.pipelines.into_iter().map(|pipeline| pipeline.state).next().expect("it has a pipeline")
+    }
+
+    /// Waits until it shows itself so. It is looked at again and again: nothing tells of a change.
+    pub(crate) async fn until(&self, wanted: impl Fn(&LiveUpdate) -> bool) -> LiveUpdate {
+        let looks = async {
+            loop {
+                let live = self.running.live();
+                if wanted(&live) {
+                    return live;
+                }
+                tokio::time::sleep(Duration::from_millis(5)).await;
+            }
+        };
+        match tokio::time::timeout(PATIENCE, looks).await {
+            Ok(live) => live,
+            Err(_) => panic!("never came: {:?}", self.running.live()),
+        }
+    }
+
+    /// Stops it as the process would.
+    pub(crate) async fn stop(self) -> Result<(), Failure> {
+        self.stop.cancel();
+        tokio::time::timeout(PATIENCE, self.running.join()).await.expect("stops in time")
+    }
+
+    /// Ends it as a crash would: nothing is said, nothing finished.
+    pub(crate) fn kill(self) {
+        drop(self.running);
+    }
+}

@@ -1,0 +1,36 @@
+//! Agents and an aggregator to test with.
+
+mod agent;
+mod aggregator;
+
+pub(crate) use agent::{TestAgent, clock, config};
+pub(crate) use aggregator::{Aggregator, Manners};
+
+use std::time::Duration;
+
+use peernet_logger::Tree;
+use peernet_logger::stream::Iteration;
+
+/// How long anything may take before a test gives up: no test waits this long unless something is broken.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// The value of a node directly below the root.
+pub(crate) fn value(tree: &Tree, name: &str) -> Option<f64> {
+    tree.find(&[name])?.1.measure.value()
+}
+
+/// Asserts that the stages and what lies beside them are the total.
+pub(crate) fn assert_adds_up(iteration: &Iteration) {
+    let tree = &iteration.tree;
+    let all = ["total", "stages-total", "unattributed"].map(|name| value(tree, name));
+    let [Some(total), Some(stages), Some(rest)] = all else { panic!("{all:?} in {tree:?}") };
+    assert!((total - stages - rest).abs() < 1e-8, "{total} ≠ {stages} + {rest}");
+    assert!(stages > 0.0 && rest >= 0.0, "{stages} + {rest}");
+}
+
+/// Asserts that iterations are numbered without holes from 1, in whatever order they ended.
+pub(crate) fn assert_contiguous(iterations: &[&Iteration]) {
+    let mut numbers: Vec<u64> = iterations.iter().map(|iteration| iteration.number).collect();
+    numbers.sort_unstable();
+    assert!(numbers.iter().copied().eq(1..=iterations.len() as u64), "{numbers:?}");
+}

@@ -1,0 +1,123 @@
+//! Closed loops on one host: numbers, warm-up, limits, episodes, the tree.
+
+use peernet_logger::stream::{Outcome, PipelineState};
+
+use crate::harness::{Aggregator, TestAgent, assert_adds_up, assert_contiguous, value};
+
+fn line(keys: &str) -> String {
+    format!(
+        "[[model]]\nname = 'echo'\nkind = 'echo'\n\
+         [[pipeline]]\nname = 'line'\nsensor = {{ kind = 'synthetic', size_bytes = 100 }}\n\
+         placement = {{ kind = 'local', model = 'echo' }}\n{keys}"
+    )
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn warm_up_and_limit_are_exact_and_every_tree_adds_up() {
+    let aggregator = Aggregator::start().await;
+    let keys = "warm_up = { iterations = 3 }\nlimit = { iterations = 20 }";
+    let agent = TestAgent::start("edge", Some(&aggregator.address), &line(keys)).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+
+    let iterations = seen.iterations();
+    assert_eq!(iterations.len(), 23);
+    assert!(iterations.iter().map(|iteration| iteration.number).eq(1..=23), "in order, one at a time");
+    assert!(iterations.iter().all(|iteration| iteration.warm_up == (iteration.number <= 3)));
+    assert!(iterations.iter().all(|iteration| iteration.outcome == Outcome::Ok));
+    for iteration in &iterations {
+        assert_adds_up(iteration);
+        assert!(iteration.tree.find(&["sensing", "capture"]).is_some());
+        assert!(iteration.tree.find(&["sensing", "transform"]).is_none(), "not configured, not there");
+        assert!(value(&iteration.tree, "inference").is_some());
+    }
+    let (runs, ended) = (seen.runs(), seen.ended());
+    assert_eq!((runs.len(), ended.len()), (1, 1));
+    assert_eq!((ended[0].run, ended[0].reason.as_str()), (runs[0].run, "finished"));
+    assert!(iterations.iter().all(|iteration| iteration.run == runs[0].run));
+    assert_eq!(runs[0].placement.model.as_str(), "echo");
+    assert!(runs[0].configuration.contains("size_bytes = 100"), "{}", runs[0].configuration);
+    assert_eq!(agent.pipeline().state, PipelineState::Finished);
+    agent.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn live_figures_are_bounded_and_leave_the_warm_up_out() {
+    let aggregator = Aggregator::start().await;
+    let keys = "warm_up = { iterations = 7 }\nlimit = { iterations = 500 }";
+    let agent = TestAgent::start("edge", Some(&aggregator.address), &line(keys)).await;
+    // A later update of a second replaces an earlier one.
+    let total = |lives: &[peernet_logger::stream::LiveUpdate]| {
+        let mut seconds = std::collections::BTreeMap::new();
+        for second in lives.iter().flat_map(|live| &live.pipelines).flat_map(|pipeline| &pipeline.seconds) {
+            seconds.insert(second.at, second.clone());
+        }
+        seconds.into_values().collect::<Vec<_>>()
+    };
+    let seen = aggregator
+        .until(|seen| total(&seen.lives).iter().map(|second| second.counts.total()).sum::<u64>() == 500)
+        .await;
+    for second in total(&seen.lives) {
+        let (_, latency) = second.values.iter().find(|(name, _)| *name == "total").expect("totals");
+        assert_eq!(latency.count(), second.counts.ok);
+        assert!(second.values.len() <= 64);
+    }
+    for live in &seen.lives {
+        assert_eq!(live.pipelines.len(), 1);
+        assert!(live.pipelines[0].seconds.len() <= 8);
+        assert!(live.pipelines[0].seconds.is_sorted_by(|a, b| a.at > b.at), "newest first");
+        let account = live.accounting;
+        assert_eq!(account.offered, account.stored + account.waiting + account.dropped);
+    }
+    agent.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn episodes_are_numbered_and_a_duration_ends_the_run() {
+    let aggregator = Aggregator::start().await;
+    let keys = "episode_steps = 4\nwarm_up = { iterations = 0, steps = 1 }\n\
+                load = { mode = 'rate', hz = 200.0 }\nlimit = { duration_s = 0.25 }";
+    let agent = TestAgent::start("edge", Some(&aggregator.address), &line(keys)).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    let iterations = seen.iterations();
+    assert_contiguous(&iterations);
+    for iteration in &iterations {
+        let index = iteration.number - 1;
+        assert_eq!((u64::from(iteration.episode), u64::from(iteration.step)), (index / 4, index % 4));
+        assert_eq!(iteration.warm_up, iteration.step == 0);
+        assert_adds_up(iteration);
+        assert!(
+            iteration.tree.find(&["send-queue"]).is_some() && iteration.tree.find(&["lateness"]).is_some()
+        );
+    }
+    // Every intended start lies within the duration, counted from the first that is not warm-up.
+    let start = |number: usize| iterations[number].tree.anchors()[0].wall;
+    let first = (0..iterations.len()).filter(|n| !iterations[*n].warm_up).map(start).min().expect("measured");
+    let last = (0..iterations.len()).map(start).max().expect("measured");
+    assert!((last - first).seconds() < 0.2505, "{}", last - first);
+    agent.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_sensor_that_ends_finishes_the_pipeline() {
+    let aggregator = Aggregator::start().await;
+    let folder = tempfile::tempdir().expect("a folder");
+    for name in ["a.png", "b.png", "c.png"] {
+        image::RgbImage::new(8, 6).save(folder.path().join(name)).expect("written");
+    }
+    let tables = format!(
+        "[[model]]\nname = 'echo'\nkind = 'echo'\n\
+         [[pipeline]]\nname = 'line'\nplacement = {{ kind = 'local', model = 'echo' }}\n\
+         sensor = {{ kind = 'images', path = '{}', repeat = false }}\n\
+         transforms = [{{ kind = 'resize', width = 4, height = 3 }}]",
+        folder.path().display()
+    );
+    let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    assert_eq!(seen.iterations().len(), 3);
+    for iteration in seen.iterations() {
+        assert_eq!(iteration.outcome, Outcome::Ok);
+        assert!(iteration.tree.find(&["sensing", "transform"]).is_some());
+    }
+    assert_eq!(seen.ended()[0].reason, "finished");
+    agent.stop().await.expect("stops well");
+}

@@ -1,0 +1,97 @@
+//! Rates that cannot be kept: nothing is hidden.
+
+use peernet_logger::stream::{Iteration, Outcome};
+
+use crate::harness::{Aggregator, TestAgent, assert_adds_up, assert_contiguous, value};
+
+fn sleeper(inference_ms: u32, model: &str, pipeline: &str) -> String {
+    format!(
+        "[[model]]\nname = 'slow'\nkind = 'sleep'\npreprocessing_ms = 0\npostprocessing_ms = 0\n\
+         inference_ms = {inference_ms}\n{model}\n\
+         [[pipeline]]\nname = 'line'\nsensor = {{ kind = 'synthetic', size_bytes = 10 }}\n\
+         placement = {{ kind = 'local', model = 'slow' }}\nwarm_up = {{ iterations = 0 }}\n{pipeline}"
+    )
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_rate_that_cannot_be_kept_counts_what_it_skips_and_latency_from_the_intended_start() {
+    let aggregator = Aggregator::start().await;
+    // 100 starts a second, 2 answers per 40 ms: half of the starts cannot be.
+    let pipeline = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 2\nlimit = { iterations = 40 }";
+    let tables = sleeper(40, "workers = 2", pipeline);
+    let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+
+    let mut iterations = seen.iterations();
+    assert_eq!(iterations.len(), 40);
+    assert_contiguous(&iterations);
+    iterations.sort_by_key(|iteration| iteration.number);
+    iterations.iter().for_each(|iteration| assert_adds_up(iteration));
+    // The intended starts, read back from the trees, are multiples of the period after the first; what is
+    // missing between them is what was counted as skipped.
+    let start = |it: &Iteration| it.tree.anchors()[0].wall;
+    let mut skipped_in_all = 0.0;
+    for pair in iterations.windows(2) {
+        let periods = ((start(pair[1]) - start(pair[0])).seconds() * 100.0).round();
+        let skipped = value(&pair[1].tree, "skipped-starts").unwrap_or(0.0);
+        assert_eq!(periods, 1.0 + skipped, "between {} and {}", pair[0].number, pair[1].number);
+        skipped_in_all += skipped;
+    }
+    assert!(skipped_in_all >= 20.0, "{skipped_in_all}");
+    let last = iterations[39];
+    let (total, lateness) = (value(&last.tree, "total"), value(&last.tree, "lateness"));
+    assert!(total > Some(0.055) && lateness > Some(0.0), "waiting counts: {total:?}, {lateness:?}");
+    agent.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_full_queue_fails_samples_and_says_so() {
+    let aggregator = Aggregator::start().await;
+    let pipeline = "load = { mode = 'rate', hz = 200.0 }\nmax_in_flight = 8\nlimit = { iterations = 30 }";
+    let tables = sleeper(50, "workers = 1\nqueue = 1", pipeline);
+    let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    let iterations = seen.iterations();
+    assert_eq!(iterations.len(), 30);
+    let full = iterations.iter().filter(
+        |it| matches!(&it.outcome, Outcome::Failed(reason) if reason.contains("queue of model slow is full")),
+    );
+    assert!(full.count() > 0);
+    assert!(iterations.iter().any(|iteration| iteration.outcome == Outcome::Ok));
+    agent.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_late_answer_is_a_timeout_and_the_run_goes_on() {
+    let aggregator = Aggregator::start().await;
+    let pipeline = "timeout_ms = 20\nlimit = { iterations = 3 }";
+    let agent = TestAgent::start("edge", Some(&aggregator.address), &sleeper(200, "", pipeline)).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    assert_eq!(seen.iterations().len(), 3);
+    for iteration in seen.iterations() {
+        assert_eq!(iteration.outcome, Outcome::Timeout);
+        assert!(iteration.tree.find(&["sensing"]).is_some(), "what is known is kept");
+        assert!(value(&iteration.tree, "total") >= Some(0.02));
+    }
+    agent.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn poisson_starts_follow_from_the_seed() {
+    let mut gaps = Vec::new();
+    for _ in 0..2 {
+        let aggregator = Aggregator::start().await;
+        let pipeline = "load = { mode = 'poisson', hz = 400.0, seed = 5 }\nmax_in_flight = 64\n\
+                        limit = { iterations = 20 }";
+        let tables = sleeper(0, "workers = 1\nqueue = 64", pipeline);
+        let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
+        let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+        let mut starts: Vec<_> = seen.iterations().iter().map(|it| it.tree.anchors()[0].wall).collect();
+        starts.sort();
+        let micros = |pair: &[peernet_clock::WallTime]| ((pair[1] - pair[0]).seconds() * 1e5).round();
+        gaps.push(starts.windows(2).map(micros).collect::<Vec<_>>());
+        agent.stop().await.expect("stops well");
+    }
+    let differ = gaps[0].iter().zip(&gaps[1]).filter(|(a, b)| (**a - **b).abs() > 5.0).count();
+    assert_eq!(differ, 0, "{gaps:?}");
+}

@@ -1,0 +1,13 @@
+//! The agent as a whole: real sockets, real files, several agents in one process.
+
+mod harness;
+
+mod checking;
+mod limits;
+mod load;
+mod midnight;
+mod outage;
+mod outbox;
+mod remote;
+mod stopping;
+mod trouble;

@@ -1,0 +1,54 @@
+//! Runs that last for ever end at midnight (UTC), and the next one begins.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
+
+use peernet_clock::{Clock, ClockIdentity, MonoTime, SharedClock, Span, WallTime};
+
+use crate::harness::{Aggregator, TestAgent, clock, config};
+
+/// This machine's clock, some days ahead.
+#[derive(Debug)]
+struct Calendar {
+    real: SharedClock,
+    days: AtomicI64,
+}
+
+impl Clock for Calendar {
+    fn wall(&self) -> WallTime {
+        self.real.wall() + Span::from_seconds(86_400 * self.days.load(Ordering::SeqCst))
+    }
+
+    fn mono(&self) -> MonoTime {
+        self.real.mono()
+    }
+
+    fn identity(&self) -> &ClockIdentity {
+        self.real.identity()
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_new_day_is_a_new_run_without_a_new_warm_up() {
+    let aggregator = Aggregator::start().await;
+    let tables = "[[model]]\nname = 'echo'\nkind = 'echo'\n\
+        [[pipeline]]\nname = 'line'\nsensor = { kind = 'synthetic', size_bytes = 1 }\n\
+        placement = { kind = 'local', model = 'echo' }\nload = { mode = 'rate', hz = 100.0 }\n";
+    let calendar = Arc::new(Calendar { real: clock("calendar"), days: AtomicI64::new(0) });
+    let clock = Arc::<Calendar>::clone(&calendar);
+    let agent = TestAgent::start_on(clock, "edge", Some(&aggregator.address), config(tables)).await;
+    aggregator.until(|seen| seen.iterations().len() >= 10).await;
+    calendar.days.fetch_add(1, Ordering::SeqCst);
+    let seen =
+        aggregator.until(|seen| seen.iterations().iter().filter(|it| it.number == 10).count() == 2).await;
+    let (runs, ended) = (seen.runs(), seen.ended());
+    assert_eq!((runs.len(), ended.len()), (2, 1));
+    assert_eq!((ended[0].run, ended[0].reason.as_str()), (runs[0].run, "finished"));
+    assert!(ended[0].ended <= runs[1].started);
+    for (run, warm_up) in [(runs[0].run, 5), (runs[1].run, 0)] {
+        let of_run = || seen.iterations().into_iter().filter(move |iteration| iteration.run == run);
+        assert!(of_run().map(|iteration| iteration.number).eq(1..=of_run().count() as u64));
+        assert_eq!(of_run().filter(|iteration| iteration.warm_up).count(), warm_up);
+    }
+    agent.stop().await.expect("stops well");
+}

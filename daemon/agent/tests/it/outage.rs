@@ -1,0 +1,106 @@
+//! Clouds that are not there, go away and come back.
+
+use peernet_logger::stream::{IncidentKind, Outcome, PipelineState};
+
+use crate::harness::{Aggregator, TestAgent, assert_contiguous};
+
+fn cloud(port: u16) -> String {
+    format!(
+        "[serve]\nlisten = 'tcp://127.0.0.1:{port}'\n[[model]]\nname = 'slow'\nkind = 'sleep'\n\
+         preprocessing_ms = 0\ninference_ms = 30\npostprocessing_ms = 0\n"
+    )
+}
+
+fn edge(port: u16, model: &str) -> String {
+    format!(
+        "[[pipeline]]\nname = 'line'\nsensor = {{ kind = 'synthetic', size_bytes = 1000 }}\n\
+         placement = {{ kind = 'remote', peer = 'tcp://127.0.0.1:{port}', model = '{model}' }}\n\
+         load = {{ mode = 'rate', hz = 50.0 }}\n"
+    )
+}
+
+/// A port that is free now.
+fn free_port() -> u16 {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    listener.local_addr().expect("bound").port()
+}
+
+fn is_waiting(state: &PipelineState) -> bool {
+    matches!(state, PipelineState::Waiting(_))
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_cloud_that_is_not_up_yet_is_waited_for() {
+    let (aggregator, port) = (Aggregator::start().await, free_port());
+    let edge = TestAgent::start("edge", Some(&aggregator.address), &edge(port, "slow")).await;
+    let PipelineState::Waiting(reason) = edge.until_state(is_waiting).await else { unreachable!() };
+    assert!(reason.contains(&port.to_string()), "{reason}");
+    let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Disconnected).is_empty()).await;
+    let said = seen.incidents(IncidentKind::Disconnected)[0].text.clone();
+    assert!(said.contains("the pipeline goes on by itself"), "{said}");
+    assert!(seen.runs().is_empty(), "nothing to run yet");
+
+    let cloud = TestAgent::start("cloud", None, &cloud(port)).await;
+    let seen = aggregator.until(|seen| seen.iterations().len() >= 5).await;
+    assert_eq!(seen.runs().len(), 1);
+    assert_eq!(seen.incidents(IncidentKind::Disconnected).len(), 1, "said once");
+    edge.stop().await.expect("stops well");
+    cloud.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_cloud_that_dies_loses_what_is_in_flight_and_the_run_goes_on_when_it_is_back() {
+    let (aggregator, port) = (Aggregator::start().await, free_port());
+    let first = TestAgent::start("cloud", None, &cloud(port)).await;
+    let edge = TestAgent::start("edge", Some(&aggregator.address), &edge(port, "slow")).await;
+    aggregator.until(|seen| seen.iterations().len() >= 10).await;
+    first.kill();
+    let lost = |outcome: &Outcome| matches!(outcome, Outcome::Lost(_));
+    let seen = aggregator.until(|seen| seen.iterations().iter().any(|it| lost(&it.outcome))).await;
+    let before = seen.iterations().len();
+    let iterations = seen.iterations();
+    let reason = iterations.iter().find_map(|it| it.outcome.reason()).expect("a reason");
+    assert!(!reason.is_empty());
+    edge.until_state(is_waiting).await;
+
+    let second = TestAgent::start("cloud", None, &cloud(port)).await;
+    let seen = aggregator.until(|seen| seen.iterations().len() >= before + 20).await;
+    assert_eq!(seen.runs().len(), 1, "the same run");
+    assert!(seen.ended().is_empty());
+    let incidents = seen.incidents(IncidentKind::Disconnected);
+    assert!(
+        incidents.iter().any(|it| it.peer.is_some() && it.run == Some(seen.runs()[0].run)),
+        "{incidents:?}"
+    );
+    edge.stop().await.expect("stops well");
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    assert_contiguous(&seen.iterations());
+    assert_eq!(seen.ended()[0].reason, "stopped");
+    second.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_unknown_model_is_refused_with_the_list_of_those_there_are() {
+    let (aggregator, port) = (Aggregator::start().await, free_port());
+    let cloud = TestAgent::start("cloud", Some(&aggregator.address), &cloud(port)).await;
+    let edge = TestAgent::start("edge", None, &edge(port, "fast")).await;
+    let PipelineState::Waiting(reason) = edge.until_state(is_waiting).await else { unreachable!() };
+    assert!(reason.contains("no model named fast") && reason.contains("slow"), "{reason}");
+    let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Refused).is_empty()).await;
+    let said = &seen.incidents(IncidentKind::Refused)[0].text;
+    assert!(said.contains("edge") && said.contains("line") && said.contains("fast"), "{said}");
+    edge.stop().await.expect("stops well");
+    cloud.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_device_that_the_model_does_not_run_on_is_refused_with_the_one_it_does() {
+    let port = free_port();
+    let cloud = TestAgent::start("cloud", None, &cloud(port)).await;
+    let tables = edge(port, "slow").replace("model = 'slow'", "model = 'slow', device = 'cuda:0'");
+    let edge = TestAgent::start("edge", None, &tables).await;
+    let PipelineState::Waiting(reason) = edge.until_state(is_waiting).await else { unreachable!() };
+    assert!(reason.contains("cuda:0") && reason.contains("only on cpu"), "{reason}");
+    edge.stop().await.expect("stops well");
+    cloud.stop().await.expect("stops well");
+}

@@ -1,0 +1,80 @@
+//! The way to the aggregator: nothing lost uncounted, nothing twice.
+
+use std::sync::Arc;
+
+use peernet_logger::stream::IncidentKind;
+
+use crate::harness::{Aggregator, Manners, TestAgent, assert_contiguous, config};
+
+fn line(keys: &str) -> String {
+    format!(
+        "[agent]\nbatch_delay_ms = 20\n[[model]]\nname = 'echo'\nkind = 'echo'\n\
+         [[pipeline]]\nname = 'line'\nsensor = {{ kind = 'synthetic', size_bytes = 100 }}\n\
+         placement = {{ kind = 'local', model = 'echo' }}\n{keys}"
+    )
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn every_event_arrives_exactly_once_over_reconnects() {
+    // It goes down after storing the third batch and before saying so: the agent must send it again, and it
+    // must not count twice.
+    let manners = Manners { die_before_ack: Some(3), ..Manners::default() };
+    let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), manners).await;
+    let keys = "load = { mode = 'rate', hz = 200.0 }\nmax_in_flight = 64\nlimit = { iterations = 300 }";
+    let agent = TestAgent::start("edge", Some(&aggregator.address), &line(keys)).await;
+    aggregator.until(|seen| !seen.iterations().is_empty()).await;
+    let aggregator = Aggregator::up(aggregator.fell().await).await;
+    let seen = aggregator.until(|seen| seen.iterations().len() >= 150).await;
+    assert_eq!((seen.hellos, seen.runs().len()), (2, 1));
+    let aggregator = Aggregator::up(aggregator.down().await).await;
+
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    assert_contiguous(&seen.iterations());
+    assert_eq!(seen.iterations().len(), 305);
+    assert!(seen.gaps().is_empty());
+    assert!(seen.hellos >= 3);
+    assert_eq!(agent.running.live().accounting.dropped, 0);
+    agent.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_does_not_fit_is_counted_and_reported_as_a_gap() {
+    let (address, seen) = Aggregator::start().await.down().await;
+    let mut config = config(&line("warm_up = { iterations = 0 }\nlimit = { iterations = 2000 }"));
+    config.agent.queue_events = std::num::NonZeroUsize::new(200).expect("not zero");
+    let agent = TestAgent::start_with("edge", Some(&address), config, "system").await;
+    agent.until_state(|state| *state == peernet_logger::stream::PipelineState::Finished).await;
+    let aggregator = Aggregator::up((address, seen)).await;
+    let seen = aggregator.until(|seen| !seen.gaps().is_empty() && !seen.ended().is_empty()).await;
+    let run = seen.runs()[0].run;
+    let missing: u64 = seen.gaps().iter().map(|gap| gap.count).sum();
+    assert_eq!(seen.iterations().len() as u64 + missing, 2000);
+    assert!(missing >= 1800, "{missing}");
+    for gap in seen.gaps() {
+        assert_eq!(
+            (gap.run, gap.pipeline.as_ref().map(peernet_logger::Slug::as_str)),
+            (Some(run), Some("line"))
+        );
+        assert!(gap.from <= gap.to && !gap.reason.is_empty());
+    }
+    let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
+    assert_eq!(account.dropped, missing);
+    assert_eq!(account.offered, account.stored + account.dropped);
+    agent.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_aggregator_that_refuses_is_asked_again_and_heard_once() {
+    let manners = Manners { refuse: Some("another host is named edge".into()), ..Manners::default() };
+    let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), manners).await;
+    let agent =
+        TestAgent::start("edge", Some(&aggregator.address), &line("limit = { iterations = 5 }")).await;
+    aggregator.until(|seen| seen.hellos >= 2).await;
+    let aggregator = Aggregator::up(aggregator.down().await).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    assert_eq!(seen.iterations().len(), 10, "measured meanwhile");
+    let refused = seen.incidents(IncidentKind::Refused);
+    assert_eq!(refused.len(), 1, "{refused:?}");
+    assert!(refused[0].text.contains("another host is named edge"), "{}", refused[0].text);
+    agent.stop().await.expect("stops well");
+}

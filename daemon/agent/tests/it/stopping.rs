@@ -1,0 +1,47 @@
+//! Stopping: what has begun is finished and handed over.
+
+use peernet_logger::stream::Outcome;
+
+use crate::harness::{Aggregator, TestAgent, assert_contiguous};
+
+const SLOW: &str = "[[model]]\nname = 'slow'\nkind = 'sleep'\ninference_ms = 100\nworkers = 4\n\
+    [[pipeline]]\nname = 'line'\nsensor = { kind = 'synthetic', size_bytes = 1 }\nwarm_up = { iterations = 0 }\n\
+    placement = { kind = 'local', model = 'slow' }\nload = { mode = 'rate', hz = 40.0 }\n";
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_is_under_way_is_finished_and_handed_over() {
+    let aggregator = Aggregator::start().await;
+    let agent = TestAgent::start("edge", Some(&aggregator.address), SLOW).await;
+    aggregator.until(|seen| seen.iterations().len() >= 4).await;
+    let host = agent.running.live().host;
+    agent.stop().await.expect("stops well");
+    let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
+    assert_eq!(seen.goodbyes, [host]);
+    assert_eq!(seen.ended()[0].reason, "stopped");
+    assert_contiguous(&seen.iterations());
+    assert!(seen.iterations().iter().all(|iteration| iteration.outcome == Outcome::Ok));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_takes_too_long_is_recorded_as_lost() {
+    let aggregator = Aggregator::start().await;
+    let tables = format!(
+        "[agent]\nstop_timeout_ms = 400\n{}",
+        SLOW.replace("inference_ms = 100", "inference_ms = 1500")
+    );
+    let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
+    aggregator.until(|seen| !seen.runs().is_empty()).await;
+    agent.stop().await.expect("stops well");
+    let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
+    let lost = |outcome: &Outcome| matches!(outcome, Outcome::Lost(reason) if reason.contains("stopped"));
+    assert!(seen.iterations().iter().any(|iteration| lost(&iteration.outcome)), "{:?}", seen.iterations());
+    assert_contiguous(&seen.iterations());
+    assert_eq!(seen.ended().len(), 1);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn without_an_aggregator_the_agent_measures_and_stops_all_the_same() {
+    let agent = TestAgent::start("edge", None, SLOW).await;
+    agent.until_state(|state| *state == peernet_logger::stream::PipelineState::Running).await;
+    agent.stop().await.expect("stops well");
+}

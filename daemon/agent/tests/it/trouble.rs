@@ -1,0 +1,68 @@
+//! Things that fail beside the network.
+
+use peernet_logger::stream::{IncidentKind, Outcome, PipelineState};
+
+use crate::harness::{Aggregator, TestAgent, assert_contiguous};
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_broken_picture_fails_its_iteration_and_the_run_goes_on() {
+    let aggregator = Aggregator::start().await;
+    let folder = tempfile::tempdir().expect("a folder");
+    for name in ["a.png", "b.png", "d.png"] {
+        image::RgbImage::new(8, 6).save(folder.path().join(name)).expect("written");
+    }
+    std::fs::write(folder.path().join("c.png"), b"not a picture").expect("written");
+    let tables = format!(
+        "[[model]]\nname = 'echo'\nkind = 'echo'\n\
+         [[pipeline]]\nname = 'line'\nplacement = {{ kind = 'local', model = 'echo' }}\n\
+         sensor = {{ kind = 'images', path = '{}' }}\nwarm_up = {{ iterations = 0 }}\n\
+         transforms = [{{ kind = 'resize', width = 4, height = 3 }}]\nlimit = {{ iterations = 8 }}",
+        folder.path().display()
+    );
+    let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    assert_contiguous(&seen.iterations());
+    for iteration in seen.iterations() {
+        match &iteration.outcome {
+            Outcome::Failed(reason) if iteration.number % 4 == 3 => {
+                assert!(reason.contains("c.png"), "{reason}");
+                assert!(iteration.tree.find(&["sensing", "capture"]).is_some(), "what was measured is kept");
+            }
+            outcome => assert_eq!((outcome, iteration.number % 4 != 3), (&Outcome::Ok, true)),
+        }
+    }
+    assert_eq!(seen.iterations().len(), 8);
+    agent.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_pipeline_that_cannot_start_says_why_and_leaves_the_others_alone() {
+    let aggregator = Aggregator::start().await;
+    let tables = "[[model]]\nname = 'echo'\nkind = 'echo'\n\
+        [[pipeline]]\nname = 'blind'\nsensor = { kind = 'images', path = '/nowhere/at/all' }\n\
+        placement = { kind = 'local', model = 'echo' }\n\
+        [[pipeline]]\nname = 'brainless'\nsensor = { kind = 'synthetic', size_bytes = 1 }\n\
+        placement = { kind = 'local', model = 'ecco' }\n\
+        [[pipeline]]\nname = 'idle'\nsensor = { kind = 'synthetic', size_bytes = 1 }\nstart = 'manual'\n\
+        placement = { kind = 'local', model = 'echo' }\n\
+        [[pipeline]]\nname = 'sound'\nsensor = { kind = 'synthetic', size_bytes = 1 }\n\
+        placement = { kind = 'local', model = 'echo' }\nlimit = { iterations = 10 }\n";
+    let agent = TestAgent::start("edge", Some(&aggregator.address), tables).await;
+    let seen = aggregator
+        .until(|seen| seen.ended().len() == 1 && seen.incidents(IncidentKind::PipelineFailed).len() == 2)
+        .await;
+    assert_eq!(seen.iterations().len(), 15);
+    assert_eq!(seen.incidents(IncidentKind::ModelLoaded).len(), 1);
+    let live = agent.running.live();
+    let state = |name: &str| {
+        let found = live.pipelines.iter().find(|pipeline| pipeline.pipeline.as_str() == name);
+        found.map(|pipeline| pipeline.state.clone()).expect("shown")
+    };
+    assert!(matches!(state("blind"), PipelineState::Failed(why) if why.contains("/nowhere/at/all")));
+    assert!(
+        matches!(state("brainless"), PipelineState::Failed(why) if why.contains("ecco") && why.contains("echo"))
+    );
+    assert!(matches!(state("idle"), PipelineState::Waiting(why) if why.contains("manual")));
+    assert_eq!(state("sound"), PipelineState::Finished);
+    agent.stop().await.expect("stops well");
+}
