@@ -83,10 +83,9 @@ impl Lifecycle {
     ///
     /// # Errors
     /// When the part cannot start.
-    pub(crate) async fn start<E, F>(&mut self, name: &'static str, begin: F) -> anyhow::Result<()>
+    pub(crate) async fn start<F>(&mut self, name: &'static str, begin: F) -> anyhow::Result<()>
     where
-        F: AsyncFnOnce(CancellationToken) -> Result<BoxFuture<'static, Result<(), E>>, E>,
-        E: std::error::Error + Send + Sync + 'static,
+        F: AsyncFnOnce(CancellationToken) -> anyhow::Result<BoxFuture<'static, anyhow::Result<()>>>,
     {
         let stop = CancellationToken::new();
         let ending = begin(stop.clone()).await.with_context(|| format!("cannot start the {name}"))?;
@@ -94,7 +93,7 @@ impl Lifecycle {
         let over = ended.clone().drop_guard();
         let task = tokio::spawn(async move {
             let _over = over;
-            ending.await.map_err(anyhow::Error::new)
+            ending.await
         });
         self.parts.push(Part { name, stop, ended, task });
         debug!("the {name} has started");

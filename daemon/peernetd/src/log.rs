@@ -45,7 +45,9 @@ pub(crate) fn install(config: &LogConfig) -> anyhow::Result<()> {
         Err(_) => (config.level.clone(), "log.level"),
     };
     let filter = EnvFilter::try_new(&level).map_err(|error| {
-        anyhow::anyhow!("{origin} = {level:?} is not a log level: {error}; use error, warn, info, debug or trace")
+        anyhow::anyhow!(
+            "{origin} = {level:?} is not a log level: {error}; use error, warn, info, debug or trace"
+        )
     })?;
     subscriber(filter).try_init()?;
     Ok(())

@@ -1,1 +1,34 @@
-fn main(){}
+//! `peernetd`: the daemon. Composes the roles that a configuration file switches on.
+
+mod cli;
+mod commands;
+mod configuration;
+mod exit;
+mod lifecycle;
+mod log;
+mod output;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+use clap::error::ErrorKind;
+
+use cli::{Arguments, Command};
+use exit::Exit;
+
+fn main() -> ExitCode {
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => {
+            let asked = matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion);
+            // Printing fails when nobody listens any more; the exit code still tells.
+            let _ = error.print();
+            return if asked { Exit::Ok } else { Exit::Usage }.into();
+        }
+    };
+    match arguments.command {
+        Command::Run { config } => commands::run(&config),
+        Command::Check { configs } => commands::check(&configs),
+    }
+    .into()
+}

@@ -3,5 +3,5 @@
 mod load;
 mod locate;
 
-pub(crate) use load::load;
+pub(crate) use load::{Configuration, load};
 pub(crate) use locate::Locator;

@@ -1,0 +1,198 @@
+//! Starting and stopping: checks, the three tasks, and the handle that readers hold.
+
+use std::collections::HashMap;
+use std::path::Path;
+use std::sync::Arc;
+
+use peernet_clock::{SharedClock, Span};
+use peernet_logger::Slug;
+use peernet_logger::stream::{Receiving, ReceivingConfig};
+use serde::Serialize;
+use tokio::sync::{mpsc, watch};
+use tokio::task::{Id, JoinError, JoinSet};
+use tokio_util::sync::CancellationToken;
+
+use crate::config::AggregatorConfig;
+use crate::error::{Failure, Problem, StartError};
+use crate::ingest::{self, Desk, committing, socket};
+use crate::live::{self, Live, News};
+use crate::picture::Picture;
+use crate::store::write::{Writer, newest_runs};
+use crate::store::{Store, database};
+
+/// News that wait for the live picture's task; it waits for nothing, so few are enough.
+const NEWS: usize = 1_024;
+/// Commits whose acknowledgements wait to be sent.
+const COMMITS: usize = 16;
+/// Runs whose numbers are known from the start: those that agents may still be executing.
+const RUNS: u32 = 1_000;
+
+/// Whether events are being stored.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Readiness {
+    /// Batches are stored and acknowledged.
+    Ready,
+    /// Batches are not acknowledged, agents keep them; the text says why. Tried again by itself.
+    NotStoring(String),
+}
+
+/// The handle of a running aggregator: cheap to clone.
+#[derive(Clone, Debug)]
+pub struct Aggregator {
+    live: watch::Receiver<Arc<Picture>>,
+    ready: watch::Receiver<Readiness>,
+    store: Store,
+}
+
+/// A running aggregator.
+#[derive(Debug)]
+pub struct Running {
+    /// For readers.
+    pub handle: Aggregator,
+    tasks: JoinSet<Result<(), Failure>>,
+    names: HashMap<Id, &'static str>,
+    asked: CancellationToken,
+    stop: CancellationToken,
+}
+
+impl Aggregator {
+    /// Everything about a configuration that can be checked without starting.
+    pub fn check(config: &AggregatorConfig) -> Vec<Problem> {
+        config.problems()
+    }
+
+    /// Opens the database, listens, and starts the tasks; they end when `stop` is cancelled.
+    ///
+    /// # Errors
+    /// When the configuration cannot work, the database cannot be opened or written, or the address is taken.
+    pub async fn start(
+        config: AggregatorConfig,
+        clock: SharedClock,
+        stop: CancellationToken,
+    ) -> Result<Running, StartError> {
+        if let Some(problem) = config.problems().into_iter().next() {
+            return Err(problem.into());
+        }
+        let name = config.name();
+        let cannot_open = |source| StartError::Open { path: config.database.clone(), source };
+        if let Some(folder) = config.database.parent() {
+            std::fs::create_dir_all(folder).map_err(|error| cannot_open(error.into()))?;
+        }
+        let mut connection = database::open(&config.database).await?;
+        let runs = newest_runs(&mut connection, RUNS).await.map_err(cannot_open)?;
+        let writer = Writer::new(config.database.clone(), connection).await.map_err(cannot_open)?;
+        let (socket, address) = socket::listen(&config.listen).await?;
+        tracing::info!(%address, database = %config.database.display(), "the aggregator listens");
+
+        let forget = Span::from_seconds(i64::try_from(config.forget_hosts_after_s).unwrap_or(i64::MAX));
+        let mut picture = Live::new(name.clone(), address.clone(), forget);
+        for (run, number) in runs {
+            picture.take(News::Run(run, number), clock.stamp());
+        }
+        let (queue, work) = ingest::queue();
+        let (news_in, news) = mpsc::channel(NEWS);
+        let (committed_in, committed) = mpsc::channel(COMMITS);
+        let (pictures, live) = watch::channel(picture.shared(clock.stamp()));
+        let (ready_in, ready) = watch::channel(Readiness::Ready);
+        let desk = Desk::new(Receiving::new(ReceivingConfig::new(name)), queue, writer.marks().clone());
+        let store = Store::new(database::readers(&config.database, config.readers));
+
+        let asked = stop.clone();
+        let stop = stop.child_token();
+        let grouping =
+            committing::Grouping { interval: config.commit_interval(), nodes: config.commit_nodes };
+        let mut running = Running {
+            handle: Self { live, ready, store },
+            tasks: JoinSet::new(),
+            names: HashMap::new(),
+            asked,
+            stop: stop.clone(),
+        };
+        running.spawn("live picture", {
+            let clock = Arc::clone(&clock);
+            async move {
+                live::task::run(picture, news, pictures, clock).await;
+                Ok(())
+            }
+        });
+        running.spawn("writer", {
+            let (clock, stop) = (Arc::clone(&clock), stop.clone());
+            async move {
+                committing::run(writer, work, committed_in, ready_in, grouping, (clock, stop)).await;
+                Ok(())
+            }
+        });
+        let wires = socket::Wires { committed, news: news_in, clock, stop };
+        running.spawn("ingest", socket::run(socket, address, desk, wires));
+        Ok(running)
+    }
+
+    /// Snapshots of the live picture: a new one when something changed, at most five per second.
+    pub fn live(&self) -> watch::Receiver<Arc<Picture>> {
+        self.live.clone()
+    }
+
+    /// What is stored.
+    pub fn store(&self) -> &Store {
+        &self.store
+    }
+
+    /// Whether events are being stored, and if not, why.
+    pub fn ready(&self) -> Readiness {
+        self.ready.borrow().clone()
+    }
+}
+
+impl Running {
+    fn spawn(
+        &mut self,
+        name: &'static str,
+        task: impl Future<Output = Result<(), Failure>> + Send + 'static,
+    ) {
+        let id = self.tasks.spawn(task).id();
+        self.names.insert(id, name);
+    }
+
+    /// Waits until all tasks have ended: after `stop` was cancelled, or because one of them died. What was received
+    /// by then is stored and acknowledged, unless the database refuses.
+    ///
+    /// # Errors
+    /// When a task died or ended without being asked to; the others are ended then.
+    pub async fn join(mut self) -> Result<(), Failure> {
+        let mut first = Ok(());
+        while let Some(ended) = self.tasks.join_next_with_id().await {
+            let failure = match ended {
+                Ok((_, Err(failure))) => Some(failure),
+                Ok((id, Ok(()))) => {
+                    let unasked = !self.asked.is_cancelled() && first.is_ok();
+                    unasked.then(|| Failure::TaskEnded(self.name(id)))
+                }
+                Err(error) => Some(Failure::TaskDied { task: self.name(error.id()), reason: words(error) }),
+            };
+            if let (Some(failure), Ok(())) = (failure, &first) {
+                first = Err(failure);
+                self.stop.cancel();
+            }
+        }
+        self.handle.store.close().await;
+        first
+    }
+
+    fn name(&self, id: Id) -> &'static str {
+        self.names.get(&id).copied().unwrap_or("unnamed")
+    }
+}
+
+/// What a task said when it panicked.
+fn words(error: JoinError) -> String {
+    let Ok(panic) = error.try_into_panic() else { return "cancelled".to_owned() };
+    let text = panic.downcast_ref::<String>().map(String::as_str);
+    text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic without words").to_owned()
+}
+
+/// The machine's host name, as far as it can be a name.
+pub(crate) fn machine_name() -> Slug {
+    let read = std::fs::read_to_string(Path::new("/proc/sys/kernel/hostname")).unwrap_or_default();
+    read.trim().parse().unwrap_or_else(|_| "aggregator".parse().expect("a name"))
+}

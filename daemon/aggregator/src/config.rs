@@ -1,0 +1,141 @@
+//! The aggregator's table of the configuration file, and what can be checked before starting.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use peernet_logger::Slug;
+use serde::{Deserialize, Serialize};
+use zeromq::Endpoint;
+
+use crate::aggregator::machine_name;
+use crate::error::Problem;
+
+/// The `[aggregator]` table.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct AggregatorConfig {
+    /// Name under which the aggregator greets agents; the machine's host name unless given.
+    pub name: Option<Slug>,
+    /// Where agents connect: `tcp://ADDRESS:PORT`. Port 0 takes a free one.
+    pub listen: String,
+    /// The SQLite file; made when missing, with its folder. `-wal` and `-shm` files stand beside it.
+    pub database: PathBuf,
+    /// Longest time a batch waits for others to be committed with it, 1 to 10,000.
+    pub commit_interval_ms: u64,
+    /// Nodes after which a commit begins at once, 1 to 1,000,000.
+    pub commit_nodes: usize,
+    /// Connections that readers share, 1 to 64.
+    pub readers: u32,
+    /// A host that has not been heard of for so long leaves the live picture; its runs stay.
+    pub forget_hosts_after_s: u64,
+}
+
+impl Default for AggregatorConfig {
+    fn default() -> Self {
+        Self {
+            name: None,
+            listen: "tcp://127.0.0.1:5550".to_owned(),
+            database: PathBuf::from("peernet.sqlite"),
+            commit_interval_ms: 50,
+            commit_nodes: 30_000,
+            readers: 4,
+            forget_hosts_after_s: 24 * 3600,
+        }
+    }
+}
+
+impl AggregatorConfig {
+    pub(crate) const fn commit_interval(&self) -> Duration {
+        Duration::from_millis(self.commit_interval_ms)
+    }
+
+    /// The configured name or the machine's.
+    pub(crate) fn name(&self) -> Slug {
+        self.name.clone().unwrap_or_else(machine_name)
+    }
+
+    /// What cannot work, as far as it shows without starting.
+    pub(crate) fn problems(&self) -> Vec<Problem> {
+        let mut problems = Vec::new();
+        let mut check = |key, wrong: Option<String>| {
+            problems.extend(wrong.map(|message| Problem { key, message }));
+        };
+        check("listen", wrong_address(&self.listen));
+        check("database", wrong_database(&self.database));
+        check("commit_interval_ms", outside(self.commit_interval_ms, 1, 10_000));
+        check("commit_nodes", outside(self.commit_nodes as u64, 1, 1_000_000));
+        check("readers", outside(u64::from(self.readers), 1, 64));
+        check("forget_hosts_after_s", outside(self.forget_hosts_after_s, 1, u64::from(u32::MAX)));
+        problems
+    }
+}
+
+fn outside(value: u64, least: u64, most: u64) -> Option<String> {
+    (value < least || value > most).then(|| format!("{value} is outside {least} to {most}"))
+}
+
+fn wrong_address(address: &str) -> Option<String> {
+    let parsed = address.parse::<Endpoint>();
+    match parsed {
+        Ok(Endpoint::Tcp { .. }) => None,
+        Ok(_) => Some(format!("{address:?} is not a TCP address; write it as tcp://ADDRESS:PORT")),
+        Err(error) => {
+            Some(format!("{address:?} is not an address ({error}); write it as tcp://ADDRESS:PORT"))
+        }
+    }
+}
+
+/// The file, or the nearest folder above it that exists, must be writable.
+fn wrong_database(path: &Path) -> Option<String> {
+    if path.is_dir() {
+        return Some(format!("{} is a folder; name a file in it", path.display()));
+    }
+    let here = Path::new(".");
+    let folders =
+        path.ancestors().skip(1).map(|folder| if folder.as_os_str().is_empty() { here } else { folder });
+    let folder = folders.into_iter().find(|folder| folder.exists()).unwrap_or(here);
+    let target = if path.exists() { path } else { folder };
+    let denied = rustix::fs::access(target, rustix::fs::Access::WRITE_OK).err().map(|error| {
+        format!("cannot write to {}: {error}; choose another file or change its owner", target.display())
+    });
+    let not_a_folder =
+        || (!folder.is_dir()).then(|| format!("{} is not a folder; choose another path", folder.display()));
+    not_a_folder().or(denied)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn problems(change: impl FnOnce(&mut AggregatorConfig)) -> Vec<&'static str> {
+        let mut config = AggregatorConfig::default();
+        change(&mut config);
+        config.problems().iter().map(|problem| problem.key).collect()
+    }
+
+    #[test]
+    fn what_cannot_work_is_named_by_its_key() {
+        assert!(problems(|_| {}).is_empty());
+        assert!(problems(|config| config.database = "not/yet/there/peernet.sqlite".into()).is_empty());
+        for address in ["127.0.0.1:5550", "udp://127.0.0.1:5550", "tcp://127.0.0.1", "inproc://x", ""] {
+            assert_eq!(problems(|config| config.listen = address.into()), ["listen"], "{address}");
+        }
+        assert_eq!(problems(|config| config.database = "/".into()), ["database"]);
+        assert_eq!(
+            problems(|config| config.database = "/proc/version/x/peernet.sqlite".into()),
+            ["database"]
+        );
+        assert_eq!(
+            problems(|config| (config.commit_nodes, config.readers) = (0, 65)),
+            ["commit_nodes", "readers"]
+        );
+    }
+
+    #[test]
+    fn unknown_keys_are_refused() {
+        let known: Result<AggregatorConfig, _> = serde_json::from_str(r#"{"listen": "tcp://127.0.0.1:1"}"#);
+        assert!(known.is_ok());
+        let unknown: Result<AggregatorConfig, _> = serde_json::from_str(r#"{"listn": "x"}"#);
+        assert!(unknown.is_err());
+    }
+}

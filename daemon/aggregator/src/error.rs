@@ -1,0 +1,102 @@
+//! What can go wrong, in words that say what was tried, on what, and what to do.
+
+use std::path::PathBuf;
+
+/// A value of the configuration that cannot work.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{key}: {message}")]
+pub struct Problem {
+    /// The key within the `[aggregator]` table.
+    pub key: &'static str,
+    /// What is wrong and what to do.
+    pub message: String,
+}
+
+/// Why the aggregator did not start.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// A value of the configuration cannot work.
+    #[error("cannot start the aggregator: {0}")]
+    Configuration(#[from] Problem),
+    /// The address is taken or not this machine's.
+    #[error(
+        "cannot listen on {address}: {source}; is another aggregator running there? choose another address with `listen`"
+    )]
+    Listen {
+        /// The configured address.
+        address: String,
+        /// The socket's own words.
+        source: zeromq::Error,
+    },
+    /// The database cannot be opened.
+    #[error("cannot open the database {}: {source}; check that its folder exists and that this user may write there", path.display())]
+    Open {
+        /// The configured file.
+        path: PathBuf,
+        /// SQLite's own words.
+        source: sqlx::Error,
+    },
+    /// The database was written by a newer version.
+    #[error("the database {} was written by a newer version (its schema {found}, known here {known}); update this program or choose another file with `database`", path.display())]
+    NewerSchema {
+        /// The configured file.
+        path: PathBuf,
+        /// Schema in the file.
+        found: i64,
+        /// Newest schema that this version knows.
+        known: i64,
+    },
+    /// The schema cannot be brought up to date.
+    #[error("cannot bring the schema of the database {} up to date: {source}; keep the file, and restore a backup or choose another file with `database`", path.display())]
+    Migrate {
+        /// The configured file.
+        path: PathBuf,
+        /// The failed step in sqlx's words.
+        source: sqlx::migrate::MigrateError,
+    },
+}
+
+/// Why the aggregator ended without being asked to.
+#[derive(Debug, thiserror::Error)]
+pub enum Failure {
+    /// One of its tasks panicked.
+    #[error("the aggregator's {task} task died: {reason}")]
+    TaskDied {
+        /// Which.
+        task: &'static str,
+        /// The panic's words.
+        reason: String,
+    },
+    /// One of its tasks ended early.
+    #[error("the aggregator's {0} task ended before it was asked to")]
+    TaskEnded(&'static str),
+    /// The socket broke.
+    #[error("cannot receive on {address}: {source}")]
+    Socket {
+        /// Where it listened.
+        address: String,
+        /// The socket's own words.
+        source: zeromq::Error,
+    },
+}
+
+/// Why a question to the store has no answer.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// The database refused.
+    #[error("cannot read {what} from the database: {source}")]
+    Database {
+        /// What was asked for.
+        what: &'static str,
+        /// SQLite's own words.
+        source: sqlx::Error,
+    },
+    /// The database holds something that this version cannot have written.
+    #[error("cannot make sense of {what} in the database: {detail}")]
+    Corrupt {
+        /// What was asked for.
+        what: &'static str,
+        /// What is wrong with it.
+        detail: String,
+    },
+}

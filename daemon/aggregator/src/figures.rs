@@ -1,0 +1,118 @@
+//! A summary as it is shown: with no quantile that its samples do not support.
+
+use peernet_clock::Verdict;
+use peernet_logger::{Name, stage};
+use peernet_statistics::Summary;
+use serde::Serialize;
+
+/// Samples below which a 95th percentile is not given.
+pub const P95_NEEDS: u64 = 60;
+/// Samples below which a 99th percentile is not given.
+pub const P99_NEEDS: u64 = 300;
+
+/// What a page says about one quantity, in its SI unit. Quantiles are within 1 % of the true ones.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Figures {
+    /// Samples.
+    pub count: u64,
+    /// Mean.
+    pub mean: f64,
+    /// Sample standard deviation; `None` below two samples.
+    pub std: Option<f64>,
+    /// Smallest sample.
+    pub min: f64,
+    /// Median.
+    pub p50: f64,
+    /// 95th percentile; `None` below [`P95_NEEDS`] samples.
+    pub p95: Option<f64>,
+    /// 99th percentile; `None` below [`P99_NEEDS`] samples.
+    pub p99: Option<f64>,
+    /// Largest sample.
+    pub max: f64,
+}
+
+impl Figures {
+    /// The figures of a summary; `None` when it holds no samples.
+    pub fn of(summary: &Summary) -> Option<Self> {
+        let moments = &summary.moments;
+        let from = |needed, q| (moments.count >= needed).then(|| summary.quantile(q)).flatten();
+        Some(Self {
+            count: moments.count,
+            mean: moments.mean,
+            std: moments.std(),
+            min: moments.min,
+            p50: from(1, 0.5)?,
+            p95: from(P95_NEEDS, 0.95),
+            p99: from(P99_NEEDS, 0.99),
+            max: moments.max,
+        })
+    }
+}
+
+/// How well the delays of one direction are known.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Bound {
+    /// `upload` or `download`.
+    pub stage: Name,
+    /// Half the width of the interval that contains the delay, seconds; `None` when no delay had one.
+    pub half_width: Option<Figures>,
+    /// How often each verdict was given, in the order of [`Verdict::ALL`], those never given left out.
+    pub verdicts: Vec<(Verdict, u64)>,
+}
+
+/// Sorts names as every table shows them: the stages in their order, then `total`, `stages-total`,
+/// `unattributed`, throughputs, sizes, and what users added, by name.
+pub fn rank(name: &str) -> (usize, &str) {
+    const AFTER: [Name; 9] = [
+        stage::TOTAL,
+        stage::STAGES_TOTAL,
+        stage::UNATTRIBUTED,
+        stage::UPLOAD_THROUGHPUT,
+        stage::DOWNLOAD_THROUGHPUT,
+        stage::UPLOAD_BYTES,
+        stage::DOWNLOAD_BYTES,
+        stage::UPLOAD_LOGGER_BYTES,
+        stage::DOWNLOAD_LOGGER_BYTES,
+    ];
+    // The two parts of `sensing` follow it, as children do in a tree.
+    let standard = || stage::ORDER.iter().chain(&AFTER).position(|known| known == name).map(|at| 3 * at);
+    let child = match name {
+        "capture" => Some(1),
+        "transform" => Some(2),
+        _ => None,
+    };
+    (child.or_else(standard).unwrap_or(usize::MAX), name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_wait_for_their_samples() {
+        let mut summary = Summary::default();
+        assert_eq!(Figures::of(&summary), None);
+        let figures_at = |summary: &mut Summary, count: u64| {
+            while summary.count() < count {
+                summary.record(0.001);
+            }
+            Figures::of(summary).expect("has samples")
+        };
+        let one = figures_at(&mut summary, 1);
+        assert_eq!((one.p50, one.std, one.p95), (0.001, None, None));
+        assert_eq!(figures_at(&mut summary, 59).p95, None);
+        assert!(figures_at(&mut summary, 60).p95.is_some());
+        assert_eq!(figures_at(&mut summary, 299).p99, None);
+        assert!(figures_at(&mut summary, 300).p99.is_some());
+    }
+
+    #[test]
+    fn tables_show_stages_first_and_users_names_last() {
+        let mut names = ["zeta", "upload-bytes", "total", "upload", "capture", "alpha", "encode", "sensing"];
+        names.sort_by_key(|name| rank(name));
+        assert_eq!(
+            names,
+            ["sensing", "capture", "encode", "upload", "total", "upload-bytes", "alpha", "zeta"]
+        );
+    }
+}

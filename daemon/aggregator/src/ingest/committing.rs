@@ -1,0 +1,107 @@
+//! The task that owns the writer: collects batches of many agents and commits them together.
+
+use std::time::Duration;
+
+use peernet_clock::SharedClock;
+use tokio::sync::{mpsc, watch};
+use tokio_util::sync::CancellationToken;
+
+use super::queue::Queued;
+use crate::aggregator::Readiness;
+use crate::store::write::{Committed, Work, Writer};
+
+/// The first pause after a failed commit, and the longest.
+const FIRST_PAUSE: Duration = Duration::from_millis(200);
+const LONGEST_PAUSE: Duration = Duration::from_secs(5);
+
+/// When a group is large or old enough.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Grouping {
+    /// Longest time that the first of a group waits for others.
+    pub(crate) interval: Duration,
+    /// Nodes after which a group waits for no more.
+    pub(crate) nodes: usize,
+}
+
+/// Commits until no more work will come and all that came is stored.
+///
+/// While the database refuses, the same group is tried again and nothing is acknowledged: agents keep what they sent.
+/// When told to stop, the group is tried a last time and then left to them.
+pub(crate) async fn run(
+    mut writer: Writer,
+    mut queue: mpsc::Receiver<Queued>,
+    committed: mpsc::Sender<Committed>,
+    ready: watch::Sender<Readiness>,
+    grouping: Grouping,
+    (clock, stop): (SharedClock, CancellationToken),
+) {
+    while let Some(group) = gather(&mut queue, grouping).await {
+        let (work, room): (Vec<Work>, Vec<_>) = group.into_iter().map(Queued::into_parts).unzip();
+        let mut pause = FIRST_PAUSE;
+        loop {
+            match writer.commit(&work, clock.wall()).await {
+                Ok(stored) => {
+                    set(&ready, Readiness::Ready);
+                    for (head, reason) in &stored.quarantined {
+                        tracing::error!(host = %head.host, number = head.number, %reason, "a batch was put aside");
+                    }
+                    // Closed only while everything ends.
+                    let _ended = committed.send(stored).await;
+                    break;
+                }
+                Err(error) => {
+                    let reason =
+                        format!("cannot store events: {error}; agents keep them, tried again by itself");
+                    if stop.is_cancelled() {
+                        tracing::error!(batches = work.len(), %reason, "gave up storing: told to stop");
+                        return;
+                    }
+                    set(&ready, Readiness::NotStoring(reason));
+                    tokio::select! {
+                        () = tokio::time::sleep(pause) => pause = (pause * 2).min(LONGEST_PAUSE),
+                        () = stop.cancelled() => {}
+                    }
+                }
+            }
+        }
+        drop(room);
+    }
+}
+
+/// The next group; `None` when no more work will come.
+async fn gather(queue: &mut mpsc::Receiver<Queued>, grouping: Grouping) -> Option<Vec<Queued>> {
+    let first = queue.recv().await?;
+    let mut nodes = first.work.weight();
+    let mut group = vec![first];
+    let patience = tokio::time::sleep(grouping.interval);
+    tokio::pin!(patience);
+    while nodes < grouping.nodes {
+        tokio::select! {
+            biased;
+            next = queue.recv() => match next {
+                Some(next) => {
+                    nodes += next.work.weight();
+                    group.push(next);
+                }
+                None => break,
+            },
+            () = &mut patience => break,
+        }
+    }
+    Some(group)
+}
+
+/// Logs changes of readiness, once each.
+fn set(ready: &watch::Sender<Readiness>, now: Readiness) {
+    ready.send_if_modified(|was| {
+        if *was == now {
+            return false;
+        }
+        match &now {
+            Readiness::Ready => tracing::info!("storing events again"),
+            Readiness::NotStoring(reason) => tracing::error!("{reason}"),
+        }
+        *was = now;
+        true
+    });
+}

@@ -1,0 +1,214 @@
+//! Who may speak, and what becomes of each frame. No sockets here: frames in, replies and news out.
+
+use std::collections::HashMap;
+
+use bytes::Bytes;
+use peernet_clock::{Span, Stamp};
+use peernet_logger::HostId;
+use peernet_logger::stream::codec::{self, BatchHead};
+use peernet_logger::stream::{Arrival, Greeting, Hello, Receiving, StreamId, ToAgent, ToAggregator};
+use zeromq::Identity;
+
+use super::queue::Queue;
+use crate::live::News;
+use crate::picture::RefusedHost;
+use crate::store::write::{Committed, Mark, Work};
+
+/// A host that was silent for so long is asked to say hello again.
+const FORGET_SESSIONS: Span = Span::from_seconds(60);
+/// Largest batch number that is believed: SQLite's integers end there.
+const LAST_BATCH: u64 = i64::MAX as u64;
+
+/// What could not be taken, since the start.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Untaken {
+    /// Batches that found no room; their agents send them again.
+    pub(crate) deferred: u64,
+    /// Frames that are no message.
+    pub(crate) unreadable: u64,
+    /// Messages of hosts that did not say hello on that connection.
+    pub(crate) strangers: u64,
+}
+
+/// Decides about every frame.
+#[derive(Debug)]
+pub(crate) struct Desk {
+    receiving: Receiving,
+    queue: Queue,
+    /// The connection on which each host said hello.
+    routes: HashMap<HostId, Identity>,
+    marks: HashMap<StreamId, Mark>,
+    replies: Vec<(Identity, ToAgent)>,
+    news: Vec<News>,
+    untaken: Untaken,
+}
+
+impl Desk {
+    /// A desk that knows nobody; `marks` are what is stored of each stream.
+    pub(crate) fn new(receiving: Receiving, queue: Queue, marks: HashMap<StreamId, Mark>) -> Self {
+        Self {
+            receiving,
+            queue,
+            routes: HashMap::new(),
+            marks,
+            replies: Vec::new(),
+            news: Vec::new(),
+            untaken: Untaken::default(),
+        }
+    }
+
+    /// A frame came from a connection.
+    pub(super) fn frame(&mut self, from: &Identity, frame: &Bytes, now: Stamp) {
+        if let Some(head) = codec::batch_head(frame) {
+            self.batch(from, head, frame, now);
+            return;
+        }
+        match codec::decode(frame) {
+            Ok(ToAggregator::Hello(hello)) => self.hello(from, hello, now),
+            Ok(ToAggregator::Live(update)) => {
+                if self.knows(from, update.host) && self.receiving.live(update.host, now.mono).is_none() {
+                    self.news.push(News::Update(Box::new(update)));
+                }
+            }
+            Ok(ToAggregator::Goodbye(host)) => {
+                if self.knows(from, host) {
+                    self.receiving.goodbye(host);
+                    self.routes.remove(&host);
+                    self.news.push(News::Goodbye(host));
+                }
+            }
+            Ok(ToAggregator::Batch(_)) | Err(_) => self.untaken.unreadable += 1,
+        }
+    }
+
+    /// Whether the host said hello on that connection; one that did not is asked to.
+    fn knows(&mut self, from: &Identity, host: HostId) -> bool {
+        let known = self.routes.get(&host) == Some(from);
+        if !known {
+            self.untaken.strangers += 1;
+            self.replies.push((from.clone(), ToAgent::Unknown));
+        }
+        known
+    }
+
+    fn hello(&mut self, from: &Identity, hello: Hello, now: Stamp) {
+        if let Some(reason) = self.objection(&hello) {
+            self.refuse(from, &hello, reason, now);
+            return;
+        }
+        let stored = self.marks.get(&hello.stream).map_or(0, |mark| mark.stored);
+        // Without room for what follows from it, a greeting counts as lost; the agent repeats it.
+        let (Some(greeting), Some(hole)) = (self.queue.place(0), self.queue.place(0)) else {
+            self.untaken.deferred += 1;
+            return;
+        };
+        match self.receiving.hello(&hello, stored, now.mono) {
+            Greeting::Welcome { reply, missing } => {
+                greeting.put(Work::Hello(Box::new(hello.host.clone())));
+                if let Some(missing) = missing {
+                    tracing::warn!(
+                        host = %hello.host.name, from = missing.from, through = missing.through,
+                        "batches of this host will never come: its spool no longer holds them"
+                    );
+                    hole.put(Work::Missing(missing));
+                }
+                tracing::info!(host = %hello.host.name, id = %hello.host.id, stored, "a host connected");
+                self.routes.insert(hello.host.id, from.clone());
+                self.replies.push((from.clone(), reply));
+                self.news.push(News::Hello(Box::new(hello.host)));
+            }
+            Greeting::Refused { reason, .. } => {
+                drop((greeting, hole));
+                self.refuse(from, &hello, reason, now);
+            }
+            Greeting::Wait => {}
+        }
+    }
+
+    /// What speaks against a hello because of what is stored.
+    fn objection(&self, hello: &Hello) -> Option<String> {
+        if hello.oldest > LAST_BATCH {
+            return Some(format!("batch {} cannot be: delete the spool of this agent", hello.oldest));
+        }
+        let mark = self.marks.get(&hello.stream).filter(|mark| mark.host != hello.host.id)?;
+        Some(format!(
+            "the spool of this agent belongs to the host with the id {}: delete the one that was copied",
+            mark.host
+        ))
+    }
+
+    fn refuse(&mut self, from: &Identity, hello: &Hello, reason: String, now: Stamp) {
+        let address = from.peer_info().peer_address.map(|address| address.to_string());
+        tracing::warn!(host = %hello.host.name, id = %hello.host.id, ?address, %reason, "a host was refused");
+        self.replies.push((from.clone(), ToAgent::Refused { reason: reason.clone() }));
+        let refused = RefusedHost { name: hello.host.name.clone(), address, reason, at: now.wall };
+        self.news.push(News::Refused(refused));
+    }
+
+    fn batch(&mut self, from: &Identity, head: BatchHead, frame: &Bytes, now: Stamp) {
+        if !self.knows(from, head.host) {
+            return;
+        }
+        let Some(place) = self.queue.place(frame.len()) else {
+            self.untaken.deferred += 1;
+            return;
+        };
+        match self.receiving.batch(head.host, head.stream, head.number, now.mono) {
+            Arrival::Accept => place.put(match codec::decode(frame) {
+                Ok(ToAggregator::Batch(batch)) => Work::Batch(Box::new(batch)),
+                Ok(_) => Work::Unreadable { head, frame: frame.clone(), reason: "not a batch".to_owned() },
+                Err(error) => Work::Unreadable { head, frame: frame.clone(), reason: error.to_string() },
+            }),
+            Arrival::Duplicate(reply) => {
+                self.replies.push((from.clone(), reply));
+                self.news.push(News::Duplicate(head.host));
+            }
+            Arrival::Hole(Some(reply)) | Arrival::Unknown(reply) => self.replies.push((from.clone(), reply)),
+            Arrival::Pending | Arrival::Hole(None) => {}
+        }
+    }
+
+    /// A transaction is on disk.
+    pub(super) fn committed(&mut self, committed: Committed) {
+        for (stream, mark) in committed.marks {
+            self.marks.insert(stream, mark);
+            let listener = self.receiving.stored(stream, mark.stored);
+            if let Some((route, reply)) =
+                listener.and_then(|(host, reply)| Some((self.routes.get(&host)?, reply)))
+            {
+                self.replies.push((route.clone(), reply));
+            }
+        }
+        for (host, (stored, newest)) in committed.hosts {
+            self.news.push(News::Stored(host, stored, newest));
+        }
+        self.news.extend(committed.runs.into_iter().map(|(run, number)| News::Run(run, number)));
+    }
+
+    /// Time has passed.
+    pub(super) fn age(&mut self, now: Stamp) {
+        self.receiving.forget_silent(FORGET_SESSIONS, now.mono);
+        let receiving = &self.receiving;
+        self.routes.retain(|host, _| receiving.is_alive(*host, FORGET_SESSIONS, now.mono));
+    }
+
+    /// What is to be sent, and to whom.
+    pub(super) fn take_replies(&mut self) -> Vec<(Identity, ToAgent)> {
+        std::mem::take(&mut self.replies)
+    }
+
+    /// What the live picture should know.
+    pub(super) fn take_news(&mut self) -> Vec<News> {
+        std::mem::take(&mut self.news)
+    }
+
+    /// What could not be taken, since the start.
+    pub(super) const fn untaken(&self) -> Untaken {
+        self.untaken
+    }
+
+    /// Lets nothing more in: the writer ends when it has stored what waits.
+    pub(super) fn close(&mut self) {
+        self.queue.close();
+    }
+}

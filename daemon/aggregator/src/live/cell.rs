@@ -1,0 +1,125 @@
+//! One second of one pipeline, and how seconds add up to windows.
+
+use peernet_clock::Verdict;
+use peernet_logger::stream::{OutcomeCounts, Second};
+use peernet_logger::{Name, stage};
+use peernet_statistics::{Merge, Summary};
+
+use super::MOST_NAMES;
+use crate::figures::{Bound, Figures, rank};
+use crate::picture::{LiveSecond, Window};
+
+/// What happened within some seconds. Names are few: a list is faster than a map.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Cell {
+    counts: OutcomeCounts,
+    values: Vec<(Name, Summary)>,
+    bounds: Vec<(Name, Summary)>,
+    verdicts: Vec<(Name, Verdict, u64)>,
+}
+
+impl Cell {
+    /// Takes over what an agent reports of a second, within the limits; the number of names left out is added
+    /// to `left_out`.
+    pub(super) fn of(second: Second, left_out: &mut u64) -> Self {
+        let Second { counts, mut values, mut bounds, verdicts, .. } = second;
+        let mut limit = |names: &mut Vec<(Name, Summary)>| {
+            *left_out += names.len().saturating_sub(MOST_NAMES) as u64;
+            names.truncate(MOST_NAMES);
+        };
+        limit(&mut values);
+        limit(&mut bounds);
+        let known =
+            |(stage, verdict, count): (Name, Name, u64)| Some((stage, Verdict::from_name(&verdict)?, count));
+        let verdicts = verdicts.into_iter().filter_map(known).take(MOST_NAMES).collect();
+        Self { counts, values, bounds, verdicts }
+    }
+
+    /// The second as the live charts draw it.
+    pub(super) fn draw(&self, at: i64) -> LiveSecond {
+        let total = self.values.iter().find(|(name, _)| *name == stage::TOTAL);
+        let mut means: Vec<(Name, f64)> = self
+            .values
+            .iter()
+            .filter(|(_, summary)| summary.count() > 0)
+            .map(|(name, summary)| (name.clone(), summary.moments.mean))
+            .collect();
+        means.sort_by(|(a, _), (b, _)| rank(a).cmp(&rank(b)));
+        let total_p95 = total.and_then(|(_, summary)| summary.quantile(0.95));
+        LiveSecond { at, counts: self.counts, means, total_p95 }
+    }
+
+    /// The figures of a window of `seconds` complete seconds that covers `covered_s`.
+    pub(super) fn window(&self, seconds: u32, covered_s: f64) -> Window {
+        let total = self.counts.total();
+        let figures = |(name, summary): &(Name, Summary)| Some((name.clone(), Figures::of(summary)?));
+        let mut values: Vec<(Name, Figures)> = self.values.iter().filter_map(figures).collect();
+        values.sort_by(|(a, _), (b, _)| rank(a).cmp(&rank(b)));
+        Window {
+            seconds,
+            covered_s,
+            counts: self.counts,
+            rate_hz: total as f64 / covered_s,
+            lost_fraction: (total > 0).then(|| (total - self.counts.ok) as f64 / total as f64),
+            values,
+            bounds: self.directions(),
+        }
+    }
+
+    fn directions(&self) -> Vec<Bound> {
+        [stage::UPLOAD, stage::DOWNLOAD]
+            .into_iter()
+            .filter_map(|stage| {
+                let half_width = self.bounds.iter().find(|(name, _)| *name == stage);
+                let half_width = half_width.and_then(|(_, summary)| Figures::of(summary));
+                let mut verdicts: Vec<(Verdict, u64)> = Vec::new();
+                for known in Verdict::ALL {
+                    let given =
+                        |(name, verdict, _): &&(Name, Verdict, u64)| *name == stage && verdict == known;
+                    let count = self.verdicts.iter().filter(given).map(|(_, _, count)| *count).sum();
+                    if count > 0 {
+                        verdicts.push((*known, count));
+                    }
+                }
+                (half_width.is_some() || !verdicts.is_empty()).then_some(Bound {
+                    stage,
+                    half_width,
+                    verdicts,
+                })
+            })
+            .collect()
+    }
+}
+
+impl Merge for Cell {
+    fn merge(&mut self, other: &Self) {
+        self.counts.merge(&other.counts);
+        merge_named(&mut self.values, &other.values);
+        merge_named(&mut self.bounds, &other.bounds);
+        for (stage, verdict, count) in &other.verdicts {
+            let known = self.verdicts.iter().position(|(name, known, _)| name == stage && known == verdict);
+            match known {
+                Some(at) => self.verdicts[at].2 = self.verdicts[at].2.saturating_add(*count),
+                None if self.verdicts.len() < MOST_NAMES => {
+                    self.verdicts.push((stage.clone(), *verdict, *count));
+                }
+                None => {}
+            }
+        }
+    }
+}
+
+fn merge_named(into: &mut Vec<(Name, Summary)>, from: &[(Name, Summary)]) {
+    for (position, (name, summary)) in from.iter().enumerate() {
+        // Most seconds list the same names in the same order.
+        let known = match into.get(position) {
+            Some((known, _)) if known == name => Some(position),
+            _ => into.iter().position(|(known, _)| known == name),
+        };
+        match known {
+            Some(at) => into[at].1.merge(summary),
+            None if into.len() < MOST_NAMES => into.push((name.clone(), summary.clone())),
+            None => {}
+        }
+    }
+}

@@ -1,0 +1,187 @@
+//! What is known of one host, now.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+
+use peernet_clock::{MonoTime, Span, Stamp, WallTime};
+use peernet_logger::stream::{Accounting, HostDescription, HostMetrics, LiveUpdate};
+use peernet_logger::{RunId, Slug};
+
+use super::MOST_PIPELINES;
+use super::pipeline::Pipeline;
+use crate::picture::{HostPicture, MetricsPoint, PipelinePicture, Stored};
+
+/// A host that sent nothing for so long counts as disconnected; it sends four times a second.
+const CONNECTED_WITHIN: Span = Span::from_seconds(3);
+/// Distance of the points of the metrics' history.
+const POINT_EVERY: Span = Span::from_seconds(5);
+/// Points of the metrics' history: ten minutes.
+const POINTS: usize = 120;
+
+/// One host and its pipelines.
+#[derive(Debug)]
+pub(super) struct Host {
+    description: HostDescription,
+    connected: bool,
+    seen: Stamp,
+    /// The host's clock at its last update.
+    sent: Option<WallTime>,
+    metrics: HostMetrics,
+    history: VecDeque<Arc<MetricsPoint>>,
+    next_point: MonoTime,
+    accounting: Accounting,
+    stored: Stored,
+    /// The newest moment that is stored, on the host's clock.
+    newest_stored: Option<WallTime>,
+    left_out: u64,
+    pipelines: BTreeMap<Slug, Pipeline>,
+    picture: Option<Arc<HostPicture>>,
+}
+
+impl Host {
+    /// A host that just introduced itself.
+    pub(super) fn new(description: HostDescription, now: Stamp) -> Self {
+        Self {
+            description,
+            connected: true,
+            seen: now,
+            sent: None,
+            metrics: HostMetrics::default(),
+            history: VecDeque::new(),
+            next_point: now.mono,
+            accounting: Accounting::default(),
+            stored: Stored::default(),
+            newest_stored: None,
+            left_out: 0,
+            pipelines: BTreeMap::new(),
+            picture: None,
+        }
+    }
+
+    /// It introduced itself again.
+    pub(super) fn introduce(&mut self, description: HostDescription, now: Stamp) {
+        if self.description.name != description.name {
+            self.pipelines.values_mut().for_each(Pipeline::redraw);
+        }
+        self.description = description;
+        self.connected = true;
+        self.seen = now;
+        self.picture = None;
+    }
+
+    /// It takes its leave.
+    pub(super) fn goodbye(&mut self) {
+        self.connected = false;
+        self.picture = None;
+    }
+
+    /// Takes over an update, within the limits.
+    pub(super) fn update(&mut self, update: LiveUpdate, now: Stamp) {
+        self.connected = true;
+        self.seen = now;
+        self.sent = Some(update.sent);
+        self.accounting = update.accounting;
+        if now.mono >= self.next_point {
+            self.next_point = now.mono + POINT_EVERY;
+            if self.history.len() == POINTS {
+                self.history.pop_front();
+            }
+            self.history.push_back(Arc::new(MetricsPoint { at: now.wall, metrics: update.metrics.clone() }));
+        }
+        self.metrics = update.metrics;
+        for live in update.pipelines {
+            if let Some(pipeline) = self.pipelines.get_mut(&live.pipeline) {
+                pipeline.update(live, update.sent, now, &mut self.left_out);
+            } else if self.pipelines.len() < MOST_PIPELINES {
+                let name = live.pipeline.clone();
+                self.pipelines.insert(name, Pipeline::new(live, update.sent, now, &mut self.left_out));
+            } else {
+                self.left_out += 1;
+            }
+        }
+        self.picture = None;
+    }
+
+    /// What the database now holds of it.
+    pub(super) fn store(&mut self, stored: Stored, newest: Option<WallTime>) {
+        self.stored = Stored { duplicates: self.stored.duplicates, ..stored };
+        self.newest_stored = self.newest_stored.max(newest);
+        self.picture = None;
+    }
+
+    /// A batch of it came again.
+    pub(super) fn duplicate(&mut self) {
+        self.stored.duplicates += 1;
+        self.picture = None;
+    }
+
+    /// The store gave a run its number.
+    pub(super) fn number(&mut self, run: RunId) {
+        let of_run = self.pipelines.values_mut().filter(|pipeline| pipeline.run() == Some(run));
+        of_run.for_each(Pipeline::redraw);
+    }
+
+    /// Lets time pass; whether that changed anything to be seen.
+    pub(super) fn age(&mut self, now: Stamp, forget: Span) -> bool {
+        let mut changed = false;
+        if self.connected && now.mono - self.seen.mono > CONNECTED_WITHIN {
+            self.goodbye();
+            changed = true;
+        }
+        let before = self.pipelines.len();
+        self.pipelines.retain(|_, pipeline| now.mono - pipeline.seen() <= forget);
+        changed |= self.pipelines.len() != before;
+        for pipeline in self.pipelines.values_mut() {
+            changed |= pipeline.age(now);
+        }
+        changed
+    }
+
+    /// When it was last heard of.
+    pub(super) fn seen(&self) -> MonoTime {
+        self.seen.mono
+    }
+
+    /// Its name, for the order of the picture.
+    pub(super) fn name(&self) -> &Slug {
+        &self.description.name
+    }
+
+    /// The host as it is shown.
+    pub(super) fn picture(&mut self) -> Arc<HostPicture> {
+        if let Some(drawn) = &self.picture {
+            return Arc::clone(drawn);
+        }
+        let behind = (self.accounting.waiting > 0)
+            .then(|| self.sent.zip(self.newest_stored))
+            .flatten()
+            .map(|(sent, stored)| (sent - stored).max(Span::ZERO));
+        let picture = Arc::new(HostPicture {
+            id: self.description.id,
+            description: self.description.clone(),
+            connected: self.connected,
+            last_seen: self.seen.wall,
+            clock_ahead: self.sent.map_or(Span::ZERO, |sent| sent - self.seen.wall),
+            behind,
+            metrics: self.metrics.clone(),
+            history: self.history.iter().cloned().collect(),
+            accounting: self.accounting,
+            stored: self.stored,
+            live_left_out: self.left_out,
+        });
+        self.picture = Some(Arc::clone(&picture));
+        picture
+    }
+
+    /// Its pipelines as they are shown, by name.
+    pub(super) fn pipelines(
+        &mut self,
+        number: impl Fn(RunId) -> Option<i64> + Copy,
+        now: Stamp,
+    ) -> impl Iterator<Item = Arc<PipelinePicture>> {
+        let Self { description, pipelines, .. } = self;
+        pipelines.iter_mut().map(move |(name, pipeline)| {
+            pipeline.picture((description.id, &description.name, name), number, now)
+        })
+    }
+}

@@ -1,0 +1,43 @@
+//! The task that owns the live state and publishes pictures of it.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use peernet_clock::{SharedClock, Span};
+use tokio::sync::{mpsc, watch};
+
+use super::{Live, News};
+use crate::picture::Picture;
+
+/// Between two pictures, at least: five a second.
+const BETWEEN: Span = Span::from_millis(200);
+/// How often time passes for what is silent.
+const AGE_EVERY: Duration = Duration::from_secs(1);
+
+/// Takes in news until there will be no more; publishes a picture when something changed.
+pub(crate) async fn run(
+    mut live: Live,
+    mut news: mpsc::Receiver<News>,
+    pictures: watch::Sender<Arc<Picture>>,
+    clock: SharedClock,
+) {
+    let mut ageing = tokio::time::interval(AGE_EVERY);
+    ageing.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    let mut published = clock.mono();
+    let mut changed = false;
+    loop {
+        let wait = (BETWEEN - (clock.mono() - published)).to_duration();
+        tokio::select! {
+            item = news.recv() => match item {
+                Some(item) => changed |= live.take(item, clock.stamp()),
+                None => return,
+            },
+            _ = ageing.tick() => changed |= live.age(clock.stamp()),
+            () = tokio::time::sleep(wait), if changed => {
+                changed = false;
+                published = clock.mono();
+                pictures.send_replace(live.shared(clock.stamp()));
+            }
+        }
+    }
+}

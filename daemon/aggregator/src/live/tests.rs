@@ -1,0 +1,301 @@
+//! The picture against exact computation, under clocks that jump and agents that send nonsense.
+
+use std::sync::Arc;
+
+use peernet_clock::{ClockIdentity, MonoTime, Span, Stamp, Verdict, WallTime};
+use peernet_logger::stream::{
+    Accounting, Hardware, HostDescription, HostMetrics, LiveUpdate, OutcomeCounts, PipelineLive,
+    PipelineState, Placement, PlacementKind, Second,
+};
+use peernet_logger::{HostId, Name, RunId, Slug, stage};
+use peernet_statistics::Summary;
+use proptest::prelude::*;
+
+use super::{Live, MOST_NAMES, MOST_PIPELINES, News};
+use crate::picture::{Picture, RefusedHost, Stored};
+
+const START: i64 = 1_750_000_000;
+
+/// Our own clocks, so many seconds after the start.
+fn now(seconds: f64) -> Stamp {
+    let span = Span::from_seconds_f64(seconds);
+    Stamp { wall: wall(0.0) + span, mono: MonoTime::from_nanos(7) + span }
+}
+
+fn wall(seconds: f64) -> WallTime {
+    WallTime::from_unix_nanos(START * 1_000_000_000) + Span::from_seconds_f64(seconds)
+}
+
+fn slug(name: &str) -> Slug {
+    name.parse().expect("a name")
+}
+
+fn description(id: HostId, name: &str) -> HostDescription {
+    HostDescription {
+        id,
+        name: slug(name),
+        clock: ClockIdentity::new("boot", "test"),
+        version: "0.1.0".into(),
+        hardware: Hardware::default(),
+        serves: None,
+        models: vec![],
+    }
+}
+
+fn pipeline(name: &str, seconds: Vec<Second>) -> PipelineLive {
+    PipelineLive {
+        pipeline: slug(name),
+        state: PipelineState::Running,
+        run: None,
+        placement: Placement {
+            kind: PlacementKind::Local,
+            peer: None,
+            network: None,
+            address: None,
+            model: slug("model"),
+            device: None,
+        },
+        load: "5 Hz".into(),
+        seconds,
+    }
+}
+
+fn update(host: HostId, sent: WallTime, pipelines: Vec<PipelineLive>) -> News {
+    News::Update(Box::new(LiveUpdate {
+        host,
+        sent,
+        pipelines,
+        metrics: HostMetrics { cpu: Some(0.5), ..HostMetrics::default() },
+        accounting: Accounting::default(),
+    }))
+}
+
+/// A second in which iterations of these totals succeeded and so many were lost.
+fn second(at: i64, totals: &[f64], lost: u64) -> Second {
+    let mut summary = Summary::default();
+    totals.iter().for_each(|total| summary.record(*total));
+    let mut half_width = Summary::default();
+    totals.iter().for_each(|_| half_width.record(40e-6));
+    Second {
+        at: START + at,
+        counts: OutcomeCounts { ok: totals.len() as u64, lost, ..OutcomeCounts::default() },
+        values: vec![(stage::TOTAL, summary.clone()), (stage::UPLOAD, summary)],
+        bounds: vec![(stage::UPLOAD, half_width)],
+        verdicts: vec![(stage::UPLOAD, Name::from("limited"), totals.len() as u64)],
+    }
+}
+
+struct Bed {
+    live: Live,
+    host: HostId,
+}
+
+impl Bed {
+    fn new() -> Self {
+        let mut live = Live::new(slug("here"), "tcp://127.0.0.1:5550".into(), Span::from_seconds(3_600));
+        let host = HostId::random();
+        live.take(News::Hello(Box::new(description(host, "edge"))), now(0.0));
+        Self { live, host }
+    }
+
+    /// An update at `at` on both clocks.
+    fn send(&mut self, at: f64, seconds: Vec<Second>) {
+        let news = update(self.host, wall(at), vec![pipeline("line", seconds)]);
+        assert!(self.live.take(news, now(at)));
+    }
+
+    fn picture(&mut self, at: f64) -> Picture {
+        self.live.picture(now(at))
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(32))]
+    #[test]
+    fn windows_hold_what_happened_within_them(
+        totals in prop::collection::vec(prop::collection::vec(0.001_f64..0.1, 0..8), 1..90), under_way in 0.0_f64..0.99,
+    ) {
+        let mut bed = Bed::new();
+        for (at, totals) in totals.iter().enumerate() {
+            // Each second is sent twice, growing: the second report replaces the first.
+            let half = &totals[..totals.len() / 2];
+            bed.send(at as f64 + under_way / 2.0, vec![second(at as i64, half, 0)]);
+            bed.send(at as f64 + under_way, vec![second(at as i64, totals, 1)]);
+        }
+        let end = totals.len() - 1;
+        let picture = bed.picture(end as f64 + under_way);
+        for (window, seconds) in picture.pipelines[0].windows.iter().zip([1, 10, 60]) {
+            let within = &totals[end.saturating_sub(seconds)..];
+            let mut exact: Vec<f64> = within.iter().flatten().copied().collect();
+            exact.sort_by(f64::total_cmp);
+            prop_assert_eq!(window.seconds as usize, seconds);
+            prop_assert!((window.covered_s - seconds as f64 - under_way).abs() < 1e-6);
+            prop_assert_eq!((window.counts.ok, window.counts.lost), (exact.len() as u64, within.len() as u64));
+            prop_assert!((window.rate_hz - window.counts.total() as f64 / window.covered_s).abs() < 1e-9);
+            let Some(figures) = window.value("total") else {
+                prop_assert!(exact.is_empty());
+                continue;
+            };
+            let mean = exact.iter().sum::<f64>() / exact.len() as f64;
+            prop_assert_eq!(figures.count, exact.len() as u64);
+            prop_assert!((figures.mean - mean).abs() < 1e-12);
+            prop_assert_eq!((figures.min, figures.max), (exact[0], exact[exact.len() - 1]));
+            let median = exact[((exact.len() - 1) as f64 * 0.5).round() as usize];
+            prop_assert!((figures.p50 - median).abs() <= 0.0101 * median);
+            prop_assert_eq!(figures.p95.is_some(), exact.len() >= 60);
+            prop_assert_eq!(&window.bounds[0].verdicts, &[(Verdict::Limited, exact.len() as u64)]);
+        }
+    }
+}
+
+#[test]
+fn the_charts_reach_back_ten_minutes_and_no_further() {
+    let mut bed = Bed::new();
+    for at in 0..700 {
+        bed.send(at as f64 + 0.9, vec![second(at, &[0.25, 0.75], 0)]);
+    }
+    let picture = bed.picture(699.9);
+    let series = &picture.pipelines[0].series;
+    assert_eq!((series.len(), series[0].at, series[599].at), (600, START + 100, START + 699));
+    assert_eq!(series[0].means, [(stage::UPLOAD, 0.5), (stage::TOTAL, 0.5)]);
+    assert_eq!(picture.hosts[0].history.len(), 120);
+}
+
+#[test]
+fn a_silent_pipeline_runs_dry_and_its_host_disconnects_but_both_stay() {
+    let mut bed = Bed::new();
+    bed.send(0.5, vec![second(0, &[0.010; 100], 0)]);
+    assert_eq!(bed.picture(0.6).pipelines[0].windows[0].counts.ok, 100);
+    assert!(bed.live.age(now(5.0)));
+    let picture = bed.picture(5.0);
+    let windows = &picture.pipelines[0].windows;
+    assert_eq!(windows.each_ref().map(|window| window.counts.ok), [0, 100, 100]);
+    assert!(windows[0].lost_fraction.is_none() && windows[0].rate_hz == 0.0);
+    assert!(!picture.hosts[0].connected);
+    assert_eq!(picture.hosts[0].last_seen, wall(0.5));
+    assert!(bed.live.age(now(100.0)));
+    assert_eq!(bed.picture(100.0).pipelines[0].windows[2].counts.ok, 0);
+    assert!(!bed.live.age(now(101.0)), "nothing changes any more");
+    assert_eq!((bed.picture(101.0).hosts.len(), bed.picture(101.0).pipelines.len()), (1, 1));
+    assert!(bed.live.age(now(3_700.0)));
+    assert!(bed.picture(3_700.0).hosts.is_empty(), "forgotten after a long absence");
+}
+
+#[test]
+fn an_agents_clock_may_be_wrong_and_may_be_set() {
+    let mut bed = Bed::new();
+    // Two days ahead of ours: its windows end at its own now.
+    let ahead = 172_800;
+    let host = bed.host;
+    let sent = |at: f64| wall(ahead as f64 + at);
+    let line = |at: i64| vec![pipeline("line", vec![second(at, &[0.010; 5], 0)])];
+    for at in 0..5 {
+        bed.live.take(update(host, sent(at as f64 + 0.5), line(ahead + at)), now(at as f64 + 0.5));
+    }
+    let picture = bed.picture(4.6);
+    assert_eq!(picture.pipelines[0].windows.each_ref().map(|window| window.counts.ok), [10, 25, 25]);
+    assert_eq!(picture.hosts[0].clock_ahead, Span::from_seconds(ahead));
+    // Set back to the right time: what was ahead is forgotten, what comes is shown at once.
+    bed.live.take(update(host, wall(6.5), line(6)), now(6.5));
+    let picture = bed.picture(6.5);
+    assert_eq!(picture.pipelines[0].windows.each_ref().map(|window| window.counts.ok), [5, 5, 5]);
+    assert_eq!(picture.pipelines[0].series.len(), 1);
+}
+
+#[test]
+fn seconds_that_cannot_be_are_left_out_and_counted() {
+    let mut bed = Bed::new();
+    bed.send(1_000.5, vec![second(1_000, &[0.010; 5], 0)]);
+    bed.send(
+        1_000.6,
+        [i64::MAX - START, i64::MIN - START.wrapping_neg(), 2_000, 300]
+            .map(|at| second(at, &[0.5], 0))
+            .into(),
+    );
+    let picture = bed.picture(1_000.6);
+    assert_eq!(picture.pipelines[0].windows[2].counts.ok, 5);
+    assert_eq!((picture.pipelines[0].series.len(), picture.hosts[0].live_left_out), (1, 4));
+}
+
+#[test]
+fn more_pipelines_and_names_than_anyone_has_are_left_out_and_counted() {
+    let mut bed = Bed::new();
+    let mut wide = second(0, &[0.010], 0);
+    wide.values = (0..1_000).map(|n| (Name::from(format!("n{n}")), wide.values[0].1.clone())).collect();
+    let mut pipelines = vec![pipeline("wide", vec![wide])];
+    pipelines.extend((0..1_000).map(|n| pipeline(&format!("p{n}"), vec![])));
+    bed.live.take(update(bed.host, wall(0.5), pipelines), now(0.5));
+    let picture = bed.picture(0.5);
+    assert_eq!(picture.pipelines.len(), MOST_PIPELINES);
+    let wide = picture.pipelines.iter().find(|known| known.pipeline.as_str() == "wide").expect("first");
+    assert_eq!(wide.windows[0].values.len(), MOST_NAMES);
+    assert_eq!(picture.hosts[0].live_left_out, 1_000 - MOST_NAMES as u64 + 1_001 - MOST_PIPELINES as u64);
+}
+
+#[test]
+fn what_did_not_change_is_not_drawn_again() {
+    let mut bed = Bed::new();
+    let other = HostId::random();
+    bed.live.take(News::Hello(Box::new(description(other, "other"))), now(0.0));
+    bed.live.take(update(other, wall(0.1), vec![pipeline("quiet", vec![])]), now(0.1));
+    bed.send(0.2, vec![second(0, &[0.010], 0)]);
+    let first = bed.picture(0.3);
+    bed.send(0.4, vec![second(0, &[0.010, 0.020], 0)]);
+    let second = bed.picture(0.5);
+    assert!(
+        Arc::ptr_eq(&first.pipelines[1], &second.pipelines[1])
+            && Arc::ptr_eq(&first.hosts[1], &second.hosts[1])
+    );
+    assert!(!Arc::ptr_eq(&first.pipelines[0], &second.pipelines[0]));
+}
+
+#[test]
+fn a_run_gets_its_number_when_the_store_knows_it() {
+    let mut bed = Bed::new();
+    let run = RunId::random();
+    let mut line = pipeline("line", vec![]);
+    line.run = Some(run);
+    bed.live.take(update(bed.host, wall(0.1), vec![line]), now(0.1));
+    assert_eq!(bed.picture(0.1).pipelines[0].run_number, None);
+    bed.live.take(News::Run(run, 412), now(0.2));
+    assert_eq!(bed.picture(0.2).pipelines[0].run_number, Some(412));
+}
+
+#[test]
+fn accounts_of_both_sides_stand_side_by_side() {
+    let mut bed = Bed::new();
+    let accounting = Accounting { offered: 10, stored: 4, waiting: 6, ..Accounting::default() };
+    let News::Update(mut news) = update(bed.host, wall(30.0), vec![]) else { panic!("an update") };
+    news.accounting = accounting;
+    bed.live.take(News::Update(news), now(30.0));
+    assert_eq!(bed.picture(30.0).hosts[0].behind, None, "nothing is stored yet");
+    let stored = Stored { events: 4, nodes: 80, ..Stored::default() };
+    bed.live.take(News::Stored(bed.host, stored, Some(wall(12.0))), now(30.1));
+    bed.live.take(News::Duplicate(bed.host), now(30.2));
+    let picture = bed.picture(30.2);
+    assert_eq!(picture.hosts[0].behind, Some(Span::from_seconds(18)));
+    assert_eq!(picture.hosts[0].stored, Stored { duplicates: 1, ..stored });
+    assert_eq!(picture.hosts[0].accounting, accounting);
+    assert!(bed.live.take(News::Goodbye(bed.host), now(31.0)));
+    assert!(!bed.picture(31.0).hosts[0].connected);
+}
+
+#[test]
+fn the_refused_are_shown_once_each_and_not_for_ever() {
+    let mut bed = Bed::new();
+    let refused = |name: &str, at| RefusedHost {
+        name: slug(name),
+        address: None,
+        reason: "the name is taken".into(),
+        at,
+    };
+    for at in 0..50 {
+        bed.live.take(News::Refused(refused("twin", wall(f64::from(at)))), now(f64::from(at)));
+    }
+    bed.live.take(News::Refused(refused("other", wall(60.0))), now(60.0));
+    let picture = bed.picture(60.0);
+    let shown: Vec<_> = picture.refused.iter().map(|refused| (refused.name.as_str(), refused.at)).collect();
+    assert_eq!(shown, [("other", wall(60.0)), ("twin", wall(49.0))]);
+    assert!(bed.live.age(now(655.0)));
+    assert_eq!(bed.picture(655.0).refused.len(), 1);
+}

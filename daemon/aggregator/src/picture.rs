@@ -1,0 +1,176 @@
+//! The live picture: what readers see of all agents, now.
+//!
+//! Plain data, made by the one task that owns the live state (`live/`) and shared by reference
+//! count: hosts and pipelines that did not change since the last picture are not copied.
+
+use std::sync::Arc;
+
+use peernet_clock::{Span, WallTime};
+use peernet_logger::stream::{
+    Accounting, HostDescription, HostMetrics, OutcomeCounts, PipelineState, Placement,
+};
+use peernet_logger::{HostId, Name, RunId, Slug};
+use serde::Serialize;
+
+use crate::figures::{Bound, Figures};
+
+/// All agents, now.
+#[derive(Clone, Debug, Serialize)]
+pub struct Picture {
+    /// When it was made, on the aggregator's wall clock.
+    pub at: WallTime,
+    /// Name of the aggregator.
+    pub aggregator: Slug,
+    /// Address at which agents connect, with the port really taken.
+    pub listening: String,
+    /// Every host heard of, by name.
+    pub hosts: Vec<Arc<HostPicture>>,
+    /// Every pipeline heard of, by host name and name.
+    pub pipelines: Vec<Arc<PipelinePicture>>,
+    /// Hosts that were turned away in the last ten minutes, newest first, at most 32.
+    pub refused: Vec<RefusedHost>,
+}
+
+/// A host that was turned away.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct RefusedHost {
+    /// The name it gave.
+    pub name: Slug,
+    /// Where it connected from, where the transport tells.
+    pub address: Option<String>,
+    /// What was wrong and what to do about it.
+    pub reason: String,
+    /// When it last tried, on the aggregator's wall clock.
+    pub at: WallTime,
+}
+
+/// One host, now.
+#[derive(Clone, Debug, Serialize)]
+pub struct HostPicture {
+    /// Decides.
+    pub id: HostId,
+    /// As the host introduced itself.
+    pub description: HostDescription,
+    /// Whether it said hello and has been heard of in the last seconds.
+    pub connected: bool,
+    /// When it was last heard of, on the aggregator's wall clock.
+    pub last_seen: WallTime,
+    /// Its wall clock minus the aggregator's, by the last update: includes that update's way, so it is a hint
+    /// that a clock is wrong and nothing more.
+    pub clock_ahead: Span,
+    /// How far storing is behind measuring, by the host's own clock; `None` when nothing waits.
+    pub behind: Option<Span>,
+    /// How it fares.
+    pub metrics: HostMetrics,
+    /// The last ten minutes of `metrics`, one point per five seconds, oldest first.
+    pub history: Vec<Arc<MetricsPoint>>,
+    /// What became of its events, by its own account.
+    pub accounting: Accounting,
+    /// What became of its events, by the aggregator's account.
+    pub stored: Stored,
+    /// Pipelines, names and seconds of live updates that were beyond the limits and left out of the picture.
+    pub live_left_out: u64,
+}
+
+/// How a host fared at one moment.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct MetricsPoint {
+    /// When, on the aggregator's wall clock.
+    pub at: WallTime,
+    /// How it fared.
+    pub metrics: HostMetrics,
+}
+
+/// What the database holds of one host, since it first came.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Stored {
+    /// Events of all kinds.
+    pub events: u64,
+    /// Nodes of iterations.
+    pub nodes: u64,
+    /// Gaps that the host reported or that were noticed in its streams.
+    pub gaps: u64,
+    /// Events missing in those gaps, as far as they could be counted.
+    pub missing: u64,
+    /// Batches that came more than once and were stored once; since the aggregator started.
+    pub duplicates: u64,
+    /// Batches put aside because they could not be stored as they were.
+    pub quarantined: u64,
+}
+
+/// One pipeline, now.
+#[derive(Clone, Debug, Serialize)]
+pub struct PipelinePicture {
+    /// The host it senses on.
+    pub host: HostId,
+    /// That host's name.
+    pub host_name: Slug,
+    /// Its name on that host.
+    pub pipeline: Slug,
+    /// What it does.
+    pub state: PipelineState,
+    /// The current or last run.
+    pub run: Option<RunId>,
+    /// The number under which the store knows that run; `None` until the run has reached the store.
+    pub run_number: Option<i64>,
+    /// Where it computes.
+    pub placement: Placement,
+    /// The intended load in words: `closed`, `5 Hz`.
+    pub load: String,
+    /// When it was last heard of, on the aggregator's wall clock.
+    pub last_seen: WallTime,
+    /// The last 1, 10 and 60 seconds.
+    pub windows: [Window; 3],
+    /// The last 600 seconds, oldest first; seconds without a report are absent.
+    pub series: Vec<Arc<LiveSecond>>,
+}
+
+/// What happened within the last seconds of the edge's wall clock.
+///
+/// Holds the given number of complete seconds and the one that is under way, so that a figure is neither
+/// late nor made of a few milliseconds; rates are over the time really covered.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Window {
+    /// Complete seconds: 1, 10 or 60.
+    pub seconds: u32,
+    /// Seconds really covered, with the one under way.
+    pub covered_s: f64,
+    /// Iterations by outcome, warm-up left out.
+    pub counts: OutcomeCounts,
+    /// Iterations of any outcome per second.
+    pub rate_hz: f64,
+    /// Share of iterations without an answer (failed, lost, timeout), 0 to 1; `None` when there were none.
+    pub lost_fraction: Option<f64>,
+    /// Figures by node name in SI units: the stages in order, totals, throughputs, sizes, then the user's own.
+    pub values: Vec<(Name, Figures)>,
+    /// How well the one-way delays are known: `upload`, `download`.
+    pub bounds: Vec<Bound>,
+}
+
+/// One second of one pipeline, as the live charts draw it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LiveSecond {
+    /// Seconds since the Unix epoch, on the edge's wall clock.
+    pub at: i64,
+    /// Iterations by outcome, warm-up left out.
+    pub counts: OutcomeCounts,
+    /// Means by node name in SI units, in the order of [`Window::values`].
+    pub means: Vec<(Name, f64)>,
+    /// 95th percentile of `total` within the second, seconds; `None` when no iteration succeeded. Of few
+    /// samples: for a line over time, not for a table.
+    pub total_p95: Option<f64>,
+}
+
+impl Window {
+    /// The figures of one node name.
+    pub fn value(&self, name: &str) -> Option<&Figures> {
+        self.values.iter().find(|(known, _)| known == name).map(|(_, figures)| figures)
+    }
+}
+
+impl PipelinePicture {
+    /// The window of that many seconds: 1, 10 or 60.
+    pub fn window(&self, seconds: u32) -> Option<&Window> {
+        self.windows.iter().find(|window| window.seconds == seconds)
+    }
+}

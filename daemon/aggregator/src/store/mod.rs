@@ -1,0 +1,93 @@
+//! The store: what people and programs ask of the database.
+
+pub(crate) mod database;
+mod read;
+#[cfg(test)]
+mod tests;
+pub(crate) mod types;
+pub(crate) mod write;
+
+use peernet_logger::Name;
+use sqlx::SqlitePool;
+
+use crate::error::StoreError;
+use types::*;
+
+/// Read-only access to what is stored, over connections of its own: never blocks the writer.
+#[derive(Clone, Debug)]
+pub struct Store {
+    pool: SqlitePool,
+}
+
+impl Store {
+    pub(crate) fn new(pool: SqlitePool) -> Self {
+        Self { pool }
+    }
+
+    /// Closes the connections; questions that are under way are answered first.
+    pub(crate) async fn close(&self) {
+        self.pool.close().await;
+    }
+
+    /// Runs, newest first.
+    ///
+    /// # Errors
+    /// When the database cannot be read; so for all questions here.
+    pub async fn runs(&self, filter: &RunFilter) -> Result<Vec<RunSummary>, StoreError> {
+        read::runs::runs(&self.pool, filter).await
+    }
+
+    /// One run; `None` when there is no run of that number. So for all questions about a run.
+    pub async fn run(&self, number: i64) -> Result<Option<RunDetail>, StoreError> {
+        read::runs::run(&self.pool, number).await
+    }
+
+    /// Statistics per node name, in the order of tables.
+    pub async fn stages(&self, run: i64) -> Result<Vec<StageStatistics>, StoreError> {
+        read::statistics::stages(&self.pool, run).await
+    }
+
+    /// The distribution of one node name over at most `bins` bins (1 to 500).
+    pub async fn histogram(
+        &self,
+        run: i64,
+        stage: &str,
+        bins: usize,
+    ) -> Result<Option<Histogram>, StoreError> {
+        read::statistics::histogram(&self.pool, run, stage, bins).await
+    }
+
+    /// Node names over the time of a run, in at most `max_points` buckets of 10, 30, 60 … seconds.
+    pub async fn series(&self, run: i64, stages: &[Name], max_points: usize) -> Result<Series, StoreError> {
+        read::statistics::series(&self.pool, run, stages, max_points).await
+    }
+
+    /// The `n` slowest successful iterations (at most 1,000), slowest first.
+    pub async fn slowest(&self, run: i64, n: u32) -> Result<Vec<IterationRow>, StoreError> {
+        read::iterations::slowest(&self.pool, run, n).await
+    }
+
+    /// Iterations by rising number.
+    pub async fn iterations(
+        &self,
+        run: i64,
+        filter: &IterationFilter,
+    ) -> Result<Vec<IterationRow>, StoreError> {
+        read::iterations::iterations(&self.pool, run, filter).await
+    }
+
+    /// One iteration with its tree.
+    pub async fn iteration(&self, run: i64, number: u64) -> Result<Option<IterationDetail>, StoreError> {
+        read::iterations::iteration(&self.pool, run, number).await
+    }
+
+    /// Incidents, newest first; `before` is the id of the last of the page before.
+    pub async fn incidents(&self, limit: u32, before: Option<i64>) -> Result<Vec<IncidentRow>, StoreError> {
+        read::incidents::incidents(&self.pool, limit, before).await
+    }
+
+    /// All hosts by name.
+    pub async fn hosts(&self) -> Result<Vec<HostRow>, StoreError> {
+        read::incidents::hosts(&self.pool).await
+    }
+}

@@ -1,0 +1,89 @@
+//! Incidents and hosts.
+
+use sqlx::{FromRow, SqlitePool};
+
+use super::{corrupt, count, failed, parse, sql, wall};
+use crate::error::StoreError;
+use crate::picture::Stored;
+use crate::store::types::{HostRow, IncidentRow};
+use crate::store::write::UNKNOWN;
+
+#[derive(FromRow)]
+struct Incident {
+    id: i64,
+    at_ns: i64,
+    kind: String,
+    host: String,
+    host_name: Option<String>,
+    pipeline: Option<String>,
+    run: Option<i64>,
+    peer: Option<String>,
+    text: String,
+}
+
+#[derive(FromRow)]
+struct Host {
+    uuid: String,
+    name: String,
+    description: String,
+    first_seen_ns: i64,
+    last_seen_ns: i64,
+    events: i64,
+    nodes: i64,
+    gaps: i64,
+    missing: i64,
+    quarantined: i64,
+}
+
+pub(in crate::store) async fn incidents(
+    pool: &SqlitePool,
+    limit: u32,
+    before: Option<i64>,
+) -> Result<Vec<IncidentRow>, StoreError> {
+    const WHAT: &str = "incidents";
+    let rows: Vec<Incident> = sqlx::query_as(sql::INCIDENTS)
+        .bind(limit.clamp(1, 1_000))
+        .bind(before)
+        .fetch_all(pool)
+        .await
+        .map_err(failed(WHAT))?;
+    rows.into_iter()
+        .map(|row| {
+            Ok(IncidentRow {
+                id: row.id,
+                at: wall(row.at_ns),
+                kind: row.kind,
+                host: parse(WHAT, &row.host)?,
+                host_name: parse(WHAT, row.host_name.as_deref().unwrap_or(UNKNOWN))?,
+                pipeline: row.pipeline,
+                run: row.run,
+                peer: row.peer,
+                text: row.text,
+            })
+        })
+        .collect()
+}
+
+pub(in crate::store) async fn hosts(pool: &SqlitePool) -> Result<Vec<HostRow>, StoreError> {
+    const WHAT: &str = "hosts";
+    let rows: Vec<Host> = sqlx::query_as(sql::HOSTS).fetch_all(pool).await.map_err(failed(WHAT))?;
+    rows.into_iter()
+        .map(|row| {
+            Ok(HostRow {
+                id: parse(WHAT, &row.uuid)?,
+                name: parse(WHAT, &row.name)?,
+                description: serde_json::from_str(&row.description).map_err(|error| corrupt(WHAT, error))?,
+                first_seen: wall(row.first_seen_ns),
+                last_seen: wall(row.last_seen_ns),
+                stored: Stored {
+                    events: count(row.events),
+                    nodes: count(row.nodes),
+                    gaps: count(row.gaps),
+                    missing: count(row.missing),
+                    duplicates: 0,
+                    quarantined: count(row.quarantined),
+                },
+            })
+        })
+        .collect()
+}

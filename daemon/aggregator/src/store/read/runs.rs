@@ -1,0 +1,127 @@
+//! Runs.
+
+use peernet_clock::WallTime;
+use peernet_logger::stage;
+use peernet_logger::stream::{OutcomeCounts, Placement, PlacementKind};
+use sqlx::{FromRow, SqlitePool};
+
+use super::{corrupt, count, failed, name, parse, sql, statistics, wall};
+use crate::error::StoreError;
+use crate::store::types::{GapRow, RunDetail, RunFilter, RunSummary};
+use crate::store::write::{UNKNOWN, placement_word};
+
+const WHAT: &str = "runs";
+
+#[derive(FromRow)]
+struct RunRow {
+    number: i64,
+    uuid: String,
+    host_uuid: String,
+    host_name: Option<String>,
+    pipeline: String,
+    placement: String,
+    peer: Option<String>,
+    network: Option<String>,
+    address: Option<String>,
+    model: String,
+    device: Option<String>,
+    started_ns: i64,
+    ended_ns: Option<i64>,
+    end_reason: Option<String>,
+    last_iteration_ns: Option<i64>,
+    warm_up: i64,
+    ok: i64,
+    failed: i64,
+    lost: i64,
+    timeout: i64,
+    facts: String,
+    configuration: String,
+    version: String,
+}
+
+pub(in crate::store) async fn runs(
+    pool: &SqlitePool,
+    filter: &RunFilter,
+) -> Result<Vec<RunSummary>, StoreError> {
+    let before = filter.before.unwrap_or(i64::MAX);
+    let limit = filter.limit.clamp(1, 1_000);
+    let rows: Vec<RunRow> = if filter.pipeline.is_none() && filter.host.is_none() {
+        sqlx::query_as(sql::RUNS).bind(before).bind(limit).fetch_all(pool).await
+    } else {
+        sqlx::query_as(sql::RUNS_FILTERED)
+            .bind(before)
+            .bind(limit)
+            .bind(filter.pipeline.as_ref().map(ToString::to_string))
+            .bind(filter.host.map(|host| host.to_string()))
+            .fetch_all(pool)
+            .await
+    }
+    .map_err(failed(WHAT))?;
+    let mut summaries = Vec::with_capacity(rows.len());
+    for row in &rows {
+        summaries.push(summary(pool, row).await?);
+    }
+    Ok(summaries)
+}
+
+pub(in crate::store) async fn run(pool: &SqlitePool, number: i64) -> Result<Option<RunDetail>, StoreError> {
+    let row: Option<RunRow> =
+        sqlx::query_as(sql::RUN).bind(number).fetch_optional(pool).await.map_err(failed(WHAT))?;
+    let Some(row) = row else { return Ok(None) };
+    Ok(Some(RunDetail {
+        summary: summary(pool, &row).await?,
+        facts: serde_json::from_str(&row.facts).map_err(|error| corrupt(WHAT, error))?,
+        configuration: row.configuration,
+        version: row.version,
+        gaps: gaps(pool, number).await?,
+    }))
+}
+
+/// What is missing of a run, oldest first.
+pub(in crate::store) async fn gaps(pool: &SqlitePool, run: i64) -> Result<Vec<GapRow>, StoreError> {
+    let rows: Vec<(i64, i64, i64, String)> =
+        sqlx::query_as(sql::GAPS).bind(run).fetch_all(pool).await.map_err(failed("gaps"))?;
+    let row = |(from, to, missing, reason)| GapRow {
+        from: wall(from),
+        to: wall(to),
+        count: count(missing),
+        reason,
+    };
+    Ok(rows.into_iter().map(row).collect())
+}
+
+async fn summary(pool: &SqlitePool, row: &RunRow) -> Result<RunSummary, StoreError> {
+    let kind = [PlacementKind::Local, PlacementKind::Remote]
+        .into_iter()
+        .find(|kind| placement_word(*kind) == row.placement)
+        .ok_or_else(|| corrupt(WHAT, format_args!("placement {:?}", row.placement)))?;
+    Ok(RunSummary {
+        number: row.number,
+        id: parse(WHAT, &row.uuid)?,
+        host: parse(WHAT, &row.host_uuid)?,
+        host_name: parse(WHAT, row.host_name.as_deref().unwrap_or(UNKNOWN))?,
+        pipeline: parse(WHAT, &row.pipeline)?,
+        placement: Placement {
+            kind,
+            peer: name(WHAT, row.peer.as_deref())?,
+            network: row.network.clone(),
+            address: row.address.clone(),
+            model: parse(WHAT, &row.model)?,
+            device: row.device.clone(),
+        },
+        started: wall(row.started_ns),
+        ended: row.ended_ns.map(WallTime::from_unix_nanos),
+        reason: row.end_reason.clone(),
+        last_iteration: row.last_iteration_ns.map(WallTime::from_unix_nanos),
+        counts: OutcomeCounts {
+            ok: count(row.ok),
+            failed: count(row.failed),
+            lost: count(row.lost),
+            timeout: count(row.timeout),
+        },
+        warm_up: count(row.warm_up),
+        total: statistics::whole_run(pool, row.number, &stage::TOTAL)
+            .await?
+            .and_then(|known| known.figures()),
+    })
+}

@@ -1,0 +1,246 @@
+//! What the writer promises: each batch exactly once, a bad one aside, nothing half done.
+
+use peernet_logger::stream::codec::BatchHead;
+use peernet_logger::stream::{Event, Gap, Iteration, Missing};
+use peernet_logger::{HostId, RunId};
+
+use super::{Bed, NOW, Work, generate, open};
+use crate::store::write::Mark;
+
+fn iterations(bed: &Bed, run: RunId, numbers: std::ops::RangeInclusive<u64>) -> Vec<Event> {
+    let mut random = generate::Numbers(*numbers.start());
+    numbers.map(|n| Event::Iteration(generate::iteration(run, n, bed.hosts(), &mut random))).collect()
+}
+
+#[tokio::test]
+async fn a_batch_that_comes_again_is_stored_once() {
+    let mut bed = Bed::new().await;
+    let run = RunId::random();
+    let mut events = vec![generate::run_started(run, "line", NOW)];
+    events.extend(iterations(&bed, run, 1..=10));
+    let work = bed.batch_numbered(1, events.clone());
+    let again = bed.batch_numbered(1, events.clone());
+    // Twice in one transaction, then in another one, then by another process.
+    let committed = bed.commit(&[work, again]).await;
+    assert_eq!((committed.marks[&bed.stream].stored, committed.nodes), (1, 210));
+    let again = bed.batch_numbered(1, events.clone());
+    assert_eq!(bed.commit(&[again]).await.marks[&bed.stream].stored, 1);
+    bed.writer = open(&bed.path).await;
+    assert_eq!(bed.writer.marks()[&bed.stream], Mark { host: bed.edge, stored: 1 });
+    let again = bed.batch_numbered(1, events);
+    let committed = bed.commit(&[again]).await;
+    assert_eq!((committed.marks[&bed.stream].stored, committed.nodes), (1, 0));
+
+    assert_eq!(bed.count("SELECT count(*) FROM node").await, 210);
+    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 10);
+    assert_eq!(bed.count("SELECT ok FROM run").await, 10);
+    assert_eq!(bed.count("SELECT nodes FROM host WHERE name = 'edge'").await, 210);
+    assert_eq!(
+        bed.count(
+            "SELECT count FROM rollup JOIN name ON name.id = rollup.name \
+                          WHERE resolution_s = 0 AND quantity = 0 AND text = 'total'"
+        )
+        .await,
+        10
+    );
+}
+
+#[tokio::test]
+async fn rollups_grow_over_commits_and_restarts_as_over_one() {
+    let mut bed = Bed::new().await;
+    let run = RunId::random();
+    let started = generate::run_started(run, "line", NOW);
+    let work = bed.batch(vec![started]);
+    bed.commit(&[work]).await;
+    for n in 0..10 {
+        let events = iterations(&bed, run, n * 20 + 1..=n * 20 + 20);
+        let work = bed.batch(events);
+        bed.commit(&[work]).await;
+        if n % 3 == 0 {
+            bed.writer = open(&bed.path).await;
+        }
+    }
+    let stages = bed.store.stages(1).await.expect("answers");
+    let mut one = Bed::new().await;
+    (one.edge, one.cloud) = bed.hosts();
+    let mut events = vec![generate::run_started(run, "line", NOW)];
+    for n in 0..10 {
+        events.extend(iterations(&bed, run, n * 20 + 1..=n * 20 + 20));
+    }
+    let work = one.batch(events);
+    one.commit(&[work]).await;
+    let at_once = one.store.stages(1).await.expect("answers");
+    assert_eq!(stages.len(), at_once.len());
+    for (a, b) in stages.iter().zip(&at_once) {
+        assert_eq!(
+            (&a.stage, a.figures.count, a.figures.p50, a.figures.p95),
+            (&b.stage, b.figures.count, b.figures.p50, b.figures.p95)
+        );
+        assert_eq!((a.figures.min, a.figures.max), (b.figures.min, b.figures.max));
+        assert!((a.figures.mean - b.figures.mean).abs() <= 1e-9 * a.figures.mean.abs());
+        assert_eq!(
+            a.bound.as_ref().map(|bound| &bound.verdicts),
+            b.bound.as_ref().map(|bound| &bound.verdicts)
+        );
+    }
+}
+
+#[tokio::test]
+async fn a_bad_batch_is_put_aside_and_the_others_are_stored() {
+    let mut bed = Bed::new().await;
+    let run = RunId::random();
+    let good = vec![generate::run_started(run, "line", NOW)];
+    let first = iterations(&bed, run, 1..=5);
+    // The same iterations under a new batch number; and an iteration that began on another host.
+    let twice = iterations(&bed, run, 5..=6);
+    let mut numbers = generate::Numbers(1);
+    let foreign: Iteration = generate::iteration(run, 9, (HostId::random(), bed.cloud), &mut numbers);
+    let last = iterations(&bed, run, 7..=8);
+    let work: Vec<Work> = [good, first, twice, vec![Event::Iteration(foreign)], last]
+        .into_iter()
+        .map(|events| bed.batch(events))
+        .collect();
+    let committed = bed.commit(&work).await;
+    assert_eq!(committed.marks[&bed.stream].stored, 5);
+    let aside: Vec<u64> = committed.quarantined.iter().map(|(head, _)| head.number).collect();
+    assert_eq!(aside, [3, 4]);
+    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 7);
+    assert_eq!(bed.count("SELECT count(*) FROM node").await, 7 * 21);
+    assert_eq!(bed.count("SELECT ok FROM run").await, 7);
+    assert_eq!(
+        bed.count("SELECT count(*) FROM quarantine WHERE length(frame) > 100 AND length(reason) > 10").await,
+        2
+    );
+    assert_eq!(bed.count("SELECT quarantined FROM host WHERE name = 'edge'").await, 2);
+    assert_eq!(
+        bed.count(
+            "SELECT count FROM rollup JOIN name ON name.id = rollup.name \
+                          WHERE resolution_s = 0 AND quantity = 0 AND text = 'total'"
+        )
+        .await,
+        7
+    );
+}
+
+#[tokio::test]
+async fn an_unreadable_batch_is_kept_as_it_came_and_left_behind() {
+    let mut bed = Bed::new().await;
+    let head = BatchHead { host: bed.edge, stream: bed.stream, number: 1 };
+    let unreadable = Work::Unreadable { head, frame: vec![0x81, 0xa5].into(), reason: "cut off".into() };
+    let after = bed.batch_numbered(2, vec![generate::run_started(RunId::random(), "line", NOW)]);
+    let committed = bed.commit(&[unreadable, after]).await;
+    assert_eq!(committed.marks[&bed.stream].stored, 2);
+    assert_eq!(committed.quarantined, [(head, "cut off".to_owned())]);
+    assert_eq!(
+        bed.count("SELECT count(*) FROM quarantine WHERE frame = x'81a5' AND events IS NULL").await,
+        1
+    );
+}
+
+#[tokio::test]
+async fn a_run_of_another_host_cannot_be_written_to() {
+    let mut bed = Bed::new().await;
+    let run = bed.run_of(3).await;
+    let (edge, stream) = (bed.edge, bed.stream);
+    bed.edge = HostId::random();
+    bed.stream = peernet_logger::stream::StreamId::random();
+    let events = iterations(&bed, run, 10..=12);
+    let work = bed.batch_numbered(1, events);
+    let taken_over = bed.batch_numbered(2, vec![generate::run_started(run, "mine", NOW)]);
+    let committed = bed.commit(&[work, taken_over]).await;
+    assert_eq!(committed.quarantined.len(), 2);
+    (bed.edge, bed.stream) = (edge, stream);
+    let detail = bed.store.run(1).await.expect("answers").expect("exists");
+    assert_eq!((detail.summary.counts.ok, detail.summary.pipeline.as_str()), (3, "line"));
+}
+
+#[tokio::test]
+async fn iterations_of_a_run_whose_beginning_never_came_are_kept() {
+    let mut bed = Bed::new().await;
+    let run = RunId::random();
+    let events = iterations(&bed, run, 4..=6);
+    let work = bed.batch(events);
+    let committed = bed.commit(&[work]).await;
+    assert_eq!(committed.runs, [(run, 1)]);
+    let unknown = bed.store.run(1).await.expect("answers").expect("exists");
+    assert_eq!((unknown.summary.pipeline.as_str(), unknown.summary.counts.ok), ("unknown", 3));
+    let work = bed.batch(vec![generate::run_started(run, "line", NOW)]);
+    bed.commit(&[work]).await;
+    let known = bed.store.run(1).await.expect("answers").expect("exists");
+    assert_eq!(
+        (known.summary.pipeline.as_str(), known.summary.counts.ok, known.version.as_str()),
+        ("line", 3, "0.1.0")
+    );
+}
+
+#[tokio::test]
+async fn gaps_are_told_with_their_run_and_holes_with_their_host() {
+    let mut bed = Bed::new().await;
+    let run = bed.run_of(3).await;
+    let gap = Gap {
+        pipeline: "line".parse().ok(),
+        run: Some(run),
+        from: generate::at(1.0),
+        to: generate::at(2.0),
+        count: 1_050,
+        reason: "the queue was full".into(),
+    };
+    let work = bed.batch(vec![Event::Gap(gap)]);
+    bed.commit(&[work]).await;
+    let detail = bed.store.run(1).await.expect("answers").expect("exists");
+    assert_eq!((detail.gaps.len(), detail.gaps[0].count), (1, 1_050));
+
+    let missing = Missing { host: bed.edge, stream: bed.stream, from: 3, through: 9 };
+    let after = bed.batch_numbered(10, vec![]);
+    let committed = bed.commit(&[Work::Missing(missing), after]).await;
+    assert_eq!(committed.marks[&bed.stream].stored, 10);
+    let (stored, _) = committed.hosts[&bed.edge];
+    assert_eq!((stored.gaps, stored.missing), (2, 1_050));
+    assert_eq!(bed.count("SELECT count(*) FROM gap WHERE reason LIKE 'batches 3 to 9 of stream%'").await, 1);
+    let hosts = bed.store.hosts().await.expect("answers");
+    assert_eq!(hosts.iter().map(|host| host.name.as_str()).collect::<Vec<_>>(), ["cloud", "edge"]);
+    assert_eq!(hosts[1].stored, stored);
+}
+
+#[tokio::test]
+async fn a_locked_database_is_an_error_that_changes_nothing() {
+    let mut bed = Bed::new().await;
+    let run = RunId::random();
+    let mut other = open(&bed.path).await;
+    other.lock().await;
+    let events = vec![generate::run_started(run, "line", NOW)];
+    let work = [bed.batch(events)];
+    let refused = bed.writer.commit(&work, NOW).await;
+    assert!(refused.expect_err("locked").to_string().contains("locked"));
+    drop(other);
+    assert_eq!(bed.commit(&work).await.marks[&bed.stream].stored, 1);
+    assert_eq!(bed.count("SELECT count(*) FROM run").await, 1);
+}
+
+#[tokio::test]
+async fn a_full_disk_is_an_error_that_changes_nothing() {
+    let mut bed = Bed::new().await;
+    let run = RunId::random();
+    let mut events = vec![generate::run_started(run, "line", NOW)];
+    events.extend(iterations(&bed, run, 1..=100));
+    let work = [bed.batch(events)];
+    bed.writer.limit_pages(1).await;
+    let refused = bed.writer.commit(&work, NOW).await;
+    assert!(refused.expect_err("full").to_string().contains("full"));
+    assert_eq!(bed.count("SELECT (SELECT count(*) FROM run) + (SELECT count(*) FROM name)").await, 0);
+    bed.writer.limit_pages(1_000_000).await;
+    assert_eq!(bed.commit(&work).await.nodes, 2_100);
+    assert_eq!(bed.count("SELECT count(*) FROM node").await, 2_100);
+}
+
+#[tokio::test]
+async fn a_database_of_a_newer_version_is_refused() {
+    let bed = Bed::new().await;
+    let mut connection = super::database::open(&bed.path).await.expect("opens");
+    sqlx::query("INSERT INTO _sqlx_migrations (version, description, success, checksum, execution_time) VALUES (9000, 'later', 1, x'00', 0)")
+        .execute(&mut connection)
+        .await
+        .expect("inserts");
+    let error = super::database::open(&bed.path).await.expect_err("refuses");
+    assert!(error.to_string().contains("newer version (its schema 9000"), "{error}");
+}

@@ -1,0 +1,277 @@
+//! What the store answers: plain data in SI units.
+
+use peernet_clock::WallTime;
+use peernet_logger::stream::{HostDescription, OutcomeCounts, Placement};
+use peernet_logger::{HostId, Name, RunId, Slug, Tree};
+use serde::Serialize;
+
+use crate::figures::{Bound, Figures};
+use crate::picture::Stored;
+
+/// Which runs to list, newest first.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RunFilter {
+    /// Only runs of pipelines of this name.
+    pub pipeline: Option<Slug>,
+    /// Only runs of this edge host.
+    pub host: Option<HostId>,
+    /// At most so many, 1 to 1,000.
+    pub limit: u32,
+    /// Only runs of smaller number: the number of the last run of the page before.
+    pub before: Option<i64>,
+}
+
+impl Default for RunFilter {
+    fn default() -> Self {
+        Self { pipeline: None, host: None, limit: 50, before: None }
+    }
+}
+
+/// A run in a list.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RunSummary {
+    /// The small number people use: shown as `#412`, never used twice.
+    pub number: i64,
+    /// The id its agent gave it.
+    pub id: RunId,
+    /// The edge host.
+    pub host: HostId,
+    /// The edge host's name.
+    pub host_name: Slug,
+    /// The pipeline's name; `unknown` when the run's beginning never reached the store.
+    pub pipeline: Slug,
+    /// Where it computed, with the peer's name.
+    pub placement: Placement,
+    /// When it began, on the edge's wall clock.
+    pub started: WallTime,
+    /// When it ended; `None` while it goes on, or when its end never reached the store.
+    pub ended: Option<WallTime>,
+    /// `finished`, `stopped`, or what went wrong.
+    pub reason: Option<String>,
+    /// When the newest stored iteration began, on the edge's wall clock.
+    pub last_iteration: Option<WallTime>,
+    /// Iterations by outcome, warm-up left out.
+    pub counts: OutcomeCounts,
+    /// Iterations of the warm-up, stored but in no statistic.
+    pub warm_up: u64,
+    /// Figures of `total`, seconds; successful iterations only.
+    pub total: Option<Figures>,
+}
+
+/// A run with all that is known of it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RunDetail {
+    /// As in a list.
+    #[serde(flatten)]
+    pub summary: RunSummary,
+    /// Sensor, transforms, load and so on, as pairs for people, in the order of the configuration.
+    pub facts: Vec<(String, String)>,
+    /// The pipeline's table of the configuration file.
+    pub configuration: String,
+    /// Version of the agent.
+    pub version: String,
+    /// What is missing, oldest first, at most 1,000.
+    pub gaps: Vec<GapRow>,
+}
+
+/// Events that never reached the store.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct GapRow {
+    /// When the first was dropped, on the host's wall clock.
+    pub from: WallTime,
+    /// When the last was dropped.
+    pub to: WallTime,
+    /// How many; 0 when that is not known.
+    pub count: u64,
+    /// Why.
+    pub reason: String,
+}
+
+/// Statistics of one node name over a whole run; successful iterations only, warm-up left out.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct StageStatistics {
+    /// The node's name.
+    pub stage: Name,
+    /// Unit of the figures: `s`, `B`, `bit/s` or the user's own.
+    pub unit: String,
+    /// Whether it is one of the stages that add up to `stages-total`.
+    pub is_stage: bool,
+    /// The figures.
+    pub figures: Figures,
+    /// Sum over the sum of `total`, 0 to 1, for durations; a child's share is also its parent's.
+    pub share: Option<f64>,
+    /// How well it is known, for one-way delays.
+    pub bound: Option<Bound>,
+}
+
+/// Distribution of one node name over a run, in bins of equal width.
+///
+/// Made from a sketch whose own bins are 2 % wide, each spread evenly over the bins it overlaps.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Histogram {
+    /// The node's name.
+    pub stage: Name,
+    /// Unit of the edges.
+    pub unit: String,
+    /// Edges of the bins, one more than `counts`, rising.
+    pub edges: Vec<f64>,
+    /// Samples per bin.
+    pub counts: Vec<u64>,
+    /// Samples above the last edge.
+    pub beyond: u64,
+    /// Figures of all samples.
+    pub figures: Figures,
+}
+
+/// Several node names over the time of a run.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Series {
+    /// Width of a bucket, seconds.
+    pub bucket_s: u32,
+    /// One entry per name that has samples, in the order asked for.
+    pub stages: Vec<StageSeries>,
+    /// What is missing, oldest first.
+    pub gaps: Vec<GapRow>,
+}
+
+/// One node name over time.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct StageSeries {
+    /// The node's name.
+    pub stage: Name,
+    /// Unit of the values.
+    pub unit: String,
+    /// Buckets that have samples, oldest first; a bucket without samples is absent.
+    pub points: Vec<SeriesPoint>,
+}
+
+/// One bucket.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct SeriesPoint {
+    /// Begin of the bucket, on the edge's wall clock; a multiple of the bucket's width.
+    pub at: WallTime,
+    /// Samples.
+    pub count: u64,
+    /// Mean.
+    pub mean: f64,
+    /// Median.
+    pub p50: f64,
+    /// 95th percentile; `None` below 60 samples.
+    pub p95: Option<f64>,
+}
+
+/// Which iterations of a run to list, by rising number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct IterationFilter {
+    /// Only iterations of greater number: the last number of the page before; 0 begins.
+    pub after: u64,
+    /// At most so many, 1 to 1,000.
+    pub limit: u32,
+    /// Only iterations without an answer: failed, lost, timeout.
+    pub unsuccessful: bool,
+}
+
+impl Default for IterationFilter {
+    fn default() -> Self {
+        Self { after: 0, limit: 100, unsuccessful: false }
+    }
+}
+
+/// An iteration in a list.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct IterationRow {
+    /// Contiguous from 1 within the run.
+    pub number: u64,
+    /// Episode, from 0.
+    pub episode: u32,
+    /// Step within the episode, from 0.
+    pub step: u32,
+    /// Left out of statistics.
+    pub warm_up: bool,
+    /// `ok`, `failed`, `lost` or `timeout`.
+    pub outcome: String,
+    /// Why it failed or was lost.
+    pub reason: Option<String>,
+    /// When it began, on the edge's wall clock.
+    pub started: WallTime,
+    /// Seconds from the intended start to the end.
+    pub total: Option<f64>,
+    /// `total` over the run's median of it.
+    pub factor: Option<f64>,
+    /// The stage that took longest beyond its own median.
+    pub blame: Option<Blame>,
+    /// Seconds per stage, in the order of the stages; a stage that occurs several times is added up.
+    pub stages: Vec<(Name, f64)>,
+}
+
+/// The stage that explains most of an iteration's slowness.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Blame {
+    /// The stage.
+    pub stage: Name,
+    /// Seconds it took.
+    pub value: f64,
+    /// Seconds it takes in the median of the run.
+    pub median: f64,
+}
+
+/// One iteration with its tree.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct IterationDetail {
+    /// As in a list.
+    #[serde(flatten)]
+    pub row: IterationRow,
+    /// The tree as the agent sent it.
+    pub tree: Tree,
+    /// The names of the hosts of the tree's anchors, in their order; `None` for a host that never reported here.
+    pub hosts: Vec<Option<Slug>>,
+    /// Place among the slowest successful iterations of the run, from 1; `None` beyond the 1,000 slowest, and for
+    /// iterations that are in no statistic.
+    pub rank: Option<u64>,
+    /// The stored iteration before.
+    pub previous: Option<u64>,
+    /// The stored iteration after.
+    pub next: Option<u64>,
+    /// Figures of the run per node name, for comparison; in the order of tables.
+    pub run_figures: Vec<(Name, Figures)>,
+}
+
+/// Something that happened beside the measurements.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct IncidentRow {
+    /// Rises with the order of arrival: for paging.
+    pub id: i64,
+    /// When, on the reporting host's wall clock.
+    pub at: WallTime,
+    /// `disconnected`, `connected`, `refused`, `model-loaded`, `clock-step`, `gap`, `pipeline-failed`, `control`.
+    pub kind: String,
+    /// The reporting host.
+    pub host: HostId,
+    /// Its name.
+    pub host_name: Slug,
+    /// The pipeline concerned, if one.
+    pub pipeline: Option<String>,
+    /// The number of the run concerned, if one.
+    pub run: Option<i64>,
+    /// The other host's name, if one is concerned and known.
+    pub peer: Option<String>,
+    /// One sentence for people.
+    pub text: String,
+}
+
+/// A host that once introduced itself.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct HostRow {
+    /// Decides.
+    pub id: HostId,
+    /// Its last name.
+    pub name: Slug,
+    /// As it last introduced itself.
+    pub description: HostDescription,
+    /// When it first came, on the aggregator's wall clock.
+    pub first_seen: WallTime,
+    /// When it last said hello or had something stored, on the aggregator's wall clock.
+    pub last_seen: WallTime,
+    /// What the database holds of it.
+    pub stored: Stored,
+}

@@ -1,0 +1,271 @@
+//! Hosts, pipelines, runs and streams: what the rows of iterations refer to.
+
+use std::collections::HashMap;
+use std::str::FromStr;
+
+use peernet_clock::WallTime;
+use peernet_logger::stream::{HostDescription, PlacementKind, RunDescription, RunEnded, StreamId};
+use peernet_logger::{HostId, RunId};
+use sqlx::SqliteConnection;
+
+use super::Refusal;
+
+/// Runs kept in memory; beyond, all are forgotten and read again when needed.
+const MOST_RUNS: usize = 10_000;
+/// Stands for what is not known of a run whose beginning never arrived.
+pub(crate) const UNKNOWN: &str = "unknown";
+
+/// What the writer remembers of the small tables.
+#[derive(Debug, Default)]
+pub(super) struct Entities {
+    hosts: HashMap<HostId, i64>,
+    runs: HashMap<RunId, KnownRun>,
+    /// Runs that came into `runs` since they were last asked for.
+    met: Vec<(RunId, i64)>,
+}
+
+/// A run that exists in the store.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct KnownRun {
+    pub(super) number: i64,
+    host: i64,
+}
+
+impl Entities {
+    /// The row of a host, made when missing.
+    pub(super) async fn host(
+        &mut self,
+        connection: &mut SqliteConnection,
+        host: HostId,
+        now: WallTime,
+    ) -> Result<i64, Refusal> {
+        if let Some(id) = self.hosts.get(&host) {
+            return Ok(*id);
+        }
+        // The update changes nothing: it makes RETURNING answer for a row that was there.
+        let id = sqlx::query_scalar(
+            "INSERT INTO host (uuid, first_seen_ns, last_seen_ns) VALUES (?1, ?2, ?2) \
+             ON CONFLICT (uuid) DO UPDATE SET uuid = uuid RETURNING id",
+        )
+        .bind(host.to_string())
+        .bind(now.unix_nanos())
+        .fetch_one(connection)
+        .await?;
+        self.hosts.insert(host, id);
+        Ok(id)
+    }
+
+    /// Takes down how a host introduced itself.
+    pub(super) async fn introduce(
+        &mut self,
+        connection: &mut SqliteConnection,
+        description: &HostDescription,
+        now: WallTime,
+    ) -> Result<i64, Refusal> {
+        let id = self.host(connection, description.id, now).await?;
+        let json = serde_json::to_string(description).map_err(|error| Refusal::Batch(error.to_string()))?;
+        sqlx::query("UPDATE host SET name = ?, description = ?, last_seen_ns = ? WHERE id = ?")
+            .bind(description.name.as_str())
+            .bind(json)
+            .bind(now.unix_nanos())
+            .bind(id)
+            .execute(connection)
+            .await?;
+        Ok(id)
+    }
+
+    /// The run that rows of `host` refer to; one is made when its beginning never arrived.
+    pub(super) async fn run_of(
+        &mut self,
+        connection: &mut SqliteConnection,
+        host: i64,
+        run: RunId,
+        seen: WallTime,
+    ) -> Result<KnownRun, Refusal> {
+        let known = match self.known_run(connection, run).await? {
+            Some(known) => known,
+            None => {
+                let pipeline = pipeline(connection, host, UNKNOWN).await?;
+                let number = sqlx::query_scalar(
+                    "INSERT INTO run (uuid, pipeline, started_ns, placement, model, facts, configuration, version) \
+                     VALUES (?1, ?2, ?3, 'local', ?4, '[]', '', '') RETURNING number",
+                )
+                .bind(run.to_string())
+                .bind(pipeline)
+                .bind(seen.unix_nanos())
+                .bind(UNKNOWN)
+                .fetch_one(connection)
+                .await?;
+                self.remember(run, KnownRun { number, host })
+            }
+        };
+        known.check(host, run)
+    }
+
+    /// The run, if it exists.
+    pub(super) async fn known_run(
+        &mut self,
+        connection: &mut SqliteConnection,
+        run: RunId,
+    ) -> Result<Option<KnownRun>, Refusal> {
+        if let Some(known) = self.runs.get(&run) {
+            return Ok(Some(*known));
+        }
+        let row: Option<(i64, i64)> = sqlx::query_as(
+            "SELECT run.number, pipeline.host FROM run JOIN pipeline ON pipeline.id = run.pipeline WHERE run.uuid = ?",
+        )
+        .bind(run.to_string())
+        .fetch_optional(connection)
+        .await?;
+        Ok(row.map(|(number, host)| self.remember(run, KnownRun { number, host })))
+    }
+
+    /// A run began; or its description arrives after some of its iterations.
+    pub(super) async fn run_started(
+        &mut self,
+        connection: &mut SqliteConnection,
+        host: i64,
+        run: &RunDescription,
+    ) -> Result<KnownRun, Refusal> {
+        if let Some(known) = self.known_run(connection, run.run).await? {
+            known.check(host, run.run)?;
+        }
+        let pipeline = pipeline(connection, host, run.pipeline.as_str()).await?;
+        let facts = serde_json::to_string(&run.facts).map_err(|error| Refusal::Batch(error.to_string()))?;
+        let placement = &run.placement;
+        let number = sqlx::query_scalar(
+            "INSERT INTO run (uuid, pipeline, started_ns, placement, peer, network, address, model, device, facts, \
+             configuration, version) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) \
+             ON CONFLICT (uuid) DO UPDATE SET pipeline = excluded.pipeline, started_ns = excluded.started_ns, \
+             placement = excluded.placement, peer = excluded.peer, network = excluded.network, \
+             address = excluded.address, model = excluded.model, device = excluded.device, facts = excluded.facts, \
+             configuration = excluded.configuration, version = excluded.version \
+             RETURNING number",
+        )
+        .bind(run.run.to_string())
+        .bind(pipeline)
+        .bind(run.started.unix_nanos())
+        .bind(placement_word(placement.kind))
+        .bind(placement.peer.as_ref().map(ToString::to_string))
+        .bind(placement.network.as_deref())
+        .bind(placement.address.as_deref())
+        .bind(placement.model.as_str())
+        .bind(placement.device.as_deref())
+        .bind(facts)
+        .bind(run.configuration.as_str())
+        .bind(run.version.as_str())
+        .fetch_one(connection)
+        .await?;
+        Ok(self.remember(run.run, KnownRun { number, host }))
+    }
+
+    /// A run ended.
+    pub(super) async fn run_ended(
+        &mut self,
+        connection: &mut SqliteConnection,
+        host: i64,
+        end: &RunEnded,
+    ) -> Result<(), Refusal> {
+        let run = self.run_of(connection, host, end.run, end.ended).await?;
+        sqlx::query("UPDATE run SET ended_ns = ?, end_reason = ? WHERE number = ?")
+            .bind(end.ended.unix_nanos())
+            .bind(end.reason.as_str())
+            .bind(run.number)
+            .execute(connection)
+            .await?;
+        Ok(())
+    }
+
+    /// Forgets what is only in memory: the transaction did not end well.
+    pub(super) fn forget(&mut self) {
+        self.hosts.clear();
+        self.runs.clear();
+        self.met.clear();
+    }
+
+    fn remember(&mut self, run: RunId, known: KnownRun) -> KnownRun {
+        if self.runs.len() >= MOST_RUNS {
+            self.runs.clear();
+        }
+        self.runs.insert(run, known);
+        self.met.push((run, known.number));
+        known
+    }
+
+    /// Runs that were met since the last time, with their numbers.
+    pub(super) fn take_met(&mut self) -> Vec<(RunId, i64)> {
+        std::mem::take(&mut self.met)
+    }
+}
+
+impl KnownRun {
+    fn check(self, host: i64, run: RunId) -> Result<Self, Refusal> {
+        if self.host == host {
+            Ok(self)
+        } else {
+            Err(Refusal::Batch(format!("run {run} belongs to another host")))
+        }
+    }
+}
+
+/// `local` or `remote`.
+pub(crate) const fn placement_word(kind: PlacementKind) -> &'static str {
+    match kind {
+        PlacementKind::Local => "local",
+        PlacementKind::Remote => "remote",
+    }
+}
+
+async fn pipeline(connection: &mut SqliteConnection, host: i64, name: &str) -> Result<i64, Refusal> {
+    let id = sqlx::query_scalar(
+        "INSERT INTO pipeline (host, name) VALUES (?, ?) ON CONFLICT DO UPDATE SET name = name RETURNING id",
+    )
+    .bind(host)
+    .bind(name)
+    .fetch_one(connection)
+    .await?;
+    Ok(id)
+}
+
+/// The newest runs and their numbers.
+pub(crate) async fn newest_runs(
+    connection: &mut SqliteConnection,
+    limit: u32,
+) -> Result<Vec<(RunId, i64)>, sqlx::Error> {
+    let rows: Vec<(String, i64)> =
+        sqlx::query_as("SELECT uuid, number FROM run ORDER BY number DESC LIMIT ?")
+            .bind(limit)
+            .fetch_all(connection)
+            .await?;
+    rows.into_iter().map(|(uuid, number)| Ok((id(&uuid)?, number))).collect()
+}
+
+/// Up to where a stream is stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Mark {
+    /// Whose stream it is.
+    pub(crate) host: HostId,
+    /// All batches up to this number are stored.
+    pub(crate) stored: u64,
+}
+
+/// The marks of all streams.
+pub(super) async fn stream_marks(
+    connection: &mut SqliteConnection,
+) -> Result<HashMap<StreamId, Mark>, sqlx::Error> {
+    let rows: Vec<(String, String, i64)> = sqlx::query_as(
+        "SELECT stream.uuid, host.uuid, stream.stored FROM stream JOIN host ON host.id = stream.host",
+    )
+    .fetch_all(connection)
+    .await?;
+    rows.into_iter()
+        .map(|(stream, host, stored)| {
+            let stored = u64::try_from(stored).map_err(|error| sqlx::Error::Decode(error.into()))?;
+            Ok((id(&stream)?, Mark { host: id(&host)?, stored }))
+        })
+        .collect()
+}
+
+fn id<T: FromStr<Err = uuid::Error>>(text: &str) -> Result<T, sqlx::Error> {
+    text.parse().map_err(|error: uuid::Error| sqlx::Error::Decode(error.into()))
+}

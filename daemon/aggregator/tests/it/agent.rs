@@ -1,0 +1,127 @@
+//! The agent's end of the event stream over a real socket.
+
+use std::time::Duration;
+
+use bytes::Bytes;
+use peernet_clock::{SharedClock, Span};
+use peernet_logger::HostId;
+use peernet_logger::stream::codec::{decode, encode};
+use peernet_logger::stream::{
+    Accounting, Event, HostMetrics, LiveUpdate, MemorySpool, Notice, PipelineLive, Sending, SendingConfig,
+    ToAgent, ToAggregator, Usage,
+};
+use zeromq::{Message, Options, Socket, SocketType};
+
+use crate::generate;
+
+/// Longest time that anything may take before a test counts as hung.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// An agent: the real state machine, a spool in memory, a socket.
+pub(crate) struct Agent {
+    pub(crate) id: HostId,
+    pub(crate) sending: Sending<MemorySpool>,
+    pub(crate) notices: Vec<Notice>,
+    socket: Wire,
+    clock: SharedClock,
+}
+
+/// A bare connection to the aggregator.
+pub(crate) struct Wire(Socket);
+
+impl Wire {
+    pub(crate) async fn to(address: &str) -> Self {
+        let socket = Socket::new(SocketType::Dealer, Options::default());
+        socket.connect(address).await.expect("connects");
+        Self(socket)
+    }
+
+    pub(crate) async fn send(&self, message: &ToAggregator) {
+        self.send_frame(encode(message)).await;
+    }
+
+    pub(crate) async fn send_frame(&self, frame: Vec<u8>) {
+        self.0.send(Message::single(Bytes::from(frame))).await.expect("sends");
+    }
+
+    pub(crate) async fn receive(&self) -> ToAgent {
+        let message =
+            tokio::time::timeout(PATIENCE, self.0.recv()).await.expect("in time").expect("receives");
+        decode(message.part_slice(0).expect("a frame")).expect("a message")
+    }
+}
+
+impl Agent {
+    pub(crate) async fn new(name: &str, address: &str, clock: &SharedClock) -> Self {
+        Self::with(HostId::random(), name, address, clock).await
+    }
+
+    pub(crate) async fn with(id: HostId, name: &str, address: &str, clock: &SharedClock) -> Self {
+        let spool = MemorySpool::new(Usage { events: 1_000_000, bytes: 1 << 30 });
+        // The transport does not tell of lost connections here: patience notices.
+        let patience = Span::from_millis(500);
+        let config = SendingConfig { batch_nodes: 1_000, patience, ..SendingConfig::default() };
+        let process = generate::Numbers(clock.mono().nanos() as u64).bits();
+        let mut sending = Sending::new(config, generate::host(id, name), process, spool);
+        sending.connected(clock.mono());
+        let socket = Wire::to(address).await;
+        Self { id, sending, notices: Vec::new(), socket, clock: SharedClock::clone(clock) }
+    }
+
+    pub(crate) fn offer(&mut self, events: impl IntoIterator<Item = Event>) {
+        events.into_iter().for_each(|event| self.sending.offer(&event, self.clock.stamp()));
+    }
+
+    /// Speaks with the aggregator until `done`.
+    pub(crate) async fn until(&mut self, what: &str, mut done: impl FnMut(&Self) -> bool) {
+        let speak = async {
+            loop {
+                self.sending.tick(self.clock.stamp());
+                while let Some(frame) =
+                    self.sending.transmit(self.clock.mono()).expect("the spool is in memory")
+                {
+                    self.socket.send_frame(frame).await;
+                }
+                if done(self) {
+                    return;
+                }
+                let wait =
+                    self.sending.deadline().map(|deadline| (deadline - self.clock.mono()).to_duration());
+                tokio::select! {
+                    message = self.socket.receive() => {
+                        let notice = self.sending.received(&message, self.clock.stamp()).expect("in memory");
+                        self.notices.extend(notice);
+                    }
+                    () = tokio::time::sleep(wait.unwrap_or(PATIENCE).min(Duration::from_millis(50))) => {}
+                }
+            }
+        };
+        assert!(tokio::time::timeout(PATIENCE, speak).await.is_ok(), "waited in vain until {what}");
+    }
+
+    pub(crate) async fn until_up(&mut self) {
+        self.until("the agent is welcome", |agent| agent.sending.is_up()).await;
+    }
+
+    /// Sends everything and waits until it is acknowledged.
+    pub(crate) async fn until_stored(&mut self) {
+        self.sending.flush(self.clock.wall());
+        self.until("everything is stored", |agent| agent.sending.is_idle()).await;
+    }
+
+    /// Sends a live update.
+    pub(crate) async fn live(&self, pipelines: Vec<PipelineLive>) {
+        let update = LiveUpdate {
+            host: self.id,
+            sent: self.clock.wall(),
+            pipelines,
+            metrics: HostMetrics::default(),
+            accounting: self.sending.accounting(),
+        };
+        self.socket.send(&ToAggregator::Live(update)).await;
+    }
+
+    pub(crate) fn accounting(&self) -> Accounting {
+        self.sending.accounting()
+    }
+}

@@ -1,0 +1,161 @@
+//! Hosts, runs and iterations as an agent would send them; for tests and the benchmark.
+
+use peernet_clock::{ClockIdentity, Interval, OneWayDelay, Span, Verdict, WallTime};
+use peernet_logger::stream::{
+    Event, Hardware, HostDescription, Iteration, Outcome, Placement, PlacementKind, RunDescription,
+};
+use peernet_logger::{
+    Anchor, HostId, HostIndex, Measure, Name, Node, NodeId, Rate, RunId, Transit, Tree, Unit, stage,
+};
+
+/// A small generator of reproducible numbers (SplitMix64).
+#[derive(Clone, Debug)]
+pub struct Numbers(pub u64);
+
+impl Numbers {
+    /// The next number, evenly spread over 64 bits.
+    pub fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        z ^ (z >> 31)
+    }
+
+    /// The next number, evenly spread between two.
+    pub fn between(&mut self, low: i64, high: i64) -> i64 {
+        low + (self.bits() % (high - low) as u64) as i64
+    }
+}
+
+/// A moment of the year 2025: seconds after its first.
+pub fn at(seconds: f64) -> WallTime {
+    WallTime::from_unix_nanos(1_735_689_600_000_000_000) + Span::from_seconds_f64(seconds)
+}
+
+/// A host that introduces itself.
+pub fn host(id: HostId, name: &str) -> HostDescription {
+    HostDescription {
+        id,
+        name: name.parse().expect("a name"),
+        clock: ClockIdentity::new("boot", "test"),
+        version: "0.1.0".into(),
+        hardware: Hardware { cpu: "test".into(), cores: 2, ..Hardware::default() },
+        serves: None,
+        models: vec![],
+    }
+}
+
+/// A placement on a cloud.
+pub fn remote() -> Placement {
+    Placement {
+        kind: PlacementKind::Remote,
+        peer: Some("cloud".parse().expect("a name")),
+        network: Some("zmq-tcp".into()),
+        address: Some("tcp://127.0.0.1:5551".into()),
+        model: "quality".parse().expect("a name"),
+        device: Some("cpu".into()),
+    }
+}
+
+/// A run that begins.
+pub fn run_started(run: RunId, pipeline: &str, started: WallTime) -> Event {
+    Event::RunStarted(RunDescription {
+        run,
+        pipeline: pipeline.parse().expect("a name"),
+        started,
+        placement: remote(),
+        facts: vec![("Sensor".into(), "30 images".into()), ("Load".into(), "5 Hz".into())],
+        configuration: "name = \"line\"\n".into(),
+        version: "0.1.0".into(),
+    })
+}
+
+/// An iteration over two hosts with a node of every kind: 21 nodes.
+pub fn iteration(run: RunId, number: u64, hosts: (HostId, HostId), numbers: &mut Numbers) -> Iteration {
+    iteration_at(run, number, hosts, at(number as f64 * 0.2), numbers)
+}
+
+/// The same, beginning at a given moment.
+pub fn iteration_at(
+    run: RunId,
+    number: u64,
+    (edge, cloud): (HostId, HostId),
+    started: WallTime,
+    numbers: &mut Numbers,
+) -> Iteration {
+    let mut nodes = Vec::with_capacity(21);
+    let mut now = Span::ZERO;
+    let mut add = |parent: u32, name: Name, host: u8, start: Span, measure: Measure| {
+        nodes.push(Node { parent: Some(NodeId(parent)), name, host: HostIndex(host), start, measure });
+        nodes.len() as u32
+    };
+    let mut timer = |now: &mut Span, low: i64, high: i64| {
+        let span = Span::from_nanos(numbers.between(low, high));
+        *now += span;
+        Measure::Timer(Some(span))
+    };
+    add(0, stage::SENSING, 0, now, timer(&mut now, 900_000, 1_100_000));
+    add(1, stage::CAPTURE, 0, Span::ZERO, Measure::Timer(Some(Span::from_micros(600))));
+    add(1, stage::TRANSFORM, 0, Span::from_micros(600), Measure::Timer(Some(Span::from_micros(300))));
+    add(0, stage::ENCODE, 0, now, timer(&mut now, 20_000, 40_000));
+    add(0, stage::SEND_QUEUE, 0, now, timer(&mut now, 1_000, 5_000));
+    let up = numbers.between(2_000_000, 8_000_000);
+    add(0, stage::UPLOAD, 0, now, transit(started + now, up));
+    now += Span::from_nanos(up);
+    let mut there = Span::ZERO;
+    let mut timer = |now: &mut Span, low: i64, high: i64| {
+        let span = Span::from_nanos(numbers.between(low, high));
+        *now += span;
+        Measure::Timer(Some(span))
+    };
+    let begin = there;
+    add(0, stage::QUEUE, 1, begin, timer(&mut there, 5_000, 50_000));
+    let begin = there;
+    add(0, stage::PREPROCESSING, 1, begin, timer(&mut there, 1_000_000, 1_500_000));
+    let begin = there;
+    add(0, stage::INFERENCE, 1, begin, timer(&mut there, 9_000_000, 12_000_000));
+    let begin = there;
+    add(0, stage::POSTPROCESSING, 1, begin, timer(&mut there, 100_000, 200_000));
+    now += there;
+    let down = numbers.between(300_000, 900_000);
+    add(0, stage::DOWNLOAD, 1, there, transit(started + now, down));
+    now += Span::from_nanos(down);
+    add(0, stage::ACTUATION, 0, now, Measure::Timer(Some(Span::from_micros(12))));
+    now += Span::from_micros(12);
+    add(0, stage::UPLOAD_BYTES, 0, now, Measure::Value(150_000.0, Unit::BYTES));
+    let rate = 150_000.0 * 8.0 / (up as f64 * 1e-9);
+    let rate = Rate { value: Some(rate), bounds: Some((rate * 0.9, f64::INFINITY)) };
+    add(0, stage::UPLOAD_THROUGHPUT, 0, now, Measure::Throughput(rate));
+    add(0, "tokens-per-second".into(), 1, there, Measure::TokenRate(None));
+    add(0, "gpu-power".into(), 1, there, Measure::Custom("power".into(), Unit::WATTS, Some(11.5)));
+    add(0, "gripper".into(), 0, now, Measure::Custom("value".into(), Unit::NONE, None));
+    add(0, stage::TOTAL, 0, Span::ZERO, Measure::Timer(Some(now)));
+    add(0, stage::STAGES_TOTAL, 0, Span::ZERO, Measure::Timer(Some(now)));
+    add(0, stage::UNATTRIBUTED, 0, Span::ZERO, Measure::Timer(Some(Span::ZERO)));
+    let root = Node {
+        parent: None,
+        name: stage::ITERATION,
+        host: HostIndex::EDGE,
+        start: Span::ZERO,
+        measure: Measure::Container,
+    };
+    nodes.insert(0, root);
+    let anchors = vec![
+        Anchor { host: edge, wall: started },
+        Anchor { host: cloud, wall: started + Span::from_millis(9) },
+    ];
+    let tree = Tree::from_parts(anchors, nodes).expect("a tree");
+    Iteration { run, number, episode: 0, step: number as u32, warm_up: false, outcome: Outcome::Ok, tree }
+}
+
+fn transit(sent: WallTime, nanos: i64) -> Measure {
+    let span = Span::from_nanos(nanos);
+    let half = Span::from_micros(40);
+    let delay = OneWayDelay {
+        bounds: Some(Interval { lo: span - half, hi: span + half }),
+        verdict: Verdict::Limited,
+        ..OneWayDelay::same_clock(span)
+    };
+    Measure::Transit(Box::new(Transit { sent, received: Some(sent + span), delay: Some(delay) }))
+}

@@ -1,0 +1,154 @@
+//! Both lanes from agents to readers.
+
+use peernet_aggregator::{Readiness, RunFilter};
+use peernet_logger::stream::{
+    Event, Iteration, OutcomeCounts, PipelineLive, PipelineState, RunEnded, Second,
+};
+use peernet_logger::{HostId, RunId, stage};
+use peernet_statistics::Summary;
+
+use crate::bed::Bed;
+use crate::generate;
+
+fn iterations(run: RunId, edge: HostId, numbers: std::ops::RangeInclusive<u64>) -> Vec<Iteration> {
+    let cloud = HostId::from_bytes([7; 16]);
+    let mut random = generate::Numbers(*numbers.start());
+    numbers.map(|n| generate::iteration(run, n, (edge, cloud), &mut random)).collect()
+}
+
+fn events(iterations: &[Iteration]) -> impl Iterator<Item = Event> {
+    iterations.iter().cloned().map(Event::Iteration)
+}
+
+fn live(run: RunId, at: i64, totals: &[f64]) -> PipelineLive {
+    let mut summary = Summary::default();
+    totals.iter().for_each(|total| summary.record(*total));
+    PipelineLive {
+        pipeline: "line".parse().expect("a name"),
+        state: PipelineState::Running,
+        run: Some(run),
+        placement: generate::remote(),
+        load: "5 Hz".into(),
+        seconds: vec![Second {
+            at,
+            counts: OutcomeCounts { ok: totals.len() as u64, ..OutcomeCounts::default() },
+            values: vec![(stage::TOTAL, summary)],
+            bounds: vec![],
+            verdicts: vec![],
+        }],
+    }
+}
+
+#[tokio::test]
+async fn what_agents_send_is_what_readers_get() {
+    let mut bed = Bed::new().await;
+    let (mut one, mut two) = (bed.agent("one").await, bed.agent("two").await);
+    let runs = [RunId::random(), RunId::random()];
+    let sent = [iterations(runs[0], one.id, 1..=300), iterations(runs[1], two.id, 1..=200)];
+    for (agent, (run, sent)) in [&mut one, &mut two].into_iter().zip(runs.iter().zip(&sent)) {
+        agent.offer([generate::run_started(*run, "line", generate::at(0.0))]);
+        agent.offer(events(sent));
+        agent.offer([Event::RunEnded(RunEnded {
+            run: *run,
+            ended: generate::at(60.0),
+            reason: "finished".into(),
+        })]);
+    }
+    tokio::join!(one.until_stored(), two.until_stored());
+    assert_eq!((one.accounting().stored, two.accounting().stored, one.accounting().dropped), (302, 202, 0));
+
+    let store = bed.aggregator().store();
+    let listed = store.runs(&RunFilter::default()).await.expect("answers");
+    assert_eq!(listed.len(), 2);
+    for summary in &listed {
+        let which = runs.iter().position(|run| *run == summary.id).expect("one of them");
+        assert_eq!(summary.counts.ok, sent[which].len() as u64);
+        assert_eq!(summary.host, [one.id, two.id][which]);
+        assert_eq!(summary.reason.as_deref(), Some("finished"));
+        for iteration in sent[which].iter().step_by(37) {
+            let detail = store.iteration(summary.number, iteration.number).await.expect("answers");
+            assert_eq!(detail.expect("stored").tree, iteration.tree);
+        }
+    }
+    assert_eq!(bed.count("SELECT count(*) FROM node").await, 500 * 21);
+    let picture = bed.picture("both accounts", |picture| {
+        picture.hosts.len() == 2 && picture.hosts.iter().map(|host| host.stored.events).sum::<u64>() == 504
+    });
+    assert_eq!(picture.await.hosts.iter().map(|host| host.stored.nodes).sum::<u64>(), 500 * 21);
+    bed.stop().await;
+}
+
+#[tokio::test]
+async fn a_restart_in_the_middle_loses_nothing_and_stores_nothing_twice() {
+    let mut bed = Bed::new().await;
+    let mut agent = bed.agent("edge").await;
+    let run = RunId::random();
+    agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
+    for part in 0..4_u64 {
+        agent.offer(events(&iterations(run, agent.id, part * 500 + 1..=part * 500 + 500)));
+        let half = agent.accounting().stored + 250;
+        agent.until("half of it is stored", |agent| agent.accounting().stored >= half).await;
+        bed.stop().await;
+        bed.start().await;
+    }
+    agent.until_stored().await;
+    assert_eq!(agent.accounting().stored, 2_001);
+    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 2_000);
+    assert_eq!(bed.count("SELECT count(*) FROM node").await, 2_000 * 21);
+    assert_eq!(bed.count("SELECT ok FROM run").await, 2_000);
+    assert_eq!(bed.count("SELECT count(*) FROM gap").await, 0);
+    let stages = bed.aggregator().store().stages(1).await.expect("answers");
+    let total = stages.iter().find(|known| known.stage == "total").expect("measured");
+    assert_eq!(total.figures.count, 2_000);
+    bed.stop().await;
+}
+
+#[tokio::test]
+async fn nothing_is_acknowledged_before_it_is_on_disk_and_the_picture_lives_on() {
+    let mut bed = Bed::new().await;
+    let mut agent = bed.agent("edge").await;
+    agent.until_up().await;
+    bed.picture("the host", |picture| picture.hosts.len() == 1).await;
+    // The greeting is stored before the lock.
+    let run = RunId::random();
+    agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
+    agent.until_stored().await;
+
+    let mut other = bed.connection().await;
+    sqlx::raw_sql("BEGIN EXCLUSIVE").execute(&mut other).await.expect("locks");
+    agent.offer(events(&iterations(run, agent.id, 1..=100)));
+    agent.until("storing is seen to fail", |_| bed.aggregator().ready() != Readiness::Ready).await;
+    let Readiness::NotStoring(reason) = bed.aggregator().ready() else { panic!("not storing") };
+    assert!(reason.contains("locked"), "{reason}");
+    assert_eq!((agent.accounting().stored, agent.accounting().waiting), (1, 100));
+
+    let second = bed.clock.wall().unix_seconds();
+    agent.live(vec![live(run, second, &[0.020; 7])]).await;
+    let picture = bed.picture("the second", |picture| {
+        picture.pipelines.first().is_some_and(|line| line.windows[2].counts.ok == 7)
+    });
+    let picture = picture.await;
+    assert_eq!((picture.pipelines[0].run_number, picture.hosts[0].accounting.waiting), (Some(1), 100));
+    assert!(picture.hosts[0].behind.is_some());
+
+    sqlx::raw_sql("ROLLBACK").execute(&mut other).await.expect("unlocks");
+    agent.until_stored().await;
+    assert_eq!(bed.aggregator().ready(), Readiness::Ready);
+    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 100);
+    bed.stop().await;
+}
+
+#[tokio::test]
+async fn what_was_let_in_before_a_stop_is_stored_and_acknowledged() {
+    let mut bed = Bed::new().await;
+    let mut agent = bed.agent("edge").await;
+    agent.until_up().await;
+    let run = RunId::random();
+    agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
+    agent.offer(events(&iterations(run, agent.id, 1..=400)));
+    agent.until("some is stored", |agent| agent.accounting().stored > 0).await;
+    bed.stop().await;
+    let stored = bed.count("SELECT ok FROM run").await as u64 + 1;
+    agent.until("all acknowledgements are here", |agent| agent.accounting().stored >= stored).await;
+    assert_eq!(agent.accounting().stored, stored);
+}

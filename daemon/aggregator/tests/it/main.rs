@@ -1,0 +1,9 @@
+//! The whole aggregator: real sockets, real SQLite files, agents that speak the real protocol.
+
+mod agent;
+mod bed;
+#[expect(unreachable_pub, reason = "shared with the unit tests and the benchmark")]
+mod generate;
+mod lanes;
+mod starting;
+mod trouble;

@@ -1,0 +1,155 @@
+//! Reading the file and checking everything it names.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::{fmt, io};
+
+use peernet_agent::config::{AgentConfig, HostConfig, PipelineConfig, ServeConfig};
+use peernet_agent::Agent;
+use peernet_aggregator::{Aggregator, AggregatorConfig};
+use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
+use peernet_inference::{ModelConfig, OnnxRuntimeConfig};
+use peernet_web::WebConfig;
+use serde::Deserialize;
+
+use super::Locator;
+use crate::lifecycle::LifecycleConfig;
+use crate::log::LogConfig;
+
+/// The whole file.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    #[serde(default)]
+    log: LogConfig,
+    #[serde(default)]
+    lifecycle: LifecycleConfig,
+    aggregator: Option<AggregatorConfig>,
+    web: Option<WebConfig>,
+    agent: Option<HostConfig>,
+    serve: Option<ServeConfig>,
+    #[serde(default)]
+    model: Vec<ModelConfig>,
+    onnxruntime: Option<OnnxRuntimeConfig>,
+    #[serde(default)]
+    pipeline: Vec<PipelineConfig>,
+}
+
+/// What a configuration file switches on.
+#[derive(Debug)]
+pub(crate) struct Configuration {
+    pub(crate) log: LogConfig,
+    pub(crate) lifecycle: LifecycleConfig,
+    pub(crate) aggregator: Option<AggregatorConfig>,
+    pub(crate) web: Option<WebConfig>,
+    pub(crate) agent: Option<AgentConfig>,
+}
+
+/// Something in a configuration file that cannot work.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct Problem {
+    file: PathBuf,
+    line: Option<usize>,
+    key: String,
+    text: String,
+}
+
+impl fmt::Display for Problem {
+    /// `FILE:LINE: KEY: what is wrong and what to do`
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.file.display())?;
+        if let Some(line) = self.line {
+            write!(f, ":{line}")?;
+        }
+        if !self.key.is_empty() {
+            write!(f, ": {}", self.key)?;
+        }
+        write!(f, ": {}", self.text)
+    }
+}
+
+/// Reads a configuration file and checks everything that it names without starting anything.
+///
+/// # Errors
+/// All problems found; more than one where the file could be read.
+pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
+    let problem =
+        |line, key: &str, text: String| Problem { file: path.to_owned(), line, key: key.to_owned(), text };
+    let text = std::fs::read_to_string(path)
+        .map_err(|error| vec![problem(None, "", format!("cannot read the configuration: {error}"))])?;
+    let file: File = toml::from_str(&text).map_err(|error| {
+        let line =
+            error.span().map(|span| text.bytes().take(span.start).filter(|byte| *byte == b'\n').count() + 1);
+        vec![problem(line, "", error.message().to_owned())]
+    })?;
+
+    let found = roles(&file).into_iter().map(str::to_owned).map(|text| ("".to_owned(), text));
+    let configuration = Configuration::from(file);
+    let problems: Vec<(String, String)> = found.chain(configuration.check()).collect();
+    if problems.is_empty() {
+        return Ok(configuration);
+    }
+    let locator = Locator::new(&text);
+    Err(problems.into_iter().map(|(key, text)| problem(locator.line(&key), &key, text)).collect())
+}
+
+/// Tables that make no sense together or alone.
+fn roles(file: &File) -> Option<&'static str> {
+    if file.agent.is_none() && file.aggregator.is_none() {
+        return Some("no role is switched on: add a table [agent], a table [aggregator], or both");
+    }
+    let for_agent = file.serve.is_some() || !file.model.is_empty() || !file.pipeline.is_empty();
+    if file.agent.is_none() && for_agent {
+        return Some("[serve], [[model]] and [[pipeline]] belong to an agent: add a table [agent]");
+    }
+    if file.aggregator.is_none() && file.web.is_some() {
+        return Some("[web] shows what an aggregator has: add a table [aggregator], or remove [web]");
+    }
+    None
+}
+
+impl From<File> for Configuration {
+    fn from(file: File) -> Self {
+        let agent = file.agent.map(|agent| AgentConfig {
+            agent,
+            serve: file.serve,
+            models: file.model,
+            onnxruntime: file.onnxruntime.unwrap_or_default(),
+            pipelines: file.pipeline,
+        });
+        Self { log: file.log, lifecycle: file.lifecycle, aggregator: file.aggregator, web: file.web, agent }
+    }
+}
+
+impl Configuration {
+    /// This machine's clock, under the identity that the agent's table gives it.
+    ///
+    /// # Errors
+    /// When the kernel's boot id cannot be read.
+    pub(crate) fn clock(&self) -> io::Result<SharedClock> {
+        let name = self.agent.as_ref().map_or(ClockIdentity::SYSTEM, |agent| &agent.agent.clock_identity);
+        Ok(Arc::new(SystemClock::new(ClockIdentity::of_this_machine(name)?)))
+    }
+
+    /// Key and text of everything that each role finds wrong with its tables.
+    fn check(&self) -> Vec<(String, String)> {
+        let mut problems = Vec::new();
+        if let Some(config) = &self.aggregator {
+            let found = Aggregator::check(config).into_iter();
+            problems.extend(found.map(|problem| (format!("aggregator.{}", problem.key), problem.message)));
+        }
+        if let Some(config) = &self.web {
+            let found = config.check().into_iter();
+            problems.extend(found.map(|problem| (format!("web.{}", problem.key), problem.message)));
+        }
+        match (&self.agent, self.clock()) {
+            (Some(config), Ok(clock)) => {
+                let found = Agent::check(config, &clock).into_iter();
+                problems.extend(found.map(|problem| (problem.key, problem.text)));
+            }
+            (Some(_), Err(error)) => problems.push(("agent.clock_identity".to_owned(), error.to_string())),
+            (None, _) => {}
+        }
+        problems
+    }
+}
