@@ -42,7 +42,7 @@ placement = { kind = "local", model = "classifier" }
 [[pipeline]]
 name = "one"
 sensor = { kind = "synthetic", size_bytes = 10 }
-placement = { kind = "remote", peer = "somewhere", network = "zmq-tcp", model = "echo" }
+placement = { kind = "remote", peer = "tcp://127.0.0.1:{data}", network = "zmq-tcp", model = "echo" }
 "#,
     );
     assert_eq!(code, CONFIGURATION, "{said}");
@@ -50,10 +50,16 @@ placement = { kind = "remote", peer = "somewhere", network = "zmq-tcp", model = 
         "it.toml:8: pipeline[0].sensor",
         "it.toml:9: pipeline[0].placement.model",
         "it.toml:12: pipeline[1].name",
-        "it.toml:14: pipeline[1].placement.peer",
     ] {
         assert!(said.contains(part), "{part} is missing in:\n{said}");
     }
+}
+
+#[test]
+fn a_value_that_cannot_be_read_is_named_with_its_key() {
+    let (code, said) = check(&Site::new(), "[agent]\nname = \"edge\"\naggregator = \"somewhere\"\n");
+    assert_eq!(code, CONFIGURATION, "{said}");
+    assert!(said.contains("it.toml:3: agent.aggregator: \"somewhere\""), "{said}");
 }
 
 #[test]

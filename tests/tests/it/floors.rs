@@ -15,8 +15,11 @@ const FLOORS: [&[&str]; 6] = [
 
 #[test]
 fn every_crate_imports_from_floors_below_its_own() {
-    let floor_of: BTreeMap<&str, usize> =
-        FLOORS.iter().enumerate().flat_map(|(floor, crates)| crates.iter().map(move |name| (*name, floor))).collect();
+    let floor_of: BTreeMap<&str, usize> = FLOORS
+        .iter()
+        .enumerate()
+        .flat_map(|(floor, crates)| crates.iter().map(move |name| (*name, floor)))
+        .collect();
     let metadata = MetadataCommand::new()
         .manifest_path(peernet_tests::root().join("Cargo.toml"))
         .no_deps()
@@ -38,7 +41,12 @@ fn every_crate_imports_from_floors_below_its_own() {
             if let Some(below) = floor_of.get(dependency.name.as_str())
                 && below >= floor
             {
-                wrong.push(format!("{name} (floor {}) imports {} (floor {})", floor + 1, dependency.name, below + 1));
+                wrong.push(format!(
+                    "{name} (floor {}) imports {} (floor {})",
+                    floor + 1,
+                    dependency.name,
+                    below + 1
+                ));
             }
         }
     }

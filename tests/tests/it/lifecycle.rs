@@ -80,8 +80,12 @@ fn ctrl_c_ends_it_as_sigterm_does() {
 fn under_journald_lines_carry_priorities_instead_of_times() {
     let site = Site::new();
     site.write("edge.toml", AGENT);
-    let daemon =
-        Process::start(&program("peernetd"), &["run", "edge.toml"], site.folder(), &[("JOURNAL_STREAM", "8:1")]);
+    let daemon = Process::start(
+        &program("peernetd"),
+        &["run", "edge.toml"],
+        site.folder(),
+        &[("JOURNAL_STREAM", "8:1")],
+    );
     let line = daemon.wait_for("ready");
     assert!(line.starts_with("<6>"), "{line}");
     assert_eq!(daemon.stop().code(), 0);

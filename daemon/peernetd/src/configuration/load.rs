@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::{fmt, io};
 
-use peernet_agent::config::{AgentConfig, HostConfig, PipelineConfig, ServeConfig};
 use peernet_agent::Agent;
+use peernet_agent::config::{AgentConfig, HostConfig, PipelineConfig, ServeConfig};
 use peernet_aggregator::{Aggregator, AggregatorConfig};
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
 use peernet_inference::{ModelConfig, OnnxRuntimeConfig};
@@ -77,10 +77,10 @@ pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
         |line, key: &str, text: String| Problem { file: path.to_owned(), line, key: key.to_owned(), text };
     let text = std::fs::read_to_string(path)
         .map_err(|error| vec![problem(None, "", format!("cannot read the configuration: {error}"))])?;
-    let file: File = toml::from_str(&text).map_err(|error| {
-        let line =
-            error.span().map(|span| text.bytes().take(span.start).filter(|byte| *byte == b'\n').count() + 1);
-        vec![problem(line, "", error.message().to_owned())]
+    let locator = Locator::new(&text);
+    let file: File = read(&text).map_err(|(key, error)| {
+        let line = error.span().map(|span| locator.line_at(span.start));
+        vec![problem(line, &key, error.message().to_owned())]
     })?;
 
     let found = roles(&file).into_iter().map(str::to_owned).map(|text| ("".to_owned(), text));
@@ -89,8 +89,16 @@ pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
     if problems.is_empty() {
         return Ok(configuration);
     }
-    let locator = Locator::new(&text);
     Err(problems.into_iter().map(|(key, text)| problem(locator.line(&key), &key, text)).collect())
+}
+
+/// The file's content, or the key that could not be read and why.
+fn read(text: &str) -> Result<File, (String, toml::de::Error)> {
+    let document = toml::Deserializer::parse(text).map_err(|error| (String::new(), error))?;
+    serde_path_to_error::deserialize(document).map_err(|error| {
+        let key = error.path().to_string();
+        (if key == "." { String::new() } else { key }, error.into_inner())
+    })
 }
 
 /// Tables that make no sense together or alone.

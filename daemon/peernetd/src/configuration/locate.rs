@@ -48,7 +48,8 @@ impl<'a> Locator<'a> {
         line
     }
 
-    fn line_at(&self, offset: usize) -> usize {
+    /// The line, from 1, of a byte of the text.
+    pub(crate) fn line_at(&self, offset: usize) -> usize {
         self.text.bytes().take(offset).filter(|byte| *byte == b'\n').count() + 1
     }
 }
