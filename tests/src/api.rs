@@ -30,7 +30,8 @@ impl Api {
     /// # Panics
     /// When it cannot be had.
     pub fn json(&self, path: &str) -> Value {
-        let (status, text) = self.get(path).unwrap_or_else(|| panic!("nobody answers at {}{path}", self.base));
+        let (status, text) =
+            self.get(path).unwrap_or_else(|| panic!("nobody answers at {}{path}", self.base));
         assert_eq!(status, 200, "{path}: {text}");
         serde_json::from_str(&text).unwrap_or_else(|error| panic!("{path} is no JSON ({error}): {text}"))
     }

@@ -59,7 +59,8 @@ impl Process {
         let log = Arc::new(Log::default());
         let out = child.stdout.take().map(|pipe| log.clone().follow(pipe));
         let err = child.stderr.take().map(|pipe| log.clone().follow(pipe));
-        let name = arguments.last().map_or_else(String::new, |last| last.as_ref().to_string_lossy().into_owned());
+        let name =
+            arguments.last().map_or_else(String::new, |last| last.as_ref().to_string_lossy().into_owned());
         Self { name, child, log, readers: out.into_iter().chain(err).collect() }
     }
 

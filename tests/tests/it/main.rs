@@ -1,5 +1,7 @@
 //! End-to-end tests: the real programs, started as a user or systemd starts them.
 
+mod chain;
 mod configuration;
 mod floors;
 mod lifecycle;
+mod trouble;

@@ -1,0 +1,152 @@
+"""Paints a machined part: face, chamfers, walls of the plate and its holes, shadow on the belt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+import part
+import surface
+from noise import smooth_noise
+from scene import Light, Pose, Scene
+from view import View, Window, warp, window
+
+WALL_LEVELS = (0.0, 0.2, 0.4, 0.6, 0.8)  # heights of the walls' slices, of the thickness
+SHADOW_LEVELS = (0.12, 0.35, 0.6, 0.8, 1.0)  # heights of what casts the shadow, of the thickness
+SHADOW_REACH = 26.0  # mm around the part that its shadow may darken
+FAR = 20.0  # mm: distance that stands for all beyond the map
+
+Vector = tuple[np.ndarray, np.ndarray, np.ndarray]  # x, y, z per pixel, each float32 [rows, columns]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A part as the pixels of one window of the picture see it."""
+
+    face: surface.Surface
+    view: View
+    pose: Pose
+    where: Window
+
+    def map(self, field: np.ndarray, level: float = 1.0) -> np.ndarray:
+        """A map of the face, read where each pixel meets the height `level` (of the thickness)."""
+        return warp(field, self.face.texels, self.view, self.pose, self.where, level * part.THICKNESS)
+
+    def distance(self, level: float) -> np.ndarray:
+        """Distance in mm from the part's edge at the height `level`."""
+        return FAR - self.map(np.maximum(FAR - self.face.edge, 0), level)
+
+    def distance_above_belt(self, shift: tuple[float, float]) -> np.ndarray:
+        """Distance in mm from the part's edge, `shift` mm away from where each pixel meets the belt."""
+        inside = np.maximum(FAR - self.face.edge, 0)
+        return FAR - warp(inside, self.face.texels, self.view, self.pose, self.where, 0.0, shift)
+
+    def cover(self, level: float) -> np.ndarray:
+        """Share of each pixel that the part covers at the height `level`: 0..1, [rows, columns, 1]."""
+        return np.clip(0.5 - self.distance(level) * self.view.scale, 0, 1)[..., None]
+
+    def turned(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A direction in the part's frame (maps of the face), read at the top and turned into the world's."""
+        c, s = np.float32(np.cos(self.pose.angle)), np.float32(np.sin(self.pose.angle))
+        u, v = self.map(x), self.map(y)
+        return c * u - s * v, s * u + c * v
+
+
+def as_good(scene: Scene) -> Scene:
+    """The scene with a part that has no defect."""
+    return replace(scene, missing=None, scratches=(), dents=())
+
+
+def lamp_direction(light: Light) -> np.ndarray:
+    """Unit vector [3] from the belt to the lamp."""
+    flat = np.cos(light.elevation)
+    return np.array([flat * np.cos(light.azimuth), flat * np.sin(light.azimuth), np.sin(light.elevation)])
+
+
+def paint(canvas: np.ndarray, scene: Scene, pose: Pose, view: View, rng: np.random.Generator) -> float:
+    """Paints the part into `canvas` (linear light, [height, width, 3]) and returns its face's mean brightness."""
+    where = window(view, pose, SHADOW_REACH)
+    if where.empty:
+        return 0.0
+    seen = Seen(surface.build(scene, min(1.25 * view.scale, 8.0), rng), view, pose, where)
+    patch = canvas[where.slices]
+    _shadow(patch, seen, scene.light)
+    _walls(patch, seen, scene, rng)
+    face = _face(seen, scene)
+    patch += (face - patch) * seen.cover(1.0)
+    flat = seen.distance(1.0) < -4
+    return float(face[flat].mean()) if flat.any() else 0.0
+
+
+def _shadow(patch: np.ndarray, seen: Seen, light: Light) -> None:
+    """Darkens the belt where the plate keeps the lamp off, softer for what is higher."""
+    lamp = lamp_direction(light)
+    reach = lamp[:2] / lamp[2] * part.THICKNESS
+    shade = np.zeros(patch.shape[:2], np.float32)
+    for level in SHADOW_LEVELS:
+        soft = 0.4 + 2 * light.softness * part.THICKNESS * level
+        away = seen.distance_above_belt((reach[0] * level, reach[1] * level))
+        shade = np.maximum(shade, np.clip(0.5 - away / soft, 0, 1))
+    contact = np.exp(-np.maximum(seen.distance(0.0), 0) / 3.0)
+    patch *= (1 - (1 - 0.5 * light.ambient) * shade)[..., None]
+    patch *= (1 - 0.45 * contact)[..., None]
+
+
+def _walls(patch: np.ndarray, seen: Seen, scene: Scene, rng: np.random.Generator) -> None:
+    """The sides of the plate and of its holes, as slices from the belt upwards."""
+    out_y, out_x = np.gradient(seen.face.edge, 1 / seen.face.texels)
+    c, s = np.cos(seen.pose.angle), np.sin(seen.pose.angle)
+    lamp = lamp_direction(scene.light)
+    lit = np.clip((c * out_x - s * out_y) * lamp[0] + (s * out_x + c * out_y) * lamp[1], 0, 1)
+    streaks = 1 + 0.06 * smooth_noise(rng, patch.shape[:2], 2.5)
+    for level in WALL_LEVELS:
+        bright = (0.10 + 0.12 * level + 0.42 * seen.map(lit, level) * (0.4 + 0.6 * level)) * streaks
+        colour = bright[..., None] * np.asarray(scene.metal, np.float32)
+        patch += (colour - patch) * seen.cover(level)
+
+
+def _face(seen: Seen, scene: Scene) -> np.ndarray:
+    """Linear light [rows, columns, 3] of the top face, as if it covered the window."""
+    slope_x, slope_y = seen.turned(seen.face.slope_x, seen.face.slope_y)
+    upright = 1 / np.sqrt(1 + slope_x**2 + slope_y**2)
+    normal = (-slope_x * upright, -slope_y * upright, upright)
+    along = seen.turned(seen.face.along_x, seen.face.along_y)
+    to_lamp, half = _directions(scene.light, seen)
+    rough = seen.map(seen.face.rough) + (0.5 if scene.surface == "blasted" else 0.0)
+    gloss = _gloss(normal, along, half, rough)
+    diffuse = np.maximum(_dot(normal, to_lamp), 0)
+    sky = scene.light.ambient * (0.55 + 0.45 * normal[2] ** 3 + 0.12 * normal[1])
+    bright = seen.map(seen.face.albedo) * (sky * 0.55 + 0.30 * diffuse + 1.15 * gloss * (diffuse > 0))
+    return bright[..., None] * np.asarray(scene.metal, np.float32)
+
+
+def _dot(a: Vector, b: Vector) -> np.ndarray:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _unit(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> Vector:
+    length = np.sqrt(x**2 + y**2 + z**2)
+    return x / length, y / length, z / length
+
+
+def _directions(light: Light, seen: Seen) -> tuple[Vector, Vector]:
+    """Unit vectors to the lamp, and half way between lamp and camera, over the top face."""
+    rows, columns = seen.where.slices
+    x, y = (field[rows, columns] for field in seen.view.points(part.THICKNESS))
+
+    def toward(point: np.ndarray) -> Vector:
+        return _unit(point[0] - x, point[1] - y, np.full_like(x, point[2] - part.THICKNESS))
+
+    to_lamp = toward((lamp_direction(light) * light.distance).astype(np.float32))
+    to_camera = toward(seen.view.position.astype(np.float32))
+    return to_lamp, _unit(*(a + b for a, b in zip(to_lamp, to_camera, strict=True)))
+
+
+def _gloss(normal: Vector, along: tuple[np.ndarray, np.ndarray], half: Vector, rough: np.ndarray) -> np.ndarray:
+    """Ward's highlight, wide across the machining marks and narrow along them, 0..1."""
+    level = np.maximum(_dot(normal, half), 0.05)
+    lift = (half[0] - normal[0] * level) * along[0] + (half[1] - normal[1] * level) * along[1]
+    side = np.maximum(1 - level**2 - lift**2, 0)
+    a, b = 0.19 + 0.25 * rough, 0.40 + 0.15 * rough
+    return np.exp(-((lift / a) ** 2 + side / b**2) / level**2) * (1 - 0.45 * rough)

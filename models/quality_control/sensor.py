@@ -1,0 +1,73 @@
+"""The camera after the lens: exposure, colour of the light, glow, vignette, blur, tone curve, noise."""
+
+from __future__ import annotations
+
+import numpy as np
+from PIL import Image, ImageFilter
+
+from noise import blurred
+from scene import Scene
+
+
+def expose(light: np.ndarray, face: float, scene: Scene, rng: np.random.Generator) -> Image.Image:
+    """The 8-bit RGB picture of linear light [height, width, 3]; `face` is the part's mean brightness."""
+    height, width, _ = light.shape
+    unit = width / 1280
+    camera = scene.camera
+    light = (
+        light
+        * (camera.exposure / max(face, 0.05))
+        * _tint(scene)
+        * _vignette(height, width, camera.vignette)[..., None]
+    )
+    glare = np.maximum(light.mean(axis=2) - 0.8, 0)
+    light += 0.25 * blurred(glare, 40 * unit)[..., None]
+    image = Image.fromarray((_tone(light) * 255 + 0.5).astype(np.uint8))
+    image = image.filter(ImageFilter.GaussianBlur(camera.blur * unit))
+    image = _moved(image, camera.motion * unit)
+    if camera.sharpen > 0.1:
+        image = image.filter(ImageFilter.UnsharpMask(1.5 * unit, round(100 * camera.sharpen), 1))
+    return _noisy(image, camera.noise, unit, rng)
+
+
+def _tint(scene: Scene) -> np.ndarray:
+    """Gains of red, green and blue that the camera's white balance did not take out."""
+    warm = scene.light.temperature
+    return np.array([1 + 0.14 * warm, 1 + 0.01 * warm, 1 - 0.16 * warm], np.float32)
+
+
+def _vignette(height: int, width: int, strength: float) -> np.ndarray:
+    """Gain [height, width], 1 in the middle."""
+    x = np.linspace(-1, 1, width, dtype=np.float32)[None, :]
+    y = np.linspace(-0.75, 0.75, height, dtype=np.float32)[:, None]
+    return 1 / (1 + strength * (x**2 + y**2) / 1.2) ** 1.5
+
+
+def _tone(light: np.ndarray) -> np.ndarray:
+    """Linear light to 0..1 for the screen: straight below, a soft shoulder above, then gamma and some contrast."""
+    knee = 0.6
+    over = np.maximum(light - knee, 0)
+    soft = np.minimum(light, knee) + (1 - knee) * (1 - np.exp(-over / (1 - knee)))
+    level = np.linspace(0, 1, 4096) ** (1 / 2.2)
+    table = (0.7 * level + 0.3 * level**2 * (3 - 2 * level)).astype(np.float32)
+    return table[(np.clip(soft, 0, 1) * 4095).astype(np.int32)]
+
+
+def _moved(image: Image.Image, length: float) -> Image.Image:
+    """The picture smeared along the belt over `length` pixels."""
+    steps = round(length)
+    if steps < 2:
+        return image
+    pixels = np.asarray(image, np.float32)
+    total = sum(np.roll(pixels, k - steps // 2, axis=1) for k in range(steps))
+    return Image.fromarray((total / steps + 0.5).astype(np.uint8))
+
+
+def _noisy(image: Image.Image, level: float, unit: float, rng: np.random.Generator) -> Image.Image:
+    """Adds shot and read noise; `level` is its deviation of 255 at mid grey in a picture 1280 wide."""
+    pixels = np.asarray(image, np.float32)
+    grain = rng.standard_normal(pixels.shape[:2], np.float32)[..., None]
+    colour = rng.standard_normal(pixels.shape, np.float32)
+    strength = level * np.sqrt(unit) * (0.5 + 0.6 * np.sqrt(pixels / 255))
+    pixels = pixels + strength * (0.85 * grain + 0.4 * colour)
+    return Image.fromarray((np.clip(pixels, 0, 255) + 0.5).astype(np.uint8))

@@ -1,0 +1,152 @@
+//! From the sensor to the store and the page, over three processes, with a real model on real pictures.
+
+use peernet_tests::{Site, root};
+use serde_json::Value;
+
+const CLOUD: &str = r#"
+[agent]
+name = "cloud"
+state_dir = "{folder}/cloud"
+aggregator = "tcp://127.0.0.1:{events}"
+
+[serve]
+listen = "tcp://127.0.0.1:{data}"
+
+[[model]]
+name = "quality-control"
+kind = "onnx"
+path = "{root}/models/quality-control"
+"#;
+
+const EDGE: &str = r#"
+[agent]
+name = "edge"
+state_dir = "{folder}/edge"
+aggregator = "tcp://127.0.0.1:{events}"
+
+[[pipeline]]
+name = "offload"
+sensor = { kind = "images", path = "{root}/models/quality-control/pictures" }
+transforms = [{ kind = "resize", width = 320, height = 240 }, { kind = "encode", format = "jpeg", quality = 85 }]
+placement = { kind = "remote", peer = "tcp://127.0.0.1:{data}", model = "quality-control" }
+load = { mode = "rate", hz = 20.0 }
+limit = { iterations = 40 }
+actuator = { kind = "log" }
+"#;
+
+/// Stages of an offloaded iteration with a transform, in the order of every table.
+const STAGES: [&str; 10] = [
+    "sensing",
+    "encode",
+    "send-queue",
+    "upload",
+    "queue",
+    "preprocessing",
+    "inference",
+    "postprocessing",
+    "download",
+    "actuation",
+];
+
+fn number(value: &Value, key: &str) -> f64 {
+    value[key].as_f64().unwrap_or_else(|| panic!("{key} is no number in {value}"))
+}
+
+#[test]
+fn an_offloaded_picture_is_measured_stage_by_stage_and_stored() {
+    let site = Site::new();
+    let (_aggregator, api) = site.aggregator();
+    site.write("cloud.toml", CLOUD);
+    site.write("edge.toml", EDGE);
+    let cloud = site.start("cloud.toml");
+    let edge = site.start("edge.toml");
+
+    // Live, before anything else: the page and the API show the pipeline while it runs.
+    api.until("/api/v1/pipelines/edge/offload", |pipeline| {
+        (number(&pipeline["windows"][2]["counts"], "ok") > 0.0).then_some(())
+    });
+    let run = api.until("/api/v1/runs", |runs| {
+        let run = runs["runs"].get(0)?;
+        (run["reason"] == "finished").then(|| run["number"].as_i64())?
+    });
+
+    // Exactly what was asked for, warm-up kept and flagged.
+    let detail = api.json(&format!("/api/v1/runs/{run}"));
+    assert_eq!(
+        (detail["counts"]["ok"].as_u64(), detail["warm_up"].as_u64()),
+        (Some(40), Some(5)),
+        "{detail}"
+    );
+    assert_eq!(detail["placement"]["peer"], "cloud");
+
+    // One machine, one clock: every delay is exact, and stages plus the unattributed rest are the total.
+    let stages = api.json(&format!("/api/v1/runs/{run}/stages"));
+    let stages = stages["stages"].as_array().expect("a list");
+    let of = |name: &str| stages.iter().find(|stage| stage["name"] == name);
+    for name in STAGES {
+        let stage = of(name).unwrap_or_else(|| panic!("{name} is missing"));
+        assert_eq!(stage["count"], 40, "{stage}");
+        assert!(number(stage, "min") >= 0.0, "{stage}");
+    }
+    let means: f64 = STAGES.iter().filter_map(|name| of(name)).map(|stage| number(stage, "mean")).sum();
+    let rest = number(of("unattributed").expect("always recorded"), "mean");
+    let total = number(of("total").expect("always recorded"), "mean");
+    assert!((means + rest - total).abs() < 1e-9, "{means} + {rest} is not {total}");
+
+    // One tree from two hosts.
+    let iteration = api.json(&format!("/api/v1/runs/{run}/iterations/10"));
+    assert_eq!(iteration["tree"]["anchors"].as_array().map(Vec::len), Some(2), "{iteration}");
+    let nodes = iteration["tree"]["nodes"].as_array().expect("a list");
+    let upload = nodes.iter().find(|node| node["name"] == "upload").expect("an upload");
+    assert_eq!(upload["measure"]["transit"]["delay"]["source"], "same-clock", "{upload}");
+    let inference = nodes.iter().find(|node| node["name"] == "inference").expect("an inference");
+    assert_eq!(inference["host"], 1, "{inference}");
+
+    // The pages show it to a browser without script, too.
+    for page in ["/", "/runs", &format!("/runs/{run}"), &format!("/runs/{run}/iterations/10"), "/hosts"] {
+        let (status, text) = api.get(page).expect("the dashboard answers");
+        assert_eq!(status, 200, "{page}");
+        assert!(text.contains("offload") || page == "/hosts", "{page}");
+    }
+    assert_eq!(edge.stop().code(), 0);
+    assert_eq!(cloud.stop().code(), 0);
+}
+
+#[test]
+fn all_roles_in_one_process_lose_nothing_at_the_end() {
+    let site = Site::new();
+    let all = std::fs::read_to_string(root().join("configs/all-in-one.toml"))
+        .expect("the configuration is shipped");
+    let all = all
+        .replace("tcp://127.0.0.1:5550", "tcp://127.0.0.1:{events}")
+        .replace("tcp://127.0.0.1:5551", "tcp://127.0.0.1:{data}")
+        .replace("127.0.0.1:8040", "127.0.0.1:{http}")
+        .replace("models/quality-control", "{root}/models/quality-control");
+    site.write("all.toml", &all);
+    let api = peernet_tests::Api::at(site.http);
+
+    let first = site.start("all.toml");
+    api.until("/api/v1/runs", |runs| (number(&runs["runs"].get(1)?["counts"], "ok") > 20.0).then_some(()));
+    assert_eq!(first.stop().code(), 0);
+
+    // A second start finds the runs of the first ended, with all that was measured before it stopped.
+    let second = site.start("all.toml");
+    let runs = api.until("/api/v1/runs", |runs| {
+        let runs: Vec<Value> =
+            runs["runs"].as_array()?.iter().filter(|run| run["reason"] == "stopped").cloned().collect();
+        (runs.len() == 2).then_some(runs)
+    });
+    for run in &runs {
+        let iterations = api.json(&format!("/api/v1/runs/{}/iterations?limit=1000", run["number"]));
+        let iterations = iterations["iterations"].as_array().expect("a list");
+        let numbers: Vec<usize> = iterations
+            .iter()
+            .filter_map(|iteration| iteration["number"].as_u64())
+            .map(|n| n as usize)
+            .collect();
+        assert_eq!(numbers, (1..=numbers.len()).collect::<Vec<_>>(), "contiguous from the first to the last");
+        let ok = number(&run["counts"], "ok") + number(run, "warm_up");
+        assert_eq!(ok as usize, numbers.len(), "{run}");
+    }
+    assert_eq!(second.stop().code(), 0);
+}

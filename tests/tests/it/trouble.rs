@@ -1,0 +1,200 @@
+//! When things go wrong between real processes.
+
+use peernet_tests::{Api, Process, Site};
+use serde_json::Value;
+
+const CLOUD: &str = r#"
+[agent]
+name = "cloud"
+state_dir = "{folder}/cloud"
+aggregator = "tcp://127.0.0.1:{events}"
+
+[serve]
+listen = "tcp://127.0.0.1:{data}"
+
+[[model]]
+name = "echo"
+kind = "echo"
+
+[[model]]
+name = "slow"
+kind = "sleep"
+preprocessing_ms = 0
+inference_ms = 40
+postprocessing_ms = 0
+"#;
+
+fn edge(site: &Site, name: &str, model: &str) -> Process {
+    site.write(&format!("{name}.toml"), &EDGE.replace("NAME", name).replace("MODEL", model));
+    site.start(&format!("{name}.toml"))
+}
+
+const EDGE: &str = r#"
+[agent]
+name = "NAME"
+state_dir = "{folder}/NAME"
+aggregator = "tcp://127.0.0.1:{events}"
+
+[[pipeline]]
+name = "loop"
+sensor = { kind = "synthetic", size_bytes = 1000 }
+placement = { kind = "remote", peer = "tcp://127.0.0.1:{data}", model = "MODEL" }
+load = { mode = "rate", hz = 50.0 }
+"#;
+
+fn cloud(site: &Site) -> Process {
+    site.write("cloud.toml", CLOUD);
+    site.start("cloud.toml")
+}
+
+/// Iterations of the newest run by outcome.
+fn counts(api: &Api, host: &str) -> Option<Value> {
+    let runs = api.json("/api/v1/runs");
+    runs["runs"].as_array()?.iter().find(|run| run["host"] == host).map(|run| run["counts"].clone())
+}
+
+fn count(api: &Api, host: &str, outcome: &str) -> u64 {
+    counts(api, host).and_then(|counts| counts[outcome].as_u64()).unwrap_or_default()
+}
+
+#[test]
+fn a_cloud_that_comes_late_and_dies_and_returns() {
+    let site = Site::new();
+    let (_aggregator, api) = site.aggregator();
+    let edge = edge(&site, "edge", "slow");
+    let said = edge.wait_for("cannot reach a cloud");
+    assert!(said.contains("goes on by itself"), "{said}");
+
+    let first = cloud(&site);
+    peernet_tests::until("answers", || (count(&api, "edge", "ok") > 20).then_some(()));
+    assert_eq!(edge.log().matches("cannot reach a cloud").count(), 1, "said once:\n{}", edge.log());
+
+    first.kill();
+    let lost =
+        peernet_tests::until("lost iterations", || Some(count(&api, "edge", "lost")).filter(|n| *n > 0));
+    let answered = count(&api, "edge", "ok");
+    let second = cloud(&site);
+    peernet_tests::until("answers again", || (count(&api, "edge", "ok") > answered + 20).then_some(()));
+
+    let runs = api.json("/api/v1/runs");
+    assert_eq!(runs["runs"].as_array().map(Vec::len), Some(1), "the same run goes on: {runs}");
+    let unsuccessful = api.json("/api/v1/runs/1/iterations?unsuccessful=true");
+    let reason = unsuccessful["iterations"][0]["reason"].as_str().unwrap_or_default();
+    assert!(!reason.is_empty(), "a lost iteration says why: {unsuccessful}");
+    assert!(lost > 0);
+    assert_eq!(edge.stop().code(), 0);
+    assert_eq!(second.stop().code(), 0);
+}
+
+#[test]
+fn an_unknown_model_is_refused_with_what_exists() {
+    let site = Site::new();
+    let cloud = cloud(&site);
+    cloud.wait_for("ready");
+    let edge = edge(&site, "edge", "classifier");
+    let said = edge.wait_for("classifier");
+    let said = if said.contains("echo") { said } else { edge.wait_for("echo") };
+    assert!(said.contains("echo") && said.contains("slow"), "{said}");
+    assert_eq!(edge.stop().code(), 0);
+}
+
+#[test]
+fn agents_work_without_an_aggregator_and_deliver_when_it_comes() {
+    let site = Site::new();
+    let cloud = cloud(&site);
+    let edge = edge(&site, "edge", "echo");
+    edge.wait_for("connected to cloud");
+    edge.wait_for("aggregator");
+    let (aggregator, api) = site.aggregator();
+    peernet_tests::until("stored iterations", || (count(&api, "edge", "ok") > 100).then_some(()));
+
+    // It dies without a word and comes back on the same file: nothing twice, nothing missing.
+    aggregator.kill();
+    let (_aggregator, api) = site.aggregator();
+    let before = count(&api, "edge", "ok");
+    peernet_tests::until("more iterations", || (count(&api, "edge", "ok") > before + 100).then_some(()));
+    assert_eq!(edge.stop().code(), 0);
+    let iterations = api.json("/api/v1/runs/1/iterations?limit=100");
+    let numbers: Vec<u64> = iterations["iterations"]
+        .as_array()
+        .expect("a list")
+        .iter()
+        .filter_map(|i| i["number"].as_u64())
+        .collect();
+    assert_eq!(numbers, (1..=100).collect::<Vec<u64>>());
+    let detail = api.json("/api/v1/runs/1");
+    assert_eq!(detail["reason"], "stopped", "{detail}");
+    assert_eq!(cloud.stop().code(), 0);
+}
+
+#[test]
+fn two_hosts_of_one_name_and_a_host_that_crashed() {
+    let site = Site::new();
+    let (_aggregator, api) = site.aggregator();
+    let cloud = cloud(&site);
+    let first = edge(&site, "edge", "echo");
+    peernet_tests::until("stored iterations", || (count(&api, "edge", "ok") > 0).then_some(()));
+
+    site.write(
+        "impostor.toml",
+        &EDGE.replace("{folder}/NAME", "{folder}/impostor").replace("NAME", "edge").replace("MODEL", "echo"),
+    );
+    let impostor = site.start("impostor.toml");
+    let said = impostor.wait_for("refused");
+    assert!(said.contains("edge"), "{said}");
+    assert_eq!(impostor.stop().code(), 0);
+
+    first.kill();
+    let again = edge(&site, "edge", "echo");
+    peernet_tests::until("the second run", || {
+        let runs = api.json("/api/v1/runs");
+        (runs["runs"].as_array()?.len() == 2).then_some(())
+    });
+    assert_eq!(again.stop().code(), 0);
+    assert_eq!(cloud.stop().code(), 0);
+}
+
+#[test]
+fn a_broken_picture_is_one_failed_iteration() {
+    let site = Site::new();
+    let (_aggregator, api) = site.aggregator();
+    let pictures = site.folder().join("pictures");
+    std::fs::create_dir(&pictures).expect("the temporary folder is writable");
+    let good = peernet_tests::root().join("models/quality-control/pictures/part-0001.jpg");
+    std::fs::copy(&good, pictures.join("1.jpg")).expect("the demo's pictures are there");
+    std::fs::write(pictures.join("2.jpg"), b"this is not a picture")
+        .expect("the temporary folder is writable");
+    std::fs::copy(&good, pictures.join("3.jpg")).expect("the demo's pictures are there");
+    site.write(
+        "edge.toml",
+        r#"
+[agent]
+name = "edge"
+state_dir = "{folder}/edge"
+aggregator = "tcp://127.0.0.1:{events}"
+
+[[model]]
+name = "quality-control"
+kind = "onnx"
+path = "{root}/models/quality-control"
+
+[[pipeline]]
+name = "local"
+sensor = { kind = "images", path = "{folder}/pictures", repeat = false }
+placement = { kind = "local", model = "quality-control" }
+warm_up = { iterations = 0 }
+"#,
+    );
+    let edge = site.start("edge.toml");
+    let run = api.until("/api/v1/runs", |runs| {
+        let run = runs["runs"].get(0)?.clone();
+        (run["reason"] == "finished").then_some(run)
+    });
+    assert_eq!((run["counts"]["ok"].as_u64(), run["counts"]["failed"].as_u64()), (Some(2), Some(1)), "{run}");
+    let failed = api.json(&format!("/api/v1/runs/{}/iterations?unsuccessful=true", run["number"]));
+    assert!(
+        failed["iterations"][0]["reason"].as_str().is_some_and(|reason| reason.contains("2.jpg")),
+        "{failed}"
+    );
+    assert_eq!(edge.stop().code(), 0);
+}
