@@ -1,4 +1,9 @@
 //! What a pipeline does with an answer.
+//!
+//! A new kind is one file here plus one variant of [`ActuatorConfig`].
+
+mod log;
+mod none;
 
 use peernet_logger::Recorder;
 use peernet_sample::Sample;
@@ -27,4 +32,14 @@ pub enum ActuatorConfig {
     None,
     /// Writes each answer to the log.
     Log {},
+}
+
+impl ActuatorConfig {
+    /// The actuator.
+    pub fn build(&self) -> Box<dyn Actuator> {
+        match self {
+            Self::None => Box::new(none::Idle),
+            Self::Log {} => Box::new(log::Log),
+        }
+    }
 }

@@ -1,1 +1,22 @@
-//! peernet-imaging
+//! Pictures: reading their size, decoding, resizing, cropping, encoding.
+//!
+//! JPEG and PNG files, and decoded pixels of one byte per channel, as [`peernet_sample`] describes them. All
+//! functions write into a [`Picture`] that the caller keeps, so that a stream of pictures of one size allocates
+//! once. Nothing here trusts its input: whatever the bytes are, the answer is a picture or an [`ImageError`], and a
+//! picture beyond [`MAX_PIXELS`] is refused before memory is taken for it.
+
+mod crop;
+mod decode;
+mod encode;
+mod error;
+mod picture;
+mod probe;
+mod resize;
+
+pub use crop::{Crop, crop};
+pub use decode::{decode, read_part};
+pub use encode::{Encoding, encode};
+pub use error::ImageError;
+pub use picture::Picture;
+pub use probe::{Header, MAX_PIXELS, MAX_SIDE, probe, probe_part};
+pub use resize::{Filter, Resizer};

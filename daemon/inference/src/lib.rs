@@ -1,13 +1,29 @@
 //! Models: `onnx`, `echo`, `sleep`; loaded once, run by their own threads behind a bounded queue.
 //!
-//! A new kind is one file or folder here plus one line in [`ModelConfig`].
+//! [`Bank`] is the list of models that a host offers and the only way to one. Asked for a model it loads it,
+//! once, and hands out its [`Pool`]: jobs go in by [`Pool::submit`], each comes back through its own `reply`.
+//!
+//! A new kind is one file or folder here plus one variant of [`ModelConfig`].
 
-use std::sync::Arc;
+mod bank;
+mod config;
+mod echo;
+mod error;
+mod job;
+mod onnx;
+mod pool;
+mod queue;
+mod sleep;
+mod thread;
 
-use peernet_clock::MonoTime;
-use peernet_logger::{Recorder, Slug};
+pub use bank::Bank;
+pub use config::{EchoConfig, ModelConfig, OnnxConfig, OnnxRuntimeConfig, SleepConfig};
+pub use error::{InferenceError, LibraryError, LoadError};
+pub use job::{Done, Job, Refused};
+pub use pool::Pool;
+
+use peernet_logger::Recorder;
 use peernet_sample::Sample;
-use serde::{Deserialize, Serialize};
 
 /// One thread's use of a loaded model.
 pub trait Worker: Send {
@@ -21,7 +37,7 @@ pub trait Worker: Send {
 
 /// A model that was loaded and can be run.
 pub trait Model: Send + Sync {
-    /// A worker of its own for one more thread; all share the loaded weights.
+    /// A worker of its own for one more thread; all share the loaded model.
     ///
     /// # Errors
     /// When the device has no room for another.
@@ -35,6 +51,6 @@ pub trait Model: Send + Sync {
     /// The device it really runs on, such as `cpu` or `cuda:0`.
     fn device(&self) -> String;
 
-    /// What it is, in words, for the run's page.
+    /// What it is, in words, for the run's page: pairs such as (`Model`, `quality-control 1`).
     fn facts(&self) -> Vec<(String, String)>;
 }

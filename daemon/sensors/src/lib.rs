@@ -1,10 +1,19 @@
 //! Sensors, which yield samples, and transforms, which change them before they are sent or computed on.
 //!
-//! A new kind is one file here plus one line in [`SensorConfig`] or [`TransformConfig`].
+//! A new kind is one file here plus one variant of [`SensorConfig`] or [`TransformConfig`].
+
+mod config;
+mod error;
+mod sensor;
+mod transform;
+
+pub use config::{Format, Order, SensorConfig, TransformConfig};
+pub use error::SensorError;
+pub use sensor::open;
+pub use transform::build_transform;
 
 use peernet_logger::Recorder;
 use peernet_sample::Sample;
-use serde::{Deserialize, Serialize};
 
 /// Yields samples.
 pub trait Sensor: Send {

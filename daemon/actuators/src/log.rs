@@ -1,0 +1,91 @@
+//! `log`: writes each answer to the log.
+
+use peernet_logger::Recorder;
+use peernet_sample::{MediaType, Sample};
+use serde::Deserialize;
+
+use crate::{Actuator, ActuatorError};
+
+/// One line per answer: a classification with its label and score, anything else by its size.
+pub(crate) struct Log;
+
+/// What is read of a classifier's answer.
+#[derive(Debug, PartialEq, Deserialize)]
+struct Classification {
+    label: String,
+    score: f64,
+}
+
+impl Actuator for Log {
+    fn act(&mut self, source: &str, answer: &Sample, _log: &mut Recorder) -> Result<(), ActuatorError> {
+        match classification(answer) {
+            Some(Classification { label, score }) => tracing::info!(source, label, score, "answer"),
+            None => tracing::info!(source, bytes = answer.payload_bytes(), "answer"),
+        }
+        Ok(())
+    }
+}
+
+/// An answer that is JSON need not be a classification.
+fn classification(answer: &Sample) -> Option<Classification> {
+    let part = answer.parts.first()?;
+    if part.description.media != MediaType::Json {
+        return None;
+    }
+    serde_json::from_slice(&part.bytes).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{self, Write};
+    use std::sync::{Arc, Mutex};
+
+    use peernet_clock::{ClockIdentity, ManualClock, WallTime};
+    use peernet_logger::HostId;
+    use peernet_sample::Description;
+
+    use super::*;
+    use crate::ActuatorConfig;
+
+    #[derive(Clone, Default)]
+    struct Lines(Arc<Mutex<Vec<u8>>>);
+
+    impl Write for Lines {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.0.lock().expect("no test panics while writing").extend_from_slice(bytes);
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    fn logged(answer: &Sample) -> String {
+        let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("b", "c"));
+        let mut log = Recorder::begin(Arc::new(clock), HostId::random());
+        let lines = Lines::default();
+        let writer = lines.clone();
+        let subscriber =
+            tracing_subscriber::fmt().with_ansi(false).with_writer(move || writer.clone()).finish();
+        tracing::subscriber::with_default(subscriber, || {
+            ActuatorConfig::Log {}.build().act("part-1.jpg", answer, &mut log).expect("only logs");
+        });
+        let text = lines.0.lock().expect("no test panics while writing").clone();
+        String::from_utf8(text).expect("is text")
+    }
+
+    #[test]
+    fn a_classification_is_logged_with_label_and_score_anything_else_with_its_size() {
+        let json =
+            |text: &'static str| Sample::of(Description::unshaped(MediaType::Json), text.as_bytes().into());
+        let line =
+            logged(&json(r#"{"label":"dented","score":0.98,"top":[{"label":"dented","score":0.98}]}"#));
+        for part in ["INFO", "part-1.jpg", "dented", "0.98"] {
+            assert!(line.contains(part), "{line}");
+        }
+        assert!(logged(&json(r#"{"boxes":[]}"#)).contains("bytes=12"));
+        assert!(logged(&json("{")).contains("bytes=1"));
+        assert!(logged(&Sample::of(Description::bytes(), vec![0; 5].into())).contains("bytes=5"));
+    }
+}

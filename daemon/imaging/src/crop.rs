@@ -1,0 +1,77 @@
+//! Rectangles of a picture.
+
+use crate::probe::check_size;
+use crate::{ImageError, Picture};
+
+/// A rectangle to be cut out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Crop {
+    /// Pixels.
+    pub width: u32,
+    /// Pixels.
+    pub height: u32,
+    /// Left edge in pixels; centred, rounded to the left, when not given.
+    pub x: Option<u32>,
+    /// Upper edge in pixels; centred, rounded upwards, when not given.
+    pub y: Option<u32>,
+}
+
+/// Makes `target` the rectangle `crop` of `picture`.
+///
+/// # Errors
+/// When the rectangle is empty or reaches beyond the picture.
+pub fn crop(picture: &Picture, crop: Crop, target: &mut Picture) -> Result<(), ImageError> {
+    let Crop { width, height, x, y } = crop;
+    check_size(u64::from(width), u64::from(height))?;
+    let (of_width, of_height) = (picture.width(), picture.height());
+    let x = x.unwrap_or_else(|| of_width.saturating_sub(width) / 2);
+    let y = y.unwrap_or_else(|| of_height.saturating_sub(height) / 2);
+    let inside = |start: u32, length: u32, of: u32| start.checked_add(length).is_some_and(|end| end <= of);
+    if !inside(x, width, of_width) || !inside(y, height, of_height) {
+        return Err(ImageError::Outside { width, height, x, y, of_width, of_height });
+    }
+    let channels = picture.format().channels() as usize;
+    let (row, cut) = (of_width as usize * channels, width as usize * channels);
+    let rows = picture.pixels().chunks_exact(row).skip(y as usize);
+    let pixels = target.reshape(picture.format(), width, height);
+    for (to, from) in pixels.chunks_exact_mut(cut).zip(rows) {
+        let start = x as usize * channels;
+        to.copy_from_slice(&from[start..start + cut]);
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_sample::PixelFormat;
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn numbered(width: u32, height: u32) -> Picture {
+        let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (16 * y + x) as u8)).collect();
+        Picture::new(PixelFormat::Grey8, width, height, pixels).expect("fits")
+    }
+
+    #[test]
+    fn the_rectangle_is_where_it_was_asked_for_or_in_the_centre() {
+        let mut target = Picture::default();
+        crop(&numbered(5, 4), Crop { width: 2, height: 2, x: Some(3), y: Some(0) }, &mut target)
+            .expect("fits");
+        assert_eq!(target.pixels(), [3, 4, 19, 20]);
+        crop(&numbered(5, 4), Crop { width: 2, height: 2, x: None, y: None }, &mut target).expect("fits");
+        assert_eq!(target.pixels(), [17, 18, 33, 34]);
+    }
+
+    proptest! {
+        #[test]
+        fn a_rectangle_is_cut_or_refused(w in 0u32..9, h in 0u32..9, x: Option<u32>, y in proptest::option::of(0u32..9)) {
+            let mut target = Picture::default();
+            match crop(&numbered(7, 6), Crop { width: w, height: h, x, y }, &mut target) {
+                Ok(()) => prop_assert_eq!((target.width(), target.height(), target.pixels().len()), (w, h, (w * h) as usize)),
+                Err(ImageError::Size { .. }) => prop_assert!(w == 0 || h == 0),
+                Err(error) => prop_assert!(matches!(error, ImageError::Outside { .. }), "{}", error),
+            }
+        }
+    }
+}

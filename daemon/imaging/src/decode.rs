@@ -1,0 +1,110 @@
+//! From files to pixels.
+//!
+//! JPEG is decoded whole, by a SIMD decoder. Decoding at a half, a quarter or an eighth of the size, as the format
+//! allows, was measured and left out: entropy decoding takes most of the time and stays the same.
+
+use std::io::Cursor;
+
+use image::ImageDecoder;
+use image::codecs::png::PngDecoder;
+use peernet_sample::{MediaType, Part, PixelFormat};
+use zune_jpeg::JpegDecoder;
+use zune_jpeg::errors::DecodeErrors;
+use zune_jpeg::zune_core::bytestream::ZCursor;
+use zune_jpeg::zune_core::colorspace::ColorSpace;
+use zune_jpeg::zune_core::options::DecoderOptions;
+
+use crate::probe::{MAX_SIDE, check_size, pixels_size, recognise};
+use crate::{ImageError, Picture};
+
+/// Decodes a JPEG or PNG file into `picture`, in the wanted order of channels.
+///
+/// Transparency is dropped; colour profiles and the orientation tag are ignored, as most training code does.
+///
+/// # Errors
+/// When it is neither, damaged or cut off, or too large; `picture` then holds something undefined.
+pub fn decode(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Result<(), ImageError> {
+    if recognise(file)? == MediaType::Jpeg {
+        decode_jpeg(file, format, picture)
+    } else {
+        decode_png(file, format, picture)
+    }
+}
+
+/// Makes `picture` the picture in a payload part: a file is decoded, pixels are copied.
+///
+/// # Errors
+/// As [`decode`], and when the part is something else.
+pub fn read_part(part: &Part, format: PixelFormat, picture: &mut Picture) -> Result<(), ImageError> {
+    match &part.description.media {
+        MediaType::Jpeg | MediaType::Png => decode(&part.bytes, format, picture),
+        MediaType::Pixels(from) => {
+            let (width, height) = pixels_size(part, *from)?;
+            picture.assign(*from, format, width, height, &part.bytes);
+            Ok(())
+        }
+        media => Err(ImageError::NotAPicture(media.clone())),
+    }
+}
+
+fn decode_jpeg(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Result<(), ImageError> {
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(file), jpeg_options(format));
+    decoder.decode_headers().map_err(|error| jpeg_error(&error))?;
+    let damaged = |reason: &str| ImageError::Damaged { format: "jpeg", reason: reason.to_owned() };
+    let info = decoder.info().ok_or_else(|| damaged("its header gives no size"))?;
+    let (width, height) = (u32::from(info.width), u32::from(info.height));
+    check_size(u64::from(width), u64::from(height))?;
+    let target = picture.reshape(format, width, height);
+    if decoder.output_buffer_size() != Some(target.len()) {
+        return Err(damaged("its colours are of a kind that cannot be converted"));
+    }
+    decoder.decode_into(target).map_err(|error| jpeg_error(&error))
+}
+
+/// Strict: a picture whose data end early is an error, not a picture that is grey below.
+pub(crate) fn jpeg_options(format: PixelFormat) -> DecoderOptions {
+    let colours = match format {
+        PixelFormat::Rgb8 => ColorSpace::RGB,
+        PixelFormat::Grey8 => ColorSpace::Luma,
+    };
+    DecoderOptions::default()
+        .set_strict_mode(true)
+        .set_max_width(MAX_SIDE as usize)
+        .set_max_height(MAX_SIDE as usize)
+        .jpeg_set_out_colorspace(colours)
+}
+
+pub(crate) fn jpeg_error(error: &DecodeErrors) -> ImageError {
+    ImageError::Damaged { format: "jpeg", reason: tidy(&error.to_string()) }
+}
+
+/// Bit depths, palettes and transparency are all brought to eight bits per channel.
+fn decode_png(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Result<(), ImageError> {
+    let decoder = png_decoder(file)?;
+    let (width, height) = decoder.dimensions();
+    check_size(u64::from(width), u64::from(height))?;
+    let as_wanted = matches!(
+        (decoder.color_type(), format),
+        (image::ColorType::Rgb8, PixelFormat::Rgb8) | (image::ColorType::L8, PixelFormat::Grey8)
+    );
+    if as_wanted {
+        let target = picture.reshape(format, width, height);
+        return decoder.read_image(target).map_err(|error| png_error(&error));
+    }
+    let pixels = image::DynamicImage::from_decoder(decoder).map_err(|error| png_error(&error))?.into_rgb8();
+    picture.assign(PixelFormat::Rgb8, format, width, height, pixels.as_raw());
+    Ok(())
+}
+
+pub(crate) fn png_decoder(file: &[u8]) -> Result<PngDecoder<Cursor<&[u8]>>, ImageError> {
+    PngDecoder::new(Cursor::new(file)).map_err(|error| png_error(&error))
+}
+
+fn png_error(error: &image::ImageError) -> ImageError {
+    ImageError::Damaged { format: "png", reason: tidy(&error.to_string()) }
+}
+
+/// Error texts of other libraries on one line, without full stop.
+fn tidy(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ").trim_end_matches('.').to_owned()
+}

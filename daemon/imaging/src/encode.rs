@@ -1,0 +1,69 @@
+//! From pixels to files.
+
+use bytes::Bytes;
+use image::ImageEncoder;
+use image::codecs::png::PngEncoder;
+use peernet_sample::{Description, MediaType, Part, PixelFormat};
+
+use crate::{ImageError, Picture};
+
+/// Into what a picture is compressed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Encoding {
+    /// Baseline JPEG.
+    Jpeg {
+        /// 1 (small) to 100 (good), on libjpeg's scale; values outside are brought inside. Colour is kept at full
+        /// resolution from 90 on and at half of it in both directions below, as is usual.
+        quality: u8,
+    },
+    /// PNG, lossless, at the fastest compression that is worth it.
+    Png,
+}
+
+/// Compresses a picture into a payload part.
+///
+/// # Errors
+/// When the picture is empty, or larger than the format allows.
+pub fn encode(picture: &Picture, encoding: Encoding) -> Result<Part, ImageError> {
+    let mut file = Vec::with_capacity(picture.pixels().len() / 8 + 1024);
+    let media = match encoding {
+        Encoding::Jpeg { quality } => {
+            write_jpeg(picture, quality.clamp(1, 100), &mut file)?;
+            MediaType::Jpeg
+        }
+        Encoding::Png => {
+            write_png(picture, &mut file)?;
+            MediaType::Png
+        }
+    };
+    Ok(Part { description: Description::unshaped(media), bytes: Bytes::from(file) })
+}
+
+fn write_jpeg(picture: &Picture, quality: u8, file: &mut Vec<u8>) -> Result<(), ImageError> {
+    let unwritable = |reason: String| unwritable("jpeg", picture, reason);
+    let side = |pixels: u32| u16::try_from(pixels).map_err(|_| unwritable("a side is too long".to_owned()));
+    let colours = match picture.format() {
+        PixelFormat::Rgb8 => jpeg_encoder::ColorType::Rgb,
+        PixelFormat::Grey8 => jpeg_encoder::ColorType::Luma,
+    };
+    let mut encoder = jpeg_encoder::Encoder::new(file, quality);
+    // As libjpeg, and so as the pictures that most models were trained on.
+    encoder.set_chroma_subsampling_method(jpeg_encoder::ChromaSubsamplingMethod::Average);
+    encoder
+        .encode(picture.pixels(), side(picture.width())?, side(picture.height())?, colours)
+        .map_err(|error| unwritable(error.to_string()))
+}
+
+fn write_png(picture: &Picture, file: &mut Vec<u8>) -> Result<(), ImageError> {
+    let colours = match picture.format() {
+        PixelFormat::Rgb8 => image::ExtendedColorType::Rgb8,
+        PixelFormat::Grey8 => image::ExtendedColorType::L8,
+    };
+    PngEncoder::new(file)
+        .write_image(picture.pixels(), picture.width(), picture.height(), colours)
+        .map_err(|error| unwritable("png", picture, error.to_string()))
+}
+
+fn unwritable(format: &'static str, picture: &Picture, reason: String) -> ImageError {
+    ImageError::Unwritable { format, width: picture.width(), height: picture.height(), reason }
+}

@@ -1,0 +1,148 @@
+//! Decoded pixels.
+
+use bytes::Bytes;
+use peernet_sample::{Description, Part, PixelFormat};
+
+use crate::ImageError;
+use crate::probe::check_size;
+
+/// Decoded pixels, rows from top to bottom, without padding, one byte per channel.
+///
+/// Also the buffer that decoding, resizing and cropping write into; a default one is empty, 0 × 0.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Picture {
+    format: PixelFormat,
+    width: u32,
+    height: u32,
+    pixels: Vec<u8>,
+}
+
+impl Default for Picture {
+    fn default() -> Self {
+        Self { format: PixelFormat::Rgb8, width: 0, height: 0, pixels: Vec::new() }
+    }
+}
+
+impl Picture {
+    /// A picture of given pixels.
+    ///
+    /// # Errors
+    /// When the size is not possible, or does not fit the number of bytes.
+    pub fn new(format: PixelFormat, width: u32, height: u32, pixels: Vec<u8>) -> Result<Self, ImageError> {
+        check_length(format, width, height, pixels.len())?;
+        Ok(Self { format, width, height, pixels })
+    }
+
+    /// Order of the channels.
+    pub fn format(&self) -> PixelFormat {
+        self.format
+    }
+
+    /// Pixels per row.
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Rows.
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// The pixels: height × width × channels bytes.
+    pub fn pixels(&self) -> &[u8] {
+        &self.pixels
+    }
+
+    /// The picture as a payload part; the pixels are moved, not copied.
+    pub fn into_part(self) -> Part {
+        let description = Description::pixels(self.format, self.width, self.height);
+        Part { description, bytes: Bytes::from(self.pixels) }
+    }
+
+    /// Makes this a picture of that format and size, contents undefined, and gives its pixels to be written.
+    pub(crate) fn reshape(&mut self, format: PixelFormat, width: u32, height: u32) -> &mut [u8] {
+        (self.format, self.width, self.height) = (format, width, height);
+        self.pixels.resize(length(format, width, height) as usize, 0);
+        &mut self.pixels
+    }
+
+    /// Makes this a copy of `pixels` in another order of channels.
+    pub(crate) fn assign(
+        &mut self,
+        from: PixelFormat,
+        to: PixelFormat,
+        width: u32,
+        height: u32,
+        pixels: &[u8],
+    ) {
+        let target = self.reshape(to, width, height);
+        match (from, to) {
+            (PixelFormat::Rgb8, PixelFormat::Rgb8) | (PixelFormat::Grey8, PixelFormat::Grey8) => {
+                target.copy_from_slice(pixels);
+            }
+            (PixelFormat::Grey8, PixelFormat::Rgb8) => {
+                for (rgb, grey) in target.chunks_exact_mut(3).zip(pixels) {
+                    rgb.fill(*grey);
+                }
+            }
+            (PixelFormat::Rgb8, PixelFormat::Grey8) => {
+                for (grey, rgb) in target.iter_mut().zip(pixels.chunks_exact(3)) {
+                    *grey = luma([rgb[0], rgb[1], rgb[2]]);
+                }
+            }
+        }
+    }
+}
+
+/// Brightness by ITU-R BT.601, the weights that JPEG itself uses, in 16-bit fixed point.
+fn luma([r, g, b]: [u8; 3]) -> u8 {
+    let sum = 19_595 * u32::from(r) + 38_470 * u32::from(g) + 7_471 * u32::from(b);
+    ((sum + 0x8000) >> 16) as u8
+}
+
+fn length(format: PixelFormat, width: u32, height: u32) -> u64 {
+    u64::from(width) * u64::from(height) * u64::from(format.channels())
+}
+
+/// Checks that a description of decoded pixels is possible and fits their bytes.
+pub(crate) fn check_length(
+    format: PixelFormat,
+    width: u32,
+    height: u32,
+    actual: usize,
+) -> Result<(), ImageError> {
+    check_size(u64::from(width), u64::from(height))?;
+    let (expected, actual) = (length(format, width, height), actual as u64);
+    if expected != actual {
+        return Err(ImageError::Length { width, height, channels: format.channels(), expected, actual });
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_size_that_lies_about_its_bytes_is_refused() {
+        assert!(Picture::new(PixelFormat::Grey8, 2, 3, vec![0; 6]).is_ok());
+        assert!(matches!(
+            Picture::new(PixelFormat::Rgb8, 2, 3, vec![0; 6]),
+            Err(ImageError::Length { expected: 18, actual: 6, .. })
+        ));
+        assert!(matches!(Picture::new(PixelFormat::Rgb8, 0, 3, vec![]), Err(ImageError::Size { .. })));
+        let lie = Picture::new(PixelFormat::Rgb8, u32::MAX, u32::MAX, vec![0; 6]);
+        assert!(matches!(lie, Err(ImageError::Size { .. })));
+    }
+
+    #[test]
+    fn grey_and_colour_lead_to_each_other() {
+        assert_eq!([luma([0, 0, 0]), luma([255, 255, 255]), luma([255, 0, 0])], [0, 255, 76]);
+        let mut colour = Picture::default();
+        colour.assign(PixelFormat::Grey8, PixelFormat::Rgb8, 2, 1, &[7, 9]);
+        assert_eq!(colour.pixels(), [7, 7, 7, 9, 9, 9]);
+        let mut grey = Picture::default();
+        grey.assign(PixelFormat::Rgb8, PixelFormat::Grey8, 2, 1, colour.pixels());
+        assert_eq!(grey.pixels(), [7, 9]);
+    }
+}

@@ -1,0 +1,128 @@
+//! Scaling, by a SIMD library.
+
+use std::fmt;
+
+use fast_image_resize as fir;
+use peernet_sample::PixelFormat;
+use serde::{Deserialize, Serialize};
+
+use crate::probe::check_size;
+use crate::{ImageError, Picture};
+
+/// How pixels are combined when a picture is scaled. Scaling down, all but `nearest` average over every pixel that
+/// they merge (as Pillow does, and "antialias" elsewhere), so that nothing is skipped.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Filter {
+    /// The one nearest pixel: fast, coarse.
+    Nearest,
+    /// The mean of a box.
+    Box,
+    /// Linear in both directions.
+    #[default]
+    Bilinear,
+    /// Cubic (Catmull-Rom, a = −0.5): sharper.
+    Bicubic,
+    /// Lanczos with three lobes: sharpest, slowest.
+    Lanczos,
+}
+
+impl Filter {
+    fn algorithm(self) -> fir::ResizeAlg {
+        match self {
+            Self::Nearest => fir::ResizeAlg::Nearest,
+            Self::Box => fir::ResizeAlg::Convolution(fir::FilterType::Box),
+            Self::Bilinear => fir::ResizeAlg::Convolution(fir::FilterType::Bilinear),
+            Self::Bicubic => fir::ResizeAlg::Convolution(fir::FilterType::CatmullRom),
+            Self::Lanczos => fir::ResizeAlg::Convolution(fir::FilterType::Lanczos3),
+        }
+    }
+}
+
+/// Scales pictures; keeps its working memory from one to the next.
+#[derive(Default)]
+pub struct Resizer(fir::Resizer);
+
+impl Resizer {
+    /// A resizer without working memory yet.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Makes `target` the picture scaled to exactly `width` × `height`, whatever its proportions.
+    ///
+    /// # Errors
+    /// When the picture is empty or the wanted size not possible.
+    pub fn resize(
+        &mut self,
+        picture: &Picture,
+        width: u32,
+        height: u32,
+        filter: Filter,
+        target: &mut Picture,
+    ) -> Result<(), ImageError> {
+        check_size(u64::from(picture.width()), u64::from(picture.height()))?;
+        check_size(u64::from(width), u64::from(height))?;
+        let kind = match picture.format() {
+            PixelFormat::Rgb8 => fir::PixelType::U8x3,
+            PixelFormat::Grey8 => fir::PixelType::U8,
+        };
+        // Both sizes were checked and both buffers have the length that follows, so that no step can fail.
+        let impossible = |_| ImageError::Size { width: u64::from(width), height: u64::from(height) };
+        let from = fir::images::ImageRef::new(picture.width(), picture.height(), picture.pixels(), kind)
+            .map_err(impossible)?;
+        let pixels = target.reshape(picture.format(), width, height);
+        let mut to = fir::images::Image::from_slice_u8(width, height, pixels, kind).map_err(impossible)?;
+        let options = fir::ResizeOptions::new().resize_alg(filter.algorithm()).use_alpha(false);
+        self.0
+            .resize(&from, &mut to, &options)
+            .map_err(|_| ImageError::Size { width: u64::from(width), height: u64::from(height) })
+    }
+}
+
+impl fmt::Debug for Resizer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Resizer").finish_non_exhaustive()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn checkers(side: u32) -> Picture {
+        let pixels = (0..side * side).map(|i| if (i / side + i % side).is_multiple_of(2) { 0 } else { 255 });
+        Picture::new(PixelFormat::Grey8, side, side, pixels.collect()).expect("fits")
+    }
+
+    #[test]
+    fn shrinking_averages_over_all_pixels() {
+        let mut target = Picture::default();
+        for filter in [Filter::Box, Filter::Bilinear, Filter::Bicubic, Filter::Lanczos] {
+            Resizer::new().resize(&checkers(64), 8, 8, filter, &mut target).expect("fits");
+            let far = target.pixels().iter().filter(|grey| grey.abs_diff(128) > 12).count();
+            assert_eq!(far, 0, "{filter:?}: {:?}", target.pixels());
+        }
+    }
+
+    #[test]
+    fn a_plain_picture_stays_plain_at_any_size() {
+        let plain = Picture::new(PixelFormat::Rgb8, 7, 5, [10, 200, 30].repeat(35)).expect("fits");
+        let (mut resizer, mut target) = (Resizer::new(), Picture::default());
+        for (width, height) in [(1, 1), (3, 9), (20, 2), (7, 5)] {
+            resizer.resize(&plain, width, height, Filter::Bilinear, &mut target).expect("fits");
+            assert_eq!(target.pixels(), [10, 200, 30].repeat((width * height) as usize));
+        }
+    }
+
+    #[test]
+    fn impossible_sizes_are_refused() {
+        let mut target = Picture::default();
+        for (width, height) in [(0, 1), (1, 0), (u32::MAX, 1), (20_000, 20_000)] {
+            let refused = Resizer::new().resize(&checkers(4), width, height, Filter::Box, &mut target);
+            assert!(matches!(refused, Err(ImageError::Size { .. })));
+        }
+        let empty = Resizer::new().resize(&Picture::default(), 2, 2, Filter::Box, &mut target);
+        assert!(matches!(empty, Err(ImageError::Size { .. })));
+    }
+}

@@ -1,0 +1,173 @@
+//! `[[model]]` and `[onnxruntime]` in the configuration.
+
+use std::num::NonZeroUsize;
+use std::path::PathBuf;
+
+use peernet_logger::Slug;
+use serde::{Deserialize, Serialize};
+
+/// `[[model]]`: one model that this host offers.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case")]
+pub enum ModelConfig {
+    /// A model in ONNX form, run by ONNX Runtime.
+    Onnx(OnnxConfig),
+    /// Answers with what it was given, at once: measures everything around a model.
+    Echo(EchoConfig),
+    /// Takes the time it is told to: a model of known latency.
+    Sleep(SleepConfig),
+}
+
+/// `kind = "onnx"`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OnnxConfig {
+    /// The name under which peers ask for it.
+    pub name: Slug,
+    /// The folder with `model.onnx` and its card `model.toml`.
+    pub path: PathBuf,
+    /// `cpu`, `cuda:0`, `tensorrt:0`, `openvino:CPU`: the whole model runs there or is refused.
+    #[serde(default = "cpu")]
+    pub device: String,
+    /// Threads that compute, each on a sample of its own.
+    #[serde(default = "one")]
+    pub workers: NonZeroUsize,
+    /// Samples that may wait for a free worker; more are refused.
+    #[serde(default = "sixteen")]
+    pub queue: NonZeroUsize,
+    /// Threads of each worker within one operator of the model; the worker's own thread counts.
+    #[serde(default = "one")]
+    pub intra_threads: NonZeroUsize,
+    /// Threads of each worker across independent operators; above 1 they run in parallel.
+    #[serde(default = "one")]
+    pub inter_threads: NonZeroUsize,
+}
+
+/// `kind = "echo"`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EchoConfig {
+    /// The name under which peers ask for it.
+    pub name: Slug,
+    /// Answer with this many bytes instead of the payload.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub answer_bytes: Option<usize>,
+}
+
+/// `kind = "sleep"`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SleepConfig {
+    /// The name under which peers ask for it.
+    pub name: Slug,
+    /// Milliseconds of `preprocessing`.
+    #[serde(default = "ten_ms")]
+    pub preprocessing_ms: u32,
+    /// Milliseconds of `inference`.
+    #[serde(default = "eighty_ms")]
+    pub inference_ms: u32,
+    /// Milliseconds of `postprocessing`.
+    #[serde(default = "ten_ms")]
+    pub postprocessing_ms: u32,
+    /// Threads that sleep, each over a sample of its own.
+    #[serde(default = "one")]
+    pub workers: NonZeroUsize,
+    /// Samples that may wait for a free worker; more are refused.
+    #[serde(default = "sixteen")]
+    pub queue: NonZeroUsize,
+}
+
+/// `[onnxruntime]`: which library runs the models of kind `onnx`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OnnxRuntimeConfig {
+    /// The library file, or the folder that holds `libonnxruntime.so`. Without it `ORT_DYLIB_PATH`, the folder
+    /// `onnxruntime/lib` and the system's library path are searched, in this order.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub library: Option<PathBuf>,
+}
+
+impl ModelConfig {
+    /// The name under which peers ask for it.
+    pub fn name(&self) -> &Slug {
+        match self {
+            Self::Onnx(config) => &config.name,
+            Self::Echo(config) => &config.name,
+            Self::Sleep(config) => &config.name,
+        }
+    }
+
+    /// The device it is configured for.
+    pub fn device(&self) -> &str {
+        match self {
+            Self::Onnx(config) => &config.device,
+            Self::Echo(_) | Self::Sleep(_) => "cpu",
+        }
+    }
+
+    /// Threads that compute; `echo` runs on the thread of its caller and counts as one.
+    pub fn workers(&self) -> usize {
+        match self {
+            Self::Onnx(config) => config.workers.get(),
+            Self::Sleep(config) => config.workers.get(),
+            Self::Echo(_) => 1,
+        }
+    }
+
+    /// Samples that may wait for a free worker; `echo` lets none wait.
+    pub fn queue(&self) -> usize {
+        match self {
+            Self::Onnx(config) => config.queue.get(),
+            Self::Sleep(config) => config.queue.get(),
+            Self::Echo(_) => 1,
+        }
+    }
+}
+
+fn cpu() -> String {
+    "cpu".to_owned()
+}
+
+const fn one() -> NonZeroUsize {
+    NonZeroUsize::MIN
+}
+
+const fn sixteen() -> NonZeroUsize {
+    NonZeroUsize::MIN.saturating_add(15)
+}
+
+const fn ten_ms() -> u32 {
+    10
+}
+
+const fn eighty_ms() -> u32 {
+    80
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> Result<ModelConfig, toml::de::Error> {
+        toml::from_str(text)
+    }
+
+    #[test]
+    fn the_short_forms_have_sensible_defaults() {
+        let onnx = read("name = \"q\"\nkind = \"onnx\"\npath = \"models/q\"").expect("reads");
+        assert_eq!((onnx.device(), onnx.workers(), onnx.queue()), ("cpu", 1, 16));
+        let ModelConfig::Sleep(sleep) = read("name = \"s\"\nkind = \"sleep\"").expect("reads") else {
+            panic!("kind = sleep is a sleep");
+        };
+        assert_eq!((sleep.preprocessing_ms, sleep.inference_ms, sleep.postprocessing_ms), (10, 80, 10));
+    }
+
+    #[test]
+    fn a_key_of_another_kind_or_a_misspelt_one_is_refused() {
+        let error = read("name = \"e\"\nkind = \"echo\"\nworkers = 2").expect_err("echo has no workers");
+        assert!(error.to_string().contains("workers"), "{error}");
+        let error = read("name = \"q\"\nkind = \"onnx\"\npath = \"x\"\nworker = 2").expect_err("misspelt");
+        assert!(error.to_string().contains("worker"), "{error}");
+        assert!(read("name = \"q\"\nkind = \"onnx\"\npath = \"x\"\nworkers = 0").is_err());
+    }
+}

@@ -1,0 +1,291 @@
+//! The card of a model, `model.toml`: how a picture becomes its input, and its output an answer.
+
+use std::fmt;
+use std::path::Path;
+
+use peernet_imaging::Filter;
+use serde::Deserialize;
+
+use crate::LoadError;
+
+/// A model's card; a new model needs a card and no code.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Card {
+    pub(super) name: String,
+    task: Task,
+    #[serde(default)]
+    pub(super) description: String,
+    #[serde(default)]
+    pub(super) version: String,
+    pub(super) input: Input,
+    pub(super) preprocessing: Preprocessing,
+    pub(super) output: Output,
+    /// Where the model came from: for people, in any form.
+    #[serde(default)]
+    provenance: toml::Table,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Task {
+    Classification,
+}
+
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Input {
+    /// The name of the model's input.
+    pub(super) name: String,
+    dtype: Dtype,
+    pub(super) layout: Layout,
+    /// Four lengths in the order of the layout; the first, the batch, is 1.
+    pub(super) shape: [usize; 4],
+    pub(super) colour: Colour,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Dtype {
+    Float32,
+}
+
+/// Order of the input's dimensions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Layout {
+    Nchw,
+    Nhwc,
+}
+
+/// Order of the input's channels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Colour {
+    Rgb,
+    Bgr,
+    Grey,
+}
+
+/// Applied in the order of the fields: resize, crop, then `(byte × scale − mean) / std` for each channel.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Preprocessing {
+    /// Without it pictures must come in the right size.
+    #[serde(default)]
+    pub(super) resize: Option<Resize>,
+    /// A rectangle in the centre.
+    #[serde(default)]
+    pub(super) crop: Option<Centre>,
+    pub(super) scale: f64,
+    /// One number per channel, in the order of `colour`.
+    pub(super) mean: Vec<f64>,
+    /// One number per channel, in the order of `colour`.
+    pub(super) std: Vec<f64>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(tag = "mode", rename_all = "lowercase", deny_unknown_fields)]
+pub(super) enum Resize {
+    /// To this size, whatever the picture's proportions.
+    Exact {
+        width: u32,
+        height: u32,
+        #[serde(default)]
+        filter: Filter,
+    },
+    /// The shorter side to this length, the other in proportion (rounded down).
+    Shortest {
+        size: u32,
+        #[serde(default)]
+        filter: Filter,
+    },
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Centre {
+    pub(super) width: u32,
+    pub(super) height: u32,
+}
+
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Output {
+    /// The name of the model's output.
+    pub(super) name: String,
+    #[serde(default)]
+    pub(super) activation: Activation,
+    /// How many classes an answer lists, best first.
+    #[serde(default = "five")]
+    pub(super) top_k: usize,
+    /// One label per number of the output.
+    pub(super) labels: Vec<String>,
+}
+
+/// What turns the model's numbers into scores.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Activation {
+    /// They are scores already.
+    #[default]
+    None,
+    /// Scores that add up to 1: one class is right.
+    Softmax,
+    /// Each score on its own between 0 and 1: any number of classes are right.
+    Sigmoid,
+}
+
+impl Card {
+    /// Reads and checks a card.
+    pub(super) fn read(file: &Path) -> Result<Self, LoadError> {
+        let wrong = |reason: String| LoadError::File { file: file.to_owned(), reason };
+        let text = std::fs::read_to_string(file).map_err(|error| wrong(error.to_string()))?;
+        Self::parse(&text).map_err(wrong)
+    }
+
+    fn parse(text: &str) -> Result<Self, String> {
+        let card: Self = toml::from_str(text).map_err(|error| error.to_string().trim_end().to_owned())?;
+        card.check()?;
+        Ok(card)
+    }
+
+    /// What the types alone do not rule out.
+    fn check(&self) -> Result<(), String> {
+        let Self { input, preprocessing, output, .. } = self;
+        let (batch, channels, height, width) = input.dimensions();
+        if batch != 1 {
+            return Err(format!("input.shape begins with a batch of {batch}, only 1 is possible"));
+        }
+        let expected = input.colour.channels();
+        if channels != expected {
+            return Err(format!("input.shape has {channels} channels, {:?} has {expected}", input.colour));
+        }
+        for (key, values) in [("mean", &preprocessing.mean), ("std", &preprocessing.std)] {
+            if values.len() != channels {
+                return Err(format!(
+                    "preprocessing.{key} has {} numbers for {channels} channels",
+                    values.len()
+                ));
+            }
+        }
+        let numbers = || preprocessing.mean.iter().chain(&preprocessing.std).chain([&preprocessing.scale]);
+        if !numbers().all(|number| number.is_finite()) || preprocessing.std.contains(&0.0) {
+            return Err("preprocessing needs finite numbers and no std of 0".to_owned());
+        }
+        let result = match (preprocessing.resize, preprocessing.crop) {
+            (_, Some(Centre { width, height })) => Some((height, width)),
+            (Some(Resize::Exact { width, height, .. }), None) => Some((height, width)),
+            (Some(Resize::Shortest { .. }), None) => {
+                return Err("preprocessing.resize to the shortest side needs a crop after it".to_owned());
+            }
+            (None, None) => None,
+        };
+        if let Some((rows, columns)) = result
+            && (rows as usize, columns as usize) != (height, width)
+        {
+            return Err(format!(
+                "preprocessing makes {columns} × {rows} pixels, input.shape wants {width} × {height}"
+            ));
+        }
+        if output.labels.is_empty() || output.top_k == 0 {
+            return Err("output needs at least one label and a top_k of at least 1".to_owned());
+        }
+        Ok(())
+    }
+}
+
+impl Input {
+    /// Batch, channels, height, width.
+    pub(super) fn dimensions(&self) -> (usize, usize, usize, usize) {
+        let [batch, a, b, c] = self.shape;
+        match self.layout {
+            Layout::Nchw => (batch, a, b, c),
+            Layout::Nhwc => (batch, c, a, b),
+        }
+    }
+}
+
+impl Colour {
+    fn channels(self) -> usize {
+        match self {
+            Self::Rgb | Self::Bgr => 3,
+            Self::Grey => 1,
+        }
+    }
+}
+
+impl fmt::Display for Layout {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Nchw => "nchw",
+            Self::Nhwc => "nhwc",
+        })
+    }
+}
+
+const fn five() -> usize {
+    5
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    /// A card for grey pictures of 2 × 1 pixels.
+    pub(in crate::onnx) const SMALL: &str = r#"
+name = "small"
+task = "classification"
+[input]
+name = "image"
+dtype = "float32"
+layout = "nchw"
+shape = [1, 1, 1, 2]
+colour = "grey"
+[preprocessing]
+resize = { mode = "exact", width = 2, height = 1 }
+scale = 0.5
+mean = [1.0]
+std = [2.0]
+[output]
+name = "logits"
+activation = "softmax"
+labels = ["a", "b"]
+"#;
+
+    pub(in crate::onnx) fn changed(from: &str, to: &str) -> Result<Card, String> {
+        assert!(SMALL.contains(from), "{from}");
+        Card::parse(&SMALL.replace(from, to))
+    }
+
+    #[test]
+    fn a_card_is_read_with_its_defaults() {
+        let card = changed("", "").expect("is right");
+        assert_eq!(card.output.top_k, 5);
+        assert_eq!(
+            card.preprocessing.resize,
+            Some(Resize::Exact { width: 2, height: 1, filter: Filter::Bilinear })
+        );
+        assert!(Card::parse(&format!("{SMALL}\n[provenance]\nanything = [1, 2]\n")).is_ok());
+    }
+
+    #[test]
+    fn each_contradiction_is_named() {
+        for (from, to, named) in [
+            ("shape = [1, 1, 1, 2]", "shape = [2, 1, 1, 2]", "batch of 2"),
+            ("colour = \"grey\"", "colour = \"rgb\"", "1 channels"),
+            ("mean = [1.0]", "mean = []", "mean has 0 numbers"),
+            ("std = [2.0]", "std = [0.0]", "std of 0"),
+            ("scale = 0.5", "scale = nan", "finite"),
+            ("width = 2,", "width = 3,", "3 × 1 pixels"),
+            ("mode = \"exact\", width = 2, height = 1", "mode = \"shortest\", size = 2", "needs a crop"),
+            ("labels = [\"a\", \"b\"]", "labels = []", "at least one label"),
+            ("task = \"classification\"", "task = \"detection\"", "classification"),
+            ("dtype = \"float32\"", "dtype = \"float16\"", "float32"),
+            ("scale = 0.5", "scale = 0.5\nmeans = [1.0]", "means"),
+        ] {
+            let error = changed(from, to).expect_err(to);
+            assert!(error.contains(named), "{to}: {error}");
+        }
+    }
+}

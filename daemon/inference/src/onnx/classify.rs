@@ -1,0 +1,105 @@
+//! From the output of a classifier to its answer.
+
+use serde::Serialize;
+
+use super::card::{Activation, Output};
+
+/// The answer, as JSON: `{"label": "dented", "score": 0.98, "top": [{"label": "dented", "score": 0.98}, …]}`.
+#[derive(Debug, PartialEq, Serialize)]
+struct Answer<'a> {
+    label: &'a str,
+    score: f32,
+    /// The best classes, best first.
+    top: Vec<Ranked<'a>>,
+}
+
+#[derive(Debug, PartialEq, Serialize)]
+struct Ranked<'a> {
+    label: &'a str,
+    score: f32,
+}
+
+/// Scores the model's numbers, one for each label, and writes the answer. The numbers become the scores.
+///
+/// # Errors
+/// When a number is not finite: such an output ranks nothing.
+pub(super) fn classify<'a>(output: &'a Output, numbers: &mut [f32]) -> Result<Vec<u8>, String> {
+    if let Some(number) = numbers.iter().find(|number| !number.is_finite()) {
+        return Err(format!("its output contains {number}"));
+    }
+    activate(output.activation, numbers);
+    let ranked = |(label, score): (&'a String, &f32)| Ranked { label, score: *score };
+    let mut top: Vec<_> = output.labels.iter().zip(numbers.iter()).map(ranked).collect();
+    top.sort_by(|a, b| b.score.total_cmp(&a.score));
+    top.truncate(output.top_k);
+    let best = top.first().ok_or("it has no classes")?;
+    let answer = Answer { label: best.label, score: best.score, top };
+    serde_json::to_vec(&answer).map_err(|error| error.to_string())
+}
+
+fn activate(activation: Activation, numbers: &mut [f32]) {
+    match activation {
+        Activation::None => {}
+        Activation::Sigmoid => {
+            for number in numbers {
+                *number = 1.0 / (1.0 + (-*number).exp());
+            }
+        }
+        Activation::Softmax => {
+            // Relative to the greatest, so that no exponential overflows.
+            let greatest = numbers.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+            for number in numbers.iter_mut() {
+                *number = (*number - greatest).exp();
+            }
+            let sum: f32 = numbers.iter().sum();
+            for number in numbers {
+                *number /= sum;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn output(activation: Activation, top_k: usize) -> Output {
+        let labels = ["a", "b", "c"].map(str::to_owned).into();
+        Output { name: "logits".to_owned(), activation, top_k, labels }
+    }
+
+    #[test]
+    fn the_best_come_first() {
+        let json = classify(&output(Activation::None, 2), &mut [0.25, 0.125, 0.5]).expect("is finite");
+        let expected =
+            r#"{"label":"c","score":0.5,"top":[{"label":"c","score":0.5},{"label":"a","score":0.25}]}"#;
+        assert_eq!(String::from_utf8(json).expect("is text"), expected);
+    }
+
+    #[test]
+    fn an_output_that_is_not_finite_is_a_failure() {
+        for bad in [f32::NAN, f32::INFINITY] {
+            assert!(classify(&output(Activation::Softmax, 3), &mut [0.0, bad, 1.0]).is_err());
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn scores_are_probabilities_in_the_order_of_the_numbers(numbers: [i16; 3]) {
+            let numbers = numbers.map(f32::from);
+            for activation in [Activation::Softmax, Activation::Sigmoid] {
+                let mut scores = numbers;
+                activate(activation, &mut scores);
+                prop_assert!(scores.iter().all(|score| (0.0..=1.0).contains(score)), "{:?}", scores);
+                for (a, b) in [(0, 1), (1, 2), (0, 2)] {
+                    prop_assert!(numbers[a] <= numbers[b] || scores[a] >= scores[b]);
+                }
+            }
+            let mut scores = numbers;
+            activate(Activation::Softmax, &mut scores);
+            prop_assert!((scores.iter().sum::<f32>() - 1.0).abs() < 1e-5);
+        }
+    }
+}

@@ -1,0 +1,112 @@
+//! Where a model runs.
+
+use std::fmt;
+use std::path::Path;
+use std::str::FromStr;
+
+use ort::ep::{self, ExecutionProvider, ExecutionProviderDispatch};
+use peernet_logger::Slug;
+
+use crate::LoadError;
+
+/// `device` of a model of kind `onnx`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Device {
+    Cpu,
+    Cuda(i32),
+    TensorRt(i32),
+    /// OpenVINO's own name of a device, such as `CPU`, `GPU.0`, `NPU`.
+    OpenVino(String),
+}
+
+impl FromStr for Device {
+    type Err = LoadError;
+
+    fn from_str(text: &str) -> Result<Self, LoadError> {
+        let no_such = || LoadError::NoSuchDevice(text.to_owned());
+        let number = |text: &str| match text.parse() {
+            Ok(number) if number >= 0 => Ok(number),
+            _ => Err(no_such()),
+        };
+        match text.split_once(':') {
+            None if text == "cpu" => Ok(Self::Cpu),
+            Some(("cuda", index)) => number(index).map(Self::Cuda),
+            Some(("tensorrt", index)) => number(index).map(Self::TensorRt),
+            Some(("openvino", name)) if !name.is_empty() => Ok(Self::OpenVino(name.to_owned())),
+            _ => Err(no_such()),
+        }
+    }
+}
+
+impl fmt::Display for Device {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Cpu => f.write_str("cpu"),
+            Self::Cuda(index) => write!(f, "cuda:{index}"),
+            Self::TensorRt(index) => write!(f, "tensorrt:{index}"),
+            Self::OpenVino(name) => write!(f, "openvino:{name}"),
+        }
+    }
+}
+
+impl Device {
+    /// The execution provider that runs the whole model there; `None` for the CPU, which every build has.
+    pub(super) fn provider(&self) -> Option<ExecutionProviderDispatch> {
+        let provider = match self {
+            Self::Cpu => return None,
+            Self::Cuda(index) => ep::CUDA::default().with_device_id(*index).build(),
+            Self::TensorRt(index) => ep::TensorRT::default().with_device_id(*index).build(),
+            Self::OpenVino(name) => ep::OpenVINO::default().with_device_type(name).build(),
+        };
+        Some(provider.error_on_failure())
+    }
+
+    /// Refuses the device when the loaded library was built without it. The library must be loaded.
+    pub(super) fn check(&self, model: &Slug, library: &Path) -> Result<(), LoadError> {
+        let available = providers();
+        let provider = match self {
+            Self::Cpu => ep::CPU::NAME,
+            Self::Cuda(_) => ep::CUDA::NAME,
+            Self::TensorRt(_) => ep::TensorRT::NAME,
+            Self::OpenVino(_) => ep::OpenVINO::NAME,
+        };
+        if available.contains(&provider) {
+            return Ok(());
+        }
+        Err(LoadError::NoProvider {
+            model: model.to_string(),
+            device: self.to_string(),
+            provider,
+            library: library.to_owned(),
+            available,
+        })
+    }
+}
+
+/// The execution providers of the loaded library, of those that a device can name.
+fn providers() -> Vec<&'static str> {
+    let known = [
+        (ep::CPU::NAME, ep::CPU::is_available()),
+        (ep::CUDA::NAME, ep::CUDA::is_available()),
+        (ep::TensorRT::NAME, ep::TensorRT::is_available()),
+        (ep::OpenVINO::NAME, ep::OpenVINO::is_available()),
+    ];
+    known.into_iter().filter(|(_, available)| matches!(available, Ok(true))).map(|(name, _)| name).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn devices_are_read_as_they_are_written() {
+        for text in ["cpu", "cuda:0", "cuda:3", "tensorrt:1", "openvino:CPU", "openvino:GPU.0"] {
+            assert_eq!(text.parse::<Device>().expect(text).to_string(), text);
+        }
+        for text in
+            ["", "CPU", "gpu", "cuda", "cuda:", "cuda:-1", "cuda:x", "tensorrt:", "openvino:", "openvino"]
+        {
+            assert!(matches!(text.parse::<Device>(), Err(LoadError::NoSuchDevice(_))), "{text}");
+        }
+    }
+}

@@ -1,0 +1,125 @@
+//! Finding and loading ONNX Runtime's library.
+
+use std::error::Error;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use ort::LoadDynamicError;
+use ort::environment::Environment;
+use ort::logging::LogLevel;
+
+use super::search::{Candidate, Surroundings};
+use crate::{LibraryError, OnnxRuntimeConfig};
+
+/// The loaded library: one per process, for as long as the process lives.
+pub(super) struct Runtime {
+    environment: Environment,
+    library: PathBuf,
+}
+
+static LOADED: Mutex<Option<Arc<Runtime>>> = Mutex::new(None);
+
+impl Runtime {
+    /// The library that the configuration and the surroundings lead to, loaded on the first call.
+    pub(super) fn get(config: &OnnxRuntimeConfig) -> Result<Arc<Self>, LibraryError> {
+        let surroundings = Surroundings::of_this_process(config.library.as_deref());
+        let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
+        let (found, mut looked) = surroundings.search()?;
+        if let Some(runtime) = loaded.as_ref() {
+            return match found {
+                Some(Candidate { path: wanted, .. }) if wanted != runtime.library => {
+                    Err(LibraryError::AnotherLoaded { loaded: runtime.library.clone(), wanted })
+                }
+                _ => Ok(Arc::clone(runtime)),
+            };
+        }
+        let runtime = match found {
+            Some(candidate) => Self::load(&candidate)?,
+            None => Self::load_from_system(&mut looked)?,
+        };
+        let runtime = Arc::new(runtime);
+        *loaded = Some(Arc::clone(&runtime));
+        Ok(runtime)
+    }
+
+    pub(super) fn environment(&self) -> &Environment {
+        &self.environment
+    }
+
+    /// The file, or the name by which the system found it.
+    pub(super) fn library(&self) -> &Path {
+        &self.library
+    }
+
+    /// The names that the system's loader knows the library by: with and without the version of its interface.
+    fn load_from_system(looked: &mut Vec<String>) -> Result<Self, LibraryError> {
+        for name in ["libonnxruntime.so.1", "libonnxruntime.so"] {
+            match ort::init_from(name) {
+                Ok(builder) => return Self::begin(builder, name.into(), "the system's library path"),
+                Err(LoadDynamicError::Dlopen { .. }) => {
+                    looked.push(format!("{name} in the system's library path: none"));
+                }
+                Err(error) => {
+                    let origin = "the system's library path";
+                    return Err(LibraryError::Unusable {
+                        library: name.into(),
+                        origin,
+                        reason: reason(&error),
+                    });
+                }
+            }
+        }
+        Err(LibraryError::NotFound { looked: std::mem::take(looked) })
+    }
+
+    fn load(candidate: &Candidate) -> Result<Self, LibraryError> {
+        let Candidate { path, origin } = candidate;
+        let builder = ort::init_from(path).map_err(|error| LibraryError::Unusable {
+            library: path.clone(),
+            origin,
+            reason: reason(&error),
+        })?;
+        Self::begin(builder, path.clone(), origin)
+    }
+
+    fn begin(
+        builder: ort::environment::EnvironmentBuilder,
+        library: PathBuf,
+        origin: &'static str,
+    ) -> Result<Self, LibraryError> {
+        let environment =
+            builder.with_name("peernet").with_telemetry(false).with_logger(Arc::new(log)).build().map_err(
+                |error| LibraryError::Unusable {
+                    library: library.clone(),
+                    origin,
+                    reason: error.to_string(),
+                },
+            )?;
+        environment.set_log_level(LogLevel::Warning);
+        tracing::debug!(library = %library.display(), origin, "ONNX Runtime loaded");
+        Ok(Self { environment, library })
+    }
+}
+
+/// The library's own messages, into this program's log.
+fn log(level: LogLevel, _category: &str, _id: &str, place: &str, message: &str) {
+    match level {
+        LogLevel::Verbose | LogLevel::Info => tracing::debug!(place, "onnxruntime: {message}"),
+        LogLevel::Warning => tracing::warn!(place, "onnxruntime: {message}"),
+        LogLevel::Error | LogLevel::Fatal => tracing::error!(place, "onnxruntime: {message}"),
+    }
+}
+
+fn reason(error: &LoadDynamicError) -> String {
+    match error {
+        // The loader's own words are one level down.
+        LoadDynamicError::Dlopen { error, .. } => {
+            error.source().map_or(error.to_string(), ToString::to_string)
+        }
+        LoadDynamicError::MissingApi { .. } => "it is not ONNX Runtime".to_owned(),
+        LoadDynamicError::InvalidVersionString => "it does not tell its version".to_owned(),
+        LoadDynamicError::BadVersion { version_str, .. } => {
+            format!("it is version {version_str}, at least 1.{} is needed", ort::MINOR_VERSION)
+        }
+    }
+}

@@ -1,0 +1,112 @@
+//! `onnx`: models in ONNX form, run by ONNX Runtime.
+//!
+//! A model is a folder: `model.onnx` and its card `model.toml`, which says how a picture becomes its input and its
+//! output an answer ([`card`]). The library is found and loaded at run time ([`library`]), so that one binary serves
+//! hosts with and without GPUs.
+
+mod card;
+mod classify;
+mod device;
+mod library;
+mod preprocess;
+mod search;
+mod session;
+mod shared;
+mod worker;
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use peernet_logger::Slug;
+
+use crate::{LoadError, Model, OnnxConfig, OnnxRuntimeConfig, Worker};
+use card::Card;
+use device::Device;
+use library::Runtime;
+use shared::Shared;
+use worker::OnnxWorker;
+
+/// The model in a model's folder.
+const MODEL: &str = "model.onnx";
+
+/// The card in a model's folder.
+const CARD: &str = "model.toml";
+
+/// A loaded ONNX model.
+pub(crate) struct Onnx {
+    plan: Arc<Plan>,
+    runtime: Arc<Runtime>,
+    /// The model's weights in a form that several workers share; `None` when there is one worker only.
+    shared: Option<Shared>,
+}
+
+/// All that is decided about a model before a session is made.
+struct Plan {
+    name: Slug,
+    file: PathBuf,
+    card: Card,
+    device: Device,
+    workers: usize,
+    intra_threads: usize,
+    inter_threads: usize,
+}
+
+impl Onnx {
+    /// Finds what is wrong without loading the model: the device, the files, the card, the library.
+    pub(crate) fn check(config: &OnnxConfig, runtime: &OnnxRuntimeConfig) -> Result<(), LoadError> {
+        Self::plan(config, runtime).map(drop)
+    }
+
+    /// Loads what all workers share.
+    pub(crate) fn load(config: &OnnxConfig, runtime: &OnnxRuntimeConfig) -> Result<Self, LoadError> {
+        let (plan, runtime) = Self::plan(config, runtime)?;
+        let shared = Shared::prepare(&plan, &runtime)?;
+        Ok(Self { plan: Arc::new(plan), runtime, shared })
+    }
+
+    fn plan(config: &OnnxConfig, runtime: &OnnxRuntimeConfig) -> Result<(Plan, Arc<Runtime>), LoadError> {
+        let device: Device = config.device.parse()?;
+        let card = Card::read(&config.path.join(CARD))?;
+        let file = config.path.join(MODEL);
+        if let Err(error) = std::fs::File::open(&file) {
+            return Err(LoadError::File { file, reason: error.to_string() });
+        }
+        let runtime = Runtime::get(runtime)?;
+        device.check(&config.name, runtime.library())?;
+        let plan = Plan {
+            name: config.name.clone(),
+            file,
+            card,
+            device,
+            workers: config.workers.get(),
+            intra_threads: config.intra_threads.get(),
+            inter_threads: config.inter_threads.get(),
+        };
+        Ok((plan, runtime))
+    }
+}
+
+impl Model for Onnx {
+    fn worker(&self) -> Result<Box<dyn Worker>, LoadError> {
+        let session = session::open(&self.plan, &self.runtime, self.shared.as_ref())?;
+        Ok(Box::new(OnnxWorker::warm(Arc::clone(&self.plan), session)?))
+    }
+
+    fn device(&self) -> String {
+        self.plan.device.to_string()
+    }
+
+    fn facts(&self) -> Vec<(String, String)> {
+        let Plan { card, device, intra_threads, inter_threads, .. } = &*self.plan;
+        let shape: Vec<_> = card.input.shape.iter().map(usize::to_string).collect();
+        let facts = [
+            ("Model", format!("{} {}", card.name, card.version)),
+            ("Task", card.description.clone()),
+            ("Input", format!("{} float32 {}", shape.join(" × "), card.input.layout)),
+            ("Device", device.to_string()),
+            ("Threads per worker", format!("{intra_threads} within operators, {inter_threads} across")),
+            ("ONNX Runtime", self.runtime.library().display().to_string()),
+        ];
+        facts.map(|(name, value)| (name.to_owned(), value)).into()
+    }
+}

@@ -1,0 +1,206 @@
+//! From a sample to the model's input.
+
+use peernet_imaging::{Crop, Filter, ImageError, Picture, Resizer, crop, read_part};
+use peernet_sample::{PixelFormat, Sample};
+
+use super::card::{Card, Colour, Layout, Resize};
+
+/// Decodes, resizes, crops and normalises as a card says; keeps all buffers from one sample to the next.
+pub(super) struct Preprocessor {
+    format: PixelFormat,
+    resize: Option<Resize>,
+    crop: Option<Crop>,
+    width: u32,
+    height: u32,
+    layout: Layout,
+    /// For each channel of the tensor: the channel of the picture, and factor and offset of its bytes.
+    channels: Vec<Channel>,
+    resizer: Resizer,
+    decoded: Picture,
+    resized: Picture,
+    cropped: Picture,
+    tensor: Vec<f32>,
+}
+
+#[derive(Clone, Copy)]
+struct Channel {
+    from: usize,
+    factor: f32,
+    offset: f32,
+}
+
+impl Preprocessor {
+    pub(super) fn new(card: &Card) -> Self {
+        let (_, count, height, width) = card.input.dimensions();
+        let preprocessing = &card.preprocessing;
+        let channel = |(to, (mean, std)): (usize, (&f64, &f64))| Channel {
+            from: if card.input.colour == Colour::Bgr { count - 1 - to } else { to },
+            // (byte × scale − mean) / std as one multiplication and one addition.
+            factor: (preprocessing.scale / std) as f32,
+            offset: (-mean / std) as f32,
+        };
+        Self {
+            format: if card.input.colour == Colour::Grey { PixelFormat::Grey8 } else { PixelFormat::Rgb8 },
+            resize: preprocessing.resize,
+            crop: preprocessing.crop.map(|centre| Crop {
+                width: centre.width,
+                height: centre.height,
+                x: None,
+                y: None,
+            }),
+            width: width as u32,
+            height: height as u32,
+            layout: card.input.layout,
+            channels: preprocessing.mean.iter().zip(&preprocessing.std).enumerate().map(channel).collect(),
+            resizer: Resizer::new(),
+            decoded: Picture::default(),
+            resized: Picture::default(),
+            cropped: Picture::default(),
+            tensor: vec![0.0; count * height * width],
+        }
+    }
+
+    /// The model's input, in the shape of the card; zeros before the first sample.
+    pub(super) fn tensor(&self) -> &[f32] {
+        &self.tensor
+    }
+
+    /// Makes the picture in a sample's first part the model's input.
+    pub(super) fn fill(&mut self, sample: &Sample) -> Result<(), String> {
+        let part = sample.parts.first().ok_or("it has no payload")?;
+        let error = |error: ImageError| error.to_string();
+        read_part(part, self.format, &mut self.decoded).map_err(error)?;
+        let mut picture = &self.decoded;
+        if let Some(resize) = self.resize {
+            let (width, height, filter) = target(resize, picture);
+            if (width, height) != (picture.width(), picture.height()) {
+                self.resizer.resize(picture, width, height, filter, &mut self.resized).map_err(error)?;
+                picture = &self.resized;
+            }
+        }
+        if let Some(rectangle) = self.crop {
+            crop(picture, rectangle, &mut self.cropped).map_err(error)?;
+            picture = &self.cropped;
+        }
+        if (picture.width(), picture.height()) != (self.width, self.height) {
+            return Err(format!(
+                "it has {} × {} pixels, the model wants {} × {} and its card has no resize",
+                picture.width(),
+                picture.height(),
+                self.width,
+                self.height
+            ));
+        }
+        normalise(picture.pixels(), self.layout, &self.channels, &mut self.tensor);
+        Ok(())
+    }
+}
+
+/// The size to scale to.
+fn target(resize: Resize, picture: &Picture) -> (u32, u32, Filter) {
+    match resize {
+        Resize::Exact { width, height, filter } => (width, height, filter),
+        Resize::Shortest { size, filter } => {
+            let (width, height) = (u64::from(picture.width()), u64::from(picture.height()));
+            let shortest = width.min(height).max(1);
+            let scaled = |side: u64| u32::try_from(side * u64::from(size) / shortest).unwrap_or(u32::MAX);
+            (scaled(width), scaled(height), filter)
+        }
+    }
+}
+
+/// Bytes of interleaved channels to normalised numbers, in one pass for each channel (which vectorises) or, where the
+/// layout stays interleaved, in one pass over all.
+fn normalise(pixels: &[u8], layout: Layout, channels: &[Channel], tensor: &mut [f32]) {
+    let count = channels.len();
+    match layout {
+        Layout::Nchw => {
+            let plane = tensor.len() / count;
+            for (numbers, channel) in tensor.chunks_exact_mut(plane).zip(channels) {
+                for (number, pixel) in numbers.iter_mut().zip(pixels.chunks_exact(count)) {
+                    *number = f32::from(pixel[channel.from]) * channel.factor + channel.offset;
+                }
+            }
+        }
+        Layout::Nhwc => {
+            for (numbers, pixel) in tensor.chunks_exact_mut(count).zip(pixels.chunks_exact(count)) {
+                for (number, channel) in numbers.iter_mut().zip(channels) {
+                    *number = f32::from(pixel[channel.from]) * channel.factor + channel.offset;
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_sample::{Description, Sample};
+
+    use super::super::card::tests::{SMALL, changed};
+    use super::*;
+
+    fn pixels(format: PixelFormat, width: u32, height: u32, bytes: &'static [u8]) -> Sample {
+        Sample::of(Description::pixels(format, width, height), bytes.into())
+    }
+
+    #[test]
+    fn numbers_are_scaled_and_normalised() {
+        let mut preprocessor = Preprocessor::new(&changed("", "").expect("is right"));
+        preprocessor.fill(&pixels(PixelFormat::Grey8, 2, 1, &[10, 4])).expect("fits");
+        assert_eq!(preprocessor.tensor(), [(10.0 * 0.5 - 1.0) / 2.0, (4.0 * 0.5 - 1.0) / 2.0]);
+    }
+
+    #[test]
+    fn layouts_and_orders_of_channels() {
+        let colour = |layout: &str, shape: &str, order: &str| {
+            let card = SMALL
+                .replace("layout = \"nchw\"", &format!("layout = \"{layout}\""))
+                .replace("shape = [1, 1, 1, 2]", &format!("shape = {shape}"))
+                .replace("colour = \"grey\"", &format!("colour = \"{order}\""))
+                .replace("scale = 0.5", "scale = 1.0")
+                .replace("mean = [1.0]", "mean = [0.0, 0.0, 0.0]")
+                .replace("std = [2.0]", "std = [1.0, 1.0, 1.0]");
+            let card = toml::from_str(&card).expect("is right");
+            let mut preprocessor = Preprocessor::new(&card);
+            preprocessor.fill(&pixels(PixelFormat::Rgb8, 2, 1, &[1, 2, 3, 4, 5, 6])).expect("fits");
+            preprocessor.tensor().to_vec()
+        };
+        assert_eq!(colour("nchw", "[1, 3, 1, 2]", "rgb"), [1.0, 4.0, 2.0, 5.0, 3.0, 6.0]);
+        assert_eq!(colour("nchw", "[1, 3, 1, 2]", "bgr"), [3.0, 6.0, 2.0, 5.0, 1.0, 4.0]);
+        assert_eq!(colour("nhwc", "[1, 1, 2, 3]", "rgb"), [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
+        assert_eq!(colour("nhwc", "[1, 1, 2, 3]", "bgr"), [3.0, 2.0, 1.0, 6.0, 5.0, 4.0]);
+    }
+
+    #[test]
+    fn the_shortest_side_is_scaled_and_the_centre_cut_out() {
+        let card = changed(
+            "resize = { mode = \"exact\", width = 2, height = 1 }",
+            "resize = { mode = \"shortest\", size = 2 }\ncrop = { width = 2, height = 1 }",
+        );
+        let mut preprocessor = Preprocessor::new(&card.expect("is right"));
+        let wide = pixels(PixelFormat::Grey8, 8, 4, &[6; 32]);
+        preprocessor.fill(&wide).expect("fits");
+        assert_eq!((preprocessor.resized.width(), preprocessor.resized.height()), (4, 2));
+        assert_eq!(preprocessor.tensor(), [1.0, 1.0]);
+    }
+
+    #[test]
+    fn without_a_resize_the_size_must_be_right() {
+        let card = changed("resize = { mode = \"exact\", width = 2, height = 1 }", "");
+        let mut preprocessor = Preprocessor::new(&card.expect("is right"));
+        assert!(preprocessor.fill(&pixels(PixelFormat::Grey8, 2, 1, &[1, 2])).is_ok());
+        let error = preprocessor.fill(&pixels(PixelFormat::Grey8, 1, 1, &[1])).expect_err("is too small");
+        assert!(error.contains("1 × 1") && error.contains("2 × 1"), "{error}");
+    }
+
+    #[test]
+    fn what_is_no_picture_is_named() {
+        let mut preprocessor = Preprocessor::new(&changed("", "").expect("is right"));
+        let fill =
+            |preprocessor: &mut Preprocessor, sample: &Sample| preprocessor.fill(sample).expect_err("wrong");
+        let nothing = Sample { parts: Vec::new(), source: String::new(), label: None };
+        assert_eq!(fill(&mut preprocessor, &nothing), "it has no payload");
+        let plain = Sample::of(Description::bytes(), vec![0; 4].into());
+        assert_eq!(fill(&mut preprocessor, &plain), "it is plain bytes, not a picture");
+    }
+}

@@ -1,0 +1,170 @@
+//! Where ONNX Runtime's library may be.
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+use crate::LibraryError;
+
+/// What the search depends on.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Surroundings {
+    /// `[onnxruntime] library`.
+    pub(super) configured: Option<PathBuf>,
+    /// `ORT_DYLIB_PATH`.
+    pub(super) variable: Option<OsString>,
+    /// The current directory.
+    pub(super) current: PathBuf,
+    /// This program's file.
+    pub(super) executable: PathBuf,
+}
+
+/// A file that was found.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Candidate {
+    /// The file, links resolved.
+    pub(super) path: PathBuf,
+    /// Which step of the search led to it.
+    pub(super) origin: &'static str,
+}
+
+const FOLDER: &str = "onnxruntime/lib";
+const INSTALLED: &str = "/usr/lib/peernet";
+const NAMES: [&str; 2] = ["libonnxruntime.so", "libonnxruntime.so.1"];
+
+impl Surroundings {
+    pub(super) fn of_this_process(configured: Option<&Path>) -> Self {
+        Self {
+            configured: configured.map(Path::to_owned),
+            variable: std::env::var_os("ORT_DYLIB_PATH").filter(|value| !value.is_empty()),
+            current: std::env::current_dir().unwrap_or_default(),
+            executable: std::env::current_exe().unwrap_or_default(),
+        }
+    }
+
+    /// The first file in the order of the search, and where it was looked for before; the system's library path,
+    /// the last step, is the loader's business.
+    ///
+    /// What was named explicitly is taken or is an error: nothing else is quietly used in its place.
+    pub(super) fn search(&self) -> Result<(Option<Candidate>, Vec<String>), LibraryError> {
+        let mut looked = Vec::new();
+        let variable = self.variable.as_ref().map(PathBuf::from);
+        let named =
+            [("[onnxruntime] library", self.configured.as_ref()), ("ORT_DYLIB_PATH", variable.as_ref())];
+        for (origin, path) in named {
+            let Some(path) = path else {
+                looked.push(format!("{origin}: not set"));
+                continue;
+            };
+            let library = self.current.join(path);
+            return match file_at(&library) {
+                Some(path) => Ok((Some(Candidate { path, origin }), looked)),
+                None if library.is_dir() => {
+                    let reason = format!("the folder holds no {}", NAMES.join(" or "));
+                    Err(LibraryError::Unusable { library, origin, reason })
+                }
+                None => Err(LibraryError::Unusable {
+                    library,
+                    origin,
+                    reason: "there is no such file".to_owned(),
+                }),
+            };
+        }
+        for folder in self.folders() {
+            if let Some(path) = file_at(&folder) {
+                return Ok((Some(Candidate { path, origin: "found in a folder" }), looked));
+            }
+            looked.push(format!("{}: none", folder.display()));
+        }
+        Ok((None, looked))
+    }
+
+    /// Beside the current directory, beside the program and all folders above it, and where the package puts it.
+    fn folders(&self) -> Vec<PathBuf> {
+        let mut folders = vec![self.current.join(FOLDER)];
+        folders.extend(self.executable.ancestors().skip(1).map(|ancestor| ancestor.join(FOLDER)));
+        folders.push(INSTALLED.into());
+        let mut seen = std::collections::HashSet::new();
+        folders.retain(|folder| seen.insert(folder.clone()));
+        folders
+    }
+}
+
+/// The library at a path: the file itself, or the one in the folder.
+fn file_at(path: &Path) -> Option<PathBuf> {
+    let resolved = |path: &Path| path.canonicalize().ok().filter(|path| path.is_file());
+    resolved(path).or_else(|| NAMES.iter().find_map(|name| resolved(&path.join(name))))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    fn put(folder: &Path, name: &str) -> PathBuf {
+        fs::create_dir_all(folder).expect("can be made");
+        fs::write(folder.join(name), "").expect("can be written");
+        folder.join(name).canonicalize().expect("exists")
+    }
+
+    fn found(surroundings: &Surroundings) -> Option<PathBuf> {
+        surroundings.search().expect("nothing wrong is named").0.map(|candidate| candidate.path)
+    }
+
+    #[test]
+    fn the_order_is_configuration_variable_folders() {
+        let root = tempfile::tempdir().expect("can be made");
+        let at = |path: &str| root.path().join(path);
+        let mut surroundings = Surroundings {
+            current: at("current"),
+            executable: at("tree/target/debug/program"),
+            ..Default::default()
+        };
+        assert_eq!(found(&surroundings), None);
+
+        let above = put(&at("tree/onnxruntime/lib"), "libonnxruntime.so.1");
+        assert_eq!(found(&surroundings), Some(above));
+        let current = put(&at("current/onnxruntime/lib"), "libonnxruntime.so");
+        assert_eq!(found(&surroundings), Some(current));
+        let variable = put(&at("own"), "mine.so");
+        surroundings.variable = Some(variable.clone().into());
+        assert_eq!(found(&surroundings), Some(variable));
+        let configured = put(&at("current/built"), "libonnxruntime.so");
+        surroundings.configured = Some("built".into());
+        assert_eq!(found(&surroundings), Some(configured));
+    }
+
+    #[test]
+    fn a_named_library_that_is_not_there_is_not_replaced_by_another() {
+        let root = tempfile::tempdir().expect("can be made");
+        put(&root.path().join(FOLDER), "libonnxruntime.so");
+        let mut surroundings = Surroundings { current: root.path().to_owned(), ..Default::default() };
+        surroundings.variable = Some("nowhere.so".into());
+        let error = surroundings.search().expect_err("is named").to_string();
+        assert!(error.contains("nowhere.so (ORT_DYLIB_PATH)") && error.contains("make setup"), "{error}");
+        surroundings.configured = Some(root.path().to_owned());
+        let error = surroundings.search().expect_err("is empty").to_string();
+        assert!(error.contains("holds no libonnxruntime.so"), "{error}");
+    }
+
+    #[test]
+    fn every_place_is_listed() {
+        let surroundings = Surroundings {
+            current: "/nowhere/current".into(),
+            executable: "/nowhere/bin/program".into(),
+            ..Default::default()
+        };
+        let (_, looked) = surroundings.search().expect("nothing is named");
+        for place in [
+            "[onnxruntime] library",
+            "ORT_DYLIB_PATH",
+            "/nowhere/current/onnxruntime/lib",
+            "/nowhere/bin/onnxruntime/lib",
+            INSTALLED,
+        ] {
+            assert!(looked.iter().any(|line| line.starts_with(place)), "{place}: {looked:?}");
+        }
+        let error = LibraryError::NotFound { looked }.to_string();
+        assert!(error.contains(INSTALLED) && error.contains("make setup"), "{error}");
+    }
+}

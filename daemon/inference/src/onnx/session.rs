@@ -1,0 +1,87 @@
+//! A session of ONNX Runtime: one per worker.
+//!
+//! `ort` takes a session by `&mut` to run it, since parts of the library are not safe under concurrent runs; so each
+//! worker has a session of its own, and [`Shared`] lets them share the weights.
+
+use ort::session::Session;
+use ort::session::builder::{GraphOptimizationLevel, SessionBuilder};
+use ort::value::{Outlet, TensorElementType};
+
+use super::Plan;
+use super::library::Runtime;
+use super::shared::Shared;
+use crate::LoadError;
+
+/// Opens a session and checks that it is the model that the card describes.
+pub(super) fn open(plan: &Plan, runtime: &Runtime, shared: Option<&Shared>) -> Result<Session, LoadError> {
+    let session = build(plan, runtime, shared).map_err(|error| refused(plan, &error))?;
+    let input = &plan.card.input;
+    let output = &plan.card.output;
+    let classes = output.labels.len();
+    check(plan, "input", session.inputs(), &input.name, &input.shape)?;
+    // A batch of one, or no batch at all.
+    check(plan, "output", session.outputs(), &output.name, &[1, classes]).or_else(|error| {
+        check(plan, "output", session.outputs(), &output.name, &[classes]).map_err(|_| error)
+    })?;
+    if let [_, more, ..] = session.inputs() {
+        return Err(mismatch(
+            plan,
+            format!("it has a second input, {:?}; only one is possible", more.name()),
+        ));
+    }
+    Ok(session)
+}
+
+fn build(plan: &Plan, runtime: &Runtime, shared: Option<&Shared>) -> ort::Result<Session> {
+    let builder = builder(plan, runtime)?;
+    // Temporary folders are cleaned up by others as well; a worker that is rebuilt later can do without.
+    match shared.filter(|shared| shared.file().exists()) {
+        Some(shared) => {
+            let level = GraphOptimizationLevel::Disable; // it is optimised already
+            builder.with_optimization_level(level)?.commit_from_file(shared.file())
+        }
+        None => builder.with_optimization_level(GraphOptimizationLevel::All)?.commit_from_file(&plan.file),
+    }
+}
+
+/// What all sessions of a model have in common.
+pub(super) fn builder(plan: &Plan, runtime: &Runtime) -> ort::Result<SessionBuilder> {
+    let mut builder = SessionBuilder::new(runtime.environment())?.with_intra_threads(plan.intra_threads)?;
+    if plan.inter_threads > 1 {
+        builder = builder.with_parallel_execution(true)?.with_inter_threads(plan.inter_threads)?;
+    }
+    if let Some(provider) = plan.device.provider() {
+        // Both together: the whole model runs there or the session is refused.
+        builder = builder.with_execution_providers([provider])?.with_disable_cpu_fallback()?;
+    }
+    Ok(builder)
+}
+
+pub(super) fn refused(plan: &Plan, error: &ort::Error) -> LoadError {
+    LoadError::Session { file: plan.file.clone(), device: plan.device.to_string(), reason: error.to_string() }
+}
+
+fn check(plan: &Plan, what: &str, outlets: &[Outlet], name: &str, shape: &[usize]) -> Result<(), LoadError> {
+    let Some(outlet) = outlets.iter().find(|outlet| outlet.name() == name) else {
+        let names: Vec<_> = outlets.iter().map(|outlet| format!("{:?}", outlet.name())).collect();
+        return Err(mismatch(
+            plan,
+            format!("it has no {what} {name:?} as its card says, but {}", names.join(", ")),
+        ));
+    };
+    let fits = |own: &[i64]| {
+        // A length of -1 is left open by the model.
+        own.len() == shape.len() && own.iter().zip(shape).all(|(own, card)| *own < 0 || *own == *card as i64)
+    };
+    let dtype = outlet.dtype();
+    if dtype.tensor_type() == Some(TensorElementType::Float32)
+        && dtype.tensor_shape().is_some_and(|own| fits(own))
+    {
+        return Ok(());
+    }
+    Err(mismatch(plan, format!("its {what} {name:?} is {dtype}, its card says float32 of shape {shape:?}")))
+}
+
+fn mismatch(plan: &Plan, reason: String) -> LoadError {
+    LoadError::File { file: plan.file.clone(), reason }
+}

@@ -1,0 +1,63 @@
+//! One copy of a model's weights for several workers.
+//!
+//! Optimising a model rearranges its weights, so that every session which does it ends with a copy of its own:
+//! measured with a ResNet-50 of 94 MB, each further worker took another 120 MB. So the model is optimised once and
+//! written to a temporary folder with its weights in a file of their own; each session maps that file, and the kernel
+//! keeps one copy for all: a further worker takes 10 MB and is ready in 55 ms instead of 350.
+
+use std::path::PathBuf;
+
+use ort::logging::LogLevel;
+use ort::session::builder::GraphOptimizationLevel;
+use tempfile::TempDir;
+
+use super::device::Device;
+use super::library::Runtime;
+use super::{MODEL, Plan, session};
+use crate::LoadError;
+
+/// Initialisers below this many bytes stay in the model itself.
+const SMALLEST: &str = "1024";
+
+/// An optimised model on disk; gone when this is dropped.
+pub(super) struct Shared {
+    folder: TempDir,
+}
+
+impl Shared {
+    /// Optimises the model for this machine. `None` when nothing would be shared: with one worker, and on devices
+    /// other than the CPU, to whose memory each session copies the weights anyway.
+    pub(super) fn prepare(plan: &Plan, runtime: &Runtime) -> Result<Option<Self>, LoadError> {
+        if plan.workers < 2 || plan.device != Device::Cpu {
+            return Ok(None);
+        }
+        let parent = std::env::temp_dir();
+        let folder = tempfile::Builder::new().prefix("peernet-model-").tempdir_in(&parent);
+        let folder = folder.map_err(|error| LoadError::File {
+            file: parent,
+            reason: format!(
+                "{error}; several workers share a model through a temporary folder: set TMPDIR or workers = 1"
+            ),
+        })?;
+        let shared = Self { folder };
+        shared.write(plan, runtime).map_err(|error| session::refused(plan, &error))?;
+        Ok(Some(shared))
+    }
+
+    /// The optimised model.
+    pub(super) fn file(&self) -> PathBuf {
+        self.folder.path().join(MODEL)
+    }
+
+    fn write(&self, plan: &Plan, runtime: &Runtime) -> ort::Result<()> {
+        session::builder(plan, runtime)?
+            .with_optimization_level(GraphOptimizationLevel::All)?
+            .with_optimized_model_path(self.file())?
+            .with_config_entry("session.optimized_model_external_initializers_file_name", "weights.bin")?
+            .with_config_entry("session.optimized_model_external_initializers_min_size_in_bytes", SMALLEST)?
+            // It warns that the result suits this machine only, which is what is wanted.
+            .with_log_level(LogLevel::Error)?
+            .commit_from_file(&plan.file)
+            .map(drop)
+    }
+}

@@ -1,0 +1,84 @@
+//! One thread's use of an ONNX model.
+
+use std::sync::Arc;
+
+use bytes::Bytes;
+use ort::session::Session;
+use ort::value::TensorRef;
+use peernet_logger::{Recorder, stage};
+use peernet_sample::{Description, MediaType, Sample};
+
+use super::Plan;
+use super::card::Card;
+use super::classify::classify;
+use super::preprocess::Preprocessor;
+use crate::{InferenceError, LoadError, Worker};
+
+pub(super) struct OnnxWorker {
+    plan: Arc<Plan>,
+    session: Session,
+    preprocessor: Preprocessor,
+    /// The model's output, copied out of the session.
+    numbers: Vec<f32>,
+}
+
+impl OnnxWorker {
+    /// A worker that has run once, on an input of zeros: the first run of a session is slow, and what is wrong with
+    /// the model shows before a sample waits for it.
+    pub(super) fn warm(plan: Arc<Plan>, session: Session) -> Result<Self, LoadError> {
+        let preprocessor = Preprocessor::new(&plan.card);
+        let mut worker = Self { session, preprocessor, numbers: Vec::new(), plan };
+        worker.run().map_err(|reason| LoadError::Session {
+            file: worker.plan.file.clone(),
+            device: worker.plan.device.to_string(),
+            reason,
+        })?;
+        Ok(worker)
+    }
+
+    /// From the preprocessor's tensor to `numbers`.
+    fn run(&mut self) -> Result<(), String> {
+        let Self { plan, session, preprocessor, numbers } = self;
+        compute(&plan.card, session, preprocessor.tensor(), numbers).map_err(|error| error.to_string())?;
+        let (actual, expected) = (numbers.len(), plan.card.output.labels.len());
+        if actual != expected {
+            return Err(format!("it gave {actual} numbers for {expected} labels"));
+        }
+        Ok(())
+    }
+}
+
+/// Runs the model. Its output lies in the host's memory when the session returns: a model on a GPU has been waited for
+/// and its output copied by then.
+fn compute(card: &Card, session: &mut Session, tensor: &[f32], numbers: &mut Vec<f32>) -> ort::Result<()> {
+    let tensor = TensorRef::from_array_view((card.input.shape, tensor))?;
+    let outputs = session.run(ort::inputs![tensor])?;
+    let name = &card.output.name;
+    let output = outputs.get(name).ok_or_else(|| ort::Error::new(format!("there is no output {name:?}")))?;
+    let (_, values) = output.try_extract_tensor::<f32>()?;
+    numbers.clear();
+    numbers.extend_from_slice(values);
+    Ok(())
+}
+
+impl Worker for OnnxWorker {
+    fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
+        {
+            let _stage = log.time(stage::PREPROCESSING);
+            self.preprocessor.fill(sample).map_err(|reason| InferenceError::Input {
+                model: self.plan.name.to_string(),
+                sample: sample.source.clone(),
+                reason,
+            })?;
+        }
+        let failed = |plan: &Plan, reason| InferenceError::Failed { model: plan.name.to_string(), reason };
+        {
+            let _stage = log.time(stage::INFERENCE);
+            self.run().map_err(|reason| failed(&self.plan, reason))?;
+        }
+        let _stage = log.time(stage::POSTPROCESSING);
+        let json = classify(&self.plan.card.output, &mut self.numbers)
+            .map_err(|reason| failed(&self.plan, reason))?;
+        Ok(Sample::of(Description::unshaped(MediaType::Json), Bytes::from(json)))
+    }
+}

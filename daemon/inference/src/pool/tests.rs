@@ -1,0 +1,218 @@
+use std::sync::Barrier;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+
+use bytes::Bytes;
+use peernet_clock::{ClockIdentity, ManualClock, Span, WallTime};
+use peernet_logger::{HostId, Recorder, stage};
+use peernet_sample::{Description, Sample};
+
+use super::*;
+use crate::{EchoConfig, Worker, echo::Echo};
+
+type Compute = dyn Fn(&Sample) -> Result<Sample, InferenceError> + Send + Sync;
+
+/// A model that computes what a test tells it to.
+struct Told(Arc<Compute>);
+
+impl Model for Told {
+    fn worker(&self) -> Result<Box<dyn Worker>, LoadError> {
+        Ok(Box::new(Told(Arc::clone(&self.0))))
+    }
+
+    fn device(&self) -> String {
+        "cpu".to_owned()
+    }
+
+    fn facts(&self) -> Vec<(String, String)> {
+        Vec::new()
+    }
+}
+
+impl Worker for Told {
+    fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
+        let _inference = log.time(stage::INFERENCE);
+        (self.0)(sample)
+    }
+}
+
+fn clock() -> Arc<ManualClock> {
+    Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "clock")))
+}
+
+fn pool(
+    workers: usize,
+    queue: usize,
+    compute: impl Fn(&Sample) -> Result<Sample, InferenceError> + Send + Sync + 'static,
+) -> Arc<Pool> {
+    start(Arc::new(Told(Arc::new(compute))), Sizes { workers, queue }, clock())
+}
+
+fn start(model: Arc<dyn Model>, sizes: Sizes, clock: Arc<ManualClock>) -> Arc<Pool> {
+    let name = "told".parse().expect("is a name");
+    let clock: SharedClock = clock;
+    Arc::new(Pool::start(name, model, sizes, &clock, clock.mono()).expect("starts"))
+}
+
+fn sample(text: &'static str) -> Sample {
+    Sample::of(Description::bytes(), Bytes::from(text))
+}
+
+fn job(text: &'static str, reply: impl FnOnce(Done) + Send + 'static) -> Job {
+    let log = Recorder::begin(clock(), HostId::random());
+    Job { sample: sample(text), log, received: MonoTime::from_nanos(0), reply: Box::new(reply) }
+}
+
+/// A job whose result is awaited.
+fn awaited(text: &'static str) -> (Job, Receiver<Done>) {
+    let (sender, receiver) = sync_channel(1);
+    (job(text, move |done| sender.send(done).expect("is awaited")), receiver)
+}
+
+fn run(pool: &Pool, text: &'static str) -> Done {
+    let (job, done) = awaited(text);
+    pool.submit(job).expect("has room");
+    done.recv().expect("is answered")
+}
+
+/// A computation that reports its beginning and waits to be let go.
+fn gated() -> (impl Fn(&Sample) -> Result<Sample, InferenceError> + Send + Sync, Receiver<()>, SyncSender<()>)
+{
+    let (begun, begins) = sync_channel(8);
+    let (go, gate) = sync_channel::<()>(8);
+    let gate = Mutex::new(gate);
+    let compute = move |sample: &Sample| {
+        begun.send(()).expect("is awaited");
+        gate.lock().expect("is not poisoned").recv().expect("is let go");
+        Ok(sample.clone())
+    };
+    (compute, begins, go)
+}
+
+#[test]
+fn the_wait_for_a_worker_is_recorded() {
+    let clock = clock();
+    let model = Arc::new(Told(Arc::new(|sample| Ok(sample.clone()))));
+    let pool = start(model, Sizes { workers: 1, queue: 1 }, Arc::clone(&clock));
+    clock.advance(Span::from_millis(7));
+    let done = run(&pool, "a");
+    assert_eq!(done.result, Ok(sample("a")));
+    let tree = done.log.finish();
+    assert_eq!(tree.find(&["queue"]).expect("is recorded").1.measure.value(), Some(0.007));
+    assert!(tree.find(&["inference"]).is_some());
+}
+
+#[test]
+fn a_full_queue_gives_the_job_back() {
+    let (compute, begins, go) = gated();
+    let pool = pool(1, 1, compute);
+    let (first, first_done) = awaited("first");
+    pool.submit(first).expect("a worker is free");
+    begins.recv().expect("the worker began");
+    let (second, second_done) = awaited("second");
+    pool.submit(second).expect("the queue has room");
+    assert_eq!(pool.waiting(), 1);
+    let refused = pool.submit(awaited("third").0).expect_err("the queue is full");
+    assert_eq!(refused.job.sample, sample("third"));
+    assert_eq!(refused.reason, InferenceError::QueueFull { model: "told".to_owned(), capacity: 1 });
+    for done in [first_done, second_done] {
+        go.send(()).expect("a worker waits");
+        assert!(done.recv().expect("is answered").result.is_ok());
+    }
+}
+
+#[test]
+fn workers_compute_at_the_same_time() {
+    let both = Barrier::new(2);
+    let pool = pool(2, 2, move |sample| {
+        both.wait();
+        Ok(sample.clone())
+    });
+    let (a, a_done) = awaited("a");
+    let (b, b_done) = awaited("b");
+    pool.submit(a).expect("has room");
+    pool.submit(b).expect("has room");
+    assert!(a_done.recv().expect("is answered").result.is_ok());
+    assert!(b_done.recv().expect("is answered").result.is_ok());
+}
+
+#[test]
+fn a_panic_fails_one_sample_and_no_more() {
+    let pool = pool(1, 4, |sample| {
+        assert!(&sample.parts[0].bytes[..] != b"bad", "cannot take {}", "this");
+        Ok(sample.clone())
+    });
+    let done = run(&pool, "bad");
+    let message = "cannot take this".to_owned();
+    assert_eq!(done.result, Err(InferenceError::Panicked { model: "told".to_owned(), message }));
+    let tree = done.log.finish();
+    assert!(!tree.find(&["inference"]).expect("was begun").1.measure.is_open());
+    assert_eq!(run(&pool, "good").result, Ok(sample("good")));
+}
+
+#[test]
+fn a_reply_that_panics_leaves_the_pool_working() {
+    let pool = pool(1, 4, |sample| Ok(sample.clone()));
+    pool.submit(job("a", |_| panic!("the receiver is broken"))).expect("has room");
+    assert_eq!(run(&pool, "b").result, Ok(sample("b")));
+}
+
+#[test]
+fn shutting_down_answers_everybody() {
+    let (compute, begins, go) = gated();
+    let pool = pool(1, 4, compute);
+    let (running, running_done) = awaited("running");
+    pool.submit(running).expect("has room");
+    begins.recv().expect("the worker began");
+    let (waiting, waiting_done) = awaited("waiting");
+    pool.submit(waiting).expect("has room");
+
+    let ending = std::thread::spawn({
+        let pool = Arc::clone(&pool);
+        move || pool.shutdown()
+    });
+    let stopped = Err(InferenceError::Stopped { model: "told".to_owned() });
+    assert_eq!(waiting_done.recv().expect("is answered").result, stopped);
+    let refused = pool.submit(awaited("late").0).expect_err("is shut down");
+    assert_eq!(Err(refused.reason), stopped);
+    go.send(()).expect("the worker waits");
+    assert_eq!(running_done.recv().expect("is answered").result, Ok(sample("running")));
+    ending.join().expect("does not panic");
+}
+
+#[test]
+fn the_last_handle_may_go_on_a_thread_of_the_pool() {
+    let (compute, begins, go) = gated();
+    let pool = pool(1, 1, compute);
+    let (sender, receiver) = sync_channel(1);
+    let handle = Arc::clone(&pool);
+    pool.submit(job("a", move |_| {
+        drop(handle);
+        sender.send(()).expect("is awaited");
+    }))
+    .expect("has room");
+    begins.recv().expect("the worker began");
+    drop(pool);
+    go.send(()).expect("the worker waits");
+    receiver.recv().expect("the reply returned");
+}
+
+#[test]
+fn echo_answers_on_the_callers_thread_before_submit_returns() {
+    let config = EchoConfig { name: "echo".parse().expect("is a name"), answer_bytes: None };
+    let pool = start(Arc::new(Echo::new(config)), Sizes { workers: 1, queue: 1 }, clock());
+    let caller = thread::current().id();
+    let (sender, receiver) = sync_channel(1);
+    let reply = move |done: Done| sender.send((thread::current().id(), done)).expect("has room");
+    pool.submit(job("abc", reply)).expect("always has room");
+    let (computed_on, done) = receiver.try_recv().expect("was answered already");
+    assert_eq!((computed_on, done.result), (caller, Ok(sample("abc"))));
+    assert!(done.log.finish().find(&["queue"]).is_some());
+
+    let (sender, receiver) = sync_channel(1);
+    let again = Arc::clone(&pool);
+    let reply = move |_: Done| {
+        again.submit(job("b", move |done| sender.send(done).expect("has room"))).expect("nests");
+    };
+    pool.submit(job("a", reply)).expect("always has room");
+    assert_eq!(receiver.try_recv().expect("was answered already").result, Ok(sample("b")));
+}

@@ -1,0 +1,73 @@
+//! One thread of a pool.
+
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+
+use peernet_clock::SharedClock;
+use peernet_logger::{Recorder, Slug, stage};
+use peernet_sample::Sample;
+
+use crate::job::Reply;
+use crate::queue::Queue;
+use crate::{Done, InferenceError, Job, Model, Worker};
+
+/// A worker and what it needs to answer jobs: used by one thread at a time.
+pub(crate) struct Station {
+    pub(crate) name: Slug,
+    pub(crate) model: Arc<dyn Model>,
+    pub(crate) clock: SharedClock,
+    /// `None` after a panic, until it could be rebuilt.
+    pub(crate) worker: Option<Box<dyn Worker>>,
+}
+
+impl Station {
+    /// Serves jobs until the queue is closed.
+    pub(crate) fn serve(&mut self, queue: &Queue<Job>) {
+        while let Some(job) = queue.pop() {
+            let (reply, done) = self.compute(job);
+            deliver(&self.name, reply, done);
+        }
+    }
+
+    /// Computes one job; what remains is to [`deliver`] the result. Never panics.
+    pub(crate) fn compute(&mut self, job: Job) -> (Reply, Done) {
+        let Job { sample, mut log, received, reply } = job;
+        log.timed(stage::QUEUE, received, self.clock.mono());
+        let result = self.infer(&sample, &mut log);
+        (reply, Done { log, result })
+    }
+
+    fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
+        let mut worker = match self.worker.take() {
+            Some(worker) => worker,
+            None => self.model.worker().map_err(|error| InferenceError::Failed {
+                model: self.name.to_string(),
+                reason: format!("its worker could not be rebuilt after a panic: {error}"),
+            })?,
+        };
+        // The recorder's open nodes close as the panic unwinds, so it stays usable; the worker is thrown away.
+        match catch_unwind(AssertUnwindSafe(|| worker.infer(sample, log))) {
+            Ok(result) => {
+                self.worker = Some(worker);
+                result
+            }
+            Err(panic) => {
+                let message = message(panic.as_ref()).to_owned();
+                Err(InferenceError::Panicked { model: self.name.to_string(), message })
+            }
+        }
+    }
+}
+
+/// Calls a job's reply; its panics end here, so that a broken receiver does not take a thread of the pool with it.
+pub(crate) fn deliver(model: &Slug, reply: Reply, done: Done) {
+    if let Err(panic) = catch_unwind(AssertUnwindSafe(|| reply(done))) {
+        tracing::error!(%model, panic = message(panic.as_ref()), "the receiver of an answer panicked");
+    }
+}
+
+fn message(panic: &(dyn Any + Send)) -> &str {
+    let text = panic.downcast_ref::<String>().map(String::as_str);
+    text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("without a message")
+}

@@ -1,0 +1,61 @@
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use peernet_sample::{Description, Sample};
+
+use super::{bank, loaded, quality_control, run, slug};
+
+const ECHO: &str = "name = \"echo\"\nkind = \"echo\"";
+const SLEEP: &str =
+    "name = \"nap\"\nkind = \"sleep\"\npreprocessing_ms = 1\ninference_ms = 2\npostprocessing_ms = 1";
+
+fn bytes(count: usize) -> Sample {
+    Sample::of(Description::bytes(), vec![7; count].into())
+}
+
+#[test]
+fn models_are_listed_in_the_order_of_the_configuration() {
+    let bank = bank(&[&quality_control(""), ECHO, SLEEP]);
+    assert_eq!(bank.names(), [slug("qc"), slug("echo"), slug("nap")]);
+    assert!(bank.check().is_empty(), "{:?}", bank.check());
+}
+
+#[test]
+fn a_model_is_loaded_once_and_shared() {
+    let loads = Arc::new(AtomicUsize::new(0));
+    let counted = Arc::clone(&loads);
+    let bank = bank(&[&quality_control("")]).on_load(move |pool| {
+        assert_eq!((pool.name().as_str(), pool.device().as_str()), ("qc", "cpu"));
+        counted.fetch_add(1, Ordering::SeqCst);
+    });
+    let pools = std::thread::scope(|scope| {
+        let askers = [(); 4].map(|()| scope.spawn(|| loaded(&bank, "qc")));
+        askers.map(|asker| asker.join().expect("does not panic"))
+    });
+    assert!(pools.iter().all(|pool| Arc::ptr_eq(pool, &pools[0])));
+    assert_eq!(loads.load(Ordering::SeqCst), 1);
+    assert!(pools[0].loaded_in() > peernet_clock::Span::ZERO);
+    assert!(bank.load(&slug("qc"), Some("cpu")).is_ok());
+}
+
+#[test]
+fn echo_answers_with_the_payload_or_as_many_bytes_as_it_is_told() {
+    let bank = bank(&[ECHO, "name = \"short\"\nkind = \"echo\"\nanswer_bytes = 3"]);
+    let echo = loaded(&bank, "echo");
+    assert!(!echo.blocks());
+    assert_eq!(run(&echo, bytes(1000)).result, Ok(bytes(1000)));
+    let short = run(&loaded(&bank, "short"), bytes(1000)).result.expect("echoes");
+    assert_eq!(short.payload_bytes(), 3);
+}
+
+#[test]
+fn sleep_takes_at_least_the_time_of_each_stage() {
+    let done = run(&loaded(&bank(&[SLEEP]), "nap"), bytes(1));
+    assert!(done.result.is_ok());
+    let tree = done.log.finish();
+    for (stage, at_least) in [("preprocessing", 0.001), ("inference", 0.002), ("postprocessing", 0.001)] {
+        let taken = tree.find(&[stage]).and_then(|(_, node)| node.measure.value()).expect("is recorded");
+        assert!(taken >= at_least, "{stage}: {taken}");
+    }
+    assert!(tree.find(&["queue"]).is_some());
+}

@@ -1,0 +1,104 @@
+//! The committed demo model on its committed pictures, through the bank and the pool that serve an agent, with the
+//! real ONNX Runtime (`make setup` fetches it).
+
+mod accuracy;
+mod bank;
+mod process;
+mod refusals;
+mod samples;
+mod workers;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::mpsc::sync_channel;
+
+use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
+use peernet_inference::{Bank, Done, InferenceError, Job, ModelConfig, OnnxRuntimeConfig, Pool};
+use peernet_logger::{HostId, Recorder, Slug};
+use peernet_sample::{Description, MediaType, Sample};
+use serde::Deserialize;
+
+/// The demo model's folder.
+fn demo() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../models/quality-control")
+        .canonicalize()
+        .expect("is committed")
+}
+
+fn clock() -> SharedClock {
+    Arc::new(SystemClock::new(ClockIdentity::new("test", ClockIdentity::SYSTEM)))
+}
+
+/// One `[[model]]` each, as it stands in a configuration.
+fn bank(models: &[&str]) -> Bank {
+    let models = models.iter().map(|model| toml::from_str::<ModelConfig>(model).expect(model));
+    Bank::new(models.collect(), OnnxRuntimeConfig::default(), clock())
+}
+
+/// The demo model with more lines of configuration.
+fn quality_control(more: &str) -> String {
+    format!("name = \"qc\"\nkind = \"onnx\"\npath = {:?}\n{more}", demo())
+}
+
+fn slug(name: &str) -> Slug {
+    name.parse().expect("is a name")
+}
+
+fn loaded(bank: &Bank, name: &str) -> Arc<Pool> {
+    bank.load(&slug(name), None).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn jpeg(bytes: Vec<u8>) -> Sample {
+    Sample::of(Description::unshaped(MediaType::Jpeg), bytes.into())
+}
+
+/// Submits a sample and waits for its answer.
+fn run(pool: &Pool, sample: Sample) -> Done {
+    let (sender, receiver) = sync_channel(1);
+    let clock = clock();
+    let reply = Box::new(move |done| sender.send(done).expect("is awaited"));
+    let log = Recorder::begin(Arc::clone(&clock), HostId::random());
+    pool.submit(Job { sample, log, received: clock.mono(), reply }).expect("the queue has room");
+    receiver.recv().expect("is answered")
+}
+
+/// A classifier's answer.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Answer {
+    label: String,
+    score: f64,
+    top: Vec<Ranked>,
+}
+
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Ranked {
+    label: String,
+    score: f64,
+}
+
+fn answer(result: Result<Sample, InferenceError>) -> Answer {
+    let sample = result.unwrap_or_else(|error| panic!("{error}"));
+    assert_eq!(sample.parts[0].description.media, MediaType::Json);
+    serde_json::from_slice(&sample.parts[0].bytes).expect("has the promised keys")
+}
+
+/// A picture of the demo and what is right for it.
+#[derive(Deserialize)]
+struct Labelled {
+    file: String,
+    label: String,
+}
+
+/// The labelled pictures of a folder of the demo model: file contents and labels.
+fn pictures(folder: &str) -> Vec<(Vec<u8>, String)> {
+    let folder = demo().join(folder);
+    let mut labels = csv::Reader::from_path(folder.join("labels.csv")).expect("is committed");
+    labels
+        .deserialize()
+        .map(|row| row.expect("has file and label"))
+        .map(|Labelled { file, label }| (std::fs::read(folder.join(file)).expect("is committed"), label))
+        .collect()
+}

@@ -1,0 +1,85 @@
+//! What needs a process of its own: a process loads one library for ever, and its threads are counted.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use super::{bank, loaded, quality_control};
+
+/// Runs one of the ignored tests below in a process of its own and returns what it printed.
+fn alone(test: &str, library: Option<&Path>) -> String {
+    let mut command = Command::new(std::env::current_exe().expect("is known"));
+    command.args(["--ignored", "--exact", "--nocapture", &format!("process::{test}")]);
+    if let Some(library) = library {
+        command.env("ORT_DYLIB_PATH", library);
+    }
+    let output = command.output().expect("can be started");
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
+    text
+}
+
+#[test]
+#[ignore = "run by the tests below"]
+fn child_checks() {
+    for error in bank(&[&quality_control("")]).check() {
+        println!("{error}");
+    }
+}
+
+#[test]
+fn a_library_that_cannot_be_used_is_an_error_with_file_reason_and_remedy() {
+    let folder = tempfile::tempdir().expect("can be made");
+    let at = |name: &str| folder.path().join(name);
+    fs::write(at("text.so"), "no library ".repeat(10)).expect("can be written");
+    build(&at("other.so"), "int other;");
+    build(
+        &at("old.so"),
+        "static const char *version(void) { return \"1.16.3\"; }\n\
+         static struct { void *api; const char *(*version)(void); } base = { 0, version };\n\
+         void *OrtGetApiBase(void) { return &base; }",
+    );
+    for (name, reason) in [
+        ("text.so", "invalid ELF header"),
+        ("other.so", "it is not ONNX Runtime"),
+        ("old.so", "it is version 1.16.3, at least 1.17 is needed"),
+        ("missing.so", "there is no such file"),
+    ] {
+        let printed = alone("child_checks", Some(&at(name)));
+        for part in [name, reason, "ORT_DYLIB_PATH", "make setup"] {
+            assert!(printed.contains(part), "{part}: {printed}");
+        }
+    }
+}
+
+fn build(library: &Path, source: &str) {
+    let file = library.with_extension("c");
+    fs::write(&file, source).expect("can be written");
+    let status = Command::new("cc").args(["-shared", "-fPIC", "-o"]).arg(library).arg(&file).status();
+    assert!(status.expect("a C compiler is installed").success());
+}
+
+#[test]
+#[ignore = "run by the test below"]
+fn child_counts_threads() {
+    let threads = || fs::read_dir("/proc/self/task").expect("is Linux").count();
+    let bank = bank(&[&quality_control("workers = 2\nintra_threads = 3")]);
+    assert!(bank.check().is_empty()); // loads the library, which has a thread of its own
+    let before = threads();
+    let pool = loaded(&bank, "qc");
+    println!("{} more threads", threads() - before);
+    let maps = fs::read_to_string("/proc/self/maps").expect("is Linux");
+    let mapped = maps.lines().find(|line| line.contains("peernet-model-")).expect("the weights are mapped");
+    let weights = mapped.split_whitespace().last().expect("ends with the file").to_owned();
+    assert!(weights.ends_with("weights.bin") && Path::new(&weights).exists(), "{mapped}");
+    drop((pool, bank));
+    assert!(!Path::new(&weights).exists(), "{weights} is left behind");
+    println!("{} left", threads() - before);
+}
+
+/// Two workers, each with two threads to help its own; one copy of the weights, mapped by both.
+#[test]
+fn threads_are_as_many_as_configured_and_weights_are_shared() {
+    let printed = alone("child_counts_threads", None);
+    assert!(printed.contains("6 more threads") && printed.contains("0 left"), "{printed}");
+}

@@ -1,0 +1,104 @@
+use std::fs;
+
+use peernet_inference::{Bank, LibraryError, LoadError, ModelConfig, OnnxRuntimeConfig};
+
+use super::{bank, clock, demo, loaded, quality_control, slug};
+
+fn refused(bank: &Bank, name: &str, device: Option<&str>) -> LoadError {
+    bank.load(&slug(name), device).expect_err("is refused")
+}
+
+#[test]
+fn an_unknown_model_is_refused_with_the_list() {
+    let two = bank(&[&quality_control(""), "name = \"echo\"\nkind = \"echo\""]);
+    let error = refused(&two, "qd", None);
+    assert_eq!(error.to_string(), "no model named qd; this host offers qc, echo");
+    let error = refused(&bank(&[]), "qd", None).to_string();
+    assert!(error.contains("this host offers none: add a [[model]]"), "{error}");
+}
+
+#[test]
+fn a_device_that_is_not_offered_is_refused_with_the_one_that_is() {
+    let error = refused(&bank(&[&quality_control("")]), "qc", Some("cuda:0")).to_string();
+    assert_eq!(error, "model qc is not offered on cuda:0, only on cpu; ask for that or name no device");
+    let error = refused(&bank(&[&quality_control("device = \"gpu\"")]), "qc", None).to_string();
+    assert!(error.contains("\"gpu\" is not a device") && error.contains("cuda:N"), "{error}");
+}
+
+#[test]
+fn two_models_of_one_name_are_found_by_the_check() {
+    let errors = bank(&["name = \"a\"\nkind = \"echo\"", "name = \"a\"\nkind = \"sleep\""]).check();
+    assert!(matches!(errors.as_slice(), [LoadError::Duplicate(name)] if name == "a"), "{errors:?}");
+}
+
+/// The library that tests run with is built for the CPU alone.
+#[test]
+fn a_device_that_the_library_lacks_is_refused_with_the_reason() {
+    for (device, provider) in [
+        ("cuda:0", "CUDAExecutionProvider"),
+        ("tensorrt:0", "TensorrtExecutionProvider"),
+        ("openvino:CPU", "OpenVINOExecutionProvider"),
+    ] {
+        let bank = bank(&[&quality_control(&format!("device = \"{device}\""))]);
+        for error in bank.check().into_iter().chain([refused(&bank, "qc", None)]) {
+            assert!(matches!(error, LoadError::NoProvider { .. }), "{error}");
+            let text = error.to_string();
+            for part in [device, provider, "libonnxruntime", "it has CPUExecutionProvider", "ORT_DYLIB_PATH"]
+            {
+                assert!(text.contains(part), "{part}: {text}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_second_library_is_refused_in_one_process() {
+    let first = bank(&[&quality_control("")]);
+    loaded(&first, "qc");
+    let folder = tempfile::tempdir().expect("can be made");
+    let library = folder.path().join("libonnxruntime.so");
+    fs::write(&library, "").expect("can be written");
+    let model: ModelConfig = toml::from_str(&quality_control("")).expect("is right");
+    let second = Bank::new(vec![model], OnnxRuntimeConfig { library: Some(library) }, clock());
+    let error = refused(&second, "qc", None);
+    assert!(matches!(error, LoadError::Library(LibraryError::AnotherLoaded { .. })), "{error}");
+}
+
+/// A model's folder made of the demo's files, changed.
+fn changed(model: &[u8], card: &str) -> (tempfile::TempDir, Bank) {
+    let folder = tempfile::tempdir().expect("can be made");
+    fs::write(folder.path().join("model.onnx"), model).expect("can be written");
+    fs::write(folder.path().join("model.toml"), card).expect("can be written");
+    let config = format!("name = \"qc\"\nkind = \"onnx\"\npath = {:?}", folder.path());
+    let bank = bank(&[&config]);
+    (folder, bank)
+}
+
+#[test]
+fn missing_and_broken_files_are_named() {
+    let missing = bank(&["name = \"qc\"\nkind = \"onnx\"\npath = \"/nowhere\""]);
+    let error = refused(&missing, "qc", None).to_string();
+    assert!(error.contains("/nowhere/model.toml"), "{error}");
+
+    let card = fs::read_to_string(demo().join("model.toml")).expect("is committed");
+    let (_folder, bank) = changed(b"this is no model", &card);
+    let error = refused(&bank, "qc", None);
+    assert!(matches!(error, LoadError::Session { .. }), "{error}");
+    assert!(error.to_string().contains("model.onnx"), "{error}");
+}
+
+#[test]
+fn a_card_that_does_not_fit_the_model_is_refused_when_it_is_loaded() {
+    let model = fs::read(demo().join("model.onnx")).expect("is committed");
+    let card = fs::read_to_string(demo().join("model.toml")).expect("is committed");
+    for (from, to, named) in [
+        ("name = \"image\"", "name = \"picture\"", "no input \"picture\""),
+        ("name = \"logits\"", "name = \"scores\"", "no output \"scores\""),
+        ("\"hole missing\"]", "\"hole missing\", \"bent\"]", "[1, 5]"),
+        ("colour = \"rgb\"", "colour = \"grey\"", "3 channels"),
+    ] {
+        let (_folder, bank) = changed(&model, &card.replace(from, to));
+        let error = refused(&bank, "qc", None).to_string();
+        assert!(error.contains(named), "{named}: {error}");
+    }
+}

@@ -1,0 +1,57 @@
+use std::sync::Arc;
+use std::sync::mpsc::sync_channel;
+
+use peernet_inference::{Done, Job};
+use peernet_logger::{HostId, Recorder};
+
+use super::{Answer, answer, bank, clock, jpeg, loaded, pictures, quality_control, run};
+
+/// The answers of a model with this configuration to all pictures of the demo, submitted at once.
+fn answers(more: &str) -> Vec<Answer> {
+    let bank = bank(&[&quality_control(more)]);
+    let pool = loaded(&bank, "qc");
+    let clock = clock();
+    let (sender, receiver) = sync_channel(30);
+    for (index, (file, _)) in pictures("pictures").into_iter().enumerate() {
+        let sender = sender.clone();
+        let reply = Box::new(move |done: Done| sender.send((index, done.result)).expect("is awaited"));
+        let log = Recorder::begin(Arc::clone(&clock), HostId::random());
+        let job = Job { sample: jpeg(file), log, received: clock.mono(), reply };
+        pool.submit(job).expect("the queue has room");
+    }
+    drop(sender);
+    let mut results: Vec<_> = receiver.iter().collect();
+    results.sort_by_key(|(index, _)| *index);
+    results.into_iter().map(|(_, result)| answer(result)).collect()
+}
+
+/// Equal but for the last digits: a kernel may add up in another order.
+fn assert_equal(a: &[Answer], b: &[Answer]) {
+    assert_eq!(a.len(), b.len());
+    for (a, b) in a.iter().zip(b) {
+        assert_eq!(a.label, b.label);
+        assert!((a.score - b.score).abs() < 1e-4, "{a:?} {b:?}");
+    }
+}
+
+#[test]
+fn any_number_of_workers_and_threads_gives_the_same_answers() {
+    let alone = answers("queue = 30");
+    assert_equal(&alone, &answers("queue = 30\nworkers = 3"));
+    assert_equal(&alone, &answers("queue = 30\nworkers = 2\nintra_threads = 2\ninter_threads = 2"));
+}
+
+#[test]
+fn a_pool_serves_until_it_is_shut_down() {
+    let bank = bank(&[&quality_control("workers = 2")]);
+    let pool = loaded(&bank, "qc");
+    assert_eq!((pool.workers(), pool.waiting()), (2, 0));
+    let (file, _) = pictures("pictures").swap_remove(0);
+    assert!(run(&pool, jpeg(file.clone())).result.is_ok());
+    bank.shutdown();
+    let clock = clock();
+    let log = Recorder::begin(Arc::clone(&clock), HostId::random());
+    let job = Job { sample: jpeg(file), log, received: clock.mono(), reply: Box::new(|_| {}) };
+    let refused = pool.submit(job).expect_err("is shut down");
+    assert_eq!(refused.reason.to_string(), "model qc is shutting down");
+}

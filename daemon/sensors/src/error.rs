@@ -1,0 +1,46 @@
+//! What can go wrong with a sensor or a transform.
+
+use std::io;
+use std::path::PathBuf;
+
+use peernet_imaging::ImageError;
+
+/// Why a sensor could not be opened, a sample not be had or not be changed.
+#[derive(Debug, thiserror::Error)]
+pub enum SensorError {
+    /// A file or folder that cannot be read.
+    #[error("cannot read {}: {error}", .path.display())]
+    Read {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system said.
+        error: io::Error,
+    },
+    /// A folder without pictures.
+    #[error("{} holds no picture: put .jpg, .jpeg or .png files into it or into folders named after their label", .0.display())]
+    Empty(PathBuf),
+    /// A single file that is not a picture by its name.
+    #[error("{} is neither a folder nor a .jpg, .jpeg or .png file", .0.display())]
+    NotAPicture(PathBuf),
+    /// Labels that cannot be used.
+    #[error("cannot use the labels in {}: {reason}", .file.display())]
+    Labels {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A configuration that contradicts itself.
+    #[error("{0}")]
+    Config(String),
+    /// A sample that a transform cannot change.
+    #[error("cannot {action} sample {sample:?}: {error}")]
+    Picture {
+        /// What was tried: `resize`, `crop`, `encode`, `decode`.
+        action: &'static str,
+        /// Where the sample came from; may be empty.
+        sample: String,
+        /// What is wrong with it.
+        error: ImageError,
+    },
+}

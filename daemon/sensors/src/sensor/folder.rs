@@ -1,0 +1,43 @@
+//! Finding the pictures of a folder.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use peernet_sample::MediaType;
+
+use crate::SensorError;
+
+/// What a file is by the ending of its name.
+pub(super) fn media(file: &Path) -> Option<MediaType> {
+    let ending = file.extension()?.to_str()?.to_ascii_lowercase();
+    match ending.as_str() {
+        "jpg" | "jpeg" => Some(MediaType::Jpeg),
+        "png" => Some(MediaType::Png),
+        _ => None,
+    }
+}
+
+/// All pictures in `folder` and the folders below it, sorted by path. Hidden ones are left out, and folders that
+/// are links are not entered, so that the search ends.
+pub(super) fn pictures(folder: &Path) -> Result<Vec<PathBuf>, SensorError> {
+    let mut found = Vec::new();
+    let mut pending = vec![folder.to_owned()];
+    while let Some(folder) = pending.pop() {
+        let unreadable = |error| SensorError::Read { path: folder.clone(), error };
+        for entry in fs::read_dir(&folder).map_err(unreadable)? {
+            let entry = entry.map_err(unreadable)?;
+            let path = entry.path();
+            if entry.file_name().as_encoded_bytes().starts_with(b".") {
+                continue;
+            }
+            let kind = entry.file_type().map_err(|error| SensorError::Read { path: path.clone(), error })?;
+            if kind.is_dir() {
+                pending.push(path);
+            } else if media(&path).is_some() {
+                found.push(path);
+            }
+        }
+    }
+    found.sort_unstable();
+    Ok(found)
+}

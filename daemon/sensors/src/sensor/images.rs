@@ -1,0 +1,122 @@
+//! `images`: pictures from files, as they are.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use bytes::Bytes;
+use peernet_logger::Recorder;
+use peernet_sample::{Description, MediaType, Sample};
+use rand::SeedableRng;
+use rand::rngs::StdRng;
+use rand::seq::SliceRandom;
+
+use super::{folder, labels};
+use crate::{Order, Sensor, SensorError};
+
+/// A list of pictures, read one by one when they are asked for.
+pub(super) struct Images {
+    path: PathBuf,
+    pictures: Vec<Picture>,
+    next: usize,
+    /// Shuffles before every round; `None` keeps the order of names.
+    shuffle: Option<StdRng>,
+    repeat: bool,
+}
+
+struct Picture {
+    file: PathBuf,
+    media: MediaType,
+    /// Path below the folder.
+    source: String,
+    label: Option<String>,
+}
+
+impl Images {
+    pub(super) fn open(path: &Path, order: Order, seed: u64, repeat: bool) -> Result<Self, SensorError> {
+        let about = fs::metadata(path).map_err(|error| SensorError::Read { path: path.to_owned(), error })?;
+        let pictures = if about.is_dir() { of_folder(path)? } else { vec![single(path)?] };
+        let mut images = Self {
+            path: path.to_owned(),
+            pictures,
+            next: 0,
+            shuffle: (order == Order::Shuffled).then(|| StdRng::seed_from_u64(seed)),
+            repeat,
+        };
+        images.shuffle();
+        Ok(images)
+    }
+
+    fn shuffle(&mut self) {
+        if let Some(random) = &mut self.shuffle {
+            self.pictures.shuffle(random);
+        }
+    }
+}
+
+impl Sensor for Images {
+    fn sample(&mut self, _log: &mut Recorder) -> Result<Option<Sample>, SensorError> {
+        if self.next == self.pictures.len() {
+            if !self.repeat {
+                return Ok(None);
+            }
+            self.next = 0;
+            self.shuffle();
+        }
+        let picture = &self.pictures[self.next];
+        // Counted before reading: a picture that cannot be read is not asked for again in this round.
+        self.next += 1;
+        let bytes = fs::read(&picture.file)
+            .map_err(|error| SensorError::Read { path: picture.file.clone(), error })?;
+        let mut sample = Sample::of(Description::unshaped(picture.media.clone()), Bytes::from(bytes));
+        sample.source.clone_from(&picture.source);
+        sample.label.clone_from(&picture.label);
+        Ok(Some(sample))
+    }
+
+    fn facts(&self) -> Vec<(String, String)> {
+        let count = self.pictures.len();
+        let order = if self.shuffle.is_some() { "shuffled" } else { "by name" };
+        let times = if self.repeat { "repeated" } else { "once" };
+        let labelled = self.pictures.iter().filter(|picture| picture.label.is_some()).count();
+        let images = format!("{count} images of {}, {order}, {times}", self.path.display());
+        vec![("Sensor".to_owned(), images), ("Labels".to_owned(), format!("{labelled} of {count}"))]
+    }
+}
+
+fn of_folder(path: &Path) -> Result<Vec<Picture>, SensorError> {
+    let files = folder::pictures(path)?;
+    if files.is_empty() {
+        return Err(SensorError::Empty(path.to_owned()));
+    }
+    let mut labels = labels::read(path)?;
+    let pictures: Vec<_> = files
+        .into_iter()
+        .filter_map(|file| {
+            let media = folder::media(&file)?;
+            let below = file.strip_prefix(path).unwrap_or(&file);
+            let source = below.to_string_lossy().into_owned();
+            let label = match &mut labels {
+                Some(labels) => labels.remove(&source),
+                None => below.iter().rev().nth(1).map(|folder| folder.to_string_lossy().into_owned()),
+            };
+            Some(Picture { media, source, label, file })
+        })
+        .collect();
+    match labels.and_then(|left| left.into_keys().min()) {
+        Some(missing) => Err(SensorError::Labels {
+            file: path.join(labels::FILE),
+            reason: format!("it labels {missing}, which is not among the pictures of the folder"),
+        }),
+        None => Ok(pictures),
+    }
+}
+
+fn single(file: &Path) -> Result<Picture, SensorError> {
+    let media = folder::media(file).ok_or_else(|| SensorError::NotAPicture(file.to_owned()))?;
+    let source = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let label = match file.parent() {
+        Some(folder) => labels::read(folder)?.and_then(|mut labels| labels.remove(&source)),
+        None => None,
+    };
+    Ok(Picture { file: file.to_owned(), media, source, label })
+}

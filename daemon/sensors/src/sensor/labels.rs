@@ -1,0 +1,43 @@
+//! The right answers of a folder of pictures.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use serde::Deserialize;
+
+use crate::SensorError;
+
+/// The file of labels in a folder of pictures: comma-separated, with the columns `file` and `label`.
+pub(super) const FILE: &str = "labels.csv";
+
+/// Labels by the file's path below the folder.
+pub(super) type Labels = HashMap<String, String>;
+
+#[derive(Deserialize)]
+struct Row {
+    file: String,
+    label: String,
+}
+
+/// Reads the labels of `folder`; `None` when it has no file of labels.
+pub(super) fn read(folder: &Path) -> Result<Option<Labels>, SensorError> {
+    let file = folder.join(FILE);
+    let text = match std::fs::read_to_string(&file) {
+        Ok(text) => text,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+        Err(error) => return Err(SensorError::Read { path: file, error }),
+    };
+    let wrong = |reason: String| SensorError::Labels { file: file.clone(), reason };
+    let mut labels = Labels::new();
+    for row in csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_bytes()).deserialize() {
+        let Row { file, label } = row.map_err(|error| {
+            wrong(format!("{error}; expected a first line `file,label` and one line per picture"))
+        })?;
+        if let Some(other) = labels.insert(file.clone(), label.clone())
+            && other != label
+        {
+            return Err(wrong(format!("{file} is labelled both {other} and {label}")));
+        }
+    }
+    Ok(Some(labels))
+}

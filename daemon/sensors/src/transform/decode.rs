@@ -1,0 +1,27 @@
+//! `decode`: pictures into pixels.
+
+use peernet_imaging::{Picture, read_part};
+use peernet_logger::Recorder;
+use peernet_sample::{MediaType, Sample};
+
+use super::{change, channels};
+use crate::{SensorError, Transform};
+
+pub(super) struct Decode;
+
+impl Transform for Decode {
+    fn apply(&mut self, sample: Sample, _log: &mut Recorder) -> Result<Sample, SensorError> {
+        change(sample, "decode", |part| {
+            if let MediaType::Pixels(_) = part.description.media {
+                return Ok(part.clone());
+            }
+            let mut picture = Picture::default();
+            read_part(part, channels(part), &mut picture)?;
+            Ok(picture.into_part())
+        })
+    }
+
+    fn describe(&self) -> String {
+        "decode".to_owned()
+    }
+}

@@ -1,0 +1,114 @@
+use std::fs;
+use std::path::Path;
+
+use peernet_sample::MediaType;
+use peernet_sensors::{Order, Sensor, SensorConfig, SensorError, open};
+
+use super::{next, sources};
+
+fn folder(files: &[(&str, &str)]) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().expect("can be made");
+    for (name, content) in files {
+        let path = folder.path().join(name);
+        fs::create_dir_all(path.parent().expect("is below the folder")).expect("can be made");
+        fs::write(path, content).expect("can be written");
+    }
+    folder
+}
+
+fn images(path: &Path, order: Order, seed: u64, repeat: bool) -> Result<Box<dyn Sensor>, SensorError> {
+    open(&SensorConfig::Images { path: path.to_owned(), order, seed, repeat })
+}
+
+fn refused(path: &Path) -> String {
+    images(path, Order::Name, 1, true).err().expect("is refused").to_string()
+}
+
+#[test]
+fn files_come_by_name_as_they_are_and_once_or_over_and_over() {
+    let folder =
+        folder(&[("b.jpg", "bytes of b"), ("a.PNG", "bytes of a"), ("c.txt", "no picture"), (".d.jpg", "")]);
+    let mut once = images(folder.path(), Order::Name, 1, false).expect("opens");
+    let a = next(once.as_mut()).expect("reads").expect("first");
+    assert_eq!((a.source.as_str(), &a.parts[0].description.media), ("a.PNG", &MediaType::Png));
+    assert_eq!((&a.parts[0].bytes[..], a.label), (&b"bytes of a"[..], None));
+    let b = next(once.as_mut()).expect("reads").expect("second");
+    assert_eq!((b.source.as_str(), &b.parts[0].description.media), ("b.jpg", &MediaType::Jpeg));
+    assert!(next(once.as_mut()).expect("ends").is_none());
+    assert!(next(once.as_mut()).expect("stays at its end").is_none());
+
+    let mut again = images(folder.path(), Order::Name, 1, true).expect("opens");
+    assert_eq!(sources(again.as_mut(), 5), ["a.PNG", "b.jpg", "a.PNG", "b.jpg", "a.PNG"]);
+    assert!(again.facts()[0].1.starts_with("2 images of "));
+}
+
+#[test]
+fn labels_come_from_the_file_of_labels_or_from_folders() {
+    let listed = folder(&[
+        ("a.jpg", ""),
+        ("sub/b.jpg", ""),
+        ("labels.csv", "file,label\na.jpg, good\nsub/b.jpg,dented\n"),
+    ]);
+    let mut sensor = images(listed.path(), Order::Name, 1, false).expect("opens");
+    let labels = [(); 2].map(|()| next(sensor.as_mut()).expect("reads").expect("there").label);
+    assert_eq!(labels, [Some("good".to_owned()), Some("dented".to_owned())]);
+
+    let sorted = folder(&[("good/a.jpg", ""), ("dented/b.jpg", ""), ("c.jpg", "")]);
+    let mut sensor = images(sorted.path(), Order::Name, 1, false).expect("opens");
+    let found: Vec<_> = (0..3)
+        .map(|_| next(sensor.as_mut()).expect("reads").expect("there"))
+        .map(|sample| (sample.source, sample.label))
+        .collect();
+    let expected = [("c.jpg", None), ("dented/b.jpg", Some("dented")), ("good/a.jpg", Some("good"))];
+    assert_eq!(found, expected.map(|(source, label)| (source.to_owned(), label.map(str::to_owned))));
+
+    let mut single = images(&listed.path().join("a.jpg"), Order::Name, 1, false).expect("opens");
+    assert_eq!(next(single.as_mut()).expect("reads").expect("there").label.as_deref(), Some("good"));
+}
+
+#[test]
+fn a_seed_decides_the_order_which_is_new_in_each_round() {
+    let names: Vec<_> = (0..30).map(|index| format!("{index:02}.jpg")).collect();
+    let files: Vec<_> = names.iter().map(|name| (name.as_str(), "")).collect();
+    let folder = folder(&files);
+    let rounds = |seed| {
+        let mut sensor = images(folder.path(), Order::Shuffled, seed, true).expect("opens");
+        [(); 3].map(|()| sources(sensor.as_mut(), 30))
+    };
+    assert_eq!(rounds(7), rounds(7));
+    assert_ne!(rounds(7), rounds(8));
+    let [first, second, third] = rounds(7);
+    assert_ne!(first, second);
+    for mut round in [first, second, third] {
+        round.sort();
+        assert_eq!(round, names);
+    }
+}
+
+#[test]
+fn what_cannot_be_opened_is_named() {
+    let empty = folder(&[("readme.txt", "")]);
+    assert!(refused(empty.path()).contains("holds no picture"));
+    assert!(refused(&empty.path().join("missing")).contains("missing"));
+    assert!(refused(&empty.path().join("readme.txt")).contains("neither a folder nor"));
+    for (labels, named) in [
+        ("file,label\nb.jpg,good\n", "b.jpg"),
+        ("name,class\na.jpg,good\n", "file,label"),
+        ("file,label\na.jpg,good\na.jpg,dented\n", "both good and dented"),
+    ] {
+        let folder = folder(&[("a.jpg", ""), ("labels.csv", labels)]);
+        let error = refused(folder.path());
+        assert!(error.contains(named) && error.contains("labels.csv"), "{error}");
+    }
+}
+
+#[test]
+fn a_picture_that_vanished_fails_alone() {
+    let folder = folder(&[("a.jpg", ""), ("b.jpg", ""), ("c.jpg", "")]);
+    let mut sensor = images(folder.path(), Order::Name, 1, false).expect("opens");
+    fs::remove_file(folder.path().join("b.jpg")).expect("is there");
+    assert_eq!(sources(sensor.as_mut(), 1), ["a.jpg"]);
+    let error = next(sensor.as_mut()).expect_err("is gone").to_string();
+    assert!(error.contains("b.jpg"), "{error}");
+    assert_eq!(sources(sensor.as_mut(), 1), ["c.jpg"]);
+}

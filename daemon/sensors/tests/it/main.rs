@@ -1,0 +1,26 @@
+//! Sensors on real folders, transforms on real pictures.
+
+mod images;
+mod synthetic;
+mod transforms;
+
+use std::sync::Arc;
+
+use peernet_clock::{ClockIdentity, ManualClock, WallTime};
+use peernet_logger::{HostId, Recorder};
+use peernet_sample::Sample;
+use peernet_sensors::{Sensor, SensorError};
+
+fn recorder() -> Recorder {
+    let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "clock"));
+    Recorder::begin(Arc::new(clock), HostId::random())
+}
+
+fn next(sensor: &mut dyn Sensor) -> Result<Option<Sample>, SensorError> {
+    sensor.sample(&mut recorder())
+}
+
+/// The sources of the next `count` samples.
+fn sources(sensor: &mut dyn Sensor, count: usize) -> Vec<String> {
+    (0..count).map(|_| next(sensor).expect("is readable").expect("goes on").source).collect()
+}

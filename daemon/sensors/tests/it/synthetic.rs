@@ -1,0 +1,43 @@
+use bytes::Bytes;
+use peernet_sample::MediaType;
+use peernet_sensors::{Sensor, SensorConfig, SensorError, open};
+
+use super::next;
+
+fn synthetic(size: Option<usize>, sizes: &[usize], seed: u64) -> Result<Box<dyn Sensor>, SensorError> {
+    open(&SensorConfig::Synthetic { size_bytes: size, sizes_bytes: sizes.to_vec(), seed })
+}
+
+fn payload(sensor: &mut dyn Sensor) -> Bytes {
+    let sample = next(sensor).expect("cannot fail").expect("never ends");
+    assert_eq!(sample.parts[0].description.media, MediaType::Bytes);
+    sample.parts[0].bytes.clone()
+}
+
+#[test]
+fn sizes_come_in_turn_and_payloads_are_made_once() {
+    let mut sensor = synthetic(None, &[1000, 0, 70_000], 1).expect("opens");
+    assert!(!sensor.blocks());
+    let first: Vec<_> = (0..3).map(|_| payload(sensor.as_mut())).collect();
+    assert_eq!(first.iter().map(Bytes::len).collect::<Vec<_>>(), [1000, 0, 70_000]);
+    let second: Vec<_> = (0..3).map(|_| payload(sensor.as_mut())).collect();
+    assert!(first.iter().zip(&second).all(|(a, b)| a.as_ptr() == b.as_ptr() && a.len() == b.len()));
+}
+
+#[test]
+fn the_bytes_follow_from_the_seed_and_do_not_compress() {
+    let of = |seed| payload(synthetic(Some(4096), &[], seed).expect("opens").as_mut());
+    assert_eq!(of(1), of(1));
+    assert_ne!(of(1), of(2));
+    let mut counts = [0u32; 256];
+    of(1).iter().for_each(|byte| counts[usize::from(*byte)] += 1);
+    assert!(counts.iter().all(|count| *count < 50), "{counts:?}");
+}
+
+#[test]
+fn a_size_must_be_given_once() {
+    let refused = |size, sizes: &[usize]| synthetic(size, sizes, 1).err().expect("is refused").to_string();
+    assert!(refused(None, &[]).contains("needs size_bytes"));
+    assert!(refused(Some(1), &[1]).contains("not both"));
+    assert!(refused(Some(usize::MAX), &[]).contains("at most"));
+}
