@@ -6,7 +6,7 @@ use std::process::ExitCode;
 /// How the program ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
-pub(crate) enum Exit {
+pub enum Exit {
     /// All went well.
     Ok = 0,
     /// The command line was wrong (64).
@@ -27,13 +27,16 @@ impl From<Exit> for ExitCode {
 
 /// An error with the exit code that it leads to.
 #[derive(Debug)]
-pub(crate) struct Failure {
-    pub(crate) exit: Exit,
-    pub(crate) error: anyhow::Error,
+pub struct Failure {
+    /// How the program is to end.
+    pub exit: Exit,
+    /// What went wrong, with everything that led to it.
+    pub error: anyhow::Error,
 }
 
 impl Failure {
-    pub(crate) fn new(exit: Exit, error: impl Into<anyhow::Error>) -> Self {
+    /// An error that ends the program so.
+    pub fn new(exit: Exit, error: impl Into<anyhow::Error>) -> Self {
         Self { exit, error: error.into() }
     }
 }

@@ -1,7 +1,7 @@
 //! The one place that writes to the terminal; everything else goes through the log.
 
 /// A result that the user asked for, on standard output.
-pub(crate) fn say(text: impl std::fmt::Display) {
+pub fn say(text: impl std::fmt::Display) {
     #[expect(clippy::print_stdout, reason = "this is the place")]
     {
         println!("{text}");
@@ -9,7 +9,7 @@ pub(crate) fn say(text: impl std::fmt::Display) {
 }
 
 /// What went wrong, on standard error, before or after the log exists.
-pub(crate) fn complain(text: impl std::fmt::Display) {
+pub fn complain(text: impl std::fmt::Display) {
     #[expect(clippy::print_stderr, reason = "this is the place")]
     {
         eprintln!("{text}");

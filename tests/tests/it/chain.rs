@@ -1,6 +1,6 @@
 //! From the sensor to the store and the page, over three processes, with a real model on real pictures.
 
-use peernet_tests::{Site, root};
+use peernet_tests::{Process, Site, program, root};
 use serde_json::Value;
 
 const CLOUD: &str = r#"
@@ -149,4 +149,26 @@ fn all_roles_in_one_process_lose_nothing_at_the_end() {
         assert_eq!(ok as usize, numbers.len(), "{run}");
     }
     assert_eq!(second.stop().code(), 0);
+}
+
+#[test]
+fn the_command_line_shows_what_runs_and_says_when_nobody_answers() {
+    let site = Site::new();
+    let url = format!("http://127.0.0.1:{}", site.http);
+    let peernet = || {
+        let arguments = ["status", "--url", url.as_str()];
+        Process::start(&program("peernet"), &arguments, site.folder(), &[]).ended()
+    };
+    let nobody = peernet();
+    assert_eq!(nobody.code(), 69, "{}", nobody.log);
+    assert!(nobody.log.contains("--url"), "{}", nobody.log);
+
+    let (_aggregator, api) = site.aggregator();
+    site.write("edge.toml", EDGE);
+    let edge = site.start("edge.toml");
+    api.until("/api/v1/pipelines/edge/offload", |pipeline| (pipeline["state"] == "waiting").then_some(()));
+    let status = peernet();
+    assert_eq!(status.code(), 0, "{}", status.log);
+    assert!(status.log.contains("edge/offload") && status.log.contains("waiting"), "{}", status.log);
+    assert_eq!(edge.stop().code(), 0);
 }

@@ -16,7 +16,7 @@ use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 use tracing::{debug, error, info, warn};
 
-use crate::exit::Exit;
+use peernetd::exit::Exit;
 
 /// `[lifecycle]`
 #[derive(Clone, Debug, Serialize, Deserialize)]

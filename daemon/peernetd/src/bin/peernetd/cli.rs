@@ -3,9 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Parser, Subcommand};
-
-/// Version with the commit it was built from.
-pub(crate) const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), " (", env!("PEERNET_COMMIT"), ")");
+use peernetd::VERSION;
 
 /// PEERNet's daemon: profiles edge-cloud loops live, stage by stage.
 ///

@@ -3,10 +3,9 @@
 mod cli;
 mod commands;
 mod configuration;
-mod exit;
+
 mod lifecycle;
 mod log;
-mod output;
 
 use std::process::ExitCode;
 
@@ -14,7 +13,7 @@ use clap::Parser;
 use clap::error::ErrorKind;
 
 use cli::{Arguments, Command};
-use exit::Exit;
+use peernetd::exit::Exit;
 
 fn main() -> ExitCode {
     let arguments = match Arguments::try_parse() {

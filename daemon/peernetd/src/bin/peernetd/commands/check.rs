@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use crate::configuration::load;
-use crate::exit::Exit;
-use crate::output::{complain, say};
+use peernetd::exit::Exit;
+use peernetd::output::{complain, say};
 
 /// Checks each file and reports every problem.
 pub(crate) fn check(files: &[PathBuf]) -> Exit {

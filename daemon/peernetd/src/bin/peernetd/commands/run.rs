@@ -8,12 +8,12 @@ use peernet_agent::Agent;
 use peernet_aggregator::Aggregator;
 use tracing::info;
 
-use crate::cli::VERSION;
 use crate::configuration::{Configuration, load};
-use crate::exit::{Exit, Failure};
 use crate::lifecycle::Lifecycle;
 use crate::log;
-use crate::output::complain;
+use peernetd::VERSION;
+use peernetd::exit::{Exit, Failure};
+use peernetd::output::complain;
 
 /// How long threads that block may take to end after everything else has.
 const LAST_MOMENTS: Duration = Duration::from_secs(1);

@@ -1,0 +1,166 @@
+//! `peernet status`
+
+use peernetd::exit::Failure;
+use peernetd::output::say;
+use serde::Deserialize;
+
+use crate::api;
+use crate::table::table;
+
+/// What `peernet status` can be told.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Arguments {
+    /// Address of the dashboard.
+    #[arg(long, default_value = "http://127.0.0.1:8040", env = "PEERNET_URL")]
+    url: String,
+}
+
+#[derive(Debug, Deserialize)]
+struct Pipelines {
+    pipelines: Vec<Pipeline>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Pipeline {
+    host: String,
+    name: String,
+    state: String,
+    reason: Option<String>,
+    placement: Placement,
+    windows: Vec<Window>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Placement {
+    peer: Option<String>,
+    model: String,
+}
+
+#[derive(Debug, Deserialize)]
+struct Window {
+    seconds: u32,
+    rate_hz: f64,
+    lost_fraction: Option<f64>,
+    values: Vec<Figures>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Figures {
+    name: String,
+    mean: f64,
+    p50: Option<f64>,
+    p95: Option<f64>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Hosts {
+    hosts: Vec<Host>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Host {
+    name: String,
+    connected: bool,
+    last_seen: Option<String>,
+    now: Option<Now>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Now {
+    cpu: Option<f64>,
+    events: Events,
+}
+
+#[derive(Debug, Deserialize)]
+struct Events {
+    waiting: u64,
+    dropped: u64,
+}
+
+/// The window that the table shows: long enough to be steady, short enough to be now.
+const WINDOW_S: u32 = 10;
+
+/// Prints both tables.
+///
+/// # Errors
+/// When the aggregator does not answer.
+pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let Pipelines { pipelines } = api::get(&arguments.url, "/api/v1/pipelines")?;
+    let Hosts { hosts } = api::get(&arguments.url, "/api/v1/hosts")?;
+    if pipelines.is_empty() {
+        say("no pipeline yet: start an agent with a [[pipeline]] whose [agent] aggregator is this one");
+    } else {
+        let header = [
+            "pipeline",
+            "where",
+            "state",
+            "rate /s",
+            "lost %",
+            "p50 ms",
+            "p95 ms",
+            "upload ms",
+            "inference ms",
+            "download ms",
+        ];
+        say(table(&header, &pipelines.iter().map(pipeline_row).collect::<Vec<_>>()));
+    }
+    say("");
+    let header = ["host", "state", "CPU %", "waiting", "dropped"];
+    say(table(&header, &hosts.iter().map(host_row).collect::<Vec<_>>()));
+    Ok(())
+}
+
+fn pipeline_row(pipeline: &Pipeline) -> Vec<String> {
+    let window = pipeline.windows.iter().find(|window| window.seconds == WINDOW_S);
+    let of = |name: &str| window.and_then(|window| window.values.iter().find(|figures| figures.name == name));
+    let mean = |name: &str| milliseconds(of(name).map(|figures| figures.mean));
+    let total = of("total");
+    let place = match &pipeline.placement.peer {
+        Some(peer) => format!("{} on {peer}", pipeline.placement.model),
+        None => format!("{} on board", pipeline.placement.model),
+    };
+    let state = match &pipeline.reason {
+        Some(reason) => format!("{}: {reason}", pipeline.state),
+        None => pipeline.state.clone(),
+    };
+    vec![
+        format!("{}/{}", pipeline.host, pipeline.name),
+        place,
+        state,
+        known(window.map(|window| format!("{:.1}", window.rate_hz))),
+        known(window.and_then(|window| window.lost_fraction).map(percent)),
+        milliseconds(total.and_then(|figures| figures.p50)),
+        milliseconds(total.and_then(|figures| figures.p95)),
+        mean("upload"),
+        mean("inference"),
+        mean("download"),
+    ]
+}
+
+fn host_row(host: &Host) -> Vec<String> {
+    let state = match (&host.connected, &host.last_seen) {
+        (true, _) => "connected".to_owned(),
+        (false, Some(seen)) => format!("last seen {seen}"),
+        (false, None) => "never seen".to_owned(),
+    };
+    let now = host.now.as_ref();
+    vec![
+        host.name.clone(),
+        state,
+        known(now.and_then(|now| now.cpu).map(percent)),
+        known(now.map(|now| now.events.waiting.to_string())),
+        known(now.map(|now| now.events.dropped.to_string())),
+    ]
+}
+
+fn milliseconds(seconds: Option<f64>) -> String {
+    known(seconds.map(|seconds| format!("{:.2}", seconds * 1e3)))
+}
+
+fn percent(fraction: f64) -> String {
+    format!("{:.1}", fraction * 100.0)
+}
+
+fn known(figure: Option<String>) -> String {
+    figure.unwrap_or_else(|| "—".to_owned())
+}

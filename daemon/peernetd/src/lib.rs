@@ -1,0 +1,7 @@
+//! What the programs `peernetd` and `peernet` share: exit codes, the terminal, the version.
+
+pub mod exit;
+pub mod output;
+
+/// Version with the commit it was built from.
+pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), " (", env!("PEERNET_COMMIT"), ")");
