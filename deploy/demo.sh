@@ -2,13 +2,14 @@
 # The demo: an aggregator, a cloud agent and an edge agent on loopback, the three processes that a real deployment
 # starts on three machines, with the configurations of configs/. Runs until Ctrl-C, then ends them in the order in
 # which nothing is lost: edge, cloud, aggregator.
-# Usage: demo.sh PATH-TO-PEERNETD
+# Usage: demo.sh PATH-TO-PEERNETD [FOLDER-OF-CONFIGURATIONS [FOLDER-OF-LOGS]]
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-peernetd=${1:?usage: demo.sh PATH-TO-PEERNETD}
+peernetd=${1:?usage: demo.sh PATH-TO-PEERNETD [FOLDER-OF-CONFIGURATIONS [FOLDER-OF-LOGS]]}
+configs=${2:-configs}
+logs=${3:-data/logs}
 roles=(aggregator cloud edge)
-logs=data/logs
 mkdir -p "$logs"
 declare -A pid=()
 
@@ -30,7 +31,7 @@ trap finish EXIT
 trap 'echo; exit 0' INT TERM
 
 # The address in the aggregator's configuration, so that a changed port is followed.
-listen=$(sed -n '/^\[web\]/,/^\[/s/^listen = "\(.*\)".*/\1/p' configs/aggregator.toml)
+listen=$(sed -n '/^\[web\]/,/^\[/s/^listen = "\(.*\)".*/\1/p' "$configs/aggregator.toml")
 
 failed() {
     echo "demo: the $1 ended by itself; the last lines of $logs/$1.log:" >&2
@@ -41,12 +42,12 @@ failed() {
 answers() { (exec 3<>"/dev/tcp/${listen%:*}/${listen##*:}") 2>/dev/null; }
 
 if answers; then
-    echo "demo: something listens on $listen already; end it, or change [web] listen in configs/aggregator.toml" >&2
+    echo "demo: something listens on $listen already; end it, or change [web] listen in $configs/aggregator.toml" >&2
     exit 1
 fi
 
 for role in "${roles[@]}"; do
-    "$peernetd" run "configs/$role.toml" >"$logs/$role.log" 2>&1 &
+    "$peernetd" run "$configs/$role.toml" >"$logs/$role.log" 2>&1 &
     pid[$role]=$!
     # The others would wait for the aggregator by themselves; waiting here makes its errors the first ones seen.
     while [ "$role" = aggregator ] && ! answers; do

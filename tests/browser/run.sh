@@ -1,0 +1,30 @@
+#!/bin/bash
+# Starts the demo as `make demo` does, on ports and in a folder of its own, and lets a headless Chromium look at it.
+# Usage: run.sh PATH-TO-PEERNETD        SCREENSHOTS=FOLDER keeps pictures of every page
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+
+peernetd=${1:?usage: run.sh PATH-TO-PEERNETD}
+site=$(mktemp -d)
+trap 'kill -TERM "${demo:-}" 2>/dev/null && wait "$demo" 2>/dev/null; rm -rf "$site"' EXIT
+
+(cd tests/browser && npm ci --silent --no-audit --no-fund)
+
+# Three ports that nobody uses at the moment.
+read -r events data http < <(python3 -c '
+import socket
+sockets = [socket.create_server(("127.0.0.1", 0)) for _ in range(3)]
+print(*(s.getsockname()[1] for s in sockets))')
+for role in aggregator cloud edge; do
+    sed -e "s/:5550/:$events/; s/:5551/:$data/; s/:8040/:$http/; s#\"data/#\"$site/#" \
+        "configs/$role.toml" >"$site/$role.toml"
+done
+
+deploy/demo.sh "$peernetd" "$site" "$site/logs" >"$site/demo.log" 2>&1 &
+demo=$!
+until grep -q Dashboard "$site/demo.log"; do
+    kill -0 "$demo" 2>/dev/null || { cat "$site/demo.log" >&2; exit 1; }
+    sleep 0.2
+done
+
+node tests/browser/run.mjs "http://127.0.0.1:$http" || { tail -n 20 "$site"/logs/*.log >&2; exit 1; }
