@@ -2,6 +2,7 @@
 
 mod chain;
 mod configuration;
+mod documentation;
 mod floors;
 mod lifecycle;
 mod trouble;

@@ -1,0 +1,223 @@
+//! The documents keep their word: examples pass the check, every key is described, links lead somewhere.
+//!
+//! A block of TOML whose first line is a comment with a bare file name, `# edge.toml`, is a complete file that passes
+//! `peernetd check` in the root of the checkout. Any other block of TOML is an excerpt.
+
+use std::path::{Path, PathBuf};
+
+use peernet_tests::{Process, Site, onnxruntime, program, root};
+
+const REFERENCE: &str = "docs/configuration.md";
+
+/// A Markdown file of the checkout.
+struct Document {
+    /// Below the root.
+    path: PathBuf,
+    text: String,
+}
+
+impl Document {
+    fn read(path: impl Into<PathBuf>) -> Self {
+        let path = path.into();
+        let text = std::fs::read_to_string(root().join(&path))
+            .unwrap_or_else(|error| panic!("cannot read {}: {error}", path.display()));
+        Self { path, text }
+    }
+
+    /// The documents for users and contributors.
+    fn all() -> Vec<Self> {
+        let fixed =
+            ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "deploy/README.md", "models/README.md"];
+        let docs = std::fs::read_dir(root().join("docs")).expect("the folder docs is there");
+        let docs = docs.map(|entry| Path::new("docs").join(entry.expect("it can be listed").file_name()));
+        let docs = docs.filter(|path| path.extension().is_some_and(|ending| ending == "md"));
+        fixed.into_iter().map(PathBuf::from).chain(docs).map(Self::read).collect()
+    }
+
+    /// The lines outside fenced blocks, numbered from 1.
+    fn prose(&self) -> impl Iterator<Item = (usize, &str)> {
+        let mut fenced = false;
+        self.text.lines().enumerate().filter_map(move |(index, line)| {
+            let fence = line.trim_start().starts_with("```");
+            fenced ^= fence;
+            (!fenced && !fence).then_some((index + 1, line))
+        })
+    }
+
+    /// The fenced blocks of TOML, with the numbers of their first lines.
+    fn toml(&self) -> Vec<(usize, String)> {
+        let mut blocks = Vec::new();
+        let mut lines = self.text.lines().enumerate();
+        while let Some((index, line)) = lines.next() {
+            let Some(indent) = line.find("```toml") else { continue };
+            let body = lines.by_ref().map(|(_, line)| line.get(indent..).unwrap_or_default());
+            let body: Vec<&str> = body.take_while(|line| !line.starts_with("```")).collect();
+            blocks.push((index + 2, body.join("\n") + "\n"));
+        }
+        blocks
+    }
+
+    /// The targets of links, with the numbers of their lines.
+    fn links(&self) -> impl Iterator<Item = (usize, &str)> {
+        self.prose().flat_map(|(number, line)| {
+            let targets = line.split("](").skip(1).filter_map(|rest| rest.split([')', ' ']).next());
+            targets.map(move |target| (number, target))
+        })
+    }
+
+    /// The name by which a link finds each heading.
+    fn anchors(&self) -> Vec<String> {
+        self.prose().filter(|(_, line)| line.starts_with('#')).map(|(_, line)| anchor(line)).collect()
+    }
+
+    /// The text from a heading to the next one of its kind or above.
+    fn section(&self, name: &str) -> &str {
+        let level = |line: &str| line.chars().take_while(|char| *char == '#').count();
+        let mut headings = self.prose().filter(|(_, line)| line.starts_with('#'));
+        let (from, heading) = headings
+            .find(|(_, line)| anchor(line) == name)
+            .unwrap_or_else(|| panic!("{} has no section {name}", self.path.display()));
+        let next = headings.find(|(_, line)| level(line) <= level(heading));
+        let start = |number: usize| self.text.split_inclusive('\n').take(number - 1).map(str::len).sum();
+        &self.text[start(from)..next.map_or(self.text.len(), |(number, _)| start(number))]
+    }
+}
+
+/// As code hosts make it: lower case, without punctuation, with hyphens for spaces.
+fn anchor(heading: &str) -> String {
+    let text = heading.trim_start_matches('#').trim().to_lowercase();
+    let kept = text.chars().filter(|char| char.is_alphanumeric() || " -_".contains(*char));
+    kept.map(|char| if char == ' ' { '-' } else { char }).collect()
+}
+
+/// The name of a complete file.
+fn name(block: &str) -> Option<&str> {
+    let name = block.lines().next()?.strip_prefix("# ")?;
+    (name.ends_with(".toml") && !name.contains([' ', '/'])).then_some(name)
+}
+
+#[test]
+fn examples_that_are_complete_files_pass_the_check_and_excerpts_can_be_read() {
+    let site = Site::new();
+    let _needed = onnxruntime();
+    let mut wrong = Vec::new();
+    for document in Document::all() {
+        for (line, block) in document.toml() {
+            let at = format!("{}:{line}", document.path.display());
+            let Some(name) = name(&block) else {
+                if let Err(error) = toml::from_str::<toml::Table>(&block) {
+                    wrong.push(format!("{at}: {error}"));
+                }
+                continue;
+            };
+            // The check tries this port, and a demo may be running.
+            let block = block.replace("tcp://127.0.0.1:5551", "tcp://127.0.0.1:{data}");
+            let file = site.write(name, &block);
+            let arguments = [Path::new("check"), &file];
+            let ended = Process::start(&program("peernetd"), &arguments, root(), &[]).ended();
+            if ended.code() != 0 {
+                wrong.push(format!("{at}:\n{}", ended.log));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+
+    let reference = Document::read(REFERENCE).toml();
+    assert!(!reference.is_empty(), "{REFERENCE} has no example");
+    for (line, block) in reference {
+        assert!(
+            name(&block).is_some(),
+            "{REFERENCE}:{line}: it says that all its examples are complete files"
+        );
+    }
+}
+
+#[test]
+fn links_lead_to_files_and_sections_that_exist() {
+    let mut broken = Vec::new();
+    for document in Document::all() {
+        let folder = document.path.parent().expect("a file is in a folder");
+        for (line, target) in document.links() {
+            if target.contains("://") || target.starts_with("mailto:") {
+                continue;
+            }
+            let (file, section) = target.split_once('#').unwrap_or((target, ""));
+            let path = if file.is_empty() { document.path.clone() } else { folder.join(file) };
+            let found = root().join(&path).exists()
+                && (section.is_empty() || Document::read(&path).anchors().iter().any(|name| name == section));
+            if !found {
+                broken.push(format!("{}:{line}: {target}", document.path.display()));
+            }
+        }
+    }
+    assert!(broken.is_empty(), "links that lead nowhere:\n{}", broken.join("\n"));
+}
+
+/// A section of the reference, and a file with a key or a value `zz` in what the section describes.
+const PROBES: [(&str, &str); 18] = [
+    ("configuration", "zz = 1"),
+    ("log", "[log]\nzz = 1"),
+    ("lifecycle", "[lifecycle]\nzz = 1"),
+    ("aggregator", "[aggregator]\nzz = 1"),
+    ("web", "[web]\nzz = 1"),
+    ("agent", "[agent]\nzz = 1"),
+    ("serve", "[serve]\nzz = 1"),
+    ("serve", "[serve]\nnetwork = \"zz\""),
+    ("session", "[serve.session]\nzz = 1"),
+    ("onnxruntime", "[onnxruntime]\nzz = 1"),
+    ("pipeline", "[[pipeline]]\nzz = 1"),
+    ("pipeline", "[[pipeline]]\nstart = \"zz\""),
+    ("sensor", "[[pipeline]]\nsensor = { kind = \"images\", path = \"\", order = \"zz\" }"),
+    (
+        "transforms",
+        "[[pipeline]]\ntransforms = [{ kind = \"resize\", width = 1, height = 1, filter = \"zz\" }]",
+    ),
+    ("transforms", "[[pipeline]]\ntransforms = [{ kind = \"encode\", format = \"zz\" }]"),
+    ("warm-up", "[[pipeline]]\nwarm_up = { zz = 1 }"),
+    ("limit", "[[pipeline]]\nlimit = { zz = 1 }"),
+    ("actuator", "[[pipeline]]\nactuator = { kind = \"zz\" }"),
+];
+
+/// The same for tables whose keys depend on their kind, which stands for `KIND`.
+const KINDS: [(&str, &str); 5] = [
+    ("model", "[[model]]\nname = \"m\"\nkind = \"KIND\"\nzz = 1"),
+    ("sensor", "[[pipeline]]\nsensor = { kind = \"KIND\", zz = 1 }"),
+    ("transforms", "[[pipeline]]\ntransforms = [{ kind = \"KIND\", zz = 1 }]"),
+    ("placement", "[[pipeline]]\nplacement = { kind = \"KIND\", zz = 1 }"),
+    ("load", "[[pipeline]]\nload = { mode = \"KIND\", zz = 1 }"),
+];
+
+/// What `peernetd check` says could stand in the place of `zz`.
+fn known(site: &Site, file: &str) -> Vec<String> {
+    site.write("probe.toml", file);
+    let said = site.peernetd(&["check", "probe.toml"]).ended().log;
+    let told = ["unknown field `zz`, ", "unknown variant `zz`, "];
+    let known = told.iter().find_map(|told| said.split_once(told));
+    let (_, known) = known.unwrap_or_else(|| panic!("nothing is said about zz in\n{file}\nbut\n{said}"));
+    known.lines().take(1).flat_map(|known| known.split('`').skip(1).step_by(2)).map(str::to_owned).collect()
+}
+
+#[test]
+fn the_reference_describes_every_key_and_kind() {
+    let (site, reference) = (Site::new(), Document::read(REFERENCE));
+    let mut missing = Vec::new();
+    let mut look = |section: &str, words: &[String]| {
+        let text = reference.section(section);
+        let described = |word: &str| {
+            ["`WORD`", "\"WORD\"", "[WORD]"].iter().any(|form| text.contains(&form.replace("WORD", word)))
+        };
+        let lacking = words.iter().filter(|word| !described(word));
+        missing.extend(lacking.map(|word| format!("{section}: {word}")));
+    };
+    for (section, file) in PROBES {
+        look(section, &known(&site, file));
+    }
+    for (section, file) in KINDS {
+        let kinds = known(&site, &file.replace("KIND", "zz"));
+        look(section, &kinds);
+        for kind in kinds {
+            look(section, &known(&site, &file.replace("KIND", &kind)));
+        }
+    }
+    assert!(missing.is_empty(), "{REFERENCE} does not describe\n{}", missing.join("\n"));
+}
