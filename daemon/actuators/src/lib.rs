@@ -24,21 +24,26 @@ pub trait Actuator: Send {
 pub struct ActuatorError(pub String);
 
 /// `actuator` in the configuration of a pipeline.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum ActuatorConfig {
     /// Does nothing.
-    #[default]
-    None,
+    None {},
     /// Writes each answer to the log.
     Log {},
+}
+
+impl Default for ActuatorConfig {
+    fn default() -> Self {
+        Self::None {}
+    }
 }
 
 impl ActuatorConfig {
     /// The actuator.
     pub fn build(&self) -> Box<dyn Actuator> {
         match self {
-            Self::None => Box::new(none::Idle),
+            Self::None {} => Box::new(none::Idle),
             Self::Log {} => Box::new(log::Log),
         }
     }

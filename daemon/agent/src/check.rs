@@ -10,6 +10,7 @@ use std::sync::Arc;
 use peernet_clock::SharedClock;
 use peernet_inference::Bank;
 use peernet_logger::Slug;
+use peernet_networks::SessionSettings;
 use rustix::fs::{Access, access};
 
 use crate::agent::host_name;
@@ -47,6 +48,14 @@ impl Report {
     }
 }
 
+impl Report {
+    fn settings(&mut self, key: &str, settings: &SessionSettings) {
+        if let Err(error) = settings.check() {
+            self.add(format!("{key}.{}", error.key), format!("{} {}", error.value, error.problem));
+        }
+    }
+}
+
 /// Checks a configuration. Reads files and tries the port; changes nothing. Blocks.
 pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     let mut report = Report::default();
@@ -54,8 +63,8 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     report.unless_ok("agent.state_dir", usable(&config.agent.state_dir));
     report.unless_ok("agent.state_dir", existing_id(&config.agent.state_dir));
     let bank = Bank::new(config.models.clone(), config.onnxruntime.clone(), Arc::clone(clock));
-    for error in bank.check() {
-        report.add("model", error);
+    for (index, error) in bank.check() {
+        report.add(format!("model[{index}]"), error);
     }
     if let Some(serve) = &config.serve {
         check_serve(&mut report, serve, &bank.names());
@@ -76,10 +85,13 @@ fn check_serve(report: &mut Report, serve: &ServeConfig, models: &[Slug]) {
     if models.is_empty() {
         report.add("serve", "there is no model to serve; add a [[model]] or remove [serve]");
     }
+    report.settings("serve.session", &serve.session);
     let (host, port) = (serve.listen.host(), serve.listen.port());
-    if let Err(error) = TcpListener::bind((host.as_str(), port)) {
+    // A port in use is not wrong in itself: this may be the check of an agent that is running. Starting tells.
+    if let Err(error) = TcpListener::bind((host.as_str(), port))
+        && error.kind() != io::ErrorKind::AddrInUse
+    {
         let advice = match error.kind() {
-            io::ErrorKind::AddrInUse => "stop the program that uses it or choose another port",
             io::ErrorKind::AddrNotAvailable => "use tcp://0.0.0.0:… for all addresses of this machine",
             io::ErrorKind::PermissionDenied => "ports below 1024 need a privilege, choose a higher one",
             _ => "check the address",
@@ -92,6 +104,9 @@ fn check_pipeline(report: &mut Report, at: &str, pipeline: &PipelineConfig, mode
     report.unless_ok(format!("{at}.sensor"), peernet_sensors::open(&pipeline.sensor));
     for (index, transform) in pipeline.transforms.iter().enumerate() {
         report.unless_ok(format!("{at}.transforms[{index}]"), transform.build());
+    }
+    if let PlacementConfig::Remote(remote) = &pipeline.placement {
+        report.settings(&format!("{at}.placement.session"), &remote.session);
     }
     if let PlacementConfig::Local { model } = &pipeline.placement
         && !models.contains(model)

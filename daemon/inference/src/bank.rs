@@ -85,18 +85,19 @@ impl Bank {
         Ok(pool)
     }
 
-    /// Everything that can be found wrong without loading a model: names, files, cards, devices, the library.
-    pub fn check(&self) -> Vec<LoadError> {
+    /// Everything that can be found wrong without loading a model: names, files, cards, devices, the library;
+    /// each with the position of its model in the configuration.
+    pub fn check(&self) -> Vec<(usize, LoadError)> {
         let mut errors = Vec::new();
         let mut seen = HashSet::new();
-        for config in self.models() {
+        for (index, config) in self.models().enumerate() {
             if !seen.insert(config.name()) {
-                errors.push(LoadError::Duplicate(config.name().to_string()));
+                errors.push((index, LoadError::Duplicate(config.name().to_string())));
             }
             if let ModelConfig::Onnx(config) = config
                 && let Err(error) = Onnx::check(config, &self.runtime)
             {
-                errors.push(error);
+                errors.push((index, error));
             }
         }
         errors

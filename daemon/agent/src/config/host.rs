@@ -18,7 +18,7 @@ pub struct HostConfig {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<Slug>,
     /// Folder for what must outlive a restart, such as the host id; made when missing. Each agent needs its
-    /// own. Default: `/var/lib/peernet`.
+    /// own. Default: `/var/lib/peernet/agent`, which the package makes.
     pub state_dir: PathBuf,
     /// Where finished iterations and live figures are sent: `tcp://host:port`, usually port 5550. Without it
     /// the agent measures and serves, and nothing is stored.
@@ -49,7 +49,7 @@ impl Default for HostConfig {
     fn default() -> Self {
         Self {
             name: None,
-            state_dir: PathBuf::from("/var/lib/peernet"),
+            state_dir: PathBuf::from("/var/lib/peernet/agent"),
             aggregator: None,
             clock_identity: ClockIdentity::SYSTEM.to_owned(),
             queue_events: at_least_one(50_000),

@@ -48,7 +48,7 @@ impl Line {
         }
         let senses = Senses::new(Chain { sensor, transforms }, &config.name)
             .map_err(|error| format!("cannot start a thread for the sensor: {error}"))?;
-        let acts = config.actuator != ActuatorConfig::None;
+        let acts = config.actuator != ActuatorConfig::None {};
         Ok(Self {
             actuator: acts.then(|| config.actuator.build()),
             schedule: Schedule::new(&config.load, config.max_in_flight.get(), clock.mono()),

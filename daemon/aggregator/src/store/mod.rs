@@ -11,6 +11,7 @@ use peernet_logger::Name;
 use sqlx::SqlitePool;
 
 use crate::error::StoreError;
+use crate::figures::Bound;
 use types::*;
 
 /// Read-only access to what is stored, over connections of its own: never blocks the writer.
@@ -45,6 +46,12 @@ impl Store {
     /// Statistics per node name, in the order of tables.
     pub async fn stages(&self, run: i64) -> Result<Vec<StageStatistics>, StoreError> {
         read::statistics::stages(&self.pool, run).await
+    }
+
+    /// How well the one-way delays of a run are known: `upload`, `download`. Also where no delay had a value, so that
+    /// there are no statistics of it.
+    pub async fn bounds(&self, run: i64) -> Result<Vec<Bound>, StoreError> {
+        read::statistics::bounds(&self.pool, run).await
     }
 
     /// The distribution of one node name over at most `bins` bins (1 to 500).

@@ -22,7 +22,7 @@ fn alone(test: &str, library: Option<&Path>) -> String {
 #[test]
 #[ignore = "run by the tests below"]
 fn child_checks() {
-    for error in bank(&[&quality_control("")]).check() {
+    for (_, error) in bank(&[&quality_control("")]).check() {
         println!("{error}");
     }
 }

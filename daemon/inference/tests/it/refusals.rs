@@ -28,7 +28,7 @@ fn a_device_that_is_not_offered_is_refused_with_the_one_that_is() {
 #[test]
 fn two_models_of_one_name_are_found_by_the_check() {
     let errors = bank(&["name = \"a\"\nkind = \"echo\"", "name = \"a\"\nkind = \"sleep\""]).check();
-    assert!(matches!(errors.as_slice(), [LoadError::Duplicate(name)] if name == "a"), "{errors:?}");
+    assert!(matches!(errors.as_slice(), [(1, LoadError::Duplicate(name))] if name == "a"), "{errors:?}");
 }
 
 /// The library that tests run with is built for the CPU alone.
@@ -40,7 +40,7 @@ fn a_device_that_the_library_lacks_is_refused_with_the_reason() {
         ("openvino:CPU", "OpenVINOExecutionProvider"),
     ] {
         let bank = bank(&[&quality_control(&format!("device = \"{device}\""))]);
-        for error in bank.check().into_iter().chain([refused(&bank, "qc", None)]) {
+        for error in bank.check().into_iter().map(|(_, error)| error).chain([refused(&bank, "qc", None)]) {
             assert!(matches!(error, LoadError::NoProvider { .. }), "{error}");
             let text = error.to_string();
             for part in [device, provider, "libonnxruntime", "it has CPUExecutionProvider", "ORT_DYLIB_PATH"]

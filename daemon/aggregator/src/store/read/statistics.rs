@@ -95,15 +95,7 @@ pub(in crate::store) async fn stages(
             half_widths.entry(name).or_default().merge(&summary);
         }
     }
-    let mut bounds = verdicts(pool, run).await?;
-    for (stage, summary) in half_widths {
-        let bound = bounds.entry(stage.clone()).or_insert_with(|| Bound {
-            stage,
-            half_width: None,
-            verdicts: vec![],
-        });
-        bound.half_width = Figures::of(&summary);
-    }
+    let mut bounds = joined(verdicts(pool, run).await?, half_widths);
     let sum = |known: &Known| known.summary.moments.mean * known.summary.moments.count as f64;
     let total = values.get(stage::TOTAL.as_str()).map(sum).filter(|total| *total > 0.0);
     let mut statistics: Vec<StageStatistics> = values
@@ -121,6 +113,32 @@ pub(in crate::store) async fn stages(
         .collect();
     statistics.sort_by(|a, b| rank(&a.stage).cmp(&rank(&b.stage)));
     Ok(statistics)
+}
+
+/// The one-way delays of a run, those included of which no value is known.
+pub(in crate::store) async fn bounds(pool: &SqlitePool, run: i64) -> Result<Vec<Bound>, StoreError> {
+    let rows: Vec<RollupRow> =
+        sqlx::query_as(sql::ROLLUPS).bind(run).fetch_all(pool).await.map_err(failed(WHAT))?;
+    let mut half_widths = HashMap::<Name, Summary>::new();
+    for row in rows.into_iter().filter(|row| row.quantity != 0) {
+        let summary = row.summary()?;
+        half_widths.entry(Name::from(row.text)).or_default().merge(&summary);
+    }
+    let mut bounds: Vec<Bound> = joined(verdicts(pool, run).await?, half_widths).into_values().collect();
+    bounds.sort_by(|a, b| rank(&a.stage).cmp(&rank(&b.stage)));
+    Ok(bounds)
+}
+
+fn joined(mut bounds: HashMap<Name, Bound>, half_widths: HashMap<Name, Summary>) -> HashMap<Name, Bound> {
+    for (stage, summary) in half_widths {
+        let bound = bounds.entry(stage.clone()).or_insert_with(|| Bound {
+            stage,
+            half_width: None,
+            verdicts: vec![],
+        });
+        bound.half_width = Figures::of(&summary);
+    }
+    bounds
 }
 
 async fn verdicts(pool: &SqlitePool, run: i64) -> Result<HashMap<Name, Bound>, StoreError> {

@@ -52,6 +52,7 @@ async fn a_runs_statistics_are_those_of_its_iterations() {
     let bound = upload.bound.as_ref().expect("judged");
     assert!(close(bound.half_width.expect("bounded").mean, 40e-6));
     assert_eq!(bound.verdicts, [(peernet_clock::Verdict::Limited, 400)]);
+    assert!(bed.store.bounds(1).await.expect("answers").contains(bound));
     let of_total: f64 = stages.iter().filter(|known| known.is_stage).filter_map(|known| known.share).sum();
     assert!(close(of_total, 1.0), "{of_total}");
 }

@@ -25,7 +25,7 @@ pub(crate) enum Command {
         #[arg(value_name = "CONFIG")]
         config: PathBuf,
     },
-    /// Check a configuration file and everything it names: files, folders, models, libraries, ports.
+    /// Check a configuration file and everything it names: files, folders, models, libraries, addresses.
     ///
     /// Prints each problem with file, line and key, and exits with 78 when there is one.
     Check {

@@ -35,21 +35,32 @@ pub(crate) fn temporary() -> tracing::subscriber::DefaultGuard {
     subscriber(filter).set_default()
 }
 
+impl LogConfig {
+    /// Whether the level is one.
+    ///
+    /// # Errors
+    /// Which it is, where it comes from, and what is possible.
+    pub(crate) fn check(&self) -> Result<(), String> {
+        self.filter().map(|_| ())
+    }
+
+    fn filter(&self) -> Result<EnvFilter, String> {
+        let (level, origin) = match std::env::var(VARIABLE) {
+            Ok(level) => (level, format!(" (from {VARIABLE})")),
+            Err(_) => (self.level.clone(), String::new()),
+        };
+        EnvFilter::try_new(&level).map_err(|error| {
+            format!("{level:?}{origin} is not a log level: {error}; use error, warn, info, debug or trace")
+        })
+    }
+}
+
 /// The log for the rest of the process.
 ///
 /// # Errors
-/// When the level is none; the text names it.
+/// When the level is none.
 pub(crate) fn install(config: &LogConfig) -> anyhow::Result<()> {
-    let (level, origin) = match std::env::var(VARIABLE) {
-        Ok(level) => (level, VARIABLE),
-        Err(_) => (config.level.clone(), "log.level"),
-    };
-    let filter = EnvFilter::try_new(&level).map_err(|error| {
-        anyhow::anyhow!(
-            "{origin} = {level:?} is not a log level: {error}; use error, warn, info, debug or trace"
-        )
-    })?;
-    subscriber(filter).try_init()?;
+    subscriber(config.filter().map_err(anyhow::Error::msg)?).try_init()?;
     Ok(())
 }
 

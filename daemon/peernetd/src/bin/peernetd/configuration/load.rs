@@ -106,9 +106,14 @@ fn roles(file: &File) -> Option<&'static str> {
     if file.agent.is_none() && file.aggregator.is_none() {
         return Some("no role is switched on: add a table [agent], a table [aggregator], or both");
     }
-    let for_agent = file.serve.is_some() || !file.model.is_empty() || !file.pipeline.is_empty();
+    let for_agent = file.serve.is_some()
+        || file.onnxruntime.is_some()
+        || !file.model.is_empty()
+        || !file.pipeline.is_empty();
     if file.agent.is_none() && for_agent {
-        return Some("[serve], [[model]] and [[pipeline]] belong to an agent: add a table [agent]");
+        return Some(
+            "[serve], [[model]], [onnxruntime] and [[pipeline]] belong to an agent: add a table [agent]",
+        );
     }
     if file.aggregator.is_none() && file.web.is_some() {
         return Some("[web] shows what an aggregator has: add a table [aggregator], or remove [web]");
@@ -142,6 +147,9 @@ impl Configuration {
     /// Key and text of everything that each role finds wrong with its tables.
     fn check(&self) -> Vec<(String, String)> {
         let mut problems = Vec::new();
+        if let Err(error) = self.log.check() {
+            problems.push(("log.level".to_owned(), error));
+        }
         if let Some(config) = &self.aggregator {
             let found = Aggregator::check(config).into_iter();
             problems.extend(found.map(|problem| (format!("aggregator.{}", problem.key), problem.message)));
