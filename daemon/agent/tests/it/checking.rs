@@ -27,25 +27,24 @@ fn a_sound_configuration_has_no_problems_and_reads_back_as_it_was() {
 
 #[test]
 fn every_problem_is_found_at_once_with_its_key_and_a_remedy() {
-    let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
-    let port = taken.local_addr().expect("bound").port();
     let state = tempfile::tempdir().expect("a folder");
     std::fs::write(state.path().join("host-id"), "junk").expect("written");
-    let mut broken = config(&format!(
-        "[serve]\nlisten = 'tcp://127.0.0.1:{port}'\n\
+    let mut broken = config(
+        "[serve]\nlisten = 'tcp://192.0.2.1:5551'\nsession = { max_in_flight = 0 }\n\
          [[model]]\nname = 'echo'\nkind = 'echo'\n[[model]]\nname = 'echo'\nkind = 'echo'\n\
-         [[pipeline]]\nname = 'line'\nsensor = {{ kind = 'images', path = '/nowhere' }}\n\
-         placement = {{ kind = 'local', model = 'ecco' }}\nload = {{ mode = 'rate', hz = 0.0 }}\n\
-         warm_up = {{ steps = 1 }}\nlimit = {{ duration_s = -1.0 }}\n\
-         [[pipeline]]\nname = 'line'\nsensor = {{ kind = 'synthetic', size_bytes = 1 }}\n\
-         placement = {{ kind = 'local', model = 'echo' }}\n"
-    ));
+         [[pipeline]]\nname = 'line'\nsensor = { kind = 'images', path = '/nowhere' }\n\
+         placement = { kind = 'local', model = 'ecco' }\nload = { mode = 'rate', hz = 0.0 }\n\
+         warm_up = { steps = 1 }\nlimit = { duration_s = -1.0 }\n\
+         [[pipeline]]\nname = 'line'\nsensor = { kind = 'synthetic', size_bytes = 1 }\n\
+         placement = { kind = 'local', model = 'echo' }\n",
+    );
     broken.agent.state_dir = state.path().to_owned();
     let found = problems(&broken);
     for expected in [
         "agent.state_dir: ",
-        "model: two models are named echo",
-        &format!("serve.listen: cannot listen on tcp://127.0.0.1:{port}"),
+        "model[1]: two models are named echo",
+        "serve.listen: cannot listen on tcp://192.0.2.1:5551",
+        "serve.session.max_in_flight: 0 must be between",
         "pipeline[0].sensor: cannot read /nowhere",
         "pipeline[0].placement.model: no [[model]] is named ecco; there is echo",
         "pipeline[0].load.hz: 0 is not a rate",
@@ -55,7 +54,7 @@ fn every_problem_is_found_at_once_with_its_key_and_a_remedy() {
     ] {
         assert!(found.iter().any(|problem| problem.starts_with(expected)), "{expected} in {found:#?}");
     }
-    assert_eq!(found.len(), 9, "{found:#?}");
+    assert_eq!(found.len(), 10, "{found:#?}");
 }
 
 #[test]

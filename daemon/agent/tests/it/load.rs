@@ -38,9 +38,12 @@ async fn a_rate_that_cannot_be_kept_counts_what_it_skips_and_latency_from_the_in
         skipped_in_all += skipped;
     }
     assert!(skipped_in_all >= 20.0, "{skipped_in_all}");
-    let last = iterations[39];
-    let (total, lateness) = (value(&last.tree, "total"), value(&last.tree, "lateness"));
-    assert!(total > Some(0.055) && lateness > Some(0.0), "waiting counts: {total:?}, {lateness:?}");
+    // Latency counts from the intended start: whoever began late has its lateness on top of the model's 40 ms.
+    for iteration in &iterations {
+        let (total, lateness) = (value(&iteration.tree, "total"), value(&iteration.tree, "lateness"));
+        assert!(total >= lateness.map(|late| late + 0.04), "waiting counts: {total:?}, {lateness:?}");
+    }
+    assert!(iterations.iter().any(|iteration| value(&iteration.tree, "lateness") > Some(0.0)));
     agent.stop().await.expect("stops well");
 }
 
