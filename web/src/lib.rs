@@ -1,1 +1,24 @@
-//! web
+//! The dashboard and the REST API: thin handlers that ask the aggregator and show its answers.
+//!
+//! `pages/` holds one file per page with its template beside it, `api/` the resources of `/api/v1`, `view/` what
+//! several pages say the same way, `svg/` the pictures that the server draws, `numbers` how figures read.
+//! Pages are complete when they arrive; scripts then keep them live.
+
+mod access;
+mod api;
+mod assets;
+mod config;
+mod error;
+mod look;
+mod numbers;
+mod pages;
+mod router;
+mod serve;
+mod state;
+mod svg;
+mod view;
+mod zone;
+
+pub use config::{Problem, WebConfig};
+pub use serve::{Failure, Running, StartError, router, serve};
+pub use zone::{InvalidZone, Zone};

@@ -1,0 +1,68 @@
+"""Two hosts on one machine: network namespaces joined by a veth pair, gone when the benchmark is."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from programs import Failure
+
+PREFIX = "peernet-bench-"
+MADE_BY_IP = Path("/run/netns")
+
+
+@dataclass(frozen=True)
+class Host:
+    """A network namespace with one interface."""
+
+    name: str
+    address: str
+
+    def inside(self, command: Sequence[object]) -> list[str]:
+        """The command that runs `command` on this host."""
+        return ["ip", "netns", "exec", self.name, *map(str, command)]
+
+
+def need_root() -> None:
+    """Fails when this process may not make network namespaces."""
+    if os.geteuid() != 0:
+        raise Failure(
+            "the part 'loop' makes two network namespaces, which needs root: run tests/bench/run.sh loop as root; "
+            "the other parts (node, model, ingest, idle) need none"
+        )
+
+
+@contextmanager
+def two_hosts() -> Iterator[tuple[Host, Host]]:
+    """Edge and cloud, joined by a cable without delay or limit."""
+    need_root()
+    _sweep()
+    edge, cloud = (Host(f"{PREFIX}{os.getpid()}-{role}", f"10.77.0.{n}") for n, role in ((1, "edge"), (2, "cloud")))
+    with ExitStack() as stack:
+        for host in (edge, cloud):
+            _ip("netns", "add", host.name)
+            stack.callback(_ip, "netns", "delete", host.name)
+        _ip("link", "add", "veth0", "netns", edge.name, "type", "veth", "peer", "name", "veth0", "netns", cloud.name)
+        for host in (edge, cloud):
+            _ip("-n", host.name, "address", "add", f"{host.address}/24", "dev", "veth0")
+            _ip("-n", host.name, "link", "set", "lo", "up")
+            _ip("-n", host.name, "link", "set", "veth0", "up")
+        yield edge, cloud
+
+
+def _sweep() -> None:
+    """Removes what a killed benchmark left behind: namespaces named after a process that is no more."""
+    for leftover in MADE_BY_IP.glob(f"{PREFIX}*"):
+        pid = leftover.name.removeprefix(PREFIX).split("-")[0]
+        if pid.isdecimal() and not Path("/proc", pid).exists():
+            _ip("netns", "delete", leftover.name)
+
+
+def _ip(*arguments: str) -> None:
+    done = subprocess.run(["ip", *arguments], capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise Failure(f"ip {' '.join(arguments)} failed: {done.stderr.strip()}")

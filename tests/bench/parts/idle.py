@@ -1,0 +1,129 @@
+"""What a daemon costs its host: with nothing to do, and with the demo's configuration."""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from plant import Plant, free_ports, plant
+from programs import ROOT, Program
+from report import Section, Table
+
+SETTLE_S = 3.0
+DEMO = ("aggregator", "cloud", "edge")
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Over a stretch of time, and at its end."""
+
+    processor: float
+    wake_ups: float
+    resident: int
+    own: int
+
+
+def prepare() -> None:
+    pass
+
+
+def measure(quick: bool) -> Section:
+    seconds = 4.0 if quick else 20.0
+    section = Section("What it costs to run")
+    section.say(
+        f"Over {seconds:.0f} s, {SETTLE_S:.0f} s after the start. Processor: user and system time of all threads, in "
+        "percent of one core. Wake-ups: voluntary context switches. Memory: what is resident, and the part of it that "
+        "is the process's own (not mapped from files, which processes share)."
+    )
+    table = Table("daemon", "processor, %", "wake-ups/s", "resident, MiB", "own, MiB")
+    for name, cost in {**_idle(seconds), **_demo(seconds)}.items():
+        table.row(
+            name,
+            f"{100 * cost.processor:.2f}",
+            f"{cost.wake_ups:.0f}",
+            f"{cost.resident / 2**20:.1f}",
+            f"{cost.own / 2**20:.1f}",
+        )
+    section.table(table)
+    return section
+
+
+def _idle(seconds: float) -> dict[str, Cost]:
+    events, web = free_ports(2)
+    with plant() as it:
+        programs = {
+            "aggregator with one idle agent": it.aggregator(events=events, web=web),
+            "agent, nothing to do": it.daemon("alone", _agent(it, "alone", "")),
+            "agent, connected to it": it.daemon(
+                "agent", _agent(it, "agent", f'aggregator = "tcp://127.0.0.1:{events}"')
+            ),
+        }
+        return _watch(programs, seconds)
+
+
+def _demo(seconds: float) -> dict[str, Cost]:
+    """The demo's own files, moved to free ports."""
+    ports = dict(zip(("5550", "5551", "8040"), map(str, free_ports(3)), strict=True))
+    with plant() as it:
+        for folder in ("models", "onnxruntime"):
+            it.link(folder)
+        programs = {}
+        for role in DEMO:
+            text = (ROOT / "configs" / f"{role}.toml").read_text()
+            moved = re.sub(r"(?<=:)(5550|5551|8040)\b", lambda match: ports[match[0]], text)
+            programs[f"demo: {role}"] = it.daemon(role, moved)
+        return _watch(programs, seconds)
+
+
+def _agent(it: Plant, name: str, reporting: str) -> str:
+    return f"""
+        [agent]
+        name = "{name}"
+        state_dir = "{it.folder}/{name}"
+        {reporting}
+    """
+
+
+def _watch(programs: dict[str, Program], seconds: float) -> dict[str, Cost]:
+    time.sleep(SETTLE_S)
+    begin = time.monotonic()
+    before = {name: (_processor(program.pid), _wake_ups(program.pid)) for name, program in programs.items()}
+    time.sleep(seconds)
+    elapsed = time.monotonic() - begin
+    costs = {}
+    for name, program in programs.items():
+        program.check()
+        processor, wake_ups = before[name]
+        costs[name] = Cost(
+            (_processor(program.pid) - processor) / elapsed,
+            (_wake_ups(program.pid) - wake_ups) / elapsed,
+            _memory(program.pid, "VmRSS"),
+            _memory(program.pid, "RssAnon"),
+        )
+    return costs
+
+
+def _processor(pid: int) -> float:
+    """Seconds of processor time since the process began."""
+    # The second field, the program's name, may hold anything but ends with the last parenthesis.
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _wake_ups(pid: int) -> int:
+    """Voluntary context switches of the threads that there are."""
+    statuses = (task.joinpath("status").read_text() for task in Path(f"/proc/{pid}/task").iterdir())
+    return sum(_field(text, "voluntary_ctxt_switches") for text in statuses)
+
+
+def _memory(pid: int, field: str) -> int:
+    """Bytes."""
+    return _field(Path(f"/proc/{pid}/status").read_text(), field) * 1024
+
+
+def _field(status: str, name: str) -> int:
+    match = re.search(rf"^{name}:\s+(\d+)", status, re.MULTILINE)
+    return int(match[1]) if match else 0

@@ -1,0 +1,1 @@
+"""The programs that PEERNet is compared with."""

@@ -1,0 +1,115 @@
+//! The floor under every transport: a ping-pong over one bare TCP connection, blocking, with nothing around it.
+//!
+//! Both ends stamp with the wall clock of the one machine they run on: before sending, and after the last byte
+//! has been received. Buffers are made once and used for every message.
+//!
+//! `bare-tcp serve ADDRESS`, and beside it `bare-tcp drive ADDRESS UP-BYTES DOWN-BYTES SECONDS`, which prints one
+//! JSON object.
+
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream};
+
+use anyhow::{Context, bail};
+use peernet_clock::{Clock, ClockIdentity, Span, SystemClock, WallTime};
+use serde_json::{Value, json};
+
+/// Round trips before the first that counts.
+const WARM_UP: usize = 200;
+/// The server's two stamps, at the head of every answer.
+const STAMPS: usize = 16;
+
+fn main() -> anyhow::Result<()> {
+    let clock = SystemClock::new(ClockIdentity::of_this_machine(ClockIdentity::SYSTEM)?);
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
+        ["serve", address] => serve(&clock, address),
+        ["drive", address, up, down, seconds] => {
+            let figures = drive(&clock, address, (up.parse()?, down.parse()?), seconds.parse()?)?;
+            #[expect(clippy::print_stdout, reason = "the result that was asked for")]
+            {
+                println!("{figures}");
+            }
+            Ok(())
+        }
+        _ => bail!("usage: bare-tcp serve ADDRESS | bare-tcp drive ADDRESS UP-BYTES DOWN-BYTES SECONDS"),
+    }
+}
+
+/// Answers one client.
+fn serve(clock: &dyn Clock, address: &str) -> anyhow::Result<()> {
+    let listener = TcpListener::bind(address).with_context(|| format!("cannot listen on {address}"))?;
+    let (mut stream, _) = listener.accept()?;
+    stream.set_nodelay(true)?;
+    let mut question = vec![0; read_size(&mut stream)?];
+    let mut answer = vec![0x5a; read_size(&mut stream)?];
+    while stream.read_exact(&mut question).is_ok() {
+        let received = clock.wall();
+        answer[..8].copy_from_slice(&received.unix_nanos().to_le_bytes());
+        answer[8..STAMPS].copy_from_slice(&clock.wall().unix_nanos().to_le_bytes());
+        stream.write_all(&answer)?;
+    }
+    Ok(())
+}
+
+fn drive(
+    clock: &dyn Clock,
+    address: &str,
+    (up, down): (usize, usize),
+    seconds: u64,
+) -> anyhow::Result<Value> {
+    if down < STAMPS {
+        bail!("an answer of {down} bytes has no room for its stamps; ask for {STAMPS} or more");
+    }
+    let mut stream = TcpStream::connect(address).with_context(|| format!("cannot connect to {address}"))?;
+    stream.set_nodelay(true)?;
+    stream.write_all(&(up as u64).to_le_bytes())?;
+    stream.write_all(&(down as u64).to_le_bytes())?;
+    let question = vec![0xa5; up];
+    let mut answer = vec![0; down];
+    for _ in 0..WARM_UP {
+        stream.write_all(&question)?;
+        stream.read_exact(&mut answer)?;
+    }
+
+    let (mut uploads, mut downloads, mut round_trips) = (Vec::new(), Vec::new(), Vec::new());
+    let limit = Span::from_seconds(i64::try_from(seconds)?);
+    let begin = clock.mono();
+    while clock.mono() - begin < limit {
+        let sent = clock.wall();
+        stream.write_all(&question)?;
+        stream.read_exact(&mut answer)?;
+        let done = clock.wall();
+        uploads.push(stamp_at(&answer, 0)? - sent);
+        downloads.push(done - stamp_at(&answer, 8)?);
+        round_trips.push(done - sent);
+    }
+    let elapsed = clock.mono() - begin;
+    Ok(json!({
+        "iterations": round_trips.len(),
+        "seconds": elapsed.seconds(),
+        "stages": {
+            "upload": spread(uploads)?, "download": spread(downloads)?, "total": spread(round_trips)?,
+        },
+    }))
+}
+
+fn read_size(stream: &mut TcpStream) -> anyhow::Result<usize> {
+    let mut bytes = [0; 8];
+    stream.read_exact(&mut bytes).context("no size came")?;
+    Ok(usize::try_from(u64::from_le_bytes(bytes))?)
+}
+
+fn stamp_at(answer: &[u8], at: usize) -> anyhow::Result<WallTime> {
+    let bytes: [u8; 8] = answer[at..at + 8].try_into()?;
+    Ok(WallTime::from_unix_nanos(i64::from_le_bytes(bytes)))
+}
+
+/// Count, median and 99th percentile (nearest rank), in seconds.
+fn spread(mut spans: Vec<Span>) -> anyhow::Result<Value> {
+    spans.sort_unstable();
+    let at = |percent: usize| spans.get(spans.len() * percent / 100).map(|span| span.seconds());
+    let (Some(p50), Some(p99)) = (at(50), at(99)) else {
+        bail!("no round trip was measured; give it more time");
+    };
+    Ok(json!({ "count": spans.len(), "p50": p50, "p99": p99 }))
+}

@@ -1,0 +1,98 @@
+"""Tables, aligned to be read in a terminal and valid as Markdown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from statistics import median
+
+
+class Table:
+    """Columns with headings; the first is aligned left, the others right."""
+
+    def __init__(self, *headings: str) -> None:
+        self._rows = [list(headings)]
+
+    def row(self, *cells: object) -> None:
+        self._rows.append([str(cell) for cell in cells])
+
+    def markdown(self) -> str:
+        widths = [max(map(len, column)) for column in zip(*self._rows, strict=True)]
+        lines = [self._line(row, widths) for row in self._rows]
+        rules = ["-" * width if at == 0 else "-" * (width - 1) + ":" for at, width in enumerate(widths)]
+        lines.insert(1, f"| {' | '.join(rules)} |")
+        return "\n".join(lines)
+
+    @staticmethod
+    def _line(row: list[str], widths: list[int]) -> str:
+        cells = [
+            cell.ljust(w) if at == 0 else cell.rjust(w) for at, (cell, w) in enumerate(zip(row, widths, strict=True))
+        ]
+        return f"| {' | '.join(cells)} |"
+
+
+@dataclass
+class Aim:
+    """A promise and what became of it."""
+
+    promise: str
+    seen: str
+    met: bool
+
+
+@dataclass
+class Section:
+    """One part's results."""
+
+    title: str
+    blocks: list[str] = field(default_factory=list)
+    aims: list[Aim] = field(default_factory=list)
+
+    def say(self, text: str) -> None:
+        self.blocks.append(text)
+
+    def table(self, table: Table) -> None:
+        self.blocks.append(table.markdown())
+
+    def aim(self, promise: str, seen: str, met: bool) -> None:
+        self.aims.append(Aim(promise, seen, met))
+
+    def markdown(self) -> str:
+        return "\n\n".join([f"## {self.title}", *self.blocks])
+
+
+def aims_table(sections: list[Section]) -> str:
+    """All aims of all parts."""
+    table = Table("aim", "seen", "")
+    for section in sections:
+        for aim in section.aims:
+            table.row(aim.promise, aim.seen, "met" if aim.met else "MISSED")
+    return table.markdown()
+
+
+def size(count: int) -> str:
+    """1000 → `1 kB`."""
+    for unit, factor in (("MB", 1_000_000), ("kB", 1_000)):
+        if count >= factor:
+            return f"{count / factor:g} {unit}"
+    return f"{count} B"
+
+
+def rate(per_second: float) -> str:
+    return f"{per_second:,.0f}"
+
+
+def micros(seconds: float | None) -> str:
+    """`136` or `0.41`, microseconds; an en dash when there is nothing."""
+    if seconds is None:
+        return "–"
+    value = seconds * 1e6
+    return f"{value:,.0f}" if abs(value) >= 10 else f"{value:.2f}"
+
+
+def times(ratio: float) -> str:
+    return f"{ratio:.2f} ×"
+
+
+def ratio(ours: list[float], theirs: list[float]) -> float:
+    """The median of the ratios of each repeat: what disturbs a whole repeat disturbs both."""
+    return median(a / b for a, b in zip(ours, theirs, strict=True))

@@ -1,0 +1,8 @@
+#!/bin/sh
+# The benchmarks of `make bench`: tables on standard output and, as Markdown, in target/bench/measurements.md.
+# Usage: run.sh [--quick] [loop|node|model|ingest|idle]…    (all of them unless some are named)
+set -eu
+here=$(cd "$(dirname "$0")" && pwd)
+python=$here/../../.venv-tools/bin/python
+[ -x "$python" ] || { echo "run.sh: $python is not there; make it with deploy/install-tools.sh bench" >&2; exit 69; }
+exec "$python" -B "$here" "$@"

@@ -1,0 +1,81 @@
+"""What an aggregator stored of a run, read from its SQLite file: every sample, not a summary."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from quantiles import spread
+
+# The iterations that statistics are made of.
+COUNTED = "iteration.run = ? AND iteration.warm_up = 0 AND iteration.outcome = 0"
+
+
+@dataclass(frozen=True)
+class Run:
+    """The one run of a pipeline."""
+
+    number: int
+    ended: bool
+    ok: int
+    unsuccessful: int
+
+
+@contextmanager
+def _open(database: Path) -> Iterator[sqlite3.Connection]:
+    with closing(sqlite3.connect(f"file:{database}?mode=ro", uri=True, timeout=30)) as connection:
+        yield connection
+
+
+def run_of(database: Path, pipeline: str) -> Run | None:
+    """The newest run of a pipeline, if it is stored."""
+    with _open(database) as connection:
+        row = connection.execute(
+            "SELECT run.number, run.ended_ns IS NOT NULL, run.ok, run.failed + run.lost + run.timeout"
+            " FROM run JOIN pipeline ON pipeline.id = run.pipeline WHERE pipeline.name = ?"
+            " ORDER BY run.number DESC LIMIT 1",
+            (pipeline,),
+        ).fetchone()
+    return None if row is None else Run(row[0], bool(row[1]), row[2], row[3])
+
+
+def missing(database: Path) -> int:
+    """Events that were measured and never stored."""
+    with _open(database) as connection:
+        return int(connection.execute("SELECT coalesce(sum(count), 0) FROM gap").fetchone()[0])
+
+
+def iterations_per_second(database: Path, run: Run) -> float:
+    """From the first to the last iteration that counts. Numbers are contiguous, so those not stored count too."""
+    with _open(database) as connection:
+        first, last, begin, end = connection.execute(
+            f"SELECT min(number), max(number), min(started_ns), max(started_ns) FROM iteration WHERE {COUNTED}",
+            (run.number,),
+        ).fetchone()
+    if first is None or end == begin:
+        return 0.0
+    return int(last - first) / (int(end - begin) * 1e-9)
+
+
+def samples(database: Path, run: Run, names: tuple[str, ...] | None = None) -> dict[str, list[float]]:
+    """The values of all nodes by name, in SI units, in the order of iterations; of the names given, or of all."""
+    only = "" if names is None else f"AND name.text IN ({', '.join('?' * len(names))})"
+    query = (
+        "SELECT name.text, node.value FROM iteration"
+        " JOIN node ON node.run = iteration.run AND node.iteration = iteration.number"
+        f" JOIN name ON name.id = node.name WHERE {COUNTED} AND node.value IS NOT NULL {only}"
+    )
+    values: dict[str, list[float]] = defaultdict(list)
+    with _open(database) as connection:
+        for name, value in connection.execute(query, (run.number, *(names or ()))):
+            values[name].append(value)
+    return dict(values)
+
+
+def stages(database: Path, run: Run) -> dict[str, dict[str, float]]:
+    """Count, median and 99th percentile of every node name."""
+    return {name: spread(values) for name, values in samples(database, run).items()}

@@ -1,0 +1,60 @@
+// Chromium without a window, without a network beside the dashboard's address.
+import { readFileSync } from "node:fs";
+import { createRequire } from "node:module";
+import { chromium } from "playwright-core";
+
+const require = createRequire(import.meta.url);
+const axeSource = readFileSync(require.resolve("axe-core/axe.min.js"), "utf8");
+
+export async function launch(base) {
+  const { hostname } = new URL(base);
+  return chromium.launch({
+    executablePath: process.env.CHROMIUM || "/usr/bin/chromium",
+    args: [
+      "--no-sandbox",
+      "--disable-background-networking",
+      "--disable-component-update",
+      "--disable-domain-reliability",
+      "--disable-sync",
+      "--no-first-run",
+      "--disable-features=OptimizationHints,MediaRouter,Translate,AutofillServerCommunication",
+      `--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE ${hostname}`,
+    ],
+  });
+}
+
+// A page that remembers what went wrong in it.
+export async function open(browser, base, path, options = {}) {
+  const { width = 1440, height = 900, scheme = "light", script = true } = options;
+  const context = await browser.newContext({ baseURL: base, viewport: { width, height }, colorScheme: scheme, javaScriptEnabled: script });
+  const page = await context.newPage();
+  const errors = [];
+  page.on("console", (message) => { if (message.type() === "error" || message.type() === "warning") errors.push(message.text()); });
+  page.on("pageerror", (error) => errors.push(String(error)));
+  page.on("requestfailed", (request) => {
+    // A stream is cut off when its page is left.
+    if (!request.url().includes("/api/v1/live")) errors.push(`${request.url()}: ${request.failure()?.errorText}`);
+  });
+  const answer = await page.goto(path);
+  if (!answer.ok()) throw new Error(`${path} answered with status ${answer.status()}`);
+  return { page, errors, close: () => context.close() };
+}
+
+// What the axe rules find, each with the elements concerned.
+export async function violations(page) {
+  await page.evaluate(axeSource);
+  const found = await page.evaluate(() => globalThis.axe.run(document, { resultTypes: ["violations"] }));
+  return found.violations.map((rule) => `${rule.id}: ${rule.help}\n  ${rule.nodes.slice(0, 4).map((node) => `${node.target.join(" ")}: ${node.failureSummary?.split("\n")[1]?.trim()}`).join("\n  ")}`);
+}
+
+// How far the page can be scrolled sideways, in pixels.
+export const sideways = (page) => page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
+
+// Waits until live figures have changed.
+export async function moves(page, selector) {
+  const before = await page.locator(selector).innerText();
+  await page.waitForFunction(([where, text]) => document.querySelector(where)?.innerText !== text, [selector, before], { timeout: 30000 });
+}
+
+// Charts are drawn after the page: waits until all that can be seen are there.
+export const drawn = (page) => page.waitForFunction(() => Array.from(document.querySelectorAll(".chart")).every((chart) => chart.querySelector("canvas") || !chart.clientWidth), null, { timeout: 30000 });

@@ -1,0 +1,219 @@
+// Opens a running dashboard and looks at it as a person would: node run.mjs http://127.0.0.1:8040
+// With SCREENSHOTS=FOLDER every page is written there as a picture, in both themes and at four widths.
+import assert from "node:assert/strict";
+import { mkdirSync } from "node:fs";
+import { after, before, describe, test } from "node:test";
+import { drawn, launch, moves, open, sideways, violations } from "./browser.mjs";
+
+const base = process.argv[2] || process.env.BASE_URL || "http://127.0.0.1:8040";
+const folder = process.env.SCREENSHOTS;
+const PATIENCE = 60000;
+
+let browser, pages;
+
+// A finished part of a run is needed: asked for until the store has it.
+async function stored() {
+  const until = Date.now() + PATIENCE;
+  for (;;) {
+    const { runs } = await (await fetch(`${base}/api/v1/runs`)).json();
+    const run = runs.find((one) => one.placement.kind === "remote" && one.total?.count >= 30) || runs.find((one) => one.total?.count >= 30);
+    if (run) return run;
+    assert.ok(Date.now() < until, `no run of ${base} has 30 iterations; is the demo running?`);
+    await new Promise((resolve) => setTimeout(resolve, 500));
+  }
+}
+
+before(async () => {
+  browser = await launch(base);
+  const run = await stored();
+  const { iterations } = await (await fetch(`${base}/api/v1/runs/${run.number}/iterations?order=slowest&limit=1`)).json();
+  pages = {
+    overview: "/",
+    pipelines: "/pipelines",
+    pipeline: `/pipelines/${run.host}/${run.pipeline}`,
+    runs: "/runs",
+    run: `/runs/${run.number}`,
+    iteration: `/runs/${run.number}/iterations/${iterations[0].number}`,
+    hosts: "/hosts",
+    host: `/hosts/${run.host}`,
+    incidents: "/incidents",
+  };
+  if (folder) mkdirSync(folder, { recursive: true });
+});
+after(() => browser?.close());
+
+describe("the way of a person", () => {
+  test("figures move, a run opens, its slowest iteration opens", async () => {
+    const { page, errors, close } = await open(browser, base, "/");
+    await drawn(page);
+    await moves(page, "#part-now");
+    await page.getByRole("navigation", { name: "Pages" }).getByRole("link", { name: "Runs" }).click();
+    await page.waitForURL("**/runs");
+    await page.locator(`a[href="${pages.run}"]`).first().click();
+    await page.waitForURL(`**${pages.run}`);
+    await drawn(page);
+    await page.locator(".slow tbody tr:first-child a").click();
+    await page.waitForURL("**/iterations/*");
+    assert.match(await page.locator("h1").innerText(), /ms|s$/);
+    assert.ok((await page.locator(".wf tbody tr").count()) > 5, "the waterfall has rows");
+    assert.deepEqual(errors, []);
+    await close();
+  });
+
+  test("a row of the stage table shows its distribution without a new page", async () => {
+    const { page, errors, close } = await open(browser, base, pages.run);
+    await page.evaluate(() => { window.same = true; });
+    await page.locator("a.pick", { hasText: "inference" }).click();
+    await page.waitForFunction(() => document.getElementById("di-h").textContent.includes("inference"));
+    await page.locator("#distribution a", { hasText: "Cumulative" }).click();
+    await page.waitForFunction(() => document.querySelector("#distribution .above").textContent.includes("%"));
+    assert.equal(await page.evaluate(() => window.same), true);
+    assert.match(page.url(), /stage=inference/);
+    assert.deepEqual(errors, []);
+    await close();
+  });
+
+  test("a chart flips to its table and back, one stage can be shown alone", async () => {
+    const { page, errors, close } = await open(browser, base, "/");
+    await drawn(page);
+    const card = page.locator(".card").first();
+    await card.getByRole("button", { name: "Table" }).click();
+    assert.ok(await card.locator("table").isVisible());
+    await card.getByRole("button", { name: "Table" }).click();
+    assert.ok(await card.locator(".chart").isVisible());
+    const key = page.locator("#key button", { hasText: "inference" });
+    await key.click();
+    assert.equal(await page.locator("#key button[aria-pressed=true]").count(), 1);
+    await key.click();
+    assert.equal(await page.locator("#key button[aria-pressed=false]").count(), 0);
+    await page.getByRole("button", { name: "Table" }).first().click();
+    assert.ok(await page.locator("#part-nowtable").isVisible());
+    assert.deepEqual(errors, []);
+    await close();
+  });
+});
+
+describe("keys", () => {
+  test("the first tab leads past the navigation, the focus can be seen", async () => {
+    const { page, close } = await open(browser, base, "/");
+    await page.keyboard.press("Tab");
+    assert.equal(await page.evaluate(() => document.activeElement.textContent), "Skip to content");
+    await page.keyboard.press("Enter");
+    assert.equal(await page.evaluate(() => document.activeElement.id), "main");
+    await page.keyboard.press("Tab");
+    const ring = await page.evaluate(() => getComputedStyle(document.activeElement).outlineWidth);
+    assert.equal(ring, "2px");
+    await close();
+  });
+
+  test("g and a letter open pages, t changes the theme, ? lists the keys", async () => {
+    const { page, close } = await open(browser, base, "/");
+    for (const [letter, path] of [["p", "/pipelines"], ["r", "/runs"], ["h", "/hosts"], ["i", "/incidents"], ["o", "/"]]) {
+      await page.keyboard.press("g");
+      await page.keyboard.press(letter);
+      await page.waitForURL(`${base}${path}`);
+    }
+    await page.keyboard.press("t");
+    assert.equal(await page.evaluate(() => document.documentElement.dataset.theme), "dark");
+    await page.reload();
+    assert.equal(await page.evaluate(() => document.documentElement.dataset.theme), "dark");
+    await page.keyboard.press("?");
+    assert.ok(await page.getByRole("dialog", { name: "Keyboard" }).isVisible());
+    await page.keyboard.press("Escape");
+    assert.ok(!(await page.getByRole("dialog", { name: "Keyboard" }).isVisible()));
+    await close();
+  });
+
+  test("space pauses and resumes, / searches, arrows go from iteration to iteration", async () => {
+    const { page, close } = await open(browser, base, "/");
+    await page.keyboard.press("Space");
+    assert.equal(await page.locator("#livetext").innerText(), "Paused");
+    await page.keyboard.press("Space");
+    await moves(page, "#part-now");
+
+    await page.goto("/runs");
+    await page.keyboard.press("/");
+    await page.keyboard.type("no run is called like this");
+    assert.equal(await page.locator(".runs tbody tr:visible").count(), 0);
+
+    await page.goto(pages.iteration);
+    const next = page.locator("a[rel=next]"), other = (await next.count()) ? next : page.locator("a[rel=prev]");
+    const target = await other.getAttribute("href");
+    await page.keyboard.press((await next.count()) ? "ArrowRight" : "ArrowLeft");
+    await page.waitForURL(`**${target}`);
+    await close();
+  });
+});
+
+describe("when things go wrong", () => {
+  test("a lost connection is said, figures stay, and it comes back by itself", async () => {
+    const { page, close } = await open(browser, base, "/");
+    await moves(page, "#part-now");
+    const figure = await page.locator("#part-now .p50").first().innerText();
+    await page.route("**/api/v1/live*", (route) => route.abort());
+    await page.evaluate(() => dispatchEvent(new PageTransitionEvent("pageshow", { persisted: true })));
+    await page.waitForFunction(() => !document.getElementById("banner").hidden);
+    assert.match(await page.locator("#banner").innerText(), /Connection to the aggregator lost at \d\d:\d\d:\d\d/);
+    assert.match(await page.locator("h1").innerText(), /running at \d\d:\d\d:\d\d$/);
+    assert.equal(await page.locator("#livetext").innerText(), "Reconnecting");
+    assert.ok(figure.length > 0 && (await page.locator("#part-now .p50").first().innerText()).length > 0);
+    await page.unroute("**/api/v1/live*");
+    await page.waitForFunction(() => document.getElementById("banner").hidden, null, { timeout: 15000 });
+    await moves(page, "#part-now");
+    assert.doesNotMatch(await page.locator("h1").innerText(), /were running at/);
+    await close();
+  });
+
+  test("without a script the figures and tables are there", async () => {
+    for (const [name, path] of Object.entries(pages)) {
+      const { page, errors, close } = await open(browser, base, path, { script: false });
+      assert.ok((await page.locator("main").innerText()).match(/\d/), `${name} shows figures`);
+      assert.equal(await page.locator(".scripted:visible").count(), 0, `${name} offers nothing that needs a script`);
+      assert.deepEqual(errors, [], name);
+      await close();
+    }
+    const { page, close } = await open(browser, base, "/", { script: false });
+    assert.ok(await page.locator("svg.stages").first().isVisible());
+    assert.ok(await page.locator(".card table").first().isVisible(), "tables stand where charts would");
+    await close();
+  });
+
+  test("what is not there is said on a page of its own", async () => {
+    const context = await browser.newContext({ baseURL: base });
+    const page = await context.newPage();
+    const answer = await page.goto("/runs/999999999");
+    assert.equal(answer.status(), 404);
+    assert.match(await page.locator("main").innerText(), /no run #999999999 is stored/);
+    await context.close();
+  });
+});
+
+describe("for everyone", () => {
+  for (const scheme of ["light", "dark"]) {
+    for (const width of [400, 1440]) {
+      test(`no page breaks a rule of accessibility, scrolls sideways or complains: ${scheme}, ${width} px`, async () => {
+        for (const [name, path] of Object.entries(pages)) {
+          const { page, errors, close } = await open(browser, base, path, { width, scheme });
+          await drawn(page);
+          assert.deepEqual(await violations(page), [], `${name} at ${width} px, ${scheme}`);
+          assert.ok((await sideways(page)) <= 0, `${name} scrolls sideways at ${width} px`);
+          assert.deepEqual(errors, [], name);
+          await close();
+        }
+      });
+    }
+  }
+});
+
+if (folder) {
+  test("pictures", async () => {
+    for (const [name, path] of Object.entries(pages)) {
+      for (const [suffix, options] of Object.entries({ light: {}, dark: { scheme: "dark" }, phone: { width: 400, height: 800 }, projector: { width: 2560, height: 1440 } })) {
+        const { page, close } = await open(browser, base, path, options);
+        await drawn(page);
+        await page.screenshot({ path: `${folder}/${name}-${suffix}.png`, fullPage: true });
+        await close();
+      }
+    }
+  });
+}

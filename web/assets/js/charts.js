@@ -1,0 +1,198 @@
+// What all charts share: the tokens of app.css, axes, tooltips, gaps and marks. Drawn again when the theme changes.
+const PEER = (() => {
+  const STAGES = ["sensing", "encode", "send-queue", "network", "upload", "queue", "preprocessing", "inference", "postprocessing", "download", "actuation", "unattributed"];
+  const PALE = new Set(["encode", "queue", "preprocessing", "unattributed"]);
+  const drawn = new Set();
+  let probe = null;
+
+  // light-dark() is resolved by the browser, not by us
+  function css(name) {
+    if (!probe || !probe.isConnected) { probe = document.createElement("i"); probe.hidden = true; document.body.appendChild(probe); }
+    probe.style.color = `var(${name})`;
+    return getComputedStyle(probe).color;
+  }
+  const px = (rem) => rem * parseFloat(getComputedStyle(document.documentElement).fontSize);
+  const look = (stage) => (stage === "send-queue" ? "queue" : stage);
+
+  function hatch(ground, line, angle) {
+    const canvas = document.createElement("canvas"), ratio = window.devicePixelRatio || 1, size = 6;
+    canvas.width = canvas.height = size * ratio;
+    const pen = canvas.getContext("2d");
+    pen.scale(ratio, ratio);
+    if (ground) { pen.fillStyle = ground; pen.fillRect(0, 0, size, size); }
+    pen.strokeStyle = line;
+    pen.lineWidth = 1.3;
+    for (const at of [-size, 0, size]) {
+      pen.beginPath();
+      if (angle > 0) { pen.moveTo(at, size); pen.lineTo(at + size, 0); } else { pen.moveTo(at, 0); pen.lineTo(at + size, size); }
+      pen.stroke();
+    }
+    return { image: canvas, repeat: "repeat", scaleX: 1 / ratio, scaleY: 1 / ratio };
+  }
+  // Both directions at once: narrow rows of either colour.
+  function both(up, down) {
+    const canvas = document.createElement("canvas");
+    canvas.width = 1;
+    canvas.height = 8;
+    const pen = canvas.getContext("2d");
+    pen.fillStyle = up;
+    pen.fillRect(0, 0, 1, 6);
+    pen.fillStyle = down;
+    pen.fillRect(0, 6, 1, 2);
+    return { image: canvas, repeat: "repeat" };
+  }
+  function fill(stage) {
+    if (look(stage) === "queue") return hatch(css("--s-queue"), css("--e-queue"), 1);
+    if (stage === "network") return both(css("--s-upload"), css("--s-download"));
+    if (stage === "unattributed") return hatch(css("--s-unattributed"), css("--e-unattributed"), -1);
+    return css(`--s-${stage}`);
+  }
+  const edge = (stage) => (stage === "network" ? css("--s-upload") : css((PALE.has(look(stage)) ? "--e-" : "--s-") + look(stage)));
+
+  // --- numbers as numbers.rs writes them
+  const offset = () => Number(document.documentElement.dataset.offset) * 1000;
+  const clock = (time, seconds) => new Date(time + offset()).toISOString().slice(11, seconds ? 19 : 16);
+  function figure(value) {
+    if (value == null) return "—";
+    const size = Math.abs(value), digits = size < 9.995 ? 2 : size < 99.95 ? 1 : 0;
+    return value.toLocaleString("en-US", { minimumFractionDigits: digits, maximumFractionDigits: digits }).replace("-", "\u2212");
+  }
+
+  const FONT = "Inter, system-ui, sans-serif";
+  const text = () => ({ color: css("--ink-3"), fontSize: px(0.6875), fontFamily: FONT });
+  function timeAxis(more) {
+    return {
+      type: "time", axisLine: { lineStyle: { color: css("--line") } }, axisTick: { show: false }, splitLine: { show: false },
+      axisLabel: { ...text(), hideOverlap: true, showMinLabel: false, showMaxLabel: false, formatter: (time) => clock(time, more?.seconds) },
+      axisPointer: { lineStyle: { color: css("--ink-3"), width: 1, type: "solid" }, label: { show: false } },
+      ...more,
+    };
+  }
+  function valueAxis(unit, more) {
+    return {
+      type: "value", min: 0, name: unit, nameLocation: "end", nameGap: px(0.75),
+      nameTextStyle: { ...text(), align: "right", padding: [0, px(0.375), 0, 0] },
+      axisLine: { show: false }, axisTick: { show: false }, splitLine: { lineStyle: { color: css("--line"), width: 1 } },
+      axisLabel: { ...text(), margin: px(0.375) }, splitNumber: 4, axisPointer: { show: false },
+      ...more,
+    };
+  }
+  function tooltip(formatter) {
+    return {
+      trigger: "axis", confine: false, transitionDuration: 0, backgroundColor: css("--surface"), borderColor: css("--line-strong"), borderWidth: 1,
+      padding: [px(0.5), px(0.75)], extraCssText: "box-shadow:none;border-radius:6px;z-index:4",
+      axisPointer: { type: "line", lineStyle: { color: css("--ink-3"), width: 1, type: "solid" } },
+      // It opens under the plot, so that it never hides the data it explains.
+      position: (point, _params, _node, _rect, size) => [Math.max(0, Math.min(size.viewSize[0] - size.contentSize[0], point[0] - size.contentSize[0] / 2)), size.viewSize[1] - px(0.25)],
+      formatter,
+    };
+  }
+
+  // --- tooltips as nodes with classes: no markup in strings, no inline style
+  function element(tag, name, content) {
+    const node = document.createElement(tag);
+    if (name) node.className = name;
+    if (content != null) node.textContent = content;
+    return node;
+  }
+  function swatch(stage) {
+    const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+    const rect = document.createElementNS("http://www.w3.org/2000/svg", "rect");
+    svg.setAttribute("class", "swatch");
+    rect.setAttribute("class", `f-${look(stage)}`);
+    svg.appendChild(rect);
+    return svg;
+  }
+  function tip(title, right, rows) {
+    const box = element("div", "tip"), head = element("div", "t");
+    head.append(element("span", "", title), element("span", "", right || ""));
+    box.append(head);
+    for (const row of rows) {
+      const line = element("div", `r${row.sum ? " sum" : ""}`);
+      line.append(row.stage ? swatch(row.stage) : element("span"), element("span", "", row.name), element("b", "", row.value));
+      box.append(line);
+    }
+    return box;
+  }
+
+  // --- marks on the time axis: a dashed line down the plot, its sign on the rail above; a gap is a hatched span
+  const SIGNS = {
+    model: "M6 1.2 10.4 3.6v4.8L6 10.8 1.6 8.4V3.6zM1.6 3.6 6 6l4.4-2.4M6 6v4.8",
+    reconnect: "M10.3 5A4.5 4.5 0 1 0 10 8M10.5 1.8V5H7.3",
+    stepped: "M1 9.5h5v-7h5",
+    gap: "M1 6h2.2M8.8 6H11M4.2 2.5v7M7.8 2.5v7",
+    failed: "m2.6 2.6 6.8 6.8M9.4 2.6 2.6 9.4",
+    unsynchronised: "M6 1.4a4.6 4.6 0 1 0 0 9.2 4.6 4.6 0 0 0 0-9.2M2.8 9.2 9.2 2.8",
+    run: "M3 1.8v8.4L10 6z",
+  };
+  function marks(list, gaps, plots, more) {
+    const faint = css("--ink-3"), ink = css("--ink-2"), shade = hatch(null, css("--line"), 1), words = text();
+    const rows = gaps.map((gap) => [gap.from, gap.to, "gap-span", gap.text]).concat(list.map((mark) => [mark.at, mark.at, mark.sign, ""]));
+    return {
+      type: "custom", silent: true, z: 6, clip: false, tooltip: { show: false }, encode: { x: [0, 1] }, data: rows.map((row) => [row[0], row[1]]), ...more,
+      renderItem(params, api) {
+        const [, , kind, note] = rows[params.dataIndex], area = params.coordSys, unit = px(0.75) / 12;
+        let from = api.coord([api.value(0), 0])[0], to = api.coord([api.value(1), 0])[0];
+        if (to < area.x || from > area.x + area.width) return null;
+        from = Math.max(from, area.x);
+        to = Math.min(to, area.x + area.width);
+        const dash = (x) => plots.map(([top, bottom]) => ({ type: "line", shape: { x1: x, x2: x, y1: top, y2: bottom }, style: { stroke: faint, lineWidth: 1, lineDash: [2, 3] } }));
+        if (kind === "gap-span") {
+          const spans = plots.map(([top, bottom]) => ({ type: "rect", shape: { x: from, y: top, width: to - from, height: bottom - top }, style: { fill: shade } }));
+          const label = { type: "text", style: { text: note, x: Math.max(area.x + px(1.5), Math.min(area.x + area.width - px(1.5), (from + to) / 2)), y: plots[0][0] - px(0.25), align: "center", verticalAlign: "bottom", fill: ink, fontSize: words.fontSize, fontFamily: FONT } };
+          return { type: "group", children: spans.concat(dash(from), dash(to), [label]) };
+        }
+        const sign = { type: "path", x: from - 6 * unit, y: plots[0][0] - 14 * unit, scaleX: unit, scaleY: unit, shape: { pathData: SIGNS[kind] || SIGNS.run }, style: { fill: "none", stroke: ink, lineWidth: 1.3, strokeNoScale: true } };
+        return { type: "group", children: dash(from).concat([sign]) };
+      },
+    };
+  }
+
+  // --- the width decides the bucket: never more points than the eye can part
+  const BUCKETS = [1, 2, 5, 10, 30, 60];
+  const bucket = (width, seconds, least) => BUCKETS.find((size) => size >= least && width / (seconds / size) >= 1.2) || 60;
+  // A round end of an axis that holds a value in at most five steps of 1, 2 or 5 times a power of ten.
+  function steps(value) {
+    if (!(value > 0)) return { max: 1, interval: 0.5 };
+    const rough = value / 5, power = 10 ** Math.floor(Math.log10(rough));
+    const interval = [1, 2, 5, 10].find((factor) => factor * power >= rough * 0.999) * power;
+    return { max: Math.ceil(value / interval - 1e-9) * interval, interval };
+  }
+
+  // --- drawing: only what can be seen, again when size or theme change
+  let hovered = null;
+  document.addEventListener("pointerover", (event) => { hovered = event.target.closest?.(".chart") || null; });
+  const sight = new IntersectionObserver((entries) => {
+    for (const entry of entries) {
+      const one = entry.target.peer;
+      if (!one) continue;
+      one.seen = entry.isIntersecting;
+      if (one.seen && one.stale) redraw(one);
+    }
+  });
+  function redraw(one) {
+    one.stale = !one.seen || document.hidden;
+    if (one.stale || !one.node.clientWidth) { one.stale = true; return; }
+    one.chart.setOption({ animation: false, ...one.make(one.chart) }, { notMerge: true });
+  }
+  function draw(node, make) {
+    const one = { node, make, chart: echarts.init(node, null, { renderer: "canvas" }), seen: true, stale: false };
+    node.peer = one;
+    drawn.add(one);
+    redraw(one);
+    sight.observe(node);
+    new ResizeObserver(() => {
+      if (!node.clientWidth) return;
+      one.chart.resize();
+      redraw(one);
+    }).observe(node);
+    return one;
+  }
+  function forget() {
+    for (const one of drawn) if (!one.node.isConnected) { one.chart.dispose(); drawn.delete(one); }
+  }
+  document.addEventListener("peer-theme", () => drawn.forEach(redraw));
+  document.addEventListener("visibilitychange", () => { if (!document.hidden) drawn.forEach((one) => { if (one.stale) redraw(one); }); });
+
+  return { STAGES, name: (stage) => (stage === "network" ? "upload + download" : stage), css, px, fill, edge, clock, figure, text, timeAxis, valueAxis, tooltip, tip, marks, bucket, steps, draw, redraw, forget, isHovered: (node) => hovered === node };
+})();

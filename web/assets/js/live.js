@@ -1,0 +1,166 @@
+// Keeps a page live: one stream of events, figures replaced in place, a word about it when the stream is away.
+(() => {
+  const RETRY = 2000, SILENCE = 6500;
+  const $ = (id) => document.getElementById(id);
+  const tell = (name, detail) => document.dispatchEvent(new CustomEvent(name, { detail }));
+  const calm = matchMedia("(prefers-reduced-motion: reduce)");
+  let source = null, heard = 0, away = false, paused = false, pending = null, shown = 0, timer = 0, status = null;
+
+  const offset = () => Number(document.documentElement.dataset.offset) * 1000;
+  const clock = (time) => new Date(time + offset()).toISOString().slice(11, 19);
+
+  // --- replacing parts: nodes stay where they are, so that focus and selection survive
+  function morph(from, to) {
+    const old = Array.from(from.childNodes), fresh = Array.from(to.childNodes);
+    fresh.forEach((node, index) => {
+      const at = old[index];
+      if (!at) { from.appendChild(node); return; }
+      if (at.nodeType !== node.nodeType || at.nodeName !== node.nodeName) { at.replaceWith(node); return; }
+      if (node.nodeType !== Node.ELEMENT_NODE) { if (at.nodeValue !== node.nodeValue) at.nodeValue = node.nodeValue; return; }
+      for (const { name } of Array.from(at.attributes)) if (name !== "hidden" && !node.hasAttribute(name)) at.removeAttribute(name);
+      for (const { name, value } of Array.from(node.attributes)) if (at.getAttribute(name) !== value) at.setAttribute(name, value);
+      morph(at, node);
+    });
+    old.slice(fresh.length).forEach((node) => node.remove());
+  }
+
+  function apply() {
+    timer = 0;
+    if (!pending || paused || document.hidden) return;
+    const update = pending;
+    pending = null;
+    shown = performance.now();
+    if ((document.querySelector("main").dataset.layout || "") !== update.layout) { renew(); return; }
+    document.title = `${update.title} · PEERNet`;
+    for (const [id, html] of update.parts) {
+      const part = $(`part-${id}`);
+      if (!part) continue;
+      const template = document.createElement("template");
+      template.innerHTML = html;
+      // A part may share its element with something that is not live: only as many nodes as it has are its own.
+      morph(part, template.content);
+    }
+    tell("peer-updated", update);
+  }
+  function schedule() {
+    if (timer || paused || document.hidden) return;
+    timer = setTimeout(apply, calm.matches ? Math.max(0, 1000 - (performance.now() - shown)) : 0);
+  }
+
+  // --- other pipelines than before: the page is fetched again and its middle exchanged
+  let renewing = false;
+  async function renew() {
+    if (renewing) return;
+    renewing = true;
+    try {
+      const answer = await fetch(location.href);
+      if (!answer.ok) return;
+      const page = new DOMParser().parseFromString(await answer.text(), "text/html");
+      document.querySelector("main").replaceWith(page.querySelector("main"));
+      $("data")?.remove();
+      if (page.getElementById("data")) document.body.appendChild(page.getElementById("data"));
+      const known = new Set(Array.from(document.scripts, (script) => script.getAttribute("src")));
+      for (const script of page.querySelectorAll("script[src]")) {
+        if (known.has(script.getAttribute("src"))) continue;
+        const added = document.createElement("script");
+        added.src = script.getAttribute("src");
+        added.async = false;
+        document.body.appendChild(added);
+      }
+      if (wanted() !== listening) connect();
+      tell("peer-renewed");
+    } finally {
+      renewing = false;
+    }
+  }
+
+  // --- the top bar
+  function say(word, dot) {
+    if ($("livetext").textContent !== word) $("livetext").textContent = word;
+    $("livedot").className = `dot ${dot}`;
+  }
+  function lag() {
+    const silent = (performance.now() - heard) / 1000;
+    let text = "";
+    if (away) text = `last data ${Math.round(silent)}\u202fs ago`;
+    else if (status && status.behind_s != null) text = `${status.behind_s.toFixed(1)}\u202fs behind`;
+    if ($("livelag").textContent !== text) $("livelag").textContent = text;
+  }
+  function state() {
+    if (away) say("Reconnecting", "warn");
+    else if (paused) say("Paused", "off");
+    else if (!status || status.hosts === 0) say(status ? "Waiting" : "Live", status ? "off" : "");
+    else if (status.connected === 0) say("No host reports", "warn");
+    else say("Live", "");
+    lag();
+  }
+
+  // --- the stream
+  let listening = null;
+  function wanted() {
+    const topics = document.body.dataset.topic ? [document.body.dataset.topic] : [];
+    if (document.querySelector(".live-chart")) topics.push("picture");
+    return topics.join(",");
+  }
+  function connect() {
+    if (source) source.close();
+    listening = wanted();
+    source = new EventSource(`/api/v1/live?topics=${encodeURIComponent(listening)}`);
+    const on = (name, handle) => source.addEventListener(name, (event) => {
+      heard = performance.now();
+      back();
+      handle(event.data);
+    });
+    on("status", (data) => { status = JSON.parse(data); state(); });
+    on("page", (data) => { pending = JSON.parse(data); schedule(); });
+    on("picture", (data) => tell("peer-picture", JSON.parse(data)));
+    on("heartbeat", () => {});
+    source.addEventListener("error", lost);
+  }
+  function lost() {
+    if (source) source.close();
+    source = null;
+    setTimeout(() => { if (!source) connect(); }, RETRY);
+    if (away || leaving) return;
+    away = true;
+    const at = clock(Date.now());
+    document.body.classList.add("away");
+    $("banner").textContent = `Connection to the aggregator lost at ${at}. Trying again every 2\u202fs; the figures below are the last ones received.`;
+    $("banner").hidden = false;
+    const title = document.querySelector("h1[data-past]");
+    if (title) title.textContent = `${title.dataset.past} at ${at}`;
+    state();
+  }
+  function back() {
+    if (!away) return;
+    away = false;
+    document.body.classList.remove("away");
+    $("banner").hidden = true;
+    state();
+    tell("peer-back");
+  }
+
+  let leaving = false;
+  addEventListener("pagehide", () => { leaving = true; if (source) source.close(); });
+  addEventListener("pageshow", (event) => { if (event.persisted) { leaving = false; heard = performance.now(); connect(); } });
+  setInterval(() => {
+    if (source && performance.now() - heard > SILENCE) lost();
+    if (away) lag();
+  }, 1000);
+
+  document.addEventListener("peer-toggle-pause", () => {
+    paused = !paused;
+    const button = $("pause");
+    if (button) {
+      button.setAttribute("aria-pressed", String(paused));
+      button.querySelector("span").textContent = paused ? "Resume" : "Pause";
+    }
+    state();
+    tell("peer-pause", paused);
+    schedule();
+  });
+  document.addEventListener("visibilitychange", () => { if (!document.hidden) schedule(); });
+
+  heard = performance.now();
+  connect();
+})();

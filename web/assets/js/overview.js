@@ -1,0 +1,212 @@
+// Live charts of pipelines: stages stacked over the last minutes, the 95th percentile above, throughputs below.
+(() => {
+  const KEPT = 600;
+  let cards = [], range = 600, alone = null, paused = false, marks = [], scale = { max: 0, since: 0 }, queued = false;
+
+  function begin() {
+    PEER.forget();
+    const block = document.getElementById("data");
+    if (!block || !document.querySelector(".live-chart")) return;
+    const data = JSON.parse(block.textContent);
+    marks = data.marks;
+    cards = data.charts.map((card) => ({ ...card, last: card.from + card.n.length - 1 }));
+    scale = { max: 0, since: 0 };
+    for (const card of cards) {
+      const node = document.querySelector(`.live-chart[data-key="${CSS.escape(card.key)}"]`);
+      if (!node || node.peer) continue;
+      card.one = PEER.draw(node, () => options(card, node));
+      card.one.chart.group = "live";
+    }
+    echarts.connect("live");
+  }
+
+  // --- seconds into buckets
+  function grow(list, length) { while (list.length < length) list.push(null); }
+  function put(card, second) {
+    let at = second.at - card.from;
+    if (card.n.length === 0) { card.from = second.at; at = 0; }
+    if (at < 0) return;
+    const length = at + 1;
+    grow(card.n, length);
+    grow(card.p95, length);
+    card.n[at] = second.counts.ok;
+    card.p95[at] = second.total_p95 == null ? null : second.total_p95 * 1e3;
+    const names = PEER.STAGES.filter((stage) => stage !== "network").concat(["total", "upload-throughput", "download-throughput"]);
+    for (const name of names) {
+      const value = second.means[name];
+      if (value == null && !card.means[name]) continue;
+      const list = (card.means[name] ||= []);
+      grow(list, length);
+      list[at] = value == null ? null : name.endsWith("throughput") ? value / 8e6 : value * 1e3;
+    }
+    for (const list of Object.values(card.means)) grow(list, length);
+    const extra = card.n.length - KEPT;
+    if (extra > 0) {
+      card.from += extra;
+      for (const list of [card.n, card.p95, ...Object.values(card.means)]) list.splice(0, extra);
+    }
+    card.last = card.from + card.n.length - 1;
+  }
+
+  function bucketed(card, width) {
+    const end = Math.max(...cards.map((other) => other.last)) + 1, start = end - range;
+    const known = card.n.filter((count) => count != null), rate = known.reduce((sum, count) => sum + count, 0) / Math.max(1, known.length);
+    // A slow pipeline gets buckets that hold an iteration each.
+    const size = PEER.bucket(width, range, rate > 0 ? Math.ceil(1.5 / rate) : 1);
+    const stages = PEER.STAGES.filter((stage) => stage !== "unattributed" && card.means[stage]);
+    // Clocks that were never related: neither direction is known, their sum is.
+    const both = card.remote && !card.means.upload && !card.means.download && card.means.unattributed;
+    if (both) stages.splice(stages.filter((stage) => ["sensing", "encode", "send-queue"].includes(stage)).length, 0, "network");
+    const rows = [];
+    for (let from = Math.floor(start / size) * size; from < end; from += size) {
+      const row = { at: (from + size / 2) * 1e3, n: 0, reported: false, means: {}, p95: null, total: null };
+      const seconds = [];
+      for (let at = Math.max(from, card.from); at < from + size && at <= card.last; at++) {
+        const index = at - card.from;
+        if (card.n[index] == null) continue;
+        row.reported = true;
+        if (card.n[index] > 0) { seconds.push(index); row.n += card.n[index]; }
+      }
+      const mean = (list) => {
+        let sum = 0, any = false;
+        for (const index of seconds) if (list?.[index] != null) { sum += list[index] * card.n[index]; any = true; }
+        return any ? sum / row.n : null;
+      };
+      if (row.n > 0) {
+        row.total = mean(card.means.total);
+        row.p95 = mean(card.p95);
+        let left = row.total;
+        for (const stage of stages) { if (stage === "network") continue; row.means[stage] = mean(card.means[stage]) ?? 0; left -= row.means[stage]; }
+        if (both) { row.means.network = Math.max(0, left - (mean(card.means.unattributed) ?? 0)); left -= row.means.network; }
+        row.means.unattributed = Math.max(0, left ?? 0);
+        row.up = mean(card.means["upload-throughput"]);
+        row.down = mean(card.means["download-throughput"]);
+      }
+      rows.push(row);
+    }
+    return { rows, size, stages: stages.concat(["unattributed"]), start: start * 1e3, end: end * 1e3 };
+  }
+
+  // Seconds without a report, between seconds with one.
+  function gaps(card) {
+    const found = [];
+    let begun = null;
+    card.n.forEach((count, index) => {
+      if (count == null) { begun ??= index; return; }
+      if (begun != null && begun > 0 && index - begun >= 3) found.push({ from: (card.from + begun) * 1e3, to: (card.from + index) * 1e3, text: "no report" });
+      begun = null;
+    });
+    return found;
+  }
+
+  // One scale for all charts that are compared; it grows at once and shrinks after half a minute.
+  function shared(width) {
+    let highest = 0;
+    for (const card of cards) {
+      for (const row of bucketed(card, width).rows) {
+        const value = alone ? (row.means[alone] || 0) + (alone === "queue" ? row.means["send-queue"] || 0 : 0) : Math.max(row.total || 0, row.p95 || 0);
+        highest = Math.max(highest, value);
+      }
+    }
+    const wanted = PEER.steps(highest), now = performance.now();
+    if (wanted.max >= scale.max || now - scale.since > 30000) scale = { ...wanted, since: now };
+    return { max: scale.max, interval: scale.interval };
+  }
+
+  function strips(card, rows) {
+    const points = (key) => rows.map((row) => [row.at, row[key] ?? null]);
+    if (card.remote) {
+      const strip = (key, color, why) => (why ? { name: `${key}: ${why}`, color, points: [], known: false } : { name: `${key}, MB/s`, color, points: points(key), known: true });
+      return [strip("up", "--s-upload", card.obstacles[0]), strip("down", "--s-download", card.obstacles[1])];
+    }
+    const host = (list, name) => ({ name: list.length ? `${name} of ${card.host}, %` : `${name} of ${card.host}: not readable`, color: "--ink-2", points: list.map(([at, value]) => [at * 1e3, value]), known: list.length > 0, max: 100 });
+    return [host(card.cpu, "CPU"), host(card.gpu, "GPU")].filter((strip, index) => index === 0 || strip.known);
+  }
+
+  function options(card, node) {
+    const width = node.clientWidth, { rows, size, stages, start, end } = bucketed(card, width);
+    const left = PEER.px(2.25), right = PEER.px(0.25), below = strips(card, rows);
+    const main = { left, right, top: PEER.px(2.25), height: PEER.px(below.length > 1 ? 9.25 : 11.5) };
+    const tops = below.map((_, index) => main.top + main.height + PEER.px(1.1 + index * 2.25)), low = PEER.px(1.1);
+    const plots = [[main.top, main.top + main.height], ...tops.map((top) => [top, top + low])];
+    const shown = alone ? stages.filter((stage) => (stage === "send-queue" ? "queue" : stage) === alone) : stages;
+    const axes = { min: start, max: end };
+    const series = shown.map((stage) => ({
+      name: stage, type: "line", stack: "stages", symbol: "none", data: rows.map((row) => [row.at, row.n > 0 ? row.means[stage] : null]),
+      lineStyle: { width: 0 }, areaStyle: { color: PEER.fill(stage), opacity: 1 }, emphasis: { disabled: true }, z: 2,
+    }));
+    if (!alone) series.push({ name: "p95", type: "line", symbol: "none", data: rows.map((row) => [row.at, row.p95]), lineStyle: { width: 1.25, color: PEER.css("--ink") }, itemStyle: { color: PEER.css("--ink") }, emphasis: { disabled: true }, z: 5 });
+    below.forEach((strip, index) => series.push({ name: strip.name, type: "line", symbol: "none", xAxisIndex: index + 1, yAxisIndex: index + 1, data: strip.points, lineStyle: { width: 1.25, color: PEER.css(strip.color) }, emphasis: { disabled: true }, z: 3 }));
+    const mine = marks.filter((mark) => mark.host === card.host && (!mark.pipeline || mark.pipeline === card.pipeline) && mark.at >= start);
+    series.push(PEER.marks(mine, gaps(card), plots));
+    const ends = shared(width);
+    return {
+      grid: [main, ...tops.map((top) => ({ left, right, top, height: low }))],
+      axisPointer: { link: [{ xAxisIndex: "all" }] },
+      tooltip: PEER.tooltip((params) => {
+        if (!PEER.isHovered(node) || !params.length) return "";
+        const row = rows.reduce((best, other) => (Math.abs(other.at - params[0].axisValue) < Math.abs(best.at - params[0].axisValue) ? other : best), rows[0]);
+        const lines = shown.slice().reverse().filter((stage) => row.n > 0).map((stage) => ({ stage, name: PEER.name(stage), value: PEER.figure(row.means[stage]) }));
+        lines.push({ name: "total, mean", value: PEER.figure(row.total), sum: true }, { name: "p95", value: PEER.figure(row.p95) });
+        if (card.remote) lines.push({ name: "up, MB/s", value: PEER.figure(row.up), sum: true }, { name: "down, MB/s", value: PEER.figure(row.down) });
+        return PEER.tip(PEER.clock(row.at - size * 500, true), size === 1 ? "ms, mean of 1 s" : `ms, mean of ${size} s`, lines);
+      }),
+      xAxis: [0, ...below.map((_, index) => index + 1)].map((grid) => PEER.timeAxis({ ...axes, gridIndex: grid, ...(grid < below.length ? { axisLabel: { show: false } } : {}), seconds: range <= 60, splitNumber: 4 })),
+      yAxis: [
+        PEER.valueAxis("ms", { ...ends, axisLabel: { ...PEER.text(), margin: PEER.px(0.375), formatter: (value) => String(+value.toPrecision(3)) } }),
+        ...below.map((strip, index) => {
+          const top = strip.max || PEER.steps(strip.points.reduce((most, point) => Math.max(most, point[1] || 0), 0)).max;
+          return PEER.valueAxis(strip.name, {
+            gridIndex: index + 1, max: top, interval: top, splitLine: { show: false }, nameGap: PEER.px(0.2), nameTextStyle: { ...PEER.text(), align: "left" },
+            axisLabel: { ...PEER.text(), margin: PEER.px(0.375), show: strip.known, formatter: (value) => (value === 0 ? "" : String(+value.toPrecision(3))) },
+          });
+        }),
+      ],
+      series,
+    };
+  }
+
+  function refresh() {
+    if (queued || paused || document.hidden) return;
+    queued = true;
+    requestAnimationFrame(() => { queued = false; cards.forEach((card) => card.one && PEER.redraw(card.one)); });
+  }
+
+  // --- what arrives
+  const isCalm = matchMedia("(prefers-reduced-motion: reduce)");
+  let last = 0;
+  document.addEventListener("peer-picture", ({ detail }) => {
+    for (const pipeline of detail.pipelines) {
+      const card = cards.find((other) => other.host === pipeline.host && other.pipeline === pipeline.name);
+      if (!card) continue;
+      const oldest = pipeline.seconds[0];
+      if (oldest && card.n.length && oldest.at > card.last + 1) catchUp(card);
+      pipeline.seconds.forEach((second) => put(card, second));
+      const host = detail.hosts.find((other) => other.name === card.host), at = Math.floor(Date.parse(detail.at) / 1000);
+      for (const name of ["cpu", "gpu"]) {
+        const list = card[name];
+        if (card.remote || !host || host[name] == null || (list.length && at - list[list.length - 1][0] < 5)) continue;
+        list.push([at, host[name] * 100]);
+        if (list.length > KEPT / 5) list.shift();
+      }
+    }
+    if (isCalm.matches && performance.now() - last < 1000) return;
+    last = performance.now();
+    refresh();
+  });
+  // Seconds that went by unseen are fetched; those that were never reported stay a gap.
+  async function catchUp(card) {
+    const answer = await fetch(`/api/v1/pipelines/${encodeURIComponent(card.host)}/${encodeURIComponent(card.pipeline)}`);
+    if (!answer.ok) return;
+    (await answer.json()).seconds.forEach((second) => put(card, second));
+    refresh();
+  }
+  document.addEventListener("peer-back", () => cards.forEach(catchUp));
+  document.addEventListener("peer-updated", ({ detail }) => { if (detail.marks?.length) marks = detail.marks; });
+  document.addEventListener("peer-pause", ({ detail }) => { paused = detail; refresh(); });
+  document.addEventListener("visibilitychange", refresh);
+  document.addEventListener("peer-range", ({ detail }) => { range = detail; scale = { max: 0, since: 0 }; refresh(); });
+  document.addEventListener("peer-isolate", ({ detail }) => { alone = detail; scale = { max: 0, since: 0 }; refresh(); });
+  document.addEventListener("peer-renewed", begin);
+  begin();
+})();

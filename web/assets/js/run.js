@@ -1,0 +1,100 @@
+// A run over time: median and 95th percentile per bucket, the slowest iterations as points to open.
+(() => {
+  const node = document.getElementById("run-chart");
+  if (!node) return;
+  const data = JSON.parse(document.getElementById("data").textContent), size = data.bucket * 1000;
+  let range = null;
+  const fromHash = /^#t=(\d+)-(\d+)$/.exec(location.hash);
+  if (fromHash) range = [Number(fromHash[1]), Number(fromHash[2])];
+
+  const begin = Math.min(...data.points.map((point) => point[0]), ...data.slow.map((point) => point[0]));
+  const end = Math.max(...data.points.map((point) => point[0] + size), ...data.slow.map((point) => point[0]));
+  if (!Number.isFinite(begin)) return;
+
+  const TOP = () => PEER.px(2.25), plotBottom = () => node.clientHeight - PEER.px(3.5);
+
+  // Where buckets are missing the line stops.
+  function line(index) {
+    const points = [];
+    data.points.forEach((point, at) => {
+      if (at > 0 && point[0] - data.points[at - 1][0] > size) points.push([point[0] - size / 2, null]);
+      points.push([point[0] + size / 2, point[index]]);
+    });
+    return points;
+  }
+
+  function options() {
+    const [from, to] = range || [begin, end];
+    const top = TOP(), height = plotBottom() - top, left = PEER.px(2.5), right = PEER.px(0.75);
+    const highest = Math.max(...data.points.map((point) => Math.max(point[1] || 0, point[2] || 0)), ...data.slow.map((point) => point[1] || 0));
+    const ends = PEER.steps(highest), seconds = to - from < 600000;
+    const gaps = data.gaps.map(([start, stop, count]) => ({ from: start, to: stop, text: count ? `${count.toLocaleString("en-US")} dropped` : "not recorded" }));
+    return {
+      grid: [{ left, right, top, height }],
+      dataZoom: [{
+        type: "slider", left, right, bottom: PEER.px(0.125), height: PEER.px(1.25), startValue: from, endValue: to, filterMode: "none", brushSelect: false, showDetail: false,
+        borderColor: PEER.css("--line"), backgroundColor: "transparent", fillerColor: PEER.css("--ink-3").replace("rgb(", "rgba(").replace(")", ", 0.12)"), moveHandleSize: 0,
+        dataBackground: { lineStyle: { color: PEER.css("--ink-3"), width: 1, opacity: 1 }, areaStyle: { color: PEER.css("--well"), opacity: 1 } },
+        selectedDataBackground: { lineStyle: { color: PEER.css("--ink-2"), width: 1, opacity: 1 }, areaStyle: { color: PEER.css("--line"), opacity: 1 } },
+        handleStyle: { color: PEER.css("--surface"), borderColor: PEER.css("--line-strong") }, emphasis: { handleStyle: { borderColor: PEER.css("--ink") } },
+      }],
+      tooltip: PEER.tooltip((params) => {
+        const point = params.find((one) => one.seriesType === "scatter");
+        const at = params[0].axisValue;
+        const bucket = data.points.find((one) => at >= one[0] && at < one[0] + size);
+        const lines = [];
+        if (bucket) lines.push({ name: "median", value: PEER.figure(bucket[1]) }, { name: "p95", value: PEER.figure(bucket[2]) });
+        if (point) lines.push({ stage: point.data.stage, name: `iteration ${point.data.number.toLocaleString("en-US")}`, value: PEER.figure(point.value[1]), sum: lines.length > 0 });
+        return lines.length ? PEER.tip(PEER.clock(bucket ? bucket[0] : at, true), `ms, ${data.bucket} s`, lines) : "";
+      }),
+      xAxis: PEER.timeAxis({ min: begin, max: end, seconds }),
+      yAxis: PEER.valueAxis("ms", { ...ends, axisLabel: { ...PEER.text(), margin: PEER.px(0.375), formatter: (value) => String(+value.toPrecision(3)) } }),
+      series: [
+        { type: "line", symbol: data.points.length === 1 ? "circle" : "none", data: line(1), lineStyle: { width: 2, color: PEER.css("--ink") }, itemStyle: { color: PEER.css("--ink") }, emphasis: { disabled: true }, z: 4 },
+        { type: "line", symbol: "none", data: line(2), lineStyle: { width: 1, color: PEER.css("--ink-3") }, itemStyle: { color: PEER.css("--ink-3") }, emphasis: { disabled: true }, z: 3 },
+        {
+          type: "scatter", symbolSize: PEER.px(0.4375), z: 5, cursor: "pointer", emphasis: { disabled: true },
+          data: data.slow.map(([at, total, stage, number]) => ({ value: [at, total], stage, number, itemStyle: { color: stage === "total" || stage === "other" ? PEER.css("--line-strong") : PEER.edge(stage) } })),
+        },
+        PEER.marks([], gaps, [[top, top + height]]),
+      ],
+    };
+  }
+
+  const one = PEER.draw(node, options);
+  one.chart.on("click", (event) => { if (event.data?.number) location.href = `/runs/${data.run}/iterations/${event.data.number}`; });
+
+  // --- slider, wheel with ctrl, or a drag across the plot select a time range; double click goes back
+  function select(next) {
+    range = next;
+    history.replaceState(null, "", next ? `#t=${Math.round(next[0])}-${Math.round(next[1])}` : location.pathname + location.search);
+  }
+  one.chart.on("datazoom", () => {
+    const { startValue, endValue } = one.chart.getOption().dataZoom[0];
+    select(startValue <= begin && endValue >= end ? null : [startValue, endValue]);
+  });
+  const zoom = (next) => { select(next); PEER.redraw(one); };
+  const surface = one.chart.getZr();
+  const inside = (event) => event.offsetY < plotBottom();
+  let pressed = null, veil = null;
+  surface.on("mousedown", (event) => { if (!event.target && inside(event)) pressed = event.offsetX; });
+  surface.on("mousemove", (event) => {
+    if (pressed == null || Math.abs(event.offsetX - pressed) < 4) return;
+    const shape = { x: Math.min(pressed, event.offsetX), y: TOP(), width: Math.abs(event.offsetX - pressed), height: plotBottom() - TOP() };
+    if (veil) { veil.setShape(shape); return; }
+    veil = new echarts.graphic.Rect({ silent: true, z: 9, style: { fill: PEER.css("--ink"), opacity: 0.09 }, shape });
+    surface.add(veil);
+  });
+  const release = (event) => {
+    if (veil) {
+      surface.remove(veil);
+      const time = (x) => one.chart.convertFromPixel({ xAxisIndex: 0 }, x);
+      const [from, to] = event ? [time(Math.min(pressed, event.offsetX)), time(Math.max(pressed, event.offsetX))] : [0, 0];
+      if (to - from >= 1000) zoom([Math.max(begin, from), Math.min(end, to)]);
+    }
+    pressed = veil = null;
+  };
+  surface.on("mouseup", release);
+  surface.on("globalout", () => release(null));
+  surface.on("dblclick", () => zoom(null));
+})();

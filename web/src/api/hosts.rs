@@ -1,0 +1,46 @@
+//! Hosts.
+
+use axum::Json;
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Path, State};
+
+use super::parameters::path;
+use super::schema::{Host, HostList};
+use crate::error::{ProblemDetails, WebError};
+use crate::state::{App, AppState};
+
+/// Every host that reports or is stored, by name.
+#[utoipa::path(get, path = "/api/v1/hosts", tag = "hosts", responses(
+    (status = 200, body = HostList),
+    (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
+))]
+pub(crate) async fn list(State(app): State<App>) -> Result<Json<HostList>, WebError> {
+    Ok(Json(HostList { hosts: all(&app).await? }))
+}
+
+/// One host, by name or id.
+#[utoipa::path(get, path = "/api/v1/hosts/{host}", tag = "hosts",
+    params(("host" = String, Path, description = "name or id")),
+    responses(
+        (status = 200, body = Host),
+        (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
+    )
+)]
+pub(crate) async fn one(
+    State(app): State<App>,
+    host: Result<Path<String>, PathRejection>,
+) -> Result<Json<Host>, WebError> {
+    let name = path(host)?;
+    let found = all(&app).await?.into_iter().find(|host| host.name == name || host.id == name);
+    found.map(Json).ok_or_else(|| WebError::NotFound(format!("no host {name} has ever reported here")))
+}
+
+async fn all(app: &AppState) -> Result<Vec<Host>, WebError> {
+    let stored = app.store().hosts().await?;
+    let picture = app.picture();
+    let mut hosts: Vec<Host> = picture.hosts.iter().map(|host| Host::from(&**host)).collect();
+    let past = stored.iter().filter(|row| picture.hosts.iter().all(|host| host.id != row.id));
+    hosts.extend(past.map(Host::from));
+    hosts.sort_by(|a, b| a.name.cmp(&b.name));
+    Ok(hosts)
+}

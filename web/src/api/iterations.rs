@@ -1,0 +1,89 @@
+//! Iterations of a run.
+
+use axum::Json;
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Path, State};
+use peernet_aggregator::IterationFilter;
+use serde::Deserialize;
+use utoipa::{IntoParams, ToSchema};
+
+use super::parameters::{Parameters, bounded, path};
+use super::run::must_exist;
+use super::schema::{Iteration, IterationList, IterationSummary};
+use crate::error::{ProblemDetails, WebError};
+use crate::state::App;
+
+/// The order of a list.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum Order {
+    /// By rising number.
+    #[default]
+    Number,
+    /// The slowest successful ones first.
+    Slowest,
+}
+
+/// Which iterations.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields, default)]
+#[into_params(parameter_in = Query)]
+pub(crate) struct Query {
+    /// Only iterations of greater number: `next` of the page before.
+    after: Option<u64>,
+    /// At most so many, 1 to 1,000; 100 unless given.
+    limit: Option<u32>,
+    /// Only iterations without an answer: failed, lost, timeout.
+    unsuccessful: bool,
+    /// `number` unless given; `slowest` takes neither `after` nor `unsuccessful`.
+    order: Order,
+}
+
+/// Iterations by rising number, or the slowest.
+#[utoipa::path(get, path = "/api/v1/runs/{run}/iterations", tag = "iterations", params(("run" = i64, Path), Query), responses(
+    (status = 200, body = IterationList),
+    (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
+))]
+pub(crate) async fn list(
+    State(app): State<App>,
+    number: Result<Path<i64>, PathRejection>,
+    Parameters(query): Parameters<Query>,
+) -> Result<Json<IterationList>, WebError> {
+    let number = path(number)?;
+    let limit = bounded("limit", query.limit, 100, 1..=1_000)?;
+    must_exist(&app, number).await?;
+    if query.order == Order::Slowest {
+        if query.after.is_some() || query.unsuccessful {
+            let text = "query parameter order: slowest cannot be combined with after or unsuccessful";
+            return Err(WebError::BadRequest(text.to_owned()));
+        }
+        let rows = app.store().slowest(number, limit).await?;
+        return Ok(Json(IterationList {
+            iterations: rows.iter().map(IterationSummary::from).collect(),
+            next: None,
+        }));
+    }
+    let filter = IterationFilter { after: query.after.unwrap_or(0), limit, unsuccessful: query.unsuccessful };
+    let rows = app.store().iterations(number, &filter).await?;
+    let next = rows.last().filter(|_| rows.len() == limit as usize).map(|row| row.number);
+    Ok(Json(IterationList { iterations: rows.iter().map(IterationSummary::from).collect(), next }))
+}
+
+/// One iteration with its tree.
+#[utoipa::path(get, path = "/api/v1/runs/{run}/iterations/{iteration}", tag = "iterations",
+    params(("run" = i64, Path), ("iteration" = u64, Path)),
+    responses(
+        (status = 200, body = Iteration),
+        (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
+    )
+)]
+pub(crate) async fn one(
+    State(app): State<App>,
+    numbers: Result<Path<(i64, u64)>, PathRejection>,
+) -> Result<Json<Iteration>, WebError> {
+    let (run, number) = path(numbers)?;
+    let found = app.store().iteration(run, number).await?;
+    let found =
+        found.ok_or_else(|| WebError::NotFound(format!("run {run} has no stored iteration {number}")))?;
+    Ok(Json(Iteration::try_from(&found)?))
+}

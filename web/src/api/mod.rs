@@ -1,0 +1,47 @@
+//! The REST API, `/api/v1`: one file per resource, the OpenAPI document generated from them.
+
+mod export;
+mod health;
+mod hosts;
+mod incidents;
+mod iterations;
+pub(crate) mod live;
+mod openapi;
+pub(crate) mod parameters;
+mod pipelines;
+mod run;
+mod runs;
+mod schema;
+
+use axum::Router;
+use axum::routing::get;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use crate::state::App;
+
+/// All resources with their description.
+fn described() -> OpenApiRouter<App> {
+    OpenApiRouter::with_openapi(openapi::head())
+        .routes(routes!(hosts::list))
+        .routes(routes!(hosts::one))
+        .routes(routes!(pipelines::list))
+        .routes(routes!(pipelines::one))
+        .routes(routes!(live::stream))
+        .routes(routes!(runs::list))
+        .routes(routes!(run::one))
+        .routes(routes!(run::stages))
+        .routes(routes!(run::series))
+        .routes(routes!(run::histogram))
+        .routes(routes!(iterations::list))
+        .routes(routes!(iterations::one))
+        .routes(routes!(export::table))
+        .routes(routes!(incidents::list))
+        .routes(routes!(health::alive))
+        .routes(routes!(health::ready))
+}
+
+pub(crate) fn routes() -> Router<App> {
+    let (router, document) = described().split_for_parts();
+    router.route("/api/openapi.json", get(|| openapi::serve(document)))
+}

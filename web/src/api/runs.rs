@@ -1,0 +1,55 @@
+//! The list of stored runs.
+
+use axum::Json;
+use axum::extract::State;
+use peernet_aggregator::RunFilter;
+use serde::Deserialize;
+use utoipa::IntoParams;
+
+use super::parameters::{Parameters, bounded, slug};
+use super::schema::{Run, RunList};
+use crate::error::{ProblemDetails, WebError};
+use crate::state::App;
+
+/// Which runs.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields, default)]
+#[into_params(parameter_in = Query)]
+pub(crate) struct Query {
+    /// Only runs of pipelines of this name.
+    pipeline: Option<String>,
+    /// Only runs of the edge host of this name.
+    host: Option<String>,
+    /// At most so many, 1 to 1,000; 50 unless given.
+    limit: Option<u32>,
+    /// Only runs before this number: `next` of the page before.
+    before: Option<i64>,
+}
+
+/// Runs, newest first.
+#[utoipa::path(get, path = "/api/v1/runs", tag = "runs", params(Query), responses(
+    (status = 200, body = RunList),
+    (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
+))]
+pub(crate) async fn list(
+    State(app): State<App>,
+    Parameters(query): Parameters<Query>,
+) -> Result<Json<RunList>, WebError> {
+    let limit = bounded("limit", query.limit, 50, 1..=1_000)?;
+    let pipeline = query.pipeline.as_deref().map(|name| slug("pipeline", name)).transpose()?;
+    let host = match query.host {
+        None => None,
+        Some(name) => {
+            let known = app.store().hosts().await?;
+            let found = known.iter().find(|host| host.name.as_str() == name || host.id.to_string() == name);
+            let found = found.ok_or_else(|| {
+                WebError::BadRequest(format!("query parameter host: no host {name} has ever reported here"))
+            })?;
+            Some(found.id)
+        }
+    };
+    let filter = RunFilter { pipeline, host, limit, before: query.before };
+    let found = app.store().runs(&filter).await?;
+    let next = found.last().filter(|_| found.len() == limit as usize).map(|run| run.number);
+    Ok(Json(RunList { runs: found.iter().map(Run::from).collect(), next }))
+}

@@ -1,0 +1,207 @@
+//! Hosts and incidents.
+
+use peernet_aggregator::{HostPicture, HostRow, IncidentRow};
+use peernet_logger::stream::{Accounting, HostDescription, HostMetrics};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::time;
+
+/// Every host that is stored or reports.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct HostList {
+    pub hosts: Vec<Host>,
+}
+
+/// One host.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Host {
+    pub id: String,
+    pub name: String,
+    /// Whether it reports now.
+    pub connected: bool,
+    pub last_seen: String,
+    pub description: Description,
+    /// Null for a host that is not in the live picture.
+    pub now: Option<Now>,
+    pub stored: Stored,
+}
+
+/// What a host told about itself.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Description {
+    /// Version of its agent.
+    pub version: String,
+    /// The kernel's boot id and the clock's name: two hosts with equal ones read one clock.
+    pub boot_id: String,
+    pub clock: String,
+    pub cpu: String,
+    pub cores: u32,
+    pub memory_bytes: u64,
+    pub gpus: Vec<String>,
+    pub system: String,
+    pub architecture: String,
+    /// Address at which it serves models, if it does.
+    pub serves: Option<String>,
+    pub models: Vec<String>,
+}
+
+/// How a host fares. What it cannot read is null.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Now {
+    /// Its wall clock minus the aggregator's, seconds, by its last update: a hint, no measurement.
+    pub clock_ahead_s: f64,
+    /// How far storing is behind measuring, seconds; null when nothing waits.
+    pub behind_s: Option<f64>,
+    /// Busy share of all cores, 0 to 1.
+    pub cpu: Option<f64>,
+    pub memory_used_bytes: Option<u64>,
+    /// Busy share of the accelerators, 0 to 1.
+    pub gpu: Option<f64>,
+    pub temperature_celsius: Option<f64>,
+    pub power_watts: Option<f64>,
+    /// CPU time of the agent itself as a share of one core.
+    pub agent_cpu: Option<f64>,
+    pub agent_memory_bytes: Option<u64>,
+    pub events: EventAccount,
+}
+
+/// What became of an agent's events since it started, by its own account.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub(crate) struct EventAccount {
+    pub offered: u64,
+    /// Acknowledged as stored.
+    pub stored: u64,
+    pub waiting: u64,
+    pub dropped: u64,
+    pub waiting_bytes: u64,
+}
+
+/// What the database holds of a host.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub(crate) struct Stored {
+    pub events: u64,
+    pub nodes: u64,
+    pub gaps: u64,
+    /// Events missing in the gaps, as far as they could be counted.
+    pub missing: u64,
+    /// Batches that came more than once and were stored once.
+    pub duplicates: u64,
+    /// Batches put aside because they could not be stored as they were.
+    pub quarantined: u64,
+}
+
+impl From<peernet_aggregator::Stored> for Stored {
+    fn from(stored: peernet_aggregator::Stored) -> Self {
+        let peernet_aggregator::Stored { events, nodes, gaps, missing, duplicates, quarantined } = stored;
+        Self { events, nodes, gaps, missing, duplicates, quarantined }
+    }
+}
+
+impl From<&HostDescription> for Description {
+    fn from(host: &HostDescription) -> Self {
+        let hardware = host.hardware.clone();
+        Self {
+            version: host.version.clone(),
+            boot_id: host.clock.boot.to_string(),
+            clock: host.clock.clock.to_string(),
+            cpu: hardware.cpu,
+            cores: hardware.cores,
+            memory_bytes: hardware.memory_bytes,
+            gpus: hardware.gpus,
+            system: hardware.system,
+            architecture: hardware.architecture,
+            serves: host.serves.clone(),
+            models: host.models.iter().map(ToString::to_string).collect(),
+        }
+    }
+}
+
+impl From<&HostPicture> for Host {
+    fn from(host: &HostPicture) -> Self {
+        let HostMetrics {
+            cpu,
+            memory_used_bytes,
+            gpu,
+            temperature_celsius,
+            power_watts,
+            agent_cpu,
+            agent_memory_bytes,
+        } = host.metrics.clone();
+        let Accounting { offered, stored, waiting, dropped, waiting_bytes } = host.accounting;
+        Self {
+            id: host.id.to_string(),
+            name: host.description.name.to_string(),
+            connected: host.connected,
+            last_seen: time(host.last_seen),
+            description: Description::from(&host.description),
+            now: Some(Now {
+                clock_ahead_s: host.clock_ahead.seconds(),
+                behind_s: host.behind.map(peernet_clock::Span::seconds),
+                cpu,
+                memory_used_bytes,
+                gpu,
+                temperature_celsius,
+                power_watts,
+                agent_cpu,
+                agent_memory_bytes,
+                events: EventAccount { offered, stored, waiting, dropped, waiting_bytes },
+            }),
+            stored: host.stored.into(),
+        }
+    }
+}
+
+impl From<&HostRow> for Host {
+    fn from(row: &HostRow) -> Self {
+        Self {
+            id: row.id.to_string(),
+            name: row.name.to_string(),
+            connected: false,
+            last_seen: time(row.last_seen),
+            description: Description::from(&row.description),
+            now: None,
+            stored: row.stored.into(),
+        }
+    }
+}
+
+/// Incidents, newest first.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub(crate) struct IncidentList {
+    pub incidents: Vec<Incident>,
+    /// `before` of the next page; null on the last.
+    pub next: Option<i64>,
+}
+
+/// Something that happened beside the measurements.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub(crate) struct Incident {
+    pub id: i64,
+    /// On the reporting host's wall clock.
+    pub at: String,
+    /// `disconnected`, `connected`, `refused`, `model-loaded`, `clock-step`, `gap`, `pipeline-failed` or `control`.
+    pub kind: String,
+    /// Name of the reporting host.
+    pub host: String,
+    pub pipeline: Option<String>,
+    pub run: Option<i64>,
+    /// Name of the other host concerned.
+    pub peer: Option<String>,
+    pub text: String,
+}
+
+impl From<&IncidentRow> for Incident {
+    fn from(row: &IncidentRow) -> Self {
+        Self {
+            id: row.id,
+            at: time(row.at),
+            kind: row.kind.clone(),
+            host: row.host_name.to_string(),
+            pipeline: row.pipeline.clone(),
+            run: row.run,
+            peer: row.peer.clone(),
+            text: row.text.clone(),
+        }
+    }
+}

@@ -1,0 +1,186 @@
+//! Pipelines, now.
+
+use std::collections::BTreeMap;
+
+use peernet_aggregator::{LiveSecond, Picture, PipelinePicture};
+use peernet_logger::stream::PipelineState;
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::{Bound, Counts, NodeFigures, Placement, time};
+
+/// Every pipeline that reported.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct PipelineList {
+    /// When the figures were taken.
+    pub at: String,
+    pub pipelines: Vec<Pipeline>,
+}
+
+/// One pipeline, now.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Pipeline {
+    /// Name of the host it senses on.
+    pub host: String,
+    pub host_id: String,
+    /// Name on that host.
+    pub name: String,
+    /// `starting`, `waiting`, `running`, `finished` or `failed`.
+    pub state: &'static str,
+    /// Why it waits or failed.
+    pub reason: Option<String>,
+    /// Number of its current or last run, once that reached the store.
+    pub run: Option<i64>,
+    pub placement: Placement,
+    /// The intended load in words: `closed`, `5 Hz`.
+    pub load: String,
+    pub last_seen: String,
+    /// The last 1, 10 and 60 seconds.
+    pub windows: Vec<Window>,
+    /// Seconds, oldest first: the last five in lists and events, the last 600 of a single pipeline. A second
+    /// without a report is absent.
+    pub seconds: Vec<Second>,
+}
+
+/// What happened within the last seconds of the edge's wall clock.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Window {
+    /// Complete seconds: 1, 10 or 60.
+    pub seconds: u32,
+    /// Seconds really covered, with the one under way.
+    pub covered_s: f64,
+    pub counts: Counts,
+    /// Iterations of any outcome per second.
+    pub rate_hz: f64,
+    /// Share of iterations without an answer, 0 to 1; null when there were none.
+    pub lost_fraction: Option<f64>,
+    pub values: Vec<NodeFigures>,
+    pub bounds: Vec<Bound>,
+}
+
+/// One second of one pipeline.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Second {
+    /// Seconds since the Unix epoch, on the edge's wall clock.
+    pub at: i64,
+    pub counts: Counts,
+    /// Means by node name.
+    pub means: BTreeMap<String, f64>,
+    /// 95th percentile of `total` within the second, seconds.
+    pub total_p95: Option<f64>,
+}
+
+impl From<&LiveSecond> for Second {
+    fn from(second: &LiveSecond) -> Self {
+        Self {
+            at: second.at,
+            counts: second.counts.into(),
+            means: second.means.iter().map(|(name, mean)| (name.to_string(), *mean)).collect(),
+            total_p95: second.total_p95,
+        }
+    }
+}
+
+impl Pipeline {
+    /// A pipeline with its last `seconds`.
+    pub(crate) fn new(picture: &PipelinePicture, seconds: usize) -> Self {
+        let (state, reason) = match &picture.state {
+            PipelineState::Starting => ("starting", None),
+            PipelineState::Waiting(reason) => ("waiting", Some(reason.clone())),
+            PipelineState::Running => ("running", None),
+            PipelineState::Finished => ("finished", None),
+            PipelineState::Failed(reason) => ("failed", Some(reason.clone())),
+        };
+        let windows = picture.windows.iter().map(|window| Window {
+            seconds: window.seconds,
+            covered_s: window.covered_s,
+            counts: window.counts.into(),
+            rate_hz: window.rate_hz,
+            lost_fraction: window.lost_fraction,
+            values: NodeFigures::all(&window.values),
+            bounds: window.bounds.iter().map(Bound::from).collect(),
+        });
+        let skip = picture.series.len().saturating_sub(seconds);
+        Self {
+            host: picture.host_name.to_string(),
+            host_id: picture.host.to_string(),
+            name: picture.pipeline.to_string(),
+            state,
+            reason,
+            run: picture.run_number,
+            placement: Placement::from(&picture.placement),
+            load: picture.load.clone(),
+            last_seen: time(picture.last_seen),
+            windows: windows.collect(),
+            seconds: picture.series.iter().skip(skip).map(|second| Second::from(&**second)).collect(),
+        }
+    }
+}
+
+impl PipelineList {
+    /// Seconds of each pipeline in lists and events: enough to bridge a slow reader's pauses.
+    pub(crate) const SECONDS: usize = 5;
+
+    pub(crate) fn new(picture: &Picture) -> Self {
+        let pipelines = picture.pipelines.iter().map(|one| Pipeline::new(one, Self::SECONDS));
+        Self { at: time(picture.at), pipelines: pipelines.collect() }
+    }
+}
+
+/// `event: picture`: what changes while one looks.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct PictureEvent {
+    #[serde(flatten)]
+    pub pipelines: PipelineList,
+    /// How each host fares.
+    pub hosts: Vec<HostNow>,
+}
+
+/// How a host fares.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct HostNow {
+    pub name: String,
+    pub connected: bool,
+    /// Busy share of all cores, 0 to 1.
+    pub cpu: Option<f64>,
+    /// Busy share of the accelerators, 0 to 1.
+    pub gpu: Option<f64>,
+}
+
+impl PictureEvent {
+    pub(crate) fn new(picture: &Picture) -> Self {
+        let hosts = picture.hosts.iter().map(|host| HostNow {
+            name: host.description.name.to_string(),
+            connected: host.connected,
+            cpu: host.metrics.cpu,
+            gpu: host.metrics.gpu,
+        });
+        Self { pipelines: PipelineList::new(picture), hosts: hosts.collect() }
+    }
+}
+
+/// `event: status`: sent to every listener, whatever its topics.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct StatusEvent {
+    /// The aggregator's time.
+    pub at: String,
+    /// Hosts that report.
+    pub connected: usize,
+    /// Hosts heard of.
+    pub hosts: usize,
+    /// Seconds since the quietest of the connected hosts was heard of.
+    pub behind_s: Option<f64>,
+}
+
+impl StatusEvent {
+    pub(crate) fn new(picture: &Picture) -> Self {
+        let connected = picture.hosts.iter().filter(|host| host.connected);
+        let behind = connected.clone().map(|host| (picture.at - host.last_seen).seconds().max(0.0));
+        Self {
+            at: time(picture.at),
+            connected: connected.count(),
+            hosts: picture.hosts.len(),
+            behind_s: behind.max_by(f64::total_cmp),
+        }
+    }
+}

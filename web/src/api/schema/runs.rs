@@ -1,0 +1,223 @@
+//! Stored runs.
+
+use peernet_aggregator as aggregator;
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::{Bound, Counts, Figures, Placement, time};
+
+/// Runs, newest first.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct RunList {
+    pub runs: Vec<Run>,
+    /// `before` of the next page; null on the last.
+    pub next: Option<i64>,
+}
+
+/// One pipeline configuration executed for many iterations.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Run {
+    /// The small number people use.
+    pub number: i64,
+    pub id: String,
+    /// Name of the edge host.
+    pub host: String,
+    pub pipeline: String,
+    pub placement: Placement,
+    /// On the edge's wall clock.
+    pub started: String,
+    /// Null while it goes on.
+    pub ended: Option<String>,
+    /// `finished`, `stopped`, or what went wrong.
+    pub reason: Option<String>,
+    /// When the newest stored iteration began.
+    pub last_iteration: Option<String>,
+    /// Warm-up left out.
+    pub counts: Counts,
+    pub warm_up: u64,
+    /// Of `total`, seconds; successful iterations only.
+    pub total: Option<Figures>,
+}
+
+impl From<&aggregator::RunSummary> for Run {
+    fn from(run: &aggregator::RunSummary) -> Self {
+        Self {
+            number: run.number,
+            id: run.id.to_string(),
+            host: run.host_name.to_string(),
+            pipeline: run.pipeline.to_string(),
+            placement: Placement::from(&run.placement),
+            started: time(run.started),
+            ended: run.ended.map(time),
+            reason: run.reason.clone(),
+            last_iteration: run.last_iteration.map(time),
+            counts: run.counts.into(),
+            warm_up: run.warm_up,
+            total: run.total.map(Figures::from),
+        }
+    }
+}
+
+/// A run with its configuration and gaps.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct RunDetail {
+    #[serde(flatten)]
+    pub run: Run,
+    /// Sensor, transforms, load and so on, for people.
+    pub facts: Vec<Fact>,
+    /// The pipeline's table of the configuration file (TOML).
+    pub configuration: String,
+    /// Version of the agent.
+    pub version: String,
+    pub gaps: Vec<Gap>,
+}
+
+/// One fact of a configuration.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub(crate) struct Fact {
+    pub name: String,
+    pub value: String,
+}
+
+/// Events that never reached the store.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub(crate) struct Gap {
+    pub from: String,
+    pub to: String,
+    /// 0 when not known.
+    pub count: u64,
+    pub reason: String,
+}
+
+impl From<&aggregator::GapRow> for Gap {
+    fn from(gap: &aggregator::GapRow) -> Self {
+        Self { from: time(gap.from), to: time(gap.to), count: gap.count, reason: gap.reason.clone() }
+    }
+}
+
+impl From<&aggregator::RunDetail> for RunDetail {
+    fn from(detail: &aggregator::RunDetail) -> Self {
+        let facts = detail.facts.iter();
+        Self {
+            run: Run::from(&detail.summary),
+            facts: facts.map(|(name, value)| Fact { name: name.clone(), value: value.clone() }).collect(),
+            configuration: detail.configuration.clone(),
+            version: detail.version.clone(),
+            gaps: detail.gaps.iter().map(Gap::from).collect(),
+        }
+    }
+}
+
+/// Statistics of a run per node name; successful iterations only, warm-up left out.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct StageList {
+    pub stages: Vec<Stage>,
+    /// How well the one-way delays are known, also where none has a value.
+    pub bounds: Vec<Bound>,
+}
+
+/// Statistics of one node name over a run.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Stage {
+    pub name: String,
+    /// `s`, `B`, `bit/s` or the user's own.
+    pub unit: String,
+    /// Whether it is one of the stages that add up to `stages-total`.
+    pub is_stage: bool,
+    #[serde(flatten)]
+    pub figures: Figures,
+    /// Of `total`, 0 to 1, for durations.
+    pub share: Option<f64>,
+    pub bound: Option<Bound>,
+}
+
+impl From<&aggregator::StageStatistics> for Stage {
+    fn from(stage: &aggregator::StageStatistics) -> Self {
+        Self {
+            name: stage.stage.to_string(),
+            unit: stage.unit.clone(),
+            is_stage: stage.is_stage,
+            figures: stage.figures.into(),
+            share: stage.share,
+            bound: stage.bound.as_ref().map(Bound::from),
+        }
+    }
+}
+
+/// Distribution of one node name over a run, in bins of equal width.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Histogram {
+    pub name: String,
+    /// Unit of the edges.
+    pub unit: String,
+    /// One more than `counts`, rising.
+    pub edges: Vec<f64>,
+    pub counts: Vec<u64>,
+    /// Samples above the last edge.
+    pub beyond: u64,
+    pub figures: Figures,
+}
+
+impl From<aggregator::Histogram> for Histogram {
+    fn from(histogram: aggregator::Histogram) -> Self {
+        Self {
+            name: histogram.stage.to_string(),
+            unit: histogram.unit,
+            edges: histogram.edges,
+            counts: histogram.counts,
+            beyond: histogram.beyond,
+            figures: histogram.figures.into(),
+        }
+    }
+}
+
+/// Node names over the time of a run.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Series {
+    /// Width of a bucket, seconds.
+    pub bucket_s: u32,
+    pub stages: Vec<StageSeries>,
+    pub gaps: Vec<Gap>,
+}
+
+/// One node name over time. Buckets without samples are absent.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct StageSeries {
+    pub name: String,
+    pub unit: String,
+    pub points: Vec<Point>,
+}
+
+/// One bucket.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Point {
+    /// Its begin, on the edge's wall clock.
+    pub at: String,
+    pub count: u64,
+    pub mean: f64,
+    pub p50: f64,
+    /// Null below 60 samples.
+    pub p95: Option<f64>,
+}
+
+impl From<&aggregator::Series> for Series {
+    fn from(series: &aggregator::Series) -> Self {
+        let point = |point: &aggregator::SeriesPoint| Point {
+            at: time(point.at),
+            count: point.count,
+            mean: point.mean,
+            p50: point.p50,
+            p95: point.p95,
+        };
+        let stages = series.stages.iter().map(|stage| StageSeries {
+            name: stage.stage.to_string(),
+            unit: stage.unit.clone(),
+            points: stage.points.iter().map(point).collect(),
+        });
+        Self {
+            bucket_s: series.bucket_s,
+            stages: stages.collect(),
+            gaps: series.gaps.iter().map(Gap::from).collect(),
+        }
+    }
+}

@@ -1,0 +1,115 @@
+//! Styles, scripts and the font: inside the binary, so that the pages work without a network.
+//!
+//! All of them lie below `/static/HASH/`, where HASH is that of their contents: a browser keeps them for ever
+//! and asks again after an update. What compresses is compressed once, when the server starts.
+
+use std::hash::{DefaultHasher, Hasher};
+use std::io::Write as _;
+use std::sync::LazyLock;
+
+use axum::extract::Path;
+use axum::http::header::{ACCEPT_ENCODING, CACHE_CONTROL, CONTENT_ENCODING, CONTENT_TYPE, VARY};
+use axum::http::{HeaderMap, HeaderValue};
+use axum::response::{IntoResponse, Redirect, Response};
+use bytes::Bytes;
+use flate2::Compression;
+use flate2::write::GzEncoder;
+
+use crate::error::WebError;
+
+struct Asset {
+    name: &'static str,
+    form: &'static str,
+    plain: Bytes,
+    /// `None` for what is compressed already.
+    gzipped: Option<Bytes>,
+}
+
+struct Assets {
+    version: String,
+    all: Vec<Asset>,
+}
+
+const SCRIPT: &str = "text/javascript; charset=utf-8";
+
+static ASSETS: LazyLock<Assets> = LazyLock::new(|| {
+    macro_rules! css {
+        ($($file:literal),*) => {
+            concat!($(include_str!(concat!("../assets/css/", $file, ".css"))),*).as_bytes()
+        };
+    }
+    let files: [(&str, &str, &'static [u8]); 11] = [
+        (
+            "app.css",
+            "text/css; charset=utf-8",
+            css!("tokens", "base", "frame", "parts", "tables", "pictures", "widths"),
+        ),
+        ("theme.js", SCRIPT, include_bytes!("../assets/js/theme.js")),
+        ("app.js", SCRIPT, include_bytes!("../assets/js/app.js")),
+        ("live.js", SCRIPT, include_bytes!("../assets/js/live.js")),
+        ("charts.js", SCRIPT, include_bytes!("../assets/js/charts.js")),
+        ("overview.js", SCRIPT, include_bytes!("../assets/js/overview.js")),
+        ("run.js", SCRIPT, include_bytes!("../assets/js/run.js")),
+        ("echarts.min.js", SCRIPT, include_bytes!("../assets/echarts.min.js")),
+        ("inter.woff2", "font/woff2", include_bytes!("../assets/inter.woff2")),
+        ("icon.svg", "image/svg+xml", include_bytes!("../assets/icon.svg")),
+        (
+            "licences.txt",
+            "text/plain; charset=utf-8",
+            concat!(include_str!("../assets/echarts.LICENSE"), "\n", include_str!("../assets/inter.LICENSE"))
+                .as_bytes(),
+        ),
+    ];
+    let mut hasher = DefaultHasher::new();
+    for (name, _, bytes) in &files {
+        hasher.write(name.as_bytes());
+        hasher.write(bytes);
+    }
+    let all = files.into_iter().map(|(name, form, bytes)| Asset {
+        name,
+        form,
+        plain: Bytes::from_static(bytes),
+        gzipped: if name.ends_with(".woff2") { None } else { gzip(bytes) },
+    });
+    Assets { version: format!("{:016x}", hasher.finish()), all: all.collect() }
+});
+
+fn gzip(bytes: &[u8]) -> Option<Bytes> {
+    let mut encoder = GzEncoder::new(Vec::with_capacity(bytes.len() / 2), Compression::best());
+    encoder.write_all(bytes).ok()?;
+    encoder.finish().ok().map(Bytes::from)
+}
+
+/// Compresses everything now rather than during the first request.
+pub(crate) fn prepare() {
+    LazyLock::force(&ASSETS);
+}
+
+/// The folder of the current assets: `/static/HASH`.
+pub(crate) fn folder() -> String {
+    format!("/static/{}", ASSETS.version)
+}
+
+/// `GET /static/{version}/{name}`.
+pub(crate) async fn serve(
+    Path((version, name)): Path<(String, String)>,
+    headers: HeaderMap,
+) -> Result<Response, WebError> {
+    let asset = ASSETS.all.iter().find(|asset| asset.name == name);
+    let asset = asset.ok_or_else(|| WebError::NotFound(format!("there is no static file {name}")))?;
+    if version != ASSETS.version {
+        // A page from before an update: what it needs is still here, under a new address.
+        return Ok(Redirect::temporary(&format!("{}/{name}", folder())).into_response());
+    }
+    let accepts = |value: &HeaderValue| value.to_str().is_ok_and(|text| text.contains("gzip"));
+    let gzipped = asset.gzipped.as_ref().filter(|_| headers.get_all(ACCEPT_ENCODING).iter().any(accepts));
+    let head = [
+        (CONTENT_TYPE, asset.form),
+        (CACHE_CONTROL, "public, max-age=31536000, immutable"),
+        (VARY, "accept-encoding"),
+    ];
+    Ok(match gzipped {
+        Some(bytes) => (head, [(CONTENT_ENCODING, "gzip")], bytes.clone()).into_response(),
+        None => (head, asset.plain.clone()).into_response(),
+    })
+}

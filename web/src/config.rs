@@ -1,0 +1,79 @@
+//! The `[web]` table of the configuration file, and what can be checked before starting.
+
+use serde::{Deserialize, Serialize};
+
+use crate::access;
+use crate::zone::Zone;
+
+/// Where and how the dashboard and the REST API are served.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct WebConfig {
+    /// Address and port, such as `127.0.0.1:8040` or `[::]:8040`. Port 0 takes a free one.
+    pub listen: String,
+    /// Required for listening wider than this machine: everyone who reaches the address then sees everything.
+    pub allow_unauthenticated: bool,
+    /// Zone of the times on the pages: `local`, `utc` or an offset such as `+01:00`. The API always uses UTC.
+    pub time_zone: Zone,
+}
+
+/// A value of the configuration that cannot work.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{key}: {message}")]
+pub struct Problem {
+    /// The key within the `[web]` table.
+    pub key: &'static str,
+    /// What is wrong and what to do.
+    pub message: String,
+}
+
+impl Default for WebConfig {
+    fn default() -> Self {
+        Self { listen: "127.0.0.1:8040".to_owned(), allow_unauthenticated: false, time_zone: Zone::default() }
+    }
+}
+
+impl WebConfig {
+    /// Everything about the configuration that can be checked without starting.
+    pub fn check(&self) -> Vec<Problem> {
+        access::listen_address(self).err().into_iter().collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn listening(listen: &str, allow_unauthenticated: bool) -> Vec<Problem> {
+        WebConfig { listen: listen.to_owned(), allow_unauthenticated, ..WebConfig::default() }.check()
+    }
+
+    #[test]
+    fn this_machine_alone_is_the_default() {
+        assert_eq!(WebConfig::default().check(), []);
+        assert_eq!(listening("[::1]:0", false), []);
+    }
+
+    #[test]
+    fn listening_wider_must_be_said_and_the_error_tells_what_it_gives_up() {
+        for wide in ["0.0.0.0:8040", "[::]:8040", "192.0.2.7:8040"] {
+            let problems = listening(wide, false);
+            assert_eq!(problems.len(), 1, "{wide}");
+            assert!(problems[0].message.contains("allow_unauthenticated = true"), "{}", problems[0]);
+            assert!(problems[0].message.contains("everyone"), "{}", problems[0]);
+            assert_eq!(listening(wide, true), []);
+        }
+    }
+
+    #[test]
+    fn an_address_must_have_a_port() {
+        assert_eq!(listening("127.0.0.1", false)[0].key, "listen");
+        assert_eq!(listening("example", true)[0].key, "listen");
+    }
+
+    #[test]
+    fn unknown_keys_are_errors() {
+        let error = serde_json::from_str::<WebConfig>(r#"{"port": 8040}"#).expect_err("there is no such key");
+        assert!(error.to_string().contains("port"), "{error}");
+    }
+}

@@ -1,0 +1,173 @@
+//! The one error of all handlers: problem+json (RFC 9457) under `/api`, a page elsewhere. What went wrong
+//! inside is logged under an id and never shown.
+
+use std::fmt;
+
+use axum::extract::{Request, State};
+use axum::http::header::{ALLOW, CONTENT_TYPE, RETRY_AFTER};
+use axum::http::{HeaderValue, StatusCode};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use peernet_aggregator::StoreError;
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use crate::pages;
+use crate::state::App;
+
+/// Why a request has no answer.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum WebError {
+    /// A parameter of the query or path makes no sense; the text names it.
+    #[error("{0}")]
+    BadRequest(String),
+    /// There is no such thing; the text says what was looked for.
+    #[error("{0}")]
+    NotFound(String),
+    /// The request names another host.
+    #[error(
+        "this server answers to names of this machine only, not to {0:?}; set allow_unauthenticated = true in the table [web] to let others in"
+    )]
+    OtherHost(String),
+    /// The store has no answer.
+    #[error("the store has no answer")]
+    Store(#[from] StoreError),
+    /// A template could not be rendered.
+    #[error("cannot render a page")]
+    Render(#[from] askama::Error),
+    /// An answer could not be written as JSON.
+    #[error("cannot write an answer as JSON")]
+    Json(#[from] serde_json::Error),
+    /// The answer took too long.
+    #[error("no answer within {0} s")]
+    TookTooLong(u64),
+    /// A handler panicked.
+    #[error("a handler panicked: {0}")]
+    Panicked(String),
+}
+
+/// A problem as programs receive it (RFC 9457).
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub(crate) struct ProblemDetails {
+    /// Always `about:blank`: the status says what kind of problem it is.
+    #[serde(rename = "type")]
+    kind: &'static str,
+    /// The status in words.
+    title: String,
+    /// The HTTP status code.
+    status: u16,
+    /// What is wrong with this request, and what to do about it.
+    detail: String,
+    /// Under which the cause stands in the server's log, for problems of the server.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    id: Option<String>,
+}
+
+impl ProblemDetails {
+    fn new(status: StatusCode, detail: String, id: Option<String>) -> Self {
+        let title = status.canonical_reason().unwrap_or("Unknown").to_owned();
+        Self { kind: "about:blank", title, status: status.as_u16(), detail, id }
+    }
+}
+
+impl WebError {
+    fn status(&self) -> StatusCode {
+        match self {
+            Self::BadRequest(_) => StatusCode::BAD_REQUEST,
+            Self::NotFound(_) => StatusCode::NOT_FOUND,
+            Self::OtherHost(_) => StatusCode::MISDIRECTED_REQUEST,
+            Self::TookTooLong(_) => StatusCode::SERVICE_UNAVAILABLE,
+            Self::Store(_) | Self::Render(_) | Self::Json(_) | Self::Panicked(_) => {
+                StatusCode::INTERNAL_SERVER_ERROR
+            }
+        }
+    }
+
+    /// What the outside learns. Logs what it does not learn.
+    pub(crate) fn to_problem(&self) -> ProblemDetails {
+        let status = self.status();
+        if !status.is_server_error() {
+            return ProblemDetails::new(status, self.to_string(), None);
+        }
+        let id = uuid::Uuid::new_v4().simple().to_string()[..12].to_owned();
+        tracing::error!(id, error = %Chain(self), "a request failed");
+        let detail = match self {
+            Self::Store(_) => "the stored data could not be read; what went wrong is in the aggregator's log",
+            Self::TookTooLong(_) => "the answer took too long; try again, or ask for less at once",
+            _ => "something went wrong while answering; it is in the aggregator's log",
+        };
+        ProblemDetails::new(status, detail.to_owned(), Some(id))
+    }
+}
+
+/// An error with its causes, for the log.
+struct Chain<'a>(&'a dyn std::error::Error);
+
+impl fmt::Display for Chain<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.0)?;
+        let mut cause = self.0.source();
+        while let Some(error) = cause {
+            write!(f, ": {error}")?;
+            cause = error.source();
+        }
+        Ok(())
+    }
+}
+
+impl IntoResponse for WebError {
+    /// A response without a body: [`dress`] gives it the form that the path asks for.
+    fn into_response(self) -> Response {
+        let mut response = self.status().into_response();
+        response.extensions_mut().insert(self.to_problem());
+        response
+    }
+}
+
+/// Gives errors their form by the path they belong to, those of the router itself included.
+pub(crate) async fn dress(State(app): State<App>, request: Request, next: Next) -> Response {
+    let path = request.uri().path().to_owned();
+    let mut response = next.run(request).await;
+    let status = response.status();
+    let problem = match response.extensions_mut().remove::<ProblemDetails>() {
+        Some(problem) => problem,
+        None if status == StatusCode::METHOD_NOT_ALLOWED => {
+            ProblemDetails::new(status, "this address can be read (GET) and nothing else".into(), None)
+        }
+        None => return response,
+    };
+    let (form, body) = if path.starts_with("/api/") {
+        let body = serde_json::to_string(&problem).unwrap_or_default();
+        ("application/problem+json", body)
+    } else {
+        ("text/html; charset=utf-8", pages::error::render(&app, &problem))
+    };
+    let mut dressed = (status, [(CONTENT_TYPE, form)], body).into_response();
+    if let Some(allowed) = response.headers().get(ALLOW) {
+        dressed.headers_mut().insert(ALLOW, allowed.clone());
+    }
+    if status == StatusCode::SERVICE_UNAVAILABLE {
+        dressed.headers_mut().insert(RETRY_AFTER, HeaderValue::from_static("2"));
+    }
+    dressed
+}
+
+/// The answer for an address that is not there.
+pub(crate) async fn no_such_page(request: Request) -> WebError {
+    WebError::NotFound(format!("there is nothing at {}", request.uri().path()))
+}
+
+impl ProblemDetails {
+    pub(crate) fn status(&self) -> u16 {
+        self.status
+    }
+    pub(crate) fn title(&self) -> &str {
+        &self.title
+    }
+    pub(crate) fn detail(&self) -> &str {
+        &self.detail
+    }
+    pub(crate) fn id(&self) -> Option<&str> {
+        self.id.as_deref()
+    }
+}

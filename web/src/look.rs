@@ -1,0 +1,78 @@
+//! What the stages look like: the class that carries their colour in every picture.
+
+use peernet_logger::stage;
+
+/// The stages of a stack with what is left over, in the order of every stack, key and table.
+pub(crate) const STACK: [&str; 11] = [
+    "sensing",
+    "encode",
+    "send-queue",
+    "upload",
+    "queue",
+    "preprocessing",
+    "inference",
+    "postprocessing",
+    "download",
+    "actuation",
+    "unattributed",
+];
+
+/// Both directions of the network together, where clocks that were never related cannot tell them apart.
+pub(crate) const NETWORK: &str = "upload + download";
+
+/// The name of a stage where there is little room.
+pub(crate) fn short(name: &str) -> &str {
+    if name == NETWORK { "up + down" } else { name }
+}
+
+/// The entries of the key: waiting looks the same wherever one waits.
+pub(crate) const KEY: [&str; 10] = [
+    "sensing",
+    "encode",
+    "upload",
+    "queue",
+    "preprocessing",
+    "inference",
+    "postprocessing",
+    "download",
+    "actuation",
+    "unattributed",
+];
+
+/// The colour class of a node: `f-CLASS` fills, `o-CLASS` is text on the fill.
+pub(crate) fn class(name: &str) -> &'static str {
+    match name {
+        "send-queue" | "queue" => "queue",
+        "capture" => "capture",
+        "transform" => "transform",
+        NETWORK => "network",
+        "total" | "stages-total" => "total",
+        other => KEY.into_iter().find(|known| *known == other).unwrap_or("other"),
+    }
+}
+
+/// Whether the fill is so pale on paper that it carries a darker edge.
+pub(crate) fn is_pale(name: &str) -> bool {
+    matches!(class(name), "encode" | "queue" | "preprocessing" | "unattributed")
+}
+
+/// Whether the node is a message's way between hosts.
+pub(crate) fn is_one_way(name: &str) -> bool {
+    name == stage::UPLOAD.as_str() || name == stage::DOWNLOAD.as_str()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_stage_has_its_colour_and_its_place() {
+        let order = stage::ORDER;
+        let stages = order.iter().map(|name| name.as_str()).chain(["unattributed"]);
+        assert!(stages.clone().eq(STACK));
+        for name in stages {
+            assert_ne!(class(name), "other", "{name}");
+        }
+        assert_eq!(class("\"><script>"), "other");
+    }
+}

@@ -1,0 +1,20 @@
+//! The page for what went wrong.
+
+use askama::Template;
+
+use crate::error::ProblemDetails;
+use crate::state::AppState;
+use crate::view::shell::{Place, Shell};
+
+#[derive(Template)]
+#[template(path = "pages/error.html")]
+struct ErrorPage<'a> {
+    shell: Shell,
+    problem: &'a ProblemDetails,
+}
+
+/// The page of a problem; its bare text if even that cannot be rendered.
+pub(crate) fn render(app: &AppState, problem: &ProblemDetails) -> String {
+    let shell = Shell::new(app, &app.picture(), Place::Elsewhere, problem.title());
+    ErrorPage { shell, problem }.render().unwrap_or_else(|_| problem.detail().to_owned())
+}

@@ -1,0 +1,192 @@
+//! One host: what it is, which clock it reads, what became of its events.
+
+use askama::Template;
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Path, State};
+use peernet_aggregator::{HostPicture, HostRow, Picture, Stored};
+use peernet_logger::stream::{Accounting, HostDescription};
+
+use super::{Page, Update, page, path};
+use crate::error::WebError;
+use crate::numbers::{NONE, SPACE, bytes, count, fixed, length};
+use crate::state::{App, AppState};
+use crate::view::hosts::{HostLine, clock_words, hardware_name};
+use crate::view::now::{NowRow, NowTable};
+use crate::view::shell::{Place, Shell};
+use crate::zone::Moment;
+
+/// Topic of the live stream, followed by `/HOST`.
+pub(crate) const TOPIC: &str = "host";
+
+type Pairs = Vec<(&'static str, String)>;
+
+#[derive(Template)]
+#[template(path = "pages/host.html", blocks = ["title", "now", "pipelines", "accounting"])]
+struct Host {
+    shell: Shell,
+    name: String,
+    title: String,
+    facts: Vec<String>,
+    line: HostLine,
+    agent: Pairs,
+    hardware: Pairs,
+    clock: Pairs,
+    accounting: Pairs,
+    pipelines: Vec<NowRow>,
+}
+
+/// A host that is stored but not in the live picture.
+#[derive(Template)]
+#[template(path = "pages/host_past.html")]
+struct PastHost {
+    shell: Shell,
+    name: String,
+    title: String,
+    first_seen: Moment,
+    agent: Pairs,
+    hardware: Pairs,
+    clock: Pairs,
+    accounting: Pairs,
+}
+
+/// `GET /hosts/{host}`.
+pub(crate) async fn show(State(app): State<App>, name: Result<Path<String>, PathRejection>) -> Page {
+    let name = path(name)?;
+    let picture = app.picture();
+    if let Some(host) = live(&picture, &name) {
+        return page(&host_page(&app, &picture, host));
+    }
+    let stored = app.store().hosts().await?;
+    let row = stored.into_iter().find(|row| row.name.as_str() == name || row.id.to_string() == name);
+    let row = row.ok_or_else(|| WebError::NotFound(format!("no host {name} has ever reported here")))?;
+    page(&past_page(&app, &picture, &row))
+}
+
+/// What of the page changed.
+pub(crate) fn update(app: &AppState, picture: &Picture, name: &str) -> Result<Update, WebError> {
+    let host =
+        live(picture, name).ok_or_else(|| WebError::NotFound(format!("no host {name} reports here")))?;
+    let page = host_page(app, picture, host);
+    let parts = vec![
+        ("title", page.as_title().render()?),
+        ("now", page.as_now().render()?),
+        ("pipelines", page.as_pipelines().render()?),
+        ("accounting", page.as_accounting().render()?),
+    ];
+    Ok(Update { layout: String::new(), title: page.shell.title, parts, marks: Vec::new() })
+}
+
+fn live<'a>(picture: &'a Picture, name: &str) -> Option<&'a HostPicture> {
+    let matches = |host: &&HostPicture| host.description.name.as_str() == name || host.id.to_string() == name;
+    picture.hosts.iter().map(|host| &**host).find(matches)
+}
+
+fn hardware(description: &HostDescription) -> Pairs {
+    let hardware = &description.hardware;
+    let or_dash = |text: &str| if text.is_empty() { NONE.to_owned() } else { text.to_owned() };
+    vec![
+        ("Processor", or_dash(&hardware.cpu)),
+        ("Cores", count(hardware.cores.into())),
+        ("Memory", bytes(hardware.memory_bytes as f64).to_string()),
+        ("Accelerators", or_dash(&hardware.gpus.join(", "))),
+        ("System", or_dash(&hardware.system)),
+        ("Architecture", or_dash(&hardware.architecture)),
+    ]
+}
+
+fn agent(description: &HostDescription) -> Pairs {
+    let models = description.models.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+    vec![
+        ("Version", description.version.clone()),
+        ("Host id", description.id.to_string()),
+        ("Serves", description.serves.clone().unwrap_or_else(|| format!("{NONE} no models for others"))),
+        ("Models", if models.is_empty() { NONE.to_owned() } else { models }),
+    ]
+}
+
+fn accounting(agents: Option<&Accounting>, stored: &Stored) -> Pairs {
+    let mut pairs = Vec::new();
+    if let Some(agents) = agents {
+        pairs.extend([
+            ("Offered", format!("{} events since the agent started", count(agents.offered))),
+            ("Acknowledged", count(agents.stored)),
+            ("Waiting there", format!("{}, {}", count(agents.waiting), bytes(agents.waiting_bytes as f64))),
+            ("Dropped there", count(agents.dropped)),
+        ]);
+    }
+    pairs.extend([
+        ("Stored here", format!("{} events, {} nodes", count(stored.events), count(stored.nodes))),
+        ("Gaps", format!("{}, {} events missing", count(stored.gaps), count(stored.missing))),
+        ("Came twice", format!("{} batches, stored once", count(stored.duplicates))),
+        ("Put aside", format!("{} batches that made no sense", count(stored.quarantined))),
+    ]);
+    pairs
+}
+
+fn host_page(app: &AppState, picture: &Picture, host: &HostPicture) -> Host {
+    let description = &host.description;
+    let name = description.name.to_string();
+    let mine: Vec<_> = picture.pipelines.iter().filter(|one| one.host == host.id).map(|one| &**one).collect();
+    let serving =
+        picture.pipelines.iter().filter(|one| one.placement.peer.as_ref() == Some(&description.name));
+    let title = match (host.connected, mine.len(), serving.count()) {
+        (false, ..) => format!("{name} has not reported since {}", app.zone.moment(host.last_seen).clock()),
+        (true, 0, 0) => format!("{name} is connected and idle"),
+        (true, own, 0) => format!("{name} runs {own} pipeline{}", if own == 1 { "" } else { "s" }),
+        (true, 0, others) => {
+            format!("{name} serves {others} pipeline{} of others", if others == 1 { "" } else { "s" })
+        }
+        (true, own, others) => format!("{name} runs {own} and serves {others}"),
+    };
+    let ours = app.clock.identity();
+    let (words, hint) = clock_words(&description.clock, ours, host.clock_ahead);
+    let memory = host.metrics.agent_memory_bytes.map(|held| format!("agent holds {}", bytes(held as f64)));
+    let cpu = host
+        .metrics
+        .agent_cpu
+        .map(|share| format!("agent takes {}{SPACE}% of a core", fixed(share * 100.0, 1)));
+    Host {
+        shell: Shell::new(app, picture, Place::Hosts, name.as_str()).live(format!("{TOPIC}/{name}")),
+        title,
+        facts: [Some(hardware_name(&description.hardware)), cpu, memory]
+            .into_iter()
+            .flatten()
+            .filter(|fact| !fact.is_empty())
+            .collect(),
+        line: HostLine::new(host, ours, app.zone),
+        agent: agent(description),
+        hardware: hardware(description),
+        clock: vec![
+            ("Wall clock", words),
+            ("Known from", hint),
+            ("Boot id", description.clock.boot.to_string()),
+            ("Clock name", description.clock.clock.to_string()),
+            (
+                "Storing behind",
+                host.behind.map_or_else(|| format!("0{SPACE}s"), |behind| length(behind.seconds())),
+            ),
+        ],
+        accounting: accounting(Some(&host.accounting), &host.stored),
+        pipelines: NowTable::new(&mine, 10).rows,
+        name,
+    }
+}
+
+fn past_page(app: &AppState, picture: &Picture, row: &HostRow) -> PastHost {
+    let name = row.name.to_string();
+    let seen = app.zone.moment(row.last_seen);
+    let description = &row.description;
+    PastHost {
+        shell: Shell::new(app, picture, Place::Hosts, name.as_str()),
+        title: format!("{name} was last seen on {}, {}", seen.date(), seen.clock()),
+        first_seen: app.zone.moment(row.first_seen),
+        agent: agent(description),
+        hardware: hardware(description),
+        clock: vec![
+            ("Boot id", description.clock.boot.to_string()),
+            ("Clock name", description.clock.clock.to_string()),
+        ],
+        accounting: accounting(None, &row.stored),
+        name,
+    }
+}

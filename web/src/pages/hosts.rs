@@ -1,0 +1,59 @@
+//! What runs where, does anything pile up, do the clocks hold?
+
+use askama::Template;
+use axum::extract::State;
+use peernet_aggregator::{HostRow, Picture};
+
+use super::{Page, Update, page};
+use crate::error::WebError;
+use crate::state::{App, AppState};
+use crate::view::hosts::HostLine;
+use crate::view::shell::{Place, Shell};
+use crate::zone::Moment;
+
+/// Topic of the live stream.
+pub(crate) const TOPIC: &str = "hosts";
+
+#[derive(Template)]
+#[template(path = "pages/hosts.html", blocks = ["title", "list"])]
+struct Hosts {
+    shell: Shell,
+    title: String,
+    hosts: Vec<HostLine>,
+    /// Hosts that are stored but not in the live picture: name and last sign of life.
+    past: Vec<(String, Moment)>,
+}
+
+/// `GET /hosts`.
+pub(crate) async fn show(State(app): State<App>) -> Page {
+    let stored = app.store().hosts().await?;
+    page(&hosts(&app, &app.picture(), &stored))
+}
+
+/// What of the page changed.
+pub(crate) fn update(app: &AppState, picture: &Picture) -> Result<Update, WebError> {
+    let page = hosts(app, picture, &[]);
+    let parts = vec![("title", page.as_title().render()?), ("list", page.as_list().render()?)];
+    Ok(Update { layout: String::new(), title: page.shell.title, parts, marks: Vec::new() })
+}
+
+fn hosts(app: &AppState, picture: &Picture, stored: &[HostRow]) -> Hosts {
+    let connected = picture.hosts.iter().filter(|host| host.connected).count();
+    let title = match picture.hosts.len() {
+        0 => "No host has reported yet".to_owned(),
+        1 if connected == 1 => "1 host, connected".to_owned(),
+        all if all == connected => format!("{all} hosts, all connected"),
+        all => format!("{connected} of {all} hosts are connected"),
+    };
+    let live = |row: &&HostRow| picture.hosts.iter().all(|host| host.id != row.id);
+    Hosts {
+        shell: Shell::new(app, picture, Place::Hosts, "Hosts").live(TOPIC),
+        title,
+        hosts: picture.hosts.iter().map(|host| HostLine::new(host, app.clock.identity(), app.zone)).collect(),
+        past: stored
+            .iter()
+            .filter(live)
+            .map(|row| (row.name.to_string(), app.zone.moment(row.last_seen)))
+            .collect(),
+    }
+}

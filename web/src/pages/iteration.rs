@@ -1,0 +1,196 @@
+//! Why did this one take so long?
+
+use askama::Template;
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Path, State};
+use peernet_aggregator::{IterationDetail, IterationRow, RunSummary};
+
+use super::{Page, page, path};
+use crate::error::WebError;
+use crate::numbers::{NONE, count, duration, times};
+use crate::state::{App, AppState};
+use crate::svg::{Axis, Lanes, Scale};
+use crate::view::bytes::{Beside, ByteRow};
+use crate::view::cause::{Cause, UnknownNetwork, figures_of};
+use crate::view::place;
+use crate::view::shell::{Place, Shell};
+use crate::view::timeline::{Timeline, Where};
+use crate::view::waterfall::{DelayRow, Row, delays, footnote, journey, rows};
+
+/// Iterations slower than this one are looked for among so many.
+const RANKED: u64 = 1_000;
+
+#[derive(Template)]
+#[template(path = "pages/iteration.html")]
+struct Iteration {
+    shell: Shell,
+    run: i64,
+    run_name: String,
+    label: String,
+    title: String,
+    facts: Vec<String>,
+    warm_up: bool,
+    previous: Option<(u64, String)>,
+    next: Option<(u64, String)>,
+    slower: Option<u64>,
+    faster: Option<u64>,
+    edge: String,
+    cloud: Option<String>,
+    axis: Axis,
+    lanes: Option<Lanes>,
+    rows: Vec<Row>,
+    note: Option<String>,
+    delays: Vec<DelayRow>,
+    bytes: Vec<ByteRow>,
+    beside: Vec<Beside>,
+}
+
+/// `GET /runs/{run}/iterations/{iteration}`.
+pub(crate) async fn show(State(app): State<App>, numbers: Result<Path<(i64, u64)>, PathRejection>) -> Page {
+    let (run_number, number) = path(numbers)?;
+    let store = app.store();
+    let (run, detail) = tokio::try_join!(store.run(run_number), store.iteration(run_number, number))?;
+    let run = run.ok_or_else(|| WebError::NotFound(format!("no run #{run_number} is stored")))?;
+    let detail = detail
+        .ok_or_else(|| WebError::NotFound(format!("run #{run_number} has no stored iteration {number}")))?;
+    let ranked = match detail.rank.filter(|rank| *rank < RANKED) {
+        Some(rank) => store.slowest(run_number, u32::try_from(rank + 1).unwrap_or(1)).await?,
+        None => Vec::new(),
+    };
+    page(&assemble(&app, &run.summary, &detail, &ranked))
+}
+
+/// The page's sentence: how long, how unusual, because of what.
+fn title(row: &IterationRow, cause: Option<&Cause>) -> String {
+    let Some(total) = row.total.filter(|_| row.outcome == "ok") else {
+        let reason = row.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));
+        let what = match row.outcome.as_str() {
+            "timeout" => "No answer in time",
+            "lost" => "Lost on its way",
+            _ => "Failed",
+        };
+        let after = row.total.map_or_else(String::new, |total| format!(" after {}", duration(total)));
+        return format!("{what}{after}{reason}");
+    };
+    let took = duration(total);
+    let Some(factor) = row.factor else { return format!("{took}") };
+    if (0.95..1.05).contains(&factor) {
+        return format!("{took}, as usual in this run");
+    }
+    let because = cause.map_or_else(String::new, |cause| {
+        let (value, median) = (duration(cause.value), duration(cause.usual));
+        // The unit once is enough where both have the same.
+        let median = if value.unit == median.unit { median.number } else { median.to_string() };
+        format!(": {} took {value} instead of {median}", cause.name)
+    });
+    format!("{took}, {} the run's median{because}", times(factor))
+}
+
+fn ordinal(number: u64) -> String {
+    let suffix = match (number % 10, number % 100) {
+        (_, 11..=13) => "th",
+        (1, _) => "st",
+        (2, _) => "nd",
+        (3, _) => "rd",
+        _ => "th",
+    };
+    format!("{}{suffix}", count(number))
+}
+
+fn facts(app: &AppState, run: &RunSummary, detail: &IterationDetail) -> Vec<String> {
+    let row = &detail.row;
+    let at = app.zone.moment(row.started);
+    let mut facts = vec![
+        format!("Iteration {}", count(row.number)),
+        format!("{}, {}", at.date(), at.milliseconds()),
+        format!("episode {}, step {}", count(row.episode.into()), count(row.step.into())),
+    ];
+    facts.extend(detail.rank.map(|rank| match rank {
+        1 => format!("slowest of {}", count(run.counts.ok)),
+        rank => format!("{} slowest of {}", ordinal(rank), count(run.counts.ok)),
+    }));
+    facts
+}
+
+fn assemble(
+    app: &AppState,
+    run: &RunSummary,
+    detail: &IterationDetail,
+    ranked: &[IterationRow],
+) -> Iteration {
+    let row = &detail.row;
+    let timeline = Timeline::of(detail);
+    let sent = timeline.nodes.iter().any(|node| node.at == Where::Network);
+    let usual = UnknownNetwork::of(figures_of(&detail.run_figures), sent);
+    let cause = Cause::of(row, timeline.visit().and_then(|visit| visit.network).zip(usual));
+    let scale = Scale::fit(timeline.end * 1e3, 6);
+    let host = |index: usize| {
+        let name = detail.hosts.get(index).and_then(Option::as_ref).map(ToString::to_string);
+        name.unwrap_or_else(|| if index == 0 { run.host_name.to_string() } else { NONE.to_owned() })
+    };
+    let hosts: Vec<String> = (0..detail.tree.anchors().len()).map(host).collect();
+    let edge = hosts.first().cloned().unwrap_or_default();
+    let cloud = timeline.visit().and_then(|_| hosts.get(1).cloned());
+    let neighbour = |number: Option<u64>| number.map(|number| (number, count(number)));
+    let ranked_at = |rank: Option<u64>| {
+        let index = usize::try_from(rank?.checked_sub(1)?).ok()?;
+        ranked.get(index).map(|row| row.number)
+    };
+    Iteration {
+        shell: Shell::new(app, &app.picture(), Place::Runs, format!("Iteration {}", count(row.number))),
+        run: run.number,
+        run_name: place::run_name(run),
+        label: count(row.number),
+        title: title(row, cause.as_ref()),
+        facts: facts(app, run, detail),
+        warm_up: row.warm_up,
+        previous: neighbour(detail.previous),
+        next: neighbour(detail.next),
+        slower: ranked_at(detail.rank.map(|rank| rank - 1)),
+        faster: ranked_at(detail.rank.map(|rank| rank + 1)),
+        axis: Axis::milliseconds(&scale, ""),
+        lanes: cloud
+            .as_ref()
+            .and_then(|cloud| Lanes::new(&timeline, journey(&timeline, &edge, cloud), &scale)),
+        rows: rows(detail, &timeline, &hosts, cause.as_ref(), &scale),
+        note: cloud.as_ref().and_then(|cloud| footnote(&timeline, cloud)),
+        delays: delays(&timeline),
+        bytes: ByteRow::both(detail),
+        beside: Beside::all(detail),
+        edge,
+        cloud,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::numbers::SPACE;
+    use crate::view::samples;
+
+    #[test]
+    fn the_title_says_how_long_how_unusual_and_why() {
+        let mut row = samples::iteration().row;
+        row.total = Some(0.030_21);
+        row.factor = Some(1.873);
+        let cause = Cause { name: "upload".into(), value: 0.020_41, usual: 0.006_28 };
+        assert_eq!(
+            title(&row, Some(&cause)),
+            "30.2\u{202f}ms, 1.9\u{202f}× the run's median: upload took 20.4\u{202f}ms instead of 6.28"
+        );
+        row.factor = Some(1.01);
+        assert_eq!(title(&row, Some(&cause)), "30.2\u{202f}ms, as usual in this run");
+        row.outcome = "lost".into();
+        row.reason = Some("connection to rack-a closed".into());
+        assert_eq!(
+            title(&row, None),
+            format!("Lost on its way after 30.2{SPACE}ms: connection to rack-a closed")
+        );
+    }
+
+    #[test]
+    fn ranks_read_as_english() {
+        let words: Vec<String> = [2, 3, 11, 19, 21, 112, 1_003].map(ordinal).to_vec();
+        assert_eq!(words, ["2nd", "3rd", "11th", "19th", "21st", "112th", "1,003rd"]);
+    }
+}

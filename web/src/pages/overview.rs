@@ -1,0 +1,140 @@
+//! Is my system healthy, and where does the time go right now?
+
+use askama::Template;
+use axum::extract::State;
+use peernet_aggregator::{IncidentRow, Picture, PipelinePicture};
+use peernet_logger::stream::PipelineState;
+
+use super::{Mark, Page, Update, page};
+use crate::error::WebError;
+use crate::state::{App, AppState};
+use crate::view::chart::ChartCard;
+use crate::view::data::JsonBlock;
+use crate::view::health::Health;
+use crate::view::hosts::HostLine;
+use crate::view::incidents::IncidentLine;
+use crate::view::now::NowTable;
+use crate::view::shell::{Place, Shell};
+use crate::zone::Moment;
+
+/// Topic of the live stream.
+pub(crate) const TOPIC: &str = "overview";
+
+#[derive(Template)]
+#[template(path = "pages/overview.html", blocks = ["health", "now", "nowtable", "hosts", "incidents"])]
+pub(super) struct Overview {
+    shell: Shell,
+    layout: String,
+    health: Health,
+    now: NowTable,
+    charts: Vec<ChartCard>,
+    hosts: Vec<HostLine>,
+    /// `Err` holds the id under which the failure was logged.
+    incidents: Result<Vec<IncidentLine>, String>,
+    data: JsonBlock,
+}
+
+#[derive(Template)]
+#[template(path = "pages/overview_empty.html", blocks = ["seen"])]
+struct Empty {
+    shell: Shell,
+    layout: String,
+    listening: String,
+    since: Moment,
+    refused: Vec<(String, String, Moment)>,
+}
+
+/// `GET /`.
+pub(crate) async fn show(State(app): State<App>) -> Page {
+    let picture = app.picture();
+    if picture.hosts.is_empty() && picture.pipelines.is_empty() {
+        return page(&empty(&app, &picture));
+    }
+    let incidents = incidents(&app).await;
+    page(&overview(&app, &picture, incidents)?)
+}
+
+/// What of the page changed.
+pub(crate) async fn update(app: &AppState, picture: &Picture) -> Result<Update, WebError> {
+    if picture.hosts.is_empty() && picture.pipelines.is_empty() {
+        let page = empty(app, picture);
+        let parts = vec![("seen", page.as_seen().render()?)];
+        return Ok(Update { layout: page.layout.clone(), title: page.shell.title, parts, marks: Vec::new() });
+    }
+    let incidents = incidents(app).await;
+    let marks = incidents.as_ref().map(|rows| marks(rows)).unwrap_or_default();
+    let page = overview(app, picture, incidents)?;
+    let parts = vec![
+        ("health", page.as_health().render()?),
+        ("now", page.as_now().render()?),
+        ("nowtable", page.as_nowtable().render()?),
+        ("hosts", page.as_hosts().render()?),
+        ("incidents", page.as_incidents().render()?),
+    ];
+    Ok(Update { layout: page.layout.clone(), title: page.shell.title, parts, marks })
+}
+
+type Incidents = Result<std::sync::Arc<Vec<IncidentRow>>, String>;
+
+/// The newest incidents. A store that fails breaks its panel and nothing else.
+async fn incidents(app: &AppState) -> Incidents {
+    let rows = app.newest_incidents().await;
+    rows.map_err(|error| WebError::from(error).to_problem().id().unwrap_or_default().to_owned())
+}
+
+/// Incidents as marks on time axes.
+pub(crate) fn marks(rows: &[IncidentRow]) -> Vec<Mark> {
+    rows.iter()
+        .map(|row| Mark {
+            at: row.at.unix_nanos() / 1_000_000,
+            sign: IncidentLine::new(row, crate::zone::Zone::Utc).sign,
+            host: row.host_name.to_string(),
+            pipeline: row.pipeline.clone(),
+        })
+        .collect()
+}
+
+fn empty(app: &AppState, picture: &Picture) -> Empty {
+    let refused = picture.refused.iter().map(|one| {
+        let from = one
+            .address
+            .clone()
+            .map_or_else(|| one.name.to_string(), |address| format!("{} ({address})", one.name));
+        (from, one.reason.clone(), app.zone.moment(one.at))
+    });
+    Empty {
+        shell: Shell::new(app, picture, Place::Overview, "No host has reported yet").live(TOPIC),
+        layout: "empty".to_owned(),
+        listening: picture.listening.clone(),
+        since: app.zone.moment(app.since),
+        refused: refused.collect(),
+    }
+}
+
+/// Pipelines that run, or did and are still remembered, come first.
+fn ordered(picture: &Picture) -> Vec<&PipelinePicture> {
+    let mut pipelines: Vec<&PipelinePicture> = picture.pipelines.iter().map(|one| &**one).collect();
+    pipelines.sort_by_key(|one| one.state != PipelineState::Running);
+    pipelines
+}
+
+pub(super) fn overview(
+    app: &AppState,
+    picture: &Picture,
+    incidents: Incidents,
+) -> Result<Overview, WebError> {
+    let health = Health::of(picture, app.zone);
+    let pipelines = ordered(picture);
+    let charts: Vec<ChartCard> = pipelines.iter().map(|one| ChartCard::new(one, picture, app.zone)).collect();
+    let marks = incidents.as_ref().map(|rows| marks(rows)).unwrap_or_default();
+    Ok(Overview {
+        shell: Shell::new(app, picture, Place::Overview, health.title.clone()).live(TOPIC),
+        layout: charts.iter().map(|card| card.key.as_str()).collect::<Vec<_>>().join(" "),
+        now: NowTable::new(&pipelines, 10),
+        hosts: picture.hosts.iter().map(|host| HostLine::new(host, app.clock.identity(), app.zone)).collect(),
+        incidents: incidents.map(|rows| IncidentLine::all(&rows, app.zone)),
+        data: ChartCard::data(&charts, &marks)?,
+        charts,
+        health,
+    })
+}

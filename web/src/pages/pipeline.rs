@@ -1,0 +1,213 @@
+//! How does this pipeline behave, stage by stage, and what happened to it?
+
+use askama::Template;
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Path, State};
+use peernet_aggregator::{Figures, Picture, PipelinePicture, RunFilter, RunSummary, Window};
+use peernet_logger::stage;
+use peernet_logger::stream::{PipelineState, PlacementKind};
+use serde::Deserialize;
+
+use super::{Page, Update, overview, page, path};
+use crate::api::parameters::Parameters;
+use crate::error::WebError;
+use crate::numbers::{NONE, count, duration, length, milliseconds, percent, rate};
+use crate::state::{App, AppState};
+use crate::svg::Bar;
+use crate::view::chart::ChartCard;
+use crate::view::clocks::ClockCell;
+use crate::view::data::JsonBlock;
+use crate::view::now::state_chip;
+use crate::view::runs::RunLine;
+use crate::view::shell::{Place, Shell};
+use crate::view::speed::{self, Way};
+use crate::view::stack::Stack;
+use crate::view::stages::{StageRow, TOO_FEW};
+use crate::view::{chip::Chip, place};
+
+/// Topic of the live stream, followed by `/HOST/PIPELINE/SECONDS`.
+pub(crate) const TOPIC: &str = "pipeline";
+/// Runs listed on the page.
+const RUNS: u32 = 20;
+
+/// What the address may ask for.
+#[derive(Clone, Copy, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(crate) struct Query {
+    /// Seconds over which figures are taken: 1, 10 or 60.
+    window: Option<u32>,
+}
+
+#[derive(Template)]
+#[template(path = "pages/pipeline.html", blocks = ["title", "figures", "stages"])]
+struct PipelinePage {
+    shell: Shell,
+    layout: String,
+    host: String,
+    title: String,
+    chip: Option<Chip>,
+    facts: Vec<String>,
+    run: Option<i64>,
+    seconds: u32,
+    windows: Vec<(u32, &'static str)>,
+    stats: Vec<Stat>,
+    clock: ClockCell,
+    bar: Bar,
+    stages: Vec<StageRow>,
+    name: String,
+    /// One: the page shares the template of charts with the overview.
+    charts: Vec<ChartCard>,
+    runs: Vec<RunLine>,
+    data: JsonBlock,
+}
+
+/// A quiet name, a figure and its unit.
+struct Stat {
+    name: &'static str,
+    number: String,
+    unit: &'static str,
+    /// Why there is none.
+    title: String,
+}
+
+/// `GET /pipelines/{host}/{pipeline}`.
+pub(crate) async fn show(
+    State(app): State<App>,
+    names: Result<Path<(String, String)>, PathRejection>,
+    Parameters(query): Parameters<Query>,
+) -> Page {
+    let (host, name) = path(names)?;
+    let picture = app.picture();
+    let pipeline = find(&picture, &host, &name)?;
+    let runs = runs(&app, pipeline).await?;
+    let incidents = app.newest_incidents().await?;
+    let marks = overview::marks(&incidents);
+    page(&pipeline_page(&app, &picture, pipeline, query.window.unwrap_or(10), &runs, &marks)?)
+}
+
+/// What of the page changed.
+pub(crate) fn update(app: &AppState, picture: &Picture, rest: &str) -> Result<Update, WebError> {
+    let mut parts = rest.splitn(3, '/');
+    let (Some(host), Some(name), Some(seconds)) = (parts.next(), parts.next(), parts.next()) else {
+        return Err(WebError::BadRequest(
+            "topics: a pipeline's topic is pipeline/HOST/PIPELINE/SECONDS".to_owned(),
+        ));
+    };
+    let pipeline = find(picture, host, name)?;
+    let page = pipeline_page(app, picture, pipeline, seconds.parse().unwrap_or(10), &[], &[])?;
+    let parts = vec![
+        ("title", page.as_title().render()?),
+        ("figures", page.as_figures().render()?),
+        ("stages", page.as_stages().render()?),
+    ];
+    Ok(Update { layout: page.layout.clone(), title: page.shell.title, parts, marks: Vec::new() })
+}
+
+fn find<'a>(picture: &'a Picture, host: &str, name: &str) -> Result<&'a PipelinePicture, WebError> {
+    let matches = |one: &&PipelinePicture| one.host_name.as_str() == host && one.pipeline.as_str() == name;
+    picture.pipelines.iter().map(|one| &**one).find(matches).ok_or_else(|| {
+        WebError::NotFound(format!(
+            "no pipeline {name} of host {host} has reported; what was stored of it is among the runs"
+        ))
+    })
+}
+
+async fn runs(app: &AppState, pipeline: &PipelinePicture) -> Result<Vec<RunSummary>, WebError> {
+    let filter = RunFilter {
+        pipeline: Some(pipeline.pipeline.clone()),
+        host: Some(pipeline.host),
+        limit: RUNS,
+        ..RunFilter::default()
+    };
+    Ok(app.store().runs(&filter).await?)
+}
+
+/// The page's sentence: how long it takes and what takes longest.
+fn title(pipeline: &PipelinePicture, stack: &Stack) -> String {
+    let name = &pipeline.pipeline;
+    match (&pipeline.state, &stack.total) {
+        (PipelineState::Failed(reason), _) => format!("{name} stopped: {reason}"),
+        (PipelineState::Waiting(reason), _) => format!("{name} waits: {reason}"),
+        (_, None) => format!("{name}: no iteration in this time"),
+        (_, Some(total)) => {
+            let largest = stack.parts.iter().max_by(|a, b| a.seconds.total_cmp(&b.seconds));
+            let most = largest.filter(|part| part.name != "unattributed");
+            let most = most.map_or_else(String::new, |part| {
+                let how = if part.seconds > total.mean / 2.0 { "most of it" } else { "longest" };
+                format!(", {how} {} ({})", part.name, duration(part.seconds))
+            });
+            format!("{name}: {}{most}", duration(total.p50))
+        }
+    }
+}
+
+fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
+    let total = window.value(&stage::TOTAL);
+    let time = |name, of: fn(&Figures) -> Option<f64>| {
+        let value = total.and_then(of).map(milliseconds);
+        let (number, unit) = value.map_or((NONE.to_owned(), ""), |value| (value.number, value.unit));
+        Stat { name, number, unit, title: if unit.is_empty() { TOO_FEW.to_owned() } else { String::new() } }
+    };
+    let speed = |name, way| {
+        let cell = speed::cell(kind, window, way);
+        Stat {
+            name,
+            unit: if cell.text == NONE { "" } else { "MB/s" },
+            number: cell.text,
+            title: cell.title.unwrap_or_default(),
+        }
+    };
+    let lost = window.lost_fraction.map_or_else(|| NONE.to_owned(), percent);
+    vec![
+        time("Median", |total| Some(total.p50)),
+        time("p95", |total| total.p95),
+        time("p99", |total| total.p99),
+        time("Max", |total| Some(total.max)),
+        Stat { name: "Rate", number: rate(window.rate_hz), unit: "/s", title: String::new() },
+        Stat { name: "Iterations", number: count(window.counts.total()), unit: "", title: String::new() },
+        Stat { name: "Lost", unit: if lost == NONE { "" } else { "%" }, number: lost, title: String::new() },
+        speed("Up", Way::Up),
+        speed("Down", Way::Down),
+    ]
+}
+
+fn pipeline_page(
+    app: &AppState,
+    picture: &Picture,
+    pipeline: &PipelinePicture,
+    seconds: u32,
+    runs: &[RunSummary],
+    marks: &[super::Mark],
+) -> Result<PipelinePage, WebError> {
+    let window = pipeline.window(seconds).ok_or_else(|| {
+        WebError::BadRequest(format!("window: figures are taken over 1, 10 or 60 seconds, not {seconds}"))
+    })?;
+    let stack = Stack::of_window(window);
+    let host = pipeline.host_name.to_string();
+    let placement = &pipeline.placement;
+    let mut facts = vec![place::route(&host, placement)];
+    facts.extend(placement.network.clone());
+    facts.extend([place::model(placement), pipeline.load.clone()]);
+    facts.push(format!("heard of {} ago", length((picture.at - pipeline.last_seen).seconds().max(0.0))));
+    let charts = vec![ChartCard::new(pipeline, picture, app.zone)];
+    Ok(PipelinePage {
+        shell: Shell::new(app, picture, Place::Pipelines, pipeline.pipeline.as_str())
+            .live(format!("{TOPIC}/{host}/{}/{seconds}", pipeline.pipeline)),
+        title: title(pipeline, &stack),
+        chip: state_chip(&pipeline.state),
+        facts,
+        run: pipeline.run_number,
+        seconds,
+        windows: vec![(1, "1\u{202f}s"), (10, "10\u{202f}s"), (60, "1\u{202f}min")],
+        stats: stats(placement.kind, window),
+        clock: ClockCell::of(placement.kind, &window.bounds),
+        bar: stack.whole("big"),
+        stages: StageRow::of_window(window),
+        runs: runs.iter().map(|run| RunLine::new(run, app.zone)).collect(),
+        layout: format!("{host}/{}", pipeline.pipeline),
+        name: pipeline.pipeline.to_string(),
+        data: ChartCard::data(&charts, marks)?,
+        charts,
+        host,
+    })
+}

@@ -1,0 +1,82 @@
+//! Every pipeline of every host.
+
+use askama::Template;
+use axum::extract::State;
+use peernet_aggregator::{Picture, PipelinePicture};
+use peernet_logger::stream::PipelineState;
+
+use super::{Page, Update, page};
+use crate::error::WebError;
+use crate::state::{App, AppState};
+use crate::view::now::{NowRow, NowTable};
+use crate::view::place;
+use crate::view::shell::{Place, Shell};
+
+/// Topic of the live stream.
+pub(crate) const TOPIC: &str = "pipelines";
+
+#[derive(Template)]
+#[template(path = "pages/pipelines.html", blocks = ["title", "list"])]
+struct Pipelines {
+    shell: Shell,
+    title: String,
+    lines: Vec<Line>,
+}
+
+struct Line {
+    figures: NowRow,
+    host: String,
+    route: String,
+    model: String,
+    load: String,
+    /// What it does, with the reason where it does not run.
+    state: String,
+    run: Option<i64>,
+}
+
+fn state(pipeline: &PipelinePicture) -> String {
+    match &pipeline.state {
+        PipelineState::Starting => "starting".to_owned(),
+        PipelineState::Running => "running".to_owned(),
+        PipelineState::Finished => "finished".to_owned(),
+        PipelineState::Waiting(reason) => format!("waiting: {reason}"),
+        PipelineState::Failed(reason) => format!("failed: {reason}"),
+    }
+}
+
+/// `GET /pipelines`.
+pub(crate) async fn show(State(app): State<App>) -> Page {
+    page(&pipelines(&app, &app.picture()))
+}
+
+/// What of the page changed.
+pub(crate) fn update(app: &AppState, picture: &Picture) -> Result<Update, WebError> {
+    let page = pipelines(app, picture);
+    let parts = vec![("title", page.as_title().render()?), ("list", page.as_list().render()?)];
+    Ok(Update { layout: String::new(), title: page.shell.title, parts, marks: Vec::new() })
+}
+
+fn pipelines(app: &AppState, picture: &Picture) -> Pipelines {
+    let all: Vec<&PipelinePicture> = picture.pipelines.iter().map(|one| &**one).collect();
+    let running = all.iter().filter(|one| one.state == PipelineState::Running).count();
+    let title = match all.len() {
+        0 => "No pipeline has reported yet".to_owned(),
+        1 => format!("1 pipeline, {running} running"),
+        many => format!("{many} pipelines, {running} running"),
+    };
+    let rows = NowTable::new(&all, 10).rows;
+    let lines = all.iter().zip(rows).map(|(pipeline, figures)| Line {
+        figures,
+        host: pipeline.host_name.to_string(),
+        route: place::route(pipeline.host_name.as_str(), &pipeline.placement),
+        model: place::model(&pipeline.placement),
+        load: pipeline.load.clone(),
+        state: state(pipeline),
+        run: pipeline.run_number,
+    });
+    Pipelines {
+        shell: Shell::new(app, picture, Place::Pipelines, "Pipelines").live(TOPIC),
+        title,
+        lines: lines.collect(),
+    }
+}

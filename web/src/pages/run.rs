@@ -1,0 +1,217 @@
+//! How fast was this configuration, how certain is that, and which iterations stand out?
+
+use askama::Template;
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Path, State};
+use peernet_aggregator::RunDetail;
+use peernet_logger::stage;
+use serde::Deserialize;
+
+use super::{Page, page, path};
+use crate::api::parameters::Parameters;
+use crate::error::WebError;
+use crate::look;
+use crate::numbers::{NONE, SPACE, count, figure, mean_std_ms, percent, rate};
+use crate::state::{App, AppState};
+use crate::svg::{Axis, Bar, DistributionView, HistogramPlot};
+use crate::view::chip::Chip;
+use crate::view::clocks::ClockCell;
+use crate::view::data::JsonBlock;
+use crate::view::run::{Bucket, Other, Slow, Stored};
+use crate::view::shell::{Place, Shell};
+use crate::view::stack::Stack;
+use crate::view::stages::{StageRow, TOO_FEW, directions};
+use crate::view::{place, runs};
+use crate::zone::Zone;
+
+/// Bins of a distribution.
+const BINS: usize = 48;
+/// Points of the line over time.
+const POINTS: usize = 240;
+/// Slowest iterations, as points over time.
+const OUTLIERS: u32 = 40;
+
+/// What the address may ask for.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(crate) struct Query {
+    /// Whose distribution is shown; `total` unless given.
+    stage: Option<String>,
+    /// `histogram` or `cumulative`.
+    view: DistributionView,
+    /// `linear` or `log`.
+    scale: CountScale,
+}
+
+/// The scale of counts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum CountScale {
+    #[default]
+    Linear,
+    Log,
+}
+
+#[derive(Template)]
+#[template(path = "pages/run.html")]
+struct Run {
+    shell: Shell,
+    number: i64,
+    pipeline: String,
+    facts: Vec<String>,
+    going_on: bool,
+    lead: (String, Option<String>),
+    stats: Vec<(&'static str, String, &'static str)>,
+    iterations: (String, String),
+    lost: (String, String),
+    clock: ClockCell,
+    directions: Vec<(String, Chip)>,
+    bar: Bar,
+    stages: Vec<StageRow>,
+    others: Vec<Other>,
+    distribution: Distribution,
+    bucket: u32,
+    buckets: Vec<Bucket>,
+    axis: Axis,
+    slowest: Vec<Slow>,
+    configuration: Vec<(String, String)>,
+    toml: String,
+    data: JsonBlock,
+}
+
+/// The selected distribution and the links that select another.
+struct Distribution {
+    stage: String,
+    plot: Option<HistogramPlot>,
+    views: [(&'static str, String, bool); 2],
+    scales: [(&'static str, String, bool); 2],
+    /// Appended to a stage's link, so that the choice of view stays.
+    rest: String,
+}
+
+/// `GET /runs/{run}`.
+pub(crate) async fn show(
+    State(app): State<App>,
+    number: Result<Path<i64>, PathRejection>,
+    Parameters(query): Parameters<Query>,
+) -> Page {
+    let number = path(number)?;
+    let store = app.store();
+    let run = store.run(number).await?;
+    let run = run.ok_or_else(|| WebError::NotFound(format!("no run #{number} is stored")))?;
+    let wanted = query.stage.clone().unwrap_or_else(|| stage::TOTAL.to_string());
+    let names = [stage::TOTAL];
+    let (stages, bounds, histogram, series, slowest) = tokio::try_join!(
+        store.stages(number),
+        store.bounds(number),
+        store.histogram(number, &wanted, BINS),
+        store.series(number, &names, POINTS),
+        store.slowest(number, OUTLIERS),
+    )?;
+    let plot = histogram.map(|histogram| {
+        HistogramPlot::new(&histogram, look::class(&wanted), query.view, query.scale == CountScale::Log)
+    });
+    let distribution = Distribution::new(wanted, plot, &query);
+    let stored = Stored { run: &run, stages: &stages, bounds: &bounds, series: &series, slowest: &slowest };
+    page(&assemble(&app, &stored, distribution)?)
+}
+
+impl Distribution {
+    fn new(stage: String, plot: Option<HistogramPlot>, query: &Query) -> Self {
+        let view = |view| if view == DistributionView::Cumulative { "cumulative" } else { "histogram" };
+        let scale = |scale| if scale == CountScale::Log { "log" } else { "linear" };
+        let link = |of: DistributionView, on: CountScale| format!("&view={}&scale={}", view(of), scale(on));
+        Self {
+            views: [DistributionView::Histogram, DistributionView::Cumulative].map(|one| {
+                let name = if one == DistributionView::Histogram { "Histogram" } else { "Cumulative" };
+                (name, link(one, query.scale), one == query.view)
+            }),
+            scales: [CountScale::Linear, CountScale::Log]
+                .map(|one| (scale(one), link(query.view, one), one == query.scale)),
+            rest: link(query.view, query.scale),
+            stage,
+            plot,
+        }
+    }
+}
+
+fn facts(run: &RunDetail, zone: Zone) -> Vec<String> {
+    let summary = &run.summary;
+    let placement = &summary.placement;
+    let mut facts = vec![match runs::end(summary) {
+        Some(end) => zone.range(summary.started, end),
+        None => format!("{}, {}", zone.moment(summary.started).date(), zone.moment(summary.started).clock()),
+    }];
+    facts.push(place::route(summary.host_name.as_str(), placement));
+    facts.extend(placement.network.clone());
+    facts.push(place::model(placement));
+    facts.extend(
+        run.facts.iter().find(|(name, _)| name.eq_ignore_ascii_case("load")).map(|(_, load)| load.clone()),
+    );
+    facts.extend(summary.reason.clone());
+    facts
+}
+
+fn assemble(app: &AppState, stored: &Stored<'_>, distribution: Distribution) -> Result<Run, WebError> {
+    let Stored { run, stages, bounds, series, .. } = stored;
+    let summary = &run.summary;
+    let stack = Stack::of_run(stages, bounds);
+    let total = summary.total.as_ref();
+    let quantile =
+        |value: Option<f64>| value.map_or_else(|| NONE.to_owned(), |seconds| figure(seconds * 1e3));
+    let lasted =
+        runs::end(summary).map(|end| (end - summary.started).seconds()).filter(|lasted| *lasted > 0.0);
+    let all = summary.counts.total() + summary.warm_up;
+    let missing: u64 = run.gaps.iter().map(|gap| gap.count).sum();
+    let zone = app.zone;
+    Ok(Run {
+        shell: Shell::new(app, &app.picture(), Place::Runs, place::run_name(summary)),
+        number: summary.number,
+        pipeline: summary.pipeline.to_string(),
+        facts: facts(run, zone),
+        going_on: summary.ended.is_none(),
+        lead: total.map_or((NONE.to_owned(), None), |total| mean_std_ms(total.mean, total.std)),
+        stats: vec![
+            ("Median", quantile(total.map(|total| total.p50)), "ms"),
+            ("p95", quantile(total.and_then(|total| total.p95)), "ms"),
+            ("p99", quantile(total.and_then(|total| total.p99)), "ms"),
+            ("Max", quantile(total.map(|total| total.max)), "ms"),
+            ("Rate", lasted.map_or_else(|| NONE.to_owned(), |lasted| rate(all as f64 / lasted)), "/s"),
+        ],
+        iterations: (
+            count(summary.counts.total()),
+            format!("{} warm-up left out, {} not recorded", count(summary.warm_up), count(missing)),
+        ),
+        lost: (
+            format!(
+                "{}, {}, {}",
+                count(summary.counts.lost),
+                count(summary.counts.timeout),
+                count(summary.counts.failed)
+            ),
+            runs::lost_share(summary)
+                .map_or_else(|| NONE.to_owned(), |share| format!("{}{SPACE}%", percent(share))),
+        ),
+        clock: ClockCell::of(summary.placement.kind, bounds),
+        directions: directions(bounds),
+        bar: stack.whole("big"),
+        stages: StageRow::of_run(stages, bounds),
+        others: stored.others(),
+        distribution,
+        bucket: series.bucket_s,
+        buckets: stored.buckets(zone),
+        axis: Axis::milliseconds(&stored.scale(), ""),
+        slowest: stored.slow_rows(zone),
+        configuration: configuration(run),
+        toml: run.configuration.clone(),
+        data: stored.data()?,
+    })
+}
+
+fn configuration(run: &RunDetail) -> Vec<(String, String)> {
+    let mut pairs = run.facts.clone();
+    pairs.push(("Edge".to_owned(), run.summary.host_name.to_string()));
+    pairs.extend(run.summary.placement.peer.iter().map(|peer| ("Cloud".to_owned(), peer.to_string())));
+    pairs.push(("Version".to_owned(), format!("agent {}", run.version)));
+    pairs
+}

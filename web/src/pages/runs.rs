@@ -1,0 +1,67 @@
+//! How fast was which configuration?
+
+use askama::Template;
+use axum::extract::State;
+use peernet_aggregator::RunFilter;
+use serde::Deserialize;
+
+use super::{Page, page};
+use crate::api::parameters::{self, Parameters};
+use crate::numbers::count;
+use crate::state::App;
+use crate::view::runs::RunLine;
+use crate::view::shell::{Place, Shell};
+
+/// Runs per page.
+const PAGE: u32 = 50;
+
+/// What the address may ask for.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(crate) struct Query {
+    /// Only runs of pipelines of this name.
+    pipeline: Option<String>,
+    /// Only runs before this number.
+    before: Option<i64>,
+}
+
+#[derive(Template)]
+#[template(path = "pages/runs.html")]
+struct Runs {
+    shell: Shell,
+    title: String,
+    pipeline: Option<String>,
+    paged: bool,
+    runs: Vec<RunLine>,
+    /// Query of the next page.
+    older: Option<String>,
+}
+
+/// `GET /runs`.
+pub(crate) async fn show(State(app): State<App>, Parameters(query): Parameters<Query>) -> Page {
+    let pipeline = query.pipeline.as_deref().map(|name| parameters::slug("pipeline", name)).transpose()?;
+    let filter = RunFilter { pipeline, limit: PAGE + 1, before: query.before, ..RunFilter::default() };
+    let mut found = app.store().runs(&filter).await?;
+    let more = found.len() > PAGE as usize;
+    found.truncate(PAGE as usize);
+    let older = found.last().filter(|_| more).map(|last| {
+        let name = query.pipeline.as_ref().map_or_else(String::new, |name| format!("&pipeline={name}"));
+        format!("?before={}{name}", last.number)
+    });
+    let newest = found.first().map_or(0, |run| run.number).unsigned_abs();
+    let title = match (found.is_empty(), &query.pipeline, query.before) {
+        (true, ..) => "No run is stored yet".to_owned(),
+        (_, Some(name), _) => format!("Runs of {name}"),
+        (_, None, Some(before)) => format!("Runs before #{before}"),
+        (_, None, None) if newest == 1 => "1 run".to_owned(),
+        (_, None, None) => format!("{} runs", count(newest)),
+    };
+    page(&Runs {
+        shell: Shell::new(&app, &app.picture(), Place::Runs, "Runs"),
+        title,
+        paged: query.before.is_some(),
+        pipeline: query.pipeline,
+        runs: found.iter().map(|run| RunLine::new(run, app.zone)).collect(),
+        older,
+    })
+}

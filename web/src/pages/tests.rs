@@ -1,0 +1,200 @@
+//! Every page that live updates change, in every state that its data may have.
+
+use std::sync::Arc;
+
+use peernet_clock::{Span, Verdict};
+use peernet_logger::Name;
+use peernet_logger::stream::{PipelineState, PlacementKind};
+
+use super::*;
+use crate::view::samples::{self, HOSTILE, figures, host, incident, picture, pipeline, placement, refused};
+
+/// What holds for every page, whatever it shows.
+fn check(html: &str) {
+    assert!(!html.contains(" style="), "inline styles are refused by the policy: {html}");
+    assert!(!html.contains("<script>alert") && !html.contains("onmouseover=\""), "not escaped: {html}");
+    for script in html.split("<script").skip(1) {
+        assert!(script.starts_with(" src=") || script.starts_with(" type=\"application/json\""), "{script}");
+    }
+    for element in ["svg", "table", "tr", "td", "ul", "section", "div", "dl", "span", "a"] {
+        let opened =
+            html.matches(&format!("<{element} ")).count() + html.matches(&format!("<{element}>")).count();
+        let closed = html.matches(&format!("</{element}>")).count();
+        assert_eq!(opened, closed, "<{element}> is not closed as often as opened");
+    }
+    assert!(!html.contains("NaN") && !html.contains(">inf<") && !html.contains("-0.00"), "{html}");
+}
+
+async fn overview_of(
+    picture: &peernet_aggregator::Picture,
+    incidents: Vec<peernet_aggregator::IncidentRow>,
+) -> String {
+    let (app, _folder) = samples::app().await;
+    let page = overview::overview(&app, picture, Ok(Arc::new(incidents))).expect("assembles");
+    let html = askama::Template::render(&page).expect("renders");
+    check(&html);
+    html
+}
+
+#[tokio::test]
+async fn one_pipeline_that_is_well() {
+    let shown = picture(vec![host("cam-1", "Orin")], vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
+    let html = overview_of(&shown, vec![incident("connected", "reconnected to rack-a")]).await;
+    assert!(html.contains("1 pipeline running, all well"), "{html}");
+    assert!(html.contains("cam-1 → rack-a · zmq-tcp"));
+    assert!(html.contains("<tspan>upload </tspan>6.3"));
+    assert!(html.contains(">12:01:07</time>"));
+}
+
+#[tokio::test]
+async fn thirty_pipelines() {
+    let pipelines = (0..30).map(|index| {
+        pipeline(&format!("line-{index:02}"), 5.0, 1.0 + f64::from(index), Verdict::Limited, &[])
+    });
+    let html = overview_of(&picture(vec![host("cam-1", "Orin")], pipelines.collect()), Vec::new()).await;
+    assert!(html.contains("30 pipelines running, 60 to look at"), "both directions of each are limited");
+    assert!(html.contains("and 55 more"));
+    assert_eq!(html.matches("class=\"chart live-chart").count(), 30);
+}
+
+#[tokio::test]
+async fn too_few_samples_give_no_quantile_but_a_reason() {
+    let html =
+        overview_of(&picture(Vec::new(), vec![pipeline("slow", 0.5, 1.0, Verdict::Ok, &[])]), Vec::new())
+            .await;
+    assert!(html.contains("needs 300 iterations; the last minute has 30"), "{html}");
+    let html =
+        overview_of(&picture(Vec::new(), vec![pipeline("still", 0.0, 1.0, Verdict::Ok, &[])]), Vec::new())
+            .await;
+    assert!(html.contains("no successful iteration in this time"), "{html}");
+}
+
+#[tokio::test]
+async fn longer_windows_stand_in_where_ten_seconds_hold_too_few() {
+    let html =
+        overview_of(&picture(Vec::new(), vec![pipeline("line", 5.0, 1.0, Verdict::Ok, &[])]), Vec::new())
+            .await;
+    assert!(html.contains("of the last 60 s: 10 s hold too few iterations"), "{html}");
+}
+
+#[tokio::test]
+async fn gaps_stay_gaps() {
+    let (app, _folder) = samples::app().await;
+    let gap: Vec<i64> = (20..50).collect();
+    let shown = picture(Vec::new(), vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &gap)]);
+    let page = overview::overview(&app, &shown, Ok(Arc::default())).expect("assembles");
+    let html = askama::Template::render(&page).expect("renders");
+    let data =
+        html.split("id=\"data\">").nth(1).and_then(|rest| rest.split("</script>").next()).expect("a block");
+    let data: serde_json::Value = serde_json::from_str(data).expect("JSON");
+    let seconds = data["charts"][0]["n"].as_array().expect("seconds");
+    assert_eq!((seconds.len(), seconds.iter().filter(|n| n.is_null()).count()), (121, 30));
+}
+
+#[tokio::test]
+async fn unrelated_clocks_show_a_dash_with_the_reason_and_the_exact_sum() {
+    let html = overview_of(
+        &picture(Vec::new(), vec![pipeline("line", 30.0, 1.0, Verdict::Unsynchronised, &[])]),
+        Vec::new(),
+    )
+    .await;
+    assert!(html.contains("chip bad"), "{html}");
+    assert!(html.contains("their sum is exact"), "{html}");
+    assert!(html.contains("<tspan>up + down </tspan>6.9"), "{html}");
+}
+
+#[tokio::test]
+async fn huge_numbers_keep_their_place() {
+    let mut one = pipeline("line", 30_000.0, 5e6, Verdict::Ok, &[]);
+    one.windows[1].values.push((Name::from("gripper"), figures(1e300, 5)));
+    let html = overview_of(&picture(vec![host("cam-1", "Orin")], vec![one]), Vec::new()).await;
+    assert!(html.contains("80,200,000.0"), "{html}");
+}
+
+#[tokio::test]
+async fn hostile_texts_are_escaped_everywhere() {
+    let mut remote = pipeline("line", 30.0, 1.0, Verdict::Ok, &[]);
+    remote.placement.network = Some(HOSTILE.into());
+    remote.placement.peer = None;
+    remote.placement.address = Some(HOSTILE.into());
+    remote.load = HOSTILE.into();
+    remote.windows[1].values.insert(0, (Name::from(HOSTILE), figures(0.1, 300)));
+    let mut failed = pipeline("failed", 30.0, 1.0, Verdict::Ok, &[]);
+    failed.state = PipelineState::Failed(HOSTILE.into());
+    let mut shown = picture(vec![host("cam-1", HOSTILE)], vec![remote, failed]);
+    shown.refused.push(refused(HOSTILE));
+    let html = overview_of(&shown, vec![incident(HOSTILE, HOSTILE)]).await;
+    assert!(html.contains("&#60;b&#62;"), "{html}");
+
+    let (app, _folder) = samples::app().await;
+    for update in [
+        pipelines::update(&app, &shown),
+        hosts::update(&app, &shown),
+        host::update(&app, &shown, "cam-1"),
+        pipeline::update(&app, &shown, "cam-1/line/10"),
+        pipeline::update(&app, &shown, "cam-1/failed/60"),
+    ] {
+        update.expect("renders").parts.iter().for_each(|(_, html)| check(html));
+    }
+}
+
+#[tokio::test]
+async fn what_wants_to_be_looked_at_comes_worst_first() {
+    let mut away = host("cam-1", "Orin");
+    away.connected = false;
+    away.accounting.dropped = 1_050;
+    away.behind = Some(Span::from_seconds(35));
+    let mut waiting = pipeline("waiting", 0.0, 1.0, Verdict::Ok, &[]);
+    waiting.state = PipelineState::Waiting("rack-a does not answer".into());
+    let mut failed = pipeline("failed", 0.0, 1.0, Verdict::Ok, &[]);
+    failed.state = PipelineState::Failed("no pictures in /data".into());
+    let html = overview_of(&picture(vec![away], vec![waiting, failed]), Vec::new()).await;
+    assert!(html.contains("No pipeline is running, 5 to look at"), "{html}");
+    let at = |text: &str| html.find(text).unwrap_or_else(|| panic!("{text} is missing: {html}"));
+    assert!(at("stopped: no pictures in /data") < at("has not reported since 12:01:07"));
+    assert!(at("dropped 1,050 events") < at("waits: rack-a does not answer"));
+    assert!(html.contains("stores 35\u{202f}s behind measuring"));
+}
+
+#[tokio::test]
+async fn a_store_that_fails_breaks_its_panel_alone() {
+    let (app, _folder) = samples::app().await;
+    let shown = picture(Vec::new(), vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
+    let page = overview::overview(&app, &shown, Err("abc123".into())).expect("assembles");
+    let html = askama::Template::render(&page).expect("renders");
+    check(&html);
+    assert!(html.contains("The incidents could not be read") && html.contains("abc123"), "{html}");
+}
+
+#[tokio::test]
+async fn a_local_pipeline_has_nothing_to_bound() {
+    let mut local = pipeline("line", 30.0, 1.0, Verdict::Ok, &[]);
+    local.placement = placement(PlacementKind::Local);
+    let html = overview_of(&picture(vec![host("cam-1", "Orin")], vec![local]), Vec::new()).await;
+    assert!(html.contains("one host: nothing crosses between clocks"), "{html}");
+    assert!(html.contains("one host: nothing is sent"), "{html}");
+}
+
+#[tokio::test]
+async fn every_live_page_says_which_parts_changed() {
+    let (app, _folder) = samples::app().await;
+    let shown = picture(vec![host("cam-1", "Orin")], vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
+    let update = overview::update(&app, &shown).await.expect("renders");
+    let parts: Vec<&str> = update.parts.iter().map(|(id, _)| *id).collect();
+    assert_eq!(parts, ["health", "now", "nowtable", "hosts", "incidents"]);
+    assert_eq!(update.layout, "cam-1/line");
+    for (id, html) in &update.parts {
+        assert!(!html.trim().is_empty(), "{id} is empty");
+        assert!(!html.contains("<html"), "{id} is a whole page");
+    }
+    for update in [
+        pipelines::update(&app, &shown),
+        hosts::update(&app, &shown),
+        host::update(&app, &shown, "cam-1"),
+        pipeline::update(&app, &shown, "cam-1/line/10"),
+    ] {
+        assert!(update.expect("renders").parts.iter().all(|(_, html)| !html.trim().is_empty()));
+    }
+    assert!(pipeline::update(&app, &shown, "cam-1/other/10").is_err());
+    assert!(pipeline::update(&app, &shown, "cam-1/line/7").is_err());
+}

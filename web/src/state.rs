@@ -1,0 +1,77 @@
+//! What every handler may use.
+
+use std::sync::Arc;
+
+use peernet_aggregator::{Aggregator, IncidentRow, Picture, Store, StoreError};
+use peernet_clock::{MonoTime, SharedClock, Span, WallTime};
+use tokio::sync::Mutex;
+use tokio_util::sync::CancellationToken;
+
+use crate::config::WebConfig;
+use crate::zone::Zone;
+
+/// Shared by all handlers.
+pub(crate) type App = Arc<AppState>;
+
+/// The aggregator and how its answers are shown.
+#[derive(Debug)]
+pub(crate) struct AppState {
+    pub aggregator: Aggregator,
+    pub clock: SharedClock,
+    pub zone: Zone,
+    /// Whether only requests that name this machine are answered.
+    pub this_machine_alone: bool,
+    /// When serving began.
+    pub since: WallTime,
+    /// Cancelled when the server is to stop: streams end with it.
+    pub stop: CancellationToken,
+    incidents: Mutex<Option<(MonoTime, Arc<Vec<IncidentRow>>)>>,
+}
+
+impl AppState {
+    /// How many incidents a live page shows.
+    pub(crate) const INCIDENTS: u32 = 6;
+    const INCIDENTS_FRESH: Span = Span::from_seconds(2);
+
+    pub(crate) fn new(
+        config: &WebConfig,
+        aggregator: Aggregator,
+        clock: SharedClock,
+        stop: CancellationToken,
+    ) -> App {
+        Arc::new(Self {
+            aggregator,
+            zone: config.time_zone,
+            this_machine_alone: !config.allow_unauthenticated,
+            since: clock.wall(),
+            clock,
+            stop,
+            incidents: Mutex::new(None),
+        })
+    }
+
+    /// The live picture, now.
+    pub(crate) fn picture(&self) -> Arc<Picture> {
+        Arc::clone(&self.aggregator.live().borrow())
+    }
+
+    /// What is stored.
+    pub(crate) fn store(&self) -> &Store {
+        self.aggregator.store()
+    }
+
+    /// The newest incidents. Asked for by every live page four times a second, so they are read from the
+    /// database once every two seconds for all of them.
+    pub(crate) async fn newest_incidents(&self) -> Result<Arc<Vec<IncidentRow>>, StoreError> {
+        let mut cached = self.incidents.lock().await;
+        let now = self.clock.mono();
+        if let Some((read, rows)) = &*cached
+            && now - *read < Self::INCIDENTS_FRESH
+        {
+            return Ok(Arc::clone(rows));
+        }
+        let rows = Arc::new(self.store().incidents(Self::INCIDENTS, None).await?);
+        *cached = Some((now, Arc::clone(&rows)));
+        Ok(rows)
+    }
+}

@@ -1,0 +1,125 @@
+//! A linear scale from zero with round ticks.
+
+use askama::Template;
+
+use super::Percent;
+use crate::numbers::{SPACE, fixed};
+
+/// From zero to a round number above the largest value.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Scale {
+    max: f64,
+    step: f64,
+}
+
+impl Scale {
+    /// A scale that holds values up to `largest` with about `ticks` steps of 1, 2 or 5 times a power of ten.
+    pub(crate) fn fit(largest: f64, ticks: usize) -> Self {
+        let largest = if largest.is_finite() && largest > 0.0 { largest } else { 1.0 };
+        let rough = largest / ticks.max(1) as f64;
+        let power = 10f64.powf(rough.log10().floor());
+        let factor = [1.0, 2.0, 5.0, 10.0].into_iter().find(|factor| factor * power >= rough * 0.999);
+        let step = factor.unwrap_or(10.0) * power;
+        Self { max: (largest / step - 1e-9).ceil().max(1.0) * step, step }
+    }
+
+    /// A scale that ends exactly at `largest`, for a bar that fills its panel and has no axis.
+    pub(crate) fn whole(largest: f64) -> Self {
+        let max = if largest.is_finite() && largest > 0.0 { largest } else { 1.0 };
+        Self { max, step: max }
+    }
+
+    /// Where a value lies; values beyond either end lie at that end.
+    pub(crate) fn at(&self, value: f64) -> Percent {
+        Percent((value / self.max * 100.0).clamp(0.0, 100.0))
+    }
+
+    /// Positions of the ticks.
+    pub(crate) fn grid(&self) -> Vec<Percent> {
+        self.values().map(|value| self.at(value)).collect()
+    }
+
+    fn values(&self) -> impl Iterator<Item = f64> + use<> {
+        let Self { max, step } = *self;
+        (0..=(max / step).round() as u32).map(move |tick| f64::from(tick) * step)
+    }
+
+    /// The ticks' labels.
+    pub(crate) fn labels(&self) -> Vec<String> {
+        let decimals = (-self.step.log10().floor()).clamp(0.0, 6.0) as usize;
+        self.values()
+            .map(|value| if value == 0.0 { "0".to_owned() } else { fixed(value, decimals) })
+            .collect()
+    }
+}
+
+/// The labels of a scale, above the bars that use it.
+#[derive(Clone, Debug, PartialEq, Template)]
+#[template(path = "svg/axis.html")]
+pub(crate) struct Axis {
+    class: &'static str,
+    labels: Vec<Label>,
+}
+
+impl askama::filters::HtmlSafe for Axis {}
+
+#[derive(Clone, Debug, PartialEq)]
+struct Label {
+    x: Percent,
+    anchor: &'static str,
+    text: String,
+}
+
+impl Axis {
+    /// Labels in ms; `class` is `small` for the axis under a bar that only phones show.
+    pub(crate) fn milliseconds(scale: &Scale, class: &'static str) -> Self {
+        let positions = scale.grid();
+        let last = positions.len().saturating_sub(1);
+        let labels = positions.into_iter().zip(scale.labels()).enumerate();
+        let labels = labels.map(|(index, (x, label))| Label {
+            x,
+            anchor: if index == 0 {
+                "start"
+            } else if index == last {
+                "end"
+            } else {
+                "middle"
+            },
+            text: if index == 0 { format!("{label}{SPACE}ms") } else { label },
+        });
+        Self { class, labels: labels.collect() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn ticks_are_round() {
+        assert_eq!(Scale::fit(25.7, 6).labels(), ["0", "5", "10", "15", "20", "25", "30"]);
+        assert_eq!(Scale::fit(0.37, 5).labels(), ["0", "0.1", "0.2", "0.3", "0.4"]);
+        assert_eq!(Scale::fit(1_800.0, 4).labels(), ["0", "500", "1,000", "1,500", "2,000"]);
+        assert_eq!(Scale::fit(0.0, 5).max, 1.0);
+        assert_eq!(Scale::fit(f64::NAN, 5).max, 1.0);
+    }
+
+    #[test]
+    fn the_unit_stands_at_the_first_label() {
+        let axis = Axis::milliseconds(&Scale::fit(30.0, 6), "").to_string();
+        assert!(axis.contains(">0\u{202f}ms<"), "{axis}");
+        assert!(axis.contains("x=\"100.000%\""), "{axis}");
+    }
+
+    proptest! {
+        #[test]
+        fn a_scale_holds_its_values_with_few_ticks(largest in 1e-6f64..1e9, ticks in 3usize..8) {
+            let scale = Scale::fit(largest, ticks);
+            prop_assert!(scale.max >= largest * 0.999_999);
+            prop_assert!(scale.grid().len() <= ticks + 2);
+            prop_assert!(scale.grid().len() >= 2);
+        }
+    }
+}

@@ -1,0 +1,184 @@
+//! The stages of one thing, side by side on a scale in ms.
+
+use askama::Template;
+
+use super::{Percent, Scale};
+use crate::look;
+use crate::numbers::{figure, fixed};
+
+/// Widths, in percent of the bar, from which a segment holds its value and its name.
+const VALUE_FITS: f64 = 7.5;
+const NAME_FITS: f64 = 20.0;
+/// Between segments narrower than this the parting line would hide them.
+const CUT_FITS: f64 = 0.6;
+
+/// One stage of a bar.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Part {
+    /// The stage's name.
+    pub name: String,
+    /// Its length, seconds.
+    pub seconds: f64,
+}
+
+/// A stack of stages with the total's quantiles as whiskers.
+#[derive(Clone, Debug, PartialEq, Template)]
+#[template(path = "svg/bar.html")]
+pub(crate) struct Bar {
+    class: &'static str,
+    label: String,
+    grid: Vec<Percent>,
+    segments: Vec<Segment>,
+    whiskers: Vec<Whisker>,
+}
+
+impl askama::filters::HtmlSafe for Bar {}
+
+#[derive(Clone, Debug, PartialEq)]
+struct Segment {
+    look: &'static str,
+    pale: bool,
+    cut: bool,
+    x: Percent,
+    width: Percent,
+    end: Percent,
+    middle: Percent,
+    name: Option<String>,
+    value: Option<String>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+struct Whisker {
+    far: bool,
+    from: Percent,
+    to: Percent,
+}
+
+/// A value inside a segment, where there is room for few digits.
+fn short(milliseconds: f64) -> String {
+    if (1.0..9.95).contains(&milliseconds) { fixed(milliseconds, 1) } else { figure(milliseconds) }
+}
+
+impl Bar {
+    /// A bar of `parts` in their order on a scale in ms. `label` states in words what the bar shows; an empty
+    /// one means that the figures beside it already do.
+    pub(crate) fn new(class: &'static str, label: String, parts: &[Part], scale: &Scale) -> Self {
+        let mut at = 0.0;
+        let mut segments = Vec::with_capacity(parts.len());
+        for part in parts.iter().filter(|part| part.seconds > 0.0) {
+            let milliseconds = part.seconds * 1e3;
+            let (x, end) = (scale.at(at), scale.at(at + milliseconds));
+            let width = Percent(end.0 - x.0);
+            at += milliseconds;
+            segments.push(Segment {
+                look: look::class(&part.name),
+                pale: look::is_pale(&part.name),
+                cut: !segments.is_empty() && width.0 > CUT_FITS,
+                x,
+                width,
+                end,
+                middle: Percent(x.0 + width.0 / 2.0),
+                name: (width.0 >= NAME_FITS).then(|| look::short(&part.name).to_owned()),
+                value: (width.0 >= VALUE_FITS).then(|| short(milliseconds)),
+            });
+        }
+        Self { class, label, grid: scale.grid(), segments, whiskers: Vec::new() }
+    }
+
+    /// The same without the values in its segments, for bars that are too low for text.
+    pub(crate) fn silent(mut self) -> Self {
+        for segment in &mut self.segments {
+            (segment.name, segment.value) = (None, None);
+        }
+        self
+    }
+
+    /// The same without grid lines, for a bar that has no axis.
+    pub(crate) fn without_grid(mut self) -> Self {
+        self.grid.clear();
+        self
+    }
+
+    /// Adds whiskers from the bar's end: solid to the 95th percentile, dotted from there to the 99th.
+    pub(crate) fn whiskers(mut self, p95: Option<f64>, p99: Option<f64>, scale: &Scale) -> Self {
+        let mut from = self.segments.last().map_or(Percent(0.0), |segment| segment.end);
+        for (far, quantile) in [(false, p95), (true, p99)] {
+            let Some(to) = quantile.map(|seconds| scale.at(seconds * 1e3)) else { continue };
+            if to > from {
+                self.whiskers.push(Whisker { far, from, to });
+                from = to;
+            }
+        }
+        self
+    }
+}
+
+/// A share of the whole as a short bar with its number.
+#[derive(Clone, Debug, PartialEq, Template)]
+#[template(path = "svg/share.html")]
+pub(crate) struct ShareBar {
+    look: &'static str,
+    width: Percent,
+    text_at: Percent,
+    text: String,
+    total: bool,
+}
+
+impl askama::filters::HtmlSafe for ShareBar {}
+
+impl ShareBar {
+    /// The bar of a share between 0 and 1; a full bar leaves room for its number.
+    pub(crate) fn new(name: &str, share: f64) -> Self {
+        const FULL: f64 = 72.0;
+        let width = share.clamp(0.0, 1.0) * FULL;
+        Self {
+            look: look::class(name),
+            width: Percent(width),
+            text_at: Percent(width + 2.0),
+            text: crate::numbers::share(share),
+            total: name == "total",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn part(name: &str, milliseconds: f64) -> Part {
+        Part { name: name.to_owned(), seconds: milliseconds / 1e3 }
+    }
+
+    #[test]
+    fn a_wide_segment_is_named_and_a_narrow_one_is_not() {
+        let scale = Scale::fit(30.0, 6);
+        let parts = [part("sensing", 2.0), part("preprocessing", 2.6), part("inference", 13.1)];
+        let bar = Bar::new("", "in words".into(), &parts, &scale).to_string();
+        assert!(bar.contains("<tspan>inference </tspan>13.1"), "{bar}");
+        assert!(bar.contains(">2.6<"), "{bar}");
+        assert!(!bar.contains("sensing </tspan>"), "{bar}");
+        assert!(bar.contains("edge f-preprocessing"), "pale fills carry an edge: {bar}");
+        assert!(bar.contains("aria-label=\"in words\""), "{bar}");
+    }
+
+    #[test]
+    fn whiskers_begin_where_the_bar_ends_and_never_run_backwards() {
+        let scale = Scale::fit(30.0, 6);
+        let parts = [part("upload", 20.0)];
+        let bar = Bar::new("", String::new(), &parts, &scale);
+        let both = bar.clone().whiskers(Some(0.024), Some(0.027), &scale);
+        assert_eq!(both.whiskers.len(), 2);
+        assert_eq!(both.whiskers[0].from, both.segments[0].end);
+        assert_eq!(both.whiskers[1].from, both.whiskers[0].to);
+        assert!(bar.clone().whiskers(Some(0.019), None, &scale).whiskers.is_empty());
+        let beyond = bar.whiskers(Some(0.9), None, &scale);
+        assert_eq!(beyond.whiskers[0].to, Percent(100.0));
+    }
+
+    #[test]
+    fn names_are_escaped() {
+        let scale = Scale::fit(10.0, 5);
+        let bar = Bar::new("", "<b>".into(), &[part("<script>", 9.0)], &scale).to_string();
+        assert!(!bar.contains("<script>") && !bar.contains("<b>"), "{bar}");
+    }
+}

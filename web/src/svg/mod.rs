@@ -1,0 +1,30 @@
+//! Pictures that stand still: SVG made by the server, there at first paint, printable.
+//!
+//! Geometry is computed here and written by templates; lengths are percent, so that a picture grows with its
+//! panel and no style attribute is needed.
+
+mod axis;
+mod bar;
+mod histogram;
+mod spark;
+mod waterfall;
+
+use std::fmt;
+
+pub(crate) use axis::{Axis, Scale};
+pub(crate) use bar::{Bar, Part, ShareBar};
+pub(crate) use histogram::{DistributionView, HistogramPlot, shown_in};
+pub(crate) use spark::Spark;
+pub(crate) use waterfall::{Lanes, WaterfallRow};
+
+/// A position or length along an axis, in percent of it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
+pub(crate) struct Percent(pub f64);
+
+impl fmt::Display for Percent {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:.3}%", self.0)
+    }
+}
+
+impl askama::filters::HtmlSafe for Percent {}

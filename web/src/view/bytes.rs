@@ -1,0 +1,125 @@
+//! Sizes and throughputs of one iteration, and what else was measured in it.
+
+use peernet_aggregator::{Figures, IterationDetail};
+use peernet_logger::{Measure, Name, Node, NodeId};
+
+use crate::numbers::{NONE, SPACE, bytes, figure, throughput, times};
+use crate::svg::shown_in;
+
+/// One direction.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct ByteRow {
+    pub name: &'static str,
+    pub payload: String,
+    pub metadata: String,
+    pub throughput: String,
+    /// Why the throughput is an interval or missing.
+    pub title: &'static str,
+    pub against_median: String,
+}
+
+/// A measurement that is neither a stage nor a size.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Beside {
+    pub path: String,
+    pub kind: String,
+    pub value: String,
+    pub unit: String,
+    pub median: String,
+}
+
+fn value(detail: &IterationDetail, name: &str) -> Option<f64> {
+    detail.tree.nodes().iter().find(|node| node.name == *name).and_then(|node| node.measure.value())
+}
+
+fn median<'a>(figures: &'a [(Name, Figures)], name: &str) -> Option<&'a Figures> {
+    figures.iter().find(|(known, _)| known == name).map(|(_, figures)| figures)
+}
+
+impl ByteRow {
+    /// Both directions, for an iteration that was sent anywhere.
+    pub(crate) fn both(detail: &IterationDetail) -> Vec<Self> {
+        let rows = [
+            ("upload", "upload-bytes", "upload-logger-bytes", "upload-throughput"),
+            ("download", "download-bytes", "download-logger-bytes", "download-throughput"),
+        ];
+        let known = rows.into_iter().filter(|(_, payload, ..)| value(detail, payload).is_some());
+        let shown = known.map(|(name, payload, metadata, speed)| {
+            let size = |name: &str| {
+                value(detail, name).map_or_else(|| NONE.to_owned(), |size| bytes(size).to_string())
+            };
+            let (throughput, title) = speed_of(detail, speed);
+            let usual =
+                median(&detail.run_figures, speed).map(|figures| figures.p50).filter(|usual| *usual > 0.0);
+            let ratio = value(detail, speed).zip(usual).map(|(now, usual)| times(now / usual));
+            Self {
+                name,
+                payload: size(payload),
+                metadata: size(metadata),
+                throughput,
+                title,
+                against_median: ratio.unwrap_or_else(|| NONE.to_owned()),
+            }
+        });
+        shown.collect()
+    }
+}
+
+/// A throughput; over a delay that is not known well, its interval and never one figure.
+fn speed_of(detail: &IterationDetail, name: &str) -> (String, &'static str) {
+    let node = detail.tree.nodes().iter().find(|node| node.name == *name);
+    let Some(Measure::Throughput(rate)) = node.map(|node| &node.measure) else {
+        return (NONE.to_owned(), "no throughput was computed");
+    };
+    match (rate.value, rate.bounds) {
+        (Some(value), Some((lo, hi))) if hi > 3.0 * lo.max(value / 3.0) => {
+            let hi = if hi.is_finite() { throughput(hi) } else { "∞".to_owned() };
+            (format!("{} – {hi}", throughput(lo)), "the delay is known only within a wide bound")
+        }
+        (Some(value), _) => (throughput(value), ""),
+        (None, _) => (NONE.to_owned(), "the delay of this direction is not known"),
+    }
+}
+
+impl Beside {
+    /// Everything that no other table of the page shows.
+    pub(crate) fn all(detail: &IterationDetail) -> Vec<Self> {
+        let shown_elsewhere = |node: &Node| {
+            let name = node.name.as_str();
+            name.ends_with("-bytes")
+                || name.ends_with("-throughput")
+                || matches!(name, "total" | "stages-total" | "unattributed")
+        };
+        let nodes = detail.tree.iter().skip(1).filter(|(_, node)| {
+            !shown_elsewhere(node)
+                && matches!(node.measure, Measure::Value(..) | Measure::Custom(..) | Measure::TokenRate(_))
+        });
+        let rows = nodes.map(|(id, node)| {
+            let (unit, factor) = shown_in(node.measure.unit().symbol());
+            let text =
+                |value: Option<f64>| value.map_or_else(|| NONE.to_owned(), |value| figure(value * factor));
+            Self {
+                path: path(detail, id),
+                kind: node.measure.kind().to_string(),
+                value: text(node.measure.value()),
+                unit,
+                median: text(median(&detail.run_figures, &node.name).map(|figures| figures.p50)),
+            }
+        });
+        rows.collect()
+    }
+}
+
+/// A node's names from below the root, as `inference / tokens`.
+fn path(detail: &IterationDetail, of: NodeId) -> String {
+    let mut names = Vec::new();
+    let mut at = Some(of);
+    while let Some(node) = at.and_then(|id| detail.tree.get(id)) {
+        if node.parent.is_some() {
+            names.push(node.name.to_string());
+        }
+        at = node.parent;
+    }
+    names.reverse();
+    names.join(&format!("{SPACE}/ "))
+}

@@ -1,0 +1,193 @@
+//! The last minutes of a pipeline: data for its chart, and the same as a table.
+
+use std::collections::BTreeMap;
+
+use peernet_aggregator::{LiveSecond, Picture, PipelinePicture};
+use peernet_clock::WallTime;
+use peernet_logger::stage;
+use peernet_logger::stream::PlacementKind;
+use serde::Serialize;
+
+use super::data::{JsonBlock, Short};
+use super::place;
+use super::speed::{self, Way};
+use super::stack::Stack;
+use crate::look;
+use crate::numbers::{NONE, count, stage_ms};
+use crate::pages::Mark;
+use crate::zone::{Moment, Zone};
+
+/// One chart with its table view.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct ChartCard {
+    /// `host/pipeline`: names the chart's data.
+    pub key: String,
+    pub name: String,
+    pub href: String,
+    pub about: String,
+    /// What the chart shows, in words.
+    pub finding: String,
+    /// Columns of the table view: the stages that occur.
+    pub columns: Vec<&'static str>,
+    pub minutes: Vec<Minute>,
+    data: ChartData,
+}
+
+/// One minute of the table view; means in ms.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Minute {
+    pub at: Moment,
+    pub iterations: String,
+    pub stages: Vec<String>,
+    pub total: String,
+}
+
+/// Seconds in a row, `from` the first; a second without a report is `null` in `n`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct ChartData {
+    key: String,
+    host: String,
+    pipeline: String,
+    remote: bool,
+    from: i64,
+    /// Successful iterations.
+    n: Vec<Option<u64>>,
+    /// Means by node name: stages and `total` in ms, throughputs in MB/s.
+    means: BTreeMap<&'static str, Vec<Short>>,
+    /// 95th percentile of `total` within the second, ms.
+    p95: Vec<Short>,
+    /// Why a direction has no line.
+    obstacles: [Option<&'static str>; 2],
+    /// CPU and GPU of the host in percent, as (unix seconds, value), for a pipeline that sends nothing.
+    cpu: Vec<(i64, Short)>,
+    gpu: Vec<(i64, Short)>,
+}
+
+#[derive(Serialize)]
+struct PageData<'a> {
+    charts: Vec<&'a ChartData>,
+    marks: &'a [Mark],
+}
+
+/// The node names whose means a chart draws, with the factor from SI to what it shows.
+const DRAWN: [(&str, f64); 14] = [
+    ("sensing", 1e3),
+    ("encode", 1e3),
+    ("send-queue", 1e3),
+    ("upload", 1e3),
+    ("queue", 1e3),
+    ("preprocessing", 1e3),
+    ("inference", 1e3),
+    ("postprocessing", 1e3),
+    ("download", 1e3),
+    ("actuation", 1e3),
+    ("unattributed", 1e3),
+    ("total", 1e3),
+    ("upload-throughput", 1.0 / 8e6),
+    ("download-throughput", 1.0 / 8e6),
+];
+
+fn mean(second: &LiveSecond, name: &str) -> Option<f64> {
+    second.means.iter().find(|(known, _)| known == name).map(|(_, mean)| *mean)
+}
+
+impl ChartCard {
+    pub(crate) fn new(pipeline: &PipelinePicture, picture: &Picture, zone: Zone) -> Self {
+        let host = pipeline.host_name.to_string();
+        let name = pipeline.pipeline.to_string();
+        let stack = pipeline.window(10).map(Stack::of_window).unwrap_or_default();
+        let columns: Vec<&'static str> = look::STACK
+            .into_iter()
+            .filter(|stage| pipeline.series.iter().any(|second| mean(second, stage).is_some()))
+            .filter(|stage| *stage != "unattributed")
+            .collect();
+        Self {
+            key: format!("{host}/{name}"),
+            href: place::pipeline_href(&host, &name),
+            about: place::route(&host, &pipeline.placement),
+            finding: format!("Stages of {name} over the last 10 minutes. {}", stack.finding((None, None))),
+            minutes: minutes(&pipeline.series, &columns, zone),
+            columns,
+            data: ChartData::new(pipeline, picture, host),
+            name,
+        }
+    }
+
+    /// The JSON block of a page with these charts.
+    pub(crate) fn data(cards: &[Self], marks: &[Mark]) -> Result<JsonBlock, serde_json::Error> {
+        JsonBlock::new(&PageData { charts: cards.iter().map(|card| &card.data).collect(), marks })
+    }
+}
+
+impl ChartData {
+    fn new(pipeline: &PipelinePicture, picture: &Picture, host: String) -> Self {
+        let series = &pipeline.series;
+        let from = series.first().map_or(0, |second| second.at);
+        let length = series.last().map_or(0, |second| (second.at - from + 1).clamp(0, 600)) as usize;
+        let mut data = Self {
+            key: format!("{host}/{}", pipeline.pipeline),
+            pipeline: pipeline.pipeline.to_string(),
+            remote: pipeline.placement.kind == PlacementKind::Remote,
+            from,
+            n: vec![None; length],
+            means: BTreeMap::new(),
+            p95: vec![Short(None); length],
+            obstacles: pipeline
+                .window(60)
+                .map_or([None; 2], |window| [Way::Up, Way::Down].map(|way| speed::obstacle(window, way))),
+            cpu: Vec::new(),
+            gpu: Vec::new(),
+            host,
+        };
+        for second in series {
+            let Some(at) = usize::try_from(second.at - from).ok().filter(|at| *at < length) else { continue };
+            data.n[at] = Some(second.counts.ok);
+            data.p95[at] = Short(second.total_p95.map(|seconds| seconds * 1e3));
+            for (name, factor) in DRAWN {
+                if let Some(value) = mean(second, name) {
+                    data.means.entry(name).or_insert_with(|| vec![Short(None); length])[at] =
+                        Short(Some(value * factor));
+                }
+            }
+        }
+        if !data.remote
+            && let Some(host) = picture.hosts.iter().find(|host| host.id == pipeline.host)
+        {
+            let points = |of: fn(&peernet_logger::stream::HostMetrics) -> Option<f64>| {
+                let shown = host.history.iter().filter(|point| of(&point.metrics).is_some());
+                shown
+                    .map(|point| {
+                        (point.at.unix_seconds(), Short(of(&point.metrics).map(|share| share * 100.0)))
+                    })
+                    .collect()
+            };
+            data.cpu = points(|metrics| metrics.cpu);
+            data.gpu = points(|metrics| metrics.gpu);
+        }
+        data
+    }
+}
+
+/// Means per minute, newest first, weighted with each second's iterations.
+fn minutes(series: &[std::sync::Arc<LiveSecond>], columns: &[&'static str], zone: Zone) -> Vec<Minute> {
+    let mut by_minute: BTreeMap<i64, Vec<&LiveSecond>> = BTreeMap::new();
+    for second in series {
+        by_minute.entry(second.at.div_euclid(60)).or_default().push(second);
+    }
+    let rows = by_minute.into_iter().rev().map(|(minute, seconds)| {
+        let average = |name: &str| {
+            let known =
+                seconds.iter().filter_map(|second| Some((mean(second, name)?, second.counts.ok as f64)));
+            let (sum, weight) =
+                known.fold((0.0, 0.0), |(sum, all), (mean, weight)| (sum + mean * weight, all + weight));
+            if weight > 0.0 { stage_ms(sum / weight) } else { NONE.to_owned() }
+        };
+        Minute {
+            at: zone.moment(WallTime::from_unix_nanos(minute.saturating_mul(60_000_000_000))),
+            iterations: count(seconds.iter().map(|second| second.counts.total()).sum()),
+            stages: columns.iter().map(|name| average(name)).collect(),
+            total: average(&stage::TOTAL),
+        }
+    });
+    rows.collect()
+}

@@ -1,0 +1,89 @@
+//! A sign and a word: verdicts and states. Each has its own sign, so that colour is never needed.
+
+use askama::Template;
+use peernet_clock::Verdict;
+
+/// How much a state wants to be looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Tone {
+    /// As it should be.
+    Ok,
+    /// Neither good nor bad.
+    Quiet,
+    /// To be looked at.
+    Warn,
+    /// Wrong.
+    Bad,
+}
+
+impl Tone {
+    /// The class that carries its colour.
+    pub(crate) const fn class(self) -> &'static str {
+        match self {
+            Self::Ok => "ok",
+            Self::Quiet => "quiet",
+            Self::Warn => "warn",
+            Self::Bad => "bad",
+        }
+    }
+}
+
+/// A verdict or state as it stands in tables and notes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Template)]
+#[template(
+    ext = "html",
+    source = r##"<span class="chip {{ tone.class() }}"><svg aria-hidden="true"><use href="#i-{{ sign }}"/></svg>{{ word }}</span>"##
+)]
+pub(crate) struct Chip {
+    pub tone: Tone,
+    pub sign: &'static str,
+    pub word: &'static str,
+}
+
+impl askama::filters::HtmlSafe for Chip {}
+
+impl Chip {
+    pub(crate) const fn new(tone: Tone, sign: &'static str, word: &'static str) -> Self {
+        Self { tone, sign, word }
+    }
+
+    /// The chip of a verdict.
+    pub(crate) const fn verdict(verdict: Verdict) -> Self {
+        let tone = match verdict {
+            Verdict::Ok => Tone::Ok,
+            Verdict::Limited | Verdict::Stale | Verdict::Stepped => Tone::Warn,
+            Verdict::Unsynchronised | Verdict::Inconsistent => Tone::Bad,
+        };
+        Self::new(tone, verdict.name(), verdict.name())
+    }
+}
+
+/// A verdict's sign alone, for narrow columns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Template)]
+#[template(
+    ext = "html",
+    source = r##"<svg class="vi {{ chip.tone.class() }}" role="img" aria-label="{{ chip.word }}"><use href="#i-{{ chip.sign }}"/></svg>"##
+)]
+pub(crate) struct Sign {
+    chip: Chip,
+}
+
+impl askama::filters::HtmlSafe for Sign {}
+
+impl From<Chip> for Sign {
+    fn from(chip: Chip) -> Self {
+        Self { chip }
+    }
+}
+
+/// How bad a verdict is: of several, the worst one is shown.
+pub(crate) const fn severity(verdict: Verdict) -> u8 {
+    match verdict {
+        Verdict::Ok => 0,
+        Verdict::Limited => 1,
+        Verdict::Stale => 2,
+        Verdict::Stepped => 3,
+        Verdict::Inconsistent => 4,
+        Verdict::Unsynchronised => 5,
+    }
+}

@@ -1,0 +1,95 @@
+//! How well one-way delays are known, in a cell of a table.
+
+use peernet_aggregator::Bound;
+use peernet_clock::Verdict;
+use peernet_logger::stream::PlacementKind;
+
+use super::chip::{Chip, severity};
+use crate::numbers::bound_ms;
+
+/// The clock bound of a pipeline or run.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct ClockCell {
+    /// `±0.65`; `None` where there is nothing to bound or no bound is known.
+    pub bound: Option<String>,
+    /// The worst verdict that was given.
+    pub chip: Option<Chip>,
+    /// Said quietly where there is no bound.
+    pub words: &'static str,
+    /// Why.
+    pub title: &'static str,
+}
+
+/// The verdict that most of one direction's delays deserve: any that is worse than `ok` in a twentieth of them.
+pub(crate) fn verdict(bound: &Bound) -> Option<Verdict> {
+    let total: u64 = bound.verdicts.iter().map(|(_, count)| count).sum();
+    let frequent = bound.verdicts.iter().filter(|(_, count)| *count > 0 && count * 20 >= total);
+    frequent.map(|(verdict, _)| *verdict).max_by_key(|verdict| severity(*verdict))
+}
+
+/// What a verdict means, in a sentence for people who meet it for the first time.
+pub(crate) const fn meaning(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Ok => "the bound is less than half the delay",
+        Verdict::Limited => "sound, but the bound is wider than half the delay",
+        Verdict::Stale => "the clocks were not compared recently enough",
+        Verdict::Unsynchronised => {
+            "the two hosts' clocks were never related, so the directions cannot be told apart; their sum is exact"
+        }
+        Verdict::Stepped => "a clock was stepped at that time",
+        Verdict::Inconsistent => "two sources about the clocks exclude each other",
+    }
+}
+
+impl ClockCell {
+    /// The cell for both directions together: the larger bound and the worse verdict.
+    pub(crate) fn of(kind: PlacementKind, bounds: &[Bound]) -> Self {
+        if kind == PlacementKind::Local {
+            let title = "one host: nothing crosses between clocks";
+            return Self { bound: None, chip: None, words: "one host", title };
+        }
+        let verdict = bounds.iter().filter_map(verdict).max_by_key(|verdict| severity(*verdict));
+        let widths = bounds.iter().filter_map(|bound| bound.half_width.as_ref());
+        let width = widths.map(|figures| figures.p50).max_by(f64::total_cmp);
+        let chip = verdict.map(Chip::verdict);
+        match (width, verdict) {
+            (_, None) => {
+                Self { bound: None, chip, words: "no delays yet", title: "no iteration in this time" }
+            }
+            (None, Some(verdict)) => Self { bound: None, chip, words: "", title: meaning(verdict) },
+            (Some(0.0), Some(_)) => {
+                Self { bound: Some(bound_ms(0.0)), chip, words: "", title: "both hosts read one clock" }
+            }
+            (Some(width), Some(verdict)) => {
+                Self { bound: Some(bound_ms(width)), chip, words: "", title: meaning(verdict) }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_logger::stage;
+
+    use super::*;
+
+    fn bound(verdicts: &[(Verdict, u64)]) -> Bound {
+        Bound { stage: stage::UPLOAD, half_width: None, verdicts: verdicts.to_vec() }
+    }
+
+    #[test]
+    fn a_rare_verdict_does_not_colour_the_rest() {
+        assert_eq!(verdict(&bound(&[(Verdict::Ok, 990), (Verdict::Stepped, 10)])), Some(Verdict::Ok));
+        assert_eq!(verdict(&bound(&[(Verdict::Ok, 900), (Verdict::Limited, 100)])), Some(Verdict::Limited));
+        assert_eq!(verdict(&bound(&[])), None);
+    }
+
+    #[test]
+    fn unrelated_clocks_say_why_there_is_no_bound() {
+        let cell = ClockCell::of(PlacementKind::Remote, &[bound(&[(Verdict::Unsynchronised, 300)])]);
+        assert_eq!(cell.bound, None);
+        assert_eq!(cell.chip.map(|chip| chip.word), Some("unsynchronised"));
+        assert!(cell.title.contains("never related"));
+        assert_eq!(ClockCell::of(PlacementKind::Local, &[]).words, "one host");
+    }
+}

@@ -1,0 +1,69 @@
+//! Data for the scripts of a page, in a JSON block.
+
+use std::fmt;
+
+use serde::Serialize;
+
+/// JSON text that may stand inside a `script` element: nothing in it can end the element.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct JsonBlock(String);
+
+impl JsonBlock {
+    /// The JSON form of a value.
+    pub(crate) fn new(value: &impl Serialize) -> Result<Self, serde_json::Error> {
+        let text = serde_json::to_string(value)?;
+        let mut safe = String::with_capacity(text.len());
+        for character in text.chars() {
+            match character {
+                '<' => safe.push_str("\\u003c"),
+                '>' => safe.push_str("\\u003e"),
+                '&' => safe.push_str("\\u0026"),
+                '\u{2028}' => safe.push_str("\\u2028"),
+                '\u{2029}' => safe.push_str("\\u2029"),
+                other => safe.push(other),
+            }
+        }
+        Ok(Self(safe))
+    }
+}
+
+impl fmt::Display for JsonBlock {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl askama::filters::HtmlSafe for JsonBlock {}
+
+/// A number for a chart: JSON with as many digits as a screen can show, a gap as `null`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Short(pub Option<f64>);
+
+impl Serialize for Short {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self.0.filter(|value| value.is_finite()) {
+            Some(value) => serializer.serialize_f64((value * 1e3).round() / 1e3),
+            None => serializer.serialize_none(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_text_can_end_the_element() {
+        let block =
+            JsonBlock::new(&["</script><script>alert(1)</script>", "a & b"]).expect("serialises").to_string();
+        assert!(!block.contains('<') && !block.contains('&'), "{block}");
+        let back: Vec<String> = serde_json::from_str(&block).expect("still JSON");
+        assert_eq!(back[1], "a & b");
+    }
+
+    #[test]
+    fn numbers_are_short_and_gaps_are_null() {
+        let numbers = [Short(Some(1.23456)), Short(None), Short(Some(f64::INFINITY))];
+        assert_eq!(serde_json::to_string(&numbers).expect("serialises"), "[1.235,null,null]");
+    }
+}

@@ -1,0 +1,165 @@
+//! The health of the system in sentences: the title of the overview and the notes under it.
+
+use peernet_aggregator::{HostPicture, Picture, PipelinePicture};
+use peernet_clock::{Span, Verdict};
+use peernet_logger::stream::PipelineState;
+use peernet_logger::{Name, stage};
+
+use super::chip::{Chip, Tone};
+use super::{clocks, place};
+use crate::numbers::{bound_ms, count, duration, interval_ms, length, percent};
+use crate::zone::Zone;
+
+/// At most so many notes are shown; the others are counted.
+const NOTES: usize = 5;
+/// Storing further behind measuring than this is worth a note.
+const FAR_BEHIND: Span = Span::from_seconds(5);
+/// A share of lost iterations worth a note.
+const MANY_LOST: f64 = 0.001;
+
+/// One thing to look at.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Note {
+    pub chip: Chip,
+    /// What the sentence is about, as a link in front of it.
+    pub subject: String,
+    pub href: String,
+    pub text: String,
+}
+
+/// Title and notes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Health {
+    pub title: String,
+    /// The title in the past tense, for when the connection is lost.
+    pub past: String,
+    pub notes: Vec<Note>,
+    /// Notes beyond those shown.
+    pub more: usize,
+}
+
+impl Health {
+    /// The health that a picture shows.
+    pub(crate) fn of(picture: &Picture, zone: Zone) -> Self {
+        let mut notes = Vec::new();
+        notes.extend(picture.refused.iter().map(|refused| Note {
+            chip: Chip::new(Tone::Bad, "unsynchronised", "refused"),
+            subject: refused.name.to_string(),
+            href: "/hosts".to_owned(),
+            text: format!("was turned away at {}: {}", zone.moment(refused.at).clock(), refused.reason),
+        }));
+        notes.extend(picture.hosts.iter().flat_map(|host| host_notes(host, zone)));
+        notes.extend(picture.pipelines.iter().flat_map(|pipeline| pipeline_notes(pipeline)));
+        // The worst first; the sort is stable, so that notes of one kind stay in order.
+        notes.sort_by_key(|note| std::cmp::Reverse(note.chip.tone));
+
+        let running = picture.pipelines.iter().filter(|one| one.state == PipelineState::Running).count();
+        let subject = match running {
+            0 => "No pipeline".to_owned(),
+            1 => "1 pipeline".to_owned(),
+            many => format!("{many} pipelines"),
+        };
+        let (is, was) = if running > 1 {
+            ("", "were ")
+        } else if running == 1 {
+            ("", "was ")
+        } else {
+            ("is ", "was ")
+        };
+        let rest = match notes.len() {
+            0 if running > 0 => ", all well".to_owned(),
+            0 => String::new(),
+            many => format!(", {many} to look at"),
+        };
+        let more = notes.len().saturating_sub(NOTES);
+        notes.truncate(NOTES);
+        Self {
+            title: format!("{subject} {is}running{rest}"),
+            past: format!("{subject} {was}running"),
+            notes,
+            more,
+        }
+    }
+}
+
+fn host_notes(host: &HostPicture, zone: Zone) -> Vec<Note> {
+    let name = host.description.name.to_string();
+    let note = |chip, text| Note { chip, subject: name.clone(), href: format!("/hosts/{name}"), text };
+    let mut notes = Vec::new();
+    if !host.connected {
+        let seen = zone.moment(host.last_seen).clock();
+        notes.push(note(Chip::new(Tone::Warn, "gap", "away"), format!("has not reported since {seen}.")));
+    }
+    let missing = host.accounting.dropped.max(host.stored.missing);
+    if missing > 0 {
+        let text =
+            format!("dropped {} events: its queue was full. Nothing is shown for them.", count(missing));
+        notes.push(note(Chip::new(Tone::Warn, "gap", "gap"), text));
+    }
+    if let Some(behind) = host.behind.filter(|behind| *behind > FAR_BEHIND) {
+        let text = format!(
+            "stores {} behind measuring, {} events wait there. Live figures are not affected.",
+            length(behind.seconds()),
+            count(host.accounting.waiting)
+        );
+        notes.push(note(Chip::new(Tone::Warn, "stale", "behind"), text));
+    }
+    notes
+}
+
+fn pipeline_notes(pipeline: &PipelinePicture) -> Vec<Note> {
+    let subject = pipeline.pipeline.to_string();
+    let href = place::pipeline_href(pipeline.host_name.as_str(), &subject);
+    let note = |chip, text| Note { chip, subject: subject.clone(), href: href.clone(), text };
+    let mut notes = Vec::new();
+    match &pipeline.state {
+        PipelineState::Failed(reason) => {
+            notes.push(note(Chip::new(Tone::Bad, "failed", "failed"), format!("stopped: {reason}")));
+        }
+        PipelineState::Waiting(reason) => {
+            notes.push(note(Chip::new(Tone::Warn, "stale", "waiting"), format!("waits: {reason}")));
+        }
+        PipelineState::Starting | PipelineState::Running | PipelineState::Finished => {}
+    }
+    if pipeline.state != PipelineState::Running {
+        return notes;
+    }
+    let Some(window) = pipeline.window(60) else { return notes };
+    if let Some(lost) = window.lost_fraction.filter(|lost| *lost > MANY_LOST) {
+        let text = format!("lost {}\u{202f}% of its iterations in the last minute.", percent(lost));
+        notes.push(note(Chip::new(Tone::Warn, "gap", "losses"), text));
+    }
+    let unsure: Vec<(&Name, Verdict)> = window
+        .bounds
+        .iter()
+        .filter_map(|bound| Some((&bound.stage, clocks::verdict(bound)?)))
+        .filter(|(_, verdict)| *verdict != Verdict::Ok)
+        .collect();
+    if unsure.len() == 2 && unsure[0].1 == unsure[1].1 && unsure[0].1 != Verdict::Limited {
+        let text = format!("has no one-way delays to trust: {}.", clocks::meaning(unsure[0].1));
+        notes.push(note(Chip::verdict(unsure[0].1), text));
+        return notes;
+    }
+    for (name, verdict) in unsure {
+        let figures = window.value(name);
+        let width =
+            window.bounds.iter().find(|bound| bound.stage == *name).and_then(|bound| bound.half_width);
+        let text = match (verdict, figures, width) {
+            (Verdict::Limited, Some(delay), Some(width)) => format!(
+                "has a {name} of {} with a clock bound of {}\u{202f}ms: read it as {}\u{202f}ms.",
+                duration(delay.p50),
+                bound_ms(width.p50),
+                interval_ms((delay.p50 - width.p50).max(0.0), delay.p50 + width.p50)
+            ),
+            _ => format!("has a {name} that cannot be trusted: {}.", clocks::meaning(verdict)),
+        };
+        notes.push(note(Chip::verdict(verdict), text));
+    }
+    if let Some(total) = window.value(&stage::UNATTRIBUTED)
+        && total.mean < 0.0
+    {
+        let text = "has stages that overlap: their sum exceeds the total.".to_owned();
+        notes.push(note(Chip::new(Tone::Warn, "inconsistent", "sum"), text));
+    }
+    notes
+}

@@ -1,0 +1,140 @@
+//! Hosts in a table.
+
+use peernet_aggregator::{HostPicture, MetricsPoint};
+use peernet_clock::{ClockIdentity, Span};
+use peernet_logger::stream::{Hardware, HostMetrics};
+
+use super::chip::Tone;
+use crate::numbers::{NONE, SPACE, count, fixed, gigabytes, length};
+use crate::svg::Spark;
+use crate::zone::{Moment, Zone};
+
+/// One host, now. Texts are figures without their unit, which stands in the header.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct HostLine {
+    pub name: String,
+    pub tone: Tone,
+    /// `last seen 14:09:12`, for a host that does not report.
+    pub away: Option<Moment>,
+    /// Its accelerator, or its processor where it has none.
+    pub kind: String,
+    pub cpu: String,
+    pub cpu_spark: Spark,
+    pub memory: String,
+    pub memory_of: String,
+    pub gpu: String,
+    pub gpu_spark: Option<Spark>,
+    pub temperature: String,
+    pub power: String,
+    pub waiting: String,
+    pub behind: String,
+    pub clock: String,
+    pub clock_title: String,
+}
+
+/// The points of the sparklines: ten minutes at five seconds.
+const POINTS: usize = 120;
+
+fn history(
+    points: &[std::sync::Arc<MetricsPoint>],
+    of: impl Fn(&HostMetrics) -> Option<f64>,
+) -> Vec<Option<f64>> {
+    // Younger than ten minutes: the line begins at the right, where it will end up.
+    let known = points.iter().rev().take(POINTS).rev().map(|point| of(&point.metrics));
+    let missing = POINTS.saturating_sub(points.len());
+    std::iter::repeat_n(None, missing).chain(known).collect()
+}
+
+fn percent(share: Option<f64>) -> String {
+    share.map_or_else(|| NONE.to_owned(), |share| fixed(share * 100.0, 0))
+}
+
+/// The name by which people know a machine: its accelerator, else its processor.
+pub(crate) fn hardware_name(hardware: &Hardware) -> String {
+    let name = hardware.gpus.first().unwrap_or(&hardware.cpu);
+    ["(R)", "(TM)", "NVIDIA ", "Processor", "CPU"]
+        .iter()
+        .fold(name.clone(), |name, noise| name.replace(noise, ""))
+        .split_whitespace()
+        .collect::<Vec<_>>()
+        .join(" ")
+}
+
+/// What is known of a host's wall clock beside the aggregator's own.
+pub(crate) fn clock_words(theirs: &ClockIdentity, ours: &ClockIdentity, ahead: Span) -> (String, String) {
+    if theirs == ours {
+        return ("shared".to_owned(), "the same clock as the aggregator's".to_owned());
+    }
+    let title = format!("its own clock, within 0.1{SPACE}s of the aggregator's when its last update arrived");
+    let size = ahead.abs().seconds();
+    // The comparison includes the update's own way, so small differences mean nothing.
+    if size < 0.1 {
+        return ("own".to_owned(), title);
+    }
+    let away = format!("{} {}", length(size), if ahead.is_negative() { "behind" } else { "ahead" });
+    (format!("own, {away}"), format!("its own clock, {away} when its last update arrived"))
+}
+
+impl HostLine {
+    pub(crate) fn new(host: &HostPicture, ours: &ClockIdentity, zone: Zone) -> Self {
+        let name = host.description.name.to_string();
+        let metrics = &host.metrics;
+        let (clock, clock_title) = clock_words(&host.description.clock, ours, host.clock_ahead);
+        let late = host.behind.is_some_and(|behind| behind > Span::from_seconds(5));
+        let tone = if !host.connected {
+            Tone::Bad
+        } else if late || host.accounting.dropped > 0 {
+            Tone::Warn
+        } else {
+            Tone::Ok
+        };
+        Self {
+            tone,
+            away: (!host.connected).then(|| zone.moment(host.last_seen)),
+            kind: hardware_name(&host.description.hardware),
+            cpu: percent(metrics.cpu),
+            cpu_spark: Spark::new(
+                format!("CPU of {name}, last 10 minutes"),
+                &history(&host.history, |metrics| metrics.cpu),
+            ),
+            memory: metrics.memory_used_bytes.map_or_else(|| NONE.to_owned(), gigabytes),
+            memory_of: fixed(host.description.hardware.memory_bytes as f64 / 1e9, 0),
+            gpu: percent(metrics.gpu),
+            gpu_spark: metrics.gpu.map(|_| {
+                Spark::new(
+                    format!("GPU of {name}, last 10 minutes"),
+                    &history(&host.history, |metrics| metrics.gpu),
+                )
+            }),
+            temperature: metrics.temperature_celsius.map_or_else(|| NONE.to_owned(), |value| fixed(value, 1)),
+            power: metrics.power_watts.map_or_else(|| NONE.to_owned(), |watts| fixed(watts, 1)),
+            waiting: count(host.accounting.waiting),
+            behind: host.behind.map_or_else(|| "0".to_owned(), |behind| fixed(behind.seconds(), 1)),
+            clock,
+            clock_title,
+            name,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_hardware_lose_their_noise() {
+        let cpu = Hardware { cpu: "Intel(R) Core(TM) i5-1135G7 CPU @ 2.40GHz".into(), ..Hardware::default() };
+        assert_eq!(hardware_name(&cpu), "Intel Core i5-1135G7 @ 2.40GHz");
+        let gpu = Hardware { gpus: vec!["NVIDIA GeForce RTX 3090".into()], ..cpu };
+        assert_eq!(hardware_name(&gpu), "GeForce RTX 3090");
+    }
+
+    #[test]
+    fn one_clock_is_said_to_be_one() {
+        let ours = ClockIdentity::new("boot", "system");
+        assert_eq!(clock_words(&ours, &ours, Span::from_seconds(9)).0, "shared");
+        let other = ClockIdentity::new("other", "system");
+        assert_eq!(clock_words(&other, &ours, Span::from_millis(-1_200)).0, "own, 1.2\u{202f}s behind");
+        assert_eq!(clock_words(&other, &ours, Span::from_millis(3)).0, "own");
+    }
+}

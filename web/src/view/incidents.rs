@@ -1,0 +1,47 @@
+//! Incidents in a list.
+
+use peernet_aggregator::IncidentRow;
+
+use super::chip::Tone;
+use crate::zone::{Moment, Zone};
+
+/// One incident.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct IncidentLine {
+    pub at: Moment,
+    pub kind: String,
+    pub sign: &'static str,
+    pub tone: Tone,
+    pub host: String,
+    pub text: String,
+    pub run: Option<i64>,
+}
+
+impl IncidentLine {
+    pub(crate) fn new(row: &IncidentRow, zone: Zone) -> Self {
+        let (sign, tone) = match row.kind.as_str() {
+            "disconnected" => ("gap", Tone::Warn),
+            "connected" => ("reconnect", Tone::Quiet),
+            "refused" => ("unsynchronised", Tone::Bad),
+            "model-loaded" => ("model", Tone::Quiet),
+            "clock-step" => ("stepped", Tone::Warn),
+            "gap" => ("gap", Tone::Warn),
+            "pipeline-failed" => ("failed", Tone::Bad),
+            _ => ("run", Tone::Quiet),
+        };
+        Self {
+            at: zone.moment(row.at),
+            kind: row.kind.replace('-', " "),
+            sign,
+            tone,
+            host: row.host_name.to_string(),
+            text: row.text.clone(),
+            run: row.run,
+        }
+    }
+
+    /// All rows of a list.
+    pub(crate) fn all(rows: &[IncidentRow], zone: Zone) -> Vec<Self> {
+        rows.iter().map(|row| Self::new(row, zone)).collect()
+    }
+}

@@ -1,0 +1,176 @@
+//! Where the time goes now: pipelines as stage bars on one scale, with their figures.
+
+use peernet_aggregator::{PipelinePicture, Window};
+use peernet_logger::stage;
+use peernet_logger::stream::PipelineState;
+
+use super::chip::{Chip, Tone};
+use super::clocks::ClockCell;
+use super::place;
+use super::speed::{self, Way};
+use super::stack::Stack;
+use crate::look;
+use crate::numbers::{NONE, percent, rate, stage_ms, total_ms};
+use crate::svg::{Axis, Bar, Scale};
+
+/// Bars on a shared scale.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct NowTable {
+    pub axis: Axis,
+    /// The same below each bar, for phones.
+    pub small_axis: Axis,
+    pub rows: Vec<NowRow>,
+    /// The stages that any of the rows has: columns of the table view.
+    pub columns: Vec<&'static str>,
+}
+
+/// One pipeline.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct NowRow {
+    pub name: String,
+    pub href: String,
+    pub about: String,
+    /// Shown when it does anything but run.
+    pub state: Option<Chip>,
+    pub bar: Bar,
+    pub p50: Cell,
+    pub p95: Cell,
+    pub p99: Cell,
+    pub rate: String,
+    pub lost: Cell,
+    pub up: Cell,
+    pub down: Cell,
+    pub clock: ClockCell,
+    /// Means in the order of the table's columns, ms.
+    pub stages: Vec<String>,
+    pub total: String,
+}
+
+/// A figure, or the reason why there is none.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Cell {
+    pub text: String,
+    pub title: Option<String>,
+}
+
+impl Cell {
+    pub(crate) fn new(text: String) -> Self {
+        Self { text, title: None }
+    }
+
+    pub(crate) fn none(why: impl Into<String>) -> Self {
+        Self { text: NONE.to_owned(), title: Some(why.into()) }
+    }
+}
+
+/// The chip of a state other than running.
+pub(crate) fn state_chip(state: &PipelineState) -> Option<Chip> {
+    match state {
+        PipelineState::Running => None,
+        PipelineState::Starting => Some(Chip::new(Tone::Quiet, "stale", "starting")),
+        PipelineState::Waiting(_) => Some(Chip::new(Tone::Warn, "stale", "waiting")),
+        PipelineState::Finished => Some(Chip::new(Tone::Quiet, "ok", "finished")),
+        PipelineState::Failed(_) => Some(Chip::new(Tone::Bad, "failed", "failed")),
+    }
+}
+
+/// A quantile of `total` from the given window, or from the next longer one that holds enough samples.
+fn quantile(
+    pipeline: &PipelinePicture,
+    seconds: u32,
+    needs: u64,
+    of: fn(&peernet_aggregator::Figures) -> Option<f64>,
+) -> (Option<f64>, Cell) {
+    for window in pipeline.windows.iter().filter(|window| window.seconds >= seconds) {
+        if let Some(value) = window.value(&stage::TOTAL).and_then(of) {
+            let title = (window.seconds > seconds)
+                .then(|| format!("of the last {} s: {seconds} s hold too few iterations", window.seconds));
+            return (Some(value), Cell { text: total_ms(value), title });
+        }
+    }
+    let held = pipeline
+        .windows
+        .iter()
+        .filter_map(|window| window.value(&stage::TOTAL))
+        .map(|total| total.count)
+        .max();
+    (None, Cell::none(format!("needs {needs} iterations; the last minute has {}", held.unwrap_or(0))))
+}
+
+impl NowTable {
+    /// The pipelines as they are in the window of `seconds` (1, 10 or 60).
+    pub(crate) fn new(pipelines: &[&PipelinePicture], seconds: u32) -> Self {
+        let windows: Vec<(&PipelinePicture, &Window)> =
+            pipelines.iter().filter_map(|one| Some((*one, one.window(seconds)?))).collect();
+        let stacks: Vec<Stack> = windows.iter().map(|(_, window)| Stack::of_window(window)).collect();
+        // The longest window steadies the scale: it moves with the last minute, not with every figure.
+        let reach = windows.iter().zip(&stacks).map(|((pipeline, _), stack)| {
+            let minute = pipeline.window(60).and_then(|window| window.value(&stage::TOTAL));
+            let far = minute.map_or(0.0, |total| total.p99.or(total.p95).unwrap_or(total.p50) * 1e3);
+            far.max(stack.end_ms())
+        });
+        let scale = Scale::fit(reach.fold(0.0, f64::max), 6);
+        let has = |name: &&str| windows.iter().any(|(_, window)| window.value(name).is_some());
+        let mut columns: Vec<&'static str> =
+            look::STACK.into_iter().filter(|name| *name != "unattributed").filter(has).collect();
+        if stacks.iter().any(|stack| stack.parts.iter().any(|part| part.name == look::NETWORK)) {
+            let at = columns.iter().position(|name| *name == "actuation").unwrap_or(columns.len());
+            columns.insert(at, look::NETWORK);
+        }
+        let rows = windows
+            .iter()
+            .zip(stacks)
+            .map(|((pipeline, window), stack)| NowRow::new(pipeline, window, &stack, &scale, &columns));
+        Self {
+            axis: Axis::milliseconds(&scale, ""),
+            small_axis: Axis::milliseconds(&scale, "small"),
+            rows: rows.collect(),
+            columns,
+        }
+    }
+}
+
+impl NowRow {
+    fn new(
+        pipeline: &PipelinePicture,
+        window: &Window,
+        stack: &Stack,
+        scale: &Scale,
+        columns: &[&'static str],
+    ) -> Self {
+        let host = pipeline.host_name.as_str();
+        let (p95, p95_cell) =
+            quantile(pipeline, window.seconds, peernet_aggregator::P95_NEEDS, |total| total.p95);
+        let (p99, p99_cell) =
+            quantile(pipeline, window.seconds, peernet_aggregator::P99_NEEDS, |total| total.p99);
+        let part = |name: &str| stack.parts.iter().find(|part| part.name == name);
+        let mean =
+            |name: &&'static str| part(name).map_or_else(|| NONE.to_owned(), |part| stage_ms(part.seconds));
+        Self {
+            name: pipeline.pipeline.to_string(),
+            href: place::pipeline_href(host, pipeline.pipeline.as_str()),
+            about: format!(
+                "{} · {}",
+                place::route(host, &pipeline.placement),
+                place::means(&pipeline.placement, Some(window))
+            ),
+            state: state_chip(&pipeline.state),
+            bar: stack.bar("", (p95, p99), scale),
+            p50: stack.total.map_or_else(
+                || Cell::none("no successful iteration in this time"),
+                |total| Cell::new(total_ms(total.p50)),
+            ),
+            p95: p95_cell,
+            p99: p99_cell,
+            rate: rate(window.rate_hz),
+            lost: window
+                .lost_fraction
+                .map_or_else(|| Cell::none("no iteration in this time"), |lost| Cell::new(percent(lost))),
+            up: speed::cell(pipeline.placement.kind, window, Way::Up),
+            down: speed::cell(pipeline.placement.kind, window, Way::Down),
+            clock: ClockCell::of(pipeline.placement.kind, &window.bounds),
+            stages: columns.iter().map(mean).chain([mean(&"unattributed")]).collect(),
+            total: stack.total.map_or_else(|| NONE.to_owned(), |total| stage_ms(total.mean)),
+        }
+    }
+}

@@ -1,0 +1,49 @@
+//! Where a pipeline computes, in words.
+
+use peernet_aggregator::{RunSummary, Window};
+use peernet_logger::stage;
+use peernet_logger::stream::{Placement, PlacementKind};
+
+use crate::numbers::bytes;
+
+/// `cam-2 → rack-a` or `cam-1`.
+pub(crate) fn route(host: &str, placement: &Placement) -> String {
+    match (placement.kind, &placement.peer, &placement.address) {
+        (PlacementKind::Local, ..) => host.to_owned(),
+        (PlacementKind::Remote, Some(peer), _) => format!("{host} → {peer}"),
+        (PlacementKind::Remote, None, Some(address)) => format!("{host} → {address}"),
+        (PlacementKind::Remote, None, None) => format!("{host} → ?"),
+    }
+}
+
+/// `resnet on board` or `zmq-tcp · 1.23 MB`: what is particular about the placement.
+pub(crate) fn means(placement: &Placement, window: Option<&Window>) -> String {
+    match placement.kind {
+        PlacementKind::Local => format!("{} on board", placement.model),
+        PlacementKind::Remote => {
+            let network = placement.network.as_deref().unwrap_or("network unknown");
+            match window.and_then(|window| window.value(&stage::UPLOAD_BYTES)) {
+                Some(size) => format!("{network} · {}", bytes(size.mean)),
+                None => format!("{network} · {}", placement.model),
+            }
+        }
+    }
+}
+
+/// The model with its device: `quality-control, cpu`.
+pub(crate) fn model(placement: &Placement) -> String {
+    match &placement.device {
+        Some(device) => format!("{}, {device}", placement.model),
+        None => placement.model.to_string(),
+    }
+}
+
+/// The address of a pipeline's page.
+pub(crate) fn pipeline_href(host: &str, pipeline: &str) -> String {
+    format!("/pipelines/{host}/{pipeline}")
+}
+
+/// A run's name for people: `offload-resized #412`.
+pub(crate) fn run_name(run: &RunSummary) -> String {
+    format!("{} #{}", run.pipeline, run.number)
+}

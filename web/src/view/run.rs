@@ -1,0 +1,156 @@
+//! What the page of a run shows of the store's answers.
+
+use peernet_aggregator::{Bound, IterationRow, RunDetail, Series, StageStatistics};
+use serde::Serialize;
+
+use super::cause::{Cause, UnknownNetwork};
+use super::data::{JsonBlock, Short};
+use super::stack::Stack;
+use crate::look;
+use crate::numbers::{NONE, SPACE, count, difference_ms, figure, stage_ms, times, total_ms};
+use crate::svg::{Bar, Scale, shown_in};
+use crate::zone::{Moment, Zone};
+
+/// Rows of the table of the slowest iterations.
+const SLOWEST: usize = 8;
+
+/// What the store says about a run.
+pub(crate) struct Stored<'a> {
+    pub run: &'a RunDetail,
+    pub stages: &'a [StageStatistics],
+    pub bounds: &'a [Bound],
+    pub series: &'a Series,
+    pub slowest: &'a [IterationRow],
+}
+
+/// What was measured beside durations.
+pub(crate) struct Other {
+    pub name: String,
+    pub mean: String,
+    pub p50: String,
+    pub max: String,
+    pub unit: String,
+}
+
+/// One bucket of the course over time.
+pub(crate) struct Bucket {
+    pub at: Moment,
+    pub count: String,
+    pub mean: String,
+    pub p50: String,
+    pub p95: String,
+}
+
+/// A row of the slowest iterations.
+pub(crate) struct Slow {
+    pub number: u64,
+    pub label: String,
+    pub at: Moment,
+    pub total: String,
+    pub factor: String,
+    pub blame: Option<(String, &'static str, String)>,
+    pub bar: Bar,
+}
+
+/// For the chart over time: milliseconds of Unix time, milliseconds of duration.
+#[derive(Serialize)]
+struct Data {
+    run: i64,
+    bucket: u32,
+    points: Vec<(i64, Short, Short)>,
+    slow: Vec<(i64, Short, &'static str, u64)>,
+    gaps: Vec<(i64, i64, u64)>,
+}
+
+impl Stored<'_> {
+    /// Both directions of the network together, where the clocks do not tell them apart.
+    pub(crate) fn network(&self) -> Option<UnknownNetwork> {
+        let stages = self.stages;
+        let mean = |name: &str| stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures);
+        UnknownNetwork::of(mean, !self.bounds.is_empty())
+    }
+
+    /// A scale that holds the slowest iteration.
+    pub(crate) fn scale(&self) -> Scale {
+        Scale::fit(self.slowest.first().and_then(|row| row.total).unwrap_or(0.0) * 1e3, 5)
+    }
+
+    /// The course of the total, bucket by bucket.
+    pub(crate) fn buckets(&self, zone: Zone) -> Vec<Bucket> {
+        let points = self.series.stages.iter().flat_map(|stage| &stage.points);
+        let rows = points.map(|point| Bucket {
+            at: zone.moment(point.at),
+            count: count(point.count),
+            mean: stage_ms(point.mean),
+            p50: stage_ms(point.p50),
+            p95: point.p95.map_or_else(|| NONE.to_owned(), stage_ms),
+        });
+        rows.collect()
+    }
+
+    /// What was measured beside durations.
+    pub(crate) fn others(&self) -> Vec<Other> {
+        let beside = self.stages.iter().filter(|stage| stage.unit != "s");
+        let shown = beside.map(|stage| {
+            let (unit, factor) = shown_in(&stage.unit);
+            let figures = &stage.figures;
+            let text = |value: f64| figure(value * factor);
+            Other {
+                name: stage.stage.to_string(),
+                mean: text(figures.mean),
+                p50: text(figures.p50),
+                max: text(figures.max),
+                unit,
+            }
+        });
+        shown.collect()
+    }
+
+    /// The slowest iterations, on one scale.
+    pub(crate) fn slow_rows(&self, zone: Zone) -> Vec<Slow> {
+        let (network, scale) = (self.network(), self.scale());
+        let rows = self.slowest.iter().take(SLOWEST).map(|row| {
+            let stack = Stack::of_iteration(row, network);
+            Slow {
+                number: row.number,
+                label: count(row.number),
+                at: zone.moment(row.started),
+                total: row.total.map_or_else(|| NONE.to_owned(), total_ms),
+                factor: row.factor.map_or_else(|| NONE.to_owned(), times),
+                blame: cause(row, network).map(|cause| {
+                    let more = difference_ms(cause.value - cause.usual);
+                    let look = look::class(&cause.name);
+                    (cause.name, look, format!("{more}{SPACE}ms"))
+                }),
+                bar: Bar::new("thin", String::new(), &stack.parts, &scale).silent(),
+            }
+        });
+        rows.collect()
+    }
+
+    /// Data for the chart over time.
+    pub(crate) fn data(&self) -> Result<JsonBlock, serde_json::Error> {
+        let Self { series, slowest, .. } = self;
+        let network = self.network();
+        let milliseconds = |time: peernet_clock::WallTime| time.unix_nanos() / 1_000_000;
+        let points = series.stages.iter().flat_map(|stage| &stage.points).map(|point| {
+            (milliseconds(point.at), Short(Some(point.p50 * 1e3)), Short(point.p95.map(|p95| p95 * 1e3)))
+        });
+        let slow = slowest.iter().map(|row| {
+            let blame = cause(row, network).map_or("total", |cause| look::class(&cause.name));
+            (milliseconds(row.started), Short(row.total.map(|total| total * 1e3)), blame, row.number)
+        });
+        let gaps = series.gaps.iter().map(|gap| (milliseconds(gap.from), milliseconds(gap.to), gap.count));
+        JsonBlock::new(&Data {
+            run: self.run.summary.number,
+            bucket: series.bucket_s,
+            points: points.collect(),
+            slow: slow.collect(),
+            gaps: gaps.collect(),
+        })
+    }
+}
+
+fn cause(row: &IterationRow, network: Option<UnknownNetwork>) -> Option<Cause> {
+    Cause::of(row, network.and_then(|usual| Some((usual.within(row)?, usual))))
+}

@@ -1,0 +1,220 @@
+//! What the aggregator might say, for rendering every page in every state.
+
+use std::sync::Arc;
+
+use peernet_aggregator::{
+    Aggregator, AggregatorConfig, Bound, Figures, HostPicture, IncidentRow, IterationDetail, IterationRow,
+    LiveSecond, MetricsPoint, Picture, PipelinePicture, RefusedHost, Stored, Window,
+};
+use peernet_clock::{ClockIdentity, ManualClock, Span, Verdict, WallTime};
+use peernet_logger::stream::{
+    Accounting, Hardware, HostDescription, HostMetrics, OutcomeCounts, PipelineState, Placement,
+    PlacementKind,
+};
+use peernet_logger::{Anchor, HostId, Name, Slug, Tree, stage};
+use tokio_util::sync::CancellationToken;
+
+use crate::config::WebConfig;
+use crate::state::{App, AppState};
+use crate::zone::Zone;
+
+/// 19 Nov 2026, 12:01:07.4 UTC.
+pub(crate) const NOW: WallTime = WallTime::from_unix_nanos(1_795_089_667_400_000_000);
+
+/// Text that would do harm where it is not escaped.
+pub(crate) const HOSTILE: &str = "</script><script>alert(1)</script>\" onmouseover=\"alert(2)' & <b>";
+
+pub(crate) fn slug(text: &str) -> Slug {
+    text.parse().expect("a name")
+}
+
+/// Handlers' state over a real aggregator with an empty database.
+pub(crate) async fn app() -> (App, tempfile::TempDir) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let clock = Arc::new(ManualClock::new(NOW, ClockIdentity::new("boot", "system")));
+    let config = AggregatorConfig {
+        name: Some(slug("rack-a")),
+        listen: "tcp://127.0.0.1:0".into(),
+        database: folder.path().join("store.sqlite"),
+        ..AggregatorConfig::default()
+    };
+    let stop = CancellationToken::new();
+    let running = Aggregator::start(config, clock.clone(), stop.clone()).await.expect("starts");
+    let config = WebConfig { time_zone: Zone::Utc, ..WebConfig::default() };
+    (AppState::new(&config, running.handle, clock, stop), folder)
+}
+
+pub(crate) fn figures(mean: f64, count: u64) -> Figures {
+    Figures {
+        count,
+        mean,
+        std: (count > 1).then_some(mean * 0.07),
+        min: mean * 0.9,
+        p50: mean,
+        p95: (count >= 60).then_some(mean * 1.1),
+        p99: (count >= 300).then_some(mean * 1.3),
+        max: mean * 2.0,
+    }
+}
+
+/// Means of the stages of an offloading pipeline, seconds.
+const MEANS: [(&str, f64); 11] = [
+    ("sensing", 0.0047),
+    ("encode", 0.0001),
+    ("upload", 0.0063),
+    ("queue", 0.00004),
+    ("preprocessing", 0.0003),
+    ("inference", 0.0035),
+    ("postprocessing", 0.0002),
+    ("download", 0.0006),
+    ("actuation", 0.0002),
+    ("total", 0.01604),
+    ("unattributed", 0.0001),
+];
+
+/// A window whose means are `scale` times the usual ones.
+pub(crate) fn window(seconds: u32, hz: f64, scale: f64, verdict: Verdict) -> Window {
+    let ok = (f64::from(seconds) * hz) as u64;
+    let crossing = |name: &str| matches!(name, "upload" | "download");
+    let known = verdict != Verdict::Unsynchronised;
+    let values = MEANS.iter().filter(|(name, _)| ok > 0 && (known || !crossing(name)));
+    let mut values: Vec<(Name, Figures)> =
+        values.map(|(name, mean)| (Name::from(*name), figures(mean * scale, ok))).collect();
+    if known && ok > 0 {
+        values.push((stage::UPLOAD_THROUGHPUT, figures(1.9e8 / scale, ok)));
+    }
+    let bounds = [stage::UPLOAD, stage::DOWNLOAD].map(|stage| Bound {
+        stage,
+        half_width: known.then(|| figures(0.00065, ok.max(1))),
+        verdicts: vec![(verdict, ok)],
+    });
+    Window {
+        seconds,
+        covered_s: f64::from(seconds),
+        counts: OutcomeCounts { ok, ..OutcomeCounts::default() },
+        rate_hz: hz,
+        lost_fraction: (ok > 0).then_some(0.0),
+        values,
+        bounds: bounds.to_vec(),
+    }
+}
+
+pub(crate) fn placement(kind: PlacementKind) -> Placement {
+    let remote = kind == PlacementKind::Remote;
+    Placement {
+        kind,
+        peer: remote.then(|| slug("rack-a")),
+        network: remote.then(|| "zmq-tcp".into()),
+        address: remote.then(|| "tcp://192.0.2.5:5551".into()),
+        model: slug("quality-control"),
+        device: Some("cpu".into()),
+    }
+}
+
+/// A pipeline; seconds whose place in `gaps` is reached are missing from its series.
+pub(crate) fn pipeline(name: &str, hz: f64, scale: f64, verdict: Verdict, gaps: &[i64]) -> PipelinePicture {
+    let last = NOW.unix_seconds();
+    let series = (last - 120..=last).filter(|at| !gaps.contains(&(last - at)));
+    let series = series.map(|at| {
+        let means = MEANS.iter().map(|(name, mean)| (Name::from(*name), mean * scale)).collect();
+        let counts = OutcomeCounts { ok: hz as u64, ..OutcomeCounts::default() };
+        Arc::new(LiveSecond { at, counts, means, total_p95: Some(0.018 * scale) })
+    });
+    PipelinePicture {
+        host: host_id(),
+        host_name: slug("cam-1"),
+        pipeline: slug(name),
+        state: PipelineState::Running,
+        run: None,
+        run_number: Some(412),
+        placement: placement(PlacementKind::Remote),
+        load: format!("{hz} Hz"),
+        last_seen: NOW,
+        windows: [1, 10, 60].map(|seconds| window(seconds, hz, scale, verdict)),
+        series: series.collect(),
+    }
+}
+
+fn host_id() -> HostId {
+    HostId::from_bytes([7; 16])
+}
+
+pub(crate) fn host(name: &str, kind: &str) -> HostPicture {
+    let metrics =
+        HostMetrics { cpu: Some(0.31), memory_used_bytes: Some(4_100_000_000), ..HostMetrics::default() };
+    HostPicture {
+        id: host_id(),
+        description: HostDescription {
+            id: host_id(),
+            name: slug(name),
+            clock: ClockIdentity::new("boot", "system"),
+            version: kind.to_owned(),
+            hardware: Hardware { cpu: kind.to_owned(), memory_bytes: 16_000_000_000, ..Hardware::default() },
+            serves: None,
+            models: Vec::new(),
+        },
+        connected: true,
+        last_seen: NOW,
+        clock_ahead: Span::from_millis(3),
+        behind: None,
+        history: vec![Arc::new(MetricsPoint { at: NOW, metrics: metrics.clone() })],
+        metrics,
+        accounting: Accounting::default(),
+        stored: Stored::default(),
+        live_left_out: 0,
+    }
+}
+
+pub(crate) fn picture(hosts: Vec<HostPicture>, pipelines: Vec<PipelinePicture>) -> Picture {
+    Picture {
+        at: NOW,
+        aggregator: slug("rack-a"),
+        listening: "tcp://127.0.0.1:5550".into(),
+        hosts: hosts.into_iter().map(Arc::new).collect(),
+        pipelines: pipelines.into_iter().map(Arc::new).collect(),
+        refused: Vec::new(),
+    }
+}
+
+pub(crate) fn refused(reason: &str) -> RefusedHost {
+    RefusedHost { name: slug("cam-9"), address: None, reason: reason.to_owned(), at: NOW }
+}
+
+pub(crate) fn incident(kind: &str, text: &str) -> IncidentRow {
+    IncidentRow {
+        id: 1,
+        at: NOW,
+        kind: kind.to_owned(),
+        host: host_id(),
+        host_name: slug("cam-1"),
+        pipeline: None,
+        run: Some(412),
+        peer: None,
+        text: text.to_owned(),
+    }
+}
+
+/// An iteration of a run of its own, with an empty tree.
+pub(crate) fn iteration() -> IterationDetail {
+    IterationDetail {
+        row: IterationRow {
+            number: 10_482,
+            episode: 12,
+            step: 3,
+            warm_up: false,
+            outcome: "ok".into(),
+            reason: None,
+            started: NOW,
+            total: Some(0.0302),
+            factor: Some(1.87),
+            blame: None,
+            stages: Vec::new(),
+        },
+        tree: Tree::new(stage::ITERATION, Anchor { host: host_id(), wall: NOW }),
+        hosts: vec![Some(slug("cam-1")), Some(slug("rack-a"))],
+        rank: Some(19),
+        previous: Some(10_481),
+        next: Some(10_483),
+        run_figures: MEANS.map(|(name, mean)| (Name::from(name), figures(mean, 17_640))).to_vec(),
+    }
+}

@@ -1,0 +1,180 @@
+//! Means of stages that add up to the mean of the total.
+
+use peernet_aggregator::{Bound, Figures, IterationRow, StageStatistics, Window};
+use peernet_logger::{Name, stage};
+
+use super::cause::UnknownNetwork;
+use crate::look;
+use crate::numbers::{duration, figure};
+use crate::svg::{Bar, Part, Scale};
+
+/// The stages of a window or run, and what of the total they leave over.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Stack {
+    /// In the order of [`look::STACK`].
+    pub parts: Vec<Part>,
+    /// Figures of `total`.
+    pub total: Option<Figures>,
+}
+
+impl Stack {
+    /// The stack of a live window.
+    pub(crate) fn of_window(window: &Window) -> Self {
+        let crossed = window.bounds.iter().any(|bound| bound.verdicts.iter().any(|(_, count)| *count > 0));
+        Self::new(crossed, |name| window.value(name).copied())
+    }
+
+    /// The stack of a stored run.
+    pub(crate) fn of_run(stages: &[StageStatistics], bounds: &[Bound]) -> Self {
+        let find = |name: &str| stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures);
+        Self::new(!bounds.is_empty(), find)
+    }
+
+    fn new(crossed: bool, of: impl Fn(&str) -> Option<Figures>) -> Self {
+        let Some(total) = of("total") else { return Self::default() };
+        let mut left = total.mean;
+        // Without a relation of the clocks neither direction has a value; their sum needs none.
+        let network = UnknownNetwork::of(&of, crossed);
+        let mut parts = Vec::with_capacity(look::STACK.len());
+        let mut network_at = 0;
+        for name in stage::ORDER.iter().map(|name| name.as_str()) {
+            if let Some(figures) = of(name) {
+                // A stage that not every iteration had counts with its share, so that the sum stays exact.
+                let seconds = figures.mean * figures.count as f64 / total.count.max(1) as f64;
+                left -= seconds;
+                parts.push(Part { name: name.to_owned(), seconds });
+            }
+            if name == "send-queue" {
+                network_at = parts.len();
+            }
+        }
+        if let Some(network) = network {
+            parts.insert(network_at, Part { name: look::NETWORK.to_owned(), seconds: network.mean });
+            left -= network.mean;
+        }
+        if left > 0.0 {
+            parts.push(Part { name: "unattributed".to_owned(), seconds: left });
+        }
+        Self { parts, total: Some(total) }
+    }
+
+    /// The stages of an iteration of a list, with both directions of the network where those are not known.
+    pub(crate) fn of_iteration(row: &IterationRow, network: Option<UnknownNetwork>) -> Self {
+        let part = |(name, seconds): &(Name, f64)| Part { name: name.to_string(), seconds: *seconds };
+        let mut parts: Vec<Part> = row.stages.iter().map(part).collect();
+        if let Some(seconds) = network.and_then(|network| network.within(row)) {
+            let at = look::STACK
+                .iter()
+                .take(3)
+                .filter(|name| parts.iter().any(|part| part.name == **name))
+                .count();
+            parts.insert(at, Part { name: look::NETWORK.to_owned(), seconds });
+        }
+        let left = row.total.map_or(0.0, |total| total - parts.iter().map(|part| part.seconds).sum::<f64>());
+        if left > 0.0 {
+            parts.push(Part { name: "unattributed".to_owned(), seconds: left });
+        }
+        Self { parts, total: None }
+    }
+
+    /// Where the bar ends, ms.
+    pub(crate) fn end_ms(&self) -> f64 {
+        self.parts.iter().map(|part| part.seconds).sum::<f64>() * 1e3
+    }
+
+    /// The stack as a bar with its whiskers.
+    pub(crate) fn bar(
+        &self,
+        class: &'static str,
+        quantiles: (Option<f64>, Option<f64>),
+        scale: &Scale,
+    ) -> Bar {
+        Bar::new(class, self.finding(quantiles), &self.parts, scale).whiskers(quantiles.0, quantiles.1, scale)
+    }
+
+    /// The stack as a bar that fills its panel.
+    pub(crate) fn whole(&self, class: &'static str) -> Bar {
+        let scale = Scale::whole(self.end_ms());
+        Bar::new(class, self.finding((None, None)), &self.parts, &scale).without_grid()
+    }
+
+    /// What the bar shows, in words.
+    pub(crate) fn finding(&self, (p95, p99): (Option<f64>, Option<f64>)) -> String {
+        let Some(total) = &self.total else { return "no successful iteration in this time".to_owned() };
+        let mut text = format!("Median {}", duration(total.p50));
+        for (name, quantile) in [("p95", p95), ("p99", p99)] {
+            if let Some(seconds) = quantile {
+                text.push_str(&format!(", {name} {}", duration(seconds)));
+            }
+        }
+        let mut largest: Vec<&Part> = self.parts.iter().collect();
+        largest.sort_by(|a, b| b.seconds.total_cmp(&a.seconds));
+        let names = largest
+            .iter()
+            .take(3)
+            .map(|part| format!("{} {}\u{202f}ms", part.name, figure(part.seconds * 1e3)));
+        format!("{text}. Largest stages: {}.", names.collect::<Vec<_>>().join(", "))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn figures(mean: f64, count: u64) -> Figures {
+        Figures { count, mean, std: None, min: mean, p50: mean, p95: None, p99: None, max: mean }
+    }
+
+    #[test]
+    fn what_is_left_over_is_shown_and_not_hidden() {
+        let stack = Stack::new(false, |name| match name {
+            "total" => Some(figures(0.020, 50)),
+            "sensing" => Some(figures(0.005, 50)),
+            "upload" => Some(figures(0.010, 50)),
+            _ => None,
+        });
+        let names: Vec<_> = stack.parts.iter().map(|part| part.name.as_str()).collect();
+        assert_eq!(names, ["sensing", "upload", "unattributed"]);
+        assert!((stack.end_ms() - 20.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn directions_that_cannot_be_told_apart_stand_as_their_exact_sum() {
+        let stack = Stack::new(true, |name| match name {
+            "total" => Some(figures(0.020, 50)),
+            "sensing" => Some(figures(0.004, 50)),
+            "inference" => Some(figures(0.003, 50)),
+            "unattributed" => Some(figures(0.001, 50)),
+            _ => None,
+        });
+        let names: Vec<_> = stack.parts.iter().map(|part| part.name.as_str()).collect();
+        assert_eq!(names, ["sensing", look::NETWORK, "inference", "unattributed"]);
+        assert!((stack.parts[1].seconds - 0.012).abs() < 1e-12);
+        assert!(stack.finding((None, None)).contains("Largest stages: upload + download 12.0\u{202f}ms"));
+    }
+
+    #[test]
+    fn without_a_total_there_is_nothing_to_stack() {
+        assert_eq!(Stack::new(true, |name| (name != "total").then(|| figures(1.0, 1))), Stack::default());
+    }
+
+    proptest! {
+        #[test]
+        fn the_parts_add_up_to_the_total(
+            means in proptest::collection::vec((0.0f64..0.1, 1u64..100), 10),
+            rest in 0.0f64..0.01,
+        ) {
+            let sum: f64 = means.iter().map(|(mean, count)| mean * *count as f64 / 100.0).sum();
+            let stack = Stack::new(false, |name| {
+                if name == "total" {
+                    return Some(figures(sum + rest, 100));
+                }
+                let at = stage::ORDER.iter().position(|known| known == name)?;
+                Some(figures(means[at].0, means[at].1))
+            });
+            prop_assert!((stack.end_ms() - (sum + rest) * 1e3).abs() < 1e-6);
+        }
+    }
+}

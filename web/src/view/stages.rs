@@ -1,0 +1,157 @@
+//! The table of stages, live or stored.
+
+use peernet_aggregator::{Bound, Figures, StageStatistics, Window, rank};
+
+use super::chip::{Chip, Sign};
+use super::clocks;
+use super::stack::Stack;
+use crate::look;
+use crate::numbers::{NONE, bound_ms, fixed, stage_ms};
+use crate::svg::{Part, ShareBar};
+
+/// One row. Times in ms.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct StageRow {
+    pub name: String,
+    pub look: &'static str,
+    pub depth: u8,
+    pub mean: String,
+    pub std: Option<String>,
+    pub p50: String,
+    pub p95: String,
+    pub p99: String,
+    pub max: String,
+    pub bound: BoundCell,
+    pub share: Option<ShareBar>,
+    pub sum: bool,
+}
+
+/// The clock bound of a stage.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct BoundCell {
+    pub text: String,
+    pub sign: Option<Sign>,
+    pub title: &'static str,
+}
+
+/// Why a quantile is missing.
+pub(crate) const TOO_FEW: &str = "too few iterations: p95 needs 60, p99 needs 300";
+
+impl StageRow {
+    fn new(name: &str, figures: Option<&Figures>, bound: Option<&Bound>, share: Option<f64>) -> Self {
+        let text =
+            |of: fn(&Figures) -> Option<f64>| figures.and_then(of).map_or_else(|| NONE.to_owned(), stage_ms);
+        Self {
+            look: look::class(name),
+            depth: u8::from(matches!(name, "capture" | "transform")),
+            mean: text(|figures| Some(figures.mean)),
+            std: figures.and_then(|figures| figures.std).map(|std| fixed(std * 1e3, 2)),
+            p50: text(|figures| Some(figures.p50)),
+            p95: text(|figures| figures.p95),
+            p99: text(|figures| figures.p99),
+            max: text(|figures| Some(figures.max)),
+            bound: BoundCell::of(name, bound),
+            share: share.map(|share| ShareBar::new(name, share)),
+            sum: name == "total",
+            name: name.to_owned(),
+        }
+    }
+
+    /// Whether there are samples, so that there is a distribution.
+    pub(crate) fn measured(&self) -> bool {
+        self.p50 != NONE
+    }
+
+    /// Both directions together, exact where neither alone is known.
+    fn network(part: &Part, share: Option<f64>) -> Self {
+        let title = "free of any clock: the round trip less the time on the other host";
+        Self {
+            mean: stage_ms(part.seconds),
+            bound: BoundCell { text: "exact".to_owned(), sign: None, title },
+            ..Self::new(&part.name, None, None, share)
+        }
+    }
+
+    /// The rows of a stored run: the stages, what they leave over, the total.
+    pub(crate) fn of_run(stages: &[StageStatistics], bounds: &[Bound]) -> Vec<Self> {
+        let shown = |stage: &&StageStatistics| {
+            stage.unit == "s"
+                && stage.stage != "stages-total"
+                && stage.stage != "total"
+                && stage.stage != "unattributed"
+        };
+        let mut rows: Vec<Self> = stages
+            .iter()
+            .filter(shown)
+            .map(|stage| Self::new(&stage.stage, Some(&stage.figures), stage.bound.as_ref(), stage.share))
+            .collect();
+        // A direction of which no delay is known has a bound and no statistics.
+        for bound in bounds.iter().filter(|bound| stages.iter().all(|stage| stage.stage != bound.stage)) {
+            let at = rows.partition_point(|row| rank(&row.name) < rank(&bound.stage));
+            rows.insert(at, Self::new(&bound.stage, None, Some(bound), None));
+        }
+        let stack = Stack::of_run(stages, bounds);
+        if let (Some(network), Some(total)) =
+            (stack.parts.iter().find(|part| part.name == look::NETWORK), stack.total)
+        {
+            let at = rows.iter().position(|row| row.name == "actuation").unwrap_or(rows.len());
+            rows.insert(at, Self::network(network, Some(network.seconds / total.mean)));
+        }
+        let has = |name: &str| stages.iter().any(|stage| stage.stage == *name);
+        rows.extend(["unattributed", "total"].into_iter().filter(|name| has(name)).filter_map(|name| {
+            let stage = stages.iter().find(|stage| stage.stage == *name)?;
+            Some(Self::new(
+                name,
+                Some(&stage.figures),
+                None,
+                stage.share.or((name == "total").then_some(1.0)),
+            ))
+        }));
+        rows
+    }
+
+    /// The rows of a live window.
+    pub(crate) fn of_window(window: &Window) -> Vec<Self> {
+        let stack = Stack::of_window(window);
+        let total = stack.total.map_or(0.0, |total| total.mean);
+        let share = |mean: f64| (total > 0.0).then(|| mean / total);
+        let mut rows = Vec::new();
+        let network = stack.parts.iter().find(|part| part.name == look::NETWORK);
+        let order = ["sensing", "capture", "transform"].into_iter().chain(look::STACK.into_iter().skip(1));
+        for name in order.chain(["total"]) {
+            let bound = window.bounds.iter().find(|bound| bound.stage == *name);
+            let figures = window.value(name);
+            if figures.is_some() || bound.is_some_and(|bound| !bound.verdicts.is_empty()) {
+                rows.push(Self::new(name, figures, bound, figures.and_then(|figures| share(figures.mean))));
+            }
+            if let Some(network) = network.filter(|_| name == "download") {
+                rows.push(Self::network(network, share(network.seconds)));
+            }
+        }
+        rows
+    }
+}
+
+impl BoundCell {
+    fn of(name: &str, bound: Option<&Bound>) -> Self {
+        let (Some(bound), true) = (bound, look::is_one_way(name)) else {
+            return Self {
+                text: NONE.to_owned(),
+                sign: None,
+                title: "start and end are read from the same clock",
+            };
+        };
+        let verdict = clocks::verdict(bound);
+        Self {
+            text: bound.half_width.map_or_else(|| NONE.to_owned(), |width| bound_ms(width.p50)),
+            sign: verdict.map(|verdict| Chip::verdict(verdict).into()),
+            title: verdict.map_or("no delays yet", clocks::meaning),
+        }
+    }
+}
+
+/// The verdicts of both directions of a run, for its summary.
+pub(crate) fn directions(bounds: &[Bound]) -> Vec<(String, Chip)> {
+    let known = bounds.iter().filter_map(|bound| Some((bound, clocks::verdict(bound)?)));
+    known.map(|(bound, verdict)| (bound.stage.to_string(), Chip::verdict(verdict))).collect()
+}

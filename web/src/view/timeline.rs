@@ -1,0 +1,184 @@
+//! One iteration laid out on the edge's clock.
+//!
+//! Nodes of the edge lie where its monotonic clock put them. Nodes of another host keep their distances among
+//! each other; where they lie as a whole follows from the one-way delay of the message that brought the
+//! iteration there, and is exactly as uncertain.
+
+use peernet_aggregator::{Figures, IterationDetail};
+use peernet_clock::{DelaySource, Span, Verdict};
+use peernet_logger::{HostIndex, Measure, Name, Node, NodeId, Transit, Tree};
+
+/// A node that takes time, on the edge's time line. Seconds.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Placed {
+    pub name: Name,
+    pub depth: u8,
+    pub at: Where,
+    /// `None` where nothing tells when it began on the edge's clock.
+    pub start: Option<f64>,
+    /// `None` while it was open, or where the delay is not known.
+    pub length: Option<f64>,
+    pub delay: Option<Delay>,
+    /// The run's median of this node.
+    pub median: Option<f64>,
+}
+
+/// Where a node happened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Where {
+    /// On the host of that index; 0 is the edge.
+    Host(u8),
+    /// Between two hosts.
+    Network,
+}
+
+/// What is known of a one-way delay. Seconds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Delay {
+    pub raw: f64,
+    pub value: Option<f64>,
+    pub bounds: Option<(f64, f64)>,
+    pub source: DelaySource,
+    pub verdict: Verdict,
+}
+
+/// Another host's stay in the iteration.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Visit {
+    /// When the message was handed to the network, on the edge's time line.
+    pub left: f64,
+    /// When it arrived, by the estimate; the middle of what is possible when there is none.
+    pub arrived: f64,
+    /// When the answer left, and when the edge had it.
+    pub answered: Option<(f64, f64)>,
+    /// How far the stay as a whole may lie earlier and later.
+    pub shift: (f64, f64),
+    /// Upload and download together: free of any clock.
+    pub network: Option<f64>,
+}
+
+/// The iteration.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Timeline {
+    pub nodes: Vec<Placed>,
+    /// One entry per host beside the edge.
+    pub visits: Vec<Option<Visit>>,
+    /// The end of everything.
+    pub end: f64,
+}
+
+fn transits(tree: &Tree) -> impl Iterator<Item = (&Node, &Transit)> {
+    tree.nodes().iter().filter_map(|node| match &node.measure {
+        Measure::Transit(transit) => Some((node, &**transit)),
+        _ => None,
+    })
+}
+
+/// The stay at host `index`, from the message that came there and the one that came back.
+fn visit(tree: &Tree, index: usize) -> Option<Visit> {
+    let edge = tree.anchors().first()?;
+    let anchor = tree.anchors().get(index)?;
+    let (up, sent) = transits(tree)
+        .find(|(node, transit)| node.host == HostIndex::EDGE && transit.received == Some(anchor.wall))?;
+    let left = up.start.seconds();
+    let back = transits(tree)
+        .find(|(node, transit)| usize::from(node.host.0) == index && transit.received.is_some());
+    let answered =
+        back.and_then(|(node, transit)| Some((node.start, transit.received? - edge.wall, transit)));
+    let network = answered.and(tree.stages().transport()).map(Span::seconds);
+
+    let delay = sent.delay.as_ref();
+    let (arrived, shift) = match (delay.and_then(|delay| delay.value), delay.and_then(|delay| delay.bounds)) {
+        (Some(value), Some(bounds)) => {
+            (left + value.seconds(), ((bounds.lo - value).seconds(), (bounds.hi - value).seconds()))
+        }
+        (Some(value), None) => (left + value.seconds(), (0.0, 0.0)),
+        // Anything between "the upload took no time" and "the download took none" is possible.
+        (None, _) => {
+            let half = network?.max(0.0) / 2.0;
+            (left + half, (-half, half))
+        }
+    };
+    let answered = answered.map(|(start, received, _)| (arrived + start.seconds(), received.seconds()));
+    Some(Visit { left, arrived, answered, shift, network })
+}
+
+impl Timeline {
+    /// Lays out an iteration.
+    pub(crate) fn of(detail: &IterationDetail) -> Self {
+        let tree = &detail.tree;
+        let visits: Vec<Option<Visit>> = (1..tree.anchors().len()).map(|index| visit(tree, index)).collect();
+        let mut timeline = Self { nodes: Vec::new(), visits, end: detail.row.total.unwrap_or(0.0) };
+        timeline.add_children(tree, NodeId::ROOT, 0, &detail.run_figures);
+        let ends = timeline.nodes.iter().filter_map(|node| Some(node.start? + node.length?));
+        timeline.end = ends.fold(timeline.end, f64::max);
+        timeline
+    }
+
+    fn add_children(&mut self, tree: &Tree, of: NodeId, depth: u8, figures: &[(Name, Figures)]) {
+        for (id, node) in tree.children(of) {
+            let sum = matches!(node.name.as_str(), "total" | "stages-total" | "unattributed");
+            if depth == 0 && sum {
+                continue;
+            }
+            if let Some(placed) = self.place(node, depth, figures) {
+                self.nodes.push(placed);
+            }
+            // Hostile trees may be deep; what is deeper than a page can show is in the API.
+            if depth < 6 {
+                self.add_children(tree, id, depth + 1, figures);
+            }
+        }
+    }
+
+    /// Where another host's zero lies on the edge's time line.
+    fn zero(&self, host: HostIndex) -> Option<f64> {
+        match usize::from(host.0).checked_sub(1) {
+            None => Some(0.0),
+            Some(index) => self.visits.get(index).copied().flatten().map(|visit| visit.arrived),
+        }
+    }
+
+    fn place(&self, node: &Node, depth: u8, figures: &[(Name, Figures)]) -> Option<Placed> {
+        let zero = self.zero(node.host);
+        let median = figures.iter().find(|(name, _)| *name == node.name).map(|(_, figures)| figures.p50);
+        let start = zero.map(|zero| zero + node.start.seconds());
+        let placed = Placed {
+            name: node.name.clone(),
+            depth,
+            at: Where::Host(node.host.0),
+            start,
+            length: None,
+            delay: None,
+            median,
+        };
+        match &node.measure {
+            Measure::Timer(length) => Some(Placed { length: length.map(Span::seconds), ..placed }),
+            Measure::Container => Some(placed).filter(|_| depth == 0),
+            Measure::Transit(transit) => {
+                let delay = transit.delay.map(|delay| Delay {
+                    raw: delay.raw.seconds(),
+                    value: delay.value.map(Span::seconds),
+                    bounds: delay.bounds.map(|bounds| (bounds.lo.seconds(), bounds.hi.seconds())),
+                    source: delay.source,
+                    verdict: delay.verdict,
+                });
+                let length = delay.and_then(|delay| delay.value);
+                Some(Placed { at: Where::Network, length, delay, ..placed })
+            }
+            _ => None,
+        }
+    }
+
+    /// The other host's stay, if there is exactly one.
+    pub(crate) fn visit(&self) -> Option<&Visit> {
+        match self.visits.as_slice() {
+            [Some(visit)] => Some(visit),
+            _ => None,
+        }
+    }
+}
+
+#[cfg(test)]
+#[path = "timeline_tests.rs"]
+mod tests;

@@ -1,0 +1,116 @@
+use std::sync::Arc;
+
+use peernet_clock::{ClockIdentity, Interval, ManualClock, OneWayDelay, WallTime};
+use peernet_logger::{HostId, Recorder, stage};
+
+use super::*;
+use crate::view::samples;
+
+/// 2 ms sensing, 20 ms up, 4 ms on the cloud, 1 ms down; the cloud's wall clock is `ahead` of the edge's.
+fn offloaded(ahead: Span, judge: impl Fn(Span, Span) -> OneWayDelay) -> IterationDetail {
+    let edge = Arc::new(ManualClock::new(
+        WallTime::from_unix_nanos(1_000_000_000),
+        ClockIdentity::new("a", "system"),
+    ));
+    let cloud = Arc::new(ManualClock::new(
+        WallTime::from_unix_nanos(1_000_000_000) + ahead,
+        ClockIdentity::new("b", "system"),
+    ));
+    let pass = |milliseconds| {
+        edge.advance(Span::from_millis(milliseconds));
+        cloud.advance(Span::from_millis(milliseconds));
+    };
+    let mut log = Recorder::begin(edge.clone(), HostId::random());
+    {
+        let _sensing = log.time(stage::SENSING);
+        pass(2);
+    }
+    let up = log.depart(stage::UPLOAD, edge_stamp(&edge));
+    let sent = log.finish();
+    pass(20);
+    let mut there = Recorder::resume(cloud.clone(), HostId::random(), sent.clone(), up, cloud_stamp(&cloud))
+        .expect("under way");
+    {
+        let _inference = there.time(stage::INFERENCE);
+        pass(4);
+    }
+    let down = there.depart(stage::DOWNLOAD, cloud_stamp(&cloud));
+    let growth = there.into_growth().expect("it came from elsewhere");
+    pass(1);
+    let mut tree = sent;
+    tree.absorb(growth).expect("it fits");
+    let back = peernet_clock::Clock::wall(&*edge);
+    for (id, truth) in [(up, Span::from_millis(20)), (down, Span::from_millis(1))] {
+        if let Some(Measure::Transit(transit)) = tree.measure_mut(id) {
+            let received = *transit.received.get_or_insert(back);
+            transit.delay = Some(judge(received - transit.sent, truth));
+        }
+    }
+    IterationDetail { tree, ..samples::iteration() }
+}
+
+fn edge_stamp(clock: &ManualClock) -> peernet_clock::Stamp {
+    peernet_clock::Clock::stamp(clock)
+}
+
+fn cloud_stamp(clock: &ManualClock) -> peernet_clock::Stamp {
+    peernet_clock::Clock::stamp(clock)
+}
+
+fn close(a: f64, b: f64) -> bool {
+    (a - b).abs() < 1e-9
+}
+
+#[test]
+fn with_one_clock_everything_has_its_place() {
+    let timeline = Timeline::of(&offloaded(Span::ZERO, |raw, _| OneWayDelay::same_clock(raw)));
+    let visit = timeline.visit().expect("one other host");
+    assert!(close(visit.left, 0.002) && close(visit.arrived, 0.022), "{visit:?}");
+    assert_eq!(visit.shift, (0.0, 0.0));
+    assert!(close(visit.network.expect("it came back"), 0.021));
+    let inference = timeline.nodes.iter().find(|node| node.name == "inference").expect("was recorded");
+    assert!(close(inference.start.expect("placed"), 0.022));
+    assert_eq!(inference.at, Where::Host(1));
+}
+
+#[test]
+fn a_bound_shifts_the_whole_stay() {
+    let ahead = Span::from_seconds(1_204);
+    let detail = offloaded(ahead, |raw, truth| OneWayDelay {
+        raw,
+        value: Some(truth),
+        bounds: Some(Interval { lo: truth - Span::from_micros(650), hi: truth + Span::from_micros(630) }),
+        source: DelaySource::InBand,
+        verdict: Verdict::Ok,
+    });
+    let timeline = Timeline::of(&detail);
+    let visit = timeline.visit().expect("one other host");
+    assert!(close(visit.arrived, 0.022));
+    assert!(close(visit.shift.0, -0.000_65) && close(visit.shift.1, 0.000_63));
+    assert!(close(visit.network.expect("the sum is free of clocks"), 0.021));
+}
+
+#[test]
+fn unrelated_clocks_leave_the_sum_exact_and_the_place_open() {
+    let timeline =
+        Timeline::of(&offloaded(Span::from_seconds(-77), |raw, _| OneWayDelay::unsynchronised(raw)));
+    let visit = timeline.visit().expect("one other host");
+    assert!(close(visit.network.expect("the sum is exact"), 0.021));
+    assert!(close(visit.arrived, 0.002 + 0.0105));
+    assert!(close(visit.shift.1, 0.0105));
+    let upload = timeline.nodes.iter().find(|node| node.name == "upload").expect("was recorded");
+    assert_eq!(
+        (upload.length, upload.delay.map(|delay| delay.verdict)),
+        (None, Some(Verdict::Unsynchronised))
+    );
+}
+
+#[test]
+fn a_lost_message_leaves_the_rest_of_the_page_alone() {
+    let clock = Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("a", "system")));
+    let mut log = Recorder::begin(clock.clone(), HostId::random());
+    log.depart(stage::UPLOAD, edge_stamp(&clock));
+    let timeline = Timeline::of(&IterationDetail { tree: log.finish(), ..samples::iteration() });
+    assert_eq!(timeline.nodes.len(), 1);
+    assert_eq!((timeline.nodes[0].length, timeline.visit()), (None, None));
+}

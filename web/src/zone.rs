@@ -1,0 +1,173 @@
+//! Times of day in the zone that the top bar names.
+
+use std::fmt;
+use std::str::FromStr;
+
+use chrono::{DateTime, FixedOffset, Local, Offset, TimeZone, Utc};
+use peernet_clock::WallTime;
+use serde::{Deserialize, Serialize};
+
+/// The zone in which pages show times.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub enum Zone {
+    /// The zone of the machine that serves the pages, summer time included.
+    #[default]
+    Local,
+    /// Coordinated universal time.
+    Utc,
+    /// A fixed number of seconds east of it.
+    Fixed(i32),
+}
+
+/// A text that names no zone.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} is not a time zone: use \"local\", \"utc\" or an offset such as \"+01:00\"")]
+pub struct InvalidZone(String);
+
+impl Zone {
+    fn at(self, time: WallTime) -> DateTime<FixedOffset> {
+        let utc = Utc.timestamp_nanos(time.unix_nanos());
+        let offset = match self {
+            Self::Local => Local.offset_from_utc_datetime(&utc.naive_utc()).fix(),
+            Self::Utc => Utc.fix(),
+            Self::Fixed(seconds) => FixedOffset::east_opt(seconds).unwrap_or_else(|| Utc.fix()),
+        };
+        utc.with_timezone(&offset)
+    }
+
+    /// Seconds east of UTC at a moment.
+    pub(crate) fn offset_seconds(self, time: WallTime) -> i32 {
+        self.at(time).offset().local_minus_utc()
+    }
+
+    /// The zone's name at a moment: `UTC`, `UTC+1`, `UTC−3:30`.
+    pub(crate) fn name(self, time: WallTime) -> String {
+        let seconds = self.offset_seconds(time);
+        let (sign, minutes) = (if seconds < 0 { '\u{2212}' } else { '+' }, seconds.unsigned_abs() / 60);
+        match (minutes / 60, minutes % 60) {
+            (0, 0) => "UTC".to_owned(),
+            (hours, 0) => format!("UTC{sign}{hours}"),
+            (hours, minutes) => format!("UTC{sign}{hours}:{minutes:02}"),
+        }
+    }
+
+    /// A moment with all its forms.
+    pub(crate) fn moment(self, time: WallTime) -> Moment {
+        Moment(self.at(time))
+    }
+
+    /// From one moment to another, the date only once if it is the same: `19 Nov 2026, 13:41:07 – 13:51:07`.
+    pub(crate) fn range(self, from: WallTime, to: WallTime) -> String {
+        let (from, to) = (self.moment(from), self.moment(to));
+        if from.date() == to.date() {
+            format!("{}, {} – {}", from.date(), from.clock(), to.clock())
+        } else {
+            format!("{}, {} – {}, {}", from.date(), from.clock(), to.date(), to.clock())
+        }
+    }
+}
+
+impl FromStr for Zone {
+    type Err = InvalidZone;
+    fn from_str(text: &str) -> Result<Self, InvalidZone> {
+        match text {
+            "local" => Ok(Self::Local),
+            "utc" => Ok(Self::Utc),
+            offset => offset
+                .parse::<FixedOffset>()
+                .map(|offset| Self::Fixed(offset.local_minus_utc()))
+                .map_err(|_| InvalidZone(text.to_owned())),
+        }
+    }
+}
+
+impl TryFrom<String> for Zone {
+    type Error = InvalidZone;
+    fn try_from(text: String) -> Result<Self, InvalidZone> {
+        text.parse()
+    }
+}
+
+impl From<Zone> for String {
+    fn from(zone: Zone) -> Self {
+        match zone {
+            Zone::Local => "local".to_owned(),
+            Zone::Utc => "utc".to_owned(),
+            Zone::Fixed(seconds) => {
+                FixedOffset::east_opt(seconds).map_or_else(|| "utc".to_owned(), |offset| offset.to_string())
+            }
+        }
+    }
+}
+
+/// A moment in a zone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Moment(DateTime<FixedOffset>);
+
+impl Moment {
+    /// `14:11:02`.
+    pub(crate) fn clock(&self) -> String {
+        self.0.format("%H:%M:%S").to_string()
+    }
+
+    /// `13:46:56.400`.
+    pub(crate) fn milliseconds(&self) -> String {
+        self.0.format("%H:%M:%S%.3f").to_string()
+    }
+
+    /// `19 Nov 2026`.
+    pub(crate) fn date(&self) -> String {
+        self.0.format("%-d %b %Y").to_string()
+    }
+}
+
+impl fmt::Display for Moment {
+    /// The form of HTML's `datetime` attribute.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0.to_rfc3339_opts(chrono::SecondsFormat::Millis, true))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NOON: WallTime = WallTime::from_unix_nanos(1_795_089_667_400_000_000);
+
+    #[test]
+    fn a_moment_is_shown_in_its_zone() {
+        let zone: Zone = "+01:00".parse().expect("an offset");
+        let moment = zone.moment(NOON);
+        assert_eq!(moment.date(), "19 Nov 2026");
+        assert_eq!(moment.clock(), "13:01:07");
+        assert_eq!(moment.milliseconds(), "13:01:07.400");
+        assert_eq!(moment.to_string(), "2026-11-19T13:01:07.400+01:00");
+        assert_eq!(zone.name(NOON), "UTC+1");
+        assert_eq!(Zone::Utc.name(NOON), "UTC");
+        assert_eq!(Zone::Fixed(-12_600).name(NOON), "UTC\u{2212}3:30");
+    }
+
+    #[test]
+    fn a_range_names_a_date_once() {
+        let later = NOON + peernet_clock::Span::from_seconds(600);
+        assert_eq!(Zone::Utc.range(NOON, later), "19 Nov 2026, 12:01:07 – 12:11:07");
+        let tomorrow = NOON + peernet_clock::Span::from_seconds(86_400);
+        assert_eq!(Zone::Utc.range(NOON, tomorrow), "19 Nov 2026, 12:01:07 – 20 Nov 2026, 12:01:07");
+    }
+
+    #[test]
+    fn a_zone_is_read_back_and_nonsense_refused() {
+        for text in ["local", "utc", "+01:00", "-03:30"] {
+            assert_eq!(String::from(text.parse::<Zone>().expect("a zone")), text);
+        }
+        assert!("Mars/Olympus".parse::<Zone>().expect_err("no zone").to_string().contains("Mars/Olympus"));
+    }
+
+    #[test]
+    fn the_ends_of_time_do_not_panic() {
+        for nanos in [i64::MIN, i64::MAX] {
+            assert!(!Zone::Fixed(3_600).moment(WallTime::from_unix_nanos(nanos)).clock().is_empty());
+        }
+    }
+}

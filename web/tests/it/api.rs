@@ -1,0 +1,201 @@
+//! The REST API.
+
+use axum::body::Body;
+use axum::http::{Method, Request, StatusCode};
+use serde_json::{Value, json};
+
+use crate::bed::{Bed, ITERATIONS};
+use crate::factory::Line;
+
+/// Every route, with an address that exists when two lines are stored.
+const ROUTES: [(&str, &str); 16] = [
+    ("/api/v1/hosts", "/api/v1/hosts"),
+    ("/api/v1/hosts/{host}", "/api/v1/hosts/cam-2"),
+    ("/api/v1/pipelines", "/api/v1/pipelines"),
+    ("/api/v1/pipelines/{host}/{pipeline}", "/api/v1/pipelines/cam-2/offload-full"),
+    ("/api/v1/live", "/api/v1/live?topics=picture"),
+    ("/api/v1/runs", "/api/v1/runs"),
+    ("/api/v1/runs/{run}", "/api/v1/runs/2"),
+    ("/api/v1/runs/{run}/stages", "/api/v1/runs/2/stages"),
+    ("/api/v1/runs/{run}/series", "/api/v1/runs/2/series?stages=total,upload"),
+    ("/api/v1/runs/{run}/histogram", "/api/v1/runs/2/histogram?stage=upload&bins=20"),
+    ("/api/v1/runs/{run}/iterations", "/api/v1/runs/2/iterations?limit=5"),
+    ("/api/v1/runs/{run}/iterations/{iteration}", "/api/v1/runs/2/iterations/100"),
+    ("/api/v1/runs/{run}/export", "/api/v1/runs/2/export?format=csv"),
+    ("/api/v1/incidents", "/api/v1/incidents"),
+    ("/healthz", "/healthz"),
+    ("/readyz", "/readyz"),
+];
+
+#[tokio::test]
+async fn the_document_describes_every_route_and_every_route_answers() {
+    let (bed, _factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+    let document = bed.get("/api/openapi.json").await.json();
+    let described: Vec<&String> = document["paths"].as_object().expect("paths").keys().collect();
+    let mut routes: Vec<&str> = ROUTES.iter().map(|(route, _)| *route).collect();
+    routes.sort_unstable();
+    assert_eq!(described, routes);
+    for (route, address) in ROUTES {
+        let operation = &document["paths"][route]["get"];
+        assert!(!operation["summary"].as_str().unwrap_or_default().is_empty(), "{route} has no summary");
+        // A stream never ends: its head is answer enough here.
+        let response = bed.send(Request::get(address).body(Body::empty()).expect("a request")).await;
+        assert_eq!(response.status(), StatusCode::OK, "{address}");
+    }
+    for (name, schema) in document["components"]["schemas"].as_object().expect("schemas") {
+        assert!(schema.is_object(), "{name}");
+    }
+}
+
+#[tokio::test]
+async fn live_and_stored_figures_are_served() {
+    let (bed, _factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+
+    let pipelines = bed.get("/api/v1/pipelines").await.json();
+    let full = &pipelines["pipelines"][1];
+    assert_eq!(
+        (&full["name"], &full["host"], &full["state"]),
+        (&json!("offload-full"), &json!("cam-2"), &json!("running"))
+    );
+    assert_eq!(full["placement"]["peer"], "rack-a");
+    let minute = &full["windows"][2];
+    assert_eq!(minute["seconds"], 60);
+    let total = minute["values"]
+        .as_array()
+        .expect("values")
+        .iter()
+        .find(|value| value["name"] == "total")
+        .expect("a total");
+    let p50 = total["p50"].as_f64().expect("a median");
+    assert!((0.019..0.025).contains(&p50), "{p50}");
+    assert_eq!(full["seconds"].as_array().expect("seconds").len(), 5);
+    let one = bed.get("/api/v1/pipelines/cam-2/offload-full").await.json();
+    assert!(one["seconds"].as_array().expect("seconds").len() > 30);
+
+    let runs = bed.get("/api/v1/runs").await.json();
+    assert_eq!(runs["runs"][0]["number"], 2);
+    assert_eq!(runs["next"], Value::Null);
+    let run = bed.get("/api/v1/runs/2").await.json();
+    assert_eq!((&run["reason"], &run["warm_up"]), (&json!("finished"), &json!(20)));
+    assert_eq!(run["counts"]["ok"], ITERATIONS - 20);
+    assert!(run["started"].as_str().expect("a time").ends_with('Z'));
+
+    let stages = bed.get("/api/v1/runs/2/stages").await.json();
+    let share: f64 = stages["stages"]
+        .as_array()
+        .expect("stages")
+        .iter()
+        .filter(|stage| stage["is_stage"] == true)
+        .filter_map(|stage| stage["share"].as_f64())
+        .sum();
+    assert!((0.95..=1.0).contains(&share), "{share}");
+    assert_eq!(stages["bounds"][0]["stage"], "upload");
+
+    let histogram = bed.get("/api/v1/runs/2/histogram?stage=upload&bins=20").await.json();
+    let counts: u64 = histogram["counts"].as_array().expect("counts").iter().filter_map(Value::as_u64).sum();
+    assert_eq!(counts + histogram["beyond"].as_u64().expect("a count"), ITERATIONS - 20);
+
+    let iteration = bed.get("/api/v1/runs/2/iterations/100").await.json();
+    assert_eq!(
+        (&iteration["number"], &iteration["previous"], &iteration["next"]),
+        (&json!(100), &json!(99), &json!(101))
+    );
+    assert!(iteration["tree"]["nodes"].as_array().expect("nodes").len() > 10);
+    let hosts = bed.get("/api/v1/hosts").await.json();
+    assert_eq!(hosts["hosts"].as_array().expect("hosts").len(), 3);
+    assert_eq!(hosts["hosts"][1]["description"]["gpus"][0], "NVIDIA Jetson Orin NX");
+}
+
+#[tokio::test]
+async fn lists_are_paged_without_loss_or_repetition() {
+    let (bed, mut factory) = Bed::with(vec![Line::local()]).await;
+    for _ in 0..4 {
+        factory.store_runs(5, true).await;
+    }
+    let mut seen = Vec::new();
+    let mut next = String::new();
+    loop {
+        let page = bed.get(&format!("/api/v1/runs?limit=2{next}")).await.json();
+        seen.extend(
+            page["runs"]
+                .as_array()
+                .expect("runs")
+                .iter()
+                .map(|run| run["number"].as_i64().expect("a number")),
+        );
+        match page["next"].as_i64() {
+            Some(before) => next = format!("&before={before}"),
+            None => break,
+        }
+    }
+    assert_eq!(seen, [5, 4, 3, 2, 1]);
+    let mut after = 0;
+    let mut numbers = Vec::new();
+    while let Some(next) = {
+        let page = bed.get(&format!("/api/v1/runs/1/iterations?limit=150&after={after}")).await.json();
+        numbers.extend(
+            page["iterations"].as_array().expect("rows").iter().filter_map(|row| row["number"].as_u64()),
+        );
+        page["next"].as_u64()
+    } {
+        after = next;
+    }
+    assert_eq!(numbers, (1..=ITERATIONS).collect::<Vec<_>>());
+}
+
+#[tokio::test]
+async fn a_run_is_exported_as_one_row_per_iteration() {
+    let (bed, _factory) = Bed::with(vec![Line::full()]).await;
+    let answer = bed.get("/api/v1/runs/1/export?format=csv").await;
+    assert!(answer.header("content-type").starts_with("text/csv"));
+    assert_eq!(answer.header("content-disposition"), "attachment; filename=\"offload-full-1.csv\"");
+    let mut table = csv::Reader::from_reader(answer.body.as_slice());
+    let header = table.headers().expect("a header").clone();
+    assert_eq!(&header[0], "iteration");
+    let upload = header.iter().position(|name| name == "upload").expect("a column");
+    let rows: Vec<csv::StringRecord> = table.records().collect::<Result<_, _>>().expect("rows");
+    assert_eq!(rows.len() as u64, ITERATIONS);
+    let seconds: f64 = rows[99][upload].parse().expect("a number");
+    assert!((0.005..0.1).contains(&seconds), "{seconds}");
+}
+
+#[tokio::test]
+async fn problems_have_the_standard_form_and_name_the_parameter() {
+    let (bed, _factory) = Bed::with(vec![Line::local()]).await;
+    for (address, status, word) in [
+        ("/api/v1/runs?limit=0", 400, "limit"),
+        ("/api/v1/runs?limit=many", 400, "limit"),
+        ("/api/v1/runs?lmit=3", 400, "lmit"),
+        ("/api/v1/runs?pipeline=a/b", 400, "pipeline"),
+        ("/api/v1/runs?host=nobody", 400, "nobody"),
+        ("/api/v1/runs/one", 400, "one"),
+        ("/api/v1/runs/77", 404, "77"),
+        ("/api/v1/runs/77/stages", 404, "77"),
+        ("/api/v1/runs/77/export", 404, "77"),
+        ("/api/v1/runs/1/histogram?bins=501", 400, "bins"),
+        ("/api/v1/runs/1/histogram?stage=nothing", 404, "nothing"),
+        ("/api/v1/runs/1/series?points=0", 400, "points"),
+        ("/api/v1/runs/1/iterations?order=slowest&after=3", 400, "order"),
+        ("/api/v1/runs/1/iterations/999999", 404, "999999"),
+        ("/api/v1/runs/1/export?format=xml", 400, "format"),
+        ("/api/v1/hosts/nobody", 404, "nobody"),
+        ("/api/v1/pipelines/cam-1/nothing", 404, "nothing"),
+        ("/api/v1/live?topics=everything", 400, "everything"),
+        ("/api/v1/nothing", 404, "/api/v1/nothing"),
+    ] {
+        let answer = bed.get(address).await;
+        assert_eq!(answer.status.as_u16(), status, "{address}: {}", answer.text());
+        assert_eq!(answer.header("content-type"), "application/problem+json", "{address}");
+        let problem = answer.json();
+        assert_eq!(problem["status"], status, "{address}");
+        assert_eq!(problem["type"], "about:blank");
+        assert!(!problem["title"].as_str().expect("a title").is_empty());
+        assert!(problem["detail"].as_str().expect("a detail").contains(word), "{address}: {problem}");
+    }
+    let request =
+        Request::builder().method(Method::POST).uri("/api/v1/runs").body(Body::empty()).expect("a request");
+    let answer = bed.request(request).await;
+    assert_eq!(answer.status, StatusCode::METHOD_NOT_ALLOWED);
+    assert_eq!(answer.json()["status"], 405);
+    assert!(answer.header("allow").contains("GET"), "{:?}", answer.headers);
+}

@@ -1,0 +1,109 @@
+//! A real aggregator, fed by the factory through its socket, with the pages and the API in front.
+
+use std::sync::Arc;
+
+use axum::Router;
+use axum::body::{Body, to_bytes};
+use axum::http::{HeaderMap, Request, StatusCode};
+use peernet_aggregator::{Aggregator, AggregatorConfig, Picture};
+use peernet_clock::{ClockIdentity, SharedClock, Span, SystemClock};
+use peernet_web::{WebConfig, Zone};
+use tokio_util::sync::CancellationToken;
+use tower::ServiceExt;
+
+use crate::factory::{Factory, Line};
+
+/// Iterations of each stored run.
+pub(crate) const ITERATIONS: u64 = 400;
+
+pub(crate) struct Bed {
+    pub(crate) aggregator: Aggregator,
+    pub(crate) clock: SharedClock,
+    pub(crate) stop: CancellationToken,
+    pub(crate) config: WebConfig,
+    pub(crate) listening: String,
+    router: Router,
+    _running: peernet_aggregator::Running,
+    _folder: tempfile::TempDir,
+}
+
+/// An answer, read to its end.
+pub(crate) struct Answer {
+    pub(crate) status: StatusCode,
+    pub(crate) headers: HeaderMap,
+    pub(crate) body: Vec<u8>,
+}
+
+impl Answer {
+    pub(crate) fn text(&self) -> &str {
+        std::str::from_utf8(&self.body).expect("text")
+    }
+
+    pub(crate) fn json(&self) -> serde_json::Value {
+        serde_json::from_slice(&self.body).unwrap_or_else(|error| panic!("{error}: {}", self.text()))
+    }
+
+    pub(crate) fn header(&self, name: &str) -> &str {
+        self.headers.get(name).map_or("", |value| value.to_str().expect("text"))
+    }
+}
+
+impl Bed {
+    /// Nothing has reported yet.
+    pub(crate) async fn empty() -> Self {
+        let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("rack-a", "system")));
+        let folder = tempfile::tempdir().expect("a folder");
+        let stop = CancellationToken::new();
+        let config = AggregatorConfig {
+            name: Some("rack-a".parse().expect("a name")),
+            listen: "tcp://127.0.0.1:0".into(),
+            database: folder.path().join("store.sqlite"),
+            ..AggregatorConfig::default()
+        };
+        let running = Aggregator::start(config, clock.clone(), stop.clone()).await.expect("starts");
+        let aggregator = running.handle.clone();
+        let listening = aggregator.live().borrow().listening.clone();
+        let config = WebConfig { listen: "127.0.0.1:0".into(), time_zone: Zone::Utc, ..WebConfig::default() };
+        let router = peernet_web::router(&config, aggregator.clone(), clock.clone(), stop.clone());
+        Self { aggregator, clock, stop, config, listening, router, _running: running, _folder: folder }
+    }
+
+    /// A run of each line is stored and all of them are live.
+    pub(crate) async fn with(lines: Vec<Line>) -> (Self, Factory) {
+        let bed = Self::empty().await;
+        let expected = lines.len();
+        let mut factory = Factory::new(&bed.listening, bed.clock.clone(), lines).await;
+        factory.store_runs(ITERATIONS, true).await;
+        factory.store_incidents().await;
+        let now = bed.clock.wall();
+        factory.report(now - Span::from_seconds(70), now).await;
+        bed.until(|picture| {
+            let full = |second: &[Arc<peernet_aggregator::LiveSecond>]| second.len() >= 30;
+            picture.pipelines.len() == expected && picture.pipelines.iter().all(|one| full(&one.series))
+        })
+        .await;
+        (bed, factory)
+    }
+
+    /// Waits for a picture.
+    pub(crate) async fn until(&self, done: impl Fn(&Picture) -> bool) -> Arc<Picture> {
+        let mut live = self.aggregator.live();
+        let picture = live.wait_for(|picture| done(picture)).await.expect("the aggregator runs");
+        Arc::clone(&picture)
+    }
+
+    pub(crate) async fn send(&self, request: Request<Body>) -> axum::response::Response {
+        self.router.clone().oneshot(request).await.expect("the router answers")
+    }
+
+    pub(crate) async fn get(&self, path: &str) -> Answer {
+        self.request(Request::get(path).body(Body::empty()).expect("a request")).await
+    }
+
+    pub(crate) async fn request(&self, request: Request<Body>) -> Answer {
+        let response = self.send(request).await;
+        let (head, body) = response.into_parts();
+        let body = to_bytes(body, 64 << 20).await.expect("a whole body").to_vec();
+        Answer { status: head.status, headers: head.headers, body }
+    }
+}

@@ -1,0 +1,226 @@
+//! One pipeline: how long its stages take.
+
+use peernet_clock::WallTime;
+use peernet_logger::stream::{OutcomeCounts, Placement, PlacementKind, Second};
+use peernet_logger::{Name, RunId, stage};
+use peernet_statistics::Summary;
+
+use super::Numbers;
+
+/// How the clocks of a line's two hosts are related.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Clocks {
+    /// One clock.
+    Shared,
+    /// Known to within so many seconds either way.
+    Within(f64),
+    /// Never related.
+    Unrelated,
+}
+
+/// A pipeline on a camera.
+#[derive(Clone, Debug)]
+pub(crate) struct Line {
+    /// The pipeline.
+    pub(crate) name: &'static str,
+    /// The camera.
+    pub(crate) host: &'static str,
+    /// Whether it is served by the rack.
+    pub(crate) remote: bool,
+    /// Iterations per second.
+    pub(crate) hz: f64,
+    /// Clocks.
+    pub(crate) clocks: Clocks,
+    /// Bytes of a sample.
+    pub(crate) bytes: f64,
+    /// Stages with mean and deviation in ms.
+    pub(crate) stages: Vec<(Name, f64, f64)>,
+    /// Its current run.
+    pub(crate) run: Option<RunId>,
+}
+
+impl Line {
+    /// On board.
+    pub(crate) fn local() -> Self {
+        Self::new(
+            "local",
+            "cam-1",
+            false,
+            Clocks::Shared,
+            0.0,
+            &[2.05, 0.0, 0.0, 0.02, 2.62, 13.1, 0.72, 0.0, 0.31],
+        )
+    }
+
+    /// The whole picture goes to the rack.
+    pub(crate) fn full() -> Self {
+        Self::new(
+            "offload-full",
+            "cam-2",
+            true,
+            Clocks::Within(0.000_09),
+            1_228_800.0,
+            &[1.99, 0.34, 11.6, 0.06, 3.08, 3.5, 0.21, 0.61, 0.21],
+        )
+    }
+
+    /// It is made smaller first.
+    pub(crate) fn resized() -> Self {
+        Self::new(
+            "offload-resized",
+            "cam-3",
+            true,
+            Clocks::Within(0.000_65),
+            150_500.0,
+            &[4.7, 0.1, 6.3, 0.04, 0.31, 3.5, 0.21, 0.62, 0.21],
+        )
+    }
+
+    /// As `resized`, over clocks that were never related.
+    pub(crate) fn unrelated() -> Self {
+        Self { name: "offload-unrelated", clocks: Clocks::Unrelated, ..Self::resized() }
+    }
+
+    fn new(
+        name: &'static str,
+        host: &'static str,
+        remote: bool,
+        clocks: Clocks,
+        bytes: f64,
+        means: &[f64; 9],
+    ) -> Self {
+        let names = [
+            stage::SENSING,
+            stage::ENCODE,
+            stage::UPLOAD,
+            stage::QUEUE,
+            stage::PREPROCESSING,
+            stage::INFERENCE,
+            stage::POSTPROCESSING,
+            stage::DOWNLOAD,
+            stage::ACTUATION,
+        ];
+        let spread = |name: &Name, mean: f64| if *name == stage::UPLOAD { mean * 0.1 } else { mean * 0.04 };
+        let stages = names.into_iter().zip(means).filter(|(_, mean)| **mean > 0.0);
+        let stages = stages.map(|(name, mean)| (name.clone(), *mean, spread(&name, *mean)));
+        Self { name, host, remote, hz: 30.0, clocks, bytes, stages: stages.collect(), run: None }
+    }
+
+    /// Stage durations of one iteration in seconds; `when` is its place in the run, 0 to 1: the network is slow for
+    /// a while, and now and then something takes far longer.
+    pub(crate) fn draw(&self, numbers: &mut Numbers, when: f64) -> Vec<(Name, f64)> {
+        let slow = if (0.42..0.45).contains(&when) { 1.9 } else { 1.0 };
+        let hiccup = numbers.even() < 0.001;
+        let stages = self.stages.iter().map(|(name, mean, spread)| {
+            let mut value = mean + spread * numbers.normal();
+            if *name == stage::UPLOAD {
+                value *= slow * if hiccup { 3.0 + 2.0 * numbers.even() } else { 1.0 };
+            } else if *name == stage::INFERENCE && hiccup && !self.remote {
+                value *= 2.0;
+            }
+            (name.clone(), value.max(mean * 0.2) / 1e3)
+        });
+        stages.collect()
+    }
+
+    /// A camera that said nothing for half a minute, four minutes ago.
+    pub(crate) fn is_silent(&self, ago: i64) -> bool {
+        self.name == "offload-full" && (200..235).contains(&ago)
+    }
+
+    /// Where it computes.
+    pub(crate) fn placement(&self) -> Placement {
+        let name = |text: &str| text.parse().expect("a name");
+        Placement {
+            kind: if self.remote { PlacementKind::Remote } else { PlacementKind::Local },
+            peer: self.remote.then(|| name("rack-a")),
+            network: self.remote.then(|| "zmq-tcp".into()),
+            address: self.remote.then(|| "tcp://192.0.2.5:5551".into()),
+            model: name("quality-control"),
+            device: Some("cpu".into()),
+        }
+    }
+
+    /// For people.
+    pub(crate) fn facts(&self) -> Vec<(String, String)> {
+        let pairs =
+            [("Sensor", "images, 1280 × 960"), ("Transforms", "resize to 320 × 240"), ("Load", "30 Hz")];
+        pairs.map(|(name, value)| (name.to_owned(), value.to_owned())).to_vec()
+    }
+
+    /// As in the file.
+    pub(crate) fn configuration(&self) -> String {
+        format!(
+            "name = \"{}\"\nload = {{ kind = \"rate\", hz = {} }}\nmodel = \"quality-control\"\n",
+            self.name, self.hz
+        )
+    }
+
+    /// What happened within one second of the wall clock, up to `now`.
+    pub(crate) fn second(&self, at: i64, now: WallTime, numbers: &mut Numbers) -> Second {
+        let into = (now - WallTime::from_unix_nanos(at * 1_000_000_000)).seconds().clamp(0.0, 1.0);
+        let ok = (self.hz * into).round() as u64;
+        let mut values: Vec<(Name, Summary)> = Vec::new();
+        let mut record = |name: Name, value: f64| {
+            let at = values.iter().position(|(known, _)| *known == name).unwrap_or_else(|| {
+                values.push((name.clone(), Summary::default()));
+                values.len() - 1
+            });
+            values[at].1.record(value);
+        };
+        let mut half_widths = Summary::default();
+        // Ten minutes are one run for `draw`: the slow network passes by.
+        let when = (at % 600) as f64 / 600.0;
+        for _ in 0..ok {
+            let stages = self.draw(numbers, when);
+            let sum: f64 = stages.iter().map(|(_, value)| value).sum();
+            let rest = 0.000_11;
+            for (name, value) in stages {
+                let crossing = name == stage::UPLOAD || name == stage::DOWNLOAD;
+                if crossing && self.clocks == Clocks::Unrelated {
+                    continue;
+                }
+                if name == stage::UPLOAD {
+                    record(stage::UPLOAD_THROUGHPUT, self.bytes * 8.0 / value);
+                } else if name == stage::DOWNLOAD && self.name == "offload-full" {
+                    record(stage::DOWNLOAD_THROUGHPUT, 412.0 * 8.0 / value);
+                }
+                record(name, value);
+            }
+            record(stage::TOTAL, sum + rest);
+            record(stage::STAGES_TOTAL, sum);
+            record(stage::UNATTRIBUTED, rest);
+            if self.remote {
+                record(stage::UPLOAD_BYTES, self.bytes);
+                record(stage::DOWNLOAD_BYTES, 412.0);
+                half_widths.record(match self.clocks {
+                    Clocks::Within(bound) => bound,
+                    Clocks::Shared | Clocks::Unrelated => 0.0,
+                });
+            }
+        }
+        let directions = if self.remote { vec![stage::UPLOAD, stage::DOWNLOAD] } else { Vec::new() };
+        let known = self.clocks != Clocks::Unrelated;
+        let bounds = directions.iter().filter(|_| known).map(|name| (name.clone(), half_widths.clone()));
+        let verdicts =
+            directions.iter().map(|name| (name.clone(), Name::from_static(self.verdict(name)), ok));
+        Second {
+            at,
+            counts: OutcomeCounts { ok, failed: 0, lost: u64::from(ok > 0 && at % 97 == 0), timeout: 0 },
+            bounds: bounds.collect(),
+            verdicts: verdicts.collect(),
+            values,
+        }
+    }
+
+    /// The verdict of a direction.
+    pub(crate) fn verdict(&self, name: &Name) -> &'static str {
+        let mean =
+            self.stages.iter().find(|(known, ..)| known == name).map_or(0.0, |(_, mean, _)| mean / 1e3);
+        match self.clocks {
+            Clocks::Within(bound) if 2.0 * bound > mean / 2.0 => "limited",
+            Clocks::Unrelated => "unsynchronised",
+            Clocks::Within(_) | Clocks::Shared => "ok",
+        }
+    }
+}

@@ -1,0 +1,189 @@
+//! A factory that never was: three cameras and a rack, as their agents would report them. Everything goes through
+//! the aggregator's own socket, so that pages and API are shown what a real deployment would show them.
+
+mod agent;
+mod line;
+mod numbers;
+mod tree;
+
+pub(crate) use agent::Agent;
+pub(crate) use line::{Clocks, Line};
+pub(crate) use numbers::Numbers;
+
+use peernet_clock::{ClockIdentity, SharedClock, Span, WallTime};
+use peernet_logger::stream::{
+    Event, Hardware, HostDescription, HostMetrics, Incident, IncidentKind, Iteration, LiveUpdate, Outcome,
+    PipelineLive, PipelineState, RunDescription, RunEnded,
+};
+use peernet_logger::{HostId, RunId};
+
+/// The cameras' pipelines and the rack that serves two of them.
+pub(crate) struct Factory {
+    /// The lines, each on its own camera.
+    pub(crate) lines: Vec<Line>,
+    /// Agents of the cameras, in the order of the lines, and of the rack.
+    pub(crate) agents: Vec<Agent>,
+    clock: SharedClock,
+    numbers: Numbers,
+}
+
+fn slug(name: &str) -> peernet_logger::Slug {
+    name.parse().expect("a name")
+}
+
+/// A host that introduces itself.
+pub(crate) fn host(name: &str, gpu: &str, clock: ClockIdentity) -> HostDescription {
+    HostDescription {
+        id: HostId::random(),
+        name: slug(name),
+        clock,
+        version: "0.1.0".into(),
+        hardware: Hardware {
+            cpu: "ARM Cortex-A78AE".into(),
+            cores: 8,
+            memory_bytes: 16_000_000_000,
+            gpus: vec![gpu.into()],
+            system: "Debian GNU/Linux 12".into(),
+            architecture: "aarch64".into(),
+        },
+        serves: (name == "rack-a").then(|| "tcp://192.0.2.5:5551".into()),
+        models: if name == "rack-a" { vec![slug("quality-control")] } else { Vec::new() },
+    }
+}
+
+impl Factory {
+    /// Connects all agents to an aggregator.
+    pub(crate) async fn new(address: &str, clock: SharedClock, lines: Vec<Line>) -> Self {
+        let mut agents = Vec::new();
+        for line in &lines {
+            let identity = ClockIdentity::new(line.host, "system");
+            agents
+                .push(Agent::new(host(line.host, "NVIDIA Jetson Orin NX", identity), address, &clock).await);
+        }
+        let rack = host("rack-a", "NVIDIA GeForce RTX 3090", clock.identity().clone());
+        agents.push(Agent::new(rack, address, &clock).await);
+        for agent in &mut agents {
+            agent.until_up().await;
+        }
+        Self { lines, agents, clock, numbers: Numbers(7) }
+    }
+
+    fn rack(&self) -> HostId {
+        self.agents.last().expect("there is a rack").id()
+    }
+
+    /// Stores a run of each line: `iterations` of them, the last one ending now, and waits until they are stored.
+    pub(crate) async fn store_runs(&mut self, iterations: u64, ended: bool) -> Vec<RunId> {
+        let mut runs = Vec::new();
+        for index in 0..self.lines.len() {
+            let run = RunId::random();
+            let events = self.run(index, run, iterations, ended);
+            self.lines[index].run = Some(run);
+            self.agents[index].offer(events);
+            self.agents[index].until_stored().await;
+            runs.push(run);
+        }
+        runs
+    }
+
+    fn run(&mut self, index: usize, run: RunId, iterations: u64, ended: bool) -> Vec<Event> {
+        let (edge, rack) = (self.agents[index].id(), self.rack());
+        let line = &self.lines[index];
+        let step = Span::from_seconds_f64(1.0 / line.hz);
+        let now = self.clock.wall();
+        let started = now - Span::from_seconds_f64(iterations as f64 / line.hz);
+        let mut events = vec![Event::RunStarted(RunDescription {
+            run,
+            pipeline: slug(line.name),
+            started,
+            placement: line.placement(),
+            facts: line.facts(),
+            configuration: line.configuration(),
+            version: "0.1.0".into(),
+        })];
+        let mut at = started;
+        for number in 1..=iterations {
+            let outcome = match number {
+                n if n % 4_001 == 900 => Outcome::Lost("the connection to rack-a closed".into()),
+                n if n % 4_001 == 1_700 => Outcome::Timeout,
+                _ => Outcome::Ok,
+            };
+            let stages = line.draw(&mut self.numbers, number as f64 / iterations as f64);
+            let tree = tree::of(line, &stages, (edge, rack), at, outcome == Outcome::Ok);
+            let warm_up = number <= 20;
+            events.push(Event::Iteration(Iteration {
+                run,
+                number,
+                episode: (number / 1_000) as u32,
+                step: (number % 1_000) as u32,
+                warm_up,
+                outcome,
+                tree,
+            }));
+            at = at + step;
+        }
+        if ended {
+            events.push(Event::RunEnded(RunEnded { run, ended: at, reason: "finished".into() }));
+        }
+        events
+    }
+
+    /// Tells of a few incidents.
+    pub(crate) async fn store_incidents(&mut self) {
+        let now = self.clock.wall();
+        let told = [
+            (0, 400, IncidentKind::ModelLoaded, "loaded quality-control (ONNX Runtime 1.31, cpu, 1.9 s)"),
+            (1, 380, IncidentKind::Connected, "reconnected to rack-a after 0.4 s; 0 lost"),
+            (1, 95, IncidentKind::Disconnected, "lost rack-a: connection reset by peer"),
+            (2, 60, IncidentKind::ClockStep, "the wall clock was stepped by +18.2 ms"),
+        ];
+        for (line, ago, kind, text) in told {
+            let index = line % self.lines.len();
+            let at = now - Span::from_seconds(ago);
+            let incident = Incident { at, kind, pipeline: None, run: None, peer: None, text: text.into() };
+            self.agents[index].offer([Event::Incident(incident)]);
+            self.agents[index].until_stored().await;
+        }
+    }
+
+    /// Reports the seconds from `from` to `to` of all lines; the last one may be under way.
+    pub(crate) async fn report(&mut self, from: WallTime, to: WallTime) {
+        let seconds: Vec<i64> = (from.unix_seconds()..=to.unix_seconds()).collect();
+        for chunk in seconds.chunks(20) {
+            for index in 0..self.lines.len() {
+                let line = &self.lines[index];
+                let seconds = chunk.iter().filter(|at| !line.is_silent(to.unix_seconds() - **at)).rev();
+                let seconds = seconds.map(|at| line.second(*at, to, &mut self.numbers)).collect();
+                let pipeline = PipelineLive {
+                    pipeline: slug(line.name),
+                    state: PipelineState::Running,
+                    run: line.run,
+                    placement: line.placement(),
+                    load: format!("{} Hz", line.hz),
+                    seconds,
+                };
+                let load = 0.3 + 0.1 * index as f64;
+                self.live(index, vec![pipeline], load, to).await;
+            }
+            let rack = self.agents.len() - 1;
+            self.live(rack, Vec::new(), 0.12, to).await;
+        }
+    }
+
+    async fn live(&mut self, index: usize, pipelines: Vec<PipelineLive>, load: f64, sent: WallTime) {
+        let mut wobble = |size: f64| size * (1.0 + 0.1 * self.numbers.normal());
+        let metrics = HostMetrics {
+            cpu: Some(wobble(load).clamp(0.0, 1.0)),
+            memory_used_bytes: Some(4_300_000_000 + index as u64 * 700_000_000),
+            gpu: Some(wobble(0.7 - load).clamp(0.0, 1.0)),
+            temperature_celsius: Some(54.0 + wobble(3.0)),
+            power_watts: Some(wobble(10.0)),
+            agent_cpu: Some(0.013),
+            agent_memory_bytes: Some(31_000_000),
+        };
+        let agent = &mut self.agents[index];
+        let update =
+            LiveUpdate { host: agent.id(), sent, pipelines, metrics, accounting: agent.accounting() };
+        agent.live(update).await;
+    }
+}

@@ -1,0 +1,126 @@
+//! One iteration's tree, as the edge sends it.
+
+use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict, WallTime};
+use peernet_logger::{
+    Anchor, HostId, HostIndex, Measure, Name, Node, NodeId, Rate, Transit, Tree, Unit, stage,
+};
+
+use super::{Clocks, Line};
+
+struct Nodes(Vec<Node>);
+
+impl Nodes {
+    fn add(&mut self, parent: u32, name: Name, host: u8, start: Span, measure: Measure) -> u32 {
+        self.0.push(Node { parent: Some(NodeId(parent)), name, host: HostIndex(host), start, measure });
+        self.0.len() as u32 - 1
+    }
+}
+
+/// What is known of a delay whose truth is `delay`.
+fn judge(line: &Line, name: &Name, delay: Span, raw: Span) -> OneWayDelay {
+    match line.clocks {
+        Clocks::Shared => OneWayDelay::same_clock(delay),
+        Clocks::Unrelated => OneWayDelay::unsynchronised(raw),
+        Clocks::Within(bound) => {
+            let bound = Span::from_seconds_f64(bound);
+            OneWayDelay {
+                raw,
+                value: Some(delay),
+                bounds: Some(Interval { lo: (delay - bound).max(Span::ZERO), hi: delay + bound }),
+                source: DelaySource::InBand,
+                verdict: Verdict::from_name(line.verdict(name)).expect("a verdict"),
+            }
+        }
+    }
+}
+
+/// The tree of an iteration that began at `at`. The rack's wall clock is 1,204 s ahead unless shared.
+pub(super) fn of(
+    line: &Line,
+    stages: &[(Name, f64)],
+    (edge, rack): (HostId, HostId),
+    at: WallTime,
+    answered: bool,
+) -> Tree {
+    let ahead = if line.clocks == Clocks::Shared { Span::ZERO } else { Span::from_millis(1_204_180) };
+    let span = |name: Name| {
+        stages.iter().find(|(known, _)| *known == name).map(|(_, seconds)| Span::from_seconds_f64(*seconds))
+    };
+    let mut anchors = vec![Anchor { host: edge, wall: at }];
+    let root = Node {
+        parent: None,
+        name: stage::ITERATION,
+        host: HostIndex::EDGE,
+        start: Span::ZERO,
+        measure: Measure::Container,
+    };
+    let mut nodes = Nodes(vec![root]);
+    let (mut now, mut there, mut host) = (Span::ZERO, Span::ZERO, 0);
+    for (name, seconds) in stages {
+        let length = Span::from_seconds_f64(*seconds);
+        if *name == stage::UPLOAD {
+            let received = at + now + length + ahead;
+            let delay = judge(line, name, length, length + ahead);
+            let transit = Transit {
+                sent: at + now,
+                received: answered.then_some(received),
+                delay: answered.then_some(delay),
+            };
+            nodes.add(0, name.clone(), 0, now, Measure::Transit(Box::new(transit)));
+            now += length;
+            if !answered {
+                break;
+            }
+            anchors.push(Anchor { host: rack, wall: received });
+            host = 1;
+        } else if *name == stage::DOWNLOAD {
+            now += there;
+            let delay = judge(line, name, length, Span::ZERO - ahead + length);
+            let transit =
+                Transit { sent: at + now + ahead, received: Some(at + now + length), delay: Some(delay) };
+            nodes.add(0, name.clone(), 1, there, Measure::Transit(Box::new(transit)));
+            now += length;
+            host = 0;
+        } else {
+            let start = if host == 0 { now } else { there };
+            let node = nodes.add(0, name.clone(), host, start, Measure::Timer(Some(length)));
+            if *name == stage::SENSING {
+                let capture = Span::from_nanos(length.nanos() * 2 / 5);
+                nodes.add(node, stage::CAPTURE, 0, Span::ZERO, Measure::Timer(Some(capture)));
+                nodes.add(node, stage::TRANSFORM, 0, capture, Measure::Timer(Some(length - capture)));
+            }
+            if host == 0 { now += length } else { there += length }
+        }
+    }
+    if answered && line.remote {
+        let mut sizes = |name: [Name; 3], bytes: f64, metadata: f64, delay: Option<Span>| {
+            let known = (line.clocks != Clocks::Unrelated).then_some(delay).flatten();
+            let value = known.map(|delay| (bytes + metadata) * 8.0 / delay.seconds());
+            let [size, logger, speed] = name;
+            nodes.add(0, size, 0, now, Measure::Value(bytes, Unit::BYTES));
+            nodes.add(0, logger, 0, now, Measure::Value(metadata, Unit::BYTES));
+            let bounds = value.map(|value| (value * 0.6, value * 1.8));
+            nodes.add(0, speed, 0, now, Measure::Throughput(Rate { value, bounds }));
+        };
+        sizes(
+            [stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES, stage::UPLOAD_THROUGHPUT],
+            line.bytes,
+            388.0,
+            span(stage::UPLOAD),
+        );
+        sizes(
+            [stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES, stage::DOWNLOAD_THROUGHPUT],
+            412.0,
+            902.0,
+            span(stage::DOWNLOAD),
+        );
+    }
+    let rest = Span::from_micros(110);
+    nodes.add(0, "gpu-power".into(), 0, now, Measure::Custom("power".into(), Unit::WATTS, Some(11.5)));
+    nodes.add(0, stage::TOTAL, 0, Span::ZERO, Measure::Timer(Some(now + rest)));
+    if answered {
+        nodes.add(0, stage::STAGES_TOTAL, 0, Span::ZERO, Measure::Timer(Some(now)));
+        nodes.add(0, stage::UNATTRIBUTED, 0, Span::ZERO, Measure::Timer(Some(rest)));
+    }
+    Tree::from_parts(anchors, nodes.0).expect("a tree")
+}

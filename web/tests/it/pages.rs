@@ -1,0 +1,89 @@
+//! Pages over stored data.
+
+use axum::http::StatusCode;
+
+use crate::bed::Bed;
+use crate::factory::Line;
+
+#[tokio::test]
+async fn every_page_is_there_and_complete_without_a_script() {
+    let (bed, _factory) = Bed::with(vec![Line::local(), Line::full(), Line::resized()]).await;
+    let slowest = bed.get("/api/v1/runs/3/iterations?order=slowest&limit=1").await.json();
+    let slowest = format!("/runs/3/iterations/{}", slowest["iterations"][0]["number"]);
+    let pages = [
+        ("/", "offload-resized"),
+        ("/pipelines", "offload-full"),
+        ("/pipelines/cam-2/offload-full", "±0.09"),
+        ("/pipelines/cam-2/offload-full?window=60", "over the last 60"),
+        ("/runs", "#3"),
+        ("/runs?pipeline=local", "Runs of local"),
+        ("/runs/3", "Slowest iterations"),
+        ("/runs/3?stage=upload&view=cumulative&scale=log", "Distribution of upload"),
+        (&slowest, "× the run&#39;s median: "),
+        ("/hosts", "4 hosts, all connected"),
+        ("/hosts/cam-1", "What became of its events"),
+        ("/incidents", "stepped by +18.2 ms"),
+    ];
+    for (path, text) in pages {
+        let answer = bed.get(path).await;
+        assert_eq!(answer.status, StatusCode::OK, "{path}: {}", answer.text());
+        assert!(answer.header("content-type").starts_with("text/html"), "{path}");
+        assert!(answer.text().contains(text), "{path} lacks {text:?}: {}", answer.text());
+        assert!(answer.text().contains("<h1"), "{path}");
+        assert!(!answer.text().contains(" style="), "{path}");
+        let policy = answer.header("content-security-policy");
+        assert!(
+            policy.contains("script-src 'self';") && policy.contains("default-src 'none'"),
+            "{path}: {policy}"
+        );
+        assert!(!policy.contains("unsafe"), "{path}: {policy}");
+    }
+}
+
+#[tokio::test]
+async fn an_empty_aggregator_says_how_to_fill_it() {
+    let bed = Bed::empty().await;
+    let home = bed.get("/").await;
+    assert!(home.text().contains("No host has reported yet"));
+    assert!(home.text().contains(&bed.listening) && home.text().contains("peernetd check configs/edge.toml"));
+    for (path, text) in [
+        ("/pipelines", "No pipeline has reported yet"),
+        ("/runs", "No run is stored yet"),
+        ("/hosts", "No host has reported yet"),
+        ("/incidents", "Nothing out of the ordinary has happened"),
+    ] {
+        let answer = bed.get(path).await;
+        assert_eq!(answer.status, StatusCode::OK, "{path}");
+        assert!(answer.text().contains(text), "{path}: {}", answer.text());
+    }
+}
+
+#[tokio::test]
+async fn clocks_that_were_never_related_show_dashes_and_an_exact_sum() {
+    let (bed, _factory) = Bed::with(vec![Line::unrelated()]).await;
+    let run = bed.get("/runs/1").await;
+    assert!(run.text().contains("unsynchronised"), "{}", run.text());
+    assert!(run.text().contains("<tspan>up + down </tspan>"), "{}", run.text());
+    let iteration = bed.get("/runs/1/iterations/100").await;
+    assert!(iteration.text().contains("class=\"chip bad\""), "{}", iteration.text());
+    assert!(iteration.text().contains("and so is upload + download = "), "{}", iteration.text());
+    let delays = iteration.text().split("How the one-way delays came about").nth(1).expect("a panel");
+    let delays = delays.split("</section>").next().expect("its end");
+    assert_eq!(delays.matches("<b>—</b>").count(), 2, "no direction has a value: {delays}");
+}
+
+#[tokio::test]
+async fn what_is_not_there_is_said_on_a_page() {
+    let bed = Bed::empty().await;
+    for path in
+        ["/nothing", "/runs/7", "/runs/seven", "/runs/7/iterations/1", "/hosts/nobody", "/pipelines/a/b"]
+    {
+        let answer = bed.get(path).await;
+        assert_eq!(answer.status, StatusCode::NOT_FOUND, "{path}");
+        assert!(answer.header("content-type").starts_with("text/html"), "{path}");
+        assert!(answer.text().contains("<h1>Not Found</h1>"), "{path}: {}", answer.text());
+    }
+    let answer = bed.get("/runs?bfore=3").await;
+    assert_eq!(answer.status, StatusCode::BAD_REQUEST);
+    assert!(answer.text().contains("bfore"), "{}", answer.text());
+}

@@ -1,0 +1,136 @@
+//! The live stream.
+
+use axum::body::{Body, BodyDataStream};
+use axum::http::{Request, StatusCode};
+use futures::StreamExt;
+use peernet_clock::Span;
+use serde_json::Value;
+
+use crate::bed::Bed;
+use crate::factory::Line;
+
+/// Reads events from a body as they come.
+struct Events {
+    body: BodyDataStream,
+    text: String,
+}
+
+impl Events {
+    async fn of(bed: &Bed, topics: &str) -> Self {
+        let address = format!("/api/v1/live?topics={topics}");
+        let response = bed.send(Request::get(address).body(Body::empty()).expect("a request")).await;
+        assert_eq!(response.status(), StatusCode::OK);
+        assert_eq!(response.headers()["content-type"], "text/event-stream");
+        assert!(!response.headers().contains_key("content-encoding"), "a compressed stream would come late");
+        Self { body: response.into_body().into_data_stream(), text: String::new() }
+    }
+
+    /// The next event's name and data; `None` at the end of the stream.
+    async fn next(&mut self) -> Option<(String, String)> {
+        loop {
+            if let Some((event, rest)) = self.text.split_once("\n\n") {
+                let field = |name: &str| {
+                    event
+                        .lines()
+                        .find_map(|line| line.strip_prefix(name))
+                        .unwrap_or_default()
+                        .trim()
+                        .to_owned()
+                };
+                let found = (field("event:"), field("data:"));
+                self.text = rest.to_owned();
+                return Some(found);
+            }
+            let bytes = self.body.next().await?.expect("the stream is whole");
+            self.text.push_str(std::str::from_utf8(&bytes).expect("text"));
+        }
+    }
+
+    async fn until(&mut self, name: &str) -> Value {
+        loop {
+            let (event, data) = self.next().await.expect("the stream goes on");
+            if event == name {
+                return serde_json::from_str(&data).expect("JSON");
+            }
+        }
+    }
+}
+
+#[tokio::test]
+async fn figures_arrive_as_they_are_reported() {
+    let (bed, mut factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+    let mut events = Events::of(&bed, "picture,overview").await;
+    let status = events.until("status").await;
+    assert_eq!((&status["connected"], &status["hosts"]), (&Value::from(3), &Value::from(3)));
+    let first = events.until("picture").await;
+    assert_eq!(first["pipelines"][0]["name"], "local");
+    let page = events.until("page").await;
+    assert_eq!(page["layout"], "cam-1/local cam-2/offload-full");
+    assert!(page["title"].as_str().expect("a title").starts_with("2 pipelines running"));
+    assert_eq!(page["parts"][1][0], "now");
+
+    let newest = |picture: &Value| {
+        picture["pipelines"][0]["seconds"].as_array().and_then(|all| all.last()?["at"].as_i64())
+    };
+    let before = newest(&first);
+    let now = bed.clock.wall() + Span::from_seconds(2);
+    factory.report(now, now).await;
+    while newest(&events.until("picture").await) <= before {}
+}
+
+#[tokio::test]
+async fn a_slow_listener_gets_the_newest_picture_and_none_of_those_between() {
+    let (bed, mut factory) = Bed::with(vec![Line::local()]).await;
+    let mut events = Events::of(&bed, "picture").await;
+    let first = events.until("picture").await;
+    // Many pictures are made while nobody reads.
+    let mut live = bed.aggregator.live();
+    for _ in 0..8 {
+        live.mark_unchanged();
+        factory.report(bed.clock.wall(), bed.clock.wall()).await;
+        live.changed().await.expect("the aggregator runs");
+    }
+    let newest = live.borrow_and_update().at;
+    let second = events.until("picture").await;
+    let at = |picture: &Value| {
+        let text = picture["at"].as_str().expect("a time").to_owned();
+        chrono::DateTime::parse_from_rfc3339(&text)
+            .expect("RFC 3339")
+            .timestamp_nanos_opt()
+            .expect("in range")
+    };
+    assert!(at(&second) >= newest.unix_nanos(), "{} {}", at(&second), newest.unix_nanos());
+    assert!(at(&first) < at(&second));
+}
+
+#[tokio::test]
+async fn pages_of_one_pipeline_and_one_host_are_kept_live() {
+    let (bed, _factory) = Bed::with(vec![Line::full()]).await;
+    for (topic, part) in [
+        ("pipeline/cam-2/offload-full/10", "title"),
+        ("host/cam-2", "title"),
+        ("pipelines", "title"),
+        ("hosts", "title"),
+    ] {
+        let page = Events::of(&bed, topic).await.until("page").await;
+        assert_eq!(page["parts"][0][0], part, "{topic}");
+    }
+}
+
+#[tokio::test]
+async fn a_listener_without_topics_still_hears_that_the_aggregator_is_there() {
+    let bed = Bed::empty().await;
+    let mut events = Events::of(&bed, "").await;
+    assert_eq!(events.until("status").await["hosts"], 0);
+    let (name, _) = events.next().await.expect("the stream goes on");
+    assert_eq!(name, "heartbeat");
+}
+
+#[tokio::test]
+async fn the_stream_ends_when_the_server_stops() {
+    let bed = Bed::empty().await;
+    let mut events = Events::of(&bed, "picture").await;
+    events.until("status").await;
+    bed.stop.cancel();
+    while events.next().await.is_some() {}
+}
