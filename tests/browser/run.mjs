@@ -81,6 +81,11 @@ describe("the way of a person", () => {
     assert.ok(await card.locator("table").isVisible());
     await card.getByRole("button", { name: "Table" }).click();
     assert.ok(await card.locator(".chart").isVisible());
+    await card.locator(".chart").hover();
+    await page.locator(".tip:visible").waitFor();
+    await moves(page, "#part-now");
+    assert.ok(await page.locator(".tip").first().isVisible(), "an open tooltip stays while figures change");
+    await page.mouse.move(0, 0);
     const key = page.locator("#key button", { hasText: "inference" });
     await key.click();
     assert.equal(await page.locator("#key button[aria-pressed=true]").count(), 1);

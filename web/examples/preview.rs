@@ -1,6 +1,6 @@
 //! The pages with a factory that never was, for working on them: `cargo run -p peernet-web --example preview`.
 //!
-//! `--empty` shows them before the first host has reported, `--many` with thirty pipelines, `--unrelated` with
+//! `--late` lets the hosts come after ten seconds, `--empty` shows them before the first host has reported, `--many` with thirty pipelines, `--unrelated` with
 //! clocks that were never related. The address is the first free argument, 127.0.0.1:8040 otherwise.
 
 #[path = "../tests/it/factory/mod.rs"]
@@ -58,7 +58,11 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
                 })
                 .collect();
         }
-        tokio::spawn(produce(listening, clock, lines));
+        let pause = Duration::from_secs(if has("--late") { 10 } else { 0 });
+        tokio::spawn(async move {
+            tokio::time::sleep(pause).await;
+            produce(listening, clock, lines).await;
+        });
     }
     tokio::signal::ctrl_c().await?;
     stop.cancel();

@@ -88,6 +88,17 @@
     }
   }
 
+  async function copy(button) {
+    const text = button.parentElement.querySelector("pre").textContent;
+    try {
+      await navigator.clipboard.writeText(text);
+      button.textContent = "Copied";
+    } catch {
+      // Not allowed here: the text is selected, ready for the keyboard.
+      getSelection().selectAllChildren(button.parentElement.querySelector("pre"));
+    }
+  }
+
   document.addEventListener("click", (event) => {
     const at = (selector) => event.target.closest(selector);
     const plain = !event.ctrlKey && !event.metaKey && !event.shiftKey && event.button === 0;
@@ -96,6 +107,7 @@
     else if (at("#menu")) toggleMenu();
     else if (at("#keys")) find("#keyhelp").showModal();
     else if (at("#pause")) tell("peer-toggle-pause");
+    else if ((hit = at("[data-copy]"))) copy(hit);
     else if ((hit = at("[data-shows]"))) choose(hit);
     else if ((hit = at("[data-flips]"))) flip(hit);
     else if ((hit = at("#key button[data-stage]"))) isolate(hit);

@@ -140,7 +140,9 @@ const PEER = (() => {
         if (kind === "gap-span") {
           const spans = plots.map(([top, bottom]) => ({ type: "rect", shape: { x: from, y: top, width: to - from, height: bottom - top }, style: { fill: shade } }));
           const label = { type: "text", style: { text: note, x: Math.max(area.x + px(1.5), Math.min(area.x + area.width - px(1.5), (from + to) / 2)), y: plots[0][0] - px(0.25), align: "center", verticalAlign: "bottom", fill: ink, fontSize: words.fontSize, fontFamily: FONT } };
-          return { type: "group", children: spans.concat(dash(from), dash(to), [label]) };
+          // A short gap beside a sign would write over it: its hatching says enough.
+          const room = to - from >= px(0.75) || rows.length === 1;
+          return { type: "group", children: spans.concat(dash(from), dash(to), room ? [label] : []) };
         }
         const sign = { type: "path", x: from - 6 * unit, y: plots[0][0] - 14 * unit, scaleX: unit, scaleY: unit, shape: { pathData: SIGNS[kind] || SIGNS.run }, style: { fill: "none", stroke: ink, lineWidth: 1.3, strokeNoScale: true } };
         return { type: "group", children: dash(from).concat([sign]) };
@@ -173,7 +175,11 @@ const PEER = (() => {
   function redraw(one) {
     one.stale = !one.seen || document.hidden;
     if (one.stale || !one.node.clientWidth) { one.stale = true; return; }
-    one.chart.setOption({ animation: false, ...one.make(one.chart) }, { notMerge: true });
+    const option = { animation: false, ...one.make(one.chart) };
+    // Merged where only figures changed: an open tooltip then stays and follows them.
+    const shape = option.series.map((series) => `${series.type} ${series.name}`).join() + option.grid.length;
+    one.chart.setOption(option, { notMerge: shape !== one.shape });
+    one.shape = shape;
   }
   function draw(node, make) {
     const one = { node, make, chart: echarts.init(node, null, { renderer: "canvas" }), seen: true, stale: false };

@@ -136,7 +136,7 @@
       lineStyle: { width: 0 }, areaStyle: { color: PEER.fill(stage), opacity: 1 }, emphasis: { disabled: true }, z: 2,
     }));
     if (!alone) series.push({ name: "p95", type: "line", symbol: "none", data: rows.map((row) => [row.at, row.p95]), lineStyle: { width: 1.25, color: PEER.css("--ink") }, itemStyle: { color: PEER.css("--ink") }, emphasis: { disabled: true }, z: 5 });
-    below.forEach((strip, index) => series.push({ name: strip.name, type: "line", symbol: "none", xAxisIndex: index + 1, yAxisIndex: index + 1, data: strip.points, lineStyle: { width: 1.25, color: PEER.css(strip.color) }, emphasis: { disabled: true }, z: 3 }));
+    below.forEach((strip, index) => series.push({ name: `strip ${index} ${strip.known}`, type: "line", symbol: "none", xAxisIndex: index + 1, yAxisIndex: index + 1, data: strip.points, lineStyle: { width: 1.25, color: PEER.css(strip.color) }, emphasis: { disabled: true }, z: 3 }));
     const mine = marks.filter((mark) => mark.host === card.host && (!mark.pipeline || mark.pipeline === card.pipeline) && mark.at >= start);
     series.push(PEER.marks(mine, gaps(card), plots));
     const ends = shared(width);
@@ -202,7 +202,13 @@
     refresh();
   }
   document.addEventListener("peer-back", () => cards.forEach(catchUp));
-  document.addEventListener("peer-updated", ({ detail }) => { if (detail.marks?.length) marks = detail.marks; });
+  document.addEventListener("peer-updated", ({ detail }) => {
+    if (detail.marks.length) marks = detail.marks;
+    for (const [key, obstacles] of detail.obstacles) {
+      const card = cards.find((other) => other.key === key);
+      if (card) card.obstacles = obstacles;
+    }
+  });
   document.addEventListener("peer-pause", ({ detail }) => { paused = detail; refresh(); });
   document.addEventListener("visibilitychange", refresh);
   document.addEventListener("peer-range", ({ detail }) => { range = detail; scale = { max: 0, since: 0 }; refresh(); });

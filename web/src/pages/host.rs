@@ -73,7 +73,7 @@ pub(crate) fn update(app: &AppState, picture: &Picture, name: &str) -> Result<Up
         ("pipelines", page.as_pipelines().render()?),
         ("accounting", page.as_accounting().render()?),
     ];
-    Ok(Update { layout: String::new(), title: page.shell.title, parts, marks: Vec::new() })
+    Ok(Update::new(page.shell.title, parts))
 }
 
 fn live<'a>(picture: &'a Picture, name: &str) -> Option<&'a HostPicture> {

@@ -24,6 +24,7 @@ use serde::Serialize;
 
 use crate::error::WebError;
 use crate::state::App;
+use crate::view::chart::Obstacles;
 
 /// A rendered page.
 pub(crate) type Page = Result<Html<String>, WebError>;
@@ -61,6 +62,15 @@ pub(crate) struct Update {
     pub parts: Vec<(&'static str, String)>,
     /// Incidents to mark on the time axes.
     pub marks: Vec<Mark>,
+    /// By chart, why the upward and the downward throughput have no line.
+    pub obstacles: Vec<(String, Obstacles)>,
+}
+
+impl Update {
+    /// An update of a page without charts.
+    fn new(title: String, parts: Vec<(&'static str, String)>) -> Self {
+        Self { layout: String::new(), title, parts, marks: Vec::new(), obstacles: Vec::new() }
+    }
 }
 
 /// An incident on a time axis.

@@ -59,7 +59,7 @@ pub(crate) async fn update(app: &AppState, picture: &Picture) -> Result<Update, 
     if picture.hosts.is_empty() && picture.pipelines.is_empty() {
         let page = empty(app, picture);
         let parts = vec![("seen", page.as_seen().render()?)];
-        return Ok(Update { layout: page.layout.clone(), title: page.shell.title, parts, marks: Vec::new() });
+        return Ok(Update { layout: page.layout, ..Update::new(page.shell.title, parts) });
     }
     let incidents = incidents(app).await;
     let marks = incidents.as_ref().map(|rows| marks(rows)).unwrap_or_default();
@@ -71,7 +71,8 @@ pub(crate) async fn update(app: &AppState, picture: &Picture) -> Result<Update, 
         ("hosts", page.as_hosts().render()?),
         ("incidents", page.as_incidents().render()?),
     ];
-    Ok(Update { layout: page.layout.clone(), title: page.shell.title, parts, marks })
+    let obstacles = page.charts.iter().map(ChartCard::obstacles).collect();
+    Ok(Update { layout: page.layout, marks, obstacles, ..Update::new(page.shell.title, parts) })
 }
 
 type Incidents = Result<std::sync::Arc<Vec<IncidentRow>>, String>;

@@ -100,7 +100,8 @@ pub(crate) fn update(app: &AppState, picture: &Picture, rest: &str) -> Result<Up
         ("figures", page.as_figures().render()?),
         ("stages", page.as_stages().render()?),
     ];
-    Ok(Update { layout: page.layout.clone(), title: page.shell.title, parts, marks: Vec::new() })
+    let obstacles = page.charts.iter().map(ChartCard::obstacles).collect();
+    Ok(Update { layout: page.layout, obstacles, ..Update::new(page.shell.title, parts) })
 }
 
 fn find<'a>(picture: &'a Picture, host: &str, name: &str) -> Result<&'a PipelinePicture, WebError> {

@@ -53,7 +53,7 @@ pub(crate) async fn show(State(app): State<App>) -> Page {
 pub(crate) fn update(app: &AppState, picture: &Picture) -> Result<Update, WebError> {
     let page = pipelines(app, picture);
     let parts = vec![("title", page.as_title().render()?), ("list", page.as_list().render()?)];
-    Ok(Update { layout: String::new(), title: page.shell.title, parts, marks: Vec::new() })
+    Ok(Update::new(page.shell.title, parts))
 }
 
 fn pipelines(app: &AppState, picture: &Picture) -> Pipelines {

@@ -1,6 +1,7 @@
 //! Sizes and throughputs of one iteration, and what else was measured in it.
 
 use peernet_aggregator::{Figures, IterationDetail};
+use peernet_clock::Verdict;
 use peernet_logger::{Measure, Name, Node, NodeId};
 
 use crate::numbers::{NONE, SPACE, bytes, figure, throughput, times};
@@ -48,7 +49,7 @@ impl ByteRow {
             let size = |name: &str| {
                 value(detail, name).map_or_else(|| NONE.to_owned(), |size| bytes(size).to_string())
             };
-            let (throughput, title) = speed_of(detail, speed);
+            let (throughput, title) = speed_of(detail, speed, name);
             let usual =
                 median(&detail.run_figures, speed).map(|figures| figures.p50).filter(|usual| *usual > 0.0);
             let ratio = value(detail, speed).zip(usual).map(|(now, usual)| times(now / usual));
@@ -65,19 +66,24 @@ impl ByteRow {
     }
 }
 
-/// A throughput; over a delay that is not known well, its interval and never one figure.
-fn speed_of(detail: &IterationDetail, name: &str) -> (String, &'static str) {
-    let node = detail.tree.nodes().iter().find(|node| node.name == *name);
-    let Some(Measure::Throughput(rate)) = node.map(|node| &node.measure) else {
+/// A throughput; over a delay that is known only within a wide bound its interval, never one figure.
+fn speed_of(detail: &IterationDetail, name: &str, delay: &str) -> (String, &'static str) {
+    let node =
+        |name: &str| detail.tree.nodes().iter().find(|node| node.name == *name).map(|node| &node.measure);
+    let Some(Measure::Throughput(rate)) = node(name) else {
         return (NONE.to_owned(), "no throughput was computed");
     };
-    match (rate.value, rate.bounds) {
-        (Some(value), Some((lo, hi))) if hi > 3.0 * lo.max(value / 3.0) => {
+    let verdict = match node(delay) {
+        Some(Measure::Transit(transit)) => transit.delay.map(|delay| delay.verdict),
+        _ => None,
+    };
+    match (rate.value, rate.bounds, verdict) {
+        (Some(_), Some((lo, hi)), Some(Verdict::Limited)) => {
             let hi = if hi.is_finite() { throughput(hi) } else { "∞".to_owned() };
-            (format!("{} – {hi}", throughput(lo)), "the delay is known only within a wide bound")
+            (format!("{} – {hi}", throughput(lo)), "the delay is known only within its clock bound")
         }
-        (Some(value), _) => (throughput(value), ""),
-        (None, _) => (NONE.to_owned(), "the delay of this direction is not known"),
+        (Some(value), ..) => (throughput(value), ""),
+        (None, ..) => (NONE.to_owned(), "the delay of this direction is not known"),
     }
 }
 

@@ -17,6 +17,9 @@ use crate::numbers::{NONE, count, stage_ms};
 use crate::pages::Mark;
 use crate::zone::{Moment, Zone};
 
+/// Why there is no single figure for the upward and the downward throughput.
+pub(crate) type Obstacles = [Option<&'static str>; 2];
+
 /// One chart with its table view.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ChartCard {
@@ -57,7 +60,7 @@ struct ChartData {
     /// 95th percentile of `total` within the second, ms.
     p95: Vec<Short>,
     /// Why a direction has no line.
-    obstacles: [Option<&'static str>; 2],
+    obstacles: Obstacles,
     /// CPU and GPU of the host in percent, as (unix seconds, value), for a pipeline that sends nothing.
     cpu: Vec<(i64, Short)>,
     gpu: Vec<(i64, Short)>,
@@ -111,6 +114,11 @@ impl ChartCard {
             data: ChartData::new(pipeline, picture, host),
             name,
         }
+    }
+
+    /// Why a direction has no line, under the chart's key.
+    pub(crate) fn obstacles(&self) -> (String, Obstacles) {
+        (self.key.clone(), self.data.obstacles)
     }
 
     /// The JSON block of a page with these charts.

@@ -65,10 +65,10 @@ pub(crate) fn clock_words(theirs: &ClockIdentity, ours: &ClockIdentity, ahead: S
     if theirs == ours {
         return ("shared".to_owned(), "the same clock as the aggregator's".to_owned());
     }
-    let title = format!("its own clock, within 0.1{SPACE}s of the aggregator's when its last update arrived");
+    let title = format!("its own clock, within 1{SPACE}s of the aggregator's when its last update arrived");
     let size = ahead.abs().seconds();
     // The comparison includes the update's own way, so small differences mean nothing.
-    if size < 0.1 {
+    if size < 1.0 {
         return ("own".to_owned(), title);
     }
     let away = format!("{} {}", length(size), if ahead.is_negative() { "behind" } else { "ahead" });
