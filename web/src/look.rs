@@ -20,6 +20,9 @@ pub(crate) const STACK: [&str; 11] = [
 /// Both directions of the network together, where clocks that were never related cannot tell them apart.
 pub(crate) const NETWORK: &str = "upload + download";
 
+/// From the intended start to the real one: a named part of what is unattributed.
+pub(crate) const LATENESS: &str = "lateness";
+
 /// The name of a stage where there is little room.
 pub(crate) fn short(name: &str) -> &str {
     if name == NETWORK { "up + down" } else { name }
@@ -46,6 +49,8 @@ pub(crate) fn class(name: &str) -> &'static str {
         "capture" => "capture",
         "transform" => "transform",
         NETWORK => "network",
+        // What is named of the unattributed looks like the rest of it.
+        LATENESS => "unattributed",
         "total" | "stages-total" => "total",
         other => KEY.into_iter().find(|known| *known == other).unwrap_or("other"),
     }

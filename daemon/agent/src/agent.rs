@@ -172,7 +172,7 @@ pub(crate) fn host_name(config: &HostConfig) -> Result<Slug, StartError> {
 fn bank(config: &AgentConfig, clock: &SharedClock, incidents: Incidents) -> Bank {
     Bank::new(config.models.clone(), config.onnxruntime.clone(), Arc::clone(clock)).on_load(move |pool| {
         let text =
-            format!("loaded {} on {} in {:.1} s", pool.name(), pool.device(), pool.loaded_in().seconds());
+            format!("loaded {} on {} in {:.2} s", pool.name(), pool.device(), pool.loaded_in().seconds());
         incidents.report(IncidentKind::ModelLoaded, Concerning::default(), text);
     })
 }

@@ -58,6 +58,9 @@ const PEER = (() => {
     return value.toLocaleString("en-US", { minimumFractionDigits: digits, maximumFractionDigits: digits }).replace("-", "\u2212");
   }
 
+  // A tick of an axis: round by construction.
+  const tick = (value) => (+value.toPrecision(3)).toLocaleString("en-US", { maximumFractionDigits: 6 });
+
   const FONT = "Inter, system-ui, sans-serif";
   const text = () => ({ color: css("--ink-3"), fontSize: px(0.6875), fontFamily: FONT });
   function timeAxis(more) {
@@ -200,5 +203,5 @@ const PEER = (() => {
   document.addEventListener("peer-theme", () => drawn.forEach(redraw));
   document.addEventListener("visibilitychange", () => { if (!document.hidden) drawn.forEach((one) => { if (one.stale) redraw(one); }); });
 
-  return { STAGES, name: (stage) => (stage === "network" ? "upload + download" : stage), css, px, fill, edge, clock, figure, text, timeAxis, valueAxis, tooltip, tip, marks, bucket, steps, draw, redraw, forget, isHovered: (node) => hovered === node };
+  return { STAGES, name: (stage) => (stage === "network" ? "upload + download" : stage), css, px, fill, edge, clock, figure, tick, text, timeAxis, valueAxis, tooltip, tip, marks, bucket, steps, draw, redraw, forget, isHovered: (node) => hovered === node };
 })();

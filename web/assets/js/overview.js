@@ -153,12 +153,12 @@
       }),
       xAxis: [0, ...below.map((_, index) => index + 1)].map((grid) => PEER.timeAxis({ ...axes, gridIndex: grid, ...(grid < below.length ? { axisLabel: { show: false } } : {}), seconds: range <= 60, splitNumber: 4 })),
       yAxis: [
-        PEER.valueAxis("ms", { ...ends, axisLabel: { ...PEER.text(), margin: PEER.px(0.375), formatter: (value) => String(+value.toPrecision(3)) } }),
+        PEER.valueAxis("ms", { ...ends, axisLabel: { ...PEER.text(), margin: PEER.px(0.375), formatter: PEER.tick } }),
         ...below.map((strip, index) => {
           const top = strip.max || PEER.steps(strip.points.reduce((most, point) => Math.max(most, point[1] || 0), 0)).max;
           return PEER.valueAxis(strip.name, {
             gridIndex: index + 1, max: top, interval: top, splitLine: { show: false }, nameGap: PEER.px(0.2), nameTextStyle: { ...PEER.text(), align: "left" },
-            axisLabel: { ...PEER.text(), margin: PEER.px(0.375), show: strip.known, formatter: (value) => (value === 0 ? "" : String(+value.toPrecision(3))) },
+            axisLabel: { ...PEER.text(), margin: PEER.px(0.375), show: strip.known, formatter: (value) => (value === 0 ? "" : PEER.tick(value)) },
           });
         }),
       ],

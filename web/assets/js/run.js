@@ -48,7 +48,7 @@
         return lines.length ? PEER.tip(PEER.clock(bucket ? bucket[0] : at, true), `ms, ${data.bucket} s`, lines) : "";
       }),
       xAxis: PEER.timeAxis({ min: begin, max: end, seconds }),
-      yAxis: PEER.valueAxis("ms", { ...ends, axisLabel: { ...PEER.text(), margin: PEER.px(0.375), formatter: (value) => String(+value.toPrecision(3)) } }),
+      yAxis: PEER.valueAxis("ms", { ...ends, axisLabel: { ...PEER.text(), margin: PEER.px(0.375), formatter: PEER.tick } }),
       series: [
         { type: "line", symbol: data.points.length === 1 ? "circle" : "none", data: line(1), lineStyle: { width: 2, color: PEER.css("--ink") }, itemStyle: { color: PEER.css("--ink") }, emphasis: { disabled: true }, z: 4 },
         { type: "line", symbol: "none", data: line(2), lineStyle: { width: 1, color: PEER.css("--ink-3") }, itemStyle: { color: PEER.css("--ink-3") }, emphasis: { disabled: true }, z: 3 },

@@ -29,6 +29,11 @@ impl Scale {
         Self { max, step: max }
     }
 
+    /// Whether a value lies on the scale.
+    pub(crate) fn holds(&self, value: f64) -> bool {
+        value <= self.max
+    }
+
     /// Where a value lies; values beyond either end lie at that end.
     pub(crate) fn at(&self, value: f64) -> Percent {
         Percent((value / self.max * 100.0).clamp(0.0, 100.0))

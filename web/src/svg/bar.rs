@@ -52,6 +52,8 @@ struct Whisker {
     far: bool,
     from: Percent,
     to: Percent,
+    /// The quantile lies beyond the axis.
+    beyond: bool,
 }
 
 /// A value inside a segment, where there is room for few digits.
@@ -103,9 +105,10 @@ impl Bar {
     pub(crate) fn whiskers(mut self, p95: Option<f64>, p99: Option<f64>, scale: &Scale) -> Self {
         let mut from = self.segments.last().map_or(Percent(0.0), |segment| segment.end);
         for (far, quantile) in [(false, p95), (true, p99)] {
-            let Some(to) = quantile.map(|seconds| scale.at(seconds * 1e3)) else { continue };
+            let Some(milliseconds) = quantile.map(|seconds| seconds * 1e3) else { continue };
+            let to = scale.at(milliseconds);
             if to > from {
-                self.whiskers.push(Whisker { far, from, to });
+                self.whiskers.push(Whisker { far, from, to, beyond: !scale.holds(milliseconds) });
                 from = to;
             }
         }
@@ -172,7 +175,7 @@ mod tests {
         assert_eq!(both.whiskers[1].from, both.whiskers[0].to);
         assert!(bar.clone().whiskers(Some(0.019), None, &scale).whiskers.is_empty());
         let beyond = bar.whiskers(Some(0.9), None, &scale);
-        assert_eq!(beyond.whiskers[0].to, Percent(100.0));
+        assert_eq!((beyond.whiskers[0].to, beyond.whiskers[0].beyond), (Percent(100.0), true));
     }
 
     #[test]

@@ -13,6 +13,9 @@ use crate::look;
 use crate::numbers::{NONE, percent, rate, stage_ms, total_ms};
 use crate::svg::{Axis, Bar, Scale};
 
+/// How many times as long as the longest bar a whisker may make the axis.
+const TAIL: f64 = 2.0;
+
 /// Bars on a shared scale.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct NowTable {
@@ -103,13 +106,14 @@ impl NowTable {
         let windows: Vec<(&PipelinePicture, &Window)> =
             pipelines.iter().filter_map(|one| Some((*one, one.window(seconds)?))).collect();
         let stacks: Vec<Stack> = windows.iter().map(|(_, window)| Stack::of_window(window)).collect();
-        // The longest window steadies the scale: it moves with the last minute, not with every figure.
-        let reach = windows.iter().zip(&stacks).map(|((pipeline, _), stack)| {
+        // The longest window steadies the scale: it moves with the last minute, not with every figure. A tail that
+        // is far longer than the bars would squeeze them: its figure is in the table, its whisker leaves the axis.
+        let longest = stacks.iter().map(Stack::end_ms).fold(0.0, f64::max);
+        let reach = windows.iter().map(|(pipeline, _)| {
             let minute = pipeline.window(60).and_then(|window| window.value(&stage::TOTAL));
-            let far = minute.map_or(0.0, |total| total.p99.or(total.p95).unwrap_or(total.p50) * 1e3);
-            far.max(stack.end_ms())
+            minute.map_or(0.0, |total| total.p99.or(total.p95).unwrap_or(total.p50) * 1e3)
         });
-        let scale = Scale::fit(reach.fold(0.0, f64::max), 6);
+        let scale = Scale::fit(reach.fold(0.0, f64::max).min(TAIL * longest).max(longest), 6);
         let has = |name: &&str| windows.iter().any(|(_, window)| window.value(name).is_some());
         let mut columns: Vec<&'static str> =
             look::STACK.into_iter().filter(|name| *name != "unattributed").filter(has).collect();

@@ -43,7 +43,7 @@ impl StageRow {
             |of: fn(&Figures) -> Option<f64>| figures.and_then(of).map_or_else(|| NONE.to_owned(), stage_ms);
         Self {
             look: look::class(name),
-            depth: u8::from(matches!(name, "capture" | "transform")),
+            depth: u8::from(matches!(name, "capture" | "transform" | look::LATENESS)),
             mean: text(|figures| Some(figures.mean)),
             std: figures.and_then(|figures| figures.std).map(|std| fixed(std * 1e3, 2)),
             p50: text(|figures| Some(figures.p50)),
@@ -79,6 +79,7 @@ impl StageRow {
                 && stage.stage != "stages-total"
                 && stage.stage != "total"
                 && stage.stage != "unattributed"
+                && stage.stage != look::LATENESS
         };
         let mut rows: Vec<Self> = stages
             .iter()
@@ -98,15 +99,19 @@ impl StageRow {
             rows.insert(at, Self::network(network, Some(network.seconds / total.mean)));
         }
         let has = |name: &str| stages.iter().any(|stage| stage.stage == *name);
-        rows.extend(["unattributed", "total"].into_iter().filter(|name| has(name)).filter_map(|name| {
-            let stage = stages.iter().find(|stage| stage.stage == *name)?;
-            Some(Self::new(
-                name,
-                Some(&stage.figures),
-                None,
-                stage.share.or((name == "total").then_some(1.0)),
-            ))
-        }));
+        rows.extend(
+            ["unattributed", look::LATENESS, "total"].into_iter().filter(|name| has(name)).filter_map(
+                |name| {
+                    let stage = stages.iter().find(|stage| stage.stage == *name)?;
+                    Some(Self::new(
+                        name,
+                        Some(&stage.figures),
+                        None,
+                        stage.share.or((name == "total").then_some(1.0)),
+                    ))
+                },
+            ),
+        );
         rows
     }
 
@@ -118,7 +123,7 @@ impl StageRow {
         let mut rows = Vec::new();
         let network = stack.parts.iter().find(|part| part.name == look::NETWORK);
         let order = ["sensing", "capture", "transform"].into_iter().chain(look::STACK.into_iter().skip(1));
-        for name in order.chain(["total"]) {
+        for name in order.chain([look::LATENESS, "total"]) {
             let bound = window.bounds.iter().find(|bound| bound.stage == *name);
             let figures = window.value(name);
             if figures.is_some() || bound.is_some_and(|bound| !bound.verdicts.is_empty()) {

@@ -110,9 +110,24 @@ impl Timeline {
         let visits: Vec<Option<Visit>> = (1..tree.anchors().len()).map(|index| visit(tree, index)).collect();
         let mut timeline = Self { nodes: Vec::new(), visits, end: detail.row.total.unwrap_or(0.0) };
         timeline.add_children(tree, NodeId::ROOT, 0, &detail.run_figures);
+        timeline.sort();
         let ends = timeline.nodes.iter().filter_map(|node| Some(node.start? + node.length?));
         timeline.end = ends.fold(timeline.end, f64::max);
         timeline
+    }
+
+    /// Puts what began first on top; children stay with their parents, and what has no place where it is.
+    fn sort(&mut self) {
+        let mut begun = f64::NEG_INFINITY;
+        let mut keyed: Vec<(f64, Placed)> = Vec::with_capacity(self.nodes.len());
+        for node in self.nodes.drain(..) {
+            if node.depth == 0 {
+                begun = node.start.unwrap_or(begun);
+            }
+            keyed.push((begun, node));
+        }
+        keyed.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+        self.nodes = keyed.into_iter().map(|(_, node)| node).collect();
     }
 
     fn add_children(&mut self, tree: &Tree, of: NodeId, depth: u8, figures: &[(Name, Figures)]) {

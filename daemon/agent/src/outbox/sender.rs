@@ -190,8 +190,12 @@ impl<S: Spool> Sender<S> {
                 self.said = None;
                 // It may have been started anew and know no second of ours.
                 self.board.start_over();
-                let text =
-                    format!("connected to the aggregator on {aggregator}, which has batches up to {stored}");
+                let text = match stored {
+                    0 => format!("connected to the aggregator on {aggregator}"),
+                    stored => format!(
+                        "connected to the aggregator on {aggregator}, which has batches up to {stored}"
+                    ),
+                };
                 self.incidents.report(IncidentKind::Connected, Concerning::default(), text);
             }
             Notice::Refused(reason) => {
