@@ -77,7 +77,8 @@ fn title(row: &IterationRow, cause: Option<&Cause>) -> String {
     if (0.95..1.05).contains(&factor) {
         return format!("{took}, as usual in this run");
     }
-    let because = cause.map_or_else(String::new, |cause| {
+    // A fast iteration may have had a slow stage, too, but that is not why it was fast.
+    let because = cause.filter(|_| factor > 1.0).map_or_else(String::new, |cause| {
         let (value, median) = (duration(cause.value), duration(cause.usual));
         // The unit once is enough where both have the same.
         let median = if value.unit == median.unit { median.number } else { median.to_string() };
@@ -178,6 +179,8 @@ mod tests {
             title(&row, Some(&cause)),
             "30.2\u{202f}ms, 1.9\u{202f}× the run's median: upload took 20.4\u{202f}ms instead of 6.28"
         );
+        row.factor = Some(0.8);
+        assert_eq!(title(&row, Some(&cause)), "30.2\u{202f}ms, 0.80\u{202f}× the run's median");
         row.factor = Some(1.01);
         assert_eq!(title(&row, Some(&cause)), "30.2\u{202f}ms, as usual in this run");
         row.outcome = "lost".into();
