@@ -112,3 +112,31 @@ fn listening_beyond_loopback_must_be_asked_for() {
     assert_eq!(code, CONFIGURATION, "{said}");
     assert!(said.contains("web.listen") && said.contains("allow_unauthenticated"), "{said}");
 }
+
+#[test]
+fn an_agent_may_not_take_longer_to_stop_than_the_process() {
+    let (code, said) = check(
+        &Site::new(),
+        "[lifecycle]\nshutdown_deadline_s = 3\n\n[agent]\nname = \"edge\"\nstate_dir = \"{folder}/edge\"\nstop_timeout_ms = 4000\n",
+    );
+    assert_eq!(code, CONFIGURATION, "{said}");
+    assert!(
+        said.contains("it.toml:7: agent.stop_timeout_ms") && said.contains("shutdown_deadline_s"),
+        "{said}"
+    );
+}
+
+#[test]
+fn a_log_level_that_is_none_and_an_endless_file_are_refused() {
+    let site = Site::new();
+    let (code, said) = check(
+        &site,
+        "[log]\nlevel = \"loud=very\"\n[agent]\nname = \"edge\"\nstate_dir = \"{folder}/edge\"\n",
+    );
+    assert_eq!(code, CONFIGURATION, "{said}");
+    assert!(said.contains("it.toml:2: log.level"), "{said}");
+
+    let ended = site.peernetd(&["check", "/dev/zero"]).ended();
+    assert_eq!(ended.code(), CONFIGURATION, "{}", ended.log);
+    assert!(ended.log.contains("right file"), "{}", ended.log);
+}

@@ -92,6 +92,21 @@ fn under_journald_lines_carry_priorities_instead_of_times() {
 }
 
 #[test]
+fn a_second_signal_ends_it_at_once() {
+    // A model that computes for ten minutes is what the first signal would wait for.
+    let site = Site::new();
+    let slow = AGENT.replace("kind = \"echo\"", "kind = \"sleep\"\ninference_ms = 600000");
+    site.write("edge.toml", &slow.replace("[agent]", "[agent]\nstop_timeout_ms = 9000"));
+    let daemon = site.start("edge.toml");
+    daemon.wait_for("loaded echo");
+    daemon.terminate();
+    daemon.wait_for("SIGTERM: stopping");
+    daemon.terminate();
+    daemon.wait_for("ending at once");
+    assert_eq!(daemon.ended().code(), 70);
+}
+
+#[test]
 fn the_version_names_the_commit() {
     let site = Site::new();
     let ended = site.peernetd(&["--version"]).ended();

@@ -13,6 +13,7 @@ use sd_notify::NotifyState;
 use serde::{Deserialize, Serialize};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::task::JoinHandle;
+use tokio::time::{Instant, timeout_at};
 use tokio_util::sync::CancellationToken;
 use tracing::{debug, error, info, warn};
 
@@ -31,6 +32,9 @@ impl Default for LifecycleConfig {
         Self { shutdown_deadline_s: 10 }
     }
 }
+
+/// What is kept of the deadline for each part that is still to be stopped.
+const LAST_SHARE: Duration = Duration::from_secs(1);
 
 /// A part of the process that runs until it is told to stop.
 struct Part {
@@ -108,13 +112,9 @@ impl Lifecycle {
 
         let Self { parts, mut signals, deadline } = self;
         tokio::select! {
-            stopped = stop_in_reverse(parts) => exit = if stopped == Exit::Ok { exit } else { stopped },
+            stopped = stop_in_reverse(parts, deadline) => exit = if stopped == Exit::Ok { exit } else { stopped },
             name = signals.next() => {
                 warn!("second {name}: ending at once, what was under way is given up");
-                exit = Exit::Software;
-            }
-            () = tokio::time::sleep(deadline) => {
-                error!("not everything stopped within lifecycle.shutdown_deadline_s = {} s: ending at once", deadline.as_secs());
                 exit = Exit::Software;
             }
         }
@@ -153,19 +153,31 @@ async fn first_end(parts: &[Part]) -> &'static str {
     futures::future::select_all(ends).await.0
 }
 
-/// Last started, first stopped: an agent delivers its events before the aggregator beside it goes.
-async fn stop_in_reverse(parts: Vec<Part>) -> Exit {
+/// Last started, first stopped: an agent delivers its events before the aggregator beside it goes. A part that
+/// takes too long is left behind, so that those after it still have their moment.
+async fn stop_in_reverse(parts: Vec<Part>, deadline: Duration) -> Exit {
+    let end = Instant::now() + deadline;
     let mut exit = Exit::Ok;
-    for part in parts.into_iter().rev() {
+    for (after, mut part) in parts.into_iter().enumerate().rev() {
         part.stop.cancel();
-        match part.task.await {
-            Ok(Ok(())) => debug!("the {} has stopped", part.name),
-            Ok(Err(problem)) => {
+        let reserved = LAST_SHARE * u32::try_from(after).unwrap_or(u32::MAX);
+        match timeout_at(end.checked_sub(reserved).unwrap_or(end), &mut part.task).await {
+            Ok(Ok(Ok(()))) => debug!("the {} has stopped", part.name),
+            Ok(Ok(Err(problem))) => {
                 error!("the {} failed: {problem:#}", part.name);
                 exit = Exit::Software;
             }
-            Err(panic) => {
+            Ok(Err(panic)) => {
                 error!("the {} died: {panic}", part.name);
+                exit = Exit::Software;
+            }
+            Err(_elapsed) => {
+                error!(
+                    "the {} did not stop within its part of lifecycle.shutdown_deadline_s = {} s: going on without it",
+                    part.name,
+                    deadline.as_secs()
+                );
+                part.task.abort();
                 exit = Exit::Software;
             }
         }

@@ -1,5 +1,6 @@
 //! Reading the file and checking everything it names.
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::{fmt, io};
@@ -15,6 +16,9 @@ use serde::Deserialize;
 use super::Locator;
 use crate::lifecycle::LifecycleConfig;
 use crate::log::LogConfig;
+
+/// Bytes of the largest configuration file that is read.
+const LARGEST_FILE: u64 = 4 << 20;
 
 /// The whole file.
 #[derive(Debug, Deserialize)]
@@ -75,7 +79,7 @@ impl fmt::Display for Problem {
 pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
     let problem =
         |line, key: &str, text: String| Problem { file: path.to_owned(), line, key: key.to_owned(), text };
-    let text = std::fs::read_to_string(path)
+    let text = read_text(path)
         .map_err(|error| vec![problem(None, "", format!("cannot read the configuration: {error}"))])?;
     let locator = Locator::new(&text);
     let file: File = read(&text).map_err(|(key, error)| {
@@ -90,6 +94,18 @@ pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
         return Ok(configuration);
     }
     Err(problems.into_iter().map(|(key, text)| problem(locator.line(&key), &key, text)).collect())
+}
+
+/// The text of a regular file of reasonable size: a device or a recording given by mistake would be read for ever.
+fn read_text(path: &Path) -> io::Result<String> {
+    let mut text = String::new();
+    std::fs::File::open(path)?.take(LARGEST_FILE + 1).read_to_string(&mut text)?;
+    if text.len() as u64 > LARGEST_FILE {
+        return Err(io::Error::other(format!(
+            "it is larger than {LARGEST_FILE} bytes: is this the right file?"
+        )));
+    }
+    Ok(text)
 }
 
 /// The file's content, or the key that could not be read and why.
@@ -149,6 +165,16 @@ impl Configuration {
         let mut problems = Vec::new();
         if let Err(error) = self.log.check() {
             problems.push(("log.level".to_owned(), error));
+        }
+        let (deadline_s, agent_ms) = (
+            self.lifecycle.shutdown_deadline_s,
+            self.agent.as_ref().map(|config| config.agent.stop_timeout_ms),
+        );
+        if let Some(agent_ms) = agent_ms.filter(|ms| *ms > deadline_s.saturating_mul(1000)) {
+            let text = format!(
+                "{agent_ms} ms is more than lifecycle.shutdown_deadline_s = {deadline_s} s allows; shorten it or raise the other"
+            );
+            problems.push(("agent.stop_timeout_ms".to_owned(), text));
         }
         if let Some(config) = &self.aggregator {
             let found = Aggregator::check(config).into_iter();
