@@ -136,7 +136,7 @@ pub(crate) async fn dress(State(app): State<App>, request: Request, next: Next) 
         }
         None => return response,
     };
-    let (form, body) = if path.starts_with("/api/") {
+    let (form, body) = if path == "/api" || path.starts_with("/api/") {
         let body = serde_json::to_string(&problem).unwrap_or_default();
         ("application/problem+json", body)
     } else {

@@ -8,6 +8,7 @@ mod access;
 mod api;
 mod assets;
 mod config;
+mod connections;
 mod error;
 mod look;
 mod numbers;

@@ -2,7 +2,6 @@
 
 use std::io;
 use std::net::SocketAddr;
-use std::time::Duration;
 
 use axum::Router;
 use peernet_aggregator::Aggregator;
@@ -12,21 +11,19 @@ use tokio::task::{JoinError, JoinHandle};
 use tokio_util::sync::CancellationToken;
 
 use crate::config::{Problem, WebConfig};
+use crate::connections::{self, Limits};
 use crate::state::AppState;
 use crate::{access, assets};
-
-/// How long open requests may go on after the server was asked to stop.
-const GRACE: Duration = Duration::from_secs(5);
 
 /// Why the server did not start.
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
     /// A value of the configuration cannot work.
-    #[error("cannot serve the dashboard: {0}")]
+    #[error("cannot serve the dashboard")]
     Configuration(#[from] Problem),
     /// The port is taken or the address is not this machine's.
     #[error(
-        "cannot serve the dashboard on {address}: {source}; is another one running there? choose another address with `listen` in the table [web]"
+        "cannot serve the dashboard on {address}, which another program may hold; choose another address with `listen` in the table [web]"
     )]
     Listen {
         /// The configured address.
@@ -40,21 +37,15 @@ pub enum StartError {
 #[derive(Debug, thiserror::Error)]
 pub enum Failure {
     /// Its task panicked.
-    #[error("the web server died: {0}")]
+    #[error("the web server died")]
     Died(#[from] JoinError),
-    /// The listening socket broke.
-    #[error("the web server stopped accepting: {0}")]
-    Accept(#[from] io::Error),
-    /// It ended early.
-    #[error("the web server ended before it was asked to")]
-    Ended,
 }
 
 /// A running server.
 #[derive(Debug)]
 pub struct Running {
     address: SocketAddr,
-    task: JoinHandle<Result<(), Failure>>,
+    task: JoinHandle<()>,
 }
 
 impl Running {
@@ -66,9 +57,9 @@ impl Running {
     /// Waits until the server has ended: after `stop` was cancelled, or because it died.
     ///
     /// # Errors
-    /// When it died or ended without being asked to.
+    /// When it died.
     pub async fn join(self) -> Result<(), Failure> {
-        self.task.await?
+        Ok(self.task.await?)
     }
 }
 
@@ -83,7 +74,8 @@ pub fn router(
 }
 
 /// Serves the dashboard and the REST API of `aggregator` until `stop` is cancelled; open streams are then
-/// ended, other requests get five seconds to finish.
+/// ended, other requests get 1.5 seconds to finish. At most 1,024 connections are open at a time, further ones
+/// wait; one that completes no request header within 10 seconds is closed.
 ///
 /// # Errors
 /// When the configuration is refused or the address cannot be listened on.
@@ -99,23 +91,7 @@ pub async fn serve(
     let address = listener.local_addr().map_err(listening)?;
     tokio::task::spawn_blocking(assets::prepare);
 
-    let service = axum::serve(listener, router(&config, aggregator, clock, stop.clone()))
-        .with_graceful_shutdown(stop.clone().cancelled_owned());
-    let task = tokio::spawn(async move {
-        let deadline = async {
-            stop.cancelled().await;
-            tokio::time::sleep(GRACE).await;
-        };
-        tokio::select! {
-            ended = service.into_future() => {
-                ended?;
-                if stop.is_cancelled() { Ok(()) } else { Err(Failure::Ended) }
-            }
-            () = deadline => {
-                tracing::warn!("requests were still open {} s after the web server was asked to stop", GRACE.as_secs());
-                Ok(())
-            }
-        }
-    });
+    let router = router(&config, aggregator, clock, stop.clone());
+    let task = tokio::spawn(connections::accept(listener, router, stop, Limits::SERVER));
     Ok(Running { address, task })
 }

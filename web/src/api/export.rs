@@ -40,7 +40,7 @@ pub(crate) struct Query {
 }
 
 /// All iterations of a run as a table: one row each, one column per stage, in seconds.
-#[utoipa::path(get, path = "/api/v1/runs/{run}/export", tag = "runs", params(("run" = i64, Path), Query), responses(
+#[utoipa::path(get, path = "/api/v1/runs/{run}/export", operation_id = "exportRun", tag = "runs", params(("run" = i64, Path), Query), responses(
     (status = 200, body = String, content_type = "text/csv"),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]

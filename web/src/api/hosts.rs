@@ -1,25 +1,28 @@
 //! Hosts.
 
+use std::collections::HashSet;
+
 use axum::Json;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 
 use super::parameters::path;
-use super::schema::{Host, HostList};
+use super::schema::{Host, HostList, RefusedHost};
 use crate::error::{ProblemDetails, WebError};
 use crate::state::{App, AppState};
 
-/// Every host that reports or is stored, by name.
-#[utoipa::path(get, path = "/api/v1/hosts", tag = "hosts", responses(
+/// Every host that reports or is stored, by name, and those that were turned away.
+#[utoipa::path(get, path = "/api/v1/hosts", operation_id = "listHosts", tag = "hosts", responses(
     (status = 200, body = HostList),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
 pub(crate) async fn list(State(app): State<App>) -> Result<Json<HostList>, WebError> {
-    Ok(Json(HostList { hosts: all(&app).await? }))
+    let refused = app.picture().refused.iter().map(RefusedHost::from).collect();
+    Ok(Json(HostList { hosts: all(&app).await?, refused }))
 }
 
 /// One host, by name or id.
-#[utoipa::path(get, path = "/api/v1/hosts/{host}", tag = "hosts",
+#[utoipa::path(get, path = "/api/v1/hosts/{host}", operation_id = "getHost", tag = "hosts",
     params(("host" = String, Path, description = "name or id")),
     responses(
         (status = 200, body = Host),
@@ -39,7 +42,8 @@ async fn all(app: &AppState) -> Result<Vec<Host>, WebError> {
     let stored = app.store().hosts().await?;
     let picture = app.picture();
     let mut hosts: Vec<Host> = picture.hosts.iter().map(|host| Host::from(&**host)).collect();
-    let past = stored.iter().filter(|row| picture.hosts.iter().all(|host| host.id != row.id));
+    let live: HashSet<_> = picture.hosts.iter().map(|host| host.id).collect();
+    let past = stored.iter().filter(|row| !live.contains(&row.id));
     hosts.extend(past.map(Host::from));
     hosts.sort_by(|a, b| a.name.cmp(&b.name));
     Ok(hosts)

@@ -22,7 +22,7 @@ pub(crate) struct Query {
 }
 
 /// Incidents, newest first.
-#[utoipa::path(get, path = "/api/v1/incidents", tag = "incidents", params(Query), responses(
+#[utoipa::path(get, path = "/api/v1/incidents", operation_id = "listIncidents", tag = "incidents", params(Query), responses(
     (status = 200, body = IncidentList),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]

@@ -40,7 +40,7 @@ pub(crate) struct Query {
 }
 
 /// Iterations by rising number, or the slowest.
-#[utoipa::path(get, path = "/api/v1/runs/{run}/iterations", tag = "iterations", params(("run" = i64, Path), Query), responses(
+#[utoipa::path(get, path = "/api/v1/runs/{run}/iterations", operation_id = "listIterations", tag = "iterations", params(("run" = i64, Path), Query), responses(
     (status = 200, body = IterationList),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
@@ -70,7 +70,7 @@ pub(crate) async fn list(
 }
 
 /// One iteration with its tree.
-#[utoipa::path(get, path = "/api/v1/runs/{run}/iterations/{iteration}", tag = "iterations",
+#[utoipa::path(get, path = "/api/v1/runs/{run}/iterations/{iteration}", operation_id = "getIteration", tag = "iterations",
     params(("run" = i64, Path), ("iteration" = u64, Path)),
     responses(
         (status = 200, body = Iteration),

@@ -1,7 +1,7 @@
 //! `GET /api/v1/live`: one stream of events per page.
 //!
-//! Each listener draws from the newest picture when it is ready for it, at most four times a second, so a slow
-//! one skips pictures and never makes the others wait.
+//! Each listener draws from the newest picture when it is ready for it, at most four times a second, less often
+//! when pictures are large, so a slow one skips pictures and never makes the others wait.
 
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -26,6 +26,10 @@ use crate::state::{App, AppState};
 
 /// Time between two pictures.
 const PAUSE: Duration = Duration::from_millis(250);
+/// Most bytes that one listener is sent in a second, on average: large pictures come less often.
+const RATE: usize = 512 << 10;
+/// At most so many different topics on one stream: a page needs one.
+const TOPICS: usize = 16;
 /// Time between two signs of life while nothing changes.
 const HEARTBEAT: Duration = Duration::from_secs(2);
 
@@ -35,7 +39,8 @@ const HEARTBEAT: Duration = Duration::from_secs(2);
 #[into_params(parameter_in = Query)]
 pub(crate) struct Query {
     /// Topics, parted by commas: `picture` (all pipelines and hosts as JSON), and for the dashboard `overview`,
-    /// `pipelines`, `hosts`, `pipeline/HOST/PIPELINE/SECONDS`, `host/HOST`. `picture` unless given.
+    /// `pipelines`, `hosts`, `pipeline/HOST/PIPELINE/SECONDS`, `host/HOST`. `picture` unless given; at most 16
+    /// different ones, each sent once however often it is named.
     topics: Option<String>,
 }
 
@@ -78,8 +83,8 @@ impl Topic {
 }
 
 /// Live figures as server-sent events: `status` always, `picture` and `page` by topic. At most four of each a
-/// second; a listener that cannot follow gets the newest and misses those between.
-#[utoipa::path(get, path = "/api/v1/live", tag = "pipelines", params(Query), responses(
+/// second, fewer where they make more than 512 KiB a second; a listener that cannot follow gets the newest and misses those between.
+#[utoipa::path(get, path = "/api/v1/live", operation_id = "streamLive", tag = "pipelines", params(Query), responses(
     (status = 200, description = "`event: status` (StatusEvent), `event: picture` (PictureEvent), `event: page`, `event: heartbeat`", body = String, content_type = "text/event-stream"),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
@@ -87,16 +92,29 @@ pub(crate) async fn stream(
     State(app): State<App>,
     Parameters(query): Parameters<Query>,
 ) -> Result<impl IntoResponse, WebError> {
-    let topics = query.topics.as_deref().unwrap_or("picture");
-    let topics = topics
-        .split(',')
-        .filter(|topic| !topic.is_empty())
-        .map(Topic::parse)
-        .collect::<Result<Vec<_>, _>>()?;
+    let topics = topics(query.topics.as_deref().unwrap_or("picture"))?;
     let keep_alive = KeepAlive::new().interval(HEARTBEAT).event(Event::default().event("heartbeat").data(""));
     // Proxies that collect answers before they pass them on would make live figures late.
     let unbuffered = AppendHeaders([(HeaderName::from_static("x-accel-buffering"), "no")]);
     Ok((unbuffered, Sse::new(events(app, topics)).keep_alive(keep_alive)))
+}
+
+/// The topics of a list, each once.
+fn topics(text: &str) -> Result<Vec<Topic>, WebError> {
+    let mut topics = Vec::new();
+    for topic in text.split(',').filter(|topic| !topic.is_empty()) {
+        let topic = Topic::parse(topic)?;
+        if topics.contains(&topic) {
+            continue;
+        }
+        if topics.len() == TOPICS {
+            return Err(WebError::BadRequest(format!(
+                "query parameter topics: give at most {TOPICS} different ones"
+            )));
+        }
+        topics.push(topic);
+    }
+    Ok(topics)
 }
 
 struct Listener {
@@ -115,21 +133,28 @@ fn events(app: App, topics: Vec<Topic>) -> impl Stream<Item = Result<Event, Infa
     let batches = stream::unfold(listener, |mut listener| async move {
         tokio::time::sleep_until(listener.next).await;
         listener.pictures.changed().await.ok()?;
-        listener.next = Instant::now() + PAUSE;
+        let now = Instant::now();
         let picture = Arc::clone(&listener.pictures.borrow_and_update());
-        let events = listener.events(&picture).await;
+        let (events, bytes) = listener.events(&picture).await;
+        listener.next = now + pause(bytes);
         Some((stream::iter(events.into_iter().map(Ok)), listener))
     });
     batches.flatten().take_until(stop.cancelled_owned())
 }
 
+/// Time from events of so many bytes to the next.
+fn pause(bytes: usize) -> Duration {
+    PAUSE.max(Duration::from_secs_f64(bytes as f64 / RATE as f64))
+}
+
 impl Listener {
-    async fn events(&self, picture: &Picture) -> Vec<Event> {
-        let mut events = vec![Event::default().event("status").json_data(StatusEvent::new(picture))];
+    /// What to send of a picture, and how many bytes that is.
+    async fn events(&self, picture: &Picture) -> (Vec<Event>, usize) {
+        let mut texts = vec![("status", serde_json::to_string(&StatusEvent::new(picture)))];
         for topic in &self.topics {
             match topic.update(&self.app, picture).await {
-                None => events.push(Event::default().event("picture").json_data(PictureEvent::new(picture))),
-                Some(Ok(update)) => events.push(Event::default().event("page").json_data(update)),
+                None => texts.push(("picture", serde_json::to_string(&PictureEvent::new(picture)))),
+                Some(Ok(update)) => texts.push(("page", serde_json::to_string(&update))),
                 // What the page is about went away: it keeps what it shows, `status` goes on.
                 Some(Err(WebError::NotFound(_))) => {}
                 Some(Err(error)) => {
@@ -137,11 +162,36 @@ impl Listener {
                 }
             }
         }
-        events
+        let texts: Vec<(&str, String)> = texts
             .into_iter()
-            .filter_map(|event| {
-                event.inspect_err(|error| tracing::error!(%error, "an event has no JSON form")).ok()
+            .filter_map(|(name, text)| {
+                let text =
+                    text.inspect_err(|error| tracing::error!(%error, "an event has no JSON form")).ok()?;
+                Some((name, text))
             })
-            .collect()
+            .collect();
+        let bytes = texts.iter().map(|(_, text)| text.len()).sum();
+        (texts.into_iter().map(|(name, text)| Event::default().event(name).data(text)).collect(), bytes)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn large_pictures_come_less_often() {
+        assert_eq!(pause(20_000), PAUSE);
+        assert_eq!(pause(2 * RATE), Duration::from_secs(2));
+    }
+
+    #[test]
+    fn a_topic_named_often_is_sent_once() {
+        let often = ["picture", "overview"].repeat(5_000).join(",");
+        assert_eq!(topics(&often).expect("known"), [Topic::Picture, Topic::Overview]);
+        assert_eq!(topics("").expect("none"), []);
+        let hosts: Vec<String> = (0..=TOPICS).map(|index| format!("host/{index}")).collect();
+        assert!(topics(&hosts[1..].join(",")).is_ok());
+        assert!(topics(&hosts.join(",")).expect_err("too many").to_string().contains("at most 16"));
     }
 }

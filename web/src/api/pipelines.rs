@@ -10,13 +10,13 @@ use crate::error::{ProblemDetails, WebError};
 use crate::state::App;
 
 /// Every pipeline that reported, with its figures over 1, 10 and 60 seconds.
-#[utoipa::path(get, path = "/api/v1/pipelines", tag = "pipelines", responses((status = 200, body = PipelineList)))]
+#[utoipa::path(get, path = "/api/v1/pipelines", operation_id = "listPipelines", tag = "pipelines", responses((status = 200, body = PipelineList)))]
 pub(crate) async fn list(State(app): State<App>) -> Json<PipelineList> {
     Json(PipelineList::new(&app.picture()))
 }
 
 /// One pipeline with its last 600 seconds.
-#[utoipa::path(get, path = "/api/v1/pipelines/{host}/{pipeline}", tag = "pipelines",
+#[utoipa::path(get, path = "/api/v1/pipelines/{host}/{pipeline}", operation_id = "getPipeline", tag = "pipelines",
     params(("host" = String, Path, description = "name of the host it senses on"), ("pipeline" = String, Path, description = "its name there")),
     responses(
         (status = 200, body = Pipeline),

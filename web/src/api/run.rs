@@ -23,7 +23,7 @@ pub(super) async fn must_exist(app: &AppState, number: i64) -> Result<(), WebErr
 }
 
 /// A run with its configuration and gaps.
-#[utoipa::path(get, path = "/api/v1/runs/{run}", tag = "runs", params(("run" = i64, Path)), responses(
+#[utoipa::path(get, path = "/api/v1/runs/{run}", operation_id = "getRun", tag = "runs", params(("run" = i64, Path)), responses(
     (status = 200, body = RunDetail),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
@@ -37,7 +37,7 @@ pub(crate) async fn one(
 }
 
 /// Statistics per node name.
-#[utoipa::path(get, path = "/api/v1/runs/{run}/stages", tag = "runs", params(("run" = i64, Path)), responses(
+#[utoipa::path(get, path = "/api/v1/runs/{run}/stages", operation_id = "getRunStages", tag = "runs", params(("run" = i64, Path)), responses(
     (status = 200, body = StageList),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
@@ -66,7 +66,7 @@ pub(crate) struct SeriesQuery {
 }
 
 /// Node names over the time of the run.
-#[utoipa::path(get, path = "/api/v1/runs/{run}/series", tag = "runs", params(("run" = i64, Path), SeriesQuery), responses(
+#[utoipa::path(get, path = "/api/v1/runs/{run}/series", operation_id = "getRunSeries", tag = "runs", params(("run" = i64, Path), SeriesQuery), responses(
     (status = 200, body = Series),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
@@ -102,7 +102,7 @@ pub(crate) struct HistogramQuery {
 }
 
 /// The distribution of one node name.
-#[utoipa::path(get, path = "/api/v1/runs/{run}/histogram", tag = "runs", params(("run" = i64, Path), HistogramQuery), responses(
+#[utoipa::path(get, path = "/api/v1/runs/{run}/histogram", operation_id = "getRunHistogram", tag = "runs", params(("run" = i64, Path), HistogramQuery), responses(
     (status = 200, body = Histogram),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]

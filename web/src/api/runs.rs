@@ -27,7 +27,7 @@ pub(crate) struct Query {
 }
 
 /// Runs, newest first.
-#[utoipa::path(get, path = "/api/v1/runs", tag = "runs", params(Query), responses(
+#[utoipa::path(get, path = "/api/v1/runs", operation_id = "listRuns", tag = "runs", params(Query), responses(
     (status = 200, body = RunList),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]

@@ -1,5 +1,7 @@
 //! What runs where, does anything pile up, do the clocks hold?
 
+use std::collections::HashSet;
+
 use askama::Template;
 use axum::extract::State;
 use peernet_aggregator::{HostRow, Picture};
@@ -7,7 +9,8 @@ use peernet_aggregator::{HostRow, Picture};
 use super::{Page, Update, page};
 use crate::error::WebError;
 use crate::state::{App, AppState};
-use crate::view::hosts::HostLine;
+use crate::view::cut;
+use crate::view::hosts::{HostLine, RefusedLine};
 use crate::view::shell::{Place, Shell};
 use crate::zone::Moment;
 
@@ -20,8 +23,14 @@ struct Hosts {
     shell: Shell,
     title: String,
     hosts: Vec<HostLine>,
+    /// Said where not all of them are shown.
+    cut: Option<String>,
+    /// Hosts that were turned away lately.
+    refused: Vec<RefusedLine>,
     /// Hosts that are stored but not in the live picture: name and last sign of life.
     past: Vec<(String, Moment)>,
+    /// Said where not all of those are shown.
+    past_cut: Option<String>,
 }
 
 /// `GET /hosts`.
@@ -45,14 +54,18 @@ fn hosts(app: &AppState, picture: &Picture, stored: &[HostRow]) -> Hosts {
         all if all == connected => format!("{all} hosts, all connected"),
         all => format!("{connected} of {all} hosts are connected"),
     };
-    let live = |row: &&HostRow| picture.hosts.iter().all(|host| host.id != row.id);
+    let live: HashSet<_> = picture.hosts.iter().map(|host| host.id).collect();
+    let past: Vec<&HostRow> = stored.iter().filter(|row| !live.contains(&row.id)).collect();
     Hosts {
         shell: Shell::new(app, picture, Place::Hosts, "Hosts").live(TOPIC),
         title,
-        hosts: picture.hosts.iter().map(|host| HostLine::new(host, app.clock.identity(), app.zone)).collect(),
-        past: stored
+        hosts: HostLine::first(cut::LIST, picture, app.clock.identity(), app.zone),
+        cut: cut::words(cut::LIST, picture.hosts.len()),
+        refused: RefusedLine::all(picture, app.zone),
+        past_cut: cut::words(cut::LIST, past.len()),
+        past: past
             .iter()
-            .filter(live)
+            .take(cut::LIST)
             .map(|row| (row.name.to_string(), app.zone.moment(row.last_seen)))
             .collect(),
     }

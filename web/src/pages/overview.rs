@@ -9,9 +9,10 @@ use super::{Mark, Page, Update, page};
 use crate::error::WebError;
 use crate::state::{App, AppState};
 use crate::view::chart::ChartCard;
+use crate::view::cut;
 use crate::view::data::JsonBlock;
 use crate::view::health::Health;
-use crate::view::hosts::HostLine;
+use crate::view::hosts::{HostLine, RefusedLine};
 use crate::view::incidents::IncidentLine;
 use crate::view::now::NowTable;
 use crate::view::shell::{Place, Shell};
@@ -29,6 +30,8 @@ pub(super) struct Overview {
     now: NowTable,
     charts: Vec<ChartCard>,
     hosts: Vec<HostLine>,
+    /// Said where not all pipelines, and not all hosts, are shown.
+    cut: [Option<String>; 2],
     /// `Err` holds the id under which the failure was logged.
     incidents: Result<Vec<IncidentLine>, String>,
     data: JsonBlock,
@@ -41,7 +44,7 @@ struct Empty {
     layout: String,
     listening: String,
     since: Moment,
-    refused: Vec<(String, String, Moment)>,
+    refused: Vec<RefusedLine>,
 }
 
 /// `GET /`.
@@ -96,26 +99,20 @@ pub(crate) fn marks(rows: &[IncidentRow]) -> Vec<Mark> {
 }
 
 fn empty(app: &AppState, picture: &Picture) -> Empty {
-    let refused = picture.refused.iter().map(|one| {
-        let from = one
-            .address
-            .clone()
-            .map_or_else(|| one.name.to_string(), |address| format!("{} ({address})", one.name));
-        (from, one.reason.clone(), app.zone.moment(one.at))
-    });
     Empty {
         shell: Shell::new(app, picture, Place::Overview, "No host has reported yet").live(TOPIC),
         layout: "empty".to_owned(),
         listening: picture.listening.clone(),
         since: app.zone.moment(app.since),
-        refused: refused.collect(),
+        refused: RefusedLine::all(picture, app.zone),
     }
 }
 
-/// Pipelines that run, or did and are still remembered, come first.
+/// Pipelines that run, or did and are still remembered, come first; as many as are shown.
 fn ordered(picture: &Picture) -> Vec<&PipelinePicture> {
     let mut pipelines: Vec<&PipelinePicture> = picture.pipelines.iter().map(|one| &**one).collect();
     pipelines.sort_by_key(|one| one.state != PipelineState::Running);
+    pipelines.truncate(cut::OVERVIEW);
     pipelines
 }
 
@@ -132,7 +129,8 @@ pub(super) fn overview(
         shell: Shell::new(app, picture, Place::Overview, health.title.clone()).live(TOPIC),
         layout: charts.iter().map(|card| card.key.as_str()).collect::<Vec<_>>().join(" "),
         now: NowTable::new(&pipelines, 10),
-        hosts: picture.hosts.iter().map(|host| HostLine::new(host, app.clock.identity(), app.zone)).collect(),
+        hosts: HostLine::first(cut::OVERVIEW, picture, app.clock.identity(), app.zone),
+        cut: [picture.pipelines.len(), picture.hosts.len()].map(|all| cut::words(cut::OVERVIEW, all)),
         incidents: incidents.map(|rows| IncidentLine::all(&rows, app.zone)),
         data: ChartCard::data(&charts, &marks)?,
         charts,

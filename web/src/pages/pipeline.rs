@@ -11,7 +11,7 @@ use serde::Deserialize;
 use super::{Page, Update, overview, page, path};
 use crate::api::parameters::Parameters;
 use crate::error::WebError;
-use crate::numbers::{NONE, count, duration, length, milliseconds, percent, rate};
+use crate::numbers::{NONE, SPACE, count, duration, length, milliseconds, percent, rate};
 use crate::state::{App, AppState};
 use crate::svg::Bar;
 use crate::view::chart::ChartCard;
@@ -129,13 +129,16 @@ fn title(pipeline: &PipelinePicture, stack: &Stack) -> String {
     match (&pipeline.state, &stack.total) {
         (PipelineState::Failed(reason), _) => format!("{name} stopped: {reason}"),
         (PipelineState::Waiting(reason), _) => format!("{name} waits: {reason}"),
+        (PipelineState::Away, _) => format!("{name}: its host is not connected"),
         (_, None) => format!("{name}: no iteration in this time"),
         (_, Some(total)) => {
             let largest = stack.parts.iter().max_by(|a, b| a.seconds.total_cmp(&b.seconds));
             let most = largest.filter(|part| part.name != "unattributed");
             let most = most.map_or_else(String::new, |part| {
-                let how = if part.seconds > total.mean / 2.0 { "most of it" } else { "longest" };
-                format!(", {how} {} ({})", part.name, duration(part.seconds))
+                // A share, because shares are of the mean while the figure before is the median.
+                let share = part.seconds / total.mean;
+                let how = if share > 0.5 { "most of it" } else { "longest" };
+                format!(", {how} {} ({}{SPACE}%)", part.name, percent(share))
             });
             format!("{name}: {}{most}", duration(total.p50))
         }
@@ -204,7 +207,7 @@ fn pipeline_page(
         clock: ClockCell::of(placement.kind, &window.bounds),
         bar: stack.whole("big"),
         stages: StageRow::of_window(window),
-        runs: runs.iter().map(|run| RunLine::new(run, app.zone)).collect(),
+        runs: runs.iter().map(|run| RunLine::new(run, picture, app.zone)).collect(),
         layout: format!("{host}/{}", pipeline.pipeline),
         name: pipeline.pipeline.to_string(),
         data: ChartCard::data(&charts, marks)?,

@@ -8,6 +8,7 @@ use peernet_logger::stream::PipelineState;
 use super::{Page, Update, page};
 use crate::error::WebError;
 use crate::state::{App, AppState};
+use crate::view::cut;
 use crate::view::now::{NowRow, NowTable};
 use crate::view::place;
 use crate::view::shell::{Place, Shell};
@@ -21,6 +22,8 @@ struct Pipelines {
     shell: Shell,
     title: String,
     lines: Vec<Line>,
+    /// Said where not all of them are shown.
+    cut: Option<String>,
 }
 
 struct Line {
@@ -41,6 +44,7 @@ fn state(pipeline: &PipelinePicture) -> String {
         PipelineState::Finished => "finished".to_owned(),
         PipelineState::Waiting(reason) => format!("waiting: {reason}"),
         PipelineState::Failed(reason) => format!("failed: {reason}"),
+        PipelineState::Away => "away: its host is not connected".to_owned(),
     }
 }
 
@@ -64,8 +68,9 @@ fn pipelines(app: &AppState, picture: &Picture) -> Pipelines {
         1 => format!("1 pipeline, {running} running"),
         many => format!("{many} pipelines, {running} running"),
     };
-    let rows = NowTable::new(&all, 10).rows;
-    let lines = all.iter().zip(rows).map(|(pipeline, figures)| Line {
+    let shown = &all[..all.len().min(cut::LIST)];
+    let rows = NowTable::new(shown, 10).rows;
+    let lines = shown.iter().zip(rows).map(|(pipeline, figures)| Line {
         figures,
         host: pipeline.host_name.to_string(),
         route: place::route(pipeline.host_name.as_str(), &pipeline.placement),
@@ -78,5 +83,6 @@ fn pipelines(app: &AppState, picture: &Picture) -> Pipelines {
         shell: Shell::new(app, picture, Place::Pipelines, "Pipelines").live(TOPIC),
         title,
         lines: lines.collect(),
+        cut: cut::words(cut::LIST, all.len()),
     }
 }

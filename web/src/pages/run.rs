@@ -3,7 +3,7 @@
 use askama::Template;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
-use peernet_aggregator::RunDetail;
+use peernet_aggregator::{IterationFilter, RunDetail};
 use peernet_logger::stage;
 use serde::Deserialize;
 
@@ -17,7 +17,8 @@ use crate::svg::{Axis, Bar, DistributionView, HistogramPlot};
 use crate::view::chip::Chip;
 use crate::view::clocks::ClockCell;
 use crate::view::data::JsonBlock;
-use crate::view::run::{Bucket, Other, Slow, Stored};
+use crate::view::run::{Bucket, Other, Slow, Stored, Unanswered};
+use crate::view::runs::End;
 use crate::view::shell::{Place, Shell};
 use crate::view::stack::Stack;
 use crate::view::stages::{StageRow, TOO_FEW, directions};
@@ -30,6 +31,8 @@ const BINS: usize = 48;
 const POINTS: usize = 240;
 /// Slowest iterations, as points over time.
 const OUTLIERS: u32 = 40;
+/// Rows of the table of iterations without an answer.
+const UNANSWERED: u32 = 8;
 
 /// What the address may ask for.
 #[derive(Clone, Debug, Default, Deserialize)]
@@ -59,7 +62,7 @@ struct Run {
     number: i64,
     pipeline: String,
     facts: Vec<String>,
-    going_on: bool,
+    end: End,
     lead: (String, Option<String>),
     stats: Vec<(&'static str, String, &'static str)>,
     iterations: (String, String),
@@ -74,6 +77,7 @@ struct Run {
     buckets: Vec<Bucket>,
     axis: Axis,
     slowest: Vec<Slow>,
+    unanswered: Vec<Unanswered>,
     configuration: Vec<(String, String)>,
     toml: String,
     data: JsonBlock,
@@ -101,18 +105,27 @@ pub(crate) async fn show(
     let run = run.ok_or_else(|| WebError::NotFound(format!("no run #{number} is stored")))?;
     let wanted = query.stage.clone().unwrap_or_else(|| stage::TOTAL.to_string());
     let names = [stage::TOTAL];
-    let (stages, bounds, histogram, series, slowest) = tokio::try_join!(
+    let without_answer = IterationFilter { after: 0, limit: UNANSWERED, unsuccessful: true };
+    let (stages, bounds, histogram, series, slowest, unanswered) = tokio::try_join!(
         store.stages(number),
         store.bounds(number),
         store.histogram(number, &wanted, BINS),
         store.series(number, &names, POINTS),
         store.slowest(number, OUTLIERS),
+        store.iterations(number, &without_answer),
     )?;
     let plot = histogram.map(|histogram| {
         HistogramPlot::new(&histogram, look::class(&wanted), query.view, query.scale == CountScale::Log)
     });
     let distribution = Distribution::new(wanted, plot, &query);
-    let stored = Stored { run: &run, stages: &stages, bounds: &bounds, series: &series, slowest: &slowest };
+    let stored = Stored {
+        run: &run,
+        stages: &stages,
+        bounds: &bounds,
+        series: &series,
+        slowest: &slowest,
+        unanswered: &unanswered,
+    };
     page(&assemble(&app, &stored, distribution)?)
 }
 
@@ -163,13 +176,13 @@ fn assemble(app: &AppState, stored: &Stored<'_>, distribution: Distribution) -> 
         runs::end(summary).map(|end| (end - summary.started).seconds()).filter(|lasted| *lasted > 0.0);
     let all = summary.counts.total() + summary.warm_up;
     let missing: u64 = run.gaps.iter().map(|gap| gap.count).sum();
-    let zone = app.zone;
+    let (zone, picture) = (app.zone, app.picture());
     Ok(Run {
-        shell: Shell::new(app, &app.picture(), Place::Runs, place::run_name(summary)),
+        shell: Shell::new(app, &picture, Place::Runs, place::run_name(summary)),
         number: summary.number,
         pipeline: summary.pipeline.to_string(),
         facts: facts(run, zone),
-        going_on: summary.ended.is_none(),
+        end: End::of(summary, &picture, zone),
         lead: total.map_or((NONE.to_owned(), None), |total| mean_std_ms(total.mean, total.std)),
         stats: vec![
             ("Median", quantile(total.map(|total| total.p50)), "ms"),
@@ -202,6 +215,7 @@ fn assemble(app: &AppState, stored: &Stored<'_>, distribution: Distribution) -> 
         buckets: stored.buckets(zone),
         axis: Axis::milliseconds(&stored.scale(), ""),
         slowest: stored.slow_rows(zone),
+        unanswered: stored.unanswered_rows(zone),
         configuration: configuration(run),
         toml: run.configuration.clone(),
         data: stored.data()?,

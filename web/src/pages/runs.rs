@@ -56,12 +56,13 @@ pub(crate) async fn show(State(app): State<App>, Parameters(query): Parameters<Q
         (_, None, None) if newest == 1 => "1 run".to_owned(),
         (_, None, None) => format!("{} runs", count(newest)),
     };
+    let picture = app.picture();
     page(&Runs {
-        shell: Shell::new(&app, &app.picture(), Place::Runs, "Runs"),
+        shell: Shell::new(&app, &picture, Place::Runs, "Runs"),
         title,
         paged: query.before.is_some(),
         pipeline: query.pipeline,
-        runs: found.iter().map(|run| RunLine::new(run, app.zone)).collect(),
+        runs: found.iter().map(|run| RunLine::new(run, &picture, app.zone)).collect(),
         older,
     })
 }

@@ -58,6 +58,37 @@ async fn thirty_pipelines() {
 }
 
 #[tokio::test]
+async fn thousands_of_pipelines_and_hosts_are_cut_off_where_the_page_says() {
+    let pipelines = (0..2_000).map(|index| {
+        pipeline(&format!("line-{index:04}"), 5.0, 1.0 + f64::from(index), Verdict::Limited, &[])
+    });
+    let hosts = (0..2_000).map(|index| host(&format!("cam-{index:04}"), "Orin"));
+    let shown = picture(hosts.collect(), pipelines.collect());
+    let html = overview_of(&shown, Vec::new()).await;
+    assert_eq!(html.matches("class=\"chart live-chart").count(), 100);
+    assert_eq!(html.matches("the first 100 of 2,000").count(), 2);
+    assert!(html.contains("2,000 pipelines running") || html.contains("2000 pipelines running"));
+
+    let (app, _folder) = samples::app().await;
+    for update in [pipelines::update(&app, &shown), hosts::update(&app, &shown)] {
+        let html: String = update.expect("renders").parts.into_iter().map(|(_, html)| html).collect();
+        assert_eq!(html.matches("<tr><th scope=\"row\"").count(), 500);
+        assert!(html.contains("the first 500 of 2,000"), "{html}");
+    }
+}
+
+#[tokio::test]
+async fn hosts_that_were_turned_away_stand_on_the_page_of_hosts() {
+    let (app, _folder) = samples::app().await;
+    let mut shown = picture(Vec::new(), Vec::new());
+    shown.refused.push(refused("its name is taken"));
+    let update = hosts::update(&app, &shown).expect("renders");
+    let (_, html) = &update.parts[0];
+    check(html);
+    assert!(html.contains("cam-9 at ") && html.contains("its name is taken"), "{html}");
+}
+
+#[tokio::test]
 async fn too_few_samples_give_no_quantile_but_a_reason() {
     let html =
         overview_of(&picture(Vec::new(), vec![pipeline("slow", 0.5, 1.0, Verdict::Ok, &[])]), Vec::new())

@@ -21,8 +21,6 @@ pub(crate) struct Cause {
 pub(crate) struct UnknownNetwork {
     /// Both directions, seconds.
     pub mean: f64,
-    /// What the total holds beyond all stages, seconds.
-    pub unattributed: f64,
 }
 
 impl UnknownNetwork {
@@ -38,15 +36,14 @@ impl UnknownNetwork {
             .map(|figures| figures.mean * figures.count as f64 / total.count.max(1) as f64)
             .sum();
         let unattributed = mean(&stage::UNATTRIBUTED)?.mean;
-        Some(Self { mean: total.mean - known - unattributed, unattributed })
-            .filter(|network| network.mean > 0.0)
+        Some(Self { mean: total.mean - known - unattributed }).filter(|network| network.mean > 0.0)
     }
 
-    /// Both directions in one iteration of a list, which holds no trees: what is left of its total beside the
-    /// stages and the usual remainder.
-    pub(crate) fn within(&self, row: &IterationRow) -> Option<f64> {
+    /// Both directions in one iteration of a list: what is left of its total beside the stages and its own
+    /// remainder, which the edge measured without needing the clocks' relation.
+    pub(crate) fn within(row: &IterationRow) -> Option<f64> {
         let known: f64 = row.stages.iter().map(|(_, seconds)| seconds).sum();
-        Some((row.total? - known - self.unattributed).max(0.0))
+        Some((row.total? - known - row.unattributed?).max(0.0))
     }
 }
 
@@ -84,11 +81,25 @@ mod tests {
         row.total = Some(0.039);
         row.stages = vec![(stage::SENSING, 0.005), (stage::INFERENCE, 0.0036)];
         row.blame = Some(Blame { stage: stage::INFERENCE, value: 0.0036, median: 0.0035 });
-        let usual = UnknownNetwork { mean: 0.007, unattributed: 0.0001 };
-        let network = usual.within(&row).expect("it has a total");
+        row.unattributed = Some(0.0001);
+        let usual = UnknownNetwork { mean: 0.007 };
+        let network = UnknownNetwork::within(&row).expect("it has a total");
         assert!((network - 0.0303).abs() < 1e-9);
         assert_eq!(Cause::of(&row, Some((network, usual))).expect("slow").name, look::NETWORK);
         assert_eq!(Cause::of(&row, None).expect("slow").name, "inference");
+    }
+
+    #[test]
+    fn what_no_stage_accounts_for_is_not_laid_at_the_networks_door() {
+        let mut row = samples::iteration().row;
+        row.total = Some(0.630);
+        row.stages = vec![(stage::SENSING, 0.005), (stage::INFERENCE, 0.0036)];
+        row.unattributed = Some(0.618);
+        row.blame = Some(Blame { stage: stage::UNATTRIBUTED, value: 0.618, median: 0.0002 });
+        let network = UnknownNetwork::within(&row).expect("it has a total");
+        assert!((network - 0.0034).abs() < 1e-9);
+        let cause = Cause::of(&row, Some((network, UnknownNetwork { mean: 0.003 }))).expect("slow");
+        assert_eq!(cause.name, "unattributed");
     }
 
     #[test]

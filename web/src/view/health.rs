@@ -119,14 +119,15 @@ fn pipeline_notes(pipeline: &PipelinePicture) -> Vec<Note> {
         PipelineState::Waiting(reason) => {
             notes.push(note(Chip::new(Tone::Warn, "stale", "waiting"), format!("waits: {reason}")));
         }
-        PipelineState::Starting | PipelineState::Running | PipelineState::Finished => {}
+        PipelineState::Starting | PipelineState::Running | PipelineState::Finished | PipelineState::Away => {}
     }
     if pipeline.state != PipelineState::Running {
         return notes;
     }
     let Some(window) = pipeline.window(60) else { return notes };
     if let Some(lost) = window.lost_fraction.filter(|lost| *lost > MANY_LOST) {
-        let text = format!("lost {}\u{202f}% of its iterations in the last minute.", percent(lost));
+        let text =
+            format!("had no answer for {}\u{202f}% of its iterations in the last minute.", percent(lost));
         notes.push(note(Chip::new(Tone::Warn, "gap", "losses"), text));
     }
     let unsure: Vec<(&Name, Verdict)> = window

@@ -1,6 +1,6 @@
 //! Hosts in a table.
 
-use peernet_aggregator::{HostPicture, MetricsPoint};
+use peernet_aggregator::{HostPicture, MetricsPoint, Picture};
 use peernet_clock::{ClockIdentity, Span};
 use peernet_logger::stream::{Hardware, HostMetrics};
 
@@ -30,6 +30,29 @@ pub(crate) struct HostLine {
     pub behind: String,
     pub clock: String,
     pub clock_title: String,
+}
+
+/// A host that was turned away.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct RefusedLine {
+    /// The name that it gave, with its address where it is known.
+    pub who: String,
+    pub why: String,
+    pub at: Moment,
+}
+
+impl RefusedLine {
+    pub(crate) fn all(picture: &Picture, zone: Zone) -> Vec<Self> {
+        let lines = picture.refused.iter().map(|one| Self {
+            who: match &one.address {
+                Some(address) => format!("{} ({address})", one.name),
+                None => one.name.to_string(),
+            },
+            why: one.reason.clone(),
+            at: zone.moment(one.at),
+        });
+        lines.collect()
+    }
 }
 
 /// The points of the sparklines: ten minutes at five seconds.
@@ -76,6 +99,11 @@ pub(crate) fn clock_words(theirs: &ClockIdentity, ours: &ClockIdentity, ahead: S
 }
 
 impl HostLine {
+    /// The first so many hosts of a picture.
+    pub(crate) fn first(most: usize, picture: &Picture, ours: &ClockIdentity, zone: Zone) -> Vec<Self> {
+        picture.hosts.iter().take(most).map(|host| Self::new(host, ours, zone)).collect()
+    }
+
     pub(crate) fn new(host: &HostPicture, ours: &ClockIdentity, zone: Zone) -> Self {
         let name = host.description.name.to_string();
         let metrics = &host.metrics;

@@ -5,6 +5,7 @@ pub(crate) mod cause;
 pub(crate) mod chart;
 pub(crate) mod chip;
 pub(crate) mod clocks;
+pub(crate) mod cut;
 pub(crate) mod data;
 pub(crate) mod health;
 pub(crate) mod hosts;

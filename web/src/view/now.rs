@@ -74,6 +74,7 @@ pub(crate) fn state_chip(state: &PipelineState) -> Option<Chip> {
         PipelineState::Waiting(_) => Some(Chip::new(Tone::Warn, "stale", "waiting")),
         PipelineState::Finished => Some(Chip::new(Tone::Quiet, "ok", "finished")),
         PipelineState::Failed(_) => Some(Chip::new(Tone::Bad, "failed", "failed")),
+        PipelineState::Away => Some(Chip::new(Tone::Warn, "stale", "away")),
     }
 }
 

@@ -21,6 +21,8 @@ pub(crate) struct Stored<'a> {
     pub bounds: &'a [Bound],
     pub series: &'a Series,
     pub slowest: &'a [IterationRow],
+    /// The first iterations without an answer.
+    pub unanswered: &'a [IterationRow],
 }
 
 /// What was measured beside durations.
@@ -52,6 +54,15 @@ pub(crate) struct Slow {
     pub bar: Bar,
 }
 
+/// A row of the iterations without an answer.
+pub(crate) struct Unanswered {
+    pub number: u64,
+    pub label: String,
+    pub at: Moment,
+    pub outcome: String,
+    pub reason: String,
+}
+
 /// For the chart over time: milliseconds of Unix time, milliseconds of duration.
 #[derive(Serialize)]
 struct Data {
@@ -63,6 +74,18 @@ struct Data {
 }
 
 impl Stored<'_> {
+    /// The first iterations without an answer, and why.
+    pub(crate) fn unanswered_rows(&self, zone: Zone) -> Vec<Unanswered> {
+        let row = |row: &IterationRow| Unanswered {
+            number: row.number,
+            label: count(row.number),
+            at: zone.moment(row.started),
+            outcome: row.outcome.clone(),
+            reason: row.reason.clone().unwrap_or_else(|| NONE.to_owned()),
+        };
+        self.unanswered.iter().map(row).collect()
+    }
+
     /// Both directions of the network together, where the clocks do not tell them apart.
     pub(crate) fn network(&self) -> Option<UnknownNetwork> {
         let stages = self.stages;
@@ -152,5 +175,5 @@ impl Stored<'_> {
 }
 
 fn cause(row: &IterationRow, network: Option<UnknownNetwork>) -> Option<Cause> {
-    Cause::of(row, network.and_then(|usual| Some((usual.within(row)?, usual))))
+    Cause::of(row, network.and_then(|usual| Some((UnknownNetwork::within(row)?, usual))))
 }

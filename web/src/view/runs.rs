@@ -1,11 +1,36 @@
 //! Runs in a list.
 
-use peernet_aggregator::RunSummary;
+use peernet_aggregator::{Picture, RunSummary};
 use peernet_clock::WallTime;
 
 use super::place;
 use crate::numbers::{NONE, count, length, percent, total_ms};
 use crate::zone::{Moment, Zone};
+
+/// What is known of a run's end.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum End {
+    /// It goes on: its host says so.
+    GoesOn,
+    /// It ended, for this reason.
+    Told(String),
+    /// Its agent was killed or is away: when its last stored iteration began.
+    Untold(Option<Moment>),
+}
+
+impl End {
+    pub(crate) fn of(run: &RunSummary, picture: &Picture, zone: Zone) -> Self {
+        if run.ended.is_some() {
+            return Self::Told(run.reason.clone().unwrap_or_else(|| "ended".to_owned()));
+        }
+        let connected = || picture.hosts.iter().any(|host| host.id == run.host && host.connected);
+        let current = picture.pipelines.iter().any(|one| one.host == run.host && one.run == Some(run.id));
+        if current && connected() {
+            return Self::GoesOn;
+        }
+        Self::Untold(run.last_iteration.map(|at| zone.moment(at)))
+    }
+}
 
 /// One run.
 #[derive(Clone, Debug, PartialEq)]
@@ -16,8 +41,7 @@ pub(crate) struct RunLine {
     pub model: String,
     pub started: Moment,
     pub lasted: String,
-    /// `None` while it goes on.
-    pub reason: Option<String>,
+    pub end: End,
     pub iterations: String,
     pub lost: String,
     pub p50: String,
@@ -31,13 +55,13 @@ pub(crate) fn lost_share(run: &RunSummary) -> Option<f64> {
     (counts.total() > 0).then(|| (counts.total() - counts.ok) as f64 / counts.total() as f64)
 }
 
-/// When the run ended, or how far it has come.
+/// When the run ended, or how far it is known to have come.
 pub(crate) fn end(run: &RunSummary) -> Option<WallTime> {
     run.ended.or(run.last_iteration)
 }
 
 impl RunLine {
-    pub(crate) fn new(run: &RunSummary, zone: Zone) -> Self {
+    pub(crate) fn new(run: &RunSummary, picture: &Picture, zone: Zone) -> Self {
         let quantile = |value: Option<f64>| value.map_or_else(|| NONE.to_owned(), total_ms);
         let total = run.total.as_ref();
         Self {
@@ -47,7 +71,7 @@ impl RunLine {
             model: place::model(&run.placement),
             started: zone.moment(run.started),
             lasted: end(run).map_or_else(|| NONE.to_owned(), |end| length((end - run.started).seconds())),
-            reason: run.ended.map(|_| run.reason.clone().unwrap_or_else(|| "ended".to_owned())),
+            end: End::of(run, picture, zone),
             iterations: count(run.counts.total()),
             lost: lost_share(run).map_or_else(|| NONE.to_owned(), percent),
             p50: quantile(total.map(|total| total.p50)),

@@ -209,6 +209,7 @@ pub(crate) fn iteration() -> IterationDetail {
             factor: Some(1.87),
             blame: None,
             stages: Vec::new(),
+            unattributed: None,
         },
         tree: Tree::new(stage::ITERATION, Anchor { host: host_id(), wall: NOW }),
         hosts: vec![Some(slug("cam-1")), Some(slug("rack-a"))],

@@ -62,7 +62,7 @@ impl Stack {
     pub(crate) fn of_iteration(row: &IterationRow, network: Option<UnknownNetwork>) -> Self {
         let part = |(name, seconds): &(Name, f64)| Part { name: name.to_string(), seconds: *seconds };
         let mut parts: Vec<Part> = row.stages.iter().map(part).collect();
-        if let Some(seconds) = network.and_then(|network| network.within(row)) {
+        if let Some(seconds) = network.and_then(|_| UnknownNetwork::within(row)) {
             let at = look::STACK
                 .iter()
                 .take(3)

@@ -1,5 +1,7 @@
 //! The REST API.
 
+use std::collections::HashSet;
+
 use axum::body::Body;
 use axum::http::{Method, Request, StatusCode};
 use serde_json::{Value, json};
@@ -35,7 +37,13 @@ async fn the_document_describes_every_route_and_every_route_answers() {
     let mut routes: Vec<&str> = ROUTES.iter().map(|(route, _)| *route).collect();
     routes.sort_unstable();
     assert_eq!(described, routes);
+    let mut operations = HashSet::new();
     for (route, address) in ROUTES {
+        let id = document["paths"][route]["get"]["operationId"].as_str().unwrap_or_default().to_owned();
+        assert!(
+            !id.is_empty() && operations.insert(id.clone()),
+            "{route}: {id:?} names another operation, too"
+        );
         let operation = &document["paths"][route]["get"];
         assert!(!operation["summary"].as_str().unwrap_or_default().is_empty(), "{route} has no summary");
         // A stream never ends: its head is answer enough here.
@@ -182,6 +190,9 @@ async fn problems_have_the_standard_form_and_name_the_parameter() {
         ("/api/v1/pipelines/cam-1/nothing", 404, "nothing"),
         ("/api/v1/live?topics=everything", 400, "everything"),
         ("/api/v1/nothing", 404, "/api/v1/nothing"),
+        ("/api/v1", 404, "/api/v1"),
+        ("/api/", 404, "/api/"),
+        ("/api", 404, "/api"),
     ] {
         let answer = bed.get(address).await;
         assert_eq!(answer.status.as_u16(), status, "{address}: {}", answer.text());

@@ -87,3 +87,21 @@ async fn what_is_not_there_is_said_on_a_page() {
     assert_eq!(answer.status, StatusCode::BAD_REQUEST);
     assert!(answer.text().contains("bfore"), "{}", answer.text());
 }
+
+#[tokio::test]
+async fn a_run_goes_on_only_as_long_as_its_host_says_so() {
+    let (bed, mut factory) = Bed::with(vec![Line::local()]).await;
+    factory.store_runs(30, false).await;
+    for current in [Some(2), None] {
+        if current.is_none() {
+            factory.lines[0].run = None;
+        }
+        let now = bed.clock.wall();
+        factory.report(now, now).await;
+        bed.until(|picture| picture.pipelines[0].run_number == current).await;
+        let page = bed.get("/runs/2").await;
+        assert_eq!(page.text().contains("goes on"), current.is_some(), "{}", page.text());
+        assert_eq!(page.text().contains("no end was reported; last iteration on"), current.is_none());
+    }
+    assert!(bed.get("/runs").await.text().contains("no end was reported, last iteration"));
+}

@@ -11,6 +11,32 @@ use super::time;
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct HostList {
     pub hosts: Vec<Host>,
+    /// Hosts that were turned away in the last ten minutes, newest first.
+    pub refused: Vec<RefusedHost>,
+}
+
+/// A host that was turned away.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub(crate) struct RefusedHost {
+    /// The name that it gave.
+    pub name: String,
+    /// Where it connected from, where the transport tells.
+    pub address: Option<String>,
+    /// What was wrong and what to do about it.
+    pub reason: String,
+    /// When it last tried, on the aggregator's wall clock.
+    pub at: String,
+}
+
+impl From<&peernet_aggregator::RefusedHost> for RefusedHost {
+    fn from(host: &peernet_aggregator::RefusedHost) -> Self {
+        Self {
+            name: host.name.to_string(),
+            address: host.address.clone(),
+            reason: host.reason.clone(),
+            at: time(host.at),
+        }
+    }
 }
 
 /// One host.

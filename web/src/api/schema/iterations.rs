@@ -30,10 +30,12 @@ pub(crate) struct IterationSummary {
     pub total: Option<f64>,
     /// `total` over the run's median of it.
     pub factor: Option<f64>,
-    /// The stage that took longest beyond its own median.
+    /// What took longest beyond its own median: a stage, or `unattributed`.
     pub blame: Option<Blame>,
     /// Seconds per stage, in their order.
     pub stages: Vec<StageTime>,
+    /// Seconds that `total` holds beyond its stages.
+    pub unattributed: Option<f64>,
 }
 
 /// Seconds of a stage.
@@ -73,6 +75,7 @@ impl From<&aggregator::IterationRow> for IterationSummary {
             stages: stages
                 .map(|(name, seconds)| StageTime { name: name.to_string(), seconds: *seconds })
                 .collect(),
+            unattributed: row.unattributed,
         }
     }
 }

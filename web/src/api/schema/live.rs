@@ -25,7 +25,7 @@ pub(crate) struct Pipeline {
     pub host_id: String,
     /// Name on that host.
     pub name: String,
-    /// `starting`, `waiting`, `running`, `finished` or `failed`.
+    /// `starting`, `waiting`, `running`, `finished`, `failed`, or `away` when its host is not connected.
     pub state: &'static str,
     /// Why it waits or failed.
     pub reason: Option<String>,
@@ -90,6 +90,7 @@ impl Pipeline {
             PipelineState::Running => ("running", None),
             PipelineState::Finished => ("finished", None),
             PipelineState::Failed(reason) => ("failed", Some(reason.clone())),
+            PipelineState::Away => ("away", None),
         };
         let windows = picture.windows.iter().map(|window| Window {
             seconds: window.seconds,

@@ -13,7 +13,7 @@ use chrono::{SecondsFormat, TimeZone, Utc};
 use peernet_clock::WallTime;
 
 pub(crate) use figures::{Bound, Counts, Figures, NodeFigures, Placement};
-pub(crate) use hosts::{Host, HostList, Incident, IncidentList};
+pub(crate) use hosts::{Host, HostList, Incident, IncidentList, RefusedHost};
 pub(crate) use iterations::{Iteration, IterationList, IterationSummary};
 pub(crate) use live::{PictureEvent, Pipeline, PipelineList, StatusEvent};
 pub(crate) use runs::{Histogram, Run, RunDetail, RunList, Series, Stage, StageList};

@@ -26,7 +26,7 @@ pub(crate) struct Run {
     pub placement: Placement,
     /// On the edge's wall clock.
     pub started: String,
-    /// Null while it goes on.
+    /// Null while it goes on, and where no end was reported because the agent was killed or is away.
     pub ended: Option<String>,
     /// `finished`, `stopped`, or what went wrong.
     pub reason: Option<String>,

@@ -1,0 +1,162 @@
+use std::net::SocketAddr;
+use std::sync::atomic::AtomicUsize;
+
+use axum::routing::get;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::sync::Notify;
+use tokio::task::JoinHandle;
+
+use super::*;
+
+const HOUR: Duration = Duration::from_secs(3_600);
+const SOON: Duration = Duration::from_millis(20);
+const PATIENT: Limits = Limits { connections: 8, silence: HOUR, grace: HOUR };
+
+/// A server whose `/wait` answers when it is let go.
+struct Server {
+    address: SocketAddr,
+    stop: CancellationToken,
+    task: JoinHandle<()>,
+    /// Requests to `/wait` that may be answered.
+    answers: Arc<Semaphore>,
+    entered: Arc<Notify>,
+    inside: Arc<AtomicUsize>,
+    most: Arc<AtomicUsize>,
+}
+
+impl Server {
+    async fn start(limits: Limits) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").await.expect("binds");
+        let address = listener.local_addr().expect("an address");
+        let stop = CancellationToken::new();
+        let answers = Arc::new(Semaphore::new(0));
+        let entered = Arc::new(Notify::new());
+        let (inside, most) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
+        let shared = (answers.clone(), entered.clone(), inside.clone(), most.clone());
+        let wait = move || {
+            let (answers, entered, inside, most) = shared.clone();
+            async move {
+                let now = inside.fetch_add(1, Ordering::SeqCst) + 1;
+                most.fetch_max(now, Ordering::SeqCst);
+                entered.notify_one();
+                answers.acquire().await.expect("open").forget();
+                inside.fetch_sub(1, Ordering::SeqCst);
+                "waited"
+            }
+        };
+        let router = Router::new().route("/", get(|| async { "here" })).route("/wait", get(wait));
+        let task = tokio::spawn(accept(listener, router, stop.clone(), limits));
+        Self { address, stop, task, answers, entered, inside, most }
+    }
+
+    async fn connect(&self) -> TcpStream {
+        TcpStream::connect(self.address).await.expect("connects")
+    }
+
+    /// A connection that sent this.
+    async fn sent(&self, text: &str) -> TcpStream {
+        let mut stream = self.connect().await;
+        stream.write_all(text.as_bytes()).await.expect("sends");
+        stream
+    }
+
+    /// A connection that had its first answer and is still open.
+    async fn answered(&self) -> TcpStream {
+        let mut stream = self.sent("GET / HTTP/1.1\r\nHost: here\r\n\r\n").await;
+        let mut heard = String::new();
+        while !heard.ends_with("here") {
+            let mut chunk = [0; 512];
+            let length = stream.read(&mut chunk).await.expect("reads");
+            assert_ne!(length, 0, "closed early: {heard}");
+            heard.push_str(&String::from_utf8_lossy(&chunk[..length]));
+        }
+        stream
+    }
+
+    async fn inside(&self, count: usize) {
+        while self.inside.load(Ordering::SeqCst) < count {
+            self.entered.notified().await;
+        }
+    }
+}
+
+/// What came until the other side closed.
+async fn rest(mut stream: TcpStream) -> String {
+    let mut rest = String::new();
+    stream.read_to_string(&mut rest).await.expect("closed in order");
+    rest
+}
+
+const WAIT: &str = "GET /wait HTTP/1.1\r\nHost: here\r\nConnection: close\r\n\r\n";
+
+#[tokio::test]
+async fn connections_that_ask_for_nothing_are_closed() {
+    let server = Server::start(Limits { silence: SOON, ..PATIENT }).await;
+    let silent = [server.connect().await, server.connect().await, server.connect().await];
+    let slow = server.sent("GET / HTTP/1.1\r\nHo").await;
+    let idle = server.answered().await;
+    let mut half = server.answered().await;
+    half.write_all(b"GET / HT").await.expect("sends");
+    for stream in silent.into_iter().chain([slow, idle, half]) {
+        assert!(!rest(stream).await.contains("here"));
+    }
+}
+
+#[tokio::test]
+async fn a_request_in_progress_is_not_silence() {
+    let server = Server::start(Limits { silence: SOON, ..PATIENT }).await;
+    let waiting = server.sent(WAIT).await;
+    server.inside(1).await;
+    // By the time this one is closed for its silence, the other has been waiting as long.
+    rest(server.connect().await).await;
+    server.answers.add_permits(1);
+    assert!(rest(waiting).await.ends_with("waited"));
+}
+
+#[tokio::test]
+async fn connections_beyond_the_limit_wait_for_a_place() {
+    let server = Server::start(Limits { connections: 2, ..PATIENT }).await;
+    let mut streams = Vec::new();
+    for _ in 0..6 {
+        streams.push(server.sent(WAIT).await);
+    }
+    server.inside(2).await;
+    server.answers.add_permits(6);
+    for stream in streams {
+        assert!(rest(stream).await.ends_with("waited"));
+    }
+    assert_eq!(server.most.load(Ordering::SeqCst), 2);
+}
+
+#[tokio::test]
+async fn stopping_waits_for_no_connection_without_a_request() {
+    let server = Server::start(PATIENT).await;
+    let _silent = server.connect().await;
+    let _first = server.sent("GET / HTTP/1.1\r\nHo").await;
+    let _idle = server.answered().await;
+    let mut half = server.answered().await;
+    half.write_all(b"GET / HT").await.expect("sends");
+    server.stop.cancel();
+    server.task.await.expect("ends");
+}
+
+#[tokio::test]
+async fn a_request_in_progress_is_answered_after_the_stop() {
+    let server = Server::start(PATIENT).await;
+    let waiting = server.sent(WAIT).await;
+    server.inside(1).await;
+    server.stop.cancel();
+    server.answers.add_permits(1);
+    server.task.await.expect("ends");
+    assert!(rest(waiting).await.ends_with("waited"));
+}
+
+#[tokio::test]
+async fn a_request_that_outlasts_the_grace_is_cut_off() {
+    let server = Server::start(Limits { grace: SOON, ..PATIENT }).await;
+    let waiting = server.sent(WAIT).await;
+    server.inside(1).await;
+    server.stop.cancel();
+    server.task.await.expect("ends");
+    assert_eq!(rest(waiting).await, "");
+}
