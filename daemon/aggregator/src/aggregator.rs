@@ -17,7 +17,7 @@ use crate::error::{Failure, Problem, StartError};
 use crate::ingest::{self, Desk, committing, socket};
 use crate::live::{self, Live, News};
 use crate::picture::Picture;
-use crate::store::write::{Writer, newest_runs};
+use crate::store::write::{Writer, newest_runs, stored_hosts, unknown_runs};
 use crate::store::{Store, database};
 
 /// News that wait for the live picture's task; it waits for nothing, so few are enough.
@@ -26,6 +26,8 @@ const NEWS: usize = 1_024;
 const COMMITS: usize = 16;
 /// Runs whose numbers are known from the start: those that agents may still be executing.
 const RUNS: u32 = 1_000;
+/// Hosts whose stored counts are known from the start.
+const HOSTS: u32 = 4_096;
 
 /// Whether events are being stored.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -81,6 +83,8 @@ impl Aggregator {
         }
         let mut connection = database::open(&config.database).await?;
         let runs = newest_runs(&mut connection, RUNS).await.map_err(cannot_open)?;
+        let unknown = unknown_runs(&mut connection, RUNS).await.map_err(cannot_open)?;
+        let hosts = stored_hosts(&mut connection, HOSTS).await.map_err(cannot_open)?;
         let writer = Writer::new(config.database.clone(), connection).await.map_err(cannot_open)?;
         let (socket, address) = socket::listen(&config.listen).await?;
         tracing::info!(%address, database = %config.database.display(), "the aggregator listens");
@@ -90,12 +94,16 @@ impl Aggregator {
         for (run, number) in runs {
             picture.take(News::Run(run, number), clock.stamp());
         }
+        for (host, stored) in hosts {
+            picture.take(News::Stored(host, stored, None), clock.stamp());
+        }
         let (queue, work) = ingest::queue();
         let (news_in, news) = mpsc::channel(NEWS);
         let (committed_in, committed) = mpsc::channel(COMMITS);
         let (pictures, live) = watch::channel(picture.shared(clock.stamp()));
         let (ready_in, ready) = watch::channel(Readiness::Ready);
-        let desk = Desk::new(Receiving::new(ReceivingConfig::new(name)), queue, writer.marks().clone());
+        let receiving = Receiving::new(ReceivingConfig::new(name));
+        let desk = Desk::new(receiving, queue, writer.marks().clone(), unknown);
         let store = Store::new(database::readers(&config.database, config.readers));
 
         let asked = stop.clone();

@@ -87,6 +87,13 @@ fn wrong_address(address: &str) -> Option<String> {
 
 /// The file, or the nearest folder above it that exists, must be writable.
 fn wrong_database(path: &Path) -> Option<String> {
+    let text = path.to_string_lossy();
+    if text.is_empty() || text.starts_with(":memory:") || text.starts_with("file:") {
+        return Some(format!(
+            "{text:?} is not the path of a file; what is acknowledged must outlive this program: name a file, such as \
+             peernet.sqlite"
+        ));
+    }
     if path.is_dir() {
         return Some(format!("{} is a folder; name a file in it", path.display()));
     }
@@ -120,7 +127,9 @@ mod tests {
         for address in ["127.0.0.1:5550", "udp://127.0.0.1:5550", "tcp://127.0.0.1", "inproc://x", ""] {
             assert_eq!(problems(|config| config.listen = address.into()), ["listen"], "{address}");
         }
-        assert_eq!(problems(|config| config.database = "/".into()), ["database"]);
+        for database in ["/", "", ":memory:", "file:peernet.sqlite", "file::memory:?cache=shared"] {
+            assert_eq!(problems(|config| config.database = database.into()), ["database"], "{database}");
+        }
         assert_eq!(
             problems(|config| config.database = "/proc/version/x/peernet.sqlite".into()),
             ["database"]

@@ -4,15 +4,19 @@ use std::time::Duration;
 
 use peernet_clock::SharedClock;
 use tokio::sync::{mpsc, watch};
+use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 
 use super::queue::Queued;
 use crate::aggregator::Readiness;
-use crate::store::write::{Committed, Work, Writer};
+use crate::store::write::{CommitError, Committed, Work, Writer};
 
 /// The first pause after a failed commit, and the longest.
 const FIRST_PAUSE: Duration = Duration::from_millis(200);
 const LONGEST_PAUSE: Duration = Duration::from_secs(5);
+
+/// How often the database's path is checked while there is nothing to store.
+const CHECK_FILE_EVERY: Duration = Duration::from_secs(1);
 
 /// When a group is large or old enough.
 #[derive(Clone, Copy, Debug)]
@@ -35,7 +39,19 @@ pub(crate) async fn run(
     grouping: Grouping,
     (clock, stop): (SharedClock, CancellationToken),
 ) {
-    while let Some(group) = gather(&mut queue, grouping).await {
+    let mut checking = tokio::time::interval(CHECK_FILE_EVERY);
+    checking.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        let first = tokio::select! {
+            biased;
+            first = queue.recv() => first,
+            _ = checking.tick() => {
+                check_file(&writer, &ready);
+                continue;
+            }
+        };
+        let Some(first) = first else { return };
+        let group = gather(first, &mut queue, grouping).await;
         let (work, room): (Vec<Work>, Vec<_>) = group.into_iter().map(Queued::into_parts).unzip();
         let mut pause = FIRST_PAUSE;
         loop {
@@ -50,8 +66,7 @@ pub(crate) async fn run(
                     break;
                 }
                 Err(error) => {
-                    let reason =
-                        format!("cannot store events: {error}; agents keep them, tried again by itself");
+                    let reason = words(&error);
                     if stop.is_cancelled() {
                         tracing::error!(batches = work.len(), %reason, "gave up storing: told to stop");
                         return;
@@ -68,9 +83,20 @@ pub(crate) async fn run(
     }
 }
 
-/// The next group; `None` when no more work will come.
-async fn gather(queue: &mut mpsc::Receiver<Queued>, grouping: Grouping) -> Option<Vec<Queued>> {
-    let first = queue.recv().await?;
+/// Tells of a file that was moved away even while there is nothing to store.
+fn check_file(writer: &Writer, ready: &watch::Sender<Readiness>) {
+    match writer.check_file() {
+        Ok(()) => set(ready, Readiness::Ready),
+        Err(error) => set(ready, Readiness::NotStoring(words(&error))),
+    }
+}
+
+fn words(error: &CommitError) -> String {
+    format!("cannot store events: {error}; agents keep them, tried again by itself")
+}
+
+/// The group that begins with `first`.
+async fn gather(first: Queued, queue: &mut mpsc::Receiver<Queued>, grouping: Grouping) -> Vec<Queued> {
     let mut nodes = first.work.weight();
     let mut group = vec![first];
     let patience = tokio::time::sleep(grouping.interval);
@@ -88,7 +114,7 @@ async fn gather(queue: &mut mpsc::Receiver<Queued>, grouping: Grouping) -> Optio
             () = &mut patience => break,
         }
     }
-    Some(group)
+    group
 }
 
 /// Logs changes of readiness, once each.

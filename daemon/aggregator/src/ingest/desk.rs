@@ -1,21 +1,29 @@
 //! Who may speak, and what becomes of each frame. No sockets here: frames in, replies and news out.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use bytes::Bytes;
 use peernet_clock::{Span, Stamp};
-use peernet_logger::HostId;
 use peernet_logger::stream::codec::{self, BatchHead};
-use peernet_logger::stream::{Arrival, Greeting, Hello, Receiving, StreamId, ToAgent, ToAggregator};
+use peernet_logger::stream::{
+    Arrival, Greeting, Hello, LiveUpdate, Receiving, StreamId, ToAgent, ToAggregator,
+};
+use peernet_logger::{HostId, RunId};
 use zeromq::Identity;
 
 use super::queue::Queue;
+use super::refusals::Refusals;
 use crate::live::News;
 use crate::picture::RefusedHost;
-use crate::store::write::{Committed, Mark, Work};
+use crate::store::write::{Committed, Mark, RunName, Work};
 
 /// A host that was silent for so long is asked to say hello again.
 const FORGET_SESSIONS: Span = Span::from_seconds(60);
+/// Hosts that may say hello on one connection: an agent needs one. There is no limit for all together: whoever
+/// reached it would lock the others out, and the picture has one of its own.
+const MOST_PER_CONNECTION: usize = 64;
+/// Runs that wait for the live lane to name them.
+const MOST_UNKNOWN: usize = 1_024;
 /// Largest batch number that is believed: SQLite's integers end there.
 const LAST_BATCH: u64 = i64::MAX as u64;
 
@@ -38,19 +46,30 @@ pub(crate) struct Desk {
     /// The connection on which each host said hello.
     routes: HashMap<HostId, Identity>,
     marks: HashMap<StreamId, Mark>,
+    /// Runs of which the store knows iterations only.
+    unknown: HashSet<RunId>,
+    refusals: Refusals,
     replies: Vec<(Identity, ToAgent)>,
     news: Vec<News>,
     untaken: Untaken,
 }
 
 impl Desk {
-    /// A desk that knows nobody; `marks` are what is stored of each stream.
-    pub(crate) fn new(receiving: Receiving, queue: Queue, marks: HashMap<StreamId, Mark>) -> Self {
+    /// A desk that knows nobody; `marks` are what is stored of each stream, `unknown` the runs of which the store
+    /// knows iterations only.
+    pub(crate) fn new(
+        receiving: Receiving,
+        queue: Queue,
+        marks: HashMap<StreamId, Mark>,
+        unknown: Vec<RunId>,
+    ) -> Self {
         Self {
             receiving,
             queue,
             routes: HashMap::new(),
             marks,
+            unknown: unknown.into_iter().collect(),
+            refusals: Refusals::default(),
             replies: Vec::new(),
             news: Vec::new(),
             untaken: Untaken::default(),
@@ -67,6 +86,7 @@ impl Desk {
             Ok(ToAggregator::Hello(hello)) => self.hello(from, hello, now),
             Ok(ToAggregator::Live(update)) => {
                 if self.knows(from, update.host) && self.receiving.live(update.host, now.mono).is_none() {
+                    self.name_runs(&update);
                     self.news.push(News::Update(Box::new(update)));
                 }
             }
@@ -74,10 +94,29 @@ impl Desk {
                 if self.knows(from, host) {
                     self.receiving.goodbye(host);
                     self.routes.remove(&host);
+                    // Without room the next hello of the host ends its runs.
+                    if let Some(place) = self.queue.place(0) {
+                        place.put(Work::Goodbye(host));
+                    }
                     self.news.push(News::Goodbye(host));
                 }
             }
             Ok(ToAggregator::Batch(_)) | Err(_) => self.untaken.unreadable += 1,
+        }
+    }
+
+    /// The live lane names runs whose beginning the store never got: it was acknowledged into another database.
+    fn name_runs(&mut self, update: &LiveUpdate) {
+        if self.unknown.is_empty() {
+            return;
+        }
+        for live in &update.pipelines {
+            let Some(run) = live.run.filter(|run| self.unknown.contains(run)) else { continue };
+            // Without room, a later update does.
+            let Some(place) = self.queue.place(0) else { return };
+            let (host, pipeline, placement) = (update.host, live.pipeline.clone(), live.placement.clone());
+            place.put(Work::Name(Box::new(RunName { host, run, pipeline, placement })));
+            self.unknown.remove(&run);
         }
     }
 
@@ -92,7 +131,7 @@ impl Desk {
     }
 
     fn hello(&mut self, from: &Identity, hello: Hello, now: Stamp) {
-        if let Some(reason) = self.objection(&hello) {
+        if let Some(reason) = self.objection(&hello).or_else(|| self.too_many(from, hello.host.id)) {
             self.refuse(from, &hello, reason, now);
             return;
         }
@@ -104,7 +143,7 @@ impl Desk {
         };
         match self.receiving.hello(&hello, stored, now.mono) {
             Greeting::Welcome { reply, missing } => {
-                greeting.put(Work::Hello(Box::new(hello.host.clone())));
+                greeting.put(Work::Hello { host: Box::new(hello.host.clone()), process: hello.process });
                 if let Some(missing) = missing {
                     tracing::warn!(
                         host = %hello.host.name, from = missing.from, through = missing.through,
@@ -137,9 +176,24 @@ impl Desk {
         ))
     }
 
+    /// What speaks against one more host.
+    fn too_many(&self, from: &Identity, host: HostId) -> Option<String> {
+        if self.routes.contains_key(&host) {
+            return None;
+        }
+        let here = self.routes.values().filter(|route| *route == from).count();
+        (here >= MOST_PER_CONNECTION)
+            .then(|| format!("{here} hosts said hello on this connection: let each agent open its own"))
+    }
+
     fn refuse(&mut self, from: &Identity, hello: &Hello, reason: String, now: Stamp) {
-        let address = from.peer_info().peer_address.map(|address| address.to_string());
-        tracing::warn!(host = %hello.host.name, id = %hello.host.id, ?address, %reason, "a host was refused");
+        let address = from.peer_info().peer_address;
+        let ip = address.map(|address| address.ip());
+        let address = address.map(|address| address.to_string());
+        if let Some(times) = self.refusals.count(&reason, ip, now.mono) {
+            let (host, id) = (&hello.host.name, &hello.host.id);
+            tracing::warn!(%host, %id, ?address, %reason, times, "a host was refused");
+        }
         self.replies.push((from.clone(), ToAgent::Refused { reason: reason.clone() }));
         let refused = RefusedHost { name: hello.host.name.clone(), address, reason, at: now.wall };
         self.news.push(News::Refused(refused));
@@ -182,6 +236,9 @@ impl Desk {
         for (host, (stored, newest)) in committed.hosts {
             self.news.push(News::Stored(host, stored, newest));
         }
+        if self.unknown.len() < MOST_UNKNOWN {
+            self.unknown.extend(committed.unknown);
+        }
         self.news.extend(committed.runs.into_iter().map(|(run, number)| News::Run(run, number)));
     }
 
@@ -190,6 +247,9 @@ impl Desk {
         self.receiving.forget_silent(FORGET_SESSIONS, now.mono);
         let receiving = &self.receiving;
         self.routes.retain(|host, _| receiving.is_alive(*host, FORGET_SESSIONS, now.mono));
+        for (reason, address, times) in self.refusals.age(now.mono) {
+            tracing::warn!(?address, %reason, times, "hosts were refused");
+        }
     }
 
     /// What is to be sent, and to whom.

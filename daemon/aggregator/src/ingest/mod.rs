@@ -4,6 +4,7 @@
 pub(crate) mod committing;
 mod desk;
 mod queue;
+mod refusals;
 pub(crate) mod socket;
 
 pub(crate) use self::desk::Desk;

@@ -3,11 +3,13 @@
 use std::time::Duration;
 
 use bytes::Bytes;
-use peernet_clock::SharedClock;
+use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_logger::stream::codec::{self, MAX_MESSAGE_BYTES};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
-use zeromq::{IdentitySocket, Message, Options, Socket, SocketType};
+use zeromq::{
+    IdentitySocket, Message, MonitorEvent, MonitorStream, MonitorTryRecvError, Options, Socket, SocketType,
+};
 
 use super::desk::{Desk, Untaken};
 use crate::error::{Failure, StartError};
@@ -21,13 +23,20 @@ const AGE_EVERY: Duration = Duration::from_secs(5);
 /// A connection without any sign of life for so long is closed.
 const HEARTBEAT: Duration = Duration::from_secs(2);
 const HEARTBEAT_TIMEOUT: Duration = Duration::from_secs(10);
+/// How long a connection may take to say who it is, and how many may be at it at once: whoever connects and keeps
+/// silent must not keep agents out.
+const HANDSHAKE: Duration = Duration::from_secs(2);
+const HANDSHAKES: usize = 4_096;
+/// So many that failed at it are worth a warning, at most once a minute.
+const SILENT: u64 = 64;
+const WARN_EVERY: Span = Span::from_seconds(60);
 /// How long the last acknowledgements may take on their way out.
 const LINGER: Duration = Duration::from_millis(500);
 /// Room in a message for what the library counts beside the payload.
 const FRAMING: usize = 4_096;
 
 /// Listens; returns the socket and the address with the port that was really taken.
-pub(crate) async fn listen(address: &str) -> Result<(IdentitySocket, String), StartError> {
+pub(crate) async fn listen(address: &str) -> Result<(Listening, String), StartError> {
     let failed = |source| StartError::Listen { address: address.to_owned(), source };
     let options = Options::default()
         .recv_hwm(WAITING_FRAMES)
@@ -35,10 +44,26 @@ pub(crate) async fn listen(address: &str) -> Result<(IdentitySocket, String), St
         .max_message_size(MAX_MESSAGE_BYTES + FRAMING)
         .heartbeat_interval(HEARTBEAT)
         .heartbeat_timeout(HEARTBEAT_TIMEOUT)
+        .handshake_timeout(HANDSHAKE)
+        .max_pending_handshakes(handshakes())
         .linger(LINGER);
     let socket = Socket::new(SocketType::Router, options);
+    let events = socket.monitor();
     let bound = socket.bind(address).await.map_err(failed)?;
-    Ok((socket.identity_routing().map_err(failed)?, bound.to_string()))
+    let socket = socket.identity_routing().map_err(failed)?;
+    Ok((Listening { socket, events }, bound.to_string()))
+}
+
+/// A socket that listens, and what it tells of its connections.
+pub(crate) struct Listening {
+    socket: IdentitySocket,
+    events: MonitorStream,
+}
+
+/// Connections that may be saying who they are at once: at most half of the files that this process may open.
+fn handshakes() -> usize {
+    let files = rustix::process::getrlimit(rustix::process::Resource::Nofile).current;
+    files.and_then(|files| usize::try_from(files / 2).ok()).map_or(HANDSHAKES, |half| half.min(HANDSHAKES))
 }
 
 /// What the socket's task is wired to.
@@ -51,7 +76,7 @@ pub(crate) struct Wires {
 
 /// Receives until told to stop, then waits until what was let in is stored and acknowledged.
 pub(crate) async fn run(
-    socket: IdentitySocket,
+    Listening { socket, mut events }: Listening,
     address: String,
     mut desk: Desk,
     mut wires: Wires,
@@ -59,6 +84,7 @@ pub(crate) async fn run(
     let mut ageing = tokio::time::interval(AGE_EVERY);
     ageing.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
     let mut reported = Untaken::default();
+    let mut silent = Silent::default();
     loop {
         tokio::select! {
             () = wires.stop.cancelled() => break,
@@ -73,8 +99,10 @@ pub(crate) async fn run(
                 None => return Err(Failure::TaskEnded("writer")),
             },
             _ = ageing.tick() => {
-                desk.age(wires.clock.stamp());
+                let now = wires.clock.stamp();
+                desk.age(now);
                 report(desk.untaken(), &mut reported);
+                silent.count(&mut events, now.mono);
             }
         }
         deliver(&socket, &mut desk, &wires.news).await;
@@ -102,6 +130,35 @@ async fn deliver(socket: &IdentitySocket, desk: &mut Desk, news: &mpsc::Sender<N
     for item in desk.take_news() {
         // Closed only while everything ends.
         let _ended = news.send(item).await;
+    }
+}
+
+/// Connections that never said who they are.
+#[derive(Debug, Default)]
+struct Silent {
+    count: u64,
+    warned: Option<MonoTime>,
+}
+
+impl Silent {
+    /// Counts what the socket told of since the last time, and warns once a minute.
+    fn count(&mut self, events: &mut MonitorStream, now: MonoTime) {
+        loop {
+            match events.try_recv() {
+                Ok(MonitorEvent::HandshakeFailed { .. }) => self.count += 1,
+                Ok(_) => {}
+                // The oldest were overwritten: there are too many to be counted exactly.
+                Err(MonitorTryRecvError::Lagged(lost)) => self.count += lost,
+                Err(_) => break,
+            }
+        }
+        if self.count >= SILENT && self.warned.is_none_or(|at| now - at >= WARN_EVERY) {
+            tracing::warn!(
+                connections = self.count,
+                "many connections never said who they are: is something scanning the agents' port?"
+            );
+            (self.count, self.warned) = (0, Some(now));
+        }
     }
 }
 

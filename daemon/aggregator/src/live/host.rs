@@ -73,6 +73,7 @@ impl Host {
     pub(super) fn goodbye(&mut self) {
         self.connected = false;
         self.picture = None;
+        self.pipelines.values_mut().for_each(Pipeline::away);
     }
 
     /// Takes over an update, within the limits.
@@ -107,6 +108,11 @@ impl Host {
         self.stored = Stored { duplicates: self.stored.duplicates, ..stored };
         self.newest_stored = self.newest_stored.max(newest);
         self.picture = None;
+    }
+
+    /// Whether the database holds events of it.
+    pub(super) fn has_stored(&self) -> bool {
+        self.stored.events > 0
     }
 
     /// A batch of it came again.

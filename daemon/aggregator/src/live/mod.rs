@@ -23,6 +23,8 @@ use crate::picture::{Picture, RefusedHost, Stored};
 
 /// Hosts in the picture; beyond, the one that was silent for longest gives way.
 const MOST_HOSTS: usize = 4_096;
+/// A host of which nothing is stored leaves the picture after this silence.
+const FORGET_STRANGERS: Span = Span::from_seconds(600);
 /// Pipelines of one host.
 const MOST_PIPELINES: usize = 256;
 /// Names of one pipeline within one window.
@@ -61,6 +63,8 @@ pub(crate) struct Live {
     hosts: HashMap<HostId, Host>,
     refused: VecDeque<(Stamp, RefusedHost)>,
     numbers: HashMap<RunId, i64>,
+    /// What the database holds of hosts that have not come yet.
+    stored: HashMap<HostId, Stored>,
 }
 
 impl Live {
@@ -73,6 +77,7 @@ impl Live {
             hosts: HashMap::new(),
             refused: VecDeque::new(),
             numbers: HashMap::new(),
+            stored: HashMap::new(),
         }
     }
 
@@ -91,7 +96,13 @@ impl Live {
             News::Update(update) => return self.with(update.host, |host| host.update(*update, now)),
             News::Goodbye(host) => return self.with(host, Host::goodbye),
             News::Duplicate(host) => return self.with(host, Host::duplicate),
-            News::Stored(host, stored, newest) => return self.with(host, |host| host.store(stored, newest)),
+            News::Stored(host, stored, newest) => {
+                let known = self.with(host, |host| host.store(stored, newest));
+                if !known && self.stored.len() < MOST_HOSTS {
+                    self.stored.insert(host, stored);
+                }
+                return known;
+            }
         }
         true
     }
@@ -109,7 +120,12 @@ impl Live {
             let silent = self.hosts.iter().min_by_key(|(_, host)| host.seen()).map(|(id, _)| *id);
             silent.and_then(|id| self.hosts.remove(&id));
         }
-        self.hosts.insert(description.id, Host::new(description, now));
+        let id = description.id;
+        let mut host = Host::new(description, now);
+        if let Some(stored) = self.stored.remove(&id) {
+            host.store(stored, None);
+        }
+        self.hosts.insert(id, host);
     }
 
     fn refuse(&mut self, refused: RefusedHost, now: Stamp) {
@@ -123,7 +139,10 @@ impl Live {
     pub(crate) fn age(&mut self, now: Stamp) -> bool {
         let before = (self.hosts.len(), self.refused.len());
         let forget = self.forget;
-        self.hosts.retain(|_, host| now.mono - host.seen() <= forget);
+        self.hosts.retain(|_, host| {
+            let patience = if host.has_stored() { forget } else { forget.min(FORGET_STRANGERS) };
+            now.mono - host.seen() <= patience
+        });
         self.refused.retain(|(at, _)| now.mono - at.mono <= REFUSED_FOR);
         let mut changed = before != (self.hosts.len(), self.refused.len());
         for host in self.hosts.values_mut() {

@@ -102,6 +102,14 @@ impl Pipeline {
         ageing
     }
 
+    /// Its host is gone: what was under way may go on there or not.
+    pub(super) fn away(&mut self) {
+        if !matches!(self.state, PipelineState::Finished | PipelineState::Failed(_)) {
+            self.state = PipelineState::Away;
+            self.picture = None;
+        }
+    }
+
     /// Something beside the updates changed what is drawn.
     pub(super) fn redraw(&mut self) {
         self.picture = None;

@@ -172,6 +172,7 @@ fn a_silent_pipeline_runs_dry_and_its_host_disconnects_but_both_stay() {
     assert_eq!(windows.each_ref().map(|window| window.counts.ok), [0, 100, 100]);
     assert!(windows[0].lost_fraction.is_none() && windows[0].rate_hz == 0.0);
     assert!(!picture.hosts[0].connected);
+    assert_eq!(picture.pipelines[0].state, PipelineState::Away, "not claimed to be running");
     assert_eq!(picture.hosts[0].last_seen, wall(0.5));
     assert!(bed.live.age(now(100.0)));
     assert_eq!(bed.picture(100.0).pipelines[0].windows[2].counts.ok, 0);
@@ -298,4 +299,21 @@ fn the_refused_are_shown_once_each_and_not_for_ever() {
     assert_eq!(shown, [("other", wall(60.0)), ("twin", wall(49.0))]);
     assert!(bed.live.age(now(655.0)));
     assert_eq!(bed.picture(655.0).refused.len(), 1);
+}
+
+#[test]
+fn hosts_of_which_nothing_is_stored_leave_early_and_what_was_stored_before_is_shown_at_once() {
+    let mut live = Live::new(slug("base"), "tcp://127.0.0.1:1".into(), Span::from_seconds(86_400));
+    let (known, stranger) = (HostId::random(), HostId::random());
+    let stored = Stored { events: 7, nodes: 70, ..Stored::default() };
+    assert!(!live.take(News::Stored(known, stored, None), now(0.0)));
+    live.take(News::Hello(Box::new(description(known, "known"))), now(1.0));
+    live.take(News::Hello(Box::new(description(stranger, "stranger"))), now(1.0));
+    let picture = live.picture(now(1.0));
+    assert_eq!(picture.hosts.iter().map(|host| host.stored.events).collect::<Vec<_>>(), [7, 0]);
+    live.age(now(600.0));
+    assert_eq!(live.picture(now(600.0)).hosts.len(), 2);
+    assert!(live.age(now(602.0)));
+    let picture = live.picture(now(602.0));
+    assert_eq!(picture.hosts.iter().map(|host| host.id).collect::<Vec<_>>(), [known]);
 }

@@ -198,10 +198,12 @@ pub struct IterationRow {
     pub total: Option<f64>,
     /// `total` over the run's median of it.
     pub factor: Option<f64>,
-    /// The stage that took longest beyond its own median.
+    /// What took longest beyond its own median: a stage, or `unattributed`.
     pub blame: Option<Blame>,
     /// Seconds per stage, in the order of the stages; a stage that occurs several times is added up.
     pub stages: Vec<(Name, f64)>,
+    /// Seconds that the total holds beyond its stages; `None` where the agent could not tell.
+    pub unattributed: Option<f64>,
 }
 
 /// The stage that explains most of an iteration's slowness.

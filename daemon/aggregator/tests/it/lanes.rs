@@ -20,7 +20,7 @@ fn events(iterations: &[Iteration]) -> impl Iterator<Item = Event> {
     iterations.iter().cloned().map(Event::Iteration)
 }
 
-fn live(run: RunId, at: i64, totals: &[f64]) -> PipelineLive {
+pub(crate) fn live(run: RunId, at: i64, totals: &[f64]) -> PipelineLive {
     let mut summary = Summary::default();
     totals.iter().for_each(|total| summary.record(*total));
     PipelineLive {

@@ -4,6 +4,7 @@ mod agent;
 mod bed;
 #[expect(unreachable_pub, reason = "shared with the unit tests and the benchmark")]
 mod generate;
+mod hostile;
 mod lanes;
 mod starting;
 mod trouble;

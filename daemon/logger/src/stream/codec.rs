@@ -81,6 +81,19 @@ pub fn decode<M: Message>(frame: &[u8]) -> Result<M, CodecError> {
 /// The head of a batch's frame; `None` for any other message. What follows the head is not looked at: a batch
 /// that [`decode()`] refuses can still be named, recorded as missing, and left behind.
 pub fn batch_head(frame: &[u8]) -> Option<BatchHead> {
+    read_head(frame).map(|(head, _)| head)
+}
+
+/// How many events a batch's frame claims to hold, if it can hold so many; `None` when that cannot be read.
+pub fn batch_events(frame: &[u8]) -> Option<u64> {
+    let (_, mut rest) = read_head(frame)?;
+    let events = decode::read_array_len(&mut rest).ok()?;
+    // Each takes a byte at least.
+    (events as usize <= rest.len()).then_some(u64::from(events))
+}
+
+/// The head, and what follows it.
+fn read_head(frame: &[u8]) -> Option<(BatchHead, &[u8])> {
     let mut rest = frame;
     let variants = decode::read_map_len(&mut rest).ok()?;
     let name = decode::read_str_len(&mut rest).ok()? as usize;
@@ -95,7 +108,8 @@ pub fn batch_head(frame: &[u8]) -> Option<BatchHead> {
         Some(*id)
     };
     let (host, stream) = (HostId::from_bytes(id()?), StreamId::from_bytes(id()?));
-    Some(BatchHead { host, stream, number: decode::read_int(&mut rest).ok()? })
+    let number = decode::read_int(&mut rest).ok()?;
+    Some((BatchHead { host, stream, number }, rest))
 }
 
 /// The frame of a batch of events that are encoded already: what [`encode`] makes of the [`super::Batch`].
@@ -170,6 +184,8 @@ mod tests {
         frame.truncate(frame.len() - 1);
         assert!(decode::<ToAggregator>(&frame).is_err());
         assert_eq!(batch_head(&frame).map(|head| head.number), Some(5));
+        assert_eq!(batch_events(&frame), Some(2));
+        assert_eq!(batch_events(&frame[..frame.len() / 8]), None);
         assert_eq!(batch_head(&encode(&ToAggregator::Goodbye(batch.host))), None);
     }
 
@@ -187,7 +203,7 @@ mod tests {
     proptest! {
         #[test]
         fn no_bytes_panic(bytes: Vec<u8>) {
-            let _ = (decode::<ToAggregator>(&bytes), decode::<ToAgent>(&bytes), batch_head(&bytes));
+            let _ = (decode::<ToAggregator>(&bytes), decode::<ToAgent>(&bytes), batch_events(&bytes));
         }
 
         #[test]

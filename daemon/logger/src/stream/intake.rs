@@ -7,7 +7,7 @@ use peernet_clock::{MonoTime, Stamp, WallTime};
 
 use super::losses::Losses;
 use super::spool::{Spool, SpooledBatch, Usage};
-use super::{Event, SendingConfig, codec};
+use super::{Event, Gap, SendingConfig, codec};
 use crate::limits::MAX_BYTES;
 use crate::{RunId, Slug};
 
@@ -65,12 +65,15 @@ impl<S: Spool> Intake<S> {
         match self.refusal(event) {
             None => {
                 self.report_losses(now);
+                if let Event::RunEnded(ended) = event {
+                    self.report_ended(Some(ended.run), now);
+                }
                 self.take(weight(event), now);
             }
             Some(reason) => {
                 self.dropped += 1;
                 let (pipeline, run) = self.scope(event);
-                self.losses.add(pipeline, run, now.wall, 1, reason);
+                self.losses.add(pipeline, run, now, 1, reason);
             }
         }
         self.remember(event);
@@ -93,13 +96,29 @@ impl<S: Spool> Intake<S> {
         (!fits).then(|| "the agent's spool was full".to_owned())
     }
 
-    /// Puts gaps where the lost events would have been, if there is room.
+    /// Puts gaps that are due where the lost events would have been, if there is room.
     pub(super) fn report_losses(&mut self, now: Stamp) {
-        if self.losses.len() == 0 || !self.spool.fits(self.open_usage() + self.reports()) {
-            return;
+        if self.has_room_for_reports() {
+            let gaps = self.losses.take_due(now.mono);
+            self.report(gaps, now);
         }
+    }
+
+    /// The same for all losses of a run that ends, or of all that end.
+    fn report_ended(&mut self, run: Option<RunId>, now: Stamp) {
+        if self.has_room_for_reports() {
+            let gaps = self.losses.take_ended(run, now.mono);
+            self.report(gaps, now);
+        }
+    }
+
+    fn has_room_for_reports(&self) -> bool {
+        self.losses.len() > 0 && self.spool.fits(self.open_usage() + self.reports())
+    }
+
+    fn report(&mut self, gaps: Vec<Gap>, now: Stamp) {
         let event = std::mem::take(&mut self.encoded);
-        for gap in self.losses.take() {
+        for gap in gaps {
             self.offered += 1;
             self.encoded.clear();
             codec::append(&mut self.encoded, &Event::Gap(gap));
@@ -113,7 +132,7 @@ impl<S: Spool> Intake<S> {
         let full = self.open.body.len() + self.encoded.len() > self.config.batch_bytes
             || self.open.nodes + nodes > self.config.batch_nodes;
         if full {
-            self.cut(now.wall);
+            self.cut(now);
         }
         if self.open.events == 0 {
             self.open.since = now.mono;
@@ -123,8 +142,16 @@ impl<S: Spool> Intake<S> {
         self.open.nodes += nodes;
     }
 
+    /// Reports what is not reported yet and hands everything to the spool: before a stop.
+    pub(super) fn flush(&mut self, now: WallTime) {
+        // The age of the batch does not matter: it is cut at once.
+        let now = Stamp { wall: now, mono: self.open.since };
+        self.report_ended(None, now);
+        self.cut(now);
+    }
+
     /// Hands the batch under construction to the spool.
-    pub(super) fn cut(&mut self, now: WallTime) {
+    pub(super) fn cut(&mut self, now: Stamp) {
         let OpenBatch { body, events, .. } = std::mem::take(&mut self.open);
         if events == 0 {
             return;
@@ -136,14 +163,21 @@ impl<S: Spool> Intake<S> {
     }
 
     pub(super) fn tick(&mut self, now: Stamp) {
-        if self.deadline().is_some_and(|deadline| now.mono >= deadline) {
-            self.cut(now.wall);
+        if self.batch_deadline().is_some_and(|deadline| now.mono >= deadline) {
+            self.cut(now);
         }
         self.report_losses(now);
     }
 
-    /// When the batch under construction is old enough.
+    /// When the batch under construction is old enough, or a loss is to be reported.
     pub(super) fn deadline(&self) -> Option<MonoTime> {
+        let batch = self.batch_deadline();
+        // Without room there is nothing to do: an acknowledgement makes some.
+        let report = self.has_room_for_reports().then(|| self.losses.due()).flatten();
+        batch.into_iter().chain(report).min()
+    }
+
+    fn batch_deadline(&self) -> Option<MonoTime> {
         (self.open.events > 0).then(|| self.open.since + self.config.batch_age)
     }
 
@@ -157,7 +191,7 @@ impl<S: Spool> Intake<S> {
     }
 
     /// Room for what there is to report.
-    const fn reports(&self) -> Usage {
+    fn reports(&self) -> Usage {
         let gaps = self.losses.len() as u64;
         Usage { events: gaps * GAP.events, bytes: gaps * GAP.bytes }
     }

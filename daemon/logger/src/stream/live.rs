@@ -53,6 +53,8 @@ pub enum PipelineState {
     Finished,
     /// Could not start or had to stop; the text says why.
     Failed(String),
+    /// Its host is not connected: what it does is not known. Said by the aggregator, never by an agent.
+    Away,
 }
 
 /// Where a pipeline computes.

@@ -208,9 +208,26 @@ impl<S: Spool> Sending<S> {
         }
     }
 
-    /// Cuts the batch under construction now: before a stop.
+    /// Reports losses and cuts the batch under construction now: before a stop.
     pub fn flush(&mut self, now: WallTime) {
+        self.intake.flush(now);
+    }
+
+    /// Gives up everything that waits, for want of time, and returns how many events that were; they count as
+    /// dropped. The hello that follows tells the aggregator from where on the stream goes on, and it records the
+    /// gap.
+    ///
+    /// # Errors
+    /// When the spool cannot delete it.
+    pub fn give_up(&mut self, now: Stamp) -> Result<u64, SpoolError> {
         self.intake.cut(now);
+        let newest = self.intake.spool.newest();
+        let events = self.intake.spool.delete_through(newest)?;
+        self.intake.dropped += events;
+        if !matches!(self.link, Link::Down) {
+            self.greet(now.mono);
+        }
+        Ok(events)
     }
 
     /// The frame that says goodbye; `None` when nobody knows us, so that a refused copy cannot say it in our name.

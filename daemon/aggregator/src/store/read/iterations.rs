@@ -39,8 +39,11 @@ impl Comparison {
         Some(total? / median)
     }
 
-    fn blame(&self, stages: &[(Name, f64)]) -> Option<Blame> {
-        let compared = stages.iter().filter_map(|(stage, value)| {
+    /// What exceeds its own median most. What no stage accounts for is a candidate like any stage: blaming the
+    /// second largest excess would send the reader to the wrong place.
+    fn blame(&self, stages: &[(Name, f64)], unattributed: Option<f64>) -> Option<Blame> {
+        let rest = unattributed.map(|value| (stage::UNATTRIBUTED, value));
+        let compared = stages.iter().chain(&rest).filter_map(|(stage, value)| {
             Some(Blame { stage: stage.clone(), value: *value, median: self.median(stage)? })
         });
         let over = |blame: &Blame| blame.value - blame.median;
@@ -140,14 +143,14 @@ async fn complete_row(
         .fetch_all(pool)
         .await
         .map_err(failed(WHAT))?;
-    let stages: Vec<(Name, f64)> = stage::ORDER
-        .into_iter()
-        .filter_map(|stage| {
-            let of_stage = durations.iter().filter(|(name, _)| stage == name.as_str());
-            let values: Vec<f64> = of_stage.map(|(_, value)| *value).collect();
-            (!values.is_empty()).then(|| (stage, values.iter().sum()))
-        })
-        .collect();
+    let seconds_of = |stage: &Name| {
+        let of_stage = durations.iter().filter(|(name, _)| stage == name.as_str());
+        let values: Vec<f64> = of_stage.map(|(_, value)| *value).collect();
+        (!values.is_empty()).then(|| values.iter().sum::<f64>())
+    };
+    let stages: Vec<(Name, f64)> =
+        stage::ORDER.into_iter().filter_map(|stage| Some((stage.clone(), seconds_of(&stage)?))).collect();
+    let unattributed = seconds_of(&stage::UNATTRIBUTED);
     let outcome = OUTCOMES
         .get(usize::from(row.outcome))
         .ok_or_else(|| corrupt(WHAT, format_args!("outcome {}", row.outcome)))?;
@@ -161,7 +164,8 @@ async fn complete_row(
         started: wall(row.started_ns),
         total: row.total,
         factor: comparison.factor(row.total),
-        blame: comparison.blame(&stages),
+        blame: comparison.blame(&stages, unattributed),
         stages,
+        unattributed,
     })
 }

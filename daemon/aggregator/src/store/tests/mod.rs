@@ -1,5 +1,6 @@
 //! The store with a real file: what the writer wrote is what readers are told.
 
+mod ends;
 #[path = "../../../tests/it/generate.rs"]
 #[expect(unreachable_pub, reason = "shared with the integration tests and the benchmark")]
 mod generate;
@@ -40,8 +41,8 @@ impl Bed {
         let (edge, cloud, stream) = (HostId::random(), HostId::random(), StreamId::random());
         let mut bed = Self { _folder: folder, path, writer, store, edge, cloud, stream, next: 1 };
         bed.commit(&[
-            Work::Hello(Box::new(generate::host(bed.edge, "edge"))),
-            Work::Hello(Box::new(generate::host(bed.cloud, "cloud"))),
+            Work::Hello { host: Box::new(generate::host(bed.edge, "edge")), process: 1 },
+            Work::Hello { host: Box::new(generate::host(bed.cloud, "cloud")), process: 1 },
         ])
         .await;
         bed

@@ -8,7 +8,8 @@ use peernet_logger::stream::{HostDescription, PlacementKind, RunDescription, Run
 use peernet_logger::{HostId, RunId};
 use sqlx::SqliteConnection;
 
-use super::Refusal;
+use super::{Refusal, RunName};
+use crate::picture::Stored;
 
 /// Runs kept in memory; beyond, all are forgotten and read again when needed.
 const MOST_RUNS: usize = 10_000;
@@ -22,6 +23,8 @@ pub(super) struct Entities {
     runs: HashMap<RunId, KnownRun>,
     /// Runs that came into `runs` since they were last asked for.
     met: Vec<(RunId, i64)>,
+    /// Runs that were made without their beginning since they were last asked for.
+    unknown: Vec<RunId>,
 }
 
 /// A run that exists in the store.
@@ -96,6 +99,7 @@ impl Entities {
                 .bind(UNKNOWN)
                 .fetch_one(connection)
                 .await?;
+                self.unknown.push(run);
                 self.remember(run, KnownRun { number, host })
             }
         };
@@ -120,13 +124,13 @@ impl Entities {
         Ok(row.map(|(number, host)| self.remember(run, KnownRun { number, host })))
     }
 
-    /// A run began; or its description arrives after some of its iterations.
+    /// A run began; or its description arrives after some of its iterations. Returns it and its pipeline.
     pub(super) async fn run_started(
         &mut self,
         connection: &mut SqliteConnection,
         host: i64,
         run: &RunDescription,
-    ) -> Result<KnownRun, Refusal> {
+    ) -> Result<(KnownRun, i64), Refusal> {
         if let Some(known) = self.known_run(connection, run.run).await? {
             known.check(host, run.run)?;
         }
@@ -156,7 +160,39 @@ impl Entities {
         .bind(run.version.as_str())
         .fetch_one(connection)
         .await?;
-        Ok(self.remember(run.run, KnownRun { number, host }))
+        Ok((self.remember(run.run, KnownRun { number, host }), pipeline))
+    }
+
+    /// The live lane names a run. What its beginning told, or will tell, counts more.
+    pub(super) async fn name_run(
+        &mut self,
+        connection: &mut SqliteConnection,
+        name: &RunName,
+        now: WallTime,
+    ) -> Result<(), Refusal> {
+        let host = self.host(connection, name.host, now).await?;
+        let Some(known) = self.known_run(connection, name.run).await?.filter(|known| known.host == host)
+        else {
+            return Ok(());
+        };
+        let pipeline = pipeline(connection, host, name.pipeline.as_str()).await?;
+        let placement = &name.placement;
+        sqlx::query(
+            "UPDATE run SET pipeline = ?, placement = ?, peer = ?, network = ?, address = ?, model = ?, device = ? \
+             WHERE number = ? AND model = ? AND version = ''",
+        )
+        .bind(pipeline)
+        .bind(placement_word(placement.kind))
+        .bind(placement.peer.as_ref().map(ToString::to_string))
+        .bind(placement.network.as_deref())
+        .bind(placement.address.as_deref())
+        .bind(placement.model.as_str())
+        .bind(placement.device.as_deref())
+        .bind(known.number)
+        .bind(UNKNOWN)
+        .execute(connection)
+        .await?;
+        Ok(())
     }
 
     /// A run ended.
@@ -181,6 +217,7 @@ impl Entities {
         self.hosts.clear();
         self.runs.clear();
         self.met.clear();
+        self.unknown.clear();
     }
 
     fn remember(&mut self, run: RunId, known: KnownRun) -> KnownRun {
@@ -196,9 +233,19 @@ impl Entities {
     pub(super) fn take_met(&mut self) -> Vec<(RunId, i64)> {
         std::mem::take(&mut self.met)
     }
+
+    /// Runs that were made without their beginning since the last time.
+    pub(super) fn take_unknown(&mut self) -> Vec<RunId> {
+        std::mem::take(&mut self.unknown)
+    }
 }
 
 impl KnownRun {
+    /// Whether rows of that host may refer to it.
+    pub(super) fn is_of(self, host: i64) -> bool {
+        self.host == host
+    }
+
     fn check(self, host: i64, run: RunId) -> Result<Self, Refusal> {
         if self.host == host {
             Ok(self)
@@ -238,6 +285,42 @@ pub(crate) async fn newest_runs(
             .fetch_all(connection)
             .await?;
     rows.into_iter().map(|(uuid, number)| Ok((id(&uuid)?, number))).collect()
+}
+
+/// Open runs of which the store knows iterations only.
+pub(crate) async fn unknown_runs(
+    connection: &mut SqliteConnection,
+    limit: u32,
+) -> Result<Vec<RunId>, sqlx::Error> {
+    let rows: Vec<String> = sqlx::query_scalar(
+        "SELECT uuid FROM run WHERE ended_ns IS NULL AND model = ? AND version = '' ORDER BY number DESC LIMIT ?",
+    )
+    .bind(UNKNOWN)
+    .bind(limit)
+    .fetch_all(connection)
+    .await?;
+    rows.iter().map(|uuid| id(uuid)).collect()
+}
+
+/// What is stored of the hosts that were seen last.
+pub(crate) async fn stored_hosts(
+    connection: &mut SqliteConnection,
+    limit: u32,
+) -> Result<Vec<(HostId, Stored)>, sqlx::Error> {
+    let rows: Vec<(String, i64, i64, i64, i64, i64)> = sqlx::query_as(
+        "SELECT uuid, events, nodes, gaps, missing, quarantined FROM host ORDER BY last_seen_ns DESC LIMIT ?",
+    )
+    .bind(limit)
+    .fetch_all(connection)
+    .await?;
+    rows.into_iter()
+        .map(|(uuid, events, nodes, gaps, missing, quarantined)| {
+            let counts = [events, nodes, gaps, missing, quarantined];
+            let [events, nodes, gaps, missing, quarantined] =
+                counts.map(|count| u64::try_from(count).unwrap_or(0));
+            Ok((id(&uuid)?, Stored { events, nodes, gaps, missing, duplicates: 0, quarantined }))
+        })
+        .collect()
 }
 
 /// Up to where a stream is stored.

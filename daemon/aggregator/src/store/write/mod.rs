@@ -1,6 +1,9 @@
 //! The one writing connection: batches in, one transaction for many of them, marks out.
 
+mod aside;
+mod ends;
 mod entities;
+mod file;
 mod insert;
 mod iteration;
 mod names;
@@ -14,13 +17,16 @@ use std::path::PathBuf;
 use bytes::Bytes;
 use peernet_clock::WallTime;
 use peernet_logger::stream::codec::BatchHead;
-use peernet_logger::stream::{Batch, Event, HostDescription, Missing, StreamId};
-use peernet_logger::{HostId, RunId};
+use peernet_logger::stream::{Batch, Event, HostDescription, Missing, Placement, StreamId};
+use peernet_logger::{HostId, RunId, Slug};
 use sqlx::{ConnectOptions, Connection, SqliteConnection};
 
+use self::ends::Ends;
 use self::entities::Entities;
 use self::entities::stream_marks;
-pub(crate) use self::entities::{Mark, UNKNOWN, newest_runs, placement_word};
+pub(crate) use self::entities::{Mark, UNKNOWN, newest_runs, placement_word, stored_hosts, unknown_runs};
+pub(crate) use self::file::CommitError;
+use self::file::DatabaseFile;
 use self::iteration::Staging;
 use self::names::Names;
 use self::rows::Inserts;
@@ -31,7 +37,16 @@ use crate::picture::Stored;
 #[derive(Debug)]
 pub(crate) enum Work {
     /// A host introduced itself.
-    Hello(Box<HostDescription>),
+    Hello {
+        /// The host.
+        host: Box<HostDescription>,
+        /// The number that its process made at its start.
+        process: u64,
+    },
+    /// A host took its leave: nothing more comes of its runs, unless it kept something for later.
+    Goodbye(HostId),
+    /// The live lane names a run that the store knows by its iterations only.
+    Name(Box<RunName>),
     /// Events.
     Batch(Box<Batch>),
     /// A batch that cannot be read: put aside as it came.
@@ -47,6 +62,19 @@ pub(crate) enum Work {
     Missing(Missing),
 }
 
+/// What the live lane tells of a run.
+#[derive(Clone, Debug)]
+pub(crate) struct RunName {
+    /// Whose.
+    pub(crate) host: HostId,
+    /// The run.
+    pub(crate) run: RunId,
+    /// Its pipeline.
+    pub(crate) pipeline: Slug,
+    /// Where it computes.
+    pub(crate) placement: Placement,
+}
+
 impl Work {
     /// What it counts when commits are cut by nodes.
     pub(crate) fn weight(&self) -> usize {
@@ -58,10 +86,10 @@ impl Work {
         1 + batch.events.iter().map(weight).sum::<usize>()
     }
 
-    /// Whose it is, and up to which number of which stream it goes; nothing of a greeting.
+    /// Whose it is, and up to which number of which stream it goes; nothing of what is no batch.
     fn head(&self) -> Option<BatchHead> {
         match self {
-            Self::Hello(_) => None,
+            Self::Hello { .. } | Self::Goodbye(_) | Self::Name(_) => None,
             Self::Batch(batch) => {
                 Some(BatchHead { host: batch.host, stream: batch.stream, number: batch.number })
             }
@@ -91,6 +119,8 @@ pub(crate) struct Committed {
     pub(crate) hosts: HashMap<HostId, (Stored, Option<WallTime>)>,
     /// Numbers of runs that were met for the first time.
     pub(crate) runs: Vec<(RunId, i64)>,
+    /// Runs of which only iterations came.
+    pub(crate) unknown: Vec<RunId>,
     /// Nodes stored.
     pub(crate) nodes: u64,
     /// Batches that were put aside, and why.
@@ -108,7 +138,7 @@ struct HostCounts {
 /// Owns the writing connection.
 #[derive(Debug)]
 pub(crate) struct Writer {
-    path: PathBuf,
+    file: DatabaseFile,
     /// `None` after it broke, until the next attempt.
     connection: Option<SqliteConnection>,
     entities: Entities,
@@ -116,6 +146,9 @@ pub(crate) struct Writer {
     inserts: Inserts,
     /// Marks as committed.
     marks: HashMap<StreamId, Mark>,
+    ends: Ends,
+    /// What was committed to a file that had been moved by then: told when it is back.
+    untold: Committed,
 }
 
 impl From<sqlx::Error> for Refusal {
@@ -136,12 +169,14 @@ impl Writer {
         let marks = stream_marks(&mut connection).await?;
         let names = Names::load(&mut connection).await?;
         Ok(Self {
-            path,
+            file: DatabaseFile::of(path)?,
             connection: Some(connection),
             entities: Entities::default(),
             staging: Staging { names, ..Staging::default() },
             inserts: Inserts::default(),
             marks,
+            ends: Ends::default(),
+            untold: Committed::default(),
         })
     }
 
@@ -153,13 +188,26 @@ impl Writer {
     /// Stores all of `work` in one transaction. A batch that cannot be stored is put aside, and only it.
     ///
     /// # Errors
-    /// When the database cannot store anything now; nothing has changed then.
-    pub(crate) async fn commit(&mut self, work: &[Work], now: WallTime) -> Result<Committed, sqlx::Error> {
-        match self.attempt(work, now, None).await {
-            Ok(committed) => Ok(committed),
-            Err(Refusal::Database(error)) => Err(error),
-            Err(Refusal::Batch(_)) => self.one_by_one(work, now).await,
-        }
+    /// When the database cannot store anything now; nothing has changed then. Or when its file is no longer where it
+    /// was: what was committed meanwhile is told of when the file is back and the same work is handed in again.
+    pub(crate) async fn commit(&mut self, work: &[Work], now: WallTime) -> Result<Committed, CommitError> {
+        self.check_file()?;
+        let committed = match self.attempt(work, now, None).await {
+            Ok(committed) => committed,
+            Err(Refusal::Database(error)) => return Err(error.into()),
+            Err(Refusal::Batch(_)) => self.one_by_one(work, now).await?,
+        };
+        self.untold.merge(committed);
+        self.check_file()?;
+        Ok(std::mem::take(&mut self.untold))
+    }
+
+    /// Whether the database's path still names the file that is open.
+    ///
+    /// # Errors
+    /// When it does not.
+    pub(crate) fn check_file(&self) -> Result<(), CommitError> {
+        self.file.check()
     }
 
     /// Keeps others from writing, as a program that opened the file might.
@@ -205,7 +253,7 @@ impl Writer {
     ) -> Result<Committed, Refusal> {
         let mut connection = match self.connection.take() {
             Some(connection) => connection,
-            None => database::writing(&self.path).connect().await?,
+            None => database::writing(self.file.path()).connect().await?,
         };
         let result = self.transact(&mut connection, work, now, aside).await;
         match result {
@@ -217,6 +265,7 @@ impl Writer {
             Err(refusal) => {
                 self.staging.forget();
                 self.entities.forget();
+                self.ends.forget();
                 // A connection that cannot even roll back is replaced; the names are read again either way,
                 // because those that the transaction added are gone.
                 let restored = async {
@@ -230,7 +279,7 @@ impl Writer {
                     }
                     Err(_) => {
                         let _closed = connection.close().await;
-                        let mut connection = database::writing(&self.path).connect().await?;
+                        let mut connection = database::writing(self.file.path()).connect().await?;
                         self.staging.names = Names::load(&mut connection).await?;
                         self.connection = Some(connection);
                     }
@@ -253,9 +302,18 @@ impl Writer {
         for item in work {
             let Some(head) = item.head() else {
                 // Nothing of a greeting can be put aside: the batches that follow bring the host's row.
-                if let (Work::Hello(description), None) = (item, aside) {
-                    let id = self.entities.introduce(connection, description, now).await?;
-                    hosts.entry(description.id).or_default().id = id;
+                match (item, aside) {
+                    (Work::Hello { host, process }, None) => {
+                        let id = self.entities.introduce(connection, host, now).await?;
+                        self.ends.process(connection, id, *process).await?;
+                        hosts.entry(host.id).or_default().id = id;
+                    }
+                    (Work::Goodbye(host), None) => {
+                        let id = self.entities.host(connection, *host, now).await?;
+                        self.ends.left(connection, id).await?;
+                    }
+                    (Work::Name(name), None) => self.entities.name_run(connection, name, now).await?,
+                    _ => {}
                 }
                 continue;
             };
@@ -283,6 +341,10 @@ impl Writer {
             if let Some(reason) = reason {
                 records::quarantine(connection, counts.id, head, item, reason, now).await?;
                 counts.added.quarantined += 1;
+                let (gaps, missing) =
+                    aside::gaps(connection, &mut self.entities, counts.id, item, reason, now).await?;
+                counts.added.gaps += gaps;
+                counts.added.missing = counts.added.missing.saturating_add(missing);
                 committed.quarantined.push((head, reason.to_owned()));
             }
             records::mark(connection, counts.id, head, now).await?;
@@ -292,12 +354,14 @@ impl Writer {
         self.inserts.run(connection, &mut self.staging.rows).await?;
         self.staging.rollups.write(connection).await?;
         records::count_runs(connection, self.staging.runs.drain()).await?;
+        self.ends.write(connection).await?;
         for (id, counts) in hosts {
             let stored = records::count_host(connection, counts.id, &counts.added, now).await?;
             committed.hosts.insert(id, (stored, counts.newest));
         }
         sqlx::query("COMMIT").execute(connection).await?;
         committed.runs = self.entities.take_met();
+        committed.unknown = self.entities.take_unknown();
         Ok(committed)
     }
 
@@ -312,7 +376,8 @@ impl Writer {
         for event in &batch.events {
             let at = match event {
                 Event::RunStarted(run) => {
-                    self.entities.run_started(connection, host, run).await?;
+                    let (known, pipeline) = self.entities.run_started(connection, host, run).await?;
+                    self.ends.followed(pipeline, known.number);
                     run.started
                 }
                 Event::RunEnded(end) => {
@@ -351,6 +416,7 @@ impl Committed {
         self.marks.extend(other.marks);
         self.hosts.extend(other.hosts);
         self.runs.extend(other.runs);
+        self.unknown.extend(other.unknown);
         self.nodes += other.nodes;
         self.quarantined.extend(other.quarantined);
     }

@@ -8,6 +8,7 @@ use peernet_logger::stream::{Batch, Gap, Incident, Missing, ToAggregator};
 
 use sqlx::SqliteConnection;
 
+use super::ends::LEFT;
 use super::entities::Entities;
 use super::iteration::RunCounts;
 use super::{Refusal, Work};
@@ -86,7 +87,8 @@ pub(super) async fn count_runs(
     for (run, counts) in runs {
         sqlx::query(
             "UPDATE run SET warm_up = warm_up + ?1, ok = ok + ?2, failed = failed + ?3, lost = lost + ?4, \
-             timeout = timeout + ?5, last_iteration_ns = max(coalesce(last_iteration_ns, ?6), ?6) WHERE number = ?7",
+             timeout = timeout + ?5, last_iteration_ns = max(coalesce(last_iteration_ns, ?6), ?6), \
+             ended_ns = iif(end_reason = ?8, max(ended_ns, ?6), ended_ns) WHERE number = ?7",
         )
         .bind(counts.warm_up as i64)
         .bind(counts.outcomes.ok as i64)
@@ -95,6 +97,7 @@ pub(super) async fn count_runs(
         .bind(counts.outcomes.timeout as i64)
         .bind(counts.last.unix_nanos())
         .bind(run)
+        .bind(LEFT)
         .execute(&mut *connection)
         .await?;
     }
@@ -155,7 +158,7 @@ pub(super) async fn quarantine(
             (Some(batch.events.len() as i64), Bytes::from(codec::encode(&message)))
         }
         Work::Unreadable { frame, .. } => (None, frame.clone()),
-        Work::Hello(_) | Work::Missing(_) => (None, Bytes::new()),
+        Work::Hello { .. } | Work::Goodbye(_) | Work::Name(_) | Work::Missing(_) => (None, Bytes::new()),
     };
     sqlx::query(
         "INSERT INTO quarantine (host, stream, number, received_ns, events, reason, frame) VALUES (?, ?, ?, ?, ?, ?, ?)",

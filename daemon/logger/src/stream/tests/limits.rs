@@ -109,3 +109,25 @@ fn what_the_aggregator_would_refuse_is_not_sent_and_holds_up_nothing() {
     assert_eq!((gap.count, kept.number), (1, 2));
     assert!(gap.reason.contains("not a number"), "{}", gap.reason);
 }
+
+#[test]
+fn a_loss_that_goes_on_is_reported_once_a_second_and_before_its_run_ends() {
+    let (mut sending, run) = (of(10_000), RunId::random());
+    let mut broken = tree();
+    let node = broken.add(NodeId::ROOT, Name::from("x"), Span::ZERO, Measure::Value(1.0, Unit::NONE));
+    *broken.measure_mut(node).expect("added") = Measure::Value(f64::NAN, Unit::NONE);
+    sending.offer(&started(run), at(0));
+    for n in 0..1_500 {
+        sending.offer(&iteration(run, 2 * n, broken.clone()), at(2 * n as i64));
+        sending.offer(&iteration(run, 2 * n + 1, tree()), at(2 * n as i64 + 1));
+    }
+    let ended = RunEnded { run, ended: at(3_000).wall, reason: "finished".into() };
+    sending.offer(&Event::RunEnded(ended), at(3_000));
+    let before = sending.accounting();
+    assert_eq!((before.dropped, before.offered), (1_500, before.waiting + before.dropped));
+    let events = drain(&mut sending, 4_000);
+    let counts =
+        events.iter().filter_map(|event| if let Event::Gap(gap) = event { Some(gap.count) } else { None });
+    assert_eq!(counts.collect::<Vec<_>>(), [1, 500, 500, 499]);
+    assert!(matches!(events[events.len() - 2..], [Event::Gap(_), Event::RunEnded(_)]));
+}

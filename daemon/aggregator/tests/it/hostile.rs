@@ -1,0 +1,126 @@
+//! Whoever means harm or is broken: silent connections, many names, a database that goes away.
+
+use std::sync::Arc;
+
+use peernet_aggregator::Readiness;
+use peernet_logger::HostId;
+use peernet_logger::RunId;
+use peernet_logger::stream::{Event, Hello, PROTOCOL, StreamId, ToAgent, ToAggregator};
+use tokio::io::AsyncReadExt;
+use tokio::net::TcpStream;
+use tokio::sync::Semaphore;
+use tokio::task::JoinSet;
+
+use crate::agent::Wire;
+use crate::bed::Bed;
+use crate::generate;
+
+#[tokio::test]
+async fn silent_connections_keep_no_agent_out() {
+    let mut bed = Bed::new().await;
+    let address = bed.address.strip_prefix("tcp://").expect("TCP").to_owned();
+    // Who is thrown out comes back at once.
+    let mut silent = JoinSet::new();
+    let inside = Arc::new(Semaphore::new(0));
+    for _ in 0..300 {
+        let (address, inside) = (address.clone(), Arc::clone(&inside));
+        silent.spawn(async move {
+            loop {
+                let mut connection = TcpStream::connect(&address).await.expect("connects");
+                inside.add_permits(1);
+                let mut ignored = Vec::new();
+                let _closed = connection.read_to_end(&mut ignored).await;
+            }
+        });
+    }
+    let _all = inside.acquire_many(300).await.expect("open");
+    let mut agent = bed.agent("edge").await;
+    agent.until_up().await;
+    silent.shutdown().await;
+    bed.stop().await;
+}
+
+#[tokio::test]
+async fn one_connection_says_hello_for_few_hosts() {
+    let mut bed = Bed::new().await;
+    let wire = Wire::to(&bed.address).await;
+    for n in 0..65 {
+        let host = generate::host(HostId::random(), &format!("host-{n}"));
+        let hello = Hello { protocol: PROTOCOL, host, stream: StreamId::random(), oldest: 1, process: 1 };
+        wire.send(&ToAggregator::Hello(hello)).await;
+        match wire.receive().await {
+            ToAgent::Welcome { .. } => assert!(n < 64),
+            ToAgent::Refused { reason } => {
+                assert!(n == 64 && reason.contains("let each agent open its own"), "{n}: {reason}");
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+    // Others are let in.
+    let mut agent = bed.agent("edge").await;
+    agent.until_up().await;
+    bed.stop().await;
+}
+
+#[tokio::test]
+async fn nothing_is_acknowledged_while_the_database_file_is_away() {
+    let mut bed = Bed::new().await;
+    let mut agent = bed.agent("edge").await;
+    let run = RunId::random();
+    agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
+    agent.until_stored().await;
+    let away = bed.database.with_extension("away");
+    std::fs::rename(&bed.database, &away).expect("moves");
+    // Seen although nothing is to be stored.
+    agent.until("it is seen", |_| bed.aggregator().ready() != Readiness::Ready).await;
+    let Readiness::NotStoring(reason) = bed.aggregator().ready() else { panic!("not storing") };
+    assert!(reason.contains("deleted, moved or replaced") && reason.contains("put it back"), "{reason}");
+    let mut numbers = generate::Numbers(3);
+    let hosts = (agent.id, HostId::from_bytes([7; 16]));
+    agent.offer((1..=50).map(|n| Event::Iteration(generate::iteration(run, n, hosts, &mut numbers))));
+    agent.sending.flush(bed.clock.wall());
+    assert_eq!((agent.accounting().stored, agent.accounting().waiting), (1, 50));
+
+    std::fs::rename(&away, &bed.database).expect("moves back");
+    agent.until_stored().await;
+    assert_eq!(bed.aggregator().ready(), Readiness::Ready);
+    assert_eq!(bed.count("SELECT ok FROM run").await, 50);
+    bed.stop().await;
+}
+
+#[tokio::test]
+async fn a_run_that_began_before_a_fresh_database_gets_its_name_from_the_live_lane() {
+    let mut bed = Bed::new().await;
+    let mut agent = bed.agent("edge").await;
+    let run = RunId::random();
+    let mut numbers = generate::Numbers(3);
+    let hosts = (agent.id, HostId::from_bytes([7; 16]));
+    agent.offer((4..=9).map(|n| Event::Iteration(generate::iteration(run, n, hosts, &mut numbers))));
+    agent.until_stored().await;
+    // Not yet named, and known as such after a restart too.
+    assert_eq!(bed.count("SELECT count(*) FROM run WHERE model = 'unknown'").await, 1);
+    bed.stop().await;
+    bed.start().await;
+    agent.until_up().await;
+    let mut again = crate::agent::Agent::with(agent.id, "edge", &bed.address, &bed.clock).await;
+    drop(agent);
+    again.until_up().await;
+    let second = bed.clock.wall().unix_seconds();
+    again.live(vec![crate::lanes::live(run, second, &[0.020])]).await;
+    again.offer([Event::Iteration(generate::iteration(run, 10, hosts, &mut numbers))]);
+    again.until_stored().await;
+    assert_eq!(
+        bed.count(
+            "SELECT count(*) FROM run_list WHERE pipeline = 'line' AND placement = 'remote' AND ok = 7"
+        )
+        .await,
+        1
+    );
+    let picture = bed
+        .picture("what was stored before", |picture| {
+            picture.hosts.first().is_some_and(|host| host.stored.events == 7)
+        })
+        .await;
+    assert_eq!(picture.hosts.len(), 1);
+    bed.stop().await;
+}
