@@ -74,4 +74,4 @@ bench: setup
 
 clean:
 	$(CARGO) clean
-	rm -rf onnxruntime demo-data .venv-tools
+	rm -rf onnxruntime data .venv-tools

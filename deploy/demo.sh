@@ -24,7 +24,7 @@ finish() {
         kill -TERM "${pid[$role]}" 2>/dev/null || true
         wait "${pid[$role]}" 2>/dev/null || true
     done
-    echo "demo: ended. What was measured is kept in data/; the next 'make demo' adds to it."
+    [ -z "${started:-}" ] || echo "demo: ended. What was measured is kept in data/; the next 'make demo' adds to it."
     exit "$code"
 }
 trap finish EXIT
@@ -46,6 +46,7 @@ if answers; then
     exit 1
 fi
 
+started=yes
 for role in "${roles[@]}"; do
     "$peernetd" run "$configs/$role.toml" >"$logs/$role.log" 2>&1 &
     pid[$role]=$!
@@ -58,7 +59,7 @@ done
 
 cat <<TEXT
 
-  PEERNet demo: a factory quality-control line, three pipelines over thirty real pictures
+  PEERNet demo: a factory quality-control line, three pipelines over thirty pictures of parts
   Dashboard   http://$listen
   REST        http://$listen/api/v1/pipelines
   Logs        $logs/
@@ -70,5 +71,7 @@ while :; do
     for role in "${roles[@]}"; do
         kill -0 "${pid[$role]}" 2>/dev/null || failed "$role"
     done
-    sleep 1
+    # In the background, so that a signal ends the waiting and not the sleep, whose code would end the script.
+    sleep 1 &
+    wait $! || true
 done

@@ -114,6 +114,16 @@ fn listening_beyond_loopback_must_be_asked_for() {
 }
 
 #[test]
+fn a_key_of_the_second_table_is_not_laid_at_the_first() {
+    let (code, said) = check(
+        &Site::new(),
+        "[agent]\nname = \"edge\"\nstate_dir = \"{folder}/edge\"\n\n[[model]]\nname = \"a\"\nkind = \"echo\"\n\n[[model]]\nname = \"b\"\nkind = \"echo\"\nworkres = 2\n",
+    );
+    assert_eq!(code, CONFIGURATION, "{said}");
+    assert!(said.contains("it.toml:9: model[1]") && said.contains("workres"), "{said}");
+}
+
+#[test]
 fn an_agent_may_not_take_longer_to_stop_than_the_process() {
     let (code, said) = check(
         &Site::new(),

@@ -32,7 +32,9 @@ struct Pipeline {
 
 #[derive(Debug, Deserialize)]
 struct Placement {
+    kind: String,
     peer: Option<String>,
+    address: Option<String>,
     model: String,
 }
 
@@ -103,6 +105,12 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
             "download ms",
         ];
         say(table(&header, &pipelines.iter().map(pipeline_row).collect::<Vec<_>>()));
+        // Below the table: a reason is a sentence and would tear the columns apart.
+        for pipeline in &pipelines {
+            if let Some(reason) = &pipeline.reason {
+                say(format_args!("{}/{} is {}: {reason}", pipeline.host, pipeline.name, pipeline.state));
+            }
+        }
     }
     say("");
     let header = ["host", "state", "CPU %", "waiting", "dropped"];
@@ -115,18 +123,16 @@ fn pipeline_row(pipeline: &Pipeline) -> Vec<String> {
     let of = |name: &str| window.and_then(|window| window.values.iter().find(|figures| figures.name == name));
     let mean = |name: &str| milliseconds(of(name).map(|figures| figures.mean));
     let total = of("total");
-    let place = match &pipeline.placement.peer {
-        Some(peer) => format!("{} on {peer}", pipeline.placement.model),
-        None => format!("{} on board", pipeline.placement.model),
-    };
-    let state = match &pipeline.reason {
-        Some(reason) => format!("{}: {reason}", pipeline.state),
-        None => pipeline.state.clone(),
+    let Placement { kind, peer, address, model } = &pipeline.placement;
+    let place = match peer.as_ref().or(address.as_ref()) {
+        Some(there) => format!("{model} on {there}"),
+        None if kind == "local" => format!("{model} on board"),
+        None => model.clone(),
     };
     vec![
         format!("{}/{}", pipeline.host, pipeline.name),
         place,
-        state,
+        pipeline.state.clone(),
         known(window.map(|window| format!("{:.1}", window.rate_hz))),
         known(window.and_then(|window| window.lost_fraction).map(percent)),
         milliseconds(total.and_then(|figures| figures.p50)),

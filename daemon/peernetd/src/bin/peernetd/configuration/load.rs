@@ -83,7 +83,8 @@ pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
         .map_err(|error| vec![problem(None, "", format!("cannot read the configuration: {error}"))])?;
     let locator = Locator::new(&text);
     let file: File = read(&text).map_err(|(key, error)| {
-        let line = error.span().map(|span| locator.line_at(span.start));
+        // Within tables that are told apart by their `kind` the span is that of the first of them; the key knows better.
+        let line = error.span().map(|span| locator.line_at(span.start)).max(locator.line(&key));
         vec![problem(line, &key, error.message().to_owned())]
     })?;
 
