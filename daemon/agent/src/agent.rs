@@ -1,6 +1,7 @@
 //! Starting and stopping.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use peernet_clock::SharedClock;
 use peernet_inference::Bank;
@@ -8,16 +9,18 @@ use peernet_logger::stream::{HostDescription, HostMetrics, IncidentKind, LiveUpd
 use peernet_logger::{InvalidName, Slug};
 use peernet_networks::{Address, BindError, Listener};
 use tokio::sync::watch;
+use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
 use crate::check::{Problem, check};
 use crate::config::{AgentConfig, HostConfig, PipelineConfig, StartMode};
 use crate::host::{Host, VERSION};
-use crate::identity::{IdentityError, host_id};
+use crate::identity::{IdentityError, StateLock, host_id};
 use crate::incidents::{Concerning, Incidents};
 use crate::live::{Board, Display};
 use crate::outbox::Outbox;
+use crate::runs::Runs;
 use crate::tasks::Tasks;
 use crate::{pipeline, serve, telemetry};
 
@@ -50,6 +53,8 @@ pub struct Running {
     serves: Option<Address>,
     tasks: Tasks,
     outbox: Option<Outbox>,
+    stop_timeout: Duration,
+    _state: StateLock,
 }
 
 impl Agent {
@@ -71,11 +76,12 @@ impl Agent {
         stop: CancellationToken,
     ) -> Result<Running, StartError> {
         let name = host_name(&config.agent)?;
+        let state = StateLock::take(&config.agent.state_dir)?;
         let id = host_id(&config.agent.state_dir)?;
         let (feed, exit) = crate::outbox::entrance(&config.agent, &clock);
         let incidents = Incidents::new(Arc::clone(&clock), feed.clone());
         let bank = Arc::new(bank(&config, &clock, incidents.clone()));
-        let host = Host { id, name, clock, bank, feed, incidents };
+        let host = Host { id, name, clock, bank, feed, incidents, runs: Runs::default() };
 
         let listener = match &config.serve {
             None => None,
@@ -119,7 +125,8 @@ impl Agent {
             });
         }
         tracing::info!(host = %host.name, id = %host.id, "the agent is up");
-        Ok(Running { host, board, metrics, serves, tasks, outbox })
+        let stop_timeout = config.agent.stop_timeout();
+        Ok(Running { host, board, metrics, serves, tasks, outbox, stop_timeout, _state: state })
     }
 }
 
@@ -148,17 +155,39 @@ impl Running {
     /// # Errors
     /// When a task ended that should not have.
     pub async fn join(self) -> Result<(), Failure> {
-        let Self { host, tasks, outbox, .. } = self;
+        let Self { host, tasks, outbox, stop_timeout, _state, .. } = self;
+        let stop = tasks.stop();
+        let told = stop.clone();
+        let began = tokio::spawn(async move {
+            told.cancelled().await;
+            Instant::now()
+        });
         let ended = tasks.join().await;
-        let stored = match outbox {
-            Some(outbox) => outbox.close().await,
-            None => Ok(()),
+        stop.cancel();
+        let now = Instant::now();
+        let began = began.await.unwrap_or(now);
+        // Whatever the iterations under way took, what they leave behind gets its time.
+        let deadline = (began + stop_timeout).max(now + stop_timeout / 4);
+        let stored = async {
+            match outbox {
+                Some(outbox) => outbox.close(deadline).await,
+                None => Ok(()),
+            }
         };
-        let bank = Arc::clone(&host.bank);
-        let unloaded = tokio::task::spawn_blocking(move || bank.shutdown()).await;
-        unloaded.map_err(|error| Failure { part: "models".to_owned(), reason: error.to_string() })?;
-        ended.and(stored)
+        let (stored, unloaded) = tokio::join!(stored, unload(Arc::clone(&host.bank), deadline - now));
+        ended.and(stored).and(unloaded)
     }
+}
+
+/// Ends the threads of the models; one that computes or loads for longer than `patience` is left to itself.
+async fn unload(bank: Arc<Bank>, patience: Duration) -> Result<(), Failure> {
+    let unloading = tokio::task::spawn_blocking(move || bank.shutdown_within(patience));
+    let left =
+        unloading.await.map_err(|error| Failure { part: "models".to_owned(), reason: error.to_string() })?;
+    for model in left {
+        tracing::warn!(%model, "not waited for: the model is still loading or computing");
+    }
+    Ok(())
 }
 
 /// The configured name, or the machine's.

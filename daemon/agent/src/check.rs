@@ -8,14 +8,31 @@ use std::path::Path;
 use std::sync::Arc;
 
 use peernet_clock::SharedClock;
-use peernet_inference::Bank;
+use peernet_inference::{Bank, LoadError};
 use peernet_logger::Slug;
 use peernet_networks::SessionSettings;
 use rustix::fs::{Access, access};
 
 use crate::agent::host_name;
-use crate::config::{AgentConfig, PipelineConfig, PlacementConfig, ServeConfig};
+use crate::config::{AgentConfig, HostConfig, PipelineConfig, PlacementConfig, ServeConfig};
 use crate::identity::existing_id;
+
+/// Most events that may wait for the aggregator.
+const MAX_QUEUE_EVENTS: u64 = 10_000_000;
+/// Most bytes that they may take: 16 GiB.
+const MAX_QUEUE_BYTES: u64 = 16 << 30;
+/// Most nodes in a batch.
+const MAX_BATCH_NODES: u64 = 1_000_000;
+/// Most bytes in a batch, well below the largest message that the aggregator takes.
+const MAX_BATCH_BYTES: u64 = 2 << 20;
+/// Longest wait of an event for its batch: a minute.
+const MAX_BATCH_DELAY_MS: u64 = 60_000;
+/// Longest time for stopping: a minute.
+const MAX_STOP_TIMEOUT_MS: u64 = 60_000;
+/// Most iterations of a pipeline under way at once.
+const MAX_IN_FLIGHT: u64 = 4096;
+/// Longest wait for an answer: a day.
+const MAX_TIMEOUT_MS: u64 = 24 * 3600 * 1000;
 
 /// Something wrong with a configuration.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -49,6 +66,12 @@ impl Report {
 }
 
 impl Report {
+    fn at_most(&mut self, key: &str, value: u64, most: u64) {
+        if value > most {
+            self.add(key, format!("{value} is too much; at most {most}"));
+        }
+    }
+
     fn settings(&mut self, key: &str, settings: &SessionSettings) {
         if let Err(error) = settings.check() {
             self.add(format!("{key}.{}", error.key), format!("{} {}", error.value, error.problem));
@@ -62,9 +85,14 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     report.unless_ok("agent.name", host_name(&config.agent));
     report.unless_ok("agent.state_dir", usable(&config.agent.state_dir));
     report.unless_ok("agent.state_dir", existing_id(&config.agent.state_dir));
+    check_host(&mut report, &config.agent);
     let bank = Bank::new(config.models.clone(), config.onnxruntime.clone(), Arc::clone(clock));
     for (index, error) in bank.check() {
-        report.add(format!("model[{index}]"), error);
+        let key = match &error {
+            LoadError::TooMuch { key, .. } => format!("model[{index}].{key}"),
+            _ => format!("model[{index}]"),
+        };
+        report.add(key, error);
     }
     if let Some(serve) = &config.serve {
         check_serve(&mut report, serve, &bank.names());
@@ -79,6 +107,15 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
         check_pipeline(&mut report, &at, pipeline, &bank.names());
     }
     report.0
+}
+
+fn check_host(report: &mut Report, host: &HostConfig) {
+    report.at_most("agent.queue_events", host.queue_events.get() as u64, MAX_QUEUE_EVENTS);
+    report.at_most("agent.queue_bytes", host.queue_bytes.get() as u64, MAX_QUEUE_BYTES);
+    report.at_most("agent.batch_nodes", host.batch_nodes.get() as u64, MAX_BATCH_NODES);
+    report.at_most("agent.batch_bytes", host.batch_bytes.get() as u64, MAX_BATCH_BYTES);
+    report.at_most("agent.batch_delay_ms", host.batch_delay_ms.into(), MAX_BATCH_DELAY_MS);
+    report.at_most("agent.stop_timeout_ms", host.stop_timeout_ms, MAX_STOP_TIMEOUT_MS);
 }
 
 fn check_serve(report: &mut Report, serve: &ServeConfig, models: &[Slug]) {
@@ -105,6 +142,8 @@ fn check_pipeline(report: &mut Report, at: &str, pipeline: &PipelineConfig, mode
     for (index, transform) in pipeline.transforms.iter().enumerate() {
         report.unless_ok(format!("{at}.transforms[{index}]"), transform.build());
     }
+    report.at_most(&format!("{at}.max_in_flight"), pipeline.max_in_flight.get() as u64, MAX_IN_FLIGHT);
+    report.at_most(&format!("{at}.timeout_ms"), pipeline.timeout_ms.get(), MAX_TIMEOUT_MS);
     if let PlacementConfig::Remote(remote) = &pipeline.placement {
         report.settings(&format!("{at}.placement.session"), &remote.session);
     }

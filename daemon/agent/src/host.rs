@@ -8,6 +8,7 @@ use peernet_logger::{HostId, Slug};
 
 use crate::incidents::Incidents;
 use crate::outbox::Feed;
+use crate::runs::Runs;
 
 /// This host as its own parts see it.
 #[derive(Clone, Debug)]
@@ -18,6 +19,7 @@ pub(crate) struct Host {
     pub(crate) bank: Arc<Bank>,
     pub(crate) feed: Feed,
     pub(crate) incidents: Incidents,
+    pub(crate) runs: Runs,
 }
 
 /// The agent's version, as peers and the aggregator are told.

@@ -5,6 +5,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use peernet_logger::HostId;
+use rustix::fs::{FlockOperation, flock};
 
 /// Why the host id could not be had.
 #[derive(Debug, thiserror::Error)]
@@ -19,6 +20,11 @@ pub enum IdentityError {
         /// What the system said.
         source: io::Error,
     },
+    /// Another agent has the folder.
+    #[error(
+        "another agent uses {}; stop it, or give each agent a [agent] state_dir of its own", .0.display()
+    )]
+    InUse(PathBuf),
     /// The file holds something else.
     #[error("{} holds no host id but {found:?}; restore it, or remove it to become a new host", .path.display())]
     NotAnId {
@@ -66,6 +72,33 @@ pub fn host_id(state_dir: &Path) -> Result<HostId, IdentityError> {
     })
 }
 
+/// A folder that no other agent may use; let go when this is dropped, or the process ends.
+#[derive(Debug)]
+pub(crate) struct StateLock {
+    _file: File,
+}
+
+impl StateLock {
+    /// Takes the folder, which is made when missing, with a lock on the file `lock` in it.
+    ///
+    /// # Errors
+    /// When another agent has it, or the file cannot be made.
+    pub(crate) fn take(state_dir: &Path) -> Result<Self, IdentityError> {
+        let io = |action, path: &Path| {
+            let path = path.to_owned();
+            move |source| IdentityError::Io { action, path, source }
+        };
+        fs::create_dir_all(state_dir).map_err(io("make", state_dir))?;
+        let path = state_dir.join("lock");
+        let file = File::options().create(true).append(true).open(&path).map_err(io("write", &path))?;
+        match flock(&file, FlockOperation::NonBlockingLockExclusive) {
+            Ok(()) => Ok(Self { _file: file }),
+            Err(rustix::io::Errno::WOULDBLOCK) => Err(IdentityError::InUse(state_dir.to_owned())),
+            Err(error) => Err(io("lock", &path)(error.into())),
+        }
+    }
+}
+
 /// The id in `host-id` in `state_dir`, if there is one already.
 pub(crate) fn existing_id(state_dir: &Path) -> Result<Option<HostId>, IdentityError> {
     let path = state_dir.join("host-id");
@@ -92,6 +125,16 @@ mod tests {
         let files: Vec<_> =
             fs::read_dir(&state).expect("there").map(|entry| entry.expect("readable")).collect();
         assert_eq!(files.len(), 1, "no draft is left behind");
+    }
+
+    #[test]
+    fn one_agent_at_a_time_has_the_folder() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let first = StateLock::take(folder.path()).expect("free");
+        let error = StateLock::take(folder.path()).expect_err("taken").to_string();
+        assert!(error.contains("another agent uses"), "{error}");
+        drop(first);
+        StateLock::take(folder.path()).expect("free again");
     }
 
     #[test]

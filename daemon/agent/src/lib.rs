@@ -24,6 +24,7 @@ mod outbox;
 mod pauses;
 mod pipeline;
 mod random;
+mod runs;
 mod serve;
 mod tasks;
 mod telemetry;

@@ -2,12 +2,15 @@
 
 use std::collections::HashSet;
 use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::thread;
+use std::time::Duration;
 
-use peernet_clock::SharedClock;
+use peernet_clock::{SharedClock, Span};
 use peernet_logger::Slug;
 
 use crate::echo::Echo;
+use crate::litter::Litter;
 use crate::onnx::Onnx;
 use crate::pool::Sizes;
 use crate::sleep::Sleep;
@@ -15,7 +18,8 @@ use crate::{LoadError, Model, ModelConfig, OnnxRuntimeConfig, Pool};
 
 /// The models that a host offers, loaded when they are first asked for and shared from then on.
 pub struct Bank {
-    shelves: Vec<Shelf>,
+    shelves: Vec<Arc<Shelf>>,
+    litter: Litter,
     runtime: OnnxRuntimeConfig,
     clock: SharedClock,
     on_load: Option<Observer>,
@@ -32,8 +36,9 @@ struct Shelf {
 impl Bank {
     /// A bank of these models; nothing is loaded yet.
     pub fn new(models: Vec<ModelConfig>, runtime: OnnxRuntimeConfig, clock: SharedClock) -> Self {
-        let shelves = models.into_iter().map(|config| Shelf { config, pool: Mutex::new(None) }).collect();
-        Self { shelves, runtime, clock, on_load: None }
+        let shelf = |config| Arc::new(Shelf { config, pool: Mutex::new(None) });
+        let shelves = models.into_iter().map(shelf).collect();
+        Self { shelves, litter: Litter::default(), runtime, clock, on_load: None }
     }
 
     /// Calls `observer` with each pool right after it was loaded; [`Pool::loaded_in`] tells how long it took.
@@ -94,6 +99,9 @@ impl Bank {
             if !seen.insert(config.name()) {
                 errors.push((index, LoadError::Duplicate(config.name().to_string())));
             }
+            if let Err(error) = config.check_limits() {
+                errors.push((index, error));
+            }
             if let ModelConfig::Onnx(config) = config
                 && let Err(error) = Onnx::check(config, &self.runtime)
             {
@@ -106,22 +114,63 @@ impl Bank {
     /// Ends the threads of all models that were loaded; see [`Pool::shutdown`]. Blocks.
     pub fn shutdown(&self) {
         for shelf in &self.shelves {
-            let pool = shelf.pool.lock().unwrap_or_else(PoisonError::into_inner).take();
-            if let Some(pool) = pool {
-                pool.shutdown();
-            }
+            shelf.clear();
         }
     }
 
+    /// The same, but waits no longer than `patience`. Returns the models that were not waited for, because they
+    /// load or compute: their threads are left to themselves, and their temporary files are removed. Blocks.
+    pub fn shutdown_within(&self, patience: Duration) -> Vec<Slug> {
+        let deadline =
+            self.clock.mono() + Span::from_nanos(i64::try_from(patience.as_nanos()).unwrap_or(i64::MAX));
+        let (done, ended) = mpsc::sync_channel(self.shelves.len());
+        let mut left = self.names();
+        for shelf in &self.shelves {
+            let (shelf, done) = (Arc::clone(shelf), done.clone());
+            let thread = thread::Builder::new().name(format!("end-{}", shelf.config.name()));
+            let ending = thread.spawn(move || {
+                shelf.clear();
+                // Nobody listens any more when this took too long.
+                let _ = done.send(shelf.config.name().clone());
+            });
+            if let Err(error) = ending {
+                tracing::error!(%error, "cannot start a thread to end a model");
+            }
+        }
+        drop(done);
+        while !left.is_empty() {
+            let remaining = (deadline - self.clock.mono()).nanos().max(0).unsigned_abs();
+            match ended.recv_timeout(Duration::from_nanos(remaining)) {
+                Ok(name) => left.retain(|other| *other != name),
+                Err(_) => break,
+            }
+        }
+        if !left.is_empty() {
+            self.litter.sweep();
+        }
+        left
+    }
+
     fn start(&self, config: &ModelConfig) -> Result<Pool, LoadError> {
+        config.check_limits()?;
         let begun = self.clock.mono();
         let model: Arc<dyn Model> = match config {
-            ModelConfig::Onnx(config) => Arc::new(Onnx::load(config, &self.runtime)?),
+            ModelConfig::Onnx(config) => Arc::new(Onnx::load(config, &self.runtime, &self.litter)?),
             ModelConfig::Echo(config) => Arc::new(Echo::new(config.clone())),
             ModelConfig::Sleep(config) => Arc::new(Sleep::new(config.clone())),
         };
         let sizes = Sizes { workers: config.workers(), queue: config.queue() };
         Pool::start(config.name().clone(), model, sizes, &self.clock, begun)
+    }
+}
+
+impl Shelf {
+    /// Ends the threads of the model, if it was loaded.
+    fn clear(&self) {
+        let pool = self.pool.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(pool) = pool {
+            pool.shutdown();
+        }
     }
 }
 

@@ -6,6 +6,19 @@ use std::path::PathBuf;
 use peernet_logger::Slug;
 use serde::{Deserialize, Serialize};
 
+use crate::LoadError;
+
+/// Most threads that compute samples of one model.
+const MAX_WORKERS: usize = 256;
+/// Most samples that may wait for one model.
+const MAX_QUEUE: usize = 65_536;
+/// Most threads within or across the operators of a model.
+const MAX_THREADS: usize = 1024;
+/// Largest fixed answer: 1 GiB.
+const MAX_ANSWER_BYTES: usize = 1 << 30;
+/// Longest stage of a model that sleeps: a day. Milliseconds.
+const MAX_STAGE_MS: usize = 24 * 3600 * 1000;
+
 /// `[[model]]`: one model that this host offers.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
@@ -105,6 +118,35 @@ impl ModelConfig {
         }
     }
 
+    /// Checks the numbers against their upper limits.
+    ///
+    /// # Errors
+    /// [`LoadError::TooMuch`] for the first that is beyond its own.
+    pub fn check_limits(&self) -> Result<(), LoadError> {
+        let given: &[(&'static str, usize, usize)] = match self {
+            Self::Onnx(config) => &[
+                ("workers", config.workers.get(), MAX_WORKERS),
+                ("queue", config.queue.get(), MAX_QUEUE),
+                ("intra_threads", config.intra_threads.get(), MAX_THREADS),
+                ("inter_threads", config.inter_threads.get(), MAX_THREADS),
+            ],
+            Self::Echo(config) => &[("answer_bytes", config.answer_bytes.unwrap_or(0), MAX_ANSWER_BYTES)],
+            Self::Sleep(config) => &[
+                ("preprocessing_ms", config.preprocessing_ms as usize, MAX_STAGE_MS),
+                ("inference_ms", config.inference_ms as usize, MAX_STAGE_MS),
+                ("postprocessing_ms", config.postprocessing_ms as usize, MAX_STAGE_MS),
+                ("workers", config.workers.get(), MAX_WORKERS),
+                ("queue", config.queue.get(), MAX_QUEUE),
+            ],
+        };
+        match given.iter().find(|(_, value, most)| value > most) {
+            Some(&(key, value, most)) => {
+                Err(LoadError::TooMuch { key, value: value as u64, most: most as u64 })
+            }
+            None => Ok(()),
+        }
+    }
+
     /// Threads that compute; `echo` runs on the thread of its caller and counts as one.
     pub fn workers(&self) -> usize {
         match self {
@@ -169,5 +211,28 @@ mod tests {
         let error = read("name = \"q\"\nkind = \"onnx\"\npath = \"x\"\nworker = 2").expect_err("misspelt");
         assert!(error.to_string().contains("worker"), "{error}");
         assert!(read("name = \"q\"\nkind = \"onnx\"\npath = \"x\"\nworkers = 0").is_err());
+    }
+
+    #[test]
+    fn every_number_has_an_upper_limit() {
+        for (kind, key, most) in [
+            ("'onnx'\npath = 'x'", "workers", 256_u64),
+            ("'onnx'\npath = 'x'", "queue", 65_536),
+            ("'onnx'\npath = 'x'", "intra_threads", 1024),
+            ("'onnx'\npath = 'x'", "inter_threads", 1024),
+            ("'echo'", "answer_bytes", 1 << 30),
+            ("'sleep'", "workers", 256),
+            ("'sleep'", "queue", 65_536),
+            ("'sleep'", "inference_ms", 86_400_000),
+        ] {
+            let with = |value| {
+                let text = format!("name = 'm'\nkind = {kind}\n{key} = {value}");
+                read(&text).expect("reads").check_limits()
+            };
+            assert!(with(most).is_ok(), "{key}");
+            let error = with(most + 1).expect_err(key);
+            assert!(matches!(error, LoadError::TooMuch { key: k, .. } if k == key), "{error}");
+            assert!(error.to_string().contains(&most.to_string()), "{error}");
+        }
     }
 }

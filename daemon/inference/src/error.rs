@@ -16,6 +16,16 @@ pub enum LoadError {
     /// Two models have one name.
     #[error("two models are named {0}; give each its own name")]
     Duplicate(String),
+    /// A value is beyond its upper limit.
+    #[error("{value} is too much; at most {most}")]
+    TooMuch {
+        /// The key in the model's table.
+        key: &'static str,
+        /// What was given.
+        value: u64,
+        /// The limit.
+        most: u64,
+    },
     /// The model is configured for another device.
     #[error("model {model} is not offered on {asked}, only on {offered}; ask for that or name no device")]
     OtherDevice {

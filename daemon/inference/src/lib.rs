@@ -10,6 +10,7 @@ mod config;
 mod echo;
 mod error;
 mod job;
+mod litter;
 mod onnx;
 mod pool;
 mod queue;

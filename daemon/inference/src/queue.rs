@@ -27,7 +27,7 @@ pub(crate) enum Rejection {
 
 impl<T> Queue<T> {
     pub(crate) fn new(capacity: usize) -> Self {
-        let state = State { waiting: VecDeque::with_capacity(capacity), idle: 0, closed: false };
+        let state = State { waiting: VecDeque::new(), idle: 0, closed: false };
         Self { capacity, state: Mutex::new(state), changed: Condvar::new() }
     }
 

@@ -61,7 +61,7 @@ impl Address {
     }
 
     /// `host:port`, IPv6 in brackets.
-    pub(crate) fn authority(&self) -> String {
+    pub fn authority(&self) -> String {
         match &self.host {
             Host::Ip(IpAddr::V6(ip)) => format!("[{ip}]:{}", self.port),
             Host::Ip(IpAddr::V4(ip)) => format!("{ip}:{}", self.port),

@@ -10,6 +10,9 @@ const MAX_TIME_MS: u64 = 24 * 3600 * 1000;
 /// Most requests in flight that can be set; the transports reserve a place for each.
 const MAX_IN_FLIGHT: u32 = 4_096;
 
+/// Most bytes in flight that can be set: 1 TiB.
+const MAX_IN_FLIGHT_BYTES: u64 = 1 << 40;
+
 /// Time limits and bounds of a session; both ends have their own, and where a bound concerns both, the tighter
 /// one holds.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -29,6 +32,9 @@ pub struct SessionSettings {
     /// Requests of one session that may be under way at once. On the edge further ones wait; the cloud answers
     /// further ones as overloaded.
     pub max_in_flight: u32,
+    /// Bytes that the requests of all sessions of a listener may take together, from their arrival until they are
+    /// answered; further ones are answered as overloaded. One request alone is always taken.
+    pub max_in_flight_bytes: u64,
     /// Sessions that a listener holds at once.
     pub max_sessions: u32,
 }
@@ -42,6 +48,7 @@ impl Default for SessionSettings {
             close_timeout_ms: 2_000,
             max_message_bytes: 64 * 1024 * 1024,
             max_in_flight: 64,
+            max_in_flight_bytes: 512 * 1024 * 1024,
             max_sessions: 256,
         }
     }
@@ -77,6 +84,7 @@ impl SessionSettings {
         between("close_timeout_ms", self.close_timeout_ms, 0, MAX_TIME_MS)?;
         between("max_message_bytes", self.max_message_bytes, 4 * 1024, 4 * 1024 * 1024 * 1024)?;
         between("max_in_flight", u64::from(self.max_in_flight), 1, u64::from(MAX_IN_FLIGHT))?;
+        between("max_in_flight_bytes", self.max_in_flight_bytes, 4 * 1024, MAX_IN_FLIGHT_BYTES)?;
         between("max_sessions", u64::from(self.max_sessions), 1, 65_536)?;
         if self.heartbeat_timeout_ms < self.heartbeat_interval_ms.saturating_mul(2) {
             return Err(InvalidSettings {
@@ -139,6 +147,8 @@ mod tests {
             (with(|s| s.heartbeat_timeout_ms = u64::MAX), "heartbeat_timeout_ms"),
             (with(|s| s.heartbeat_timeout_ms = s.heartbeat_interval_ms), "heartbeat_timeout_ms"),
             (with(|s| s.max_message_bytes = 1), "max_message_bytes"),
+            (with(|s| s.max_in_flight_bytes = 0), "max_in_flight_bytes"),
+            (with(|s| s.max_in_flight_bytes = u64::MAX), "max_in_flight_bytes"),
             (with(|s| s.max_sessions = 0), "max_sessions"),
         ] {
             assert_eq!(settings.check().expect_err(key).key, key);

@@ -29,19 +29,20 @@ pub struct HostConfig {
     /// rehearsals. Default: `system`.
     pub clock_identity: String,
     /// Events that may wait for the aggregator; when they are this many the newest are dropped, counted and
-    /// reported as a gap. Default: 50000.
+    /// reported as a gap. At most 10000000. Default: 50000.
     pub queue_events: NonZeroUsize,
-    /// Bytes that those events may take; the same happens beyond. Default: 33554432 (32 MiB).
+    /// Bytes that those events may take; the same happens beyond. At most 16 GiB. Default: 33554432
+    /// (32 MiB).
     pub queue_bytes: NonZeroUsize,
-    /// Nodes per batch at most. Default: 8192.
+    /// Nodes per batch at most; up to 1000000. Default: 8192.
     pub batch_nodes: NonZeroUsize,
     /// Bytes per batch at most. Small batches keep live figures prompt on slow links, because a live update
-    /// waits for the batches under way. Default: 131072 (128 KiB).
+    /// waits for the batches under way. Up to 2 MiB. Default: 131072 (128 KiB).
     pub batch_bytes: NonZeroUsize,
-    /// How long the first event of a batch may wait for more; milliseconds. Default: 200.
+    /// How long the first event of a batch may wait for more; milliseconds, up to a minute. Default: 200.
     pub batch_delay_ms: u32,
-    /// How long stopping may take, iterations in flight and unsent events together; milliseconds.
-    /// Default: 5000.
+    /// How long stopping may take, iterations in flight and unsent events together; milliseconds, up to a
+    /// minute. What the aggregator does not take in time is given up, counted and logged. Default: 5000.
     pub stop_timeout_ms: u64,
 }
 

@@ -27,10 +27,10 @@ pub struct PipelineConfig {
     #[serde(default)]
     pub load: LoadConfig,
     /// Iterations that may be under way at once, except with `mode = "closed"`, which has one. As many starts
-    /// again may wait; older ones are skipped and counted (`skipped-starts`). Default: 4.
+    /// again may wait; older ones are skipped and counted (`skipped-starts`). At most 4096. Default: 4.
     #[serde(default = "four")]
     pub max_in_flight: NonZeroUsize,
-    /// How long to wait for an answer; milliseconds. Later ones count as `timeout`. Default: 5000.
+    /// How long to wait for an answer; milliseconds, up to a day. Later ones count as `timeout`. Default: 5000.
     #[serde(default = "five_seconds")]
     pub timeout_ms: NonZeroU64,
     /// Iterations that are kept but left out of statistics.

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use peernet_networks::Address;
+use tokio::net::TcpStream;
 use zeromq::options::WorkloadProfile;
 use zeromq::{
     DisconnectReason, Message, MonitorEvent, MonitorStream, Options, ReconnectPolicy, Socket, SocketType,
@@ -15,6 +16,8 @@ const QUEUE: u32 = 8;
 const HEARTBEAT: Duration = Duration::from_secs(1);
 /// A peer this silent is gone.
 const SILENCE: Duration = Duration::from_secs(5);
+/// How long finding out why a connection failed may take.
+const DIAGNOSIS: Duration = Duration::from_secs(1);
 const HANDSHAKE: Duration = Duration::from_secs(5);
 /// The library would dial again by itself, behind our back and with the old messages still in its queue.
 const NEVER: Duration = Duration::from_secs(365 * 24 * 3600);
@@ -51,7 +54,7 @@ impl Connection {
                 MonitorEvent::HandshakeFailed { reason, .. } => {
                     return Err(format!("something else answers there ({reason})"));
                 }
-                MonitorEvent::ConnectDelayed { .. } => return Err("nobody answers".to_owned()),
+                MonitorEvent::ConnectDelayed { .. } => return Err(diagnose(address).await),
                 MonitorEvent::Disconnected { reason, .. } | MonitorEvent::ConnectStopped { reason, .. } => {
                     return Err(in_words(&reason));
                 }
@@ -89,6 +92,15 @@ impl Connection {
         if let Err(error) = self.socket.close_with_linger(Some(linger)).await {
             tracing::debug!(%error, "closing the connection to the aggregator did not end cleanly");
         }
+    }
+}
+
+/// The library keeps to itself why a connection failed: the system is asked once more.
+async fn diagnose(address: &Address) -> String {
+    match tokio::time::timeout(DIAGNOSIS, TcpStream::connect(address.authority())).await {
+        Ok(Err(error)) => format!("nobody answers ({})", error.to_string().to_lowercase()),
+        Ok(Ok(_)) => "something there takes connections and closes them at once".to_owned(),
+        Err(_) => "nobody answers".to_owned(),
     }
 }
 

@@ -76,6 +76,14 @@ impl Feed {
     }
 }
 
+#[cfg(test)]
+impl Exit {
+    /// The next event.
+    pub(crate) async fn next(&mut self) -> Option<Event> {
+        self.queue.recv().await
+    }
+}
+
 impl Overflow {
     /// Events that were dropped.
     pub(super) fn dropped(&self) -> u64 {

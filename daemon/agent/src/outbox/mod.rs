@@ -5,6 +5,7 @@
 //! the connection. The spool behind it is in memory; the one on disk takes its place in [`Outbox::start`].
 
 mod connection;
+mod farewell;
 mod feed;
 mod sender;
 
@@ -15,8 +16,9 @@ use peernet_logger::stream::{
     Accounting, HostDescription, HostMetrics, MemorySpool, Sending, SendingConfig, Usage,
 };
 use peernet_networks::Address;
-use tokio::sync::watch;
+use tokio::sync::{oneshot, watch};
 use tokio::task::JoinHandle;
+use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use uuid::Uuid;
 
@@ -44,7 +46,8 @@ pub(crate) fn entrance(config: &HostConfig, clock: &SharedClock) -> (Feed, Optio
 #[derive(Debug)]
 pub(crate) struct Outbox {
     task: JoinHandle<()>,
-    stop: CancellationToken,
+    /// Takes the moment by which it must have ended.
+    stop: oneshot::Sender<Instant>,
     ended: CancellationToken,
     accounting: watch::Receiver<Accounting>,
 }
@@ -66,9 +69,9 @@ impl Outbox {
         let process = Uuid::new_v4().as_u64_pair().0;
         let machine = Sending::new(sending(config), description, process, spool);
         let (publish, accounting) = watch::channel(Accounting::default());
-        let (stop, ended) = (CancellationToken::new(), CancellationToken::new());
+        let ((stop, told), ended) = (oneshot::channel(), CancellationToken::new());
         let sender = Sender::new(machine, exit, live, publish, host);
-        let work = sender.run(address, Pauses::new(host.id), stop.clone(), config.stop_timeout() / 2);
+        let work = sender.run(address, Pauses::new(host.id), told);
         let guard = ended.clone().drop_guard();
         let task = tokio::spawn(async move {
             let _ended = guard;
@@ -87,9 +90,10 @@ impl Outbox {
         *self.accounting.borrow()
     }
 
-    /// Hands over what there is within the time to stop, and takes leave.
-    pub(crate) async fn close(self) -> Result<(), Failure> {
-        self.stop.cancel();
+    /// Hands over what there is until `deadline`, and takes leave.
+    pub(crate) async fn close(self, deadline: Instant) -> Result<(), Failure> {
+        // A task that has ended already says why below.
+        let _ = self.stop.send(deadline);
         self.task.await.map_err(|error| Failure { part: "outbox".to_owned(), reason: error.to_string() })
     }
 }

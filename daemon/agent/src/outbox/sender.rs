@@ -11,20 +11,27 @@ use peernet_logger::stream::{
     ToAggregator, codec,
 };
 use peernet_networks::Address;
-use tokio::sync::watch;
-use tokio::time::MissedTickBehavior;
-use tokio_util::sync::CancellationToken;
+use tokio::sync::{oneshot, watch};
+use tokio::time::{Instant, MissedTickBehavior};
 
 use super::connection::Connection;
+use super::farewell::{Farewell, Next};
 use super::feed::Exit;
 use crate::host::Host;
 use crate::incidents::{Concerning, Incidents};
 use crate::live::{self, Board};
 use crate::pauses::Pauses;
+use crate::runs::Runs;
 
 /// How often the feed is emptied. Looking is cheaper than being woken for each event, above all for the
 /// pipeline that would have to do the waking.
 const LOOK: Duration = Duration::from_millis(20);
+
+/// How long an aggregator may take to answer the hello; its machine may be busy, but not for this long.
+const WELCOME: Duration = Duration::from_secs(5);
+
+/// How long the goodbye may take to go out.
+const LINGER: Duration = Duration::from_millis(250);
 
 /// What the task works with.
 pub(super) struct Sender<S> {
@@ -35,6 +42,7 @@ pub(super) struct Sender<S> {
     accounting: watch::Sender<Accounting>,
     clock: SharedClock,
     incidents: Incidents,
+    runs: Runs,
     /// A frame that the connection had no room for.
     held: Option<Vec<u8>>,
     /// The trouble that was reported last: each is reported once.
@@ -57,39 +65,42 @@ impl<S: Spool> Sender<S> {
         host: &Host,
     ) -> Self {
         let (clock, incidents) = (SharedClock::clone(&host.clock), host.incidents.clone());
-        Self { machine, exit, board, metrics, accounting, clock, incidents, held: None, said: None }
+        let runs = host.runs.clone();
+        Self { machine, exit, board, metrics, accounting, clock, incidents, runs, held: None, said: None }
     }
 
-    /// Sends until it is told to stop, then as long as `patience` for what is left.
+    /// Sends until it is told to stop, and by when: then what is left, as long as it is taken.
     pub(super) async fn run(
         mut self,
         address: Address,
         mut pauses: Pauses,
-        stop: CancellationToken,
-        patience: Duration,
+        stop: oneshot::Receiver<Instant>,
     ) {
         let mut looks = tokio::time::interval(LOOK);
         let mut shows = tokio::time::interval(live::INTERVAL);
         for ticks in [&mut looks, &mut shows] {
             ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         }
-        let mut stopping = pin!(stop.cancelled());
-        let mut given_up = pin!(tokio::time::sleep(Duration::ZERO));
-        let mut is_stopping = false;
+        let mut stopping = pin!(told(stop));
+        let mut farewell: Option<Farewell> = None;
+        let mut alarm = pin!(tokio::time::sleep(Duration::ZERO));
+        let mut welcome = pin!(tokio::time::sleep(Duration::ZERO));
+        // Whether the connection is there, but nothing was heard on it yet.
+        let mut unanswered = false;
         let mut line = dial(&address, Duration::ZERO);
         loop {
             tokio::select! {
                 biased;
-                () = &mut stopping, if !is_stopping => {
-                    is_stopping = true;
-                    given_up.as_mut().reset(tokio::time::Instant::now() + patience);
+                deadline = &mut stopping, if farewell.is_none() => {
+                    farewell = Some(Farewell::begin(Instant::now(), deadline, self.machine.accounting().stored));
                     self.take();
                     self.machine.flush(self.clock.wall());
                 }
                 _ = shows.tick() => self.show(&line),
                 event = next(&mut line) => match event {
                     Happened::Connected(connection) => {
-                        pauses.reset();
+                        unanswered = true;
+                        welcome.as_mut().reset(Instant::now() + WELCOME);
                         self.machine.connected(self.clock.mono());
                         line = Line::Open(connection);
                     }
@@ -98,23 +109,47 @@ impl<S: Spool> Sender<S> {
                         line = dial(&address, pauses.grow());
                     }
                     Happened::Gone(reason) => {
+                        unanswered = false;
                         self.machine.disconnected();
                         self.held = None;
                         self.away(&address, &reason);
                         line = dial(&address, pauses.grow());
                     }
-                    Happened::Message(frame) => self.hear(&frame),
+                    Happened::Message(frame) => {
+                        if self.hear(&frame) {
+                            unanswered = false;
+                            pauses.reset();
+                        }
+                    }
                 },
+                () = &mut welcome, if unanswered => {
+                    unanswered = false;
+                    self.machine.disconnected();
+                    self.held = None;
+                    self.say(IncidentKind::Disconnected, format!(
+                        "connected to {address}, but no aggregator answers there; is it the event port (5550) of \
+                         an aggregator? It is tried again, events wait"
+                    ));
+                    line = dial(&address, pauses.grow());
+                }
                 _ = looks.tick() => self.take(),
-                () = &mut given_up, if is_stopping => break,
+                () = &mut alarm, if farewell.is_some() => {}
             }
             self.transmit(&line);
             self.publish();
-            if is_stopping && self.machine.is_idle() {
-                break;
+            if let Some(farewell) = &mut farewell {
+                let account = self.machine.accounting();
+                match farewell.next(Instant::now(), account.stored, account.waiting) {
+                    Next::Wait(until) => alarm.as_mut().reset(until),
+                    Next::Frames if self.machine.is_up() => {
+                        self.give_up();
+                        self.transmit(&line);
+                    }
+                    Next::Frames | Next::Leave => break,
+                }
             }
         }
-        self.leave(line, patience).await;
+        self.leave(line).await;
     }
 
     /// Empties the feed.
@@ -169,12 +204,13 @@ impl<S: Spool> Sender<S> {
         }
     }
 
-    fn hear(&mut self, frame: &[u8]) {
+    /// Returns whether it was an aggregator that spoke.
+    fn hear(&mut self, frame: &[u8]) -> bool {
         let message: ToAgent = match codec::decode(frame) {
             Ok(message) => message,
             Err(error) => {
                 tracing::warn!(%error, "what the aggregator sent makes no sense and is dropped");
-                return;
+                return false;
             }
         };
         match self.machine.received(&message, self.clock.stamp()) {
@@ -182,6 +218,7 @@ impl<S: Spool> Sender<S> {
             Ok(Some(notice)) => self.noticed(notice),
             Err(error) => self.spool_failed(&error),
         }
+        true
     }
 
     fn noticed(&mut self, notice: Notice) {
@@ -190,6 +227,9 @@ impl<S: Spool> Sender<S> {
                 self.said = None;
                 // It may have been started anew and know no second of ours.
                 self.board.start_over();
+                if stored == 0 && self.machine.accounting().stored > 0 {
+                    self.tell_of_runs();
+                }
                 let text = match stored {
                     0 => format!("connected to the aggregator on {aggregator}"),
                     stored => format!(
@@ -208,8 +248,33 @@ impl<S: Spool> Sender<S> {
                      a copy or a restored one; what it holds goes on in a new stream"
                 );
                 self.incidents.report(IncidentKind::Gap, Concerning::default(), text);
+                self.tell_of_runs();
             }
         }
+    }
+
+    /// The aggregator does not have what it once stored: without the start of its run an iteration means little.
+    fn tell_of_runs(&mut self) {
+        let now = self.clock.stamp();
+        for event in self.runs.beginnings() {
+            self.machine.offer(&event, now);
+        }
+    }
+
+    /// There is no time for everything: what waits is given up, but that the runs began and ended is told.
+    fn give_up(&mut self) {
+        let now = self.clock.stamp();
+        match self.machine.give_up(now) {
+            Ok(events) => {
+                tracing::warn!(events, "stopping: gave up events that the aggregator did not take in time");
+            }
+            Err(error) => return self.spool_failed(&error),
+        }
+        self.held = None;
+        for event in self.runs.frames() {
+            self.machine.offer(&event, now);
+        }
+        self.machine.flush(now.wall);
     }
 
     fn away(&mut self, address: &Address, reason: &str) {
@@ -250,7 +315,7 @@ impl<S: Spool> Sender<S> {
         self.accounting.send_if_modified(|shown| std::mem::replace(shown, account) != account);
     }
 
-    async fn leave(mut self, line: Line, patience: Duration) {
+    async fn leave(mut self, line: Line) {
         let account = self.count();
         if account.waiting > 0 {
             tracing::warn!(events = account.waiting, "stopped before the aggregator had everything");
@@ -261,9 +326,17 @@ impl<S: Spool> Sender<S> {
             {
                 tracing::debug!("the connection had no room for a goodbye");
             }
-            connection.close(patience.min(Duration::from_secs(1))).await;
+            connection.close(LINGER).await;
         }
         self.publish();
+    }
+}
+
+/// By when to end, once somebody says so.
+async fn told(stop: oneshot::Receiver<Instant>) -> Instant {
+    match stop.await {
+        Ok(deadline) => deadline,
+        Err(_) => std::future::pending().await,
     }
 }
 

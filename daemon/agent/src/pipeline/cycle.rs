@@ -2,7 +2,7 @@
 
 use peernet_clock::{MonoTime, SharedClock};
 use peernet_logger::Recorder;
-use peernet_logger::stream::Outcome;
+use peernet_logger::stream::{IncidentKind, Outcome};
 use tokio::sync::oneshot;
 
 use super::brake::Brake;
@@ -14,6 +14,10 @@ use super::placement::Computed;
 use super::run::Run;
 use super::sensing::{Sensed, Sensing};
 use crate::host::Host;
+use crate::incidents::Concerning;
+
+/// So many samples in a row that could not be had are worth an incident.
+const BLIND: u32 = 10;
 
 /// Why the loop ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -52,12 +56,14 @@ pub(super) struct Cycle<'a> {
     aloft: Vec<Ticket>,
     ending: Option<Ended>,
     brake: Brake,
+    /// Samples in a row that the sensor did not give.
+    blind: u32,
 }
 
 impl<'a> Cycle<'a> {
     pub(super) fn new(line: &'a mut Line, run: &'a mut Run, host: &'a Host) -> Self {
-        let aloft = Vec::with_capacity(line.places());
-        Self { line, run, host, sensing: None, waiting: None, aloft, ending: None, brake: Brake::default() }
+        let (aloft, brake) = (Vec::new(), Brake::default());
+        Self { line, run, host, sensing: None, waiting: None, aloft, ending: None, brake, blind: 0 }
     }
 
     /// The sample that may be sent now: there is one, and a place for it.
@@ -160,13 +166,30 @@ impl<'a> Cycle<'a> {
             Ok(None) => self.end(Ended::NoMoreSamples),
             Ok(Some(sample)) => {
                 let ticket = ticket();
+                self.blind = 0;
                 self.waiting = Some(Waiting::new(ticket, log, sample, self.line.schedule.is_closed()));
             }
             Err(error) => {
                 let ticket = ticket();
-                self.finish(ticket, log, Outcome::Failed(error.to_string()));
+                let reason = error.to_string();
+                self.blind = self.blind.saturating_add(1);
+                if self.blind == BLIND {
+                    self.report_blindness(&reason);
+                }
+                self.finish(ticket, log, Outcome::Failed(reason));
             }
         }
+    }
+
+    /// Said once until there is a sample again.
+    fn report_blindness(&self, reason: &str) {
+        let what = Concerning {
+            pipeline: Some(&self.line.config.name),
+            run: Some(self.run.id()),
+            ..Concerning::default()
+        };
+        let text = format!("no sample in {BLIND} iterations in a row: {reason}; the pipeline goes on trying");
+        self.host.incidents.report(IncidentKind::PipelineFailed, what, text);
     }
 
     fn finish(&mut self, ticket: Ticket, log: Recorder, outcome: Outcome) {

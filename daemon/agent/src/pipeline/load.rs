@@ -52,7 +52,7 @@ impl Schedule {
                 Plan::Poisson { at: now + gap(mean, &mut random), mean, random }
             }
         };
-        Self { plan, due: VecDeque::with_capacity(patience + 1), patience, skipped: 0 }
+        Self { plan, due: VecDeque::new(), patience, skipped: 0 }
     }
 
     /// Whether the next iteration begins when the last one is done.

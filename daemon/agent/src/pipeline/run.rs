@@ -43,6 +43,7 @@ impl Run {
             configuration: configuration(config),
             version: VERSION.to_owned(),
         };
+        host.runs.began(description.clone());
         host.feed.event(Some(&config.name), Some(id), Event::RunStarted(description));
         display.set_run(id);
         Self {
@@ -98,9 +99,21 @@ impl Run {
 
     /// Reports the end.
     pub(super) fn end(&self, reason: &str, host: &Host) {
-        let ended = RunEnded { run: self.id, ended: host.clock.wall(), reason: reason.to_owned() };
-        host.feed.event(Some(&self.pipeline), Some(self.id), Event::RunEnded(ended));
+        end(&self.pipeline, self.id, reason, host);
     }
+}
+
+/// Reports the end of a run that nobody holds any more, if the pipeline has one.
+pub(super) fn end_orphan(pipeline: &Slug, reason: &str, host: &Host) {
+    if let Some(run) = host.runs.current(pipeline) {
+        end(pipeline, run, reason, host);
+    }
+}
+
+fn end(pipeline: &Slug, run: RunId, reason: &str, host: &Host) {
+    let ended = RunEnded { run, ended: host.clock.wall(), reason: reason.to_owned() };
+    host.runs.ended(pipeline, ended.clone());
+    host.feed.event(Some(pipeline), Some(run), Event::RunEnded(ended));
 }
 
 fn day(at: WallTime) -> i64 {

@@ -1,8 +1,11 @@
 //! The life of a pipeline: assembled, waiting for its place, running, finished.
 
+use std::any::Any;
+use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::time::Duration;
 
+use futures::FutureExt;
 use peernet_logger::RunId;
 use peernet_logger::stream::{IncidentKind, PipelineState};
 use peernet_networks::Address;
@@ -12,7 +15,7 @@ use super::cycle::Ended;
 use super::drive::drive;
 use super::line::Line;
 use super::placement::{OpenFailure, Placement};
-use super::run::Run;
+use super::run::{Run, end_orphan};
 use crate::config::{PipelineConfig, PlacementConfig};
 use crate::host::Host;
 use crate::incidents::Concerning;
@@ -29,7 +32,8 @@ pub(crate) async fn run(
     patience: Duration,
 ) {
     let runner = Runner { config, display, host, stop, patience };
-    match runner.live().await {
+    let life = AssertUnwindSafe(runner.live()).catch_unwind().await;
+    match life.unwrap_or_else(|panic| Err(runner.panicked(panic.as_ref()))) {
         Ok(()) => runner.display.set_state(PipelineState::Finished),
         Err(reason) => {
             runner.report(IncidentKind::PipelineFailed, None, reason.clone());
@@ -77,7 +81,8 @@ impl Trouble {
 impl Runner {
     /// The whole life. An error is why the pipeline could not start or had to stop.
     async fn live(&self) -> Result<(), String> {
-        let mut line = self.assemble().await?;
+        let Some(line) = self.stop.run_until_cancelled(self.assemble()).await else { return Ok(()) };
+        let mut line = line?;
         let mut run: Option<Run> = None;
         loop {
             let Some(placement) = self.connect(&mut line, run.as_ref().map(Run::id)).await? else {
@@ -129,6 +134,16 @@ impl Runner {
             run.end("finished", &self.host);
             *run = self.begin(line, placement, true);
         }
+    }
+
+    /// The pipeline's own task panicked: its run ends, and the others go on.
+    fn panicked(&self, panic: &(dyn Any + Send)) -> String {
+        let message = panic.downcast_ref::<String>().map(String::as_str);
+        let message =
+            message.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("without a message");
+        let reason = format!("the pipeline panicked: {message}; the log says where");
+        end_orphan(&self.config.name, &reason, &self.host);
+        reason
     }
 
     fn begin(&self, line: &Line, placement: &Placement, warm: bool) -> Run {
@@ -210,3 +225,6 @@ impl Runner {
         self.host.incidents.report(kind, what, text);
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -58,6 +58,40 @@ fn every_problem_is_found_at_once_with_its_key_and_a_remedy() {
 }
 
 #[test]
+fn numbers_that_no_machine_could_serve_are_refused_with_the_limit() {
+    let state = tempfile::tempdir().expect("a folder");
+    let mut greedy = config(
+        "[agent]\nqueue_events = 1000000000000\nqueue_bytes = 1000000000000000\nbatch_nodes = 1000000000\n\
+         batch_bytes = 1000000000\nbatch_delay_ms = 4000000000\nstop_timeout_ms = 60001\n\
+         [[model]]\nname = 'echo'\nkind = 'echo'\nanswer_bytes = 1000000000000000\n\
+         [[model]]\nname = 'crowd'\nkind = 'sleep'\nworkers = 1000000\n\
+         [[model]]\nname = 'long'\nkind = 'sleep'\nqueue = 1000000000000000\n\
+         [[pipeline]]\nname = 'line'\nsensor = { kind = 'synthetic', size_bytes = 1 }\n\
+         placement = { kind = 'local', model = 'echo' }\nmax_in_flight = 1000000000000\ntimeout_ms = 86400001\n",
+    );
+    greedy.agent.state_dir = state.path().to_owned();
+    let found = problems(&greedy);
+    for (key, most) in [
+        ("agent.queue_events", "10000000"),
+        ("agent.queue_bytes", "17179869184"),
+        ("agent.batch_nodes", "1000000"),
+        ("agent.batch_bytes", "2097152"),
+        ("agent.batch_delay_ms", "60000"),
+        ("agent.stop_timeout_ms", "60000"),
+        ("model[0].answer_bytes", "1073741824"),
+        ("model[1].workers", "256"),
+        ("model[2].queue", "65536"),
+        ("pipeline[0].max_in_flight", "4096"),
+        ("pipeline[0].timeout_ms", "86400000"),
+    ] {
+        let limit = format!("at most {most}");
+        let says = |problem: &String| problem.starts_with(&format!("{key}: ")) && problem.ends_with(&limit);
+        assert!(found.iter().any(says), "{key} {most} in {found:#?}");
+    }
+    assert_eq!(found.len(), 11, "{found:#?}");
+}
+
+#[test]
 fn unknown_keys_are_refused_by_name() {
     let line = "[[pipeline]]\nname = 'l'\nsensor = { kind = 'synthetic', size_bytes = 1 }\n";
     for (tables, key) in [

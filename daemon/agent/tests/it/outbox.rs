@@ -78,3 +78,32 @@ async fn an_aggregator_that_refuses_is_asked_again_and_heard_once() {
     assert!(refused[0].text.contains("another host is named edge"), "{}", refused[0].text);
     agent.stop().await.expect("stops well");
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_aggregator_that_forgot_everything_is_told_of_the_runs_again() {
+    let aggregator = Aggregator::start().await;
+    let keys = "load = { mode = 'rate', hz = 100.0 }";
+    let agent = TestAgent::start("edge", Some(&aggregator.address), &line(keys)).await;
+    agent.until(|live| live.accounting.stored >= 20).await;
+    let (address, _) = aggregator.down().await;
+    let fresh = Aggregator::up((address, Arc::default())).await;
+    let seen = fresh.until(|seen| !seen.iterations().is_empty() && !seen.runs().is_empty()).await;
+    assert_eq!(seen.runs()[0].pipeline.as_str(), "line");
+    assert_eq!(seen.runs()[0].run, seen.iterations()[0].run);
+    agent.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_answers_but_is_no_aggregator_is_named_once_and_left_alone() {
+    let tables = "[serve]\nlisten = 'tcp://127.0.0.1:0'\n[[model]]\nname = 'echo'\nkind = 'echo'\n";
+    let cloud = TestAgent::start("cloud", None, tables).await;
+    let wrong = cloud.address();
+    let agent = TestAgent::start("edge", Some(&wrong), &line("limit = { iterations = 5 }")).await;
+    agent.until_state(|state| *state == peernet_logger::stream::PipelineState::Finished).await;
+    let waiting = agent.running.live().accounting.waiting;
+    // The incident itself waits for the aggregator, too.
+    agent.until(|live| live.accounting.waiting > waiting).await;
+    assert_eq!(agent.running.live().accounting.stored, 0);
+    agent.stop().await.expect("stops well");
+    cloud.stop().await.expect("stops well");
+}

@@ -36,6 +36,32 @@ async fn a_broken_picture_fails_its_iteration_and_the_run_goes_on() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn pictures_that_are_all_gone_are_reported_once() {
+    let aggregator = Aggregator::start().await;
+    let folder = tempfile::tempdir().expect("a folder");
+    std::fs::write(folder.path().join("a.png"), b"bytes").expect("written");
+    let tables = format!(
+        "[[model]]\nname = 'echo'\nkind = 'echo'\n\
+         [[pipeline]]\nname = 'line'\nplacement = {{ kind = 'local', model = 'echo' }}\n\
+         sensor = {{ kind = 'images', path = '{}' }}\nload = {{ mode = 'rate', hz = 200.0 }}",
+        folder.path().display()
+    );
+    let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
+    aggregator.until(|seen| seen.iterations().len() >= 3).await;
+    std::fs::remove_file(folder.path().join("a.png")).expect("removed");
+    let failed = |outcome: &Outcome| matches!(outcome, Outcome::Failed(_));
+    let many = |seen: &crate::harness::Seen| {
+        seen.iterations().iter().filter(|iteration| failed(&iteration.outcome)).count() >= 30
+    };
+    let seen = aggregator.until(many).await;
+    let reported = seen.incidents(IncidentKind::PipelineFailed);
+    assert_eq!(reported.len(), 1, "{reported:?}");
+    assert!(reported[0].text.contains("a.png"), "{}", reported[0].text);
+    agent.until_state(|state| *state == PipelineState::Running).await;
+    agent.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_pipeline_that_cannot_start_says_why_and_leaves_the_others_alone() {
     let aggregator = Aggregator::start().await;
     let tables = "[[model]]\nname = 'echo'\nkind = 'echo'\n\

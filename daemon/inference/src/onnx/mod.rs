@@ -19,6 +19,7 @@ use std::sync::Arc;
 
 use peernet_logger::Slug;
 
+use crate::litter::Litter;
 use crate::{LoadError, Model, OnnxConfig, OnnxRuntimeConfig, Worker};
 use card::Card;
 use device::Device;
@@ -58,9 +59,13 @@ impl Onnx {
     }
 
     /// Loads what all workers share.
-    pub(crate) fn load(config: &OnnxConfig, runtime: &OnnxRuntimeConfig) -> Result<Self, LoadError> {
+    pub(crate) fn load(
+        config: &OnnxConfig,
+        runtime: &OnnxRuntimeConfig,
+        litter: &Litter,
+    ) -> Result<Self, LoadError> {
         let (plan, runtime) = Self::plan(config, runtime)?;
-        let shared = Shared::prepare(&plan, &runtime)?;
+        let shared = Shared::prepare(&plan, &runtime, litter)?;
         Ok(Self { plan: Arc::new(plan), runtime, shared })
     }
 

@@ -15,6 +15,7 @@ use super::device::Device;
 use super::library::Runtime;
 use super::{MODEL, Plan, session};
 use crate::LoadError;
+use crate::litter::Litter;
 
 /// Initialisers below this many bytes stay in the model itself.
 const SMALLEST: &str = "1024";
@@ -22,12 +23,23 @@ const SMALLEST: &str = "1024";
 /// An optimised model on disk; gone when this is dropped.
 pub(super) struct Shared {
     folder: TempDir,
+    litter: Litter,
+}
+
+impl Drop for Shared {
+    fn drop(&mut self) {
+        self.litter.removed(self.folder.path());
+    }
 }
 
 impl Shared {
     /// Optimises the model for this machine. `None` when nothing would be shared: with one worker, and on devices
     /// other than the CPU, to whose memory each session copies the weights anyway.
-    pub(super) fn prepare(plan: &Plan, runtime: &Runtime) -> Result<Option<Self>, LoadError> {
+    pub(super) fn prepare(
+        plan: &Plan,
+        runtime: &Runtime,
+        litter: &Litter,
+    ) -> Result<Option<Self>, LoadError> {
         if plan.workers < 2 || plan.device != Device::Cpu {
             return Ok(None);
         }
@@ -39,7 +51,8 @@ impl Shared {
                 "{error}; several workers share a model through a temporary folder: set TMPDIR or workers = 1"
             ),
         })?;
-        let shared = Self { folder };
+        litter.made(folder.path());
+        let shared = Self { folder, litter: litter.clone() };
         shared.write(plan, runtime).map_err(|error| session::refused(plan, &error))?;
         Ok(Some(shared))
     }

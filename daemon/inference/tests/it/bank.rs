@@ -1,9 +1,12 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
 
+use peernet_inference::Job;
+use peernet_logger::{HostId, Recorder};
 use peernet_sample::{Description, Sample};
 
-use super::{bank, loaded, quality_control, run, slug};
+use super::{bank, clock, loaded, quality_control, run, slug};
 
 const ECHO: &str = "name = \"echo\"\nkind = \"echo\"";
 const SLEEP: &str =
@@ -58,4 +61,22 @@ fn sleep_takes_at_least_the_time_of_each_stage() {
         assert!(taken >= at_least, "{stage}: {taken}");
     }
     assert!(tree.find(&["queue"]).is_some());
+}
+
+#[test]
+fn a_model_that_computes_for_long_is_not_waited_for() {
+    let bank = bank(&[ECHO, SLEEP, "name = \"long\"\nkind = \"sleep\"\ninference_ms = 86400000"]);
+    for name in ["echo", "nap", "long"] {
+        loaded(&bank, name);
+    }
+    let long = loaded(&bank, "long");
+    let log = Recorder::begin(clock(), HostId::random());
+    let received = log.clock().mono();
+    let reply = Box::new(|_| ());
+    long.submit(Job { sample: bytes(1), log, received, reply }).expect("the queue has room");
+    while long.waiting() > 0 {
+        std::thread::yield_now();
+    }
+    assert_eq!(bank.shutdown_within(Duration::from_millis(300)), [slug("long")]);
+    assert!(bank.shutdown_within(Duration::from_secs(60)).is_empty(), "there is nothing left to end");
 }

@@ -10,6 +10,7 @@ use peernet_logger::{HostId, Recorder};
 use peernet_sample::Sample;
 use tokio::sync::Notify;
 
+use super::budget::Budget;
 use super::complaints::Complaints;
 use super::exchange::Sizes;
 use super::incoming::{Failure, Incoming, IncomingRequest, OpenRequest, Responder};
@@ -63,6 +64,7 @@ pub struct Listener {
 #[derive(Debug)]
 pub(crate) struct Shared {
     machine: Mutex<Server>,
+    budget: Arc<Budget>,
     sender: Box<dyn CloudSender>,
     clock: SharedClock,
     host: HostId,
@@ -92,6 +94,7 @@ impl Listener {
         })?;
         let shared = Arc::new(Shared {
             machine: Mutex::new(Server::new(&settings)),
+            budget: Budget::new(settings.max_in_flight_bytes),
             sender: bound.sender,
             clock,
             host,
@@ -197,6 +200,13 @@ fn incoming_request(
     received: Stamp,
 ) -> Option<Incoming> {
     let (session, number) = (request.session, request.request);
+    let frames = match shared.budget.hold(frames) {
+        Ok(frames) => frames,
+        Err(reason) => {
+            shared.answer(session, number, None, Err(Failure::Overloaded(reason)));
+            return None;
+        }
+    };
     let log = shared.resume(frames.get(1), request.departure, received);
     let sample = request.sample.into_sample(frames.into_iter().skip(2)).map_err(|error| error.to_string());
     match (log, sample) {

@@ -3,6 +3,7 @@
 //! `client` and `server` are the protocol: what arrives goes in, what is to be done comes out, no I/O. `edge`
 //! and `cloud` drive them over a transport.
 
+mod budget;
 mod client;
 mod cloud;
 mod complaints;

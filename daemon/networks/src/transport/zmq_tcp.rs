@@ -27,6 +27,12 @@ const DIRECT_READ_BYTES: usize = 16 * 1024;
 /// The library would dial again by itself; a session ends with its connection, so it must not.
 const NEVER: Duration = Duration::from_secs(365 * 24 * 3600);
 
+/// How long a connection may take to speak the protocol: strangers that stay silent hold a place no longer.
+const HANDSHAKE: Duration = Duration::from_secs(2);
+
+/// Connections that may be at that at once: far more than the library's 256, which a few silent strangers fill.
+const MAX_HANDSHAKES: usize = 4096;
+
 /// How long finding out why a connection failed may take.
 const DIAGNOSIS: Duration = Duration::from_secs(1);
 
@@ -174,7 +180,11 @@ impl EdgeReceiver for Dealer {
 
 /// Listens on a port.
 pub(crate) async fn bind(address: &Address, settings: &SessionSettings) -> Result<Bound, BindFailure> {
-    let socket = Socket::try_new(SocketType::Router, options(settings).router_mandatory(true))
+    let options = options(settings)
+        .router_mandatory(true)
+        .handshake_timeout(HANDSHAKE)
+        .max_pending_handshakes(MAX_HANDSHAKES);
+    let socket = Socket::try_new(SocketType::Router, options)
         .map_err(|error| BindFailure::Other(error.to_string()))?;
     let monitor = socket.monitor();
     let endpoint = socket.bind(address.to_string()).await.map_err(bind_failure)?;

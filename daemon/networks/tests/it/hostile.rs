@@ -175,6 +175,46 @@ async fn a_flood_beyond_the_limit_is_answered_as_overload() {
 }
 
 #[tokio::test]
+async fn the_memory_of_all_requests_together_is_bounded() {
+    let little = SessionSettings { max_in_flight_bytes: 100_000, ..settings() };
+    let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", little).await;
+    let (first, session) = plain_session(&mut cloud).await;
+    let (second, other) = plain_session(&mut cloud).await;
+    let payload = || vec![tree(), Bytes::from(vec![1; 40_000])];
+    let mut held = Vec::new();
+    for number in 0..2 {
+        first.say(&plain_request(&session, number, 1), payload()).await;
+        held.push(cloud.next_request().await);
+    }
+    second.say(&plain_request(&other, 0, 1), payload()).await;
+    let (header, _) = tokio::select! {
+        heard = second.hear() => heard,
+        incoming = cloud.next() => panic!("handed out {incoming:?}"),
+    };
+    let Header::Reply(_, 0, None, Outcome::Overloaded(reason)) = header else { panic!("{header:?}") };
+    assert!(reason.contains("max_in_flight_bytes is 100000"), "{reason}");
+    // What is answered makes room, also for others.
+    held.clear();
+    second.say(&plain_request(&other, 1, 1), payload()).await;
+    assert_eq!(cloud.next_request().await.sample.payload_bytes(), 40_000);
+}
+
+#[tokio::test]
+async fn a_crowd_of_silent_connections_keeps_nobody_out() {
+    let mut cloud = Cloud::start().await;
+    let address = (cloud.address().host(), cloud.address().port());
+    let mut silent = Vec::new();
+    for _ in 0..300 {
+        silent.push(TcpStream::connect(address.clone()).await.expect("the port is open"));
+    }
+    let (session, _) = cloud.session(settings()).await;
+    echo(&mut cloud, &session, "still served").await;
+    // They are hung up on when their time for a handshake is over.
+    malformed_after(&mut cloud, 300).await;
+    drop(silent);
+}
+
+#[tokio::test]
 async fn a_hello_from_the_future_is_refused_with_our_version() {
     let mut cloud = Cloud::start().await;
     let plain = Plain::dealer(&cloud.address(), Options::default()).await;

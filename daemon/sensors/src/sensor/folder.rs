@@ -17,6 +17,11 @@ pub(super) fn media(file: &Path) -> Option<MediaType> {
     }
 }
 
+/// Whether it is a file, or a link to one: reading from anything else may wait for ever.
+pub(super) fn is_file(path: &Path) -> bool {
+    fs::metadata(path).is_ok_and(|about| about.is_file())
+}
+
 /// All pictures in `folder` and the folders below it, sorted by path. Hidden ones are left out, and folders that
 /// are links are not entered, so that the search ends.
 pub(super) fn pictures(folder: &Path) -> Result<Vec<PathBuf>, SensorError> {
@@ -33,7 +38,7 @@ pub(super) fn pictures(folder: &Path) -> Result<Vec<PathBuf>, SensorError> {
             let kind = entry.file_type().map_err(|error| SensorError::Read { path: path.clone(), error })?;
             if kind.is_dir() {
                 pending.push(path);
-            } else if media(&path).is_some() {
+            } else if media(&path).is_some() && (kind.is_file() || is_file(&path)) {
                 found.push(path);
             }
         }

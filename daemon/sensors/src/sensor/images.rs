@@ -112,7 +112,8 @@ fn of_folder(path: &Path) -> Result<Vec<Picture>, SensorError> {
 }
 
 fn single(file: &Path) -> Result<Picture, SensorError> {
-    let media = folder::media(file).ok_or_else(|| SensorError::NotAPicture(file.to_owned()))?;
+    let media = folder::media(file).filter(|_| folder::is_file(file));
+    let media = media.ok_or_else(|| SensorError::NotAPicture(file.to_owned()))?;
     let source = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let label = match file.parent() {
         Some(folder) => labels::read(folder)?.and_then(|mut labels| labels.remove(&source)),

@@ -103,6 +103,17 @@ fn what_cannot_be_opened_is_named() {
 }
 
 #[test]
+fn only_files_and_links_to_files_are_pictures() {
+    let folder = folder(&[("a.jpg", "bytes of a")]);
+    let _socket = std::os::unix::net::UnixListener::bind(folder.path().join("b.jpg")).expect("made");
+    std::os::unix::fs::symlink("a.jpg", folder.path().join("c.jpg")).expect("made");
+    std::os::unix::fs::symlink("b.jpg", folder.path().join("d.jpg")).expect("made");
+    let mut sensor = images(folder.path(), Order::Name, 1, true).expect("opens");
+    assert_eq!(sources(sensor.as_mut(), 3), ["a.jpg", "c.jpg", "a.jpg"]);
+    assert!(refused(&folder.path().join("b.jpg")).contains("neither"));
+}
+
+#[test]
 fn a_picture_that_vanished_fails_alone() {
     let folder = folder(&[("a.jpg", ""), ("b.jpg", ""), ("c.jpg", "")]);
     let mut sensor = images(folder.path(), Order::Name, 1, false).expect("opens");

@@ -1,6 +1,7 @@
 //! The other end of the event stream, as simple as it can be: it accepts, remembers and acknowledges.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use peernet_logger::HostId;
 use peernet_logger::stream::{
@@ -43,6 +44,8 @@ pub(crate) struct Manners {
     pub(crate) refuse: Option<String>,
     /// Store batches, but go down before acknowledging this one.
     pub(crate) die_before_ack: Option<u64>,
+    /// Take so long for each batch.
+    pub(crate) slow: Option<Duration>,
 }
 
 impl Aggregator {
@@ -155,6 +158,9 @@ async fn serve(socket: &IdentitySocket, seen: &watch::Sender<Seen>, manners: Man
             seen.send_modify(|seen| drop(answer(seen, message, &manners)));
             return;
         }
+        if let (Some(pause), ToAggregator::Batch(_)) = (manners.slow, &message) {
+            tokio::time::sleep(pause).await;
+        }
         let mut reply = None;
         seen.send_modify(|seen| reply = answer(seen, message, &manners));
         if let Some(reply) = reply {
@@ -168,12 +174,15 @@ fn answer(seen: &mut Seen, message: ToAggregator, manners: &Manners) -> Option<T
     match message {
         ToAggregator::Hello(hello) => {
             seen.hellos += 1;
+            let stored = seen.stored;
+            // What is before its oldest it cannot send any more.
+            seen.stored = stored.max(hello.oldest - 1);
             Some(match &manners.refuse {
                 Some(reason) => ToAgent::Refused { reason: reason.clone() },
                 None => ToAgent::Welcome {
                     aggregator: "test".parse().expect("a name"),
                     stream: hello.stream,
-                    stored: seen.stored,
+                    stored,
                 },
             })
         }

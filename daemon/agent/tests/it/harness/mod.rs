@@ -4,7 +4,7 @@ mod agent;
 mod aggregator;
 
 pub(crate) use agent::{TestAgent, clock, config};
-pub(crate) use aggregator::{Aggregator, Manners};
+pub(crate) use aggregator::{Aggregator, Manners, Seen};
 
 use std::time::Duration;
 

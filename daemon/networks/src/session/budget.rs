@@ -1,0 +1,92 @@
+//! Memory that requests may take together, over all sessions of a listener.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use bytes::Bytes;
+
+use crate::transport::Frames;
+
+/// Counts the bytes of requests from their arrival until nobody holds them any more: not the model, nor the
+/// network, which may still be sending them back.
+#[derive(Debug)]
+pub(super) struct Budget {
+    most: u64,
+    held: AtomicU64,
+}
+
+/// A part of the budget; given back when it is dropped.
+#[derive(Debug)]
+struct Share {
+    budget: Arc<Budget>,
+    bytes: u64,
+}
+
+/// A frame that holds a share for as long as it lives.
+struct Held {
+    frame: Bytes,
+    _share: Arc<Share>,
+}
+
+impl AsRef<[u8]> for Held {
+    fn as_ref(&self) -> &[u8] {
+        &self.frame
+    }
+}
+
+impl Drop for Share {
+    fn drop(&mut self) {
+        self.budget.held.fetch_sub(self.bytes, Ordering::Relaxed);
+    }
+}
+
+impl Budget {
+    pub(super) fn new(most: u64) -> Arc<Self> {
+        Arc::new(Self { most, held: AtomicU64::new(0) })
+    }
+
+    /// Takes in the frames of a request, which count from now on. A request that is alone always fits: how large
+    /// it may be is not decided here.
+    ///
+    /// # Errors
+    /// Why there is no room for them now, for the edge.
+    pub(super) fn hold(self: &Arc<Self>, frames: Frames) -> Result<Frames, String> {
+        let bytes: u64 = frames.iter().map(|frame| frame.len() as u64).sum();
+        let fits = |held: u64| (held == 0 || held.saturating_add(bytes) <= self.most).then(|| held + bytes);
+        self.held.fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits).map_err(|held| {
+            format!(
+                "the cloud holds {held} bytes of requests and has no room for {bytes} more; its max_in_flight_bytes \
+                 is {}",
+                self.most
+            )
+        })?;
+        let share = Arc::new(Share { budget: Arc::clone(self), bytes });
+        let held = |frame| Bytes::from_owner(Held { frame, _share: Arc::clone(&share) });
+        Ok(frames.into_iter().map(held).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frames(sizes: &[usize]) -> Frames {
+        sizes.iter().map(|size| Bytes::from(vec![7; *size])).collect()
+    }
+
+    #[test]
+    fn bytes_count_until_the_last_part_of_them_is_dropped() {
+        let budget = Budget::new(100);
+        let held = budget.hold(frames(&[10, 50])).expect("fits");
+        assert_eq!((held[0].len(), held[1].len()), (10, 50));
+        let refused = budget.hold(frames(&[41])).expect_err("is too much");
+        assert!(refused.contains("60 bytes") && refused.contains("100"), "{refused}");
+        let rest = budget.hold(frames(&[40])).expect("fits exactly");
+        let part = held[1].slice(5..6);
+        drop((held, rest));
+        assert!(budget.hold(frames(&[41])).is_err(), "one byte of the first request is still held");
+        drop(part);
+        drop(budget.hold(frames(&[1000])).expect("is alone"));
+        assert_eq!(budget.held.load(Ordering::Relaxed), 0);
+    }
+}
