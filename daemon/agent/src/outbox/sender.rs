@@ -95,6 +95,10 @@ impl<S: Spool> Sender<S> {
                     farewell = Some(Farewell::begin(Instant::now(), deadline, self.machine.accounting().stored));
                     self.take();
                     self.machine.flush(self.clock.wall());
+                    if matches!(line, Line::Dialling(_)) {
+                        // There is no time for a pause.
+                        line = dial(&address, Duration::ZERO);
+                    }
                 }
                 _ = shows.tick() => self.show(&line),
                 event = next(&mut line) => match event {

@@ -94,16 +94,17 @@ async fn an_aggregator_that_forgot_everything_is_told_of_the_runs_again() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_answers_but_is_no_aggregator_is_named_once_and_left_alone() {
-    let tables = "[serve]\nlisten = 'tcp://127.0.0.1:0'\n[[model]]\nname = 'echo'\nkind = 'echo'\n";
-    let cloud = TestAgent::start("cloud", None, tables).await;
-    let wrong = cloud.address();
-    let agent = TestAgent::start("edge", Some(&wrong), &line("limit = { iterations = 5 }")).await;
-    agent.until_state(|state| *state == peernet_logger::stream::PipelineState::Finished).await;
-    let waiting = agent.running.live().accounting.waiting;
-    // The incident itself waits for the aggregator, too.
-    agent.until(|live| live.accounting.waiting > waiting).await;
-    assert_eq!(agent.running.live().accounting.stored, 0);
+async fn what_answers_but_is_no_aggregator_is_named_once_and_tried_again() {
+    let manners = Manners { mute: true, ..Manners::default() };
+    let mute = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), manners).await;
+    let agent = TestAgent::start("edge", Some(&mute.address), &line("limit = { iterations = 5 }")).await;
+    // The model, the run's two ends and ten iterations; what comes then is the report.
+    agent.until(|live| live.accounting.waiting > 13).await;
+    let aggregator = Aggregator::up(mute.down().await).await;
+    let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Connected).is_empty()).await;
+    let said = seen.incidents(IncidentKind::Disconnected);
+    assert_eq!(said.len(), 1, "{said:?}");
+    assert!(said[0].text.contains("no aggregator answers there"), "{}", said[0].text);
+    assert_eq!(seen.iterations().len(), 10);
     agent.stop().await.expect("stops well");
-    cloud.stop().await.expect("stops well");
 }

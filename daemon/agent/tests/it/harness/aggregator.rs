@@ -44,6 +44,8 @@ pub(crate) struct Manners {
     pub(crate) refuse: Option<String>,
     /// Store batches, but go down before acknowledging this one.
     pub(crate) die_before_ack: Option<u64>,
+    /// Take everything and answer nothing.
+    pub(crate) mute: bool,
     /// Take so long for each batch.
     pub(crate) slow: Option<Duration>,
 }
@@ -171,6 +173,9 @@ async fn serve(socket: &IdentitySocket, seen: &watch::Sender<Seen>, manners: Man
 }
 
 fn answer(seen: &mut Seen, message: ToAggregator, manners: &Manners) -> Option<ToAgent> {
+    if manners.mute {
+        return None;
+    }
     match message {
         ToAggregator::Hello(hello) => {
             seen.hellos += 1;

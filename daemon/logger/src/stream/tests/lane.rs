@@ -56,6 +56,25 @@ fn no_more_than_a_window_is_under_way_and_acknowledgements_move_it() {
 }
 
 #[test]
+fn what_is_given_up_is_counted_and_what_comes_then_goes_at_once() {
+    let mut sending = up(15);
+    assert_eq!(numbers(&frames(&mut sending, at(1))), [1, 2, 3]);
+    let first = ack(&sending, 1);
+    sending.received(&first, at(2)).expect("memory");
+    assert_eq!(sending.give_up(at(3)), Ok(12));
+    sending.offer(&incident("the end"), at(3));
+    sending.flush(at(3).wall);
+    assert!(matches!(&frames(&mut sending, at(3))[..], [ToAggregator::Hello(hello)] if hello.oldest == 6));
+    let welcome = welcome(&sending, 2);
+    sending.received(&welcome, at(4)).expect("memory");
+    assert_eq!(numbers(&frames(&mut sending, at(4))), [6]);
+    let last = ack(&sending, 6);
+    sending.received(&last, at(5)).expect("memory");
+    let Accounting { offered, stored, waiting, dropped, .. } = sending.accounting();
+    assert_eq!((offered, stored, waiting, dropped), (16, 4, 0, 12));
+}
+
+#[test]
 fn silence_is_answered_by_a_new_hello_and_everything_under_way_goes_again() {
     let mut sending = up(6);
     assert_eq!(numbers(&frames(&mut sending, at(100))), [1, 2]);
