@@ -85,14 +85,13 @@ def peernet_alone(arena: Arena, shape: Shape, iterations: int) -> float:
         return (iterations + WARM_UP) / (time.perf_counter() - begin)
 
 
-def published(arena: Arena, shape: Shape, *, lean: bool = False) -> Slice:
+def published(arena: Arena, shape: Shape) -> Slice:
     """The Python program of peers/published.py."""
-    options = ["--lean"] if lean else []
     answer = [] if shape.answer is None else ["--answer-bytes", shape.answer]
     ends = arena.cloud.address, arena.edge.address
     with tempfile.TemporaryDirectory(prefix="peernet-bench-") as folder:
-        server = arena.cloud.inside(peer("published", "server", *ends, *options, *answer))
-        client = peer("published", "client", *reversed(ends), *options, "--bytes", shape.up)
+        server = arena.cloud.inside(peer("published", "server", *ends, *answer))
+        client = peer("published", "client", *reversed(ends), "--bytes", shape.up)
         client += ["--seconds", str(arena.seconds), "--results", f"{folder}/data.csv"]
         with Program(server, Path(folder, "server.log")):
             return _slice(output(arena.edge.inside(client), timeout_s=arena.seconds + 60))

@@ -31,8 +31,8 @@ def measure(quick: bool) -> Section:
 
     section = Section("Ingest")
     section.say(
-        f"{nodes:,} nodes from {agents} agents over ZeroMQ into the database, every transaction synced to disk; beside it "
-        f"a loop that inserts the same rows into the same schema. {rounds} rounds, medians."
+        f"{nodes:,} nodes from {agents} agents over ZeroMQ into the database, every transaction synced to disk; beside "
+        f"it a loop that inserts the same rows into the same schema. {rounds} rounds, medians."
     )
     table = Table("nodes per second", "aggregator", "bare loop", "ratio", "bytes a node", "dropped")
     table.row("stored", rate(ours), rate(bare), f"{ratios:.2f} ×", f"{size:.1f}", f"{dropped:,}")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from statistics import median
 
 import contenders
 from contenders import Arena, Shape, Slice
-from namespaces import need_root, two_hosts
+from namespaces import CONGESTION_CONTROL, need_root, two_hosts
 from programs import ROOT
 from quantiles import median_spread
 from report import Section, Table, micros, rate, ratio, size, times
@@ -17,7 +18,7 @@ from report import Section, Table, micros, rate, ratio, size, times
 ECHO = (Shape(1_000), Shape(150_000), Shape(1_200_000))
 # What offloading usually looks like: much goes up, little comes down.
 SMALL_ANSWER = (Shape(150_000, 64), Shape(1_200_000, 64))
-STAGES = ("encode", "send-queue", "upload", "queue", "inference", "download", "total", "unattributed")
+STAGES = ("sensing", "encode", "upload", "queue", "inference", "download", "total", "unattributed")
 
 RATE_AIM = 5.0
 UPLOAD_AIM = 1.15
@@ -26,7 +27,6 @@ FULL = 1_200_000
 CONTENDERS: dict[str, Callable[[Arena, Shape], Slice]] = {
     "peernet": contenders.peernet,
     "published": contenders.published,
-    "lean": lambda arena, shape: contenders.published(arena, shape, lean=True),
     "tcp": contenders.bare_tcp,
 }
 
@@ -56,20 +56,24 @@ def prepare() -> None:
 
 
 def measure(quick: bool) -> Section:
-    repeats, seconds = (1, 1) if quick else (9, 2)
-    section = Section("The closed loop")
+    repeats, seconds = (1, 1) if quick else (7, 2)
+    shapes = (*ECHO, *SMALL_ANSWER)
+    results = {shape: Results() for shape in shapes}
     with two_hosts() as (edge, cloud):
         arena = Arena(edge, cloud, seconds)
-        results = {shape: _compare(arena, shape, repeats) for shape in (*ECHO, *SMALL_ANSWER)}
+        for repeat in range(repeats):
+            for shape in shapes:
+                _compare(arena, shape, repeat, results[shape])
+            print(f"  repeat {repeat + 1} of {repeats}", file=sys.stderr, flush=True)
+    section = Section("The closed loop")
     section.say(
-        "Two network namespaces joined by a veth pair; bytes go up, an echo model answers with the same bytes or with "
+        f"Two network namespaces joined by a veth pair (TCP {CONGESTION_CONTROL}); bytes go up, an echo model answers with the same bytes or with "
         f"64. {repeats} repeats of {seconds} s each, one program after the other in turn; medians over the repeats, "
         "ratios taken repeat by repeat.\n\n"
         "- *PEERNet*: edge agent, cloud agent and aggregator; every iteration is stored in the database meanwhile.\n"
-        "- *without aggregator*: the same two agents, nothing stored.\n"
+        "- *nothing stored*: the same two agents without an aggregator.\n"
         "- *published*: a Python program that does the published one's work per message (pyzmq PAIR, six nodes pickled "
         "with the data, sizes by pickling once more, a line of log, results rewritten every 1,000 iterations).\n"
-        "- *lean*: the same without log, polling and results.\n"
         "- *bare TCP*: one blocking connection, two buffers used again and again, no headers, nothing measured but the "
         "delays."
     )
@@ -77,45 +81,31 @@ def measure(quick: bool) -> Section:
     _uploads(section, results)
     for shape in ECHO:
         _stages(section, shape, results[shape])
-    dropped = sum(one.missing for result in results.values() for one in result.slices["peernet"])
-    section.say(f"Iterations measured but not stored, over all of PEERNet's slices: {dropped:,}.")
+    missing = sum(one.missing for result in results.values() for one in result.slices["peernet"])
+    section.say(f"Iterations measured but not stored, counted by the agent, over all of PEERNet's slices: {missing:,}.")
     return section
 
 
-def _compare(arena: Arena, shape: Shape, repeats: int) -> Results:
-    results = Results()
+def _compare(arena: Arena, shape: Shape, repeat: int, results: Results) -> None:
+    """One slice of each contender; who begins changes with each repeat."""
     names = list(CONTENDERS)
-    for repeat in range(repeats):
-        for name in names[repeat % len(names) :] + names[: repeat % len(names)]:
-            results.slices[name].append(CONTENDERS[name](arena, shape))
-            if name == "peernet":
-                iterations = max(1, round(results.slices[name][-1].rate * arena.seconds))
-                results.alone.append(contenders.peernet_alone(arena, shape, iterations))
-    return results
+    first = repeat % len(names)
+    for name in names[first:] + names[:first]:
+        one = CONTENDERS[name](arena, shape)
+        results.slices[name].append(one)
+        if name == "peernet":
+            results.alone.append(contenders.peernet_alone(arena, shape, max(1, round(one.rate * arena.seconds))))
 
 
 def _rates(section: Section, results: dict[Shape, Results]) -> None:
     table = Table(
-        "iterations per second",
-        "PEERNet",
-        "without aggregator",
-        "published",
-        "lean",
-        "bare TCP",
-        "to published",
-        "to lean",
+        "iterations/s", "PEERNet", "nothing stored", "published", "bare TCP", "PEERNet to published", "bare TCP to it"
     )
     for shape, result in results.items():
-        ours = result.rates("peernet")
-        gain = ratio(ours, result.rates("published"))
-        table.row(
-            _name(shape),
-            rate(median(ours)),
-            rate(median(result.alone)),
-            *(rate(median(result.rates(name))) for name in ("published", "lean", "tcp")),
-            times(gain),
-            times(ratio(ours, result.rates("lean"))),
-        )
+        ours, published, tcp = (result.rates(name) for name in CONTENDERS)
+        gain = ratio(ours, published)
+        rates = (rate(median(one)) for one in (ours, result.alone, published, tcp))
+        table.row(_name(shape), *rates, times(gain), times(ratio(tcp, published)))
         if shape in ECHO:
             promise = f"iterations per second at {size(shape.up)} ≥ {RATE_AIM:g} × the published program's"
             section.aim(promise, times(gain), gain >= RATE_AIM)
@@ -123,15 +113,13 @@ def _rates(section: Section, results: dict[Shape, Results]) -> None:
 
 
 def _uploads(section: Section, results: dict[Shape, Results]) -> None:
-    table = Table("upload, p50, µs", "PEERNet", "bare TCP", "to bare TCP", "published", "lean")
+    table = Table("upload, p50, µs", "PEERNet", "published", "bare TCP", "PEERNet to bare TCP")
     for shape, result in results.items():
-        cost = ratio(result.stage("peernet", "upload"), result.stage("tcp", "upload"))
-        ours, tcp, published, lean = (
-            median(result.stage(name, "upload")) for name in ("peernet", "tcp", "published", "lean")
-        )
-        table.row(_name(shape), micros(ours), micros(tcp), times(cost), micros(published), micros(lean))
+        ours, published, tcp = (result.stage(name, "upload") for name in CONTENDERS)
+        cost = ratio(ours, tcp)
+        table.row(_name(shape), *(micros(median(one)) for one in (ours, published, tcp)), times(cost))
         if shape.up == FULL:
-            promise = f"upload of {_name(shape)} ≤ {UPLOAD_AIM:g} × bare TCP"
+            promise = f"upload of {_name(shape)}: ≤ {UPLOAD_AIM:g} × bare TCP"
             section.aim(promise, times(cost), cost <= UPLOAD_AIM)
     section.table(table)
 
@@ -140,7 +128,7 @@ def _stages(section: Section, shape: Shape, result: Results) -> None:
     table = Table(f"{_name(shape)}, µs", "PEERNet p50", "p99", "published p50", "p99", "bare TCP p50", "p99")
     for stage in STAGES:
         cells = []
-        for name in ("peernet", "published", "tcp"):
+        for name in CONTENDERS:
             spread = result.spread(name, stage) or {}
             cells += [micros(spread.get("p50")), micros(spread.get("p99"))]
         table.row(stage, *cells)

@@ -3,13 +3,11 @@
 Two pyzmq PAIR sockets, one per direction; the sender binds start_port + the receiver's number. A message is the pickle
 of (data, logger), and the logger's six nodes travel with it. `upload` is opened by the client before it pickles and
 closed by the server after it unpickled, `download` the other way. Sizes are taken by pickling once more, on the client,
-before and after the exchange. The server polls, and writes a line of log per message. The model is an echo.
+before and after the exchange. The server polls, and writes a line of log per message; the client rewrites its results
+every 1,000 iterations. The model is an echo.
 
-With `--lean` the server neither polls nor logs, and the client does not rewrite its results every 1,000 iterations:
-what is left is what nobody could leave out without changing the program.
-
-Server: published.py server OWN-ADDRESS PEER-ADDRESS [--lean] [--answer-bytes N]
-Client: published.py client OWN-ADDRESS PEER-ADDRESS [--lean] --bytes N --seconds S --results FILE; prints JSON
+Server: published.py server OWN-ADDRESS PEER-ADDRESS [--answer-bytes N]
+Client: published.py client OWN-ADDRESS PEER-ADDRESS --bytes N --seconds S --results FILE; prints JSON
 """
 
 from __future__ import annotations
@@ -28,7 +26,7 @@ from typing import Any
 
 import zmq
 
-from peers.published_logger import Container, Timer, Timing, Value, write_csv
+from peers.published_logger import Container, Node, Timer, Timing, Value, write_csv
 from quantiles import spread
 
 START_PORT = 5551
@@ -41,7 +39,7 @@ STAGES = ("sensing", "upload", "inference", "download")
 @dataclass
 class Message:
     data: Any
-    logger: Container
+    logger: Node
 
 
 class Link:
@@ -63,7 +61,7 @@ class Link:
         return message
 
 
-def serve(link: Link, answer_bytes: int | None, lean: bool) -> None:
+def serve(link: Link, answer_bytes: int | None) -> None:
     fixed = None if answer_bytes is None else os.urandom(answer_bytes)
     log = logging.getLogger("server")
     log.setLevel(logging.DEBUG)
@@ -73,8 +71,7 @@ def serve(link: Link, answer_bytes: int | None, lean: bool) -> None:
     poller = zmq.Poller()
     poller.register(link.incoming, zmq.POLLIN)
     while True:
-        if not lean:
-            poller.poll()
+        poller.poll()
         message = link.receive()
         logger = message.logger
         logger.end_sub("upload")
@@ -83,13 +80,12 @@ def serve(link: Link, answer_bytes: int | None, lean: bool) -> None:
         answer = message.data if fixed is None else fixed
         inference.end_collection()
         logger.child("download").start_collection()
-        if not lean:
-            log.debug("answering %s", "client")
+        log.debug("answering %s", "client")
         link.send(Message(answer, logger))
 
 
-def iterate(link: Link, sample: bytes, number: int) -> Container:
-    logger = Container(str(number))
+def iterate(link: Link, sample: bytes, number: int) -> Node:
+    logger: Node = Container(str(number))
     with Timing(logger, "sensing"):
         data = sample
     for name, kind in (("upload", Timer), ("inference", Timer), ("download", Timer), ("upload-bytes", Value)):
@@ -118,11 +114,11 @@ def drive(link: Link, arguments: argparse.Namespace) -> dict[str, Any]:
     sample = os.urandom(arguments.bytes)
     for number in range(WARM_UP):
         iterate(link, sample, number)
-    iterations: list[Container] = []
+    iterations: list[Node] = []
     begin = now = time.perf_counter()
     while now - begin < arguments.seconds:
         iterations.append(iterate(link, sample, len(iterations)))
-        if not arguments.lean and len(iterations) % 1000 == 0:
+        if len(iterations) % 1000 == 0:
             write_csv(arguments.results, iterations)
         now = time.perf_counter()
     return {
@@ -137,7 +133,6 @@ def main() -> None:
     parser.add_argument("role", choices=tuple(NUMBERS))
     parser.add_argument("own")
     parser.add_argument("peer")
-    parser.add_argument("--lean", action="store_true")
     parser.add_argument("--bytes", type=int, default=1000)
     parser.add_argument("--answer-bytes", type=int)
     parser.add_argument("--seconds", type=float, default=3.0)
@@ -149,7 +144,7 @@ def main() -> None:
     del bytearray(LARGE_BLOCK)[:]
     link = Link(arguments.role, arguments.own, arguments.peer)
     if arguments.role == "server":
-        serve(link, arguments.answer_bytes, arguments.lean)
+        serve(link, arguments.answer_bytes)
     else:
         print(json.dumps(drive(link, arguments)))
 

@@ -12,45 +12,45 @@ from pathlib import Path
 from typing import Any
 
 
-class Container:
-    """A node that only has children."""
-
-    kind = "Container"
+class Node:
+    """A node of the tree; its kinds say what begins and ends a measurement, with whatever arguments they need."""
 
     def __init__(self, name: str, depth: int = 0) -> None:
+        if "_" in name:
+            raise ValueError(f"{name!r}: underscores join the names of columns")
         self.name = name
         self.depth = depth
-        self.metric_name = self.kind
-        self.children: list[Container] = []
+        self.metric_name = "metric"
+        self.children: list[Node] = []
         self.start_collection()
         self.end = None
         self.metric: Any = None
 
-    def _tic(self) -> None:
-        pass
+    def _tic(self, *args: Any, **kwargs: Any) -> None:
+        raise NotImplementedError
 
-    def _toc(self, *values: Any) -> Any:
-        return None
+    def _toc(self, *args: Any, **kwargs: Any) -> Any:
+        raise NotImplementedError
 
-    def log_section(self, name: str, kind: type[Container]) -> Container:
+    def log_section(self, name: str, kind: type[Node]) -> Node:
         """A new child."""
-        child = kind(name, self.depth + 1)
+        child = kind(name, depth=self.depth + 1)
         self.children.append(child)
         return child
 
-    def start_collection(self) -> None:
-        self._tic()
+    def start_collection(self, *args: Any, **kwargs: Any) -> None:
+        self._tic(*args, **kwargs)
 
-    def end_collection(self, *values: Any) -> None:
-        self.metric = self._toc(*values)
+    def end_collection(self, *args: Any, **kwargs: Any) -> None:
+        self.metric = self._toc(*args, **kwargs)
 
-    def end_sub(self, name: str, *values: Any) -> None:
+    def end_sub(self, name: str, *args: Any, **kwargs: Any) -> None:
         """Ends the node of this name, which may have been opened on another host."""
         if self.name == name:
-            self.end_collection(*values)
+            self.end_collection(*args, **kwargs)
             return
         for child in self.children:
-            child.end_sub(name, *values)
+            child.end_sub(name, *args, **kwargs)
 
     def get_metric(self, name: str) -> Any:
         """A child's metric, -1 when absent."""
@@ -59,40 +59,61 @@ class Container:
                 return child.metric
         return -1
 
-    def child(self, name: str) -> Container:
+    def child(self, name: str) -> Node:
         """The child of this name."""
         return next(child for child in self.children if child.name == name)
 
 
-class Timer(Container):
+class Container(Node):
+    """Only has children."""
+
+    def __init__(self, name: str, depth: int = 0) -> None:
+        super().__init__(name, depth)
+        self.metric_name = "Container"
+
+    def _tic(self) -> None:
+        pass
+
+    def _toc(self) -> Any:
+        return None
+
+
+class Timer(Node):
     """Seconds from its start to its end."""
 
-    kind = "Time"
+    def __init__(self, name: str, depth: int = 0) -> None:
+        super().__init__(name, depth)
+        self.metric_name = "Time"
 
     def _tic(self) -> None:
         self.start = time.time()
 
-    def _toc(self, *values: Any) -> float:
+    def _toc(self) -> float:
         return time.time() - self.start
 
 
-class Value(Container):
+class Value(Node):
     """A number."""
 
-    kind = "Value"
+    def __init__(self, name: str, depth: int = 0) -> None:
+        super().__init__(name, depth)
+        self.metric_name = "Value"
 
-    def _toc(self, *values: Any) -> Any:
-        return values[0] if values else None
+    def _tic(self) -> None:
+        pass
+
+    def _toc(self, value: Any) -> Any:
+        return value
 
 
 class Timing:
     """`with Timing(logger, "sensing"): …`"""
 
-    def __init__(self, parent: Container, name: str) -> None:
+    def __init__(self, parent: Node, name: str) -> None:
         self.parent = parent
         self.name = name
 
-    def __enter__(self) -> Container:
+    def __enter__(self) -> Node:
         self.section = self.parent.log_section(self.name, Timer)
         return self.section
 
@@ -100,7 +121,7 @@ class Timing:
         self.section.end_collection()
 
 
-def write_csv(path: Path, iterations: list[Container]) -> None:
+def write_csv(path: Path, iterations: list[Node]) -> None:
     """One row per iteration, one column per node."""
     names = [child.name for child in iterations[0].children]
     with path.open("w", newline="") as file:
