@@ -67,9 +67,9 @@ def measure(quick: bool) -> Section:
             print(f"  repeat {repeat + 1} of {repeats}", file=sys.stderr, flush=True)
     section = Section("The closed loop")
     section.say(
-        f"Two network namespaces joined by a veth pair (TCP {CONGESTION_CONTROL}); bytes go up, an echo model answers with the same bytes or with "
-        f"64. {repeats} repeats of {seconds} s each, one program after the other in turn; medians over the repeats, "
-        "ratios taken repeat by repeat.\n\n"
+        f"Two network namespaces joined by a veth pair (TCP {CONGESTION_CONTROL}); bytes go up, an echo model answers "
+        f"with the same bytes or with 64. {repeats} repeats of {seconds} s each, one program after the other in turn; "
+        "medians over the repeats, ratios taken repeat by repeat.\n\n"
         "- *PEERNet*: edge agent, cloud agent and aggregator; every iteration is stored in the database meanwhile.\n"
         "- *nothing stored*: the same two agents without an aggregator.\n"
         "- *published*: a Python program that does the published one's work per message (pyzmq PAIR, six nodes pickled "
