@@ -25,6 +25,28 @@ impl Interval {
     pub fn width(self) -> Span {
         self.hi - self.lo
     }
+
+    /// Halfway between the ends, rounded down.
+    pub const fn middle(self) -> Span {
+        let (lo, hi) = (self.lo.nanos(), self.hi.nanos());
+        Span::from_nanos((lo & hi) + ((lo ^ hi) >> 1))
+    }
+
+    /// Whether a span lies between the ends or on one.
+    pub fn contains(self, span: Span) -> bool {
+        self.lo <= span && span <= self.hi
+    }
+
+    /// What two intervals have in common; `None` when they exclude each other.
+    pub fn intersection(self, other: Self) -> Option<Self> {
+        let common = Self { lo: self.lo.max(other.lo), hi: self.hi.min(other.hi) };
+        (common.lo <= common.hi).then_some(common)
+    }
+
+    /// The smallest interval that holds both.
+    pub fn hull(self, other: Self) -> Self {
+        Self { lo: self.lo.min(other.lo), hi: self.hi.max(other.hi) }
+    }
 }
 
 /// What the correction of a delay rests on.
@@ -128,18 +150,17 @@ impl OneWayDelay {
         Self { raw, value: None, bounds: None, source: DelaySource::None, verdict: Verdict::Unsynchronised }
     }
 
+    /// A clock was stepped near one of the stamps, so that nothing follows from them.
+    pub const fn stepped(raw: Span, source: DelaySource) -> Self {
+        Self { raw, value: None, bounds: None, source, verdict: Verdict::Stepped }
+    }
+
     /// A delay between two stamps of one clock.
     ///
     /// A wall clock that was set back in between gives a negative difference: that is a step, not a delay.
     pub const fn same_clock(raw: Span) -> Self {
         if raw.is_negative() {
-            return Self {
-                raw,
-                value: None,
-                bounds: None,
-                source: DelaySource::SameClock,
-                verdict: Verdict::Stepped,
-            };
+            return Self::stepped(raw, DelaySource::SameClock);
         }
         Self {
             raw,

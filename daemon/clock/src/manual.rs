@@ -1,6 +1,6 @@
 //! A clock that moves only when told to.
 
-use std::sync::atomic::{AtomicI64, Ordering};
+use std::sync::atomic::{AtomicI64, AtomicU32, Ordering};
 
 use crate::{Clock, ClockIdentity, MonoTime, Span, WallTime};
 
@@ -9,13 +9,21 @@ use crate::{Clock, ClockIdentity, MonoTime, Span, WallTime};
 pub struct ManualClock {
     wall: AtomicI64,
     mono: AtomicI64,
+    epoch: AtomicU32,
+    last_step: AtomicI64,
     identity: ClockIdentity,
 }
 
 impl ManualClock {
     /// A clock whose wall shows `wall` and whose monotonic clock shows zero.
     pub fn new(wall: WallTime, identity: ClockIdentity) -> Self {
-        Self { wall: AtomicI64::new(wall.unix_nanos()), mono: AtomicI64::new(0), identity }
+        Self {
+            wall: AtomicI64::new(wall.unix_nanos()),
+            mono: AtomicI64::new(0),
+            epoch: AtomicU32::new(0),
+            last_step: AtomicI64::new(0),
+            identity,
+        }
     }
 
     /// Lets time pass on both clocks.
@@ -24,9 +32,11 @@ impl ManualClock {
         self.mono.fetch_add(span.nanos(), Ordering::SeqCst);
     }
 
-    /// Sets the wall clock forward or back, as an administrator would.
+    /// Sets the wall clock forward or back, as an administrator would; a new epoch begins, however small the step.
     pub fn step_wall(&self, by: Span) {
         self.wall.fetch_add(by.nanos(), Ordering::SeqCst);
+        self.last_step.store(by.nanos(), Ordering::SeqCst);
+        self.epoch.fetch_add(1, Ordering::SeqCst);
     }
 }
 
@@ -42,6 +52,19 @@ impl Clock for ManualClock {
     fn identity(&self) -> &ClockIdentity {
         &self.identity
     }
+
+    fn epoch(&self) -> u32 {
+        self.epoch.load(Ordering::SeqCst)
+    }
+
+    fn begin_epoch(&self) {
+        self.epoch.fetch_add(1, Ordering::SeqCst);
+    }
+
+    fn last_step(&self) -> Option<Span> {
+        let step = self.last_step.load(Ordering::SeqCst);
+        (step != 0).then(|| Span::from_nanos(step))
+    }
 }
 
 #[cfg(test)]
@@ -55,5 +78,6 @@ mod tests {
         clock.step_wall(Span::from_nanos(-100));
         assert_eq!(clock.wall(), WallTime::from_unix_nanos(-85));
         assert_eq!(clock.mono(), MonoTime::from_nanos(10));
+        assert_eq!((clock.epoch(), clock.last_step()), (1, Some(Span::from_nanos(-100))));
     }
 }

@@ -1,0 +1,132 @@
+//! What relating two clocks costs: time per exchange and per question, memory per pair of hosts, and the clock reads
+//! themselves. Prints a table of medians over repeats.
+#![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
+
+use std::hint::black_box;
+
+use peernet_clock::{
+    Clock, ClockIdentity, Direction, Exchange, Relation, RelationSettings, Span, SystemClock, WallTime,
+    Witnessed,
+};
+
+/// Exchanges and questions are timed so many at once.
+const BATCH: usize = 500;
+/// Seconds of exchanges: the window and as much again, so that the oldest are forgotten.
+const SECONDS: i64 = 1_200;
+
+/// A way of exchanging: per second, and what each waits on either way by its number, nanoseconds.
+struct Traffic {
+    name: &'static str,
+    hz: i64,
+    wait: fn(u64) -> i64,
+}
+
+const TRAFFIC: [Traffic; 4] = [
+    Traffic { name: "probes, 10 a second", hz: 10, wait: |n| exponential(n, 15_000.0) },
+    Traffic { name: "data, 1,000 a second", hz: 1_000, wait: |n| exponential(n, 15_000.0) },
+    // Neighbours differ by less than the drift between them: every one of them narrows.
+    Traffic { name: "worst: none hides another, 1,000 a second", hz: 1_000, wait: |n| (n % 2 * 49) as i64 },
+    Traffic { name: "worst, 50 a second", hz: 50, wait: |n| (n % 2 * 990) as i64 },
+];
+
+fn main() {
+    let clock = SystemClock::new(ClockIdentity::new("bench", "system"));
+    reads(&clock);
+    println!(
+        "{:<44}{:>10}{:>10}{:>10}{:>10}{:>12}",
+        "nanoseconds per", "learn", "judge", "delay", "offset", "bytes"
+    );
+    for traffic in &TRAFFIC {
+        let mut relation = relation();
+        let exchanges: Vec<Witnessed> = (0..SECONDS * traffic.hz).map(|n| traffic.exchange(n)).collect();
+        let (learnt, judged) = exchanges.split_at(exchanges.len() / 2);
+        let learn = timed(&clock, learnt, |witnessed| {
+            black_box(relation.learn(witnessed));
+        });
+        let judge = timed(&clock, judged, |witnessed| {
+            black_box(relation.judge(witnessed));
+        });
+        let late = &judged[judged.len() / 2..];
+        let delay = timed(&clock, late, |Witnessed { exchange, .. }| {
+            black_box(relation.delay(Direction::Up, exchange.sent, exchange.received));
+        });
+        let offset =
+            timed(&clock, late, |witnessed| drop(black_box(relation.offset(witnessed.exchange.sent))));
+        println!(
+            "{:<44}{learn:>10.0}{judge:>10.0}{delay:>10.0}{offset:>10.0}{:>12}",
+            traffic.name,
+            relation.memory_bytes()
+        );
+    }
+    late_arrivals(&clock);
+}
+
+/// The worst order: all exchanges of a window backwards, so that each is put in at the front.
+fn late_arrivals(clock: &SystemClock) {
+    let mut relation = relation();
+    let worst = &TRAFFIC[3];
+    let exchanges: Vec<Witnessed> = (0..600 * worst.hz).rev().map(|n| worst.exchange(n)).collect();
+    let learn = timed(clock, &exchanges, |witnessed| {
+        black_box(relation.learn(witnessed));
+    });
+    println!("{:<44}{learn:>10.0}{:>42}", "worst, 50 a second, backwards", relation.memory_bytes());
+}
+
+fn reads(clock: &SystemClock) {
+    let calls = [(); 100 * BATCH];
+    let rows: [(&str, &dyn Fn()); 4] = [
+        ("Clock::mono", &|| _ = black_box(clock.mono())),
+        ("Clock::wall", &|| _ = black_box(clock.wall())),
+        ("Clock::epoch", &|| _ = black_box(clock.epoch())),
+        ("Clock::readings", &|| _ = black_box(clock.readings())),
+    ];
+    for (name, read) in rows {
+        println!("{name:<44}{:>10.1} ns", timed(clock, &calls, |()| read()));
+    }
+}
+
+fn relation() -> Relation {
+    let (edge, cloud) = (ClockIdentity::new("bench", "edge"), ClockIdentity::new("bench", "cloud"));
+    Relation::new(&edge, &cloud, RelationSettings::default())
+}
+
+impl Traffic {
+    /// The `n`th: a cloud one second ahead, 10 ppm fast, 30 µs away.
+    fn exchange(&self, n: i64) -> Witnessed {
+        let at = n * 1_000_000_000 / self.hz;
+        let cloud = |edge: i64| WallTime::from_unix_nanos(edge + 1_000_000_000 + edge / 100_000);
+        let there = at + 30_000 + (self.wait)(2 * n as u64);
+        let back = there + 100_000 + 30_000 + (self.wait)(2 * n as u64 + 1);
+        let exchange = Exchange {
+            sent: WallTime::from_unix_nanos(at),
+            received: cloud(there),
+            replied: cloud(there + 100_000),
+            returned: WallTime::from_unix_nanos(back),
+            uncertainty: Span::ZERO,
+        };
+        Witnessed { exchange, edge_elapsed: None, cloud_elapsed: None, edge_epoch: 0, cloud_epoch: Some(0) }
+    }
+}
+
+/// Numbers that look random, the same in every run.
+fn exponential(n: u64, mean: f64) -> i64 {
+    let mut z = n.wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    let unit = ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64;
+    (-mean * (1.0 - unit).ln()) as i64
+}
+
+/// Nanoseconds per call: the median over batches.
+fn timed<T>(clock: &SystemClock, items: &[T], mut call: impl FnMut(&T)) -> f64 {
+    let mut batches: Vec<f64> = items
+        .chunks_exact(BATCH)
+        .map(|batch| {
+            let begun = clock.mono();
+            batch.iter().for_each(&mut call);
+            (clock.mono() - begun).nanos() as f64 / BATCH as f64
+        })
+        .collect();
+    batches.sort_by(f64::total_cmp);
+    batches[batches.len() / 2]
+}

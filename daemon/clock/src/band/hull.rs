@@ -1,0 +1,73 @@
+//! The skew that fits one side best.
+
+use super::side::Point;
+
+/// The slope of the line under all the points that minimises the sum of its distances to them: the problem of Moon, Skelly and Towsley
+/// ("Estimation and removal of clock skew from network delay measurements", INFOCOM 1999). Its solution is the edge of
+/// the lower convex hull over the mean time (Zhang, Liu and Xia, "Clock synchronization algorithms for network
+/// measurements", INFOCOM 2002), found in one pass over `points`, which must be ordered by time. `None` for fewer than two.
+pub(super) fn slope_under(points: impl Iterator<Item = Point>) -> Option<f64> {
+    let mut hull: Vec<(f64, f64)> = Vec::with_capacity(16);
+    let mut origin = None;
+    let (mut sum, mut count) = (0.0, 0u32);
+    for point in points {
+        let first: Point = *origin.get_or_insert(point);
+        let next = ((point.x - first.x) as f64, (point.bound.saturating_sub(first.bound)) as f64);
+        while let [.., a, b] = hull[..] {
+            // b stays only if it is below the line from a to the next.
+            if (b.1 - a.1) * (next.0 - a.0) < (next.1 - a.1) * (b.0 - a.0) {
+                break;
+            }
+            hull.pop();
+        }
+        hull.push(next);
+        sum += next.0;
+        count += 1;
+    }
+    let mean = sum / f64::from(count);
+    let edge = hull.windows(2).find(|edge| edge[1].0 >= mean)?;
+    Some((edge[1].1 - edge[0].1) / (edge[1].0 - edge[0].0))
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// The sum of distances to the highest line of a slope under all points.
+    fn distances(points: &[Point], slope: f64) -> f64 {
+        let above = |point: &Point| point.bound as f64 - slope * point.x as f64;
+        let height = points.iter().map(above).fold(f64::INFINITY, f64::min);
+        points.iter().map(|point| above(point) - height).sum()
+    }
+
+    proptest! {
+        #[test]
+        fn no_other_line_under_the_points_is_nearer_to_them(
+            steps in proptest::collection::vec((1i64..2_000, -1_000i64..1_000), 2..24),
+        ) {
+            let mut x = 0;
+            let points: Vec<Point> = steps
+                .into_iter()
+                .map(|(step, bound)| {
+                    x += step;
+                    Point { x, bound }
+                })
+                .collect();
+            let found = distances(&points, slope_under(points.iter().copied()).expect("two points"));
+            for (n, a) in points.iter().enumerate() {
+                for b in &points[n + 1..] {
+                    let other = (b.bound - a.bound) as f64 / (b.x - a.x) as f64;
+                    prop_assert!(found <= distances(&points, other) + 1e-6);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn one_point_has_no_slope() {
+        assert_eq!(slope_under([Point { x: 3, bound: 4 }].into_iter()), None);
+        assert_eq!(slope_under(std::iter::empty()), None);
+    }
+}

@@ -1,0 +1,173 @@
+use proptest::prelude::*;
+
+use super::*;
+use crate::simulation::{Dice, Path, Trip, Wall, World};
+
+const LIMIT_PPM: f64 = 50.0;
+
+fn band(window: Span, capacity: usize) -> Band {
+    Band::with_capacity(DriftLimit::new(LIMIT_PPM), window, capacity)
+}
+
+/// Clocks at the limit, on either side and in either direction, and clocks that wander within it.
+fn worlds(offset: Span, length: Span, dice: &mut Dice) -> Vec<World> {
+    let still = Wall::drifting(Span::ZERO, 0.0);
+    let mut worlds = Vec::new();
+    for ppm in [-LIMIT_PPM, LIMIT_PPM] {
+        let drifting = Wall::drifting(offset, ppm);
+        worlds.push(World { edge: drifting.clone(), cloud: still.clone() });
+        worlds.push(World { edge: still.clone(), cloud: drifting });
+    }
+    worlds.push(World { edge: still.clone(), cloud: Wall::wandering(offset, LIMIT_PPM, length, dice) });
+    worlds.push(World { edge: Wall::wandering(offset, LIMIT_PPM, length, dice), cloud: still });
+    worlds
+}
+
+/// Answers that were overtaken: some are heard of later than they ended.
+fn overtaken(trips: &mut [Trip], dice: &mut Dice) {
+    for trip in trips.iter_mut() {
+        trip.ended += if dice.chance(0.1) { dice.exponential(2e9) } else { 0.0 };
+    }
+    trips.sort_by(|a, b| a.ended.total_cmp(&b.ended));
+}
+
+fn contains(interval: Interval, truth: f64) -> bool {
+    interval.lo.nanos() as f64 <= truth && truth <= interval.hi.nanos() as f64
+}
+
+fn paths() -> impl Strategy<Value = Path> {
+    (1e3..50e6f64, 1e3..50e6f64, 100.0..5e6f64, 0.0..0.5f64, 1e5..1e9f64)
+        .prop_map(|(up, down, jitter, loss, burst)| Path { up, down, jitter, loss, burst })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    #[test]
+    fn the_truth_is_always_inside(seed: u64, path in paths(), ahead in -1_000_000_000i64..1_000_000_000, small: bool) {
+        let mut dice = Dice(seed);
+        let window = Span::from_seconds(40);
+        for world in worlds(Span::from_nanos(ahead), Span::from_seconds(120), &mut dice) {
+            let mut trips = path.trips(&world, (0.0, 100.0), 20.0, &mut dice);
+            overtaken(&mut trips, &mut dice);
+            let mut band = band(window, if small { 64 } else { CAPACITY });
+            for trip in &trips {
+                let bounds = Bounds::from(&trip.exchange);
+                prop_assert!(!band.excludes(&bounds));
+                band.insert(&bounds);
+                for from_now in [0.0, dice.between(-40e9, 0.0), dice.between(0.0, 10e9)] {
+                    let at = trip.exchange.returned + Span::from_nanos(from_now as i64);
+                    let interval = band.interval(at).expect("has exchanges");
+                    let truth = world.offset(at);
+                    prop_assert!(contains(interval, truth), "{interval:?} {truth} {from_now}");
+                    prop_assert!(interval.contains(band.estimate(at, interval)));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn no_exchange_widens_the_interval_at_a_time_in_the_window(seed: u64, path in paths(), small: bool) {
+        let mut dice = Dice(seed);
+        let world = World {
+            edge: Wall::drifting(Span::ZERO, 0.0),
+            cloud: Wall::wandering(Span::from_seconds(1), LIMIT_PPM, Span::from_seconds(60), &mut dice),
+        };
+        let mut trips = path.trips(&world, (0.0, 60.0), 20.0, &mut dice);
+        overtaken(&mut trips, &mut dice);
+        let mut band = band(Span::from_seconds(20), if small { 32 } else { CAPACITY });
+        let mut known: Vec<(WallTime, Option<Interval>)> =
+            (0..140).map(|half| (WallTime::from_unix_nanos(half * 500_000_000), None)).collect();
+        for trip in &trips {
+            band.insert(&Bounds::from(&trip.exchange));
+            let start = band.newest().expect("has exchanges") - Span::from_seconds(20);
+            for (at, last) in known.iter_mut().filter(|(at, _)| *at >= start) {
+                let now = band.interval(*at).expect("has exchanges");
+                if let Some(last) = last.replace(now) {
+                    prop_assert!(last.lo <= now.lo && now.hi <= last.hi, "{last:?} {now:?}");
+                }
+            }
+        }
+    }
+}
+
+/// Where nothing but drift and whole nanoseconds stands between the bounds and the truth.
+#[test]
+fn even_without_any_delay_the_truth_is_inside() {
+    let mut dice = Dice(11);
+    for (n, world) in worlds(Span::from_millis(3), Span::from_seconds(700), &mut dice).iter().enumerate() {
+        let mut band = band(Span::from_seconds(600), CAPACITY);
+        let mut t = 0.0;
+        while t < 600e9 {
+            let trip = world.trip(t, 0.0, 0.0, 0.0);
+            let bounds = Bounds::from(&trip.exchange);
+            assert!(!band.excludes(&bounds), "world {n}");
+            band.insert(&bounds);
+            for _ in 0..20 {
+                let at = world.edge.shows(dice.between(0.0, 650e9).floor());
+                let (interval, truth) = (band.interval(at).expect("has exchanges"), world.offset(at));
+                assert!(contains(interval, truth), "world {n}: {interval:?} {truth}");
+            }
+            t += dice.exponential(3e9).floor();
+        }
+    }
+}
+
+/// Mean and largest distance of the estimate from the truth, microseconds, at the newest exchange, from 10 s on.
+fn errors(world: &World, path: Path, hz: f64) -> (f64, f64) {
+    let mut dice = Dice(7);
+    let mut band = band(Span::from_seconds(600), CAPACITY);
+    let mut errors = Vec::new();
+    for trip in path.trips(world, (0.0, 120.0), hz, &mut dice) {
+        band.insert(&Bounds::from(&trip.exchange));
+        if trip.ended > 10e9 {
+            let at = trip.exchange.returned;
+            let estimate = band.estimate(at, band.interval(at).expect("has exchanges"));
+            errors.push((estimate.nanos() as f64 - world.offset(at)).abs() / 1e3);
+        }
+    }
+    (errors.iter().sum::<f64>() / errors.len() as f64, errors.iter().copied().fold(0.0, f64::max))
+}
+
+#[test]
+fn on_a_symmetric_path_the_estimate_is_near_the_truth_even_at_the_limit_of_drift() {
+    let mut dice = Dice(3);
+    for (n, world) in worlds(Span::from_seconds(-1), Span::from_seconds(120), &mut dice).iter().enumerate() {
+        // The last two wander as no crystal does: by tens of ppm within seconds.
+        let (steady, hectic) = ((n < 4).then_some((2.0, 15.0)), (20.0, 150.0));
+        for hz in [10.0, 200.0] {
+            let (mean, most) = errors(world, Path::VETH, hz);
+            let limits = steady.unwrap_or(hectic);
+            assert!(mean < limits.0 && most < limits.1, "world {n}, {hz} Hz: {mean} {most}");
+        }
+    }
+}
+
+#[test]
+fn a_steady_skew_is_found_and_none_is_claimed_from_too_little() {
+    let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::ZERO, 12.0) };
+    let mut band = band(Span::from_seconds(600), CAPACITY);
+    for trip in Path::VETH.trips(&world, (0.0, 60.0), 10.0, &mut Dice(5)) {
+        band.insert(&Bounds::from(&trip.exchange));
+        if trip.ended < 4e9 {
+            assert_eq!(band.skew_ppm(), None);
+        }
+    }
+    let skew = band.skew_ppm().expect("a minute of exchanges");
+    assert!((skew - 12.0).abs() < 0.5, "{skew}");
+}
+
+#[test]
+fn a_past_time_is_known_better_once_exchanges_after_it_are() {
+    let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::ZERO, 30.0) };
+    let trips = Path::VETH.trips(&world, (0.0, 60.0), 1.0, &mut Dice(9));
+    let mut band = band(Span::from_seconds(600), CAPACITY);
+    let at = WallTime::from_unix_nanos(35_000_000_000);
+    let (before, after) = trips.split_at(20);
+    before.iter().for_each(|trip| band.insert(&Bounds::from(&trip.exchange)));
+    let early = band.interval(at).expect("has exchanges");
+    after.iter().for_each(|trip| band.insert(&Bounds::from(&trip.exchange)));
+    let late = band.interval(at).expect("has exchanges");
+    assert!(late.width().nanos() * 2 < early.width().nanos(), "{early:?} {late:?}");
+    assert!(contains(late, world.offset(at)));
+}

@@ -1,0 +1,21 @@
+//! What a host's own time daemon says of its wall clock.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{DelaySource, Interval};
+
+/// A claim about a host's wall clock: clock minus true time lies within an interval.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Discipline {
+    /// Who claims it: [`DelaySource::Kernel`] or [`DelaySource::Chrony`].
+    pub source: DelaySource,
+    /// The wall clock's error: what it shows minus true time.
+    pub error: Interval,
+}
+
+impl Discipline {
+    /// What two hosts' claims together say of the offset, cloud minus edge.
+    pub fn offset(edge: &Self, cloud: &Self) -> Interval {
+        Interval { lo: cloud.error.lo - edge.error.hi, hi: cloud.error.hi - edge.error.lo }
+    }
+}

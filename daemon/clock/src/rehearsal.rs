@@ -1,0 +1,278 @@
+//! A wall clock that is wrong on purpose, and by how much.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Clock, ClockIdentity, MonoTime, Readings, SharedClock, Span, Stamp, WallTime};
+
+/// How a wall clock is made wrong: `shown = true + offset + drift × (true − since) + steps so far`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RehearsalDescription {
+    /// Ahead from the start.
+    pub offset: Span,
+    /// Runs fast by so many parts per million.
+    pub drift_ppm: f64,
+    /// Steps, in any order.
+    pub steps: Vec<RehearsedStep>,
+    /// What the true wall clock showed at the start, when drift and steps begin to count.
+    pub since: WallTime,
+}
+
+/// A step of a rehearsed clock.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RehearsedStep {
+    /// So long after the start.
+    pub at: Span,
+    /// By so much.
+    pub by: Span,
+}
+
+/// In words: `offset +1000 ms, drift -50 ppm, step +3000 ms after 20 s`.
+impl fmt::Display for RehearsalDescription {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let millis = |span: Span| span.nanos() as f64 * 1e-6;
+        write!(f, "offset {:+} ms", millis(self.offset))?;
+        if self.drift_ppm != 0.0 {
+            write!(f, ", drift {:+} ppm", self.drift_ppm)?;
+        }
+        for step in &self.steps {
+            write!(f, ", step {:+} ms after {} s", millis(step.by), step.at.seconds())?;
+        }
+        Ok(())
+    }
+}
+
+impl RehearsalDescription {
+    /// What the clock shows when the true one shows `truth`.
+    pub fn shown(&self, truth: WallTime) -> WallTime {
+        truth + self.error_at(truth)
+    }
+
+    /// How far the clock is ahead when the true one shows `truth`.
+    pub fn error_at(&self, truth: WallTime) -> Span {
+        self.smooth_error_at(truth) + self.steps_until(truth).map(|step| step.by).sum()
+    }
+
+    /// What the true clock showed when this one showed `shown`, to the nanosecond.
+    ///
+    /// A clock that was set back shows some times twice, and one that was set forward leaves some out: then it is the
+    /// last such time, or that of the step.
+    pub fn true_of(&self, shown: WallTime) -> WallTime {
+        let mut begins: Vec<WallTime> = self.steps.iter().map(|step| self.since + step.at).collect();
+        begins.push(WallTime::from_unix_nanos(i64::MIN));
+        begins.sort_unstable_by(|a, b| b.cmp(a));
+        let mut end = WallTime::from_unix_nanos(i64::MAX);
+        for begin in begins {
+            let stepped: Span = self.steps_until(begin).map(|step| step.by).sum();
+            let truth = self.smooth_true_of(shown - stepped);
+            if truth >= begin {
+                return truth.min(end);
+            }
+            end = begin;
+        }
+        end
+    }
+
+    fn smooth_error_at(&self, truth: WallTime) -> Span {
+        let drift = (truth - self.since).nanos() as f64 * self.drift_ppm * 1e-6;
+        self.offset + Span::from_nanos(drift.round() as i64)
+    }
+
+    /// The inverse without steps.
+    fn smooth_true_of(&self, shown: WallTime) -> WallTime {
+        let ahead = shown - self.offset;
+        let elapsed = (ahead - self.since).nanos() as f64;
+        let drift = elapsed - elapsed / (1.0 + self.drift_ppm * 1e-6);
+        ahead - Span::from_nanos(drift.round() as i64)
+    }
+
+    fn steps_until(&self, truth: WallTime) -> impl Iterator<Item = &RehearsedStep> {
+        let elapsed = truth - self.since;
+        self.steps.iter().filter(move |step| step.at <= elapsed)
+    }
+}
+
+/// A clock whose wall is wrong on purpose; its monotonic clock is untouched.
+#[derive(Debug)]
+pub struct RehearsedClock {
+    inner: SharedClock,
+    identity: ClockIdentity,
+    description: RehearsalDescription,
+    seen: Mutex<Seen>,
+}
+
+/// Steps of both kinds, as of the last look.
+#[derive(Debug, Default)]
+struct Seen {
+    inner: u32,
+    rehearsed: u32,
+    last_step: Option<Span>,
+}
+
+impl RehearsedClock {
+    /// `inner`, made wrong as described.
+    pub fn new(inner: SharedClock, identity: ClockIdentity, description: RehearsalDescription) -> Self {
+        let seen = Mutex::new(Seen { inner: inner.epoch(), ..Seen::default() });
+        Self { inner, identity, description, seen }
+    }
+
+    /// Rehearsed steps are known, not found: they count from the moment they are due, and for ever.
+    fn look(&self) -> MutexGuard<'_, Seen> {
+        let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
+        let inner = self.inner.epoch();
+        let now = self.inner.wall();
+        let due = self.description.steps_until(now).count() as u32;
+        if inner > seen.inner {
+            seen.inner = inner;
+            seen.last_step = self.inner.last_step();
+        }
+        if due > seen.rehearsed {
+            seen.rehearsed = due;
+            seen.last_step = self.description.steps_until(now).max_by_key(|step| step.at).map(|step| step.by);
+        }
+        seen
+    }
+}
+
+impl Clock for RehearsedClock {
+    fn wall(&self) -> WallTime {
+        self.description.shown(self.inner.wall())
+    }
+
+    fn mono(&self) -> MonoTime {
+        self.inner.mono()
+    }
+
+    fn identity(&self) -> &ClockIdentity {
+        &self.identity
+    }
+
+    fn stamp(&self) -> Stamp {
+        let inner = self.inner.stamp();
+        Stamp { wall: self.description.shown(inner.wall), ..inner }
+    }
+
+    fn readings(&self) -> Readings {
+        let inner = self.inner.readings();
+        Readings { wall: self.description.shown(inner.wall), ..inner }
+    }
+
+    fn epoch(&self) -> u32 {
+        let seen = self.look();
+        seen.inner + seen.rehearsed
+    }
+
+    fn begin_epoch(&self) {
+        self.inner.begin_epoch();
+    }
+
+    fn last_step(&self) -> Option<Span> {
+        self.look().last_step
+    }
+
+    fn adopt(&self, system: WallTime) -> WallTime {
+        self.description.shown(system)
+    }
+
+    fn rehearsal(&self) -> Option<&RehearsalDescription> {
+        Some(&self.description)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::ManualClock;
+
+    fn step(at: i64, by: i64) -> RehearsedStep {
+        RehearsedStep { at: Span::from_seconds(at), by: Span::from_millis(by) }
+    }
+
+    fn described(steps: &[RehearsedStep]) -> RehearsalDescription {
+        RehearsalDescription {
+            offset: Span::from_millis(137),
+            drift_ppm: 50.0,
+            steps: steps.to_vec(),
+            since: WallTime::from_unix_nanos(1_000_000_000_000),
+        }
+    }
+
+    #[test]
+    fn what_is_shown_is_offset_drift_and_the_steps_so_far_in_any_order() {
+        let description = described(&[step(20, -500), step(10, 3000)]);
+        let error = |seconds| description.error_at(description.since + Span::from_seconds(seconds));
+        assert_eq!(error(0), Span::from_millis(137));
+        assert_eq!(error(2), Span::from_micros(137_100));
+        assert_eq!(error(-2), Span::from_micros(136_900));
+        assert_eq!(error(10), Span::from_micros(3_137_500));
+        assert_eq!(error(20), Span::from_micros(2_638_000));
+    }
+
+    #[test]
+    fn rehearsed_steps_and_those_of_the_clock_behind_are_counted_by_the_first_look() {
+        let description = described(&[step(20, -500), step(10, 3000)]);
+        let inner = Arc::new(ManualClock::new(description.since, ClockIdentity::new("boot", "system")));
+        let clock = RehearsedClock::new(inner.clone(), ClockIdentity::new("boot", "rehearsal"), description);
+        assert_eq!((clock.epoch(), clock.last_step()), (0, None));
+        inner.advance(Span::from_seconds(10));
+        assert_eq!((clock.epoch(), clock.last_step()), (1, Some(Span::from_seconds(3))));
+        inner.step_wall(Span::from_millis(-20));
+        assert_eq!((clock.epoch(), clock.last_step()), (2, Some(Span::from_millis(-20))));
+        clock.begin_epoch();
+        inner.advance(Span::from_seconds(11));
+        assert_eq!((clock.epoch(), clock.last_step()), (4, Some(Span::from_millis(-500))));
+        assert_eq!(clock.readings().wall, clock.wall());
+        assert_eq!(clock.adopt(inner.wall()), clock.wall());
+        assert_eq!(clock.mono(), inner.mono());
+        assert!(clock.rehearsal().is_some());
+    }
+
+    proptest! {
+        #[test]
+        fn what_was_shown_leads_back_to_the_truth(elapsed in 0i64..100_000_000_000, ppm in -500.0..500.0f64, by in 0i64..5000) {
+            let description = RehearsalDescription { drift_ppm: ppm, ..described(&[step(60, 10), step(30, by)]) };
+            let truth = description.since + Span::from_nanos(elapsed);
+            let back = description.true_of(description.shown(truth));
+            prop_assert!((back - truth).abs() <= Span::from_nanos(1), "{}", back - truth);
+        }
+
+        #[test]
+        fn of_two_times_that_showed_the_same_it_is_the_later(elapsed in 0i64..60_000_000_000) {
+            let description = described(&[step(30, -10)]);
+            let truth = description.since + Span::from_nanos(elapsed);
+            let back = description.true_of(description.shown(truth));
+            let twice = (truth + Span::from_millis(10) - description.since).nanos() >= 30_000_000_000 && elapsed < 30_000_000_000;
+            let later = truth + Span::from_millis(if twice { 10 } else { 0 });
+            prop_assert!((back - later).abs() <= Span::from_nanos(1000), "{}", back - later);
+        }
+    }
+
+    #[test]
+    fn a_time_that_was_left_out_is_that_of_the_step() {
+        let description = described(&[step(30, 10)]);
+        let begin = description.since + Span::from_seconds(30);
+        let left_out = description.shown(begin) - Span::from_millis(5);
+        assert_eq!(description.true_of(left_out), begin);
+    }
+
+    #[test]
+    fn the_words_name_all_that_is_wrong() {
+        let mut rehearsal = RehearsalDescription {
+            offset: Span::from_millis(-500),
+            drift_ppm: 0.0,
+            steps: Vec::new(),
+            since: WallTime::from_unix_nanos(0),
+        };
+        assert_eq!(rehearsal.to_string(), "offset -500 ms");
+        rehearsal.drift_ppm = 50.5;
+        rehearsal.steps.push(RehearsedStep { at: Span::from_millis(1500), by: Span::from_seconds(3) });
+        assert_eq!(rehearsal.to_string(), "offset -500 ms, drift +50.5 ppm, step +3000 ms after 1.5 s");
+    }
+}

@@ -1,0 +1,126 @@
+//! From what is known of the offset to the delay of a message.
+
+use super::sources::{Combined, Knowledge};
+use super::{Direction, Judged, Learned, Relation};
+use crate::{DelaySource, Interval, OneWayDelay, Span, Verdict, WallTime, Witnessed};
+
+/// Fewer exchanges than these are too few, however fresh.
+const LEAST_EXCHANGES: u64 = 3;
+
+impl Relation {
+    /// An exchange of data finished: learns from it, then judges its two delays. The delays of an exchange that was
+    /// refused are `stepped`.
+    pub fn judge(&mut self, witnessed: &Witnessed) -> Judged {
+        let exchange = &witnessed.exchange;
+        let company = self.presence.near(exchange.sent, exchange.returned, self.settings.fresh);
+        let learned = self.learn(witnessed);
+        // One estimate for both, or they would not add up to the round trip.
+        let down = self.knowledge(exchange.returned, None).combined().map(|known| known.estimate);
+        let up = down.map(|down| down + self.band.growth(exchange.returned, exchange.sent));
+        let delay = |direction, sent, received, guess| match learned {
+            Learned::Refused(_) => self.refused(direction, sent, received),
+            _ => self.delay_in_company(direction, sent, received, company, guess),
+        };
+        Judged {
+            learned,
+            up: delay(Direction::Up, exchange.sent, exchange.received, up),
+            down: delay(Direction::Down, exchange.replied, exchange.returned, down),
+        }
+    }
+
+    /// The delay of a message stamped `sent` by its sender's wall clock and `received` by its receiver's, by what is
+    /// known now.
+    pub fn delay(&self, direction: Direction, sent: WallTime, received: WallTime) -> OneWayDelay {
+        let at = edge_time(direction, sent, received);
+        self.delay_in_company(
+            direction,
+            sent,
+            received,
+            self.presence.near(at, at, self.settings.fresh),
+            None,
+        )
+    }
+
+    /// What each source says at a time; the band's estimate is `guess` where there is one.
+    pub(super) fn knowledge(&self, at: WallTime, guess: Option<Span>) -> Knowledge {
+        let in_band = self.band.interval(at).map(|interval| {
+            let estimate = match guess {
+                Some(guess) => guess.clamp(interval.lo, interval.hi),
+                None => self.band.estimate(at, interval),
+            };
+            (interval, estimate)
+        });
+        let same = self.same_clock.then_some((DelaySource::SameClock, Interval::exactly(Span::ZERO)));
+        Knowledge { in_band, other: same.or_else(|| self.discipline()) }
+    }
+
+    /// `ok`, `stale` or `inconsistent`. Exchanges must be fresh only where they narrow the interval, and must not be in
+    /// doubt.
+    pub(super) fn verdict_of(&self, combined: &Combined, fresh: bool) -> Verdict {
+        if !combined.agree {
+            return Verdict::Inconsistent;
+        }
+        let in_band = matches!(combined.source, DelaySource::InBand | DelaySource::Intersection);
+        if in_band && (!fresh || self.band.exchanges() < LEAST_EXCHANGES || self.suspects.any()) {
+            return Verdict::Stale;
+        }
+        Verdict::Ok
+    }
+
+    fn refused(&self, direction: Direction, sent: WallTime, received: WallTime) -> OneWayDelay {
+        let raw = received - sent;
+        match self.knowledge(edge_time(direction, sent, received), Some(Span::ZERO)).combined() {
+            None => OneWayDelay::unsynchronised(raw),
+            Some(_) => OneWayDelay::stepped(raw, DelaySource::None),
+        }
+    }
+
+    /// The offset is taken at the edge's own stamp, which is exact. Then the other stamp minus what the cloud showed at
+    /// that very moment is the delay by the cloud's clock. By the edge's it may differ by ρ × delay: the
+    /// interval holds both, and what any clock between the two would show.
+    fn delay_in_company(
+        &self,
+        direction: Direction,
+        sent: WallTime,
+        received: WallTime,
+        company: bool,
+        guess: Option<Span>,
+    ) -> OneWayDelay {
+        let raw = received - sent;
+        let Some(known) = self.knowledge(edge_time(direction, sent, received), guess).combined() else {
+            return OneWayDelay::unsynchronised(raw);
+        };
+        if known.source == DelaySource::SameClock && known.agree {
+            return OneWayDelay::same_clock(raw);
+        }
+        let (lo, hi, value) = match direction {
+            Direction::Up => (raw - known.bounds.hi, raw - known.bounds.lo, raw - known.estimate),
+            Direction::Down => (raw + known.bounds.lo, raw + known.bounds.hi, raw + known.estimate),
+        };
+        if hi.is_negative() {
+            return OneWayDelay::stepped(raw, known.source);
+        }
+        let rate = Span::from_nanos(self.drift.over(hi.nanos()));
+        let bounds = Interval { lo: (lo - rate).max(Span::ZERO), hi: hi + rate };
+        let value = value.clamp(lo.max(Span::ZERO), hi);
+        let verdict = match self.verdict_of(&known, company) {
+            Verdict::Ok if bounds.width() > Span::from_nanos(value.nanos() / 2) => Verdict::Limited,
+            verdict => verdict,
+        };
+        OneWayDelay {
+            raw,
+            value: known.agree.then_some(value),
+            bounds: Some(bounds),
+            source: known.source,
+            verdict,
+        }
+    }
+}
+
+/// The stamp of the two that is the edge's.
+fn edge_time(direction: Direction, sent: WallTime, received: WallTime) -> WallTime {
+    match direction {
+        Direction::Up => sent,
+        Direction::Down => received,
+    }
+}

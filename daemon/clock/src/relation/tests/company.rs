@@ -1,0 +1,108 @@
+use super::*;
+
+#[test]
+fn nothing_is_known_of_two_strangers() {
+    let relation = relation();
+    let delay = relation.delay(Direction::Up, at(1), at(2));
+    assert_eq!(delay, OneWayDelay::unsynchronised(Span::from_seconds(1)));
+    assert_eq!(relation.offset(at(1)), None);
+}
+
+#[test]
+fn one_clock_gives_exact_delays_and_sees_through_a_step() {
+    let mut relation = Relation::new(&identity("a"), &identity("a"), RelationSettings::default());
+    assert!(relation.is_same_clock());
+    let delay = relation.delay(Direction::Down, at(3), at(3) + Span::from_nanos(250));
+    assert_eq!((delay.value, delay.source), (Some(Span::from_nanos(250)), DelaySource::SameClock));
+    assert_eq!(delay.verdict, Verdict::Ok);
+
+    let world = World { edge: Wall::drifting(Span::ZERO, 40.0), cloud: Wall::drifting(Span::ZERO, 40.0) };
+    for trip in Path::VETH.trips(&world, (0.0, 5.0), 20.0, &mut Dice(2)) {
+        let judged = relation.judge(&trip.witnessed());
+        assert_eq!(judged.up, OneWayDelay::same_clock(judged.up.raw));
+        assert_eq!(judged.down, OneWayDelay::same_clock(judged.down.raw));
+    }
+    // Set forward while the message was under way: a delay that is positive and wrong.
+    let mut witnessed = world.trip(6e9, 30e3, 100e3, 30e3).witnessed();
+    witnessed.exchange.received = witnessed.exchange.received + Span::from_seconds(1);
+    witnessed.exchange.replied = witnessed.exchange.replied + Span::from_seconds(1);
+    witnessed.exchange.returned = witnessed.exchange.returned + Span::from_seconds(1);
+    witnessed.edge_elapsed = Some(Span::from_micros(160));
+    let judged = relation.judge(&witnessed);
+    assert_eq!((judged.up.verdict, judged.up.value), (Verdict::Stepped, None));
+}
+
+#[test]
+fn identities_that_claim_one_clock_are_checked() {
+    let mut relation = Relation::new(&identity("a"), &identity("a"), RelationSettings::default());
+    for trip in Path::VETH.trips(&world(Span::from_millis(5)), (0.0, 5.0), 20.0, &mut Dice(2)) {
+        let judged = relation.judge(&trip.witnessed());
+        assert_eq!((judged.up.verdict, judged.up.value), (Verdict::Inconsistent, None));
+    }
+    let offset = relation.offset(at(5)).expect("two sources");
+    assert_eq!(offset.verdict, Verdict::Inconsistent);
+    assert_eq!(offset.sources.len(), 2);
+    assert!(offset.bounds.contains(Span::ZERO) && offset.bounds.contains(Span::from_millis(5)));
+}
+
+#[test]
+fn a_sample_without_fresh_company_is_stale_however_good_its_bounds() {
+    let world = world(Span::from_millis(5));
+    let mut relation = acquainted(&world);
+    // An image of half a second, so that the interval is not what limits.
+    let big = |t: f64| world.trip(t, 500e6, 100e3, 30e3);
+    assert_eq!(relation.judge(&big(10.5e9).witnessed()).up.verdict, Verdict::Ok);
+    let late = big(40e9);
+    let judged = relation.judge(&late.witnessed());
+    assert_eq!((judged.learned, judged.up.verdict), (Learned::Taken, Verdict::Stale));
+    assert!(contains(&judged.up, late.up) && judged.up.value.is_some());
+    // Its own exchange is company for the next, and for itself when it is judged again.
+    assert_eq!(relation.judge(&big(42e9).witnessed()).up.verdict, Verdict::Ok);
+    let again = relation.delay(Direction::Up, late.exchange.sent, late.exchange.received);
+    assert_eq!(again.verdict, Verdict::Ok);
+    assert_eq!(relation.offset(at(41)).map(|offset| offset.verdict), Some(Verdict::Ok));
+    assert_eq!(relation.offset(at(90)).map(|offset| offset.verdict), Some(Verdict::Stale));
+}
+
+#[test]
+fn two_exchanges_are_too_few() {
+    let world = world(Span::ZERO);
+    let mut relation = relation();
+    let verdicts: Vec<Verdict> = (0..4)
+        .map(|n| relation.judge(&world.trip(f64::from(n) * 1e8, 500e6, 1e3, 30e3).witnessed()).up.verdict)
+        .collect();
+    assert_eq!(verdicts[..2], [Verdict::Stale, Verdict::Stale]);
+    assert!(!verdicts[2..].contains(&Verdict::Stale));
+}
+
+#[test]
+fn where_asymmetry_could_be_half_the_delay_the_verdict_is_limited() {
+    let world = world(Span::ZERO);
+    let mut relation = relation();
+    let path = Path { up: 40e6, down: 5e6, jitter: 2e6, loss: 0.02, burst: 5e6 };
+    let mut last = None;
+    for trip in path.trips(&world, (0.0, 20.0), 10.0, &mut Dice(8)) {
+        let judged = relation.judge(&trip.witnessed());
+        assert!(contains(&judged.up, trip.up) && contains(&judged.down, trip.down));
+        last = Some(judged);
+    }
+    let judged = last.expect("some came through");
+    assert_eq!((judged.up.verdict, judged.down.verdict), (Verdict::Limited, Verdict::Limited));
+    let width = judged.up.bounds.expect("bounds").width();
+    assert!(width < Span::from_millis(47), "{width}: the smallest round trip and little more");
+}
+
+#[test]
+fn an_offset_tells_its_age_and_how_many_it_rests_on() {
+    let world = world(Span::from_millis(-7));
+    let relation = acquainted(&world);
+    let offset = relation.offset(at(12)).expect("acquainted");
+    assert_eq!((offset.source, offset.verdict), (DelaySource::InBand, Verdict::Ok));
+    assert_eq!(offset.sources, [(DelaySource::InBand, offset.bounds)]);
+    assert_eq!(offset.exchanges, relation.counts().taken);
+    let age = offset.age.expect("acquainted");
+    assert!(Span::from_seconds(2) <= age && age < Span::from_seconds(3), "{age}");
+    assert!((offset.skew_ppm.expect("ten seconds") - 10.0).abs() < 5.0);
+    assert!(offset.bounds.contains(offset.estimate));
+    assert!(relation.memory_bytes() > 0);
+}

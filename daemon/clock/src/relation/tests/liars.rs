@@ -1,0 +1,140 @@
+use proptest::prelude::*;
+
+use super::*;
+use crate::Discipline;
+
+proptest! {
+    #[test]
+    fn arbitrary_stamps_of_a_peer_change_nothing(stamps: Vec<(i64, i64, u32)>) {
+        let world = world(Span::from_millis(3));
+        let mut relation = acquainted(&world);
+        let before = picture(&relation);
+        for (n, (received, replied, epoch)) in stamps.into_iter().enumerate() {
+            let mut lie = world.trip(10e9 + n as f64 * 1e7, 3e4, 1e5, 3e4).witnessed();
+            lie.exchange.received = WallTime::from_unix_nanos(received);
+            lie.exchange.replied = WallTime::from_unix_nanos(replied);
+            lie.cloud_epoch = Some(epoch).filter(|_| received > replied);
+            let judged = relation.judge(&lie);
+            prop_assert!(matches!(judged.learned, Learned::Refused(_)));
+            prop_assert_eq!((judged.up.value, judged.down.value), (None, None));
+        }
+        prop_assert_eq!(picture(&relation), before);
+        prop_assert_eq!(relation.window(), 0);
+    }
+
+    #[test]
+    fn no_stamps_can_panic(stamps: [i64; 4], uncertainty: i64, elapsed: Option<i64>, epoch: u32, at: i64) {
+        let [sent, received, replied, returned] = stamps.map(WallTime::from_unix_nanos);
+        let uncertainty = Span::from_nanos(uncertainty);
+        let witnessed = Witnessed {
+            exchange: Exchange { sent, received, replied, returned, uncertainty },
+            edge_elapsed: elapsed.map(Span::from_nanos),
+            cloud_elapsed: None,
+            edge_epoch: epoch,
+            cloud_epoch: Some(epoch),
+        };
+        let mut relation = relation();
+        for _ in 0..6 {
+            relation.judge(&witnessed);
+            relation.delay(Direction::Down, returned, sent);
+            relation.offset(WallTime::from_unix_nanos(at));
+        }
+    }
+
+    #[test]
+    fn isolated_outliers_change_nothing(seed: u64, by in prop_oneof![-1e9..-1e5f64, 1e5..1e9f64]) {
+        let world = world(Span::from_millis(3));
+        let (mut honest, mut lied_to) = (acquainted(&world), acquainted(&world));
+        let mut dice = Dice(seed);
+        let calm = Path { burst: 0.0, ..Path::VETH };
+        let mut lies = 0;
+        for (n, trip) in calm.trips(&world, (10.0, 30.0), 20.0, &mut dice).iter().enumerate() {
+            honest.learn(&trip.witnessed());
+            lied_to.learn(&trip.witnessed());
+            if n % 4 < 3 {
+                let mut lie = world.trip(trip.ended, 3e4, 1e5, 3e4).witnessed();
+                lie.exchange.received = lie.exchange.received + Span::from_nanos(by as i64);
+                lie.exchange.replied = lie.exchange.replied + Span::from_nanos(by as i64);
+                let learned = lied_to.learn(&lie);
+                prop_assert_eq!(learned, Learned::Refused(Refusal::Outlier));
+                lies += 1;
+            }
+        }
+        prop_assert_eq!(picture(&honest), picture(&lied_to));
+        prop_assert_eq!(lied_to.counts().outliers, lies);
+        prop_assert_eq!(lied_to.window(), 0);
+    }
+}
+
+#[test]
+fn one_lie_told_often_is_one_lie() {
+    let mut relation = acquainted(&world(Span::ZERO));
+    let before = picture(&relation);
+    let lie = world(Span::from_millis(40)).trip(10e9, 3e4, 1e5, 3e4).witnessed();
+    for _ in 0..20 {
+        assert_eq!(relation.learn(&lie), Learned::Refused(Refusal::Outlier));
+    }
+    assert_eq!(picture(&relation), before);
+}
+
+#[test]
+fn a_wide_exchange_that_fits_both_does_not_end_a_suspicion() {
+    let (before, after) = (world(Span::ZERO), world(Span::from_millis(1)));
+    let mut relation = acquainted(&before);
+    let learned: Vec<Learned> = (0..8)
+        .map(|n| {
+            let way = if n % 2 == 0 { 3e4 } else { 5e6 };
+            let judged = relation.judge(&after.trip(10e9 + f64::from(n) * 1e8, way, 1e5, way).witnessed());
+            let trusted = matches!(judged.up.verdict, Verdict::Ok | Verdict::Limited);
+            assert!(!trusted || n >= 6, "{n} {judged:?}");
+            judged.learned
+        })
+        .collect();
+    assert!(matches!(learned[6], Learned::Restarted(_)), "{learned:?}");
+}
+
+#[test]
+fn impossible_exchanges_are_told_apart() {
+    let world = world(Span::ZERO);
+    let mut relation = acquainted(&world);
+    let refused = |edit: fn(&mut Exchange)| {
+        let mut witnessed = world.trip(10e9, 3e4, 1e5, 3e4).witnessed();
+        edit(&mut witnessed.exchange);
+        (relation.learn(&witnessed), relation.counts().impossible)
+    };
+    let edits: [fn(&mut Exchange); 5] = [
+        |exchange| exchange.replied = exchange.received - Span::from_nanos(1),
+        |exchange| exchange.returned = exchange.sent - Span::from_nanos(1),
+        |exchange| exchange.replied = exchange.received + Span::from_seconds(1),
+        |exchange| exchange.uncertainty = Span::from_nanos(-1),
+        |exchange| exchange.received = WallTime::from_unix_nanos(i64::MIN),
+    ];
+    let impossible = Learned::Refused(Refusal::Impossible);
+    let told: Vec<_> = edits.into_iter().map(refused).collect();
+    assert_eq!(told, (1..=5).map(|count| (impossible, count)).collect::<Vec<_>>());
+}
+
+/// A peer that shifts both its stamps alike shows what another clock would show: two-way exchanges cannot tell. A claim
+/// about both hosts' clocks that does not come from the peer's stamps can.
+#[test]
+fn a_consistent_liar_is_exposed_by_the_time_daemons_alone() {
+    let (honest, lying) = (world(Span::ZERO), world(Span::from_millis(40)));
+    let mut relation = acquainted(&honest);
+    let trips = Path::VETH.trips(&lying, (10.0, 20.0), 20.0, &mut Dice(3));
+    for trip in &trips {
+        relation.learn(&trip.witnessed());
+    }
+    let offset = relation.offset(at(20)).expect("acquainted");
+    assert_eq!((offset.verdict, relation.window()), (Verdict::Ok, 1));
+    assert!((offset.estimate - Span::from_millis(40)).abs() < Span::from_millis(1));
+
+    let within = Interval { lo: Span::from_millis(-2), hi: Span::from_millis(2) };
+    let claim = Discipline { source: DelaySource::Chrony, error: within };
+    relation.set_disciplines(Some(claim), Some(claim));
+    let offset = relation.offset(at(20)).expect("acquainted");
+    assert_eq!(offset.verdict, Verdict::Inconsistent);
+    let trip = lying.trip(20e9, 3e4, 1e5, 3e4);
+    let judged = relation.judge(&trip.witnessed());
+    assert_eq!((judged.up.verdict, judged.up.value), (Verdict::Inconsistent, None));
+    assert!(contains(&judged.up, trip.up), "{:?}", judged.up);
+}

@@ -1,0 +1,43 @@
+mod company;
+mod liars;
+mod sources;
+mod stepped;
+mod truth;
+
+use super::*;
+use crate::simulation::{Dice, Path, Trip, Wall, World};
+use crate::{Exchange, OneWayDelay, Verdict, Witnessed};
+
+fn identity(clock: &str) -> ClockIdentity {
+    ClockIdentity::new("boot", clock)
+}
+
+fn relation() -> Relation {
+    Relation::new(&identity("edge"), &identity("cloud"), RelationSettings::default())
+}
+
+fn world(offset: Span) -> World {
+    World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(offset, 10.0) }
+}
+
+/// A relation that was fed ten seconds of probes, ten a second, ended at the 10th second.
+fn acquainted(world: &World) -> Relation {
+    let mut relation = relation();
+    for trip in Path::VETH.trips(world, (0.0, 10.0), 10.0, &mut Dice(1)) {
+        assert_eq!(relation.learn(&trip.witnessed()), Learned::Taken);
+    }
+    relation
+}
+
+fn at(seconds: i64) -> WallTime {
+    WallTime::from_unix_nanos(seconds * 1_000_000_000)
+}
+
+fn contains(delay: &OneWayDelay, truth: Span) -> bool {
+    delay.bounds.is_some_and(|bounds| bounds.contains(truth))
+}
+
+/// Everything that the band says around a time.
+fn picture(relation: &Relation) -> Vec<Option<Interval>> {
+    (0..40).map(|second| relation.band.interval(at(second))).collect()
+}

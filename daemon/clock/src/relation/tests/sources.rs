@@ -1,0 +1,77 @@
+use super::*;
+use crate::Discipline;
+
+fn millis(lo: i64, hi: i64) -> Interval {
+    Interval { lo: Span::from_millis(lo), hi: Span::from_millis(hi) }
+}
+
+fn claim(source: DelaySource, lo: i64, hi: i64) -> Option<Discipline> {
+    Some(Discipline { source, error: millis(lo, hi) })
+}
+
+/// A relation whose band is about [-15, 35] ms, estimate 10: 20 ms up, 30 down, the cloud 5 ms ahead.
+fn asymmetric() -> Relation {
+    let world =
+        World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::from_millis(5), 0.0) };
+    let path = Path { up: 30e6, down: 20e6, jitter: 1e3, loss: 0.0, burst: 0.0 };
+    let mut relation = relation();
+    for trip in path.trips(&world, (0.0, 10.0), 10.0, &mut Dice(1)) {
+        relation.learn(&trip.witnessed());
+    }
+    relation
+}
+
+/// Source, bounds in milliseconds, estimate, verdict.
+fn answer(relation: &Relation) -> (DelaySource, (i64, i64), i64, Verdict) {
+    let offset = relation.offset(at(10)).expect("known");
+    let millis = |span: Span| (span.seconds() * 1e3).round() as i64;
+    (
+        offset.source,
+        (millis(offset.bounds.lo), millis(offset.bounds.hi)),
+        millis(offset.estimate),
+        offset.verdict,
+    )
+}
+
+#[test]
+fn two_claims_alone_relate_two_clocks() {
+    let mut relation = relation();
+    relation.set_disciplines(claim(DelaySource::Kernel, -1, 2), claim(DelaySource::Kernel, 3, 8));
+    assert_eq!(answer(&relation), (DelaySource::Kernel, (1, 9), 5, Verdict::Ok));
+    assert_eq!(relation.offset(at(0)).and_then(|offset| offset.age), None);
+    let delay = relation.delay(Direction::Up, at(1), at(1) + Span::from_millis(105));
+    assert_eq!((delay.value, delay.verdict), (Some(Span::from_millis(100)), Verdict::Ok));
+    relation.set_disciplines(claim(DelaySource::Kernel, -1, 2), None);
+    assert_eq!(relation.offset(at(10)), None);
+}
+
+#[test]
+fn a_claim_within_the_band_a_band_within_the_claim_and_an_overlap_are_named_for_what_they_are() {
+    let mut relation = asymmetric();
+    assert_eq!(answer(&relation), (DelaySource::InBand, (-15, 35), 10, Verdict::Ok));
+    let exact = claim(DelaySource::Kernel, 0, 0);
+    relation.set_disciplines(exact, claim(DelaySource::Chrony, 4, 6));
+    // The estimate is off by an asymmetry that the claim reveals.
+    assert_eq!(answer(&relation), (DelaySource::Chrony, (4, 6), 5, Verdict::Ok));
+    relation.set_disciplines(exact, claim(DelaySource::Kernel, 4, 12));
+    assert_eq!(answer(&relation), (DelaySource::Kernel, (4, 12), 10, Verdict::Ok));
+    relation.set_disciplines(exact, claim(DelaySource::Kernel, -100, 100));
+    assert_eq!(answer(&relation), (DelaySource::InBand, (-15, 35), 10, Verdict::Ok));
+    relation.set_disciplines(exact, claim(DelaySource::Kernel, 0, 100));
+    assert_eq!(answer(&relation), (DelaySource::Intersection, (0, 35), 10, Verdict::Ok));
+    relation.set_disciplines(exact, claim(DelaySource::Kernel, 50, 100));
+    assert_eq!(answer(&relation), (DelaySource::Intersection, (-15, 100), 10, Verdict::Inconsistent));
+    let sources = relation.offset(at(10)).expect("known").sources;
+    assert_eq!(sources[1], (DelaySource::Kernel, millis(50, 100)));
+    assert_eq!(sources[0].0, DelaySource::InBand);
+}
+
+#[test]
+fn a_claim_needs_no_fresh_exchanges_and_ends_with_a_step_of_its_clock() {
+    let mut relation = asymmetric();
+    relation.set_disciplines(claim(DelaySource::Kernel, 0, 0), claim(DelaySource::Chrony, 4, 6));
+    let late = relation.offset(at(300)).expect("known");
+    assert_eq!((late.source, late.verdict), (DelaySource::Chrony, Verdict::Ok));
+    relation.edge_stepped(1);
+    assert_eq!(relation.offset(at(300)), None);
+}

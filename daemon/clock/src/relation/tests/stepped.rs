@@ -1,0 +1,162 @@
+use super::*;
+
+const STEP: Span = Span::from_seconds(3);
+
+/// The two clocks of a world whose edge is set by so much at the 10th second.
+fn edge_set(by: Span) -> World {
+    let world = world(Span::from_millis(5));
+    World { edge: world.edge.stepped(Span::from_seconds(10), by), ..world }
+}
+
+fn cloud_set(by: Span) -> World {
+    let world = world(Span::from_millis(5));
+    World { cloud: world.cloud.stepped(Span::from_seconds(10), by), ..world }
+}
+
+/// Ten a second until the 10th, then a hundred a second for three seconds; `witness` adds what the hosts know.
+/// Returns how long it took until the first `ok` or `limited` after the step, and the relation. All of those contain
+/// the truth.
+fn survive(world: &World, witness: impl Fn(&Trip) -> Witnessed) -> (Option<f64>, Relation) {
+    let mut relation = acquainted(world);
+    let mut recovered = None;
+    for trip in Path::VETH.trips(world, (9.95, 13.0), 100.0, &mut Dice(6)) {
+        let Judged { up, down, .. } = relation.judge(&witness(&trip));
+        for (delay, truth) in [(up, trip.up), (down, trip.down)] {
+            let trusted = matches!(delay.verdict, Verdict::Ok | Verdict::Limited);
+            assert!(!trusted || contains(&delay, truth), "{delay:?} {truth} at {}", trip.ended);
+            if trusted && trip.ended > 10.002e9 {
+                recovered.get_or_insert(trip.ended / 1e9 - 10.0);
+            }
+        }
+    }
+    (recovered, relation)
+}
+
+#[test]
+fn steps_that_a_host_noticed_begin_a_new_window_at_once() {
+    for by in [STEP, -STEP, Span::from_micros(30), Span::from_micros(-30), Span::from_seconds(-3600)] {
+        for world in [edge_set(by), cloud_set(by)] {
+            let edge = world.edge.error(20e9) != 0.0;
+            let (recovered, relation) = survive(&world, |trip| {
+                let epoch = u32::from(trip.ended >= 10e9);
+                let (edge_epoch, cloud_epoch) = if edge { (epoch, 0) } else { (0, epoch) };
+                Witnessed { edge_epoch, cloud_epoch: Some(cloud_epoch), ..trip.witnessed() }
+            });
+            assert_eq!(relation.window(), 1);
+            // A clock that was set back needs as long to be sure which exchanges began after it.
+            let limit =
+                if by.abs() < Span::from_seconds(10) { by.abs().seconds().min(2.0) + 0.3 } else { 0.3 };
+            assert!(recovered.is_some_and(|after| after < limit), "{by} {recovered:?}");
+        }
+    }
+}
+
+#[test]
+fn a_step_that_nobody_noticed_is_believed_after_several_agree() {
+    for by in [STEP, -STEP, Span::from_millis(20), Span::from_millis(-20)] {
+        for world in [edge_set(by), cloud_set(by)] {
+            let (recovered, relation) = survive(&world, Trip::witnessed);
+            assert_eq!(relation.counts().restarts, 1, "{by}");
+            assert!(recovered.is_some_and(|after| after < 0.5), "{by} {recovered:?}");
+        }
+    }
+}
+
+#[test]
+fn the_size_of_a_step_is_told_with_the_first_exchange_after_it() {
+    let world = cloud_set(STEP);
+    let mut relation = acquainted(&world);
+    let mut told = Vec::new();
+    for trip in Path::VETH.trips(&world, (10.0, 11.0), 50.0, &mut Dice(6)) {
+        if let Learned::Restarted(by) =
+            relation.learn(&Witnessed { cloud_epoch: Some(1), ..trip.witnessed() })
+        {
+            told.push(by.expect("it was known before"));
+        }
+    }
+    assert_eq!(told.len(), 1);
+    assert!((told[0] - STEP).abs() < Span::from_millis(1), "{}", told[0]);
+}
+
+#[test]
+fn an_exchange_that_spans_a_step_is_refused_by_the_monotonic_clocks() {
+    let world = world(Span::ZERO);
+    let mut relation = acquainted(&world);
+    let before = picture(&relation);
+    let trip = world.trip(10e9, 300e3, 1e6, 300e3);
+    let spans = |edge: i64, cloud: i64| Witnessed {
+        edge_elapsed: Some(trip.exchange.returned - trip.exchange.sent + Span::from_micros(edge)),
+        cloud_elapsed: Some(trip.exchange.replied - trip.exchange.received + Span::from_micros(cloud)),
+        ..trip.witnessed()
+    };
+    for (edge, cloud) in [(60, 0), (-60, 0), (0, 60), (0, -60)] {
+        assert_eq!(relation.learn(&spans(edge, cloud)), Learned::Refused(Refusal::Stepped));
+    }
+    assert_eq!(picture(&relation), before);
+    assert_eq!(relation.learn(&spans(40, -40)), Learned::Taken);
+    // A rehearsed clock of 100 ppm through ten seconds.
+    let long = world.trip(11e9, 300e3, 10e9, 300e3);
+    let elapsed = long.exchange.returned - long.exchange.sent;
+    let drifted = Witnessed { edge_elapsed: Some(elapsed + Span::from_millis(1)), ..long.witnessed() };
+    assert_eq!(relation.learn(&drifted), Learned::Taken);
+}
+
+/// Too small a step for the monotonic clocks' comparison, and the counter was read after the stamps.
+#[test]
+fn an_exchange_begun_before_the_news_of_a_step_is_refused_though_it_tells_the_new_epoch() {
+    for (world, edge_epoch, cloud_epoch) in
+        [(cloud_set(Span::from_micros(-40)), 0, 1), (edge_set(Span::from_micros(40)), 1, 0)]
+    {
+        let told = |trip: Trip| Witnessed { edge_epoch, cloud_epoch: Some(cloud_epoch), ..trip.witnessed() };
+        let mut relation = acquainted(&world);
+        let (news, spanning) = (world.trip(10.0001e9, 3e4, 1e4, 3e4), world.trip(9.9999e9, 5e4, 2e5, 5e4));
+        assert_eq!(relation.learn(&told(news)), Learned::Refused(Refusal::Stepped));
+        assert_eq!(relation.window(), 1);
+        assert_eq!(relation.learn(&told(spanning)), Learned::Refused(Refusal::Stepped));
+        let after = relation.learn(&told(world.trip(10.001e9, 3e4, 1e4, 3e4)));
+        assert!(matches!(after, Learned::Restarted(Some(_))), "{after:?}");
+    }
+}
+
+#[test]
+fn a_notice_ends_the_window_once() {
+    let world = cloud_set(STEP);
+    let mut relation = acquainted(&world);
+    relation.cloud_stepped(1);
+    assert_eq!((relation.window(), relation.offset(at(10))), (1, None));
+    relation.cloud_stepped(1);
+    let told = |trip: Trip| Witnessed { cloud_epoch: Some(1), ..trip.witnessed() };
+    // The first may have been under way during the step.
+    let first = relation.judge(&told(world.trip(10.1e9, 3e4, 1e5, 3e4)));
+    assert_eq!(first.learned, Learned::Refused(Refusal::Stepped));
+    assert_eq!(first.up.verdict, Verdict::Unsynchronised);
+    let second = relation.learn(&told(world.trip(10.2e9, 3e4, 1e5, 3e4)));
+    assert!(matches!(second, Learned::Restarted(Some(_))), "{second:?}");
+    relation.cloud_stepped(1);
+    relation.edge_stepped(0);
+    assert_eq!((relation.window(), relation.counts().restarts), (1, 1));
+    relation.edge_stepped(1);
+    assert_eq!(relation.window(), 2);
+}
+
+#[test]
+fn overtaken_answers_of_an_older_epoch_are_refused_and_a_counter_begun_anew_is_believed() {
+    let world = world(Span::ZERO);
+    let mut relation = relation();
+    let told = |n: u32, epoch| Witnessed {
+        cloud_epoch: Some(epoch),
+        ..world.trip(f64::from(n) * 1e8, 3e4, 1e5, 3e4).witnessed()
+    };
+    (0..5).for_each(|n| assert_eq!(relation.learn(&told(n, 7)), Learned::Taken));
+    for n in 5..20 {
+        let epoch = if n % 3 == 0 { 7 } else { 6 };
+        let learned = relation.learn(&told(n, epoch));
+        assert_eq!(learned == Learned::Taken, epoch == 7);
+    }
+    assert_eq!(relation.window(), 0);
+    // The cloud's agent was started again.
+    let learned: Vec<Learned> = (20..40).map(|n| relation.learn(&told(n, 0))).collect();
+    assert_eq!(relation.window(), 1);
+    assert!(matches!(learned[8], Learned::Restarted(_)), "{learned:?}");
+    assert!(learned[9..].iter().all(|learned| *learned == Learned::Taken));
+}

@@ -1,0 +1,115 @@
+use proptest::prelude::*;
+
+use super::*;
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(16))]
+
+    #[test]
+    fn a_judged_delay_always_contains_the_truth(
+        seed: u64,
+        up in 1e3..100e6f64,
+        down in 1e3..100e6f64,
+        jitter in 1e2..5e6f64,
+        edge_is_off: bool,
+        ppm in prop_oneof![Just(-50.0), Just(50.0), -50.0..50.0f64],
+    ) {
+        let mut dice = Dice(seed);
+        let off = Wall::drifting(Span::from_seconds(1), ppm);
+        let still = Wall::drifting(Span::ZERO, 0.0);
+        let world =
+            if edge_is_off { World { edge: off, cloud: still } } else { World { edge: still, cloud: off } };
+        let path = Path { up, down, jitter, loss: 0.02, burst: 20.0 * jitter };
+        let trips = path.trips(&world, (0.0, 60.0), 30.0, &mut dice);
+        let mut relation = relation();
+        for (count, trip) in trips.iter().enumerate() {
+            let judged = relation.judge(&trip.witnessed());
+            prop_assert_eq!(judged.learned, Learned::Taken);
+            for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
+                prop_assert!(contains(&delay, truth), "{delay:?} {truth}");
+                let (value, bounds) = (delay.value.expect("has a value"), delay.bounds.expect("has bounds"));
+                prop_assert!(bounds.contains(value) && !bounds.lo.is_negative());
+                prop_assert_eq!(delay.source, DelaySource::InBand);
+                prop_assert_eq!(delay.verdict == Verdict::Stale, count < 2);
+            }
+            // The exchange itself bounds both, as long as the clocks do not run apart while the cloud serves.
+            let sum = judged.up.value.expect("a value") + judged.down.value.expect("a value");
+            let slack = Span::from_nanos(relation.drift.over((trip.exchange.returned - trip.exchange.sent).nanos()) + 10);
+            prop_assert!((sum - (trip.up + trip.down)).abs() <= slack + slack + slack, "{sum} {} {}", trip.up, trip.down);
+        }
+    }
+
+    #[test]
+    fn judging_again_with_later_exchanges_never_widens(seed: u64, wander in 0.0..50.0f64) {
+        let mut dice = Dice(seed);
+        let length = Span::from_seconds(60);
+        let world = World {
+            edge: Wall::drifting(Span::ZERO, 0.0),
+            cloud: Wall::wandering(Span::from_seconds(-1), wander, length, &mut dice),
+        };
+        let trips = Path { loss: 0.3, ..Path::VETH }.trips(&world, (0.0, 60.0), 2.0, &mut dice);
+        let mut relation = relation();
+        let first: Vec<Judged> = trips.iter().map(|trip| relation.judge(&trip.witnessed())).collect();
+        for (trip, first) in trips.iter().zip(first) {
+            let exchange = &trip.exchange;
+            let up = relation.delay(Direction::Up, exchange.sent, exchange.received);
+            let down = relation.delay(Direction::Down, exchange.replied, exchange.returned);
+            for (late, early, truth) in [(up, first.up, trip.up), (down, first.down, trip.down)] {
+                let (narrow, wide) = (late.bounds.expect("bounds"), early.bounds.expect("bounds"));
+                prop_assert!(wide.lo <= narrow.lo && narrow.hi <= wide.hi, "{wide:?} {narrow:?}");
+                prop_assert!(contains(&late, truth));
+                prop_assert_eq!(late.raw, early.raw);
+            }
+        }
+    }
+}
+
+/// What is promised: clocks a second apart and drifting at the very limit, two namespaces on one machine.
+#[test]
+fn of_ten_thousand_iterations_all_contain_the_truth_and_the_mean_error_is_small() {
+    for (edge, cloud) in [((1, 50.0), (0, 0.0)), ((-1, -50.0), (0, 0.0)), ((0, 0.0), (1, -50.0))] {
+        let wall = |(seconds, ppm)| Wall::drifting(Span::from_seconds(seconds), ppm);
+        let world = World { edge: wall(edge), cloud: wall(cloud) };
+        let mut relation = relation();
+        let (mut errors, mut judged) = (0.0, 0u32);
+        for trip in Path::VETH.trips(&world, (0.0, 100.0), 100.0, &mut Dice(4)) {
+            let Judged { up, down, .. } = relation.judge(&trip.witnessed());
+            for (delay, truth) in [(up, trip.up), (down, trip.down)] {
+                assert!(contains(&delay, truth), "{delay:?} {truth}");
+                errors += (delay.value.expect("a value") - truth).abs().seconds() * 1e6;
+                judged += 1;
+            }
+        }
+        let mean = errors / f64::from(judged);
+        assert!(judged > 19_000 && mean < 15.0, "{judged} {mean} µs");
+    }
+}
+
+#[test]
+fn long_service_at_the_limit_of_drift_is_no_impossible_exchange() {
+    let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::ZERO, 50.0) };
+    let mut relation = relation();
+    for n in 0..20 {
+        // Ten seconds on the cloud: its clock runs 500 µs ahead meanwhile, the way there and back takes 60.
+        let trip = world.trip(f64::from(n) * 1e9, 30e3, 10e9, 30e3);
+        let judged = relation.judge(&trip.witnessed());
+        assert_eq!(judged.learned, Learned::Taken);
+        assert!(contains(&judged.up, trip.up) && contains(&judged.down, trip.down));
+    }
+}
+
+/// A second of a drifting clock is not a second; the interval holds the delay by either clock.
+#[test]
+fn a_long_delay_is_inside_by_whichever_clock_it_is_counted() {
+    let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::ZERO, 50.0) };
+    let mut relation = relation();
+    for n in 0..100 {
+        relation.learn(&world.trip(f64::from(n) * 1e8, 500.0, 1e3, 500.0).witnessed());
+    }
+    let judged = relation.judge(&world.trip(10e9, 5e9, 1e3, 5e9).witnessed());
+    for delay in [judged.up, judged.down] {
+        let bounds = delay.bounds.expect("acquainted");
+        assert!(bounds.contains(Span::from_seconds(5)), "{delay:?}");
+        assert!(bounds.contains(Span::from_seconds(5) + Span::from_micros(250)), "{delay:?}");
+    }
+}

@@ -1,0 +1,188 @@
+//! Two hosts' clocks and a network between them, for tests: what is true is known.
+
+use crate::{Exchange, Span, WallTime, Witnessed};
+
+/// A small generator of numbers that look random (SplitMix64); the same for the same seed.
+#[derive(Clone, Debug)]
+pub(crate) struct Dice(pub(crate) u64);
+
+impl Dice {
+    pub(crate) fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        z ^ (z >> 31)
+    }
+
+    /// From 0 up to 1.
+    pub(crate) fn unit(&mut self) -> f64 {
+        (self.bits() >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    pub(crate) fn between(&mut self, lo: f64, hi: f64) -> f64 {
+        lo + (hi - lo) * self.unit()
+    }
+
+    pub(crate) fn exponential(&mut self, mean: f64) -> f64 {
+        -mean * (1.0 - self.unit()).ln()
+    }
+
+    pub(crate) fn chance(&mut self, probability: f64) -> bool {
+        self.unit() < probability
+    }
+}
+
+/// A wall clock: how far it is ahead of true time, as straight pieces. All in nanoseconds of true time since a start.
+#[derive(Clone, Debug)]
+pub(crate) struct Wall {
+    /// When the piece begins, the error then, and its drift; by time.
+    pieces: Vec<(f64, f64, f64)>,
+}
+
+impl Wall {
+    /// Ahead by so much at the start, running fast by so many parts per million.
+    pub(crate) fn drifting(offset: Span, ppm: f64) -> Self {
+        Self { pieces: vec![(0.0, offset.nanos() as f64, ppm * 1e-6)] }
+    }
+
+    /// A drift that wanders within ± `ppm`, changing every few seconds, for so long.
+    pub(crate) fn wandering(offset: Span, ppm: f64, length: Span, dice: &mut Dice) -> Self {
+        let mut wall = Self::drifting(offset, 0.0);
+        let (mut t, mut drift) = (0.0, dice.between(-ppm, ppm));
+        while t < length.nanos() as f64 {
+            wall.pieces.push((t, wall.error(t), drift * 1e-6));
+            t += dice.exponential(4e9) + 1.0;
+            drift = (drift + dice.between(-0.4, 0.4) * ppm).clamp(-ppm, ppm);
+        }
+        wall
+    }
+
+    /// Set forward or back from a time on.
+    pub(crate) fn stepped(mut self, at: Span, by: Span) -> Self {
+        let t = at.nanos() as f64;
+        let (error, drift) = (self.error(t), self.piece(t).2);
+        let later = self.pieces.partition_point(|piece| piece.0 < t);
+        self.pieces.insert(later, (t, error, drift));
+        self.pieces[later..].iter_mut().for_each(|piece| piece.1 += by.nanos() as f64);
+        self
+    }
+
+    fn piece(&self, t: f64) -> (f64, f64, f64) {
+        self.pieces[self.pieces.partition_point(|piece| piece.0 <= t).max(1) - 1]
+    }
+
+    pub(crate) fn error(&self, t: f64) -> f64 {
+        let (begin, error, drift) = self.piece(t);
+        error + (t - begin) * drift
+    }
+
+    /// What it shows, cut to whole nanoseconds as clocks do.
+    pub(crate) fn shows(&self, t: f64) -> WallTime {
+        WallTime::from_unix_nanos((t + self.error(t)).floor() as i64)
+    }
+
+    /// The true time at which it showed something, where it was not stepped.
+    fn time(&self, shown: WallTime) -> f64 {
+        let mut t = shown.unix_nanos() as f64;
+        for _ in 0..8 {
+            t = shown.unix_nanos() as f64 - self.error(t);
+        }
+        t
+    }
+}
+
+/// Two hosts.
+#[derive(Clone, Debug)]
+pub(crate) struct World {
+    pub(crate) edge: Wall,
+    pub(crate) cloud: Wall,
+}
+
+/// What happened to a message and its answer: true times and stamps.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Trip {
+    pub(crate) up: Span,
+    pub(crate) down: Span,
+    /// When it ended, nanoseconds of true time.
+    pub(crate) ended: f64,
+    pub(crate) exchange: Exchange,
+}
+
+impl Trip {
+    pub(crate) fn witnessed(&self) -> Witnessed {
+        Witnessed {
+            exchange: self.exchange,
+            edge_elapsed: None,
+            cloud_elapsed: None,
+            edge_epoch: 0,
+            cloud_epoch: Some(0),
+        }
+    }
+}
+
+impl World {
+    /// Sent at a true time (nanoseconds), so long under way and served.
+    pub(crate) fn trip(&self, t: f64, up: f64, served: f64, down: f64) -> Trip {
+        let (there, back) = (t + up, t + up + served);
+        Trip {
+            up: Span::from_nanos(up as i64),
+            down: Span::from_nanos(down as i64),
+            ended: back + down,
+            exchange: Exchange {
+                sent: self.edge.shows(t),
+                received: self.cloud.shows(there),
+                replied: self.cloud.shows(back),
+                returned: self.edge.shows(back + down),
+                uncertainty: Span::ZERO,
+            },
+        }
+    }
+
+    /// The true offset, nanoseconds, when the edge showed `at`.
+    pub(crate) fn offset(&self, at: WallTime) -> f64 {
+        let t = self.edge.time(at);
+        self.cloud.error(t) - self.edge.error(t)
+    }
+}
+
+/// A path between two hosts, times in nanoseconds.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Path {
+    pub(crate) up: f64,
+    pub(crate) down: f64,
+    /// Mean of what a message waits on the way, mostly.
+    pub(crate) jitter: f64,
+    pub(crate) loss: f64,
+    /// Now and then there is so much more to wait for a while.
+    pub(crate) burst: f64,
+}
+
+impl Path {
+    /// Two namespaces on one machine.
+    pub(crate) const VETH: Self = Self { up: 30e3, down: 30e3, jitter: 15e3, loss: 0.0, burst: 500e3 };
+
+    /// Trips between two true times (seconds), so many per second; in the order in which they end.
+    pub(crate) fn trips(&self, world: &World, seconds: (f64, f64), hz: f64, dice: &mut Dice) -> Vec<Trip> {
+        let mut trips = Vec::new();
+        let (mut t, mut congested) = (seconds.0 * 1e9, false);
+        while t < seconds.1 * 1e9 {
+            if dice.chance(if congested { 0.05 } else { 0.005 }) {
+                congested = !congested;
+            }
+            let mut waits = || {
+                let burst = if congested { dice.between(0.0, self.burst) } else { 0.0 };
+                let tail = if dice.chance(0.03) { dice.exponential(20.0 * self.jitter) } else { 0.0 };
+                burst + tail + dice.exponential(self.jitter)
+            };
+            let (up, down) = (self.up + waits(), self.down + waits());
+            let served = dice.exponential(100e3);
+            if !dice.chance(self.loss) {
+                trips.push(world.trip(t, up.floor(), served.floor(), down.floor()));
+            }
+            t += (1e9 / hz * dice.between(0.5, 1.5)).floor();
+        }
+        trips.sort_by(|a, b| a.ended.total_cmp(&b.ended));
+        trips
+    }
+}

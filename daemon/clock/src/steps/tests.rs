@@ -1,0 +1,112 @@
+use super::*;
+
+fn micros(micros: i64) -> Span {
+    Span::from_micros(micros)
+}
+
+/// The clocks after so long awake, set ahead by so much.
+fn readings(awake: Span, ahead: Span) -> Readings {
+    let mono = MonoTime::default() + awake;
+    Readings { wall: WallTime::from_unix_nanos(1 << 60) + awake + ahead, mono, raw: mono, boot: mono }
+}
+
+fn pair(at: Span, ahead: Span, gap: Span) -> Paired {
+    let before = MonoTime::default() + at;
+    let between = WallTime::from_unix_nanos(1 << 60) + at + ahead + Span::from_nanos(gap.nanos() / 2);
+    Paired { before, between, after: before + gap }
+}
+
+#[test]
+fn only_what_reading_cannot_explain_is_a_step() {
+    let calm = Span::from_nanos(80);
+    let mut steps = StepWatch::default();
+    let look =
+        |steps: &mut StepWatch, millis, ahead, gap| steps.look(pair(Span::from_millis(millis), ahead, gap));
+    assert_eq!(look(&mut steps, 0, Span::ZERO, calm), 0);
+    assert_eq!(look(&mut steps, 10, micros(15), calm), 0);
+    assert_eq!(look(&mut steps, 20, micros(50), calm), 1);
+    assert_eq!(steps.last_step(), Some(micros(35)));
+    assert_eq!(look(&mut steps, 30, micros(-3_000_000), calm), 2);
+    // Interrupted while reading: 40 µs apart, but nobody can tell.
+    assert_eq!(look(&mut steps, 40, micros(-3_000_040), micros(200)), 2);
+    // A calm look sees the same difference, and now it is certain.
+    assert_eq!(look(&mut steps, 41, micros(-3_000_040), calm), 3);
+    steps.begin();
+    assert_eq!(look(&mut steps, 42, micros(-3_000_040), calm), 4);
+}
+
+#[test]
+fn a_rate_of_its_own_is_no_step() {
+    let mut steps = StepWatch::default();
+    for second in 0..600 {
+        let at = Span::from_seconds(second);
+        assert_eq!(steps.look(pair(at, Span::from_micros(100 * second), Span::from_nanos(80))), 0);
+    }
+}
+
+#[test]
+fn an_interrupted_read_is_repeated() {
+    let mut reads = [50, 40, 2, 1].into_iter().map(|gap| pair(Span::ZERO, Span::ZERO, micros(gap)));
+    let best = Paired::read(|| reads.next().expect("not so often"));
+    assert_eq!(best.after - best.before, micros(2));
+    let mut never =
+        [50, 40, 30, 90, 20, 60, 70, 80, 10].into_iter().map(|gap| pair(Span::ZERO, Span::ZERO, micros(gap)));
+    let best = Paired::read(|| never.next().expect("not so often"));
+    assert_eq!(best.after - best.before, micros(20));
+}
+
+/// What a watch says, looking ten times a second.
+fn watched(ppm: f64, seconds: i64, ahead: impl Fn(i64) -> Readings) -> Vec<Disturbance> {
+    let mut watch = Watch::new(ppm);
+    (0..seconds * 10).flat_map(|tenth| watch.look(ahead(tenth))).collect()
+}
+
+#[test]
+fn a_calm_clock_disturbs_nobody_and_a_step_is_told_once() {
+    let tenths = |tenth: i64| Span::from_millis(100 * tenth);
+    assert_eq!(watched(50.0, 60, |tenth| readings(tenths(tenth), Span::ZERO)), []);
+    for by in [micros(150), micros(-150), Span::from_seconds(3), Span::from_seconds(-3600)] {
+        let stepped = |tenth| readings(tenths(tenth), if tenth < 111 { Span::ZERO } else { by });
+        assert_eq!(watched(50.0, 60, stepped), [Disturbance::Step(by)]);
+    }
+}
+
+#[test]
+fn a_slew_is_a_change_of_rate_not_a_crystals_own() {
+    // 60 ppm for ever: made up for by a time daemon.
+    let rate =
+        |tenth: i64, ppm: i64| readings(Span::from_millis(100 * tenth), Span::from_nanos(tenth * 100 * ppm));
+    assert_eq!(watched(50.0, 60, |tenth| rate(tenth, 60)), []);
+    // Then 300 ppm more for twenty seconds, slewed along with the monotonic clock so that no step shows.
+    let slewed = |tenth: i64| {
+        let slew = Span::from_nanos((tenth - 300).clamp(0, 200) * 100 * 300);
+        let plain = rate(tenth, 60);
+        Readings { wall: plain.wall + slew, mono: plain.mono + slew, boot: plain.boot + slew, ..plain }
+    };
+    let told = watched(50.0, 90, slewed);
+    assert!((3..=5).contains(&told.len()), "{told:?}");
+    assert!(
+        told.iter().all(|odd| matches!(odd, Disturbance::Slew(ppm) if (100.0..320.0).contains(ppm))),
+        "{told:?}"
+    );
+    // No crystal is off by so much: told from the start, again and again.
+    assert!(watched(50.0, 60, |tenth| rate(tenth, 400)).len() >= 9);
+    assert_eq!(watched(150.0, 60, |tenth| rate(tenth, 100)), []);
+}
+
+#[test]
+fn a_sleep_is_told_and_is_no_step_when_the_wall_clock_kept_up() {
+    let slept = Span::from_seconds(7);
+    let nap = |late: Span| {
+        move |tenth: i64| {
+            let plain = readings(Span::from_millis(100 * tenth), Span::ZERO);
+            if tenth < 50 {
+                return plain;
+            }
+            Readings { wall: plain.wall + slept + late, boot: plain.boot + slept, ..plain }
+        }
+    };
+    assert_eq!(watched(50.0, 20, nap(Span::ZERO)), [Disturbance::Suspend(slept)]);
+    let late = Span::from_millis(-400);
+    assert_eq!(watched(50.0, 20, nap(late)), [Disturbance::Suspend(slept), Disturbance::Step(late)]);
+}
