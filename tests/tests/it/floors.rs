@@ -7,7 +7,14 @@ use cargo_metadata::{DependencyKind, MetadataCommand};
 const FLOORS: [&[&str]; 6] = [
     &["peernet-clock", "peernet-sample", "peernet-statistics"],
     &["peernet-logger", "peernet-imaging"],
-    &["peernet-sensors", "peernet-networks", "peernet-inference", "peernet-actuators"],
+    &[
+        "peernet-sensors",
+        "peernet-networks",
+        "peernet-probes",
+        "peernet-inference",
+        "peernet-actuators",
+        "peernet-report",
+    ],
     &["peernet-aggregator", "peernet-agent"],
     &["peernet-web"],
     &["peernetd"],

@@ -1,0 +1,135 @@
+//! What probing costs: a hundred links at ten probes a second over loopback, all probers in one thread and their
+//! reflector in another, with the kernel's packet stamps and with the program's. Prints a table.
+#![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+use peernet_clock::{ClockIdentity, SharedClock, Span, SystemClock};
+use peernet_probes::{Key, ProbeResult, Prober, ProberConfig, Reflector, ReflectorConfig, Stamps};
+use rustix::time::{ClockId, clock_gettime};
+use tokio::runtime::{Builder, Runtime};
+use tokio::sync::{mpsc, oneshot, watch};
+use tokio_util::sync::CancellationToken;
+
+const LINKS: usize = 100;
+const RATE_HZ: f64 = 10.0;
+const WARM_UP: Duration = Duration::from_secs(1);
+const MEASURED: Duration = Duration::from_secs(8);
+
+fn main() {
+    println!("{LINKS} links, {RATE_HZ} probes a second each, {} s over loopback", MEASURED.as_secs());
+    println!(
+        "{:<26}{:>10}{:>10}{:>8}{:>12}{:>14}{:>20}",
+        "", "answers/s", "refined/s", "lost", "probers", "reflector", "round trip, median"
+    );
+    for (name, stamps, key) in [
+        ("kernel's stamps", Stamps::Kernel, false),
+        ("program's stamps", Stamps::Program, false),
+        ("kernel's, authenticated", Stamps::Kernel, true),
+    ] {
+        let key = key.then(|| Key::from_bytes(&[7; 32]));
+        let (address, stop, reflecting) = start_reflector(stamps, key.clone());
+        let mut probed =
+            thread::spawn(move || probe(address, stamps, key.as_ref())).join().expect("no panic");
+        stop.cancel();
+        let reflector = reflecting.join().expect("no panic");
+        probed.round_trips.sort();
+        let seconds = MEASURED.as_secs_f64();
+        println!(
+            "{name:<26}{:>10.0}{:>10.0}{:>8}{:>9.2} % {:>11.2} % {:>17.1} µs",
+            probed.round_trips.len() as f64 / seconds,
+            probed.refined as f64 / seconds,
+            probed.lost,
+            100.0 * probed.busy / seconds,
+            // It ran through the warm-up as well.
+            100.0 * reflector / (MEASURED + WARM_UP).as_secs_f64(),
+            probed.round_trips[probed.round_trips.len() / 2].seconds() * 1e6,
+        );
+    }
+}
+
+/// What the probers told while they were measured.
+#[derive(Default)]
+struct Probed {
+    round_trips: Vec<Span>,
+    refined: usize,
+    lost: usize,
+    /// Seconds of a core.
+    busy: f64,
+}
+
+fn start_reflector(stamps: Stamps, key: Option<Key>) -> (SocketAddr, CancellationToken, JoinHandle<f64>) {
+    let stop = CancellationToken::new();
+    let (tell, told) = oneshot::channel();
+    let stopped = stop.clone();
+    let thread = thread::spawn(move || {
+        runtime().block_on(async {
+            let listen = SocketAddr::from(([127, 0, 0, 1], 0));
+            let config = ReflectorConfig { listen, key, max_per_source_hz: 100_000, stamps, stateful: true };
+            let reflector = Reflector::bind(config, clock("cloud")).expect("a free port");
+            tell.send(reflector.address()).expect("it is waited for");
+            let begun = busy();
+            reflector.run(stopped).await.expect("the socket stays");
+            busy() - begun
+        })
+    });
+    (told.blocking_recv().expect("it was bound"), stop, thread)
+}
+
+fn probe(target: SocketAddr, stamps: Stamps, key: Option<&Key>) -> Probed {
+    runtime().block_on(async {
+        let stop = CancellationToken::new();
+        let (_rate, rate_hz) = watch::channel(RATE_HZ);
+        let (tell, mut results) = mpsc::channel(4096);
+        let probers: Vec<_> = (0..LINKS)
+            .map(|_| {
+                let timeout = Duration::from_secs(1);
+                let config = ProberConfig { target, key: key.cloned(), padding_bytes: 0, stamps, timeout };
+                let prober = Prober::open(config, clock("edge")).expect("a socket");
+                tokio::spawn(prober.run(rate_hz.clone(), tell.clone(), stop.clone()))
+            })
+            .collect();
+        // Nobody counts yet.
+        let warm_up = async { while results.recv().await.is_some() {} };
+        let _ = tokio::time::timeout(WARM_UP, warm_up).await;
+        let mut probed = Probed::default();
+        let begun = busy();
+        let counting = async {
+            while let Some(result) = results.recv().await {
+                match result {
+                    ProbeResult::Answered(witnessed) => {
+                        probed.round_trips.push(witnessed.exchange.round_trip());
+                    }
+                    ProbeResult::Refined(_) => probed.refined += 1,
+                    ProbeResult::Lost => probed.lost += 1,
+                    ProbeResult::Sent => {}
+                    ProbeResult::Refused(why) => panic!("refused: {why}"),
+                }
+            }
+        };
+        let _ = tokio::time::timeout(MEASURED, counting).await;
+        probed.busy = busy() - begun;
+        stop.cancel();
+        for prober in probers {
+            prober.await.expect("no panic");
+        }
+        probed
+    })
+}
+
+fn clock(name: &str) -> SharedClock {
+    Arc::new(SystemClock::new(ClockIdentity::new("bench", name)))
+}
+
+fn runtime() -> Runtime {
+    Builder::new_current_thread().enable_all().build().expect("a runtime")
+}
+
+/// Seconds that this thread has been on a core.
+fn busy() -> f64 {
+    let time = clock_gettime(ClockId::ThreadCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+}

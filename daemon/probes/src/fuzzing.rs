@@ -1,0 +1,98 @@
+//! Any bytes as a packet at both roles: what the fuzz target in `fuzz/` and a test run.
+
+use std::net::SocketAddr;
+
+use peernet_clock::{Clock, ClockIdentity, ManualClock, Span, WallTime};
+
+use crate::Refusal;
+use crate::stamp::auth::Key;
+use crate::stamp::packet::{self, Mode, Reply};
+use crate::stamp::reflector::{Arrival, Reflecting};
+use crate::stamp::sender::{Return, Sending};
+use crate::stamp::timestamp::Format;
+use crate::stamp::tlv;
+
+/// Bits of the first byte: what is done to the rest so that chance gets past the checks that hold off chance.
+const WITH_KEY: u8 = 1;
+const STATEFUL: u8 = 2;
+const AUTHENTIC: u8 = 4;
+const MATCHING: u8 = 8;
+const PROGRAM: u8 = 16;
+
+/// The first byte chooses the circumstances, the others are the packet.
+///
+/// # Panics
+/// When a promise is broken: an answer that is longer than the request, a loop between two reflectors, an answer to
+/// nothing that was asked.
+pub fn any_packet(data: &[u8]) {
+    let Some((&how, bytes)) = data.split_first() else { return };
+    let key = (how & WITH_KEY != 0).then(|| Key::from_bytes(&[7; 32]));
+    let start = WallTime::from_unix_nanos(1_800_000_000_000_000_000);
+    let clock = ManualClock::new(start, ClockIdentity::new("fuzz", "system"));
+    at_a_reflector(how, key.as_ref(), bytes, &clock);
+    at_a_sender(how, key.as_ref(), bytes, &clock);
+}
+
+fn at_a_reflector(how: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock) {
+    let mut packet = bytes.to_vec();
+    authenticate(how, key, &mut packet);
+    let mut reflector = Reflecting::new(key.cloned(), 10, how & STATEFUL != 0);
+    let source = SocketAddr::from(([10, 0, 0, 1], 40_000));
+    // Twice: the second finds a session.
+    for _ in 0..2 {
+        let mut answer = packet.clone();
+        let arrival = Arrival { source, received: clock.wall(), now: clock.mono() };
+        let Ok(prepared) = reflector.prepare(&mut answer, &arrival) else { return };
+        clock.advance(Span::from_micros(20));
+        let stamp = reflector.complete(&prepared, &mut answer, clock);
+        reflector.sent(&prepared, stamp);
+        reflector.departed(&prepared.session(), prepared.sequence(), stamp + Span::from_micros(1));
+        assert_eq!(answer.len(), packet.len(), "an answer has the length of its request");
+        let back = reflector.prepare(&mut answer, &arrival);
+        assert_eq!(back.map(|_| ()), Err(Refusal::Reply), "an answer is not answered");
+    }
+}
+
+fn at_a_sender(how: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock) {
+    let mode = Mode::of(key);
+    let mut sender = Sending::new(key.cloned(), 5, u32::MAX, 0, Span::from_seconds(1));
+    let mut packet = bytes.to_vec();
+    for turn in 0..2 {
+        let (departure, _) = sender.request(clock);
+        let sent = clock.wall();
+        sender.sent(departure);
+        if how & PROGRAM == 0 {
+            sender.departed(departure.sequence(), sent + Span::from_micros(1));
+        }
+        if how & MATCHING != 0
+            && let Some(mut reply) = Reply::parse(mode, &packet)
+        {
+            reply.asked.sequence = departure.sequence();
+            reply.asked.timestamp = Format::Ntp.encode(sent);
+            reply.asked.ssid = 5;
+            reply.write(mode, &mut packet);
+        }
+        authenticate(how, key, &mut packet);
+        clock.advance(Span::from_millis(3));
+        let returned = Return { kernel: None, read: clock.stamp(), epoch: 0 };
+        if let Ok(heard) = sender.receive(&packet, &returned) {
+            assert_eq!(heard.answered.exchange.returned, returned.read.wall);
+            assert!(heard.refined.is_none() || turn == 1, "nothing came before the first");
+            assert!(sender.receive(&packet, &returned).is_err(), "an answer counts once");
+        }
+    }
+    sender.expire(clock.mono() + Span::from_seconds(2));
+    assert_eq!(sender.deadline(), None, "nothing waits for ever");
+}
+
+fn authenticate(how: u8, key: Option<&Key>, packet: &mut [u8]) {
+    if how & AUTHENTIC != 0
+        && let Some(key) = key
+        && packet.len() >= Mode::Authenticated.base_bytes()
+    {
+        let (base, tlvs) = packet.split_at_mut(Mode::Authenticated.base_bytes());
+        let sequence = u32::from_be_bytes([base[0], base[1], base[2], base[3]]);
+        tlv::seal(key, sequence, tlvs);
+        packet::seal(key, packet);
+    }
+}

@@ -1,0 +1,258 @@
+//! The prober's socket and timers.
+
+use std::collections::VecDeque;
+use std::io;
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use peernet_clock::{MonoTime, SharedClock, WallTime, Witnessed};
+use tokio::sync::{mpsc, watch};
+use tokio_util::sync::CancellationToken;
+
+use crate::schedule::Schedule;
+use crate::socket::{ProbeSocket, Received, Token};
+use crate::stamp::sender::{Return, Sending};
+use crate::{Key, Stamps};
+
+/// Room for a reply beside its padding.
+const MAX_REPLY: usize = 2048;
+
+/// A probe that cannot be sent within this is given up: its stamp grows old. The first one waits until the runtime
+/// knows the socket.
+const SEND_PATIENCE: Duration = Duration::from_millis(20);
+
+/// Stamps of departures that are waited for at most.
+const MAX_DEPARTING: usize = 64;
+
+const AFTER_FAILURE: Duration = Duration::from_millis(5);
+
+/// How a prober works.
+#[derive(Clone, Debug)]
+pub struct ProberConfig {
+    /// The reflector's address.
+    pub target: SocketAddr,
+    /// The key shared with it; without one, probes are not authenticated.
+    pub key: Option<Key>,
+    /// Bytes of padding (the value of an Extra Padding TLV, RFC 8972, section 4.1); none at 0.
+    pub padding_bytes: u16,
+    /// Where packet stamps are made.
+    pub stamps: Stamps,
+    /// After this a probe without an answer is lost.
+    pub timeout: Duration,
+}
+
+/// What became of a probe.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ProbeResult {
+    /// It was sent.
+    Sent,
+    /// Its answer is there.
+    Answered(Witnessed),
+    /// An exchange that was reported as answered, with a better stamp of the reply's departure.
+    Refined(Witnessed),
+    /// No answer within the timeout.
+    Lost,
+    /// A packet arrived that is no valid answer, or a probe could not be sent: why.
+    Refused(&'static str),
+}
+
+/// Why a prober could not be opened.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// No socket for such a target.
+    #[error(
+        "cannot open a socket for probes to {target}: {error}; this host lacks that address family or has too many \
+         open files"
+    )]
+    Socket {
+        /// The reflector's address.
+        target: SocketAddr,
+        /// What the system said.
+        error: io::Error,
+    },
+}
+
+/// Probes one reflector (the session-sender of RFC 8762).
+#[derive(Debug)]
+pub struct Prober {
+    config: ProberConfig,
+    clock: SharedClock,
+    socket: ProbeSocket,
+    logic: Sending,
+    /// Probes whose stamp of departure may still come.
+    departing: VecDeque<(Token, u32)>,
+}
+
+impl Prober {
+    /// Opens the socket; sends nothing yet. Call it inside a tokio runtime.
+    ///
+    /// # Errors
+    /// When there is no socket for the target.
+    pub fn open(config: ProberConfig, clock: SharedClock) -> Result<Self, OpenError> {
+        let target = config.target;
+        let socket = ProbeSocket::towards(target, config.stamps, clock.clone())
+            .map_err(|error| OpenError::Socket { target, error })?;
+        // Zero is what a reflector leaves that does not know of identifiers.
+        let ssid = rand::random_range(1..=u16::MAX);
+        let logic = Sending::new(config.key.clone(), ssid, 0, config.padding_bytes, config.timeout.into());
+        Ok(Self { config, clock, socket, logic, departing: VecDeque::new() })
+    }
+
+    /// Where packet stamps are made: `kernel, send and receive`, `kernel, receive only`, or `program`.
+    pub fn stamps_in_words(&self) -> String {
+        self.socket.stamps_in_words().to_owned()
+    }
+
+    /// Sends `rate_hz` probes per second, none at 0, until stopped or until nobody listens; a new rate holds at once.
+    /// A thousand per second at most. While `results` is full nothing is sent or received.
+    pub async fn run(
+        mut self,
+        mut rate_hz: watch::Receiver<f64>,
+        results: mpsc::Sender<ProbeResult>,
+        stop: CancellationToken,
+    ) {
+        let mut schedule = Schedule::new(*rate_hz.borrow_and_update(), self.clock.mono());
+        let mut buffer = vec![0; MAX_REPLY + usize::from(self.config.padding_bytes)];
+        let mut rate_is_fixed = false;
+        loop {
+            let mut news = News::default();
+            let wake = [schedule.due(), self.logic.deadline()].into_iter().flatten().min();
+            tokio::select! {
+                biased;
+                () = stop.cancelled() => return,
+                () = results.closed() => return,
+                // Before the reply, whose exchange they belong to.
+                departure = self.socket.departure() => match departure {
+                    Ok((token, left)) => self.departed(token, left),
+                    Err(error) => self.failed(&error).await,
+                },
+                received = self.socket.receive(&mut buffer) => match received {
+                    Ok(received) => self.hear(&buffer[..received.bytes], &received, &mut news),
+                    Err(error) => self.failed(&error).await,
+                },
+                changed = rate_hz.changed(), if !rate_is_fixed => match changed {
+                    Ok(()) => schedule.change(*rate_hz.borrow_and_update(), self.clock.mono()),
+                    Err(_) => rate_is_fixed = true,
+                },
+                () = sleep_until(wake, &self.clock) => {
+                    let now = self.clock.mono();
+                    news.lost(self.logic.expire(now));
+                    if schedule.is_due(now) {
+                        schedule.advance(now);
+                        self.send(&mut news).await;
+                    }
+                }
+            }
+            for result in news.0 {
+                tokio::select! {
+                    biased;
+                    () = stop.cancelled() => return,
+                    told = results.send(result) => if told.is_err() { return },
+                }
+            }
+        }
+    }
+
+    async fn send(&mut self, news: &mut News) {
+        let (departure, packet) = self.logic.request(&*self.clock);
+        match self.socket.send(packet, None, self.config.target, SEND_PATIENCE).await {
+            Ok(token) => {
+                news.lost(self.logic.sent(departure));
+                if let Some(token) = token {
+                    if self.departing.len() >= MAX_DEPARTING {
+                        self.departing.pop_front();
+                    }
+                    self.departing.push_back((token, departure.sequence()));
+                }
+                news.push(ProbeResult::Sent);
+            }
+            Err(error) => {
+                tracing::debug!(target = %self.config.target, %error, "a probe could not be sent");
+                news.push(ProbeResult::Refused(not_sent_in_words(&error)));
+                self.renew();
+            }
+        }
+    }
+
+    /// A packet that was refused on its way may have used up a number in the kernel's count but not in the socket's:
+    /// the stamps of departure that follow would belong to others. A new socket counts anew.
+    fn renew(&mut self) {
+        if !self.socket.stamps_departures() {
+            return;
+        }
+        match ProbeSocket::towards(self.config.target, self.config.stamps, self.clock.clone()) {
+            Ok(socket) => {
+                self.socket = socket;
+                self.departing.clear();
+            }
+            Err(error) => tracing::debug!(%error, "no new socket for probes: the old one is kept"),
+        }
+    }
+
+    fn departed(&mut self, token: Token, left: Option<WallTime>) {
+        // Stamps come in the order of departure; those of dropped packets never do.
+        let Some(found) = self.departing.iter().position(|(departing, _)| *departing == token) else {
+            return;
+        };
+        let named = self.departing.drain(..=found).next_back();
+        if let (Some((_, sequence)), Some(left)) = (named, left) {
+            self.logic.departed(sequence, left);
+        }
+    }
+
+    fn hear(&mut self, packet: &[u8], received: &Received, news: &mut News) {
+        let read = self.clock.stamp();
+        let (from, target) = (received.source, self.config.target);
+        if from.port() != target.port() || from.ip() != target.ip() {
+            news.push(ProbeResult::Refused("not from the target"));
+            return;
+        }
+        let returned = Return { kernel: received.kernel, read, epoch: self.clock.epoch() };
+        news.lost(self.logic.expire(read.mono));
+        match self.logic.receive(packet, &returned) {
+            Ok(heard) => {
+                news.0.extend(heard.refined.map(ProbeResult::Refined));
+                news.push(ProbeResult::Answered(heard.answered));
+            }
+            Err(why) => news.push(ProbeResult::Refused(why)),
+        }
+    }
+
+    /// The system reports trouble of single packets when receiving too; one that stays must not turn into a busy loop.
+    async fn failed(&mut self, error: &io::Error) {
+        tracing::debug!(target = %self.config.target, %error, "a probe's reply could not be received");
+        tokio::time::sleep(AFTER_FAILURE).await;
+    }
+}
+
+/// What came of one turn.
+#[derive(Default)]
+struct News(Vec<ProbeResult>);
+
+impl News {
+    fn push(&mut self, result: ProbeResult) {
+        self.0.push(result);
+    }
+
+    fn lost(&mut self, count: usize) {
+        self.0.extend(std::iter::repeat_n(ProbeResult::Lost, count));
+    }
+}
+
+fn not_sent_in_words(error: &io::Error) -> &'static str {
+    match error.kind() {
+        io::ErrorKind::WouldBlock => "not sent: the socket is busy",
+        io::ErrorKind::NetworkUnreachable => "not sent: the network is unreachable",
+        io::ErrorKind::HostUnreachable => "not sent: the host is unreachable",
+        io::ErrorKind::PermissionDenied => "not sent: a firewall of this machine refuses it",
+        io::ErrorKind::NetworkDown => "not sent: the network is down",
+        _ => "not sent: the system refuses it",
+    }
+}
+
+async fn sleep_until(wake: Option<MonoTime>, clock: &SharedClock) {
+    match wake {
+        Some(wake) => tokio::time::sleep((wake - clock.mono()).to_duration()).await,
+        None => std::future::pending().await,
+    }
+}

@@ -1,0 +1,200 @@
+//! The reflector's socket.
+
+use std::collections::VecDeque;
+use std::io;
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use peernet_clock::{SharedClock, WallTime};
+use tokio_util::sync::CancellationToken;
+
+use crate::socket::{ProbeSocket, Received, Token};
+use crate::stamp::reflector::{Arrival, Reflecting, SessionId};
+use crate::{Key, ReflectorFigures, Refusal, Stamps};
+
+/// The largest packet that UDP carries.
+const MAX_PACKET: usize = 65_535;
+
+/// Errors in a row after which a socket counts as lost.
+const MAX_FAILURES: u32 = 100;
+
+/// Stamps of departures that are waited for at most.
+const MAX_DEPARTING: usize = 1024;
+
+/// How a reflector works.
+#[derive(Clone, Debug)]
+pub struct ReflectorConfig {
+    /// Where it listens.
+    pub listen: SocketAddr,
+    /// With a key, only requests that it authenticates are answered; without, only unauthenticated ones.
+    pub key: Option<Key>,
+    /// Most answers per second to one source: an IPv4 address, or an IPv6 network of 64 bits.
+    pub max_per_source_hz: u32,
+    /// Where packet stamps are made.
+    pub stamps: Stamps,
+    /// Whether sessions are told apart (RFC 8762, section 4): replies are numbered by themselves, so that losses have
+    /// a direction, and tell when the previous reply really left.
+    pub stateful: bool,
+}
+
+/// Why a reflector could not be bound.
+#[derive(Debug, thiserror::Error)]
+pub enum BindError {
+    /// Another program has the port.
+    #[error(
+        "cannot listen for probes on {0}: the port is in use; stop the other program or configure another port"
+    )]
+    InUse(SocketAddr),
+    /// Ports below 1024 need a capability.
+    #[error("cannot listen for probes on {0}: not permitted; grant CAP_NET_BIND_SERVICE or use port 8620")]
+    NotPermitted(SocketAddr),
+    /// The address is none of this machine.
+    #[error(
+        "cannot listen for probes on {0}: this machine has no such address; use one of its own, or 0.0.0.0 or [::]"
+    )]
+    NoSuchAddress(SocketAddr),
+    /// Anything else.
+    #[error("cannot listen for probes on {listen}: {error}")]
+    Other {
+        /// Where.
+        listen: SocketAddr,
+        /// What the system said.
+        error: io::Error,
+    },
+}
+
+/// Answers probes (the session-reflector of RFC 8762).
+///
+/// It is of no use for attacks: an answer has the length of its request, each source has a limit, with a key the rest
+/// of the world gets nothing, and what looks like a reply is never answered, so that two reflectors (or a reflector and
+/// an echo service) cannot be set on each other. It keeps a bounded memory of sources and sessions.
+#[derive(Debug)]
+pub struct Reflector {
+    socket: ProbeSocket,
+    logic: Reflecting,
+    clock: SharedClock,
+    figures: ReflectorFigures,
+    /// Replies whose stamp of departure may still come.
+    departing: VecDeque<(Token, SessionId, u32)>,
+}
+
+impl Reflector {
+    /// Binds the socket. Call it inside a tokio runtime.
+    ///
+    /// # Errors
+    /// When the address cannot be had; the error says what to do.
+    pub fn bind(config: ReflectorConfig, clock: SharedClock) -> Result<Self, BindError> {
+        let listen = config.listen;
+        // Only a session remembers when its last reply left.
+        let departures = config.stateful;
+        let bound = ProbeSocket::bind(listen, config.stamps, departures, clock.clone());
+        let socket = bound.map_err(|error| match error.kind() {
+            io::ErrorKind::AddrInUse => BindError::InUse(listen),
+            io::ErrorKind::PermissionDenied => BindError::NotPermitted(listen),
+            io::ErrorKind::AddrNotAvailable => BindError::NoSuchAddress(listen),
+            _ => BindError::Other { listen, error },
+        })?;
+        Ok(Self {
+            socket,
+            logic: Reflecting::new(config.key, config.max_per_source_hz, config.stateful),
+            clock,
+            figures: ReflectorFigures::default(),
+            departing: VecDeque::new(),
+        })
+    }
+
+    /// Where it listens, with the port that was really given.
+    pub fn address(&self) -> SocketAddr {
+        self.socket.address()
+    }
+
+    /// What it did; stays valid while it runs.
+    pub fn figures(&self) -> ReflectorFigures {
+        self.figures.clone()
+    }
+
+    /// In words where its packet stamps are made, as [`Prober::stamps_in_words`](crate::Prober::stamps_in_words).
+    pub fn stamps_in_words(&self) -> String {
+        self.socket.stamps_in_words().to_owned()
+    }
+
+    /// Answers until stopped.
+    ///
+    /// # Errors
+    /// Only when the socket is lost.
+    pub async fn run(mut self, stop: CancellationToken) -> Result<(), String> {
+        let mut buffer = vec![0; MAX_PACKET];
+        let mut failures = 0;
+        loop {
+            let failed = tokio::select! {
+                biased;
+                () = stop.cancelled() => return Ok(()),
+                // Before the next request, which asks for it.
+                departure = self.socket.departure() => match departure {
+                    Ok((token, left)) => {
+                        self.departed(token, left);
+                        None
+                    }
+                    Err(error) => Some(error),
+                },
+                received = self.socket.receive(&mut buffer) => match received {
+                    Ok(received) => {
+                        match self.answer(&mut buffer[..received.bytes], &received).await {
+                            Ok(()) => self.figures.count_answered(),
+                            Err(why) => self.figures.count_refused(why),
+                        }
+                        None
+                    }
+                    Err(error) => Some(error),
+                },
+            };
+            // The system reports trouble of single packets here too.
+            match failed {
+                None => failures = 0,
+                Some(error) if failures < MAX_FAILURES => {
+                    tracing::debug!(%error, "a probe could not be received");
+                    failures += 1;
+                }
+                Some(error) => {
+                    return Err(format!("cannot receive probes on {} any more: {error}", self.address()));
+                }
+            }
+        }
+    }
+
+    async fn answer(&mut self, packet: &mut [u8], received: &Received) -> Result<(), Refusal> {
+        let read = self.clock.stamp();
+        let arrival = Arrival {
+            source: received.source,
+            received: received.kernel.unwrap_or(read.wall),
+            now: read.mono,
+        };
+        let answer = self.logic.prepare(packet, &arrival)?;
+        let from = (!received.local.ip().is_unspecified()).then_some(received.local);
+        let stamp = self.logic.complete(&answer, packet, &*self.clock);
+        let sent = self.socket.send(packet, from, received.source, Duration::ZERO).await;
+        let token = sent.map_err(|error| {
+            tracing::debug!(to = %received.source, %error, "a probe's answer could not be sent");
+            Refusal::NotSent
+        })?;
+        self.logic.sent(&answer, stamp);
+        if let Some(token) = token {
+            if self.departing.len() >= MAX_DEPARTING {
+                self.departing.pop_front();
+            }
+            self.departing.push_back((token, answer.session(), answer.sequence()));
+        }
+        Ok(())
+    }
+
+    fn departed(&mut self, token: Token, left: Option<WallTime>) {
+        // Stamps come in the order of departure; those of dropped packets never do.
+        let Some(found) = self.departing.iter().position(|(departing, ..)| *departing == token) else {
+            return;
+        };
+        let named = self.departing.drain(..=found).next_back();
+        if let (Some((_, session, sequence)), Some(left)) = (named, left) {
+            self.logic.departed(&session, sequence, left);
+        }
+    }
+}

@@ -1,0 +1,117 @@
+//! When probes are due.
+
+use peernet_clock::{MonoTime, Span};
+
+/// Intervals vary by so much to either side, so that probes do not fall into step with anything periodic.
+const JITTER: f64 = 0.2;
+
+/// Most probes per second.
+const MAX_HZ: f64 = 1000.0;
+
+/// The first probe comes within this, at a random moment.
+const FIRST_WITHIN: Span = Span::from_millis(100);
+
+/// Even in the mean, jittered, and never in bursts: what was missed stays missed.
+#[derive(Debug)]
+pub(crate) struct Schedule {
+    interval: Option<Span>,
+    due: MonoTime,
+}
+
+impl Schedule {
+    pub(crate) fn new(rate_hz: f64, now: MonoTime) -> Self {
+        let mut schedule = Self { interval: None, due: now };
+        schedule.change(rate_hz, now);
+        schedule
+    }
+
+    /// From now on at another rate. A rate that is no positive number pauses.
+    pub(crate) fn change(&mut self, rate_hz: f64, now: MonoTime) {
+        let before = self.interval;
+        self.interval = (rate_hz > 0.0).then(|| Span::from_seconds_f64(1.0 / rate_hz.min(MAX_HZ)));
+        let Some(interval) = self.interval else { return };
+        let first = now + scaled(interval.min(FIRST_WITHIN), rand::random());
+        self.due = match before {
+            None => first,
+            // Not later than the new rate asks, not sooner than the old one was going to, if that is soon.
+            Some(_) => self.due.min(now + jittered(interval)),
+        };
+    }
+
+    pub(crate) fn due(&self) -> Option<MonoTime> {
+        self.interval.map(|_| self.due)
+    }
+
+    pub(crate) fn is_due(&self, now: MonoTime) -> bool {
+        self.due().is_some_and(|due| due <= now)
+    }
+
+    /// A probe is sent now; sets the next.
+    pub(crate) fn advance(&mut self, now: MonoTime) {
+        if let Some(interval) = self.interval {
+            let interval = jittered(interval);
+            let next = self.due + interval;
+            self.due = if next > now { next } else { now + interval };
+        }
+    }
+}
+
+fn jittered(interval: Span) -> Span {
+    scaled(interval, rand::random_range(1.0 - JITTER..=1.0 + JITTER))
+}
+
+fn scaled(span: Span, factor: f64) -> Span {
+    Span::from_seconds_f64(span.seconds() * factor)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(millis: i64) -> MonoTime {
+        MonoTime::from_nanos(millis * 1_000_000)
+    }
+
+    #[test]
+    fn intervals_vary_by_a_fifth_and_keep_the_rate() {
+        let mut schedule = Schedule::new(10.0, at(0));
+        let first = schedule.due().expect("not paused");
+        assert!(first <= at(100), "the first comes soon: {first:?}");
+        let mut last = first;
+        let mut seen = Vec::new();
+        for _ in 0..2000 {
+            // A moment late each time, as timers are.
+            schedule.advance(last + Span::from_millis(1));
+            let due = schedule.due().expect("not paused");
+            seen.push((due - last).seconds());
+            last = due;
+        }
+        assert!(seen.iter().all(|interval| (0.08..=0.12).contains(interval)));
+        assert!(seen.iter().any(|interval| *interval < 0.09) && seen.iter().any(|interval| *interval > 0.11));
+        let mean = (last - first).seconds() / seen.len() as f64;
+        assert!((0.098..0.102).contains(&mean), "{mean}");
+    }
+
+    #[test]
+    fn what_was_missed_stays_missed() {
+        let mut schedule = Schedule::new(10.0, at(0));
+        schedule.advance(at(5000));
+        assert!(schedule.due().is_some_and(|due| due >= at(5080) && due <= at(5120)), "{schedule:?}");
+    }
+
+    #[test]
+    fn a_new_rate_holds_at_once_and_zero_pauses() {
+        let mut schedule = Schedule::new(0.01, at(0));
+        schedule.advance(at(100));
+        assert!(schedule.due().is_some_and(|due| due > at(70_000)));
+        schedule.change(10.0, at(1000));
+        assert!(schedule.due().is_some_and(|due| due <= at(1120)), "{schedule:?}");
+        for paused in [0.0, -1.0, f64::NAN] {
+            schedule.change(paused, at(2000));
+            assert_eq!(schedule.due(), None);
+            assert!(!schedule.is_due(at(1_000_000)));
+        }
+        schedule.change(f64::INFINITY, at(3000));
+        assert!(schedule.due().is_some_and(|due| due >= at(3000) && due <= at(3001)), "{schedule:?}");
+    }
+}

@@ -1,0 +1,166 @@
+//! The UDP socket of both roles, with the kernel's stamps of its packets where there are any.
+
+use std::fmt;
+use std::future::{pending, poll_fn};
+use std::io;
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::task::Poll;
+use std::time::Duration;
+
+use peernet_clock::{SharedClock, WallTime};
+use timestamped_socket::socket::{
+    GeneralTimestampMode, Open, SendTimestampToken, Socket, Timestamp, TimestampData, open_ip,
+};
+
+/// Where the stamps of packets are made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Stamps {
+    /// By the kernel as the packet passes, where it can; otherwise as [`Program`](Self::Program).
+    #[default]
+    Kernel,
+    /// By this program around its system calls: for a false clock that the kernel knows nothing of.
+    Program,
+}
+
+/// Names a packet that was sent, until the kernel's stamp of its departure comes.
+pub(crate) type Token = SendTimestampToken;
+
+/// A packet was received.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Received {
+    pub(crate) bytes: usize,
+    pub(crate) source: SocketAddr,
+    /// Our address that it was sent to.
+    pub(crate) local: SocketAddr,
+    /// When it arrived, by the kernel and as our clock would have shown it.
+    pub(crate) kernel: Option<WallTime>,
+}
+
+pub(crate) struct ProbeSocket {
+    inner: Socket<SocketAddr, Open>,
+    mode: GeneralTimestampMode,
+    clock: SharedClock,
+}
+
+impl fmt::Debug for ProbeSocket {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "ProbeSocket({}, {})", self.address(), self.stamps_in_words())
+    }
+}
+
+impl ProbeSocket {
+    /// Bound to `address`, with the best stamps of those wanted that the kernel grants; those of departures cost a
+    /// system call each.
+    pub(crate) fn bind(
+        address: SocketAddr,
+        stamps: Stamps,
+        departures: bool,
+        clock: SharedClock,
+    ) -> io::Result<Self> {
+        let modes: &[GeneralTimestampMode] = match stamps {
+            Stamps::Kernel if departures => {
+                &[GeneralTimestampMode::SoftwareAll, GeneralTimestampMode::SoftwareRecv]
+            }
+            Stamps::Kernel => &[GeneralTimestampMode::SoftwareRecv],
+            Stamps::Program => &[],
+        };
+        for &mode in modes {
+            match open_ip(address, mode, false) {
+                Ok(inner) => return Ok(Self { inner, mode, clock }),
+                // No such option, or not all of it: as in some sandboxes and old kernels.
+                Err(error) if is_no_option(&error) => {
+                    tracing::debug!(%address, ?mode, %error, "the kernel does not stamp packets in this way");
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        let mode = GeneralTimestampMode::None;
+        Ok(Self { inner: open_ip(address, mode, false)?, mode, clock })
+    }
+
+    /// For sending to `target`: of its family, on any address and port, so that it follows changes of the route.
+    pub(crate) fn towards(target: SocketAddr, stamps: Stamps, clock: SharedClock) -> io::Result<Self> {
+        let any = match target {
+            SocketAddr::V4(_) => SocketAddr::from((Ipv4Addr::UNSPECIFIED, 0)),
+            SocketAddr::V6(_) => SocketAddr::from((Ipv6Addr::UNSPECIFIED, 0)),
+        };
+        Self::bind(any, stamps, true, clock)
+    }
+
+    pub(crate) fn address(&self) -> SocketAddr {
+        self.inner.local_addr()
+    }
+
+    pub(crate) fn stamps_in_words(&self) -> &'static str {
+        match self.mode {
+            GeneralTimestampMode::SoftwareAll => "kernel, send and receive",
+            GeneralTimestampMode::SoftwareRecv => "kernel, receive only",
+            GeneralTimestampMode::None => "program",
+        }
+    }
+
+    /// Whether the kernel stamps departures.
+    pub(crate) fn stamps_departures(&self) -> bool {
+        self.mode == GeneralTimestampMode::SoftwareAll
+    }
+
+    /// The next packet. May be dropped while it waits.
+    pub(crate) async fn receive(&self, buffer: &mut [u8]) -> io::Result<Received> {
+        let received = self.inner.recv(buffer).await?;
+        Ok(Received {
+            bytes: received.bytes_read,
+            source: received.remote_addr,
+            local: received.local_addr,
+            kernel: self.adopted(received.timestamp_data),
+        })
+    }
+
+    /// Sends within `patience`, which is zero for now or never: a stamp in a packet must not grow old.
+    pub(crate) async fn send(
+        &self,
+        packet: &[u8],
+        from: Option<SocketAddr>,
+        to: SocketAddr,
+        patience: Duration,
+    ) -> io::Result<Option<Token>> {
+        let sending = poll_fn(|cx| {
+            let polled = match from {
+                Some(from) => self.inner.poll_send_from_to(packet, from, to, cx),
+                None => self.inner.poll_send_to(packet, to, cx),
+            };
+            match polled {
+                Poll::Pending if patience.is_zero() => Poll::Ready(Err(io::ErrorKind::WouldBlock.into())),
+                polled => polled,
+            }
+        });
+        if patience.is_zero() {
+            return sending.await;
+        }
+        tokio::time::timeout(patience, sending)
+            .await
+            .unwrap_or_else(|_| Err(io::ErrorKind::WouldBlock.into()))
+    }
+
+    /// The kernel's next stamp of a departure; waits for ever where it makes none. May be dropped while it waits.
+    pub(crate) async fn departure(&self) -> io::Result<(Token, Option<WallTime>)> {
+        if !self.stamps_departures() {
+            return pending().await;
+        }
+        let (token, stamps) = self.inner.get_send_timestamp().await?;
+        Ok((token, self.adopted(stamps)))
+    }
+
+    fn adopted(&self, stamps: TimestampData) -> Option<WallTime> {
+        let Timestamp { seconds, nanos } = stamps.selected_timestamp()?;
+        let system = seconds.saturating_mul(1_000_000_000).saturating_add(i64::from(nanos));
+        Some(self.clock.adopt(WallTime::from_unix_nanos(system)))
+    }
+}
+
+fn is_no_option(error: &io::Error) -> bool {
+    const ENOPROTOOPT: i32 = 92;
+    const EOPNOTSUPP: i32 = 95;
+    error.kind() == io::ErrorKind::InvalidInput
+        || error.kind() == io::ErrorKind::Unsupported
+        || matches!(error.raw_os_error(), Some(ENOPROTOOPT | EOPNOTSUPP))
+}

@@ -1,0 +1,188 @@
+//! The base packets of both roles in both modes (RFC 8762, sections 4.2 and 4.3, with the session's identifier of
+//! RFC 8972, section 3). All numbers are big-endian.
+
+use super::auth::{CODE_BYTES, Key};
+use super::timestamp::ErrorEstimate;
+
+/// Whether packets are authenticated; decides where their fields are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mode {
+    /// Unauthenticated.
+    Open,
+    /// With an authentication code at the end of the base packet.
+    Authenticated,
+}
+
+/// Offsets of fields, in bytes.
+struct Layout {
+    timestamp: usize,
+    estimate: usize,
+    ssid: usize,
+    received: usize,
+    asked_sequence: usize,
+    asked_timestamp: usize,
+    asked_estimate: usize,
+    ttl: usize,
+}
+
+const OPEN: Layout = Layout {
+    timestamp: 4,
+    estimate: 12,
+    ssid: 14,
+    received: 16,
+    asked_sequence: 24,
+    asked_timestamp: 28,
+    asked_estimate: 36,
+    ttl: 40,
+};
+
+const AUTHENTICATED: Layout = Layout {
+    timestamp: 16,
+    estimate: 24,
+    ssid: 26,
+    received: 32,
+    asked_sequence: 48,
+    asked_timestamp: 64,
+    asked_estimate: 72,
+    ttl: 80,
+};
+
+impl Mode {
+    /// The mode of who has this key, or none.
+    pub const fn of(key: Option<&Key>) -> Self {
+        if key.is_some() { Self::Authenticated } else { Self::Open }
+    }
+
+    /// Bytes of the base packet, the same for both roles; TLVs follow it.
+    pub const fn base_bytes(self) -> usize {
+        match self {
+            Self::Open => 44,
+            Self::Authenticated => 112,
+        }
+    }
+
+    const fn layout(self) -> &'static Layout {
+        match self {
+            Self::Open => &OPEN,
+            Self::Authenticated => &AUTHENTICATED,
+        }
+    }
+}
+
+/// What a sender's packet says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Request {
+    /// Number of the packet in its session.
+    pub sequence: u32,
+    /// When it was sent, in the estimate's format.
+    pub timestamp: u64,
+    /// Of the sender's stamp.
+    pub estimate: ErrorEstimate,
+    /// The session's identifier; zero where there is none.
+    pub ssid: u16,
+}
+
+/// What a reflector's packet says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Reply {
+    /// Number of the reply: the request's, or a count of its own in a stateful reflector.
+    pub sequence: u32,
+    /// When the reply was sent, in the estimate's format.
+    pub timestamp: u64,
+    /// Of the reflector's stamps.
+    pub estimate: ErrorEstimate,
+    /// When the request arrived, in the estimate's format.
+    pub received: u64,
+    /// What it answers.
+    pub asked: Request,
+    /// Hops that the request's packet had left; zero where the reflector cannot tell.
+    pub ttl: u8,
+}
+
+impl Request {
+    /// The request in a packet; `None` if it is too short for one.
+    pub fn parse(mode: Mode, packet: &[u8]) -> Option<Self> {
+        let base = packet.get(..mode.base_bytes())?;
+        let at = mode.layout();
+        Some(Self {
+            sequence: u32::from_be_bytes(field(base, 0)),
+            timestamp: u64::from_be_bytes(field(base, at.timestamp)),
+            estimate: ErrorEstimate::from_bits(u16::from_be_bytes(field(base, at.estimate))),
+            ssid: u16::from_be_bytes(field(base, at.ssid)),
+        })
+    }
+
+    /// Writes the base packet, all of it; a code is still missing. `packet` holds at least the base.
+    pub fn write(&self, mode: Mode, packet: &mut [u8]) {
+        let base = &mut packet[..mode.base_bytes()];
+        let at = mode.layout();
+        base.fill(0);
+        put(base, 0, &self.sequence.to_be_bytes());
+        put(base, at.timestamp, &self.timestamp.to_be_bytes());
+        put(base, at.estimate, &self.estimate.bits().to_be_bytes());
+        put(base, at.ssid, &self.ssid.to_be_bytes());
+    }
+}
+
+impl Reply {
+    /// The reply in a packet; `None` if it is too short for one. A request can be read as a reply too: its further
+    /// fields are then whatever follows it.
+    pub fn parse(mode: Mode, packet: &[u8]) -> Option<Self> {
+        let own = Request::parse(mode, packet)?;
+        let at = mode.layout();
+        Some(Self {
+            sequence: own.sequence,
+            timestamp: own.timestamp,
+            estimate: own.estimate,
+            received: u64::from_be_bytes(field(packet, at.received)),
+            asked: Request {
+                sequence: u32::from_be_bytes(field(packet, at.asked_sequence)),
+                timestamp: u64::from_be_bytes(field(packet, at.asked_timestamp)),
+                estimate: ErrorEstimate::from_bits(u16::from_be_bytes(field(packet, at.asked_estimate))),
+                ssid: own.ssid,
+            },
+            ttl: packet[at.ttl],
+        })
+    }
+
+    /// Writes the base packet, all of it; a code is still missing. `packet` holds at least the base.
+    pub fn write(&self, mode: Mode, packet: &mut [u8]) {
+        let own = Request {
+            sequence: self.sequence,
+            timestamp: self.timestamp,
+            estimate: self.estimate,
+            ssid: self.asked.ssid,
+        };
+        own.write(mode, packet);
+        let at = mode.layout();
+        put(packet, at.received, &self.received.to_be_bytes());
+        put(packet, at.asked_sequence, &self.asked.sequence.to_be_bytes());
+        put(packet, at.asked_timestamp, &self.asked.timestamp.to_be_bytes());
+        put(packet, at.asked_estimate, &self.asked.estimate.bits().to_be_bytes());
+        packet[at.ttl] = self.ttl;
+    }
+}
+
+/// Writes the code of an authenticated base packet over all that stands before it.
+pub fn seal(key: &Key, packet: &mut [u8]) {
+    let at = Mode::Authenticated.base_bytes() - CODE_BYTES;
+    let code = key.code(&[&packet[..at]]);
+    put(packet, at, &code);
+}
+
+/// Whether an authenticated base packet carries its code.
+pub fn is_sealed(key: &Key, packet: &[u8]) -> bool {
+    packet
+        .get(..Mode::Authenticated.base_bytes())
+        .and_then(|base| base.split_last_chunk::<CODE_BYTES>())
+        .is_some_and(|(text, code)| key.verifies(&[text], code))
+}
+
+/// `N` bytes at `at`, which the caller has checked to be there.
+fn field<const N: usize>(packet: &[u8], at: usize) -> [u8; N] {
+    *packet[at..].first_chunk().expect("offsets lie within the base packet")
+}
+
+fn put(packet: &mut [u8], at: usize, bytes: &[u8]) {
+    packet[at..at + bytes.len()].copy_from_slice(bytes);
+}

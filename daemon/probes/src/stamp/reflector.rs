@@ -1,0 +1,222 @@
+//! What a reflector makes of a packet (the session-reflector of RFC 8762, sections 4 and 4.3).
+//!
+//! An answer is made in the request's own bytes, so that it has the request's length, whatever the request: a
+//! reflector cannot amplify.
+
+use std::net::SocketAddr;
+
+use peernet_clock::{Clock, MonoTime, Span, WallTime};
+
+use super::auth::{CODE_BYTES, Key};
+use super::figures::Refusal;
+use super::limiter::Limiter;
+use super::packet::{self, Mode, Reply, Request};
+use super::recent::Recent;
+use super::timestamp::ErrorEstimate;
+use super::tlv::{self, FollowUp};
+use super::uncertainty;
+
+/// Sessions that are remembered at least.
+const SESSIONS: usize = 4096;
+
+/// A reflector takes far less than this between receiving and replying.
+const LONGEST_ANSWER: Span = Span::from_seconds(4);
+
+/// A reflector's state.
+#[derive(Debug)]
+pub struct Reflecting {
+    key: Option<Key>,
+    limiter: Limiter,
+    sessions: Option<Recent<SessionId, Session>>,
+}
+
+/// Where and when a packet came.
+#[derive(Clone, Copy, Debug)]
+pub struct Arrival {
+    /// From where.
+    pub source: SocketAddr,
+    /// When, by the wall clock.
+    pub received: WallTime,
+    /// When, by the monotonic clock.
+    pub now: MonoTime,
+}
+
+/// Which packets belong together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct SessionId {
+    source: SocketAddr,
+    ssid: u16,
+}
+
+#[derive(Debug, Default)]
+struct Session {
+    next: u32,
+    last: Option<(u32, WallTime)>,
+}
+
+/// An answer that still lacks the stamp of its departure.
+#[derive(Clone, Copy, Debug)]
+pub struct Answer {
+    reply: Reply,
+    session: SessionId,
+    intact: bool,
+}
+
+impl Answer {
+    /// The reply's number, by which [`Reflecting::departed`] knows it.
+    pub const fn sequence(&self) -> u32 {
+        self.reply.sequence
+    }
+
+    /// The session that it belongs to.
+    pub const fn session(&self) -> SessionId {
+        self.session
+    }
+}
+
+impl Reflecting {
+    /// A reflector that has not seen anybody. With a key it answers only what the key authenticates; `stateful` tells
+    /// sessions apart.
+    pub fn new(key: Option<Key>, max_per_source_hz: u32, stateful: bool) -> Self {
+        let sessions = stateful.then(|| Recent::new(SESSIONS));
+        Self { key, limiter: Limiter::new(max_per_source_hz), sessions }
+    }
+
+    /// Turns a request into its answer, in place; [`complete`](Self::complete) stamps it.
+    ///
+    /// # Errors
+    /// Why it gets none. The source's share is spent only by what would be answered, so that nobody without the key
+    /// can use up another's.
+    pub fn prepare(&mut self, packet: &mut [u8], arrival: &Arrival) -> Result<Answer, Refusal> {
+        if arrival.source.port() == 0 {
+            return Err(Refusal::NoPort);
+        }
+        let mode = Mode::of(self.key.as_ref());
+        let asked = Request::parse(mode, packet).ok_or(Refusal::Short)?;
+        if self.key.as_ref().is_some_and(|key| !packet::is_sealed(key, packet)) {
+            return Err(Refusal::Unauthenticated);
+        }
+        if is_reply(mode, packet, arrival.received) {
+            return Err(Refusal::Reply);
+        }
+        if !self.limiter.allows(arrival.source, arrival.now) {
+            return Err(Refusal::TooOften);
+        }
+
+        let id = SessionId { source: arrival.source, ssid: asked.ssid };
+        let session = self.sessions.as_mut().map(|sessions| &*sessions.entry(id, Session::default));
+        let format = asked.estimate.format();
+        let tlvs = &mut packet[mode.base_bytes()..];
+        let intact = tlv::are_intact(self.key.as_ref(), asked.sequence, tlvs);
+        let previous = session
+            .and_then(|session| session.last)
+            .map(|(sequence, left)| FollowUp { sequence, timestamp: format.encode(left) });
+        answer_tlvs(tlvs, intact, previous);
+
+        let reply = Reply {
+            sequence: session.map_or(asked.sequence, |session| session.next),
+            timestamp: 0,
+            estimate: ErrorEstimate::new(format, uncertainty::OWN),
+            received: format.encode(arrival.received),
+            asked,
+            ttl: 0,
+        };
+        Ok(Answer { reply, session: id, intact })
+    }
+
+    /// Stamps the answer and authenticates it; returns the stamp. To be sent at once.
+    pub fn complete(&self, answer: &Answer, packet: &mut [u8], clock: &dyn Clock) -> WallTime {
+        let mode = Mode::of(self.key.as_ref());
+        let now = clock.wall();
+        // After the stamp: a step in between must show.
+        let epoch = clock.epoch();
+        let reply = Reply { timestamp: answer.reply.estimate.format().encode(now), ..answer.reply };
+        reply.write(mode, packet);
+        let tlvs = &mut packet[mode.base_bytes()..];
+        if answer.intact {
+            let ours = tlv::places(tlvs).find(|place| is_our_epoch(place, tlvs));
+            if let Some(place) = ours {
+                tlvs[place.value].copy_from_slice(&tlv::epoch_value(epoch));
+            }
+        }
+        if let Some(key) = &self.key {
+            if answer.intact {
+                tlv::seal(key, reply.sequence, tlvs);
+            }
+            packet::seal(key, packet);
+        }
+        now
+    }
+
+    /// The answer was sent, not before `stamp`. Only now its number is used up.
+    pub fn sent(&mut self, answer: &Answer, stamp: WallTime) {
+        if let Some(sessions) = &mut self.sessions {
+            let session = sessions.entry(answer.session, Session::default);
+            session.next = answer.sequence().wrapping_add(1);
+            session.last = Some((answer.sequence(), stamp));
+        }
+    }
+
+    /// The kernel's stamp of a reply's departure. Believed if it fits between the program's and the longest that a
+    /// packet can wait here.
+    pub fn departed(&mut self, session: &SessionId, sequence: u32, left: WallTime) {
+        let last = self.sessions.as_mut().and_then(|sessions| sessions.get_mut(session)?.last.as_mut());
+        if let Some((number, stamp)) = last
+            && *number == sequence
+            && (Span::ZERO..=LONGEST_ANSWER).contains(&(left - *stamp))
+        {
+            *stamp = left;
+        }
+    }
+}
+
+/// Whether a packet is a reply: where a reply says when its request arrived, close before its own departure by the same
+/// clock, a request has zeros, or the padding of TWAMP-light, which looks so once in 2²⁹ packets if it is random.
+///
+/// A forged source address can point one reflector at another, or at an echo service. What comes back is a reply by
+/// this test, whoever made it, so that no loop lives longer than one round.
+fn is_reply(mode: Mode, packet: &[u8], near: WallTime) -> bool {
+    Reply::parse(mode, packet).is_some_and(|reply| {
+        let format = reply.estimate.format();
+        let stamps = (format.decode(reply.received, near), format.decode(reply.timestamp, near));
+        let (Some(received), Some(replied)) = stamps else { return false };
+        reply.received != 0 && (replied - received).abs() <= LONGEST_ANSWER
+    })
+}
+
+/// Sets the flags of the TLVs and tells what is asked; those that are not intact only go back.
+fn answer_tlvs(tlvs: &mut [u8], intact: bool, previous: Option<FollowUp>) {
+    let mut at = 0;
+    while let Some(place) = tlv::place_at(tlvs, at) {
+        let length = place.value.len();
+        let (known, well_formed) = match place.kind {
+            tlv::EXTRA_PADDING => (true, true),
+            tlv::FOLLOW_UP => (true, length == FollowUp::BYTES),
+            tlv::HMAC => (true, length == CODE_BYTES),
+            _ => (is_our_epoch(&place, tlvs), true),
+        };
+        let mut flags = 0;
+        if !known {
+            flags |= tlv::UNRECOGNISED;
+        }
+        if !well_formed || place.overruns {
+            flags |= tlv::MALFORMED;
+        }
+        if !intact {
+            flags |= tlv::NOT_INTACT;
+        }
+        tlvs[place.at] = flags;
+        if place.kind == tlv::FOLLOW_UP && intact {
+            let value = &mut tlvs[place.value.clone()];
+            value.fill(0);
+            if let (true, Some(previous)) = (well_formed, previous) {
+                value.copy_from_slice(&previous.to_value());
+            }
+        }
+        at = place.end();
+    }
+}
+
+fn is_our_epoch(place: &tlv::Place, tlvs: &[u8]) -> bool {
+    place.kind == tlv::EPOCH && tlv::epoch_from_value(&tlvs[place.value.clone()]).is_some()
+}

@@ -1,0 +1,253 @@
+//! What a sender asks and what it makes of replies (the session-sender of RFC 8762, section 4.2).
+
+use std::collections::VecDeque;
+
+use peernet_clock::{Clock, Exchange, MonoTime, Span, Stamp, WallTime, Witnessed};
+
+use super::auth::{CODE_BYTES, Key};
+use super::packet::{self, Mode, Reply, Request};
+use super::timestamp::{ErrorEstimate, Format};
+use super::tlv::{self, FollowUp};
+use super::uncertainty;
+
+/// Probes that are remembered at most, waiting or answered; a further one pushes out the oldest.
+const MAX_PENDING: usize = 1024;
+
+/// Longer than this after the program's stamp no packet leaves.
+const LONGEST_DEPARTURE: Span = Span::from_seconds(1);
+
+/// A sender's state.
+#[derive(Debug)]
+pub struct Sending {
+    key: Option<Key>,
+    ssid: u16,
+    next: u32,
+    packet: Vec<u8>,
+    timeout: Span,
+    pending: VecDeque<Pending>,
+}
+
+/// A request that was stamped.
+#[derive(Clone, Copy, Debug)]
+pub struct Departure {
+    sequence: u32,
+    timestamp: u64,
+    sent: Stamp,
+}
+
+impl Departure {
+    /// The request's number, by which [`Sending::departed`] knows it.
+    pub const fn sequence(&self) -> u32 {
+        self.sequence
+    }
+}
+
+#[derive(Debug)]
+struct Pending {
+    departure: Departure,
+    left: Option<WallTime>,
+    answer: Option<Answered>,
+}
+
+#[derive(Debug)]
+struct Answered {
+    /// The reply's own number.
+    sequence: u32,
+    witnessed: Witnessed,
+}
+
+/// When a packet came back.
+#[derive(Clone, Copy, Debug)]
+pub struct Return {
+    /// The kernel's stamp of the arrival, if it made one.
+    pub kernel: Option<WallTime>,
+    /// Both clocks, read by the program thereafter.
+    pub read: Stamp,
+    /// The edge's epoch, read thereafter.
+    pub epoch: u32,
+}
+
+/// What a reply told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Heard {
+    /// An earlier exchange, now with the stamp of when its reply really left.
+    pub refined: Option<Witnessed>,
+    /// The exchange that it completes.
+    pub answered: Witnessed,
+}
+
+/// What the TLVs of a reply told.
+#[derive(Clone, Copy, Debug, Default)]
+struct Told {
+    follow_up: Option<FollowUp>,
+    epoch: Option<u32>,
+}
+
+impl Sending {
+    /// A session that has sent nothing. `ssid` tells it from other sessions between the same ports, `first` is the
+    /// number of the first packet.
+    pub fn new(key: Option<Key>, ssid: u16, first: u32, padding_bytes: u16, timeout: Span) -> Self {
+        let mut packet = vec![0; Mode::of(key.as_ref()).base_bytes()];
+        // The room that the reflector fills.
+        tlv::push(&mut packet, tlv::FOLLOW_UP, &[0; FollowUp::BYTES]);
+        tlv::push(&mut packet, tlv::EPOCH, &tlv::epoch_value(0));
+        if key.is_some() {
+            tlv::push(&mut packet, tlv::HMAC, &[0; CODE_BYTES]);
+        }
+        if padding_bytes > 0 {
+            tlv::push(&mut packet, tlv::EXTRA_PADDING, &vec![0; usize::from(padding_bytes)]);
+        }
+        Self { key, ssid, next: first, packet, timeout, pending: VecDeque::new() }
+    }
+
+    /// The next request, stamped. To be sent at once, then told to [`sent`](Self::sent).
+    pub fn request(&mut self, clock: &dyn Clock) -> (Departure, &[u8]) {
+        let mode = Mode::of(self.key.as_ref());
+        let estimate = ErrorEstimate::new(Format::Ntp, uncertainty::OWN);
+        if let Some(key) = &self.key {
+            tlv::seal(key, self.next, &mut self.packet[mode.base_bytes()..]);
+        }
+        let sent = clock.stamp();
+        let timestamp = Format::Ntp.encode(sent.wall);
+        let request = Request { sequence: self.next, timestamp, estimate, ssid: self.ssid };
+        request.write(mode, &mut self.packet);
+        if let Some(key) = &self.key {
+            packet::seal(key, &mut self.packet);
+        }
+        (Departure { sequence: self.next, timestamp, sent }, &self.packet)
+    }
+
+    /// The request was sent; returns how many earlier ones are given up for it.
+    pub fn sent(&mut self, departure: Departure) -> usize {
+        self.next = departure.sequence.wrapping_add(1);
+        let given_up = if self.pending.len() >= MAX_PENDING { self.pending.pop_front() } else { None };
+        self.pending.push_back(Pending { departure, left: None, answer: None });
+        usize::from(given_up.is_some_and(|oldest| oldest.answer.is_none()))
+    }
+
+    /// The kernel's stamp of a request's departure. Believed if it fits between the program's and the longest that a
+    /// packet can wait here.
+    pub fn departed(&mut self, sequence: u32, left: WallTime) {
+        if let Some(pending) = find(&mut self.pending, sequence)
+            && (Span::ZERO..=LONGEST_DEPARTURE).contains(&(left - pending.departure.sent.wall))
+        {
+            pending.left = Some(left);
+        }
+    }
+
+    /// Forgets what is older than the timeout; returns how many of them are lost.
+    pub fn expire(&mut self, now: MonoTime) -> usize {
+        let old = self.pending.iter().take_while(|pending| now - pending.departure.sent.mono >= self.timeout);
+        let old = old.count();
+        self.pending.drain(..old).filter(|pending| pending.answer.is_none()).count()
+    }
+
+    /// When the next probe will be lost if it is not answered.
+    pub fn deadline(&self) -> Option<MonoTime> {
+        let waiting = self.pending.iter().find(|pending| pending.answer.is_none())?;
+        Some(waiting.departure.sent.mono + self.timeout)
+    }
+
+    /// A packet from the target. Expire first.
+    ///
+    /// # Errors
+    /// Why it is no answer.
+    pub fn receive(&mut self, packet: &[u8], returned: &Return) -> Result<Heard, &'static str> {
+        let mode = Mode::of(self.key.as_ref());
+        let reply = Reply::parse(mode, packet).ok_or("shorter than a reply")?;
+        if self.key.as_ref().is_some_and(|key| !packet::is_sealed(key, packet)) {
+            return Err("not authenticated by the key");
+        }
+        // A reflector that does not know of identifiers leaves zero (RFC 8972, section 3).
+        if reply.asked.ssid != self.ssid && reply.asked.ssid != 0 {
+            return Err("of another session");
+        }
+        let told = told(self.key.as_ref(), reply.sequence, &packet[mode.base_bytes()..]);
+        let near = returned.read.wall;
+        let format = reply.estimate.format();
+        let decode = |bits| if bits == 0 { None } else { format.decode(bits, near) };
+        let stamps = decode(reply.received).zip(decode(reply.timestamp));
+        let (received, replied) = stamps.ok_or("without the reflector's stamps")?;
+
+        let pending = find(&mut self.pending, reply.asked.sequence).ok_or("late, or to no probe of ours")?;
+        if pending.departure.timestamp != reply.asked.timestamp {
+            return Err("to another stamp than was sent");
+        }
+        if pending.answer.is_some() {
+            return Err("a second answer to the same probe");
+        }
+        let sent = pending.departure.sent;
+        let exchange = Exchange {
+            sent: pending.left.unwrap_or(sent.wall),
+            received,
+            replied,
+            returned: returned.kernel.unwrap_or(returned.read.wall),
+            uncertainty: if told.epoch.is_some() { uncertainty::OWN } else { uncertainty::FOREIGN },
+        };
+        // The monotonic clock was read beside the program's stamps only. With the kernel's the epochs show a step.
+        let by_program = pending.left.is_none() && returned.kernel.is_none();
+        let answered = Witnessed {
+            exchange,
+            edge_elapsed: by_program.then(|| returned.read.mono - sent.mono),
+            cloud_elapsed: None,
+            edge_epoch: returned.epoch,
+            cloud_epoch: told.epoch,
+        };
+        pending.answer = Some(Answered { sequence: reply.sequence, witnessed: answered });
+        let refined = told.follow_up.and_then(|told| {
+            let left = decode(told.timestamp)?;
+            refine(&mut self.pending, reply.asked.sequence, told.sequence, left, answered.cloud_epoch)
+        });
+        Ok(Heard { refined, answered })
+    }
+}
+
+/// The probe of that number: they stand in order and without holes.
+fn find(pending: &mut VecDeque<Pending>, sequence: u32) -> Option<&mut Pending> {
+    let first = pending.front()?.departure.sequence;
+    pending.get_mut(sequence.wrapping_sub(first) as usize)
+}
+
+/// The exchange whose reply had the number `sequence`, corrected: it left at `left`. A later stamp of departure is a
+/// better one. It was made after that reply's epoch was read, but before this one's: both must agree.
+fn refine(
+    pending: &mut VecDeque<Pending>,
+    now: u32,
+    sequence: u32,
+    left: WallTime,
+    epoch: Option<u32>,
+) -> Option<Witnessed> {
+    let earlier = pending.iter_mut().rev().filter(|pending| pending.departure.sequence != now);
+    let answered = earlier
+        .filter_map(|pending| pending.answer.as_mut())
+        .find(|answered| answered.sequence == sequence)?;
+    let witnessed = &mut answered.witnessed;
+    let later = left - witnessed.exchange.replied;
+    if later <= Span::ZERO || later > LONGEST_DEPARTURE || witnessed.cloud_epoch != epoch {
+        return None;
+    }
+    witnessed.exchange.replied = left;
+    Some(*witnessed)
+}
+
+/// What the TLVs tell, as far as they may be believed (RFC 8972, section 4).
+fn told(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> Told {
+    let mut told = Told::default();
+    let doubted = tlv::places(tlvs).any(|place| place.flags & tlv::NOT_INTACT != 0);
+    if doubted || !tlv::are_intact(key, sequence, tlvs) {
+        return told;
+    }
+    for place in tlv::places(tlvs) {
+        if place.overruns || place.flags & tlv::MALFORMED != 0 {
+            break;
+        }
+        if place.flags & tlv::UNRECOGNISED == 0 {
+            match place.kind {
+                tlv::FOLLOW_UP => told.follow_up = FollowUp::from_value(&tlvs[place.value]),
+                tlv::EPOCH => told.epoch = tlv::epoch_from_value(&tlvs[place.value]),
+                _ => {}
+            }
+        }
+    }
+    told
+}

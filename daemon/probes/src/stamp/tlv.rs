@@ -1,0 +1,158 @@
+//! What may follow a base packet: type, length, value (RFC 8972, section 4).
+
+use std::ops::Range;
+
+use super::auth::{CODE_BYTES, Key};
+
+/// Octets to make a packet larger.
+pub const EXTRA_PADDING: u8 = 1;
+/// When the previous reply really left.
+pub const FOLLOW_UP: u8 = 7;
+/// Authenticates the TLVs before it.
+pub const HMAC: u8 = 8;
+/// Ours, of the range for private use: the mark `PEER` and the reflector's [`epoch`](peernet_clock::Clock::epoch),
+/// four bytes each.
+pub const EPOCH: u8 = 252;
+
+/// Flag: the reflector does not know the type. Senders set it, reflectors that know the type clear it.
+pub const UNRECOGNISED: u8 = 0x80;
+/// Flag: the length is wrong for the type or the packet.
+pub const MALFORMED: u8 = 0x40;
+/// Flag: the TLVs are not authenticated.
+pub const NOT_INTACT: u8 = 0x20;
+
+/// Bytes before the value: flags, type, length.
+pub const HEADER_BYTES: usize = 4;
+
+const EPOCH_MARK: [u8; 4] = *b"PEER";
+
+/// Where a TLV stands among others.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// Of its first byte, the flags.
+    pub at: usize,
+    /// Its flags.
+    pub flags: u8,
+    /// Its type.
+    pub kind: u8,
+    /// Of its value; cut at the end of the packet if it claims more.
+    pub value: Range<usize>,
+    /// It claims to be longer than the packet.
+    pub overruns: bool,
+}
+
+impl Place {
+    /// Where the next TLV begins, if there is one.
+    pub const fn end(&self) -> usize {
+        self.value.end
+    }
+}
+
+/// The TLV that begins at `at`. None where no further one can: at fewer than four bytes, after one that overruns, and
+/// at the reserved type 0, which is the padding of TWAMP-light (RFC 8762, section 4.6).
+pub fn place_at(tlvs: &[u8], at: usize) -> Option<Place> {
+    let [flags, kind, high, low] = *tlvs.get(at..)?.first_chunk::<HEADER_BYTES>()?;
+    if kind == 0 {
+        return None;
+    }
+    let begin = at + HEADER_BYTES;
+    let end = begin + usize::from(u16::from_be_bytes([high, low]));
+    Some(Place { at, flags, kind, value: begin..end.min(tlvs.len()), overruns: end > tlvs.len() })
+}
+
+/// The TLVs after a base packet, in order.
+pub fn places(tlvs: &[u8]) -> impl Iterator<Item = Place> + '_ {
+    std::iter::successors(place_at(tlvs, 0), |last| place_at(tlvs, last.end()))
+}
+
+/// Appends a TLV as a sender does.
+pub fn push(packet: &mut Vec<u8>, kind: u8, value: &[u8]) {
+    let length = u16::try_from(value.len()).expect("values of a sender are small");
+    packet.extend_from_slice(&[UNRECOGNISED, kind]);
+    packet.extend_from_slice(&length.to_be_bytes());
+    packet.extend_from_slice(value);
+}
+
+/// How a stamp was made (RFC 8972, section 4.3).
+const SOFTWARE_LOCAL: u8 = 2;
+
+/// The value of [`FOLLOW_UP`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FollowUp {
+    /// The previous reply's number.
+    pub sequence: u32,
+    /// When it left, in the reply's format.
+    pub timestamp: u64,
+}
+
+impl FollowUp {
+    /// Bytes of the value.
+    pub const BYTES: usize = 16;
+
+    /// The value as it travels.
+    pub fn to_value(self) -> [u8; Self::BYTES] {
+        let mut value = [0; Self::BYTES];
+        value[..4].copy_from_slice(&self.sequence.to_be_bytes());
+        value[4..12].copy_from_slice(&self.timestamp.to_be_bytes());
+        value[12] = SOFTWARE_LOCAL;
+        value
+    }
+
+    /// From a value; `None` where the reflector had nothing to tell or the length is wrong.
+    pub fn from_value(value: &[u8]) -> Option<Self> {
+        let value: &[u8; Self::BYTES] = value.try_into().ok()?;
+        let sequence = u32::from_be_bytes(*value.first_chunk()?);
+        let timestamp = u64::from_be_bytes(*value[4..].first_chunk()?);
+        (timestamp != 0).then_some(Self { sequence, timestamp })
+    }
+}
+
+/// Bytes of the value of [`EPOCH`].
+pub const EPOCH_BYTES: usize = 8;
+
+/// The value of [`EPOCH`] as it travels.
+pub fn epoch_value(epoch: u32) -> [u8; EPOCH_BYTES] {
+    let mut value = [0; EPOCH_BYTES];
+    value[..4].copy_from_slice(&EPOCH_MARK);
+    value[4..].copy_from_slice(&epoch.to_be_bytes());
+    value
+}
+
+/// The epoch in a value of [`EPOCH`]; `None` where somebody else uses the type.
+pub fn epoch_from_value(value: &[u8]) -> Option<u32> {
+    let value: &[u8; EPOCH_BYTES] = value.try_into().ok()?;
+    value.starts_with(&EPOCH_MARK).then(|| u32::from_be_bytes([value[4], value[5], value[6], value[7]]))
+}
+
+/// Whether TLVs may be believed (RFC 8972, section 4.8): with a key, those before an [`HMAC`] that authenticates them
+/// and the packet's sequence number; without one, those that claim no authentication. Nothing but padding may follow
+/// an [`HMAC`], and padding alone needs none.
+pub fn are_intact(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> bool {
+    let mut code = None;
+    let mut bare = false;
+    for place in places(tlvs) {
+        match place.kind {
+            HMAC if code.is_some() => return false,
+            HMAC => code = Some(place),
+            EXTRA_PADDING => {}
+            _ if code.is_some() => return false,
+            _ => bare = true,
+        }
+    }
+    match (key, code) {
+        (None, code) => code.is_none(),
+        (Some(_), None) => !bare,
+        (Some(key), Some(place)) => {
+            key.verifies(&[&sequence.to_be_bytes(), &tlvs[..place.at]], &tlvs[place.value])
+        }
+    }
+}
+
+/// Writes the code into the TLV [`HMAC`], where there is one.
+pub fn seal(key: &Key, sequence: u32, tlvs: &mut [u8]) {
+    let place = places(tlvs).find(|place| place.kind == HMAC && place.value.len() == CODE_BYTES);
+    if let Some(place) = place {
+        let code = key.code(&[&sequence.to_be_bytes(), &tlvs[..place.at]]);
+        tlvs[place.value].copy_from_slice(&code);
+    }
+}

@@ -1,0 +1,197 @@
+//! With an implementation that is not ours, in both roles: stamp-suite.
+
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+
+use peernet_clock::{Interval, Span, Witnessed};
+use peernet_probes::stamp::uncertainty;
+use peernet_probes::{Key, ProbeResult, ReflectorConfig, Stamps};
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::support::{Probing, Running, prober_config, reflector_config, system_clock};
+
+fn stamp_suite() -> Command {
+    let program = std::env::var_os("PEERNET_STAMP_SUITE").unwrap_or_else(|| "stamp-suite".into());
+    let found = Command::new(&program).arg("--version").output();
+    assert!(
+        found.is_ok_and(|output| output.status.success()),
+        "{} does not run: deploy/install-tools.sh test installs it, PEERNET_STAMP_SUITE names another place",
+        program.display()
+    );
+    let mut command = Command::new(program);
+    // Its key would come from there too.
+    command.env_remove("STAMP_HMAC_KEY").env("RUST_LOG", "warn").stdin(Stdio::null());
+    command
+}
+
+/// A key that both read from one file.
+struct SharedKey {
+    _folder: TempDir,
+    path: PathBuf,
+}
+
+impl SharedKey {
+    fn new() -> Self {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("probes.key");
+        std::fs::write(&path, "5a".repeat(32)).expect("written");
+        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600)).expect("own file");
+        Self { _folder: folder, path }
+    }
+
+    fn ours(&self) -> Key {
+        Key::read(&self.path).expect("a key")
+    }
+
+    fn give(&self, command: &mut Command) {
+        command.args(["--auth-mode", "A", "--verify-tlv-hmac", "--hmac-key-file"]).arg(&self.path);
+    }
+}
+
+/// Ends with the test.
+struct Foreign(Child);
+
+impl Drop for Foreign {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn number(summary: &Value, pointer: &str) -> f64 {
+    summary.pointer(pointer).and_then(Value::as_f64).unwrap_or_else(|| panic!("no {pointer} in {summary}"))
+}
+
+async fn asked_by_their_sender(
+    key: Option<&SharedKey>,
+    stamps: Stamps,
+    clock_format: &str,
+    more: &[&str],
+) -> Value {
+    let config = ReflectorConfig { key: key.map(SharedKey::ours), stamps, ..reflector_config() };
+    let running = Running::start(config, system_clock("cloud"));
+    let mut command = stamp_suite();
+    command
+        .args(["--remote-addr", "127.0.0.1", "--remote-port", &running.address.port().to_string()])
+        .args(["--count", "20", "--send-delay", "10", "--timeout", "10", "--ssid", "4242"])
+        .args(["--clock-source", clock_format, "--follow-up-telemetry", "--output-format", "json"])
+        .args(more);
+    if let Some(key) = key {
+        key.give(&mut command);
+    }
+    let output =
+        tokio::task::spawn_blocking(move || command.output()).await.expect("no panic").expect("it runs");
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{errors}");
+    let counts = running.figures.read();
+    assert_eq!(counts.answered, 20, "{counts:?}: {errors}");
+    running.stop().await;
+    let summary =
+        text.lines().find(|line| line.contains("\"summary\"")).unwrap_or_else(|| panic!("{text}{errors}"));
+    serde_json::from_str(summary).expect("JSON")
+}
+
+/// What their sender says of twenty probes over one clock.
+fn is_content(summary: &Value) {
+    let measured = "/measurements";
+    assert_eq!(number(summary, "/packets_received"), 20.0, "{summary}");
+    assert_eq!(number(summary, &format!("{measured}/tlv_validation/rejected_replies")), 0.0, "{summary}");
+    for flag in ["malformed", "integrity_failed"] {
+        assert_eq!(number(summary, &format!("{measured}/tlv_validation/flags/{flag}")), 0.0, "{summary}");
+    }
+    // One clock: both directions take time, and no more than the round trip.
+    let round_trip = number(summary, "/max_rtt_ms");
+    for way in ["forward", "reverse"] {
+        let least = number(summary, &format!("/owd/{way}_min_ms"));
+        let most = number(summary, &format!("/owd/{way}_max_ms"));
+        assert!(least >= 0.0 && most <= round_trip, "{way}: {least} to {most} of {round_trip} ms");
+    }
+    assert_eq!(number(summary, &format!("{measured}/follow_up/matched")), 19.0, "{summary}");
+    assert!(number(summary, &format!("{measured}/follow_up/reverse_delay/min_ms")) >= 0.0, "{summary}");
+}
+
+#[tokio::test]
+async fn their_sender_is_content_with_our_reflector() {
+    for (stamps, format) in [(Stamps::Kernel, "NTP"), (Stamps::Program, "PTP")] {
+        is_content(&asked_by_their_sender(None, stamps, format, &[]).await);
+    }
+}
+
+#[tokio::test]
+async fn their_authenticated_sender_is_content_with_our_reflector() {
+    let key = SharedKey::new();
+    let summary = asked_by_their_sender(Some(&key), Stamps::Kernel, "NTP", &["--extra-padding", "64"]).await;
+    is_content(&summary);
+    assert_eq!(number(&summary, "/measurements/tlv_validation/hmac/verified"), 20.0, "{summary}");
+}
+
+#[tokio::test]
+async fn their_sender_learns_which_tlvs_we_do_not_know() {
+    let more = ["--direct-measurement", "--location", "--extra-padding", "200"];
+    let summary = asked_by_their_sender(None, Stamps::Kernel, "NTP", &more).await;
+    is_content(&summary);
+    assert_eq!(number(&summary, "/measurements/tlv_validation/flags/unrecognized"), 40.0, "{summary}");
+}
+
+async fn answered_by_their_reflector(
+    address: &str,
+    key: Option<&SharedKey>,
+    more: &[&str],
+) -> Vec<ProbeResult> {
+    // Out of the range from which the system gives ports away, on an address that only this test uses.
+    let target = std::net::SocketAddr::new(address.parse().expect("an address"), 18_620);
+    assert!(target.ip().is_loopback());
+    let mut command = stamp_suite();
+    command
+        .args(["--is-reflector", "--local-addr", address, "--local-port", &target.port().to_string()])
+        .args(more)
+        .stdout(Stdio::null());
+    if let Some(key) = key {
+        key.give(&mut command);
+    }
+    let _foreign = Foreign(command.spawn().expect("it runs"));
+    let mut config = prober_config(target);
+    config.key = key.map(SharedKey::ours);
+    config.padding_bytes = 50;
+    let mut probing = Probing::start(config, 100.0, system_clock("edge"));
+    let mut results = Vec::new();
+    while results.iter().filter(|result| matches!(result, ProbeResult::Answered(_))).count() < 30 {
+        results.push(probing.next().await);
+    }
+    probing.stop().await;
+    results
+}
+
+fn of_one_clock(witnessed: &Witnessed) {
+    let Interval { lo, hi } = witnessed.exchange.bounds();
+    assert!(lo <= Span::ZERO && Span::ZERO <= hi, "{witnessed:?}");
+    assert_eq!((witnessed.cloud_epoch, witnessed.exchange.uncertainty), (None, uncertainty::FOREIGN));
+}
+
+/// Nothing is refused or lost. Their follow-up may repeat the program's stamp: then there is nothing to refine.
+fn is_sound(results: &[ProbeResult]) {
+    for result in results {
+        match result {
+            ProbeResult::Answered(witnessed) | ProbeResult::Refined(witnessed) => of_one_clock(witnessed),
+            ProbeResult::Sent => {}
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+#[tokio::test]
+async fn our_prober_is_answered_by_their_reflector() {
+    is_sound(&answered_by_their_reflector("127.86.20.1", None, &["--stateful-reflector"]).await);
+    is_sound(&answered_by_their_reflector("127.86.20.2", None, &["--clock-source", "PTP"]).await);
+    is_sound(&answered_by_their_reflector("127.86.20.3", None, &["--tlv-mode", "ignore"]).await);
+}
+
+#[tokio::test]
+async fn our_authenticated_prober_is_answered_by_their_reflector() {
+    let key = SharedKey::new();
+    is_sound(&answered_by_their_reflector("127.86.20.4", Some(&key), &["--stateful-reflector"]).await);
+}

@@ -1,0 +1,294 @@
+//! Both roles over real sockets.
+
+use std::time::Duration;
+
+use peernet_clock::{
+    ClockIdentity, Interval, RehearsalDescription, RehearsedClock, SharedClock, Span, Witnessed,
+};
+use peernet_probes::{BindError, ProbeResult, Prober, Reflector, ReflectorConfig, Refusal, Stamps};
+use tokio::net::UdpSocket;
+use tokio_util::sync::CancellationToken;
+
+use crate::support::{Probing, Running, key, loopback, prober_config, reflector_config, system_clock};
+
+fn answered(result: &ProbeResult) -> Option<Witnessed> {
+    if let ProbeResult::Answered(witnessed) = result { Some(*witnessed) } else { None }
+}
+
+fn refined(result: &ProbeResult) -> Option<Witnessed> {
+    if let ProbeResult::Refined(witnessed) = result { Some(*witnessed) } else { None }
+}
+
+/// On one clock the offset is zero: the bounds must hold it, every time.
+fn holds_zero(witnessed: &Witnessed) -> bool {
+    let Interval { lo, hi } = witnessed.exchange.bounds();
+    lo <= Span::ZERO && Span::ZERO <= hi
+}
+
+async fn many(reflector: ReflectorConfig, stamps: Stamps, with_key: bool) -> Vec<ProbeResult> {
+    let running = Running::start(reflector, system_clock("cloud"));
+    let mut config = prober_config(running.address);
+    config.stamps = stamps;
+    config.key = with_key.then(|| key(7));
+    let mut probing = Probing::start(config, 500.0, system_clock("edge"));
+    let mut results = Vec::new();
+    while results.iter().filter_map(answered).count() < 100 {
+        results.push(probing.next().await);
+    }
+    results.extend(probing.stop().await);
+    let answers = results.iter().filter_map(answered).count() as u64;
+    assert!(running.figures.read().answered >= answers);
+    assert_eq!(running.figures.read().refused.iter().map(|(_, count)| count).sum::<u64>(), 0);
+    running.stop().await;
+    results
+}
+
+#[tokio::test]
+async fn every_exchange_on_one_clock_holds_the_truth_in_both_modes_and_with_both_kinds_of_stamps() {
+    for (stamps, with_key, stateful) in [
+        (Stamps::Kernel, false, true),
+        (Stamps::Kernel, true, true),
+        (Stamps::Program, false, false),
+        (Stamps::Program, true, true),
+    ] {
+        let config =
+            ReflectorConfig { stamps, stateful, key: with_key.then(|| key(7)), ..reflector_config() };
+        let results = many(config, stamps, with_key).await;
+        for result in &results {
+            match result {
+                ProbeResult::Answered(witnessed) | ProbeResult::Refined(witnessed) => {
+                    assert!(holds_zero(witnessed), "{stamps:?}: {witnessed:?}");
+                    assert_eq!((witnessed.edge_epoch, witnessed.cloud_epoch), (0, Some(0)));
+                    assert_eq!(witnessed.edge_elapsed.is_some(), stamps == Stamps::Program);
+                    assert!(witnessed.exchange.round_trip() >= Span::ZERO, "{witnessed:?}");
+                }
+                ProbeResult::Sent => {}
+                other => panic!("{other:?}"),
+            }
+        }
+        let sent = results.iter().filter(|result| **result == ProbeResult::Sent).count();
+        assert!(sent >= results.iter().filter_map(answered).count());
+    }
+}
+
+#[tokio::test]
+async fn the_kernel_stamps_both_directions_here_and_the_reply_is_refined_by_the_next() {
+    let running = Running::start(reflector_config(), system_clock("cloud"));
+    let prober = Prober::open(prober_config(running.address), system_clock("edge")).expect("a socket");
+    assert_eq!(prober.stamps_in_words(), "kernel, send and receive");
+    drop(prober);
+    for (stateful, words) in [(true, "kernel, send and receive"), (false, "kernel, receive only")] {
+        let config = ReflectorConfig { stateful, ..reflector_config() };
+        let reflector = Reflector::bind(config, system_clock("cloud")).expect("a free port");
+        assert_eq!(reflector.stamps_in_words(), words);
+    }
+    let mut probing = Probing::start(prober_config(running.address), 200.0, system_clock("edge"));
+    let mut known = Vec::new();
+    for _ in 0..20 {
+        let (better, before) = probing.until(refined).await;
+        known.extend(before.iter().filter_map(answered));
+        let first = known
+            .iter()
+            .find(|known| known.exchange.sent == better.exchange.sent)
+            .expect("answered before it was refined");
+        assert!(better.exchange.replied > first.exchange.replied);
+        let as_before = Witnessed {
+            exchange: peernet_clock::Exchange { replied: first.exchange.replied, ..better.exchange },
+            ..better
+        };
+        assert_eq!(&as_before, first, "nothing else is different");
+        assert!(holds_zero(&better), "{better:?}");
+    }
+    probing.stop().await;
+    running.stop().await;
+}
+
+#[tokio::test]
+async fn a_reflector_without_sessions_or_with_the_programs_stamps_refines_nothing() {
+    for config in [
+        ReflectorConfig { stateful: false, ..reflector_config() },
+        ReflectorConfig { stamps: Stamps::Program, ..reflector_config() },
+    ] {
+        let results = many(config, Stamps::Kernel, false).await;
+        assert_eq!(results.iter().filter_map(refined).count(), 0);
+    }
+}
+
+#[tokio::test]
+async fn a_false_clock_shows_in_kernel_stamps_and_the_bounds_hold_it() {
+    let truth = system_clock("edge");
+    let ahead = Span::from_millis(1370);
+    let description =
+        RehearsalDescription { offset: ahead, drift_ppm: 0.0, steps: Vec::new(), since: truth.wall() };
+    let cloud: SharedClock = std::sync::Arc::new(RehearsedClock::new(
+        system_clock("cloud"),
+        ClockIdentity::new("test", "rehearsal"),
+        description,
+    ));
+    let running = Running::start(reflector_config(), cloud);
+    let mut probing = Probing::start(prober_config(running.address), 200.0, truth);
+    for _ in 0..50 {
+        let (witnessed, _) = probing.until(answered).await;
+        let Interval { lo, hi } = witnessed.exchange.bounds();
+        assert!(lo <= ahead && ahead <= hi, "{witnessed:?}");
+    }
+    probing.stop().await;
+    running.stop().await;
+}
+
+#[tokio::test]
+async fn over_ipv6_with_padding_and_any_address_to_listen_on() {
+    let listen = "[::]:0".parse().expect("an address");
+    let running = Running::start(ReflectorConfig { listen, ..reflector_config() }, system_clock("cloud"));
+    for host in ["::1", "127.0.0.1"] {
+        let target = std::net::SocketAddr::new(host.parse().expect("an address"), running.address.port());
+        let mut config = prober_config(target);
+        config.padding_bytes = 1000;
+        let mut probing = Probing::start(config, 100.0, system_clock("edge"));
+        let (witnessed, _) = probing.until(answered).await;
+        assert!(holds_zero(&witnessed), "{host}: {witnessed:?}");
+        probing.stop().await;
+    }
+    running.stop().await;
+}
+
+#[tokio::test]
+async fn who_has_another_key_or_none_gets_no_answer() {
+    let config = ReflectorConfig { key: Some(key(7)), ..reflector_config() };
+    let running = Running::start(config, system_clock("cloud"));
+    for wrong in [Some(key(8)), None] {
+        let mut config = prober_config(running.address);
+        config.key = wrong;
+        config.timeout = Duration::from_millis(50);
+        let mut probing = Probing::start(config, 100.0, system_clock("edge"));
+        let (_, before) = probing.until(|result| (*result == ProbeResult::Lost).then_some(())).await;
+        assert!(before.iter().all(|result| *result == ProbeResult::Sent), "{before:?}");
+        probing.stop().await;
+    }
+    let counts = running.figures.read();
+    assert_eq!(counts.answered, 0);
+    assert!(counts.refused(Refusal::Unauthenticated) > 0 && counts.refused(Refusal::Short) > 0, "{counts:?}");
+    running.stop().await;
+}
+
+#[tokio::test]
+async fn a_source_that_asks_too_often_is_answered_at_the_limit() {
+    let config = ReflectorConfig { max_per_source_hz: 5, ..reflector_config() };
+    let running = Running::start(config, system_clock("cloud"));
+    let socket = UdpSocket::bind(loopback()).await.expect("a socket");
+    let request = [0; 44];
+    // Far more than five seconds' worth, in far less time, or the limit would allow more anyway.
+    let clock = system_clock("edge");
+    let begun = clock.mono();
+    for _ in 0..200 {
+        socket.send_to(&request, running.address).await.expect("sent");
+    }
+    let figures = running.figures.clone();
+    let all = async {
+        loop {
+            let counts = figures.read();
+            if counts.answered + counts.refused(Refusal::TooOften) == 200 {
+                return counts;
+            }
+            tokio::task::yield_now().await;
+        }
+    };
+    let counts = tokio::time::timeout(crate::support::PATIENCE, all).await.expect("all are looked at");
+    let most = 5.0 + 5.0 * (clock.mono() - begun).seconds();
+    assert!(counts.answered >= 5 && counts.answered as f64 <= most + 1.0, "{counts:?}, most {most}");
+    running.stop().await;
+}
+
+#[tokio::test]
+async fn the_rate_can_be_changed_and_zero_pauses() {
+    let running = Running::start(reflector_config(), system_clock("cloud"));
+    let mut probing = Probing::start(prober_config(running.address), 0.0, system_clock("edge"));
+    let quiet = tokio::time::timeout(Duration::from_millis(200), probing.results.recv()).await;
+    assert!(quiet.is_err(), "nothing is sent while paused: {quiet:?}");
+    // From once in a quarter of an hour to a hundred a second: only "at once" ends this test in time.
+    probing.rate_hz.send(0.001).expect("it listens");
+    probing.until(answered).await;
+    probing.rate_hz.send(100.0).expect("it listens");
+    for _ in 0..10 {
+        probing.until(answered).await;
+    }
+    probing.rate_hz.send(0.0).expect("it listens");
+    // What was under way may still be told; then nothing more.
+    while tokio::time::timeout(Duration::from_millis(300), probing.results.recv()).await.is_ok() {}
+    probing.stop().await;
+    running.stop().await;
+}
+
+#[tokio::test]
+async fn without_a_reflector_probes_are_lost_and_probing_goes_on() {
+    let silent = UdpSocket::bind(loopback()).await.expect("a socket");
+    let mut config = prober_config(silent.local_addr().expect("bound"));
+    config.timeout = Duration::from_millis(20);
+    let mut probing = Probing::start(config.clone(), 100.0, system_clock("edge"));
+    for _ in 0..3 {
+        probing.until(|result| (*result == ProbeResult::Lost).then_some(())).await;
+    }
+    // Now nobody has the port, and the system says so.
+    drop(silent);
+    for _ in 0..3 {
+        probing.until(|result| (*result == ProbeResult::Lost).then_some(())).await;
+    }
+    // And here comes a reflector.
+    let running = Running::start(
+        ReflectorConfig { listen: config.target, ..reflector_config() },
+        system_clock("cloud"),
+    );
+    probing.until(answered).await;
+    probing.stop().await;
+    running.stop().await;
+}
+
+#[tokio::test]
+async fn only_the_target_is_believed() {
+    let target = UdpSocket::bind(loopback()).await.expect("a socket");
+    let other = UdpSocket::bind(loopback()).await.expect("a socket");
+    let mut probing =
+        Probing::start(prober_config(target.local_addr().expect("bound")), 1.0, system_clock("edge"));
+    let mut packet = [0; 2048];
+    let (bytes, prober) = target.recv_from(&mut packet).await.expect("a probe");
+    other.send_to(&packet[..bytes], prober).await.expect("sent");
+    let refusal =
+        |result: &ProbeResult| if let ProbeResult::Refused(why) = result { Some(*why) } else { None };
+    assert_eq!(probing.until(refusal).await.0, "not from the target");
+    target.send_to(&packet[..bytes], prober).await.expect("sent");
+    assert_eq!(probing.until(refusal).await.0, "without the reflector's stamps");
+    target.send_to(&packet[..10], prober).await.expect("sent");
+    assert_eq!(probing.until(refusal).await.0, "shorter than a reply");
+    probing.stop().await;
+}
+
+#[tokio::test]
+async fn a_prober_ends_when_nobody_listens() {
+    let silent = UdpSocket::bind(loopback()).await.expect("a socket");
+    let config = prober_config(silent.local_addr().expect("bound"));
+    let prober = Prober::open(config, system_clock("edge")).expect("a socket");
+    // The rate stays at zero: there is nothing to tell by which it could notice.
+    let (_rate, rate_hz) = tokio::sync::watch::channel(0.0);
+    let (tell, results) = tokio::sync::mpsc::channel(1);
+    let task = tokio::spawn(prober.run(rate_hz, tell, CancellationToken::new()));
+    drop(results);
+    tokio::time::timeout(crate::support::PATIENCE, task).await.expect("it ends").expect("no panic");
+}
+
+#[tokio::test]
+async fn errors_of_binding_say_what_to_do() {
+    let taken = Reflector::bind(reflector_config(), system_clock("cloud")).expect("a free port");
+    let again = ReflectorConfig { listen: taken.address(), ..reflector_config() };
+    let error = Reflector::bind(again, system_clock("cloud")).expect_err("taken");
+    assert!(matches!(error, BindError::InUse(_)) && error.to_string().contains("another port"), "{error}");
+
+    let nowhere = "192.0.2.1:8620".parse().expect("an address");
+    let error =
+        Reflector::bind(ReflectorConfig { listen: nowhere, ..reflector_config() }, system_clock("cloud"))
+            .expect_err("a documentation address is nobody's");
+    assert!(matches!(error, BindError::NoSuchAddress(_)), "{error}");
+
+    let privileged = "127.0.0.1:862".parse().expect("an address");
+    let error = BindError::NotPermitted(privileged).to_string();
+    assert!(error.contains("grant CAP_NET_BIND_SERVICE or use port 8620"), "{error}");
+}

@@ -1,0 +1,48 @@
+//! Any bytes at both roles, and what the fuzz target has found worth keeping.
+
+use std::path::Path;
+
+use peernet_probes::fuzzing::any_packet;
+use proptest::prelude::*;
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2000))]
+
+    #[test]
+    fn any_bytes_are_survived(data: Vec<u8>) {
+        any_packet(&data);
+    }
+
+    /// Long enough for a packet, with TLVs of plausible types and lengths.
+    #[test]
+    fn almost_packets_are_survived(
+        how: u8,
+        base in proptest::collection::vec(any::<u8>(), 112),
+        tlvs in proptest::collection::vec((any::<u8>(), prop_oneof![Just(1u8), Just(7), Just(8), Just(252), any::<u8>()], 0u16..40, 0usize..40), 0..8),
+        cut in 0usize..100,
+    ) {
+        let mut data = vec![how];
+        data.extend(if how & 1 == 0 { &base[..44] } else { &base[..] });
+        for (flags, kind, length, bytes) in tlvs {
+            data.extend([flags, kind]);
+            data.extend(length.to_be_bytes());
+            // Most have the length that they say.
+            let bytes = if bytes < 30 { usize::from(length) } else { bytes };
+            data.extend(vec![flags; bytes]);
+        }
+        data.truncate(data.len().saturating_sub(cut.saturating_sub(50)));
+        any_packet(&data);
+    }
+}
+
+#[test]
+fn the_fuzz_targets_corpus_is_survived() {
+    let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/corpus/packet");
+    let entries = std::fs::read_dir(&corpus).expect("fuzz/corpus/packet is part of the checkout");
+    let mut seen = 0;
+    for entry in entries {
+        any_packet(&std::fs::read(entry.expect("readable").path()).expect("readable"));
+        seen += 1;
+    }
+    assert!(seen >= 10, "only {seen} files in {}", corpus.display());
+}

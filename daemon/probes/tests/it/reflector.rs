@@ -1,0 +1,266 @@
+//! What a reflector makes of packets.
+
+use std::net::SocketAddr;
+
+use peernet_clock::{Clock, ClockIdentity, ManualClock, Span, WallTime};
+use peernet_probes::Refusal;
+use peernet_probes::stamp::auth::Key;
+use peernet_probes::stamp::packet::{self, Mode, Reply, Request};
+use peernet_probes::stamp::reflector::{Answer, Arrival, Reflecting};
+use peernet_probes::stamp::timestamp::{ErrorEstimate, Format};
+use peernet_probes::stamp::tlv::{self, FollowUp};
+
+use crate::support::key;
+
+const NOW: WallTime = WallTime::from_unix_nanos(1_800_000_000_000_000_000);
+
+fn clock() -> ManualClock {
+    ManualClock::new(NOW, ClockIdentity::new("b", "c"))
+}
+
+fn source() -> SocketAddr {
+    "10.0.0.1:40000".parse().expect("an address")
+}
+
+fn arrival(clock: &ManualClock) -> Arrival {
+    Arrival { source: source(), received: clock.wall(), now: clock.mono() }
+}
+
+/// A request with the given TLVs (type, value).
+fn request(key: Option<&Key>, sequence: u32, ssid: u16, tlvs: &[(u8, &[u8])]) -> Vec<u8> {
+    let mode = Mode::of(key);
+    let mut packet = vec![0; mode.base_bytes()];
+    let timestamp = Format::Ntp.encode(NOW - Span::from_seconds(100));
+    let estimate = ErrorEstimate::new(Format::Ntp, Span::ZERO);
+    Request { sequence, timestamp, estimate, ssid }.write(mode, &mut packet);
+    for (kind, value) in tlvs {
+        tlv::push(&mut packet, *kind, value);
+    }
+    if let Some(key) = key {
+        tlv::seal(key, sequence, &mut packet[112..]);
+        packet::seal(key, &mut packet);
+    }
+    packet
+}
+
+fn answer(reflector: &mut Reflecting, clock: &ManualClock, packet: &mut [u8]) -> Result<Answer, Refusal> {
+    let answer = reflector.prepare(packet, &arrival(clock))?;
+    let stamp = reflector.complete(&answer, packet, clock);
+    reflector.sent(&answer, stamp);
+    Ok(answer)
+}
+
+fn tlvs_of(packet: &[u8], base: usize) -> Vec<(u8, u8, Vec<u8>)> {
+    let tlvs = &packet[base..];
+    tlv::places(tlvs).map(|place| (place.kind, place.flags, tlvs[place.value].to_vec())).collect()
+}
+
+#[test]
+fn the_answer_holds_both_stamps_and_the_question() {
+    for format in [Format::Ntp, Format::Ptp] {
+        let clock = clock();
+        let mut reflector = Reflecting::new(None, 100, false);
+        let asked = Request {
+            sequence: 77,
+            timestamp: format.encode(NOW - Span::from_seconds(3)),
+            estimate: ErrorEstimate::new(format, Span::from_millis(1)),
+            ssid: 513,
+        };
+        let mut packet = vec![0; 44];
+        asked.write(Mode::Open, &mut packet);
+        let prepared = reflector.prepare(&mut packet, &arrival(&clock)).expect("answered");
+        clock.advance(Span::from_micros(30));
+        reflector.complete(&prepared, &mut packet, &clock);
+        let reply = Reply::parse(Mode::Open, &packet).expect("long enough");
+        assert_eq!((reply.asked, reply.sequence, packet.len()), (asked, 77, 44));
+        assert_eq!(reply.estimate.format(), format, "in the format that was asked in");
+        assert_eq!(format.decode(reply.received, NOW), Some(NOW));
+        assert_eq!(format.decode(reply.timestamp, NOW), Some(NOW + Span::from_micros(30)));
+    }
+}
+
+#[test]
+fn a_reflector_with_sessions_numbers_its_replies_for_each() {
+    let clock = clock();
+    let mut reflector = Reflecting::new(None, 100, true);
+    let number = |reflector: &mut Reflecting, sequence, ssid| {
+        let mut packet = request(None, sequence, ssid, &[]);
+        answer(reflector, &clock, &mut packet).expect("answered").sequence()
+    };
+    assert_eq!(
+        [number(&mut reflector, 10, 1), number(&mut reflector, 12, 1)],
+        [0, 1],
+        "one was lost on its way"
+    );
+    assert_eq!(number(&mut reflector, 500, 2), 0, "another session");
+    assert_eq!(number(&mut reflector, 13, 1), 2);
+}
+
+#[test]
+fn the_follow_up_tells_when_the_previous_reply_left() {
+    let clock = clock();
+    let mut reflector = Reflecting::new(None, 100, true);
+    let room: (u8, &[u8]) = (tlv::FOLLOW_UP, &[0; FollowUp::BYTES]);
+    let follow_up = |packet: &[u8]| match &tlvs_of(packet, 44)[..] {
+        [(tlv::FOLLOW_UP, 0, value)] => FollowUp::from_value(value),
+        other => panic!("{other:?}"),
+    };
+    let mut first = request(None, 5, 1, &[room]);
+    let answered = answer(&mut reflector, &clock, &mut first).expect("answered");
+    assert_eq!(follow_up(&first), None, "there was none before");
+    // Neither before the program's stamp nor absurdly late, nor of another reply.
+    let (session, left) = (answered.session(), NOW + Span::from_micros(17));
+    reflector.departed(&session, answered.sequence(), left);
+    reflector.departed(&session, answered.sequence(), NOW - Span::from_nanos(1));
+    reflector.departed(&session, answered.sequence(), NOW + Span::from_seconds(10));
+    reflector.departed(&session, answered.sequence() + 1, NOW + Span::from_micros(20));
+
+    clock.advance(Span::from_millis(1));
+    let mut second = request(None, 6, 1, &[room]);
+    answer(&mut reflector, &clock, &mut second).expect("answered");
+    assert_eq!(follow_up(&second), Some(FollowUp { sequence: 0, timestamp: Format::Ntp.encode(left) }));
+
+    let mut stateless = Reflecting::new(None, 100, false);
+    for _ in 0..2 {
+        let mut packet = request(None, 7, 1, &[(tlv::FOLLOW_UP, &[9; FollowUp::BYTES])]);
+        answer(&mut stateless, &clock, &mut packet).expect("answered");
+        assert_eq!(
+            tlvs_of(&packet, 44),
+            [(tlv::FOLLOW_UP, 0, vec![0; FollowUp::BYTES])],
+            "zeros without sessions"
+        );
+    }
+}
+
+#[test]
+fn tlvs_are_flagged_and_go_back_in_their_order() {
+    let clock = clock();
+    let mut reflector = Reflecting::new(None, 100, true);
+    let mut packet = request(
+        None,
+        1,
+        1,
+        &[
+            (99, b"unknown"),
+            (tlv::EXTRA_PADDING, &[5; 30]),
+            (tlv::FOLLOW_UP, &[1; 7]),
+            (tlv::EPOCH, &tlv::epoch_value(0)),
+            (tlv::EPOCH, b"another's"),
+            (3, b""),
+        ],
+    );
+    // The last one claims more than there is.
+    let length = packet.len();
+    packet[length - 1] = 200;
+    answer(&mut reflector, &clock, &mut packet).expect("answered");
+    assert_eq!(
+        tlvs_of(&packet, 44),
+        [
+            (99, tlv::UNRECOGNISED, b"unknown".to_vec()),
+            (tlv::EXTRA_PADDING, 0, vec![5; 30]),
+            (tlv::FOLLOW_UP, tlv::MALFORMED, vec![0; 7]),
+            (tlv::EPOCH, 0, tlv::epoch_value(clock.epoch()).to_vec()),
+            (tlv::EPOCH, tlv::UNRECOGNISED, b"another's".to_vec()),
+            (3, tlv::UNRECOGNISED | tlv::MALFORMED, Vec::new()),
+        ]
+    );
+}
+
+#[test]
+fn tlvs_that_are_not_authenticated_only_go_back() {
+    let (clock, key) = (clock(), key(7));
+    let room: &[u8] = &[0; FollowUp::BYTES];
+    let code: &[u8] = &[0; 16];
+    let mut reflector = Reflecting::new(Some(key.clone()), 100, true);
+    let mut flags = |tlvs: &[(u8, &[u8])], touch: bool| {
+        let mut packet = request(Some(&key), 1, 1, tlvs);
+        if touch {
+            *packet.last_mut().expect("not empty") ^= 1;
+        }
+        answer(&mut reflector, &clock, &mut packet).expect("the base packet is authentic");
+        assert!(packet::is_sealed(&key, &packet), "the answer is authenticated");
+        let sequence = Reply::parse(Mode::Authenticated, &packet).expect("long").sequence;
+        let flags: Vec<u8> = tlvs_of(&packet, 112).iter().map(|(_, flags, _)| *flags).collect();
+        (flags, tlv::are_intact(Some(&key), sequence, &packet[112..]))
+    };
+    let bad = tlv::NOT_INTACT;
+    assert_eq!(flags(&[(tlv::FOLLOW_UP, room), (tlv::HMAC, code)], false), (vec![0, 0], true));
+    assert_eq!(flags(&[(tlv::FOLLOW_UP, room), (tlv::HMAC, code)], true).0, [bad, bad], "touched");
+    assert_eq!(flags(&[(tlv::FOLLOW_UP, room)], false).0, [bad], "without a code");
+    assert_eq!(flags(&[(tlv::EXTRA_PADDING, room)], false).0, [0], "padding alone needs none");
+    assert_eq!(flags(&[(tlv::HMAC, code), (tlv::FOLLOW_UP, room)], false).0, [bad, bad], "not at the end");
+    assert_eq!(
+        flags(&[(tlv::FOLLOW_UP, room), (tlv::HMAC, code), (tlv::EXTRA_PADDING, room)], false).0,
+        [0; 3]
+    );
+
+    let mut keyless = Reflecting::new(None, 100, true);
+    let mut packet = request(None, 1, 1, &[(tlv::FOLLOW_UP, room), (tlv::HMAC, code)]);
+    answer(&mut keyless, &clock, &mut packet).expect("answered");
+    assert!(tlvs_of(&packet, 44).iter().all(|(_, flags, _)| *flags == bad), "nobody here can verify it");
+}
+
+#[test]
+fn a_request_that_is_not_authentic_gets_nothing_and_costs_its_source_nothing() {
+    let (clock, key) = (clock(), key(7));
+    let mut reflector = Reflecting::new(Some(key.clone()), 3, true);
+    let good = request(Some(&key), 1, 1, &[]);
+    for at in [0, 20, 60, 111] {
+        let mut packet = good.clone();
+        packet[at] ^= 1;
+        assert_eq!(
+            answer(&mut reflector, &clock, &mut packet).expect_err("touched"),
+            Refusal::Unauthenticated
+        );
+    }
+    let mut open = request(None, 1, 1, &[(tlv::EXTRA_PADDING, &[0; 100])]);
+    assert_eq!(answer(&mut reflector, &clock, &mut open).expect_err("open"), Refusal::Unauthenticated);
+    let answers = (0..9).filter(|_| answer(&mut reflector, &clock, &mut good.clone()).is_ok()).count();
+    assert_eq!(answers, 3, "its whole share is left");
+}
+
+#[test]
+fn two_reflectors_do_not_play_ping_pong() {
+    let clock = clock();
+    for format in [Format::Ntp, Format::Ptp] {
+        for key in [None, Some(key(7))] {
+            let mode = Mode::of(key.as_ref());
+            let mut one = Reflecting::new(key.clone(), 100, true);
+            let mut other = Reflecting::new(key.clone(), 100, false);
+            let mut packet = request(key.as_ref(), 1, 1, &[]);
+            let mut asked = Request::parse(mode, &packet).expect("long enough");
+            asked.estimate = ErrorEstimate::new(format, Span::ZERO);
+            asked.write(mode, &mut packet);
+            if let Some(key) = &key {
+                packet::seal(key, &mut packet);
+            }
+            answer(&mut one, &clock, &mut packet).expect("a request");
+            // The other host's clock is years away, and its packet was long on the way.
+            clock.advance(Span::from_seconds(7));
+            clock.step_wall(Span::from_seconds(86_400 * 3000));
+            assert_eq!(answer(&mut other, &clock, &mut packet).expect_err("a reply"), Refusal::Reply);
+        }
+    }
+    let mut reflector = Reflecting::new(None, 100, true);
+    let from_nowhere = Arrival { source: "10.0.0.1:0".parse().expect("an address"), ..arrival(&clock) };
+    let refused = reflector.prepare(&mut request(None, 1, 1, &[]), &from_nowhere);
+    assert_eq!(refused.expect_err("port 0"), Refusal::NoPort);
+}
+
+#[test]
+fn twamp_light_senders_are_answered_whatever_their_padding() {
+    let clock = clock();
+    let mut reflector = Reflecting::new(None, 1000, false);
+    for (padding, length) in [(0u8, 44), (0, 341), (0xFF, 1400), (0x55, 45)] {
+        let mut packet = vec![padding; length];
+        packet[..4].copy_from_slice(&9u32.to_be_bytes());
+        packet[4..12].copy_from_slice(&Format::Ntp.encode(NOW).to_be_bytes());
+        packet[12..14].copy_from_slice(&1u16.to_be_bytes());
+        answer(&mut reflector, &clock, &mut packet).expect("answered");
+        assert_eq!(packet.len(), length);
+        let reply = Reply::parse(Mode::Open, &packet).expect("long enough");
+        assert_eq!((reply.asked.sequence, Format::Ntp.decode(reply.received, NOW)), (9, Some(NOW)));
+    }
+    let refused = answer(&mut reflector, &clock, &mut [0; 43]);
+    assert_eq!(refused.expect_err("too short"), Refusal::Short);
+}

@@ -1,0 +1,121 @@
+//! Two ends on loopback.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
+use peernet_probes::{
+    Key, ProbeResult, Prober, ProberConfig, Reflector, ReflectorConfig, ReflectorFigures, Stamps,
+};
+use tokio::sync::{mpsc, watch};
+use tokio::task::JoinHandle;
+use tokio_util::sync::CancellationToken;
+
+/// Longest wait for anything that has to come.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(30);
+
+pub(crate) fn system_clock(name: &str) -> SharedClock {
+    Arc::new(SystemClock::new(ClockIdentity::new("test", name)))
+}
+
+pub(crate) fn loopback() -> SocketAddr {
+    "127.0.0.1:0".parse().expect("an address")
+}
+
+pub(crate) fn key(byte: u8) -> Key {
+    Key::from_bytes(&[byte; 32])
+}
+
+pub(crate) fn reflector_config() -> ReflectorConfig {
+    ReflectorConfig {
+        listen: loopback(),
+        key: None,
+        max_per_source_hz: 10_000,
+        stamps: Stamps::Kernel,
+        stateful: true,
+    }
+}
+
+pub(crate) fn prober_config(target: SocketAddr) -> ProberConfig {
+    ProberConfig {
+        target,
+        key: None,
+        padding_bytes: 0,
+        stamps: Stamps::Kernel,
+        timeout: Duration::from_secs(20),
+    }
+}
+
+/// A reflector that runs.
+pub(crate) struct Running {
+    pub(crate) address: SocketAddr,
+    pub(crate) figures: ReflectorFigures,
+    stop: CancellationToken,
+    task: JoinHandle<Result<(), String>>,
+}
+
+impl Running {
+    pub(crate) fn start(config: ReflectorConfig, clock: SharedClock) -> Self {
+        let reflector = Reflector::bind(config, clock).expect("loopback has free ports");
+        let (address, figures) = (reflector.address(), reflector.figures());
+        let stop = CancellationToken::new();
+        let task = tokio::spawn(reflector.run(stop.clone()));
+        Self { address, figures, stop, task }
+    }
+
+    pub(crate) async fn stop(self) {
+        self.stop.cancel();
+        self.task.await.expect("no panic").expect("the socket was not lost");
+    }
+}
+
+/// A prober that runs.
+pub(crate) struct Probing {
+    pub(crate) rate_hz: watch::Sender<f64>,
+    pub(crate) results: mpsc::Receiver<ProbeResult>,
+    stop: CancellationToken,
+    task: JoinHandle<()>,
+}
+
+impl Probing {
+    pub(crate) fn start(config: ProberConfig, rate_hz: f64, clock: SharedClock) -> Self {
+        let prober = Prober::open(config, clock).expect("a socket");
+        let (rate_hz, rate) = watch::channel(rate_hz);
+        let (tell, results) = mpsc::channel(1024);
+        let stop = CancellationToken::new();
+        let task = tokio::spawn(prober.run(rate, tell, stop.clone()));
+        Self { rate_hz, results, stop, task }
+    }
+
+    pub(crate) async fn next(&mut self) -> ProbeResult {
+        let next = tokio::time::timeout(PATIENCE, self.results.recv()).await;
+        next.expect("a result comes in time").expect("the prober runs")
+    }
+
+    /// The next that is what it should be, and whatever came before it.
+    pub(crate) async fn until<T>(
+        &mut self,
+        wanted: impl Fn(&ProbeResult) -> Option<T>,
+    ) -> (T, Vec<ProbeResult>) {
+        let mut before = Vec::new();
+        loop {
+            let result = self.next().await;
+            match wanted(&result) {
+                Some(found) => return (found, before),
+                None => before.push(result),
+            }
+        }
+    }
+
+    /// Stops, and gives what was still told.
+    pub(crate) async fn stop(mut self) -> Vec<ProbeResult> {
+        self.stop.cancel();
+        self.task.await.expect("no panic");
+        let mut rest = Vec::new();
+        while let Ok(result) = self.results.try_recv() {
+            rest.push(result);
+        }
+        rest
+    }
+}
