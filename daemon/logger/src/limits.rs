@@ -1,4 +1,4 @@
-//! How large a tree may become, wherever it comes from.
+//! How large a tree may become, wherever it comes from, and how long lists in messages.
 //!
 //! A recorder stays within them by leaving nodes out and counting them; what arrives and does not is refused.
 
@@ -19,3 +19,12 @@ pub const MAX_NAME_BYTES: usize = 128;
 
 /// Bytes of the wire form of a tree or a growth.
 pub const MAX_BYTES: usize = 1024 * 1024;
+
+/// Links of a live update.
+pub const MAX_LINKS: usize = 1024;
+
+/// Kinds of network of a link.
+pub const MAX_NETWORKS: usize = 64;
+
+/// Pipelines of a link.
+pub const MAX_PIPELINES: usize = 256;

@@ -19,7 +19,7 @@ use bytes::Bytes;
 use peernet_clock::{ClockIdentity, SharedClock, Span, SystemClock};
 use peernet_logger::{HostId, Measure, Recorder, Slug};
 use peernet_networks::{
-    Address, Incoming, Listener, NetworkKind, PROTOCOL, Session, SessionAccepted, SessionHello,
+    Address, Incoming, Listener, NetworkKind, PROTOCOL, PeerClock, Session, SessionAccepted, SessionHello,
     SessionSettings,
 };
 use peernet_sample::{Description, Sample};
@@ -180,6 +180,8 @@ async fn serve_session(plan: Plan, tell: std::sync::mpsc::SyncSender<Address>) -
                     model: open.hello.model.clone(),
                     device: "cpu".into(),
                     facts: Vec::new(),
+                    host_clock: PeerClock::default(),
+                    probes: None,
                 };
                 open.accept(accepted);
             }

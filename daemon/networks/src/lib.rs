@@ -16,9 +16,9 @@ mod transport;
 pub use address::{Address, InvalidAddress};
 pub use figures::NetworkFigures;
 pub use kind::NetworkKind;
-pub use message::{PROTOCOL, SessionAccepted, SessionHello, SessionId};
+pub use message::{PROTOCOL, PeerClock, SessionAccepted, SessionHello, SessionId};
 pub use session::{
-    BindError, CloseReason, Exchange, Failure, Incoming, IncomingRequest, Listener, OpenError, OpenRequest,
-    RequestError, Responder, Session,
+    Announcer, BindError, CloseReason, Exchange, Failure, Incoming, IncomingRequest, Listener, OpenError,
+    OpenRequest, RequestError, Responder, Session,
 };
 pub use settings::{InvalidSettings, SessionSettings};

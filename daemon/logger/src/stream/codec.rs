@@ -137,11 +137,84 @@ fn write_batch(
 
 #[cfg(test)]
 mod tests {
-    use peernet_clock::WallTime;
+    use peernet_clock::{
+        DelaySource, Discipline, Exchange, ExchangeCounts, Interval, Offset, RehearsalDescription,
+        RehearsedStep, Span, Verdict, WallTime,
+    };
     use proptest::prelude::*;
 
-    use super::super::{Batch, Event, Incident, IncidentKind};
+    use super::super::{
+        Accounting, Batch, ClockSample, DelayPoint, DelaySecond, Event, HostClock, HostMetrics, Incident,
+        IncidentKind, LinkLive, LiveUpdate, ProbeCounts, Probing, RoundTrip,
+    };
     use super::*;
+
+    fn interval(lo: i64, hi: i64) -> Interval {
+        Interval { lo: Span::from_nanos(lo), hi: Span::from_nanos(hi) }
+    }
+
+    /// A sample with everything that one can hold.
+    fn clock() -> ClockSample {
+        let at = WallTime::from_unix_nanos;
+        let exchange = Exchange {
+            sent: at(1_000),
+            received: at(-2_000),
+            replied: at(-1_500),
+            returned: at(4_000),
+            uncertainty: Span::from_nanos(2),
+        };
+        let delays = DelaySecond {
+            count: 5,
+            median: Some(DelayPoint {
+                value: Span::from_micros(600),
+                bounds: interval(500_000, 700_000),
+                bits_per_second: Some(8e6),
+            }),
+            verdict: Verdict::Limited,
+        };
+        ClockSample {
+            peer: HostId::random(),
+            peer_name: "cloud".parse().expect("a name"),
+            at: at(1_000_000_000),
+            window: u64::MAX,
+            max_drift_ppm: 50.0,
+            upper: Some(exchange),
+            lower: None,
+            offset: Some(Offset {
+                at: at(1_000_000_000),
+                estimate: Span::from_nanos(-4_000),
+                bounds: interval(-5_500, -3_000),
+                source: DelaySource::Intersection,
+                sources: vec![
+                    (DelaySource::InBand, interval(-6_000, -3_000)),
+                    (DelaySource::Chrony, interval(-5_500, 9)),
+                ],
+                verdict: Verdict::Ok,
+                skew_ppm: Some(-12.5),
+                exchanges: 17,
+                age: Some(Span::from_millis(80)),
+            }),
+            probes: ProbeCounts { sent: 10, answered: 9, lost: 1 },
+            exchanges: ExchangeCounts { taken: 9, impossible: 1, outliers: 2, stepped: 3, restarts: 4 },
+            round_trip: Some(RoundTrip { min: Span::from_micros(2), median: Span::from_micros(3) }),
+            up: Some(delays),
+            down: Some(DelaySecond { median: None, ..delays }),
+        }
+    }
+
+    fn host_clock() -> HostClock {
+        HostClock {
+            discipline: Some(Discipline { source: DelaySource::Chrony, error: interval(-7, 7) }),
+            text: "chrony, stratum 2, to 10.0.0.1".into(),
+            epoch: 3,
+            rehearsal: Some(RehearsalDescription {
+                offset: Span::from_seconds(1),
+                drift_ppm: -50.0,
+                steps: vec![RehearsedStep { at: Span::from_seconds(9), by: Span::from_seconds(-3) }],
+                since: WallTime::from_unix_nanos(5),
+            }),
+        }
+    }
 
     fn batch(number: u64, events: usize) -> Batch {
         let incident = Incident {
@@ -152,7 +225,8 @@ mod tests {
             peer: Some(HostId::random()),
             text: "back after 2 s".into(),
         };
-        let events = vec![Event::Incident(incident); events];
+        let kinds = [Event::Incident(incident), Event::Clock(Box::new(clock()))];
+        let events = kinds.into_iter().cycle().take(events).collect();
         Batch { host: HostId::random(), stream: StreamId::random(), number, events }
     }
 
@@ -175,6 +249,36 @@ mod tests {
             }
             assert!(frame == encode(&ToAggregator::Batch(batch)));
         }
+    }
+
+    #[test]
+    fn what_is_told_of_clocks_arrives_as_it_was_sent() {
+        let probing = [
+            Probing::On { address: "udp://h:8620".into(), rate_hz: 10.0, stamps: "program".into() },
+            Probing::Unanswered { address: "udp://h:8620".into() },
+            Probing::Off("both read one clock".into()),
+        ];
+        let link = |probing| LinkLive {
+            peer: HostId::random(),
+            peer_name: "cloud".parse().expect("a name"),
+            networks: vec!["zmq-tcp".into()],
+            pipelines: vec!["line".parse().expect("a name")],
+            same_clock: false,
+            probing,
+            edge: Some(host_clock()),
+            cloud: None,
+            now: clock(),
+        };
+        let update = ToAggregator::Live(LiveUpdate {
+            host: HostId::random(),
+            sent: WallTime::from_unix_nanos(1_000_000_001),
+            pipelines: vec![],
+            links: probing.map(link).into(),
+            clock: host_clock(),
+            metrics: HostMetrics::default(),
+            accounting: Accounting::default(),
+        });
+        assert_eq!(decode(&encode(&update)), Ok(update));
     }
 
     #[test]

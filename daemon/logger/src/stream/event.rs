@@ -5,6 +5,7 @@ use std::fmt;
 use peernet_clock::WallTime;
 use serde::{Deserialize, Serialize};
 
+use super::clock::ClockSample;
 use super::live::Placement;
 use crate::{HostId, RunId, Slug, Tree};
 
@@ -21,6 +22,8 @@ pub enum Event {
     Incident(Incident),
     /// Events were dropped.
     Gap(Gap),
+    /// A second of the relation between this host's clock and a cloud's.
+    Clock(Box<ClockSample>),
 }
 
 /// One pipeline configuration about to be executed.

@@ -205,6 +205,7 @@ impl<S: Spool> Intake<S> {
             Event::Iteration(iteration) => of_run(&iteration.run),
             Event::Incident(incident) => (incident.pipeline.clone(), incident.run),
             Event::Gap(gap) => (gap.pipeline.clone(), gap.run),
+            Event::Clock(_) => (None, None),
         }
     }
 

@@ -4,7 +4,9 @@ use peernet_clock::WallTime;
 use peernet_statistics::Summary;
 use serde::{Deserialize, Serialize};
 
-use super::HostMetrics;
+use super::bounded::at_most;
+use super::{HostClock, HostMetrics, LinkLive};
+use crate::limits::MAX_LINKS;
 use crate::{HostId, Name, RunId, Slug};
 
 /// Sent every 250 ms while the connection is up, never queued behind older ones.
@@ -16,6 +18,11 @@ pub struct LiveUpdate {
     pub sent: WallTime,
     /// Every pipeline of the agent.
     pub pipelines: Vec<PipelineLive>,
+    /// Every cloud that the agent has to do with, at most [`MAX_LINKS`].
+    #[serde(deserialize_with = "at_most::<MAX_LINKS, _, _>")]
+    pub links: Vec<LinkLive>,
+    /// The host's own clock.
+    pub clock: HostClock,
     /// How the host fares.
     pub metrics: HostMetrics,
     /// What became of the agent's events.

@@ -10,7 +10,7 @@ use std::str::FromStr;
 use uuid::Uuid;
 
 /// Version of the event stream's messages. Both ends must agree.
-pub const PROTOCOL: u16 = 1;
+pub const PROTOCOL: u16 = 2;
 
 random_id! {
     /// A stream of batches: made with the agent's spool, so that a new or copied spool is recognised.

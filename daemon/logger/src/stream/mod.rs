@@ -10,6 +10,8 @@
 //! batch and its stream's mark in one transaction. What did not fit into the spool is counted, and a gap stands in
 //! its place.
 
+mod bounded;
+mod clock;
 pub mod codec;
 mod event;
 mod host;
@@ -21,6 +23,7 @@ mod receiving;
 mod sending;
 mod spool;
 
+pub use clock::{ClockSample, DelayPoint, DelaySecond, HostClock, LinkLive, ProbeCounts, Probing, RoundTrip};
 pub use event::{Event, Gap, Incident, IncidentKind, Iteration, Outcome, RunDescription, RunEnded};
 pub use host::{Hardware, HostDescription, HostMetrics};
 pub use live::{

@@ -8,7 +8,7 @@ use peernet_clock::{Span, WallTime};
 use peernet_sample::{Description, Part, Sample};
 use serde::{Deserialize, Serialize};
 
-use super::{SessionAccepted, SessionHello, SessionId};
+use super::{PeerClock, SessionAccepted, SessionHello, SessionId, words};
 
 /// Largest header, both ways. Bytes.
 pub(crate) const MAX_HEADER_BYTES: usize = 64 * 1024;
@@ -57,6 +57,8 @@ pub(crate) enum Header {
     Request(Request),
     /// Cloud: the answer. Followed by the tree's growth and the payload.
     Reply(Reply),
+    /// Cloud: this is known of my wall clock from now on.
+    Clock(Box<ClockNews>),
     /// Cloud: there is no such session here (any more).
     UnknownSession(UnknownSession),
     /// Either: the session is over.
@@ -104,8 +106,11 @@ pub(crate) enum RefusalKind {
 pub(crate) struct Departure {
     /// What the sender's wall clock showed.
     pub(crate) sent: WallTime,
-    /// The same moment on its monotonic clock, from its anchor in the tree.
+    /// The same moment on its monotonic clock, from its anchor in the tree. The cloud's anchor is the arrival of
+    /// the request, so that in a reply this is how long the request was there.
     pub(crate) start: Span,
+    /// [`peernet_clock::Clock::epoch`] of the sender, read after `sent` was stamped.
+    pub(crate) epoch: u32,
 }
 
 /// What is said about a sample besides its payload.
@@ -130,6 +135,9 @@ pub(crate) struct Reply {
     pub(crate) request: u64,
     /// Present when the tree's growth is: an answer that no model made carries neither.
     pub(crate) departure: Option<Departure>,
+    /// The cloud's epoch right after the request's arrival was stamped. Another than the departure's: its clock was
+    /// stepped in between.
+    pub(crate) arrival_epoch: u32,
     pub(crate) outcome: Outcome,
 }
 
@@ -139,6 +147,12 @@ pub(crate) enum Outcome {
     Answer(SampleHeader),
     Failed(#[serde(deserialize_with = "words")] String),
     Overloaded(#[serde(deserialize_with = "words")] String),
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct ClockNews {
+    pub(crate) session: SessionId,
+    pub(crate) clock: PeerClock,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -152,15 +166,6 @@ pub(crate) struct Goodbye {
     pub(crate) session: SessionId,
     #[serde(deserialize_with = "words")]
     pub(crate) reason: String,
-}
-
-/// A peer's words, which end up on terminals and in logs: control characters become spaces.
-fn words<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
-    let text = String::deserialize(deserializer)?;
-    if !text.contains(char::is_control) {
-        return Ok(text);
-    }
-    Ok(text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect())
 }
 
 impl Header {

@@ -2,13 +2,16 @@
 
 use std::fmt;
 
-use peernet_clock::ClockIdentity;
+use peernet_clock::{ClockIdentity, Discipline, RehearsalDescription};
 use peernet_logger::{HostId, Slug};
-use serde::{Deserialize, Serialize};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
 use uuid::Uuid;
 
+use super::words;
+
 /// The version of the protocol between edge and cloud. Peers of different versions refuse each other.
-pub const PROTOCOL: u16 = 1;
+pub const PROTOCOL: u16 = 2;
 
 /// A session, by the random id that the cloud gave it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -48,7 +51,7 @@ pub struct SessionHello {
 }
 
 /// Who serves a session, and with what.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SessionAccepted {
     /// The cloud's id.
     pub host: HostId,
@@ -64,4 +67,46 @@ pub struct SessionAccepted {
     pub device: String,
     /// What the model is, in words, for the run's page.
     pub facts: Vec<(String, String)>,
+    /// What is known of the cloud's wall clock now; [`Session::peer_clock`](crate::Session::peer_clock) tells later.
+    pub host_clock: PeerClock,
+    /// UDP port of the cloud's probe reflector, if it has one.
+    pub probes: Option<u16>,
+}
+
+/// What a cloud tells of its wall clock: when a session opens, and whenever it changes. On the wire a claim whose
+/// interval is none, or a drift that is no number, makes the whole message unreadable.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PeerClock {
+    /// [`peernet_clock::Clock::epoch`].
+    pub epoch: u32,
+    /// What its time daemon claims.
+    #[serde(deserialize_with = "ordered")]
+    pub discipline: Option<Discipline>,
+    /// The same in words.
+    #[serde(deserialize_with = "words")]
+    pub text: String,
+    /// How it is made wrong on purpose.
+    #[serde(deserialize_with = "finite")]
+    pub rehearsal: Option<RehearsalDescription>,
+}
+
+/// A peer's claim, from which intervals are computed here: one that ends before it begins is none.
+fn ordered<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Discipline>, D::Error> {
+    let discipline: Option<Discipline> = Option::deserialize(deserializer)?;
+    match discipline {
+        Some(Discipline { error, .. }) if error.hi < error.lo => {
+            Err(D::Error::custom("an interval that ends before it begins"))
+        }
+        discipline => Ok(discipline),
+    }
+}
+
+fn finite<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<RehearsalDescription>, D::Error> {
+    let rehearsal: Option<RehearsalDescription> = Option::deserialize(deserializer)?;
+    match rehearsal {
+        Some(rehearsal) if !rehearsal.drift_ppm.is_finite() => {
+            Err(D::Error::custom("a drift that is no number"))
+        }
+        rehearsal => Ok(rehearsal),
+    }
 }

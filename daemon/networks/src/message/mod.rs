@@ -6,6 +6,7 @@
 //! | accepted, refused | cloud | session id and who serves, or the reason | | |
 //! | request | edge | session, number, departure, description of the sample | tree | payload parts, untouched |
 //! | reply | cloud | session, number, departure, outcome | growth of the tree | payload parts, untouched |
+//! | clock | cloud | session, what is known of the cloud's clock | | |
 //! | unknown-session | cloud | session, number | | |
 //! | goodbye | either | session, reason | | |
 //!
@@ -20,8 +21,19 @@ mod tree;
 pub(crate) mod strategies;
 
 pub(crate) use header::{
-    Accepted, Departure, Goodbye, Header, HeaderError, MAX_FRAMES, Open, Outcome, RefusalKind, Refused,
-    Reply, Request, SampleHeader, UnknownSession,
+    Accepted, ClockNews, Departure, Goodbye, Header, HeaderError, MAX_FRAMES, Open, Outcome, RefusalKind,
+    Refused, Reply, Request, SampleHeader, UnknownSession,
 };
-pub use hello::{PROTOCOL, SessionAccepted, SessionHello, SessionId};
+pub use hello::{PROTOCOL, PeerClock, SessionAccepted, SessionHello, SessionId};
 pub(crate) use tree::{decode_growth, decode_tree, encode_growth, encode_tree, put_upload};
+
+use serde::{Deserialize, Deserializer};
+
+/// A peer's words, which end up on terminals and in logs: control characters become spaces.
+fn words<'de, D: Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
+    let text = String::deserialize(deserializer)?;
+    if !text.contains(char::is_control) {
+        return Ok(text);
+    }
+    Ok(text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect())
+}

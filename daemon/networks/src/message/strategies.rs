@@ -1,13 +1,15 @@
 //! Arbitrary messages, for property tests.
 
-use peernet_clock::{ClockIdentity, Span, WallTime};
+use peernet_clock::{
+    ClockIdentity, DelaySource, Discipline, Interval, RehearsalDescription, RehearsedStep, Span, WallTime,
+};
 use peernet_logger::{HostId, Slug};
 use peernet_sample::{Description, ElementType, MediaType, PixelFormat};
 use proptest::prelude::*;
 
 use super::{
-    Accepted, Departure, Goodbye, Header, Open, Outcome, RefusalKind, Refused, Reply, Request, SampleHeader,
-    SessionAccepted, SessionHello, SessionId, UnknownSession,
+    Accepted, ClockNews, Departure, Goodbye, Header, Open, Outcome, PeerClock, RefusalKind, Refused, Reply,
+    Request, SampleHeader, SessionAccepted, SessionHello, SessionId, UnknownSession,
 };
 
 fn slug() -> impl Strategy<Value = Slug> {
@@ -37,10 +39,37 @@ pub(crate) fn hello() -> impl Strategy<Value = SessionHello> {
     )
 }
 
+fn span() -> impl Strategy<Value = Span> {
+    any::<i64>().prop_map(Span::from_nanos)
+}
+
+fn discipline() -> impl Strategy<Value = Discipline> {
+    let source = prop_oneof![Just(DelaySource::Kernel), Just(DelaySource::Chrony)];
+    (source, span(), span()).prop_map(|(source, a, b)| {
+        let error = Interval { lo: a.min(b), hi: a.max(b) };
+        Discipline { source, error }
+    })
+}
+
+fn rehearsal() -> impl Strategy<Value = RehearsalDescription> {
+    let step = (span(), span()).prop_map(|(at, by)| RehearsedStep { at, by });
+    let steps = proptest::collection::vec(step, 0..3);
+    (span(), -1e3..1e3_f64, steps, any::<i64>()).prop_map(|(offset, drift_ppm, steps, since)| {
+        RehearsalDescription { offset, drift_ppm, steps, since: WallTime::from_unix_nanos(since) }
+    })
+}
+
+pub(crate) fn peer_clock() -> impl Strategy<Value = PeerClock> {
+    let (discipline, rehearsal) = (proptest::option::of(discipline()), proptest::option::of(rehearsal()));
+    (any::<u32>(), discipline, words(), rehearsal)
+        .prop_map(|(epoch, discipline, text, rehearsal)| PeerClock { epoch, discipline, text, rehearsal })
+}
+
 pub(crate) fn accepted() -> impl Strategy<Value = SessionAccepted> {
     let facts = proptest::collection::vec((".{0,12}", ".{0,12}"), 0..4);
-    (host(), slug(), clock(), ".{0,12}", slug(), ".{0,12}", facts).prop_map(
-        |(host, name, clock, version, model, device, facts)| SessionAccepted {
+    let clocks = (clock(), peer_clock(), any::<Option<u16>>());
+    (host(), slug(), clocks, ".{0,12}", slug(), ".{0,12}", facts).prop_map(
+        |(host, name, (clock, host_clock, probes), version, model, device, facts)| SessionAccepted {
             host,
             name,
             clock,
@@ -48,6 +77,8 @@ pub(crate) fn accepted() -> impl Strategy<Value = SessionAccepted> {
             model,
             device,
             facts,
+            host_clock,
+            probes,
         },
     )
 }
@@ -71,9 +102,10 @@ fn sample() -> impl Strategy<Value = SampleHeader> {
 }
 
 fn departure() -> impl Strategy<Value = Departure> {
-    (any::<i64>(), any::<i64>()).prop_map(|(sent, start)| Departure {
+    (any::<i64>(), span(), any::<u32>()).prop_map(|(sent, start, epoch)| Departure {
         sent: WallTime::from_unix_nanos(sent),
-        start: Span::from_nanos(start),
+        start,
+        epoch,
     })
 }
 
@@ -102,13 +134,13 @@ pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> 
         sample(),
         proptest::option::of(departure()),
         outcome(),
-        (hello(), accepted()),
+        (hello(), accepted(), peer_clock()),
         (kind, words(), any::<u64>()),
     )
         .prop_flat_map(
-            |((session, request, departure), sample, returned, outcome, (hello, accepted), rest)| {
+            |((session, request, departure), sample, returned, outcome, (hello, accepted, clock), rest)| {
                 let (kind, reason, max_message_bytes) = rest;
-                let protocol = hello.protocol;
+                let (protocol, arrival_epoch) = (hello.protocol, clock.epoch);
                 prop_oneof![
                     1 => Just(Header::Open(Box::new(Open { hello, max_message_bytes }))),
                     1 => Just(Header::Accepted(Box::new(Accepted {
@@ -120,7 +152,8 @@ pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> 
                     }))),
                     1 => Just(Header::Refused(Refused { protocol, kind, reason: reason.clone() })),
                     4 => Just(Header::Request(Request { session, request, departure, sample })),
-                    4 => Just(Header::Reply(Reply { session, request, departure: returned, outcome })),
+                    4 => Just(Header::Reply(Reply { session, request, departure: returned, arrival_epoch, outcome })),
+                    1 => Just(Header::Clock(Box::new(ClockNews { session, clock }))),
                     1 => Just(Header::UnknownSession(UnknownSession { session, request })),
                     1 => Just(Header::Goodbye(Goodbye { session, reason })),
                 ]

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::fmt;
 
-use crate::message::{Accepted, Header, PROTOCOL, RefusalKind, Reply, SessionId};
+use crate::message::{Accepted, Header, PROTOCOL, PeerClock, RefusalKind, Reply, SessionId};
 
 /// Why a session is over.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -71,6 +71,8 @@ pub(crate) enum Heard<W> {
     Answer(W, Reply),
     /// An answer that nobody waits for any more.
     Late,
+    /// This is known of the cloud's wall clock from now on.
+    Clock(PeerClock),
     /// Makes no sense in this session.
     Malformed(&'static str),
     /// The session is over, and these wait in vain.
@@ -112,6 +114,8 @@ impl<W> Client<W> {
                 Some(waiter) => Heard::Answer(waiter, reply),
                 None => Heard::Late,
             },
+            Header::Clock(news) if news.session == self.session => Heard::Clock(news.clock),
+            Header::Clock(_) => Heard::Malformed("the clock of another session"),
             Header::UnknownSession(unknown) if unknown.session == self.session => {
                 self.over_by(CloseReason::UnknownSession)
             }
@@ -147,7 +151,13 @@ mod tests {
     use crate::message::{Goodbye, Outcome, UnknownSession, strategies};
 
     fn reply(session: SessionId, request: u64) -> Header {
-        Header::Reply(Reply { session, request, departure: None, outcome: Outcome::Failed(String::new()) })
+        Header::Reply(Reply {
+            session,
+            request,
+            departure: None,
+            arrival_epoch: 0,
+            outcome: Outcome::Failed(String::new()),
+        })
     }
 
     #[test]
@@ -228,7 +238,7 @@ mod tests {
                                 prop_assert!(ended.insert(waiter));
                             }
                         }
-                        Heard::Late | Heard::Malformed(_) => {}
+                        Heard::Clock(_) | Heard::Late | Heard::Malformed(_) => {}
                     },
                     Step::End => {
                         over = true;

@@ -10,15 +10,16 @@ use peernet_logger::{HostId, Recorder};
 use peernet_sample::Sample;
 use tokio::sync::Notify;
 
+use super::announcer::Announcer;
 use super::budget::Budget;
 use super::complaints::Complaints;
 use super::exchange::Sizes;
-use super::incoming::{Failure, Incoming, IncomingRequest, OpenRequest, Responder};
+use super::incoming::{Failure, Incoming, IncomingRequest, OpenRequest, Responder, Ticket};
 use super::server::{Heard, Route, Server};
 use crate::figures::Counters;
 use crate::message::{
-    Departure, Header, HeaderError, MAX_FRAMES, Outcome, Reply, Request, SampleHeader, SessionAccepted,
-    SessionId, decode_tree, encode_growth, put_upload,
+    Departure, Header, HeaderError, MAX_FRAMES, Outcome, PeerClock, Reply, Request, SampleHeader,
+    SessionAccepted, SessionId, decode_tree, encode_growth, put_upload,
 };
 use crate::transport::{Arrival, BindFailure, CloudReceiver, CloudSender, Frames, Peer};
 use crate::{Address, NetworkFigures, NetworkKind, SessionSettings};
@@ -116,6 +117,11 @@ impl Listener {
         self.shared.counters.figures()
     }
 
+    /// Tells the sessions of this port what becomes known of this host's clock.
+    pub fn announcer(&self) -> Announcer {
+        Announcer::new(Arc::downgrade(&self.shared))
+    }
+
     /// What arrives next; `None` when the socket is closed. Dropping the future loses nothing.
     pub async fn next(&mut self) -> Option<Incoming> {
         loop {
@@ -199,11 +205,12 @@ fn incoming_request(
     frames: Frames,
     received: Stamp,
 ) -> Option<Incoming> {
-    let (session, number) = (request.session, request.request);
+    let arrival_epoch = shared.clock.epoch();
+    let ticket = Ticket { session: request.session, request: request.request, arrival_epoch };
     let frames = match shared.budget.hold(frames) {
         Ok(frames) => frames,
         Err(reason) => {
-            shared.answer(session, number, None, Err(Failure::Overloaded(reason)));
+            shared.answer(ticket, None, Err(Failure::Overloaded(reason)));
             return None;
         }
     };
@@ -211,13 +218,14 @@ fn incoming_request(
     let sample = request.sample.into_sample(frames.into_iter().skip(2)).map_err(|error| error.to_string());
     match (log, sample) {
         (Ok(log), Ok(sample)) => {
-            let reply = Responder::new(session, number, Arc::downgrade(shared));
+            let reply = Responder::new(ticket, Arc::downgrade(shared));
+            let session = ticket.session;
             Some(Incoming::Request(IncomingRequest { session, sample, log, received, reply }))
         }
         (Err(problem), _) | (_, Err(problem)) => {
             shared.malformed(peer.address, &problem);
             let failure = Failure::Failed(format!("the request makes no sense: {problem}"));
-            shared.answer(session, number, None, Err(failure));
+            shared.answer(ticket, None, Err(failure));
             None
         }
     }
@@ -253,16 +261,17 @@ impl Shared {
         }
     }
 
+    pub(crate) fn announce(&self, clock: PeerClock) {
+        let news = self.machine().announce(clock);
+        for (peer, header) in news {
+            self.tell(&peer, &header);
+        }
+    }
+
     /// Sends an answer with what `log` grew here; both are absent when no model was asked.
-    pub(crate) fn answer(
-        &self,
-        session: SessionId,
-        request: u64,
-        log: Option<Recorder>,
-        result: Result<Sample, Failure>,
-    ) {
-        let route = self.machine().finish(session, request);
-        let sent = route.is_some_and(|route| self.send_answer(&route, session, request, log, result));
+    pub(crate) fn answer(&self, ticket: Ticket, log: Option<Recorder>, result: Result<Sample, Failure>) {
+        let route = self.machine().finish(ticket.session, ticket.request);
+        let sent = route.is_some_and(|route| self.send_answer(&route, ticket, log, result));
         if !sent {
             self.counters.lost(1);
         }
@@ -272,19 +281,20 @@ impl Shared {
     fn send_answer(
         &self,
         route: &Route,
-        session: SessionId,
-        request: u64,
+        ticket: Ticket,
         log: Option<Recorder>,
         result: Result<Sample, Failure>,
     ) -> bool {
         let (outcome, payload) = outcome(result, route.max_message_bytes);
         let (grown, zero) = grown(log);
         let stamp = self.clock.stamp();
+        let epoch = self.clock.epoch();
         let departure = grown.as_ref().map(|_| {
             let start = zero + (stamp.mono - MonoTime::default());
-            Departure { sent: stamp.wall, start }
+            Departure { sent: stamp.wall, start, epoch }
         });
-        let header = Header::Reply(Reply { session, request, departure, outcome });
+        let Ticket { session, request, arrival_epoch } = ticket;
+        let header = Header::Reply(Reply { session, request, departure, arrival_epoch, outcome });
         let header = match header.encode() {
             Ok(header) => header,
             Err(error) => {

@@ -3,23 +3,23 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use peernet_clock::{SharedClock, Stamp};
-use peernet_logger::{NodeId, Recorder, stage};
+use peernet_clock::SharedClock;
+use peernet_logger::{Recorder, stage};
 use peernet_sample::Sample;
 use tokio::sync::{Semaphore, SemaphorePermit, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
 use super::client::Client;
 pub use super::client::CloseReason;
-use super::exchange::{Exchange, RequestError, Sizes, absorb, result};
+use super::exchange::{Arrived, Departed, Exchange, RequestError, Sizes, absorb, result};
 pub use super::open::OpenError;
 use super::open::handshake;
 use super::receiving::Receiving;
 use crate::message::{
-    Accepted, Departure, Header, Reply, Request, SampleHeader, SessionAccepted, SessionHello, SessionId,
+    Accepted, Departure, Header, PeerClock, Request, SampleHeader, SessionAccepted, SessionHello, SessionId,
     encode_tree, put_upload,
 };
-use crate::transport::{Dialled, EdgeSender, Frames, SendFailure};
+use crate::transport::{Dialled, EdgeSender, SendFailure};
 use crate::{Address, NetworkFigures, NetworkKind, SessionSettings, figures::Counters};
 
 /// Stands for a timeout that the clock cannot hold.
@@ -63,12 +63,13 @@ pub(crate) struct Shared {
     /// The tighter limit of both ends.
     max_message_bytes: u64,
     pub(crate) over: watch::Sender<Option<CloseReason>>,
+    pub(crate) peer_clock: watch::Sender<PeerClock>,
 }
 
 /// What a request waits for.
 #[derive(Debug)]
 pub(crate) enum Answer {
-    Reply { reply: Reply, frames: Frames, arrived: Stamp },
+    Reply(Box<Arrived>),
     Over(CloseReason),
 }
 
@@ -104,6 +105,7 @@ impl Session {
             places: Semaphore::new(places as usize),
             max_message_bytes: accepted.max_message_bytes.min(settings.max_message_bytes),
             over: watch::Sender::new(None),
+            peer_clock: watch::Sender::new(accepted.accepted.host_clock.clone()),
         });
         let (stop, stopped) = (CancellationToken::new(), CancellationToken::new());
         let task = Receiving { shared: shared.clone(), stop: stop.clone(), stopped: stopped.clone() };
@@ -114,6 +116,11 @@ impl Session {
     /// What the cloud said when it accepted the session.
     pub fn accepted(&self) -> &SessionAccepted {
         &self.inner.accepted
+    }
+
+    /// What the cloud tells of its wall clock: at first what it said when it accepted the session.
+    pub fn peer_clock(&self) -> watch::Receiver<PeerClock> {
+        self.inner.shared.peer_clock.subscribe()
     }
 
     /// What went over the session so far.
@@ -128,8 +135,14 @@ impl Session {
     /// gives the request up.
     pub async fn request(&self, log: Recorder, sample: &Sample, timeout: Duration) -> Exchange {
         let shared = &*self.inner.shared;
-        let mut exchange =
-            Exchange { log, result: Err(RequestError::Timeout), arrived: None, up: None, down: None };
+        let mut exchange = Exchange {
+            log,
+            result: Err(RequestError::Timeout),
+            arrived: None,
+            up: None,
+            down: None,
+            witnessed: None,
+        };
         let now = tokio::time::Instant::now();
         let deadline = now.checked_add(timeout).unwrap_or(now + AGES);
         let _place = match shared.place(&mut exchange.log, deadline).await {
@@ -140,12 +153,10 @@ impl Session {
             Ok(pending) => pending,
             Err(error) => return Exchange { result: Err(error), ..exchange },
         };
-        exchange.up = Some(pending.up);
+        exchange.up = Some(pending.departed.upload);
         let answer = tokio::time::timeout_at(deadline, &mut pending.answer).await;
         match answer {
-            Ok(Ok(Answer::Reply { reply, frames, arrived })) => {
-                self.take(&mut exchange, &pending, reply, frames, arrived);
-            }
+            Ok(Ok(Answer::Reply(arrived))) => self.take(&mut exchange, &pending, *arrived),
             Ok(Ok(Answer::Over(reason))) => exchange.result = Err(RequestError::Lost(reason.to_string())),
             Ok(Err(_)) => exchange.result = Err(RequestError::Lost("the receiving task is gone".into())),
             Err(_) => {}
@@ -157,30 +168,19 @@ impl Session {
     }
 
     /// Takes an answer. The cloud grew the tree as it was sent: nothing may be added before that is absorbed.
-    fn take(
-        &self,
-        exchange: &mut Exchange,
-        sent: &Pending<'_>,
-        reply: Reply,
-        frames: Frames,
-        arrived: Stamp,
-    ) {
+    fn take(&self, exchange: &mut Exchange, sent: &Pending<'_>, arrived: Arrived) {
         let shared = &*self.inner.shared;
-        let sizes = Sizes::of(&frames);
+        let sizes = Sizes::of(&arrived.frames);
         let log = &mut exchange.log;
-        exchange.arrived = Some(arrived);
-        let absorbed = match (reply.departure, frames.get(1)) {
-            (Some(departure), Some(growth)) => {
-                absorb(log, self.inner.accepted.host, sent.up, growth, departure, arrived.wall).map(Some)
-            }
-            _ => Ok(None),
-        };
+        exchange.arrived = Some(arrived.at);
+        let absorbed = absorb(log, self.inner.accepted.host, &sent.departed, &arrived);
         sent.sizes.record(log, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES);
         sizes.record(log, stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES);
         exchange.result = match absorbed {
-            Ok(down) => {
-                exchange.down = down;
-                result(reply.outcome, frames)
+            Ok(absorbed) => {
+                exchange.down = absorbed.map(|(down, _)| down);
+                exchange.witnessed = absorbed.and_then(|(_, witnessed)| witnessed);
+                result(arrived.reply.outcome, arrived.frames)
             }
             Err(problem) => {
                 shared.counters.malformed();
@@ -209,7 +209,7 @@ impl Session {
 struct Pending<'a> {
     shared: &'a Shared,
     request: u64,
-    up: NodeId,
+    departed: Departed,
     sizes: Sizes,
     answer: oneshot::Receiver<Answer>,
 }
@@ -262,11 +262,12 @@ impl Shared {
             self.machine().begin(waiter).map_err(|reason| RequestError::Lost(reason.to_string()))?;
 
         let stamp = self.clock.stamp();
+        let epoch = self.clock.epoch();
         log.stop_at(encoding, stamp.mono);
-        let departure = Departure { sent: stamp.wall, start: log.offset(stamp.mono) };
-        let up = put_upload(log.tree_mut(), departure);
+        let departure = Departure { sent: stamp.wall, start: log.offset(stamp.mono), epoch };
+        let departed = Departed { upload: put_upload(log.tree_mut(), departure), at: stamp, epoch };
         // From here on the request is given up by dropping it.
-        let mut pending = Pending { shared: self, request, up, sizes: Sizes::default(), answer };
+        let mut pending = Pending { shared: self, request, departed, sizes: Sizes::default(), answer };
         let header =
             Header::Request(Request { session: self.session, request, departure, sample: sample_header });
         let header = header.encode().map_err(|error| failed(error.to_string()))?;

@@ -1,10 +1,10 @@
 //! One request and its answer, on the edge's tree.
 
-use peernet_clock::{Stamp, WallTime};
+use peernet_clock::{Span, Stamp, WallTime, Witnessed};
 use peernet_logger::{HostId, HostIndex, Measure, Name, Node, NodeId, Recorder, Transit, Unit, stage};
 use peernet_sample::Sample;
 
-use crate::message::{Departure, Outcome, decode_growth};
+use crate::message::{Departure, Outcome, Reply, decode_growth};
 use crate::transport::Frames;
 
 /// What became of a request. The log always comes back.
@@ -20,6 +20,33 @@ pub struct Exchange {
     pub up: Option<NodeId>,
     /// The `download` node; `None` when no model answered.
     pub down: Option<NodeId>,
+    /// The four stamps of `upload` and `download`, for the relation of the two clocks. `None` when no model answered,
+    /// and when either host says that its clock was stepped meanwhile: nothing follows from such stamps.
+    pub witnessed: Option<Witnessed>,
+}
+
+/// A stamp may be wrong to the unsafe side by the resolution of its clock: up to 53 ns for the counters of arm64,
+/// which run at 19.2 MHz or more. Two stamps bound an offset; they travel as whole nanoseconds.
+const UNCERTAINTY: Span = Span::from_nanos(2 * 53);
+
+/// A reply as it arrived.
+#[derive(Debug)]
+pub(crate) struct Arrived {
+    pub(crate) reply: Reply,
+    pub(crate) frames: Frames,
+    pub(crate) at: Stamp,
+    /// The edge's epoch right after.
+    pub(crate) epoch: u32,
+}
+
+/// A request as it left.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Departed {
+    /// The `upload` node.
+    pub(crate) upload: NodeId,
+    pub(crate) at: Stamp,
+    /// The edge's epoch right after.
+    pub(crate) epoch: u32,
 }
 
 /// Why there is no answer.
@@ -67,20 +94,21 @@ impl Sizes {
 }
 
 /// Takes over what the cloud added to the tree: closes `upload`, appends the cloud's nodes and `download`.
-/// Returns the position of `download`.
+/// Returns the position of `download`, and the stamps. `None` when no model answered.
 ///
 /// # Errors
 /// When what the cloud sent does not fit; the tree is then as it was.
 pub(crate) fn absorb(
     log: &mut Recorder,
     cloud: HostId,
-    upload: NodeId,
-    growth: &[u8],
-    departure: Departure,
-    arrived: WallTime,
-) -> Result<NodeId, String> {
+    departed: &Departed,
+    arrived: &Arrived,
+) -> Result<Option<(NodeId, Option<Witnessed>)>, String> {
+    let (Some(departure), Some(growth)) = (arrived.reply.departure, arrived.frames.get(1)) else {
+        return Ok(None);
+    };
     let mut growth = decode_growth(growth)?;
-    if growth.closed.0 != upload {
+    if growth.closed.0 != departed.upload {
         return Err("the cloud closed another node than upload".into());
     }
     if growth.anchor.host != cloud {
@@ -91,7 +119,7 @@ pub(crate) fn absorb(
     if growth.nodes.iter().any(|node| node.host < host) {
         return Err("the cloud added a node to a host that was there before it".into());
     }
-    let transit = Transit { sent: departure.sent, received: Some(arrived), delay: None };
+    let transit = Transit { sent: departure.sent, received: Some(arrived.at.wall), delay: None };
     growth.nodes.push(Node {
         parent: Some(NodeId::ROOT),
         name: stage::DOWNLOAD,
@@ -99,9 +127,36 @@ pub(crate) fn absorb(
         start: departure.start,
         measure: Measure::Transit(Box::new(transit)),
     });
+    let witnessed = witnessed(departed, growth.closed.1, departure, arrived);
     log.tree_mut().absorb(growth).map_err(|error| error.to_string())?;
     let last = log.tree().nodes().len() - 1;
-    u32::try_from(last).map(NodeId).map_err(|_| "too many nodes in one tree".into())
+    let download = u32::try_from(last).map(NodeId).map_err(|_| "too many nodes in one tree")?;
+    Ok(Some((download, witnessed)))
+}
+
+fn witnessed(
+    departed: &Departed,
+    received: WallTime,
+    departure: Departure,
+    arrived: &Arrived,
+) -> Option<Witnessed> {
+    if departed.epoch != arrived.epoch || arrived.reply.arrival_epoch != departure.epoch {
+        return None;
+    }
+    let exchange = peernet_clock::Exchange {
+        sent: departed.at.wall,
+        received,
+        replied: departure.sent,
+        returned: arrived.at.wall,
+        uncertainty: UNCERTAINTY,
+    };
+    Some(Witnessed {
+        exchange,
+        edge_elapsed: Some(arrived.at.mono - departed.at.mono),
+        cloud_elapsed: Some(departure.start),
+        edge_epoch: arrived.epoch,
+        cloud_epoch: Some(departure.epoch),
+    })
 }
 
 /// The result that an outcome and its payload stand for.

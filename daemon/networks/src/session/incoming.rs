@@ -84,24 +84,32 @@ pub enum Failure {
     Overloaded(String),
 }
 
+/// Which request an answer belongs to.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Ticket {
+    pub(crate) session: SessionId,
+    pub(crate) request: u64,
+    /// This host's epoch right after the arrival was stamped.
+    pub(crate) arrival_epoch: u32,
+}
+
 /// Takes the answer to one request, on any thread. Dropping it unanswered tells the edge that the request failed.
 #[derive(Debug)]
 pub struct Responder {
-    session: SessionId,
-    request: u64,
+    ticket: Ticket,
     shared: Option<Weak<Shared>>,
 }
 
 impl Responder {
-    pub(crate) const fn new(session: SessionId, request: u64, shared: Weak<Shared>) -> Self {
-        Self { session, request, shared: Some(shared) }
+    pub(crate) const fn new(ticket: Ticket, shared: Weak<Shared>) -> Self {
+        Self { ticket, shared: Some(shared) }
     }
 
     /// Sends the answer with what this host added to the tree. Never waits; an answer that cannot be handed to
     /// the network is dropped and counted.
     pub fn send(mut self, log: Recorder, result: Result<Sample, Failure>) {
         if let Some(shared) = self.shared.take().and_then(|shared| shared.upgrade()) {
-            shared.answer(self.session, self.request, Some(log), result);
+            shared.answer(self.ticket, Some(log), result);
         }
     }
 }
@@ -110,7 +118,7 @@ impl Drop for Responder {
     fn drop(&mut self) {
         if let Some(shared) = self.shared.take().and_then(|shared| shared.upgrade()) {
             let failure = Failure::Failed("the cloud dropped the request unanswered".into());
-            shared.answer(self.session, self.request, None, Err(failure));
+            shared.answer(self.ticket, None, Err(failure));
         }
     }
 }

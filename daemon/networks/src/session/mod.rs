@@ -3,6 +3,7 @@
 //! `client` and `server` are the protocol: what arrives goes in, what is to be done comes out, no I/O. `edge`
 //! and `cloud` drive them over a transport.
 
+mod announcer;
 mod budget;
 mod client;
 mod cloud;
@@ -14,6 +15,7 @@ mod open;
 mod receiving;
 mod server;
 
+pub use announcer::Announcer;
 pub use cloud::{BindError, Listener};
 pub use edge::{CloseReason, OpenError, Session};
 pub use exchange::{Exchange, RequestError};

@@ -9,7 +9,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::client::{CloseReason, Heard};
 use super::edge::{Answer, Shared};
-use super::exchange::Sizes;
+use super::exchange::{Arrived, Sizes};
 use crate::message::{Goodbye, Header};
 use crate::transport::{EdgeReceiver, Frames};
 
@@ -30,9 +30,14 @@ impl Shared {
         match heard {
             Heard::Answer(waiter, reply) => {
                 // A request that was given up this very moment.
-                if waiter.send(Answer::Reply { reply, frames, arrived }).is_err() {
+                let reply = Arrived { reply, frames, at: arrived, epoch: self.clock.epoch() };
+                if waiter.send(Answer::Reply(Box::new(reply))).is_err() {
                     self.counters.late();
                 }
+                None
+            }
+            Heard::Clock(clock) => {
+                self.peer_clock.send_replace(clock);
                 None
             }
             Heard::Late => {

@@ -4,8 +4,8 @@ use std::collections::{HashMap, HashSet};
 
 use crate::SessionSettings;
 use crate::message::{
-    Accepted, Goodbye, Header, Open, Outcome, PROTOCOL, RefusalKind, Refused, Reply, Request,
-    SessionAccepted, SessionHello, SessionId, UnknownSession,
+    Accepted, ClockNews, Goodbye, Header, Open, Outcome, PROTOCOL, PeerClock, RefusalKind, Refused, Reply,
+    Request, SessionAccepted, SessionHello, SessionId, UnknownSession,
 };
 use crate::transport::{ConnectionId, Peer};
 
@@ -20,6 +20,8 @@ pub(crate) struct Server {
     max_message_bytes: u64,
     sessions: HashMap<SessionId, Entry>,
     connections: HashMap<ConnectionId, Vec<SessionId>>,
+    /// What was last announced of this host's clock.
+    clock: Option<PeerClock>,
 }
 
 #[derive(Debug)]
@@ -62,6 +64,7 @@ impl Server {
             max_message_bytes: settings.max_message_bytes,
             sessions: HashMap::new(),
             connections: HashMap::new(),
+            clock: None,
         }
     }
 
@@ -77,9 +80,11 @@ impl Server {
                 self.forget(goodbye.session);
                 Heard::Closed(goodbye.session)
             }
-            Header::Accepted(_) | Header::Refused(_) | Header::Reply(_) | Header::UnknownSession(_) => {
-                Heard::Malformed("only a cloud says that")
-            }
+            Header::Accepted(_)
+            | Header::Refused(_)
+            | Header::Reply(_)
+            | Header::Clock(_)
+            | Header::UnknownSession(_) => Heard::Malformed("only a cloud says that"),
         }
     }
 
@@ -133,6 +138,7 @@ impl Server {
                 session,
                 request: number,
                 departure: None,
+                arrival_epoch: 0,
                 outcome,
             }));
         }
@@ -148,9 +154,18 @@ impl Server {
     }
 
     /// Accepts a session that was asked for: what to send where. `None` when the edge is gone.
-    pub(crate) fn accept(&mut self, session: SessionId, accepted: SessionAccepted) -> Option<(Peer, Header)> {
+    ///
+    /// What was announced of the clock counts more than what the caller read of it, perhaps before that.
+    pub(crate) fn accept(
+        &mut self,
+        session: SessionId,
+        mut accepted: SessionAccepted,
+    ) -> Option<(Peer, Header)> {
         let entry = self.sessions.get_mut(&session)?;
         entry.accepted = true;
+        if let Some(clock) = &self.clock {
+            accepted.host_clock.clone_from(clock);
+        }
         let header = Header::Accepted(Box::new(Accepted {
             protocol: PROTOCOL,
             session,
@@ -164,6 +179,19 @@ impl Server {
     /// Refuses a session that was asked for: what to send where. `None` when the edge is gone.
     pub(crate) fn refuse(&mut self, session: SessionId, reason: String) -> Option<(Peer, Header)> {
         self.forget(session).map(|entry| (entry.peer, Self::refusal(reason)))
+    }
+
+    /// This is known of the clock from now on: what to send where.
+    pub(crate) fn announce(&mut self, clock: PeerClock) -> Vec<(Peer, Header)> {
+        let open = self.sessions.iter().filter(|(_, entry)| entry.accepted);
+        let news = open
+            .map(|(session, entry)| {
+                let news = ClockNews { session: *session, clock: clock.clone() };
+                (entry.peer.clone(), Header::Clock(Box::new(news)))
+            })
+            .collect();
+        self.clock = Some(clock);
+        news
     }
 
     /// A request has its answer: where to send it. `None` when the session is gone.

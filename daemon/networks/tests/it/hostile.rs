@@ -20,11 +20,11 @@ fn tree() -> Bytes {
 
 fn plain_request(session: &Id, number: u64, parts: usize) -> Header {
     let parts = vec![("bytes".to_owned(), Vec::new(), None); parts];
-    Header::Request(session.clone(), number, (5, 5), (parts, String::new(), None))
+    Header::Request(session.clone(), number, (5, 5, 0), (parts, String::new(), None))
 }
 
 /// Opens a session over a plain socket.
-async fn plain_session(cloud: &mut Cloud) -> (Plain, Id) {
+pub(crate) async fn plain_session(cloud: &mut Cloud) -> (Plain, Id) {
     let plain = Plain::dealer(&cloud.address(), Options::default()).await;
     plain.say(&wire::open(PROTOCOL), Vec::new()).await;
     cloud.next_open().await.accept(accepted(cloud.host));
@@ -60,7 +60,7 @@ async fn any_zeromq_program_can_be_an_edge() {
     assert_eq!(incoming.sample.parts[0].bytes, "payload");
     incoming.reply.send(incoming.log, Ok(sample("answer")));
     let (header, rest) = plain.hear().await;
-    assert!(matches!(header, Header::Reply(s, 7, Some(_), Outcome::Answer(_)) if s == session));
+    assert!(matches!(header, Header::Reply(s, 7, Some(_), 0, Outcome::Answer(_)) if s == session));
     assert_eq!((rest.len(), &rest[1]), (2, &Bytes::from("answer")));
 }
 
@@ -100,7 +100,8 @@ async fn frames_that_are_no_message_are_dropped_and_counted() {
     }
     let out_of_place = [
         Header::Refused { protocol: 1, kind: "refused".into(), reason: "me too".into() },
-        Header::Reply(session.clone(), 0, None, Outcome::Failed("no".into())),
+        Header::Reply(session.clone(), 0, None, 0, Outcome::Failed("no".into())),
+        Header::Clock { session: session.clone(), clock: wire::host_clock(1) },
         Header::Goodbye { session: Id::from([9; 16]), reason: "whose?".into() },
     ];
     for header in &out_of_place {
@@ -132,7 +133,7 @@ async fn requests_that_make_no_sense_are_answered_as_failed() {
             incoming = cloud.next() => panic!("handed out {incoming:?}"),
         };
         assert!(
-            matches!(&header, Header::Reply(_, n, None, Outcome::Failed(_)) if *n == number),
+            matches!(&header, Header::Reply(_, n, None, _, Outcome::Failed(_)) if *n == number),
             "{number}: {header:?}"
         );
     }
@@ -170,7 +171,7 @@ async fn a_flood_beyond_the_limit_is_answered_as_overload() {
         heard = plain.hear() => heard,
         incoming = cloud.next() => panic!("handed out {incoming:?}"),
     };
-    assert!(matches!(header, Header::Reply(_, 2, None, Outcome::Overloaded(_))), "{header:?}");
+    assert!(matches!(header, Header::Reply(_, 2, None, _, Outcome::Overloaded(_))), "{header:?}");
     drop(held);
 }
 
@@ -191,7 +192,7 @@ async fn the_memory_of_all_requests_together_is_bounded() {
         heard = second.hear() => heard,
         incoming = cloud.next() => panic!("handed out {incoming:?}"),
     };
-    let Header::Reply(_, 0, None, Outcome::Overloaded(reason)) = header else { panic!("{header:?}") };
+    let Header::Reply(_, 0, None, _, Outcome::Overloaded(reason)) = header else { panic!("{header:?}") };
     assert!(reason.contains("max_in_flight_bytes is 100000"), "{reason}");
     // What is answered makes room, also for others.
     held.clear();
@@ -284,6 +285,8 @@ impl FakeCloud {
             model: "echo".into(),
             device: "cpu".into(),
             facts: Vec::new(),
+            host_clock: wire::host_clock(0),
+            probes: None,
         };
         Header::Accepted { protocol, session, accepted, max_message_bytes: 1_000_000, max_in_flight: 8 }
     }
@@ -348,18 +351,25 @@ async fn answers_that_make_no_sense_change_no_tree() {
         let (_, header) = cloud.hear().await;
         let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
         let answer = Outcome::Answer((Vec::new(), String::new(), None));
-        cloud.say(&to, &Header::Reply(id.clone(), number, Some((1, 1)), answer), vec![growth]).await;
+        cloud.say(&to, &Header::Reply(id.clone(), number, Some((1, 1, 0)), 0, answer), vec![growth]).await;
         let exchange = within(pending).await.expect("no panic");
         assert!(matches!(exchange.result, Err(RequestError::Failed(_))), "{:?}", exchange.result);
         assert_eq!((exchange.down, exchange.log.tree().anchors().len()), (None, 1));
     }
     assert_eq!(session.figures().malformed, count);
 
+    let error = wire::Interval { lo: 1, hi: 0 };
+    let impossible = wire::HostClock {
+        discipline: Some(wire::Discipline { source: "chrony".into(), error }),
+        ..wire::host_clock(1)
+    };
     // Replies to requests never made, of other sessions, and plain garbage leave the session as it is.
     for header in [
-        Header::Reply(id.clone(), 1_000, None, Outcome::Failed(String::new())),
-        Header::Reply(Id::from([8; 16]), 0, None, Outcome::Failed(String::new())),
+        Header::Reply(id.clone(), 1_000, None, 0, Outcome::Failed(String::new())),
+        Header::Reply(Id::from([8; 16]), 0, None, 0, Outcome::Failed(String::new())),
         FakeCloud::accepted(id.clone(), PROTOCOL),
+        Header::Clock { session: Id::from([8; 16]), clock: wire::host_clock(1) },
+        Header::Clock { session: id.clone(), clock: impossible },
     ] {
         cloud.say(&to, &header, Vec::new()).await;
     }
@@ -370,7 +380,7 @@ async fn answers_that_make_no_sense_change_no_tree() {
     let (_, header) = cloud.hear().await;
     let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
     let answer = Outcome::Answer((Vec::new(), String::new(), None));
-    cloud.say(&to, &Header::Reply(id, number, Some((1, 1)), answer), vec![growth(3, 2, 2, 1)]).await;
+    cloud.say(&to, &Header::Reply(id, number, Some((1, 1, 0)), 0, answer), vec![growth(3, 2, 2, 1)]).await;
     assert!(within(pending).await.expect("no panic").result.is_ok());
-    assert_eq!(session.figures().malformed, count + 3);
+    assert_eq!(session.figures().malformed, count + 5);
 }

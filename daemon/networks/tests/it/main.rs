@@ -1,5 +1,6 @@
 //! Sessions over real sockets on loopback.
 
+mod clocks;
 mod crowd;
 mod failures;
 mod handshake;

@@ -8,7 +8,7 @@ use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
 use peernet_logger::{HostId, Recorder};
 use peernet_networks::{
     Address, Exchange, Incoming, IncomingRequest, Listener, NetworkKind, OpenError, OpenRequest, PROTOCOL,
-    Session, SessionAccepted, SessionHello, SessionId, SessionSettings,
+    PeerClock, Session, SessionAccepted, SessionHello, SessionId, SessionSettings,
 };
 use peernet_sample::{Description, Sample};
 
@@ -48,6 +48,8 @@ pub(crate) fn accepted(host: HostId) -> SessionAccepted {
         model: "echo".parse().expect("a name"),
         device: "cpu".into(),
         facts: vec![("parameters".into(), "none".into())],
+        host_clock: PeerClock { text: "left alone".into(), ..PeerClock::default() },
+        probes: Some(8620),
     }
 }
 
@@ -70,8 +72,17 @@ impl Cloud {
     }
 
     pub(crate) async fn start_at(address: &str, settings: SessionSettings) -> Self {
+        Self::bind(address, settings, clock()).await
+    }
+
+    /// A cloud that reads another clock.
+    pub(crate) async fn start_by(clock: SharedClock) -> Self {
+        Self::bind("tcp://127.0.0.1:0", settings(), clock).await
+    }
+
+    async fn bind(address: &str, settings: SessionSettings, clock: SharedClock) -> Self {
         let (host, address) = (HostId::random(), address.parse().expect("an address"));
-        let listener = Listener::bind(NetworkKind::ZmqTcp, &address, settings, host, clock());
+        let listener = Listener::bind(NetworkKind::ZmqTcp, &address, settings, host, clock);
         Self { host, listener: within(listener).await.expect("the port is free") }
     }
 
@@ -121,6 +132,11 @@ pub(crate) async fn open(
     settings: SessionSettings,
 ) -> Result<Session, OpenError> {
     within(Session::open(NetworkKind::ZmqTcp, address, hello, settings, clock())).await
+}
+
+/// Opens a session as an edge that reads another clock.
+pub(crate) async fn open_by(address: Address, clock: SharedClock) -> Result<Session, OpenError> {
+    within(Session::open(NetworkKind::ZmqTcp, &address, hello(), settings(), clock)).await
 }
 
 pub(crate) fn log() -> Recorder {

@@ -12,11 +12,15 @@ pub(crate) enum Header {
     Open { hello: Hello, max_message_bytes: u64 },
     Accepted { protocol: u16, session: Id, accepted: Accepted, max_message_bytes: u64, max_in_flight: u32 },
     Refused { protocol: u16, kind: String, reason: String },
-    Request(Id, u64, (i64, i64), (Vec<Description>, String, Option<String>)),
-    Reply(Id, u64, Option<(i64, i64)>, Outcome),
+    Request(Id, u64, Departure, (Vec<Description>, String, Option<String>)),
+    Reply(Id, u64, Option<Departure>, u32, Outcome),
+    Clock { session: Id, clock: HostClock },
     UnknownSession { session: Id, request: u64 },
     Goodbye { session: Id, reason: String },
 }
+
+/// Wall clock, offset on the monotonic clock, epoch.
+pub(crate) type Departure = (i64, i64, u32);
 
 /// Sixteen random bytes.
 pub(crate) type Id = serde_bytes::ByteBuf;
@@ -61,6 +65,47 @@ pub(crate) struct Accepted {
     pub(crate) model: String,
     pub(crate) device: String,
     pub(crate) facts: Vec<(String, String)>,
+    pub(crate) host_clock: HostClock,
+    pub(crate) probes: Option<u16>,
+}
+
+#[derive(Serialize, Deserialize, Debug)]
+pub(crate) struct HostClock {
+    pub(crate) epoch: u32,
+    pub(crate) discipline: Option<Discipline>,
+    pub(crate) text: String,
+    pub(crate) rehearsal: Option<Rehearsal>,
+}
+
+#[derive(Serialize, Deserialize, Debug)]
+pub(crate) struct Discipline {
+    pub(crate) source: String,
+    pub(crate) error: Interval,
+}
+
+#[derive(Serialize, Deserialize, Debug)]
+pub(crate) struct Interval {
+    pub(crate) lo: i64,
+    pub(crate) hi: i64,
+}
+
+#[derive(Serialize, Deserialize, Debug)]
+pub(crate) struct Rehearsal {
+    pub(crate) offset: i64,
+    pub(crate) drift_ppm: f64,
+    pub(crate) steps: Vec<Step>,
+    pub(crate) since: i64,
+}
+
+#[derive(Serialize, Deserialize, Debug)]
+pub(crate) struct Step {
+    pub(crate) at: i64,
+    pub(crate) by: i64,
+}
+
+/// A clock of which nothing is known.
+pub(crate) fn host_clock(epoch: u32) -> HostClock {
+    HostClock { epoch, discipline: None, text: String::new(), rehearsal: None }
 }
 
 pub(crate) fn hello(protocol: u16) -> Hello {

@@ -34,11 +34,13 @@ fn accepted() -> SessionAccepted {
         model: "m".parse().expect("a name"),
         device: String::new(),
         facts: Vec::new(),
+        host_clock: PeerClock::default(),
+        probes: None,
     }
 }
 
 fn request(session: SessionId, request: u64) -> Header {
-    let departure = Departure { sent: Default::default(), start: Default::default() };
+    let departure = Departure { sent: Default::default(), start: Default::default(), epoch: 0 };
     let sample = SampleHeader { parts: Vec::new(), source: String::new(), label: None };
     Header::Request(Request { session, request, departure, sample })
 }
@@ -104,6 +106,21 @@ fn the_end_of_a_connection_is_the_end_of_its_sessions_alone() {
     );
 }
 
+#[test]
+fn what_is_announced_reaches_open_sessions_now_and_others_when_they_open() {
+    let mut server = server();
+    let (open, asking) = (opened(&mut server, 1), opened(&mut server, 2));
+    server.accept(open, accepted()).expect("the edge is there");
+    let clock = PeerClock { epoch: 3, ..PeerClock::default() };
+    let told = server.announce(clock.clone());
+    assert!(matches!(
+        &told[..],
+        [(to, Header::Clock(news))] if to.connection.0 == 1 && news.session == open && news.clock == clock
+    ));
+    let (_, header) = server.accept(asking, accepted()).expect("the edge is there");
+    assert!(matches!(header, Header::Accepted(said) if said.accepted.host_clock == clock));
+}
+
 #[derive(Clone, Debug)]
 enum Step {
     Open(u64),
@@ -136,6 +153,7 @@ fn about(mut header: Header, session: SessionId) -> Header {
     match &mut header {
         Header::Request(request) => request.session = session,
         Header::Reply(reply) => reply.session = session,
+        Header::Clock(news) => news.session = session,
         Header::UnknownSession(unknown) => unknown.session = session,
         Header::Goodbye(goodbye) => goodbye.session = session,
         Header::Accepted(accepted) => accepted.session = session,

@@ -1,0 +1,57 @@
+//! Lists that arrive from anyone: bounded where a byte on the wire becomes many in memory.
+
+use std::fmt;
+use std::marker::PhantomData;
+
+use serde::de::{Error, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer};
+
+/// Reads a list of at most so many items; a longer one is refused before it is in memory.
+pub(super) fn at_most<'de, const MOST: usize, T, D>(deserializer: D) -> Result<Vec<T>, D::Error>
+where
+    T: Deserialize<'de>,
+    D: Deserializer<'de>,
+{
+    deserializer.deserialize_seq(Bounded::<MOST, T>(PhantomData))
+}
+
+struct Bounded<const MOST: usize, T>(PhantomData<T>);
+
+impl<'de, const MOST: usize, T: Deserialize<'de>> Visitor<'de> for Bounded<MOST, T> {
+    type Value = Vec<T>;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "at most {MOST} items")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<Vec<T>, A::Error> {
+        let mut list = Vec::new();
+        while let Some(item) = items.next_element()? {
+            if list.len() == MOST {
+                return Err(A::Error::custom(format_args!("a list of more than {MOST} items")));
+            }
+            list.push(item);
+        }
+        Ok(list)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, Deserialize)]
+    #[serde(transparent)]
+    struct Few(#[serde(deserialize_with = "at_most::<3, _, _>")] Vec<u8>);
+
+    #[test]
+    fn a_list_that_is_too_long_is_refused() {
+        let read = |items: usize| {
+            rmp_serde::from_slice::<Few>(&rmp_serde::to_vec(&vec![7_u8; items]).expect("writes"))
+        };
+        assert_eq!(read(0).expect("empty").0, [0; 0]);
+        assert_eq!(read(3).expect("as many as may be").0, [7; 3]);
+        let error = read(4).expect_err("one too many").to_string();
+        assert!(error.contains("more than 3"), "{error}");
+    }
+}

@@ -1,0 +1,28 @@
+//! Telling edges what becomes known of the cloud's wall clock.
+
+use std::sync::Weak;
+
+use super::cloud::Shared;
+use crate::PeerClock;
+
+/// Tells the sessions of a [`Listener`](crate::Listener) what becomes known of the cloud's wall clock. Clones tell
+/// the same sessions; they do not keep the listener open.
+#[derive(Clone, Debug)]
+pub struct Announcer {
+    shared: Weak<Shared>,
+}
+
+impl Announcer {
+    pub(crate) const fn new(shared: Weak<Shared>) -> Self {
+        Self { shared }
+    }
+
+    /// Tells all open sessions now, and those that open later in place of the
+    /// [`host_clock`](crate::SessionAccepted::host_clock) that they are accepted with: no session misses it, however
+    /// opening and telling fall together. Never waits; an edge whose connection takes no more is not told.
+    pub fn announce(&self, clock: PeerClock) {
+        if let Some(shared) = self.shared.upgrade() {
+            shared.announce(clock);
+        }
+    }
+}
