@@ -6,9 +6,11 @@ set -eu
 
 cargo_deb=3.8.0
 cargo_deny=0.20.2
+stamp_suite=1.0.0
 
 root=$(cd "$(dirname "$0")/.." && pwd)
 venv=$root/.venv-tools
+chrony=$venv/chrony
 
 say() { echo "install-tools: $*"; }
 fail() { echo "install-tools: $*" >&2; exit 69; }
@@ -29,6 +31,12 @@ chromium|chromium-browser|google-chrome  chromium  the dashboard is tested in a 
 node          nodejs            the browser test
 npm           npm               the browser test
 ip            iproute2          network namespaces as hosts
+sysctl        procps            settings of those hosts
+nft           nftables          links between them that lose and block
+vde_switch    vde2              links between them that delay
+wirefilter    vde2              links between them that delay
+tcpdump       tcpdump           captures between them
+faketime      faketime          programs that are shown a false time
 unshare       util-linux        throw-away roots for the package test
 sqlite3       sqlite3           people open the store with it, so the tests do
 systemd-analyze  systemd        the units are checked with it
@@ -51,6 +59,24 @@ missing_packages() {
     done
 }
 
+# Sets as_root, the way to become root. $1 is what apt-get is wanted for.
+become_root() {
+    [ -z "${as_root+set}" ] || return 0
+    as_root=
+    [ "$(id -u)" != 0 ] || return 0
+    command -v sudo >/dev/null || fail "neither root nor sudo, which apt-get needs; as root: apt-get $1"
+    say "not root, calling sudo"
+    as_root=sudo
+}
+
+wait_for_lock="-o DPkg::Lock::Timeout=600"
+
+update_lists() {
+    become_root update
+    # shellcheck disable=SC2086
+    $as_root apt-get $wait_for_lock update --quiet --quiet
+}
+
 install_packages() {
     missing=$(missing_packages "$1")
     # The Python modules that Debian keeps in packages of their own.
@@ -66,17 +92,9 @@ python3-venv  an environment of its own for the benchmarks' Python packages"
     echo "$missing" | sed 's/^/    /'
     packages=$(echo "$missing" | cut -d' ' -f1 | sort -u | tr '\n' ' ')
     command -v apt-get >/dev/null || fail "no apt-get here; install these by the system's own means: $packages"
-    as_root=
-    if [ "$(id -u)" != 0 ]; then
-        command -v sudo >/dev/null || fail "not root and no sudo; as root: apt-get install $packages"
-        say "not root, calling sudo"
-        as_root=sudo
-    fi
     say "installing with apt-get"
-    wait_for_lock="-o DPkg::Lock::Timeout=600"
-    # shellcheck disable=SC2086
-    $as_root apt-get $wait_for_lock update --quiet --quiet \
-        || fail "apt-get update failed; is there a network? the missing packages are: $packages"
+    become_root "install $packages"
+    update_lists || fail "apt-get update failed; is there a network? the missing packages are: $packages"
     # shellcheck disable=SC2086
     $as_root env DEBIAN_FRONTEND=noninteractive apt-get $wait_for_lock install --yes --quiet --quiet \
         --no-install-recommends -o Dpkg::Use-Pty=0 $packages \
@@ -127,6 +145,28 @@ install_bench_environment() {
     cp "$requirements" "$venv/requirements.txt"
 }
 
+# --- chrony for the tests -------------------------------------------------------------------------------------------
+
+# Unpacked, not installed: installing it would remove systemd-timesyncd and start a daemon that sets the clock.
+unpack_chrony() {
+    "$chrony/usr/sbin/chronyd" --version >/dev/null 2>&1 && return 0
+    command -v apt-get >/dev/null \
+        || fail "no apt-get here; put the distribution's chronyd into $chrony/usr/sbin and chronyc into $chrony/usr/bin"
+    say "chrony is unpacked into $chrony, for the tests of what time daemons claim"
+    rm -rf "$chrony"
+    mkdir -p "$chrony"
+    # As root, apt would otherwise complain that its own user cannot write here.
+    sandbox="-o APT::Sandbox::User=$(id -un)"
+    # shellcheck disable=SC2086
+    (cd "$chrony" && { apt-get $sandbox --quiet --quiet download chrony \
+        || { update_lists && apt-get $sandbox --quiet --quiet download chrony; }; }) \
+        || fail "apt-get download chrony failed; is there a network?"
+    dpkg-deb --extract "$chrony"/chrony_*.deb "$chrony" || fail "cannot unpack $chrony/chrony_*.deb"
+    rm "$chrony"/chrony_*.deb
+    "$chrony/usr/sbin/chronyd" --version >/dev/null \
+        || fail "chronyd does not run; libraries it lacks: $(ldd "$chrony/usr/sbin/chronyd" | sed -n 's/ => not found//p' | tr -d '\t' | tr '\n' ' ')"
+}
+
 # --------------------------------------------------------------------------------------------------------------------
 
 [ $# -gt 0 ] || fail "usage: install-tools.sh build|test|bench…"
@@ -134,7 +174,10 @@ packages=$build_packages
 for set in "$@"; do
     case $set in
         build) ;;
-        test) packages=$packages$test_packages ;;
+        test)
+            packages=$packages$test_packages
+            wants_chrony=1
+            ;;
         bench) wants_venv=1 ;;
         *) fail "unknown set '$set'; known are build, test and bench" ;;
     esac
@@ -146,8 +189,11 @@ for set in "$@"; do
         test)
             cargo_tool cargo-deny "$cargo_deny" "licences, bans and sources of the dependencies"
             cargo_tool cargo-deb "$cargo_deb" "the Debian package"
+            cargo_tool stamp-suite "$stamp_suite" "a STAMP implementation that is not ours"
             ;;
         bench) install_bench_environment ;;
     esac
 done
+# Last: the benchmarks' environment is made anew in the folder around it.
+[ -z "${wants_chrony:-}" ] || unpack_chrony
 say "$*: everything is there"

@@ -5,10 +5,13 @@ use std::time::Duration;
 
 use peernet_clock::SharedClock;
 use peernet_inference::Bank;
-use peernet_logger::stream::{HostDescription, HostMetrics, IncidentKind, LiveUpdate, PipelineState};
+use peernet_logger::stream::{
+    Event, HostClock, HostDescription, HostMetrics, IncidentKind, LiveUpdate, PipelineState,
+};
 use peernet_logger::{InvalidName, Slug};
-use peernet_networks::{Address, BindError, Listener};
-use tokio::sync::watch;
+use peernet_networks::{Address, BindError};
+use peernet_probes::KeyError;
+use tokio::sync::{mpsc, watch};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
@@ -18,11 +21,13 @@ use crate::config::{AgentConfig, HostConfig, PipelineConfig, StartMode};
 use crate::host::{Host, VERSION};
 use crate::identity::{IdentityError, StateLock, host_id};
 use crate::incidents::{Concerning, Incidents};
+use crate::link::{Links, Near, ProbeSettings};
 use crate::live::{Board, Display};
-use crate::outbox::Outbox;
+use crate::outbox::{Outbox, Tap};
 use crate::runs::Runs;
+use crate::serve::{Doors, ReflectorError};
 use crate::tasks::Tasks;
-use crate::{pipeline, serve, telemetry};
+use crate::{host_clock, pipeline, serve, telemetry};
 
 pub use crate::tasks::Failure;
 
@@ -38,6 +43,12 @@ pub enum StartError {
     /// The port for peers could not be had.
     #[error(transparent)]
     Bind(#[from] BindError),
+    /// The port for peers' probes could not be had.
+    #[error(transparent)]
+    Reflector(#[from] ReflectorError),
+    /// The key for probes could not be read.
+    #[error("{0}; [probes] key_file names it")]
+    Key(#[from] KeyError),
 }
 
 /// The agent role of a host.
@@ -53,6 +64,7 @@ pub struct Running {
     serves: Option<Address>,
     tasks: Tasks,
     outbox: Option<Outbox>,
+    tap: Option<Tap>,
     stop_timeout: Duration,
     _state: StateLock,
 }
@@ -75,75 +87,125 @@ impl Agent {
         clock: SharedClock,
         stop: CancellationToken,
     ) -> Result<Running, StartError> {
-        let name = host_name(&config.agent)?;
-        let state = StateLock::take(&config.agent.state_dir)?;
-        let id = host_id(&config.agent.state_dir)?;
-        let (feed, exit) = crate::outbox::entrance(&config.agent, &clock);
-        let incidents = Incidents::new(Arc::clone(&clock), feed.clone());
-        let bank = Arc::new(bank(&config, &clock, incidents.clone()));
-        let host = Host { id, name, clock, bank, feed, incidents, runs: Runs::default() };
+        start(config, clock, stop, None).await
+    }
 
-        let listener = match &config.serve {
-            None => None,
-            Some(serve) => {
-                let (session, clock) = (serve.session.clone(), Arc::clone(&host.clock));
-                Some(Listener::bind(serve.network, &serve.listen, session, id, clock).await?)
-            }
-        };
-        let serves = listener.as_ref().map(|listener| listener.address().clone());
-
-        let mut tasks = Tasks::new(&stop);
-        let (figures, metrics) = watch::channel(HostMetrics::default());
-        tasks.keep("telemetry", telemetry::run(Arc::clone(&host.clock), figures, tasks.stop()));
-        let pipelines = TaskTracker::new();
-        let board = start_pipelines(&mut tasks, &pipelines, &config, &host);
-        if let Some(listener) = listener {
-            // Pipelines may compute on this very host: they finish first.
-            let (told, served) = (tasks.stop(), CancellationToken::new());
-            let serving = serve::run(listener, host.clone(), served.clone());
-            tasks.keep("order of stopping", async move {
-                told.cancelled().await;
-                pipelines.close();
-                pipelines.wait().await;
-                served.cancel();
-            });
-            tasks.keep_or_fail("serve", serving);
-        }
-        let outbox = match (exit, &config.agent.aggregator) {
-            (Some(exit), Some(address)) => {
-                let description = describe(&config, &host, serves.as_ref());
-                let live = (board.clone(), metrics.clone());
-                Some(Outbox::start(&config.agent, address.clone(), exit, description, live, &host))
-            }
-            _ => None,
-        };
-        if let Some(outbox) = &outbox {
-            // It outlives the other tasks, but they are not to outlive it.
-            let (ended, told) = (outbox.ended(), tasks.stop());
-            tasks.keep("outbox", async move {
-                let _ = told.run_until_cancelled(ended.cancelled()).await;
-            });
-        }
-        tracing::info!(host = %host.name, id = %host.id, "the agent is up");
-        let stop_timeout = config.agent.stop_timeout();
-        Ok(Running { host, board, metrics, serves, tasks, outbox, stop_timeout, _state: state })
+    /// As [`start`](Self::start), for a program that runs an agent in the foreground: each event also goes to `tap`,
+    /// with or without an aggregator. Measuring does not wait for the program: what does not fit is counted
+    /// ([`Running::untapped`]).
+    ///
+    /// # Errors
+    /// Those of [`start`](Self::start).
+    pub async fn start_observed(
+        config: AgentConfig,
+        clock: SharedClock,
+        stop: CancellationToken,
+        tap: mpsc::Sender<Event>,
+    ) -> Result<Running, StartError> {
+        start(config, clock, stop, Some(Tap::new(tap))).await
     }
 }
 
+async fn start(
+    config: AgentConfig,
+    clock: SharedClock,
+    stop: CancellationToken,
+    tap: Option<Tap>,
+) -> Result<Running, StartError> {
+    let name = host_name(&config.agent)?;
+    let state = StateLock::take(&config.agent.state_dir)?;
+    let id = host_id(&config.agent.state_dir)?;
+    let (feed, exit) = crate::outbox::entrance(&config.agent, &clock);
+    let feed = feed.tapped(tap.clone());
+    let incidents = Incidents::new(Arc::clone(&clock), feed.clone());
+    let bank = Arc::new(bank(&config, &clock, incidents.clone()));
+    let (publish, own) = watch::channel(before_the_first_look(&clock));
+    let near = Near {
+        name: name.clone(),
+        clock: Arc::clone(&clock),
+        own: own.clone(),
+        feed: feed.clone(),
+        incidents: incidents.clone(),
+    };
+    let probes = ProbeSettings::read(&config.probes, &config.clock)?;
+    let links = Links::new(near, &config.clock, probes.clone());
+    let host = Host { id, name, clock, bank, feed, incidents, runs: Runs::default(), own, links };
+    let doors = Doors::open(&config, &probes, &host).await?;
+    let serves = doors.as_ref().map(|doors| doors.address().clone());
+
+    let mut tasks = Tasks::new(&stop);
+    let watching = host_clock::run(
+        config.clock.clone(),
+        config.rehearsal.clone(),
+        Arc::clone(&host.clock),
+        host.incidents.clone(),
+        publish,
+        tasks.stop(),
+    );
+    tasks.keep("host clock", watching);
+    tasks.keep_or_fail("links", host.links.clone().run(tasks.stop()));
+    let (figures, metrics) = watch::channel(HostMetrics::default());
+    tasks.keep("telemetry", telemetry::run(Arc::clone(&host.clock), figures, tasks.stop()));
+    let pipelines = TaskTracker::new();
+    let board = start_pipelines(&mut tasks, &pipelines, &config, &host);
+    if let Some(doors) = doors {
+        // Pipelines may compute on this very host: they finish first.
+        let (told, served) = (tasks.stop(), CancellationToken::new());
+        let serving = serve::run(doors, host.clone(), served.clone());
+        tasks.keep("order of stopping", async move {
+            told.cancelled().await;
+            pipelines.close();
+            pipelines.wait().await;
+            served.cancel();
+        });
+        tasks.keep_or_fail("serve", serving);
+    }
+    let outbox = match (exit, &config.agent.aggregator) {
+        (Some(exit), Some(address)) => {
+            let description = describe(&config, &host, serves.as_ref());
+            let live = (board.clone(), metrics.clone());
+            Some(Outbox::start(&config.agent, address.clone(), exit, description, live, &host))
+        }
+        _ => None,
+    };
+    if let Some(outbox) = &outbox {
+        // It outlives the other tasks, but they are not to outlive it.
+        let (ended, told) = (outbox.ended(), tasks.stop());
+        tasks.keep("outbox", async move {
+            let _ = told.run_until_cancelled(ended.cancelled()).await;
+        });
+    }
+    tracing::info!(host = %host.name, id = %host.id, "the agent is up");
+    let stop_timeout = config.agent.stop_timeout();
+    Ok(Running { host, board, metrics, serves, tasks, outbox, tap, stop_timeout, _state: state })
+}
+
 impl Running {
+    /// The host's name.
+    pub const fn name(&self) -> &Slug {
+        &self.host.name
+    }
+
     /// Where peers may ask for models, with the real port.
     pub fn serves(&self) -> Option<&Address> {
         self.serves.as_ref()
     }
 
+    /// Events that did not fit into the tap of [`Agent::start_observed`].
+    pub fn untapped(&self) -> u64 {
+        self.tap.as_ref().map_or(0, Tap::missed)
+    }
+
     /// What the agent shows of itself now: every pipeline with the seconds that the aggregator has not seen
-    /// yet, the host's figures, the accounting of events.
+    /// yet, its links and its clock, the host's figures, the accounting of events.
     pub fn live(&self) -> LiveUpdate {
         let (pipelines, _) = self.board.look();
         LiveUpdate {
             host: self.host.id,
             sent: self.host.clock.wall(),
             pipelines,
+            links: self.host.links.live(),
+            clock: self.host.own.borrow().clone(),
             metrics: self.metrics.borrow().clone(),
             accounting: self.outbox.as_ref().map(Outbox::accounting).unwrap_or_default(),
         }
@@ -199,11 +261,22 @@ pub(crate) fn host_name(config: &HostConfig) -> Result<Slug, StartError> {
 }
 
 fn bank(config: &AgentConfig, clock: &SharedClock, incidents: Incidents) -> Bank {
-    Bank::new(config.models.clone(), config.onnxruntime.clone(), Arc::clone(clock)).on_load(move |pool| {
+    let models = config.models.iter().cloned().chain(serve::calibration(config)).collect();
+    Bank::new(models, config.onnxruntime.clone(), Arc::clone(clock)).on_load(move |pool| {
         let text =
             format!("loaded {} on {} in {:.2} s", pool.name(), pool.device(), pool.loaded_in().seconds());
         incidents.report(IncidentKind::ModelLoaded, Concerning::default(), text);
     })
+}
+
+/// What is known of the host's clock before anybody asked.
+fn before_the_first_look(clock: &SharedClock) -> HostClock {
+    HostClock {
+        discipline: None,
+        text: "not asked yet".to_owned(),
+        epoch: clock.epoch(),
+        rehearsal: clock.rehearsal().cloned(),
+    }
 }
 
 fn start_pipelines(tasks: &mut Tasks, tracker: &TaskTracker, config: &AgentConfig, host: &Host) -> Board {

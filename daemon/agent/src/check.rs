@@ -1,5 +1,7 @@
 //! Everything that can be found wrong with a configuration before anything starts.
 
+mod time;
+
 use std::collections::HashSet;
 use std::fmt;
 use std::io;
@@ -97,6 +99,11 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     if let Some(serve) = &config.serve {
         check_serve(&mut report, serve, &bank.names());
     }
+    time::check_clock(&mut report, &config.clock);
+    time::check_probes(&mut report, &config.probes, config.serve.as_ref());
+    if let Some(rehearsal) = &config.rehearsal {
+        time::check_rehearsal(&mut report, rehearsal);
+    }
     let mut names = HashSet::new();
     for (index, pipeline) in config.pipelines.iter().enumerate() {
         let at = format!("pipeline[{index}]");
@@ -119,8 +126,9 @@ fn check_host(report: &mut Report, host: &HostConfig) {
 }
 
 fn check_serve(report: &mut Report, serve: &ServeConfig, models: &[Slug]) {
-    if models.is_empty() {
-        report.add("serve", "there is no model to serve; add a [[model]] or remove [serve]");
+    if models.is_empty() && !serve.calibration {
+        let text = "there is nothing to serve; add a [[model]], allow calibration, or remove [serve]";
+        report.add("serve", text);
     }
     report.settings("serve.session", &serve.session);
     let (host, port) = (serve.listen.host(), serve.listen.port());

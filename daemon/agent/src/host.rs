@@ -4,9 +4,12 @@ use std::sync::Arc;
 
 use peernet_clock::SharedClock;
 use peernet_inference::Bank;
+use peernet_logger::stream::HostClock;
 use peernet_logger::{HostId, Slug};
+use tokio::sync::watch;
 
 use crate::incidents::Incidents;
+use crate::link::Links;
 use crate::outbox::Feed;
 use crate::runs::Runs;
 
@@ -20,6 +23,9 @@ pub(crate) struct Host {
     pub(crate) feed: Feed,
     pub(crate) incidents: Incidents,
     pub(crate) runs: Runs,
+    /// What is known of this host's own clock.
+    pub(crate) own: watch::Receiver<HostClock>,
+    pub(crate) links: Links,
 }
 
 /// The agent's version, as peers and the aggregator are told.

@@ -6,16 +6,18 @@
 //! second, and every finished iteration through the outbox. Measuring never waits for storing.
 //!
 //! ```text
-//! pipeline tasks ──┬─ live board ─┐
-//!   (one each)     └─ feed ───────┴─ outbox task ── aggregator
-//! serve task ────────── feed ─────┘
-//! telemetry task ───────────────────┘
+//! pipeline tasks ──┬─ live board ─────┐
+//!   (one each)     ├─ feed ───────────┴─ outbox task ── aggregator
+//!                  └─ links ── feed ──┤
+//! serve, reflector ─────────── feed ──┤
+//! host clock, telemetry ──────────────┘
 //! ```
 
 mod agent;
 mod check;
 pub mod config;
 mod host;
+mod host_clock;
 mod identity;
 mod incidents;
 mod link;
@@ -33,3 +35,4 @@ pub use agent::{Agent, Failure, Running, StartError};
 pub use check::Problem;
 pub use config::AgentConfig;
 pub use identity::{IdentityError, host_id};
+pub use serve::ReflectorError;

@@ -2,12 +2,18 @@
 //!
 //! The doc comments here are the reference of the configuration: one per key, with unit and default.
 
+mod clock;
 mod host;
 mod pipeline;
+mod probes;
+mod rehearsal;
 mod serve;
 
+pub use clock::{ClockConfig, DisciplineSource, Timestamps};
 pub use host::HostConfig;
 pub use pipeline::{Limit, LoadConfig, PipelineConfig, PlacementConfig, RemoteConfig, StartMode, WarmUp};
+pub use probes::ProbesConfig;
+pub use rehearsal::{RehearsalConfig, RehearsedDiscipline, RehearsedStepConfig};
 pub use serve::ServeConfig;
 
 use peernet_inference::{ModelConfig, OnnxRuntimeConfig};
@@ -20,6 +26,15 @@ pub struct AgentConfig {
     /// `[agent]`: the host itself and its connection to the aggregator.
     #[serde(default)]
     pub agent: HostConfig,
+    /// `[clock]`: what one-way delays rest on.
+    #[serde(default)]
+    pub clock: ClockConfig,
+    /// `[probes]`: small packets that relate two hosts' clocks.
+    #[serde(default)]
+    pub probes: ProbesConfig,
+    /// `[rehearsal]`: makes this host's wall clock wrong on purpose.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rehearsal: Option<RehearsalConfig>,
     /// `[serve]`: where peers may ask for this host's models; without it they may not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub serve: Option<ServeConfig>,

@@ -16,6 +16,9 @@ pub struct ServeConfig {
     pub listen: Address,
     /// Kind of network. Default: `zmq-tcp`.
     pub network: NetworkKind,
+    /// Whether peers may ask for the built-in echo model `calibration`, which `peernet calibrate` uses.
+    /// Default: true.
+    pub calibration: bool,
     /// Time limits and bounds of each session.
     pub session: SessionSettings,
 }
@@ -25,6 +28,7 @@ impl Default for ServeConfig {
         Self {
             listen: Address::of_ip(IpAddr::V4(Ipv4Addr::LOCALHOST), 5551),
             network: zmq_tcp(),
+            calibration: true,
             session: SessionSettings::default(),
         }
     }

@@ -1,33 +1,32 @@
-//! One-way delays and throughputs of an iteration that went to another host and back.
+//! One-way delays and throughputs in the tree of an iteration that went to another host and back.
 
-use peernet_clock::{Direction, OneWayDelay, Relation};
+use peernet_clock::{Direction, OneWayDelay};
 use peernet_logger::{Measure, Name, NodeId, Rate, Tree, stage};
 
-/// Corrects the two nodes that cross hosts by what is known of the hosts' clocks, and adds the throughputs.
-///
-/// This is where the four stamps of every exchange come together (the start and the end of `upload`, the start
-/// and the end of `download`): the estimator of the clock band is to be fed here, before the delays are judged.
-pub(crate) fn correct(tree: &mut Tree, relation: &Relation, up: Option<NodeId>, down: Option<NodeId>) {
-    const UP: [Name; 3] = [stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES, stage::UPLOAD_THROUGHPUT];
-    const DOWN: [Name; 3] = [stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES, stage::DOWNLOAD_THROUGHPUT];
-    for (transit, direction, names) in [(up, Direction::Up, UP), (down, Direction::Down, DOWN)] {
-        let Some(transit) = transit else { continue };
-        let Some(delay) = judge(tree, relation, transit, direction) else { continue };
-        let [payload, metadata, throughput] = names;
-        let bytes: f64 = [payload, metadata].iter().filter_map(|name| value(tree, name)).sum();
-        let start = tree.get(transit).map(|node| node.start).unwrap_or_default();
-        if bytes > 0.0 {
-            tree.add(NodeId::ROOT, throughput, start, Measure::Throughput(rate(8.0 * bytes, &delay)));
-        }
+/// Sets the delay of a transit that has arrived, and adds the throughput that follows from it.
+pub(crate) fn correct(tree: &mut Tree, transit: NodeId, direction: Direction, delay: OneWayDelay) {
+    let Some(Measure::Transit(found)) = tree.measure_mut(transit) else { return };
+    found.delay = Some(delay);
+    let start = tree.get(transit).map(|node| node.start).unwrap_or_default();
+    if let Some(bits) = bits(tree, direction) {
+        let throughput = match direction {
+            Direction::Up => stage::UPLOAD_THROUGHPUT,
+            Direction::Down => stage::DOWNLOAD_THROUGHPUT,
+        };
+        tree.add(NodeId::ROOT, throughput, start, Measure::Throughput(rate(bits, &delay)));
     }
 }
 
-/// Sets the delay of a transit that has arrived.
-fn judge(tree: &mut Tree, relation: &Relation, transit: NodeId, direction: Direction) -> Option<OneWayDelay> {
-    let Some(Measure::Transit(transit)) = tree.measure_mut(transit) else { return None };
-    let delay = relation.delay(direction, transit.sent, transit.received?);
-    transit.delay = Some(delay);
-    Some(delay)
+/// Bits that went in a direction, payload and metadata; `None` when that is not known.
+pub(super) fn bits(tree: &Tree, direction: Direction) -> Option<f64> {
+    const UP: [Name; 2] = [stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES];
+    const DOWN: [Name; 2] = [stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES];
+    let names = match direction {
+        Direction::Up => UP,
+        Direction::Down => DOWN,
+    };
+    let bytes: f64 = names.iter().filter_map(|name| value(tree, name)).sum();
+    (bytes > 0.0).then_some(8.0 * bytes)
 }
 
 fn value(tree: &Tree, name: &Name) -> Option<f64> {
@@ -53,6 +52,8 @@ mod tests {
 
     use super::*;
 
+    const UP: Span = Span::from_millis(2);
+
     /// 1,000 bytes up in 2 ms, nothing known of their number down.
     fn exchange() -> (Tree, NodeId, NodeId) {
         let clock =
@@ -61,7 +62,7 @@ mod tests {
         let up = log.depart(stage::UPLOAD, clock.stamp());
         log.value(stage::UPLOAD_BYTES, 900.0, Unit::BYTES);
         log.value(stage::UPLOAD_LOGGER_BYTES, 100.0, Unit::BYTES);
-        clock.advance(Span::from_millis(2));
+        clock.advance(UP);
         log.arrive(up, clock.wall());
         let down = log.depart(stage::DOWNLOAD, clock.stamp());
         clock.advance(Span::from_millis(1));
@@ -72,7 +73,8 @@ mod tests {
     #[test]
     fn one_clock_gives_exact_delays_and_throughputs() {
         let (mut tree, up, down) = exchange();
-        correct(&mut tree, &Relation::SameClock, Some(up), Some(down));
+        correct(&mut tree, up, Direction::Up, OneWayDelay::same_clock(UP));
+        correct(&mut tree, down, Direction::Down, OneWayDelay::same_clock(Span::from_millis(1)));
         let found = |name| tree.find(&[name]).map(|(_, node)| &node.measure);
         assert_eq!(found("upload").and_then(Measure::value), Some(0.002));
         assert_eq!(found("download").and_then(Measure::value), Some(0.001));
@@ -83,31 +85,21 @@ mod tests {
 
     #[test]
     fn unrelated_clocks_give_the_raw_difference_and_a_throughput_without_value() {
-        let (mut tree, up, down) = exchange();
-        correct(&mut tree, &Relation::Unknown, Some(up), Some(down));
+        let (mut tree, up, _) = exchange();
+        correct(&mut tree, up, Direction::Up, OneWayDelay::unsynchronised(UP));
         let Some((_, node)) = tree.find(&["upload"]) else { panic!("{tree:?}") };
         let Measure::Transit(transit) = &node.measure else { panic!("{node:?}") };
         let delay = transit.delay.expect("judged");
-        assert_eq!(
-            (delay.raw, delay.value, delay.verdict),
-            (Span::from_millis(2), None, Verdict::Unsynchronised)
-        );
+        assert_eq!((delay.raw, delay.value, delay.verdict), (UP, None, Verdict::Unsynchronised));
         let throughput = tree.find(&["upload-throughput"]).expect("there").1;
         assert_eq!(throughput.measure, Measure::Throughput(Rate { value: None, bounds: None }));
-    }
-
-    #[test]
-    fn a_message_that_never_arrived_is_left_open() {
-        let (mut tree, up, _) = exchange();
-        correct(&mut tree, &Relation::SameClock, Some(up), None);
-        assert!(tree.find(&["upload-throughput"]).is_some() && tree.find(&["download-throughput"]).is_none());
     }
 
     #[test]
     fn a_bound_that_reaches_zero_leaves_the_rate_open_upwards() {
         let delay = OneWayDelay {
             bounds: Some(Interval { lo: Span::ZERO, hi: Span::from_millis(4) }),
-            ..OneWayDelay::same_clock(Span::from_millis(2))
+            ..OneWayDelay::same_clock(UP)
         };
         assert_eq!(rate(8000.0, &delay).bounds, Some((2e6, f64::INFINITY)));
         assert_eq!(rate(8000.0, &OneWayDelay::same_clock(Span::ZERO)).value, None);

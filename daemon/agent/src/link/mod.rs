@@ -1,5 +1,21 @@
-//! What is known of the hosts at the other end.
+//! What is known of the hosts at the other end, above all of their clocks.
+//!
+//! A [`Link`](pair::Link) stands for one cloud; all pipelines that have a session with it share it, because the
+//! relation of two clocks belongs to the pair of hosts. [`Knowledge`](knowledge::Knowledge) is its logic without I/O;
+//! `probing` is the task beside it, which probes, listens to what both hosts tell of their clocks and closes each
+//! second.
 
 mod correction;
+mod knowledge;
+mod pair;
+mod probing;
+mod registry;
+mod second;
+mod thinned;
+mod words;
 
+pub(crate) use probing::ProbeSettings;
+pub(crate) use registry::{Attached, Links, Near};
+
+#[cfg(test)]
 pub(crate) use correction::correct;

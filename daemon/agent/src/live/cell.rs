@@ -59,7 +59,8 @@ impl Cell {
     fn judge(&mut self, node: &Node) {
         let Measure::Transit(transit) = &node.measure else { return };
         let Some(delay) = transit.delay else { return };
-        if let Some(bounds) = delay.bounds {
+        // What has no value is not averaged in, its error bar neither.
+        if let Some(bounds) = delay.bounds.filter(|_| delay.value.is_some()) {
             self.bounds.record(0, &node.name, half_width(bounds));
         }
         let verdict = delay.verdict.name();

@@ -83,7 +83,7 @@ impl Ring {
 mod tests {
     use std::sync::Arc;
 
-    use peernet_clock::{ClockIdentity, ManualClock, OneWayDelay, Span, WallTime};
+    use peernet_clock::{ClockIdentity, Interval, ManualClock, OneWayDelay, Span, Verdict, WallTime};
     use peernet_logger::{HostId, Measure, Recorder, stage};
 
     use super::*;
@@ -120,6 +120,32 @@ mod tests {
         ring.shown(&shown);
         let (seconds, _) = ring.changed();
         assert_eq!((seconds.len(), seconds[0].at, seconds[0].counts.ok), (1, 11, 2));
+    }
+
+    #[test]
+    fn delays_without_a_value_are_counted_by_verdict_and_never_averaged_in() {
+        let mut ring = Ring::default();
+        ring.record(10, &Outcome::Ok, &tree(4));
+        let mut inconsistent = tree(0);
+        let upload = inconsistent.find(&["upload"]).expect("recorded").0;
+        let delay = OneWayDelay {
+            value: None,
+            bounds: Some(Interval { lo: Span::ZERO, hi: Span::from_seconds(9) }),
+            verdict: Verdict::Inconsistent,
+            ..OneWayDelay::same_clock(Span::from_millis(3))
+        };
+        if let Some(Measure::Transit(transit)) = inconsistent.measure_mut(upload) {
+            transit.delay = Some(delay);
+        }
+        ring.record(10, &Outcome::Ok, &inconsistent);
+        ring.record(10, &Outcome::Ok, &tree(-1));
+
+        let second = &ring.changed().0[0];
+        assert_eq!(second.counts.ok, 3);
+        assert_eq!((second.values[0].1.count(), second.values[0].1.moments.mean), (1, 0.004));
+        assert_eq!((second.bounds[0].1.count(), second.bounds[0].1.moments.max), (1, 0.0));
+        let verdicts = ["ok", "inconsistent", "stepped"].map(|verdict| ("upload".into(), verdict.into(), 1));
+        assert_eq!(second.verdicts, verdicts);
     }
 
     #[test]

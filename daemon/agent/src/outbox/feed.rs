@@ -9,14 +9,21 @@ use peernet_logger::stream::{Event, Gap, Iteration};
 use peernet_logger::{RunId, Slug};
 use tokio::sync::mpsc;
 
+use super::tap::Tap;
+
 /// Iterations between the pipelines and the outbox task, which looks every few milliseconds.
 const PLACES: usize = 4096;
 /// Places kept for other events: without the start of its run an iteration means nothing.
 const RESERVE: usize = 512;
 
-/// The entrance of the outbox; clones are the same.
+/// Where events go in; clones are the same.
 #[derive(Clone, Debug)]
-pub(crate) struct Feed(Option<Arc<Entrance>>);
+pub(crate) struct Feed {
+    /// To the outbox; `None` for an agent without an aggregator.
+    outbox: Option<Arc<Entrance>>,
+    /// To the program that runs the agent; `None` when it does not listen.
+    tap: Option<Tap>,
+}
 
 #[derive(Debug)]
 struct Entrance {
@@ -48,31 +55,49 @@ pub(crate) fn channel(clock: SharedClock) -> (Feed, Exit) {
     let (sender, queue) = mpsc::channel(PLACES + RESERVE);
     let overflow = Arc::new(Overflow { clock, dropped: AtomicU64::new(0), gaps: Mutex::default() });
     let entrance = Entrance { queue: sender, overflow: Arc::clone(&overflow) };
-    (Feed(Some(Arc::new(entrance))), Exit { queue, overflow })
+    (Feed { outbox: Some(Arc::new(entrance)), tap: None }, Exit { queue, overflow })
 }
 
 impl Feed {
     /// A feed into nothing, for an agent without an aggregator.
     pub(crate) const fn nowhere() -> Self {
-        Self(None)
+        Self { outbox: None, tap: None }
+    }
+
+    /// The same feed, of which every event also goes to `tap`.
+    pub(crate) fn tapped(self, tap: Option<Tap>) -> Self {
+        Self { tap, ..self }
     }
 
     /// Hands in an iteration of `pipeline`.
     pub(crate) fn iteration(&self, pipeline: &Slug, iteration: Iteration) {
-        let Some(entrance) = &self.0 else { return };
         let run = iteration.run;
+        let Some(event) = self.tap(Event::Iteration(iteration)) else { return };
+        let Some(entrance) = &self.outbox else { return };
         let room = entrance.queue.capacity() > RESERVE;
-        if !room || entrance.queue.try_send(Event::Iteration(iteration)).is_err() {
+        if !room || entrance.queue.try_send(event).is_err() {
             entrance.overflow.count(Some(pipeline), Some(run));
         }
     }
 
     /// Hands in anything else, which concerns `pipeline` and `run` or neither.
     pub(crate) fn event(&self, pipeline: Option<&Slug>, run: Option<RunId>, event: Event) {
-        let Some(entrance) = &self.0 else { return };
+        let Some(event) = self.tap(event) else { return };
+        let Some(entrance) = &self.outbox else { return };
         if entrance.queue.try_send(event).is_err() {
             entrance.overflow.count(pipeline, run);
         }
+    }
+
+    /// Shows the event to whoever listens, and gives it back if the outbox wants it, too.
+    fn tap(&self, event: Event) -> Option<Event> {
+        let Some(tap) = &self.tap else { return Some(event) };
+        if self.outbox.is_none() {
+            tap.offer(event);
+            return None;
+        }
+        tap.offer(event.clone());
+        Some(event)
     }
 }
 

@@ -8,8 +8,10 @@ mod connection;
 mod farewell;
 mod feed;
 mod sender;
+mod tap;
 
 pub(crate) use feed::{Exit, Feed};
+pub(crate) use tap::Tap;
 
 use peernet_clock::{SharedClock, Span};
 use peernet_logger::stream::{

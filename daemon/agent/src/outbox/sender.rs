@@ -7,8 +7,8 @@ use futures::FutureExt;
 use futures::future::BoxFuture;
 use peernet_clock::SharedClock;
 use peernet_logger::stream::{
-    Accounting, Event, HostMetrics, IncidentKind, LiveUpdate, Notice, Sending, Spool, SpoolError, ToAgent,
-    ToAggregator, codec,
+    Accounting, Event, HostClock, HostMetrics, IncidentKind, LiveUpdate, Notice, Sending, Spool, SpoolError,
+    ToAgent, ToAggregator, codec,
 };
 use peernet_networks::Address;
 use tokio::sync::{oneshot, watch};
@@ -19,6 +19,7 @@ use super::farewell::{Farewell, Next};
 use super::feed::Exit;
 use crate::host::Host;
 use crate::incidents::{Concerning, Incidents};
+use crate::link::Links;
 use crate::live::{self, Board};
 use crate::pauses::Pauses;
 use crate::runs::Runs;
@@ -43,6 +44,8 @@ pub(super) struct Sender<S> {
     clock: SharedClock,
     incidents: Incidents,
     runs: Runs,
+    links: Links,
+    own: watch::Receiver<HostClock>,
     /// A frame that the connection had no room for.
     held: Option<Vec<u8>>,
     /// The trouble that was reported last: each is reported once.
@@ -65,8 +68,9 @@ impl<S: Spool> Sender<S> {
         host: &Host,
     ) -> Self {
         let (clock, incidents) = (SharedClock::clone(&host.clock), host.incidents.clone());
-        let runs = host.runs.clone();
-        Self { machine, exit, board, metrics, accounting, clock, incidents, runs, held: None, said: None }
+        let (runs, links, own) = (host.runs.clone(), host.links.clone(), host.own.clone());
+        let (held, said) = (None, None);
+        Self { machine, exit, board, metrics, accounting, clock, incidents, runs, links, own, held, said }
     }
 
     /// Sends until it is told to stop, and by when: then what is left, as long as it is taken.
@@ -179,6 +183,8 @@ impl<S: Spool> Sender<S> {
             host: self.machine.host(),
             sent: self.clock.wall(),
             pipelines,
+            links: self.links.live(),
+            clock: self.own.borrow().clone(),
             metrics: self.metrics.borrow().clone(),
             accounting: self.count(),
         };
@@ -235,10 +241,10 @@ impl<S: Spool> Sender<S> {
                     self.tell_of_runs();
                 }
                 let text = match stored {
-                    0 => format!("connected to the aggregator on {aggregator}"),
-                    stored => format!(
-                        "connected to the aggregator on {aggregator}, which has batches up to {stored}"
-                    ),
+                    0 => format!("connected to the aggregator {aggregator}"),
+                    stored => {
+                        format!("connected to the aggregator {aggregator}, which has batches up to {stored}")
+                    }
                 };
                 self.incidents.report(IncidentKind::Connected, Concerning::default(), text);
             }

@@ -1,6 +1,6 @@
 //! The state of a pipeline's inner loop and its transitions; waiting is in `drive`.
 
-use peernet_clock::{MonoTime, SharedClock};
+use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_logger::Recorder;
 use peernet_logger::stream::{IncidentKind, Outcome};
 use tokio::sync::oneshot;
@@ -131,7 +131,7 @@ impl<'a> Cycle<'a> {
 
     /// An iteration came back.
     pub(super) fn land(&mut self, landed: Landed) {
-        let Landed { ticket, source, computed: Computed { mut log, result } } = landed;
+        let Landed { ticket, source, computed: Computed { mut log, result, transport } } = landed;
         self.aloft.retain(|other| other.position.number != ticket.position.number);
         let outcome = match (result, &mut self.line.actuator) {
             (Ok(answer), Some(actuator)) => {
@@ -141,7 +141,7 @@ impl<'a> Cycle<'a> {
             (Ok(_), None) => Outcome::Ok,
             (Err(outcome), _) => outcome,
         };
-        self.finish(ticket, log, outcome);
+        self.finish(ticket, log, outcome, transport);
     }
 
     /// Gives up what is under way: it is recorded as lost.
@@ -150,7 +150,7 @@ impl<'a> Cycle<'a> {
         for ticket in std::mem::take(&mut self.aloft).into_iter().chain(waiting) {
             // What was measured is with the peer or the model; what remains is that it began.
             let (log, _) = iteration::begin(&self.host.clock, self.host.id, ticket.start.intended);
-            self.finish(ticket, log, Outcome::Lost(reason.to_owned()));
+            self.finish(ticket, log, Outcome::Lost(reason.to_owned()), None);
         }
     }
 
@@ -176,7 +176,7 @@ impl<'a> Cycle<'a> {
                 if self.blind == BLIND {
                     self.report_blindness(&reason);
                 }
-                self.finish(ticket, log, Outcome::Failed(reason));
+                self.finish(ticket, log, Outcome::Failed(reason), None);
             }
         }
     }
@@ -192,14 +192,14 @@ impl<'a> Cycle<'a> {
         self.host.incidents.report(IncidentKind::PipelineFailed, what, text);
     }
 
-    fn finish(&mut self, ticket: Ticket, log: Recorder, outcome: Outcome) {
+    fn finish(&mut self, ticket: Ticket, log: Recorder, outcome: Outcome, transport: Option<Span>) {
         let clock: &SharedClock = &self.host.clock;
         let ended = clock.stamp();
         let closed_loop = self.line.schedule.is_closed();
         if closed_loop {
             self.brake.note(&outcome, ended.mono);
         }
-        let tree = iteration::close(log, &ticket, ended.mono, closed_loop);
+        let tree = iteration::close(log, &ticket, ended.mono, closed_loop, transport);
         self.run.record(ticket.position, outcome, tree, ended, self.host, &self.line.display);
     }
 }

@@ -1,6 +1,6 @@
 //! The tree of one iteration, from its intended start to its end.
 
-use peernet_clock::{MonoTime, SharedClock, Span, Stamp, Verdict};
+use peernet_clock::{MonoTime, SharedClock, Span, Stamp};
 use peernet_logger::{HostId, Measure, Name, NodeId, Recorder, Tree, Unit, stage};
 
 use super::flight::Ticket;
@@ -20,8 +20,15 @@ pub(super) fn begin(clock: &SharedClock, host: HostId, intended: MonoTime) -> (R
     (Recorder::begin_at(SharedClock::clone(clock), host, at), now.mono)
 }
 
-/// Closes the tree of an iteration that ended at `ended`: adds what is computed over the whole.
-pub(super) fn close(mut log: Recorder, ticket: &Ticket, ended: MonoTime, closed_loop: bool) -> Tree {
+/// Closes the tree of an iteration that ended at `ended`: adds what is computed over the whole. `transport` is the
+/// time of both ways together, where it is known.
+pub(super) fn close(
+    mut log: Recorder,
+    ticket: &Ticket,
+    ended: MonoTime,
+    closed_loop: bool,
+    transport: Option<Span>,
+) -> Tree {
     let intended = ticket.start.intended;
     if !closed_loop {
         log.timed(LATENESS, intended, ticket.begun);
@@ -32,7 +39,7 @@ pub(super) fn close(mut log: Recorder, ticket: &Ticket, ended: MonoTime, closed_
     let total = ended - intended;
     log.timed(stage::TOTAL, intended, ended);
     let mut tree = log.finish();
-    if let Some(stages) = stages_total(&tree, total) {
+    if let Some(stages) = stages_total(&tree, transport.filter(|transport| *transport <= total)) {
         let mut add = |name, start, span| tree.add(NodeId::ROOT, name, start, Measure::Timer(Some(span)));
         add(stage::STAGES_TOTAL, Span::ZERO, stages);
         add(stage::UNATTRIBUTED, stages, total - stages);
@@ -42,39 +49,30 @@ pub(super) fn close(mut log: Recorder, ticket: &Ticket, ended: MonoTime, closed_
 
 /// The sum of the stages; `None` when one of them took place and it is not known how long it took.
 ///
-/// Of two clocks that were never related the way up and the way down are unknown, but not their sum: what the
-/// one raw difference has too much, the other has too little.
-fn stages_total(tree: &Tree, total: Span) -> Option<Span> {
+/// Where the two clocks were not related, or one of them was stepped, the way up and the way down have no value each;
+/// both together are still known: what the edge waited less what the cloud took.
+fn stages_total(tree: &Tree, transport: Option<Span>) -> Option<Span> {
     let mut sum = Span::ZERO;
-    let mut unrelated = (0, Span::ZERO);
+    let mut ways = Some(Span::ZERO);
     for (_, node) in tree.children(NodeId::ROOT).filter(|(_, node)| stage::ORDER.contains(&node.name)) {
         match &node.measure {
             Measure::Timer(Some(span)) => sum += *span,
-            Measure::Transit(transit) => match transit.delay {
-                Some(delay) if delay.verdict == Verdict::Unsynchronised => {
-                    unrelated = (unrelated.0 + 1, unrelated.1 + delay.raw);
+            Measure::Transit(transit) => {
+                if let Some(delay) = transit.delay {
+                    ways = ways.zip(delay.value).map(|(ways, way)| ways + way);
                 }
-                Some(delay) => sum += delay.value?,
-                None => {}
-            },
+            }
             _ => {}
         }
     }
-    let (ways, raw) = unrelated;
-    // A clock that was stepped between the two ways leaves nonsense.
-    let plausible = !raw.is_negative() && raw <= total;
-    match ways {
-        0 => Some(sum),
-        2 if plausible => Some(sum + raw),
-        _ => None,
-    }
+    Some(sum + ways.or(transport)?)
 }
 
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
 
-    use peernet_clock::{Clock, ClockIdentity, ManualClock, Relation, WallTime};
+    use peernet_clock::{Clock, ClockIdentity, Direction, ManualClock, OneWayDelay, WallTime};
 
     use super::super::load::Start;
     use super::super::progress::Position;
@@ -85,7 +83,7 @@ mod tests {
 
     /// An iteration that began 3 ms late, sensed for 1 ms, went up, down and was acted upon for 1 ms each, with
     /// 2 ms on a cloud whose wall clock is `ahead`; 1 ms passed outside of all stages.
-    fn iteration(ahead: Span, relation: Relation) -> Tree {
+    fn iteration(ahead: Span, judge: fn(Span) -> OneWayDelay, transport: Option<Span>) -> Tree {
         let clock =
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system")));
         let pass = |steps: i64| clock.advance(Span::from_nanos(STEP.nanos() * steps));
@@ -108,7 +106,8 @@ mod tests {
         let down = log.depart(stage::DOWNLOAD, sent);
         pass(1);
         log.arrive(down, clock.wall());
-        correct(log.tree_mut(), &relation, Some(up), Some(down));
+        correct(log.tree_mut(), up, Direction::Up, judge(STEP + ahead));
+        correct(log.tree_mut(), down, Direction::Down, judge(STEP - ahead));
         pass(1);
         {
             let _actuation = log.time(stage::ACTUATION);
@@ -116,7 +115,7 @@ mod tests {
         }
         let position = Position { number: 1, episode: 0, step: 0, warm_up: false };
         let ticket = Ticket { position, start: Start { intended, skipped: 7 }, begun };
-        close(log, &ticket, clock.mono(), false)
+        close(log, &ticket, clock.mono(), false, transport)
     }
 
     fn millis(tree: &Tree, name: &str) -> Option<f64> {
@@ -125,7 +124,7 @@ mod tests {
 
     #[test]
     fn stages_and_what_lies_beside_them_add_up_to_the_total() {
-        let tree = iteration(Span::ZERO, Relation::SameClock);
+        let tree = iteration(Span::ZERO, OneWayDelay::same_clock, None);
         assert_eq!(millis(&tree, "total"), Some(10.0));
         assert_eq!(millis(&tree, "stages-total"), Some(6.0));
         assert_eq!(millis(&tree, "unattributed"), Some(4.0));
@@ -136,15 +135,18 @@ mod tests {
     #[test]
     fn the_sum_does_not_depend_on_what_the_peers_clock_shows() {
         for ahead in [Span::from_seconds(3600), Span::from_seconds(-5)] {
-            let tree = iteration(ahead, Relation::Unknown);
+            let tree = iteration(ahead, OneWayDelay::unsynchronised, Some(STEP + STEP));
             assert_eq!(millis(&tree, "upload"), None, "not known");
             assert_eq!(millis(&tree, "stages-total"), Some(6.0));
         }
     }
 
     #[test]
-    fn a_clock_that_was_stepped_gives_no_sum() {
-        let tree = iteration(Span::from_seconds(-1), Relation::SameClock);
-        assert_eq!((millis(&tree, "total"), millis(&tree, "stages-total")), (Some(10.0), None));
+    fn without_the_time_of_both_ways_there_is_no_sum() {
+        // An hour on the way is more than the iteration took.
+        for transport in [None, Some(Span::from_seconds(3600))] {
+            let tree = iteration(Span::from_seconds(-1), OneWayDelay::same_clock, transport);
+            assert_eq!((millis(&tree, "total"), millis(&tree, "stages-total")), (Some(10.0), None));
+        }
     }
 }

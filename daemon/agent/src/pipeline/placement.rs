@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use peernet_clock::Relation;
+use peernet_clock::Span;
 use peernet_inference::{Done, Job, LoadError, Pool};
 use peernet_logger::stream::{Outcome, Placement as Description, PlacementKind};
 use peernet_logger::{HostId, Recorder, Slug};
@@ -15,13 +15,13 @@ use tokio::sync::oneshot;
 
 use crate::config::{PipelineConfig, PlacementConfig, RemoteConfig};
 use crate::host::Host;
-use crate::link::correct;
+use crate::link::Attached;
 
 /// An open placement: a loaded model or a session with a peer that has one.
 #[derive(Debug)]
 pub(super) enum Placement {
     Local(Arc<Pool>),
-    Remote { session: Session, relation: Relation, config: RemoteConfig },
+    Remote { session: Session, link: Attached, config: RemoteConfig },
 }
 
 /// What became of a sample. The recorder holds everything that was measured on the way.
@@ -29,6 +29,9 @@ pub(super) struct Computed {
     pub(super) log: Recorder,
     /// The answer, or how the iteration ended without one.
     pub(super) result: Result<Sample, Outcome>,
+    /// The way there and the way back together, by the hosts' monotonic clocks; `None` unless it came back from
+    /// another host.
+    pub(super) transport: Option<Span>,
 }
 
 /// Why a placement could not be opened.
@@ -72,8 +75,8 @@ impl Placement {
                 };
                 let clock = Arc::clone(&host.clock);
                 let session = Session::open(remote.network, &remote.peer, hello, settings, clock).await?;
-                let relation = Relation::between(host.clock.identity(), &session.accepted().clock);
-                Ok(Self::Remote { session, relation, config: remote.clone() })
+                let link = host.links.attach(&session, remote.network, &remote.peer, &config.name);
+                Ok(Self::Remote { session, link, config: remote.clone() })
             }
         }
     }
@@ -82,10 +85,10 @@ impl Placement {
     pub(super) async fn compute(&self, log: Recorder, sample: &Sample, timeout: Duration) -> Computed {
         match self {
             Self::Local(pool) => compute_here(pool, log, sample, timeout).await,
-            Self::Remote { session, relation, .. } => {
+            Self::Remote { session, link, .. } => {
                 let mut exchange = session.request(log, sample, timeout).await;
-                correct(exchange.log.tree_mut(), relation, exchange.up, exchange.down);
-                Computed { log: exchange.log, result: exchange.result.map_err(outcome) }
+                let transport = link.correct(&mut exchange);
+                Computed { log: exchange.log, result: exchange.result.map_err(outcome), transport }
             }
         }
     }
@@ -113,11 +116,17 @@ impl Placement {
         }
     }
 
-    /// What the model is, in words.
+    /// What the model is, in words, and whether the peer's clock is made wrong on purpose.
     pub(super) fn facts(&self) -> Vec<(String, String)> {
         match self {
             Self::Local(pool) => pool.facts(),
-            Self::Remote { session, .. } => session.accepted().facts.clone(),
+            Self::Remote { session, link, .. } => {
+                let mut facts = session.accepted().facts.clone();
+                if let Some(rehearsal) = &session.accepted().host_clock.rehearsal {
+                    facts.push((format!("Rehearsal of {}", link.name()), rehearsal.to_string()));
+                }
+                facts
+            }
         }
     }
 
@@ -179,17 +188,18 @@ async fn compute_here(pool: &Pool, log: Recorder, sample: &Sample, timeout: Dura
     });
     if let Err(refused) = pool.submit(Job { sample: sample.clone(), log, received, reply }) {
         let result = Err(Outcome::Failed(refused.reason.to_string()));
-        return Computed { log: refused.job.log, result };
+        return Computed { log: refused.job.log, result, transport: None };
     }
     match tokio::time::timeout(timeout, done).await {
         Ok(Ok(Done { log, result })) => {
-            Computed { log, result: result.map_err(|error| Outcome::Failed(error.to_string())) }
+            let result = result.map_err(|error| Outcome::Failed(error.to_string()));
+            Computed { log, result, transport: None }
         }
         Ok(Err(_)) => {
             let reason = format!("model {} dropped the sample unanswered", pool.name());
-            Computed { log: spare, result: Err(Outcome::Failed(reason)) }
+            Computed { log: spare, result: Err(Outcome::Failed(reason)), transport: None }
         }
-        Err(_) => Computed { log: spare, result: Err(Outcome::Timeout) },
+        Err(_) => Computed { log: spare, result: Err(Outcome::Timeout), transport: None },
     }
 }
 

@@ -147,7 +147,10 @@ impl Runner {
     }
 
     fn begin(&self, line: &Line, placement: &Placement, warm: bool) -> Run {
-        let facts = line.facts(placement.facts());
+        let mut facts = line.facts(placement.facts());
+        if let Some(rehearsal) = self.host.clock.rehearsal() {
+            facts.push(("Rehearsal".to_owned(), rehearsal.to_string()));
+        }
         Run::begin(&self.config, placement.describe(), facts, warm, &self.host, &self.display)
     }
 

@@ -1,23 +1,65 @@
 //! The serving side: sessions of peers that want this host's models.
 
+mod doors;
+mod reflector;
+
+pub(crate) use doors::{Doors, calibration};
+pub use reflector::ReflectorError;
+
 use std::collections::HashMap;
 use std::sync::Arc;
 
 use peernet_inference::{Done, InferenceError, Job, LoadError, Pool};
-use peernet_logger::stream::IncidentKind;
+use peernet_logger::stream::{HostClock, IncidentKind};
 use peernet_logger::{HostId, Slug};
 use peernet_networks::{
-    Failure, Incoming, IncomingRequest, Listener, OpenRequest, SessionAccepted, SessionId,
+    Announcer, Failure, Incoming, IncomingRequest, Listener, OpenRequest, SessionAccepted, SessionId,
 };
+use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
+use self::doors::to_peers;
 use crate::host::{Host, VERSION};
 use crate::incidents::Concerning;
 
-/// Serves until it is told to stop. The error is why the port was lost.
-pub(crate) async fn run(mut listener: Listener, host: Host, stop: CancellationToken) -> Result<(), String> {
-    let mut server = Server { host, peers: HashMap::new() };
+/// Serves until it is told to stop. The error is why a port was lost.
+pub(crate) async fn run(doors: Doors, host: Host, stop: CancellationToken) -> Result<(), String> {
+    let probes = doors.probes();
+    let announcer = doors.listener.announcer();
+    let announcing = announce(host.own.clone(), announcer, stop.clone());
+    let reflecting = async {
+        match doors.reflector {
+            Some(reflector) => reflector.run(stop.clone()).await,
+            None => Ok(()),
+        }
+    };
+    let serving = sessions(doors.listener, host, probes, stop.clone());
+    let ((), (), ()) = tokio::try_join!(serving, reflecting, announcing)?;
+    Ok(())
+}
+
+/// Tells all peers at once what becomes known of this host's clock.
+async fn announce(
+    mut own: watch::Receiver<HostClock>,
+    announcer: Announcer,
+    stop: CancellationToken,
+) -> Result<(), String> {
+    while let Some(Ok(())) = stop.run_until_cancelled(own.changed()).await {
+        let clock = own.borrow_and_update().clone();
+        announcer.announce(to_peers(clock));
+    }
+    Ok(())
+}
+
+/// Serves sessions until it is told to stop.
+async fn sessions(
+    mut listener: Listener,
+    host: Host,
+    probes: Option<u16>,
+    stop: CancellationToken,
+) -> Result<(), String> {
+    let mut server = Server { host, probes, peers: HashMap::new() };
     // Models that are being loaded for a peer; the listener bounds how many peers there are.
     let mut loading: JoinSet<Loaded> = JoinSet::new();
     let mut stopping = std::pin::pin!(stop.cancelled());
@@ -64,6 +106,8 @@ struct Peer {
 
 struct Server {
     host: Host,
+    /// The port at which probes are answered.
+    probes: Option<u16>,
     peers: HashMap<SessionId, Peer>,
 }
 
@@ -100,6 +144,8 @@ impl Server {
             model: pool.name().clone(),
             device: pool.device(),
             facts: pool.facts(),
+            host_clock: to_peers(self.host.own.borrow().clone()),
+            probes: self.probes,
         }
     }
 

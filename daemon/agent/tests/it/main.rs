@@ -2,7 +2,9 @@
 
 mod harness;
 
+mod calibration;
 mod checking;
+mod clocks;
 mod limits;
 mod load;
 mod midnight;
@@ -10,4 +12,5 @@ mod outage;
 mod outbox;
 mod remote;
 mod stopping;
+mod tap;
 mod trouble;

@@ -5,11 +5,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use peernet_clock::{Clock, ClockIdentity, MonoTime, SharedClock, SystemClock, WallTime};
 use peernet_inference::Bank;
 use peernet_logger::HostId;
-use peernet_logger::stream::Event;
+use peernet_logger::stream::{Event, HostClock};
+use tokio::sync::watch;
 
 use super::*;
 use crate::config::{AgentConfig, HostConfig};
 use crate::incidents::Incidents;
+use crate::link::{Links, Near, ProbeSettings};
 use crate::runs::Runs;
 
 /// A clock that breaks once, when it is told to.
@@ -46,12 +48,24 @@ async fn a_panic_fails_its_pipeline_with_the_reason_and_ends_its_run() {
     let aggregator = Some("tcp://127.0.0.1:1".parse().expect("an address"));
     let (feed, exit) = crate::outbox::entrance(&HostConfig { aggregator, ..HostConfig::default() }, &clock);
     let mut exit = exit.expect("there is an aggregator");
+    let incidents = Incidents::new(Arc::clone(&clock), feed.clone());
+    let (_own, own) = watch::channel(HostClock::default());
+    let near = Near {
+        name: "edge".parse().expect("a name"),
+        clock: Arc::clone(&clock),
+        own: own.clone(),
+        feed: feed.clone(),
+        incidents: incidents.clone(),
+    };
+    let probes = ProbeSettings::read(&config.probes, &config.clock).expect("no key is needed");
     let host = Host {
         id: HostId::random(),
-        name: "edge".parse().expect("a name"),
+        name: near.name.clone(),
         bank: Arc::new(Bank::new(config.models, config.onnxruntime, Arc::clone(&clock))),
-        incidents: Incidents::new(Arc::clone(&clock), feed.clone()),
+        incidents,
         runs: Runs::default(),
+        links: Links::new(near, &config.clock, probes),
+        own,
         feed,
         clock,
     };

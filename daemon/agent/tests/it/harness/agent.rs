@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use peernet_agent::{Agent, AgentConfig, Failure, Running};
-use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
+use peernet_clock::{ClockIdentity, RehearsalDescription, RehearsedClock, SharedClock, SystemClock};
 use peernet_logger::stream::{LiveUpdate, PipelineLive, PipelineState};
 use tempfile::TempDir;
 use tokio_util::sync::CancellationToken;
@@ -22,6 +22,13 @@ pub(crate) struct TestAgent {
 /// This machine's clock under a name.
 pub(crate) fn clock(name: &str) -> SharedClock {
     Arc::new(SystemClock::new(ClockIdentity::of_this_machine(name).expect("linux has a boot id")))
+}
+
+/// This machine's clock under a name of its own, made wrong.
+pub(crate) fn rehearsed(name: &str, wrong: RehearsalDescription) -> SharedClock {
+    let system = clock(name);
+    let identity = system.identity().clone();
+    Arc::new(RehearsedClock::new(system, identity, wrong))
 }
 
 /// A configuration of these tables, without `[agent]`.

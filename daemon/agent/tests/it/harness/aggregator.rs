@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use peernet_logger::HostId;
 use peernet_logger::stream::{
-    Event, Gap, Incident, IncidentKind, Iteration, LiveUpdate, RunDescription, RunEnded, ToAgent,
-    ToAggregator, codec,
+    ClockSample, Event, Gap, Incident, IncidentKind, Iteration, LiveUpdate, RunDescription, RunEnded,
+    ToAgent, ToAggregator, codec,
 };
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -106,6 +106,10 @@ impl Seen {
 
     pub(crate) fn iterations(&self) -> Vec<&Iteration> {
         self.pick(|event| if let Event::Iteration(iteration) = event { Some(iteration) } else { None })
+    }
+
+    pub(crate) fn clocks(&self) -> Vec<&ClockSample> {
+        self.pick(|event| if let Event::Clock(sample) = event { Some(sample.as_ref()) } else { None })
     }
 
     pub(crate) fn gaps(&self) -> Vec<&Gap> {

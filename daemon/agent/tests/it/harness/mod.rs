@@ -2,9 +2,11 @@
 
 mod agent;
 mod aggregator;
+mod late;
 
-pub(crate) use agent::{TestAgent, clock, config};
+pub(crate) use agent::{TestAgent, clock, config, rehearsed};
 pub(crate) use aggregator::{Aggregator, Manners, Seen};
+pub(crate) use late::Late;
 
 use std::time::Duration;
 

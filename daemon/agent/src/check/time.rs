@@ -1,0 +1,196 @@
+//! The tables about time: `[clock]`, `[probes]`, `[rehearsal]`.
+
+use std::io;
+use std::net::UdpSocket;
+
+use peernet_probes::Key;
+
+use super::Report;
+use crate::config::{ClockConfig, ProbesConfig, RehearsalConfig, ServeConfig};
+
+/// Fastest drift that may be allowed between two clocks, parts per million: a clock beyond is broken.
+const MAX_DRIFT_PPM: f64 = 1000.0;
+/// Longest time that exchanges are kept: a day.
+const MAX_WINDOW_S: f64 = 86_400.0;
+/// Longest of the other times: an hour.
+const MAX_SECONDS: f64 = 3600.0;
+/// Most probes per second.
+const MAX_RATE_HZ: f64 = 1000.0;
+/// Most probes per second that one address may be answered.
+const MAX_PER_SOURCE_HZ: u64 = 10_000;
+/// Most padding of a probe, so that it fits an Ethernet frame in any mode.
+const MAX_PADDING_BYTES: u64 = 1300;
+/// Furthest that a rehearsed clock may be off or be stepped: some four months, in milliseconds.
+const MAX_REHEARSED_MS: f64 = 1e10;
+/// Fastest rehearsed drift: a tenth, parts per million.
+const MAX_REHEARSED_PPM: f64 = 100_000.0;
+/// Last moment of a rehearsed step: a year.
+const MAX_REHEARSED_S: f64 = 366.0 * 86_400.0;
+
+impl Report {
+    /// Not-a-number is outside every range.
+    fn within(&mut self, key: &str, value: f64, least: f64, most: f64) {
+        if !(least..=most).contains(&value) {
+            self.add(key, format!("{value} is not between {least} and {most}"));
+        }
+    }
+
+    fn above_zero(&mut self, key: &str, value: f64, most: f64) {
+        if !(value > 0.0 && value <= most) {
+            self.add(key, format!("{value} is not above 0 and at most {most}"));
+        }
+    }
+}
+
+pub(super) fn check_clock(report: &mut Report, clock: &ClockConfig) {
+    report.above_zero("clock.max_drift_ppm", clock.max_drift_ppm, MAX_DRIFT_PPM);
+    report.within("clock.window_s", clock.window_s, 10.0, MAX_WINDOW_S);
+    report.within("clock.fresh_s", clock.fresh_s, 0.1, MAX_SECONDS);
+    if clock.fresh_s > clock.window_s {
+        let text = format!(
+            "{} s is longer than exchanges are kept, clock.window_s = {}",
+            clock.fresh_s, clock.window_s
+        );
+        report.add("clock.fresh_s", text);
+    }
+    report.within("clock.discipline_interval_s", clock.discipline_interval_s, 0.1, MAX_SECONDS);
+    if clock.chronyc.is_empty() {
+        report.add(
+            "clock.chronyc",
+            "it names no command; remove it for \"chronyc\", or take chrony out of clock.discipline",
+        );
+    }
+}
+
+pub(super) fn check_probes(report: &mut Report, probes: &ProbesConfig, serve: Option<&ServeConfig>) {
+    report.above_zero("probes.rate_hz", probes.rate_hz, MAX_RATE_HZ);
+    report.above_zero("probes.idle_rate_hz", probes.idle_rate_hz, MAX_RATE_HZ);
+    if probes.idle_rate_hz > probes.rate_hz {
+        let text = format!("{} is more than probes.rate_hz = {}", probes.idle_rate_hz, probes.rate_hz);
+        report.add("probes.idle_rate_hz", text);
+    }
+    report.at_most("probes.padding_bytes", probes.padding_bytes.into(), MAX_PADDING_BYTES);
+    if probes.max_per_source_hz == 0 {
+        report.add("probes.max_per_source_hz", "0 would answer nobody; say reflect = false for that");
+    }
+    report.at_most("probes.max_per_source_hz", probes.max_per_source_hz.into(), MAX_PER_SOURCE_HZ);
+    if let Some(path) = &probes.key_file {
+        report.unless_ok("probes.key_file", Key::read(path));
+    }
+    if let (Some(port), true, Some(serve)) = (probes.port, probes.reflect, serve) {
+        check_port(report, &serve.listen.host(), port);
+    }
+}
+
+/// As for `serve.listen`, a port in use is not wrong in itself; and an address that is not this machine's is that
+/// key's problem.
+fn check_port(report: &mut Report, host: &str, port: u16) {
+    if let Err(error) = UdpSocket::bind((host, port))
+        && error.kind() == io::ErrorKind::PermissionDenied
+    {
+        let text = format!(
+            "cannot receive on UDP port {port}: {error}; ports below 1024 need the capability CAP_NET_BIND_SERVICE, \
+             which the systemd unit grants"
+        );
+        report.add("probes.port", text);
+    }
+}
+
+pub(super) fn check_rehearsal(report: &mut Report, rehearsal: &RehearsalConfig) {
+    report.within("rehearsal.offset_ms", rehearsal.offset_ms, -MAX_REHEARSED_MS, MAX_REHEARSED_MS);
+    report.within("rehearsal.drift_ppm", rehearsal.drift_ppm, -MAX_REHEARSED_PPM, MAX_REHEARSED_PPM);
+    let mut before = 0.0;
+    for (index, step) in rehearsal.steps.iter().enumerate() {
+        let at = format!("rehearsal.steps[{index}]");
+        report.within(&format!("{at}.by_ms"), step.by_ms, -MAX_REHEARSED_MS, MAX_REHEARSED_MS);
+        report.above_zero(&format!("{at}.at_s"), step.at_s, MAX_REHEARSED_S);
+        if step.at_s <= before && index > 0 {
+            let text = format!(
+                "{} s is not after the step before, at {before} s; put them in the order of time",
+                step.at_s
+            );
+            report.add(format!("{at}.at_s"), text);
+        }
+        before = step.at_s;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Report;
+    use super::*;
+
+    fn keys(check: impl FnOnce(&mut Report)) -> Vec<String> {
+        let mut report = Report::default();
+        check(&mut report);
+        report.0.into_iter().map(|problem| problem.key).collect()
+    }
+
+    fn read<T: serde::de::DeserializeOwned>(table: &str) -> T {
+        toml::from_str(table).unwrap_or_else(|error| panic!("{table}: {error}"))
+    }
+
+    fn clock(table: &str) -> Vec<String> {
+        keys(|report| check_clock(report, &read(table)))
+    }
+
+    fn probes(table: &str) -> Vec<String> {
+        keys(|report| check_probes(report, &read(table), Some(&ServeConfig::default())))
+    }
+
+    fn rehearsal(table: &str) -> Vec<String> {
+        keys(|report| check_rehearsal(report, &read(table)))
+    }
+
+    #[test]
+    fn defaults_are_right() {
+        let nothing: [String; 0] = [];
+        assert_eq!(
+            (clock(""), probes(""), rehearsal("")),
+            (nothing.to_vec(), nothing.to_vec(), nothing.to_vec())
+        );
+    }
+
+    #[test]
+    fn impossible_limits_are_named() {
+        assert_eq!(clock("max_drift_ppm = -50"), ["clock.max_drift_ppm"]);
+        assert_eq!(clock("max_drift_ppm = nan"), ["clock.max_drift_ppm"]);
+        assert_eq!(clock("window_s = 20\nfresh_s = 30"), ["clock.fresh_s"]);
+        assert_eq!(
+            clock("discipline_interval_s = 0\nchronyc = \"\""),
+            ["clock.discipline_interval_s", "clock.chronyc"]
+        );
+        assert_eq!(probes("rate_hz = 0\nidle_rate_hz = -1"), ["probes.rate_hz", "probes.idle_rate_hz"]);
+        assert_eq!(probes("rate_hz = 1001"), ["probes.rate_hz"]);
+        assert_eq!(probes("idle_rate_hz = 11"), ["probes.idle_rate_hz"]);
+        assert_eq!(
+            probes("padding_bytes = 1301\nmax_per_source_hz = 0"),
+            ["probes.padding_bytes", "probes.max_per_source_hz"]
+        );
+    }
+
+    #[test]
+    fn a_key_that_is_not_there_or_is_none_is_refused() {
+        let file = tempfile::NamedTempFile::new().expect("there is room for a temporary file");
+        let table = format!("key_file = {:?}", file.path());
+        for (content, expected) in [("", 1), ("hello\n", 1), ("00112233445566778899aabbccddeeff\n", 0)] {
+            std::fs::write(file.path(), content).expect("it can be written");
+            assert_eq!(probes(&table).len(), expected, "{content:?}");
+        }
+        assert_eq!(probes("key_file = \"/nowhere/key\""), ["probes.key_file"]);
+    }
+
+    #[test]
+    fn steps_come_in_the_order_of_time() {
+        let steps = |first: &str, second: &str| {
+            format!("steps = [{{ at_s = {first}, by_ms = 3000 }}, {{ at_s = {second}, by_ms = -3000 }}]")
+        };
+        assert!(rehearsal(&steps("10", "20")).is_empty());
+        assert_eq!(rehearsal(&steps("20", "10")), ["rehearsal.steps[1].at_s"]);
+        assert_eq!(rehearsal(&steps("-1", "10")), ["rehearsal.steps[0].at_s"]);
+        assert_eq!(
+            rehearsal("offset_ms = inf\ndrift_ppm = nan"),
+            ["rehearsal.offset_ms", "rehearsal.drift_ppm"]
+        );
+    }
+}

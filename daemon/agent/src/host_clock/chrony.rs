@@ -1,0 +1,182 @@
+//! What chrony says, as `chronyc -c tracking` prints it. No I/O.
+
+use peernet_clock::{DelaySource, Interval, MonoTime, Span};
+
+use super::claim::{Answer, Claim, GROWTH_PPM};
+
+/// The reference id of a chronyd that follows nothing but its own clock (`local`).
+const LOCAL: &str = "7F7F0101";
+/// chrony ages its own bound by so much at least (`maxclockerror`), parts per million.
+const MAX_CLOCK_ERROR_PPM: f64 = 1.0;
+
+/// The line of `chronyc -c tracking`.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Tracking {
+    reference: String,
+    stratum: u32,
+    /// When chrony last measured, as written.
+    pub(super) measured: String,
+    /// The clock's error by chrony's estimate: what it shows minus true time.
+    error: Span,
+    /// By how much that estimate may be wrong.
+    bound: Span,
+    /// How fast the bound grows, parts per million.
+    growth_ppm: f64,
+    synchronised: bool,
+    local: bool,
+}
+
+impl Tracking {
+    /// Reads the line: reference id, name, stratum, reference time, system time, last offset, RMS offset, frequency,
+    /// residual frequency, skew, root delay, root dispersion, update interval, leap status (chronyc(1), `tracking`).
+    pub(super) fn parse(line: &str) -> Result<Self, String> {
+        let fields: Vec<&str> = line.trim().split(',').collect();
+        let [id, name, stratum, measured, system_time, _, _, _, residual, skew, delay, dispersion, _, leap] =
+            fields[..]
+        else {
+            return Err(format!("{} fields instead of 14", fields.len()));
+        };
+        let number = |what: &str, text: &str| {
+            let value = text.parse::<f64>().ok().filter(|value| value.is_finite());
+            value.ok_or_else(|| format!("{what} {text:?} is no number"))
+        };
+        let (delay, dispersion) = (number("root delay", delay)?, number("root dispersion", dispersion)?);
+        let growth = number("skew", skew)?.abs() + number("residual frequency", residual)?.abs();
+        Ok(Self {
+            reference: if name.is_empty() { id } else { name }.to_owned(),
+            stratum: stratum.parse().map_err(|_| format!("stratum {stratum:?} is no number"))?,
+            measured: measured.to_owned(),
+            // Positive means "slow of NTP time": the clock shows less than the truth.
+            error: -Span::from_seconds_f64(number("system time", system_time)?),
+            bound: Span::from_seconds_f64(dispersion.abs() + delay.abs() / 2.0),
+            growth_ppm: (growth + MAX_CLOCK_ERROR_PPM).max(GROWTH_PPM),
+            synchronised: leap != "Not synchronised",
+            local: id == LOCAL,
+        })
+    }
+
+    /// What follows for the clock, read at `at`.
+    ///
+    /// The documented bound of the clock's error is `|system time| + root dispersion + root delay / 2`. As the sign
+    /// of the first term is known, the interval needs to reach from the estimate to zero only, towards which chrony
+    /// slews the clock, and by the other two beyond both.
+    pub(super) fn answer(&self, at: MonoTime) -> Answer {
+        let claim = (self.synchronised && !self.local).then(|| Claim {
+            at,
+            error: Interval {
+                lo: self.error.min(Span::ZERO) - self.bound,
+                hi: self.error.max(Span::ZERO) + self.bound,
+            },
+            growth_ppm: self.growth_ppm,
+        });
+        let text = match self {
+            Self { synchronised: false, .. } => "chrony, not synchronised".to_owned(),
+            Self { local: true, .. } => "chrony, following nothing but its own clock".to_owned(),
+            Self { stratum, reference, .. } => format!("chrony, stratum {stratum}, to {reference}"),
+        };
+        Answer { source: DelaySource::Chrony, claim, text }
+    }
+}
+
+/// chrony claims nothing; why, in words.
+pub(super) fn silent(why: &str) -> Answer {
+    Answer { source: DelaySource::Chrony, claim: None, text: format!("chrony, {why}") }
+}
+
+/// Whether what chrony says is worth anything: after the clock was disturbed it goes on saying what it measured
+/// before, until it measures again.
+#[derive(Debug, Default)]
+pub(super) struct Trust {
+    epoch: u32,
+    /// What it had measured last when it was asked first after the disturbance; `Some(None)`: it was not asked yet.
+    outdated: Option<Option<String>>,
+}
+
+impl Trust {
+    /// Trusts what is said in `epoch` of the clock.
+    pub(super) const fn new(epoch: u32) -> Self {
+        Self { epoch, outdated: None }
+    }
+
+    /// Whether `tracking`, read in `epoch` at the latest, was measured since the last disturbance.
+    pub(super) fn allows(&mut self, tracking: &Tracking, epoch: u32) -> bool {
+        if self.epoch != epoch {
+            self.epoch = epoch;
+            self.outdated = Some(None);
+        }
+        match &self.outdated {
+            None => true,
+            Some(Some(measured)) if *measured != tracking.measured => {
+                self.outdated = None;
+                true
+            }
+            Some(Some(_)) => false,
+            Some(None) => {
+                self.outdated = Some(Some(tracking.measured.clone()));
+                false
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    // Printed by chronyc 4.3.
+    const BIASED: &str = "7F000001,127.0.0.1,11,1795179452.504467807,0.049999367,0.000000412,0.000000412,-1.446,0.001,10.048,0.000005846,0.000007896,0.3,Normal\n";
+    const OWN_CLOCK: &str = "7F7F0101,,10,1795179451.641823310,0.000000000,0.000000000,0.000000000,0.000,0.000,0.000,0.000000000,0.000000000,0.0,Normal\n";
+    const NOT_SYNCHRONISED: &str = "00000000,,0,0.000000000,0.000000000,0.000000000,0.000000000,0.000,0.000,0.000,1.000000000,1.000000000,0.0,Not synchronised\n";
+
+    fn answer(line: &str) -> Answer {
+        Tracking::parse(line).expect("chronyc printed it").answer(MonoTime::from_nanos(0))
+    }
+
+    #[test]
+    fn a_clock_that_is_slow_has_a_negative_error() {
+        let answer = answer(BIASED);
+        assert_eq!(answer.text, "chrony, stratum 11, to 127.0.0.1");
+        let claim = answer.claim.expect("chrony was synchronised");
+        let bound = Span::from_nanos(7896 + 5846 / 2);
+        assert_eq!(claim.error, Interval { lo: Span::from_nanos(-49_999_367) - bound, hi: bound });
+        assert!((claim.growth_ppm - GROWTH_PPM).abs() < 1e-9, "{}", claim.growth_ppm);
+    }
+
+    #[test]
+    fn a_clock_that_is_fast_has_a_positive_error_and_a_vague_frequency_ages_faster() {
+        let line = "50505300,PPS,1,1795179452.5,-0.002,0,0,0,-4.0,30.0,0.001,0.0005,16.0,Normal";
+        let claim = answer(line).claim.expect("chrony was synchronised");
+        assert_eq!(claim.error, Interval { lo: Span::from_millis(-1), hi: Span::from_millis(3) });
+        assert!((claim.growth_ppm - 35.0).abs() < 1e-9, "{}", claim.growth_ppm);
+    }
+
+    #[test]
+    fn who_follows_nobody_claims_nothing() {
+        for (line, why) in [(NOT_SYNCHRONISED, "not synchronised"), (OWN_CLOCK, "own clock")] {
+            let answer = answer(line);
+            assert_eq!(answer.claim, None);
+            assert!(answer.text.contains(why), "{}", answer.text);
+        }
+    }
+
+    #[test]
+    fn what_is_no_tracking_is_refused_with_the_reason() {
+        for line in ["", "506 Cannot talk to daemon", "a,b,c", &BIASED.replace("0.000005846", "nan")] {
+            assert!(Tracking::parse(line).is_err(), "{line}");
+        }
+        let error = Tracking::parse(&BIASED.replace("0.049999367", "slow")).expect_err("it is no number");
+        assert_eq!(error, "system time \"slow\" is no number");
+    }
+
+    #[test]
+    fn after_a_step_only_what_is_measured_anew_counts() {
+        let before = Tracking::parse(BIASED).expect("chronyc printed it");
+        let after = Tracking { measured: "1795179453.193074185".to_owned(), ..before.clone() };
+        let mut trust = Trust::new(0);
+        assert!(trust.allows(&before, 0));
+        assert!(!trust.allows(&before, 1), "the clock was stepped");
+        assert!(!trust.allows(&before, 1));
+        assert!(trust.allows(&after, 1));
+        assert!(trust.allows(&after, 1));
+    }
+}

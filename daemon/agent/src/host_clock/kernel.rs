@@ -1,0 +1,104 @@
+//! The kernel's own word about the clock, which time daemons keep up to date: `adjtimex(2)`.
+
+use std::io;
+
+use peernet_clock::{DelaySource, Interval, MonoTime, Span};
+
+use super::claim::{Answer, Claim, GROWTH_PPM};
+use super::timex;
+
+/// The kernel adds so many microseconds to its bound each second (`MAXFREQ`) until a daemon sets it anew.
+const KERNEL_GROWTH_US: i64 = 500;
+
+/// What `adjtimex` tells of the clock's error.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct KernelState {
+    /// Whether a daemon keeps the clock right (`STA_UNSYNC` is not set).
+    pub(super) synchronised: bool,
+    /// `maxerror`, microseconds.
+    pub(super) max_error_us: i64,
+    /// `esterror`, microseconds.
+    pub(super) estimated_error_us: i64,
+}
+
+/// Asks the kernel.
+pub(super) fn ask(now: MonoTime) -> Answer {
+    answer(timex::read(), now)
+}
+
+fn answer(state: io::Result<KernelState>, now: MonoTime) -> Answer {
+    let (bound, text) = match state {
+        Err(error) => (None, format!("kernel: adjtimex: {error}")),
+        Ok(state) => state.judge(),
+    };
+    let claim = bound.map(|bound| Claim {
+        at: now,
+        error: Interval { lo: -bound, hi: bound },
+        growth_ppm: GROWTH_PPM,
+    });
+    Answer { source: DelaySource::Kernel, claim, text }
+}
+
+impl KernelState {
+    /// The bound of the error, and the state in words.
+    fn judge(self) -> (Option<Span>, String) {
+        if !self.synchronised {
+            return (None, "kernel, not synchronised".to_owned());
+        }
+        // chrony, ntpd and ntpd-rs set both figures. Who leaves nothing in `maxerror` but the kernel's own growth
+        // means "synchronised" and states no error.
+        if self.max_error_us % KERNEL_GROWTH_US != 0 {
+            return (Some(Span::from_micros(self.max_error_us)), "kernel, synchronised".to_owned());
+        }
+        if self.estimated_error_us == 0 {
+            // systemd-timesyncd zeroes both, be the error microseconds or tens of milliseconds.
+            return (None, "kernel, synchronised by a daemon that states no error".to_owned());
+        }
+        // phc2sys zeroes `maxerror` alone, at each update, once a second or more often.
+        let bound = self.max_error_us.max(KERNEL_GROWTH_US);
+        (Some(Span::from_micros(bound)), "kernel, synchronised, as by PTP".to_owned())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn said(synchronised: bool, max_error_us: i64, estimated_error_us: i64) -> (Option<Span>, String) {
+        let state = KernelState { synchronised, max_error_us, estimated_error_us };
+        let answer = answer(Ok(state), MonoTime::from_nanos(0));
+        (answer.claim.map(|claim| claim.error.hi), answer.text)
+    }
+
+    #[test]
+    fn the_bound_of_a_daemon_that_states_one_is_taken() {
+        assert_eq!(
+            said(true, 27_503, 311),
+            (Some(Span::from_micros(27_503)), "kernel, synchronised".to_owned())
+        );
+    }
+
+    #[test]
+    fn an_unsynchronised_kernel_claims_nothing() {
+        assert_eq!(said(false, 16_000_000, 16_000_000), (None, "kernel, not synchronised".to_owned()));
+    }
+
+    #[test]
+    fn growth_without_a_figure_of_the_daemons_is_no_bound() {
+        let (bound, text) = said(true, 123_000, 0);
+        assert_eq!(bound, None);
+        assert!(text.contains("states no error"), "{text}");
+    }
+
+    #[test]
+    fn a_clock_kept_by_ptp_is_believed_within_a_second_of_the_kernels_growth() {
+        assert_eq!(said(true, 0, 16_000_000).0, Some(Span::from_micros(500)));
+        assert_eq!(said(true, 1000, 16_000_000).0, Some(Span::from_micros(1000)));
+    }
+
+    #[test]
+    fn this_machines_kernel_answers() {
+        let answer = ask(MonoTime::from_nanos(0));
+        assert!(answer.text.starts_with("kernel, "), "{}", answer.text);
+    }
+}

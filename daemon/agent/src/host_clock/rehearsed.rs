@@ -1,0 +1,45 @@
+//! What a host whose clock is wrong on purpose claims, when it is to know exactly how wrong.
+
+use peernet_clock::{DelaySource, Discipline, Interval, RehearsalDescription, Span, WallTime};
+
+/// How well it knows.
+const BOUND: Span = Span::from_micros(1);
+
+/// The error of a clock at `truth` and, if it is not stepped, from `around` before until `around` after: messages
+/// stamped before the claim was made are judged by it too.
+pub(super) fn exactly(description: &RehearsalDescription, truth: WallTime, around: Span) -> Discipline {
+    let now = description.error_at(truth);
+    let drift = Span::from_nanos((around.nanos() as f64 * description.drift_ppm.abs() * 1e-6).ceil() as i64);
+    let error = Interval { lo: now - drift - BOUND, hi: now + drift + BOUND };
+    Discipline { source: DelaySource::Kernel, error }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::RehearsedStep;
+
+    use super::*;
+
+    #[test]
+    fn the_claim_contains_the_error_now_and_around_now() {
+        let description = RehearsalDescription {
+            offset: Span::from_seconds(-1),
+            drift_ppm: 50.0,
+            steps: vec![RehearsedStep { at: Span::from_seconds(20), by: Span::from_seconds(3) }],
+            since: WallTime::from_unix_nanos(1_700_000_000_000_000_000),
+        };
+        let around = Span::from_seconds(2);
+        for seconds in [0, 10, 19, 21, 100_000] {
+            let truth = description.since + Span::from_seconds(seconds);
+            let claim = exactly(&description, truth, around).error;
+            assert!(claim.width() <= Span::from_micros(202), "{claim:?}");
+            let (stepped_ahead, stepped_before) = (seconds == 19, seconds == 21);
+            for moment in [truth - around, truth, truth + around] {
+                let error = description.error_at(moment);
+                let within = claim.lo <= error && error <= claim.hi;
+                let across = (stepped_ahead && moment > truth) || (stepped_before && moment < truth);
+                assert!(within || across, "{seconds}: {error} in {claim:?}");
+            }
+        }
+    }
+}

@@ -1,0 +1,125 @@
+//! Real chronyd processes that leave the machine's clock alone.
+
+use std::net::UdpSocket;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+
+use crate::config::{ClockConfig, DisciplineSource};
+
+/// A program of the unpacked package, or of the system.
+fn program(name: &str) -> PathBuf {
+    let tools = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../.venv-tools/chrony/usr");
+    let places = [tools.join("sbin"), tools.join("bin"), "/usr/sbin".into(), "/usr/bin".into()];
+    let found = places.iter().map(|place| place.join(name)).find(|path| path.exists());
+    found.unwrap_or_else(|| panic!("{name} is not there: run `deploy/install-tools.sh test`"))
+}
+
+fn free_port() -> u16 {
+    let socket = UdpSocket::bind("127.0.0.1:0").expect("loopback has a free port");
+    socket.local_addr().expect("it is bound").port()
+}
+
+/// A chronyd with files of its own, ended with the test.
+pub(super) struct Chronyd {
+    child: Child,
+    folder: tempfile::TempDir,
+    ntp: u16,
+    commands: u16,
+}
+
+impl Chronyd {
+    /// Follows nothing but its own clock, and serves it.
+    pub(super) fn server() -> Self {
+        Self::start("local stratum 10\nallow 127.0.0.1\n", free_port())
+    }
+
+    /// Follows `server`, whose time it corrects by `offset_s`.
+    pub(super) fn client(server: &Self, offset_s: f64) -> Self {
+        let line =
+            format!("server 127.0.0.1 port {} iburst minpoll -2 maxpoll 0 offset {offset_s}\n", server.ntp);
+        let client = Self::start(&line, 0);
+        let mut waiting = client.chronyc();
+        // Right after its first measurement chrony says that the clock's rate may be anything: until it is known to
+        // 100 ppm, in tenths of a second.
+        let waited = waiting.args(["waitsync", "600", "0", "100", "0.1"]).output().expect("chronyc runs");
+        assert!(waited.status.success(), "not synchronised within a minute:\n{}", client.log());
+        client
+    }
+
+    /// Has nobody to follow.
+    pub(super) fn lonely() -> Self {
+        let mut lonely = Self::start("", 0);
+        // chronyc itself paces this.
+        while !lonely.answers() {
+            let ended = lonely.child.try_wait().expect("it is our child");
+            assert_eq!(ended, None, "chronyd ended:\n{}", lonely.log());
+        }
+        lonely
+    }
+
+    fn start(lines: &str, ntp: u16) -> Self {
+        let folder = tempfile::tempdir().expect("there is room for a temporary folder");
+        let commands = free_port();
+        let path = |name: &str| folder.path().join(name).display().to_string();
+        let configuration = format!(
+            "{lines}port {ntp}\nbindaddress 127.0.0.1\ncmdport {commands}\nbindcmdaddress /\n\
+             bindcmdaddress 127.0.0.1\npidfile {}\n",
+            path("pid")
+        );
+        std::fs::write(path("conf"), configuration).expect("the temporary folder is writable");
+        let log = std::fs::File::create(path("log")).expect("the temporary folder is writable");
+        let user = Command::new("id").arg("-un").output().expect("id runs").stdout;
+        // -x leaves the clock alone, -U asks for no privilege.
+        let child = Command::new(program("chronyd"))
+            .args(["-x", "-d", "-U", "-u", String::from_utf8_lossy(&user).trim(), "-f", &path("conf")])
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(log)
+            .spawn()
+            .expect("chronyd starts");
+        Self { child, folder, ntp, commands }
+    }
+
+    /// The configuration of an agent that asks this chronyd alone.
+    pub(super) fn asked(&self) -> ClockConfig {
+        ClockConfig {
+            discipline: vec![DisciplineSource::Chrony],
+            discipline_interval_s: 0.1,
+            chronyc: program("chronyc").display().to_string(),
+            chronyc_arguments: self.arguments(),
+            ..ClockConfig::default()
+        }
+    }
+
+    /// Ends it.
+    pub(super) fn end(&mut self) {
+        self.child.kill().expect("it was running");
+        self.child.wait().expect("it is our child");
+    }
+
+    fn arguments(&self) -> Vec<String> {
+        ["-h", "127.0.0.1", "-p"].into_iter().map(str::to_owned).chain([self.commands.to_string()]).collect()
+    }
+
+    fn chronyc(&self) -> Command {
+        let mut command = Command::new(program("chronyc"));
+        command.args(self.arguments()).arg("-n");
+        command
+    }
+
+    fn answers(&self) -> bool {
+        self.chronyc().arg("tracking").output().expect("chronyc runs").status.success()
+    }
+
+    fn log(&self) -> String {
+        std::fs::read_to_string(self.folder.path().join("log")).unwrap_or_default()
+    }
+}
+
+impl Drop for Chronyd {
+    fn drop(&mut self) {
+        // A child that has ended already cannot be ended, which is what is wanted.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}

@@ -1,0 +1,34 @@
+//! The whole of it, against real clocks, real daemons and a clock that moves when told to.
+
+mod chronyd;
+mod disturbed;
+mod real_chrony;
+
+use std::sync::Arc;
+
+use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
+use peernet_logger::stream::HostClock;
+use tokio::sync::watch;
+use tokio_util::sync::{CancellationToken, DropGuard};
+
+use super::run;
+use crate::config::{ClockConfig, HostConfig, RehearsalConfig};
+use crate::incidents::Incidents;
+
+fn system_clock() -> SharedClock {
+    Arc::new(SystemClock::new(ClockIdentity::new("boot", "test")))
+}
+
+/// The task, running until the guard goes.
+fn watched(
+    config: ClockConfig,
+    rehearsal: Option<RehearsalConfig>,
+    clock: &SharedClock,
+) -> (watch::Receiver<HostClock>, DropGuard) {
+    let (feed, _) = crate::outbox::entrance(&HostConfig::default(), clock);
+    let incidents = Incidents::new(Arc::clone(clock), feed);
+    let (publish, published) = watch::channel(HostClock::default());
+    let stop = CancellationToken::new();
+    tokio::spawn(run(config, rehearsal, Arc::clone(clock), incidents, publish, stop.clone()));
+    (published, stop.drop_guard())
+}

@@ -1,0 +1,93 @@
+//! What a real chrony says becomes an interval that contains the truth, with the right sign.
+
+use peernet_clock::{DelaySource, Span};
+use peernet_logger::stream::HostClock;
+use tokio::sync::watch;
+
+use super::chronyd::Chronyd;
+use super::{system_clock, watched};
+use crate::config::ClockConfig;
+
+/// What is published first after chrony was asked.
+async fn asked(published: &mut watch::Receiver<HostClock>) -> HostClock {
+    let asked = published.wait_for(|known| !known.text.is_empty() && !known.text.contains("not asked"));
+    asked.await.expect("the task runs").clone()
+}
+
+#[tokio::test]
+async fn a_known_bias_is_within_the_interval_and_its_opposite_is_not() {
+    let server = Chronyd::server();
+    // chrony adds `offset` to what it measures of a server that has the same clock: it takes true time to be 50 ms
+    // later than the clock shows, or earlier.
+    for (offset_s, error) in [(0.050, Span::from_millis(-50)), (-0.050, Span::from_millis(50))] {
+        let client = Chronyd::client(&server, offset_s);
+        let clock = system_clock();
+        let (mut published, _running) = watched(client.asked(), None, &clock);
+        let known = asked(&mut published).await;
+        assert_eq!(known.text, "chrony, stratum 11, to 127.0.0.1");
+        let claim = known.discipline.expect("chrony is synchronised");
+        assert_eq!(claim.source, DelaySource::Chrony);
+        let contains = |error: Span| claim.error.lo <= error && error <= claim.error.hi;
+        assert!(contains(error), "{error} is not in {:?}", claim.error);
+        assert!(!contains(-error), "{} is in {:?}", -error, claim.error);
+        assert!(contains(Span::ZERO), "a slewed clock passes through all between: {:?}", claim.error);
+        assert!(claim.error.width() < Span::from_millis(80), "{:?}", claim.error);
+    }
+}
+
+#[tokio::test]
+async fn who_follows_nobody_or_only_itself_claims_nothing() {
+    let (server, lonely) = (Chronyd::server(), Chronyd::lonely());
+    // The server answers commands once a client is synchronised to it.
+    let _client = Chronyd::client(&server, 0.0);
+    let expected =
+        [(&server, "chrony, following nothing but its own clock"), (&lonely, "chrony, not synchronised")];
+    for (daemon, text) in expected {
+        let clock = system_clock();
+        let (mut published, _running) = watched(daemon.asked(), None, &clock);
+        let known = asked(&mut published).await;
+        assert_eq!((known.discipline, known.text.as_str()), (None, text));
+    }
+}
+
+#[tokio::test]
+async fn a_daemon_that_ends_takes_its_claim_with_it() {
+    let server = Chronyd::server();
+    let mut client = Chronyd::client(&server, 0.0);
+    let clock = system_clock();
+    let (mut published, _running) = watched(client.asked(), None, &clock);
+    published.wait_for(|known| known.discipline.is_some()).await.expect("the task runs");
+    client.end();
+    let known = published.wait_for(|known| known.discipline.is_none()).await.expect("the task runs").clone();
+    assert!(known.text.starts_with("chrony, "), "{}", known.text);
+}
+
+#[tokio::test]
+async fn a_host_without_chrony_says_what_it_has() {
+    let clock = system_clock();
+    let config = ClockConfig { chronyc: "/nowhere/chronyc".to_owned(), ..ClockConfig::default() };
+    let (mut published, _running) = watched(config, None, &clock);
+    let known = asked(&mut published).await;
+    assert!(known.text.starts_with("kernel, "), "{}", known.text);
+}
+
+#[tokio::test]
+async fn a_command_that_hangs_or_prints_nonsense_claims_nothing() {
+    let clock = system_clock();
+    for (script, words) in [("sleep 60", "no answer within"), ("echo hello", "cannot be understood")] {
+        let folder = tempfile::tempdir().expect("there is room for a temporary folder");
+        let command = folder.path().join("chronyc");
+        std::fs::write(&command, format!("#!/bin/sh\n{script}\n")).expect("the temporary folder is writable");
+        let mode = std::os::unix::fs::PermissionsExt::from_mode(0o755);
+        std::fs::set_permissions(&command, mode).expect("the file is ours");
+        let config = ClockConfig {
+            chronyc: command.display().to_string(),
+            discipline: vec![crate::config::DisciplineSource::Chrony],
+            ..ClockConfig::default()
+        };
+        let (mut published, _running) = watched(config, None, &clock);
+        let known = asked(&mut published).await;
+        assert_eq!(known.discipline, None);
+        assert!(known.text.contains(words), "{}", known.text);
+    }
+}

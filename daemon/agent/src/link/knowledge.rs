@@ -1,0 +1,263 @@
+//! What an edge knows of its own clock and a cloud's. No I/O: time comes in as an argument.
+
+use peernet_clock::{
+    Direction, Judged, Learned, Offset, OneWayDelay, Relation, Span, Verdict, WallTime, Witnessed,
+};
+use peernet_logger::stream::{ClockSample, HostClock};
+use peernet_logger::{HostId, Slug};
+use peernet_probes::ProbeResult;
+use uuid::Uuid;
+
+use super::second::Second;
+
+/// The relation of the two clocks and what the current second adds to it.
+#[derive(Debug)]
+pub(super) struct Knowledge {
+    peer: HostId,
+    name: Slug,
+    relation: Relation,
+    /// Names the relation until a clock is stepped.
+    window: u64,
+    second: Second,
+    /// The last second that was closed.
+    last: Option<ClockSample>,
+    edge: HostClock,
+    cloud: HostClock,
+    /// Whose clock is known to have been stepped since the last restart: the edge's, the cloud's.
+    stepped: (bool, bool),
+}
+
+/// What is to be told.
+#[derive(Debug, Default)]
+#[must_use]
+pub(super) struct News {
+    /// Seconds that are over.
+    pub(super) samples: Vec<ClockSample>,
+    pub(super) restart: Option<Restart>,
+}
+
+/// A clock was stepped: the relation began anew.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Restart {
+    /// By how much the offset moved, where that is known.
+    pub(super) moved: Option<Span>,
+    /// Whether it was the edge's clock, as far as known.
+    pub(super) edge: bool,
+    /// Whether it was the cloud's.
+    pub(super) cloud: bool,
+}
+
+/// A message that has arrived, and how many bits it had.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Way {
+    pub(super) raw: Span,
+    pub(super) bits: Option<f64>,
+}
+
+impl Knowledge {
+    pub(super) fn new(
+        (peer, name): (HostId, Slug),
+        relation: Relation,
+        (edge, cloud): (HostClock, HostClock),
+        now: WallTime,
+    ) -> Self {
+        let second = Second::new(now.unix_seconds());
+        let mut knowledge = Self {
+            peer,
+            name,
+            relation,
+            window: random(),
+            second,
+            last: None,
+            edge,
+            cloud,
+            stepped: (false, false),
+        };
+        knowledge.disciplines();
+        knowledge
+    }
+
+    /// An exchange of data finished: judges its two delays, for which so many bits were sent.
+    pub(super) fn judge(
+        &mut self,
+        witnessed: &Witnessed,
+        bits: [Option<f64>; 2],
+        now: WallTime,
+    ) -> ([OneWayDelay; 2], News) {
+        let mut news = self.turn(now);
+        let Judged { learned, up, down } = self.told(whose(witnessed), |relation| relation.judge(witnessed));
+        self.learned(learned, witnessed, now, &mut news);
+        self.second.judged(Direction::Up, &up, bits[0]);
+        self.second.judged(Direction::Down, &down, bits[1]);
+        ([up, down], news)
+    }
+
+    /// An exchange of data finished during which one of the hosts says that its clock was stepped.
+    pub(super) fn stepped(&mut self, ways: [Way; 2], now: WallTime) -> ([OneWayDelay; 2], News) {
+        let news = self.turn(now);
+        let delays =
+            ways.map(|way| OneWayDelay { verdict: Verdict::Stepped, ..OneWayDelay::unsynchronised(way.raw) });
+        for (direction, (delay, way)) in [Direction::Up, Direction::Down].iter().zip(delays.iter().zip(ways))
+        {
+            self.second.judged(*direction, delay, way.bits);
+        }
+        (delays, news)
+    }
+
+    /// Something became of a probe.
+    pub(super) fn probed(&mut self, result: &ProbeResult, now: WallTime) -> News {
+        let mut news = self.turn(now);
+        let probes = &mut self.second.probes;
+        match result {
+            ProbeResult::Sent => probes.sent = probes.sent.saturating_add(1),
+            ProbeResult::Lost => probes.lost = probes.lost.saturating_add(1),
+            ProbeResult::Answered(witnessed) => {
+                probes.answered = probes.answered.saturating_add(1);
+                if self.learn(witnessed, now, &mut news) {
+                    self.second.round_trip(witnessed.exchange.round_trip());
+                }
+            }
+            ProbeResult::Refined(witnessed) => {
+                self.learn(witnessed, now, &mut news);
+            }
+            ProbeResult::Refused(_) => {}
+        }
+        news
+    }
+
+    /// What became known of the own clock.
+    pub(super) fn edge_says(&mut self, clock: HostClock) {
+        if clock.epoch > self.edge.epoch {
+            self.told((clock.epoch, None), |relation| relation.edge_stepped(clock.epoch));
+        }
+        self.edge = HostClock { epoch: self.edge.epoch, ..clock };
+        self.disciplines();
+    }
+
+    /// What the peer says of its clock.
+    pub(super) fn cloud_says(&mut self, clock: HostClock) {
+        if clock.epoch > self.cloud.epoch {
+            self.told((0, Some(clock.epoch)), |relation| relation.cloud_stepped(clock.epoch));
+        }
+        self.cloud = HostClock { epoch: self.cloud.epoch, ..clock };
+        self.disciplines();
+    }
+
+    /// Closes the second if it is over.
+    pub(super) fn turn(&mut self, now: WallTime) -> News {
+        let mut news = News::default();
+        if now.unix_seconds() != self.second.at {
+            // A clock that was set back closes it early, one that was set forward as if it had been on time.
+            let end = self.second.end();
+            self.close(end, self.relation.offset(end), now, &mut news);
+        }
+        news
+    }
+
+    /// Closes the second now: nothing more will come.
+    pub(super) fn finish(&mut self, now: WallTime) -> News {
+        let mut news = self.turn(now);
+        self.close(now, self.relation.offset(now), now, &mut news);
+        news
+    }
+
+    /// The second that is over if it is the last one, else what the current one holds so far.
+    pub(super) fn now(&self, now: WallTime) -> ClockSample {
+        let previous = self.second.end() - Span::from_seconds(1);
+        let current = now.unix_seconds() == self.second.at;
+        let last =
+            self.last.as_ref().filter(|last| current && last.at == previous && last.window == self.window);
+        last.cloned().unwrap_or_else(|| self.sample(now, self.relation.offset(now)))
+    }
+
+    /// What is known of the two clocks: the edge's, the cloud's.
+    pub(super) fn clocks(&self) -> (HostClock, HostClock) {
+        (self.edge.clone(), self.cloud.clone())
+    }
+
+    /// Returns whether the exchange is believed.
+    fn learn(&mut self, witnessed: &Witnessed, now: WallTime, news: &mut News) -> bool {
+        let learned = self.told(whose(witnessed), |relation| relation.learn(witnessed));
+        self.learned(learned, witnessed, now, news);
+        !matches!(learned, Learned::Refused(_))
+    }
+
+    /// Tells the relation something that came with these epochs of the edge and the cloud. If what was learnt is void
+    /// from now on, a new epoch says by whose fault.
+    fn told<T>(&mut self, (edge, cloud): (u32, Option<u32>), tell: impl FnOnce(&mut Relation) -> T) -> T {
+        let before = self.relation.counts().restarts;
+        let answer = tell(&mut self.relation);
+        let cloud = cloud.unwrap_or(0);
+        let (edge_new, cloud_new) = (edge > self.edge.epoch, cloud > self.cloud.epoch);
+        self.edge.epoch = self.edge.epoch.max(edge);
+        self.cloud.epoch = self.cloud.epoch.max(cloud);
+        let restarted = self.relation.counts().restarts > before;
+        if restarted {
+            // It is not to be shown any more.
+            self.last = None;
+        }
+        let void = restarted || self.stepped != (false, false);
+        self.stepped.0 |= void && edge_new;
+        self.stepped.1 |= void && cloud_new;
+        answer
+    }
+
+    fn learned(&mut self, learned: Learned, witnessed: &Witnessed, now: WallTime, news: &mut News) {
+        match learned {
+            Learned::Refused(_) => return,
+            Learned::Taken => {}
+            Learned::Restarted(moved) => {
+                // What the second holds so far belongs to the clocks as they were, of which nothing holds any more.
+                self.close(now, None, now, news);
+                self.window = random();
+                let (edge, cloud) = std::mem::take(&mut self.stepped);
+                news.restart = Some(Restart { moved, edge, cloud });
+            }
+        }
+        self.second.exchanged(&witnessed.exchange, self.relation.settings().max_drift_ppm);
+    }
+
+    /// Closes the second with what is known at `at`, its end, and begins the one of `now`.
+    fn close(&mut self, at: WallTime, offset: Option<Offset>, now: WallTime, news: &mut News) {
+        if !self.second.is_empty() {
+            let sample = self.sample(at, offset);
+            self.last = Some(sample.clone());
+            news.samples.push(sample);
+        }
+        self.second = Second::new(now.unix_seconds());
+    }
+
+    fn sample(&self, at: WallTime, offset: Option<Offset>) -> ClockSample {
+        ClockSample {
+            peer: self.peer,
+            peer_name: self.name.clone(),
+            at,
+            window: self.window,
+            max_drift_ppm: self.relation.settings().max_drift_ppm,
+            upper: self.second.upper,
+            lower: self.second.lower,
+            offset,
+            probes: self.second.probes,
+            exchanges: self.relation.counts(),
+            round_trip: self.second.round_trips(),
+            up: self.second.delays(Direction::Up),
+            down: self.second.delays(Direction::Down),
+        }
+    }
+
+    fn disciplines(&mut self) {
+        self.relation.set_disciplines(self.edge.discipline, self.cloud.discipline);
+    }
+}
+
+/// The epochs of the edge and the cloud that an exchange knows of: perhaps before the announcement is here.
+const fn whose(witnessed: &Witnessed) -> (u32, Option<u32>) {
+    (witnessed.edge_epoch, witnessed.cloud_epoch)
+}
+
+fn random() -> u64 {
+    Uuid::new_v4().as_u64_pair().0
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,125 @@
+//! Seconds, windows and restarts; what the relation itself makes of exchanges is tested where it is.
+
+use peernet_clock::{ClockIdentity, Exchange, RelationSettings};
+
+use super::*;
+
+const MS: i64 = 1_000_000;
+
+fn at(millis: i64) -> WallTime {
+    WallTime::from_unix_nanos(1_000_000 * MS + millis * MS)
+}
+
+/// A cloud that is `ahead`, a way of 1 ms in each direction, 2 ms in between.
+fn exchange(sent: i64, ahead: i64) -> Witnessed {
+    let exchange = Exchange {
+        sent: at(sent),
+        received: at(sent + 1 + ahead),
+        replied: at(sent + 3 + ahead),
+        returned: at(sent + 4),
+        uncertainty: Span::ZERO,
+    };
+    Witnessed {
+        exchange,
+        edge_elapsed: Some(Span::from_millis(4)),
+        cloud_elapsed: Some(Span::from_millis(2)),
+        edge_epoch: 0,
+        cloud_epoch: Some(0),
+    }
+}
+
+fn knowledge() -> Knowledge {
+    let identity = |name| ClockIdentity::new("boot", name);
+    let relation = Relation::new(&identity("edge"), &identity("cloud"), RelationSettings::default());
+    let peer = (HostId::random(), "cloud".parse().expect("a name"));
+    Knowledge::new(peer, relation, (HostClock::default(), HostClock::default()), at(0))
+}
+
+#[test]
+fn what_is_told_of_clocks_that_were_not_stepped_voids_nothing() {
+    let mut knowledge = knowledge();
+    knowledge.edge_says(HostClock::default());
+    knowledge.cloud_says(HostClock::default());
+    let ([up, _], _) = knowledge.judge(&exchange(0, 0), [None, None], at(4));
+    assert!(up.value.is_some(), "{up:?}");
+    knowledge.cloud_says(HostClock { text: "something else".into(), ..HostClock::default() });
+    assert_eq!(knowledge.judge(&exchange(10, 0), [None, None], at(14)).1.restart, None);
+}
+
+#[test]
+fn a_second_with_something_in_it_is_told_once_when_it_is_over() {
+    let mut knowledge = knowledge();
+    for sent in [0, 300, 600] {
+        let ([up, down], news) = knowledge.judge(&exchange(sent, 5000), [Some(1e6), None], at(sent + 4));
+        assert!(news.samples.is_empty() && news.restart.is_none());
+        for delay in [up, down] {
+            let bounds = delay.bounds.expect("bounded by itself alone");
+            assert!(bounds.lo <= Span::from_millis(1) && Span::from_millis(1) <= bounds.hi, "{delay:?}");
+        }
+    }
+    let _ = knowledge.probed(&ProbeResult::Sent, at(700));
+    let _ = knowledge.probed(&ProbeResult::Answered(exchange(700, 5000)), at(704));
+    assert_eq!(knowledge.now(at(800)).up.map(|up| up.count), Some(3), "as much of it as has passed");
+
+    let news = knowledge.turn(at(1001));
+    let [sample] = &news.samples[..] else { panic!("{news:?}") };
+    assert_eq!(sample.at, at(1000));
+    assert_eq!((sample.probes.sent, sample.probes.answered, sample.probes.lost), (1, 1, 0));
+    assert_eq!(sample.round_trip.map(|trip| trip.min), Some(Span::from_millis(2)));
+    assert_eq!((sample.up.map(|up| up.count), sample.down.map(|down| down.count)), (Some(3), Some(3)));
+    assert_eq!(sample.exchanges.taken, 4);
+    assert!(sample.upper.is_some() && sample.lower.is_some());
+    let offset = sample.offset.as_ref().expect("known");
+    let truth = Span::from_seconds(5);
+    assert!(offset.bounds.lo <= truth && truth <= offset.bounds.hi, "{offset:?}");
+    assert_eq!(knowledge.now(at(1500)), *sample);
+
+    assert!(knowledge.turn(at(2500)).samples.is_empty(), "nothing new, nothing told");
+    assert!(knowledge.now(at(2600)).up.is_none());
+}
+
+#[test]
+fn a_step_of_the_peers_clock_begins_a_window_and_names_it() {
+    let mut knowledge = knowledge();
+    for sent in [0, 100, 200] {
+        let _ = knowledge.judge(&exchange(sent, 0), [None, None], at(sent + 4));
+    }
+    let before = knowledge.now(at(250)).window;
+    knowledge.cloud_says(HostClock { epoch: 1, ..HostClock::default() });
+    // What was under way when the step was told is not believed, however it looks.
+    let under_way = Witnessed { cloud_epoch: Some(1), ..exchange(300, 3000) };
+    let ([up, down], news) = knowledge.judge(&under_way, [None, None], at(304));
+    assert_eq!((up.value, down.value, news.restart), (None, None, None));
+    let after = Witnessed { cloud_epoch: Some(1), ..exchange(400, 3000) };
+    let (_, news) = knowledge.judge(&after, [None, None], at(404));
+    let restart = news.restart.expect("told");
+    assert!((restart.edge, restart.cloud) == (false, true), "{restart:?}");
+    if let Some(moved) = restart.moved {
+        assert!((moved - Span::from_seconds(3)).abs() < Span::from_millis(10), "{moved}");
+    }
+    let [sample] = &news.samples[..] else { panic!("{news:?}") };
+    assert_eq!((sample.window, sample.at), (before, at(404)), "what was before belongs to the old window");
+    assert!(sample.upper.is_some() && sample.offset.is_none(), "{sample:?}");
+    let news = knowledge.turn(at(1000));
+    assert_ne!(news.samples[0].window, before);
+    assert_eq!(news.samples[0].upper, Some(after.exchange));
+
+    knowledge.cloud_says(HostClock { epoch: 1, ..HostClock::default() });
+    let again = Witnessed { cloud_epoch: Some(1), ..exchange(1100, 3000) };
+    assert_eq!(knowledge.judge(&again, [None, None], at(1104)).1.restart, None, "once");
+}
+
+#[test]
+fn an_exchange_across_a_step_has_no_value_and_is_counted() {
+    let mut knowledge = knowledge();
+    let way = Way { raw: Span::from_seconds(3), bits: None };
+    let (delays, _) = knowledge.stepped([way, way], at(4));
+    for delay in delays {
+        assert_eq!((delay.raw, delay.value, delay.verdict), (Span::from_seconds(3), None, Verdict::Stepped));
+    }
+    let news = knowledge.finish(at(500));
+    assert_eq!(
+        (news.samples[0].up.map(|up| (up.count, up.median)), news.samples[0].at),
+        (Some((1, None)), at(500))
+    );
+}

@@ -1,0 +1,221 @@
+//! This host and a cloud.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use peernet_clock::{ClockIdentity, Direction, MonoTime, OneWayDelay, Relation, Span, Stamp, Witnessed};
+use peernet_logger::stream::{Event, HostClock, IncidentKind, LinkLive, Probing};
+use peernet_logger::{HostId, Measure, NodeId, Recorder, Slug, Tree};
+use peernet_networks::{Exchange, PeerClock, SessionAccepted};
+use peernet_probes::ProbeResult;
+use tokio::sync::watch;
+
+use super::correction::{bits, correct};
+use super::knowledge::{Knowledge, News, Way};
+use super::registry::{Session, Shared};
+use super::words::restart_in_words;
+use crate::incidents::Concerning;
+
+/// Data this long ago does not keep the probes at their full rate.
+const IN_USE: Span = Span::from_seconds(3);
+
+/// What this host has to do with one cloud. Locks are held for microseconds, never while waiting.
+#[derive(Debug)]
+pub(crate) struct Link {
+    pub(super) shared: Arc<Shared>,
+    pub(super) peer: HostId,
+    pub(super) name: Slug,
+    /// The cloud's clock, and whether it is this host's, too.
+    pub(super) clock: ClockIdentity,
+    same_clock: bool,
+    /// Sessions with the cloud, the oldest first; none any more when the link is over.
+    pub(super) sessions: watch::Sender<Vec<Session>>,
+    /// Probes per second.
+    pub(super) rate_hz: watch::Sender<f64>,
+    knowledge: Mutex<Knowledge>,
+    probing: Mutex<Probing>,
+    /// When data last came back.
+    used: Mutex<MonoTime>,
+}
+
+impl Link {
+    pub(super) fn new(shared: &Arc<Shared>, accepted: &SessionAccepted) -> Self {
+        let clock = &shared.host.clock;
+        let now = clock.stamp();
+        let relation = Relation::new(clock.identity(), &accepted.clock, shared.relation);
+        let same_clock = relation.is_same_clock();
+        // The announcement of the latest step may still be on its way.
+        let edge = HostClock { epoch: clock.epoch(), ..shared.host.own.borrow().clone() };
+        let clocks = (edge, told(accepted.host_clock.clone()));
+        let knowledge = Knowledge::new((accepted.host, accepted.name.clone()), relation, clocks, now.wall);
+        let link = Self {
+            shared: Arc::clone(shared),
+            peer: accepted.host,
+            name: accepted.name.clone(),
+            clock: accepted.clock.clone(),
+            same_clock,
+            sessions: watch::Sender::new(Vec::new()),
+            rate_hz: watch::Sender::new(0.0),
+            knowledge: Mutex::new(knowledge),
+            probing: Mutex::new(Probing::Off("about to begin".to_owned())),
+            used: Mutex::new(now.mono),
+        };
+        link.pace(now.mono);
+        link
+    }
+
+    /// Judges the delays of an exchange that came back, sets them in its tree, and returns how long both ways took
+    /// together by the hosts' monotonic clocks: known even when a wall clock was stepped meanwhile.
+    pub(crate) fn correct(&self, exchange: &mut Exchange) -> Option<Span> {
+        let (Some(up), Some(down), Some(arrived)) = (exchange.up, exchange.down, exchange.arrived) else {
+            // It never came back: nothing relates the clocks, and of the two ways none is known to have ended.
+            return None;
+        };
+        let transport = transport(&exchange.log, up, down, arrived);
+        let tree = exchange.log.tree_mut();
+        let bits = [bits(tree, Direction::Up), bits(tree, Direction::Down)];
+        let ways = [Way { raw: raw(tree, up)?, bits: bits[0] }, Way { raw: raw(tree, down)?, bits: bits[1] }];
+        let ([first, second], news) = self.judge(exchange.witnessed.as_ref(), ways, arrived);
+        correct(tree, up, Direction::Up, first);
+        correct(tree, down, Direction::Down, second);
+        self.tell(news);
+        transport
+    }
+
+    /// Without witness one of the clocks was stepped meanwhile, and says so.
+    fn judge(&self, witnessed: Option<&Witnessed>, ways: [Way; 2], now: Stamp) -> ([OneWayDelay; 2], News) {
+        *lock(&self.used) = now.mono;
+        self.pace(now.mono);
+        let mut knowledge = lock(&self.knowledge);
+        match witnessed {
+            Some(witnessed) => knowledge.judge(witnessed, ways.map(|way| way.bits), now.wall),
+            None => knowledge.stepped(ways, now.wall),
+        }
+    }
+
+    /// Something became of a probe.
+    pub(super) fn probed(&self, result: &ProbeResult) {
+        let now = self.shared.host.clock.wall();
+        let news = lock(&self.knowledge).probed(result, now);
+        self.tell(news);
+    }
+
+    /// A second may be over.
+    pub(super) fn turn(&self) {
+        let now = self.shared.host.clock.stamp();
+        self.pace(now.mono);
+        let news = lock(&self.knowledge).turn(now.wall);
+        self.tell(news);
+    }
+
+    /// There will be nothing more.
+    pub(super) fn finish(&self) {
+        let now = self.shared.host.clock.wall();
+        let news = lock(&self.knowledge).finish(now);
+        self.tell(news);
+    }
+
+    /// What became known of the own clock.
+    pub(super) fn edge_says(&self, clock: HostClock) {
+        lock(&self.knowledge).edge_says(clock);
+    }
+
+    /// What the cloud says of its clock.
+    pub(super) fn cloud_says(&self, clock: PeerClock) {
+        lock(&self.knowledge).cloud_says(told(clock));
+    }
+
+    pub(super) fn cloud_epoch(&self) -> u32 {
+        lock(&self.knowledge).clocks().1.epoch
+    }
+
+    /// The cloud's name.
+    pub(crate) const fn name(&self) -> &Slug {
+        &self.name
+    }
+
+    pub(super) fn set_probing(&self, probing: Probing) {
+        *lock(&self.probing) = probing;
+    }
+
+    pub(super) fn probing(&self) -> Probing {
+        lock(&self.probing).clone()
+    }
+
+    /// As it is shown.
+    pub(super) fn live(&self) -> LinkLive {
+        let (mut networks, mut pipelines) = (Vec::new(), Vec::new());
+        for session in self.sessions.borrow().iter() {
+            networks.push(session.network.name().to_owned());
+            pipelines.push(session.pipeline.clone());
+        }
+        networks.sort_unstable();
+        networks.dedup();
+        pipelines.sort_unstable();
+        let mut probing = lock(&self.probing).clone();
+        if let Probing::On { rate_hz, .. } = &mut probing {
+            *rate_hz = *self.rate_hz.borrow();
+        }
+        let now = self.shared.host.clock.wall();
+        let knowledge = lock(&self.knowledge);
+        let (edge, cloud) = knowledge.clocks();
+        LinkLive {
+            peer: self.peer,
+            peer_name: self.name.clone(),
+            networks,
+            pipelines,
+            same_clock: self.same_clock,
+            probing,
+            edge: Some(edge),
+            cloud: Some(cloud),
+            now: knowledge.now(now),
+        }
+    }
+
+    /// Probes go out quickly while data does. Between two ends on one clock there is nothing to be estimated: the
+    /// slow ones only show that the path is there and the clock really one.
+    fn pace(&self, now: MonoTime) {
+        let probes = &self.shared.probes;
+        let busy = now - *lock(&self.used) < IN_USE;
+        let wanted = if busy && !self.same_clock { probes.rate_hz } else { probes.idle_rate_hz };
+        self.rate_hz.send_if_modified(|rate| std::mem::replace(rate, wanted).total_cmp(&wanted).is_ne());
+    }
+
+    fn tell(&self, news: News) {
+        let host = &self.shared.host;
+        for sample in news.samples {
+            host.feed.event(None, None, Event::Clock(Box::new(sample)));
+        }
+        if let Some(restart) = news.restart {
+            let what = Concerning { peer: Some(self.peer), ..Concerning::default() };
+            let text = restart_in_words(restart, &host.name, &self.name);
+            host.incidents.report(IncidentKind::ClockStep, what, text);
+        }
+    }
+}
+
+/// What the cloud tells, in the form that the event stream has for every host's clock.
+fn told(clock: PeerClock) -> HostClock {
+    let PeerClock { epoch, discipline, text, rehearsal } = clock;
+    HostClock { discipline, text, epoch, rehearsal }
+}
+
+/// The receiver's stamp less the sender's.
+fn raw(tree: &Tree, transit: NodeId) -> Option<Span> {
+    match &tree.get(transit)?.measure {
+        Measure::Transit(transit) => Some(transit.received? - transit.sent),
+        _ => None,
+    }
+}
+
+/// Both ways together: what the edge waited less what the cloud took, each by its own monotonic clock.
+fn transport(log: &Recorder, up: NodeId, down: NodeId, arrived: Stamp) -> Option<Span> {
+    let tree = log.tree();
+    let waited = log.offset(arrived.mono) - tree.get(up)?.start;
+    // The cloud's nodes count from the moment at which the message was there.
+    Some(waited - tree.get(down)?.start).filter(|span| !span.is_negative())
+}
+
+pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    // A panic under the lock leaves figures that are at worst incomplete.
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -1,0 +1,221 @@
+//! The task of a link: probes, what both hosts tell of their clocks, the end of each second.
+
+use std::convert::Infallible;
+use std::net::SocketAddr;
+use std::pin::pin;
+use std::sync::Arc;
+use std::time::Duration;
+
+use peernet_logger::stream::Probing;
+use peernet_networks::PeerClock;
+use peernet_probes::{Key, KeyError, ProbeResult, Prober, ProberConfig, Stamps};
+use tokio::sync::{mpsc, watch};
+use tokio_util::sync::CancellationToken;
+
+use super::pair::Link;
+use super::registry::Session;
+use crate::config::{ClockConfig, ProbesConfig, Timestamps};
+
+/// A probe without an answer for so long is lost.
+const TIMEOUT: Duration = Duration::from_secs(2);
+/// So many probes lost in a row, and the link counts as one whose probes are not answered.
+const SILENCE: u32 = 3;
+/// What a probe could not be sent for is tried again after this.
+const RETRY: Duration = Duration::from_secs(10);
+/// Results that may wait; they are taken at once.
+const RESULTS: usize = 64;
+
+/// How links are probed.
+#[derive(Clone, Debug)]
+pub(crate) struct ProbeSettings {
+    send: bool,
+    pub(super) rate_hz: f64,
+    pub(super) idle_rate_hz: f64,
+    pub(crate) key: Option<Key>,
+    padding_bytes: u16,
+    pub(crate) stamps: Stamps,
+}
+
+impl ProbeSettings {
+    /// What the configuration says; reads the file of the key.
+    ///
+    /// # Errors
+    /// When the key cannot be read.
+    pub(crate) fn read(probes: &ProbesConfig, clock: &ClockConfig) -> Result<Self, KeyError> {
+        let key = probes.key_file.as_deref().map(Key::read).transpose()?;
+        let stamps = match clock.timestamps {
+            Timestamps::Kernel => Stamps::Kernel,
+            Timestamps::User => Stamps::Program,
+        };
+        Ok(Self {
+            send: probes.send,
+            rate_hz: probes.rate_hz,
+            idle_rate_hz: probes.idle_rate_hz,
+            key,
+            padding_bytes: probes.padding_bytes,
+            stamps,
+        })
+    }
+}
+
+/// Looks after a link until its last session is over.
+pub(super) async fn tend(link: Arc<Link>) {
+    let mut sessions = link.sessions.subscribe();
+    loop {
+        // One session at a time tells where the cloud is and what it says of its clock: the oldest.
+        let Some(session) = sessions.borrow_and_update().first().cloned() else { break };
+        tend_by(&link, session, &mut sessions).await;
+    }
+    link.finish();
+}
+
+/// Looks after a link by means of one of its sessions, until that one is over.
+async fn tend_by(link: &Arc<Link>, session: Session, sessions: &mut watch::Receiver<Vec<Session>>) {
+    let id = session.id;
+    let (mut peer, mut own) = (session.clock.clone(), link.shared.host.own.clone());
+    peer.mark_changed();
+    own.mark_changed();
+    let (results, mut arriving) = mpsc::channel(RESULTS);
+    let mut probing = pin!(probe(link, &session, results));
+    let mut answers = Answers::default();
+    loop {
+        let clock = &link.shared.host.clock;
+        let second = pin!(tokio::time::sleep(until_next_second(clock.wall().unix_nanos())));
+        tokio::select! {
+            biased;
+            changed = sessions.changed() => {
+                let still = sessions.borrow_and_update().first().is_some_and(|first| first.id == id);
+                if changed.is_err() || !still {
+                    return;
+                }
+            }
+            Ok(()) = own.changed() => {
+                let clock = own.borrow_and_update().clone();
+                link.edge_says(clock);
+            }
+            clock = next(&mut peer) => link.cloud_says(clock),
+            Some(result) = arriving.recv() => {
+                link.probed(&result);
+                answers.note(&result, link);
+            }
+            () = second => link.turn(),
+            never = &mut probing => match never {},
+        }
+    }
+}
+
+/// What the cloud tells next; nothing any more when the session is over.
+async fn next(clock: &mut watch::Receiver<PeerClock>) -> PeerClock {
+    match clock.changed().await {
+        Ok(()) => clock.borrow_and_update().clone(),
+        Err(_) => std::future::pending().await,
+    }
+}
+
+/// Whether probes come back.
+#[derive(Debug, Default)]
+struct Answers {
+    /// Lost in a row.
+    lost: u32,
+    /// How it was probed while they came back.
+    before: Option<Probing>,
+    /// What was refused last: said once, not at each packet.
+    refused: Option<&'static str>,
+}
+
+impl Answers {
+    fn note(&mut self, result: &ProbeResult, link: &Link) {
+        match result {
+            ProbeResult::Lost => {
+                self.lost = self.lost.saturating_add(1);
+                let now = link.probing();
+                if self.lost >= SILENCE
+                    && let Probing::On { address, .. } = &now
+                {
+                    link.set_probing(Probing::Unanswered { address: address.clone() });
+                    self.before = Some(now);
+                }
+            }
+            ProbeResult::Answered(_) => {
+                self.lost = 0;
+                if let Some(on) = self.before.take() {
+                    link.set_probing(on);
+                }
+            }
+            ProbeResult::Refused(why) => {
+                if self.refused.replace(why) != Some(why) {
+                    tracing::warn!(peer = %link.name, "probes go wrong: {why}");
+                }
+            }
+            ProbeResult::Sent | ProbeResult::Refined(_) => {}
+        }
+    }
+}
+
+/// Probes the cloud of a session as long as it is polled; says at the link why it does not.
+async fn probe(link: &Link, session: &Session, results: mpsc::Sender<ProbeResult>) -> Infallible {
+    let port = match (link.shared.probes.send, session.probes) {
+        (false, _) => Err("this host sends no probes: [probes] send = false".to_owned()),
+        (true, None) => Err(format!("{} answers no probes", link.name)),
+        (true, Some(port)) => Ok(port),
+    };
+    let port = match port {
+        Ok(port) => port,
+        Err(reason) => {
+            link.set_probing(Probing::Off(reason));
+            return std::future::pending().await;
+        }
+    };
+    loop {
+        match open(link, session, port).await {
+            Ok((prober, target)) => {
+                let stamps = prober.stamps_in_words();
+                let rate_hz = *link.rate_hz.borrow();
+                link.set_probing(Probing::On { address: format!("udp://{target}"), rate_hz, stamps });
+                prober.run(link.rate_hz.subscribe(), results.clone(), CancellationToken::new()).await;
+                link.set_probing(Probing::Off("the prober ended by itself".to_owned()));
+            }
+            Err(reason) => {
+                tracing::warn!(peer = %link.name, "no probes: {reason}");
+                link.set_probing(Probing::Off(reason));
+            }
+        }
+        tokio::time::sleep(RETRY).await;
+    }
+}
+
+async fn open(link: &Link, session: &Session, port: u16) -> Result<(Prober, SocketAddr), String> {
+    let host = session.host.as_str();
+    let cannot = |reason: String| format!("cannot find {host}: {reason}");
+    let mut found = tokio::net::lookup_host((host, port)).await.map_err(|error| cannot(error.to_string()))?;
+    let target = found.next().ok_or_else(|| cannot("the name has no address".to_owned()))?;
+    let probes = &link.shared.probes;
+    let config = ProberConfig {
+        target,
+        key: probes.key.clone(),
+        padding_bytes: probes.padding_bytes,
+        stamps: probes.stamps,
+        timeout: TIMEOUT,
+    };
+    let prober =
+        Prober::open(config, Arc::clone(&link.shared.host.clock)).map_err(|error| error.to_string())?;
+    Ok((prober, target))
+}
+
+/// From a moment to the next second of the same clock.
+fn until_next_second(unix_nanos: i64) -> Duration {
+    const SECOND: i64 = 1_000_000_000;
+    Duration::from_nanos((SECOND - unix_nanos.rem_euclid(SECOND)).unsigned_abs())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_next_second_is_never_now_and_never_more_than_a_second_away() {
+        assert_eq!(until_next_second(0), Duration::from_secs(1));
+        assert_eq!(until_next_second(1_999_999_999), Duration::from_nanos(1));
+        assert_eq!(until_next_second(-1), Duration::from_nanos(1));
+    }
+}

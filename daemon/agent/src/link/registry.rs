@@ -1,0 +1,192 @@
+//! All links of the agent.
+
+use std::collections::BTreeMap;
+use std::panic::AssertUnwindSafe;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard};
+
+use futures::FutureExt;
+use peernet_clock::{RelationSettings, SharedClock};
+use peernet_logger::stream::{HostClock, LinkLive};
+use peernet_logger::{HostId, Slug};
+use peernet_networks::{Address, NetworkKind, PeerClock, SessionAccepted};
+use tokio::sync::watch;
+use tokio_util::sync::CancellationToken;
+use tokio_util::task::TaskTracker;
+
+use super::pair::{Link, lock};
+use super::probing::{self, ProbeSettings};
+use crate::config::ClockConfig;
+use crate::incidents::Incidents;
+use crate::outbox::Feed;
+
+/// What links need of their host.
+#[derive(Clone, Debug)]
+pub(crate) struct Near {
+    pub(crate) name: Slug,
+    pub(crate) clock: SharedClock,
+    /// What is known of this host's clock.
+    pub(crate) own: watch::Receiver<HostClock>,
+    pub(crate) feed: Feed,
+    pub(crate) incidents: Incidents,
+}
+
+/// What all links have in common.
+#[derive(Debug)]
+pub(super) struct Shared {
+    pub(super) host: Near,
+    pub(super) relation: RelationSettings,
+    pub(super) probes: ProbeSettings,
+}
+
+/// The links by cloud; clones are the same.
+#[derive(Clone, Debug)]
+pub(crate) struct Links(Arc<Inner>);
+
+#[derive(Debug)]
+struct Inner {
+    shared: Arc<Shared>,
+    open: Mutex<BTreeMap<HostId, Arc<Link>>>,
+    /// One task per link; it ends with the link's last session.
+    tasks: TaskTracker,
+    /// Which of them died, and why.
+    died: watch::Sender<Option<String>>,
+    sessions: AtomicU64,
+}
+
+/// A session with a cloud, as its link sees it.
+#[derive(Clone, Debug)]
+pub(super) struct Session {
+    pub(super) id: u64,
+    pub(super) pipeline: Slug,
+    pub(super) network: NetworkKind,
+    /// Where the cloud is found.
+    pub(super) host: String,
+    /// UDP port of its probe reflector.
+    pub(super) probes: Option<u16>,
+    /// What it tells of its clock.
+    pub(super) clock: watch::Receiver<PeerClock>,
+}
+
+/// A session's share in a link; the link is over when the last one is dropped.
+#[derive(Debug)]
+pub(crate) struct Attached {
+    link: Arc<Link>,
+    links: Links,
+    session: u64,
+}
+
+impl Links {
+    /// No links yet.
+    pub(crate) fn new(host: Near, clock: &ClockConfig, probes: ProbeSettings) -> Self {
+        let shared = Arc::new(Shared { host, relation: clock.relation(), probes });
+        Self(Arc::new(Inner {
+            shared,
+            open: Mutex::default(),
+            tasks: TaskTracker::new(),
+            died: watch::Sender::new(None),
+            sessions: AtomicU64::new(0),
+        }))
+    }
+
+    /// A session of `pipeline` with the cloud at `address` was opened: it joins the link there is, or begins one.
+    pub(crate) fn attach(
+        &self,
+        session: &peernet_networks::Session,
+        network: NetworkKind,
+        address: &Address,
+        pipeline: &Slug,
+    ) -> Attached {
+        let accepted = session.accepted();
+        let joining = Session {
+            id: self.0.sessions.fetch_add(1, Ordering::Relaxed),
+            pipeline: pipeline.clone(),
+            network,
+            host: address.host(),
+            probes: accepted.probes,
+            clock: session.peer_clock(),
+        };
+        let id = joining.id;
+        let mut open = self.open();
+        let link = match open.get(&accepted.host).filter(|link| is_same_cloud(link, accepted)) {
+            Some(link) => {
+                link.sessions.send_modify(|sessions| sessions.push(joining));
+                Arc::clone(link)
+            }
+            None => {
+                let link = Arc::new(Link::new(&self.0.shared, accepted));
+                link.sessions.send_modify(|sessions| sessions.push(joining));
+                open.insert(accepted.host, Arc::clone(&link));
+                self.0.tasks.spawn(self.clone().tend(Arc::clone(&link)));
+                link
+            }
+        };
+        drop(open);
+        Attached { link, links: self.clone(), session: id }
+    }
+
+    /// All links as they are shown.
+    pub(crate) fn live(&self) -> Vec<LinkLive> {
+        let links: Vec<_> = self.open().values().cloned().collect();
+        links.iter().map(|link| link.live()).collect()
+    }
+
+    /// Looks after the links' tasks until it is told to stop and all sessions are over.
+    ///
+    /// # Errors
+    /// When one of them died.
+    pub(crate) async fn run(self, stop: CancellationToken) -> Result<(), String> {
+        let mut died = self.0.died.subscribe();
+        let over = async {
+            stop.cancelled().await;
+            self.0.tasks.close();
+            self.0.tasks.wait().await;
+        };
+        tokio::select! {
+            biased;
+            reason = died.wait_for(Option::is_some) => match reason {
+                Ok(reason) => Err(reason.clone().unwrap_or_default()),
+                Err(_) => Ok(()),
+            },
+            () = over => Ok(()),
+        }
+    }
+
+    /// The task of a link.
+    async fn tend(self, link: Arc<Link>) {
+        let name = link.name.clone();
+        if AssertUnwindSafe(probing::tend(link)).catch_unwind().await.is_err() {
+            self.0
+                .died
+                .send_replace(Some(format!("the task of the link to {name} panicked; the log says where")));
+        }
+    }
+
+    fn open(&self) -> MutexGuard<'_, BTreeMap<HostId, Arc<Link>>> {
+        lock(&self.0.open)
+    }
+}
+
+impl std::ops::Deref for Attached {
+    type Target = Link;
+
+    fn deref(&self) -> &Link {
+        &self.link
+    }
+}
+
+impl Drop for Attached {
+    fn drop(&mut self) {
+        let mut open = self.links.open();
+        self.link.sessions.send_modify(|sessions| sessions.retain(|session| session.id != self.session));
+        let over = self.link.sessions.borrow().is_empty();
+        if over && open.get(&self.link.peer).is_some_and(|link| Arc::ptr_eq(link, &self.link)) {
+            open.remove(&self.link.peer);
+        }
+    }
+}
+
+/// Whether what is known of the cloud still holds. A program that was started anew counts its clock's steps anew.
+fn is_same_cloud(link: &Link, accepted: &SessionAccepted) -> bool {
+    link.clock == accepted.clock && link.cloud_epoch() <= accepted.host_clock.epoch
+}

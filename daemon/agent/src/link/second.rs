@@ -1,0 +1,196 @@
+//! What happened on a link within one second. No I/O.
+
+use peernet_clock::{Direction, Exchange, OneWayDelay, Span, Verdict, WallTime};
+use peernet_logger::stream::{DelayPoint, DelaySecond, ProbeCounts, RoundTrip};
+
+use super::thinned::Thinned;
+
+/// A verdict that fewer than one in so many delays were given is not the second's.
+const RARE: u32 = 20;
+
+/// One second of the edge's wall clock, or a part of it.
+#[derive(Debug)]
+pub(super) struct Second {
+    /// Seconds since the Unix epoch.
+    pub(super) at: i64,
+    pub(super) probes: ProbeCounts,
+    /// The exchange that bounds the offset best from above, and the one that does from below.
+    pub(super) upper: Option<Exchange>,
+    pub(super) lower: Option<Exchange>,
+    trips: Thinned<Span>,
+    shortest: Option<Span>,
+    up: Delays,
+    down: Delays,
+}
+
+/// The delays of one direction.
+#[derive(Debug, Default)]
+struct Delays {
+    /// By verdict, in the order of [`Verdict::ALL`], from best to worst.
+    verdicts: [u32; Verdict::ALL.len()],
+    points: Thinned<DelayPoint>,
+}
+
+impl Second {
+    pub(super) fn new(at: i64) -> Self {
+        Self {
+            at,
+            probes: ProbeCounts::default(),
+            upper: None,
+            lower: None,
+            trips: Thinned::default(),
+            shortest: None,
+            up: Delays::default(),
+            down: Delays::default(),
+        }
+    }
+
+    /// When it ends.
+    pub(super) const fn end(&self) -> WallTime {
+        WallTime::from_unix_nanos(self.at.saturating_add(1).saturating_mul(1_000_000_000))
+    }
+
+    /// Whether anything happened.
+    pub(super) fn is_empty(&self) -> bool {
+        let delays = self.up.count() + self.down.count();
+        self.upper.is_none() && self.probes == ProbeCounts::default() && delays == 0
+    }
+
+    /// An exchange was believed. Which of two says more at the end of the second depends on when they were, too:
+    /// a bound widens by the drift since then.
+    pub(super) fn exchanged(&mut self, exchange: &Exchange, max_drift_ppm: f64) {
+        let drift = |age: Span| Span::from_nanos((age.nanos() as f64 * max_drift_ppm * 1e-6).ceil() as i64);
+        let lower_than = |best: &Exchange| exchange.upper() + drift(best.sent - exchange.sent) < best.upper();
+        if self.upper.as_ref().is_none_or(lower_than) {
+            self.upper = Some(*exchange);
+        }
+        let higher_than =
+            |best: &Exchange| exchange.lower() - drift(best.returned - exchange.returned) > best.lower();
+        if self.lower.as_ref().is_none_or(higher_than) {
+            self.lower = Some(*exchange);
+        }
+    }
+
+    /// A probe took so long, both ways together.
+    pub(super) fn round_trip(&mut self, trip: Span) {
+        self.shortest = Some(self.shortest.map_or(trip, |shortest| shortest.min(trip)));
+        self.trips.push(trip);
+    }
+
+    /// A delay of data was judged.
+    pub(super) fn judged(&mut self, direction: Direction, delay: &OneWayDelay, bits: Option<f64>) {
+        match direction {
+            Direction::Up => self.up.add(delay, bits),
+            Direction::Down => self.down.add(delay, bits),
+        }
+    }
+
+    /// Round trips of probes.
+    pub(super) fn round_trips(&self) -> Option<RoundTrip> {
+        Some(RoundTrip { min: self.shortest?, median: self.trips.median(|trip| *trip)? })
+    }
+
+    /// Delays of one direction.
+    pub(super) fn delays(&self, direction: Direction) -> Option<DelaySecond> {
+        match direction {
+            Direction::Up => self.up.summary(),
+            Direction::Down => self.down.summary(),
+        }
+    }
+}
+
+impl Delays {
+    fn add(&mut self, delay: &OneWayDelay, bits: Option<f64>) {
+        if let Some(at) = Verdict::ALL.iter().position(|verdict| *verdict == delay.verdict) {
+            self.verdicts[at] = self.verdicts[at].saturating_add(1);
+        }
+        if let (Some(value), Some(bounds)) = (delay.value, delay.bounds) {
+            let rate = bits.filter(|_| value > Span::ZERO).map(|bits| bits / value.seconds());
+            self.points.push(DelayPoint { value, bounds, bits_per_second: rate });
+        }
+    }
+
+    fn count(&self) -> u32 {
+        self.verdicts.iter().fold(0, |sum, count| sum.saturating_add(*count))
+    }
+
+    fn summary(&self) -> Option<DelaySecond> {
+        let count = self.count();
+        let frequent = |(_, given): &(&Verdict, &u32)| **given > 0 && given.saturating_mul(RARE) >= count;
+        let (verdict, _) = Verdict::ALL.iter().zip(&self.verdicts).rfind(frequent)?;
+        Some(DelaySecond { count, median: self.points.median(|point| point.value), verdict: *verdict })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::Interval;
+
+    use super::*;
+
+    fn at(millis: i64) -> WallTime {
+        WallTime::from_unix_nanos(millis * 1_000_000)
+    }
+
+    /// An exchange that began at `sent`, with these one-way delays, between clocks that agree; milliseconds.
+    fn exchange(sent: i64, up: i64, down: i64) -> Exchange {
+        Exchange {
+            sent: at(sent),
+            received: at(sent + up),
+            replied: at(sent + up),
+            returned: at(sent + up + down),
+            uncertainty: Span::ZERO,
+        }
+    }
+
+    #[test]
+    fn the_best_exchange_from_either_side_is_kept() {
+        let mut second = Second::new(0);
+        for exchange in [exchange(0, 5, 1), exchange(100, 2, 7), exchange(200, 6, 6)] {
+            second.exchanged(&exchange, 50.0);
+        }
+        assert_eq!(second.upper, Some(exchange(100, 2, 7)));
+        assert_eq!(second.lower, Some(exchange(0, 5, 1)));
+    }
+
+    #[test]
+    fn an_older_exchange_has_to_be_better_by_the_drift_since() {
+        // 900 ms at 10,000 ppm are 9 ms.
+        for (up, kept) in [(4, exchange(900, 4, 4)), (3, exchange(900, 3, 3))] {
+            let mut second = Second::new(0);
+            second.exchanged(&exchange(0, 1, 1), 10_000.0);
+            second.exchanged(&exchange(900, up, up), 10_000.0);
+            assert_eq!((second.upper, second.lower), (Some(kept), Some(kept)));
+        }
+        let mut steady = Second::new(0);
+        steady.exchanged(&exchange(0, 1, 1), 50.0);
+        steady.exchanged(&exchange(900, 3, 3), 50.0);
+        assert_eq!(steady.upper, Some(exchange(0, 1, 1)));
+    }
+
+    #[test]
+    fn the_worst_verdict_counts_unless_it_is_rare() {
+        let ok = |millis| OneWayDelay::same_clock(Span::from_millis(millis));
+        let stepped = ok(-1);
+        let mut second = Second::new(0);
+        assert_eq!(second.delays(Direction::Up), None);
+        for millis in 1..=20 {
+            second.judged(Direction::Up, &ok(millis), Some(1e6));
+        }
+        second.judged(Direction::Up, &stepped, None);
+        let up = second.delays(Direction::Up).expect("judged");
+        assert_eq!((up.count, up.verdict), (21, Verdict::Ok), "one of twenty-one is rare");
+        let median = up.median.expect("has a value");
+        assert_eq!(
+            (median.value, median.bounds),
+            (Span::from_millis(11), Interval::exactly(Span::from_millis(11)))
+        );
+        assert!(median.bits_per_second.is_some_and(|rate| (rate * 0.011 - 1e6).abs() < 1.0), "{median:?}");
+
+        second.judged(Direction::Up, &stepped, None);
+        assert_eq!(second.delays(Direction::Up).map(|up| up.verdict), Some(Verdict::Stepped));
+        second.judged(Direction::Down, &stepped, None);
+        let down = second.delays(Direction::Down).expect("judged");
+        assert_eq!((down.count, down.median), (1, None), "nothing is averaged in");
+    }
+}

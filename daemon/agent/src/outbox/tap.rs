@@ -1,0 +1,75 @@
+//! What a program that runs the agent in the foreground sees of its events.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use peernet_logger::stream::Event;
+use tokio::sync::mpsc;
+
+/// The way to the program; clones are the same. Measuring does not wait for it either.
+#[derive(Clone, Debug)]
+pub(crate) struct Tap {
+    listener: mpsc::Sender<Event>,
+    missed: Arc<AtomicU64>,
+}
+
+impl Tap {
+    pub(crate) fn new(listener: mpsc::Sender<Event>) -> Self {
+        Self { listener, missed: Arc::default() }
+    }
+
+    /// Hands an event to the program, if it has room for it now.
+    pub(super) fn offer(&self, event: Event) {
+        if self.listener.try_send(event).is_err() {
+            self.missed.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// Events that did not fit.
+    pub(crate) fn missed(&self) -> u64 {
+        self.missed.load(Ordering::Relaxed)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use peernet_clock::{ClockIdentity, ManualClock, WallTime};
+    use peernet_logger::RunId;
+    use peernet_logger::stream::RunEnded;
+
+    use super::super::Feed;
+    use super::*;
+
+    fn ended() -> Event {
+        let ended = WallTime::from_unix_nanos(1);
+        Event::RunEnded(RunEnded { run: RunId::random(), ended, reason: "finished".into() })
+    }
+
+    #[test]
+    fn what_does_not_fit_is_counted() {
+        let (sender, mut listener) = mpsc::channel(1);
+        let tap = Tap::new(sender);
+        let feed = Feed::nowhere().tapped(Some(tap.clone()));
+        let (first, second) = (ended(), ended());
+        feed.event(None, None, first.clone());
+        feed.event(None, None, second.clone());
+        assert_eq!((listener.try_recv().ok(), tap.missed()), (Some(first), 1));
+        feed.event(None, None, second.clone());
+        assert_eq!((listener.try_recv().ok(), tap.missed()), (Some(second), 1));
+    }
+
+    #[test]
+    fn the_outbox_gets_its_own() {
+        let clock: peernet_clock::SharedClock =
+            Arc::new(ManualClock::new(WallTime::from_unix_nanos(5), ClockIdentity::new("boot", "system")));
+        let (feed, mut exit) = super::super::feed::channel(clock);
+        let (sender, mut listener) = mpsc::channel(4);
+        let feed = feed.tapped(Some(Tap::new(sender)));
+        let event = ended();
+        feed.event(None, None, event.clone());
+        assert_eq!(listener.try_recv().ok().as_ref(), Some(&event));
+        assert_eq!(exit.queue.try_recv().ok(), Some(event));
+    }
+}

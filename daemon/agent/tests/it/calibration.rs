@@ -1,0 +1,54 @@
+//! The built-in model that `peernet calibrate` measures with.
+
+use peernet_logger::stream::{Outcome, PipelineState};
+
+use crate::harness::{Aggregator, TestAgent, value};
+
+const CLOUD: &str = "[[model]]\nname = 'slow'\nkind = 'sleep'\n[serve]\nlisten = 'tcp://127.0.0.1:0'\n";
+
+fn line(cloud: &TestAgent) -> String {
+    format!(
+        "[[pipeline]]\nname = 'line'\nsensor = {{ kind = 'synthetic', size_bytes = 3000 }}\n\
+         placement = {{ kind = 'remote', peer = '{}', model = 'calibration' }}\n\
+         warm_up = {{ iterations = 0 }}\nlimit = {{ iterations = 5 }}\n",
+        cloud.address()
+    )
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_serving_host_answers_calibration_with_what_it_was_given() {
+    let aggregator = Aggregator::start().await;
+    let cloud = TestAgent::start("cloud", None, CLOUD).await;
+    let edge = TestAgent::start("edge", Some(&aggregator.address), &line(&cloud)).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    assert_eq!(seen.iterations().len(), 5);
+    for iteration in seen.iterations() {
+        assert_eq!(iteration.outcome, Outcome::Ok);
+        assert_eq!(value(&iteration.tree, "download-bytes"), Some(3000.0));
+    }
+    edge.stop().await.expect("stops well");
+    cloud.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_host_that_does_not_want_to_is_not_asked_in_vain() {
+    let cloud = TestAgent::start("cloud", None, &format!("{CLOUD}calibration = false\n")).await;
+    let edge = TestAgent::start("edge", None, &line(&cloud)).await;
+    let state = edge.until_state(|state| matches!(state, PipelineState::Waiting(_))).await;
+    let PipelineState::Waiting(reason) = state else { panic!("{state:?}") };
+    assert!(reason.contains("calibration") && reason.contains("slow"), "{reason}");
+    edge.stop().await.expect("stops well");
+    cloud.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_model_of_that_name_comes_first() {
+    let aggregator = Aggregator::start().await;
+    let own = "[[model]]\nname = 'calibration'\nkind = 'echo'\nanswer_bytes = 7\n";
+    let cloud = TestAgent::start("cloud", None, &format!("{CLOUD}{own}")).await;
+    let edge = TestAgent::start("edge", Some(&aggregator.address), &line(&cloud)).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    assert!(seen.iterations().iter().all(|it| value(&it.tree, "download-bytes") == Some(7.0)));
+    edge.stop().await.expect("stops well");
+    cloud.stop().await.expect("stops well");
+}

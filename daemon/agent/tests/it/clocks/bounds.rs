@@ -1,0 +1,110 @@
+//! Every delay has an interval, and the truth lies in it.
+
+use peernet_clock::{DelaySource, RehearsalDescription, Span, Verdict};
+
+use super::{CLOUD, FIRST, WAYS, assert_holds, delay, line, transit, truth, wrong};
+use crate::harness::{Aggregator, TestAgent, assert_adds_up, clock, config, rehearsed, value};
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn two_clocks_bound_every_delay_from_the_first_exchange_on() {
+    let aggregator = Aggregator::start().await;
+    let cloud = TestAgent::start_with("cloud", None, config(CLOUD), "cloud").await;
+    let load = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 4\nlimit = { iterations = 250 }";
+    let tables = config(&line("line", &cloud, load));
+    let edge = TestAgent::start_with("edge", Some(&aggregator.address), tables, "edge").await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+
+    assert_eq!(seen.iterations().len(), 250);
+    for iteration in seen.iterations() {
+        for way in WAYS {
+            let delay = delay(iteration, way);
+            assert_holds(&delay, delay.raw);
+            assert_eq!(delay.source, DelaySource::InBand);
+            let first = iteration.number <= FIRST && delay.verdict == Verdict::Stale;
+            assert!(first || matches!(delay.verdict, Verdict::Ok | Verdict::Limited), "{delay:?}");
+        }
+        assert_adds_up(iteration);
+        let (Some(seconds), Some(rate)) =
+            (value(&iteration.tree, "upload"), value(&iteration.tree, "upload-throughput"))
+        else {
+            panic!("{:?}", iteration.tree)
+        };
+        let bits = 8.0 * (20000.0 + value(&iteration.tree, "upload-logger-bytes").unwrap_or_default());
+        assert!((seconds * rate - bits).abs() < 1.0);
+    }
+    edge.stop().await.expect("stops well");
+
+    let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
+    let samples = seen.clocks();
+    assert!(samples.len() >= 3, "two and a half seconds: {samples:?}");
+    let judged: u32 = samples.iter().filter_map(|sample| sample.up).map(|up| up.count).sum();
+    assert_eq!(judged, 250);
+    assert!(samples.iter().map(|sample| sample.probes.answered).sum::<u32>() > 5, "{samples:?}");
+    assert!(samples.windows(2).all(|pair| pair[0].window == pair[1].window && pair[0].at < pair[1].at));
+    for sample in &samples {
+        assert_eq!(sample.peer_name.as_str(), "cloud");
+        let offset = sample.offset.as_ref().expect("known");
+        assert!(offset.bounds.lo <= Span::ZERO && Span::ZERO <= offset.bounds.hi, "{offset:?}");
+        assert!(sample.probes.answered == 0 || sample.round_trip.is_some());
+        for median in [sample.up, sample.down].into_iter().flatten().filter_map(|way| way.median) {
+            assert!(median.bounds.lo <= median.value && median.value <= median.bounds.hi);
+            assert!(median.bits_per_second > Some(0.0));
+        }
+    }
+    // The live lane told the same: every verdict is counted, and each has its error bar.
+    let mut seconds = std::collections::BTreeMap::new();
+    for second in seen.lives.iter().flat_map(|live| &live.pipelines).flat_map(|line| &line.seconds) {
+        seconds.insert(second.at, second.clone());
+    }
+    let mut verdicts = 0;
+    for second in seconds.values() {
+        verdicts += second.verdicts.iter().map(|(_, _, count)| count).sum::<u64>();
+        let bounded: u64 = second.bounds.iter().map(|(_, summary)| summary.count()).sum();
+        assert_eq!(bounded, 2 * second.counts.ok);
+    }
+    assert!(verdicts > 0);
+    cloud.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_wrong_clock_does_not_move_the_delays() {
+    let right = |name| async move { (None, clock(name)) };
+    let ahead = wrong(Span::from_seconds(1), 40.0);
+    let behind = wrong(Span::from_seconds(-1), -40.0);
+    let wrong =
+        |name: &'static str, how: &RehearsalDescription| (Some(how.clone()), rehearsed(name, how.clone()));
+    for ((edge_wrong, edge_clock), (cloud_wrong, cloud_clock)) in
+        [(right("edge").await, wrong("cloud", &ahead)), (wrong("edge", &behind), right("cloud").await)]
+    {
+        let aggregator = Aggregator::start().await;
+        let cloud = TestAgent::start_on(cloud_clock, "cloud", None, config(CLOUD)).await;
+        let load = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 4\nlimit = { iterations = 200 }";
+        let tables = config(&line("line", &cloud, load));
+        let edge = TestAgent::start_on(edge_clock, "edge", Some(&aggregator.address), tables).await;
+        let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+
+        assert_eq!(seen.iterations().len(), 200);
+        let right = |wrong: &Option<RehearsalDescription>, shown| {
+            wrong.as_ref().map_or(shown, |wrong| truth(wrong, shown))
+        };
+        for iteration in seen.iterations() {
+            let (sent, received, delay) = transit(iteration, "upload");
+            assert_holds(&delay, right(&cloud_wrong, received) - right(&edge_wrong, sent));
+            assert!(delay.raw > Span::from_millis(900), "raw is kept as it was: {delay:?}");
+            let (sent, received, delay) = transit(iteration, "download");
+            assert_holds(&delay, right(&edge_wrong, received) - right(&cloud_wrong, sent));
+            assert!(delay.raw < Span::from_millis(-900), "raw is kept as it was: {delay:?}");
+            assert_adds_up(iteration);
+        }
+        let facts = &seen.runs()[0].facts;
+        let fact = |name: &str| facts.iter().find(|(key, _)| key == name).map(|(_, text)| text.as_str());
+        let expected = if edge_wrong.is_some() {
+            (Some("offset -1000 ms, drift -40 ppm"), None)
+        } else {
+            (None, Some("offset +1000 ms, drift +40 ppm"))
+        };
+        assert_eq!((fact("Rehearsal"), fact("Rehearsal of cloud")), expected);
+        edge.stop().await.expect("stops well");
+        cloud.stop().await.expect("stops well");
+    }
+}

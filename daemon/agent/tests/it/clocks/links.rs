@@ -1,0 +1,53 @@
+//! A link lives as long as there is a session.
+
+use peernet_clock::{DelaySource, Span, Verdict};
+use peernet_logger::Slug;
+use peernet_logger::stream::Probing;
+
+use super::{CLOUD, line};
+use crate::harness::{TestAgent, config};
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn pipelines_to_one_cloud_share_a_link_that_goes_with_the_last_of_them() {
+    let cloud = TestAgent::start_with("cloud", None, config(CLOUD), "cloud").await;
+    let short = line("short", &cloud, "load = { mode = 'rate', hz = 50.0 }\nlimit = { iterations = 50 }");
+    let long = line("long", &cloud, "load = { mode = 'rate', hz = 50.0 }\nlimit = { iterations = 150 }");
+    let edge = TestAgent::start_with("edge", None, config(&format!("{short}{long}")), "edge").await;
+    let names = |pipelines: &[Slug]| pipelines.iter().map(ToString::to_string).collect::<Vec<_>>();
+
+    let live = edge.until(|live| live.links.iter().any(|link| link.pipelines.len() == 2)).await;
+    let [link] = &live.links[..] else { panic!("{:?}", live.links) };
+    assert_eq!((link.peer_name.as_str(), link.same_clock), ("cloud", false));
+    assert_eq!(
+        (names(&link.pipelines), &link.networks[..]),
+        (vec!["long".into(), "short".into()], &["zmq-tcp".to_owned()][..])
+    );
+    assert!(link.edge.is_some() && link.cloud.is_some());
+
+    let live = edge.until(|live| live.links.iter().any(|link| link.now.probes.answered > 0)).await;
+    let Probing::On { address, rate_hz, stamps } = &live.links[0].probing else { panic!("{:?}", live.links) };
+    assert!(address.starts_with("udp://127.0.0.1:") && !stamps.is_empty(), "{address} {stamps}");
+    assert_eq!(*rate_hz, 10.0);
+
+    let live = edge.until(|live| live.links.iter().any(|link| link.pipelines.len() == 1)).await;
+    assert_eq!(names(&live.links[0].pipelines), ["long"]);
+    edge.until(|live| live.links.is_empty()).await;
+    edge.stop().await.expect("stops well");
+    cloud.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn one_clock_is_known_to_be_one_and_probed_at_leisure() {
+    let cloud = TestAgent::start("cloud", None, CLOUD).await;
+    let tables = line("line", &cloud, "load = { mode = 'rate', hz = 50.0 }");
+    let edge = TestAgent::start("edge", None, &tables).await;
+    let live = edge.until(|live| live.links.iter().any(|link| link.now.probes.answered > 0)).await;
+    let link = &live.links[0];
+    assert!(link.same_clock);
+    assert!(matches!(link.probing, Probing::On { rate_hz: 1.0, .. }), "{:?}", link.probing);
+    let offset = link.now.offset.as_ref().expect("known");
+    assert_eq!((offset.estimate, offset.source), (Span::ZERO, DelaySource::SameClock));
+    assert_eq!(offset.verdict, Verdict::Ok);
+    edge.stop().await.expect("stops well");
+    cloud.stop().await.expect("stops well");
+}

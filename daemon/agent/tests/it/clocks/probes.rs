@@ -1,0 +1,119 @@
+//! Networks that let no probes through, and ports that cannot be had.
+
+use std::fs::Permissions;
+use std::net::UdpSocket;
+use std::os::unix::fs::PermissionsExt;
+
+use peernet_agent::{Agent, StartError};
+use peernet_clock::Verdict;
+use peernet_logger::stream::Probing;
+use tokio_util::sync::CancellationToken;
+
+use super::{CLOUD, FIRST, WAYS, assert_holds, delay, line};
+use crate::harness::{Aggregator, TestAgent, clock, config};
+
+const LOAD: &str = "load = { mode = 'rate', hz = 50.0 }\nmax_in_flight = 4\nlimit = { iterations = 60 }";
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn without_probes_the_data_bounds_the_delays() {
+    let silent = "[probes]\nsend = false\n";
+    let deaf = "[probes]\nreflect = false\n";
+    for (edge_keys, cloud_keys, why) in [(silent, "", "send = false"), ("", deaf, "cloud answers no probes")]
+    {
+        let aggregator = Aggregator::start().await;
+        let cloud =
+            TestAgent::start_with("cloud", None, config(&format!("{CLOUD}{cloud_keys}")), "cloud").await;
+        let tables = format!("{edge_keys}{}", line("line", &cloud, LOAD));
+        let edge = TestAgent::start_with("edge", Some(&aggregator.address), config(&tables), "edge").await;
+        edge.until(|live| {
+            live.links.iter().any(|link| matches!(&link.probing, Probing::Off(text) if text.contains(why)))
+        })
+        .await;
+        let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+        assert_eq!(seen.iterations().len(), 60);
+        for iteration in seen.iterations() {
+            for way in WAYS {
+                let delay = delay(iteration, way);
+                assert_holds(&delay, delay.raw);
+                let first = iteration.number <= FIRST && delay.verdict == Verdict::Stale;
+                assert!(first || matches!(delay.verdict, Verdict::Ok | Verdict::Limited), "{delay:?}");
+            }
+        }
+        edge.stop().await.expect("stops well");
+        let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
+        assert!(!seen.clocks().is_empty());
+        for sample in seen.clocks() {
+            assert_eq!((sample.probes.sent, sample.round_trip), (0, None));
+            assert!(sample.upper.is_some() && sample.lower.is_some() && sample.exchanges.taken > 0);
+        }
+        cloud.stop().await.expect("stops well");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn probes_are_answered_if_the_key_is_shared_and_shown_as_unanswered_if_not() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let key = folder.path().join("key");
+    std::fs::write(&key, "0123456789abcdef0123456789abcdef\n").expect("written");
+    std::fs::set_permissions(&key, Permissions::from_mode(0o600)).expect("mine");
+    let keyed = format!("[probes]\nkey_file = '{}'\n", key.display());
+    // Without the key the reflector is as good as a firewall.
+    let cloud = TestAgent::start_with("cloud", None, config(&format!("{CLOUD}{keyed}")), "cloud").await;
+    let load = "load = { mode = 'rate', hz = 20.0 }";
+    let tables = |keys: &str| config(&format!("{keys}{}", line("line", &cloud, load)));
+    let stranger = TestAgent::start_with("stranger", None, tables(""), "stranger").await;
+    let friend = TestAgent::start_with("friend", None, tables(&keyed), "friend").await;
+
+    let live = friend.until(|live| live.links.iter().any(|link| link.now.probes.answered > 0)).await;
+    assert!(matches!(live.links[0].probing, Probing::On { .. }), "{:?}", live.links[0].probing);
+    let at = |address: &str| address.starts_with("udp://127.0.0.1:");
+    let unanswered = |probing: &Probing| matches!(probing, Probing::Unanswered { address } if at(address));
+    let live = stranger.until(|live| live.links.iter().any(|link| unanswered(&link.probing))).await;
+    assert_eq!(live.links[0].now.probes.answered, 0);
+    let offset = live.links[0].now.offset.as_ref().expect("known by the data");
+    assert!(offset.bounds.lo <= offset.estimate && offset.estimate <= offset.bounds.hi);
+    for agent in [stranger, friend, cloud] {
+        agent.stop().await.expect("stops well");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_port_for_probes_that_is_taken_is_an_error_only_if_it_was_asked_for() {
+    let taken = UdpSocket::bind("127.0.0.1:0").expect("a port");
+    let port = taken.local_addr().expect("bound").port();
+    let state = tempfile::tempdir().expect("a folder");
+    let mut insisting = config(&format!("{CLOUD}[probes]\nport = {port}\n"));
+    insisting.agent.name = Some("cloud".parse().expect("a name"));
+    insisting.agent.state_dir = state.path().to_owned();
+    let started = Agent::start(insisting, clock("cloud"), CancellationToken::new()).await;
+    let error = match started {
+        Err(error @ StartError::Reflector(_)) => error.to_string(),
+        Err(other) => panic!("{other}"),
+        Ok(_) => panic!("the port is taken"),
+    };
+    assert!(error.contains(&port.to_string()) && error.contains("[probes] port"), "{error}");
+
+    // Two clouds on one address: one of them, or both if a third program is there, takes another port.
+    let clouds = [
+        TestAgent::start_with("first", None, config(CLOUD), "first").await,
+        TestAgent::start_with("second", None, config(CLOUD), "second").await,
+    ];
+    let lines = clouds.iter().zip(["to-first", "to-second"]).map(|(cloud, name)| line(name, cloud, ""));
+    let edge = TestAgent::start_with("edge", None, config(&lines.collect::<String>()), "edge").await;
+    let live = edge
+        .until(|live| live.links.len() == 2 && live.links.iter().all(|link| link.now.round_trip.is_some()))
+        .await;
+    let addresses: Vec<_> = live
+        .links
+        .iter()
+        .map(|link| match &link.probing {
+            Probing::On { address, .. } => address.as_str(),
+            other => panic!("{other:?}"),
+        })
+        .collect();
+    assert_ne!(addresses[0], addresses[1]);
+    edge.stop().await.expect("stops well");
+    for cloud in clouds {
+        cloud.stop().await.expect("stops well");
+    }
+}

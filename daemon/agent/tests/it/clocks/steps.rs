@@ -1,0 +1,119 @@
+//! A clock is set in mid-run.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use peernet_clock::{RehearsalDescription, RehearsedStep, SharedClock, Span, Verdict, WallTime};
+use peernet_logger::stream::{IncidentKind, LiveUpdate};
+
+use super::{CLOUD, assert_holds, line, transit, wrong};
+use crate::harness::{Aggregator, Late, Seen, TestAgent, assert_adds_up, clock, config, value};
+
+const LOAD: &str = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 8";
+
+fn stepping(by: Span) -> RehearsalDescription {
+    let step = RehearsedStep { at: Span::from_millis(300), by };
+    RehearsalDescription { steps: vec![step], ..wrong(Span::ZERO, 0.0) }
+}
+
+/// When a clock that is set by whole seconds showed `shown`, a moment before or after the other showed `near`: one that is
+/// set back shows the same time twice.
+fn right(wrong: Option<&RehearsalDescription>, shown: WallTime, near: WallTime) -> WallTime {
+    let Some(wrong) = wrong else { return shown };
+    let moment = Span::from_millis(400);
+    let candidates = [near - moment, near + moment].map(|at| shown - wrong.error_at(at));
+    candidates.into_iter().min_by_key(|at| (*at - near).abs()).expect("two")
+}
+
+/// How many iterations were good after the step.
+fn good_after(
+    seen: &Seen,
+    edge: Option<&RehearsalDescription>,
+    cloud: Option<&RehearsalDescription>,
+) -> usize {
+    let mut good = 0;
+    for iteration in seen.iterations() {
+        let moved = Span::from_seconds(1);
+        let (sent, received, up) = transit(iteration, "upload");
+        let (left, back, down) = transit(iteration, "download");
+        // One of the two clocks is right, and so is its stamp.
+        let way = |from: WallTime,
+                   of: Option<&RehearsalDescription>,
+                   to: WallTime,
+                   by: Option<&RehearsalDescription>| {
+            let (near_from, near_to) = if of.is_some() { (to, to) } else { (from, from) };
+            right(by, to, near_to) - right(of, from, near_from)
+        };
+        for (delay, truth) in [(up, way(sent, edge, received, cloud)), (down, way(left, cloud, back, edge))] {
+            // A wrong value must not get past, whatever is said of it.
+            if delay.value.is_some() {
+                assert_holds(&delay, truth);
+            }
+            good += usize::from(
+                matches!(delay.verdict, Verdict::Ok | Verdict::Limited) && delay.raw.abs() > moved,
+            );
+        }
+        // The sum needs no wall clock.
+        assert_adds_up(iteration);
+        if up.value.is_none() {
+            assert_eq!(value(&iteration.tree, "upload-throughput"), None);
+        }
+    }
+    good
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_clock_that_is_set_in_mid_run_spoils_nothing() {
+    for (on_edge, by) in [(false, Span::from_seconds(3)), (true, Span::from_seconds(-3))] {
+        let aggregator = Aggregator::start().await;
+        let late = Arc::new(Late::new(clock(if on_edge { "edge" } else { "cloud" })));
+        let pair = |named: &str, is_late: bool| {
+            if is_late { Arc::<Late>::clone(&late) as SharedClock } else { clock(named) }
+        };
+        let cloud = TestAgent::start_on(pair("cloud", !on_edge), "cloud", None, config(CLOUD)).await;
+        let tables = config(&line("line", &cloud, LOAD));
+        let edge =
+            TestAgent::start_on(pair("edge", on_edge), "edge", Some(&aggregator.address), tables).await;
+        aggregator.until(|seen| seen.iterations().len() >= 50 && !seen.clocks().is_empty()).await;
+        let wrong = stepping(by);
+        late.go_wrong(wrong.clone());
+        let (edge_wrong, cloud_wrong) = if on_edge { (Some(&wrong), None) } else { (None, Some(&wrong)) };
+        let seen = aggregator.until(|seen| good_after(seen, edge_wrong, cloud_wrong) >= 200).await;
+
+        let of_link = |seen: &Seen| {
+            let steps = seen.incidents(IncidentKind::ClockStep).into_iter().cloned();
+            steps.filter(|incident| incident.peer.is_some()).collect::<Vec<_>>()
+        };
+        let [told] = &of_link(&seen)[..] else { panic!("{:?}", of_link(&seen)) };
+        let whose = if on_edge { "the clock of edge was" } else { "the clock of cloud was" };
+        assert!(told.text.contains(whose), "{}", told.text);
+        assert!(told.text.contains(" forward against"), "{}", told.text);
+        assert!(told.text.contains("went 3.0") || told.text.contains("went 2.99"), "{}", told.text);
+
+        edge.stop().await.expect("stops well");
+        let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
+        let windows: BTreeSet<_> = seen.clocks().iter().map(|sample| sample.window).collect();
+        assert_eq!(windows.len(), 2, "one before and one after");
+        assert_eq!(of_link(&seen).len(), 1, "said once");
+        let without = seen.iterations().iter().filter(|it| transit(it, "upload").2.value.is_none()).count();
+        assert!(without > 0, "what was under way is not believed");
+        cloud.stop().await.expect("stops well");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_step_is_announced_to_peers_that_send_nothing() {
+    let late = Arc::new(Late::new(clock("cloud")));
+    let cloud = TestAgent::start_on(Arc::<Late>::clone(&late), "cloud", None, config(CLOUD)).await;
+    // One sample now and the next in an hour, and no probes.
+    let rare = "load = { mode = 'rate', hz = 0.0003 }\n[probes]\nsend = false";
+    let edge = TestAgent::start_with("edge", None, config(&line("line", &cloud, rare)), "edge").await;
+    let epoch = |live: &LiveUpdate| live.links.first().and_then(|link| Some(link.cloud.as_ref()?.epoch));
+    let live = edge.until(|live| live.links.iter().any(|link| link.now.offset.is_some())).await;
+    assert_eq!(epoch(&live), Some(0));
+    late.go_wrong(stepping(Span::from_seconds(3)));
+    let live = edge.until(|live| epoch(live) == Some(1)).await;
+    assert!(live.links[0].now.offset.is_none(), "nothing that was learnt before holds");
+    edge.stop().await.expect("stops well");
+    cloud.stop().await.expect("stops well");
+}

@@ -1,0 +1,73 @@
+//! A rehearsal that begins when the test says so: nothing depends on how fast the machine is.
+
+use std::sync::OnceLock;
+
+use peernet_clock::{
+    Clock, ClockIdentity, MonoTime, Readings, RehearsalDescription, RehearsedClock, SharedClock, Span,
+    WallTime,
+};
+
+/// A right clock until it is told to go wrong.
+#[derive(Debug)]
+pub(crate) struct Late {
+    right: SharedClock,
+    rehearsed: OnceLock<RehearsedClock>,
+}
+
+impl Late {
+    pub(crate) fn new(right: SharedClock) -> Self {
+        Self { right, rehearsed: OnceLock::new() }
+    }
+
+    /// Goes wrong from now on.
+    pub(crate) fn go_wrong(&self, how: RehearsalDescription) {
+        let identity = self.right.identity().clone();
+        let wrong = RehearsedClock::new(SharedClock::clone(&self.right), identity, how);
+        self.rehearsed.set(wrong).expect("once");
+    }
+
+    fn now(&self) -> &dyn Clock {
+        match self.rehearsed.get() {
+            Some(rehearsed) => rehearsed,
+            None => &*self.right,
+        }
+    }
+}
+
+impl Clock for Late {
+    fn wall(&self) -> WallTime {
+        self.now().wall()
+    }
+
+    fn mono(&self) -> MonoTime {
+        self.right.mono()
+    }
+
+    fn identity(&self) -> &ClockIdentity {
+        self.right.identity()
+    }
+
+    fn readings(&self) -> Readings {
+        self.now().readings()
+    }
+
+    fn epoch(&self) -> u32 {
+        self.now().epoch()
+    }
+
+    fn begin_epoch(&self) {
+        self.now().begin_epoch();
+    }
+
+    fn last_step(&self) -> Option<Span> {
+        self.now().last_step()
+    }
+
+    fn adopt(&self, system: WallTime) -> WallTime {
+        self.now().adopt(system)
+    }
+
+    fn rehearsal(&self) -> Option<&RehearsalDescription> {
+        self.now().rehearsal()
+    }
+}

@@ -1,0 +1,48 @@
+//! A program that runs an agent in the foreground.
+
+use std::num::NonZeroU64;
+
+use peernet_agent::Agent;
+use peernet_logger::stream::{Event, PipelineState};
+use tokio::sync::mpsc;
+use tokio_util::sync::CancellationToken;
+
+use crate::harness::{clock, config};
+
+const LINE: &str = "[[model]]\nname = 'echo'\nkind = 'echo'\n\
+    [[pipeline]]\nname = 'line'\nsensor = { kind = 'synthetic', size_bytes = 10 }\n\
+    placement = { kind = 'local', model = 'echo' }\nwarm_up = { iterations = 0 }\n";
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_program_sees_every_event_without_an_aggregator_and_what_it_missed_is_counted() {
+    for room in [1000, 10] {
+        let state = tempfile::tempdir().expect("a folder");
+        let mut config = config(LINE);
+        config.agent.name = Some("edge".parse().expect("a name"));
+        config.agent.state_dir = state.path().to_owned();
+        config.pipelines[0].limit.iterations = NonZeroU64::new(100);
+        let stop = CancellationToken::new();
+        let (tap, mut events) = mpsc::channel(room);
+        let running =
+            Agent::start_observed(config, clock("system"), stop.clone(), tap).await.expect("starts");
+        while running.live().pipelines[0].state != PipelineState::Finished {
+            tokio::time::sleep(std::time::Duration::from_millis(5)).await;
+        }
+        let untapped = running.untapped();
+        stop.cancel();
+        running.join().await.expect("stops well");
+        let mut seen = Vec::new();
+        while let Some(event) = events.recv().await {
+            seen.push(event);
+        }
+        let iterations = seen.iter().filter(|event| matches!(event, Event::Iteration(_))).count();
+        let ended = seen.iter().filter(|event| matches!(event, Event::RunEnded(_))).count();
+        // The model, the run's two ends and a hundred iterations.
+        assert_eq!(seen.len() as u64 + untapped, 103);
+        if room > 103 {
+            assert_eq!((iterations, ended, untapped), (100, 1, 0));
+        } else {
+            assert_eq!((seen.len(), untapped), (room, 93));
+        }
+    }
+}
