@@ -12,6 +12,7 @@ mod figures;
 mod ingest;
 mod live;
 mod picture;
+mod plausible;
 mod store;
 
 pub use aggregator::{Aggregator, Readiness, Running};
@@ -19,10 +20,12 @@ pub use config::AggregatorConfig;
 pub use error::{Failure, Problem, StartError, StoreError};
 pub use figures::{Bound, Figures, P95_NEEDS, P99_NEEDS, rank};
 pub use picture::{
-    HostPicture, LiveSecond, MetricsPoint, Picture, PipelinePicture, RefusedHost, Stored, Window,
+    ClockPoint, HostPicture, LinkPicture, LiveSecond, MetricsPoint, Picture, PipelinePicture, RefusedHost,
+    Stored, Window,
 };
 pub use store::Store;
 pub use store::types::{
-    Blame, GapRow, Histogram, HostRow, IncidentRow, IterationDetail, IterationFilter, IterationRow,
-    RunDetail, RunFilter, RunSummary, Series, SeriesPoint, StageSeries, StageStatistics,
+    Blame, ClockSeries, GapRow, Histogram, HostRow, IncidentRow, IterationDetail, IterationFilter,
+    IterationRow, Judgement, LinkRow, Recomputed, RecomputedStage, RunDetail, RunFilter, RunSummary, Series,
+    SeriesPoint, StageSeries, StageStatistics,
 };

@@ -5,9 +5,10 @@
 
 use std::sync::Arc;
 
-use peernet_clock::{Span, WallTime};
+use peernet_clock::{Offset, Span, WallTime};
 use peernet_logger::stream::{
-    Accounting, HostDescription, HostMetrics, OutcomeCounts, PipelineState, Placement,
+    Accounting, DelaySecond, HostClock, HostDescription, HostMetrics, LinkLive, OutcomeCounts, PipelineState,
+    Placement, ProbeCounts, RoundTrip,
 };
 use peernet_logger::{HostId, Name, RunId, Slug};
 use serde::Serialize;
@@ -27,8 +28,47 @@ pub struct Picture {
     pub hosts: Vec<Arc<HostPicture>>,
     /// Every pipeline heard of, by host name and name.
     pub pipelines: Vec<Arc<PipelinePicture>>,
+    /// Every link heard of, by the edge's and the cloud's name.
+    pub links: Vec<Arc<LinkPicture>>,
     /// Hosts that were turned away in the last ten minutes, newest first, at most 32.
     pub refused: Vec<RefusedHost>,
+}
+
+/// One link, now: the relation between an edge's clock and a cloud's.
+#[derive(Clone, Debug, Serialize)]
+pub struct LinkPicture {
+    /// The edge.
+    pub edge: HostId,
+    /// Its name.
+    pub edge_name: Slug,
+    /// Whether the edge is connected: its report is fresh.
+    pub connected: bool,
+    /// When the edge last reported, on the aggregator's wall clock.
+    pub last_seen: WallTime,
+    /// As the edge reported it last.
+    pub live: LinkLive,
+    /// The last ten minutes, a point per second of the edge's wall clock, oldest first; seconds without a report are
+    /// absent.
+    pub history: Vec<Arc<ClockPoint>>,
+}
+
+/// What was known of two clocks at one time, and what the network did meanwhile.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ClockPoint {
+    /// The end of the second (or of the bucket), on the edge's wall clock.
+    pub at: WallTime,
+    /// Changes when a clock was stepped.
+    pub window: u64,
+    /// Cloud minus edge with its bounds; `None` while nothing was known. Of a bucket the widest bounds.
+    pub offset: Option<Offset>,
+    /// Probes.
+    pub probes: ProbeCounts,
+    /// Round trips of probes.
+    pub round_trip: Option<RoundTrip>,
+    /// Delays of data, edge to cloud.
+    pub up: Option<DelaySecond>,
+    /// Cloud to edge.
+    pub down: Option<DelaySecond>,
 }
 
 /// A host that was turned away.
@@ -60,6 +100,8 @@ pub struct HostPicture {
     pub clock_ahead: Span,
     /// How far storing is behind measuring, by the host's own clock; `None` when nothing waits.
     pub behind: Option<Span>,
+    /// Its wall clock, by its own account.
+    pub clock: HostClock,
     /// How it fares.
     pub metrics: HostMetrics,
     /// The last ten minutes of `metrics`, one point per five seconds, oldest first.

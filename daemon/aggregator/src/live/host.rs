@@ -4,12 +4,13 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use peernet_clock::{MonoTime, Span, Stamp, WallTime};
-use peernet_logger::stream::{Accounting, HostDescription, HostMetrics, LiveUpdate};
-use peernet_logger::{RunId, Slug};
+use peernet_logger::stream::{Accounting, HostClock, HostDescription, HostMetrics, LinkLive, LiveUpdate};
+use peernet_logger::{HostId, RunId, Slug};
 
-use super::MOST_PIPELINES;
+use super::link::{Link, bound_clock};
 use super::pipeline::Pipeline;
-use crate::picture::{HostPicture, MetricsPoint, PipelinePicture, Stored};
+use super::{MOST_LINKS, MOST_PIPELINES};
+use crate::picture::{HostPicture, LinkPicture, MetricsPoint, PipelinePicture, Stored};
 
 /// A host that sent nothing for so long counts as disconnected; it sends four times a second.
 const CONNECTED_WITHIN: Span = Span::from_seconds(3);
@@ -18,7 +19,7 @@ const POINT_EVERY: Span = Span::from_seconds(5);
 /// Points of the metrics' history: ten minutes.
 const POINTS: usize = 120;
 
-/// One host and its pipelines.
+/// One host, its pipelines and its links.
 #[derive(Debug)]
 pub(super) struct Host {
     description: HostDescription,
@@ -26,6 +27,7 @@ pub(super) struct Host {
     seen: Stamp,
     /// The host's clock at its last update.
     sent: Option<WallTime>,
+    clock: HostClock,
     metrics: HostMetrics,
     history: VecDeque<Arc<MetricsPoint>>,
     next_point: MonoTime,
@@ -35,6 +37,7 @@ pub(super) struct Host {
     newest_stored: Option<WallTime>,
     left_out: u64,
     pipelines: BTreeMap<Slug, Pipeline>,
+    links: BTreeMap<HostId, Link>,
     picture: Option<Arc<HostPicture>>,
 }
 
@@ -46,6 +49,7 @@ impl Host {
             connected: true,
             seen: now,
             sent: None,
+            clock: HostClock::default(),
             metrics: HostMetrics::default(),
             history: VecDeque::new(),
             next_point: now.mono,
@@ -54,6 +58,7 @@ impl Host {
             newest_stored: None,
             left_out: 0,
             pipelines: BTreeMap::new(),
+            links: BTreeMap::new(),
             picture: None,
         }
     }
@@ -62,6 +67,7 @@ impl Host {
     pub(super) fn introduce(&mut self, description: HostDescription, now: Stamp) {
         if self.description.name != description.name {
             self.pipelines.values_mut().for_each(Pipeline::redraw);
+            self.links.values_mut().for_each(Link::redraw);
         }
         self.description = description;
         self.connected = true;
@@ -90,6 +96,8 @@ impl Host {
             self.history.push_back(Arc::new(MetricsPoint { at: now.wall, metrics: update.metrics.clone() }));
         }
         self.metrics = update.metrics;
+        self.clock = update.clock;
+        bound_clock(&mut self.clock, &mut self.left_out);
         for live in update.pipelines {
             if let Some(pipeline) = self.pipelines.get_mut(&live.pipeline) {
                 pipeline.update(live, update.sent, now, &mut self.left_out);
@@ -100,7 +108,18 @@ impl Host {
                 self.left_out += 1;
             }
         }
+        update.links.into_iter().for_each(|live| self.link(live, update.sent, now));
         self.picture = None;
+    }
+
+    fn link(&mut self, live: LinkLive, sent: WallTime, now: Stamp) {
+        if let Some(link) = self.links.get_mut(&live.peer) {
+            link.update(live, sent, now, &mut self.left_out);
+        } else if self.links.len() < MOST_LINKS {
+            self.links.insert(live.peer, Link::new(live, sent, now, &mut self.left_out));
+        } else {
+            self.left_out += 1;
+        }
     }
 
     /// What the database now holds of it.
@@ -134,9 +153,10 @@ impl Host {
             self.goodbye();
             changed = true;
         }
-        let before = self.pipelines.len();
+        let before = (self.pipelines.len(), self.links.len());
         self.pipelines.retain(|_, pipeline| now.mono - pipeline.seen() <= forget);
-        changed |= self.pipelines.len() != before;
+        self.links.retain(|_, link| now.mono - link.seen() <= forget);
+        changed |= (self.pipelines.len(), self.links.len()) != before;
         for pipeline in self.pipelines.values_mut() {
             changed |= pipeline.age(now);
         }
@@ -169,6 +189,7 @@ impl Host {
             last_seen: self.seen.wall,
             clock_ahead: self.sent.map_or(Span::ZERO, |sent| sent - self.seen.wall),
             behind,
+            clock: self.clock.clone(),
             metrics: self.metrics.clone(),
             history: self.history.iter().cloned().collect(),
             accounting: self.accounting,
@@ -189,5 +210,16 @@ impl Host {
         pipelines.iter_mut().map(move |(name, pipeline)| {
             pipeline.picture((description.id, &description.name, name), number, now)
         })
+    }
+
+    /// Its links as they are shown, by the cloud's name.
+    pub(super) fn links(&mut self) -> Vec<Arc<LinkPicture>> {
+        let last = self.connected.then_some(self.seen.mono);
+        let mut links: Vec<(&HostId, &mut Link)> = self.links.iter_mut().collect();
+        links.sort_by(|(a, x), (b, y)| (x.cloud(), a).cmp(&(y.cloud(), b)));
+        let drawn = links
+            .into_iter()
+            .map(|(_, link)| link.picture(self.description.id, &self.description.name, last));
+        drawn.collect()
     }
 }

@@ -1,11 +1,12 @@
 //! The live picture: state of all agents from the live lane alone, so that it stays live whatever waits to be
 //! stored. No I/O here; [`task`] owns the one [`Live`] and publishes its pictures.
 //!
-//! Memory is bounded whatever is sent: so many hosts, so many pipelines a host, so many names a second.
+//! Memory is bounded whatever is sent: so many hosts, so many pipelines and links a host, so many names a second.
 //! What is beyond is left out and counted.
 
 mod cell;
 mod host;
+mod link;
 mod pipeline;
 pub(crate) mod task;
 #[cfg(test)]
@@ -27,6 +28,8 @@ const MOST_HOSTS: usize = 4_096;
 const FORGET_STRANGERS: Span = Span::from_seconds(600);
 /// Pipelines of one host.
 const MOST_PIPELINES: usize = 256;
+/// Links of one host.
+const MOST_LINKS: usize = 64;
 /// Names of one pipeline within one window.
 const MOST_NAMES: usize = 128;
 /// Refused hosts that are remembered, and for how long.
@@ -158,10 +161,11 @@ impl Live {
         let mut by_name: BTreeMap<(Slug, HostId), &mut Host> =
             self.hosts.iter_mut().map(|(id, host)| ((host.name().clone(), *id), host)).collect();
         let mut hosts = Vec::with_capacity(by_name.len());
-        let mut pipelines = Vec::new();
+        let (mut pipelines, mut links) = (Vec::new(), Vec::new());
         for host in by_name.values_mut() {
             hosts.push(host.picture());
             pipelines.extend(host.pipelines(&number, now));
+            links.extend(host.links());
         }
         Picture {
             at: now.wall,
@@ -169,6 +173,7 @@ impl Live {
             listening: self.listening.clone(),
             hosts,
             pipelines,
+            links,
             refused: self.refused.iter().map(|(_, refused)| refused.clone()).collect(),
         }
     }

@@ -14,7 +14,7 @@ const ACQUIRE: Duration = Duration::from_secs(5);
 /// Pages that the writing connection keeps, in negative KiB: 64 MiB, so that the tables' growing ends stay in memory.
 const CACHE: &str = "-65536";
 
-static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations");
+pub(crate) static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations");
 
 /// How long a connection waits for another program that locks the file.
 const BUSY: Duration = Duration::from_secs(1);

@@ -7,7 +7,8 @@ mod tests;
 pub(crate) mod types;
 pub(crate) mod write;
 
-use peernet_logger::Name;
+use peernet_clock::WallTime;
+use peernet_logger::{HostId, Name};
 use sqlx::SqlitePool;
 
 use crate::error::StoreError;
@@ -96,5 +97,28 @@ impl Store {
     /// All hosts by name.
     pub async fn hosts(&self) -> Result<Vec<HostRow>, StoreError> {
         read::incidents::hosts(&self.pool).await
+    }
+
+    /// All links by the edge's and the cloud's name.
+    pub async fn links(&self) -> Result<Vec<LinkRow>, StoreError> {
+        read::clocks::links(&self.pool).await
+    }
+
+    /// What was known of a link's clocks from `from` to `to`, on the edge's wall clock, in at most `most_points`
+    /// (1 to 10,000) buckets of 1, 2, 5, 10, 30, 60 … seconds. No points for a link that the store does not know.
+    pub async fn clock_series(
+        &self,
+        edge: HostId,
+        cloud: HostId,
+        from: WallTime,
+        to: WallTime,
+        most_points: u32,
+    ) -> Result<ClockSeries, StoreError> {
+        read::clocks::series(&self.pool, (edge, cloud), (from, to), most_points).await
+    }
+
+    /// Judges the one-way delays of a run again, with the exchanges that came after them too. Writes nothing.
+    pub async fn recompute(&self, run: i64) -> Result<Option<Recomputed>, StoreError> {
+        read::recompute::recompute(&self.pool, run).await
     }
 }

@@ -1,12 +1,12 @@
 //! What the store answers: plain data in SI units.
 
-use peernet_clock::WallTime;
+use peernet_clock::{Verdict, WallTime};
 use peernet_logger::stream::{HostDescription, OutcomeCounts, Placement};
 use peernet_logger::{HostId, Name, RunId, Slug, Tree};
 use serde::Serialize;
 
 use crate::figures::{Bound, Figures};
-use crate::picture::Stored;
+use crate::picture::{ClockPoint, Stored};
 
 /// Which runs to list, newest first.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -276,4 +276,64 @@ pub struct HostRow {
     pub last_seen: WallTime,
     /// What the database holds of it.
     pub stored: Stored,
+}
+
+/// A link that the store knows.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct LinkRow {
+    /// The edge.
+    pub edge: HostId,
+    /// Its name.
+    pub edge_name: Slug,
+    /// The cloud.
+    pub cloud: HostId,
+    /// Its name.
+    pub cloud_name: Slug,
+    /// The first stored sample, on the edge's wall clock.
+    pub first: WallTime,
+    /// The last one.
+    pub last: WallTime,
+}
+
+/// The clock relation of a link over time.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ClockSeries {
+    /// Width of a bucket, seconds; 1 is as stored.
+    pub bucket_s: u32,
+    /// Oldest first; buckets without samples are absent.
+    pub points: Vec<ClockPoint>,
+}
+
+/// The one-way delays of a run as they were judged while it ran, and as all exchanges judge them, those after it
+/// included. What was stamped is never touched.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Recomputed {
+    /// The run.
+    pub number: i64,
+    /// Stored clock samples that were used.
+    pub samples: u64,
+    /// `upload`, `download`.
+    pub stages: Vec<RecomputedStage>,
+}
+
+/// One direction, before and after. Successful iterations only, warm-up left out.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RecomputedStage {
+    /// The node's name.
+    pub stage: Name,
+    /// As stored.
+    pub before: Judgement,
+    /// As computed again.
+    pub after: Judgement,
+}
+
+/// Delays and how well they are known.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Judgement {
+    /// Figures of the delays that have a value, seconds.
+    pub delay: Option<Figures>,
+    /// Figures of half the width of their bounds, seconds.
+    pub half_width: Option<Figures>,
+    /// How often each verdict was given.
+    pub verdicts: Vec<(Verdict, u64)>,
 }

@@ -7,8 +7,8 @@ use peernet_clock::{SharedClock, Span};
 use peernet_logger::HostId;
 use peernet_logger::stream::codec::{decode, encode};
 use peernet_logger::stream::{
-    Accounting, Event, HostMetrics, LiveUpdate, MemorySpool, Notice, PipelineLive, Sending, SendingConfig,
-    ToAgent, ToAggregator, Usage,
+    Accounting, Event, HostClock, HostMetrics, LinkLive, LiveUpdate, MemorySpool, Notice, PipelineLive,
+    Sending, SendingConfig, ToAgent, ToAggregator, Usage,
 };
 use zeromq::{Message, Options, Socket, SocketType};
 
@@ -111,10 +111,22 @@ impl Agent {
 
     /// Sends a live update.
     pub(crate) async fn live(&self, pipelines: Vec<PipelineLive>) {
+        self.live_with(pipelines, vec![], HostClock::default()).await;
+    }
+
+    /// Sends a live update with what is known of clocks.
+    pub(crate) async fn live_with(
+        &self,
+        pipelines: Vec<PipelineLive>,
+        links: Vec<LinkLive>,
+        clock: HostClock,
+    ) {
         let update = LiveUpdate {
             host: self.id,
             sent: self.clock.wall(),
             pipelines,
+            links,
+            clock,
             metrics: HostMetrics::default(),
             accounting: self.sending.accounting(),
         };

@@ -3,9 +3,9 @@
 use std::sync::Arc;
 
 use peernet_aggregator::Readiness;
-use peernet_logger::HostId;
-use peernet_logger::RunId;
-use peernet_logger::stream::{Event, Hello, PROTOCOL, StreamId, ToAgent, ToAggregator};
+use peernet_clock::{Interval, OneWayDelay, Span, WallTime};
+use peernet_logger::stream::{Event, Hello, HostClock, PROTOCOL, StreamId, ToAgent, ToAggregator};
+use peernet_logger::{HostId, Measure, RunId};
 use tokio::io::AsyncReadExt;
 use tokio::net::TcpStream;
 use tokio::sync::Semaphore;
@@ -13,7 +13,7 @@ use tokio::task::JoinSet;
 
 use crate::agent::Wire;
 use crate::bed::Bed;
-use crate::generate;
+use crate::{clocks, generate};
 
 #[tokio::test]
 async fn silent_connections_keep_no_agent_out() {
@@ -59,6 +59,74 @@ async fn one_connection_says_hello_for_few_hosts() {
     // Others are let in.
     let mut agent = bed.agent("edge").await;
     agent.until_up().await;
+    bed.stop().await;
+}
+
+#[tokio::test]
+async fn a_hostile_account_of_clocks_takes_little_room_and_holds_up_nothing() {
+    let mut bed = Bed::new().await;
+    let mut agent = bed.agent("edge").await;
+    agent.until_up().await;
+    // More than is read, then as much as is read.
+    let mut links: Vec<_> = (0..1_024)
+        .map(|_| {
+            let mut now = clocks::sample(HostId::random(), 1, 40);
+            now.at = bed.clock.wall();
+            now.max_drift_ppm = f64::NAN;
+            let mut link = clocks::link(now);
+            link.networks = vec![String::new(); 64];
+            link
+        })
+        .collect();
+    links[0].networks = vec!["x".repeat(300_000)];
+    let clock = HostClock { text: "y".repeat(300_000), ..HostClock::default() };
+    let more = [&links[..], &links[..1]].concat();
+    agent.live_with(vec![], more, clock.clone()).await;
+    agent.live_with(vec![], links, clock).await;
+    let picture = bed.picture("some links", |picture| !picture.links.is_empty()).await;
+    assert_eq!(picture.links.len(), 64);
+    // The links of one update, and half the networks of those that are shown but for one.
+    assert_eq!(picture.hosts[0].live_left_out, 1_024 - 64 + 63 * 32);
+    assert!(serde_json::to_string(&*picture).expect("serialises").len() < 1_000_000);
+
+    // Every bit of a number set or none, in the lane that must store what it can.
+    let wild = |second: i64, nanos: i64| {
+        let mut sample = clocks::sample(HostId::from_bytes([7; 16]), second, 40);
+        (sample.window, sample.max_drift_ppm) = (nanos.cast_unsigned(), f64::NEG_INFINITY);
+        for exchange in [&mut sample.upper, &mut sample.lower].into_iter().flatten() {
+            exchange.sent = WallTime::from_unix_nanos(nanos);
+            exchange.replied = WallTime::from_unix_nanos(!nanos);
+            exchange.uncertainty = Span::from_nanos(nanos);
+        }
+        let offset = sample.offset.as_mut().expect("known");
+        offset.estimate = Span::from_nanos(nanos);
+        offset.bounds = Interval { lo: Span::from_nanos(!nanos), hi: Span::from_nanos(nanos) };
+        offset.exchanges = nanos.cast_unsigned();
+        sample
+    };
+    let run = RunId::random();
+    let mut numbers = generate::Numbers(3);
+    let hosts = (agent.id, HostId::from_bytes([7; 16]));
+    agent.offer((1..=50).map(|n| {
+        let mut iteration = generate::iteration(run, n, hosts, &mut numbers);
+        // Two clocks, so that it is judged again.
+        let (upload, _) = iteration.tree.find(&["upload"]).expect("measured");
+        if let Some(Measure::Transit(transit)) = iteration.tree.measure_mut(upload) {
+            transit.delay = Some(OneWayDelay::unsynchronised(Span::from_nanos(i64::MIN)));
+        }
+        Event::Iteration(iteration)
+    }));
+    let samples = [i64::MIN, i64::MAX, -1, 0].into_iter().zip(1..).map(|(nanos, second)| wild(second, nanos));
+    agent.offer(samples.map(|sample| Event::Clock(Box::new(sample))));
+    agent.until_stored().await;
+    assert_eq!(bed.count("SELECT count(*) FROM quarantine").await, 0);
+    assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 4);
+    let store = bed.aggregator().store();
+    let (from, to) = (WallTime::from_unix_nanos(i64::MIN), WallTime::from_unix_nanos(i64::MAX));
+    let series = store.clock_series(agent.id, hosts.1, from, to, 600).await.expect("answers");
+    assert_eq!(series.points.len(), 4);
+    let recomputed = store.recompute(1).await.expect("answers").expect("exists");
+    assert_eq!(recomputed.stages.len(), 2);
     bed.stop().await;
 }
 

@@ -2,13 +2,13 @@
 
 use peernet_aggregator::{Readiness, RunFilter};
 use peernet_logger::stream::{
-    Event, Iteration, OutcomeCounts, PipelineLive, PipelineState, RunEnded, Second,
+    ClockSample, Event, HostClock, Iteration, OutcomeCounts, PipelineLive, PipelineState, RunEnded, Second,
 };
 use peernet_logger::{HostId, RunId, stage};
 use peernet_statistics::Summary;
 
 use crate::bed::Bed;
-use crate::generate;
+use crate::{clocks, generate};
 
 fn iterations(run: RunId, edge: HostId, numbers: std::ops::RangeInclusive<u64>) -> Vec<Iteration> {
     let cloud = HostId::from_bytes([7; 16]);
@@ -75,6 +75,48 @@ async fn what_agents_send_is_what_readers_get() {
         picture.hosts.len() == 2 && picture.hosts.iter().map(|host| host.stored.events).sum::<u64>() == 504
     });
     assert_eq!(picture.await.hosts.iter().map(|host| host.stored.nodes).sum::<u64>(), 500 * 21);
+    bed.stop().await;
+}
+
+#[tokio::test]
+async fn what_is_told_of_clocks_is_shown_and_stored() {
+    let mut bed = Bed::new().await;
+    let mut agent = bed.agent("edge").await;
+    agent.until_up().await;
+    let cloud = HostId::random();
+    let samples: Vec<_> = (1..=200).map(|second| clocks::sample(cloud, second, 40)).collect();
+    let of_samples = |part: &[ClockSample]| -> Vec<Event> {
+        part.iter().cloned().map(|sample| Event::Clock(Box::new(sample))).collect()
+    };
+    // Half, a restart, and the other half: each once.
+    agent.offer(of_samples(&samples[..100]));
+    agent.until_stored().await;
+    bed.stop().await;
+    bed.start().await;
+    agent.offer(of_samples(&samples[100..]));
+    agent.until_stored().await;
+    assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 200);
+    let store = bed.aggregator().store();
+    let links = store.links().await.expect("answers");
+    assert_eq!((links.len(), links[0].edge, links[0].cloud), (1, agent.id, cloud));
+    let series =
+        store.clock_series(agent.id, cloud, links[0].first, links[0].last, 200).await.expect("answers");
+    assert_eq!((series.bucket_s, series.points.len()), (1, 200));
+    for (point, sample) in series.points.iter().zip(&samples) {
+        assert_eq!((point.at, &point.offset, point.up), (sample.at, &sample.offset, sample.up));
+    }
+
+    // The live lane shows now, whatever is stored.
+    let mut now = clocks::sample(cloud, 1, 40);
+    now.at = bed.clock.wall();
+    let clock = HostClock { text: "kernel, synchronised".into(), ..HostClock::default() };
+    agent.live_with(vec![], vec![clocks::link(now.clone())], clock.clone()).await;
+    let picture = bed.picture("the link", |picture| picture.links.len() == 1).await;
+    let link = &picture.links[0];
+    assert_eq!((link.edge, link.connected, &link.live), (agent.id, true, &clocks::link(now.clone())));
+    assert_eq!((link.history.len(), &link.history[0].offset), (1, &now.offset));
+    assert_eq!(picture.hosts[0].clock, clock);
+    bed.picture("that the edge is away", |picture| picture.links.iter().all(|link| !link.connected)).await;
     bed.stop().await;
 }
 

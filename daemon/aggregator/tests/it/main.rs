@@ -2,6 +2,8 @@
 
 mod agent;
 mod bed;
+#[expect(unreachable_pub, reason = "shared with the unit tests")]
+mod clocks;
 #[expect(unreachable_pub, reason = "shared with the unit tests and the benchmark")]
 mod generate;
 mod hostile;

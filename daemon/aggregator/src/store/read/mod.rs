@@ -1,8 +1,10 @@
 //! Answers to questions, one file per subject. The statements stand together in [`sql`], where a test looks at
 //! all of their plans.
 
+pub(super) mod clocks;
 pub(super) mod incidents;
 pub(super) mod iterations;
+pub(in crate::store) mod recompute;
 pub(super) mod runs;
 pub(crate) mod sql;
 pub(super) mod statistics;

@@ -108,4 +108,61 @@ statements! {
     /// No parameters.
     HOSTS = "SELECT uuid, name, description, first_seen_ns, last_seen_ns, events, nodes, gaps, missing, quarantined \
              FROM host WHERE name IS NOT NULL ORDER BY name";
+    /// No parameters.
+    LINKS = "SELECT edge.uuid AS edge, edge.name AS edge_name, cloud.uuid AS cloud, \
+             coalesce(cloud.name, link.cloud_name) AS cloud_name, \
+             (SELECT min(at_ns) FROM clock_sample WHERE clock_sample.link = link.id) AS first_ns, \
+             (SELECT max(at_ns) FROM clock_sample WHERE clock_sample.link = link.id) AS last_ns \
+             FROM link JOIN host AS edge ON edge.id = link.edge JOIN host AS cloud ON cloud.id = link.cloud \
+             ORDER BY edge_name, cloud_name, link.id";
+    /// ?1 edge, ?2 cloud.
+    LINK = "SELECT link.id FROM link JOIN host AS edge ON edge.id = link.edge JOIN host AS cloud ON cloud.id = link.cloud \
+            WHERE edge.uuid = ?1 AND cloud.uuid = ?2";
+    /// The first and the last second: ?1 link, ?2 from, ?3 to.
+    CLOCK_EXTENT = "SELECT (SELECT min(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3), \
+                    (SELECT max(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3)";
+    /// ?1 link, ?2 from, ?3 to.
+    CLOCK_SAMPLES = "SELECT at_ns, window, offset_ns, offset_lo_ns, offset_hi_ns, offset_source, offset_verdict, \
+                     offset_sources, skew_ppm, exchanges, age_ns, probes_sent, probes_answered, probes_lost, \
+                     round_trip_min_ns, round_trip_median_ns, \
+                     up_count, up_ns, up_lo_ns, up_hi_ns, up_bits_per_second, up_verdict, \
+                     down_count, down_ns, down_lo_ns, down_hi_ns, down_bits_per_second, down_verdict \
+                     FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3 ORDER BY at_ns, window";
+    /// The edge of a run, and when its first and last iterations began: ?1 run.
+    RUN_EXTENT = "SELECT pipeline.host, (SELECT min(started_ns) FROM iteration WHERE run = ?1), \
+                  (SELECT max(started_ns) FROM iteration WHERE run = ?1) \
+                  FROM run JOIN pipeline ON pipeline.id = run.pipeline WHERE run.number = ?1";
+    /// One-way delays that statistics are made of, a page of them; the cloud is the tree's second host. The order of
+    /// the joins is given, because any other sorts: ?1 run, ?2 and ?3 iteration and node of the last of the page
+    /// before, ?4 limit.
+    RUN_DELAYS = "SELECT transit.iteration, transit.node, name.text, transit.sent_ns, transit.received_ns, \
+                  transit.raw_ns, transit.source, transit.verdict, node.value, node.lo, node.hi, \
+                  (SELECT anchor.host FROM anchor WHERE anchor.run = ?1 AND anchor.iteration = transit.iteration \
+                   AND anchor.position = 1) AS cloud \
+                  FROM transit \
+                  CROSS JOIN iteration ON iteration.run = transit.run AND iteration.number = transit.iteration \
+                  CROSS JOIN node ON node.run = transit.run AND node.iteration = transit.iteration \
+                  AND node.node = transit.node \
+                  CROSS JOIN name ON name.id = node.name \
+                  WHERE transit.run = ?1 AND (transit.iteration, transit.node) > (?2, ?3) \
+                  AND iteration.warm_up = 0 AND iteration.outcome = 0 AND name.text IN ('upload', 'download') \
+                  ORDER BY transit.iteration, transit.node LIMIT ?4";
+    /// ?1 edge, ?2 cloud, as numbers.
+    LINK_OF = "SELECT id FROM link WHERE edge = ?1 AND cloud = ?2";
+    /// From when to when a link's windows reach, and their first and last exchanges: ?1 link, ?2 from, ?3 to, ?4 limit.
+    CLOCK_WINDOWS = "SELECT window, min(at_ns) AS first_ns, max(at_ns) AS last_ns, \
+                     min(min(coalesce(upper_sent_ns, lower_sent_ns), coalesce(lower_sent_ns, upper_sent_ns))) AS sent_ns, \
+                     max(max(coalesce(upper_returned_ns, lower_returned_ns), coalesce(lower_returned_ns, upper_returned_ns))) \
+                       AS returned_ns, \
+                     count(coalesce(upper_sent_ns, lower_sent_ns)) AS samples \
+                     FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3 AND max_drift_ppm IS NOT NULL \
+                     AND (upper_sent_ns IS NOT NULL OR lower_sent_ns IS NOT NULL) \
+                     GROUP BY window ORDER BY first_ns LIMIT ?4";
+    /// What one window was given, a page of it: ?1 link, ?2 window, ?3 after, ?4 limit.
+    CLOCK_EXCHANGES = "SELECT at_ns, max_drift_ppm, \
+                       upper_sent_ns, upper_received_ns, upper_replied_ns, upper_returned_ns, upper_uncertainty_ns, \
+                       lower_sent_ns, lower_received_ns, lower_replied_ns, lower_returned_ns, lower_uncertainty_ns, \
+                       offset_lo_ns, offset_hi_ns, offset_source, offset_sources \
+                       FROM clock_sample WHERE link = ?1 AND window = ?2 AND at_ns > ?3 AND max_drift_ppm IS NOT NULL \
+                       ORDER BY at_ns LIMIT ?4";
 }

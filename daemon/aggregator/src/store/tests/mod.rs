@@ -1,11 +1,18 @@
 //! The store with a real file: what the writer wrote is what readers are told.
 
+mod clock_samples;
+#[path = "../../../tests/it/clocks.rs"]
+#[expect(unreachable_pub, reason = "shared with the integration tests")]
+mod clocks;
 mod ends;
 #[path = "../../../tests/it/generate.rs"]
 #[expect(unreachable_pub, reason = "shared with the integration tests and the benchmark")]
 mod generate;
+mod migrating;
 mod plans;
 mod questions;
+mod recomputing;
+mod simulation;
 mod writing;
 
 use std::path::PathBuf;
@@ -13,6 +20,7 @@ use std::path::PathBuf;
 use peernet_clock::WallTime;
 use peernet_logger::stream::{Batch, Event, StreamId};
 use peernet_logger::{HostId, RunId};
+use sqlx::{ConnectOptions, SqliteConnection};
 use tempfile::TempDir;
 
 use super::write::{Committed, Work, Writer};
@@ -81,6 +89,11 @@ impl Bed {
             events.chunks(50).map(<[Event]>::to_vec).map(|events| self.batch(events)).collect();
         self.commit(&work).await;
         run
+    }
+
+    /// A connection of another program that may write.
+    async fn other(&self) -> SqliteConnection {
+        database::writing(&self.path).connect().await.expect("opens")
     }
 
     /// One number of the database.

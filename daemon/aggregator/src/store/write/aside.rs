@@ -66,5 +66,6 @@ fn scope(event: &Event) -> (Option<RunId>, Option<WallTime>) {
         }
         Event::Incident(incident) => (incident.run, Some(incident.at)),
         Event::Gap(gap) => (gap.run, Some(gap.to)),
+        Event::Clock(sample) => (None, Some(sample.at)),
     }
 }

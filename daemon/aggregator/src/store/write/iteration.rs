@@ -159,6 +159,6 @@ fn transit_row(run: i64, iteration: i64, id: NodeId, node: &Node) -> Option<Tran
 }
 
 /// Rows of the tables `source` and `verdict` stand in the order of declaration.
-fn position<T: PartialEq + Copy>(all: &[T], value: T) -> Option<u8> {
+pub(super) fn position<T: PartialEq + Copy>(all: &[T], value: T) -> Option<u8> {
     all.iter().position(|known| *known == value).and_then(|at| u8::try_from(at).ok())
 }

@@ -1,6 +1,7 @@
 //! The one writing connection: batches in, one transaction for many of them, marks out.
 
 mod aside;
+mod clock;
 mod ends;
 mod entities;
 mod file;
@@ -10,17 +11,18 @@ mod names;
 mod records;
 mod rollups;
 mod rows;
+mod work;
 
 use std::collections::HashMap;
 use std::path::PathBuf;
 
-use bytes::Bytes;
 use peernet_clock::WallTime;
 use peernet_logger::stream::codec::BatchHead;
-use peernet_logger::stream::{Batch, Event, HostDescription, Missing, Placement, StreamId};
-use peernet_logger::{HostId, RunId, Slug};
+use peernet_logger::stream::{Batch, Event, StreamId};
+use peernet_logger::{HostId, RunId};
 use sqlx::{ConnectOptions, Connection, SqliteConnection};
 
+use self::clock::Links;
 use self::ends::Ends;
 use self::entities::Entities;
 use self::entities::stream_marks;
@@ -30,85 +32,9 @@ use self::file::DatabaseFile;
 use self::iteration::Staging;
 use self::names::Names;
 use self::rows::Inserts;
+pub(crate) use self::work::{Refusal, RunName, Work};
 use super::database;
 use crate::picture::Stored;
-
-/// What is to be stored, in the order in which it arrived.
-#[derive(Debug)]
-pub(crate) enum Work {
-    /// A host introduced itself.
-    Hello {
-        /// The host.
-        host: Box<HostDescription>,
-        /// The number that its process made at its start.
-        process: u64,
-    },
-    /// A host took its leave: nothing more comes of its runs, unless it kept something for later.
-    Goodbye(HostId),
-    /// The live lane names a run that the store knows by its iterations only.
-    Name(Box<RunName>),
-    /// Events.
-    Batch(Box<Batch>),
-    /// A batch that cannot be read: put aside as it came.
-    Unreadable {
-        /// Which.
-        head: BatchHead,
-        /// As it came.
-        frame: Bytes,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// Batches that nobody has any more.
-    Missing(Missing),
-}
-
-/// What the live lane tells of a run.
-#[derive(Clone, Debug)]
-pub(crate) struct RunName {
-    /// Whose.
-    pub(crate) host: HostId,
-    /// The run.
-    pub(crate) run: RunId,
-    /// Its pipeline.
-    pub(crate) pipeline: Slug,
-    /// Where it computes.
-    pub(crate) placement: Placement,
-}
-
-impl Work {
-    /// What it counts when commits are cut by nodes.
-    pub(crate) fn weight(&self) -> usize {
-        let Self::Batch(batch) = self else { return 1 };
-        let weight = |event: &Event| match event {
-            Event::Iteration(iteration) => iteration.tree.nodes().len(),
-            _ => 1,
-        };
-        1 + batch.events.iter().map(weight).sum::<usize>()
-    }
-
-    /// Whose it is, and up to which number of which stream it goes; nothing of what is no batch.
-    fn head(&self) -> Option<BatchHead> {
-        match self {
-            Self::Hello { .. } | Self::Goodbye(_) | Self::Name(_) => None,
-            Self::Batch(batch) => {
-                Some(BatchHead { host: batch.host, stream: batch.stream, number: batch.number })
-            }
-            Self::Unreadable { head, .. } => Some(*head),
-            Self::Missing(Missing { host, stream, through, .. }) => {
-                Some(BatchHead { host: *host, stream: *stream, number: *through })
-            }
-        }
-    }
-}
-
-/// Why something was not stored.
-#[derive(Debug)]
-pub(crate) enum Refusal {
-    /// The batch itself cannot be stored: put aside, the stream goes on.
-    Batch(String),
-    /// The database cannot store anything now: try again.
-    Database(sqlx::Error),
-}
 
 /// What a transaction stored.
 #[derive(Debug, Default)]
@@ -147,20 +73,9 @@ pub(crate) struct Writer {
     /// Marks as committed.
     marks: HashMap<StreamId, Mark>,
     ends: Ends,
+    links: Links,
     /// What was committed to a file that had been moved by then: told when it is back.
     untold: Committed,
-}
-
-impl From<sqlx::Error> for Refusal {
-    /// What SQLite says of the data is the batch's fault; all else (full, locked, read-only …) is the database's.
-    fn from(error: sqlx::Error) -> Self {
-        /// Primary result codes: TOOBIG, CONSTRAINT, MISMATCH, RANGE.
-        const OF_THE_DATA: [u32; 4] = [18, 19, 20, 25];
-        let code = error.as_database_error().and_then(|error| error.code()?.parse::<u32>().ok());
-        let data = matches!(error, sqlx::Error::Encode(_))
-            || code.is_some_and(|code| OF_THE_DATA.contains(&(code & 0xff)));
-        if data { Self::Batch(error.to_string()) } else { Self::Database(error) }
-    }
 }
 
 impl Writer {
@@ -176,6 +91,7 @@ impl Writer {
             inserts: Inserts::default(),
             marks,
             ends: Ends::default(),
+            links: Links::default(),
             untold: Committed::default(),
         })
     }
@@ -266,6 +182,7 @@ impl Writer {
                 self.staging.forget();
                 self.entities.forget();
                 self.ends.forget();
+                self.links.forget();
                 // A connection that cannot even roll back is replaced; the names are read again either way,
                 // because those that the transaction added are gone.
                 let restored = async {
@@ -402,6 +319,10 @@ impl Writer {
                     counts.added.gaps += 1;
                     counts.added.missing = counts.added.missing.saturating_add(gap.count);
                     gap.to
+                }
+                Event::Clock(sample) => {
+                    self.links.store(connection, &mut self.entities, host, sample, now).await?;
+                    sample.at
                 }
             };
             counts.newest = counts.newest.max(Some(at));

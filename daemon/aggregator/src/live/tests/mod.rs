@@ -1,10 +1,12 @@
 //! The picture against exact computation, under clocks that jump and agents that send nonsense.
 
+mod links;
+
 use std::sync::Arc;
 
 use peernet_clock::{ClockIdentity, MonoTime, Span, Stamp, Verdict, WallTime};
 use peernet_logger::stream::{
-    Accounting, Hardware, HostDescription, HostMetrics, LiveUpdate, OutcomeCounts, PipelineLive,
+    Accounting, Hardware, HostClock, HostDescription, HostMetrics, LiveUpdate, OutcomeCounts, PipelineLive,
     PipelineState, Placement, PlacementKind, Second,
 };
 use peernet_logger::{HostId, Name, RunId, Slug, stage};
@@ -65,6 +67,8 @@ fn update(host: HostId, sent: WallTime, pipelines: Vec<PipelineLive>) -> News {
         host,
         sent,
         pipelines,
+        links: vec![],
+        clock: HostClock::default(),
         metrics: HostMetrics { cpu: Some(0.5), ..HostMetrics::default() },
         accounting: Accounting::default(),
     }))

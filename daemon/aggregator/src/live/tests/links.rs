@@ -1,0 +1,181 @@
+//! Links in the picture: bounded, on the edge's own clock, kept while the edge is away.
+
+use peernet_clock::{
+    DelaySource, ExchangeCounts, Interval, Offset, RehearsalDescription, RehearsedStep, Verdict,
+};
+use peernet_logger::stream::{ClockSample, DelayPoint, DelaySecond, LinkLive, ProbeCounts, Probing};
+
+use super::*;
+use crate::live::MOST_LINKS;
+use crate::picture::LinkPicture;
+
+/// A report in the second that ends so many seconds after the start.
+fn link(peer: HostId, name: &str, ends: f64, lost: u32) -> LinkLive {
+    LinkLive {
+        peer,
+        peer_name: slug(name),
+        networks: vec!["zmq-tcp".into()],
+        pipelines: vec![slug("line")],
+        same_clock: false,
+        probing: Probing::Off("a test".into()),
+        edge: None,
+        cloud: None,
+        now: ClockSample {
+            peer,
+            peer_name: slug(name),
+            at: wall(ends),
+            window: 7,
+            max_drift_ppm: 50.0,
+            upper: None,
+            lower: None,
+            offset: None,
+            probes: ProbeCounts { sent: 10, answered: 10 - lost, lost },
+            exchanges: ExchangeCounts::default(),
+            round_trip: None,
+            up: None,
+            down: None,
+        },
+    }
+}
+
+fn report(bed: &mut Bed, at: f64, links: Vec<LinkLive>) {
+    let News::Update(mut news) = update(bed.host, wall(at), vec![]) else { panic!("an update") };
+    news.links = links;
+    assert!(bed.live.take(News::Update(news), now(at)));
+}
+
+fn seconds(link: &LinkPicture) -> Vec<(i64, u32)> {
+    link.history.iter().map(|point| (point.at.unix_seconds() - START, point.probes.lost)).collect()
+}
+
+#[test]
+fn a_second_is_one_point_replaced_while_it_is_under_way_and_ten_minutes_are_kept() {
+    let mut bed = Bed::new();
+    let cloud = HostId::random();
+    for second in 0..700 {
+        for (part, lost) in [(0.3, 0), (0.9, 1)] {
+            let at = f64::from(second) + part;
+            report(&mut bed, at, vec![link(cloud, "cloud", f64::from(second) + 1.0, lost)]);
+        }
+    }
+    let picture = bed.picture(699.9);
+    let [shown] = &picture.links[..] else { panic!("one link") };
+    assert_eq!((shown.edge, shown.edge_name.as_str(), shown.connected), (bed.host, "edge", true));
+    assert_eq!((shown.last_seen, shown.live.now.at), (wall(699.9), wall(700.0)));
+    let history = seconds(shown);
+    assert_eq!((history.len(), history[0], history[599]), (600, (101, 1), (700, 1)));
+    assert_eq!(picture.hosts[0].live_left_out, 0);
+}
+
+#[test]
+fn an_edge_that_is_away_keeps_its_links_and_one_that_names_them_no_longer_is_not_connected() {
+    let mut bed = Bed::new();
+    let (one, two) = (HostId::random(), HostId::random());
+    report(&mut bed, 0.5, vec![link(two, "b", 1.0, 0), link(one, "a", 1.0, 0)]);
+    let names = |picture: &Picture| {
+        let name = |link: &Arc<LinkPicture>| (link.live.peer_name.to_string(), link.connected);
+        picture.links.iter().map(name).collect::<Vec<_>>()
+    };
+    assert_eq!(names(&bed.picture(0.6)), [("a".to_owned(), true), ("b".to_owned(), true)]);
+    report(&mut bed, 1.5, vec![link(one, "a", 2.0, 0)]);
+    assert_eq!(names(&bed.picture(1.6)), [("a".to_owned(), true), ("b".to_owned(), false)]);
+    assert!(bed.live.age(now(6.0)));
+    assert_eq!(names(&bed.picture(6.0)), [("a".to_owned(), false), ("b".to_owned(), false)]);
+    report(&mut bed, 7.5, vec![link(one, "c", 8.0, 0), link(two, "b", 8.0, 0)]);
+    assert_eq!(names(&bed.picture(7.6)), [("b".to_owned(), true), ("c".to_owned(), true)]);
+    assert_eq!(seconds(&bed.picture(7.6).links[1]), [(1, 0), (2, 0), (8, 0)]);
+    assert!(bed.live.take(News::Goodbye(bed.host), now(8.0)));
+    assert!(bed.picture(8.0).links.iter().all(|link| !link.connected));
+    bed.live.age(now(3_700.0));
+    assert!(bed.picture(3_700.0).links.is_empty(), "forgotten after a long absence");
+}
+
+#[test]
+fn an_edge_whose_clock_is_set_back_keeps_what_was_before_that_time() {
+    let mut bed = Bed::new();
+    let cloud = HostId::random();
+    for second in 0..10 {
+        report(&mut bed, f64::from(second) + 0.5, vec![link(cloud, "cloud", f64::from(second) + 1.0, 0)]);
+    }
+    // Set back by 5 s.
+    let News::Update(mut news) = update(bed.host, wall(5.5), vec![]) else { panic!("an update") };
+    news.links = vec![link(cloud, "cloud", 6.0, 9)];
+    bed.live.take(News::Update(news), now(10.5));
+    let history = seconds(&bed.picture(10.5).links[0]);
+    assert_eq!(history, [(1, 0), (2, 0), (3, 0), (4, 0), (5, 0), (6, 9)]);
+}
+
+#[test]
+fn more_links_and_longer_texts_than_anyone_has_are_left_out_and_counted() {
+    let mut bed = Bed::new();
+    let mut links: Vec<LinkLive> =
+        (0..1_000).map(|n| link(HostId::random(), &format!("c{n}"), 1.0, 0)).collect();
+    let long = "ä".repeat(100_000);
+    let steps = vec![RehearsedStep { at: Span::ZERO, by: Span::ZERO }; 1_000];
+    let clock = HostClock {
+        text: long.clone(),
+        rehearsal: Some(RehearsalDescription { offset: Span::ZERO, drift_ppm: 0.0, steps, since: wall(0.0) }),
+        ..HostClock::default()
+    };
+    let greedy = &mut links[0];
+    greedy.networks = vec![long.clone(); 1_000];
+    greedy.pipelines = vec![slug("line"); 1_000];
+    greedy.probing = Probing::On { address: long.clone(), rate_hz: f64::NAN, stamps: long };
+    (greedy.edge, greedy.cloud) = (Some(clock.clone()), Some(clock.clone()));
+    let peer = greedy.peer;
+    let News::Update(mut news) = update(bed.host, wall(0.5), vec![]) else { panic!("an update") };
+    (news.links, news.clock) = (links, clock);
+    bed.live.take(News::Update(news), now(0.5));
+    let picture = bed.picture(0.5);
+    assert_eq!(picture.links.len(), MOST_LINKS);
+    let shown = picture.links.iter().find(|link| link.live.peer == peer).expect("the first");
+    assert!(serde_json::to_string(&**shown).expect("serialises").len() < 64 * 1024);
+    assert_eq!((shown.live.networks.len(), shown.live.pipelines.len()), (32, 32));
+    assert!(picture.hosts[0].clock.text.len() <= 512 && picture.hosts[0].clock.text.starts_with('ä'));
+    let left_out = 1_000 - MOST_LINKS as u64 + 5 * (1_000 - 32);
+    assert_eq!(picture.hosts[0].live_left_out, left_out);
+}
+
+#[test]
+fn what_cannot_be_is_not_shown() {
+    let mut bed = Bed::new();
+    let interval = |lo, hi| Interval { lo: Span::from_millis(lo), hi: Span::from_millis(hi) };
+    let wild = |second: i64| {
+        let mut link = link(HostId::random(), "cloud", 1.0, 0);
+        link.now.at = WallTime::from_unix_nanos(second);
+        link
+    };
+    let mut links: Vec<LinkLive> = [i64::MIN, i64::MAX, 0].map(wild).into();
+    let mut turned = link(HostId::random(), "turned", 1.0, 0);
+    turned.now.offset = Some(Offset {
+        at: wall(1.0),
+        estimate: Span::ZERO,
+        bounds: interval(1, -1),
+        source: DelaySource::InBand,
+        sources: vec![(DelaySource::InBand, interval(1, -1)); 1_000],
+        verdict: Verdict::Ok,
+        skew_ppm: Some(f64::NAN),
+        exchanges: 0,
+        age: None,
+    });
+    let median = DelayPoint { value: Span::from_millis(-1), bounds: interval(-2, 0), bits_per_second: None };
+    turned.now.up = Some(DelaySecond { count: 1, median: Some(median), verdict: Verdict::Ok });
+    let mut crowded = link(HostId::random(), "crowded", 1.0, 0);
+    crowded.now.offset = turned.now.offset.clone().map(|offset| Offset {
+        bounds: interval(-1, 1),
+        sources: vec![(DelaySource::InBand, interval(-1, 1)); 1_000],
+        ..offset
+    });
+    links.extend([turned, crowded]);
+    report(&mut bed, 0.5, links);
+    let picture = bed.picture(0.5);
+    let shown = |name: &str| {
+        picture.links.iter().filter(|link| link.live.peer_name.as_str() == name).cloned().collect::<Vec<_>>()
+    };
+    assert!(shown("cloud").iter().all(|link| link.history.is_empty()) && shown("cloud").len() == 3);
+    let point = &shown("turned")[0].history[0];
+    assert_eq!((&point.offset, point.up.expect("judged").median), (&None, None));
+    let offset = shown("crowded")[0].live.now.offset.clone().expect("known");
+    assert_eq!((offset.sources.len(), offset.skew_ppm), (1, None));
+    assert_eq!(picture.hosts[0].live_left_out, 5);
+}

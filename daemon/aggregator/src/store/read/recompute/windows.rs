@@ -1,0 +1,150 @@
+//! Which window of a clock relation a time belongs to.
+
+use peernet_clock::{Span, WallTime};
+
+/// A window at its ends reaches so far: what holds of an exchange holds for some seconds around it, as long as nothing
+/// tells of a step.
+const REACH: Span = Span::from_seconds(10);
+/// A sample is of the second that ends with it.
+const SECOND: Span = Span::from_seconds(1);
+/// The second of a step has the sample of the window after it alone, and may come late.
+const UNTOLD: Span = Span::from_seconds(2);
+/// An exchange takes no longer; a stamp that is earlier is no clock's.
+const LONGEST: Span = Span::from_seconds(60);
+
+/// From when to when exchanges of one window are stored.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Extent {
+    /// The end of the first second that has one.
+    pub(super) first: WallTime,
+    /// The end of the last one.
+    pub(super) last: WallTime,
+    /// When the first was sent.
+    pub(super) sent: WallTime,
+    /// When the last returned.
+    pub(super) returned: WallTime,
+}
+
+/// The edge's time cut into pieces, each with the only window that it can belong to, if there is one.
+///
+/// Near a step two windows may overlap, when the edge's clock was set back, or leave a hole between them, in which the
+/// step happened: a time there belongs to neither.
+#[derive(Debug, Default)]
+pub(super) struct Timeline(Vec<(WallTime, Option<usize>)>);
+
+impl Timeline {
+    /// The timeline of windows in any order; they are named by their places.
+    pub(super) fn of(windows: &[Extent]) -> Self {
+        let mut spans: Vec<(WallTime, WallTime)> = windows
+            .iter()
+            .map(|window| {
+                let begin = (window.first - SECOND).min(window.sent.max(window.first - LONGEST));
+                (begin, window.returned.min(window.last + LONGEST).max(window.last + UNTOLD))
+            })
+            .collect();
+        if let Some(first) = spans.iter_mut().min_by_key(|(begin, _)| *begin) {
+            first.0 = first.0 - REACH;
+        }
+        if let Some(last) = spans.iter_mut().max_by_key(|(_, end)| *end) {
+            last.1 = last.1 + REACH;
+        }
+        let mut changes: Vec<(WallTime, bool, usize)> = Vec::with_capacity(2 * spans.len());
+        for (window, (begin, end)) in spans.into_iter().enumerate() {
+            changes.push((begin, true, window));
+            changes.push((end + Span::from_nanos(1), false, window));
+        }
+        changes.sort_unstable();
+        // Of those that are open only their number and the sum of their places are kept: one alone is its own sum.
+        let (mut open, mut sum) = (0_usize, 0_usize);
+        let mut pieces = Vec::with_capacity(changes.len());
+        for (at, opens, window) in changes {
+            (open, sum) = if opens { (open + 1, sum + window) } else { (open - 1, sum - window) };
+            pieces.push((at, (open == 1).then_some(sum)));
+        }
+        Self(pieces)
+    }
+
+    /// The window that a time belongs to; `None` where that cannot be told.
+    pub(super) fn window(&self, at: WallTime) -> Option<usize> {
+        let after = self.0.partition_point(|(begin, _)| *begin <= at);
+        self.0.get(after.checked_sub(1)?)?.1
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn wall(seconds: i64) -> WallTime {
+        WallTime::from_unix_nanos(0) + Span::from_seconds(seconds)
+    }
+
+    fn window(first: i64, last: i64) -> Extent {
+        Extent { first: wall(first), last: wall(last), sent: wall(first), returned: wall(last) }
+    }
+
+    fn windows(timeline: &Timeline, times: &[i64]) -> Vec<Option<usize>> {
+        times.iter().map(|at| timeline.window(wall(*at))).collect()
+    }
+
+    #[test]
+    fn a_window_reaches_as_far_as_its_exchanges_and_a_little_further_at_the_ends() {
+        let timeline = Timeline::of(&[window(100, 200)]);
+        assert_eq!(
+            windows(&timeline, &[88, 89, 100, 150, 200, 212, 213]),
+            [None, Some(0), Some(0), Some(0), Some(0), Some(0), None]
+        );
+        assert_eq!(Timeline::of(&[]).window(wall(0)), None);
+    }
+
+    #[test]
+    fn a_hole_between_windows_belongs_to_neither() {
+        let timeline = Timeline::of(&[window(300, 400), window(100, 200)]);
+        assert_eq!(
+            windows(&timeline, &[95, 202, 203, 298, 299, 405]),
+            [Some(1), Some(1), None, None, Some(0), Some(0)]
+        );
+    }
+
+    #[test]
+    fn a_time_that_the_edge_showed_twice_belongs_to_neither() {
+        // Set back by 50 s after 200.
+        let timeline = Timeline::of(&[window(100, 200), window(151, 300)]);
+        assert_eq!(windows(&timeline, &[149, 150, 202, 203]), [Some(0), None, None, Some(1)]);
+    }
+
+    #[test]
+    fn stamps_of_no_clock_move_no_window() {
+        let wild = Extent {
+            first: wall(300),
+            last: wall(301),
+            sent: WallTime::from_unix_nanos(i64::MIN),
+            returned: WallTime::from_unix_nanos(i64::MAX),
+        };
+        let timeline = Timeline::of(&[window(100, 200), wild]);
+        assert_eq!(windows(&timeline, &[150, 239, 372]), [Some(0), None, None]);
+    }
+
+    proptest! {
+        #[test]
+        fn no_stamps_panic_and_only_one_window_is_named(
+            stamps in prop::collection::vec((any::<i64>(), any::<i64>(), any::<i64>(), any::<i64>()), 0..8), at: i64,
+        ) {
+            let at_nanos = WallTime::from_unix_nanos;
+            let extents: Vec<Extent> = stamps
+                .into_iter()
+                .flat_map(|(first, last, sent, returned)| [(first, last, sent, returned), (i64::MIN, i64::MAX, last, sent)])
+                .map(|(first, last, sent, returned)| Extent {
+                    first: at_nanos(first.min(last)),
+                    last: at_nanos(first.max(last)),
+                    sent: at_nanos(sent),
+                    returned: at_nanos(returned),
+                })
+                .collect();
+            let window = Timeline::of(&extents).window(at_nanos(at));
+            prop_assert!(window.is_none_or(|window| window < extents.len()));
+        }
+    }
+}

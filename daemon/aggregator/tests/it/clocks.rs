@@ -1,0 +1,88 @@
+//! What an agent tells of clocks; for tests.
+
+use peernet_clock::{DelaySource, Exchange, ExchangeCounts, Interval, Offset, Span, Verdict};
+use peernet_logger::HostId;
+use peernet_logger::stream::{
+    ClockSample, DelayPoint, DelaySecond, HostClock, LinkLive, ProbeCounts, Probing, RoundTrip,
+};
+
+use super::generate;
+
+/// An interval of so many microseconds.
+pub fn micros(lo: i64, hi: i64) -> Interval {
+    Interval { lo: Span::from_micros(lo), hi: Span::from_micros(hi) }
+}
+
+/// The second of the relation that ends so many seconds after [`generate::at`]'s zero, with everything that one can
+/// hold. The cloud is 250 ms ahead, give or take as many microseconds as `width`.
+pub fn sample(peer: HostId, second: i64, width: i64) -> ClockSample {
+    let at = generate::at(second as f64);
+    let sent = at - Span::from_millis(400);
+    let ahead = Span::from_millis(250);
+    let exchange = |way: Span| Exchange {
+        sent,
+        received: sent + way + ahead,
+        replied: sent + way + ahead,
+        returned: sent + way + way,
+        uncertainty: Span::from_nanos(2),
+    };
+    let delays = DelaySecond {
+        count: 5,
+        median: Some(DelayPoint {
+            value: Span::from_millis(4),
+            bounds: micros(4_000 - width, 4_000 + width),
+            bits_per_second: Some(300e6),
+        }),
+        verdict: Verdict::Ok,
+    };
+    ClockSample {
+        peer,
+        peer_name: "cloud".parse().expect("a name"),
+        at,
+        window: u64::MAX - 7,
+        max_drift_ppm: 50.0,
+        upper: Some(exchange(Span::from_micros(width))),
+        lower: Some(exchange(Span::from_micros(width + 1))),
+        offset: Some(Offset {
+            at,
+            estimate: ahead,
+            bounds: micros(250_000 - width, 250_000 + width),
+            source: DelaySource::Intersection,
+            sources: vec![
+                (DelaySource::InBand, micros(250_000 - width, 250_000 + 2 * width)),
+                (DelaySource::Chrony, micros(250_000 - 2 * width, 250_000 + width)),
+            ],
+            verdict: Verdict::Ok,
+            skew_ppm: Some(-12.5),
+            exchanges: 17,
+            age: Some(Span::from_millis(80)),
+        }),
+        probes: ProbeCounts { sent: 10, answered: 9, lost: 1 },
+        exchanges: ExchangeCounts { taken: 9, impossible: 1, outliers: 2, stepped: 3, restarts: 4 },
+        round_trip: Some(RoundTrip {
+            min: Span::from_micros(2 * width),
+            median: Span::from_micros(3 * width),
+        }),
+        up: Some(delays),
+        down: Some(DelaySecond { count: 4, verdict: Verdict::Limited, ..delays }),
+    }
+}
+
+/// A link as an agent reports it.
+pub fn link(now: ClockSample) -> LinkLive {
+    LinkLive {
+        peer: now.peer,
+        peer_name: now.peer_name.clone(),
+        networks: vec!["zmq-tcp".into()],
+        pipelines: vec!["line".parse().expect("a name")],
+        same_clock: false,
+        probing: Probing::On {
+            address: "udp://127.0.0.1:8620".into(),
+            rate_hz: 10.0,
+            stamps: "kernel, receive only".into(),
+        },
+        edge: Some(HostClock { text: "not synchronised".into(), ..HostClock::default() }),
+        cloud: None,
+        now,
+    }
+}
