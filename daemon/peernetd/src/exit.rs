@@ -17,6 +17,8 @@ pub enum Exit {
     Software = 70,
     /// The configuration is wrong: starting again will not help (78).
     Configuration = 78,
+    /// The user ended it early (130, as shells say of Ctrl-C).
+    Interrupted = 130,
 }
 
 impl From<Exit> for ExitCode {

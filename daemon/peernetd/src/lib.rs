@@ -1,5 +1,6 @@
-//! What the programs `peernetd` and `peernet` share: exit codes, the terminal, the version.
+//! What the programs `peernetd` and `peernet` share: clocks, exit codes, the terminal, the version.
 
+pub mod clock;
 pub mod exit;
 pub mod output;
 

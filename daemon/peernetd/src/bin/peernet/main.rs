@@ -1,8 +1,9 @@
 //! `peernet`: PEERNet's command line.
 
 mod api;
+mod calibrate;
+mod recompute;
 mod status;
-mod table;
 
 use std::process::ExitCode;
 
@@ -12,7 +13,7 @@ use peernetd::VERSION;
 use peernetd::exit::Exit;
 use peernetd::output::complain;
 
-/// PEERNet's command line: asks a running aggregator.
+/// PEERNet's command line: asks a running aggregator, measures links.
 #[derive(Debug, Parser)]
 #[command(name = "peernet", version = VERSION, max_term_width = 100)]
 struct Arguments {
@@ -24,6 +25,10 @@ struct Arguments {
 enum Command {
     /// Show what runs where and how it fares: the last ten seconds of every pipeline, and the hosts.
     Status(status::Arguments),
+    /// Study a link: one-way delay against payload size, both ways, and whether the clocks can be trusted.
+    Calibrate(calibrate::Arguments),
+    /// Compute the one-way delays of a stored run again, with what was learnt of the clocks after it.
+    Recompute(recompute::Arguments),
 }
 
 fn main() -> ExitCode {
@@ -36,8 +41,12 @@ fn main() -> ExitCode {
             return if asked { Exit::Ok } else { Exit::Usage }.into();
         }
     };
-    let Command::Status(arguments) = arguments.command;
-    match status::run(&arguments) {
+    let done = match arguments.command {
+        Command::Status(arguments) => status::run(&arguments),
+        Command::Calibrate(arguments) => calibrate::run(&arguments),
+        Command::Recompute(arguments) => recompute::run(&arguments),
+    };
+    match done {
         Ok(()) => Exit::Ok,
         Err(failure) => {
             complain(&failure);

@@ -1,18 +1,17 @@
 //! `peernet status`
 
+use peernet_report::table::text;
 use peernetd::exit::Failure;
 use peernetd::output::say;
 use serde::Deserialize;
 
-use crate::api;
-use crate::table::table;
+use crate::api::Api;
 
 /// What `peernet status` can be told.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
-    /// Address of the dashboard.
-    #[arg(long, default_value = "http://127.0.0.1:8040", env = "PEERNET_URL")]
-    url: String,
+    #[command(flatten)]
+    api: Api,
 }
 
 #[derive(Debug, Deserialize)]
@@ -87,8 +86,8 @@ const WINDOW_S: u32 = 10;
 /// # Errors
 /// When the aggregator does not answer.
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let Pipelines { pipelines } = api::get(&arguments.url, "/api/v1/pipelines")?;
-    let Hosts { hosts } = api::get(&arguments.url, "/api/v1/hosts")?;
+    let Pipelines { pipelines } = arguments.api.get("/api/v1/pipelines")?;
+    let Hosts { hosts } = arguments.api.get("/api/v1/hosts")?;
     if pipelines.is_empty() {
         say("no pipeline yet: start an agent with a [[pipeline]] whose [agent] aggregator is this one");
     } else {
@@ -104,7 +103,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
             "inference ms",
             "download ms",
         ];
-        say(table(&header, &pipelines.iter().map(pipeline_row).collect::<Vec<_>>()));
+        say(text(&header, &pipelines.iter().map(pipeline_row).collect::<Vec<_>>()));
         // Below the table: a reason is a sentence and would tear the columns apart.
         for pipeline in &pipelines {
             if let Some(reason) = &pipeline.reason {
@@ -114,7 +113,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     say("");
     let header = ["host", "state", "CPU %", "waiting", "dropped"];
-    say(table(&header, &hosts.iter().map(host_row).collect::<Vec<_>>()));
+    say(text(&header, &hosts.iter().map(host_row).collect::<Vec<_>>()));
     Ok(())
 }
 

@@ -6,7 +6,7 @@ use std::time::Duration;
 use futures::{FutureExt, TryFutureExt};
 use peernet_agent::Agent;
 use peernet_aggregator::Aggregator;
-use tracing::info;
+use tracing::{info, warn};
 
 use crate::configuration::{Configuration, load};
 use crate::lifecycle::Lifecycle;
@@ -57,6 +57,7 @@ pub(crate) fn run(file: &Path) -> Exit {
 async fn live(configuration: Configuration) -> Result<Exit, Failure> {
     let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
     let clock = configuration.clock().map_err(|error| unavailable(error.into()))?;
+    let agent_clock = configuration.agent_clock(&clock).map_err(|error| unavailable(error.into()))?;
     let mut lifecycle =
         Lifecycle::new(&configuration.lifecycle).map_err(|error| unavailable(error.into()))?;
 
@@ -84,9 +85,14 @@ async fn live(configuration: Configuration) -> Result<Exit, Failure> {
         }
     }
     if let Some(config) = configuration.agent {
+        if let Some(rehearsal) = agent_clock.rehearsal() {
+            warn!(
+                "REHEARSAL: this agent's wall clock is made wrong on purpose ({rehearsal}); for a host in earnest use remove the table [rehearsal]"
+            );
+        }
         lifecycle
             .start("agent", async |stop| {
-                let running = Agent::start(config, clock, stop).await?;
+                let running = Agent::start(config, agent_clock, stop).await?;
                 Ok(running.join().map_err(anyhow::Error::new).boxed())
             })
             .await

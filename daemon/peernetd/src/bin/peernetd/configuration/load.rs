@@ -2,15 +2,17 @@
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::{fmt, io};
 
 use peernet_agent::Agent;
-use peernet_agent::config::{AgentConfig, HostConfig, PipelineConfig, ServeConfig};
+use peernet_agent::config::{
+    AgentConfig, ClockConfig, HostConfig, PipelineConfig, ProbesConfig, RehearsalConfig, ServeConfig,
+};
 use peernet_aggregator::{Aggregator, AggregatorConfig};
-use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
+use peernet_clock::{ClockIdentity, SharedClock};
 use peernet_inference::{ModelConfig, OnnxRuntimeConfig};
 use peernet_web::WebConfig;
+use peernetd::clock;
 use serde::Deserialize;
 
 use super::Locator;
@@ -31,6 +33,9 @@ struct File {
     aggregator: Option<AggregatorConfig>,
     web: Option<WebConfig>,
     agent: Option<HostConfig>,
+    clock: Option<ClockConfig>,
+    probes: Option<ProbesConfig>,
+    rehearsal: Option<RehearsalConfig>,
     serve: Option<ServeConfig>,
     #[serde(default)]
     model: Vec<ModelConfig>,
@@ -123,13 +128,16 @@ fn roles(file: &File) -> Option<&'static str> {
     if file.agent.is_none() && file.aggregator.is_none() {
         return Some("no role is switched on: add a table [agent], a table [aggregator], or both");
     }
-    let for_agent = file.serve.is_some()
+    let for_agent = file.clock.is_some()
+        || file.probes.is_some()
+        || file.rehearsal.is_some()
+        || file.serve.is_some()
         || file.onnxruntime.is_some()
         || !file.model.is_empty()
         || !file.pipeline.is_empty();
     if file.agent.is_none() && for_agent {
         return Some(
-            "[serve], [[model]], [onnxruntime] and [[pipeline]] belong to an agent: add a table [agent]",
+            "[clock], [probes], [rehearsal], [serve], [[model]], [onnxruntime] and [[pipeline]] belong to an agent: add a table [agent]",
         );
     }
     if file.aggregator.is_none() && file.web.is_some() {
@@ -142,6 +150,9 @@ impl From<File> for Configuration {
     fn from(file: File) -> Self {
         let agent = file.agent.map(|agent| AgentConfig {
             agent,
+            clock: file.clock.unwrap_or_default(),
+            probes: file.probes.unwrap_or_default(),
+            rehearsal: file.rehearsal,
             serve: file.serve,
             models: file.model,
             onnxruntime: file.onnxruntime.unwrap_or_default(),
@@ -157,8 +168,15 @@ impl Configuration {
     /// # Errors
     /// When the kernel's boot id cannot be read.
     pub(crate) fn clock(&self) -> io::Result<SharedClock> {
-        let name = self.agent.as_ref().map_or(ClockIdentity::SYSTEM, |agent| &agent.agent.clock_identity);
-        Ok(Arc::new(SystemClock::new(ClockIdentity::of_this_machine(name)?)))
+        clock::system(self.agent.as_ref().map_or(ClockIdentity::SYSTEM, |agent| &agent.agent.clock_identity))
+    }
+
+    /// The clock that the agent reads: `truth`, or what `[rehearsal]` makes of it from now on.
+    ///
+    /// # Errors
+    /// When the kernel's boot id cannot be read.
+    pub(crate) fn agent_clock(&self, truth: &SharedClock) -> io::Result<SharedClock> {
+        clock::rehearsed(truth, self.agent.as_ref().and_then(|agent| agent.rehearsal.as_ref()))
     }
 
     /// Key and text of everything that each role finds wrong with its tables.
@@ -194,5 +212,45 @@ impl Configuration {
             (None, _) => {}
         }
         problems
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use peernet_clock::Span;
+
+    use super::*;
+
+    /// The true clock and the agent's.
+    fn clocks(tables: &str) -> (SharedClock, SharedClock) {
+        let folder = tempfile::tempdir().expect("there is room for a temporary folder");
+        let file = folder.path().join("it.toml");
+        let state = folder.path().join("state");
+        std::fs::write(&file, format!("[agent]\nname = \"edge\"\nstate_dir = {state:?}\n{tables}"))
+            .expect("the temporary folder is writable");
+        let configuration = load(&file).expect("nothing is wrong with it");
+        let truth = configuration.clock().expect("linux has a boot id");
+        let agents = configuration.agent_clock(&truth).expect("linux has a boot id");
+        (truth, agents)
+    }
+
+    #[test]
+    fn without_a_rehearsal_there_is_one_clock() {
+        let (truth, agents) = clocks("");
+        assert!(Arc::ptr_eq(&truth, &agents));
+    }
+
+    #[test]
+    fn a_rehearsed_agent_reads_another_clock_than_the_rest_of_the_process() {
+        let (truth, agents) = clocks("[rehearsal]\noffset_ms = 86400000\n");
+        assert_eq!(truth.identity().clock.as_ref(), ClockIdentity::SYSTEM);
+        assert!(agents.identity().clock.starts_with("rehearsal-"), "{:?}", agents.identity());
+        assert!(agents.wall() - truth.wall() > Span::from_seconds(80_000));
+        assert_eq!(truth.rehearsal(), None);
+
+        let (_, named) = clocks("clock_identity = \"mine\"\n[rehearsal]\n");
+        assert_eq!(named.identity().clock.as_ref(), "mine");
     }
 }

@@ -1,7 +1,7 @@
 //! Tables for the terminal: columns as wide as their longest cell.
 
 /// Rows of cells under a header; the first column is text, the others are figures and stand to the right.
-pub(crate) fn table(header: &[&str], rows: &[Vec<String>]) -> String {
+pub fn text(header: &[&str], rows: &[Vec<String>]) -> String {
     let width = |column: usize| {
         let cells = rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count());
         cells.chain([header[column].chars().count()]).max().unwrap_or_default()
@@ -26,7 +26,7 @@ mod tests {
     fn columns_line_up_whatever_the_cells() {
         let rows = [vec!["edge/full".to_owned(), "21.60".to_owned()], vec!["ä".to_owned(), "—".to_owned()]];
         assert_eq!(
-            table(&["pipeline", "p50 ms"], &rows),
+            text(&["pipeline", "p50 ms"], &rows),
             "pipeline   p50 ms\nedge/full   21.60\nä               —"
         );
     }

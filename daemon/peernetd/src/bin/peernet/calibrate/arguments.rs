@@ -1,0 +1,122 @@
+//! What `peernet calibrate` can be told.
+
+use std::net::IpAddr;
+use std::num::NonZeroU64;
+use std::path::PathBuf;
+
+use peernet_networks::{Address, NetworkKind};
+
+/// Where agents listen when no port is given.
+const DEFAULT_PORT: u16 = 5551;
+
+/// What `peernet calibrate` can be told.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Arguments {
+    /// The agent at the other end, which needs a table [serve]: tcp://host:5551, or host.
+    #[arg(value_parser = peer)]
+    pub(super) peer: Address,
+    /// Payload sizes, at least three: 100, 1kB, 1.2MB.
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_parser = size,
+        default_value = "100,260,690,1.8kB,4.7kB,12kB,32kB,85kB,220kB,580kB,1.5MB,4MB"
+    )]
+    pub(super) sizes: Vec<u64>,
+    /// How often each size is sent.
+    #[arg(long, default_value = "400")]
+    pub(super) repeats: NonZeroU64,
+    /// Stop after so many seconds, however often each size was sent by then.
+    #[arg(long, default_value = "120", value_parser = seconds)]
+    pub(super) seconds: f64,
+    /// How often each size is sent before, kept but left out of the study.
+    #[arg(long, default_value = "2")]
+    pub(super) warm_up: u64,
+    /// Folder for the results [default: calibration-PEER-DATE].
+    #[arg(long, value_name = "DIR")]
+    pub(super) result_loc: Option<PathBuf>,
+    /// Write into a folder that holds files already.
+    #[arg(long)]
+    pub(super) overwrite: bool,
+    /// An agent's configuration whose tables [clock], [probes] and [rehearsal] hold here, too.
+    #[arg(long, value_name = "FILE")]
+    pub(super) config: Option<PathBuf>,
+    /// Kind of network.
+    #[arg(long, default_value = "zmq-tcp", value_parser = network)]
+    pub(super) network: NetworkKind,
+    /// Do not show the progress.
+    #[arg(long)]
+    pub(super) quiet: bool,
+}
+
+/// An address, or a host with or without a port.
+fn peer(text: &str) -> Result<Address, String> {
+    let (scheme, rest) = text.split_once("://").unwrap_or(("tcp", text));
+    let rest = match rest.parse() {
+        Ok(IpAddr::V6(ip)) => format!("[{ip}]"),
+        _ => rest.to_owned(),
+    };
+    let has_port = rest.rsplit_once(':').is_some_and(|(_, port)| !port.contains(']'));
+    let port = if has_port { String::new() } else { format!(":{DEFAULT_PORT}") };
+    format!("{scheme}://{rest}{port}")
+        .parse()
+        .map_err(|error: peernet_networks::InvalidAddress| error.problem)
+}
+
+/// A size in bytes: a number, and B, kB or MB.
+fn size(text: &str) -> Result<u64, String> {
+    let text = text.trim();
+    let digits = text.trim_end_matches(|char: char| char.is_ascii_alphabetic() || char == ' ');
+    let unit = match text[digits.len()..].trim() {
+        "" | "B" => 1.0,
+        "kB" | "KB" | "k" => 1e3,
+        "MB" | "M" => 1e6,
+        unit => return Err(format!("{unit:?} is not a unit; write B, kB or MB")),
+    };
+    let bytes = digits.parse::<f64>().map_err(|_| format!("{digits:?} is not a number"))? * unit;
+    let bytes = bytes.round();
+    if (1.0..=1e9).contains(&bytes) { Ok(bytes as u64) } else { Err("from 1 B to 1000 MB".to_owned()) }
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    let seconds = text.parse::<f64>().map_err(|error| error.to_string())?;
+    if (1.0..=86_400.0).contains(&seconds) { Ok(seconds) } else { Err("from 1 to 86400".to_owned()) }
+}
+
+fn network(text: &str) -> Result<NetworkKind, String> {
+    let known: Vec<&str> = NetworkKind::ALL.iter().map(|kind| kind.name()).collect();
+    let found = NetworkKind::ALL.iter().find(|kind| kind.name() == text);
+    found.copied().ok_or_else(|| format!("there is {}", known.join(", ")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_peer_is_an_address_or_a_host() {
+        for (text, address) in [
+            ("cloud", "tcp://cloud:5551"),
+            ("cloud:6000", "tcp://cloud:6000"),
+            ("10.0.0.2", "tcp://10.0.0.2:5551"),
+            ("tcp://cloud", "tcp://cloud:5551"),
+            ("tcp://cloud:7", "tcp://cloud:7"),
+            ("::1", "tcp://[::1]:5551"),
+            ("[fe80::1]:8", "tcp://[fe80::1]:8"),
+        ] {
+            assert_eq!(peer(text).map(|peer| peer.to_string()).as_deref(), Ok(address));
+        }
+        assert!(peer("udp://cloud").is_err() && peer("a b").is_err() && peer("").is_err());
+    }
+
+    #[test]
+    fn sizes_have_units() {
+        assert_eq!(
+            ["100", "100B", "1kB", "1.2MB", " 4 MB"].map(size),
+            [100, 100, 1_000, 1_200_000, 4_000_000].map(Ok)
+        );
+        for wrong in ["", "kB", "1 GiB", "0", "-3", "2e12", "1.2.3"] {
+            assert!(size(wrong).is_err(), "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,200 @@
+//! The sweep: which sizes, in which order, as the configuration of an agent.
+
+use std::path::Path;
+
+use anyhow::{Context, anyhow, bail};
+use peernet_agent::AgentConfig;
+use peernetd::exit::{Exit, Failure};
+use rand::SeedableRng;
+use rand::rngs::StdRng;
+use rand::seq::SliceRandom;
+use serde_json::json;
+
+use super::Arguments;
+
+/// Rounds in random order before they repeat; enough that size and time have nothing in common.
+const ROUNDS: u64 = 64;
+/// What the order follows from.
+const SEED: u64 = 1;
+/// How long to wait for an answer: the largest payloads are slow over some links. Milliseconds.
+const TIMEOUT_MS: u64 = 60_000;
+/// How long connecting may take. Milliseconds.
+const OPEN_TIMEOUT_MS: u64 = 10_000;
+/// Largest message unless a payload needs more, and what it has beside the payload. Bytes.
+const MESSAGE_BYTES: u64 = 64 << 20;
+const BESIDE_PAYLOAD: u64 = 1 << 20;
+/// The tables of an agent's configuration that hold here, too.
+const TABLES: [&str; 3] = ["clock", "probes", "rehearsal"];
+
+/// The sweep.
+pub(super) struct Plan {
+    sizes: Vec<u64>,
+    /// Sizes in the order in which they are sent, over and over.
+    order: Vec<u64>,
+    warm_up: u64,
+    /// Iterations that count.
+    pub(super) iterations: u64,
+    /// When it ends at the latest, seconds.
+    pub(super) seconds: f64,
+    pipeline: serde_json::Value,
+}
+
+impl Plan {
+    /// # Errors
+    /// With fewer than three sizes there is no line.
+    pub(super) fn new(arguments: &Arguments) -> anyhow::Result<Self> {
+        let mut sizes = arguments.sizes.clone();
+        sizes.sort_unstable();
+        sizes.dedup();
+        if sizes.len() < 3 {
+            bail!("--sizes needs at least three different sizes for a line");
+        }
+        let mut random = StdRng::seed_from_u64(SEED);
+        let rounds = arguments.repeats.get().saturating_add(arguments.warm_up).min(ROUNDS);
+        let round = |_| {
+            let mut round = sizes.clone();
+            round.shuffle(&mut random);
+            round
+        };
+        let order: Vec<u64> = (0..rounds).flat_map(round).collect();
+        let per_round = sizes.len() as u64;
+        let largest = sizes.last().copied().unwrap_or_default();
+        let iterations = arguments.repeats.get().saturating_mul(per_round);
+        let warm_up = arguments.warm_up.saturating_mul(per_round);
+        let pipeline = json!({
+            "name": "calibration",
+            "sensor": { "kind": "synthetic", "sizes_bytes": order },
+            "placement": {
+                "kind": "remote",
+                "peer": arguments.peer,
+                "network": arguments.network,
+                "model": "calibration",
+                "session": {
+                    "open_timeout_ms": OPEN_TIMEOUT_MS,
+                    "max_message_bytes": MESSAGE_BYTES.max(largest + BESIDE_PAYLOAD),
+                },
+            },
+            "load": { "mode": "closed" },
+            "timeout_ms": TIMEOUT_MS,
+            "warm_up": { "iterations": warm_up },
+            "limit": { "iterations": iterations, "duration_s": arguments.seconds },
+        });
+        Ok(Self { sizes, order, warm_up, iterations, seconds: arguments.seconds, pipeline })
+    }
+
+    /// Sizes, smallest first.
+    pub(super) fn sizes(&self) -> &[u64] {
+        &self.sizes
+    }
+
+    /// Iterations with those of the warm-up.
+    pub(super) fn all(&self) -> u64 {
+        self.iterations.saturating_add(self.warm_up)
+    }
+
+    /// The payload of an iteration, counted from 1.
+    pub(super) fn payload(&self, number: u64) -> u64 {
+        let at = number.saturating_sub(1) % self.order.len() as u64;
+        self.order[at as usize]
+    }
+
+    /// An agent that does this and nothing else; what relates the clocks is taken from a file, if one is named.
+    ///
+    /// # Errors
+    /// When the file cannot be read or its tables are wrong (78).
+    pub(super) fn agent(&self, file: Option<&Path>, state_dir: &Path) -> Result<AgentConfig, Failure> {
+        let wrong = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
+        let mut config = file.map_or_else(|| Ok(AgentConfig::default()), tables).map_err(wrong)?;
+        state_dir.clone_into(&mut config.agent.state_dir);
+        let pipeline = serde_json::from_value(self.pipeline.clone()).context("cannot set up the sweep");
+        config.pipelines = vec![pipeline.map_err(wrong)?];
+        Ok(config)
+    }
+}
+
+/// The tables of an agent's configuration that hold here, with its name and clock.
+fn tables(file: &Path) -> anyhow::Result<AgentConfig> {
+    let text = std::fs::read_to_string(file)
+        .map_err(|error| anyhow!("cannot read the configuration {}: {error}", file.display()))?;
+    let mut document: toml::Table =
+        text.parse().map_err(|error: toml::de::Error| anyhow!("{}: {}", file.display(), error.message()))?;
+    let agent = document.get("agent").and_then(toml::Value::as_table);
+    let agent: toml::Table = ["name", "clock_identity"]
+        .iter()
+        .filter_map(|key| Some(((*key).to_owned(), agent?.get(*key)?.clone())))
+        .collect();
+    document.retain(|key, _| TABLES.contains(&key));
+    document.insert("agent".to_owned(), toml::Value::Table(agent));
+    serde_path_to_error::deserialize(document)
+        .map_err(|error| anyhow!("{}: {}: {}", file.display(), error.path(), error.inner().message()))
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Line {
+        #[command(flatten)]
+        arguments: Arguments,
+    }
+
+    fn plan(line: &str) -> anyhow::Result<Plan> {
+        let words = std::iter::once("calibrate").chain(line.split_whitespace());
+        Plan::new(&Line::try_parse_from(words).expect("a command line").arguments)
+    }
+
+    #[test]
+    fn every_round_has_every_size_in_another_order() {
+        let plan = plan("cloud --sizes 1kB,100,1MB,100,10kB --repeats 50 --warm-up 1").expect("four sizes");
+        assert_eq!(
+            (plan.sizes(), plan.iterations, plan.all()),
+            (&[100, 1_000, 10_000, 1_000_000][..], 200, 204)
+        );
+        let rounds: Vec<Vec<u64>> = plan
+            .order
+            .chunks(4)
+            .map(|round| {
+                let mut round = round.to_vec();
+                round.sort_unstable();
+                round
+            })
+            .collect();
+        assert!(rounds.len() == 51 && rounds.iter().all(|round| round == plan.sizes()));
+        let firsts: std::collections::BTreeSet<u64> = plan.order.chunks(4).map(|round| round[0]).collect();
+        assert_eq!(firsts.len(), 4, "no size always comes first");
+        assert_eq!((plan.payload(1), plan.payload(205)), (plan.order[0], plan.order[0]));
+        assert!(
+            super::Plan::new(
+                &Line::try_parse_from(["c", "cloud", "--sizes", "1,2,2"]).expect("reads").arguments
+            )
+            .is_err()
+        );
+    }
+
+    #[test]
+    fn what_relates_the_clocks_is_taken_from_a_file_and_nothing_else() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("edge.toml");
+        let text = "[agent]\nname = 'edge'\naggregator = 'tcp://a:1'\n[clock]\nmax_drift_ppm = 150\n\
+                    [rehearsal]\noffset_ms = 1000\n[web]\nlisten = 'x'\n[serve]\n";
+        std::fs::write(&file, text).expect("writable");
+        let config = plan("cloud").expect("default sizes").agent(Some(&file), folder.path()).expect("reads");
+        assert_eq!(
+            (config.clock.max_drift_ppm, config.rehearsal.map(|r| r.offset_ms)),
+            (150.0, Some(1000.0))
+        );
+        assert_eq!(
+            (config.agent.name.map(|name| name.to_string()), config.agent.aggregator),
+            (Some("edge".into()), None)
+        );
+        assert!(config.serve.is_none() && config.pipelines.len() == 1);
+
+        std::fs::write(&file, "[clock]\nmax_drift = 150\n").expect("writable");
+        let error =
+            plan("cloud").expect("default sizes").agent(Some(&file), folder.path()).expect_err("misspelt");
+        assert!(error.exit == Exit::Configuration && error.to_string().contains("max_drift"), "{error}");
+    }
+}

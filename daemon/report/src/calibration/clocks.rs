@@ -1,0 +1,45 @@
+//! What became of the two clocks during the study.
+
+use peernet_logger::stream::ClockSample;
+use serde::Serialize;
+
+use super::sample::Sample;
+
+/// The clock relation during the study, from its seconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Clocks {
+    /// Seconds that were reported.
+    pub seconds: u64,
+    /// How often either clock was stepped, or ran off faster than allowed.
+    pub steps: u64,
+    /// The limit of drift that all bounds rest on, parts per million.
+    pub max_drift_ppm: Option<f64>,
+    /// How fast the clocks drifted apart, by the last estimate; parts per million.
+    pub skew_ppm: Option<f64>,
+    /// The offset, cloud minus edge, by which the last delay was corrected; seconds.
+    pub offset: Option<f64>,
+    /// The shortest round trip of a probe, seconds.
+    pub round_trip: Option<f64>,
+}
+
+impl Clocks {
+    /// Sums up the seconds of one relation and the iterations meanwhile, both in order.
+    pub(super) fn new(seconds: &[ClockSample], samples: &[Sample]) -> Self {
+        let round_trips = seconds.iter().filter_map(|second| second.round_trip);
+        let offset = |sample: &Sample| {
+            let up = sample.up.as_ref().filter(|up| up.seconds().is_some())?;
+            Some((up.delay.raw - up.delay.value?).seconds())
+        };
+        // Counted per relation: a peer that came back begins at none again.
+        let restarts = seconds.iter().map(|second| u64::from(second.exchanges.restarts));
+        let before = std::iter::once(0).chain(restarts.clone());
+        Self {
+            seconds: seconds.len() as u64,
+            steps: restarts.zip(before).map(|(now, before)| now.saturating_sub(before)).sum(),
+            max_drift_ppm: seconds.last().map(|second| second.max_drift_ppm),
+            skew_ppm: seconds.iter().rev().find_map(|second| second.offset.as_ref()?.skew_ppm),
+            offset: samples.iter().rev().find_map(offset),
+            round_trip: round_trips.map(|trip| trip.min.seconds()).reduce(f64::min),
+        }
+    }
+}

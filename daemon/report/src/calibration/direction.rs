@@ -1,0 +1,246 @@
+//! One direction of the link.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use peernet_clock::{DelaySource, Direction};
+use serde::Serialize;
+
+use super::sample::{Passage, Sample};
+use crate::fit::{Estimate, Fit, Point, Weighted, least_squares, theil_sen};
+use crate::order::{Ordered, Z95};
+
+/// No median is known better than a clock is read: a tenth of a microsecond.
+const CLOCK_READ: f64 = 1e-7;
+
+/// One direction of the link.
+#[derive(Clone, Debug, Serialize)]
+pub struct DirectionStudy {
+    /// Which.
+    pub direction: Direction,
+    /// What each size took, smallest first.
+    pub sizes: Vec<SizeSummary>,
+    /// Delay against bytes; `None` with fewer than three sizes.
+    pub fits: Option<Fits>,
+    /// What the clock relation says of the smallest payload.
+    pub claimed: Option<Claim>,
+    /// What the slope says.
+    pub throughput: Option<Throughput>,
+    /// How many delays were given each verdict.
+    pub verdicts: BTreeMap<&'static str, u64>,
+    /// Whether both ends read one clock.
+    pub same_clock: bool,
+}
+
+/// All messages of one size. Seconds, bytes, bits per second.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SizeSummary {
+    /// Payload.
+    pub payload_bytes: u64,
+    /// Payload and metadata, median.
+    pub wire_bytes: f64,
+    /// How many.
+    pub count: u64,
+    /// Median delay.
+    pub median: f64,
+    /// The median's standard error; `None` with fewer than six.
+    pub median_error: Option<f64>,
+    /// 5th and 95th percentile; `None` with fewer than 60.
+    pub tails: Option<(f64, f64)>,
+    /// Median of the lower and of the upper clock bounds.
+    pub bounds: Option<(f64, f64)>,
+    /// Bytes over the median delay; `None` when that is zero.
+    pub throughput: Option<f64>,
+    /// Bytes over the upper and over the lower bound; the latter is `None` when the bound is zero.
+    pub throughput_bounds: Option<(f64, Option<f64>)>,
+}
+
+/// Delay against bytes on the wire: seconds, seconds per byte.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Fits {
+    /// Over the medians of the sizes. Least squares are weighted by how well each median is known: this is the fit
+    /// that the verdict rests on.
+    pub medians: Pair,
+    /// Over every sample.
+    pub samples: Pair,
+    /// Least squares over every raw difference of stamps: what the published study did.
+    pub raw: Fit,
+}
+
+/// One set of points, fitted in both ways.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Pair {
+    /// Least squares.
+    pub least_squares: Fit,
+    /// Theil–Sen.
+    pub theil_sen: Fit,
+}
+
+/// What the clock relation says of the smallest payload, and what is left of it for an empty message.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Claim {
+    /// The smallest payload, bytes.
+    pub payload_bytes: u64,
+    /// Bounds of its delay, seconds: medians.
+    pub bounds: (f64, f64),
+    /// What is left of them for an empty message: less what the payload's bytes take by the slope, with the 95 %
+    /// margin of the payload's median on both sides, because that is a sample, too; never negative.
+    pub at_zero: (f64, f64),
+}
+
+/// What the slope says: bits per second.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Throughput {
+    /// One over the slope.
+    pub value: f64,
+    /// With the slope's confidence interval; the upper end is `None` when that reaches zero.
+    pub interval: Option<(f64, Option<f64>)>,
+    /// With every delay anywhere within its clock bounds: the flattest and the steepest line from the smallest to the
+    /// largest size. A steady error of the clocks cancels, so that this is wider than the truth.
+    pub bounds: Option<(f64, Option<f64>)>,
+}
+
+impl DirectionStudy {
+    /// What the samples that count say of one direction.
+    pub(super) fn new(direction: Direction, samples: &[Sample]) -> Self {
+        let passages: Vec<(u64, &Passage)> = samples
+            .iter()
+            .filter(|sample| sample.counts())
+            .filter_map(|sample| Some((sample.payload_bytes, sample.passage(direction)?)))
+            .collect();
+        let mut verdicts = BTreeMap::new();
+        for (_, passage) in &passages {
+            *verdicts.entry(passage.delay.verdict.name()).or_default() += 1;
+        }
+        let payloads: BTreeSet<u64> = passages.iter().map(|(payload, _)| *payload).collect();
+        let sizes: Vec<SizeSummary> =
+            payloads.iter().filter_map(|payload| SizeSummary::new(*payload, &passages)).collect();
+        let fits = Fits::new(&sizes, &passages);
+        let main = fits.as_ref().map(|fits| fits.medians.least_squares);
+        let same_clock = !passages.is_empty()
+            && passages.iter().all(|(_, passage)| passage.delay.source == DelaySource::SameClock);
+        Self {
+            direction,
+            claimed: sizes.first().and_then(|smallest| Claim::new(smallest, main.as_ref())),
+            throughput: main.and_then(|fit| Throughput::new(fit.slope, &sizes)),
+            sizes,
+            fits,
+            verdicts,
+            same_clock,
+        }
+    }
+
+    /// The fit that the verdict rests on.
+    pub fn main_fit(&self) -> Option<&Fit> {
+        self.fits.as_ref().map(|fits| &fits.medians.least_squares)
+    }
+
+    /// The name of its stage.
+    pub fn name(&self) -> &'static str {
+        match self.direction {
+            Direction::Up => "upload",
+            Direction::Down => "download",
+        }
+    }
+
+    /// How many delays were given any of these verdicts.
+    pub(super) fn judged(&self, verdicts: &[peernet_clock::Verdict]) -> u64 {
+        verdicts.iter().filter_map(|verdict| self.verdicts.get(verdict.name())).sum()
+    }
+}
+
+impl SizeSummary {
+    /// All messages with this payload; `None` when no delay among them is known.
+    fn new(payload_bytes: u64, passages: &[(u64, &Passage)]) -> Option<Self> {
+        let of_this =
+            || passages.iter().filter(|(payload, _)| *payload == payload_bytes).map(|(_, passage)| *passage);
+        let known = || of_this().filter(|passage| passage.seconds().is_some());
+        let delays: Ordered = known().filter_map(Passage::seconds).collect();
+        let bounds = || known().filter_map(Passage::bounds);
+        let lo = bounds().map(|bounds| bounds.0).collect::<Ordered>().median();
+        let hi = bounds().map(|bounds| bounds.1).collect::<Ordered>().median();
+        let bounds = lo.zip(hi);
+        let wire_bytes = known().map(|passage| passage.wire_bytes() as f64).collect::<Ordered>().median()?;
+        let median = delays.median()?;
+        let rate = |seconds: f64| (seconds > 0.0).then(|| wire_bytes * 8.0 / seconds);
+        Some(Self {
+            payload_bytes,
+            wire_bytes,
+            count: delays.len() as u64,
+            median,
+            median_error: delays.median_error(),
+            tails: delays.tails(),
+            bounds,
+            throughput: rate(median),
+            throughput_bounds: bounds.and_then(|(lo, hi)| Some((rate(hi)?, rate(lo)))),
+        })
+    }
+
+    fn point(&self) -> Point {
+        Point { x: self.wire_bytes, y: self.median }
+    }
+}
+
+impl Fits {
+    fn new(sizes: &[SizeSummary], passages: &[(u64, &Passage)]) -> Option<Self> {
+        let medians: Vec<Point> = sizes.iter().map(SizeSummary::point).collect();
+        // With few samples of a size nobody knows how well its median is known: all count alike.
+        let errors: Option<Vec<f64>> = sizes.iter().map(|size| size.median_error).collect();
+        let weight =
+            |index: usize| errors.as_ref().map_or(1.0, |errors| errors[index].max(CLOCK_READ).powi(-2));
+        let weighted: Vec<Weighted> = medians
+            .iter()
+            .enumerate()
+            .map(|(index, &point)| Weighted { point, weight: weight(index) })
+            .collect();
+
+        let points = |delay: &dyn Fn(&Passage) -> Option<f64>| -> Vec<Point> {
+            let point =
+                |passage: &Passage| Some(Point { x: passage.wire_bytes() as f64, y: delay(passage)? });
+            passages.iter().filter_map(|(_, passage)| point(passage)).collect()
+        };
+        let unweighted =
+            |points: &[Point]| least_squares(&points.iter().copied().map(Weighted::from).collect::<Vec<_>>());
+        let samples = points(&Passage::seconds);
+        Some(Self {
+            medians: Pair { least_squares: least_squares(&weighted)?, theil_sen: theil_sen(&medians)? },
+            samples: Pair { least_squares: unweighted(&samples)?, theil_sen: theil_sen(&samples)? },
+            raw: unweighted(&points(&|passage| Some(passage.delay.raw.seconds())))?,
+        })
+    }
+}
+
+impl Claim {
+    fn new(smallest: &SizeSummary, fit: Option<&Fit>) -> Option<Self> {
+        let (lo, hi) = smallest.bounds?;
+        let bytes = fit.map_or(0.0, |fit| fit.slope.value * smallest.wire_bytes).max(0.0);
+        let margin = smallest.median_error.map_or(0.0, |error| Z95 * error);
+        let at_zero = ((lo - bytes - margin).max(0.0), (hi - bytes + margin).max(0.0));
+        Some(Self { payload_bytes: smallest.payload_bytes, bounds: (lo, hi), at_zero })
+    }
+}
+
+impl Throughput {
+    /// What a slope alone says, seconds per byte; `None` when delays do not grow with size.
+    pub(super) fn of(slope: Estimate) -> Option<Self> {
+        Some(Self { value: rate(slope.value)?, interval: slope.interval.and_then(rates), bounds: None })
+    }
+
+    fn new(slope: Estimate, sizes: &[SizeSummary]) -> Option<Self> {
+        let (first, last) = (sizes.first()?, sizes.last()?);
+        let bytes = last.wire_bytes - first.wire_bytes;
+        let lines = first.bounds.zip(last.bounds).map(|((first_lo, first_hi), (last_lo, last_hi))| {
+            ((last_lo - first_hi) / bytes, (last_hi - first_lo) / bytes)
+        });
+        Some(Self { bounds: lines.and_then(rates), ..Self::of(slope)? })
+    }
+}
+
+/// Bits per second of seconds per byte.
+fn rate(slope: f64) -> Option<f64> {
+    (slope > 0.0).then(|| 8.0 / slope)
+}
+
+/// The rates between two slopes.
+fn rates((flat, steep): (f64, f64)) -> Option<(f64, Option<f64>)> {
+    Some((rate(steep)?, rate(flat)))
+}

@@ -1,0 +1,77 @@
+//! A study as figures.
+
+use super::Study;
+use super::direction::{DirectionStudy, SizeSummary};
+use crate::figure::{DOWNLOAD, Mark, Scaling, Series, UPLOAD, Unit, Value};
+use crate::number::{megabytes_per_second, megabytes_per_second_between, milliseconds_with};
+
+/// Delay against size, with the lines that were fitted; `None` when no delay is known.
+pub(super) fn latency(study: &Study) -> Option<Scaling> {
+    let value = |size: &SizeSummary| {
+        let bounds = size.bounds.map(|(lo, hi)| (lo, Some(hi)));
+        Some(Value { bytes: size.wire_bytes, value: size.median, spread: size.tails, bounds })
+    };
+    let name = |direction: &DirectionStudy| {
+        let fit = direction.main_fit()?;
+        let intercept = milliseconds_with(fit.intercept.value, fit.intercept.margin());
+        let rate = megabytes_per_second(direction.throughput?.value);
+        Some(format!("{}: {intercept} ms + size ÷ {rate} MB/s", direction.name()))
+    };
+    let line =
+        |direction: &DirectionStudy| direction.main_fit().map(|fit| (fit.intercept.value, fit.slope.value));
+    let unit = Unit { title: "One-way delay, ms", per_si: 1e3 };
+    scaling(
+        study,
+        unit,
+        "point: median · bar: 5th to 95th percentile · whisker: clock bounds",
+        &value,
+        &name,
+        &line,
+    )
+}
+
+/// Throughput against size, with that of the slope; `None` when no delay is known.
+pub(super) fn throughput(study: &Study) -> Option<Scaling> {
+    let value = |size: &SizeSummary| {
+        let bounds = size.throughput_bounds;
+        Some(Value { bytes: size.wire_bytes, value: size.throughput?, spread: None, bounds })
+    };
+    let name = |direction: &DirectionStudy| {
+        let throughput = direction.throughput?;
+        let rate = megabytes_per_second(throughput.value);
+        let interval = throughput
+            .interval
+            .map_or_else(String::new, |interval| format!(" ({})", megabytes_per_second_between(interval)));
+        Some(format!("{}: {rate} MB/s{interval}", direction.name()))
+    };
+    let line = |direction: &DirectionStudy| direction.throughput.map(|throughput| (throughput.value, 0.0));
+    let unit = Unit { title: "Throughput, MB/s", per_si: 1.0 / 8e6 };
+    scaling(
+        study,
+        unit,
+        "point: size ÷ median delay · whisker: by clock bounds · line: by slope",
+        &value,
+        &name,
+        &line,
+    )
+}
+
+fn scaling(
+    study: &Study,
+    unit: Unit,
+    note: &'static str,
+    value: &dyn Fn(&SizeSummary) -> Option<Value>,
+    name: &dyn Fn(&DirectionStudy) -> Option<String>,
+    line: &dyn Fn(&DirectionStudy) -> Option<(f64, f64)>,
+) -> Option<Scaling> {
+    let looks = [(UPLOAD, Mark::Disc), (DOWNLOAD, Mark::Triangle)];
+    let series = study.directions().into_iter().zip(looks).map(|(direction, (colour, mark))| Series {
+        name: name(direction).unwrap_or_else(|| direction.name().to_owned()),
+        colour,
+        mark,
+        values: direction.sizes.iter().filter_map(value).collect(),
+        line: line(direction),
+    });
+    let scaling = Scaling { unit, note, series: series.collect() };
+    scaling.series.iter().any(|series| !series.values.is_empty()).then_some(scaling)
+}

@@ -1,0 +1,209 @@
+use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict as Delay};
+
+use super::*;
+
+const SIZES: [u64; 8] = [100, 1_000, 10_000, 50_000, 100_000, 400_000, 1_000_000, 4_000_000];
+const REPEATS: u64 = 100;
+/// Seconds that an empty message takes, and seconds per byte: 60 µs, 1 GB/s.
+const FIXED: f64 = 60e-6;
+const PER_BYTE: f64 = 1e-9;
+/// Half the width of the clock bounds.
+const HALF: f64 = 50e-6;
+
+/// What differs from a good link.
+#[derive(Clone, Copy)]
+struct Link {
+    /// Error of the estimate within its bounds or beyond: added upwards, taken off downwards.
+    wrong: f64,
+    /// Offset of the raw stamps.
+    raw: f64,
+    /// Seconds per byte squared.
+    bend: f64,
+    verdict: Delay,
+    source: DelaySource,
+}
+
+const GOOD: Link =
+    Link { wrong: 0.0, raw: 1.0, bend: 0.0, verdict: Delay::Limited, source: DelaySource::InBand };
+
+/// Waiting behind others: skewed, with every tenth message late by up to ten times as much; from 0 to 1 steps.
+fn waiting(number: u64) -> f64 {
+    let random = (number.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 11) as f64 / (1_u64 << 53) as f64;
+    let late = if number % 10 == 3 { 300e-6 } else { 0.0 };
+    -5e-6 * (1.0 - random).ln() + late * random
+}
+
+fn passage(link: Link, payload: u64, number: u64, sign: f64) -> Passage {
+    let wire = payload + 120;
+    let bytes = wire as f64;
+    let true_delay = FIXED + PER_BYTE * bytes + link.bend * bytes * bytes + waiting(number);
+    let value = true_delay + sign * link.wrong;
+    let span = |seconds: f64| Span::from_seconds_f64(seconds);
+    let known = matches!(link.verdict, Delay::Ok | Delay::Limited);
+    let bounds = Interval { lo: span((true_delay - HALF).max(0.0)), hi: span(true_delay + HALF) };
+    let delay = OneWayDelay {
+        raw: span(true_delay + sign * link.raw),
+        value: known.then(|| span(value)),
+        bounds: known.then_some(bounds),
+        source: link.source,
+        verdict: link.verdict,
+    };
+    Passage { payload_bytes: payload, logger_bytes: 120, delay }
+}
+
+fn sweep(link: Link) -> Vec<Sample> {
+    let rounds = (0..REPEATS).flat_map(|round| SIZES.iter().map(move |size| (round, *size)));
+    rounds
+        .zip(1..)
+        .map(|((round, payload_bytes), number)| Sample {
+            number,
+            at: number as f64,
+            payload_bytes,
+            warm_up: round == 0,
+            outcome: "ok",
+            total: Some(1e-3),
+            up: Some(passage(link, payload_bytes, 2 * number, 1.0)),
+            down: Some(passage(link, payload_bytes, 2 * number + 1, -1.0)),
+        })
+        .collect()
+}
+
+fn study(samples: Vec<Sample>) -> Study {
+    let setting = Setting {
+        peer: "tcp://cloud:5551".to_owned(),
+        edge: "edge".to_owned(),
+        cloud: Some("cloud".to_owned()),
+        network: "zmq-tcp".to_owned(),
+        sizes_bytes: SIZES.to_vec(),
+        repeats: REPEATS,
+        ..Setting::default()
+    };
+    Study::new(setting, samples, &[])
+}
+
+#[test]
+fn a_good_link_is_found_good_and_its_line_is_found() {
+    let study = study(sweep(GOOD));
+    assert_eq!(study.counts, Counts { measured: 792, warm_up: 8, failed: 0 });
+    assert_eq!(study.verdict.kind, Kind::Trusted, "{}", study.verdict.sentence);
+    // Rounded up from 50 µs by as much as the median waits.
+    assert!((study.verdict.within.expect("trusted") - HALF).abs() < 10e-6);
+    for direction in study.directions() {
+        let fits = direction.fits.expect("eight sizes");
+        for fit in [fits.medians.least_squares, fits.medians.theil_sen, fits.samples.theil_sen] {
+            assert!((fit.intercept.value - FIXED - 3.5e-6).abs() < 4e-6, "{fit:?}");
+            assert!((fit.slope.value / PER_BYTE - 1.0).abs() < 0.01, "{fit:?}");
+        }
+        let throughput = direction.throughput.expect("delays grow with size");
+        assert!((throughput.value / 8e9 - 1.0).abs() < 0.01, "{throughput:?}");
+        let (lo, hi) = throughput.bounds.expect("there are clock bounds");
+        assert!(
+            lo < throughput.value
+                && throughput.value < hi.expect("the largest size takes longer than the bounds")
+        );
+    }
+    assert!((study.clocks.offset.expect("delays are corrected by it") - 1.0).abs() < 1e-6);
+    // What the published way would have said: the offset of the clocks, either way.
+    let raw = study.directions().map(|direction| direction.fits.expect("eight sizes").raw.intercept.value);
+    assert!((raw[0] - 1.0).abs() < 1e-3 && (raw[1] + 1.0).abs() < 1e-3, "{raw:?}");
+}
+
+#[test]
+fn a_wrong_clock_relation_is_told_from_a_bent_line() {
+    let wrong = study(sweep(Link { wrong: 130e-6, ..GOOD }));
+    assert_eq!(wrong.verdict.kind, Kind::Contradicted, "{}", wrong.verdict.sentence);
+    assert!(wrong.verdict.sentence.contains("the clocks are at fault"), "{}", wrong.verdict.sentence);
+    // An empty message would take less than nothing.
+    assert!(wrong.down.main_fit().expect("a line").intercept.value < 0.0);
+
+    let bent = study(sweep(Link { bend: 4e-15, ..GOOD }));
+    assert_eq!(bent.verdict.kind, Kind::Inconclusive, "{}", bent.verdict.sentence);
+    assert!(bent.verdict.sentence.contains("straight line"), "{}", bent.verdict.sentence);
+}
+
+#[test]
+fn what_cannot_be_said_is_not_said() {
+    let kind = |link: Link| study(sweep(link)).verdict.kind;
+    assert_eq!(kind(Link { verdict: Delay::Stepped, ..GOOD }), Kind::Stepped);
+    assert_eq!(kind(Link { verdict: Delay::Inconsistent, ..GOOD }), Kind::Inconsistent);
+    assert_eq!(kind(Link { verdict: Delay::Unsynchronised, ..GOOD }), Kind::Unsynchronised);
+    assert_eq!(kind(Link { verdict: Delay::Ok, source: DelaySource::SameClock, ..GOOD }), Kind::Exact);
+    assert_eq!(study(Vec::new()).verdict.kind, Kind::Insufficient);
+    let mut two = sweep(GOOD);
+    two.retain(|sample| sample.payload_bytes < 5_000);
+    assert_eq!(study(two).verdict.kind, Kind::Insufficient);
+}
+
+#[test]
+fn lost_answers_are_counted_and_kept_in_the_file() {
+    let mut samples = sweep(GOOD);
+    let lost = samples.last_mut().expect("there are some");
+    (lost.outcome, lost.up, lost.down) = ("lost", None, None);
+    let study = study(samples);
+    assert_eq!(study.counts, Counts { measured: 791, warm_up: 8, failed: 1 });
+    let folder = tempfile::tempdir().expect("a folder");
+    study.write(folder.path()).expect("writes");
+    let rows = std::fs::read_to_string(folder.path().join("samples.csv")).expect("written");
+    assert_eq!(rows.lines().count(), 801);
+    let lost = rows.lines().last().expect("there are rows");
+    assert!(lost.starts_with("800,800.000000,4000000,false,lost,0.001000000,,,"), "{lost}");
+}
+
+#[test]
+fn all_files_are_written_and_say_their_units() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let written = study(sweep(GOOD)).write(folder.path()).expect("writes");
+    let names: Vec<_> = written.iter().filter_map(|path| path.file_name()?.to_str()).collect();
+    assert_eq!(
+        names,
+        [
+            "samples.csv",
+            "summary.csv",
+            "calibration.json",
+            "latency.png",
+            "latency.svg",
+            "throughput.png",
+            "throughput.svg"
+        ]
+    );
+    for (name, texts) in [
+        ("latency.svg", ["One-way delay, ms", "Size on the wire, bytes", "1 kB", "clock bounds", "upload:"]),
+        (
+            "throughput.svg",
+            ["Throughput, MB/s", "Size on the wire, bytes", "1 MB", "clock bounds", "download:"],
+        ),
+    ] {
+        let svg = std::fs::read_to_string(folder.path().join(name)).expect("written");
+        for text in texts {
+            assert!(svg.contains(text), "{name} lacks {text}");
+        }
+        for colour in ["#D55E00", "#AE5485"] {
+            assert!(svg.contains(colour), "{name} lacks {colour}");
+        }
+    }
+    for name in ["latency.png", "throughput.png"] {
+        let picture = image::open(folder.path().join(name)).expect("a picture").to_rgb8();
+        let ink = picture.pixels().filter(|pixel| pixel.0.iter().all(|part| *part < 0x40)).count();
+        assert!(ink > 1_000, "{name} has no text: {ink} dark pixels");
+    }
+    let json = std::fs::read(folder.path().join("calibration.json")).expect("written");
+    let json: serde_json::Value = serde_json::from_slice(&json).expect("JSON");
+    assert_eq!((&json["verdict"]["kind"], &json["up"]["direction"]), (&"trusted".into(), &"up".into()));
+    assert_eq!(json["down"]["sizes"].as_array().map(Vec::len), Some(SIZES.len()));
+}
+
+#[test]
+fn the_terminal_shows_every_size_and_line() {
+    let text = study(sweep(GOOD)).text();
+    for part in [
+        "100 B ",
+        "4 MB ",
+        "upload: least squares, medians",
+        "download: as published: raw stamps",
+        "can be trusted to ±",
+    ] {
+        assert!(text.contains(part), "{part} is missing in\n{text}");
+    }
+    let widest = text.lines().take(9).map(|line| line.chars().count()).max();
+    assert!(widest.is_some_and(|widest| widest <= 120), "{text}");
+}

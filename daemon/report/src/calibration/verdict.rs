@@ -1,0 +1,169 @@
+//! What to make of a study, in one sentence.
+
+use peernet_clock::Verdict as Delay;
+use serde::Serialize;
+
+use super::clocks::Clocks;
+use super::direction::{Claim, DirectionStudy};
+use crate::fit::{Estimate, Fit};
+use crate::number::{error_milliseconds, milliseconds_between, milliseconds_with};
+
+/// What kind of verdict.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kind {
+    /// The intercepts lie within what the clock bounds allow.
+    Trusted,
+    /// Both ends read one clock.
+    Exact,
+    /// An intercept lies outside.
+    Contradicted,
+    /// The intercepts are less certain than the bounds that they would be compared with.
+    Inconclusive,
+    /// A clock was stepped during the study.
+    Stepped,
+    /// The hosts' time daemons contradict the messages.
+    Inconsistent,
+    /// The two clocks were never related.
+    Unsynchronised,
+    /// Too few sizes or answers to fit a line.
+    Insufficient,
+}
+
+/// What to make of a study.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Verdict {
+    /// Of what kind.
+    pub kind: Kind,
+    /// How far a delay of a small message over this link can be off, seconds; only where it can be trusted.
+    pub within: Option<f64>,
+    /// In words.
+    pub sentence: String,
+}
+
+/// One direction with all that a comparison needs.
+struct Compared {
+    name: &'static str,
+    intercept: Estimate,
+    claim: Claim,
+    /// From the smallest payload's median to the further of its bounds.
+    within: f64,
+}
+
+impl Verdict {
+    pub(super) fn of(up: &DirectionStudy, down: &DirectionStudy, clocks: &Clocks) -> Self {
+        let judged = |verdict| up.judged(&[verdict]) + down.judged(&[verdict]);
+        let say = |kind, sentence: String| Self { kind, within: None, sentence };
+        if clocks.steps > 0 || judged(Delay::Stepped) > 0 {
+            let stepped = judged(Delay::Stepped);
+            return say(
+                Kind::Stepped,
+                format!(
+                    "the two clocks were stepped during the study ({stepped} delays are unusable); calibrate again when they are quiet"
+                ),
+            );
+        }
+        if judged(Delay::Inconsistent) > 0 {
+            let sentence = "the hosts' time daemons and the messages between the hosts exclude each other: one clock is wrong by more than its daemon claims, or they drift apart faster than max_drift_ppm";
+            return say(Kind::Inconsistent, sentence.to_owned());
+        }
+        if up.sizes.is_empty() && down.sizes.is_empty() {
+            return match judged(Delay::Unsynchronised) {
+                0 => say(Kind::Insufficient, "nothing was measured: no payload was answered".to_owned()),
+                _ => say(
+                    Kind::Unsynchronised,
+                    "nothing is known of the two clocks: no exchange related them, so that no delay has a value"
+                        .to_owned(),
+                ),
+            };
+        }
+        let (Some(up_fit), Some(down_fit)) = (up.main_fit(), down.main_fit()) else {
+            return say(
+                Kind::Insufficient,
+                "too few sizes were answered for a line: it needs three".to_owned(),
+            );
+        };
+        let intercepts = format!("{} up and {} down", with_margin(up_fit), with_margin(down_fit));
+        if up.same_clock && down.same_clock {
+            let sentence = format!(
+                "both ends read one clock: delays are exact, and the intercepts, {intercepts}, are what the link itself takes"
+            );
+            return Self { kind: Kind::Exact, within: Some(0.0), sentence };
+        }
+        match (Compared::new(up, up_fit), Compared::new(down, down_fit)) {
+            (Some(up), Some(down)) => Self::compare(&up, &down, &intercepts, clocks),
+            _ => say(
+                Kind::Unsynchronised,
+                format!(
+                    "the delays have no bounds: nothing says how far the intercepts, {intercepts}, can be trusted"
+                ),
+            ),
+        }
+    }
+
+    fn compare(up: &Compared, down: &Compared, intercepts: &str, clocks: &Clocks) -> Self {
+        let allowed = format!(
+            "{} ms up, {} ms down",
+            milliseconds_between(up.claim.at_zero),
+            milliseconds_between(down.claim.at_zero)
+        );
+        if up.is_vague() || down.is_vague() {
+            let sentence = format!(
+                "the intercepts, {intercepts}, are less certain than what they are compared with, the clock bounds ({allowed}): the delay does not grow in a straight line with size over this link (see latency.png), or it needs more repeats; the bounds do not depend on this line"
+            );
+            return Self { kind: Kind::Inconclusive, within: None, sentence };
+        }
+        let (above, below) = (up.outside(), down.outside());
+        if above == 0.0 && below == 0.0 {
+            let within = up.within.max(down.within);
+            let sentence = format!(
+                "the intercepts, {intercepts}, lie within what the clock bounds allow ({allowed}): one-way delays over this link can be trusted to ± {} ms",
+                error_milliseconds(within)
+            );
+            return Self { kind: Kind::Trusted, within: Some(within), sentence };
+        }
+        let named = match (above != 0.0, below != 0.0) {
+            (true, true) => "both".to_owned(),
+            (true, false) => format!("that of the {}", up.name),
+            _ => format!("that of the {}", down.name),
+        };
+        // A wrong offset makes one direction longer by what it takes from the other.
+        let reason = if above * below < 0.0 {
+            let limit = clocks.max_drift_ppm.map_or_else(String::new, |ppm| format!(" than {ppm} ppm"));
+            format!(
+                "one is too long by what the other is too short, so the clocks are at fault: they drift apart faster{limit} (max_drift_ppm), or a stamp is wrong"
+            )
+        } else {
+            "the clocks alone cannot do that: the delay does not grow in a straight line with size over this link (see latency.png); try sizes closer together".to_owned()
+        };
+        let sentence = format!(
+            "of the intercepts, {intercepts}, {named} lies outside what the clock bounds allow ({allowed}); {reason}"
+        );
+        Self { kind: Kind::Contradicted, within: None, sentence }
+    }
+}
+
+impl Compared {
+    fn new(direction: &DirectionStudy, fit: &Fit) -> Option<Self> {
+        let claim = direction.claimed?;
+        let median = direction.sizes.first()?.median;
+        let within = (median - claim.bounds.0).max(claim.bounds.1 - median);
+        Some(Self { name: direction.name(), intercept: fit.intercept, claim, within })
+    }
+
+    /// Whether the intercept's margin is wider than the bounds it would be compared with.
+    fn is_vague(&self) -> bool {
+        let (least, most) = self.claim.at_zero;
+        self.intercept.margin().is_none_or(|margin| margin > most - least)
+    }
+
+    /// How far the intercept's whole interval lies above (positive) or below (negative) what is allowed.
+    fn outside(&self) -> f64 {
+        let ((lo, hi), (least, most)) = (self.intercept.span(), self.claim.at_zero);
+        (lo - most).max(0.0) + (hi - least).min(0.0)
+    }
+}
+
+fn with_margin(fit: &Fit) -> String {
+    format!("{} ms", milliseconds_with(fit.intercept.value, fit.intercept.margin()))
+}

@@ -1,0 +1,24 @@
+//! What can go wrong when results are written.
+
+use std::path::{Path, PathBuf};
+
+/// A file of results that could not be written.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot write {}: {reason}", path.display())]
+pub struct WriteError {
+    /// Which file.
+    pub path: PathBuf,
+    /// Why.
+    pub reason: String,
+}
+
+impl WriteError {
+    pub(crate) fn at<E: std::fmt::Display>(path: &Path) -> impl FnOnce(E) -> Self {
+        move |error| Self { path: path.to_owned(), reason: error.to_string() }
+    }
+}
+
+/// Writes a file whole.
+pub(crate) fn write(path: &Path, content: &[u8]) -> Result<(), WriteError> {
+    std::fs::write(path, content).map_err(WriteError::at(path))
+}

@@ -1,0 +1,83 @@
+//! Straight lines through points, with how well they are known.
+//!
+//! Delays have long tails: a message that waited behind others is late by any amount and never early by much. What
+//! that means for a line of best fit:
+//!
+//! * [`least_squares`] over single delays is pulled by every late one, by its square, and its standard errors hold for
+//!   a bell-shaped error alone. Over *medians*, each weighted by how well it is known, it is sound: medians of many
+//!   samples are nearly normal whatever the tail (the central limit theorem of order statistics), a large message's
+//!   wider scatter gets its smaller weight, and since the scale of the errors is taken from the residuals, a delay that
+//!   is not quite linear in size makes the intervals wider instead of going unseen.
+//! * [`theil_sen`] takes the median of the slopes of all pairs: up to 29 % of the points may be arbitrarily wrong, and
+//!   its intervals ask nothing of the distribution but that deviations from the line are alike.
+
+mod least_squares;
+mod theil_sen;
+
+pub use least_squares::{Weighted, least_squares};
+use serde::Serialize;
+pub use theil_sen::theil_sen;
+
+/// The confidence of every interval.
+pub const CONFIDENCE: f64 = 0.95;
+
+/// A point: what was set and what was measured.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Point {
+    /// What was set.
+    pub x: f64,
+    /// What was measured.
+    pub y: f64,
+}
+
+/// A figure with its 95 % confidence interval.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Estimate {
+    /// The figure.
+    pub value: f64,
+    /// Its standard error; `None` where the method has none.
+    pub standard_error: Option<f64>,
+    /// The interval's ends; `None` when there are too few points for one.
+    pub interval: Option<(f64, f64)>,
+}
+
+impl Estimate {
+    /// Half the interval's width, or more where the figure is not in its middle.
+    pub fn margin(&self) -> Option<f64> {
+        self.interval.map(|(lo, hi)| (hi - self.value).max(self.value - lo))
+    }
+
+    /// The interval, or the figure alone where there is none.
+    pub fn span(&self) -> (f64, f64) {
+        self.interval.unwrap_or((self.value, self.value))
+    }
+}
+
+/// A line of best fit: `y = intercept + slope · x`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Fit {
+    /// Where it meets x = 0.
+    pub intercept: Estimate,
+    /// How much y grows with x.
+    pub slope: Estimate,
+    /// How many points it was fitted to.
+    pub points: usize,
+}
+
+impl Fit {
+    /// The line's value at `x`.
+    pub fn at(&self, x: f64) -> f64 {
+        self.intercept.value + self.slope.value * x
+    }
+}
+
+/// Whether there is a line to fit: three points, two places, all of them numbers.
+fn fits(points: impl IntoIterator<Item = Point>) -> bool {
+    let points: Vec<Point> = points.into_iter().collect();
+    points.len() >= 3
+        && points.iter().all(|point| point.x.is_finite() && point.y.is_finite())
+        && points.iter().any(|point| point.x != points[0].x)
+}
+
+#[cfg(test)]
+mod tests;

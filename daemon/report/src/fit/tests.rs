@@ -1,0 +1,178 @@
+use proptest::prelude::*;
+
+use super::*;
+
+/// NIST StRD "Norris", calibration of an ozone monitor: y, x.
+const NORRIS: [(f64, f64); 36] = [
+    (0.1, 0.2),
+    (338.8, 337.4),
+    (118.1, 118.2),
+    (888.0, 884.6),
+    (9.2, 10.1),
+    (228.1, 226.5),
+    (668.5, 666.3),
+    (998.5, 996.3),
+    (449.1, 448.6),
+    (778.9, 777.0),
+    (559.2, 558.2),
+    (0.3, 0.4),
+    (0.1, 0.6),
+    (778.1, 775.5),
+    (668.8, 666.9),
+    (339.3, 338.0),
+    (448.9, 447.5),
+    (10.8, 11.6),
+    (557.7, 556.0),
+    (228.3, 228.1),
+    (998.0, 995.8),
+    (888.8, 887.6),
+    (119.6, 120.2),
+    (0.3, 0.3),
+    (0.6, 0.3),
+    (557.6, 556.8),
+    (339.3, 339.1),
+    (888.0, 887.2),
+    (998.5, 999.0),
+    (778.9, 779.0),
+    (10.2, 11.1),
+    (117.6, 118.3),
+    (228.9, 229.2),
+    (668.4, 669.1),
+    (449.2, 448.9),
+    (0.2, 0.5),
+];
+
+/// Anscombe 1973: the third set, a line with one outlier.
+const ANSCOMBE_X: [f64; 11] = [10., 8., 13., 9., 11., 14., 6., 4., 12., 7., 5.];
+const ANSCOMBE_THIRD: [f64; 11] = [7.46, 6.77, 12.74, 7.11, 7.81, 8.84, 6.08, 5.39, 8.15, 6.42, 5.73];
+
+fn points(x: &[f64], y: &[f64]) -> Vec<Point> {
+    x.iter().zip(y).map(|(&x, &y)| Point { x, y }).collect()
+}
+
+fn norris() -> Vec<Point> {
+    NORRIS.iter().map(|&(y, x)| Point { x, y }).collect()
+}
+
+fn unweighted(points: &[Point]) -> Option<Fit> {
+    least_squares(&points.iter().copied().map(Weighted::from).collect::<Vec<_>>())
+}
+
+#[track_caller]
+fn near(value: f64, expected: f64) {
+    assert!((value - expected).abs() <= 1e-9 * expected.abs().max(1e-3), "{value} is not {expected}");
+}
+
+#[track_caller]
+fn interval(estimate: Estimate, expected: (f64, f64)) {
+    let (lo, hi) = estimate.interval.expect("enough points");
+    near(lo, expected.0);
+    near(hi, expected.1);
+}
+
+#[test]
+fn least_squares_gives_the_certified_values() {
+    let fit = unweighted(&norris()).expect("a line");
+    near(fit.intercept.value, -0.262323073774029);
+    near(fit.intercept.standard_error.expect("given"), 0.232818234301152);
+    near(fit.slope.value, 1.00211681802045);
+    near(fit.slope.standard_error.expect("given"), 0.429796848199937E-03);
+    // Student's t, 34 degrees of freedom: 2.0322445093.
+    let margin = 2.0322445093177186 * 0.429796848199937E-03;
+    interval(fit.slope, (1.00211681802045 - margin, 1.00211681802045 + margin));
+}
+
+#[test]
+fn weights_count_as_the_textbook_says() {
+    let y = [1.1, 1.9, 3.2, 3.9, 5.3];
+    let weights = [4.0, 1.0, 9.0, 1.0, 0.25];
+    let points = points(&[1., 2., 3., 4., 5.], &y);
+    let weighted: Vec<Weighted> =
+        points.iter().zip(weights).map(|(&point, weight)| Weighted { point, weight }).collect();
+    let fit = least_squares(&weighted).expect("a line");
+    assert!((fit.intercept.value - 0.07537473).abs() < 1e-8 && (fit.slope.value - 1.024197).abs() < 1e-6);
+    let errors = [fit.intercept, fit.slope].map(|estimate| estimate.standard_error.expect("given"));
+    assert!((errors[0] - 0.15496036).abs() < 1e-8 && (errors[1] - 0.05737273).abs() < 1e-8, "{errors:?}");
+}
+
+/// Values of SciPy's `theilslopes`; intercept as the median of y − slope · x.
+#[test]
+fn theil_sen_gives_what_others_get() {
+    let fit = theil_sen(&norris()).expect("a line");
+    near(fit.slope.value, 1.0021968365553604);
+    interval(fit.slope, (1.0011153245594469, 1.0030534351145037));
+
+    let fit = theil_sen(&points(&ANSCOMBE_X, &ANSCOMBE_THIRD)).expect("a line");
+    near(fit.slope.value, 0.3455555555555555);
+    near(fit.intercept.value, 4.004444444444445);
+    interval(fit.slope, (0.345, 0.3475));
+
+    // The example of Sen 1968.
+    let fit = theil_sen(&points(&[1., 2., 3., 4., 10., 12., 18.], &[9., 15., 19., 20., 45., 55., 78.]));
+    let fit = fit.expect("a line");
+    near(fit.slope.value, 4.0);
+    near(fit.intercept.value, 6.0);
+    interval(fit.slope, (3.7142857142857144, 4.375));
+
+    // Several points at each x.
+    let x = [1., 1., 1., 2., 2., 2., 3., 3., 3., 5., 5., 5.];
+    let y = [1.0, 1.4, 0.7, 2.1, 2.6, 1.8, 3.3, 2.9, 3.6, 5.2, 4.7, 9.0];
+    let fit = theil_sen(&points(&x, &y)).expect("a line");
+    near(fit.slope.value, 1.1);
+    near(fit.intercept.value, -0.1);
+    interval(fit.slope, (0.8666666666666667, 1.5));
+}
+
+#[test]
+fn an_outlier_moves_least_squares_and_not_theil_sen() {
+    let points = points(&ANSCOMBE_X, &ANSCOMBE_THIRD);
+    let (pulled, steady) = (unweighted(&points).expect("a line"), theil_sen(&points).expect("a line"));
+    assert!((pulled.slope.value - 0.4997).abs() < 1e-4 && (steady.slope.value - 0.3456).abs() < 1e-4);
+}
+
+#[test]
+fn too_few_points_give_no_line_or_no_interval() {
+    let two = points(&[1., 2.], &[1., 2.]);
+    let one_x = points(&[1., 1., 1., 1.], &[1., 2., 3., 4.]);
+    let not_a_number = points(&[1., 2., 3.], &[1., f64::NAN, 3.]);
+    for points in [two, one_x, not_a_number, Vec::new()] {
+        assert_eq!((unweighted(&points), theil_sen(&points)), (None, None));
+    }
+    let few = theil_sen(&points(&[1., 2., 3.], &[1., 2., 3.])).expect("a line");
+    assert_eq!((few.slope.interval, few.intercept.interval), (None, None));
+}
+
+proptest! {
+    #[test]
+    fn the_line_is_found_again(a in -1e3..1e3_f64, b in -1e3..1e3_f64, xs in prop::collection::vec(0.0..1e3_f64, 4..40)) {
+        prop_assume!(xs.iter().any(|x: &f64| (x - xs[0]).abs() > 1.0));
+        let points: Vec<Point> = xs.iter().map(|&x| Point { x, y: a + b * x }).collect();
+        for fit in [unweighted(&points).expect("a line"), theil_sen(&points).expect("a line")] {
+            prop_assert!((fit.slope.value - b).abs() < 1e-6, "{fit:?}");
+            prop_assert!((fit.intercept.value - a).abs() < 1e-4, "{fit:?}");
+        }
+    }
+
+    /// Against the definition: all slopes listed and sorted.
+    #[test]
+    fn the_median_slope_is_that_of_the_list(ys in prop::collection::vec((0_u8..6, -1e2..1e2_f64), 4..40)) {
+        let points: Vec<Point> = ys.iter().map(|&(x, y)| Point { x: f64::from(x), y }).collect();
+        let pair = |a: &Point, b: &Point| (a.x != b.x).then(|| (b.y - a.y) / (b.x - a.x));
+        let slopes = points.iter().enumerate().flat_map(|(i, a)| points[i + 1..].iter().filter_map(move |b| pair(a, b)));
+        let expected = slopes.collect::<crate::order::Ordered>().median();
+        let found = theil_sen(&points).map(|fit| fit.slope.value);
+        match (expected, found) {
+            (Some(expected), Some(found)) => prop_assert!((expected - found).abs() < 1e-9, "{expected} {found}"),
+            other => prop_assert_eq!(other.0, other.1),
+        }
+    }
+
+    /// A quarter of the points as late as one likes.
+    #[test]
+    fn late_messages_do_not_move_theil_sen(late in 1.0..1e6_f64) {
+        let y = |k: usize| 5.0 + 2.0 * k as f64 + if k % 4 == 1 { late * (k as f64).sqrt() } else { 0.0 };
+        let points: Vec<Point> = (0..40).map(|k| Point { x: k as f64, y: y(k) }).collect();
+        let fit = theil_sen(&points).expect("a line");
+        prop_assert!((fit.slope.value - 2.0).abs() < 1e-6 && (fit.intercept.value - 5.0).abs() < 1e-6, "{fit:?}");
+    }
+}

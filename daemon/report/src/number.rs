@@ -1,0 +1,120 @@
+//! Numbers as people read them: milliseconds, megabytes per second, as many digits as the error supports.
+
+/// Most decimals of a figure in milliseconds: a tenth of a microsecond.
+const MOST_DECIMALS: usize = 4;
+
+/// A number with a fixed count of decimals: a true minus sign, thousands with commas, no signed zero.
+pub fn fixed(value: f64, decimals: usize) -> String {
+    let digits = format!("{:.decimals$}", value.abs());
+    let (whole, fraction) = digits.split_once('.').map_or((digits.as_str(), None), |(w, f)| (w, Some(f)));
+    let mut text = String::new();
+    if value < 0.0 && digits.bytes().any(|digit| (b'1'..=b'9').contains(&digit)) {
+        text.push('−');
+    }
+    for (index, digit) in whole.chars().enumerate() {
+        if index > 0 && (whole.len() - index).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    if let Some(fraction) = fraction {
+        text.push('.');
+        text.push_str(fraction);
+    }
+    text
+}
+
+/// A number with three significant digits.
+pub fn significant(value: f64) -> String {
+    fixed(value, decimals(value, 3))
+}
+
+/// Seconds as milliseconds with three significant digits, without the unit.
+pub fn milliseconds(seconds: f64) -> String {
+    let value = seconds * 1e3;
+    fixed(value, decimals(value, 3).min(MOST_DECIMALS))
+}
+
+/// Seconds with their margin, as milliseconds: `0.0612 ± 0.0042`, to the margin's second digit.
+pub fn milliseconds_with(seconds: f64, margin: Option<f64>) -> String {
+    let Some(margin) = margin.filter(|margin| margin.is_finite()) else { return milliseconds(seconds) };
+    let decimals = decimals(margin * 1e3, 2).min(MOST_DECIMALS);
+    format!("{} ± {}", fixed(seconds * 1e3, decimals), fixed(margin * 1e3, decimals))
+}
+
+/// An interval of seconds, as milliseconds: `0.012 – 0.123`, to the second digit of its half width.
+pub fn milliseconds_between((lo, hi): (f64, f64)) -> String {
+    let decimals = decimals((hi - lo) / 2.0 * 1e3, 2).min(MOST_DECIMALS);
+    format!("{} – {}", fixed(lo * 1e3, decimals), fixed(hi * 1e3, decimals))
+}
+
+/// Bits per second as megabytes per second, three significant digits, without the unit.
+pub fn megabytes_per_second(bits_per_second: f64) -> String {
+    significant(bits_per_second / 8e6)
+}
+
+/// An interval of bits per second, as megabytes per second; one without an upper end is open.
+pub fn megabytes_per_second_between((lo, hi): (f64, Option<f64>)) -> String {
+    match hi {
+        Some(hi) => {
+            let decimals = decimals((hi - lo) / 2.0 / 8e6, 2).min(1);
+            format!("{} – {}", fixed(lo / 8e6, decimals), fixed(hi / 8e6, decimals))
+        }
+        None => format!("≥ {}", megabytes_per_second(lo)),
+    }
+}
+
+/// An error in seconds, as milliseconds with two significant digits, without the unit.
+pub fn error_milliseconds(seconds: f64) -> String {
+    fixed(seconds * 1e3, decimals(seconds * 1e3, 2).min(MOST_DECIMALS))
+}
+
+/// A size with the largest unit that leaves at least 1: `100 B`, `1.2 MB`.
+pub fn bytes(bytes: f64) -> String {
+    let (value, unit) = match bytes {
+        b if b >= 999_500_000.0 => (b / 1e9, "GB"),
+        b if b >= 999_500.0 => (b / 1e6, "MB"),
+        b if b >= 999.5 => (b / 1e3, "kB"),
+        b => (b, "B"),
+    };
+    let text = significant(value);
+    let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
+    format!("{text} {unit}")
+}
+
+/// How many decimals show so many significant digits.
+fn decimals(value: f64, digits: i32) -> usize {
+    if value == 0.0 || !value.is_finite() {
+        return usize::try_from(digits - 1).unwrap_or_default();
+    }
+    // Rounding may carry into the next place: 0.09996 has three digits as 0.100.
+    let magnitude = value.abs().log10().floor();
+    let unit = 10_f64.powf(magnitude - f64::from(digits - 1));
+    let magnitude = ((value.abs() / unit).round() * unit).log10().floor();
+    usize::try_from(digits - 1 - magnitude as i32).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_read_as_people_write_them() {
+        assert_eq!(fixed(-1234567.891, 2), "−1,234,567.89");
+        assert_eq!((fixed(-0.001, 2), fixed(999.5, 0)), ("0.00".to_owned(), "1,000".to_owned()));
+        assert_eq!([0.0613, 16.12, 141.0, 0.09996].map(significant), ["0.0613", "16.1", "141", "0.100"]);
+        assert_eq!(milliseconds_with(61.23e-6, Some(4.21e-6)), "0.0612 ± 0.0042");
+        assert_eq!(milliseconds_with(-2.0142e-3, Some(0.11e-3)), "−2.01 ± 0.11");
+        assert_eq!(milliseconds_between((0.0, 123.4e-6)), "0.000 – 0.123");
+        assert_eq!(
+            (megabytes_per_second(8e6 * 943.4), error_milliseconds(61.2e-6)),
+            ("943".into(), "0.061".into())
+        );
+        assert_eq!(megabytes_per_second_between((8e6 * 930.3, Some(8e6 * 957.1))), "930 – 957");
+        assert_eq!(megabytes_per_second_between((8e6, None)), "≥ 1.00");
+        assert_eq!(
+            [100.0, 1_000.0, 1.2e6, 4e6, 26_207.0].map(bytes),
+            ["100 B", "1 kB", "1.2 MB", "4 MB", "26.2 kB"]
+        );
+    }
+}

@@ -1,0 +1,95 @@
+//! Order statistics: what is said of delays, whose distribution has a long tail.
+
+/// Fewest values that a quantile this near the end needs (p5, p95), as everywhere in PEERNet.
+const ENOUGH_FOR_TAILS: usize = 60;
+
+/// The normal quantile of a 95 % interval.
+pub(crate) const Z95: f64 = 1.959_963_984_540_054;
+
+/// Values in order.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Ordered(Vec<f64>);
+
+impl FromIterator<f64> for Ordered {
+    /// Values that are not numbers are left out.
+    fn from_iter<I: IntoIterator<Item = f64>>(values: I) -> Self {
+        let mut values: Vec<f64> = values.into_iter().filter(|value| !value.is_nan()).collect();
+        values.sort_unstable_by(f64::total_cmp);
+        Self(values)
+    }
+}
+
+impl Ordered {
+    /// The values, smallest first.
+    pub fn values(&self) -> &[f64] {
+        &self.0
+    }
+
+    /// How many.
+    pub fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// The quantile at `p` from 0 to 1, between neighbours by linear interpolation (definition 7 of Hyndman and
+    /// Fan 1996); `None` without values.
+    pub fn quantile(&self, p: f64) -> Option<f64> {
+        let at = p.clamp(0.0, 1.0) * self.0.len().checked_sub(1)? as f64;
+        let (below, above) = (self.0[at.floor() as usize], self.0[at.ceil() as usize]);
+        Some(below + (above - below) * at.fract())
+    }
+
+    /// The median; `None` without values.
+    pub fn median(&self) -> Option<f64> {
+        self.quantile(0.5)
+    }
+
+    /// The 5th and the 95th percentile; `None` with fewer than 60 values.
+    pub fn tails(&self) -> Option<(f64, f64)> {
+        (self.0.len() >= ENOUGH_FOR_TAILS).then_some(())?;
+        Some((self.quantile(0.05)?, self.quantile(0.95)?))
+    }
+
+    /// The standard error of the median, from the order statistics that bound it with 95 % confidence (McKean and
+    /// Schrader 1984): it asks nothing of the distribution's shape. `None` with fewer than 6 values.
+    pub fn median_error(&self) -> Option<f64> {
+        let n = self.0.len();
+        (n >= 6).then_some(())?;
+        let outside = ((n as f64 + 1.0) / 2.0 - Z95 * (n as f64 / 4.0).sqrt()).round().max(1.0) as usize;
+        Some((self.0[n - outside] - self.0[outside - 1]) / (2.0 * Z95))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_those_of_the_usual_definition() {
+        let values: Ordered = [4.0, 1.0, f64::NAN, 3.0, 2.0].into_iter().collect();
+        assert_eq!(
+            (values.median(), values.quantile(0.1), values.quantile(1.0)),
+            (Some(2.5), Some(1.3), Some(4.0))
+        );
+        assert_eq!(Ordered::default().median(), None);
+    }
+
+    #[test]
+    fn what_needs_more_values_is_not_said() {
+        let few: Ordered = (0..59).map(f64::from).collect();
+        let enough: Ordered = (0..=100).map(f64::from).collect();
+        assert_eq!((few.tails(), enough.tails()), (None, Some((5.0, 95.0))));
+        assert_eq!((0..5).map(f64::from).collect::<Ordered>().median_error(), None);
+    }
+
+    #[test]
+    fn the_median_of_a_hundred_uniform_values_is_known_to_a_twentieth_of_their_range() {
+        // 1 / (2 f √n) with density f = 1/101: 5.05.
+        let error = (0..=100).map(f64::from).collect::<Ordered>().median_error().expect("enough");
+        assert!((4.5..5.6).contains(&error), "{error}");
+    }
+}
