@@ -34,6 +34,9 @@ before(async () => {
     runs: "/runs",
     run: `/runs/${run.number}`,
     iteration: `/runs/${run.number}/iterations/${iterations[0].number}`,
+    links: "/links",
+    link: `/links/${run.host}~${run.placement.peer}`,
+    linkMeasured: `/links/${run.host}~${run.placement.peer}?range=1h&offset=measured`,
     hosts: "/hosts",
     host: `/hosts/${run.host}`,
     incidents: "/incidents",
@@ -98,6 +101,41 @@ describe("the way of a person", () => {
   });
 });
 
+describe("clocks", () => {
+  test("a link opens from its list, its picture moves and flips to a table with the same numbers", async () => {
+    const { page, errors, close } = await open(browser, base, "/links");
+    await page.locator("#part-list tbody a").first().click();
+    await page.waitForURL("**/links/*~*");
+    await page.locator(".tracks .band").first().waitFor({ state: "attached" });
+    assert.match(await page.locator("h1").innerText(), /±|one clock|never related/);
+    const band = () => page.locator(".tracks .band").first().getAttribute("d");
+    const before = await band();
+    await page.waitForFunction((path) => document.querySelector(".tracks .band")?.getAttribute("d") !== path, before, { timeout: 30000 });
+    await page.getByRole("button", { name: "Table" }).click();
+    assert.ok(await page.locator("#part-table table").isVisible());
+    assert.equal(await page.locator("#part-chart").isVisible(), false);
+    await moves(page, "#part-table");
+    await page.getByRole("button", { name: "Table" }).click();
+    assert.ok(await page.locator("#part-chart .tracks").isVisible());
+    await page.getByRole("link", { name: "as measured" }).click();
+    await page.waitForURL("**offset=measured");
+    assert.ok((await page.locator(".tracks").first().getAttribute("aria-label")).includes("The offset was known to"));
+    assert.deepEqual(errors, []);
+    await close();
+  });
+
+  test("a clock that is made wrong on purpose is said on every page, and delays do not move with it", async () => {
+    for (const [name, path] of Object.entries(pages)) {
+      const { page, close } = await open(browser, base, path);
+      assert.match(await page.locator("#rehearsal").innerText(), /^Rehearsal: edge's clock is made wrong on purpose/, name);
+      await close();
+    }
+    const link = await (await fetch(`${base}/api/v1${pages.link}`)).json();
+    assert.ok(Math.abs(link.now.offset.estimate_s + 1) < 0.1, `the cloud is a second behind: ${link.now.offset.estimate_s}`);
+    assert.ok(link.now.up.median.value_s < 0.5, "an upload on one machine takes no second");
+  });
+});
+
 describe("keys", () => {
   test("the first tab leads past the navigation, the focus can be seen", async () => {
     const { page, close } = await open(browser, base, "/");
@@ -113,7 +151,7 @@ describe("keys", () => {
 
   test("g and a letter open pages, t changes the theme, ? lists the keys", async () => {
     const { page, close } = await open(browser, base, "/");
-    for (const [letter, path] of [["p", "/pipelines"], ["r", "/runs"], ["h", "/hosts"], ["i", "/incidents"], ["o", "/"]]) {
+    for (const [letter, path] of [["p", "/pipelines"], ["r", "/runs"], ["l", "/links"], ["h", "/hosts"], ["i", "/incidents"], ["o", "/"]]) {
       await page.keyboard.press("g");
       await page.keyboard.press(letter);
       await page.waitForURL(`${base}${path}`);

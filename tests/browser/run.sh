@@ -19,6 +19,9 @@ for role in aggregator cloud edge; do
     sed -e "s/:5550/:$events/; s/:5551/:$data/; s/:8040/:$http/; s#\"data/#\"$site/#" \
         "configs/$role.toml" >"$site/$role.toml"
 done
+# One machine has one clock, and nothing to estimate: the edge is given a clock of its own, wrong on purpose.
+sed -i 's/^\[agent\]$/[agent]\nclock_identity = "edge"/' "$site/edge.toml"
+printf '\n[rehearsal]\noffset_ms = 1000.0\ndrift_ppm = 20.0\n' >>"$site/edge.toml"
 
 deploy/demo.sh "$peernetd" "$site" "$site/logs" >"$site/demo.log" 2>&1 &
 demo=$!

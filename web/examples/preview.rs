@@ -1,7 +1,7 @@
 //! The pages with a factory that never was, for working on them: `cargo run -p peernet-web --example preview`.
 //!
 //! `--late` lets the hosts come after ten seconds, `--empty` shows them before the first host has reported, `--many` with thirty pipelines, `--unrelated` with
-//! clocks that were never related. The address is the first free argument, 127.0.0.1:8040 otherwise.
+//! clocks that were never related, `--one-clock` with a camera that reads the rack's, `--rehearsal` with one that is made wrong on purpose. The address is the first free argument, 127.0.0.1:8040 otherwise.
 
 #[path = "../tests/it/factory/mod.rs"]
 mod factory;
@@ -48,6 +48,12 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         if has("--unrelated") {
             lines.push(Line { host: "cam-4", ..Line::unrelated() });
         }
+        if has("--rehearsal") {
+            lines[2] = Line::rehearsed();
+        }
+        if has("--one-clock") {
+            lines.push(Line { host: "cam-5", ..Line::one_clock() });
+        }
         if has("--many") {
             lines = (0..30)
                 .map(|index| Line {
@@ -76,6 +82,7 @@ async fn produce(address: String, clock: SharedClock, lines: Vec<Line>) {
     let many = factory.lines.len() > 5;
     factory.report(clock.wall() - Span::from_seconds(590), clock.wall()).await;
     factory.store_incidents().await;
+    factory.store_clocks(if many { 120 } else { 3_600 }).await;
     factory.store_runs(if many { 200 } else { 6_000 }, true).await;
     factory.store_runs(300, false).await;
     let mut ticks = tokio::time::interval(Duration::from_millis(250));

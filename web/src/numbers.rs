@@ -107,36 +107,58 @@ pub(crate) fn measured(value: f64, decimals: usize) -> String {
     }
 }
 
-/// A difference of durations in ms: `+0.03`, `−0.02`; zero has no sign.
-pub(crate) fn difference_ms(seconds: f64) -> String {
-    let text = fixed(seconds * 1e3, 2);
-    let positive = seconds > 0.0 && text.bytes().any(|digit| (b'1'..=b'9').contains(&digit));
+/// With a plus where it is more than zero as shown.
+fn signed(value: f64, decimals: usize) -> String {
+    let text = fixed(value, decimals);
+    let positive = value > 0.0 && text.bytes().any(|digit| (b'1'..=b'9').contains(&digit));
     if positive { format!("+{text}") } else { text }
 }
 
-/// The decimals at which the last digit of a value stands where its bound has its second digit.
-fn decimals_supported(bound: f64) -> usize {
+/// A difference of durations in ms: `+0.03`, `−0.02`; zero has no sign.
+pub(crate) fn difference_ms(seconds: f64) -> String {
+    signed(seconds * 1e3, 2)
+}
+
+/// The decimals, at most so many, at which the last digit of a value stands where its bound has its second digit.
+fn decimals_supported(bound: f64, most: usize) -> usize {
     if bound <= 0.0 || !bound.is_finite() {
         return 2;
     }
-    (1 - bound.log10().floor() as i32).clamp(0, 2) as usize
+    (1 - bound.log10().floor() as i32).clamp(0, most as i32) as usize
 }
 
 /// Mean and deviation in ms, `16.2 ± 1.1`, with the digits that the deviation supports.
 pub(crate) fn mean_std_ms(mean: f64, std: Option<f64>) -> (String, Option<String>) {
-    let decimals = std.map_or_else(|| decimals_of(mean * 1e3), |std| decimals_supported(std * 1e3));
+    let decimals = std.map_or_else(|| decimals_of(mean * 1e3), |std| decimals_supported(std * 1e3, 2));
     let decimals = decimals.min(decimals_of(mean * 1e3));
     (fixed(mean * 1e3, decimals), std.map(|std| fixed(std * 1e3, decimals)))
 }
 
-/// A clock bound in ms: `±0.65`.
+/// A clock bound in ms, to the microsecond: `±0.65`, `±0.006`.
 pub(crate) fn bound_ms(half_width: f64) -> String {
-    format!("±{}", measured(half_width * 1e3, decimals_supported(half_width * 1e3)))
+    format!("±{}", measured(half_width * 1e3, decimals_supported(half_width * 1e3, 3)))
 }
 
-/// An interval in ms: `5.66 – 6.93`.
+/// Decimals of a value in ms whose bound is known.
+fn decimals_within(half_width: f64) -> usize {
+    decimals_supported(half_width * 1e3, 3).max(2)
+}
+
+/// An interval in ms, finer where it is narrow: `5.66 – 6.93`, `0.394 – 0.405`.
 pub(crate) fn interval_ms(lo: f64, hi: f64) -> String {
-    format!("{} – {}", fixed(lo * 1e3, 2), fixed(hi * 1e3, 2))
+    let decimals = decimals_within((hi - lo) / 2.0);
+    format!("{} – {}", fixed(lo * 1e3, decimals), fixed(hi * 1e3, decimals))
+}
+
+/// A clock offset in ms with its sign and the digits that its bound supports: `+1,204.18`, `−1,002.698`.
+pub(crate) fn offset_ms(seconds: f64, half_width: f64) -> String {
+    signed(seconds * 1e3, decimals_within(half_width))
+}
+
+/// A round trip in ms: as any figure, and to the microsecond where it is short: `1.30`, `0.018`.
+pub(crate) fn trip_ms(seconds: f64) -> String {
+    let value = seconds * 1e3;
+    if value < 0.095 { measured(value, 3) } else { figure(value) }
 }
 
 /// A share in percent without its sign: `0`, `<0.01`, `0.02`, `1.3`, `14`.

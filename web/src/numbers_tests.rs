@@ -51,6 +51,13 @@ fn a_value_has_no_more_digits_than_its_deviation_supports() {
     assert_eq!(bound_ms(0.001_3), "±1.3");
     assert_eq!(bound_ms(0.013), "±13");
     assert_eq!(bound_ms(0.0), "±0");
+    assert_eq!(bound_ms(0.000_005_6), "±0.006");
+    assert_eq!(bound_ms(0.000_000_1), "±<0.001");
+    assert_eq!(interval_ms(0.000_394, 0.000_405), "0.394 – 0.405");
+    assert_eq!(offset_ms(1.204_184, 0.000_65), "+1,204.18");
+    assert_eq!(offset_ms(-1.002_697_6, 0.000_005), "\u{2212}1,002.698");
+    assert_eq!(offset_ms(0.0, 0.0), "0.00");
+    assert_eq!((trip_ms(0.001_3).as_str(), trip_ms(0.000_018).as_str()), ("1.30", "0.018"));
     assert_eq!(interval_ms(0.005_66, 0.006_93), "5.66 – 6.93");
 }
 

@@ -30,7 +30,9 @@ pub(crate) struct AppState {
 
 impl AppState {
     /// How many incidents a live page shows.
-    pub(crate) const INCIDENTS: u32 = 6;
+    const INCIDENTS: usize = 6;
+    /// How many are looked through for those that a live page is about.
+    const RECENT: u32 = 200;
     const INCIDENTS_FRESH: Span = Span::from_seconds(2);
 
     pub(crate) fn new(
@@ -60,9 +62,15 @@ impl AppState {
         self.aggregator.store()
     }
 
-    /// The newest incidents. Asked for by every live page four times a second, so they are read from the
+    /// The newest incidents, as many as a live page shows.
+    pub(crate) async fn newest_incidents(&self) -> Result<Vec<IncidentRow>, StoreError> {
+        let recent = self.recent_incidents().await?;
+        Ok(recent.iter().take(Self::INCIDENTS).cloned().collect())
+    }
+
+    /// The incidents of late. Asked for by every live page four times a second, so they are read from the
     /// database once every two seconds for all of them.
-    pub(crate) async fn newest_incidents(&self) -> Result<Arc<Vec<IncidentRow>>, StoreError> {
+    pub(crate) async fn recent_incidents(&self) -> Result<Arc<Vec<IncidentRow>>, StoreError> {
         let mut cached = self.incidents.lock().await;
         let now = self.clock.mono();
         if let Some((read, rows)) = &*cached
@@ -70,7 +78,7 @@ impl AppState {
         {
             return Ok(Arc::clone(rows));
         }
-        let rows = Arc::new(self.store().incidents(Self::INCIDENTS, None).await?);
+        let rows = Arc::new(self.store().incidents(Self::RECENT, None).await?);
         *cached = Some((now, Arc::clone(&rows)));
         Ok(rows)
     }

@@ -111,6 +111,11 @@ impl Moment {
         self.0.format("%H:%M:%S").to_string()
     }
 
+    /// `14:11`.
+    pub(crate) fn minute(&self) -> String {
+        self.0.format("%H:%M").to_string()
+    }
+
     /// `13:46:56.400`.
     pub(crate) fn milliseconds(&self) -> String {
         self.0.format("%H:%M:%S%.3f").to_string()

@@ -24,6 +24,13 @@
     old.slice(fresh.length).forEach((node) => node.remove());
   }
 
+  // Only parts that changed are sent: one that was not shown yet stays until there is a newer one.
+  function merged(before, update) {
+    if (!before) return update;
+    const parts = new Map([...before.parts, ...update.parts]);
+    return { ...update, parts: Array.from(parts) };
+  }
+
   function apply() {
     timer = 0;
     if (!pending || paused || document.hidden) return;
@@ -67,7 +74,8 @@
         added.async = false;
         document.body.appendChild(added);
       }
-      if (wanted() !== listening) connect();
+      // A new stream sends every part anew: what came while the page was fetched may be older or newer than it.
+      connect();
       tell("peer-renewed");
     } finally {
       renewing = false;
@@ -86,6 +94,17 @@
     else if (status && status.behind_s != null) text = `${status.behind_s.toFixed(1)}\u202fs behind`;
     if ($("livelag").textContent !== text) $("livelag").textContent = text;
   }
+  // Clocks that are made wrong on purpose: said on every page for as long as they are.
+  function rehearsals(sentences) {
+    const banner = $("rehearsal");
+    if (Array.from(banner.children, (line) => line.textContent).join("\n") === sentences.join("\n")) return;
+    banner.replaceChildren(...sentences.map((sentence) => {
+      const line = document.createElement("p");
+      line.textContent = sentence;
+      return line;
+    }));
+    banner.hidden = sentences.length === 0;
+  }
   function state() {
     if (away) say("Reconnecting", "warn");
     else if (paused) say("Paused", "off");
@@ -96,7 +115,6 @@
   }
 
   // --- the stream
-  let listening = null;
   function wanted() {
     const topics = document.body.dataset.topic ? [document.body.dataset.topic] : [];
     if (document.querySelector(".live-chart")) topics.push("picture");
@@ -104,15 +122,14 @@
   }
   function connect() {
     if (source) source.close();
-    listening = wanted();
-    source = new EventSource(`/api/v1/live?topics=${encodeURIComponent(listening)}`);
+    source = new EventSource(`/api/v1/live?topics=${encodeURIComponent(wanted())}`);
     const on = (name, handle) => source.addEventListener(name, (event) => {
       heard = performance.now();
       back();
       handle(event.data);
     });
-    on("status", (data) => { status = JSON.parse(data); state(); });
-    on("page", (data) => { pending = JSON.parse(data); schedule(); });
+    on("status", (data) => { status = JSON.parse(data); rehearsals(status.rehearsals); state(); });
+    on("page", (data) => { pending = merged(pending, JSON.parse(data)); schedule(); });
     on("picture", (data) => tell("peer-picture", JSON.parse(data)));
     on("heartbeat", () => {});
     source.addEventListener("error", lost);

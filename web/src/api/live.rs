@@ -3,7 +3,9 @@
 //! Each listener draws from the newest picture when it is ready for it, at most four times a second, less often
 //! when pictures are large, so a slow one skips pictures and never makes the others wait.
 
+use std::collections::HashMap;
 use std::convert::Infallible;
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -21,7 +23,7 @@ use utoipa::IntoParams;
 use super::parameters::Parameters;
 use super::schema::{PictureEvent, StatusEvent};
 use crate::error::{ProblemDetails, WebError};
-use crate::pages::{Update, host, hosts, overview, pipeline, pipelines};
+use crate::pages::{Update, host, hosts, link, links, overview, pipeline, pipelines};
 use crate::state::{App, AppState};
 
 /// Time between two pictures.
@@ -39,8 +41,8 @@ const HEARTBEAT: Duration = Duration::from_secs(2);
 #[into_params(parameter_in = Query)]
 pub(crate) struct Query {
     /// Topics, parted by commas: `picture` (all pipelines and hosts as JSON), and for the dashboard `overview`,
-    /// `pipelines`, `hosts`, `pipeline/HOST/PIPELINE/SECONDS`, `host/HOST`. `picture` unless given; at most 16
-    /// different ones, each sent once however often it is named.
+    /// `pipelines`, `links`, `hosts`, `pipeline/HOST/PIPELINE/SECONDS`, `link/EDGE~CLOUD/RANGE/OFFSET`, `host/HOST`.
+    /// `picture` unless given; at most 16 different ones, each sent once however often it is named.
     topics: Option<String>,
 }
 
@@ -49,8 +51,10 @@ enum Topic {
     Picture,
     Overview,
     Pipelines,
+    Links,
     Hosts,
     Pipeline(String),
+    Link(String),
     Host(String),
 }
 
@@ -60,12 +64,14 @@ impl Topic {
             None if text == "picture" => Ok(Self::Picture),
             None if text == overview::TOPIC => Ok(Self::Overview),
             None if text == pipelines::TOPIC => Ok(Self::Pipelines),
+            None if text == links::TOPIC => Ok(Self::Links),
             None if text == hosts::TOPIC => Ok(Self::Hosts),
             Some((topic, rest)) if topic == pipeline::TOPIC => Ok(Self::Pipeline(rest.to_owned())),
+            Some((topic, rest)) if topic == link::TOPIC => Ok(Self::Link(rest.to_owned())),
             Some((topic, rest)) if topic == host::TOPIC => Ok(Self::Host(rest.to_owned())),
             _ => Err(WebError::BadRequest(format!(
-                "query parameter topics: {text:?} is none of picture, overview, pipelines, hosts, \
-                 pipeline/HOST/PIPELINE/SECONDS, host/HOST"
+                "query parameter topics: {text:?} is none of picture, overview, pipelines, links, hosts, \
+                 pipeline/HOST/PIPELINE/SECONDS, link/EDGE~CLOUD/RANGE/OFFSET, host/HOST"
             ))),
         }
     }
@@ -75,8 +81,10 @@ impl Topic {
             Self::Picture => return None,
             Self::Overview => overview::update(app, picture).await,
             Self::Pipelines => pipelines::update(app, picture),
+            Self::Links => links::update(app, picture),
             Self::Hosts => hosts::update(app, picture),
             Self::Pipeline(rest) => pipeline::update(app, picture, rest),
+            Self::Link(rest) => link::update(app, picture, rest).await,
             Self::Host(name) => host::update(app, picture, name),
         })
     }
@@ -122,6 +130,8 @@ struct Listener {
     topics: Vec<Topic>,
     pictures: watch::Receiver<Arc<Picture>>,
     next: Instant,
+    /// What was sent last of each part of each topic's page.
+    sent: HashMap<(usize, &'static str), u64>,
 }
 
 fn events(app: App, topics: Vec<Topic>) -> impl Stream<Item = Result<Event, Infallible>> {
@@ -129,7 +139,7 @@ fn events(app: App, topics: Vec<Topic>) -> impl Stream<Item = Result<Event, Infa
     // The first picture goes out at once.
     pictures.mark_changed();
     let stop = app.stop.clone();
-    let listener = Listener { app, topics, pictures, next: Instant::now() };
+    let listener = Listener { app, topics, pictures, next: Instant::now(), sent: HashMap::new() };
     let batches = stream::unfold(listener, |mut listener| async move {
         tokio::time::sleep_until(listener.next).await;
         listener.pictures.changed().await.ok()?;
@@ -147,14 +157,27 @@ fn pause(bytes: usize) -> Duration {
     PAUSE.max(Duration::from_secs_f64(bytes as f64 / RATE as f64))
 }
 
+fn hash(text: &str) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    text.hash(&mut hasher);
+    hasher.finish()
+}
+
 impl Listener {
     /// What to send of a picture, and how many bytes that is.
-    async fn events(&self, picture: &Picture) -> (Vec<Event>, usize) {
+    async fn events(&mut self, picture: &Picture) -> (Vec<Event>, usize) {
         let mut texts = vec![("status", serde_json::to_string(&StatusEvent::new(picture)))];
-        for topic in &self.topics {
+        for (index, topic) in self.topics.iter().enumerate() {
             match topic.update(&self.app, picture).await {
                 None => texts.push(("picture", serde_json::to_string(&PictureEvent::new(picture)))),
-                Some(Ok(update)) => texts.push(("page", serde_json::to_string(&update))),
+                Some(Ok(mut update)) => {
+                    // A chart changes once a second, a figure four times: what is as it was is not sent again.
+                    update.parts.retain(|(id, html)| {
+                        let hash = hash(html);
+                        self.sent.insert((index, *id), hash) != Some(hash)
+                    });
+                    texts.push(("page", serde_json::to_string(&update)));
+                }
                 // What the page is about went away: it keeps what it shows, `status` goes on.
                 Some(Err(WebError::NotFound(_))) => {}
                 Some(Err(error)) => {

@@ -5,6 +5,7 @@ mod health;
 mod hosts;
 mod incidents;
 mod iterations;
+mod links;
 pub(crate) mod live;
 mod openapi;
 pub(crate) mod parameters;
@@ -25,6 +26,9 @@ fn described() -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(openapi::head())
         .routes(routes!(hosts::list))
         .routes(routes!(hosts::one))
+        .routes(routes!(links::list))
+        .routes(routes!(links::one))
+        .routes(routes!(links::clock))
         .routes(routes!(pipelines::list))
         .routes(routes!(pipelines::one))
         .routes(routes!(live::stream))
@@ -33,6 +37,7 @@ fn described() -> OpenApiRouter<App> {
         .routes(routes!(run::stages))
         .routes(routes!(run::series))
         .routes(routes!(run::histogram))
+        .routes(routes!(run::recomputed))
         .routes(routes!(iterations::list))
         .routes(routes!(iterations::one))
         .routes(routes!(export::table))

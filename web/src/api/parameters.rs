@@ -3,6 +3,8 @@
 use axum::extract::rejection::PathRejection;
 use axum::extract::{FromRequestParts, Path, Query};
 use axum::http::request::Parts;
+use chrono::DateTime;
+use peernet_clock::WallTime;
 use peernet_logger::Slug;
 use serde::de::DeserializeOwned;
 use std::ops::RangeInclusive;
@@ -46,6 +48,16 @@ pub(crate) fn bounded<N: PartialOrd + std::fmt::Display>(
 /// A name of a host or pipeline.
 pub(crate) fn slug(name: &str, value: &str) -> Result<Slug, WebError> {
     value.parse().map_err(|error| WebError::BadRequest(format!("query parameter {name}: {error}")))
+}
+
+/// A moment in RFC 3339.
+pub(crate) fn moment(name: &str, value: &str) -> Result<WallTime, WebError> {
+    let parsed = DateTime::parse_from_rfc3339(value).ok().and_then(|time| time.timestamp_nanos_opt());
+    parsed.map(WallTime::from_unix_nanos).ok_or_else(|| {
+        WebError::BadRequest(format!(
+            "query parameter {name}: {value:?} is not a time such as 2026-11-19T12:01:07Z (a + must be written %2B)"
+        ))
+    })
 }
 
 /// The values of a path.

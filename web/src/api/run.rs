@@ -8,7 +8,7 @@ use serde::Deserialize;
 use utoipa::IntoParams;
 
 use super::parameters::{Parameters, bounded, path};
-use super::schema::{Bound, Histogram, RunDetail, Series, Stage, StageList};
+use super::schema::{Bound, Histogram, Recomputed, RunDetail, Series, Stage, StageList};
 use crate::error::{ProblemDetails, WebError};
 use crate::state::{App, AppState};
 
@@ -120,4 +120,19 @@ pub(crate) async fn histogram(
         WebError::NotFound(format!("run {number} has no successful iteration with a {name}"))
     })?;
     Ok(Json(found.into()))
+}
+
+/// The one-way delays of a run as they were judged while it ran, and again with the exchanges that came after them.
+/// What was stamped is never touched.
+#[utoipa::path(get, path = "/api/v1/runs/{run}/recomputed", operation_id = "getRunRecomputed", tag = "runs", params(("run" = i64, Path)), responses(
+    (status = 200, body = Recomputed),
+    (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
+))]
+pub(crate) async fn recomputed(
+    State(app): State<App>,
+    number: Result<Path<i64>, PathRejection>,
+) -> Result<Json<Recomputed>, WebError> {
+    let number = path(number)?;
+    let recomputed = app.store().recompute(number).await?.ok_or_else(|| no_run(number))?;
+    Ok(Json(Recomputed::from(&recomputed)))
 }

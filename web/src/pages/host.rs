@@ -4,15 +4,18 @@ use askama::Template;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use peernet_aggregator::{HostPicture, HostRow, Picture, Stored};
-use peernet_logger::stream::{Accounting, HostDescription};
+use peernet_logger::stream::{Accounting, HostClock, HostDescription};
 
 use super::{Page, Update, page, path};
 use crate::error::WebError;
 use crate::numbers::{NONE, SPACE, bytes, count, fixed, length};
 use crate::state::{App, AppState};
 use crate::view::hosts::{HostLine, clock_words, hardware_name};
+use crate::view::link::panels::{claims, discipline};
+use crate::view::link::{self, Subject};
 use crate::view::now::{NowRow, NowTable};
 use crate::view::shell::{Place, Shell};
+use crate::view::{cut, rehearsal};
 use crate::zone::Moment;
 
 /// Topic of the live stream, followed by `/HOST`.
@@ -21,12 +24,13 @@ pub(crate) const TOPIC: &str = "host";
 type Pairs = Vec<(&'static str, String)>;
 
 #[derive(Template)]
-#[template(path = "pages/host.html", blocks = ["title", "now", "pipelines", "accounting"])]
+#[template(path = "pages/host.html", blocks = ["title", "now", "pipelines", "clock", "accounting"])]
 struct Host {
     shell: Shell,
     name: String,
     title: String,
     facts: Vec<String>,
+    links: Vec<(String, String)>,
     line: HostLine,
     agent: Pairs,
     hardware: Pairs,
@@ -71,6 +75,7 @@ pub(crate) fn update(app: &AppState, picture: &Picture, name: &str) -> Result<Up
         ("title", page.as_title().render()?),
         ("now", page.as_now().render()?),
         ("pipelines", page.as_pipelines().render()?),
+        ("clock", page.as_clock().render()?),
         ("accounting", page.as_accounting().render()?),
     ];
     Ok(Update::new(page.shell.title, parts))
@@ -123,6 +128,22 @@ fn accounting(agents: Option<&Accounting>, stored: &Stored) -> Pairs {
     pairs
 }
 
+/// How often the clock was found stepped, in words.
+fn steps(clock: &HostClock) -> String {
+    match clock.epoch {
+        0 => "none since the agent started".to_owned(),
+        1 => "1 since the agent started".to_owned(),
+        many => format!("{} since the agent started", count(many.into())),
+    }
+}
+
+/// The links of a host with the addresses of their pages.
+fn links(picture: &Picture, name: &str) -> Vec<(String, String)> {
+    let mine = picture.links.iter().map(|link| Subject::live(link));
+    let mine = mine.filter(|link| link.edge == name || link.cloud == name);
+    mine.map(|link| (link.route(), link::href(&link.edge, &link.cloud))).take(cut::LIST).collect()
+}
+
 fn host_page(app: &AppState, picture: &Picture, host: &HostPicture) -> Host {
     let description = &host.description;
     let name = description.name.to_string();
@@ -153,12 +174,17 @@ fn host_page(app: &AppState, picture: &Picture, host: &HostPicture) -> Host {
             .flatten()
             .filter(|fact| !fact.is_empty())
             .collect(),
+        links: links(picture, &name),
         line: HostLine::new(host, ours, app.zone),
         agent: agent(description),
         hardware: hardware(description),
         clock: vec![
             ("Wall clock", words),
             ("Known from", hint),
+            ("Synchronised by", discipline(&host.clock)),
+            ("It claims to be", claims(&host.clock)),
+            ("Steps noticed", steps(&host.clock)),
+            ("Rehearsal", host.clock.rehearsal.as_ref().map_or_else(|| "none".to_owned(), rehearsal::words)),
             ("Boot id", description.clock.boot.to_string()),
             ("Clock name", description.clock.clock.to_string()),
             (

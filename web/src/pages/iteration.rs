@@ -3,7 +3,7 @@
 use askama::Template;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
-use peernet_aggregator::{IterationDetail, IterationRow, RunSummary};
+use peernet_aggregator::{IterationDetail, IterationRow, RunDetail, RunSummary};
 
 use super::{Page, page, path};
 use crate::error::WebError;
@@ -12,10 +12,11 @@ use crate::state::{App, AppState};
 use crate::svg::{Axis, Lanes, Scale};
 use crate::view::bytes::{Beside, ByteRow};
 use crate::view::cause::{Cause, UnknownNetwork, figures_of};
-use crate::view::place;
+use crate::view::chip::Chip;
 use crate::view::shell::{Place, Shell};
 use crate::view::timeline::{Timeline, Where};
 use crate::view::waterfall::{DelayRow, Row, delays, footnote, journey, rows};
+use crate::view::{link, place, rehearsal};
 
 /// Iterations slower than this one are looked for among so many.
 const RANKED: u64 = 1_000;
@@ -30,6 +31,9 @@ struct Iteration {
     title: String,
     facts: Vec<String>,
     warm_up: bool,
+    rehearsal: Option<Chip>,
+    /// The page of the link that it went over.
+    link: Option<String>,
     previous: Option<(u64, String)>,
     next: Option<(u64, String)>,
     slower: Option<u64>,
@@ -57,7 +61,7 @@ pub(crate) async fn show(State(app): State<App>, numbers: Result<Path<(i64, u64)
         Some(rank) => store.slowest(run_number, u32::try_from(rank + 1).unwrap_or(1)).await?,
         None => Vec::new(),
     };
-    page(&assemble(&app, &run.summary, &detail, &ranked))
+    page(&assemble(&app, &run, &detail, &ranked))
 }
 
 /// The page's sentence: how long, how unusual, because of what.
@@ -115,11 +119,12 @@ fn facts(app: &AppState, run: &RunSummary, detail: &IterationDetail) -> Vec<Stri
 
 fn assemble(
     app: &AppState,
-    run: &RunSummary,
+    stored: &RunDetail,
     detail: &IterationDetail,
     ranked: &[IterationRow],
 ) -> Iteration {
-    let row = &detail.row;
+    let (run, row) = (&stored.summary, &detail.row);
+    let picture = app.picture();
     let timeline = Timeline::of(detail);
     let sent = timeline.nodes.iter().any(|node| node.at == Where::Network);
     let usual = UnknownNetwork::of(figures_of(&detail.run_figures), sent);
@@ -138,13 +143,15 @@ fn assemble(
         ranked.get(index).map(|row| row.number)
     };
     Iteration {
-        shell: Shell::new(app, &app.picture(), Place::Runs, format!("Iteration {}", count(row.number))),
+        shell: Shell::new(app, &picture, Place::Runs, format!("Iteration {}", count(row.number))),
         run: run.number,
         run_name: place::run_name(run),
         label: count(row.number),
         title: title(row, cause.as_ref()),
         facts: facts(app, run, detail),
         warm_up: row.warm_up,
+        rehearsal: rehearsal::in_facts(&stored.facts).then_some(rehearsal::CHIP),
+        link: link::of_placement(&picture, run.host_name.as_str(), &run.placement),
         previous: neighbour(detail.previous),
         next: neighbour(detail.next),
         slower: ranked_at(detail.rank.map(|rank| rank - 1)),

@@ -6,6 +6,8 @@ pub(crate) mod host;
 pub(crate) mod hosts;
 pub(crate) mod incidents;
 pub(crate) mod iteration;
+pub(crate) mod link;
+pub(crate) mod links;
 pub(crate) mod overview;
 pub(crate) mod pipeline;
 pub(crate) mod pipelines;
@@ -37,6 +39,8 @@ pub(crate) fn routes() -> Router<App> {
         .route("/runs", get(runs::show))
         .route("/runs/{run}", get(run::show))
         .route("/runs/{run}/iterations/{iteration}", get(iteration::show))
+        .route("/links", get(links::show))
+        .route("/links/{link}", get(link::show))
         .route("/hosts", get(hosts::show))
         .route("/hosts/{host}", get(host::show))
         .route("/incidents", get(incidents::show))

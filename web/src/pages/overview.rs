@@ -78,7 +78,7 @@ pub(crate) async fn update(app: &AppState, picture: &Picture) -> Result<Update, 
     Ok(Update { layout: page.layout, marks, obstacles, ..Update::new(page.shell.title, parts) })
 }
 
-type Incidents = Result<std::sync::Arc<Vec<IncidentRow>>, String>;
+type Incidents = Result<Vec<IncidentRow>, String>;
 
 /// The newest incidents. A store that fails breaks its panel and nothing else.
 async fn incidents(app: &AppState) -> Incidents {

@@ -4,8 +4,8 @@ use askama::Template;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use peernet_aggregator::{Figures, Picture, PipelinePicture, RunFilter, RunSummary, Window};
-use peernet_logger::stage;
 use peernet_logger::stream::{PipelineState, PlacementKind};
+use peernet_logger::{Slug, stage};
 use serde::Deserialize;
 
 use super::{Page, Update, overview, page, path};
@@ -17,13 +17,15 @@ use crate::svg::Bar;
 use crate::view::chart::ChartCard;
 use crate::view::clocks::ClockCell;
 use crate::view::data::JsonBlock;
+use crate::view::notes::Note;
 use crate::view::now::state_chip;
+use crate::view::rehearsal::{self, Rehearsed};
 use crate::view::runs::RunLine;
 use crate::view::shell::{Place, Shell};
 use crate::view::speed::{self, Way};
 use crate::view::stack::Stack;
 use crate::view::stages::{StageRow, TOO_FEW};
-use crate::view::{chip::Chip, place};
+use crate::view::{chip::Chip, link, place};
 
 /// Topic of the live stream, followed by `/HOST/PIPELINE/SECONDS`.
 pub(crate) const TOPIC: &str = "pipeline";
@@ -46,6 +48,10 @@ struct PipelinePage {
     host: String,
     title: String,
     chip: Option<Chip>,
+    rehearsal: Option<Chip>,
+    /// The page of the link that it uses.
+    link: Option<String>,
+    notes: Vec<Note>,
     facts: Vec<String>,
     run: Option<i64>,
     seconds: u32,
@@ -194,11 +200,19 @@ fn pipeline_page(
     facts.extend([place::model(placement), pipeline.load.clone()]);
     facts.push(format!("heard of {} ago", length((picture.at - pipeline.last_seen).seconds().max(0.0))));
     let charts = vec![ChartCard::new(pipeline, picture, app.zone)];
+    let link = link::of_placement(picture, &host, placement);
+    let cloud = placement.peer.as_ref().map_or("", Slug::as_str);
+    let rehearsed = Rehearsed::of(picture).concerns(&[&host, cloud]);
     Ok(PipelinePage {
         shell: Shell::new(app, picture, Place::Pipelines, pipeline.pipeline.as_str())
             .live(format!("{TOPIC}/{host}/{}/{seconds}", pipeline.pipeline)),
         title: title(pipeline, &stack),
         chip: state_chip(&pipeline.state),
+        rehearsal: rehearsed.then_some(rehearsal::CHIP),
+        notes: Note::of_delays(pipeline.pipeline.as_str(), "", link.as_deref(), &window.bounds, |name| {
+            window.value(name).copied()
+        }),
+        link,
         facts,
         run: pipeline.run_number,
         seconds,

@@ -17,12 +17,13 @@ use crate::svg::{Axis, Bar, DistributionView, HistogramPlot};
 use crate::view::chip::Chip;
 use crate::view::clocks::ClockCell;
 use crate::view::data::JsonBlock;
+use crate::view::notes::Note;
 use crate::view::run::{Bucket, Other, Slow, Stored, Unanswered};
 use crate::view::runs::End;
 use crate::view::shell::{Place, Shell};
 use crate::view::stack::Stack;
 use crate::view::stages::{StageRow, TOO_FEW, directions};
-use crate::view::{place, runs};
+use crate::view::{link, place, rehearsal, runs};
 use crate::zone::Zone;
 
 /// Bins of a distribution.
@@ -62,6 +63,8 @@ struct Run {
     number: i64,
     pipeline: String,
     facts: Vec<String>,
+    rehearsal: Option<Chip>,
+    notes: Vec<Note>,
     end: End,
     lead: (String, Option<String>),
     stats: Vec<(&'static str, String, &'static str)>,
@@ -177,11 +180,16 @@ fn assemble(app: &AppState, stored: &Stored<'_>, distribution: Distribution) -> 
     let all = summary.counts.total() + summary.warm_up;
     let missing: u64 = run.gaps.iter().map(|gap| gap.count).sum();
     let (zone, picture) = (app.zone, app.picture());
+    let link = link::of_placement(&picture, summary.host_name.as_str(), &summary.placement);
     Ok(Run {
         shell: Shell::new(app, &picture, Place::Runs, place::run_name(summary)),
         number: summary.number,
         pipeline: summary.pipeline.to_string(),
         facts: facts(run, zone),
+        rehearsal: rehearsal::in_facts(&run.facts).then_some(rehearsal::CHIP),
+        notes: Note::of_delays(summary.pipeline.as_str(), "", link.as_deref(), bounds, |name| {
+            stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures)
+        }),
         end: End::of(summary, &picture, zone),
         lead: total.map_or((NONE.to_owned(), None), |total| mean_std_ms(total.mean, total.std)),
         stats: vec![

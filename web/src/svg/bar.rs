@@ -11,6 +11,8 @@ const VALUE_FITS: f64 = 7.5;
 const NAME_FITS: f64 = 20.0;
 /// Between segments narrower than this the parting line would hide them.
 const CUT_FITS: f64 = 0.6;
+/// Narrower error bars would be mistaken for the line between two segments.
+const BOUND_SEEN: f64 = 0.4;
 
 /// One stage of a bar.
 #[derive(Clone, Debug, PartialEq)]
@@ -19,6 +21,8 @@ pub(crate) struct Part {
     pub name: String,
     /// Its length, seconds.
     pub seconds: f64,
+    /// How far its length may be off either way, seconds: for one-way delays.
+    pub bound: Option<f64>,
 }
 
 /// A stack of stages with the total's quantiles as whiskers.
@@ -30,6 +34,8 @@ pub(crate) struct Bar {
     grid: Vec<Percent>,
     segments: Vec<Segment>,
     whiskers: Vec<Whisker>,
+    /// Where a one-way delay ends or begins, within its clock bound: from and to.
+    bounds: Vec<(Percent, Percent)>,
 }
 
 impl askama::filters::HtmlSafe for Bar {}
@@ -67,9 +73,18 @@ impl Bar {
     pub(crate) fn new(class: &'static str, label: String, parts: &[Part], scale: &Scale) -> Self {
         let mut at = 0.0;
         let mut segments = Vec::with_capacity(parts.len());
+        let mut bounds = Vec::new();
         for part in parts.iter().filter(|part| part.seconds > 0.0) {
             let milliseconds = part.seconds * 1e3;
             let (x, end) = (scale.at(at), scale.at(at + milliseconds));
+            // The sum of both directions is exact: what moves is where the other host's part begins and ends.
+            let inner = if part.name == "download" { at } else { at + milliseconds };
+            if let Some(bound) = part.bound.map(|bound| bound.min(part.seconds) * 1e3) {
+                let (from, to) = (scale.at(inner - bound), scale.at(inner + bound));
+                if to.0 - from.0 >= BOUND_SEEN {
+                    bounds.push((from, to));
+                }
+            }
             let width = Percent(end.0 - x.0);
             at += milliseconds;
             segments.push(Segment {
@@ -84,14 +99,15 @@ impl Bar {
                 value: (width.0 >= VALUE_FITS).then(|| short(milliseconds)),
             });
         }
-        Self { class, label, grid: scale.grid(), segments, whiskers: Vec::new() }
+        Self { class, label, grid: scale.grid(), segments, whiskers: Vec::new(), bounds }
     }
 
-    /// The same without the values in its segments, for bars that are too low for text.
+    /// The same without values and error bars in its segments, for bars that are too low for text.
     pub(crate) fn silent(mut self) -> Self {
         for segment in &mut self.segments {
             (segment.name, segment.value) = (None, None);
         }
+        self.bounds.clear();
         self
     }
 
@@ -149,7 +165,7 @@ mod tests {
     use super::*;
 
     fn part(name: &str, milliseconds: f64) -> Part {
-        Part { name: name.to_owned(), seconds: milliseconds / 1e3 }
+        Part { name: name.to_owned(), seconds: milliseconds / 1e3, bound: None }
     }
 
     #[test]
@@ -176,6 +192,21 @@ mod tests {
         assert!(bar.clone().whiskers(Some(0.019), None, &scale).whiskers.is_empty());
         let beyond = bar.whiskers(Some(0.9), None, &scale);
         assert_eq!((beyond.whiskers[0].to, beyond.whiskers[0].beyond), (Percent(100.0), true));
+    }
+
+    #[test]
+    fn error_bars_stand_where_a_direction_meets_the_other_host() {
+        let scale = Scale::fit(30.0, 6);
+        let bounded =
+            |name: &str, milliseconds, bound| Part { bound: Some(bound / 1e3), ..part(name, milliseconds) };
+        let parts = [bounded("upload", 15.0, 3.0), part("inference", 6.0), bounded("download", 3.0, 6.0)];
+        let bar = Bar::new("", String::new(), &parts, &scale);
+        let close = |a: Percent, b: f64| (a.0 - b).abs() < 1e-9;
+        assert!(close(bar.bounds[0].0, 40.0) && close(bar.bounds[0].1, 60.0), "{:?}", bar.bounds);
+        // A bound wider than the delay ends where the delay would be nothing.
+        assert!(close(bar.bounds[1].0, 60.0) && close(bar.bounds[1].1, 80.0), "{:?}", bar.bounds);
+        let fine = [bounded("upload", 15.0, 0.01)];
+        assert!(Bar::new("", String::new(), &fine, &scale).bounds.is_empty());
     }
 
     #[test]

@@ -6,7 +6,10 @@
 mod axis;
 mod bar;
 mod histogram;
+pub(crate) mod pen;
+mod ruler;
 mod spark;
+mod tracks;
 mod waterfall;
 
 use std::fmt;
@@ -14,7 +17,9 @@ use std::fmt;
 pub(crate) use axis::{Axis, Scale};
 pub(crate) use bar::{Bar, Part, ShareBar};
 pub(crate) use histogram::{DistributionView, HistogramPlot, shown_in};
+pub(crate) use ruler::Ruler;
 pub(crate) use spark::Spark;
+pub(crate) use tracks::{Gap, RailSign, Segment, Strip, Track, Tracks};
 pub(crate) use waterfall::{Lanes, WaterfallRow};
 
 /// A position or length along an axis, in percent of it.

@@ -52,7 +52,9 @@ impl ByteRow {
             let (throughput, title) = speed_of(detail, speed, name);
             let usual =
                 median(&detail.run_figures, speed).map(|figures| figures.p50).filter(|usual| *usual > 0.0);
-            let ratio = value(detail, speed).zip(usual).map(|(now, usual)| times(now / usual));
+            // A ratio of what is known only as an interval would be a figure again.
+            let ratio = value(detail, speed).zip(usual).filter(|_| title.is_empty());
+            let ratio = ratio.map(|(now, usual)| times(now / usual));
             Self {
                 name,
                 payload: size(payload),

@@ -27,17 +27,25 @@ pub(crate) fn verdict(bound: &Bound) -> Option<Verdict> {
     frequent.map(|(verdict, _)| *verdict).max_by_key(|verdict| severity(*verdict))
 }
 
-/// What a verdict means, in a sentence for people who meet it for the first time.
+/// What a verdict means and what to make of it, in a sentence for people who meet it for the first time.
 pub(crate) const fn meaning(verdict: Verdict) -> &'static str {
     match verdict {
-        Verdict::Ok => "the bound is less than half the delay",
-        Verdict::Limited => "sound, but the bound is wider than half the delay",
-        Verdict::Stale => "the clocks were not compared recently enough",
+        Verdict::Ok => {
+            "the interval that contains the true delay is narrower than half of it: take the figure as it is"
+        }
+        Verdict::Limited => {
+            "sound, but the interval is wider than half the delay: read it as an interval, not as a figure"
+        }
+        Verdict::Stale => {
+            "the clocks were not compared lately: the interval still holds, but has grown and grows until they are"
+        }
         Verdict::Unsynchronised => {
             "the two hosts' clocks were never related, so the directions cannot be told apart; their sum is exact"
         }
-        Verdict::Stepped => "a clock was stepped at that time",
-        Verdict::Inconsistent => "two sources about the clocks exclude each other",
+        Verdict::Stepped => "a clock was stepped or ran off at that time: leave these delays out",
+        Verdict::Inconsistent => {
+            "two sources about the clocks exclude each other, so one of them is wrong: trust neither direction, only their sum"
+        }
     }
 }
 

@@ -1,13 +1,14 @@
 //! The health of the system in sentences: the title of the overview and the notes under it.
 
 use peernet_aggregator::{HostPicture, Picture, PipelinePicture};
-use peernet_clock::{Span, Verdict};
+use peernet_clock::Span;
 use peernet_logger::stream::PipelineState;
 use peernet_logger::{Name, stage};
 
 use super::chip::{Chip, Tone};
-use super::{clocks, place};
-use crate::numbers::{bound_ms, count, duration, interval_ms, length, percent};
+use super::notes::Note;
+use super::{link, place};
+use crate::numbers::{count, length, percent};
 use crate::zone::Zone;
 
 /// At most so many notes are shown; the others are counted.
@@ -16,16 +17,6 @@ const NOTES: usize = 5;
 const FAR_BEHIND: Span = Span::from_seconds(5);
 /// A share of lost iterations worth a note.
 const MANY_LOST: f64 = 0.001;
-
-/// One thing to look at.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Note {
-    pub chip: Chip,
-    /// What the sentence is about, as a link in front of it.
-    pub subject: String,
-    pub href: String,
-    pub text: String,
-}
 
 /// Title and notes.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -47,9 +38,10 @@ impl Health {
             subject: refused.name.to_string(),
             href: "/hosts".to_owned(),
             text: format!("was turned away at {}: {}", zone.moment(refused.at).clock(), refused.reason),
+            link: None,
         }));
         notes.extend(picture.hosts.iter().flat_map(|host| host_notes(host, zone)));
-        notes.extend(picture.pipelines.iter().flat_map(|pipeline| pipeline_notes(pipeline)));
+        notes.extend(picture.pipelines.iter().flat_map(|pipeline| pipeline_notes(pipeline, picture)));
         // The worst first; the sort is stable, so that notes of one kind stay in order.
         notes.sort_by_key(|note| std::cmp::Reverse(note.chip.tone));
 
@@ -84,7 +76,8 @@ impl Health {
 
 fn host_notes(host: &HostPicture, zone: Zone) -> Vec<Note> {
     let name = host.description.name.to_string();
-    let note = |chip, text| Note { chip, subject: name.clone(), href: format!("/hosts/{name}"), text };
+    let note =
+        |chip, text| Note { chip, subject: name.clone(), href: format!("/hosts/{name}"), text, link: None };
     let mut notes = Vec::new();
     if !host.connected {
         let seen = zone.moment(host.last_seen).clock();
@@ -107,10 +100,10 @@ fn host_notes(host: &HostPicture, zone: Zone) -> Vec<Note> {
     notes
 }
 
-fn pipeline_notes(pipeline: &PipelinePicture) -> Vec<Note> {
+fn pipeline_notes(pipeline: &PipelinePicture, picture: &Picture) -> Vec<Note> {
     let subject = pipeline.pipeline.to_string();
     let href = place::pipeline_href(pipeline.host_name.as_str(), &subject);
-    let note = |chip, text| Note { chip, subject: subject.clone(), href: href.clone(), text };
+    let note = |chip, text| Note { chip, subject: subject.clone(), href: href.clone(), text, link: None };
     let mut notes = Vec::new();
     match &pipeline.state {
         PipelineState::Failed(reason) => {
@@ -130,32 +123,9 @@ fn pipeline_notes(pipeline: &PipelinePicture) -> Vec<Note> {
             format!("had no answer for {}\u{202f}% of its iterations in the last minute.", percent(lost));
         notes.push(note(Chip::new(Tone::Warn, "gap", "losses"), text));
     }
-    let unsure: Vec<(&Name, Verdict)> = window
-        .bounds
-        .iter()
-        .filter_map(|bound| Some((&bound.stage, clocks::verdict(bound)?)))
-        .filter(|(_, verdict)| *verdict != Verdict::Ok)
-        .collect();
-    if unsure.len() == 2 && unsure[0].1 == unsure[1].1 && unsure[0].1 != Verdict::Limited {
-        let text = format!("has no one-way delays to trust: {}.", clocks::meaning(unsure[0].1));
-        notes.push(note(Chip::verdict(unsure[0].1), text));
-        return notes;
-    }
-    for (name, verdict) in unsure {
-        let figures = window.value(name);
-        let width =
-            window.bounds.iter().find(|bound| bound.stage == *name).and_then(|bound| bound.half_width);
-        let text = match (verdict, figures, width) {
-            (Verdict::Limited, Some(delay), Some(width)) => format!(
-                "has a {name} of {} with a clock bound of {}\u{202f}ms: read it as {}\u{202f}ms.",
-                duration(delay.p50),
-                bound_ms(width.p50),
-                interval_ms((delay.p50 - width.p50).max(0.0), delay.p50 + width.p50)
-            ),
-            _ => format!("has a {name} that cannot be trusted: {}.", clocks::meaning(verdict)),
-        };
-        notes.push(note(Chip::verdict(verdict), text));
-    }
+    let link = link::of_placement(picture, pipeline.host_name.as_str(), &pipeline.placement);
+    let value = |name: &Name| window.value(name).copied();
+    notes.extend(Note::of_delays(&subject, &href, link.as_deref(), &window.bounds, value));
     if let Some(total) = window.value(&stage::UNATTRIBUTED)
         && total.mean < 0.0
     {

@@ -4,7 +4,9 @@ use peernet_aggregator::{HostPicture, MetricsPoint, Picture};
 use peernet_clock::{ClockIdentity, Span};
 use peernet_logger::stream::{Hardware, HostMetrics};
 
-use super::chip::Tone;
+use super::chip::{Chip, Tone};
+use super::link::panels::discipline;
+use super::rehearsal;
 use crate::numbers::{NONE, SPACE, count, fixed, gigabytes, length};
 use crate::svg::Spark;
 use crate::zone::{Moment, Zone};
@@ -30,6 +32,7 @@ pub(crate) struct HostLine {
     pub behind: String,
     pub clock: String,
     pub clock_title: String,
+    pub rehearsal: Option<Chip>,
 }
 
 /// A host that was turned away.
@@ -139,7 +142,8 @@ impl HostLine {
             waiting: count(host.accounting.waiting),
             behind: host.behind.map_or_else(|| "0".to_owned(), |behind| fixed(behind.seconds(), 1)),
             clock,
-            clock_title,
+            clock_title: format!("{clock_title}; {}", discipline(&host.clock)),
+            rehearsal: host.clock.rehearsal.as_ref().map(|_| rehearsal::CHIP),
             name,
         }
     }

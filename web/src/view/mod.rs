@@ -10,8 +10,11 @@ pub(crate) mod data;
 pub(crate) mod health;
 pub(crate) mod hosts;
 pub(crate) mod incidents;
+pub(crate) mod link;
+pub(crate) mod notes;
 pub(crate) mod now;
 pub(crate) mod place;
+pub(crate) mod rehearsal;
 pub(crate) mod run;
 pub(crate) mod runs;
 #[cfg(test)]
@@ -22,3 +25,8 @@ pub(crate) mod stack;
 pub(crate) mod stages;
 pub(crate) mod timeline;
 pub(crate) mod waterfall;
+
+/// `1 link`, `3 links`.
+pub(crate) fn counted(many: usize, one: &str, several: &str) -> String {
+    format!("{} {}", crate::numbers::count(many as u64), if many == 1 { one } else { several })
+}

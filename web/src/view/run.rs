@@ -1,10 +1,13 @@
 //! What the page of a run shows of the store's answers.
 
 use peernet_aggregator::{Bound, IterationRow, RunDetail, Series, StageStatistics};
+use peernet_clock::Verdict;
 use serde::Serialize;
 
 use super::cause::{Cause, UnknownNetwork};
+use super::clocks;
 use super::data::{JsonBlock, Short};
+use super::speed::{self, Way};
 use super::stack::Stack;
 use crate::look;
 use crate::numbers::{NONE, SPACE, count, difference_ms, figure, stage_ms, times, total_ms};
@@ -118,15 +121,24 @@ impl Stored<'_> {
             let (unit, factor) = shown_in(&stage.unit);
             let figures = &stage.figures;
             let text = |value: f64| figure(value * factor);
-            Other {
-                name: stage.stage.to_string(),
-                mean: text(figures.mean),
-                p50: text(figures.p50),
-                max: text(figures.max),
-                unit,
-            }
+            let [mean, p50, max] = match self.uncertain_speed(stage) {
+                Some(between) => [between, NONE.to_owned(), NONE.to_owned()],
+                None => [figures.mean, figures.p50, figures.max].map(text),
+            };
+            Other { name: stage.stage.to_string(), mean, p50, max, unit }
         });
         shown.collect()
+    }
+
+    /// What stands for a throughput whose delay is not known as a figure: its interval, or a dash.
+    fn uncertain_speed(&self, stage: &StageStatistics) -> Option<String> {
+        let way = [Way::Up, Way::Down].into_iter().find(|way| stage.stage == *way.throughput())?;
+        let bound = self.bounds.iter().find(|bound| bound.stage == *way.delay())?;
+        let verdict = clocks::verdict(bound).filter(|verdict| *verdict != Verdict::Ok)?;
+        let delay =
+            self.stages.iter().find(|other| other.stage == *way.delay()).map(|other| other.figures.mean);
+        let half = bound.half_width.filter(|_| verdict == Verdict::Limited).map(|width| width.p50);
+        Some(speed::interval(stage.figures.mean, delay, half).unwrap_or_else(|| NONE.to_owned()))
     }
 
     /// The slowest iterations, on one scale.

@@ -3,13 +3,16 @@
 use std::sync::Arc;
 
 use peernet_aggregator::{
-    Aggregator, AggregatorConfig, Bound, Figures, HostPicture, IncidentRow, IterationDetail, IterationRow,
-    LiveSecond, MetricsPoint, Picture, PipelinePicture, RefusedHost, Stored, Window,
+    Aggregator, AggregatorConfig, Bound, ClockPoint, Figures, HostPicture, IncidentRow, IterationDetail,
+    IterationRow, LinkPicture, LiveSecond, MetricsPoint, Picture, PipelinePicture, RefusedHost, Stored,
+    Window,
 };
-use peernet_clock::{ClockIdentity, ManualClock, Span, Verdict, WallTime};
+use peernet_clock::{
+    ClockIdentity, DelaySource, ExchangeCounts, Interval, ManualClock, Offset, Span, Verdict, WallTime,
+};
 use peernet_logger::stream::{
-    Accounting, Hardware, HostDescription, HostMetrics, OutcomeCounts, PipelineState, Placement,
-    PlacementKind,
+    Accounting, ClockSample, DelayPoint, DelaySecond, Hardware, HostClock, HostDescription, HostMetrics,
+    LinkLive, OutcomeCounts, PipelineState, Placement, PlacementKind, ProbeCounts, Probing, RoundTrip,
 };
 use peernet_logger::{Anchor, HostId, Name, Slug, Tree, stage};
 use tokio_util::sync::CancellationToken;
@@ -157,6 +160,7 @@ pub(crate) fn host(name: &str, kind: &str) -> HostPicture {
         last_seen: NOW,
         clock_ahead: Span::from_millis(3),
         behind: None,
+        clock: HostClock::default(),
         history: vec![Arc::new(MetricsPoint { at: NOW, metrics: metrics.clone() })],
         metrics,
         accounting: Accounting::default(),
@@ -172,7 +176,100 @@ pub(crate) fn picture(hosts: Vec<HostPicture>, pipelines: Vec<PipelinePicture>) 
         listening: "tcp://127.0.0.1:5550".into(),
         hosts: hosts.into_iter().map(Arc::new).collect(),
         pipelines: pipelines.into_iter().map(Arc::new).collect(),
+        links: Vec::new(),
         refused: Vec::new(),
+    }
+}
+
+/// What is known of a cloud's clock at one time: bounds of `half` seconds about an offset of 1.204 s that grows with
+/// 12.4 ppm, delays of 6.3 and 0.6 ms; nothing without bounds.
+pub(crate) fn clock_sample(at: WallTime, window: u64, half: Option<f64>) -> ClockSample {
+    let seconds = Span::from_seconds_f64;
+    let estimate = seconds(1.204 + 12.4e-6 * (at - NOW).seconds());
+    let offset = half.map(|half| {
+        let bounds = Interval { lo: estimate - seconds(half), hi: estimate + seconds(half) };
+        let wider = Interval { lo: estimate - seconds(0.0019), hi: estimate + seconds(0.0019) };
+        Offset {
+            at,
+            estimate,
+            bounds,
+            source: DelaySource::Intersection,
+            sources: vec![(DelaySource::InBand, bounds), (DelaySource::Chrony, wider)],
+            verdict: Verdict::Ok,
+            skew_ppm: Some(12.4),
+            exchanges: 612,
+            age: Some(seconds(0.05)),
+        }
+    });
+    let delay = |value: f64, bits: f64| DelaySecond {
+        count: 30,
+        median: half.map(|half| DelayPoint {
+            value: seconds(value),
+            bounds: Interval { lo: seconds(value - half), hi: seconds(value + half) },
+            bits_per_second: Some(bits / value),
+        }),
+        verdict: match half {
+            None => Verdict::Unsynchronised,
+            Some(half) if half * 4.0 > value => Verdict::Limited,
+            Some(_) => Verdict::Ok,
+        },
+    };
+    ClockSample {
+        peer: HostId::from_bytes([9; 16]),
+        peer_name: slug("rack-a"),
+        at,
+        window,
+        max_drift_ppm: 50.0,
+        upper: None,
+        lower: None,
+        offset,
+        probes: ProbeCounts { sent: 10, answered: 10, lost: 0 },
+        exchanges: ExchangeCounts { taken: 6_120, outliers: 4, ..ExchangeCounts::default() },
+        round_trip: Some(RoundTrip { min: seconds(0.0013), median: seconds(0.00175) }),
+        up: Some(delay(0.0063, 1.2e6)),
+        down: Some(delay(0.0006, 3.3e3)),
+    }
+}
+
+/// The same as a point of a history.
+pub(crate) fn clock_point(at: WallTime, window: u64, half: Option<f64>) -> ClockPoint {
+    let sample = clock_sample(at, window, half);
+    ClockPoint {
+        at: sample.at,
+        window: sample.window,
+        offset: sample.offset,
+        probes: sample.probes,
+        round_trip: sample.round_trip,
+        up: sample.up,
+        down: sample.down,
+    }
+}
+
+/// A link from `cam-1` to `rack-a` of two minutes; seconds whose place in `gaps` is reached are missing.
+pub(crate) fn link(half: Option<f64>, gaps: &[i64]) -> LinkPicture {
+    let second = |ago: i64| WallTime::from_unix_nanos((NOW.unix_seconds() - ago) * 1_000_000_000);
+    let known = (0..120).rev().filter(|ago| !gaps.contains(ago));
+    LinkPicture {
+        edge: host_id(),
+        edge_name: slug("cam-1"),
+        connected: true,
+        last_seen: NOW,
+        live: LinkLive {
+            peer: HostId::from_bytes([9; 16]),
+            peer_name: slug("rack-a"),
+            networks: vec!["zmq-tcp".into()],
+            pipelines: vec![slug("line")],
+            same_clock: false,
+            probing: Probing::On {
+                address: "udp://192.0.2.5:8620".into(),
+                rate_hz: 10.0,
+                stamps: "kernel, receive only".into(),
+            },
+            edge: Some(HostClock { text: "chrony, stratum 2".into(), ..HostClock::default() }),
+            cloud: None,
+            now: clock_sample(second(0), 1, half),
+        },
+        history: known.map(|ago| Arc::new(clock_point(second(ago), 1, half))).collect(),
     }
 }
 

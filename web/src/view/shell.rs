@@ -2,6 +2,7 @@
 
 use peernet_aggregator::Picture;
 
+use super::rehearsal::Rehearsed;
 use crate::assets;
 use crate::state::AppState;
 
@@ -11,6 +12,7 @@ pub(crate) enum Place {
     Overview,
     Pipelines,
     Runs,
+    Links,
     Hosts,
     Incidents,
     /// A page that belongs to none of them.
@@ -19,10 +21,11 @@ pub(crate) enum Place {
 
 impl Place {
     /// The entries of the navigation: place, name, address, key after `g`.
-    pub(crate) const NAVIGATION: [(Self, &'static str, &'static str, &'static str); 5] = [
+    pub(crate) const NAVIGATION: [(Self, &'static str, &'static str, &'static str); 6] = [
         (Self::Overview, "Overview", "/", "o"),
         (Self::Pipelines, "Pipelines", "/pipelines", "p"),
         (Self::Runs, "Runs", "/runs", "r"),
+        (Self::Links, "Links", "/links", "l"),
         (Self::Hosts, "Hosts", "/hosts", "h"),
         (Self::Incidents, "Incidents", "/incidents", "i"),
     ];
@@ -47,6 +50,8 @@ pub(crate) struct Shell {
     pub topic: Option<String>,
     /// Whether any host ever reported.
     pub waiting: bool,
+    /// What is said about clocks that are made wrong on purpose.
+    pub rehearsals: Vec<String>,
 }
 
 impl Shell {
@@ -65,6 +70,7 @@ impl Shell {
             aggregator: picture.aggregator.to_string(),
             topic: None,
             waiting: picture.hosts.is_empty(),
+            rehearsals: Rehearsed::of(picture).banner(),
         }
     }
 

@@ -16,7 +16,8 @@ pub(crate) enum Way {
 }
 
 impl Way {
-    const fn delay(self) -> &'static str {
+    /// Name of the delay's node.
+    pub(crate) const fn delay(self) -> &'static str {
         match self {
             Self::Up => "upload",
             Self::Down => "download",
@@ -57,16 +58,35 @@ pub(crate) fn cell(kind: PlacementKind, window: &Window, way: Way) -> Cell {
             let bound = window.bounds.iter().find(|bound| bound.stage == *way.delay());
             let half = bound.and_then(|bound| bound.half_width).map(|width| width.p50);
             let delay = window.value(way.delay()).map(|figures| figures.mean);
-            match value.zip(half.zip(delay)) {
-                Some((value, (half, delay))) if half < delay => {
-                    let (lo, hi) = (value.mean * delay / (delay + half), value.mean * delay / (delay - half));
-                    Cell {
-                        text: format!("{} – {}", throughput(lo), throughput(hi)),
-                        title: Some(why.to_owned()),
-                    }
-                }
-                _ => Cell::none(why),
+            let limited = bound.and_then(clocks::verdict) == Some(Verdict::Limited);
+            match value.filter(|_| limited).and_then(|value| interval(value.mean, delay, half)) {
+                Some(text) => Cell { text, title: Some(why.to_owned()) },
+                None => Cell::none(why),
             }
         }
+    }
+}
+
+/// The throughput that follows from the ends of a delay's interval, in MB/s: `12.0 – ∞` where the
+/// delay may be nothing; `None` where the delay has no bound.
+pub(crate) fn interval(rate: f64, delay: Option<f64>, half: Option<f64>) -> Option<String> {
+    let (delay, half) = delay.zip(half)?;
+    let hi = if half < delay { throughput(rate * delay / (delay - half)) } else { "∞".to_owned() };
+    Some(format!("{} – {hi}", throughput(rate * delay / (delay + half))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::view::samples;
+
+    #[test]
+    fn a_throughput_over_a_limited_delay_is_an_interval() {
+        let text =
+            |verdict| cell(PlacementKind::Remote, &samples::window(10, 30.0, 1.0, verdict), Way::Up).text;
+        assert_eq!(text(Verdict::Ok), "23.8");
+        assert_eq!(text(Verdict::Limited), "21.5 – 26.5");
+        assert_eq!(text(Verdict::Inconsistent), "—");
+        assert_eq!(interval(8e6, Some(0.001), Some(0.002)).expect("bounded"), "0.33 – ∞");
     }
 }

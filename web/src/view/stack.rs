@@ -21,13 +21,23 @@ impl Stack {
     /// The stack of a live window.
     pub(crate) fn of_window(window: &Window) -> Self {
         let crossed = window.bounds.iter().any(|bound| bound.verdicts.iter().any(|(_, count)| *count > 0));
-        Self::new(crossed, |name| window.value(name).copied())
+        Self::new(crossed, |name| window.value(name).copied()).bounded(&window.bounds)
     }
 
     /// The stack of a stored run.
     pub(crate) fn of_run(stages: &[StageStatistics], bounds: &[Bound]) -> Self {
         let find = |name: &str| stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures);
-        Self::new(!bounds.is_empty(), find)
+        Self::new(!bounds.is_empty(), find).bounded(bounds)
+    }
+
+    /// With the error bars of the one-way delays.
+    fn bounded(mut self, bounds: &[Bound]) -> Self {
+        for bound in bounds {
+            if let Some(part) = self.parts.iter_mut().find(|part| part.name == bound.stage.as_str()) {
+                part.bound = bound.half_width.map(|width| width.p50).filter(|width| *width > 0.0);
+            }
+        }
+        self
     }
 
     fn new(crossed: bool, of: impl Fn(&str) -> Option<Figures>) -> Self {
@@ -42,25 +52,29 @@ impl Stack {
                 // A stage that not every iteration had counts with its share, so that the sum stays exact.
                 let seconds = figures.mean * figures.count as f64 / total.count.max(1) as f64;
                 left -= seconds;
-                parts.push(Part { name: name.to_owned(), seconds });
+                parts.push(Part { name: name.to_owned(), seconds, bound: None });
             }
             if name == "send-queue" {
                 network_at = parts.len();
             }
         }
         if let Some(network) = network {
-            parts.insert(network_at, Part { name: look::NETWORK.to_owned(), seconds: network.mean });
+            parts.insert(
+                network_at,
+                Part { name: look::NETWORK.to_owned(), seconds: network.mean, bound: None },
+            );
             left -= network.mean;
         }
         if left > 0.0 {
-            parts.push(Part { name: "unattributed".to_owned(), seconds: left });
+            parts.push(Part { name: "unattributed".to_owned(), seconds: left, bound: None });
         }
         Self { parts, total: Some(total) }
     }
 
     /// The stages of an iteration of a list, with both directions of the network where those are not known.
     pub(crate) fn of_iteration(row: &IterationRow, network: Option<UnknownNetwork>) -> Self {
-        let part = |(name, seconds): &(Name, f64)| Part { name: name.to_string(), seconds: *seconds };
+        let part =
+            |(name, seconds): &(Name, f64)| Part { name: name.to_string(), seconds: *seconds, bound: None };
         let mut parts: Vec<Part> = row.stages.iter().map(part).collect();
         if let Some(seconds) = network.and_then(|_| UnknownNetwork::within(row)) {
             let at = look::STACK
@@ -68,11 +82,11 @@ impl Stack {
                 .take(3)
                 .filter(|name| parts.iter().any(|part| part.name == **name))
                 .count();
-            parts.insert(at, Part { name: look::NETWORK.to_owned(), seconds });
+            parts.insert(at, Part { name: look::NETWORK.to_owned(), seconds, bound: None });
         }
         let left = row.total.map_or(0.0, |total| total - parts.iter().map(|part| part.seconds).sum::<f64>());
         if left > 0.0 {
-            parts.push(Part { name: "unattributed".to_owned(), seconds: left });
+            parts.push(Part { name: "unattributed".to_owned(), seconds: left, bound: None });
         }
         Self { parts, total: None }
     }

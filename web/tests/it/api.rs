@@ -10,9 +10,12 @@ use crate::bed::{Bed, ITERATIONS};
 use crate::factory::Line;
 
 /// Every route, with an address that exists when two lines are stored.
-const ROUTES: [(&str, &str); 16] = [
+const ROUTES: [(&str, &str); 20] = [
     ("/api/v1/hosts", "/api/v1/hosts"),
     ("/api/v1/hosts/{host}", "/api/v1/hosts/cam-2"),
+    ("/api/v1/links", "/api/v1/links"),
+    ("/api/v1/links/{link}", "/api/v1/links/cam-2~rack-a"),
+    ("/api/v1/links/{link}/clock", "/api/v1/links/cam-2~rack-a/clock?points=20"),
     ("/api/v1/pipelines", "/api/v1/pipelines"),
     ("/api/v1/pipelines/{host}/{pipeline}", "/api/v1/pipelines/cam-2/offload-full"),
     ("/api/v1/live", "/api/v1/live?topics=picture"),
@@ -21,6 +24,7 @@ const ROUTES: [(&str, &str); 16] = [
     ("/api/v1/runs/{run}/stages", "/api/v1/runs/2/stages"),
     ("/api/v1/runs/{run}/series", "/api/v1/runs/2/series?stages=total,upload"),
     ("/api/v1/runs/{run}/histogram", "/api/v1/runs/2/histogram?stage=upload&bins=20"),
+    ("/api/v1/runs/{run}/recomputed", "/api/v1/runs/2/recomputed"),
     ("/api/v1/runs/{run}/iterations", "/api/v1/runs/2/iterations?limit=5"),
     ("/api/v1/runs/{run}/iterations/{iteration}", "/api/v1/runs/2/iterations/100"),
     ("/api/v1/runs/{run}/export", "/api/v1/runs/2/export?format=csv"),
@@ -209,4 +213,63 @@ async fn problems_have_the_standard_form_and_name_the_parameter() {
     assert_eq!(answer.status, StatusCode::METHOD_NOT_ALLOWED);
     assert_eq!(answer.json()["status"], 405);
     assert!(answer.header("allow").contains("GET"), "{:?}", answer.headers);
+}
+
+#[tokio::test]
+async fn links_and_clocks_are_served() {
+    let (bed, _factory) = Bed::with(vec![Line::local(), Line::rehearsed()]).await;
+    let links = bed.get("/api/v1/links").await.json();
+    let link = &links["links"][0];
+    assert_eq!((&link["name"], &link["connected"]), (&json!("cam-3~rack-a"), &json!(true)));
+    let now = &link["now"];
+    assert_eq!((&now["same_clock"], &now["verdict"]), (&json!(false), &json!("limited")));
+    assert_eq!((&now["probing"]["state"], &now["probing"]["rate_hz"]), (&json!("on"), &json!(10.0)));
+    assert_eq!(now["edge_clock"]["rehearsal"]["offset_s"], json!(1.0));
+    assert_eq!(now["exchanges"]["outliers"], json!(5));
+    let offset = &now["offset"];
+    let number = |value: &Value| value.as_f64().expect("a number");
+    let (lo, estimate, hi) =
+        (number(&offset["lo_s"]), number(&offset["estimate_s"]), number(&offset["hi_s"]));
+    assert!(lo <= estimate && estimate <= hi && (1.2..1.21).contains(&estimate), "{offset}");
+    assert_eq!(offset["sources"][1]["source"], "chrony");
+    assert!(number(&now["up"]["median"]["lo_s"]) <= number(&now["up"]["median"]["value_s"]));
+    assert_eq!(bed.get("/api/v1/links/cam-3~rack-a").await.json()["edge_id"], link["edge_id"]);
+
+    let series = bed.get("/api/v1/links/cam-3~rack-a/clock?points=600").await.json();
+    let points = series["points"].as_array().expect("points");
+    assert!(series["bucket_s"] == 1 && points.len() >= 100, "{} points", points.len());
+    assert!(points[0]["window"].is_string() && points[0]["probes"]["sent"] == 10, "{}", points[0]);
+    let to = points[49]["at"].as_str().expect("a time");
+    let half = bed.get(&format!("/api/v1/links/cam-3~rack-a/clock?to={to}&points=600")).await.json();
+    assert_eq!(half["points"].as_array().expect("points").len(), 50);
+    let few = bed.get("/api/v1/links/cam-3~rack-a/clock?points=10").await.json();
+    assert!(few["points"].as_array().expect("points").len() <= 11, "{few}");
+
+    let host = bed.get("/api/v1/hosts/cam-3").await.json();
+    assert_eq!(host["clock"]["text"], "chrony, stratum 3, to ntp.plant");
+    assert_eq!(host["clock"]["rehearsal"]["drift_ppm"], json!(50.0));
+
+    let again = bed.get("/api/v1/runs/2/recomputed").await.json();
+    assert_eq!(again["run"], 2);
+    let stages: Vec<&Value> =
+        again["stages"].as_array().expect("stages").iter().map(|one| &one["stage"]).collect();
+    assert_eq!(stages, ["upload", "download"]);
+    assert!(again["stages"][0]["before"]["delay"]["count"].as_u64().expect("a count") > 300, "{again}");
+
+    for (address, status, word) in [
+        ("/api/v1/links/cam-3", 404, "EDGE~CLOUD"),
+        ("/api/v1/links/cam-3~nobody/clock", 404, "nobody"),
+        ("/api/v1/links/cam-3~rack-a/clock?from=yesterday", 400, "from"),
+        ("/api/v1/links/cam-3~rack-a/clock?points=0", 400, "points"),
+        ("/api/v1/links/cam-3~rack-a/clock?from=2026-01-02T00:00:00Z&to=2026-01-01T00:00:00Z", 400, "before"),
+        ("/api/v1/runs/77/recomputed", 404, "77"),
+    ] {
+        let answer = bed.get(address).await;
+        assert_eq!(answer.status.as_u16(), status, "{address}");
+        assert!(
+            answer.json()["detail"].as_str().expect("a detail").contains(word),
+            "{address}: {}",
+            answer.text()
+        );
+    }
 }

@@ -75,11 +75,14 @@ impl Bed {
         let mut factory = Factory::new(&bed.listening, bed.clock.clone(), lines).await;
         factory.store_runs(ITERATIONS, true).await;
         factory.store_incidents().await;
+        factory.store_clocks(120).await;
         let now = bed.clock.wall();
         factory.report(now - Span::from_seconds(70), now).await;
         bed.until(|picture| {
             let full = |second: &[Arc<peernet_aggregator::LiveSecond>]| second.len() >= 30;
-            picture.pipelines.len() == expected && picture.pipelines.iter().all(|one| full(&one.series))
+            picture.pipelines.len() == expected
+                && picture.pipelines.iter().all(|one| full(&one.series))
+                && picture.links.iter().all(|link| link.history.len() >= 70)
         })
         .await;
         (bed, factory)

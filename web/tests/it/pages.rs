@@ -20,8 +20,13 @@ async fn every_page_is_there_and_complete_without_a_script() {
         ("/runs/3", "Slowest iterations"),
         ("/runs/3?stage=upload&view=cumulative&scale=log", "Distribution of upload"),
         (&slowest, "× the run&#39;s median: "),
+        ("/links", "2 links: 1 can be trusted, 1 known only as intervals in part"),
+        ("/links/cam-3~rack-a", "upload times can be trusted to ±0."),
+        ("/links/cam-3~rack-a?range=1h&offset=measured", "clock offset of rack-a, ms"),
+        ("/links/cam-3~rack-a?range=24h", "in-band, 6,120 exchanges"),
         ("/hosts", "4 hosts, all connected"),
         ("/hosts/cam-1", "What became of its events"),
+        ("/hosts/cam-2", "within ±2.1\u{202f}ms of true time"),
         ("/incidents", "stepped by +18.2 ms"),
     ];
     for (path, text) in pages {
@@ -49,6 +54,7 @@ async fn an_empty_aggregator_says_how_to_fill_it() {
     for (path, text) in [
         ("/pipelines", "No pipeline has reported yet"),
         ("/runs", "No run is stored yet"),
+        ("/links", "A link comes with the first pipeline whose placement is"),
         ("/hosts", "No host has reported yet"),
         ("/incidents", "Nothing out of the ordinary has happened"),
     ] {
@@ -75,9 +81,16 @@ async fn clocks_that_were_never_related_show_dashes_and_an_exact_sum() {
 #[tokio::test]
 async fn what_is_not_there_is_said_on_a_page() {
     let bed = Bed::empty().await;
-    for path in
-        ["/nothing", "/runs/7", "/runs/seven", "/runs/7/iterations/1", "/hosts/nobody", "/pipelines/a/b"]
-    {
+    for path in [
+        "/nothing",
+        "/runs/7",
+        "/runs/seven",
+        "/runs/7/iterations/1",
+        "/hosts/nobody",
+        "/pipelines/a/b",
+        "/links/a~b",
+        "/links/a",
+    ] {
         let answer = bed.get(path).await;
         assert_eq!(answer.status, StatusCode::NOT_FOUND, "{path}");
         assert!(answer.header("content-type").starts_with("text/html"), "{path}");
@@ -104,4 +117,34 @@ async fn a_run_goes_on_only_as_long_as_its_host_says_so() {
         assert_eq!(page.text().contains("no end was reported; last iteration on"), current.is_none());
     }
     assert!(bed.get("/runs").await.text().contains("no end was reported, last iteration"));
+}
+
+#[tokio::test]
+async fn links_of_all_kinds_are_told_apart() {
+    let lines = vec![
+        Line::rehearsed(),
+        Line { host: "cam-4", ..Line::unrelated() },
+        Line { host: "cam-5", ..Line::one_clock() },
+    ];
+    let (bed, _factory) = Bed::with(lines).await;
+    for (path, text) in [
+        ("/links", "3 links: 1 can be trusted, 1 known only as intervals in part, 1 cannot be trusted"),
+        ("/links/cam-4~rack-a", "the two clocks were never related, so one-way delays are not known"),
+        ("/links/cam-5~rack-a", "cam-5 and rack-a read one clock: delays between them are exact"),
+        (
+            "/links/cam-3~rack-a",
+            "cam-3&#39;s clock is made wrong on purpose (+1,000\u{202f}ms, +50\u{202f}ppm)",
+        ),
+        ("/runs/1", "#i-rehearsal\"/></svg>rehearsal"),
+        ("/runs/1/iterations/100", "#i-rehearsal\"/></svg>rehearsal"),
+        ("/runs/1/iterations/100", "href=\"/links/cam-3~rack-a\""),
+        ("/runs/1", "href=\"/links/cam-3~rack-a\""),
+        ("/pipelines/cam-3/offload-resized", "#i-rehearsal\"/></svg>rehearsal"),
+        ("/incidents", "is made wrong on purpose"),
+    ] {
+        let answer = bed.get(path).await;
+        assert_eq!(answer.status, StatusCode::OK, "{path}: {}", answer.text());
+        assert!(answer.text().contains(text), "{path} lacks {text:?}: {}", answer.text());
+    }
+    assert!(!bed.get("/runs/2").await.text().contains("#i-rehearsal\"/></svg>rehearsal"));
 }

@@ -111,10 +111,33 @@ async fn pages_of_one_pipeline_and_one_host_are_kept_live() {
         ("host/cam-2", "title"),
         ("pipelines", "title"),
         ("hosts", "title"),
+        ("links", "title"),
+        ("link/cam-2~rack-a/10min/removed", "title"),
     ] {
         let page = Events::of(&bed, topic).await.until("page").await;
         assert_eq!(page["parts"][0][0], part, "{topic}");
     }
+}
+
+#[tokio::test]
+async fn a_part_that_did_not_change_is_not_sent_again() {
+    let (bed, mut factory) = Bed::with(vec![Line::full()]).await;
+    let mut events = Events::of(&bed, "link/cam-2~rack-a/10min/removed").await;
+    let ids = |page: &Value| -> Vec<String> {
+        let parts = page["parts"].as_array().expect("parts").iter();
+        parts.map(|part| part[0].as_str().expect("an id").to_owned()).collect()
+    };
+    let first = ids(&events.until("page").await);
+    assert!(first.contains(&"chart".to_owned()) && first.contains(&"clocks".to_owned()), "{first:?}");
+    let now = bed.clock.wall() + Span::from_seconds(4);
+    factory.report(now - Span::from_seconds(4), now).await;
+    let next = loop {
+        let next = ids(&events.until("page").await);
+        if next.contains(&"chart".to_owned()) {
+            break next;
+        }
+    };
+    assert!(!next.contains(&"clocks".to_owned()), "{next:?}");
 }
 
 #[tokio::test]

@@ -5,7 +5,7 @@ use peernet_logger::stream::{Accounting, HostDescription, HostMetrics};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::time;
+use super::{HostClock, time};
 
 /// Every host that is stored or reports.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -50,6 +50,8 @@ pub(crate) struct Host {
     pub description: Description,
     /// Null for a host that is not in the live picture.
     pub now: Option<Now>,
+    /// Its wall clock by its own account; null for a host that is not in the live picture.
+    pub clock: Option<HostClock>,
     pub stored: Stored,
 }
 
@@ -173,6 +175,7 @@ impl From<&HostPicture> for Host {
                 agent_memory_bytes,
                 events: EventAccount { offered, stored, waiting, dropped, waiting_bytes },
             }),
+            clock: Some(HostClock::from(&host.clock)),
             stored: host.stored.into(),
         }
     }
@@ -187,6 +190,7 @@ impl From<&HostRow> for Host {
             last_seen: time(row.last_seen),
             description: Description::from(&row.description),
             now: None,
+            clock: None,
             stored: row.stored.into(),
         }
     }

@@ -8,6 +8,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::{Bound, Counts, NodeFigures, Placement, time};
+use crate::view::rehearsal::Rehearsed;
 
 /// Every pipeline that reported.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -171,6 +172,8 @@ pub(crate) struct StatusEvent {
     pub hosts: usize,
     /// Seconds since the quietest of the connected hosts was heard of.
     pub behind_s: Option<f64>,
+    /// What is said of clocks that are made wrong on purpose, a sentence per host.
+    pub rehearsals: Vec<String>,
 }
 
 impl StatusEvent {
@@ -182,6 +185,7 @@ impl StatusEvent {
             connected: connected.count(),
             hosts: picture.hosts.len(),
             behind_s: behind.max_by(f64::total_cmp),
+            rehearsals: Rehearsed::of(picture).banner(),
         }
     }
 }

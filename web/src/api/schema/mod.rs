@@ -3,18 +3,22 @@
 //! Values are in SI base units (seconds, bytes, bits per second, watts, °C), names with hyphens, times in RFC
 //! 3339 with nanoseconds, in UTC.
 
+mod clock;
 mod figures;
 mod hosts;
 mod iterations;
+mod links;
 mod live;
 mod runs;
 
 use chrono::{SecondsFormat, TimeZone, Utc};
 use peernet_clock::WallTime;
 
+pub(crate) use clock::{HostClock, Recomputed};
 pub(crate) use figures::{Bound, Counts, Figures, NodeFigures, Placement};
 pub(crate) use hosts::{Host, HostList, Incident, IncidentList, RefusedHost};
 pub(crate) use iterations::{Iteration, IterationList, IterationSummary};
+pub(crate) use links::{Link, LinkList, LinkSeries};
 pub(crate) use live::{PictureEvent, Pipeline, PipelineList, StatusEvent};
 pub(crate) use runs::{Histogram, Run, RunDetail, RunList, Series, Stage, StageList};
 

@@ -37,6 +37,8 @@ pub(crate) struct Line {
     pub(crate) stages: Vec<(Name, f64, f64)>,
     /// Its current run.
     pub(crate) run: Option<RunId>,
+    /// Whether the camera's clock is made wrong on purpose.
+    pub(crate) rehearsed: bool,
 }
 
 impl Line {
@@ -81,6 +83,16 @@ impl Line {
         Self { name: "offload-unrelated", clocks: Clocks::Unrelated, ..Self::resized() }
     }
 
+    /// As `resized`, on a camera whose clock is made wrong on purpose.
+    pub(crate) fn rehearsed() -> Self {
+        Self { rehearsed: true, ..Self::resized() }
+    }
+
+    /// As `resized`, with both agents on one machine.
+    pub(crate) fn one_clock() -> Self {
+        Self { name: "offload-here", clocks: Clocks::Shared, ..Self::resized() }
+    }
+
     fn new(
         name: &'static str,
         host: &'static str,
@@ -103,7 +115,17 @@ impl Line {
         let spread = |name: &Name, mean: f64| if *name == stage::UPLOAD { mean * 0.1 } else { mean * 0.04 };
         let stages = names.into_iter().zip(means).filter(|(_, mean)| **mean > 0.0);
         let stages = stages.map(|(name, mean)| (name.clone(), *mean, spread(&name, *mean)));
-        Self { name, host, remote, hz: 30.0, clocks, bytes, stages: stages.collect(), run: None }
+        Self {
+            name,
+            host,
+            remote,
+            hz: 30.0,
+            clocks,
+            bytes,
+            stages: stages.collect(),
+            run: None,
+            rehearsed: false,
+        }
     }
 
     /// Stage durations of one iteration in seconds; `when` is its place in the run, 0 to 1: the network is slow for
@@ -145,7 +167,8 @@ impl Line {
     pub(crate) fn facts(&self) -> Vec<(String, String)> {
         let pairs =
             [("Sensor", "images, 1280 × 960"), ("Transforms", "resize to 320 × 240"), ("Load", "30 Hz")];
-        pairs.map(|(name, value)| (name.to_owned(), value.to_owned())).to_vec()
+        let rehearsal = self.rehearsed.then_some(("Rehearsal", "+1,000 ms, +50 ppm"));
+        pairs.into_iter().chain(rehearsal).map(|(name, value)| (name.to_owned(), value.to_owned())).collect()
     }
 
     /// As in the file.

@@ -2,6 +2,7 @@
 //! the aggregator's own socket, so that pages and API are shown what a real deployment would show them.
 
 mod agent;
+mod clocks;
 mod line;
 mod numbers;
 mod tree;
@@ -128,6 +129,21 @@ impl Factory {
         events
     }
 
+    /// Stores what the edges knew of the rack's clock in the last `seconds`.
+    pub(crate) async fn store_clocks(&mut self, seconds: i64) {
+        let (rack, now) = (self.rack(), self.clock.wall());
+        for index in (0..self.lines.len()).filter(|index| self.lines[*index].remote) {
+            let line = &self.lines[index];
+            let samples = (0..seconds).rev().map(|ago| {
+                let at = now - Span::from_seconds(ago);
+                Event::Clock(Box::new(clocks::sample(line, rack, at, ago, &mut self.numbers)))
+            });
+            let samples: Vec<Event> = samples.collect();
+            self.agents[index].offer(samples);
+            self.agents[index].until_stored().await;
+        }
+    }
+
     /// Tells of a few incidents.
     pub(crate) async fn store_incidents(&mut self) {
         let now = self.clock.wall();
@@ -163,14 +179,35 @@ impl Factory {
                     seconds,
                 };
                 let load = 0.3 + 0.1 * index as f64;
-                self.live(index, vec![pipeline], load, to).await;
+                self.live(index, vec![pipeline], chunk.first().copied(), load, to).await;
+                // An update tells of one second of a link: the others are told one after the other.
+                let others = if self.lines[index].remote { &chunk[1..] } else { &[] };
+                for at in others {
+                    self.live(index, Vec::new(), Some(*at), load, to).await;
+                }
             }
             let rack = self.agents.len() - 1;
-            self.live(rack, Vec::new(), 0.12, to).await;
+            self.live(rack, Vec::new(), None, 0.12, to).await;
         }
     }
 
-    async fn live(&mut self, index: usize, pipelines: Vec<PipelineLive>, load: f64, sent: WallTime) {
+    async fn live(
+        &mut self,
+        index: usize,
+        pipelines: Vec<PipelineLive>,
+        second: Option<i64>,
+        load: f64,
+        sent: WallTime,
+    ) {
+        let rack = self.rack();
+        let line = self.lines.get(index).filter(|line| line.remote);
+        let link = line.zip(second).map(|(line, second)| {
+            let at = WallTime::from_unix_nanos(second * 1_000_000_000);
+            let ago = sent.unix_seconds() - second;
+            clocks::live(line, clocks::sample(line, rack, at, ago, &mut self.numbers))
+        });
+        let rehearsed = self.lines.get(index).is_some_and(|line| line.rehearsed);
+        let clock = clocks::host_clock(rehearsed, sent);
         let mut wobble = |size: f64| size * (1.0 + 0.1 * self.numbers.normal());
         let metrics = HostMetrics {
             cpu: Some(wobble(load).clamp(0.0, 1.0)),
@@ -182,8 +219,15 @@ impl Factory {
             agent_memory_bytes: Some(31_000_000),
         };
         let agent = &mut self.agents[index];
-        let update =
-            LiveUpdate { host: agent.id(), sent, pipelines, metrics, accounting: agent.accounting() };
+        let update = LiveUpdate {
+            host: agent.id(),
+            sent,
+            pipelines,
+            links: link.into_iter().collect(),
+            clock,
+            metrics,
+            accounting: agent.accounting(),
+        };
         agent.live(update).await;
     }
 }

@@ -5,7 +5,7 @@ use peernet_logger::{
     Anchor, HostId, HostIndex, Measure, Name, Node, NodeId, Rate, Transit, Tree, Unit, stage,
 };
 
-use super::{Clocks, Line};
+use super::{Clocks, Line, clocks};
 
 struct Nodes(Vec<Node>);
 
@@ -34,7 +34,7 @@ fn judge(line: &Line, name: &Name, delay: Span, raw: Span) -> OneWayDelay {
     }
 }
 
-/// The tree of an iteration that began at `at`. The rack's wall clock is 1,204 s ahead unless shared.
+/// The tree of an iteration that began at `at`. The rack's wall clock is 1.2 s ahead unless shared.
 pub(super) fn of(
     line: &Line,
     stages: &[(Name, f64)],
@@ -42,7 +42,7 @@ pub(super) fn of(
     at: WallTime,
     answered: bool,
 ) -> Tree {
-    let ahead = if line.clocks == Clocks::Shared { Span::ZERO } else { Span::from_millis(1_204_180) };
+    let ahead = if line.clocks == Clocks::Shared { Span::ZERO } else { clocks::AHEAD };
     let span = |name: Name| {
         stages.iter().find(|(known, _)| *known == name).map(|(_, seconds)| Span::from_seconds_f64(*seconds))
     };

@@ -1,0 +1,103 @@
+//! Links and their clocks.
+
+use axum::Json;
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Path, State};
+use peernet_clock::{Span, WallTime};
+use peernet_logger::HostId;
+use serde::Deserialize;
+use utoipa::IntoParams;
+
+use super::parameters::{Parameters, bounded, moment, path};
+use super::schema::{Link, LinkList, LinkSeries};
+use crate::error::{ProblemDetails, WebError};
+use crate::pages::link::no_link;
+use crate::state::{App, AppState};
+use crate::view::link::{Subject, find, name};
+
+/// Every link that reports or is stored, by the edge's and the cloud's name.
+#[utoipa::path(get, path = "/api/v1/links", operation_id = "listLinks", tag = "links", responses(
+    (status = 200, body = LinkList),
+    (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
+))]
+pub(crate) async fn list(State(app): State<App>) -> Result<Json<LinkList>, WebError> {
+    Ok(Json(LinkList { links: all(&app).await? }))
+}
+
+/// One link, by the names of its edge and its cloud.
+#[utoipa::path(get, path = "/api/v1/links/{link}", operation_id = "getLink", tag = "links",
+    params(("link" = String, Path, description = "`EDGE~CLOUD`")),
+    responses(
+        (status = 200, body = Link),
+        (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
+    )
+)]
+pub(crate) async fn one(
+    State(app): State<App>,
+    link: Result<Path<String>, PathRejection>,
+) -> Result<Json<Link>, WebError> {
+    let wanted = path(link)?;
+    let found = all(&app).await?.into_iter().find(|link| link.name == wanted);
+    found.map(Json).ok_or_else(|| no_link(&wanted))
+}
+
+/// Which stretch of time.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields, default)]
+#[into_params(parameter_in = Query)]
+pub(crate) struct ClockQuery {
+    /// Begin, RFC 3339, on the edge's wall clock; ten minutes before `to` unless given.
+    from: Option<String>,
+    /// End; the newest sample unless given.
+    to: Option<String>,
+    /// At most so many buckets, 1 to 2,000; 600 unless given.
+    points: Option<u32>,
+}
+
+/// What was known of a link's clocks over time, and what the network did.
+#[utoipa::path(get, path = "/api/v1/links/{link}/clock", operation_id = "getLinkClock", tag = "links",
+    params(("link" = String, Path, description = "`EDGE~CLOUD`"), ClockQuery),
+    responses(
+        (status = 200, body = LinkSeries),
+        (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
+    )
+)]
+pub(crate) async fn clock(
+    State(app): State<App>,
+    link: Result<Path<String>, PathRejection>,
+    Parameters(query): Parameters<ClockQuery>,
+) -> Result<Json<LinkSeries>, WebError> {
+    let wanted = path(link)?;
+    let points = bounded("points", query.points, 600, 1..=2_000)?;
+    let ((edge, cloud), end) = identify(&app, &wanted).await?;
+    let to = query.to.as_deref().map(|text| moment("to", text)).transpose()?.unwrap_or(end);
+    let from = query.from.as_deref().map(|text| moment("from", text)).transpose()?;
+    let from = from.unwrap_or(to - Span::from_seconds(600));
+    if from >= to {
+        return Err(WebError::BadRequest("query parameter from: it is not before to".to_owned()));
+    }
+    Ok(Json(LinkSeries::from(&app.store().clock_series(edge, cloud, from, to, points).await?)))
+}
+
+/// Both hosts of a link and its newest sample.
+async fn identify(app: &AppState, wanted: &str) -> Result<((HostId, HostId), WallTime), WebError> {
+    if let Some(link) = find(&app.picture(), wanted) {
+        let subject = Subject::live(link);
+        return Ok((subject.ids, subject.end));
+    }
+    let rows = app.store().links().await?;
+    let row = rows.iter().find(|row| name(row.edge_name.as_str(), row.cloud_name.as_str()) == wanted);
+    row.map(|row| ((row.edge, row.cloud), row.last)).ok_or_else(|| no_link(wanted))
+}
+
+async fn all(app: &AppState) -> Result<Vec<Link>, WebError> {
+    let stored = app.store().links().await?;
+    let picture = app.picture();
+    let mut links: Vec<Link> = picture.links.iter().map(|link| Link::from(&**link)).collect();
+    let live = |row: &&peernet_aggregator::LinkRow| {
+        picture.links.iter().any(|link| link.edge == row.edge && link.live.peer == row.cloud)
+    };
+    links.extend(stored.iter().filter(|row| !live(row)).map(Link::from));
+    links.sort_by(|a, b| (&a.edge, &a.cloud).cmp(&(&b.edge, &b.cloud)));
+    Ok(links)
+}

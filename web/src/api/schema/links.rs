@@ -1,0 +1,221 @@
+//! Links: the relation between two hosts' clocks, and what the network does between them.
+
+use peernet_aggregator::{ClockPoint, ClockSeries, LinkPicture, LinkRow};
+use peernet_clock::ExchangeCounts;
+use peernet_logger::stream;
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::clock::{ClockOffset, Delay, HostClock, Probes, RoundTrip};
+use super::time;
+use crate::view::link::{Subject, name};
+
+/// Every link that is stored or reports.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct LinkList {
+    pub links: Vec<Link>,
+}
+
+/// One link: an edge and a cloud.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Link {
+    /// `EDGE~CLOUD`.
+    pub name: String,
+    pub edge: String,
+    pub edge_id: String,
+    pub cloud: String,
+    pub cloud_id: String,
+    /// Whether the edge tells of it now.
+    pub connected: bool,
+    /// Its newest sample, on the edge's wall clock.
+    pub last_sample: String,
+    /// Null for a link that is not in the live picture.
+    pub now: Option<LinkNow>,
+}
+
+/// A link, now.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct LinkNow {
+    /// Kinds of network in use, such as `zmq-tcp`.
+    pub networks: Vec<String>,
+    pub pipelines: Vec<String>,
+    /// Whether both hosts read one clock: then the offset is exactly zero.
+    pub same_clock: bool,
+    /// The worse verdict of the two directions in the last ten seconds, else that of the clocks.
+    pub verdict: Option<&'static str>,
+    pub probing: Probing,
+    pub edge_clock: Option<HostClock>,
+    pub cloud_clock: Option<HostClock>,
+    /// The limit of drift that the bounds rest on, parts per million.
+    pub max_drift_ppm: f64,
+    pub exchanges: Exchanges,
+    /// The last second.
+    #[serde(flatten)]
+    pub second: LinkPoint,
+}
+
+/// How a link is probed.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Probing {
+    /// `on`, `unanswered` or `off`.
+    pub state: &'static str,
+    /// Where to: `udp://host:port`; null when off.
+    pub address: Option<String>,
+    pub rate_hz: Option<f64>,
+    /// Where the stamps are made, in words.
+    pub stamps: Option<String>,
+    /// Why there are no probes.
+    pub reason: Option<String>,
+}
+
+impl From<&stream::Probing> for Probing {
+    fn from(probing: &stream::Probing) -> Self {
+        let none = Self { state: "off", address: None, rate_hz: None, stamps: None, reason: None };
+        match probing {
+            stream::Probing::On { address, rate_hz, stamps } => Self {
+                state: "on",
+                address: Some(address.clone()),
+                rate_hz: Some(*rate_hz),
+                stamps: Some(stamps.clone()),
+                ..none
+            },
+            stream::Probing::Unanswered { address } => {
+                Self { state: "unanswered", address: Some(address.clone()), ..none }
+            }
+            stream::Probing::Off(reason) => Self { reason: Some(reason.clone()), ..none },
+        }
+    }
+}
+
+/// What became of all exchanges so far.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub(crate) struct Exchanges {
+    pub taken: u64,
+    /// Refused: no two clocks can show them.
+    pub impossible: u64,
+    /// Refused: they contradict all others.
+    pub outliers: u64,
+    /// Refused: a clock was stepped on the way.
+    pub stepped: u64,
+    /// Windows begun after a step.
+    pub restarts: u32,
+}
+
+impl From<ExchangeCounts> for Exchanges {
+    fn from(counts: ExchangeCounts) -> Self {
+        let ExchangeCounts { taken, impossible, outliers, stepped, restarts } = counts;
+        Self { taken, impossible, outliers, stepped, restarts }
+    }
+}
+
+/// What was known at one time, and what the network did meanwhile.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct LinkPoint {
+    /// The end of the second or bucket, on the edge's wall clock.
+    pub at: String,
+    /// Null while nothing is known. Of a bucket the widest bounds.
+    pub offset: Option<ClockOffset>,
+    pub probes: Probes,
+    /// Null when no probe came back.
+    pub round_trip: Option<RoundTrip>,
+    /// Delays of data, edge to cloud; null when there were none.
+    pub up: Option<Delay>,
+    /// Cloud to edge.
+    pub down: Option<Delay>,
+}
+
+/// The clock relation of a link over time.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct LinkSeries {
+    /// Width of a bucket, seconds.
+    pub bucket_s: u32,
+    /// Oldest first; buckets without samples are absent.
+    pub points: Vec<TimedPoint>,
+}
+
+/// One bucket.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct TimedPoint {
+    /// Changes when a clock was stepped: offsets of different windows say nothing about each other. A number beyond
+    /// 2⁵³, so as text.
+    pub window: String,
+    #[serde(flatten)]
+    pub point: LinkPoint,
+}
+
+fn round_trip(trip: stream::RoundTrip) -> RoundTrip {
+    RoundTrip { min_s: trip.min.seconds(), median_s: trip.median.seconds() }
+}
+
+impl From<&ClockPoint> for TimedPoint {
+    fn from(point: &ClockPoint) -> Self {
+        Self {
+            window: point.window.to_string(),
+            point: LinkPoint {
+                at: time(point.at),
+                offset: point.offset.as_ref().map(ClockOffset::from),
+                probes: point.probes.into(),
+                round_trip: point.round_trip.map(round_trip),
+                up: point.up.as_ref().map(Delay::from),
+                down: point.down.as_ref().map(Delay::from),
+            },
+        }
+    }
+}
+
+impl From<&ClockSeries> for LinkSeries {
+    fn from(series: &ClockSeries) -> Self {
+        Self { bucket_s: series.bucket_s, points: series.points.iter().map(TimedPoint::from).collect() }
+    }
+}
+
+impl From<&LinkPicture> for Link {
+    fn from(link: &LinkPicture) -> Self {
+        let live = &link.live;
+        let subject = Subject::live(link);
+        Self {
+            name: name(&subject.edge, &subject.cloud),
+            edge_id: link.edge.to_string(),
+            cloud_id: live.peer.to_string(),
+            connected: link.connected,
+            last_sample: time(live.now.at),
+            now: Some(LinkNow {
+                networks: live.networks.clone(),
+                pipelines: live.pipelines.iter().map(ToString::to_string).collect(),
+                same_clock: live.same_clock,
+                verdict: subject.verdict().map(peernet_clock::Verdict::name),
+                probing: Probing::from(&live.probing),
+                edge_clock: live.edge.as_ref().map(HostClock::from),
+                cloud_clock: live.cloud.as_ref().map(HostClock::from),
+                max_drift_ppm: live.now.max_drift_ppm,
+                exchanges: live.now.exchanges.into(),
+                second: LinkPoint {
+                    at: time(live.now.at),
+                    offset: live.now.offset.as_ref().map(ClockOffset::from),
+                    probes: live.now.probes.into(),
+                    round_trip: live.now.round_trip.map(round_trip),
+                    up: live.now.up.as_ref().map(Delay::from),
+                    down: live.now.down.as_ref().map(Delay::from),
+                },
+            }),
+            edge: subject.edge,
+            cloud: subject.cloud,
+        }
+    }
+}
+
+impl From<&LinkRow> for Link {
+    fn from(row: &LinkRow) -> Self {
+        let (edge, cloud) = (row.edge_name.to_string(), row.cloud_name.to_string());
+        Self {
+            name: name(&edge, &cloud),
+            edge,
+            edge_id: row.edge.to_string(),
+            cloud,
+            cloud_id: row.cloud.to_string(),
+            connected: false,
+            last_sample: time(row.last),
+            now: None,
+        }
+    }
+}

@@ -1,0 +1,275 @@
+//! Can I trust one-way delays between these two hosts, and what is the network doing?
+
+use askama::Template;
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Path, State};
+use peernet_aggregator::{IncidentRow, Picture};
+use peernet_clock::Span;
+use serde::Deserialize;
+
+use super::{Page, Update, page, path};
+use crate::api::parameters::Parameters;
+use crate::error::WebError;
+use crate::state::{App, AppState};
+use crate::svg::Tracks;
+use crate::view::chip::Chip;
+use crate::view::incidents::IncidentLine;
+use crate::view::link::chart::{OffsetView, tracks};
+use crate::view::link::course::Course;
+use crate::view::link::finding::{Meaning, meanings, title};
+use crate::view::link::origin::Origin;
+use crate::view::link::panels::{self, HostRow, Pairs};
+use crate::view::link::stats::{self, Stat};
+use crate::view::link::table::Row;
+use crate::view::link::{Subject, find, name};
+use crate::view::rehearsal::{self, Rehearsed};
+use crate::view::shell::{Place, Shell};
+
+/// Topic of the live stream, followed by `/EDGE~CLOUD/RANGE/OFFSET`.
+pub(crate) const TOPIC: &str = "link";
+/// Points of a picture at most.
+const POINTS: u32 = 360;
+/// Incidents looked through for those of the link, and listed.
+const INCIDENTS: u32 = 1_000;
+const LISTED: usize = 8;
+
+/// What the address may ask for.
+#[derive(Clone, Copy, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(crate) struct Query {
+    /// `10min`, `1h` or `24h`.
+    range: Range,
+    /// `removed` or `measured`.
+    offset: OffsetView,
+}
+
+/// How far back the picture reaches.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+enum Range {
+    #[default]
+    #[serde(rename = "10min")]
+    Minutes,
+    #[serde(rename = "1h")]
+    Hour,
+    #[serde(rename = "24h")]
+    Day,
+}
+
+impl Range {
+    const ALL: [Self; 3] = [Self::Minutes, Self::Hour, Self::Day];
+
+    const fn word(self) -> &'static str {
+        match self {
+            Self::Minutes => "10min",
+            Self::Hour => "1h",
+            Self::Day => "24h",
+        }
+    }
+
+    const fn seconds(self) -> i64 {
+        match self {
+            Self::Minutes => 600,
+            Self::Hour => 3_600,
+            Self::Day => 86_400,
+        }
+    }
+
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Minutes => "10\u{202f}min",
+            Self::Hour => "1\u{202f}h",
+            Self::Day => "24\u{202f}h",
+        }
+    }
+
+    const fn heading(self) -> &'static str {
+        match self {
+            Self::Minutes => "The last 10 minutes",
+            Self::Hour => "The last hour",
+            Self::Day => "The last 24 hours",
+        }
+    }
+}
+
+#[derive(Template)]
+#[template(
+    path = "pages/link.html",
+    blocks = ["title", "figures", "chart", "table", "verdicts", "origin", "probes", "clocks", "incidents"]
+)]
+pub(super) struct Link {
+    shell: Shell,
+    name: String,
+    edge: String,
+    route: String,
+    title: String,
+    facts: Vec<String>,
+    pipelines: Vec<(String, String)>,
+    rehearsal: Option<Chip>,
+    same_clock: bool,
+    heading: &'static str,
+    /// Address, name, whether it is chosen.
+    ranges: Vec<(String, &'static str, bool)>,
+    views: Vec<(String, &'static str, bool)>,
+    stats: Vec<Stat>,
+    chart: Tracks,
+    rows: Vec<Row>,
+    meanings: Vec<Meaning>,
+    origin: Origin,
+    probes: Pairs,
+    hosts: Vec<HostRow>,
+    exchanges: Pairs,
+    incidents: Vec<IncidentLine>,
+}
+
+/// `GET /links/{link}`.
+pub(crate) async fn show(
+    State(app): State<App>,
+    link: Result<Path<String>, PathRejection>,
+    Parameters(query): Parameters<Query>,
+) -> Page {
+    let wanted = path(link)?;
+    let picture = app.picture();
+    let incidents = app.store().incidents(INCIDENTS, None).await?;
+    if let Some(link) = find(&picture, &wanted) {
+        let subject = Subject::live(link);
+        let now = Course::live(&link.history, subject.end, Range::Minutes.seconds());
+        let shown = match query.range {
+            Range::Minutes => None,
+            range => Some(stored(&app, &subject, range).await?),
+        };
+        return page(&link_page(&app, &picture, &subject, &now, shown.as_ref(), query, &incidents));
+    }
+    let rows = app.store().links().await?;
+    let row = rows.iter().find(|row| name(row.edge_name.as_str(), row.cloud_name.as_str()) == wanted);
+    let row = row.ok_or_else(|| no_link(&wanted))?;
+    let subject = Subject::past(row);
+    let course = stored(&app, &subject, query.range).await?;
+    page(&link_page(&app, &picture, &subject, &course, None, query, &incidents))
+}
+
+pub(crate) fn no_link(wanted: &str) -> WebError {
+    WebError::NotFound(format!("no link {wanted} has ever been told of here; a link is named EDGE~CLOUD"))
+}
+
+async fn stored(app: &AppState, subject: &Subject<'_>, range: Range) -> Result<Course, WebError> {
+    let (edge, cloud) = subject.ids;
+    let (from, to) = (subject.end - Span::from_seconds(range.seconds()), subject.end);
+    let series = app.store().clock_series(edge, cloud, from, to, POINTS).await?;
+    Ok(Course::stored(series, from, to))
+}
+
+/// What of the page changed.
+pub(crate) async fn update(app: &AppState, picture: &Picture, rest: &str) -> Result<Update, WebError> {
+    let mut parts = rest.splitn(3, '/');
+    let (Some(wanted), Some(range), Some(view)) = (parts.next(), parts.next(), parts.next()) else {
+        return Err(WebError::BadRequest(
+            "topics: a link's topic is link/EDGE~CLOUD/RANGE/OFFSET".to_owned(),
+        ));
+    };
+    let range = Range::ALL.into_iter().find(|known| known.word() == range);
+    let view = [OffsetView::Removed, OffsetView::Measured].into_iter().find(|known| known.word() == view);
+    let (Some(range), Some(offset)) = (range, view) else {
+        return Err(WebError::BadRequest(
+            "topics: a link's range is 10min, 1h or 24h, its offset removed or measured".to_owned(),
+        ));
+    };
+    let link = find(picture, wanted).ok_or_else(|| no_link(wanted))?;
+    let incidents = app.recent_incidents().await?;
+    let subject = Subject::live(link);
+    let now = Course::live(&link.history, subject.end, Range::Minutes.seconds());
+    let page = link_page(app, picture, &subject, &now, None, Query { range, offset }, &incidents);
+    let mut parts = vec![
+        ("title", page.as_title().render()?),
+        ("figures", page.as_figures().render()?),
+        ("verdicts", page.as_verdicts().render()?),
+        ("origin", page.as_origin().render()?),
+        ("probes", page.as_probes().render()?),
+        ("clocks", page.as_clocks().render()?),
+    ];
+    // Longer pictures stand still: they are read from the store.
+    if range == Range::Minutes {
+        parts.extend([
+            ("chart", page.as_chart().render()?),
+            ("table", page.as_table().render()?),
+            ("incidents", page.as_incidents().render()?),
+        ]);
+    }
+    Ok(Update::new(page.shell.title, parts))
+}
+
+/// The incidents of both hosts that fall into a course, at their times on the edge's clock, newest first.
+fn concerning(subject: &Subject<'_>, course: &Course, rows: &[IncidentRow]) -> Vec<IncidentRow> {
+    let names = [subject.edge.as_str(), subject.cloud.as_str()];
+    let known = |name: &str| names.contains(&name);
+    // What the two hosts do otherwise says nothing about the way between them.
+    let beside = |row: &&IncidentRow| !matches!(row.kind.as_str(), "model-loaded" | "control");
+    let ours = rows.iter().filter(beside);
+    let ours = ours.filter(|row| known(row.host_name.as_str()) && row.peer.as_deref().is_none_or(known));
+    let placed = ours.map(|row| {
+        let there = row.host_name.as_str() == subject.cloud && subject.cloud != subject.edge;
+        IncidentRow { at: if there { course.on_the_edge(row.at) } else { row.at }, ..row.clone() }
+    });
+    let mut placed: Vec<_> = placed.filter(|row| row.at > course.from && row.at <= course.to).collect();
+    placed.sort_by_key(|row| std::cmp::Reverse(row.at));
+    placed
+}
+
+fn facts(subject: &Subject<'_>, picture: &Picture) -> Vec<String> {
+    let mut facts = Vec::new();
+    if let Some(link) = subject.live {
+        facts.extend(link.live.networks.iter().cloned());
+        facts.push(panels::probing(&link.live.probing));
+        if !link.connected {
+            let ago = crate::numbers::length((picture.at - link.last_seen).seconds().max(0.0));
+            facts.push(format!("told of {ago} ago"));
+        }
+    }
+    facts.push(format!("times of {}'s clock", subject.edge));
+    facts
+}
+
+pub(super) fn link_page(
+    app: &AppState,
+    picture: &Picture,
+    subject: &Subject<'_>,
+    now: &Course,
+    shown: Option<&Course>,
+    query: Query,
+    incidents: &[IncidentRow],
+) -> Link {
+    let course = shown.unwrap_or(now);
+    let name = name(&subject.edge, &subject.cloud);
+    let mine = concerning(subject, course, incidents);
+    let address =
+        |range: Range, offset: OffsetView| format!("?range={}&offset={}", range.word(), offset.word());
+    let shell = Shell::new(app, picture, Place::Links, subject.route());
+    let topic = format!("{TOPIC}/{name}/{}/{}", query.range.word(), query.offset.word());
+    let rehearsed = Rehearsed::of(picture).concerns(&[&subject.edge, &subject.cloud]);
+    Link {
+        shell: if subject.live.is_some() { shell.live(topic) } else { shell },
+        edge: subject.edge.clone(),
+        route: subject.route(),
+        title: title(subject, app.zone),
+        facts: facts(subject, picture),
+        pipelines: subject.pipelines(),
+        rehearsal: rehearsed.then_some(rehearsal::CHIP),
+        same_clock: subject.same_clock(),
+        heading: query.range.heading(),
+        ranges: Range::ALL
+            .map(|range| (address(range, query.offset), range.name(), range == query.range))
+            .to_vec(),
+        views: [(OffsetView::Removed, "drift removed"), (OffsetView::Measured, "as measured")]
+            .map(|(view, name)| (address(query.range, view), name, view == query.offset))
+            .to_vec(),
+        stats: stats::all(subject, now),
+        chart: tracks(subject, course, query.offset, &mine, app.zone),
+        rows: Row::all(course, app.zone),
+        meanings: meanings(subject),
+        origin: Origin::of(subject, now),
+        probes: panels::probes(subject, now),
+        hosts: panels::hosts(subject),
+        exchanges: panels::exchanges(subject),
+        incidents: IncidentLine::all(&mine[..mine.len().min(LISTED)], app.zone),
+        name,
+    }
+}

@@ -1,0 +1,149 @@
+//! The course of a link over a stretch of time.
+
+use std::sync::Arc;
+
+use peernet_aggregator::{ClockPoint, ClockSeries};
+use peernet_clock::{Interval, Offset, Span, WallTime};
+use peernet_logger::stream::{DelaySecond, ProbeCounts, RoundTrip};
+
+use super::super::chip::severity;
+use super::super::speed::Way;
+use super::delays::Delays;
+
+/// Points between two moments of the edge's wall clock.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Course {
+    pub from: WallTime,
+    pub to: WallTime,
+    /// Seconds between points.
+    pub bucket: i64,
+    /// Oldest first; what is missing is absent.
+    pub points: Vec<ClockPoint>,
+}
+
+impl Course {
+    /// The last seconds of a live link, two seconds a point. It ends with the last whole point, so that a picture of
+    /// it changes no more often than there is something new.
+    pub(crate) fn live(history: &[Arc<ClockPoint>], end: WallTime, seconds: i64) -> Self {
+        let to = WallTime::from_unix_nanos(end.unix_nanos().div_euclid(2_000_000_000) * 2_000_000_000);
+        let from = to - Span::from_seconds(seconds);
+        let shown =
+            history.iter().filter(|point| point.at > from && point.at <= to).map(|point| (**point).clone());
+        Self { from, to, bucket: 1, points: shown.collect() }.thinned(2)
+    }
+
+    /// What is stored of a link. It begins with the first point where that is later: nothing was lost before.
+    pub(crate) fn stored(series: ClockSeries, from: WallTime, to: WallTime) -> Self {
+        let bucket = i64::from(series.bucket_s.max(1));
+        let first = series.points.first().map(|point| point.at - Span::from_seconds(bucket));
+        let least = to - Span::from_seconds(60);
+        Self {
+            from: first.map_or(from, |first| first.min(least).max(from)),
+            to,
+            bucket,
+            points: series.points,
+        }
+    }
+
+    /// Seconds from its begin to its end.
+    pub(crate) fn seconds(&self) -> f64 {
+        (self.to - self.from).seconds()
+    }
+
+    /// The same with `seconds` a point.
+    pub(crate) fn thinned(&self, seconds: i64) -> Self {
+        let seconds = seconds.max(1);
+        // A point is named by its end: the one at a bucket's end belongs to it.
+        let bucket = |point: &ClockPoint| (point.at.unix_nanos() - 1).div_euclid(seconds * 1_000_000_000);
+        let points = self.points.chunk_by(|a, b| bucket(a) == bucket(b)).filter_map(merged).collect();
+        Self { bucket: self.bucket.max(seconds), points, ..*self }
+    }
+
+    /// Where points are missing: from the last one before to the first one after.
+    pub(crate) fn gaps(&self) -> Vec<(WallTime, WallTime)> {
+        let usual = Span::from_seconds_f64(self.bucket as f64 * 1.5 + 1.0);
+        let between = self.points.windows(2).map(|pair| (pair[0].at, pair[1].at));
+        let last = self.points.last().map(|point| (point.at, self.to));
+        between.chain(last).filter(|(from, to)| *to - *from > usual).collect()
+    }
+
+    /// What the edge's clock showed when the cloud's showed `at`, by the offset known nearest to that moment.
+    pub(crate) fn on_the_edge(&self, at: WallTime) -> WallTime {
+        let known = self.points.iter().filter_map(|point| point.offset.as_ref());
+        let nearest = known.min_by_key(|offset| (at - (offset.at + offset.estimate)).abs());
+        nearest.map_or(at, |offset| at - offset.estimate)
+    }
+
+    /// Probes of the whole course.
+    pub(crate) fn probes(&self) -> ProbeCounts {
+        sum(self.points.iter().map(|point| point.probes))
+    }
+
+    /// The smallest and the middle round trip of probes, seconds.
+    pub(crate) fn round_trips(&self) -> Option<(f64, f64)> {
+        let known: Vec<RoundTrip> = self.points.iter().filter_map(|point| point.round_trip).collect();
+        let trip = together(&known)?;
+        Some((trip.min.seconds(), trip.median.seconds()))
+    }
+}
+
+/// All of some probes.
+pub(super) fn sum(counts: impl Iterator<Item = ProbeCounts>) -> ProbeCounts {
+    counts.fold(ProbeCounts::default(), |sum, one| ProbeCounts {
+        sent: sum.sent.saturating_add(one.sent),
+        answered: sum.answered.saturating_add(one.answered),
+        lost: sum.lost.saturating_add(one.lost),
+    })
+}
+
+fn together(known: &[RoundTrip]) -> Option<RoundTrip> {
+    let mut medians: Vec<Span> = known.iter().map(|trip| trip.median).collect();
+    medians.sort_unstable();
+    Some(RoundTrip {
+        min: known.iter().map(|trip| trip.min).min()?,
+        median: *medians.get(medians.len() / 2)?,
+    })
+}
+
+/// The newest of several offsets with the widest bounds of any of them.
+fn widest(points: &[ClockPoint]) -> Option<Offset> {
+    let mut known = points.iter().rev().filter_map(|point| point.offset.as_ref());
+    let newest = known.next()?.clone();
+    let wider = known.fold(newest, |widest, one| {
+        // Around each its own estimate, so that a drift within the bucket does not widen it.
+        let (below, above) = (
+            (widest.estimate - widest.bounds.lo).max(one.estimate - one.bounds.lo),
+            (widest.bounds.hi - widest.estimate).max(one.bounds.hi - one.estimate),
+        );
+        let bounds = Interval { lo: widest.estimate - below, hi: widest.estimate + above };
+        let worse = severity(one.verdict) > severity(widest.verdict);
+        Offset { bounds, verdict: if worse { one.verdict } else { widest.verdict }, ..widest }
+    });
+    Some(wider)
+}
+
+fn delays(points: &[ClockPoint], way: Way) -> Option<DelaySecond> {
+    let delays = Delays::of(way, points);
+    let count = u32::try_from(delays.count).unwrap_or(u32::MAX);
+    Some(DelaySecond { count, median: delays.median, verdict: delays.verdict? })
+}
+
+/// Several points as one.
+fn merged(points: &[ClockPoint]) -> Option<ClockPoint> {
+    let last = points.last()?;
+    if points.len() == 1 {
+        return Some(last.clone());
+    }
+    // What lies on the other side of a step says nothing about the offset after it.
+    let begin = points.iter().rposition(|point| point.window != last.window).map_or(0, |at| at + 1);
+    let trips: Vec<RoundTrip> = points.iter().filter_map(|point| point.round_trip).collect();
+    Some(ClockPoint {
+        at: last.at,
+        window: last.window,
+        offset: widest(&points[begin..]),
+        probes: sum(points.iter().map(|point| point.probes)),
+        round_trip: together(&trips),
+        up: delays(points, Way::Up),
+        down: delays(points, Way::Down),
+    })
+}

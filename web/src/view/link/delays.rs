@@ -1,0 +1,132 @@
+//! The one-way delays of one direction over a few seconds.
+
+use peernet_aggregator::ClockPoint;
+use peernet_clock::Verdict;
+use peernet_logger::stream::{DelayPoint, DelaySecond};
+
+use super::super::chip::{Chip, severity};
+use super::super::clocks;
+use super::super::speed::Way;
+use crate::numbers::{NONE, figure, interval_ms, throughput};
+
+/// What is known of them together.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Delays {
+    pub way: Way,
+    /// How many were judged.
+    pub count: u64,
+    /// The median, with the bounds of that very one.
+    pub median: Option<DelayPoint>,
+    /// The worst verdict that at least a twentieth were given.
+    pub verdict: Option<Verdict>,
+}
+
+/// The delays of a direction within one point.
+pub(crate) fn of_point(point: &ClockPoint, way: Way) -> Option<&DelaySecond> {
+    match way {
+        Way::Up => point.up.as_ref(),
+        Way::Down => point.down.as_ref(),
+    }
+}
+
+/// A delay with its lower bound at zero or above: nothing arrives before it was sent.
+pub(crate) fn bounds(point: &DelayPoint) -> (f64, f64) {
+    (point.bounds.lo.seconds().max(0.0), point.bounds.hi.seconds().max(0.0))
+}
+
+/// Bits per second as far as the delay's bounds tell; the upper end is infinite where the delay may be zero.
+pub(crate) fn speed(point: &DelayPoint) -> Option<(f64, f64, f64)> {
+    let rate = point.bits_per_second.filter(|rate| rate.is_finite() && *rate > 0.0)?;
+    let bits = rate * point.value.seconds();
+    let (lo, hi) = bounds(point);
+    let over = |delay: f64| if delay > 0.0 { bits / delay } else { f64::INFINITY };
+    Some((over(hi), rate, over(lo)))
+}
+
+impl Delays {
+    /// The delays of some points.
+    pub(crate) fn of<'a>(way: Way, points: impl IntoIterator<Item = &'a ClockPoint>) -> Self {
+        let seconds: Vec<DelaySecond> =
+            points.into_iter().filter_map(|point| of_point(point, way).copied()).collect();
+        Self::merge(way, &seconds)
+    }
+
+    /// Several seconds as one.
+    pub(crate) fn merge(way: Way, seconds: &[DelaySecond]) -> Self {
+        let count = seconds.iter().map(|second| u64::from(second.count)).sum();
+        let mut medians: Vec<(DelayPoint, u64)> = seconds
+            .iter()
+            .filter_map(|second| Some((second.median?, u64::from(second.count))))
+            .filter(|(point, _)| !point.value.is_negative())
+            .collect();
+        medians.sort_by_key(|(point, _)| point.value);
+        let half = medians.iter().map(|(_, weight)| weight).sum::<u64>().div_ceil(2);
+        let mut passed = 0;
+        let median = medians.iter().find(|(_, weight)| {
+            passed += weight;
+            passed >= half
+        });
+        let given = |verdict: Verdict| {
+            let same = seconds.iter().filter(|second| second.verdict == verdict);
+            same.map(|second| u64::from(second.count)).sum::<u64>()
+        };
+        let frequent = Verdict::ALL.iter().copied().filter(|verdict| {
+            let given = given(*verdict);
+            given > 0 && given * 20 >= count
+        });
+        Self {
+            way,
+            count,
+            median: median.map(|(point, _)| *point),
+            verdict: frequent.max_by_key(|verdict| severity(*verdict)),
+        }
+    }
+
+    /// Name of the stage, as a sentence begins with it.
+    pub(crate) const fn title(&self) -> &'static str {
+        match self.way {
+            Way::Up => "Upload",
+            Way::Down => "Download",
+        }
+    }
+
+    /// The chip of the verdict.
+    pub(crate) fn chip(&self) -> Option<Chip> {
+        self.verdict.map(Chip::verdict)
+    }
+
+    /// The median in ms, or a dash.
+    pub(crate) fn value(&self) -> String {
+        self.median.map_or_else(|| NONE.to_owned(), |point| figure(point.value.seconds() * 1e3))
+    }
+
+    /// The interval that contains it in ms; `None` without a median.
+    pub(crate) fn interval(&self) -> Option<String> {
+        let (lo, hi) = bounds(self.median.as_ref()?);
+        Some(if lo == hi { "exact".to_owned() } else { interval_ms(lo, hi) })
+    }
+
+    /// Why there is no median.
+    pub(crate) fn reason(&self) -> &'static str {
+        match self.verdict {
+            None => "nothing was sent in the last 10 s",
+            Some(verdict) => clocks::meaning(verdict),
+        }
+    }
+
+    /// The throughput in MB/s: a figure, its interval where the delay is known only as one, or a dash; with the
+    /// reason where it is not a figure.
+    pub(crate) fn throughput(&self) -> (String, &'static str) {
+        let known = self.median.as_ref().and_then(speed);
+        match (self.verdict, known) {
+            (None, _) => (NONE.to_owned(), "nothing was sent in the last 10 s"),
+            (Some(Verdict::Ok), Some((_, rate, _))) => (throughput(rate), ""),
+            (Some(Verdict::Limited), Some((lo, _, hi))) => {
+                let hi = if hi.is_finite() { throughput(hi) } else { "∞".to_owned() };
+                (format!("{} – {hi}", throughput(lo)), "known only within the clock bound")
+            }
+            (Some(Verdict::Ok | Verdict::Limited), None) => (NONE.to_owned(), "the sizes are not known"),
+            (Some(_), _) => (NONE.to_owned(), "the clocks do not tell this direction's delay"),
+        }
+    }
+}

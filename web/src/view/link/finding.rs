@@ -1,0 +1,122 @@
+//! What a link's page says in its title, and what each verdict means on it.
+
+use peernet_clock::Verdict;
+
+use super::super::chip::Chip;
+use super::super::clocks;
+use super::super::speed::Way;
+use super::Subject;
+use super::delays::{Delays, bounds};
+use crate::numbers::{SPACE, bound_ms, figure, interval_ms};
+use crate::zone::Zone;
+
+/// The title.
+pub(crate) fn title(subject: &Subject<'_>, zone: Zone) -> String {
+    let route = subject.route();
+    if subject.same_clock() {
+        return format!(
+            "{} and {} read one clock: delays between them are exact",
+            subject.edge, subject.cloud
+        );
+    }
+    if !subject.connected {
+        let seen = zone.moment(subject.end);
+        return format!(
+            "{route}: {} last told of this link on {}, {}",
+            subject.edge,
+            seen.date(),
+            seen.clock()
+        );
+    }
+    let Some(bound) = subject.bound() else {
+        return format!("{route}: the two clocks were never related, so one-way delays are not known");
+    };
+    let bound = format!("{}{SPACE}ms", bound_ms(bound));
+    let [up, down] = [Way::Up, Way::Down].map(|way| subject.delays(way).verdict);
+    match (up, down) {
+        _ if subject.offset().is_some_and(|offset| offset.verdict == Verdict::Inconsistent) => {
+            format!(
+                "{route}: two sources about the clocks exclude each other, so no one-way delay can be trusted"
+            )
+        }
+        (None, None) => {
+            format!("{route}: the clocks are known to {bound}; nothing was sent in the last 10{SPACE}s")
+        }
+        (Some(Verdict::Ok), Some(Verdict::Ok)) => {
+            format!("{route}: upload and download times can be trusted to {bound}")
+        }
+        (Some(Verdict::Ok), None) => format!("{route}: upload times can be trusted to {bound}"),
+        (Some(Verdict::Ok), Some(_)) => {
+            format!("{route}: upload times can be trusted to {bound}, download times cannot")
+        }
+        (Some(_), Some(Verdict::Ok)) => {
+            format!("{route}: download times can be trusted to {bound}, upload times cannot")
+        }
+        (Some(Verdict::Limited) | None, Some(Verdict::Limited) | None) => {
+            format!("{route}: delays are too short for a clock bound of {bound}; read them as intervals")
+        }
+        (Some(Verdict::Stepped), _) | (_, Some(Verdict::Stepped)) => {
+            format!(
+                "{route}: a clock was stepped a moment ago; delays can be trusted again when the bound has settled"
+            )
+        }
+        (Some(Verdict::Stale), _) | (_, Some(Verdict::Stale)) => {
+            format!("{route}: the clocks were not compared lately; the bound has grown to {bound}")
+        }
+        _ => format!("{route}: one-way delays cannot be trusted at present"),
+    }
+}
+
+/// What a verdict means for one direction, with its numbers.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Meaning {
+    pub chip: Option<Chip>,
+    /// `Upload`.
+    pub subject: &'static str,
+    /// The rest of the sentence.
+    pub text: String,
+}
+
+/// Both directions.
+pub(crate) fn meanings(subject: &Subject<'_>) -> Vec<Meaning> {
+    [Way::Up, Way::Down].map(|way| subject.delays(way)).iter().map(meaning).collect()
+}
+
+fn meaning(delays: &Delays) -> Meaning {
+    let text = match (delays.verdict, &delays.median) {
+        (None, _) => format!("was not used in the last 10{SPACE}s: without data there is nothing to judge."),
+        (Some(Verdict::Ok), Some(point)) => {
+            let (lo, hi) = bounds(point);
+            let takes = format!("takes {}{SPACE}ms", figure(point.value.seconds() * 1e3));
+            let half = (hi - lo) / 2.0;
+            if half > 0.0 {
+                let many = point.value.seconds() / half;
+                format!(
+                    "{takes}, {} times its bound of {}{SPACE}ms. The true value lies between {}{SPACE}ms.",
+                    figure_of_times(many),
+                    bound_ms(half),
+                    interval_ms(lo, hi).replace(" – ", " and ")
+                )
+            } else {
+                format!("{takes}, exactly.")
+            }
+        }
+        (Some(Verdict::Limited), Some(point)) => {
+            let (lo, hi) = bounds(point);
+            format!(
+                "takes about {}{SPACE}ms, too little for a bound of {}{SPACE}ms. Read it as {}{SPACE}ms: the truth is in there, \
+                 where is not known.",
+                figure(point.value.seconds() * 1e3),
+                bound_ms((hi - lo) / 2.0),
+                interval_ms(lo, hi)
+            )
+        }
+        (Some(verdict), _) => format!("cannot be trusted: {}.", clocks::meaning(verdict)),
+    };
+    Meaning { chip: delays.chip(), subject: delays.title(), text }
+}
+
+/// `4.2` or `12`: how many times.
+fn figure_of_times(many: f64) -> String {
+    crate::numbers::fixed(many, usize::from(many < 9.95))
+}

@@ -1,0 +1,146 @@
+//! Links in a list.
+
+use peernet_aggregator::{LinkPicture, LinkRow, Picture};
+use peernet_clock::Verdict;
+
+use super::super::chip::{Chip, severity};
+use super::super::now::Cell;
+use super::super::rehearsal::{self, Rehearsed};
+use super::stats::ppm;
+use super::{Subject, course, href, panels};
+use crate::numbers::{bound_ms, offset_ms, percent, trip_ms};
+use crate::zone::{Moment, Zone};
+
+/// One link, now.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct LinkLine {
+    pub name: String,
+    pub href: String,
+    pub chip: Option<Chip>,
+    /// What the verdict means.
+    pub meaning: &'static str,
+    /// `last seen …`, for a link whose edge does not report.
+    pub away: Option<Moment>,
+    pub rehearsal: Option<Chip>,
+    pub networks: String,
+    pub bound: Cell,
+    pub offset: Cell,
+    pub drift: Cell,
+    pub round_trip: Cell,
+    pub lost: Cell,
+    pub probing: String,
+    pub pipelines: Vec<(String, String)>,
+}
+
+/// A link that is stored and not in the live picture.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct PastLine {
+    pub name: String,
+    pub href: String,
+    pub last: Moment,
+}
+
+fn cell(known: Option<String>, why: &str) -> Cell {
+    known.map_or_else(|| Cell::none(why), Cell::new)
+}
+
+impl LinkLine {
+    /// The first so many links of a picture.
+    pub(crate) fn first(most: usize, picture: &Picture, zone: Zone) -> Vec<Self> {
+        let rehearsed = Rehearsed::of(picture);
+        picture.links.iter().take(most).map(|link| Self::new(link, &rehearsed, zone)).collect()
+    }
+
+    fn new(link: &LinkPicture, rehearsed: &Rehearsed, zone: Zone) -> Self {
+        let subject = Subject::live(link);
+        let verdict = subject.verdict();
+        let offset = subject.offset();
+        let one_clock = subject.same_clock();
+        let probes = course::sum(link.history.iter().map(|point| point.probes));
+        let trips = link.history.iter().rev().find_map(|point| point.round_trip);
+        let rehearsed = rehearsed.concerns(&[&subject.edge, &subject.cloud]);
+        let why = "the two clocks were never related";
+        let shown = |of: Option<String>| {
+            if one_clock {
+                Cell { text: "0".into(), title: Some("both hosts read one clock".into()) }
+            } else {
+                cell(of, why)
+            }
+        };
+        Self {
+            name: subject.route(),
+            href: href(&subject.edge, &subject.cloud),
+            chip: verdict.map(Chip::verdict),
+            meaning: verdict.map_or("", super::super::clocks::meaning),
+            away: (!link.connected).then(|| zone.moment(link.last_seen)),
+            rehearsal: rehearsed.then_some(rehearsal::CHIP),
+            networks: link.live.networks.join(", "),
+            bound: shown(subject.bound().map(bound_ms)),
+            offset: shown(
+                offset.map(|offset| {
+                    offset_ms(offset.estimate.seconds(), offset.bounds.width().seconds() / 2.0)
+                }),
+            ),
+            drift: if one_clock {
+                shown(None)
+            } else {
+                cell(offset.and_then(|offset| offset.skew_ppm).map(ppm), "too few exchanges yet")
+            },
+            round_trip: cell(
+                trips.map(|trip| trip_ms(trip.median.seconds())),
+                "no probe came back in ten minutes",
+            ),
+            lost: cell(
+                (probes.sent > 0).then(|| percent(f64::from(probes.lost) / f64::from(probes.sent))),
+                "no probes in ten minutes",
+            ),
+            probing: panels::probing(&link.live.probing),
+            pipelines: subject.pipelines(),
+        }
+    }
+}
+
+impl PastLine {
+    /// The stored links that are not in the live picture.
+    pub(crate) fn all(rows: &[LinkRow], picture: &Picture, zone: Zone) -> Vec<Self> {
+        let live = |row: &LinkRow| {
+            picture.links.iter().any(|link| link.edge == row.edge && link.live.peer == row.cloud)
+        };
+        let past = rows.iter().filter(|row| !live(row)).map(|row| {
+            let (edge, cloud) = (row.edge_name.as_str(), row.cloud_name.as_str());
+            Self { name: format!("{edge} → {cloud}"), href: href(edge, cloud), last: zone.moment(row.last) }
+        });
+        past.collect()
+    }
+}
+
+/// The answer to whether one-way delays can be trusted, in the title of the list.
+pub(crate) fn title(picture: &Picture) -> String {
+    let links: Vec<Subject<'_>> = picture.links.iter().map(|link| Subject::live(link)).collect();
+    let verdicts: Vec<Verdict> = links.iter().filter_map(Subject::verdict).collect();
+    let of = |wanted: fn(u8) -> bool| verdicts.iter().filter(|verdict| wanted(severity(**verdict))).count();
+    let (well, limited) =
+        (of(|how| how == severity(Verdict::Ok)), of(|how| how == severity(Verdict::Limited)));
+    let bad = verdicts.len() - well - limited;
+    let subject = crate::view::counted(links.len(), "link", "links");
+    match links.len() {
+        0 => "No link yet: one-way delays are measured once a pipeline sends to another host".to_owned(),
+        1 if well == 1 => format!("{subject}: its one-way delays can be trusted"),
+        1 if limited == 1 => format!("{subject}: some of its delays are known only as intervals"),
+        1 => format!("{subject}: its one-way delays cannot be trusted at present"),
+        all if all == well => format!("{subject}: one-way delays can be trusted on all of them"),
+        _ => {
+            let mut parts = Vec::new();
+            for (many, what) in [
+                (well, "can be trusted"),
+                (limited, "known only as intervals in part"),
+                (bad, "cannot be trusted"),
+            ] {
+                if many > 0 {
+                    parts.push(format!("{many} {what}"));
+                }
+            }
+            format!("{subject}: {}", parts.join(", "))
+        }
+    }
+}

@@ -1,0 +1,88 @@
+//! The clock offset of a link over time: the band that is certain, the estimate in it, what other sources say.
+
+use peernet_aggregator::ClockPoint;
+use peernet_clock::{DelaySource, Interval, Span};
+
+use super::chart::{OffsetView, Plan, beyond, reach};
+use super::trend::Trend;
+use crate::svg::{Ruler, Track, pen};
+
+/// Another source that is so many times wider than the band leaves the scale to the band.
+const WIDER: f64 = 4.0;
+
+/// Lower and upper end in ms, as drawn.
+type Ends = (f64, f64);
+
+fn larger((lo, hi): Ends) -> f64 {
+    lo.abs().max(hi.abs())
+}
+
+/// The track of the offset of `cloud`.
+pub(super) fn track(cloud: &str, plan: &Plan<'_>, view: OffsetView) -> Track {
+    let points = &plan.course.points;
+    let trend = match view {
+        OffsetView::Removed => Trend::of(points),
+        OffsetView::Measured => Trend::default(),
+    };
+    // Of a bucket the offset is that of one moment in it: the trend is taken out there.
+    let shown = |point: &ClockPoint, span: Span| {
+        let at = point.offset.as_ref().map_or(point.at, |offset| offset.at);
+        (span.seconds() - trend.at(point.window, at)) * 1e3
+    };
+    let ends =
+        |point: &ClockPoint, interval: Interval| (shown(point, interval.lo), shown(point, interval.hi));
+    let band = |point: &ClockPoint| Some(ends(point, point.offset.as_ref()?.bounds));
+    let said = |point: &ClockPoint, source: DelaySource| {
+        let (_, interval) = point.offset.as_ref()?.sources.iter().find(|(from, _)| *from == source)?;
+        Some(ends(point, *interval))
+    };
+
+    let certain: Vec<Ends> = points.iter().filter_map(band).collect();
+    let others = [DelaySource::Kernel, DelaySource::Chrony]
+        .map(|source| (source, points.iter().filter_map(|point| said(point, source)).collect::<Vec<Ends>>()));
+    let ruler = match view {
+        OffsetView::Removed => {
+            let own = reach(certain.iter().copied().map(larger));
+            let sizes = others.iter().map(|(_, said)| reach(said.iter().copied().map(larger)));
+            Ruler::both_sides(sizes.filter(|size| *size <= own * WIDER).fold(own, f64::max), 6)
+        }
+        OffsetView::Measured => {
+            let span = |(lo, hi): Ends, one: &Ends| (lo.min(one.0), hi.max(one.1));
+            let (lo, hi) = certain.iter().fold((f64::INFINITY, f64::NEG_INFINITY), span);
+            Ruler::around(lo, hi, 5).signed()
+        }
+    };
+
+    let what = if view == OffsetView::Removed { ", drift removed" } else { "" };
+    let mut track = Track::new(format!("clock offset of {cloud}{what}, ms"), &ruler);
+    track.class = "tall";
+    let filled = plan.broken(points, |x, point| {
+        let (lo, hi) = band(point)?;
+        Some((x, ruler.below(hi), ruler.below(lo)))
+    });
+    track.draw("band", pen::band(filled));
+    let mut note = vec!["filled: certain".to_owned()];
+    for (source, said_by) in &others {
+        if said_by.is_empty() {
+            continue;
+        }
+        for end in [|ends: Ends| ends.0, |ends: Ends| ends.1] {
+            // What lies beyond the axis is not drawn along its end.
+            let at = |point: &ClockPoint| said(point, *source).map(end).filter(|value| ruler.holds(*value));
+            let line = plan.broken(points, |x, point| Some((x, ruler.below(at(point)?))));
+            track.draw("dashed", pen::line(line));
+        }
+        let seen = said_by.iter().any(|(lo, hi)| ruler.holds(*lo) || ruler.holds(*hi));
+        let name = source.name();
+        note.push(if seen { format!("dashed: {name}") } else { format!("{name}: wider than the axis") });
+    }
+    let estimate = |point: &ClockPoint| Some(shown(point, point.offset.as_ref()?.estimate));
+    let line = plan.broken(points, |x, point| Some((x, ruler.below(estimate(point)?))));
+    track.draw("strong", pen::line(line));
+    note.push("line: estimate".to_owned());
+    track.note = note.join(" · ");
+    if view == OffsetView::Removed {
+        track.beyond = beyond(certain.into_iter().map(larger), &ruler, "ms");
+    }
+    track
+}

@@ -1,0 +1,154 @@
+//! Where the bound of an offset comes from, and what would narrow it.
+
+use peernet_clock::{DelaySource, Interval, Offset};
+use peernet_logger::stream::{HostClock, Probing};
+
+use super::Subject;
+use super::course::Course;
+use crate::numbers::{SPACE, bound_ms, count, interval_ms, trip_ms};
+
+/// One source about the offset.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct SourceRow {
+    pub name: String,
+    pub between: String,
+    pub width: String,
+    /// What is used in the end.
+    pub sum: bool,
+}
+
+/// Where the bound comes from.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Origin {
+    /// `Where ±0.65 ms comes from`.
+    pub title: String,
+    pub rows: Vec<SourceRow>,
+    /// Sentences.
+    pub why: Vec<String>,
+    /// What would narrow it, most promising first.
+    pub hints: Vec<String>,
+}
+
+fn row(name: String, interval: Interval, sum: bool) -> SourceRow {
+    let between = interval_ms(interval.lo.seconds(), interval.hi.seconds());
+    SourceRow { name, between, width: trip_ms(interval.width().seconds()), sum }
+}
+
+/// A source in words.
+pub(crate) fn source(source: DelaySource, exchanges: u64) -> String {
+    match source {
+        DelaySource::InBand => format!("in-band, {} exchanges", count(exchanges)),
+        DelaySource::Kernel => "the kernels of both hosts".to_owned(),
+        DelaySource::Chrony => "chrony on both hosts".to_owned(),
+        DelaySource::SameClock => "one clock".to_owned(),
+        DelaySource::Intersection => "intersection".to_owned(),
+        DelaySource::None => "none".to_owned(),
+    }
+}
+
+impl Origin {
+    /// What is known of a link's bound; nothing for one clock.
+    pub(crate) fn of(subject: &Subject<'_>, course: &Course) -> Self {
+        let Some(offset) = subject.offset() else {
+            return Self {
+                title: "Why there is no bound".to_owned(),
+                why: vec!["No exchange between the two hosts has finished yet. Each data message with its answer is one, \
+                           each answered probe another."
+                    .to_owned()],
+                hints: hints(subject, None),
+                ..Self::default()
+            };
+        };
+        let mut rows: Vec<SourceRow> = offset
+            .sources
+            .iter()
+            .map(|(from, interval)| row(source(*from, offset.exchanges), *interval, false))
+            .collect();
+        let used = if offset.sources.len() > 1 { "intersection" } else { "used" };
+        rows.push(row(used.to_owned(), offset.bounds, true));
+        let half = bound_ms(offset.bounds.width().seconds() / 2.0);
+        Self {
+            title: format!("Where {half}{SPACE}ms comes from"),
+            rows,
+            why: why(offset, course),
+            hints: hints(subject, Some(offset)),
+        }
+    }
+}
+
+fn why(offset: &Offset, course: &Course) -> Vec<String> {
+    let mut why = Vec::new();
+    let half = offset.bounds.width().seconds() / 2.0;
+    if offset.verdict == peernet_clock::Verdict::Inconsistent {
+        why.push(
+            "The sources above exclude each other: at least one of them is wrong, and which one cannot be told from here."
+                .to_owned(),
+        );
+    }
+    if let Some((min, _)) = course.round_trips() {
+        let best = min / 2.0;
+        let known = format!("The smallest probe round trip took {}{SPACE}ms", trip_ms(min));
+        let general = "A round trip cannot tell how its time splits between the directions.".to_owned();
+        why.push(if half > best * 1.3 {
+            format!(
+                "{general} {known}, so at best the offset is known to half of that, {}{SPACE}ms; since then the bound grows \
+                 with the drift that two clocks may have.",
+                bound_ms(best)
+            )
+        } else if half < best * 0.7 {
+            format!("{general} {known}, which alone gives {}{SPACE}ms; another source narrows it.", bound_ms(best))
+        } else {
+            format!("{general} {known}, so the offset is known to half of that, {}{SPACE}ms.", bound_ms(best))
+        });
+    } else {
+        why.push(
+            "No probe came back in this time: the bound rests on the data messages, whose round trips are longer, so it is \
+             wider than it could be."
+                .to_owned(),
+        );
+    }
+    if let Some(age) = offset.age.filter(|age| age.seconds() > 5.0) {
+        why.push(format!("The newest exchange is {} old.", crate::numbers::length(age.seconds())));
+    }
+    why
+}
+
+/// What would narrow the bound of this link.
+fn hints(subject: &Subject<'_>, offset: Option<&Offset>) -> Vec<String> {
+    let mut hints = Vec::new();
+    let Some(link) = subject.live else { return hints };
+    match &link.live.probing {
+        Probing::Off(reason) => hints.push(format!("let probes through: {reason}")),
+        Probing::Unanswered { address } => {
+            hints.push(format!("open {address} for UDP: probes go there and none comes back"));
+        }
+        Probing::On { stamps, .. } if stamps.contains("program") => {
+            hints.push("kernel stamps instead of the program's".to_owned());
+        }
+        Probing::On { .. } => {}
+    }
+    let undisciplined =
+        |clock: &Option<HostClock>| clock.as_ref().is_none_or(|clock| clock.discipline.is_none());
+    let without: Vec<&str> = [(&link.live.edge, &subject.edge), (&link.live.cloud, &subject.cloud)]
+        .into_iter()
+        .filter(|(clock, _)| undisciplined(clock))
+        .map(|(_, name)| name.as_str())
+        .collect();
+    let width = |wanted: fn(DelaySource) -> bool| {
+        let found = offset?.sources.iter().find(|(source, _)| wanted(*source));
+        found.map(|(_, interval)| interval.width())
+    };
+    let own = width(|source| source == DelaySource::InBand);
+    let told = width(|source| matches!(source, DelaySource::Kernel | DelaySource::Chrony));
+    if !without.is_empty() {
+        hints.push(format!("PTP or chrony on {}, which gives a second source", without.join(" and ")));
+    } else if let Some((own, told)) = own.zip(told)
+        && told >= own
+    {
+        hints.push(
+            "PTP on both hosts; what their time daemons claim now is wider and does not help".to_owned(),
+        );
+    }
+    hints.push("a shorter path between the hosts".to_owned());
+    hints
+}

@@ -1,0 +1,119 @@
+//! How a link is probed, what its hosts' time daemons say, what was refused.
+
+use peernet_logger::stream::{HostClock, Probing};
+
+use super::super::{counted, rehearsal};
+use super::Subject;
+use super::course::Course;
+use crate::numbers::{NONE, SPACE, bound_ms, count, figure, offset_ms, rate, trip_ms};
+
+/// Pairs of a name and a text.
+pub(crate) type Pairs = Vec<(&'static str, String)>;
+
+/// One host's clock by its own account.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct HostRow {
+    pub name: String,
+    pub role: &'static str,
+    pub text: String,
+    pub claims: String,
+    pub steps: String,
+    pub rehearsal: Option<String>,
+}
+
+/// What a time daemon claims, in words: `within ±0.42 ms of true time`, `+4,001.08 ms from true time, ±0.04 ms`.
+pub(crate) fn claims(clock: &HostClock) -> String {
+    let Some(discipline) = clock.discipline else { return NONE.to_owned() };
+    let (lo, hi) = (discipline.error.lo.seconds(), discipline.error.hi.seconds());
+    if lo <= 0.0 && hi >= 0.0 {
+        return format!("within {}{SPACE}ms of true time", bound_ms(hi.max(-lo)));
+    }
+    let half = (hi - lo) / 2.0;
+    format!("{}{SPACE}ms from true time, {}{SPACE}ms", offset_ms(lo + half, half), bound_ms(half))
+}
+
+/// Who synchronises a clock, in words.
+pub(crate) fn discipline(clock: &HostClock) -> String {
+    match (clock.text.is_empty(), clock.discipline) {
+        (false, _) => clock.text.clone(),
+        (true, Some(discipline)) => discipline.source.name().to_owned(),
+        (true, None) => "nobody says".to_owned(),
+    }
+}
+
+/// Both hosts.
+pub(crate) fn hosts(subject: &Subject<'_>) -> Vec<HostRow> {
+    let Some(link) = subject.live else { return Vec::new() };
+    let row = |name: &str, role, clock: Option<&HostClock>| HostRow {
+        name: name.to_owned(),
+        role: if role == name { "" } else { role },
+        text: clock.map_or_else(|| "has not told yet".to_owned(), discipline),
+        claims: clock.map_or_else(|| NONE.to_owned(), claims),
+        steps: clock.map_or_else(|| NONE.to_owned(), |clock| count(clock.epoch.into())),
+        rehearsal: clock.and_then(|clock| clock.rehearsal.as_ref()).map(rehearsal::words),
+    };
+    vec![
+        row(&subject.edge, "edge", link.live.edge.as_ref()),
+        row(&subject.cloud, "cloud", link.live.cloud.as_ref()),
+    ]
+}
+
+/// How the link is probed, in a sentence's words for the facts: `probes 10 /s, kernel stamps`.
+pub(crate) fn probing(probing: &Probing) -> String {
+    match probing {
+        Probing::On { rate_hz, stamps, .. } => format!("{}{SPACE}probes/s, stamps: {stamps}", rate(*rate_hz)),
+        Probing::Unanswered { .. } => "probes unanswered".to_owned(),
+        Probing::Off(_) => "no probes".to_owned(),
+    }
+}
+
+/// The panel about probes.
+pub(crate) fn probes(subject: &Subject<'_>, course: &Course) -> Pairs {
+    let mut pairs: Pairs = match subject.live.map(|link| &link.live.probing) {
+        Some(Probing::On { address, rate_hz, stamps }) => vec![
+            ("Sent to", address.clone()),
+            ("Rate", format!("{}{SPACE}/s", rate(*rate_hz))),
+            ("Stamps", stamps.clone()),
+        ],
+        Some(Probing::Unanswered { address }) => vec![
+            ("Sent to", address.clone()),
+            (
+                "Answers",
+                "none lately: the port is blocked, or the reflector is gone; data messages still bound the offset"
+                    .to_owned(),
+            ),
+        ],
+        Some(Probing::Off(reason)) => vec![("Off", reason.clone())],
+        None => vec![("Now", "the edge does not report".to_owned())],
+    };
+    let counts = course.probes();
+    if counts.sent > 0 {
+        let shown = [counts.sent, counts.answered, counts.lost].map(|one| count(one.into()));
+        pairs.push(("In this time", format!("{} sent, {} answered, {} lost", shown[0], shown[1], shown[2])));
+    }
+    if let Some((min, median)) = course.round_trips() {
+        let words = format!("{}{SPACE}ms at least, {}{SPACE}ms median", trip_ms(min), trip_ms(median));
+        pairs.push(("Round trip", words));
+    }
+    pairs
+}
+
+/// What became of the exchanges.
+pub(crate) fn exchanges(subject: &Subject<'_>) -> Pairs {
+    let Some(link) = subject.live else { return Vec::new() };
+    let counts = link.live.now.exchanges;
+    vec![
+        ("Taken", format!("{} exchanges", count(counts.taken))),
+        ("Impossible", format!("{}, refused: no two clocks can show them", count(counts.impossible))),
+        ("Outliers", format!("{}, refused: they contradict all others", count(counts.outliers))),
+        ("Stepped", format!("{}, refused: a clock was stepped meanwhile", count(counts.stepped))),
+        ("Begun anew", format!("{} after a step", counted(counts.restarts as usize, "time", "times"))),
+        (
+            "Drift limit",
+            format!(
+                "{}{SPACE}ppm: all bounds hold as long as the clocks stay below it",
+                figure(link.live.now.max_drift_ppm)
+            ),
+        ),
+    ]
+}

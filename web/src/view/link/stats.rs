@@ -1,0 +1,131 @@
+//! The figures of a link, now.
+
+use peernet_logger::stream::ProbeCounts;
+
+use super::super::chip::Chip;
+use super::super::speed::Way;
+use super::Subject;
+use super::course::Course;
+use crate::numbers::{NONE, SPACE, bound_ms, count, figure, fixed, length, offset_ms, percent, trip_ms};
+
+/// A quiet name, a figure with its unit, a quiet line.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Stat {
+    pub name: String,
+    pub number: String,
+    /// Empty where there is no number.
+    pub unit: &'static str,
+    /// Why there is no number, or what it is.
+    pub title: String,
+    pub line: String,
+    pub chip: Option<Chip>,
+}
+
+impl Stat {
+    fn new(name: &str, known: Option<String>, unit: &'static str, line: String) -> Self {
+        let unit = if known.is_some() { unit } else { "" };
+        let title = if known.is_some() { String::new() } else { line.clone() };
+        Self {
+            name: name.to_owned(),
+            number: known.unwrap_or_else(|| NONE.to_owned()),
+            unit,
+            title,
+            line,
+            chip: None,
+        }
+    }
+}
+
+/// All of them.
+pub(crate) fn all(subject: &Subject<'_>, course: &Course) -> Vec<Stat> {
+    let mut stats = vec![delay(subject, Way::Up), delay(subject, Way::Down)];
+    if !subject.same_clock() {
+        stats.extend([offset(subject), drift(subject)]);
+    }
+    if !subject.same_clock() || course.probes().sent > 0 {
+        stats.extend([round_trip(course), lost(course)]);
+    }
+    stats.extend([throughput(subject, Way::Up), throughput(subject, Way::Down)]);
+    stats
+}
+
+fn delay(subject: &Subject<'_>, way: Way) -> Stat {
+    let delays = subject.delays(way);
+    let known = delays.median.is_some().then(|| delays.value());
+    let line = match delays.interval() {
+        Some(interval) => interval,
+        None if delays.verdict.is_some() => String::new(),
+        None => "nothing sent".to_owned(),
+    };
+    let name = format!("{}, median of 10{SPACE}s", delays.title());
+    let title = if known.is_some() { String::new() } else { delays.reason().to_owned() };
+    Stat { chip: delays.chip(), title, ..Stat::new(&name, known, "ms", line) }
+}
+
+fn offset(subject: &Subject<'_>) -> Stat {
+    let Some(offset) = subject.offset() else {
+        return Stat::new("Clock offset", None, "ms", "never related".to_owned());
+    };
+    let estimate = offset.estimate.seconds();
+    let who = match estimate {
+        ahead if ahead > 0.0 => format!("{} is ahead", subject.cloud),
+        behind if behind < 0.0 => format!("{} is behind", subject.cloud),
+        _ => "level".to_owned(),
+    };
+    let half = offset.bounds.width().seconds() / 2.0;
+    let line = format!("{who}, {}{SPACE}ms", bound_ms(half));
+    Stat::new("Clock offset", Some(offset_ms(estimate, half)), "ms", line)
+}
+
+/// Parts per million with a sign: `+12.4`.
+pub(crate) fn ppm(value: f64) -> String {
+    let text = fixed(value, 1);
+    if value > 0.0 && text != "0.0" { format!("+{text}") } else { text }
+}
+
+fn drift(subject: &Subject<'_>) -> Stat {
+    let skew = subject.offset().and_then(|offset| offset.skew_ppm);
+    let line = skew.map_or_else(
+        || "too few exchanges yet".to_owned(),
+        |skew| {
+            let a_day = skew.abs() * 1e-6 * 86_400.0;
+            let verb = if skew < 0.0 { "loses" } else { "gains" };
+            format!("{} {verb} {}{SPACE}s a day", subject.cloud, figure(a_day))
+        },
+    );
+    Stat::new("Drift", skew.map(ppm), "ppm", line)
+}
+
+fn round_trip(course: &Course) -> Stat {
+    let line = course.round_trips().map_or_else(
+        || "no probe came back".to_owned(),
+        |(min, _)| format!("smallest {}{SPACE}ms", trip_ms(min)),
+    );
+    let lately = course.points.iter().rev().find_map(|point| point.round_trip);
+    Stat::new("Probe round trip", lately.map(|trip| trip_ms(trip.median.seconds())), "ms", line)
+}
+
+fn lost(course: &Course) -> Stat {
+    let ProbeCounts { sent, lost, .. } = course.probes();
+    let share = (sent > 0).then(|| percent(f64::from(lost) / f64::from(sent)));
+    let line = if sent > 0 {
+        format!("{} of {} in {}", count(lost.into()), count(sent.into()), length(course.seconds()))
+    } else {
+        "no probes".to_owned()
+    };
+    Stat::new("Probes lost", share, "%", line)
+}
+
+fn throughput(subject: &Subject<'_>, way: Way) -> Stat {
+    let delays = subject.delays(way);
+    let (number, why) = delays.throughput();
+    let name = if way == Way::Up { "Throughput up" } else { "Throughput down" };
+    let known = (number != NONE).then_some(number);
+    let line = match (known.is_some(), why.is_empty(), delays.verdict.is_some()) {
+        (true, true, _) => "while sending",
+        (true, false, _) => "interval: short for its bound",
+        (false, _, false) => "nothing sent",
+        (false, ..) => "delay not known",
+    };
+    Stat { title: why.to_owned(), ..Stat::new(name, known, "MB/s", line.to_owned()) }
+}

@@ -1,0 +1,84 @@
+//! The course of a link as a table: the same numbers as in its picture.
+
+use peernet_aggregator::ClockPoint;
+
+use super::super::chip::Sign;
+use super::super::speed::Way;
+use super::course::Course;
+use super::delays::Delays;
+use super::stats::ppm;
+use crate::numbers::{NONE, bound_ms, count, offset_ms, stage_ms, trip_ms};
+use crate::zone::{Moment, Zone};
+
+/// One stretch of time; times in ms.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Row {
+    pub at: Moment,
+    pub up: Direction,
+    pub down: Direction,
+    pub offset: String,
+    pub bound: String,
+    pub drift: String,
+    pub smallest: String,
+    pub median: String,
+    pub sent: String,
+    pub lost: String,
+}
+
+/// One direction.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Direction {
+    pub value: String,
+    pub interval: String,
+    pub sign: Option<Sign>,
+    pub throughput: String,
+}
+
+/// Rows of a table at most.
+const ROWS: f64 = 30.0;
+
+impl Row {
+    /// The rows of a course, newest first.
+    pub(crate) fn all(course: &Course, zone: Zone) -> Vec<Self> {
+        const STEPS: [i64; 8] = [10, 30, 60, 120, 300, 600, 1_800, 3_600];
+        let wanted = (course.seconds() / ROWS) as i64;
+        let seconds = STEPS.into_iter().find(|step| *step >= wanted).unwrap_or(3_600);
+        course.thinned(seconds).points.iter().rev().map(|point| Self::of(point, zone)).collect()
+    }
+
+    /// Both directions.
+    pub(crate) fn ways(&self) -> [&Direction; 2] {
+        [&self.up, &self.down]
+    }
+
+    fn of(point: &ClockPoint, zone: Zone) -> Self {
+        let dash = || NONE.to_owned();
+        let offset = point.offset.as_ref();
+        let trip = point.round_trip;
+        Self {
+            at: zone.moment(point.at),
+            up: Direction::of(&Delays::of(Way::Up, [point])),
+            down: Direction::of(&Delays::of(Way::Down, [point])),
+            offset: offset.map_or_else(dash, |offset| {
+                offset_ms(offset.estimate.seconds(), offset.bounds.width().seconds() / 2.0)
+            }),
+            bound: offset.map_or_else(dash, |offset| bound_ms(offset.bounds.width().seconds() / 2.0)),
+            drift: offset.and_then(|offset| offset.skew_ppm).map_or_else(dash, ppm),
+            smallest: trip.map_or_else(dash, |trip| trip_ms(trip.min.seconds())),
+            median: trip.map_or_else(dash, |trip| trip_ms(trip.median.seconds())),
+            sent: count(point.probes.sent.into()),
+            lost: count(point.probes.lost.into()),
+        }
+    }
+}
+
+impl Direction {
+    fn of(delays: &Delays) -> Self {
+        Self {
+            value: delays.median.map_or_else(|| NONE.to_owned(), |point| stage_ms(point.value.seconds())),
+            interval: delays.interval().unwrap_or_default(),
+            sign: delays.chip().map(Sign::from),
+            throughput: delays.throughput().0,
+        }
+    }
+}

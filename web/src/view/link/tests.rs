@@ -1,0 +1,230 @@
+use peernet_clock::{DelaySource, Interval};
+use peernet_logger::stream::{DelayPoint, DelaySecond, HostClock, Probing};
+
+use super::chart::{OffsetView, tracks};
+use super::course::Course;
+use super::finding::{meanings, title};
+use super::origin::Origin;
+use super::*;
+use crate::view::samples::{NOW, clock_point, link};
+use crate::zone::Zone;
+
+fn second(count: u32, value_ms: f64, verdict: Verdict) -> DelaySecond {
+    let value = Span::from_seconds_f64(value_ms / 1e3);
+    let median = DelayPoint { value, bounds: Interval::exactly(value), bits_per_second: None };
+    DelaySecond { count, median: Some(median), verdict }
+}
+
+fn course(link: &LinkPicture) -> Course {
+    Course::live(&link.history, Subject::live(link).end, 600)
+}
+
+#[test]
+fn a_link_is_found_by_its_two_names() {
+    let picture = peernet_aggregator::Picture {
+        links: vec![std::sync::Arc::new(link(Some(0.00065), &[]))],
+        ..crate::view::samples::picture(Vec::new(), Vec::new())
+    };
+    assert!(find(&picture, "cam-1~rack-a").is_some());
+    for other in ["rack-a~cam-1", "cam-1", "cam-1~", "~", "cam-1~rack-a~"] {
+        assert!(find(&picture, other).is_none(), "{other}");
+    }
+}
+
+#[test]
+fn the_median_counts_each_delay_and_a_rare_verdict_does_not_colour_the_rest() {
+    let many = [second(98, 6.0, Verdict::Ok), second(1, 60.0, Verdict::Ok), second(1, 1.0, Verdict::Stepped)];
+    let all = Delays::merge(Way::Up, &many);
+    assert_eq!((all.value().as_str(), all.verdict, all.count), ("6.00", Some(Verdict::Ok), 100));
+    let worse = Delays::merge(Way::Up, &[second(90, 6.0, Verdict::Ok), second(10, 6.0, Verdict::Stale)]);
+    assert_eq!(worse.verdict, Some(Verdict::Stale));
+}
+
+#[test]
+fn a_negative_delay_is_never_shown() {
+    let delays = Delays::merge(Way::Down, &[second(10, -0.4, Verdict::Limited)]);
+    assert_eq!((delays.value().as_str(), delays.interval()), ("—", None));
+    let mut low = second(10, 0.2, Verdict::Limited);
+    low.median = low.median.map(|point| DelayPoint {
+        bounds: Interval { lo: Span::from_micros(-450), hi: Span::from_micros(850) },
+        ..point
+    });
+    assert_eq!(Delays::merge(Way::Down, &[low]).interval().as_deref(), Some("0.00 – 0.85"));
+}
+
+#[test]
+fn a_limited_throughput_is_shown_as_its_interval() {
+    let known = |verdict| {
+        let point = DelayPoint {
+            value: Span::from_micros(1_000),
+            bounds: Interval { lo: Span::ZERO, hi: Span::from_micros(2_000) },
+            bits_per_second: Some(160e6),
+        };
+        Delays::merge(Way::Up, &[DelaySecond { count: 9, median: Some(point), verdict }]).throughput().0
+    };
+    assert_eq!(known(Verdict::Ok), "20.0");
+    assert_eq!(known(Verdict::Limited), "10.0 – ∞");
+    assert_eq!(known(Verdict::Stepped), "—");
+}
+
+#[test]
+fn the_title_answers_whether_delays_can_be_trusted() {
+    let say = |link: &LinkPicture| title(&Subject::live(link), Zone::Utc);
+    let mixed = link(Some(0.00065), &[]);
+    assert_eq!(
+        say(&mixed),
+        "cam-1 → rack-a: upload times can be trusted to ±0.65\u{202f}ms, download times cannot"
+    );
+    assert_eq!(
+        say(&link(Some(0.00005), &[])),
+        "cam-1 → rack-a: upload and download times can be trusted to ±0.050\u{202f}ms"
+    );
+    assert!(say(&link(Some(0.004), &[])).contains("read them as intervals"));
+    assert!(say(&link(None, &[])).contains("were never related"));
+    let mut one = link(Some(0.0), &[]);
+    one.live.same_clock = true;
+    assert_eq!(say(&one), "cam-1 and rack-a read one clock: delays between them are exact");
+    let mut away = mixed.clone();
+    away.connected = false;
+    assert!(say(&away).contains("last told of this link on 19 Nov 2026, 12:01:07"), "{}", say(&away));
+    let mut silent = mixed;
+    silent.history.iter_mut().for_each(|point| {
+        let point = Arc::make_mut(point);
+        (point.up, point.down) = (None, None);
+    });
+    assert!(say(&silent).contains("nothing was sent in the last 10"), "{}", say(&silent));
+}
+
+#[test]
+fn the_verdicts_are_told_with_this_links_numbers() {
+    let link = link(Some(0.00065), &[]);
+    let told = meanings(&Subject::live(&link));
+    assert_eq!(
+        told[0].text,
+        "takes 6.30\u{202f}ms, 9.7 times its bound of ±0.65\u{202f}ms. The true value lies between 5.65 and 6.95\u{202f}ms."
+    );
+    assert!(told[1].text.contains("Read it as 0.00 – 1.25\u{202f}ms"), "{}", told[1].text);
+}
+
+#[test]
+fn where_a_bound_comes_from_and_what_would_narrow_it() {
+    let mut link = link(Some(0.00065), &[]);
+    let origin = Origin::of(&Subject::live(&link), &course(&link));
+    assert_eq!(origin.title, "Where ±0.65\u{202f}ms comes from");
+    let names: Vec<&str> = origin.rows.iter().map(|row| row.name.as_str()).collect();
+    assert_eq!(names, ["in-band, 612 exchanges", "chrony on both hosts", "intersection"]);
+    assert_eq!(
+        (origin.rows[2].between.as_str(), origin.rows[2].width.as_str()),
+        ("1,203.35 – 1,204.65", "1.30")
+    );
+    assert!(
+        origin.why[0].contains("took 1.30\u{202f}ms, so the offset is known to half of that, ±0.65"),
+        "{origin:?}"
+    );
+    assert!(origin.hints[0].contains("PTP or chrony on cam-1 and rack-a"), "{origin:?}");
+
+    let claim = peernet_clock::Discipline {
+        source: DelaySource::Chrony,
+        error: Interval { lo: Span::from_micros(-900), hi: Span::from_micros(900) },
+    };
+    let clock = HostClock { discipline: Some(claim), ..HostClock::default() };
+    (link.live.edge, link.live.cloud) = (Some(clock.clone()), Some(clock));
+    link.live.probing = Probing::Unanswered { address: "udp://192.0.2.5:8620".into() };
+    let origin = Origin::of(&Subject::live(&link), &course(&link));
+    assert!(origin.hints[0].contains("open udp://192.0.2.5:8620"), "{origin:?}");
+    assert!(origin.hints[1].contains("is wider and does not help"), "{origin:?}");
+}
+
+#[test]
+fn a_steady_drift_is_taken_out_of_the_picture_and_a_step_parts_it() {
+    let at = |ago: i64| WallTime::from_unix_nanos((NOW.unix_seconds() - ago) * 1_000_000_000);
+    let mut points: Vec<ClockPoint> =
+        (0..100).rev().map(|ago| clock_point(at(ago), u64::from(ago < 50), Some(0.0005))).collect();
+    points[50..].iter_mut().filter_map(|point| point.offset.as_mut()).for_each(|offset| {
+        offset.estimate += Span::from_seconds(3);
+    });
+    let trend = trend::Trend::of(&points);
+    for point in &points {
+        let estimate = point.offset.as_ref().expect("known").estimate.seconds();
+        assert!((estimate - trend.at(point.window, point.at)).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn points_that_are_put_together_keep_the_widest_bounds_and_all_probes() {
+    let at = |second: i64| WallTime::from_unix_nanos(second * 1_000_000_000);
+    let points = vec![
+        clock_point(at(11), 1, Some(0.0005)),
+        clock_point(at(12), 1, Some(0.0020)),
+        clock_point(at(20), 1, Some(0.0005)),
+        clock_point(at(21), 1, Some(0.0005)),
+    ];
+    let whole = Course { from: at(10), to: at(30), bucket: 1, points };
+    let thin = whole.thinned(10);
+    assert_eq!(thin.points.iter().map(|point| point.at).collect::<Vec<_>>(), [at(20), at(21)]);
+    let first = &thin.points[0];
+    let width = first.offset.as_ref().expect("known").bounds.width().seconds();
+    assert!((width - 0.004).abs() < 1e-6, "{width}");
+    assert_eq!(first.probes.sent, 30);
+    assert_eq!(first.up.expect("data").count, 90);
+    assert_eq!(whole.gaps(), [(at(12), at(20)), (at(21), at(30))]);
+}
+
+#[test]
+fn a_gap_parts_every_line_and_is_hatched() {
+    let gap: Vec<i64> = (40..60).collect();
+    let link = link(Some(0.00065), &gap);
+    let subject = Subject::live(&link);
+    let picture = tracks(&subject, &course(&link), OffsetView::Removed, &[], Zone::Utc);
+    assert_eq!(picture.gaps.len(), 1);
+    let offset = &picture.tracks[0];
+    let band = offset.curves.iter().find(|curve| curve.class == "band").expect("a band");
+    assert_eq!(band.path.matches('Z').count(), 2, "{}", band.path);
+    assert!(offset.curves.iter().any(|curve| curve.class == "dashed"));
+    assert!(picture.label.contains("1 stretch without a report"), "{}", picture.label);
+    assert!(picture.strips[0].segments.len() == 2 && picture.strips[1].segments[0].tone == "warn");
+    let html = picture.to_string();
+    assert!(!html.contains("NaN") && !html.contains("inf"), "{html}");
+}
+
+#[test]
+fn nothing_at_all_still_makes_a_picture() {
+    let mut empty = link(None, &[]);
+    empty.history.clear();
+    let subject = Subject::live(&empty);
+    for view in [OffsetView::Removed, OffsetView::Measured] {
+        let picture = tracks(&subject, &course(&empty), view, &[], Zone::Utc);
+        assert!(picture.label.contains("Nothing was reported"), "{}", picture.label);
+        assert!(!picture.to_string().contains("NaN"));
+    }
+}
+
+#[test]
+fn a_claim_is_told_as_it_is_meant() {
+    let claim = |lo, hi| {
+        let error = Interval { lo: Span::from_micros(lo), hi: Span::from_micros(hi) };
+        let discipline = peernet_clock::Discipline { source: DelaySource::Chrony, error };
+        panels::claims(&HostClock { discipline: Some(discipline), ..HostClock::default() })
+    };
+    assert_eq!(claim(-1_800, 2_100), "within ±2.1\u{202f}ms of true time");
+    assert_eq!(claim(4_001_040, 4_001_120), "+4,001.080\u{202f}ms from true time, ±0.040\u{202f}ms");
+    assert_eq!(panels::claims(&HostClock::default()), "—");
+}
+
+#[test]
+fn what_the_cloud_tells_is_placed_by_the_offset_of_its_time() {
+    let at = |ago: i64| WallTime::from_unix_nanos((NOW.unix_seconds() - ago) * 1_000_000_000);
+    let mut points: Vec<ClockPoint> =
+        (0..60).rev().map(|ago| clock_point(at(ago), 1, Some(0.0005))).collect();
+    // Half a minute ago the edge was set forward by three seconds.
+    for point in &mut points[30..] {
+        let offset = point.offset.as_mut().expect("known");
+        offset.estimate = offset.estimate - Span::from_seconds(3);
+    }
+    let course = Course { from: at(60), to: at(0), bucket: 1, points };
+    for ago in [50, 10] {
+        let estimate = course.points[59 - ago as usize].offset.as_ref().expect("known").estimate;
+        let placed = course.on_the_edge(at(ago) + estimate);
+        assert!((placed - at(ago)).abs() < Span::from_millis(1), "{ago}");
+    }
+}

@@ -1,0 +1,74 @@
+//! Things to look at, in sentences.
+
+use peernet_aggregator::{Bound, Figures};
+use peernet_clock::Verdict;
+use peernet_logger::Name;
+
+use super::chip::Chip;
+use super::clocks;
+use crate::numbers::{bound_ms, duration, interval_ms};
+
+/// One thing to look at.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Note {
+    pub chip: Chip,
+    /// What the sentence is about, as a link in front of it.
+    pub subject: String,
+    /// Empty on the page of the subject itself.
+    pub href: String,
+    pub text: String,
+    /// The page of the link whose clocks the sentence is about.
+    pub link: Option<String>,
+}
+
+/// What is to be said of one-way delays whose verdicts are not `ok`: chip and sentence.
+pub(crate) fn of_delays(bounds: &[Bound], of: impl Fn(&Name) -> Option<Figures>) -> Vec<(Chip, String)> {
+    let unsure: Vec<(&Bound, Verdict)> = bounds
+        .iter()
+        .filter_map(|bound| Some((bound, clocks::verdict(bound)?)))
+        .filter(|(_, verdict)| *verdict != Verdict::Ok)
+        .collect();
+    if let [(_, verdict), (_, other)] = unsure.as_slice()
+        && verdict == other
+        && *verdict != Verdict::Limited
+    {
+        return vec![(
+            Chip::verdict(*verdict),
+            format!("has no one-way delays to trust: {}.", clocks::meaning(*verdict)),
+        )];
+    }
+    let sentences = unsure.into_iter().map(|(bound, verdict)| {
+        let name = &bound.stage;
+        let text = match (verdict, of(name), bound.half_width) {
+            (Verdict::Limited, Some(delay), Some(width)) => format!(
+                "has a {name} of {} with a clock bound of {}\u{202f}ms: read it as {}\u{202f}ms.",
+                duration(delay.p50),
+                bound_ms(width.p50),
+                interval_ms((delay.p50 - width.p50).max(0.0), delay.p50 + width.p50)
+            ),
+            _ => format!("has a {name} that cannot be trusted: {}.", clocks::meaning(verdict)),
+        };
+        (Chip::verdict(verdict), text)
+    });
+    sentences.collect()
+}
+
+impl Note {
+    /// The same as notes of a page.
+    pub(crate) fn of_delays(
+        subject: &str,
+        href: &str,
+        link: Option<&str>,
+        bounds: &[Bound],
+        of: impl Fn(&Name) -> Option<Figures>,
+    ) -> Vec<Self> {
+        let notes = of_delays(bounds, of).into_iter().map(|(chip, text)| Self {
+            chip,
+            subject: subject.to_owned(),
+            href: href.to_owned(),
+            text,
+            link: link.map(str::to_owned),
+        });
+        notes.collect()
+    }
+}

@@ -1,0 +1,110 @@
+//! Clocks that are made wrong on purpose: said loudly wherever they matter.
+
+use std::collections::BTreeMap;
+
+use peernet_aggregator::Picture;
+use peernet_clock::RehearsalDescription;
+
+use super::chip::{Chip, Tone};
+use crate::numbers::{SPACE, fixed};
+
+/// The chip of a rehearsed host and of what it measured.
+pub(crate) const CHIP: Chip = Chip::new(Tone::Warn, "rehearsal", "rehearsal");
+
+fn signed(value: f64, decimals: usize) -> String {
+    let text = fixed(value, decimals);
+    if value > 0.0 { format!("+{text}") } else { text }
+}
+
+fn ppm(value: f64) -> String {
+    signed(value, usize::from(value.fract() != 0.0))
+}
+
+/// By how much a clock is made wrong: `+1,000 ms, +50 ppm`.
+pub(crate) fn words(description: &RehearsalDescription) -> String {
+    let offset = description.offset.seconds() * 1e3;
+    let mut parts = vec![
+        format!("{}{SPACE}ms", signed(offset, if offset.fract() == 0.0 { 0 } else { 2 })),
+        format!("{}{SPACE}ppm", ppm(description.drift_ppm)),
+    ];
+    match description.steps.as_slice() {
+        [] => {}
+        [step] => parts.push(format!(
+            "a step of {}{SPACE}ms after {}",
+            signed(step.by.seconds() * 1e3, 0),
+            crate::numbers::length(step.at.seconds())
+        )),
+        steps => parts.push(format!("{} steps", steps.len())),
+    }
+    parts.join(", ")
+}
+
+/// Hosts that are rehearsed now, by name, with how.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Rehearsed(BTreeMap<String, String>);
+
+impl Rehearsed {
+    /// Those of a picture.
+    pub(crate) fn of(picture: &Picture) -> Self {
+        let connected = picture.hosts.iter().filter(|host| host.connected);
+        let told = connected.filter_map(|host| {
+            Some((host.description.name.to_string(), words(host.clock.rehearsal.as_ref()?)))
+        });
+        // A cloud may report to another aggregator: its edges tell of its clock.
+        let links = picture.links.iter().filter(|link| link.connected);
+        let heard = links.filter_map(|link| {
+            Some((link.live.peer_name.to_string(), words(link.live.cloud.as_ref()?.rehearsal.as_ref()?)))
+        });
+        Self(heard.chain(told).collect())
+    }
+
+    /// What the banner on every page says, a sentence per host.
+    pub(crate) fn banner(&self) -> Vec<String> {
+        let sentence = |(name, how): (&String, &String)| {
+            format!("Rehearsal: {name}'s clock is made wrong on purpose ({how}). Its delays should not move.")
+        };
+        self.0.iter().map(sentence).collect()
+    }
+
+    /// Whether a host of one of these names is rehearsed.
+    pub(crate) fn concerns(&self, names: &[&str]) -> bool {
+        names.iter().any(|name| self.0.contains_key(*name))
+    }
+}
+
+/// Whether a run was made with a rehearsed clock, by its facts.
+pub(crate) fn in_facts(facts: &[(String, String)]) -> bool {
+    facts.iter().any(|(name, _)| name == "Rehearsal" || name.starts_with("Rehearsal of "))
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::{RehearsedStep, Span, WallTime};
+
+    use super::*;
+
+    fn rehearsal(offset: Span, drift_ppm: f64, steps: Vec<RehearsedStep>) -> RehearsalDescription {
+        RehearsalDescription { offset, drift_ppm, steps, since: WallTime::from_unix_nanos(0) }
+    }
+
+    #[test]
+    fn how_a_clock_is_wrong_is_said_with_signs() {
+        let plain = rehearsal(Span::from_seconds(1), 50.0, Vec::new());
+        assert_eq!(words(&plain), "+1,000\u{202f}ms, +50\u{202f}ppm");
+        let step = RehearsedStep { at: Span::from_seconds(60), by: Span::from_seconds(3) };
+        let stepped = rehearsal(Span::from_micros(-1_500), -12.5, vec![step]);
+        assert_eq!(
+            words(&stepped),
+            "\u{2212}1.50\u{202f}ms, \u{2212}12.5\u{202f}ppm, a step of +3,000\u{202f}ms after 1\u{202f}min"
+        );
+    }
+
+    #[test]
+    fn runs_tell_by_their_facts() {
+        let fact = |name: &str| {
+            vec![("Sensor".to_owned(), "images".to_owned()), (name.to_owned(), "+1 s".to_owned())]
+        };
+        assert!(in_facts(&fact("Rehearsal")) && in_facts(&fact("Rehearsal of rack-a")));
+        assert!(!in_facts(&fact("Rehearsals")));
+    }
+}

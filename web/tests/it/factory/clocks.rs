@@ -1,0 +1,163 @@
+//! What a line's edge knows of the rack's clock: one sample a second.
+
+use peernet_clock::{
+    DelaySource, Discipline, Exchange, ExchangeCounts, Interval, Offset, RehearsalDescription, Span, Verdict,
+    WallTime,
+};
+use peernet_logger::stream::{
+    ClockSample, DelayPoint, DelaySecond, HostClock, LinkLive, ProbeCounts, Probing, RoundTrip,
+};
+use peernet_logger::{HostId, stage};
+
+use super::{Clocks, Line, Numbers, slug};
+
+/// The rack's wall clock minus a camera's, in the middle of what is reported.
+pub(super) const AHEAD: Span = Span::from_micros(1_204_180);
+/// How fast that grows.
+const SKEW_PPM: f64 = 12.4;
+
+fn seconds(seconds: f64) -> Span {
+    Span::from_seconds_f64(seconds)
+}
+
+/// What a host says of its own clock.
+pub(super) fn host_clock(rehearsed: bool, since: WallTime) -> HostClock {
+    let claim = Interval { lo: seconds(-0.0018), hi: seconds(0.0021) };
+    HostClock {
+        discipline: Some(Discipline { source: DelaySource::Chrony, error: claim }),
+        text: "chrony, stratum 3, to ntp.plant".into(),
+        epoch: u32::from(rehearsed),
+        rehearsal: rehearsed.then(|| RehearsalDescription {
+            offset: Span::from_seconds(1),
+            drift_ppm: 50.0,
+            steps: Vec::new(),
+            since,
+        }),
+    }
+}
+
+/// The delays of data in one direction within a second.
+fn delays(line: &Line, name: &str, numbers: &mut Numbers) -> DelaySecond {
+    let mean = line.stages.iter().find(|(known, ..)| known == name).map_or(0.001, |(_, mean, _)| mean / 1e3);
+    let value = mean * (1.0 + 0.03 * numbers.normal());
+    let bound = match line.clocks {
+        Clocks::Within(bound) => bound,
+        Clocks::Shared | Clocks::Unrelated => 0.0,
+    };
+    let bits = if name == stage::UPLOAD.as_str() { line.bytes * 8.0 } else { 412.0 * 8.0 };
+    let known = line.clocks != Clocks::Unrelated;
+    DelaySecond {
+        count: line.hz as u32,
+        median: known.then(|| DelayPoint {
+            value: seconds(value),
+            bounds: Interval { lo: seconds((value - bound).max(0.0)), hi: seconds(value + bound) },
+            bits_per_second: Some(bits / value),
+        }),
+        verdict: Verdict::from_name(line.verdict(&name.to_owned().into())).expect("a verdict"),
+    }
+}
+
+/// What is known at the end of a second; `ago` seconds before the newest one.
+pub(super) fn sample(
+    line: &Line,
+    rack: HostId,
+    at: WallTime,
+    ago: i64,
+    numbers: &mut Numbers,
+) -> ClockSample {
+    let at = WallTime::from_unix_nanos(at.unix_seconds() * 1_000_000_000);
+    let bound = match line.clocks {
+        Clocks::Within(bound) => Some(bound),
+        Clocks::Shared => Some(0.0),
+        Clocks::Unrelated => None,
+    };
+    // The network is slow for half a minute; a clock was stepped a minute ago.
+    let slow = if (140..175).contains(&ago) { 1.9 } else { 1.0 };
+    let (window, stepped) = if ago > 60 { (11, seconds(-0.0182)) } else { (12, Span::ZERO) };
+    let truth = if line.clocks == Clocks::Shared {
+        Span::ZERO
+    } else {
+        AHEAD + stepped - seconds(SKEW_PPM * 1e-6 * ago as f64)
+    };
+    let fresh = if (55..=60).contains(&ago) { 2.5 } else { 1.0 };
+    let offset = bound.map(|bound| {
+        let half = bound * slow * fresh * (1.0 + 0.04 * numbers.even());
+        let estimate = truth + seconds(bound * 0.08 * numbers.normal());
+        let bounds = Interval { lo: truth - seconds(half), hi: truth + seconds(half) };
+        let claimed = Interval { lo: truth - seconds(0.0039), hi: truth + seconds(0.0037) };
+        let shared = line.clocks == Clocks::Shared;
+        Offset {
+            at,
+            estimate: if shared { Span::ZERO } else { estimate.clamp(bounds.lo, bounds.hi) },
+            bounds,
+            source: if shared { DelaySource::SameClock } else { DelaySource::Intersection },
+            sources: if shared {
+                vec![(DelaySource::SameClock, bounds)]
+            } else {
+                vec![(DelaySource::InBand, bounds), (DelaySource::Chrony, claimed)]
+            },
+            verdict: Verdict::Ok,
+            skew_ppm: (!shared).then_some(SKEW_PPM),
+            exchanges: 6_120,
+            age: Some(seconds(0.04)),
+        }
+    });
+    let trip = bound.filter(|bound| *bound > 0.0).map(|bound| {
+        let min = 2.0 * bound * slow * (1.0 + 0.01 * numbers.even());
+        RoundTrip { min: seconds(min), median: seconds(min * (1.3 + 0.1 * numbers.even())) }
+    });
+    let exchange = trip.map(|trip| {
+        let way = seconds(trip.min.seconds() / 2.0);
+        let received = at + truth + way;
+        let replied = received + Span::from_micros(30);
+        Exchange {
+            sent: at,
+            received,
+            replied,
+            returned: at + way + way + Span::from_micros(30),
+            uncertainty: Span::from_nanos(300),
+        }
+    });
+    let lost = u32::from(trip.is_some() && (ago % 47 == 0 || (slow > 1.0 && ago % 3 == 0)));
+    let sent = if trip.is_some() { 10 } else { 0 };
+    ClockSample {
+        peer: rack,
+        peer_name: slug("rack-a"),
+        at,
+        window,
+        max_drift_ppm: 50.0,
+        upper: exchange,
+        lower: exchange,
+        offset,
+        probes: ProbeCounts { sent, answered: sent - lost, lost },
+        exchanges: ExchangeCounts { taken: 61_207, impossible: 2, outliers: 5, stepped: 3, restarts: 1 },
+        round_trip: trip,
+        up: Some(delays(line, "upload", numbers)),
+        down: Some(delays(line, "download", numbers)),
+    }
+}
+
+/// The link of a line, as its edge tells of it.
+pub(super) fn live(line: &Line, now: ClockSample) -> LinkLive {
+    let probing = match line.clocks {
+        Clocks::Within(_) => Probing::On {
+            address: "udp://192.0.2.5:8620".into(),
+            rate_hz: 10.0,
+            stamps: "kernel, receive only".into(),
+        },
+        Clocks::Shared => Probing::Off("both hosts read one clock: nothing to find out".into()),
+        Clocks::Unrelated => Probing::Unanswered { address: "udp://192.0.2.5:8620".into() },
+    };
+    let clock = host_clock(line.rehearsed, now.at);
+    LinkLive {
+        peer: now.peer,
+        peer_name: now.peer_name.clone(),
+        networks: vec!["zmq-tcp".into()],
+        pipelines: vec![slug(line.name)],
+        same_clock: line.clocks == Clocks::Shared,
+        probing,
+        edge: Some(clock),
+        cloud: Some(host_clock(false, now.at)),
+        now,
+    }
+}
