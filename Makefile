@@ -1,4 +1,5 @@
 # make demo   builds a release and runs the factory line on loopback: three processes, until Ctrl-C
+# make rehearsal  the same with the edge's clock wrong on purpose: the delays do not move
 # make test   everything that must hold; installs what it needs
 # make check  the quick part: formatting, lints, unit and end-to-end tests
 # make bench  the measured tables, ratios side by side in one run
@@ -10,13 +11,20 @@ SHELL := /bin/bash
 .ONESHELL:
 CARGO ?= cargo
 
-.PHONY: help demo setup build test check lint unit e2e configs units deny browser package deb bench clean
+.PHONY: help demo rehearsal setup build test check lint unit e2e configs units deny browser package deb bench clean
 help:
-	@sed -n 's/^# //p' $(firstword $(MAKEFILE_LIST)) | head -6
+	@sed -n 's/^# //p' $(firstword $(MAKEFILE_LIST)) | head -7
 
 demo: setup
 	$(CARGO) build --release --locked --package peernetd
 	deploy/demo.sh target/release/peernetd
+
+rehearsal: setup
+	$(CARGO) build --release --locked --package peernetd
+	mkdir -p data/rehearsal
+	cp configs/aggregator.toml configs/cloud.toml configs/edge.toml data/rehearsal/
+	printf '\n[rehearsal]\noffset_ms = 1200.0\ndrift_ppm = 25.0\n' >> data/rehearsal/edge.toml
+	deploy/demo.sh target/release/peernetd data/rehearsal data/rehearsal/logs
 
 setup:
 	@python3 deploy/onnxruntime/fetch.py
