@@ -79,3 +79,26 @@ def samples(database: Path, run: Run, names: tuple[str, ...] | None = None) -> d
 def stages(database: Path, run: Run) -> dict[str, dict[str, float]]:
     """Count, median and 99th percentile of every node name."""
     return {name: spread(values) for name, values in samples(database, run).items()}
+
+
+@dataclass(frozen=True)
+class Delay:
+    """A one-way delay as it was reported, beside the plain difference of its stamps. Seconds."""
+
+    raw: float
+    value: float
+    lo: float
+    hi: float
+
+
+def delays(database: Path, run: Run, name: str) -> list[Delay]:
+    """The delays of one name that have a value, in the order of iterations."""
+    query = (
+        "SELECT (transit.received_ns - transit.sent_ns) * 1e-9, node.value, node.lo, node.hi FROM iteration"
+        " JOIN node ON node.run = iteration.run AND node.iteration = iteration.number"
+        " JOIN transit ON transit.run = node.run AND transit.iteration = node.iteration AND transit.node = node.node"
+        f" JOIN name ON name.id = node.name WHERE {COUNTED} AND name.text = ? AND node.lo IS NOT NULL"
+        " AND node.value IS NOT NULL AND transit.received_ns IS NOT NULL"
+    )
+    with _open(database) as connection:
+        return [Delay(*row) for row in connection.execute(query, (run.number, name))]

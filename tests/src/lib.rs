@@ -1,11 +1,16 @@
 //! The harness of the end-to-end tests: real processes of the real programs, in folders of their own.
 
 mod api;
+pub mod network;
+mod plant;
 mod process;
 mod repository;
 mod site;
+pub mod truth;
 
 pub use api::Api;
+pub use network::Network;
+pub use plant::Plant;
 pub use process::{Ended, Process, until};
 pub use repository::{onnxruntime, program, root};
 pub use site::{Site, free_port};

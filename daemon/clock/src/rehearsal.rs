@@ -6,7 +6,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Clock, ClockIdentity, MonoTime, Readings, SharedClock, Span, Stamp, WallTime};
+use crate::{Clock, ClockIdentity, MonoTime, Readings, SharedClock, Span, WallTime};
 
 /// How a wall clock is made wrong: `shown = true + offset + drift × (true − since) + steps so far`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -148,11 +148,6 @@ impl Clock for RehearsedClock {
 
     fn identity(&self) -> &ClockIdentity {
         &self.identity
-    }
-
-    fn stamp(&self) -> Stamp {
-        let inner = self.inner.stamp();
-        Stamp { wall: self.description.shown(inner.wall), ..inner }
     }
 
     fn readings(&self) -> Readings {

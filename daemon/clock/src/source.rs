@@ -118,12 +118,6 @@ impl Clock for SystemClock {
         &self.identity
     }
 
-    /// A thread that is interrupted between the two reads would make a stamp that looks like a step of the wall clock.
-    fn stamp(&self) -> Stamp {
-        let Paired { before, between, .. } = Paired::read(|| self.paired());
-        Stamp { wall: between, mono: before }
-    }
-
     fn readings(&self) -> Readings {
         let read = || {
             let before = self.mono();

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from types import ModuleType
 
-from . import idle, ingest, loop, model, node
+from . import delays, idle, ingest, loop, model, node
 
 # Each has `prepare()`, which builds and checks what it needs, and `measure(quick) -> Section`.
-ALL: dict[str, ModuleType] = {"node": node, "loop": loop, "model": model, "ingest": ingest, "idle": idle}
+ALL: dict[str, ModuleType] = {
+    "node": node,
+    "loop": loop,
+    "model": model,
+    "ingest": ingest,
+    "delays": delays,
+    "idle": idle,
+}

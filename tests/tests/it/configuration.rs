@@ -137,6 +137,43 @@ fn an_agent_may_not_take_longer_to_stop_than_the_process() {
 }
 
 #[test]
+fn what_is_wrong_with_clocks_and_probes_is_named_with_its_line() {
+    let (code, said) = check(
+        &Site::new(),
+        r#"
+[agent]
+name = "edge"
+state_dir = "{folder}/edge"
+
+[clock]
+max_drift_ppm = -50
+
+[probes]
+rate_hz = 0
+key_file = "{folder}/no-key"
+
+[rehearsal]
+offset_ms = 1000
+steps = [{ at_s = 20, by_ms = 3000 },
+    { at_s = 10, by_ms = -3000 }]
+"#,
+    );
+    assert_eq!(code, CONFIGURATION, "{said}");
+    for part in [
+        "it.toml:7: clock.max_drift_ppm",
+        "it.toml:10: probes.rate_hz",
+        "it.toml:11: probes.key_file",
+        "it.toml:16: rehearsal.steps[1].at_s",
+    ] {
+        assert!(said.contains(part), "{part} is missing in:\n{said}");
+    }
+
+    let (code, said) = check(&Site::new(), "[aggregator]\n[rehearsal]\noffset_ms = 1000\n");
+    assert_eq!(code, CONFIGURATION, "{said}");
+    assert!(said.contains("[rehearsal]") && said.contains("[agent]"), "{said}");
+}
+
+#[test]
 fn a_log_level_that_is_none_and_an_endless_file_are_refused() {
     let site = Site::new();
     let (code, said) = check(

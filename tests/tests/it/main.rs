@@ -1,6 +1,8 @@
 //! End-to-end tests: the real programs, started as a user or systemd starts them.
 
+mod calibrate;
 mod chain;
+mod clocks;
 mod configuration;
 mod documentation;
 mod floors;

@@ -1,0 +1,112 @@
+//! What passed a host, with the kernel's stamps.
+
+use std::net::{Ipv4Addr, UdpSocket};
+use std::path::{Path, PathBuf};
+
+use peernet_clock::WallTime;
+use rustix::process::Signal;
+
+use super::Host;
+use crate::{Process, until};
+
+/// Nobody else speaks to this loopback address.
+const LAST: Ipv4Addr = Ipv4Addr::new(127, 62, 0, 1);
+
+/// A capture that goes on.
+#[derive(Debug)]
+pub struct Capture {
+    tcpdump: Process,
+    file: PathBuf,
+    last: UdpSocket,
+}
+
+/// A packet of IPv4 as it entered or left a host.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Packet {
+    /// When, by the kernel's clock.
+    pub at: WallTime,
+    /// Whether it left; one that is forwarded is seen twice.
+    pub left: bool,
+    /// From.
+    pub source: Ipv4Addr,
+    /// To.
+    pub destination: Ipv4Addr,
+    /// Bytes behind the header of TCP; 0 for other protocols.
+    pub payload: usize,
+}
+
+impl Capture {
+    /// Enough for the headers of all layers.
+    const SNAP: &str = "120";
+
+    pub(super) fn start(host: &Host, filter: &str, folder: &Path) -> Self {
+        let file = folder.join(format!("{}.pcap", host.namespace));
+        let path = file.display().to_string();
+        let filter = format!("({filter}) or (host {LAST} and udp)");
+        let format = ["--interface", "any", "--linktype", "LINUX_SLL2", "--time-stamp-precision", "nano"];
+        let buffers = ["--snapshot-length", Self::SNAP, "--buffer-size", "32768", "--immediate-mode", "-U"];
+        let rest = ["-Z", "root", "-n", "-w", &path, &filter];
+        let arguments = [&format[..], &buffers, &rest].concat();
+        let tcpdump = host.start(Path::new("tcpdump"), &arguments, folder, &[]);
+        tcpdump.wait_for("listening on");
+        Self { tcpdump, file, last: host.inside(|| UdpSocket::bind((LAST, 0)).expect("loopback is up")) }
+    }
+
+    /// Ends it; what passed, in the order of time.
+    ///
+    /// # Panics
+    /// When the kernel dropped packets because tcpdump was too slow, or the file is not what it should be.
+    pub fn finish(self) -> Vec<Packet> {
+        // tcpdump is behind: all is written when a packet is that is sent now.
+        let itself = self.last.local_addr().expect("a bound socket has an address");
+        self.last.send_to(&[], itself).expect("loopback is up");
+        let mut packets = until("the end of the capture", || {
+            let packets = packets(&std::fs::read(&self.file).ok()?)?;
+            packets.iter().any(|packet| packet.destination == LAST).then_some(packets)
+        });
+        self.tcpdump.signal(Signal::INT);
+        let ended = self.tcpdump.ended();
+        assert!(ended.log.contains("\n0 packets dropped by kernel"), "the capture has holes: {}", ended.log);
+        packets.retain(|packet| packet.destination != LAST);
+        packets.sort_by_key(|packet| packet.at);
+        packets
+    }
+}
+
+/// Reads a capture file (draft-ietf-opsawg-pcap) with nanoseconds and link type 276, LINUX_SLL2; `None` while it is cut
+/// off.
+fn packets(file: &[u8]) -> Option<Vec<Packet>> {
+    const NANOSECONDS: u32 = 0xa1b2_3c4d;
+    const LINUX_SLL2: u32 = 276;
+    let word = |at: usize| Some(u32::from_le_bytes(file.get(at..at + 4)?.try_into().ok()?));
+    if (word(0)?, word(20)?) != (NANOSECONDS, LINUX_SLL2) {
+        return None;
+    }
+    let (mut at, mut packets) = (24, Vec::new());
+    while at < file.len() {
+        let (seconds, nanos, length) = (word(at)?, word(at + 4)?, word(at + 8)? as usize);
+        let stamp = WallTime::from_unix_nanos(i64::from(seconds) * 1_000_000_000 + i64::from(nanos));
+        packets.extend(packet(stamp, file.get(at + 16..at + 16 + length)?));
+        at += 16 + length;
+    }
+    Some(packets)
+}
+
+/// One packet behind its LINUX_SLL2 header; `None` for what is not IPv4.
+fn packet(at: WallTime, bytes: &[u8]) -> Option<Packet> {
+    const OUTGOING: u8 = 4;
+    const TCP: u8 = 6;
+    let (sll, ip) = bytes.split_at_checked(20)?;
+    if sll.get(..2)? != [0x08, 0x00] {
+        return None;
+    }
+    let address = |at: usize| Some(Ipv4Addr::from_octets(ip.get(at..at + 4)?.try_into().ok()?));
+    let header = usize::from(ip.first()? & 0x0f) * 4;
+    let total = usize::from(u16::from_be_bytes(ip.get(2..4)?.try_into().ok()?));
+    let payload = match ip.get(9)? {
+        &TCP => total.saturating_sub(header + usize::from(ip.get(header + 12)? >> 4) * 4),
+        _ => 0,
+    };
+    let left = *sll.get(10)? == OUTGOING;
+    Some(Packet { at, left, source: address(12)?, destination: address(16)?, payload })
+}

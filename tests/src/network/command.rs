@@ -1,0 +1,28 @@
+//! Running the tools that make networks.
+
+use std::process::Command;
+
+/// Runs a tool to its end and returns what it wrote.
+///
+/// # Panics
+/// When it cannot be started or fails; says with what words.
+pub(super) fn run(program: &str, arguments: &[&str]) -> String {
+    attempt(program, arguments).unwrap_or_else(|problem| panic!("{problem}"))
+}
+
+/// Runs a tool that may well fail.
+pub(super) fn attempt(program: &str, arguments: &[&str]) -> Result<String, String> {
+    let output = Command::new(program)
+        .args(arguments)
+        .output()
+        .map_err(|error| format!("cannot run {program} ({error}): run `deploy/install-tools.sh test`"))?;
+    if output.status.success() {
+        return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
+    }
+    let words = String::from_utf8_lossy(&output.stderr);
+    Err(format!("{program} {} failed: {}", arguments.join(" "), words.trim()))
+}
+
+pub(super) fn ip(arguments: &[&str]) -> String {
+    run("ip", arguments)
+}

@@ -1,0 +1,108 @@
+//! One namespace.
+
+use std::ffi::OsStr;
+use std::fs::File;
+use std::net::Ipv4Addr;
+use std::os::fd::AsFd;
+use std::path::Path;
+
+use rustix::thread::{LinkNameSpaceType, move_into_link_name_space};
+
+use super::command::{ip, run};
+use super::{Capture, DATA};
+use crate::Process;
+
+/// A network namespace that stands for a machine.
+#[derive(Debug)]
+pub struct Host {
+    pub(super) namespace: String,
+    /// Its address on the measured path.
+    pub address: Ipv4Addr,
+    /// Where it reaches the programs of the namespace that the tests run in.
+    pub home: Ipv4Addr,
+}
+
+impl Host {
+    /// Runs a tool here to its end and returns what it wrote.
+    ///
+    /// # Panics
+    /// When it cannot be started or fails.
+    pub fn run(&self, program: &str, arguments: &[&str]) -> String {
+        let inside = ["netns", "exec", &self.namespace, program];
+        run("ip", &[&inside[..], arguments].concat())
+    }
+
+    /// Starts a program here.
+    ///
+    /// # Panics
+    /// As [`Process::start`].
+    pub fn start<A: AsRef<OsStr>>(
+        &self,
+        program: &Path,
+        arguments: &[A],
+        folder: &Path,
+        environment: &[(&str, &str)],
+    ) -> Process {
+        let inside = ["netns", "exec", &self.namespace].map(OsStr::new);
+        let arguments = arguments.iter().map(AsRef::as_ref);
+        let all: Vec<&OsStr> = inside.into_iter().chain([program.as_os_str()]).chain(arguments).collect();
+        Process::start(Path::new("ip"), &all, folder, environment)
+    }
+
+    /// Does something here, on a thread of its own: a socket that it makes belongs to this host and stays so.
+    ///
+    /// # Panics
+    /// When the namespace is gone, and when `what` panics.
+    pub fn inside<T: Send + 'static>(&self, what: impl FnOnce() -> T + Send + 'static) -> T {
+        let path = Path::new("/run/netns").join(&self.namespace);
+        let namespace =
+            File::open(&path).unwrap_or_else(|error| panic!("cannot open {}: {error}", path.display()));
+        let thread = std::thread::spawn(move || {
+            move_into_link_name_space(namespace.as_fd(), Some(LinkNameSpaceType::Network))
+                .expect("root may enter the namespace");
+            what()
+        });
+        thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+    }
+
+    pub(super) fn set_up(&self, interface: &str, address: Ipv4Addr, prefix: u8) {
+        let address = format!("{address}/{prefix}");
+        ip(&["-n", &self.namespace, "address", "add", &address, "dev", interface]);
+        ip(&["-n", &self.namespace, "link", "set", interface, "up"]);
+    }
+
+    /// Lets no more than so much out of an interface; what is too much waits, up to four megabytes.
+    pub fn limit(&self, interface: &str, mbit_per_second: u32) {
+        let rate = format!("{mbit_per_second}mbit");
+        let tbf = ["root", "tbf", "rate", &rate, "burst", "16kb", "limit", "4mb"];
+        self.run("tc", &[&["qdisc", "add", "dev", interface], &tbf[..]].concat());
+    }
+
+    /// Drops what arrives for a UDP port of this host on the measured path.
+    pub fn block_udp(&self, port: u16) {
+        let port = port.to_string();
+        self.input(&["udp", "dport", &port, "drop"]);
+    }
+
+    /// Drops a share of all packets that arrive on the measured path.
+    pub fn lose(&self, percent: u32) {
+        let percent = percent.to_string();
+        self.input(&["numgen", "random", "mod", "100", "<", &percent, "drop"]);
+    }
+
+    fn input(&self, rule: &[&str]) {
+        self.run("nft", &["add", "table", "inet", "test"]);
+        let chain = ["add", "chain", "inet", "test", "input"];
+        self.run("nft", &[&chain[..], &["{ type filter hook input priority 0 ; }"]].concat());
+        let on_the_path = ["add", "rule", "inet", "test", "input", "iifname", DATA];
+        self.run("nft", &[&on_the_path[..], rule].concat());
+    }
+
+    /// Writes down what passes all interfaces of this host from now on; `filter` is tcpdump's.
+    ///
+    /// # Panics
+    /// As [`Process::start`], and when tcpdump does not begin to listen.
+    pub fn capture(&self, filter: &str, folder: &Path) -> Capture {
+        Capture::start(self, filter, folder)
+    }
+}

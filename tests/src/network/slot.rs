@@ -1,0 +1,86 @@
+//! What keeps networks of tests apart that run at the same time.
+
+use std::fs::{File, TryLockError};
+use std::net::Ipv4Addr;
+
+use rustix::process::{Pid, Signal, geteuid, kill_process};
+
+use super::command::attempt;
+
+/// A number that no other test on this machine has at the moment, and the names and addresses that follow from it.
+#[derive(Debug)]
+pub(super) struct Slot {
+    number: u8,
+    /// Locked as long as the number is taken; the kernel unlocks it for a test that was killed.
+    _lock: File,
+}
+
+impl Slot {
+    /// Takes a free number, and removes what a killed test left behind under it.
+    pub(super) fn take() -> Self {
+        assert!(
+            geteuid().is_root(),
+            "this test makes network namespaces, which needs root: run it as root, for instance with sudo -E"
+        );
+        let folder = std::env::temp_dir().join("peernet-tests");
+        std::fs::create_dir_all(&folder).expect("the temporary folder is writable");
+        for number in 0..=u8::MAX {
+            let lock = File::create(folder.join(format!("network-{number}.lock")))
+                .expect("the temporary folder is writable");
+            match lock.try_lock() {
+                Ok(()) => {
+                    let slot = Self { number, _lock: lock };
+                    slot.sweep();
+                    return slot;
+                }
+                Err(TryLockError::WouldBlock) => {}
+                Err(TryLockError::Error(error)) => {
+                    panic!("cannot lock a file in {}: {error}", folder.display())
+                }
+            }
+        }
+        panic!("256 networks of tests exist already");
+    }
+
+    /// The name of a namespace.
+    pub(super) fn name(&self, role: &str) -> String {
+        format!("{}{role}", self.prefix())
+    }
+
+    fn prefix(&self) -> String {
+        format!("peernet-test-{}-", self.number)
+    }
+
+    /// The name of an interface in the namespace that the tests run in.
+    pub(super) fn interface(&self, role: &str) -> String {
+        format!("pt{}{role}", self.number)
+    }
+
+    /// An address.
+    pub(super) const fn address(&self, last: u8) -> Ipv4Addr {
+        Ipv4Addr::new(10, 213, self.number, last)
+    }
+
+    /// Ends all processes in the namespaces of this number and removes them and their interfaces.
+    pub(super) fn sweep(&self) {
+        for role in ["e", "c"] {
+            // It may be gone, or never have been there.
+            let _ = attempt("ip", &["link", "delete", &self.interface(role)]);
+        }
+        let namespaces = attempt("ip", &["netns", "list"]).unwrap_or_default();
+        let own = namespaces.lines().filter_map(|line| line.split_whitespace().next());
+        for namespace in own.filter(|name| name.starts_with(&self.prefix())) {
+            let inside = attempt("ip", &["netns", "pids", namespace]).unwrap_or_default();
+            for pid in inside.lines().filter_map(|pid| Pid::from_raw(pid.parse().ok()?)) {
+                // One that has just ended by itself is as good.
+                let _ = kill_process(pid, Signal::KILL);
+            }
+            if let Err(problem) = attempt("ip", &["netns", "delete", namespace]) {
+                #[expect(clippy::print_stderr, reason = "a drop must not panic, and this must be seen")]
+                {
+                    eprintln!("{problem}");
+                }
+            }
+        }
+    }
+}

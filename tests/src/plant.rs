@@ -1,0 +1,118 @@
+//! An edge and a cloud in a network of their own, reporting to an aggregator outside of it.
+
+use std::path::{Path, PathBuf};
+
+use crate::network::Host;
+use crate::truth::{HostClock, Iteration, ask, iterations};
+use crate::{Api, Network, Process, Site, program, until};
+
+/// Two hosts and an aggregator. The network goes last.
+#[derive(Debug)]
+pub struct Plant {
+    /// The dashboard.
+    pub api: Api,
+    aggregator: Process,
+    site: Site,
+    /// Between the hosts.
+    pub network: Network,
+}
+
+/// The port at which the cloud serves; a namespace has all ports for itself.
+const SERVE: u16 = 5551;
+
+const AGGREGATOR: &str = r#"
+[aggregator]
+name = "aggregator"
+listen = "tcp://0.0.0.0:{events}"
+database = "{folder}/aggregator.sqlite"
+
+[web]
+listen = "127.0.0.1:{http}"
+"#;
+
+impl Plant {
+    /// Starts the aggregator and waits until it answers. The network is made in the site's folder.
+    pub fn new(network: impl FnOnce(&Path) -> Network) -> Self {
+        let site = Site::new();
+        let network = network(site.folder());
+        site.write("aggregator.toml", AGGREGATOR);
+        let aggregator = site.start("aggregator.toml");
+        let api = Api::at(site.http);
+        until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
+        Self { api, aggregator, site, network }
+    }
+
+    /// A folder for this plant's files.
+    pub fn folder(&self) -> &Path {
+        self.site.folder()
+    }
+
+    /// Starts a cloud that echoes; `tables` are added to its configuration.
+    pub fn cloud(&self, tables: &str) -> Process {
+        let own = format!(
+            "[serve]\nlisten = \"tcp://0.0.0.0:{SERVE}\"\n[[model]]\nname = \"echo\"\nkind = \"echo\"\n"
+        );
+        self.configure("cloud", self.network.cloud(), &format!("{own}{tables}"));
+        self.peernetd("cloud", self.network.cloud(), &[])
+    }
+
+    /// Starts an edge; each `[[pipeline]]` in `tables` that is given no placement asks the cloud to echo.
+    pub fn edge(&self, tables: &str, environment: &[(&str, &str)]) -> Process {
+        self.configure("edge", self.network.edge(), tables);
+        self.peernetd("edge", self.network.edge(), environment)
+    }
+
+    /// A pipeline of payloads of one size that the cloud echoes; `more` are further keys.
+    pub fn pipeline(&self, name: &str, bytes: u32, more: &str) -> String {
+        let peer = self.network.cloud().address;
+        format!(
+            "[[pipeline]]\nname = \"{name}\"\nsensor = {{ kind = \"synthetic\", size_bytes = {bytes} }}\n\
+             placement = {{ kind = \"remote\", peer = \"tcp://{peer}:{SERVE}\", model = \"echo\" }}\n{more}\n"
+        )
+    }
+
+    fn configure(&self, name: &str, host: &Host, tables: &str) -> PathBuf {
+        let agent = format!(
+            "[agent]\nname = \"{name}\"\nstate_dir = \"{{folder}}/{name}\"\naggregator = \"tcp://{}:{{events}}\"\n",
+            host.home
+        );
+        self.site.write(&format!("{name}.toml"), &format!("{agent}{tables}"))
+    }
+
+    fn peernetd(&self, name: &str, host: &Host, environment: &[(&str, &str)]) -> Process {
+        let file = format!("{name}.toml");
+        host.start(&program("peernetd"), &["run", &file], self.site.folder(), environment)
+    }
+
+    /// Waits until all runs so far, and at least `n`, have ended by themselves.
+    pub fn finished(&self, n: usize) {
+        self.api.until("/api/v1/runs", |runs| {
+            let runs = runs["runs"].as_array()?;
+            (runs.len() >= n && runs.iter().all(|run| run["reason"] == "finished")).then_some(())
+        });
+    }
+
+    /// What is wrong with a host's clock on purpose, as the host itself tells.
+    pub fn clock_of(&self, host: &str) -> HostClock {
+        self.api.until(&format!("/api/v1/hosts/{host}"), |host| HostClock::told(&host["clock"]["rehearsal"]))
+    }
+
+    /// All iterations that came back, as they are stored.
+    pub fn iterations(&self) -> Vec<Iteration> {
+        iterations(&self.folder().join("aggregator.sqlite"))
+    }
+
+    /// Asks the database, in a form that people could use, too.
+    pub fn ask(&self, sql: &str) -> String {
+        ask(&self.folder().join("aggregator.sqlite"), sql)
+    }
+
+    /// Stops the aggregator; it must have nothing to complain about.
+    ///
+    /// # Panics
+    /// When it ends with another exit code than 0.
+    pub fn stop(self) {
+        let ended = self.aggregator.stop();
+        assert_eq!(ended.code(), 0, "{}", ended.log);
+    }
+}

@@ -1,0 +1,161 @@
+//! Errors, and intervals that do not hold what they promise.
+
+use std::collections::BTreeMap;
+
+use peernet_clock::Span;
+
+use super::{Delay, HostClock, Iteration};
+
+/// Reported delays of one direction against the truth.
+#[derive(Clone, Debug, Default)]
+pub struct Comparison {
+    /// Delays with a value.
+    pub compared: usize,
+    /// Those without, in words.
+    pub without_value: Vec<String>,
+    /// Those whose interval does not hold the truth, in words.
+    pub outside: Vec<String>,
+    verdicts: BTreeMap<String, usize>,
+    errors: Vec<Span>,
+    widths: Vec<Span>,
+    truths: Vec<Span>,
+}
+
+/// Compares the uploads and the downloads.
+pub fn compare(iterations: &[Iteration], edge: &HostClock, cloud: &HostClock) -> (Comparison, Comparison) {
+    let (mut up, mut down) = (Comparison::default(), Comparison::default());
+    for iteration in iterations {
+        up.add(iteration, &iteration.up, edge, cloud);
+        down.add(iteration, &iteration.down, cloud, edge);
+    }
+    for comparison in [&mut up, &mut down] {
+        comparison.errors.sort();
+        comparison.widths.sort();
+        comparison.truths.sort();
+    }
+    (up, down)
+}
+
+impl Comparison {
+    fn add(&mut self, of: &Iteration, delay: &Delay, sender: &HostClock, receiver: &HostClock) {
+        let truth = truth(delay, sender, receiver);
+        self.truths.push(truth);
+        let Iteration { run, number, .. } = of;
+        *self.verdicts.entry(delay.verdict.clone()).or_default() += 1;
+        let (Some(value), Some((lo, hi))) = (delay.value, delay.bounds) else {
+            self.without_value.push(format!("run {run}, iteration {number}: {} of {truth}", delay.verdict));
+            return;
+        };
+        self.compared += 1;
+        self.errors.push((value - truth).abs());
+        self.widths.push(hi - lo);
+        // Stored in seconds with a mantissa of 53 bits, and the inverse of the drift rounds.
+        let rounding = Span::from_nanos(2);
+        if truth + rounding < lo || hi + rounding < truth {
+            self.outside.push(format!(
+                "run {run}, iteration {number}: {truth} is not in [{lo}, {hi}], {}",
+                delay.verdict
+            ));
+        }
+    }
+
+    /// Mean of the errors without their sign.
+    pub fn mean_error(&self) -> Span {
+        mean(&self.errors)
+    }
+
+    /// So large is the error, without its sign, in a share of all.
+    pub fn error(&self, share: f64) -> Span {
+        quantile(&self.errors, share)
+    }
+
+    /// So wide is the interval in a share of all.
+    pub fn width(&self, share: f64) -> Span {
+        quantile(&self.widths, share)
+    }
+
+    /// So long is the true delay in a share of all.
+    pub fn truth(&self, share: f64) -> Span {
+        quantile(&self.truths, share)
+    }
+
+    /// All figures in a line.
+    pub fn in_words(&self) -> String {
+        format!(
+            "{} compared, {} without a value, {} outside; true delay p50 {} p99 {}; error mean {} p50 {} p99 {} max {}; \
+             interval's width p50 {} p99 {}; {:?}",
+            self.compared,
+            self.without_value.len(),
+            self.outside.len(),
+            self.truth(0.5),
+            self.truth(0.99),
+            self.mean_error(),
+            self.error(0.5),
+            self.error(0.99),
+            self.error(1.0),
+            self.width(0.5),
+            self.width(0.99),
+            self.verdicts,
+        )
+    }
+}
+
+/// How long it really took. A clock that was set back by seconds shows some times twice: no delay is as long as that.
+///
+/// # Panics
+/// When one of the clocks never showed its stamp.
+fn truth(delay: &Delay, sender: &HostClock, receiver: &HostClock) -> Span {
+    let arrivals = receiver.truths(delay.received);
+    let delays = sender.truths(delay.sent).into_iter().flat_map(|sent| {
+        let arrivals = arrivals.iter();
+        arrivals.map(move |received| *received - sent)
+    });
+    delays
+        .min_by_key(|delay| delay.abs())
+        .unwrap_or_else(|| panic!("stamps that were never shown: {delay:?}"))
+}
+
+fn mean(spans: &[Span]) -> Span {
+    let nanos: i64 = spans.iter().map(|span| span.nanos()).sum();
+    Span::from_nanos(nanos / i64::try_from(spans.len().max(1)).unwrap_or(1))
+}
+
+/// Of sorted spans; zero of none.
+fn quantile(sorted: &[Span], share: f64) -> Span {
+    let last = sorted.len().saturating_sub(1);
+    sorted.get((share * last as f64).round() as usize).copied().unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::WallTime;
+
+    use super::*;
+
+    #[test]
+    fn an_interval_without_the_truth_is_found() {
+        let at = WallTime::from_unix_nanos;
+        let delay = |raw: i64, lo, hi| Delay {
+            sent: at(1_000),
+            received: at(1_000 + raw),
+            value: Some(Span::from_nanos(150)),
+            bounds: Some((Span::from_nanos(lo), Span::from_nanos(hi))),
+            verdict: "ok".into(),
+            source: "in-band".into(),
+        };
+        let one = |number, up, down| Iteration { run: 1, number, up, down };
+        let mut unknown = delay(150, 0, 0);
+        unknown.bounds = None;
+        let iterations = [
+            one(1, delay(150, 100, 200), delay(203, 100, 200)),
+            one(2, delay(110, 100, 200), delay(97, 100, 200)),
+            one(3, unknown, delay(202, 100, 200)),
+        ];
+        let kernels = HostClock::kernels();
+        let (up, down) = compare(&iterations, &kernels, &kernels);
+        assert_eq!((up.compared, up.without_value.len(), up.outside.len()), (2, 1, 0));
+        assert_eq!((up.mean_error(), up.error(1.0)), (Span::from_nanos(20), Span::from_nanos(40)));
+        assert_eq!((down.compared, down.outside.len()), (3, 2));
+        assert_eq!((down.width(0.5), up.truth(1.0)), (Span::from_nanos(100), Span::from_nanos(150)));
+    }
+}

@@ -1,0 +1,101 @@
+//! What an aggregator stored of delays, read as people read it.
+
+use std::path::Path;
+use std::process::Command;
+
+use peernet_clock::{Span, WallTime};
+
+/// A delay as it is stored.
+#[derive(Clone, Debug)]
+pub struct Delay {
+    /// Stamped by the sender.
+    pub sent: WallTime,
+    /// Stamped by the receiver.
+    pub received: WallTime,
+    /// Reported.
+    pub value: Option<Span>,
+    /// Reported lower and upper bound.
+    pub bounds: Option<(Span, Span)>,
+    /// Reported.
+    pub verdict: String,
+    /// Reported.
+    pub source: String,
+}
+
+/// An iteration that came back.
+#[derive(Clone, Debug)]
+pub struct Iteration {
+    /// Its run.
+    pub run: u64,
+    /// Its number.
+    pub number: u64,
+    /// Edge to cloud.
+    pub up: Delay,
+    /// Cloud to edge.
+    pub down: Delay,
+}
+
+const DELAYS: &str = "
+SELECT t.run, t.iteration, name.text, t.sent_ns, t.received_ns,
+       CAST(round(node.value * 1e9) AS INTEGER), CAST(round(node.lo * 1e9) AS INTEGER),
+       CAST(round(node.hi * 1e9) AS INTEGER), coalesce(verdict.text, ''), coalesce(source.text, '')
+FROM transit AS t
+JOIN node USING (run, iteration, node)
+JOIN name ON name.id = node.name
+LEFT JOIN verdict ON verdict.id = t.verdict
+LEFT JOIN source ON source.id = t.source
+WHERE t.received_ns IS NOT NULL AND name.text IN ('upload', 'download')
+ORDER BY t.run, t.iteration, name.text DESC";
+
+/// Reads all iterations of an aggregator's database that came back.
+///
+/// # Panics
+/// As [`ask`].
+pub fn iterations(database: &Path) -> Vec<Iteration> {
+    let text = ask(database, DELAYS);
+    let rows: Vec<(u64, u64, &str, Delay)> =
+        text.lines().map(|line| row(line).expect("ten columns")).collect();
+    let pairs = rows.windows(2).filter_map(|pair| {
+        let [(run, number, "upload", up), (_, other, "download", down)] = pair else { return None };
+        (number == other).then(|| Iteration {
+            run: *run,
+            number: *number,
+            up: up.clone(),
+            down: down.clone(),
+        })
+    });
+    pairs.collect()
+}
+
+/// Asks a database: a line for each row, columns apart by `|`.
+///
+/// # Panics
+/// When it cannot be read.
+pub fn ask(database: &Path, sql: &str) -> String {
+    let output = Command::new("sqlite3")
+        .args(["-readonly", "-batch", "-noheader", "-list"])
+        .arg(database)
+        .arg(sql)
+        .output()
+        .expect("sqlite3 is installed: run `deploy/install-tools.sh test`");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).expect("figures and names")
+}
+
+fn row(line: &str) -> Option<(u64, u64, &str, Delay)> {
+    let mut columns = line.split('|');
+    let (run, number) = (columns.next()?.parse().ok()?, columns.next()?.parse().ok()?);
+    let name = columns.next()?;
+    let mut nanos = || columns.next().map(|text| text.parse::<i64>().ok());
+    let (sent, received) = (nanos()??, nanos()??);
+    let (value, lo, hi) = (nanos()?, nanos()?, nanos()?);
+    let delay = Delay {
+        sent: WallTime::from_unix_nanos(sent),
+        received: WallTime::from_unix_nanos(received),
+        value: value.map(Span::from_nanos),
+        bounds: lo.zip(hi).map(|(lo, hi)| (Span::from_nanos(lo), Span::from_nanos(hi))),
+        verdict: columns.next()?.to_owned(),
+        source: columns.next()?.to_owned(),
+    };
+    Some((run, number, name, delay))
+}

@@ -1,0 +1,75 @@
+//! 40 ms there, 5 ms back, jitter and loss: what two-way exchanges can tell, and what only a disciplined clock can.
+
+use std::path::Path;
+
+use peernet_clock::Span;
+use peernet_tests::Plant;
+use peernet_tests::network::{Network, Way};
+use peernet_tests::truth::{Delay, HostClock, Iteration};
+
+use super::{WARM_UP, hold_to_the_truth, rehearsal, say};
+
+fn wire(folder: &Path) -> Network {
+    let way = |delay_ms| Way { delay_ms, jitter_ms: 5, loss_percent: 2 };
+    Network::wire(folder, way(40), way(5))
+}
+
+/// Runs 300 iterations with both clocks rehearsed.
+fn run(discipline: &str) -> (Vec<Iteration>, HostClock, HostClock) {
+    let plant = Plant::new(wire);
+    let more = format!("discipline = \"{discipline}\"");
+    let _cloud = plant.cloud(&rehearsal(700.0, -20.0, &more));
+    let load = "load = { mode = \"rate\", hz = 20.0 }\nlimit = { iterations = 300 }\nmax_in_flight = 64";
+    let pipeline = plant.pipeline("far", 1000, load);
+    let _edge = plant.edge(&format!("{}{pipeline}", rehearsal(-300.0, 20.0, &more)), &[]);
+    let (edge, cloud) = (plant.clock_of("edge"), plant.clock_of("cloud"));
+    plant.finished(1);
+    let iterations = plant.iterations();
+    assert!(iterations.len() >= 300, "{}", iterations.len());
+    (iterations, edge, cloud)
+}
+
+/// A delay is as good as it says: `ok` when its interval is no wider than half of it, else `limited`.
+fn as_good_as_it_says(delay: &Delay) {
+    let (value, (lo, hi)) = (delay.value.expect("a value"), delay.bounds.expect("bounds"));
+    let expected = if (hi - lo).nanos() * 2 > value.nanos() { "limited" } else { "ok" };
+    assert_eq!(delay.verdict, expected, "{delay:?}");
+}
+
+#[test]
+fn exchanges_alone_bound_the_delays_by_the_smallest_round_trip() {
+    let (iterations, edge, cloud) = run("none");
+    let (up, down) = hold_to_the_truth("40 ms up, 5 ms down, no discipline", &iterations, &edge, &cloud);
+    let smallest = iterations.iter().map(|iteration| {
+        let there_and_back = edge.truth(iteration.down.received) - edge.truth(iteration.up.sent);
+        there_and_back - (cloud.truth(iteration.down.sent) - cloud.truth(iteration.up.received))
+    });
+    let smallest = smallest.min().expect("three hundred");
+    say(&format!("smallest round trip of data {smallest}"));
+    for comparison in [&up, &down] {
+        assert!(comparison.without_value.is_empty());
+        assert!(comparison.width(0.5) <= smallest + Span::from_millis(1), "{}", comparison.in_words());
+    }
+    let settled = iterations.iter().filter(|iteration| iteration.number > WARM_UP);
+    for iteration in settled {
+        as_good_as_it_says(&iteration.up);
+        as_good_as_it_says(&iteration.down);
+    }
+    // The way back is shorter than the asymmetry that nobody can exclude.
+    assert!(iterations.iter().any(|iteration| iteration.down.verdict == "limited"));
+}
+
+#[test]
+fn disciplined_clocks_tell_what_exchanges_cannot() {
+    let (iterations, edge, cloud) = run("exact");
+    let (up, down) = hold_to_the_truth("40 ms up, 5 ms down, exact discipline", &iterations, &edge, &cloud);
+    for comparison in [&up, &down] {
+        assert!(comparison.without_value.is_empty());
+        assert!(comparison.error(1.0) <= Span::from_millis(1), "{}", comparison.in_words());
+    }
+    for iteration in &iterations {
+        as_good_as_it_says(&iteration.up);
+        as_good_as_it_says(&iteration.down);
+        assert_eq!(iteration.up.verdict, "ok");
+    }
+}

@@ -1,0 +1,44 @@
+//! One-way delays against the truth, over networks that the tests make.
+
+mod asymmetric;
+mod blocked;
+mod false_time;
+mod networks;
+mod shaped;
+mod steps;
+mod veth;
+
+use peernet_tests::truth::{Comparison, HostClock, Iteration, compare};
+
+/// Iterations of the warm-up, if nothing else is configured. The very first delays are `stale`: one exchange has no
+/// other to confirm it.
+const WARM_UP: u64 = 5;
+
+/// A table that makes a host's clock wrong.
+fn rehearsal(offset_ms: f64, drift_ppm: f64, more: &str) -> String {
+    format!("[rehearsal]\noffset_ms = {offset_ms:?}\ndrift_ppm = {drift_ppm:?}\n{more}\n")
+}
+
+/// Figures for people; `--nocapture` shows them.
+#[expect(clippy::print_stdout, reason = "the figures of a test are its output")]
+fn say(figures: &str) {
+    println!("{figures}");
+}
+
+/// Compares with the truth, prints the figures of `what`, and holds every interval to its promise.
+fn hold_to_the_truth(
+    what: &str,
+    iterations: &[Iteration],
+    edge: &HostClock,
+    cloud: &HostClock,
+) -> (Comparison, Comparison) {
+    let (up, down) = compare(iterations, edge, cloud);
+    for (direction, comparison) in [("upload", &up), ("download", &down)] {
+        say(&format!("{what}, {direction}: {}", comparison.in_words()));
+        for one in &comparison.without_value {
+            say(&format!("  without a value: {one}"));
+        }
+        assert!(comparison.outside.is_empty(), "{what}, {direction}:\n{}", comparison.outside.join("\n"));
+    }
+    (up, down)
+}

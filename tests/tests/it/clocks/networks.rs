@@ -1,0 +1,121 @@
+//! The networks that these tests stand on do what they say.
+
+use std::io::{Read, Write};
+use std::net::{Ipv4Addr, TcpListener, TcpStream, UdpSocket};
+use std::path::Path;
+use std::process::Command;
+use std::time::Duration;
+
+use peernet_clock::{Clock, ClockIdentity, Span, SystemClock};
+use peernet_tests::network::{Host, Network, Way};
+
+fn udp(host: &Host, port: u16) -> UdpSocket {
+    let address = host.address;
+    host.inside(move || {
+        let socket = UdpSocket::bind((address, port)).expect("a namespace has all ports for itself");
+        socket.set_read_timeout(Some(Duration::from_secs(1))).expect("a second is a timeout");
+        socket
+    })
+}
+
+#[test]
+fn a_capture_in_the_middle_sees_what_a_limited_link_lets_through() {
+    const BYTES: usize = 250_000;
+    let folder = tempfile::tempdir().expect("the temporary folder is writable");
+    let network = Network::routed();
+    network.router().limit("cloud", 20);
+    let capture = network.router().capture("tcp port 7000", folder.path());
+    let (edge, cloud) = (network.edge().address, network.cloud().address);
+    let listener = network.cloud().inside(move || TcpListener::bind((cloud, 7000)).expect("a free port"));
+    let sender = std::thread::spawn(move || {
+        let (mut stream, from) = listener.accept().expect("the edge connects");
+        assert_eq!(from.ip(), edge);
+        stream.read_to_end(&mut Vec::new()).expect("the edge sends")
+    });
+    let mut stream = network.edge().inside(move || TcpStream::connect((cloud, 7000)).expect("it listens"));
+    stream.write_all(&[7; BYTES]).expect("there is room");
+    drop(stream);
+    assert_eq!(sender.join().expect("no panic"), BYTES);
+
+    let packets = capture.finish();
+    let way = |left: bool| {
+        let up = packets.iter().filter(move |packet| packet.left == left && packet.payload > 0);
+        let up: Vec<_> = up.filter(|packet| (packet.source, packet.destination) == (edge, cloud)).collect();
+        let bytes: usize = up.iter().map(|packet| packet.payload).sum();
+        assert!(bytes >= BYTES, "{bytes}");
+        (up[0].at, up[up.len() - 1].at)
+    };
+    let ((first, _), (_, last)) = (way(false), way(true));
+    // 250 kB take 100 ms at 20 Mbit/s, less what one burst may hold.
+    assert!(last - first > Span::from_millis(85), "{}", last - first);
+}
+
+#[test]
+fn blocked_ports_and_lossy_links_let_the_rest_through() {
+    let network = Network::direct();
+    let cloud = network.cloud();
+    cloud.block_udp(7001);
+    let (from, blocked, open) = (udp(network.edge(), 7000), udp(cloud, 7001), udp(cloud, 7002));
+    let address = cloud.address;
+    for port in [7001, 7002] {
+        from.send_to(b"probe", (address, port)).expect("there is a route");
+    }
+    let mut buffer = [0; 16];
+    assert_eq!(open.recv(&mut buffer).expect("what was sent last arrives"), 5);
+    blocked.set_nonblocking(true).expect("a socket");
+    assert_eq!(blocked.recv(&mut buffer).expect_err("dropped").kind(), std::io::ErrorKind::WouldBlock);
+
+    cloud.lose(30);
+    let arrived = (0..500).filter(|_| {
+        from.send_to(b"probe", (address, 7002)).expect("there is a route");
+        open.set_nonblocking(true).expect("a socket");
+        // A veth pair hands over before sending returns.
+        open.recv(&mut buffer).is_ok()
+    });
+    let arrived = arrived.count();
+    assert!((200..450).contains(&arrived), "{arrived} of 500");
+}
+
+#[test]
+fn a_wire_delays_each_direction_by_itself() {
+    let folder = tempfile::tempdir().expect("the temporary folder is writable");
+    let way = |delay_ms| Way { delay_ms, jitter_ms: 0, loss_percent: 0 };
+    let network = Network::wire(folder.path(), way(40), way(5));
+    let (edge, cloud) = (udp(network.edge(), 7000), udp(network.cloud(), 7000));
+    let clock = SystemClock::new(ClockIdentity::new("boot", "system"));
+    let mut buffer = [0; 16];
+    let mut delay = |from: &UdpSocket, to: &UdpSocket, address: Ipv4Addr| {
+        let sent = clock.wall();
+        from.send_to(b"probe", (address, 7000)).expect("there is a route");
+        to.recv(&mut buffer).expect("nothing is lost");
+        clock.wall() - sent
+    };
+    // The first asks for the other's hardware address, which takes a round trip of its own.
+    let (to_cloud, to_edge) = (network.cloud().address, network.edge().address);
+    delay(&edge, &cloud, to_cloud);
+    assert!(delay(&edge, &cloud, to_cloud) > Span::from_millis(38));
+    let down = (0..10).map(|_| delay(&cloud, &edge, to_edge)).min().expect("ten");
+    assert!(down > Span::from_millis(3) && down < Span::from_millis(38), "{down}");
+}
+
+#[test]
+fn nothing_is_left_behind_by_a_test_that_panics() {
+    let (tell, told) = std::sync::mpsc::sync_channel(1);
+    let test = std::thread::spawn(move || {
+        let network = Network::direct();
+        let inode = network.edge().run("readlink", &["/proc/self/ns/net"]);
+        let process = network.edge().start(Path::new("sleep"), &["1000"], Path::new("/"), &[]);
+        tell.send((inode, process.pid(), network.edge().home)).expect("the test waits");
+        // As if the test had no chance to stop it.
+        std::mem::forget(process);
+        panic!("a test fails here, on purpose");
+    });
+    let (inode, pid, home) = told.recv().expect("told before the panic");
+    test.join().expect_err("it panics");
+    let seen =
+        |path: String| std::fs::read_link(path).is_ok_and(|link| link.display().to_string() == inode.trim());
+    // A killed process stays as a zombie, whose parent this is, but is in no namespace.
+    assert!(!seen(format!("/proc/{pid}/ns/net")));
+    let addresses = Command::new("ip").args(["address", "show"]).output().expect("ip is installed").stdout;
+    assert!(!String::from_utf8_lossy(&addresses).contains(&format!("{home}/")), "{home} is still there");
+}

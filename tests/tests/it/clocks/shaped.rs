@@ -1,0 +1,83 @@
+//! Large payloads over a slow link: what is reported against what passed in the middle.
+
+use peernet_clock::{Span, WallTime};
+use peernet_tests::Plant;
+use peernet_tests::network::{Host, Network, Packet};
+use peernet_tests::truth::{Delay, HostClock};
+
+use super::{hold_to_the_truth, rehearsal, say};
+
+const ITERATIONS: usize = 15;
+
+/// From the first byte into the middle to the last byte out of it, for a message that was under way from `sent` to
+/// `received`.
+fn seen(packets: &[Packet], from: &Host, sent: WallTime, received: WallTime) -> Span {
+    let own = |packet: &&Packet| {
+        packet.source == from.address && packet.payload > 0 && (sent..=received).contains(&packet.at)
+    };
+    let first = packets.iter().filter(own).find(|packet| !packet.left).expect("something went in");
+    let last = packets.iter().filter(own).rfind(|packet| packet.left).expect("something came out");
+    last.at - first.at
+}
+
+#[test]
+fn megabytes_take_as_long_as_a_capture_in_the_middle_says() {
+    let plant = Plant::new(|_| Network::routed());
+    let router = plant.network.router();
+    router.limit("cloud", 20);
+    router.limit("edge", 100);
+    let capture = router.capture("tcp port 5551", plant.folder());
+    let _cloud = plant.cloud(&rehearsal(1_000.0, 30.0, ""));
+    let limit = format!("limit = {{ iterations = {ITERATIONS} }}\nwarm_up = {{ iterations = 2 }}");
+    let pipeline = plant.pipeline("images", 1_200_000, &limit);
+    let _edge = plant.edge(&format!("{}{pipeline}", rehearsal(-1_000.0, -15.0, "")), &[]);
+    let (edge, cloud) = (plant.clock_of("edge"), plant.clock_of("cloud"));
+    plant.finished(1);
+    let packets = capture.finish();
+    let iterations = &plant.iterations()[2..];
+    assert_eq!(iterations.len(), ITERATIONS);
+    hold_to_the_truth("1.2 MB, 20 Mbit/s up, 100 Mbit/s down", iterations, &edge, &cloud);
+
+    let network = &plant.network;
+    against(
+        "upload",
+        iterations.iter().map(|iteration| &iteration.up),
+        network.edge(),
+        &packets,
+        [&edge, &cloud],
+    );
+    against(
+        "download",
+        iterations.iter().map(|iteration| &iteration.down),
+        network.cloud(),
+        &packets,
+        [&cloud, &edge],
+    );
+}
+
+/// Compares what is reported with what was seen, message by message. A machine that is busy with something else can hold
+/// up a program after the last byte has passed: the median of the ratios does not mind a few of those.
+fn against<'a>(
+    what: &str,
+    delays: impl Iterator<Item = &'a Delay>,
+    from: &Host,
+    packets: &[Packet],
+    [sender, receiver]: [&HostClock; 2],
+) {
+    let pairs = delays.map(|delay| {
+        let in_the_middle = seen(packets, from, sender.truth(delay.sent), receiver.truth(delay.received));
+        (delay.value.expect("a value").seconds(), in_the_middle.seconds())
+    });
+    let pairs: Vec<(f64, f64)> = pairs.collect();
+    let mean = |pick: fn(&(f64, f64)) -> f64| 1e3 * pairs.iter().map(pick).sum::<f64>() / pairs.len() as f64;
+    let mut ratios: Vec<f64> =
+        pairs.iter().map(|(reported, in_the_middle)| reported / in_the_middle).collect();
+    ratios.sort_by(f64::total_cmp);
+    let median = ratios[ratios.len() / 2];
+    let (reported, in_the_middle) = (mean(|pair| pair.0), mean(|pair| pair.1));
+    say(&format!(
+        "{what}: mean reported {reported:.3} ms, seen in the middle {in_the_middle:.3} ms, ratio {:.4}, median {median:.4}",
+        reported / in_the_middle
+    ));
+    assert!((median - 1.0).abs() <= 0.02, "{what}: {median}");
+}

@@ -1,0 +1,81 @@
+//! A clock that is set by three seconds in mid-run.
+
+use peernet_clock::{Span, WallTime};
+use peernet_tests::truth::{Delay, Iteration};
+use peernet_tests::{Network, Plant};
+
+use super::{WARM_UP, hold_to_the_truth, rehearsal, say};
+
+/// When the clock is set, after the start of its agent.
+const AT: Span = Span::from_seconds(8);
+
+/// A delay is good again so long after that.
+const RECOVERY: Span = Span::from_seconds(5);
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Stepped {
+    Edge,
+    Cloud,
+}
+
+fn step(stepped: Stepped, by_ms: i32) {
+    let what = format!("{by_ms:+} ms on the {stepped:?}");
+    let plant = Plant::new(|_| Network::direct());
+    let steps = format!("steps = [{{ at_s = {}, by_ms = {by_ms} }}]", AT.seconds());
+    let table = |host, offset_ms| rehearsal(offset_ms, 10.0, if host == stepped { &steps } else { "" });
+    let _cloud = plant.cloud(&table(Stepped::Cloud, 250.0));
+    let load = "load = { mode = \"rate\", hz = 100.0 }\nlimit = { duration_s = 18.0 }";
+    let pipeline = plant.pipeline("stepped", 1000, load);
+    let _edge = plant.edge(&format!("{}{pipeline}", table(Stepped::Edge, -250.0)), &[]);
+    let (edge, cloud) = (plant.clock_of("edge"), plant.clock_of("cloud"));
+    plant.finished(1);
+
+    let iterations = plant.iterations();
+    hold_to_the_truth(&what, &iterations, &edge, &cloud);
+    let clock = if stepped == Stepped::Edge { &edge } else { &cloud };
+    let at = clock.since().expect("rehearsed") + AT;
+    // By the clock that was left alone, which shows no time twice.
+    let when = |iteration: &Iteration| -> WallTime {
+        match stepped {
+            Stepped::Edge => cloud.truth(iteration.up.received),
+            Stepped::Cloud => edge.truth(iteration.up.sent),
+        }
+    };
+    let good = |delay: &Delay| ["ok", "limited"].contains(&delay.verdict.as_str());
+    let all_good = |iteration: &&Iteration| good(&iteration.up) && good(&iteration.down);
+    let second = Span::from_seconds(1);
+    let before = |iteration: &&Iteration| iteration.number > WARM_UP && when(iteration) < at - second;
+    let before: Vec<_> = iterations.iter().filter(before).collect();
+    let after: Vec<_> = iterations.iter().filter(|iteration| when(iteration) >= at).collect();
+    let recovered = after.iter().copied().filter(|iteration| when(iteration) >= at + RECOVERY);
+    for settled in [before, recovered.collect()] {
+        assert!(settled.len() >= 200, "{what}: {}", settled.len());
+        for iteration in settled {
+            assert!(all_good(&iteration), "{what}, {} after: {iteration:?}", when(iteration) - at);
+        }
+    }
+    let bad = after.iter().filter(|iteration| !all_good(iteration));
+    let bad: Vec<Span> = bad.map(|iteration| when(iteration) - at).collect();
+    let (count, last) = (bad.len(), bad.iter().max().copied().unwrap_or_default());
+    say(&format!("{what}: {count} neither ok nor limited after it, the last {last} after"));
+}
+
+#[test]
+fn an_edge_that_is_set_forward_never_makes_a_wrong_delay() {
+    step(Stepped::Edge, 3_000);
+}
+
+#[test]
+fn a_cloud_that_is_set_forward_never_makes_a_wrong_delay() {
+    step(Stepped::Cloud, 3_000);
+}
+
+#[test]
+fn an_edge_that_is_set_back_never_makes_a_wrong_delay() {
+    step(Stepped::Edge, -3_000);
+}
+
+#[test]
+fn a_cloud_that_is_set_back_never_makes_a_wrong_delay() {
+    step(Stepped::Cloud, -3_000);
+}

@@ -1,0 +1,68 @@
+//! Two hosts on one cable, whose clocks are a second apart and drift: the delays must not notice.
+
+use peernet_clock::Span;
+use peernet_tests::truth::HostClock;
+use peernet_tests::{Network, Plant};
+
+use super::{WARM_UP, hold_to_the_truth, rehearsal};
+
+/// The largest mean error, each direction.
+const MEAN_ERROR: Span = Span::from_micros(50);
+
+/// Four cases of these are more than 10,000 iterations.
+const STEADY: usize = 2_000;
+const QUICK: usize = 1_000;
+
+#[derive(Clone, Copy)]
+enum Wrong {
+    Edge,
+    Cloud,
+}
+
+/// A steady pipeline, slow enough that clocks drift apart meanwhile, and one as fast as it can.
+fn case(offset_ms: f64, drift_ppm: f64, max_drift_ppm: f64, wrong: Wrong) {
+    let plant = Plant::new(|_| Network::direct());
+    let clock = format!("[clock]\nmax_drift_ppm = {max_drift_ppm:?}\n");
+    let own = rehearsal(offset_ms, drift_ppm, "");
+    let (edge_own, cloud_own) = match wrong {
+        Wrong::Edge => (own.as_str(), ""),
+        Wrong::Cloud => ("", own.as_str()),
+    };
+    let _cloud = plant.cloud(&format!("{clock}{cloud_own}"));
+    let steady = format!("load = {{ mode = \"rate\", hz = 100.0 }}\nlimit = {{ iterations = {STEADY} }}");
+    let quick = format!("limit = {{ iterations = {QUICK} }}");
+    let pipelines = [plant.pipeline("steady", 1000, &steady), plant.pipeline("quick", 1000, &quick)].concat();
+    let _edge = plant.edge(&format!("{clock}{edge_own}{pipelines}"), &[]);
+
+    let (edge, cloud) = match wrong {
+        Wrong::Edge => (plant.clock_of("edge"), HostClock::kernels()),
+        Wrong::Cloud => (HostClock::kernels(), plant.clock_of("cloud")),
+    };
+    plant.finished(2);
+    let what = format!("{offset_ms:+} ms, {drift_ppm:+} ppm of {max_drift_ppm}");
+    let (up, down) = hold_to_the_truth(&what, &plant.iterations(), &edge, &cloud);
+    for comparison in [&up, &down] {
+        assert_eq!(comparison.compared, STEADY + QUICK + 2 * WARM_UP as usize);
+        assert!(comparison.mean_error() <= MEAN_ERROR, "{what}: {}", comparison.in_words());
+    }
+}
+
+#[test]
+fn a_cloud_ahead_and_fast() {
+    case(1_000.0, 50.0, 50.0, Wrong::Cloud);
+}
+
+#[test]
+fn an_edge_behind_and_slow() {
+    case(-1_000.0, -50.0, 50.0, Wrong::Edge);
+}
+
+#[test]
+fn an_edge_ahead_and_faster_than_the_default_limit() {
+    case(1_000.0, 100.0, 150.0, Wrong::Edge);
+}
+
+#[test]
+fn a_cloud_behind_and_slower_than_the_default_limit() {
+    case(-1_000.0, -100.0, 150.0, Wrong::Cloud);
+}
