@@ -44,7 +44,8 @@ pub(crate) const fn meaning(verdict: Verdict) -> &'static str {
         }
         Verdict::Stepped => "a clock was stepped or ran off at that time: leave these delays out",
         Verdict::Inconsistent => {
-            "two sources about the clocks exclude each other, so one of them is wrong: trust neither direction, only their sum"
+            "what is known of the clocks contradicts itself, so a source is wrong or the clocks drift faster than the limit: \
+             trust neither direction, only their sum"
         }
     }
 }

@@ -25,6 +25,8 @@ pub(super) struct Knowledge {
     cloud: HostClock,
     /// Whose clock is known to have been stepped since the last restart: the edge's, the cloud's.
     stepped: (bool, bool),
+    /// The last restart was told to be a drift beyond the limit.
+    told_beyond: bool,
 }
 
 /// What is to be told.
@@ -45,6 +47,8 @@ pub(super) struct Restart {
     pub(super) edge: bool,
     /// Whether it was the cloud's.
     pub(super) cloud: bool,
+    /// The limit of drift, parts per million, where it is more likely that the clocks do not keep it.
+    pub(super) beyond_ppm: Option<f64>,
 }
 
 /// A message that has arrived, and how many bits it had.
@@ -72,6 +76,7 @@ impl Knowledge {
             edge,
             cloud,
             stepped: (false, false),
+            told_beyond: false,
         };
         knowledge.disciplines();
         knowledge
@@ -211,7 +216,13 @@ impl Knowledge {
                 self.close(now, None, now, news);
                 self.window = random();
                 let (edge, cloud) = std::mem::take(&mut self.stepped);
-                news.restart = Some(Restart { moved, edge, cloud });
+                let limit = self.relation.settings().max_drift_ppm;
+                let beyond_ppm = self.relation.in_doubt().then_some(limit);
+                // Clocks beyond the limit begin anew several times a second: that is told once, until they keep it again.
+                if beyond_ppm.is_none() || !self.told_beyond {
+                    news.restart = Some(Restart { moved, edge, cloud, beyond_ppm });
+                }
+                self.told_beyond = beyond_ppm.is_some();
             }
         }
         self.second.exchanged(&witnessed.exchange, self.relation.settings().max_drift_ppm);

@@ -16,7 +16,14 @@ pub(super) fn restart_in_words(restart: Restart, edge: &Slug, cloud: &Slug) -> S
         let way = if moved.is_negative() { "back" } else { "forward" };
         format!("; the clock of {cloud} went {:.6} s {way} against that of {edge}", moved.abs().seconds())
     });
-    format!("{whose}{moved}; their relation is learnt anew")
+    let outlook = match restart.beyond_ppm {
+        None => "their relation is learnt anew".to_owned(),
+        Some(limit) => format!(
+            "not for the first time within a minute: they seem to drift apart faster than [clock] max_drift_ppm = {limit}; \
+             nothing is believed until that has ceased"
+        ),
+    };
+    format!("{whose}{moved}; {outlook}")
 }
 
 #[cfg(test)]
@@ -28,10 +35,15 @@ mod tests {
     #[test]
     fn a_restart_names_the_host_and_the_size() {
         let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
-        let restart = Restart { moved: Some(Span::from_seconds(-3)), edge: true, cloud: false };
+        let restart =
+            Restart { moved: Some(Span::from_seconds(-3)), edge: true, cloud: false, beyond_ppm: None };
         let text = restart_in_words(restart, &edge, &cloud);
         assert!(text.contains("the clock of robot was") && text.contains("3.000000 s back"), "{text}");
-        let unknown = restart_in_words(Restart { moved: None, edge: false, cloud: false }, &edge, &cloud);
-        assert!(unknown.contains("robot or desk"), "{unknown}");
+        let unknown = restart_in_words(
+            Restart { moved: None, edge: false, cloud: false, beyond_ppm: Some(50.0) },
+            &edge,
+            &cloud,
+        );
+        assert!(unknown.contains("robot or desk") && unknown.contains("max_drift_ppm = 50"), "{unknown}");
     }
 }

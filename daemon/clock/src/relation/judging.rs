@@ -57,10 +57,10 @@ impl Relation {
     /// `ok`, `stale` or `inconsistent`. Exchanges must be fresh only where they narrow the interval, and must not be in
     /// doubt.
     pub(super) fn verdict_of(&self, combined: &Combined, fresh: bool) -> Verdict {
-        if !combined.agree {
+        let in_band = matches!(combined.source, DelaySource::InBand | DelaySource::Intersection);
+        if !combined.agree || (in_band && self.in_doubt()) {
             return Verdict::Inconsistent;
         }
-        let in_band = matches!(combined.source, DelaySource::InBand | DelaySource::Intersection);
         if in_band && (!fresh || self.band.exchanges() < LEAST_EXCHANGES || self.suspects.any()) {
             return Verdict::Stale;
         }
@@ -109,7 +109,7 @@ impl Relation {
         };
         OneWayDelay {
             raw,
-            value: known.agree.then_some(value),
+            value: (verdict != Verdict::Inconsistent).then_some(value),
             bounds: Some(bounds),
             source: known.source,
             verdict,

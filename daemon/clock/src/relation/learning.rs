@@ -90,6 +90,7 @@ impl Relation {
                 return Learned::Refused(Refusal::Outlier);
             };
             self.restart(Barrier::Open);
+            self.surprises.note(exchange.returned);
             self.band = believed;
         } else {
             self.suspects.hear(&bounds);

@@ -14,7 +14,7 @@ use crate::band::{Band, DriftLimit};
 use crate::{ClockIdentity, DelaySource, Discipline, Interval, Span, WallTime};
 use learning::{Barrier, Epochs};
 use presence::Presence;
-use suspects::Suspects;
+use suspects::{Surprises, Suspects};
 pub use types::{Direction, ExchangeCounts, Judged, Learned, Offset, Refusal, RelationSettings};
 
 /// The relation between the wall clocks of an edge and a cloud; it belongs to the pair of hosts, fed by all
@@ -29,6 +29,7 @@ pub struct Relation {
     band: Band,
     presence: Presence,
     suspects: Suspects,
+    surprises: Surprises,
     epochs: Epochs,
     barrier: Barrier,
     /// The band was begun by a step and took nothing yet; with the last estimate before.
@@ -49,6 +50,7 @@ impl Relation {
             band: Band::new(drift, settings.window),
             presence: Presence::new(settings.fresh, settings.window),
             suspects: Suspects::default(),
+            surprises: Surprises::default(),
             epochs: Epochs::default(),
             barrier: Barrier::Open,
             restarted: None,
@@ -101,6 +103,12 @@ impl Relation {
     /// Which window this is: grows whenever a step makes void what was learnt before.
     pub const fn window(&self) -> u32 {
         self.counts.restarts
+    }
+
+    /// Whether exchanges contradict each other again and again: the clocks drift apart faster than the limit, or a peer
+    /// lies. Delays are `inconsistent` then.
+    pub fn in_doubt(&self) -> bool {
+        self.band.newest().is_some_and(|newest| self.surprises.cast_doubt(newest))
     }
 
     /// Bytes of memory that the exchanges of the window take.

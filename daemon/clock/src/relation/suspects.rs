@@ -1,10 +1,37 @@
 //! Exchanges that contradict the band: errors and lies, or the first after a step that nobody announced.
 
-use crate::WallTime;
 use crate::band::{Band, Bounds};
+use crate::{Span, WallTime};
 
 /// So many in a row that agree with each other are believed.
 const BELIEVED: u64 = 4;
+
+/// A clock that is set twice within such a time, and both times without notice, is not set: it drifts faster than the
+/// limit, or somebody lies. Nothing is believed for as long after the last time.
+const DOUBT: Span = Span::from_seconds(60);
+
+/// When windows began without notice.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Surprises {
+    last: Option<WallTime>,
+    doubt_until: Option<WallTime>,
+}
+
+impl Surprises {
+    /// One more.
+    pub(super) fn note(&mut self, at: WallTime) {
+        if self.last.is_some_and(|last| (at - last).abs() <= DOUBT) {
+            self.doubt_until = Some(at + DOUBT);
+        }
+        self.last = Some(at);
+    }
+
+    /// Whether there were too many before a time.
+    pub(super) fn cast_doubt(&self, at: WallTime) -> bool {
+        // A clock that is set back by more than the doubt lasts must not be doubted until it is there again.
+        self.doubt_until.is_some_and(|until| at < until && until - at <= DOUBT + DOUBT)
+    }
+}
 
 /// Contradicting exchanges that agree with each other, with nothing against them since.
 #[derive(Clone, Debug, Default)]

@@ -36,7 +36,7 @@ pub(crate) fn title(subject: &Subject<'_>, zone: Zone) -> String {
     match (up, down) {
         _ if subject.offset().is_some_and(|offset| offset.verdict == Verdict::Inconsistent) => {
             format!(
-                "{route}: two sources about the clocks exclude each other, so no one-way delay can be trusted"
+                "{route}: what is known of the clocks contradicts itself, so no one-way delay can be trusted"
             )
         }
         (None, None) => {

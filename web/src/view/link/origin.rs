@@ -80,10 +80,13 @@ fn why(offset: &Offset, course: &Course) -> Vec<String> {
     let mut why = Vec::new();
     let half = offset.bounds.width().seconds() / 2.0;
     if offset.verdict == peernet_clock::Verdict::Inconsistent {
-        why.push(
+        let words = if offset.sources.len() > 1 {
             "The sources above exclude each other: at least one of them is wrong, and which one cannot be told from here."
-                .to_owned(),
-        );
+        } else {
+            "The exchanges contradict each other again and again: the clocks drift apart faster than [clock] \
+             max_drift_ppm allows, or one of the hosts does not tell the truth."
+        };
+        why.push(words.to_owned());
     }
     if let Some((min, _)) = course.round_trips() {
         let best = min / 2.0;

@@ -138,3 +138,36 @@ fn a_consistent_liar_is_exposed_by_the_time_daemons_alone() {
     assert_eq!((judged.up.verdict, judged.up.value), (Verdict::Inconsistent, None));
     assert!(contains(&judged.up, trip.up), "{:?}", judged.up);
 }
+
+#[test]
+fn clocks_that_drift_faster_than_the_limit_are_soon_believed_no_more() {
+    let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::ZERO, 400.0) };
+    let mut relation = relation();
+    let mut dice = Dice(5);
+    let calm = Path { burst: 0.0, ..Path::VETH };
+    let trips = calm.trips(&world, (10.0, 40.0), 50.0, &mut dice);
+    let (early, late) = trips.split_at(trips.len() / 3);
+    for trip in early {
+        relation.judge(&trip.witnessed());
+    }
+    assert!(relation.in_doubt(), "{:?}", relation.counts());
+    for trip in late {
+        let judged = relation.judge(&trip.witnessed());
+        assert_eq!((judged.up.value, judged.down.value), (None, None));
+        assert!(!matches!(judged.up.verdict, Verdict::Ok | Verdict::Limited | Verdict::Stale));
+    }
+}
+
+#[test]
+fn one_step_without_notice_casts_no_doubt_and_two_far_apart_cast_none_either() {
+    let cloud = Wall::drifting(Span::ZERO, 10.0)
+        .stepped(Span::from_seconds(20), Span::from_millis(50))
+        .stepped(Span::from_seconds(100), Span::from_millis(-70));
+    let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud };
+    let mut relation = relation();
+    for trip in Path::VETH.trips(&world, (10.0, 130.0), 20.0, &mut Dice(6)) {
+        relation.judge(&trip.witnessed());
+        assert!(!relation.in_doubt());
+    }
+    assert_eq!(relation.window(), 2);
+}
