@@ -39,7 +39,7 @@ pub(super) struct News {
 }
 
 /// A clock was stepped: the relation began anew.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Restart {
     /// By how much the offset moved, where that is known.
     pub(super) moved: Option<Span>,

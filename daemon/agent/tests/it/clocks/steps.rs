@@ -95,8 +95,6 @@ async fn a_clock_that_is_set_in_mid_run_spoils_nothing() {
         let windows: BTreeSet<_> = seen.clocks().iter().map(|sample| sample.window).collect();
         assert_eq!(windows.len(), 2, "one before and one after");
         assert_eq!(of_link(&seen).len(), 1, "said once");
-        let without = seen.iterations().iter().filter(|it| transit(it, "upload").2.value.is_none()).count();
-        assert!(without > 0, "what was under way is not believed");
         cloud.stop().await.expect("stops well");
     }
 }
