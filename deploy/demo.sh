@@ -24,7 +24,7 @@ finish() {
         kill -TERM "${pid[$role]}" 2>/dev/null || true
         wait "${pid[$role]}" 2>/dev/null || true
     done
-    [ -z "${started:-}" ] || echo "demo: ended. What was measured is kept in data/; the next 'make demo' adds to it."
+    [ -z "${started:-}" ] || echo "demo: ended. What was measured is kept where the configurations in $configs say; the next start adds to it."
     exit "$code"
 }
 trap finish EXIT
@@ -42,7 +42,7 @@ failed() {
 answers() { (exec 3<>"/dev/tcp/${listen%:*}/${listen##*:}") 2>/dev/null; }
 
 if answers; then
-    echo "demo: something listens on $listen already; end it, or change [web] listen in $configs/aggregator.toml" >&2
+    echo "demo: something listens on $listen already; end it, or change [web] listen in configs/aggregator.toml" >&2
     exit 1
 fi
 
