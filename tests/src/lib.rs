@@ -12,7 +12,7 @@ pub use api::Api;
 pub use network::Network;
 pub use plant::Plant;
 pub use process::{Ended, Process, until};
-pub use repository::{onnxruntime, program, root};
+pub use repository::{chrony, onnxruntime, program, root};
 pub use site::{Site, free_port};
 
 use std::time::Duration;

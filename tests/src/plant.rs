@@ -64,11 +64,16 @@ impl Plant {
 
     /// A pipeline of payloads of one size that the cloud echoes; `more` are further keys.
     pub fn pipeline(&self, name: &str, bytes: u32, more: &str) -> String {
-        let peer = self.network.cloud().address;
+        let peer = self.peer();
         format!(
             "[[pipeline]]\nname = \"{name}\"\nsensor = {{ kind = \"synthetic\", size_bytes = {bytes} }}\n\
-             placement = {{ kind = \"remote\", peer = \"tcp://{peer}:{SERVE}\", model = \"echo\" }}\n{more}\n"
+             placement = {{ kind = \"remote\", peer = \"{peer}\", model = \"echo\" }}\n{more}\n"
         )
+    }
+
+    /// Where the cloud serves.
+    pub fn peer(&self) -> String {
+        format!("tcp://{}:{SERVE}", self.network.cloud().address)
     }
 
     fn configure(&self, name: &str, host: &Host, tables: &str) -> PathBuf {

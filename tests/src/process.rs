@@ -95,8 +95,11 @@ impl Process {
                 lines.iter().filter(|line| line.contains(text)).count() < n && *ended < self.readers.len()
             })
             .expect("no reader panics");
-        guard.0.iter().filter(|line| line.contains(text)).nth(n - 1).cloned().unwrap_or_else(|| {
-            panic!("{} never said {text:?} ({n}. time); it said:\n{}", self.name, guard.0.join("\n"))
+        let line = guard.0.iter().filter(|line| line.contains(text)).nth(n - 1).cloned();
+        // A panic that holds the lock would end the tests in the middle of another, without cleaning up.
+        drop(guard);
+        line.unwrap_or_else(|| {
+            panic!("{} never said {text:?} ({n}. time); it said:\n{}", self.name, self.log())
         })
     }
 
@@ -134,8 +137,8 @@ impl Process {
             .changed
             .wait_timeout_while(guard, PATIENCE, |(_, ended)| *ended < self.readers.len())
             .expect("no reader panics");
-        assert!(!timeout.timed_out(), "{} does not end; it said:\n{}", self.name, guard.0.join("\n"));
         drop(guard);
+        assert!(!timeout.timed_out(), "{} does not end; it said:\n{}", self.name, self.log());
         let status = self.child.wait().expect("the child is ours");
         Ended { status, log: self.log() }
     }

@@ -28,3 +28,14 @@ pub fn onnxruntime() -> PathBuf {
     assert!(folder.is_dir(), "{} is not there: run `make setup`", folder.display());
     folder
 }
+
+/// A program of chrony: of the package that was unpacked for the tests, or the system's own.
+///
+/// # Panics
+/// When `deploy/install-tools.sh test` has not been run.
+pub fn chrony(name: &str) -> PathBuf {
+    let tools = root().join(".venv-tools/chrony/usr");
+    let places = [tools.join("sbin"), tools.join("bin"), "/usr/sbin".into(), "/usr/bin".into()];
+    let found = places.iter().map(|place| place.join(name)).find(|path| path.exists());
+    found.unwrap_or_else(|| panic!("{name} is not there: run `deploy/install-tools.sh test`"))
+}

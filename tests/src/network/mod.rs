@@ -8,11 +8,13 @@
 //! by a test that panics; what a killed test run left is removed by the next.
 
 mod capture;
+mod chronyd;
 mod command;
 mod host;
 mod slot;
 
 pub use capture::{Capture, Packet};
+pub use chronyd::TimeDaemons;
 pub use host::Host;
 
 use std::net::Ipv4Addr;
@@ -102,7 +104,10 @@ impl Network {
         let (up_delay, down_delay) = (delay("LR", up), delay("RL", down));
         let (up_loss, down_loss) = (loss("LR", up), loss("RL", down));
         let delays = ["-d", &up_delay, "-d", &down_delay, "-l", &up_loss, "-l", &down_loss];
-        network.edge.run("wirefilter", &[&["-v", &plugs], &delays[..], &["--daemon"]].concat());
+        // It keeps all packets in one order, those of both directions: what goes the quick way would wait for what goes
+        // the slow one. Only jitter needs that.
+        let order: &[&str] = if up.jitter_ms + down.jitter_ms == 0 { &["--nofifo"] } else { &[] };
+        network.edge.run("wirefilter", &[&["-v", &plugs], &delays[..], order, &["--daemon"]].concat());
         network
     }
 

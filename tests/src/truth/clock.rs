@@ -50,6 +50,15 @@ impl HostClock {
         self.0.first().map(|rehearsal| rehearsal.since)
     }
 
+    /// By how much this clock is ahead when the kernel's shows `truth`.
+    ///
+    /// # Panics
+    /// When nobody knows, because it is one of several.
+    pub fn ahead(&self, truth: WallTime) -> Span {
+        let [rehearsal] = &self.0[..] else { panic!("one of several: {:?}", self.0) };
+        rehearsal.error_at(truth)
+    }
+
     /// What the kernel's clock showed when this one showed `shown`.
     ///
     /// # Panics
@@ -100,6 +109,7 @@ mod tests {
             let truth = since + Span::from_nanos(nanos);
             let found = clock.truth(rehearsal.shown(truth));
             assert!((found - truth).abs() <= Span::from_nanos(1), "{found:?} {truth:?}");
+            assert_eq!(truth + clock.ahead(truth), rehearsal.shown(truth));
         }
         assert_eq!(HostClock::kernels().truth(since), since);
         let mut back = rehearsal.clone();

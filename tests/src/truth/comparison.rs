@@ -104,7 +104,7 @@ impl Comparison {
 ///
 /// # Panics
 /// When one of the clocks never showed its stamp.
-fn truth(delay: &Delay, sender: &HostClock, receiver: &HostClock) -> Span {
+pub fn truth(delay: &Delay, sender: &HostClock, receiver: &HostClock) -> Span {
     let arrivals = receiver.truths(delay.received);
     let delays = sender.truths(delay.sent).into_iter().flat_map(|sent| {
         let arrivals = arrivals.iter();

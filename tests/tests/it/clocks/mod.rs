@@ -2,6 +2,8 @@
 
 mod asymmetric;
 mod blocked;
+mod calibration;
+mod chrony;
 mod false_time;
 mod networks;
 mod shaped;

@@ -28,28 +28,42 @@ pub(super) struct Extent {
 /// The edge's time cut into pieces, each with the only window that it can belong to, if there is one.
 ///
 /// Near a step two windows may overlap, when the edge's clock was set back, or leave a hole between them, in which the
-/// step happened: a time there belongs to neither.
+/// step happened: a time there belongs to neither. A window certainly holds from its first exchange to its last one; it
+/// may hold for the whole seconds that its samples stand for, where no other window is certain either.
 #[derive(Debug, Default)]
-pub(super) struct Timeline(Vec<(WallTime, Option<usize>)>);
+pub(super) struct Timeline {
+    /// By begin: pieces with the one window that is possible there.
+    pieces: Vec<(WallTime, Option<usize>)>,
+    /// Where each window is certain.
+    certain: Vec<(WallTime, WallTime)>,
+}
 
 impl Timeline {
     /// The timeline of windows in any order; they are named by their places.
     pub(super) fn of(windows: &[Extent]) -> Self {
-        let mut spans: Vec<(WallTime, WallTime)> = windows
+        let mut certain: Vec<(WallTime, WallTime)> = windows
             .iter()
             .map(|window| {
-                let begin = (window.first - SECOND).min(window.sent.max(window.first - LONGEST));
-                (begin, window.returned.min(window.last + LONGEST).max(window.last + UNTOLD))
+                (window.sent.max(window.first - LONGEST), window.returned.min(window.last + LONGEST))
             })
             .collect();
-        if let Some(first) = spans.iter_mut().min_by_key(|(begin, _)| *begin) {
-            first.0 = first.0 - REACH;
+        let mut possible: Vec<(WallTime, WallTime)> = windows
+            .iter()
+            .zip(&certain)
+            .map(|(window, (sent, returned))| {
+                ((window.first - SECOND).min(*sent), (window.last + UNTOLD).max(*returned))
+            })
+            .collect();
+        for spans in [&mut certain, &mut possible] {
+            if let Some(first) = spans.iter_mut().min_by_key(|(begin, _)| *begin) {
+                first.0 = first.0 - REACH;
+            }
+            if let Some(last) = spans.iter_mut().max_by_key(|(_, end)| *end) {
+                last.1 = last.1 + REACH;
+            }
         }
-        if let Some(last) = spans.iter_mut().max_by_key(|(_, end)| *end) {
-            last.1 = last.1 + REACH;
-        }
-        let mut changes: Vec<(WallTime, bool, usize)> = Vec::with_capacity(2 * spans.len());
-        for (window, (begin, end)) in spans.into_iter().enumerate() {
+        let mut changes: Vec<(WallTime, bool, usize)> = Vec::with_capacity(2 * possible.len());
+        for (window, (begin, end)) in possible.into_iter().enumerate() {
             changes.push((begin, true, window));
             changes.push((end + Span::from_nanos(1), false, window));
         }
@@ -61,13 +75,15 @@ impl Timeline {
             (open, sum) = if opens { (open + 1, sum + window) } else { (open - 1, sum - window) };
             pieces.push((at, (open == 1).then_some(sum)));
         }
-        Self(pieces)
+        Self { pieces, certain }
     }
 
     /// The window that a time belongs to; `None` where that cannot be told.
     pub(super) fn window(&self, at: WallTime) -> Option<usize> {
-        let after = self.0.partition_point(|(begin, _)| *begin <= at);
-        self.0.get(after.checked_sub(1)?)?.1
+        let after = self.pieces.partition_point(|(begin, _)| *begin <= at);
+        let window = self.pieces.get(after.checked_sub(1)?)?.1?;
+        let (begin, end) = self.certain.get(window)?;
+        (*begin <= at && at <= *end).then_some(window)
     }
 }
 
@@ -93,7 +109,7 @@ mod tests {
     fn a_window_reaches_as_far_as_its_exchanges_and_a_little_further_at_the_ends() {
         let timeline = Timeline::of(&[window(100, 200)]);
         assert_eq!(
-            windows(&timeline, &[88, 89, 100, 150, 200, 212, 213]),
+            windows(&timeline, &[89, 90, 100, 150, 200, 210, 211]),
             [None, Some(0), Some(0), Some(0), Some(0), Some(0), None]
         );
         assert_eq!(Timeline::of(&[]).window(wall(0)), None);
@@ -103,7 +119,7 @@ mod tests {
     fn a_hole_between_windows_belongs_to_neither() {
         let timeline = Timeline::of(&[window(300, 400), window(100, 200)]);
         assert_eq!(
-            windows(&timeline, &[95, 202, 203, 298, 299, 405]),
+            windows(&timeline, &[95, 200, 201, 299, 300, 405]),
             [Some(1), Some(1), None, None, Some(0), Some(0)]
         );
     }

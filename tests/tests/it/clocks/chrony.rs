@@ -1,0 +1,148 @@
+//! Hosts with real time daemons: what chrony claims stands beside what the exchanges say.
+
+use std::path::Path;
+
+use peernet_clock::Span;
+use peernet_tests::network::{Network, TimeDaemons, Way};
+use peernet_tests::truth::{Delay, HostClock, Iteration, truth};
+use peernet_tests::{Plant, Process, until};
+use serde_json::Value;
+
+use super::{hold_to_the_truth, rehearsal, say};
+
+/// A clock that counts as one of its own, though it is the machine's.
+const OWN: &str = "clock_identity = \"edge\"\n";
+
+/// Delays that are looked at, both directions together.
+const ENOUGH: u64 = 600;
+
+/// Two hosts whose time daemons are synchronised, and a pipeline that goes on until the edge is stopped.
+struct Scene {
+    edge: Process,
+    _cloud: Process,
+    _daemons: TimeDaemons,
+    plant: Plant,
+}
+
+impl Scene {
+    /// `identity` and `rehearsal` are the edge's.
+    fn new(network: impl FnOnce(&Path) -> Network, identity: &str, rehearsal: &str) -> Self {
+        let plant = Plant::new(network);
+        let daemons = TimeDaemons::start(&plant.network, plant.folder());
+        let clock = TimeDaemons::table();
+        let cloud = plant.cloud(&clock);
+        let load = "load = { mode = \"rate\", hz = 50.0 }\nmax_in_flight = 64";
+        let pipeline = plant.pipeline("kept", 1000, load);
+        let edge = plant.edge(&format!("{identity}{clock}{rehearsal}{pipeline}"), &[]);
+        Self { edge, _cloud: cloud, _daemons: daemons, plant }
+    }
+
+    /// What is known of the link's clocks, once chrony has spoken, too, and a verdict is given.
+    fn offset(&self, verdict: &str) -> Value {
+        self.plant.api.until("/api/v1/links/edge~cloud", |link| {
+            let offset = &link["now"]["offset"];
+            let sources = offset["sources"].as_array()?.iter().map(|source| &source["source"]);
+            let both = sources.eq(["in-band", "chrony"]);
+            (both && offset["verdict"] == verdict).then(|| offset.clone())
+        })
+    }
+
+    /// What a host says of its daemon.
+    fn daemon_of(&self, host: &str) -> String {
+        let host = self.plant.api.json(&format!("/api/v1/hosts/{host}"));
+        host["clock"]["text"].as_str().expect("words").to_owned()
+    }
+
+    /// All iterations, once enough delays more are stored of which an SQL expression holds.
+    fn iterations(self, such: &str) -> Vec<Iteration> {
+        let sql = format!(
+            "SELECT count(*) FROM transit AS t LEFT JOIN verdict ON verdict.id = t.verdict \
+             LEFT JOIN source ON source.id = t.source WHERE {such}"
+        );
+        let count = || self.plant.ask(&sql).trim().parse::<u64>().expect("a number");
+        let before = count();
+        until(such, || (count() >= before + ENOUGH).then_some(()));
+        assert_eq!(self.edge.stop().code(), 0);
+        self.plant.api.until("/api/v1/runs", |runs| (runs["runs"][0]["reason"] == "stopped").then_some(()));
+        self.plant.iterations()
+    }
+}
+
+/// What a source says of the offset alone.
+fn said(offset: &Value, source: &str) -> (Span, Span) {
+    let all = offset["sources"].as_array().expect("a list");
+    let own = all.iter().find(|one| one["source"] == source).expect("it was waited for");
+    let bound = |name: &str| Span::from_seconds_f64(own[name].as_f64().expect("a number"));
+    let bounds = (bound("lo_s"), bound("hi_s"));
+    say(&format!("  {source} alone: {} to {}", bounds.0, bounds.1));
+    bounds
+}
+
+fn holds((lo, hi): (Span, Span), offset: Span) -> bool {
+    lo <= offset && offset <= hi
+}
+
+/// The machine's clock on both hosts: the true offset is zero.
+fn right_clocks(what: &str, network: impl FnOnce(&Path) -> Network, such: &str) {
+    let scene = Scene::new(network, OWN, "");
+    let offset = scene.offset("ok");
+    for source in ["in-band", "chrony"] {
+        assert!(holds(said(&offset, source), Span::ZERO), "{source}: {offset}");
+    }
+    for host in ["edge", "cloud"] {
+        assert!(scene.daemon_of(host).starts_with("chrony, stratum 11, to 10."), "{}", scene.daemon_of(host));
+    }
+    let iterations = scene.iterations(such);
+    let kernels = HostClock::kernels();
+    let (up, down) = hold_to_the_truth(what, &iterations, &kernels, &kernels);
+    for comparison in [&up, &down] {
+        assert!(comparison.without_value.is_empty(), "{what}: {:?}", comparison.without_value);
+    }
+}
+
+#[test]
+fn daemons_of_right_clocks_and_the_exchanges_agree() {
+    right_clocks("chrony, a cable", |_| Network::direct(), "verdict.text IN ('ok', 'limited')");
+}
+
+/// The daemons' server is not behind the wire, whose asymmetry they can therefore tell.
+#[test]
+fn daemons_of_right_clocks_tell_what_exchanges_cannot() {
+    let way = |delay_ms| Way { delay_ms, jitter_ms: 0, loss_percent: 0 };
+    let wire = |folder: &Path| Network::wire(folder, way(40), way(5));
+    right_clocks("chrony, 40 ms up, 5 ms down", wire, "source.text IN ('chrony', 'intersection')");
+}
+
+/// The edge's daemon keeps the machine's clock, and does not know that the agent is shown another: as if the peer lied
+/// in all exchanges alike.
+#[test]
+fn a_wrong_clock_that_its_daemon_does_not_know_of_is_exposed() {
+    const AHEAD: Span = Span::from_millis(50);
+    let wrong = rehearsal(50.0, 0.0, "discipline = \"unaware\"");
+    let scene = Scene::new(|_| Network::direct(), "", &wrong);
+    let offset = scene.offset("inconsistent");
+    let (in_band, chrony) = (said(&offset, "in-band"), said(&offset, "chrony"));
+    assert!(holds(in_band, -AHEAD) && !holds(in_band, Span::ZERO), "{offset}");
+    assert!(holds(chrony, Span::ZERO) && !holds(chrony, -AHEAD), "{offset}");
+
+    let edge = scene.plant.clock_of("edge");
+    let iterations = scene.iterations("verdict.text = 'inconsistent'");
+    let cloud = HostClock::kernels();
+    let ups = iterations.iter().map(|iteration| (&iteration.up, &edge, &cloud));
+    let downs = iterations.iter().map(|iteration| (&iteration.down, &cloud, &edge));
+    let mut exposed = 0;
+    for (delay, sender, receiver) in ups.chain(downs) {
+        let (truth, (lo, hi)) = (truth(delay, sender, receiver), delay.bounds.expect("bounds"));
+        assert!(holds((lo, hi), truth), "{truth} is not in [{lo}, {hi}]: {delay:?}");
+        exposed += u64::from(is_exposed(delay));
+    }
+    say(&format!("unaware by {AHEAD}: {exposed} of {} delays exposed", 2 * iterations.len()));
+    assert!(exposed >= ENOUGH);
+}
+
+/// Whether a delay is told as contradictory; before the daemons' claims are known it rests on the exchanges alone.
+fn is_exposed(delay: &Delay) -> bool {
+    let exposed = delay.verdict == "inconsistent";
+    assert_eq!((delay.value.is_some(), delay.source.as_str()), (!exposed, "in-band"), "{delay:?}");
+    exposed
+}
