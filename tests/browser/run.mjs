@@ -133,6 +133,23 @@ describe("clocks", () => {
     const link = await (await fetch(`${base}/api/v1${pages.link}`)).json();
     assert.ok(Math.abs(link.now.offset.estimate_s + 1) < 0.1, `the cloud is a second behind: ${link.now.offset.estimate_s}`);
     assert.ok(link.now.up.median.value_s < 0.5, "an upload on one machine takes no second");
+    const { page, close } = await open(browser, base, pages.runs);
+    assert.ok((await page.locator(".runs tbody tr .chip", { hasText: "rehearsal" }).count()) > 0, "its runs are marked in their list");
+    await close();
+  });
+
+  test("what a one-way delay is worth stays in sight on a phone, and a host with a long name on a screen", async () => {
+    const phone = await open(browser, base, pages.iteration, { width: 400, height: 800 });
+    const box = phone.page.getByRole("group", { name: "One-way delays" });
+    assert.match(await box.innerText(), /low[\s\S]*high[\s\S]*verdict/);
+    assert.ok(await box.evaluate((one) => one.scrollWidth <= one.clientWidth), "no column is hidden to the right");
+    await phone.close();
+
+    const screen = await open(browser, base, "/");
+    const hosts = screen.page.locator("#part-hosts");
+    await hosts.locator("tbody th a").first().evaluate((link) => { link.textContent = "edge-with-a-wrong-clock-and-a-long-name"; });
+    assert.ok(await hosts.evaluate((one) => one.scrollWidth <= one.clientWidth), "no column of the hosts is hidden to the right");
+    await screen.close();
   });
 });
 

@@ -17,8 +17,11 @@ pub(crate) const STACK: [&str; 11] = [
     "unattributed",
 ];
 
-/// Both directions of the network together, where clocks that were never related cannot tell them apart.
-pub(crate) const NETWORK: &str = "upload + download";
+/// Both directions of the network together, where the clocks cannot tell them apart.
+pub(crate) const NETWORK: &str = peernet_aggregator::BOTH_WAYS;
+
+/// What is left of an iteration when neither the directions nor what no stage accounts for are known.
+pub(crate) const NETWORK_AND_REST: &str = "upload + download + unattributed";
 
 /// From the intended start to the real one: a named part of what is unattributed.
 pub(crate) const LATENESS: &str = "lateness";
@@ -48,7 +51,7 @@ pub(crate) fn class(name: &str) -> &'static str {
         "send-queue" | "queue" => "queue",
         "capture" => "capture",
         "transform" => "transform",
-        NETWORK => "network",
+        NETWORK | NETWORK_AND_REST => "network",
         // What is named of the unattributed looks like the rest of it.
         LATENESS => "unattributed",
         "total" | "stages-total" => "total",

@@ -10,6 +10,8 @@ pub(crate) const NONE: &str = "—";
 /// Between a number and its unit: a narrow space at which no line breaks.
 pub(crate) const SPACE: &str = "\u{202f}";
 const MINUS: &str = "\u{2212}";
+/// What stands where a bound would, if there is nothing to bound.
+pub(crate) const EXACT: &str = "exact";
 
 /// A number and its unit.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -134,31 +136,69 @@ pub(crate) fn mean_std_ms(mean: f64, std: Option<f64>) -> (String, Option<String
     (fixed(mean * 1e3, decimals), std.map(|std| fixed(std * 1e3, decimals)))
 }
 
-/// A clock bound in ms, to the microsecond: `±0.65`, `±0.006`.
+/// The decimals of a value in ms whose bound is known: as far as the bound's second digit, but not below a microsecond.
+/// An exact one has those of its own size.
+fn decimals_within(value: f64, half_width: f64) -> usize {
+    if half_width > 0.0 { decimals_supported(half_width * 1e3, 3) } else { decimals_of_trip(value * 1e3) }
+}
+
+/// A clock bound in ms, to the microsecond: `±0.65`, `±0.006`; nothing at all is `exact`.
 pub(crate) fn bound_ms(half_width: f64) -> String {
+    if half_width == 0.0 {
+        return EXACT.to_owned();
+    }
     format!("±{}", measured(half_width * 1e3, decimals_supported(half_width * 1e3, 3)))
 }
 
-/// Decimals of a value in ms whose bound is known.
-fn decimals_within(half_width: f64) -> usize {
-    decimals_supported(half_width * 1e3, 3).max(2)
+/// The same with its unit: `±0.65 ms`, `exact`.
+pub(crate) fn bound(half_width: f64) -> String {
+    let unit = if half_width == 0.0 { String::new() } else { format!("{SPACE}ms") };
+    format!("{}{unit}", bound_ms(half_width))
 }
 
-/// An interval in ms, finer where it is narrow: `5.66 – 6.93`, `0.394 – 0.405`.
+/// Both ends of an interval in ms, with the digits that its width supports.
+pub(crate) fn ends_ms(lo: f64, hi: f64) -> [String; 2] {
+    let decimals = decimals_within(hi, (hi - lo) / 2.0);
+    [lo, hi].map(|end| fixed(end * 1e3, decimals))
+}
+
+/// An interval in ms, finer where it is narrow: `5.66 – 6.93`, `0.394 – 0.405`, `−1.54 to −1.35`.
 pub(crate) fn interval_ms(lo: f64, hi: f64) -> String {
-    let decimals = decimals_within((hi - lo) / 2.0);
-    format!("{} – {}", fixed(lo * 1e3, decimals), fixed(hi * 1e3, decimals))
+    let [lo, hi] = ends_ms(lo, hi);
+    // A dash before a minus is hard to read.
+    let between = if [&lo, &hi].into_iter().any(|end| end.starts_with(MINUS)) { "to" } else { "–" };
+    format!("{lo} {between} {hi}")
 }
 
-/// A clock offset in ms with its sign and the digits that its bound supports: `+1,204.18`, `−1,002.698`.
+/// A value in ms that lies within an interval, with the digits that its width supports: `0.043`, `6.3`.
+pub(crate) fn within_ms(seconds: f64, (lo, hi): (f64, f64)) -> String {
+    fixed(seconds * 1e3, decimals_within(seconds, (hi - lo) / 2.0))
+}
+
+/// A difference in ms with its sign, for a value that lies within an interval.
+pub(crate) fn signed_within_ms(seconds: f64, (lo, hi): (f64, f64)) -> String {
+    signed(seconds * 1e3, decimals_within(seconds, (hi - lo) / 2.0))
+}
+
+/// How far something may move, in ms: `−0.65 to +0.63`.
+pub(crate) fn shift_ms(lo: f64, hi: f64) -> String {
+    let decimals = decimals_within(hi, (hi - lo) / 2.0);
+    format!("{} to {}", signed(lo * 1e3, decimals), signed(hi * 1e3, decimals))
+}
+
+/// A clock offset in ms with its sign and the digits that its bound supports: `+1,204.18`, `−1,002.698`, `+250`.
 pub(crate) fn offset_ms(seconds: f64, half_width: f64) -> String {
-    signed(seconds * 1e3, decimals_within(half_width))
+    signed(seconds * 1e3, if half_width > 0.0 { decimals_within(seconds, half_width) } else { 2 })
 }
 
 /// A round trip in ms: as any figure, and to the microsecond where it is short: `1.30`, `0.018`.
 pub(crate) fn trip_ms(seconds: f64) -> String {
     let value = seconds * 1e3;
-    if value < 0.095 { measured(value, 3) } else { figure(value) }
+    measured(value, decimals_of_trip(value))
+}
+
+fn decimals_of_trip(value: f64) -> usize {
+    if value.abs() < 0.095 { 3 } else { decimals_of(value) }
 }
 
 /// A share in percent without its sign: `0`, `<0.01`, `0.02`, `1.3`, `14`.

@@ -50,7 +50,8 @@ fn a_value_has_no_more_digits_than_its_deviation_supports() {
     assert_eq!(bound_ms(0.000_65), "±0.65");
     assert_eq!(bound_ms(0.001_3), "±1.3");
     assert_eq!(bound_ms(0.013), "±13");
-    assert_eq!(bound_ms(0.0), "±0");
+    assert_eq!((bound_ms(0.0).as_str(), bound(0.0).as_str()), ("exact", "exact"));
+    assert_eq!(bound(0.000_65), "±0.65\u{202f}ms");
     assert_eq!(bound_ms(0.000_005_6), "±0.006");
     assert_eq!(bound_ms(0.000_000_1), "±<0.001");
     assert_eq!(interval_ms(0.000_394, 0.000_405), "0.394 – 0.405");
@@ -59,6 +60,19 @@ fn a_value_has_no_more_digits_than_its_deviation_supports() {
     assert_eq!(offset_ms(0.0, 0.0), "0.00");
     assert_eq!((trip_ms(0.001_3).as_str(), trip_ms(0.000_018).as_str()), ("1.30", "0.018"));
     assert_eq!(interval_ms(0.005_66, 0.006_93), "5.66 – 6.93");
+}
+
+#[test]
+fn digits_follow_the_bound_and_negative_ends_are_parted_by_a_word() {
+    assert_eq!(offset_ms(0.250, 0.125), "+250");
+    assert_eq!(interval_ms(0.250, 0.290), "250 – 290");
+    assert_eq!(interval_ms(-1.201_538, -1.201_350), "\u{2212}1,201.538 to \u{2212}1,201.350");
+    assert_eq!(interval_ms(-0.000_2, 0.25), "0 – 250");
+    assert_eq!(within_ms(0.000_043_2, (0.000_039, 0.000_048)), "0.043");
+    assert_eq!(within_ms(0.000_061_2, (0.000_061_2, 0.000_061_2)), "0.061");
+    assert_eq!(within_ms(0.041_2, (0.021, 0.061)), "41");
+    assert_eq!(shift_ms(-0.000_006, 0.000_004), "\u{2212}0.006 to +0.004");
+    assert_eq!(ends_ms(0.000_039, 0.000_048), ["0.039", "0.048"]);
 }
 
 #[test]

@@ -28,13 +28,26 @@ impl Incidents {
 
     /// Logs and reports an incident; `text` is one sentence for people.
     pub(crate) fn report(&self, kind: IncidentKind, what: Concerning<'_>, text: String) {
-        let pipeline = what.pipeline.map_or("-", Slug::as_str);
         match kind {
             IncidentKind::Connected | IncidentKind::ModelLoaded | IncidentKind::Control => {
-                tracing::info!(%kind, pipeline, "{text}");
+                self.note(kind, what, text);
             }
-            _ => tracing::warn!(%kind, pipeline, "{text}"),
+            _ => {
+                let pipeline = what.pipeline.map_or("-", Slug::as_str);
+                tracing::warn!(%kind, pipeline, "{text}");
+                self.tell(kind, what, text);
+            }
         }
+    }
+
+    /// As [`report`](Self::report), of something that calls for nothing, whatever its kind.
+    pub(crate) fn note(&self, kind: IncidentKind, what: Concerning<'_>, text: String) {
+        let pipeline = what.pipeline.map_or("-", Slug::as_str);
+        tracing::info!(%kind, pipeline, "{text}");
+        self.tell(kind, what, text);
+    }
+
+    fn tell(&self, kind: IncidentKind, what: Concerning<'_>, text: String) {
         let incident = Incident {
             at: self.clock.wall(),
             kind,

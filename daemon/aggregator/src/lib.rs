@@ -25,7 +25,7 @@ pub use picture::{
 };
 pub use store::Store;
 pub use store::types::{
-    Blame, ClockSeries, GapRow, Histogram, HostRow, IncidentRow, IterationDetail, IterationFilter,
-    IterationRow, Judgement, LinkRow, Recomputed, RecomputedStage, RunDetail, RunFilter, RunSummary, Series,
-    SeriesPoint, StageSeries, StageStatistics,
+    BOTH_WAYS, Blame, ClockSeries, DelayRow, GapRow, Histogram, HostRow, IncidentRow, IterationDetail,
+    IterationFilter, IterationRow, Judgement, LinkRow, Recomputed, RecomputedStage, RunDetail, RunFilter,
+    RunSummary, Series, SeriesPoint, StageSeries, StageStatistics,
 };

@@ -33,7 +33,7 @@ pub struct RehearsedStep {
 /// In words: `offset +1000 ms, drift -50 ppm, step +3000 ms after 20 s`.
 impl fmt::Display for RehearsalDescription {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let millis = |span: Span| span.nanos() as f64 * 1e-6;
+        let millis = |span: Span| span.nanos() as f64 / 1e6;
         write!(f, "offset {:+} ms", millis(self.offset))?;
         if self.drift_ppm != 0.0 {
             write!(f, ", drift {:+} ppm", self.drift_ppm)?;
@@ -269,5 +269,23 @@ mod tests {
         rehearsal.drift_ppm = 50.5;
         rehearsal.steps.push(RehearsedStep { at: Span::from_millis(1500), by: Span::from_seconds(3) });
         assert_eq!(rehearsal.to_string(), "offset -500 ms, drift +50.5 ppm, step +3000 ms after 1.5 s");
+    }
+
+    #[test]
+    fn the_words_are_the_figures_that_were_written() {
+        let step = |at, by| RehearsedStep { at: Span::from_seconds(at), by: Span::from_micros(by) };
+        let rehearsal = RehearsalDescription {
+            offset: Span::from_micros(-123_300),
+            drift_ppm: 0.1,
+            steps: (1..2000).map(|at| step(at, at * 100)).collect(),
+            since: WallTime::from_unix_nanos(0),
+        };
+        let text = rehearsal.to_string();
+        let longest = text.split([' ', ',']).map(str::len).max();
+        assert!(longest.is_some_and(|longest| longest <= "+199.9".len()), "{text}");
+        assert!(
+            text.ends_with("step +6 ms after 60 s, step +6.1 ms after 61 s")
+                || text.contains("+6 ms after 60 s,")
+        );
     }
 }

@@ -92,7 +92,8 @@ impl Span {
 
     /// Seconds, the unit in which durations are stored and served.
     pub fn seconds(self) -> f64 {
-        self.0 as f64 * 1e-9
+        // Divided: 1e-9 is no binary fraction, and the product would print as 60.00000000000001.
+        self.0 as f64 / 1e9
     }
 
     /// The same span as the standard library's unsigned duration; negative spans become zero.

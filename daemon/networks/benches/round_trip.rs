@@ -182,6 +182,7 @@ async fn serve_session(plan: Plan, tell: std::sync::mpsc::SyncSender<Address>) -
                     facts: Vec::new(),
                     host_clock: PeerClock::default(),
                     probes: None,
+                    instance: 1,
                 };
                 open.accept(accepted);
             }

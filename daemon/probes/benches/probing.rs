@@ -68,7 +68,14 @@ fn start_reflector(stamps: Stamps, key: Option<Key>) -> (SocketAddr, Cancellatio
     let thread = thread::spawn(move || {
         runtime().block_on(async {
             let listen = SocketAddr::from(([127, 0, 0, 1], 0));
-            let config = ReflectorConfig { listen, key, max_per_source_hz: 100_000, stamps, stateful: true };
+            let config = ReflectorConfig {
+                listen,
+                key,
+                instance: 1,
+                max_per_source_hz: 100_000,
+                stamps,
+                stateful: true,
+            };
             let reflector = Reflector::bind(config, clock("cloud")).expect("a free port");
             tell.send(reflector.address()).expect("it is waited for");
             let begun = busy();
@@ -87,7 +94,14 @@ fn probe(target: SocketAddr, stamps: Stamps, key: Option<&Key>) -> Probed {
         let probers: Vec<_> = (0..LINKS)
             .map(|_| {
                 let timeout = Duration::from_secs(1);
-                let config = ProberConfig { target, key: key.cloned(), padding_bytes: 0, stamps, timeout };
+                let config = ProberConfig {
+                    target,
+                    key: key.cloned(),
+                    instance: Some(1),
+                    padding_bytes: 0,
+                    stamps,
+                    timeout,
+                };
                 let prober = Prober::open(config, clock("edge")).expect("a socket");
                 tokio::spawn(prober.run(rate_hz.clone(), tell.clone(), stop.clone()))
             })
@@ -106,6 +120,7 @@ fn probe(target: SocketAddr, stamps: Stamps, key: Option<&Key>) -> Probed {
                     ProbeResult::Refined(_) => probed.refined += 1,
                     ProbeResult::Lost => probed.lost += 1,
                     ProbeResult::Sent => {}
+                    ProbeResult::Stepped(_) => panic!("the clock was set"),
                     ProbeResult::Refused(why) => panic!("refused: {why}"),
                 }
             }

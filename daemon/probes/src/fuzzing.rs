@@ -8,7 +8,7 @@ use crate::Refusal;
 use crate::stamp::auth::Key;
 use crate::stamp::packet::{self, Mode, Reply};
 use crate::stamp::reflector::{Arrival, Reflecting};
-use crate::stamp::sender::{Return, Sending};
+use crate::stamp::sender::{Return, Sending, SendingConfig};
 use crate::stamp::timestamp::Format;
 use crate::stamp::tlv;
 
@@ -36,7 +36,7 @@ pub fn any_packet(data: &[u8]) {
 fn at_a_reflector(how: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock) {
     let mut packet = bytes.to_vec();
     authenticate(how, key, &mut packet);
-    let mut reflector = Reflecting::new(key.cloned(), 10, how & STATEFUL != 0);
+    let mut reflector = Reflecting::new(key.cloned(), 1, 10, how & STATEFUL != 0);
     let source = SocketAddr::from(([10, 0, 0, 1], 40_000));
     // Twice: the second finds a session.
     for _ in 0..2 {
@@ -55,7 +55,14 @@ fn at_a_reflector(how: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock)
 
 fn at_a_sender(how: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock) {
     let mode = Mode::of(key);
-    let mut sender = Sending::new(key.cloned(), 5, u32::MAX, 0, Span::from_seconds(1));
+    let mut sender = Sending::new(SendingConfig {
+        key: key.cloned(),
+        instance: None,
+        ssid: 5,
+        first: u32::MAX,
+        padding_bytes: 0,
+        timeout: Span::from_seconds(1),
+    });
     let mut packet = bytes.to_vec();
     for turn in 0..2 {
         let (departure, _) = sender.request(clock);
@@ -76,7 +83,8 @@ fn at_a_sender(how: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock) {
         clock.advance(Span::from_millis(3));
         let returned = Return { kernel: None, read: clock.stamp(), epoch: 0 };
         if let Ok(heard) = sender.receive(&packet, &returned) {
-            assert_eq!(heard.answered.exchange.returned, returned.read.wall);
+            let answered = heard.answered.expect("no step");
+            assert_eq!(answered.exchange.returned, returned.read.wall);
             assert!(heard.refined.is_none() || turn == 1, "nothing came before the first");
             assert!(sender.receive(&packet, &returned).is_err(), "an answer counts once");
         }

@@ -5,6 +5,7 @@
 //! [`Exchange`](peernet_clock::Exchange). Both work with other implementations of STAMP and of TWAMP-light. The
 //! protocol is in [`stamp`], without any I/O; sockets and timers are apart.
 
+mod complaints;
 #[doc(hidden)]
 pub mod fuzzing;
 mod prober;

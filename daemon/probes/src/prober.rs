@@ -11,7 +11,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::schedule::Schedule;
 use crate::socket::{ProbeSocket, Received, Token};
-use crate::stamp::sender::{Return, Sending};
+use crate::stamp::sender::{Return, Sending, SendingConfig};
 use crate::{Key, Stamps};
 
 /// Room for a reply beside its padding.
@@ -33,6 +33,10 @@ pub struct ProberConfig {
     pub target: SocketAddr,
     /// The key shared with it; without one, probes are not authenticated.
     pub key: Option<Key>,
+    /// The process that must answer, by the number of its [`ReflectorConfig::instance`](crate::ReflectorConfig): the
+    /// one that serves the data, whose clock is to be known. Anybody is believed at `None`, other implementations
+    /// included.
+    pub instance: Option<u64>,
     /// Bytes of padding (the value of an Extra Padding TLV, RFC 8972, section 4.1); none at 0.
     pub padding_bytes: u16,
     /// Where packet stamps are made.
@@ -48,6 +52,9 @@ pub enum ProbeResult {
     Sent,
     /// Its answer is there.
     Answered(Witnessed),
+    /// It was answered, but this host's clock was set while it was under way: nothing follows from its stamps. The
+    /// clock's epoch since.
+    Stepped(u32),
     /// An exchange that was reported as answered, with a better stamp of the reply's departure.
     Refined(Witnessed),
     /// No answer within the timeout.
@@ -94,13 +101,35 @@ impl Prober {
             .map_err(|error| OpenError::Socket { target, error })?;
         // Zero is what a reflector leaves that does not know of identifiers.
         let ssid = rand::random_range(1..=u16::MAX);
-        let logic = Sending::new(config.key.clone(), ssid, 0, config.padding_bytes, config.timeout.into());
+        let logic = Sending::new(SendingConfig {
+            key: config.key.clone(),
+            instance: config.instance,
+            ssid,
+            first: 0,
+            padding_bytes: config.padding_bytes,
+            timeout: config.timeout.into(),
+        });
         Ok(Self { config, clock, socket, logic, departing: VecDeque::new() })
     }
 
     /// Where packet stamps are made: `kernel, send and receive`, `kernel, receive only`, or `program`.
     pub fn stamps_in_words(&self) -> String {
         self.socket.stamps_in_words().to_owned()
+    }
+
+    /// Finds out whether the kernel stamps by the clock that the program reads; if not, its stamps are not used. So
+    /// does [`run`](Self::run); whoever asks before knows what [`stamps_in_words`](Self::stamps_in_words) will be.
+    pub async fn check_stamps(&mut self) {
+        self.socket.check().await;
+        if self.socket.is_distrusted() {
+            self.distrust_kernel();
+        }
+    }
+
+    fn distrust_kernel(&mut self) {
+        self.socket.distrust();
+        self.logic.distrust_kernel();
+        self.config.stamps = Stamps::Program;
     }
 
     /// Sends `rate_hz` probes per second, none at 0, until stopped or until nobody listens; a new rate holds at once.
@@ -111,6 +140,7 @@ impl Prober {
         results: mpsc::Sender<ProbeResult>,
         stop: CancellationToken,
     ) {
+        self.check_stamps().await;
         let mut schedule = Schedule::new(*rate_hz.borrow_and_update(), self.clock.mono());
         let mut buffer = vec![0; MAX_REPLY + usize::from(self.config.padding_bytes)];
         let mut rate_is_fixed = false;
@@ -209,10 +239,15 @@ impl Prober {
         }
         let returned = Return { kernel: received.kernel, read, epoch: self.clock.epoch() };
         news.lost(self.logic.expire(read.mono));
-        match self.logic.receive(packet, &returned) {
+        let heard = self.logic.receive(packet, &returned);
+        if self.logic.distrusts_kernel() && !self.socket.is_distrusted() {
+            self.distrust_kernel();
+        }
+        match heard {
             Ok(heard) => {
                 news.0.extend(heard.refined.map(ProbeResult::Refined));
-                news.push(ProbeResult::Answered(heard.answered));
+                let stepped = ProbeResult::Stepped(returned.epoch);
+                news.push(heard.answered.map_or(stepped, ProbeResult::Answered));
             }
             Err(why) => news.push(ProbeResult::Refused(why)),
         }

@@ -8,8 +8,10 @@ use std::time::Duration;
 use peernet_clock::{SharedClock, WallTime};
 use tokio_util::sync::CancellationToken;
 
+use crate::complaints::Complaints;
 use crate::socket::{ProbeSocket, Received, Token};
 use crate::stamp::reflector::{Arrival, Reflecting, SessionId};
+use crate::stamp::uncertainty::AGREEMENT;
 use crate::{Key, ReflectorFigures, Refusal, Stamps};
 
 /// The largest packet that UDP carries.
@@ -28,6 +30,8 @@ pub struct ReflectorConfig {
     pub listen: SocketAddr,
     /// With a key, only requests that it authenticates are answered; without, only unauthenticated ones.
     pub key: Option<Key>,
+    /// A number that this process chose at random: answers tell it, so that a prober knows whose clock they are of.
+    pub instance: u64,
     /// Most answers per second to one source: an IPv4 address, or an IPv6 network of 64 bits.
     pub max_per_source_hz: u32,
     /// Where packet stamps are made.
@@ -76,6 +80,7 @@ pub struct Reflector {
     figures: ReflectorFigures,
     /// Replies whose stamp of departure may still come.
     departing: VecDeque<(Token, SessionId, u32)>,
+    complaints: Complaints,
 }
 
 impl Reflector {
@@ -96,7 +101,8 @@ impl Reflector {
         })?;
         Ok(Self {
             socket,
-            logic: Reflecting::new(config.key, config.max_per_source_hz, config.stateful),
+            complaints: Complaints::new(config.key.is_some()),
+            logic: Reflecting::new(config.key, config.instance, config.max_per_source_hz, config.stateful),
             clock,
             figures: ReflectorFigures::default(),
             departing: VecDeque::new(),
@@ -123,6 +129,7 @@ impl Reflector {
     /// # Errors
     /// Only when the socket is lost.
     pub async fn run(mut self, stop: CancellationToken) -> Result<(), String> {
+        self.socket.check().await;
         let mut buffer = vec![0; MAX_PACKET];
         let mut failures = 0;
         loop {
@@ -141,7 +148,10 @@ impl Reflector {
                     Ok(received) => {
                         match self.answer(&mut buffer[..received.bytes], &received).await {
                             Ok(()) => self.figures.count_answered(),
-                            Err(why) => self.figures.count_refused(why),
+                            Err(why) => {
+                                self.figures.count_refused(why);
+                                self.complain(why, received.source);
+                            }
                         }
                         None
                     }
@@ -162,13 +172,22 @@ impl Reflector {
         }
     }
 
+    fn complain(&mut self, why: Refusal, source: SocketAddr) {
+        if let Some(advice) = self.complaints.due(why, self.clock.mono()) {
+            let (why, listen) = (why.in_words(), self.address());
+            tracing::warn!(%source, %listen, "a probe was refused: {why}; {advice} (told once a minute at most)");
+        }
+    }
+
     async fn answer(&mut self, packet: &mut [u8], received: &Received) -> Result<(), Refusal> {
         let read = self.clock.stamp();
-        let arrival = Arrival {
-            source: received.source,
-            received: received.kernel.unwrap_or(read.wall),
-            now: read.mono,
-        };
+        let kernel = received.kernel.filter(|stamp| *stamp <= read.wall + AGREEMENT);
+        if kernel.is_none() && received.kernel.is_some() {
+            // Of another clock, or the clock was set back in between.
+            self.socket.check().await;
+        }
+        let arrival =
+            Arrival { source: received.source, received: kernel.unwrap_or(read.wall), now: read.mono };
         let answer = self.logic.prepare(packet, &arrival)?;
         let from = (!received.local.ip().is_unspecified()).then_some(received.local);
         let stamp = self.logic.complete(&answer, packet, &*self.clock);

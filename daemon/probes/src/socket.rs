@@ -4,6 +4,7 @@ use std::fmt;
 use std::future::{pending, poll_fn};
 use std::io;
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::sync::Once;
 use std::task::Poll;
 use std::time::Duration;
 
@@ -11,6 +12,14 @@ use peernet_clock::{SharedClock, WallTime};
 use timestamped_socket::socket::{
     GeneralTimestampMode, Open, SendTimestampToken, Socket, Timestamp, TimestampData, open_ip,
 };
+
+use crate::stamp::uncertainty::AGREEMENT;
+
+/// Longest wait for a packet to oneself.
+const LOOPBACK_PATIENCE: Duration = Duration::from_millis(200);
+
+/// Packets to oneself during which the clock may be set before it is given up to ask.
+const LOOPBACK_TRIES: u32 = 3;
 
 /// Where the stamps of packets are made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -40,6 +49,8 @@ pub(crate) struct ProbeSocket {
     inner: Socket<SocketAddr, Open>,
     mode: GeneralTimestampMode,
     clock: SharedClock,
+    /// The kernel's stamps are of another clock than the program's: they are dropped.
+    distrusted: bool,
 }
 
 impl fmt::Debug for ProbeSocket {
@@ -66,7 +77,7 @@ impl ProbeSocket {
         };
         for &mode in modes {
             match open_ip(address, mode, false) {
-                Ok(inner) => return Ok(Self { inner, mode, clock }),
+                Ok(inner) => return Ok(Self { inner, mode, clock, distrusted: false }),
                 // No such option, or not all of it: as in some sandboxes and old kernels.
                 Err(error) if is_no_option(&error) => {
                     tracing::debug!(%address, ?mode, %error, "the kernel does not stamp packets in this way");
@@ -75,7 +86,7 @@ impl ProbeSocket {
             }
         }
         let mode = GeneralTimestampMode::None;
-        Ok(Self { inner: open_ip(address, mode, false)?, mode, clock })
+        Ok(Self { inner: open_ip(address, mode, false)?, mode, clock, distrusted: false })
     }
 
     /// For sending to `target`: of its family, on any address and port, so that it follows changes of the route.
@@ -93,6 +104,7 @@ impl ProbeSocket {
 
     pub(crate) fn stamps_in_words(&self) -> &'static str {
         match self.mode {
+            _ if self.distrusted => "program",
             GeneralTimestampMode::SoftwareAll => "kernel, send and receive",
             GeneralTimestampMode::SoftwareRecv => "kernel, receive only",
             GeneralTimestampMode::None => "program",
@@ -102,6 +114,43 @@ impl ProbeSocket {
     /// Whether the kernel stamps departures.
     pub(crate) fn stamps_departures(&self) -> bool {
         self.mode == GeneralTimestampMode::SoftwareAll
+    }
+
+    /// Finds out by a packet to this machine itself whether the kernel stamps by the clock that the program reads:
+    /// `libfaketime`, say, shows its time to the program alone. If not, only the program's stamps count from now on.
+    pub(crate) async fn check(&mut self) {
+        if self.mode == GeneralTimestampMode::None || self.distrusted {
+            return;
+        }
+        for _ in 0..LOOPBACK_TRIES {
+            let asked = tokio::time::timeout(LOOPBACK_PATIENCE, is_one_clock(&self.clock)).await;
+            match asked.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into())) {
+                Ok(Some(true)) => return,
+                Ok(Some(false)) => return self.distrust(),
+                Ok(None) => {}
+                Err(error) => {
+                    tracing::debug!(%error, "the kernel's stamps could not be compared with the clock");
+                    return;
+                }
+            }
+        }
+    }
+
+    /// Whether the kernel's stamps are dropped.
+    pub(crate) const fn is_distrusted(&self) -> bool {
+        self.distrusted
+    }
+
+    /// From now on only the program's stamps count.
+    pub(crate) fn distrust(&mut self) {
+        static TOLD: Once = Once::new();
+        TOLD.call_once(|| {
+            tracing::warn!(
+                "the kernel stamps packets by another clock than this program reads, as under libfaketime: its stamps \
+                 are not used; say so with timestamps = \"user\" in [clock]"
+            );
+        });
+        self.distrusted = true;
     }
 
     /// The next packet. May be dropped while it waits.
@@ -151,10 +200,30 @@ impl ProbeSocket {
     }
 
     fn adopted(&self, stamps: TimestampData) -> Option<WallTime> {
-        let Timestamp { seconds, nanos } = stamps.selected_timestamp()?;
-        let system = seconds.saturating_mul(1_000_000_000).saturating_add(i64::from(nanos));
-        Some(self.clock.adopt(WallTime::from_unix_nanos(system)))
+        if self.distrusted { None } else { adopted(&self.clock, stamps) }
     }
+}
+
+fn adopted(clock: &SharedClock, stamps: TimestampData) -> Option<WallTime> {
+    let Timestamp { seconds, nanos } = stamps.selected_timestamp()?;
+    let system = seconds.saturating_mul(1_000_000_000).saturating_add(i64::from(nanos));
+    Some(clock.adopt(WallTime::from_unix_nanos(system)))
+}
+
+/// Whether the kernel's stamp of a packet lies between two looks at the clock, one before it was sent and one after it
+/// was received. `None` if the clock was set meanwhile, or there is no stamp.
+async fn is_one_clock(clock: &SharedClock) -> io::Result<Option<bool>> {
+    let any = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
+    let socket = open_ip(any, GeneralTimestampMode::SoftwareRecv, false)?;
+    let own = socket.local_addr();
+    let epoch = clock.epoch();
+    let before = clock.wall();
+    poll_fn(|cx| socket.poll_send_to(&[0], own, cx)).await?;
+    let received = socket.recv(&mut [0; 1]).await?;
+    let after = clock.wall();
+    let stamp = adopted(clock, received.timestamp_data);
+    let steady = clock.epoch() == epoch;
+    Ok(stamp.filter(|_| steady).map(|stamp| before - AGREEMENT <= stamp && stamp <= after + AGREEMENT))
 }
 
 fn is_no_option(error: &io::Error) -> bool {

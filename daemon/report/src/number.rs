@@ -2,6 +2,10 @@
 
 /// Most decimals of a figure in milliseconds: a tenth of a microsecond.
 const MOST_DECIMALS: usize = 4;
+/// Decimals of a figure in milliseconds beside its bound.
+const LEAST_WITHIN: usize = 2;
+const MOST_WITHIN: usize = 3;
+const MINUS: char = '−';
 
 /// A number with a fixed count of decimals: a true minus sign, thousands with commas, no signed zero.
 pub fn fixed(value: f64, decimals: usize) -> String {
@@ -9,7 +13,7 @@ pub fn fixed(value: f64, decimals: usize) -> String {
     let (whole, fraction) = digits.split_once('.').map_or((digits.as_str(), None), |(w, f)| (w, Some(f)));
     let mut text = String::new();
     if value < 0.0 && digits.bytes().any(|digit| (b'1'..=b'9').contains(&digit)) {
-        text.push('−');
+        text.push(MINUS);
     }
     for (index, digit) in whole.chars().enumerate() {
         if index > 0 && (whole.len() - index).is_multiple_of(3) {
@@ -38,14 +42,56 @@ pub fn milliseconds(seconds: f64) -> String {
 /// Seconds with their margin, as milliseconds: `0.0612 ± 0.0042`, to the margin's second digit.
 pub fn milliseconds_with(seconds: f64, margin: Option<f64>) -> String {
     let Some(margin) = margin.filter(|margin| margin.is_finite()) else { return milliseconds(seconds) };
-    let decimals = decimals(margin * 1e3, 2).min(MOST_DECIMALS);
+    let decimals = match margin {
+        0.0 => decimals(seconds * 1e3, 3),
+        margin => decimals(margin * 1e3, 2),
+    };
+    let decimals = decimals.min(MOST_DECIMALS);
     format!("{} ± {}", fixed(seconds * 1e3, decimals), fixed(margin * 1e3, decimals))
 }
 
-/// An interval of seconds, as milliseconds: `0.012 – 0.123`, to the second digit of its half width.
+/// An interval of seconds, as milliseconds: `0.012 – 0.123`, to the second digit of its half width. One figure where
+/// the ends are the same.
 pub fn milliseconds_between((lo, hi): (f64, f64)) -> String {
+    if lo == hi {
+        return milliseconds(lo);
+    }
     let decimals = decimals((hi - lo) / 2.0 * 1e3, 2).min(MOST_DECIMALS);
-    format!("{} – {}", fixed(lo * 1e3, decimals), fixed(hi * 1e3, decimals))
+    between(fixed(lo * 1e3, decimals), &fixed(hi * 1e3, decimals))
+}
+
+/// Two ends; a dash next to a minus sign would be hard to read.
+fn between(lo: String, hi: &str) -> String {
+    match (lo == hi, lo.starts_with(MINUS) || hi.starts_with(MINUS)) {
+        (true, _) => lo,
+        (false, true) => format!("{lo} to {hi}"),
+        (false, false) => format!("{lo} – {hi}"),
+    }
+}
+
+/// The decimals of figures in milliseconds of which is known how far they can be off, as on the dashboard: two, or
+/// three where the half width has its second digit there. All figures of a stage have as many, so that they compare.
+pub fn decimals_within(half_width: Option<f64>) -> usize {
+    match half_width {
+        None => LEAST_WITHIN,
+        // Exact: as fine as it is measured.
+        Some(0.0) => MOST_WITHIN,
+        Some(half_width) => decimals(half_width * 1e3, 2).clamp(LEAST_WITHIN, MOST_WITHIN),
+    }
+}
+
+/// How far a delay can be off, as milliseconds: `±0.65`, `±0.006`; `exact` where it cannot.
+pub fn bound_milliseconds(half_width: f64) -> String {
+    if half_width == 0.0 {
+        return "exact".to_owned();
+    }
+    let decimals = decimals(half_width * 1e3, 2).min(MOST_WITHIN);
+    let text = fixed(half_width * 1e3, decimals);
+    if text.bytes().any(|digit| (b'1'..=b'9').contains(&digit)) {
+        format!("±{text}")
+    } else {
+        "±<0.001".to_owned()
+    }
 }
 
 /// Bits per second as megabytes per second, three significant digits, without the unit.
@@ -57,8 +103,11 @@ pub fn megabytes_per_second(bits_per_second: f64) -> String {
 pub fn megabytes_per_second_between((lo, hi): (f64, Option<f64>)) -> String {
     match hi {
         Some(hi) => {
+            if lo == hi {
+                return megabytes_per_second(lo);
+            }
             let decimals = decimals((hi - lo) / 2.0 / 8e6, 2).min(1);
-            format!("{} – {}", fixed(lo / 8e6, decimals), fixed(hi / 8e6, decimals))
+            between(fixed(lo / 8e6, decimals), &fixed(hi / 8e6, decimals))
         }
         None => format!("≥ {}", megabytes_per_second(lo)),
     }
@@ -112,9 +161,26 @@ mod tests {
         );
         assert_eq!(megabytes_per_second_between((8e6 * 930.3, Some(8e6 * 957.1))), "930 – 957");
         assert_eq!(megabytes_per_second_between((8e6, None)), "≥ 1.00");
+        assert_eq!(milliseconds_between((-1.201_538, -1.201_350)), "−1,201.538 to −1,201.350");
         assert_eq!(
             [100.0, 1_000.0, 1.2e6, 4e6, 26_207.0].map(bytes),
             ["100 B", "1 kB", "1.2 MB", "4 MB", "26.2 kB"]
         );
+    }
+
+    #[test]
+    fn what_has_no_width_keeps_its_own_digits() {
+        assert_eq!([30.2e-6, 61.2e-6].map(|ms| milliseconds_between((ms, ms))), ["0.0302", "0.0612"]);
+        assert_eq!(milliseconds_between((30.21e-6, 30.24e-6)), "0.0302");
+        assert_eq!(megabytes_per_second_between((8e6 * 3752.4, Some(8e6 * 3752.4))), "3,752");
+        assert_eq!(milliseconds_with(6.31e-3, Some(0.0)), "6.31 ± 0.00");
+    }
+
+    #[test]
+    fn figures_within_a_bound_have_the_digits_of_the_dashboard() {
+        let decimals = [None, Some(0.0), Some(60e-6), Some(0.65e-3), Some(15e-3)].map(decimals_within);
+        assert_eq!(decimals, [2, 3, 3, 2, 2]);
+        let bounds = [0.0, 0.1e-6, 6e-6, 60e-6, 0.65e-3, 15e-3].map(bound_milliseconds);
+        assert_eq!(bounds, ["exact", "±<0.001", "±0.006", "±0.060", "±0.65", "±15"]);
     }
 }

@@ -65,6 +65,14 @@ impl<C: Merge + Default> Windows<C> {
         cell
     }
 
+    /// Forgets a second and all later ones: a clock that was set back will show them again.
+    pub fn forget_from(&mut self, second: i64) {
+        for slot in &mut self.cells {
+            slot.take_if(|(held, _)| *held >= second);
+        }
+        self.newest = self.cells.iter().flatten().map(|(held, _)| *held).max();
+    }
+
     /// What is known of a second.
     pub fn get(&self, second: i64) -> Option<&C> {
         let slot = self.cells[second.rem_euclid(self.cells.len() as i64) as usize].as_ref();
@@ -154,5 +162,19 @@ mod tests {
             assert_eq!(windows.get(second), Some(&Count(1)));
             assert!(windows.last(second, 4).0 <= 1);
         }
+    }
+
+    #[test]
+    fn a_second_and_what_came_after_it_can_be_forgotten() {
+        let mut windows = Windows::<Count>::new(10);
+        for second in 95..=104 {
+            windows.record(second, |cell| cell.0 += 1);
+        }
+        windows.forget_from(100);
+        assert_eq!((windows.newest(), windows.last(104, 10)), (Some(99), Count(5)));
+        windows.record(100, |cell| cell.0 += 1);
+        assert_eq!((windows.newest(), windows.last(100, 10)), (Some(100), Count(6)));
+        windows.forget_from(0);
+        assert_eq!(windows.newest(), None);
     }
 }

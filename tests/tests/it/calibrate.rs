@@ -1,7 +1,9 @@
 //! `peernet calibrate` against a host whose clock is a second ahead, and `peernet recompute` of a stored run.
 
-use peernet_tests::{Ended, Process, Site, program};
-use rustix::process::Signal;
+use std::process::{Command, Stdio};
+
+use peernet_tests::{Api, Ended, Process, Site, program, until};
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
 /// Another clock than that of `peernet`: a second ahead, under a name of its own.
@@ -30,12 +32,25 @@ name = "edge"
 state_dir = "{folder}/edge"
 aggregator = "tcp://127.0.0.1:{events}"
 
+[rehearsal]
+offset_ms = -500
+
 [[pipeline]]
 name = "offload"
 sensor = { kind = "synthetic", size_bytes = 1000 }
 placement = { kind = "remote", peer = "tcp://127.0.0.1:{data}", model = "echo" }
 load = { mode = "rate", hz = 50.0 }
 limit = { iterations = 100 }
+"#;
+
+const AGGREGATOR: &str = r#"
+[aggregator]
+name = "aggregator"
+listen = "tcp://127.0.0.1:{events}"
+database = "{folder}/aggregator.sqlite"
+
+[web]
+listen = "127.0.0.1:{http}"
 "#;
 
 /// Files of a calibration.
@@ -74,6 +89,15 @@ impl Plant {
 
     fn calibrate(&self, arguments: &[&str]) -> Ended {
         self.peernet(&[&["calibrate", &self.peer, "--result-loc", "results"], arguments].concat()).ended()
+    }
+
+    /// A sweep that goes on until something ends it.
+    fn endless(&self) -> Process {
+        let endless = ["--sizes", "100,1kB,10kB", "--repeats", "1000000", "--seconds", "600"];
+        let running =
+            self.peernet(&[&["calibrate", &self.peer, "--result-loc", "results"], &endless[..]].concat());
+        running.wait_for("s left");
+        running
     }
 
     fn results(&self) -> Value {
@@ -136,11 +160,12 @@ fn a_link_is_calibrated_whatever_the_clocks_show() {
     assert!(again.log.contains("--overwrite"), "{}", again.log);
 }
 
-/// Of every iteration, warm-up included: raw less the rehearsed second is the truth.
+/// Of every iteration that was answered, warm-up included: raw less the rehearsed second is the truth.
 fn every_delay_lies_within_its_bounds(samples: &str) {
     let mut rows = samples.lines().map(|line| line.split(',').collect::<Vec<_>>());
     let header = rows.next().expect("there is a header");
-    for row in rows {
+    let outcome = header.iter().position(|column| *column == "outcome").expect("the column is there");
+    for row in rows.filter(|row| row[outcome] == "ok") {
         let cell = |name: String| {
             let at = header.iter().position(|column| *column == name).expect("the column is there");
             row[at].parse::<f64>().unwrap_or_else(|error| panic!("{name}: {error} in {row:?}"))
@@ -178,6 +203,9 @@ fn who_cannot_be_calibrated_is_told_why() {
     assert!(nobody.log.contains(&plant.peer), "{}", nobody.log);
     let few = plant.calibrate(&["--sizes", "100,1kB"]);
     assert_eq!(few.code(), 64, "{}", few.log);
+    let none = plant.calibrate(&["--repeats", "0"]);
+    assert_eq!(none.code(), 64, "{}", none.log);
+    assert!(none.log.contains("at least 1"), "{}", none.log);
 
     let closed = CLOUD.replace("[serve]", "[serve]\ncalibration = false");
     let _cloud = plant.start("closed.toml", &closed);
@@ -193,6 +221,124 @@ fn who_cannot_be_calibrated_is_told_why() {
 }
 
 #[test]
+fn the_port_of_something_else_is_told_from_a_slow_peer() {
+    let plant = Plant::new();
+    let (_aggregator, _) = plant.site.aggregator();
+    let peer = format!("tcp://127.0.0.1:{}", plant.site.events);
+    let slip = plant.peernet(&["calibrate", &peer, "--result-loc", "results"]).ended();
+    assert_eq!(slip.code(), 69, "{}", slip.log);
+    let told = format!("something listens at {peer} but does not answer like an agent's [serve]");
+    assert!(slip.log.contains(&told) && slip.log.contains("port of an aggregator"), "{}", slip.log);
+    assert!(!slip.log.contains("open_timeout_ms"), "there is nothing to set here: {}", slip.log);
+}
+
+#[test]
+fn a_size_beyond_the_peers_limit_is_refused_at_the_start() {
+    let plant = Plant::new();
+    let _cloud = plant.start("cloud.toml", CLOUD);
+    let large = plant.calibrate(&["--sizes", "1,2kB,100MB"]);
+    assert_eq!(large.code(), 69, "{}", large.log);
+    for part in ["payloads of 100 MB", "max_message_bytes", "67108864", "--sizes"] {
+        assert!(large.log.contains(part), "{part} is missing in\n{}", large.log);
+    }
+    assert!(!plant.site.folder().join("results").exists(), "there is nothing to keep");
+}
+
+#[test]
+fn on_one_clock_bounds_are_exact() {
+    let plant = Plant::new();
+    let _cloud = plant.start("cloud.toml", &CLOUD.replace("[rehearsal]\noffset_ms = 1000\n", ""));
+    let done = plant.calibrate(&["--sizes", "100,1kB,10kB", "--repeats", "20"]);
+    assert_eq!(done.code(), 0, "{}", done.log);
+    assert_eq!(plant.results()["verdict"]["kind"], "exact");
+    let exact = done.log.lines().filter(|line| line.contains(" exact")).count();
+    // Three sizes, what the clock bounds allow either way, and the verdict.
+    assert_eq!(exact, 6, "{}", done.log);
+}
+
+#[test]
+fn a_peer_that_comes_back_with_another_clock_ends_the_study() {
+    let plant = Plant::new();
+    let cloud = plant.start("cloud.toml", CLOUD);
+    let running = plant.endless();
+    cloud.kill();
+    running.wait_for("cloud is away");
+    let _other = plant.start("other.toml", &CLOUD.replace("offset_ms = 1000", "offset_ms = 300"));
+    let ended = running.ended();
+    assert_eq!(ended.code(), 69, "{}", ended.log);
+    for part in ["came back with another clock", "made wrong on purpose (offset +300 ms)"] {
+        assert!(ended.log.contains(part), "{part} is missing in\n{}", ended.log);
+    }
+    let study = plant.results();
+    assert_eq!(
+        (&study["setting"]["interrupted"], &study["setting"]["rehearsed"]),
+        (&true.into(), &true.into())
+    );
+    let why = study["setting"]["ended"].as_str().expect("it says why");
+    assert!(why.contains("another clock"), "{why}");
+    assert_eq!(study["clocks"]["steps"], 0);
+    // Nothing of the second clock is in it.
+    let offset = number(&study["clocks"]["offset"]);
+    assert!((offset - 1.0).abs() < 1e-3, "the clock of the study is 1 s ahead, not {offset} s");
+    let samples = std::fs::read_to_string(plant.site.folder().join("results/samples.csv")).expect("written");
+    every_delay_lies_within_its_bounds(&samples);
+}
+
+#[test]
+fn a_peer_that_was_away_and_comes_back_is_told() {
+    let plant = Plant::new();
+    // Another name for the system's clock: related by exchanges, and the same after a restart.
+    let same = CLOUD
+        .replace("[rehearsal]\noffset_ms = 1000\n", "")
+        .replace("[probes]", "clock_identity = \"cloud\"\n\n[probes]");
+    let cloud = plant.start("cloud.toml", &same);
+    let running = plant.endless();
+    // Stopped at first, so that a payload is lost for certain.
+    cloud.signal(Signal::STOP);
+    running.wait_for("cloud is away");
+    cloud.kill();
+    let lines = running.log().matches("s left").count();
+    let _again = plant.start("cloud.toml", &same);
+    running.wait_for_nth("s left", lines + 1);
+    running.signal(Signal::INT);
+    let ended = running.ended();
+    assert_eq!(ended.code(), 130, "{}", ended.log);
+    assert!(ended.log.contains("the peer went away once during the study and came back"), "{}", ended.log);
+    let study = plant.results();
+    assert_eq!((&study["setting"]["reconnections"], &study["clocks"]["steps"]), (&1.into(), &0.into()));
+    let lost = &study["failures"][0];
+    assert_eq!(lost["outcome"], "lost", "{study:#}");
+    assert!(lost["commonest_reason"].as_str().is_some_and(|reason| !reason.is_empty()), "{lost}");
+    assert!(ended.log.contains("payloads were not answered: "), "{}", ended.log);
+}
+
+#[test]
+fn a_reader_that_has_gone_is_no_reason_to_panic() {
+    let site = Site::new();
+    let start = |name: &str, arguments: &[&str]| {
+        let mut program = Command::new(program(name));
+        let program = program.args(arguments).current_dir(site.folder());
+        program.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("it starts")
+    };
+    site.write("aggregator.toml", AGGREGATOR);
+    let mut daemon = start("peernetd", &["run", "aggregator.toml"]);
+    drop((daemon.stdout.take(), daemon.stderr.take()));
+    let api = Api::at(site.http);
+    until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
+
+    let url = format!("http://127.0.0.1:{}", site.http);
+    let mut asked = start("peernet", &["status", "--url", &url]);
+    drop(asked.stdout.take());
+    let asked = asked.wait_with_output().expect("it ends");
+    let said = String::from_utf8_lossy(&asked.stderr);
+    assert_eq!((asked.status.code(), said.as_ref()), (Some(0), ""));
+
+    let pid = i32::try_from(daemon.id()).ok().and_then(Pid::from_raw).expect("a child has a pid");
+    kill_process(pid, Signal::TERM).expect("it runs");
+    assert_eq!(daemon.wait().expect("it ends").code(), Some(0));
+}
+
+#[test]
 fn a_stored_run_is_computed_again_and_left_as_it_was() {
     let plant = Plant::new();
     let (_aggregator, api) = plant.site.aggregator();
@@ -202,15 +348,21 @@ fn a_stored_run_is_computed_again_and_left_as_it_was() {
         let run = &list["runs"][0];
         (run["reason"] == "finished").then(|| run["number"].as_i64()).flatten()
     });
+    let url = format!("http://127.0.0.1:{}", plant.site.http);
+    let status = plant.peernet(&["status", "--url", &url]).ended();
+    assert_eq!(status.code(), 0, "{}", status.log);
+    for part in ["connected, rehearsed", "REHEARSAL: edge's clock", "offset -500 ms"] {
+        assert!(status.log.contains(part), "{part} is missing in\n{}", status.log);
+    }
     // With all that was learnt of the clocks, also after the run.
     assert_eq!(edge.stop().code(), 0);
     let before = api.json(&format!("/api/v1/runs/{run}/stages"));
 
-    let url = format!("http://127.0.0.1:{}", plant.site.http);
     let number = run.to_string();
     let shown = plant.peernet(&["recompute", &number, "--url", &url]).ended();
     assert_eq!(shown.code(), 0, "{}", shown.log);
-    for part in ["upload", "download", "before", "after", "nothing stored was changed"] {
+    let rehearsal = "wrong on purpose: cloud's (offset +1000 ms), the edge's (offset -500 ms)";
+    for part in ["upload", "download", "before", "after", "nothing stored was changed", rehearsal] {
         assert!(shown.log.contains(part), "{part} is missing in\n{}", shown.log);
     }
     let json = plant.peernet(&["recompute", &number, "--url", &url, "--json"]).ended();

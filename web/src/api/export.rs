@@ -8,16 +8,19 @@ use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use futures::stream;
 use peernet_aggregator::{IterationFilter, IterationRow};
-use peernet_logger::stage;
+use peernet_logger::{Name, stage};
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 
 use super::parameters::{Parameters, path};
 use super::run::no_run;
-use super::schema::time;
+use super::schema::{StageDelay, time};
 use crate::error::{ProblemDetails, WebError};
 use crate::state::App;
 
+/// The stages that cross hosts, and what stands beside each: seconds and words.
+const DIRECTIONS: [Name; 2] = [stage::UPLOAD, stage::DOWNLOAD];
+const DELAY: [&str; 5] = ["lo", "hi", "verdict", "source", "raw"];
 /// Iterations read and sent at a time.
 const CHUNK: u32 = 1_000;
 
@@ -39,7 +42,9 @@ pub(crate) struct Query {
     format: Format,
 }
 
-/// All iterations of a run as a table: one row each, one column per stage, in seconds.
+/// All iterations of a run as a table: one row each, one column per stage, in seconds. Of `upload` and `download` the
+/// ends of the interval, the verdict, what it rests on and the raw difference of the stamps stand beside; `both-ways` is
+/// their sum where one of them has no value of its own.
 #[utoipa::path(get, path = "/api/v1/runs/{run}/export", operation_id = "exportRun", tag = "runs", params(("run" = i64, Path), Query), responses(
     (status = 200, body = String, content_type = "text/csv"),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
@@ -77,7 +82,11 @@ fn lines(rows: &[IterationRow], first: bool) -> Result<Vec<u8>, csv::Error> {
     let mut writer = csv::WriterBuilder::new().from_writer(Vec::new());
     if first {
         let begin = ["iteration", "episode", "step", "warm-up", "outcome", "reason", "started", "total"];
-        writer.write_record(begin.into_iter().chain(stage::ORDER.iter().map(|name| name.as_str())))?;
+        let stages = stage::ORDER.into_iter().map(|name| name.to_string());
+        let delays = DIRECTIONS.into_iter().flat_map(|way| DELAY.map(|what| format!("{way}-{what}")));
+        let end = ["both-ways", "unattributed"].map(str::to_owned);
+        let begin = begin.into_iter().map(str::to_owned);
+        writer.write_record(begin.chain(stages).chain(delays).chain(end))?;
     }
     for row in rows {
         let number = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
@@ -95,6 +104,19 @@ fn lines(rows: &[IterationRow], first: bool) -> Result<Vec<u8>, csv::Error> {
             row.stages.iter().find(|(known, _)| known == name).map(|(_, value)| *value)
         };
         record.extend(stage::ORDER.iter().map(|name| number(stage(name))));
+        for way in DIRECTIONS {
+            let delay = StageDelay::of(row, &way);
+            let word =
+                |of: fn(StageDelay) -> &'static str| delay.map_or_else(String::new, |one| of(one).to_owned());
+            record.extend([
+                number(delay.and_then(|one| one.lo_s)),
+                number(delay.and_then(|one| one.hi_s)),
+                word(|one| one.verdict),
+                word(|one| one.source),
+                number(delay.map(|one| one.raw_s)),
+            ]);
+        }
+        record.extend([number(row.both_ways), number(row.unattributed)]);
         writer.write_record(&record)?;
     }
     writer.into_inner().map_err(|error| csv::Error::from(error.into_error()))

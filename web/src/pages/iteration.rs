@@ -3,7 +3,7 @@
 use askama::Template;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
-use peernet_aggregator::{IterationDetail, IterationRow, RunDetail, RunSummary};
+use peernet_aggregator::{Blame, IterationDetail, IterationRow, RunDetail, RunSummary};
 
 use super::{Page, page, path};
 use crate::error::WebError;
@@ -11,10 +11,9 @@ use crate::numbers::{NONE, count, duration, times};
 use crate::state::{App, AppState};
 use crate::svg::{Axis, Lanes, Scale};
 use crate::view::bytes::{Beside, ByteRow};
-use crate::view::cause::{Cause, UnknownNetwork, figures_of};
 use crate::view::chip::Chip;
 use crate::view::shell::{Place, Shell};
-use crate::view::timeline::{Timeline, Where};
+use crate::view::timeline::Timeline;
 use crate::view::waterfall::{DelayRow, Row, delays, footnote, journey, rows};
 use crate::view::{link, place, rehearsal};
 
@@ -65,7 +64,7 @@ pub(crate) async fn show(State(app): State<App>, numbers: Result<Path<(i64, u64)
 }
 
 /// The page's sentence: how long, how unusual, because of what.
-fn title(row: &IterationRow, cause: Option<&Cause>) -> String {
+fn title(row: &IterationRow, cause: Option<&Blame>) -> String {
     let Some(total) = row.total.filter(|_| row.outcome == "ok") else {
         let reason = row.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));
         let what = match row.outcome.as_str() {
@@ -83,10 +82,10 @@ fn title(row: &IterationRow, cause: Option<&Cause>) -> String {
     }
     // A fast iteration may have had a slow stage, too, but that is not why it was fast.
     let because = cause.filter(|_| factor > 1.0).map_or_else(String::new, |cause| {
-        let (value, median) = (duration(cause.value), duration(cause.usual));
+        let (value, median) = (duration(cause.value), duration(cause.median));
         // The unit once is enough where both have the same.
         let median = if value.unit == median.unit { median.number } else { median.to_string() };
-        format!(": {} took {value} instead of {median}", cause.name)
+        format!(": {} took {value} instead of {median}", cause.stage)
     });
     format!("{took}, {} the run's median{because}", times(factor))
 }
@@ -126,9 +125,6 @@ fn assemble(
     let (run, row) = (&stored.summary, &detail.row);
     let picture = app.picture();
     let timeline = Timeline::of(detail);
-    let sent = timeline.nodes.iter().any(|node| node.at == Where::Network);
-    let usual = UnknownNetwork::of(figures_of(&detail.run_figures), sent);
-    let cause = Cause::of(row, timeline.visit().and_then(|visit| visit.network).zip(usual));
     let scale = Scale::fit(timeline.end * 1e3, 6);
     let host = |index: usize| {
         let name = detail.hosts.get(index).and_then(Option::as_ref).map(ToString::to_string);
@@ -147,10 +143,10 @@ fn assemble(
         run: run.number,
         run_name: place::run_name(run),
         label: count(row.number),
-        title: title(row, cause.as_ref()),
+        title: title(row, row.blame.as_ref()),
         facts: facts(app, run, detail),
         warm_up: row.warm_up,
-        rehearsal: rehearsal::in_facts(&stored.facts).then_some(rehearsal::CHIP),
+        rehearsal: run.rehearsed.then_some(rehearsal::CHIP),
         link: link::of_placement(&picture, run.host_name.as_str(), &run.placement),
         previous: neighbour(detail.previous),
         next: neighbour(detail.next),
@@ -160,7 +156,7 @@ fn assemble(
         lanes: cloud
             .as_ref()
             .and_then(|cloud| Lanes::new(&timeline, journey(&timeline, &edge, cloud), &scale)),
-        rows: rows(detail, &timeline, &hosts, cause.as_ref(), &scale),
+        rows: rows(detail, &timeline, &hosts, &scale),
         note: cloud.as_ref().and_then(|cloud| footnote(&timeline, cloud)),
         delays: delays(&timeline),
         bytes: ByteRow::both(detail),
@@ -181,7 +177,7 @@ mod tests {
         let mut row = samples::iteration().row;
         row.total = Some(0.030_21);
         row.factor = Some(1.873);
-        let cause = Cause { name: "upload".into(), value: 0.020_41, usual: 0.006_28 };
+        let cause = Blame { stage: "upload".into(), value: 0.020_41, median: 0.006_28 };
         assert_eq!(
             title(&row, Some(&cause)),
             "30.2\u{202f}ms, 1.9\u{202f}× the run's median: upload took 20.4\u{202f}ms instead of 6.28"

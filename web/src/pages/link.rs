@@ -144,6 +144,7 @@ pub(crate) async fn show(
     let row = row.ok_or_else(|| no_link(&wanted))?;
     let subject = Subject::past(row);
     let course = stored(&app, &subject, query.range).await?;
+    let subject = subject.remembering(&course);
     page(&link_page(&app, &picture, &subject, &course, None, query, &incidents))
 }
 

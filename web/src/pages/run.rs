@@ -186,7 +186,7 @@ fn assemble(app: &AppState, stored: &Stored<'_>, distribution: Distribution) -> 
         number: summary.number,
         pipeline: summary.pipeline.to_string(),
         facts: facts(run, zone),
-        rehearsal: rehearsal::in_facts(&run.facts).then_some(rehearsal::CHIP),
+        rehearsal: summary.rehearsed.then_some(rehearsal::CHIP),
         notes: Note::of_delays(summary.pipeline.as_str(), "", link.as_deref(), bounds, |name| {
             stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures)
         }),

@@ -62,6 +62,16 @@ impl Ruler {
         self.hi
     }
 
+    /// The upper end as its tick names it, without a sign.
+    pub(crate) fn end_label(&self) -> String {
+        self.label(self.hi)
+    }
+
+    fn label(&self, value: f64) -> String {
+        let decimals = (-self.step.log10() - 1e-9).ceil().clamp(0.0, 9.0) as usize;
+        if value.abs() < self.step * 1e-6 { "0".to_owned() } else { fixed(value, decimals) }
+    }
+
     /// How far below the upper end a value lies, as a share of the whole; beyond an end a little outside of it.
     pub(crate) fn below(&self, value: f64) -> f64 {
         ((self.hi - value) / (self.hi - self.lo)).clamp(-0.05, 1.05)
@@ -69,13 +79,11 @@ impl Ruler {
 
     /// Positions from above and labels of the ticks.
     pub(crate) fn ticks(&self) -> Vec<(Percent, String)> {
-        let decimals = (-self.step.log10() - 1e-9).ceil().clamp(0.0, 9.0) as usize;
         let count = ((self.hi - self.lo) / self.step).round().clamp(1.0, 50.0) as u32;
         let ticks = (0..=count).map(|tick| {
             let value = self.lo + f64::from(tick) * self.step;
-            let value = if value.abs() < self.step * 1e-6 { 0.0 } else { value };
-            let text = if value == 0.0 { "0".to_owned() } else { fixed(value, decimals) };
-            let plus = if self.signed && value > 0.0 { "+" } else { "" };
+            let text = self.label(value);
+            let plus = if self.signed && value > 0.0 && text != "0" { "+" } else { "" };
             (Percent(self.below(value) * 100.0), format!("{plus}{text}"))
         });
         ticks.collect()
@@ -103,6 +111,7 @@ mod tests {
             labels(Ruler::around(1_203.53, 1_204.83, 3)),
             ["1,203.5", "1,204.0", "1,204.5", "1,205.0"]
         );
+        assert_eq!(Ruler::both_sides(0.0123, 6).end_label(), "0.015");
         assert_eq!(
             labels(Ruler::from_zero(0.0, 2)),
             ["0.0", "0.5", "1.0"].map(|text| if text == "0.0" { "0" } else { text })

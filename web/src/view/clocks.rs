@@ -37,10 +37,11 @@ pub(crate) const fn meaning(verdict: Verdict) -> &'static str {
             "sound, but the interval is wider than half the delay: read it as an interval, not as a figure"
         }
         Verdict::Stale => {
-            "the clocks were not compared lately: the interval still holds, but has grown and grows until they are"
+            "too few exchanges at that time: fewer than three since the link came up or a clock was stepped, or none lately; the \
+             interval holds, but is wide"
         }
         Verdict::Unsynchronised => {
-            "the two hosts' clocks were never related, so the directions cannot be told apart; their sum is exact"
+            "nothing related the two hosts' clocks at that time, so the directions cannot be told apart; their sum is exact"
         }
         Verdict::Stepped => "a clock was stepped or ran off at that time: leave these delays out",
         Verdict::Inconsistent => {
@@ -98,7 +99,7 @@ mod tests {
         let cell = ClockCell::of(PlacementKind::Remote, &[bound(&[(Verdict::Unsynchronised, 300)])]);
         assert_eq!(cell.bound, None);
         assert_eq!(cell.chip.map(|chip| chip.word), Some("unsynchronised"));
-        assert!(cell.title.contains("never related"));
+        assert!(cell.title.contains("nothing related"));
         assert_eq!(ClockCell::of(PlacementKind::Local, &[]).words, "one host");
     }
 }

@@ -89,16 +89,16 @@ pub(crate) fn hardware_name(hardware: &Hardware) -> String {
 /// What is known of a host's wall clock beside the aggregator's own.
 pub(crate) fn clock_words(theirs: &ClockIdentity, ours: &ClockIdentity, ahead: Span) -> (String, String) {
     if theirs == ours {
-        return ("shared".to_owned(), "the same clock as the aggregator's".to_owned());
+        return ("the aggregator's".to_owned(), "it reads the same clock as the aggregator".to_owned());
     }
     let title = format!("its own clock, within 1{SPACE}s of the aggregator's when its last update arrived");
     let size = ahead.abs().seconds();
     // The comparison includes the update's own way, so small differences mean nothing.
     if size < 1.0 {
-        return ("own".to_owned(), title);
+        return ("its own".to_owned(), title);
     }
     let away = format!("{} {}", length(size), if ahead.is_negative() { "behind" } else { "ahead" });
-    (format!("own, {away}"), format!("its own clock, {away} when its last update arrived"))
+    (format!("its own, {away}"), format!("its own clock, {away} when its last update arrived"))
 }
 
 impl HostLine {
@@ -164,9 +164,9 @@ mod tests {
     #[test]
     fn one_clock_is_said_to_be_one() {
         let ours = ClockIdentity::new("boot", "system");
-        assert_eq!(clock_words(&ours, &ours, Span::from_seconds(9)).0, "shared");
+        assert_eq!(clock_words(&ours, &ours, Span::from_seconds(9)).0, "the aggregator's");
         let other = ClockIdentity::new("other", "system");
-        assert_eq!(clock_words(&other, &ours, Span::from_millis(-1_200)).0, "own, 1.2\u{202f}s behind");
-        assert_eq!(clock_words(&other, &ours, Span::from_millis(3)).0, "own");
+        assert_eq!(clock_words(&other, &ours, Span::from_millis(-1_200)).0, "its own, 1.2\u{202f}s behind");
+        assert_eq!(clock_words(&other, &ours, Span::from_millis(3)).0, "its own");
     }
 }

@@ -1,7 +1,6 @@
 //! What several pages say the same way.
 
 pub(crate) mod bytes;
-pub(crate) mod cause;
 pub(crate) mod chart;
 pub(crate) mod chip;
 pub(crate) mod clocks;

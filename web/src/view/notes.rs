@@ -6,7 +6,7 @@ use peernet_logger::Name;
 
 use super::chip::Chip;
 use super::clocks;
-use crate::numbers::{bound_ms, duration, interval_ms};
+use crate::numbers::{self, duration, interval_ms};
 
 /// One thing to look at.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -41,9 +41,9 @@ pub(crate) fn of_delays(bounds: &[Bound], of: impl Fn(&Name) -> Option<Figures>)
         let name = &bound.stage;
         let text = match (verdict, of(name), bound.half_width) {
             (Verdict::Limited, Some(delay), Some(width)) => format!(
-                "has a {name} of {} with a clock bound of {}\u{202f}ms: read it as {}\u{202f}ms.",
+                "has a {name} of {} with a clock bound of {}: read it as {}\u{202f}ms.",
                 duration(delay.p50),
-                bound_ms(width.p50),
+                numbers::bound(width.p50),
                 interval_ms((delay.p50 - width.p50).max(0.0), delay.p50 + width.p50)
             ),
             _ => format!("has a {name} that cannot be trusted: {}.", clocks::meaning(verdict)),

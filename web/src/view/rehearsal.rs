@@ -72,11 +72,6 @@ impl Rehearsed {
     }
 }
 
-/// Whether a run was made with a rehearsed clock, by its facts.
-pub(crate) fn in_facts(facts: &[(String, String)]) -> bool {
-    facts.iter().any(|(name, _)| name == "Rehearsal" || name.starts_with("Rehearsal of "))
-}
-
 #[cfg(test)]
 mod tests {
     use peernet_clock::{RehearsedStep, Span, WallTime};
@@ -97,14 +92,5 @@ mod tests {
             words(&stepped),
             "\u{2212}1.50\u{202f}ms, \u{2212}12.5\u{202f}ppm, a step of +3,000\u{202f}ms after 1\u{202f}min"
         );
-    }
-
-    #[test]
-    fn runs_tell_by_their_facts() {
-        let fact = |name: &str| {
-            vec![("Sensor".to_owned(), "images".to_owned()), (name.to_owned(), "+1 s".to_owned())]
-        };
-        assert!(in_facts(&fact("Rehearsal")) && in_facts(&fact("Rehearsal of rack-a")));
-        assert!(!in_facts(&fact("Rehearsals")));
     }
 }

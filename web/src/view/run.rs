@@ -4,7 +4,6 @@ use peernet_aggregator::{Bound, IterationRow, RunDetail, Series, StageStatistics
 use peernet_clock::Verdict;
 use serde::Serialize;
 
-use super::cause::{Cause, UnknownNetwork};
 use super::clocks;
 use super::data::{JsonBlock, Short};
 use super::speed::{self, Way};
@@ -89,13 +88,6 @@ impl Stored<'_> {
         self.unanswered.iter().map(row).collect()
     }
 
-    /// Both directions of the network together, where the clocks do not tell them apart.
-    pub(crate) fn network(&self) -> Option<UnknownNetwork> {
-        let stages = self.stages;
-        let mean = |name: &str| stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures);
-        UnknownNetwork::of(mean, !self.bounds.is_empty())
-    }
-
     /// A scale that holds the slowest iteration.
     pub(crate) fn scale(&self) -> Scale {
         Scale::fit(self.slowest.first().and_then(|row| row.total).unwrap_or(0.0) * 1e3, 5)
@@ -143,19 +135,20 @@ impl Stored<'_> {
 
     /// The slowest iterations, on one scale.
     pub(crate) fn slow_rows(&self, zone: Zone) -> Vec<Slow> {
-        let (network, scale) = (self.network(), self.scale());
+        let scale = self.scale();
         let rows = self.slowest.iter().take(SLOWEST).map(|row| {
-            let stack = Stack::of_iteration(row, network);
+            let stack = Stack::of_iteration(row);
             Slow {
                 number: row.number,
                 label: count(row.number),
                 at: zone.moment(row.started),
                 total: row.total.map_or_else(|| NONE.to_owned(), total_ms),
                 factor: row.factor.map_or_else(|| NONE.to_owned(), times),
-                blame: cause(row, network).map(|cause| {
-                    let more = difference_ms(cause.value - cause.usual);
-                    let look = look::class(&cause.name);
-                    (cause.name, look, format!("{more}{SPACE}ms"))
+                blame: row.blame.as_ref().map(|blame| {
+                    let more = difference_ms(blame.value - blame.median);
+                    let name = blame.stage.to_string();
+                    let look = look::class(&name);
+                    (name, look, format!("{more}{SPACE}ms"))
                 }),
                 bar: Bar::new("thin", String::new(), &stack.parts, &scale).silent(),
             }
@@ -166,13 +159,12 @@ impl Stored<'_> {
     /// Data for the chart over time.
     pub(crate) fn data(&self) -> Result<JsonBlock, serde_json::Error> {
         let Self { series, slowest, .. } = self;
-        let network = self.network();
         let milliseconds = |time: peernet_clock::WallTime| time.unix_nanos() / 1_000_000;
         let points = series.stages.iter().flat_map(|stage| &stage.points).map(|point| {
             (milliseconds(point.at), Short(Some(point.p50 * 1e3)), Short(point.p95.map(|p95| p95 * 1e3)))
         });
         let slow = slowest.iter().map(|row| {
-            let blame = cause(row, network).map_or("total", |cause| look::class(&cause.name));
+            let blame = row.blame.as_ref().map_or("total", |blame| look::class(blame.stage.as_str()));
             (milliseconds(row.started), Short(row.total.map(|total| total * 1e3)), blame, row.number)
         });
         let gaps = series.gaps.iter().map(|gap| (milliseconds(gap.from), milliseconds(gap.to), gap.count));
@@ -184,8 +176,4 @@ impl Stored<'_> {
             gaps: gaps.collect(),
         })
     }
-}
-
-fn cause(row: &IterationRow, network: Option<UnknownNetwork>) -> Option<Cause> {
-    Cause::of(row, network.and_then(|usual| Some((UnknownNetwork::within(row)?, usual))))
 }

@@ -3,7 +3,8 @@
 use peernet_aggregator::{Picture, RunSummary};
 use peernet_clock::WallTime;
 
-use super::place;
+use super::chip::Chip;
+use super::{place, rehearsal};
 use crate::numbers::{NONE, count, length, percent, total_ms};
 use crate::zone::{Moment, Zone};
 
@@ -47,6 +48,7 @@ pub(crate) struct RunLine {
     pub p50: String,
     pub p95: String,
     pub p99: String,
+    pub rehearsal: Option<Chip>,
 }
 
 /// Share of iterations without an answer.
@@ -77,6 +79,7 @@ impl RunLine {
             p50: quantile(total.map(|total| total.p50)),
             p95: quantile(total.and_then(|total| total.p95)),
             p99: quantile(total.and_then(|total| total.p99)),
+            rehearsal: run.rehearsed.then_some(rehearsal::CHIP),
         }
     }
 }

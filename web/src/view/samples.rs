@@ -224,7 +224,11 @@ pub(crate) fn clock_sample(at: WallTime, window: u64, half: Option<f64>) -> Cloc
         lower: None,
         offset,
         probes: ProbeCounts { sent: 10, answered: 10, lost: 0 },
-        exchanges: ExchangeCounts { taken: 6_120, outliers: 4, ..ExchangeCounts::default() },
+        exchanges: half.map_or_else(ExchangeCounts::default, |_| ExchangeCounts {
+            taken: 6_120,
+            outliers: 4,
+            ..ExchangeCounts::default()
+        }),
         round_trip: Some(RoundTrip { min: seconds(0.0013), median: seconds(0.00175) }),
         up: Some(delay(0.0063, 1.2e6)),
         down: Some(delay(0.0006, 3.3e3)),
@@ -307,6 +311,8 @@ pub(crate) fn iteration() -> IterationDetail {
             blame: None,
             stages: Vec::new(),
             unattributed: None,
+            both_ways: None,
+            delays: Vec::new(),
         },
         tree: Tree::new(stage::ITERATION, Anchor { host: host_id(), wall: NOW }),
         hosts: vec![Some(slug("cam-1")), Some(slug("rack-a"))],

@@ -3,7 +3,6 @@
 use peernet_aggregator::{Bound, Figures, IterationRow, StageStatistics, Window};
 use peernet_logger::{Name, stage};
 
-use super::cause::UnknownNetwork;
 use crate::look;
 use crate::numbers::{duration, figure};
 use crate::svg::{Bar, Part, Scale};
@@ -44,7 +43,7 @@ impl Stack {
         let Some(total) = of("total") else { return Self::default() };
         let mut left = total.mean;
         // Without a relation of the clocks neither direction has a value; their sum needs none.
-        let network = UnknownNetwork::of(&of, crossed);
+        let network = both_ways(&of, crossed);
         let mut parts = Vec::with_capacity(look::STACK.len());
         let mut network_at = 0;
         for name in stage::ORDER.iter().map(|name| name.as_str()) {
@@ -59,11 +58,8 @@ impl Stack {
             }
         }
         if let Some(network) = network {
-            parts.insert(
-                network_at,
-                Part { name: look::NETWORK.to_owned(), seconds: network.mean, bound: None },
-            );
-            left -= network.mean;
+            parts.insert(network_at, Part { name: look::NETWORK.to_owned(), seconds: network, bound: None });
+            left -= network;
         }
         if left > 0.0 {
             parts.push(Part { name: "unattributed".to_owned(), seconds: left, bound: None });
@@ -72,11 +68,13 @@ impl Stack {
     }
 
     /// The stages of an iteration of a list, with both directions of the network where those are not known.
-    pub(crate) fn of_iteration(row: &IterationRow, network: Option<UnknownNetwork>) -> Self {
+    pub(crate) fn of_iteration(row: &IterationRow) -> Self {
         let part =
             |(name, seconds): &(Name, f64)| Part { name: name.to_string(), seconds: *seconds, bound: None };
-        let mut parts: Vec<Part> = row.stages.iter().map(part).collect();
-        if let Some(seconds) = network.and_then(|_| UnknownNetwork::within(row)) {
+        // Where both are known only together, one that is known is a part of that.
+        let apart = |(name, _): &&(Name, f64)| row.both_ways.is_none() || !look::is_one_way(name.as_str());
+        let mut parts: Vec<Part> = row.stages.iter().filter(apart).map(part).collect();
+        if let Some(seconds) = row.both_ways {
             let at = look::STACK
                 .iter()
                 .take(3)
@@ -131,6 +129,19 @@ impl Stack {
     }
 }
 
+/// What both directions take together in the mean, seconds, where the clocks tell neither; `None` when one is known
+/// or nothing was sent.
+fn both_ways(mean: impl Fn(&str) -> Option<Figures>, sent: bool) -> Option<f64> {
+    let total = mean(&stage::TOTAL)?;
+    if !sent || mean(&stage::UPLOAD).is_some() || mean(&stage::DOWNLOAD).is_some() {
+        return None;
+    }
+    let known = stage::ORDER.into_iter().filter_map(|name| mean(&name));
+    let known: f64 =
+        known.map(|figures| figures.mean * figures.count as f64 / total.count.max(1) as f64).sum();
+    Some(total.mean - known - mean(&stage::UNATTRIBUTED)?.mean).filter(|network| *network > 0.0)
+}
+
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
@@ -167,6 +178,27 @@ mod tests {
         assert_eq!(names, ["sensing", look::NETWORK, "inference", "unattributed"]);
         assert!((stack.parts[1].seconds - 0.012).abs() < 1e-12);
         assert!(stack.finding((None, None)).contains("Largest stages: upload + download 12.0\u{202f}ms"));
+    }
+
+    #[test]
+    fn the_bar_of_a_stepped_iteration_holds_both_ways_once() {
+        let mut row = crate::view::samples::iteration().row;
+        row.total = Some(1.200);
+        row.stages = vec![(stage::SENSING, 0.002), (stage::UPLOAD, 0.010), (stage::INFERENCE, 0.0002)];
+        (row.unattributed, row.both_ways) = (Some(0.0118), Some(1.186));
+        let stack = Stack::of_iteration(&row);
+        let names: Vec<_> = stack.parts.iter().map(|part| part.name.as_str()).collect();
+        assert_eq!(names, ["sensing", look::NETWORK, "inference", "unattributed"]);
+        assert!((stack.end_ms() - 1_200.0).abs() < 1e-6 && (stack.parts[3].seconds - 0.0118).abs() < 1e-9);
+    }
+
+    #[test]
+    fn directions_that_are_known_need_no_sum() {
+        let known =
+            |name: &str| matches!(name, "total" | "upload" | "unattributed").then(|| figures(0.01, 9));
+        assert_eq!(both_ways(known, true), None);
+        let unknown = |name: &str| matches!(name, "total" | "unattributed").then(|| figures(0.01, 9));
+        assert_eq!(both_ways(unknown, false), None);
     }
 
     #[test]

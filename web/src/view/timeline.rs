@@ -75,7 +75,7 @@ fn transits(tree: &Tree) -> impl Iterator<Item = (&Node, &Transit)> {
 }
 
 /// The stay at host `index`, from the message that came there and the one that came back.
-fn visit(tree: &Tree, index: usize) -> Option<Visit> {
+fn visit(tree: &Tree, index: usize, together: Option<f64>) -> Option<Visit> {
     let edge = tree.anchors().first()?;
     let anchor = tree.anchors().get(index)?;
     let (up, sent) = transits(tree)
@@ -85,7 +85,8 @@ fn visit(tree: &Tree, index: usize) -> Option<Visit> {
         .find(|(node, transit)| usize::from(node.host.0) == index && transit.received.is_some());
     let answered =
         back.and_then(|(node, transit)| Some((node.start, transit.received? - edge.wall, transit)));
-    let network = answered.and(tree.stages().transport()).map(Span::seconds);
+    // What the agent measured holds when a clock was set on the way; the stamps' difference does not.
+    let network = answered.and(together.or(tree.stages().transport().map(Span::seconds)));
 
     let delay = sent.delay.as_ref();
     let (arrived, shift) = match (delay.and_then(|delay| delay.value), delay.and_then(|delay| delay.bounds)) {
@@ -99,7 +100,10 @@ fn visit(tree: &Tree, index: usize) -> Option<Visit> {
             (left + half, (-half, half))
         }
     };
-    let answered = answered.map(|(start, received, _)| (arrived + start.seconds(), received.seconds()));
+    let answered = answered.map(|(start, received, _)| {
+        let there = start.seconds();
+        (arrived + there, together.map_or(received.seconds(), |both| left + there + both))
+    });
     Some(Visit { left, arrived, answered, shift, network })
 }
 
@@ -107,7 +111,8 @@ impl Timeline {
     /// Lays out an iteration.
     pub(crate) fn of(detail: &IterationDetail) -> Self {
         let tree = &detail.tree;
-        let visits: Vec<Option<Visit>> = (1..tree.anchors().len()).map(|index| visit(tree, index)).collect();
+        let visits: Vec<Option<Visit>> =
+            (1..tree.anchors().len()).map(|index| visit(tree, index, detail.row.both_ways)).collect();
         let mut timeline = Self { nodes: Vec::new(), visits, end: detail.row.total.unwrap_or(0.0) };
         timeline.add_children(tree, NodeId::ROOT, 0, &detail.run_figures);
         timeline.sort();

@@ -106,6 +106,26 @@ fn unrelated_clocks_leave_the_sum_exact_and_the_place_open() {
 }
 
 #[test]
+fn a_clock_set_on_the_way_moves_nothing() {
+    let mut detail = offloaded(Span::ZERO, |raw, _| OneWayDelay::stepped(raw, DelaySource::None));
+    // The edge's clock was set back by five seconds while the sample was away.
+    for node in 0..detail.tree.nodes().len() {
+        let id = NodeId(node as u32);
+        if let Some(Measure::Transit(transit)) = detail.tree.measure_mut(id)
+            && transit.received.is_some_and(|received| received.unix_nanos() >= 1_027_000_000)
+        {
+            transit.received = transit.received.map(|received| received - Span::from_seconds(5));
+        }
+    }
+    detail.row.both_ways = Some(0.021);
+    let timeline = Timeline::of(&detail);
+    let visit = timeline.visit().expect("one other host");
+    assert!(close(visit.network.expect("the sum is exact"), 0.021));
+    let (left, back) = visit.answered.expect("it came back");
+    assert!(close(visit.arrived, 0.002 + 0.0105) && close(left, 0.0165) && close(back, 0.027), "{visit:?}");
+}
+
+#[test]
 fn a_lost_message_leaves_the_rest_of_the_page_alone() {
     let clock = Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("a", "system")));
     let mut log = Recorder::begin(clock.clone(), HostId::random());

@@ -2,11 +2,13 @@
 
 use peernet_aggregator::IterationDetail;
 
-use super::cause::Cause;
 use super::chip::Chip;
 use super::timeline::{Placed, Timeline, Where};
 use crate::look;
-use crate::numbers::{NONE, SPACE, difference_ms, fixed, interval_ms, stage_ms};
+use crate::numbers::{
+    EXACT, NONE, SPACE, difference_ms, ends_ms, fixed, interval_ms, shift_ms, signed_within_ms, stage_ms,
+    within_ms,
+};
 use crate::svg::{Scale, WaterfallRow};
 
 /// One node in the waterfall and in its table. Times in ms.
@@ -55,12 +57,11 @@ pub(crate) fn rows(
     detail: &IterationDetail,
     timeline: &Timeline,
     hosts: &[String],
-    cause: Option<&Cause>,
     scale: &Scale,
 ) -> Vec<Row> {
     // Of an iteration that took as long as usual nothing stands out.
     let unusual = detail.row.factor.is_some_and(|factor| factor >= 1.05);
-    let blamed = cause.filter(|_| unusual).map(|cause| cause.name.as_str());
+    let blamed = detail.row.blame.as_ref().filter(|_| unusual).map(|blame| blame.stage.as_str());
     let mut rows: Vec<Row> = timeline
         .nodes
         .iter()
@@ -75,22 +76,20 @@ pub(crate) fn rows(
     };
     let edge = hosts.first().cloned().unwrap_or_default();
     if let Some(total) = detail.row.total {
-        let known: f64 = detail.row.stages.iter().map(|(_, seconds)| seconds).sum();
-        let unknown = timeline.visit().and_then(|visit| visit.network);
-        let network_counted =
-            timeline.nodes.iter().any(|node| node.at == Where::Network && node.length.is_some());
-        let network = unknown.filter(|_| !network_counted);
-        if let Some(network) = network {
+        let left = Left::of(detail, timeline, total);
+        if let Some((name, seconds)) = left.network {
             let after = rows.iter().rposition(|row| row.class == "net").map_or(rows.len(), |last| last + 1);
-            rows.insert(
-                after,
-                Row::sum(look::NETWORK, "network".to_owned(), network, None, WaterfallRow::blank(scale)),
-            );
+            let usual = figures("upload").zip(figures("download")).map(|(up, down)| up + down);
+            let usual = usual.filter(|_| name == look::NETWORK);
+            let mut row = Row::sum(name, "network".to_owned(), seconds, usual, WaterfallRow::blank(scale));
+            row.strong = blamed == Some(name);
+            rows.insert(after, row);
         }
-        let rest = total - known - network.unwrap_or(0.0);
-        if rest > 0.0 {
-            let median = figures("unattributed").filter(|_| network.is_none());
-            rows.push(Row::sum("unattributed", edge.clone(), rest, median, WaterfallRow::blank(scale)));
+        if let Some(rest) = left.rest {
+            let median = figures("unattributed");
+            let mut row = Row::sum("unattributed", edge.clone(), rest, median, WaterfallRow::blank(scale));
+            row.strong = blamed == Some("unattributed");
+            rows.push(row);
         }
         let mut whole = Row::sum("total", edge, total, figures("total"), WaterfallRow::total(total, scale));
         whole.class = "total";
@@ -98,6 +97,37 @@ pub(crate) fn rows(
     }
     group(&mut rows);
     rows
+}
+
+/// What the stages leave of a total.
+struct Left {
+    /// What is known of the directions together, where one of them is not known: by its name, seconds.
+    network: Option<(&'static str, f64)>,
+    /// What no stage accounts for, if that is known and anything.
+    rest: Option<f64>,
+}
+
+impl Left {
+    /// The same split that the API gives: by the agent's own sum, which no clock's step touches.
+    fn of(detail: &IterationDetail, timeline: &Timeline, total: f64) -> Self {
+        let row = &detail.row;
+        let open = timeline.nodes.iter().any(|node| node.at == Where::Network && node.length.is_none());
+        let known = |one_way: bool| {
+            let counted = row.stages.iter().filter(|(name, _)| one_way || !look::is_one_way(name.as_str()));
+            counted.map(|(_, seconds)| seconds).sum::<f64>()
+        };
+        let (network, rest) = match (row.both_ways, open) {
+            (Some(both), _) => (Some((look::NETWORK, both)), row.unattributed),
+            (None, false) => (None, Some(total - known(true))),
+            // Of an answered iteration something is left, but not what.
+            (None, true) if row.outcome == "ok" => {
+                (Some((look::NETWORK_AND_REST, total - known(false))), None)
+            }
+            (None, true) => (None, None),
+        };
+        let something = |seconds: &f64| *seconds > 0.0;
+        Self { network: network.filter(|(_, seconds)| something(seconds)), rest: rest.filter(something) }
+    }
 }
 
 /// Names each host once, at the first of its rows.
@@ -130,15 +160,15 @@ impl Row {
             look: look::class(&node.name),
             depth: node.depth,
             host,
-            value: dash(node.length.map(stage_ms)),
-            bound: bounds.map(|(lo, hi)| if lo == hi { "exact".to_owned() } else { interval_ms(lo, hi) }),
+            value: dash(node.length.map(|length| digits(length, bounds))),
+            bound: bounds.map(|(lo, hi)| if lo == hi { EXACT.to_owned() } else { interval_ms(lo, hi) }),
             chip: node.delay.map(|delay| Chip::verdict(delay.verdict)),
             difference: dash(difference),
             strong,
             bar,
             start: dash(node.start.map(|start| fixed(start * 1e3, 2))),
-            lo: dash(bounds.map(|(lo, _)| stage_ms(lo))),
-            hi: dash(bounds.map(|(_, hi)| stage_ms(hi))),
+            lo: dash(bounds.map(|(lo, hi)| ends_ms(lo, hi)[0].clone())),
+            hi: dash(bounds.map(|(lo, hi)| ends_ms(lo, hi)[1].clone())),
             median: dash(node.median.map(stage_ms)),
         }
     }
@@ -153,7 +183,7 @@ impl Row {
             depth: 0,
             host,
             value: stage_ms(seconds),
-            bound: (name == look::NETWORK).then(|| "exact".to_owned()),
+            bound: (name == look::NETWORK || name == look::NETWORK_AND_REST).then(|| EXACT.to_owned()),
             chip: None,
             difference: dash(median.map(|median| difference_ms(seconds - median))),
             strong: false,
@@ -166,18 +196,33 @@ impl Row {
     }
 }
 
+/// A delay in ms with the digits that its bounds support.
+fn digits(seconds: f64, bounds: Option<(f64, f64)>) -> String {
+    bounds.map_or_else(|| fixed(seconds * 1e3, 2), |bounds| within_ms(seconds, bounds))
+}
+
 /// Where the delays came from.
 pub(crate) fn delays(timeline: &Timeline) -> Vec<DelayRow> {
     let known = timeline.nodes.iter().filter_map(|node| Some((node, node.delay?)));
-    let shown = known.map(|(node, delay)| DelayRow {
-        name: node.name.to_string(),
-        raw: fixed(delay.raw * 1e3, 2),
-        offset: dash(delay.value.map(|value| difference_ms(value - delay.raw))),
-        value: dash(delay.value.map(stage_ms)),
-        lo: dash(delay.bounds.map(|(lo, _)| stage_ms(lo.max(0.0)))),
-        hi: dash(delay.bounds.map(|(_, hi)| stage_ms(hi))),
-        source: delay.source.name(),
-        chip: Chip::verdict(delay.verdict),
+    let shown = known.map(|(node, delay)| {
+        let bounds = delay.bounds.map(|(lo, hi)| (lo.max(0.0), hi));
+        // Of an exact delay there is nothing to say beyond its value.
+        let apart = bounds.filter(|(lo, hi)| hi > lo).map(|(lo, hi)| ends_ms(lo, hi));
+        let end =
+            |at: usize| apart.as_ref().map(|ends| ends[at].clone()).or(bounds.map(|_| EXACT.to_owned()));
+        DelayRow {
+            name: node.name.to_string(),
+            raw: digits(delay.raw, bounds),
+            offset: dash(delay.value.map(|value| match bounds {
+                Some(bounds) => signed_within_ms(value - delay.raw, bounds),
+                None => difference_ms(value - delay.raw),
+            })),
+            value: dash(delay.value.map(|value| digits(value, bounds))),
+            lo: dash(end(0)),
+            hi: dash(end(1)),
+            source: delay.source.name(),
+            chip: Chip::verdict(delay.verdict),
+        }
     });
     shown.collect()
 }
@@ -204,9 +249,76 @@ pub(crate) fn footnote(timeline: &Timeline, cloud: &str) -> Option<String> {
     if later - earlier <= 0.0 {
         return None;
     }
-    let shift = format!("{} to {}", difference_ms(earlier), difference_ms(later));
+    let shift = shift_ms(earlier, later);
     let sum = visit.network.map_or_else(String::new, |network| {
         format!(", and so is upload + download = {}{SPACE}ms. Only its split between the two directions carries the bound", stage_ms(network))
     });
     Some(format!("The bars on {cloud} may shift together by {shift}{SPACE}ms; their lengths are exact{sum}."))
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::{DelaySource, OneWayDelay, Span, WallTime};
+    use peernet_logger::{Measure, NodeId, Transit, stage};
+
+    use super::*;
+    use crate::view::samples;
+
+    /// An answered iteration of 1.2 s whose two directions were judged `stepped`.
+    fn stepped() -> IterationDetail {
+        let mut detail = samples::iteration();
+        let at = |seconds: i64| WallTime::from_unix_nanos(seconds * 1_000_000_000);
+        for name in [stage::UPLOAD, stage::DOWNLOAD] {
+            let delay = OneWayDelay::stepped(Span::from_seconds(-2), DelaySource::None);
+            let transit = Transit { sent: at(9), received: Some(at(7)), delay: Some(delay) };
+            detail.tree.add(NodeId::ROOT, name, Span::ZERO, Measure::Transit(Box::new(transit)));
+        }
+        let row = &mut detail.row;
+        row.total = Some(1.2);
+        row.stages = vec![(stage::SENSING, 0.0022)];
+        (row.unattributed, row.both_ways) = (Some(0.0118), Some(1.186));
+        detail
+    }
+
+    fn shown(detail: &IterationDetail) -> Vec<(String, String)> {
+        let timeline = Timeline::of(detail);
+        let rows = rows(detail, &timeline, &["cam-1".to_owned()], &Scale::fit(1_200.0, 6));
+        rows.into_iter().map(|row| (row.name, row.value)).collect()
+    }
+
+    #[test]
+    fn the_table_of_a_stepped_iteration_agrees_with_the_api() {
+        let rows = shown(&stepped());
+        let of = |wanted: &str| rows.iter().find(|(name, _)| name == wanted).map(|(_, value)| value.as_str());
+        assert_eq!((of("upload"), of("download")), (Some("—"), Some("—")));
+        assert_eq!((of("upload + download"), of("unattributed")), (Some("1,186.00"), Some("11.80")));
+    }
+
+    #[test]
+    fn what_is_not_known_apart_is_named_together() {
+        let mut detail = stepped();
+        (detail.row.unattributed, detail.row.both_ways) = (None, None);
+        let rows = shown(&detail);
+        assert!(rows.contains(&(look::NETWORK_AND_REST.to_owned(), "1,197.80".to_owned())), "{rows:?}");
+        assert!(rows.iter().all(|(name, _)| name != "unattributed"), "{rows:?}");
+    }
+
+    #[test]
+    fn a_delay_has_the_digits_of_its_bounds() {
+        let mut detail = samples::iteration();
+        let micros = Span::from_micros;
+        let delay = OneWayDelay {
+            raw: micros(1_204_043),
+            value: Some(micros(43)),
+            bounds: Some(peernet_clock::Interval { lo: micros(39), hi: micros(48) }),
+            source: DelaySource::InBand,
+            verdict: peernet_clock::Verdict::Ok,
+        };
+        let at = WallTime::from_unix_nanos(0);
+        let transit = Transit { sent: at, received: Some(at + delay.raw), delay: Some(delay) };
+        detail.tree.add(NodeId::ROOT, stage::UPLOAD, Span::ZERO, Measure::Transit(Box::new(transit)));
+        let row = &delays(&Timeline::of(&detail))[0];
+        let texts = [&row.raw, &row.offset, &row.value, &row.lo, &row.hi].map(String::as_str);
+        assert_eq!(texts, ["1,204.043", "\u{2212}1,204.000", "0.043", "0.039", "0.048"]);
+    }
 }

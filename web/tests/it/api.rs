@@ -169,6 +169,64 @@ async fn a_run_is_exported_as_one_row_per_iteration() {
     assert_eq!(rows.len() as u64, ITERATIONS);
     let seconds: f64 = rows[99][upload].parse().expect("a number");
     assert!((0.005..0.1).contains(&seconds), "{seconds}");
+    let cell = |name: &str| {
+        let at = header.iter().position(|known| known == name).unwrap_or_else(|| panic!("no column {name}"));
+        rows[99][at].to_owned()
+    };
+    let number =
+        |name: &str| cell(name).parse::<f64>().unwrap_or_else(|_| panic!("{name}: {:?}", cell(name)));
+    for way in ["upload", "download"] {
+        let (lo, hi) = (number(&format!("{way}-lo")), number(&format!("{way}-hi")));
+        assert!(lo <= number(way) && number(way) <= hi && hi - lo < 0.001, "{way}: {lo} to {hi}");
+        assert_eq!(cell(&format!("{way}-source")), "in-band");
+        assert!(number(&format!("{way}-raw")).abs() > 1.0, "the rack's clock is 1.2 s ahead");
+    }
+    assert_eq!((cell("upload-verdict").as_str(), cell("both-ways").as_str()), ("ok", ""));
+}
+
+#[tokio::test]
+async fn a_direction_without_a_value_stands_in_the_sum_of_both() {
+    let (bed, _factory) = Bed::with(vec![Line::unrelated()]).await;
+    let iteration = bed.get("/api/v1/runs/1/iterations/100").await.json();
+    let number = |value: &Value| value.as_f64().expect("a number");
+    let stages = iteration["stages"].as_array().expect("stages");
+    let upload = stages.iter().find(|stage| stage["name"] == "upload").expect("it was judged");
+    assert_eq!((&upload["seconds"], &upload["delay"]["lo_s"]), (&Value::Null, &Value::Null));
+    assert_eq!(upload["delay"]["verdict"], "unsynchronised");
+    assert!(number(&upload["delay"]["raw_s"]) > 1.0, "{upload}");
+    assert_eq!(stages[0]["delay"], Value::Null, "sensing crosses no clocks: {}", stages[0]);
+    let others: f64 = stages.iter().filter_map(|stage| stage["seconds"].as_f64()).sum();
+    let all = others + number(&iteration["both_ways"]) + number(&iteration["unattributed"]);
+    assert!((all - number(&iteration["total"])).abs() < 1e-9, "{iteration}");
+
+    let csv = bed.get("/api/v1/runs/1/export").await;
+    let mut table = csv::Reader::from_reader(csv.body.as_slice());
+    let header = table.headers().expect("a header").clone();
+    let row = table.records().nth(99).expect("a row").expect("complete");
+    let cell = |name: &str| row[header.iter().position(|known| known == name).expect("a column")].to_owned();
+    assert_eq!((cell("upload"), cell("upload-lo")), (String::new(), String::new()));
+    assert_eq!(cell("upload-verdict"), "unsynchronised");
+    assert!(
+        !cell("upload-raw").is_empty() && !cell("both-ways").is_empty() && !cell("unattributed").is_empty()
+    );
+}
+
+#[tokio::test]
+async fn runs_with_a_rehearsed_clock_are_marked_in_every_list() {
+    let (bed, _factory) = Bed::with(vec![Line::local(), Line::rehearsed()]).await;
+    let runs = bed.get("/api/v1/runs").await.json();
+    let marks: Vec<&Value> =
+        runs["runs"].as_array().expect("runs").iter().map(|run| &run["rehearsed"]).collect();
+    assert_eq!(marks, [&json!(true), &json!(false)]);
+    assert_eq!(bed.get("/api/v1/runs/2").await.json()["rehearsed"], json!(true));
+    let page = bed.get("/runs").await;
+    let page = page.text();
+    let row = |number: u32| {
+        let begin = page.find(&format!("\"/runs/{number}\"")).expect("a row");
+        let rest = &page[begin..];
+        rest[..rest.find("</tr>").expect("its end")].to_owned()
+    };
+    assert!(row(2).contains("rehearsal") && !row(1).contains("rehearsal"), "{page}");
 }
 
 #[tokio::test]

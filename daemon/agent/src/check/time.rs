@@ -1,12 +1,13 @@
 //! The tables about time: `[clock]`, `[probes]`, `[rehearsal]`.
 
-use std::io;
 use std::net::UdpSocket;
+use std::path::Path;
+use std::{env, io};
 
 use peernet_probes::Key;
 
 use super::Report;
-use crate::config::{ClockConfig, ProbesConfig, RehearsalConfig, ServeConfig};
+use crate::config::{ClockConfig, DisciplineSource, ProbesConfig, RehearsalConfig, ServeConfig};
 
 /// Fastest drift that may be allowed between two clocks, parts per million: a clock beyond is broken.
 const MAX_DRIFT_PPM: f64 = 1000.0;
@@ -26,6 +27,8 @@ const MAX_REHEARSED_MS: f64 = 1e10;
 const MAX_REHEARSED_PPM: f64 = 100_000.0;
 /// Last moment of a rehearsed step: a year.
 const MAX_REHEARSED_S: f64 = 366.0 * 86_400.0;
+/// Most steps of a rehearsal: they are told to every peer.
+const MAX_REHEARSED_STEPS: u64 = 1000;
 
 impl Report {
     /// Not-a-number is outside every range.
@@ -59,7 +62,30 @@ pub(super) fn check_clock(report: &mut Report, clock: &ClockConfig) {
             "clock.chronyc",
             "it names no command; remove it for \"chronyc\", or take chrony out of clock.discipline",
         );
+    } else if clock.chronyc != ClockConfig::default().chronyc
+        && clock.discipline.contains(&DisciplineSource::Chrony)
+        && !is_command(&clock.chronyc)
+    {
+        // The default may be missing: not every host has chrony.
+        let text = format!(
+            "there is no command {:?} on this machine; install chrony, or take chrony out of clock.discipline",
+            clock.chronyc
+        );
+        report.add("clock.chronyc", text);
     }
+    for (index, source) in clock.discipline.iter().enumerate() {
+        if clock.discipline[..index].contains(source) {
+            report.add(format!("clock.discipline[{index}]"), "it is named twice; remove one");
+        }
+    }
+}
+
+/// Whether there is such a file, or one of that name in the folders of `PATH`.
+fn is_command(name: &str) -> bool {
+    if name.contains('/') {
+        return Path::new(name).is_file();
+    }
+    env::var_os("PATH").is_some_and(|path| env::split_paths(&path).any(|folder| folder.join(name).is_file()))
 }
 
 pub(super) fn check_probes(report: &mut Report, probes: &ProbesConfig, serve: Option<&ServeConfig>) {
@@ -100,6 +126,7 @@ pub(super) fn check_rehearsal(report: &mut Report, rehearsal: &RehearsalConfig) 
     report.within("rehearsal.offset_ms", rehearsal.offset_ms, -MAX_REHEARSED_MS, MAX_REHEARSED_MS);
     report.within("rehearsal.drift_ppm", rehearsal.drift_ppm, -MAX_REHEARSED_PPM, MAX_REHEARSED_PPM);
     let mut before = 0.0;
+    report.at_most("rehearsal.steps", rehearsal.steps.len() as u64, MAX_REHEARSED_STEPS);
     for (index, step) in rehearsal.steps.iter().enumerate() {
         let at = format!("rehearsal.steps[{index}]");
         report.within(&format!("{at}.by_ms"), step.by_ms, -MAX_REHEARSED_MS, MAX_REHEARSED_MS);
@@ -170,6 +197,16 @@ mod tests {
     }
 
     #[test]
+    fn claims_that_nobody_can_be_asked_for_are_named() {
+        assert_eq!(clock("discipline = ['kernel', 'chrony', 'kernel']"), ["clock.discipline[2]"]);
+        for missing in ["/nowhere/chronyc", "no-such-command-as-this"] {
+            assert_eq!(clock(&format!("chronyc = '{missing}'")), ["clock.chronyc"]);
+            assert!(clock(&format!("chronyc = '{missing}'\ndiscipline = ['kernel']")).is_empty());
+        }
+        assert!(clock("chronyc = 'sh'").is_empty() && clock("chronyc = '/bin/sh'").is_empty());
+    }
+
+    #[test]
     fn a_key_that_is_not_there_or_is_none_is_refused() {
         let file = tempfile::NamedTempFile::new().expect("there is room for a temporary file");
         let table = format!("key_file = {:?}", file.path());
@@ -188,6 +225,8 @@ mod tests {
         assert!(rehearsal(&steps("10", "20")).is_empty());
         assert_eq!(rehearsal(&steps("20", "10")), ["rehearsal.steps[1].at_s"]);
         assert_eq!(rehearsal(&steps("-1", "10")), ["rehearsal.steps[0].at_s"]);
+        let many: Vec<String> = (1..=1001).map(|at| format!("{{ at_s = {at}, by_ms = 1 }}")).collect();
+        assert_eq!(rehearsal(&format!("steps = [{}]", many.join(", "))), ["rehearsal.steps"]);
         assert_eq!(
             rehearsal("offset_ms = inf\ndrift_ppm = nan"),
             ["rehearsal.offset_ms", "rehearsal.drift_ppm"]

@@ -40,7 +40,7 @@ impl Watchman {
         let all = disturbances.into_iter().chain(unseen.map(Disturbance::Step));
         let texts: Vec<String> = all.filter_map(|odd| self.in_words(odd, readings.mono)).collect();
         for text in texts {
-            let text = format!("{text}; delays of that moment are marked stepped");
+            let text = format!("{text}; delays of that moment are left out");
             incidents.report(IncidentKind::ClockStep, Concerning::default(), text);
         }
     }

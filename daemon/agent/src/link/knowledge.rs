@@ -18,6 +18,8 @@ pub(super) struct Knowledge {
     relation: Relation,
     /// Names the relation until a clock is stepped.
     window: u64,
+    /// What was learnt is void: another window begins as soon as a time is known to close the second at.
+    void: bool,
     second: Second,
     /// The last second that was closed.
     last: Option<ClockSample>,
@@ -71,6 +73,7 @@ impl Knowledge {
             name,
             relation,
             window: random(),
+            void: false,
             second,
             last: None,
             edge,
@@ -122,6 +125,10 @@ impl Knowledge {
                     self.second.round_trip(witnessed.exchange.round_trip());
                 }
             }
+            ProbeResult::Stepped(epoch) => {
+                probes.answered = probes.answered.saturating_add(1);
+                self.told((*epoch, None), |relation| relation.edge_stepped(*epoch));
+            }
             ProbeResult::Refined(witnessed) => {
                 self.learn(witnessed, now, &mut news);
             }
@@ -151,6 +158,7 @@ impl Knowledge {
     /// Closes the second if it is over.
     pub(super) fn turn(&mut self, now: WallTime) -> News {
         let mut news = News::default();
+        self.begin_window(now, &mut news);
         if now.unix_seconds() != self.second.at {
             // A clock that was set back closes it early, one that was set forward as if it had been on time.
             let end = self.second.end();
@@ -172,7 +180,9 @@ impl Knowledge {
         let current = now.unix_seconds() == self.second.at;
         let last =
             self.last.as_ref().filter(|last| current && last.at == previous && last.window == self.window);
-        last.cloned().unwrap_or_else(|| self.sample(now, self.relation.offset(now)))
+        // What holds since a step is not told under the name of the window before it.
+        let offset = || self.relation.offset(now).filter(|_| !self.void);
+        last.cloned().unwrap_or_else(|| self.sample(now, offset()))
     }
 
     /// What is known of the two clocks: the edge's, the cloud's.
@@ -200,6 +210,7 @@ impl Knowledge {
         if restarted {
             // It is not to be shown any more.
             self.last = None;
+            self.void = true;
         }
         let void = restarted || self.stepped != (false, false);
         self.stepped.0 |= void && edge_new;
@@ -208,13 +219,11 @@ impl Knowledge {
     }
 
     fn learned(&mut self, learned: Learned, witnessed: &Witnessed, now: WallTime, news: &mut News) {
+        self.begin_window(now, news);
         match learned {
             Learned::Refused(_) => return,
             Learned::Taken => {}
             Learned::Restarted(moved) => {
-                // What the second holds so far belongs to the clocks as they were, of which nothing holds any more.
-                self.close(now, None, now, news);
-                self.window = random();
                 let (edge, cloud) = std::mem::take(&mut self.stepped);
                 let limit = self.relation.settings().max_drift_ppm;
                 let beyond_ppm = self.relation.in_doubt().then_some(limit);
@@ -226,6 +235,16 @@ impl Knowledge {
             }
         }
         self.second.exchanged(&witnessed.exchange, self.relation.settings().max_drift_ppm);
+    }
+
+    /// After a step: what the second holds so far belongs to the clocks as they were, of which nothing holds any more.
+    fn begin_window(&mut self, now: WallTime, news: &mut News) {
+        if std::mem::take(&mut self.void) {
+            let at = if now.unix_seconds() == self.second.at { now } else { self.second.end() };
+            self.close(at, None, now, news);
+            self.last = None;
+            self.window = random();
+        }
     }
 
     /// Closes the second with what is known at `at`, its end, and begins the one of `now`.

@@ -5,6 +5,7 @@
 //! `probing` is the task beside it, which probes, listens to what both hosts tell of their clocks and closes each
 //! second.
 
+mod answers;
 mod correction;
 mod knowledge;
 mod pair;

@@ -124,10 +124,6 @@ impl Link {
         lock(&self.knowledge).cloud_says(told(clock));
     }
 
-    pub(super) fn cloud_epoch(&self) -> u32 {
-        lock(&self.knowledge).clocks().1.epoch
-    }
-
     /// The cloud's name.
     pub(crate) const fn name(&self) -> &Slug {
         &self.name

@@ -12,14 +12,13 @@ use peernet_probes::{Key, KeyError, ProbeResult, Prober, ProberConfig, Stamps};
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
+use super::answers::Answers;
 use super::pair::Link;
 use super::registry::Session;
 use crate::config::{ClockConfig, ProbesConfig, Timestamps};
 
 /// A probe without an answer for so long is lost.
 const TIMEOUT: Duration = Duration::from_secs(2);
-/// So many probes lost in a row, and the link counts as one whose probes are not answered.
-const SILENCE: u32 = 3;
 /// What a probe could not be sent for is tried again after this.
 const RETRY: Duration = Duration::from_secs(10);
 /// Results that may wait; they are taken at once.
@@ -86,7 +85,7 @@ async fn tend_by(link: &Arc<Link>, session: Session, sessions: &mut watch::Recei
             changed = sessions.changed() => {
                 let still = sessions.borrow_and_update().first().is_some_and(|first| first.id == id);
                 if changed.is_err() || !still {
-                    return;
+                    break;
                 }
             }
             Ok(()) = own.changed() => {
@@ -102,6 +101,14 @@ async fn tend_by(link: &Arc<Link>, session: Session, sessions: &mut watch::Recei
             never = &mut probing => match never {},
         }
     }
+    // Nobody waits any more for those that are still under way: each that was sent is answered or lost.
+    while let Ok(result) = arriving.try_recv() {
+        link.probed(&result);
+        answers.note(&result, link);
+    }
+    for _ in 0..answers.under_way {
+        link.probed(&ProbeResult::Lost);
+    }
 }
 
 /// What the cloud tells next; nothing any more when the session is over.
@@ -109,46 +116,6 @@ async fn next(clock: &mut watch::Receiver<PeerClock>) -> PeerClock {
     match clock.changed().await {
         Ok(()) => clock.borrow_and_update().clone(),
         Err(_) => std::future::pending().await,
-    }
-}
-
-/// Whether probes come back.
-#[derive(Debug, Default)]
-struct Answers {
-    /// Lost in a row.
-    lost: u32,
-    /// How it was probed while they came back.
-    before: Option<Probing>,
-    /// What was refused last: said once, not at each packet.
-    refused: Option<&'static str>,
-}
-
-impl Answers {
-    fn note(&mut self, result: &ProbeResult, link: &Link) {
-        match result {
-            ProbeResult::Lost => {
-                self.lost = self.lost.saturating_add(1);
-                let now = link.probing();
-                if self.lost >= SILENCE
-                    && let Probing::On { address, .. } = &now
-                {
-                    link.set_probing(Probing::Unanswered { address: address.clone() });
-                    self.before = Some(now);
-                }
-            }
-            ProbeResult::Answered(_) => {
-                self.lost = 0;
-                if let Some(on) = self.before.take() {
-                    link.set_probing(on);
-                }
-            }
-            ProbeResult::Refused(why) => {
-                if self.refused.replace(why) != Some(why) {
-                    tracing::warn!(peer = %link.name, "probes go wrong: {why}");
-                }
-            }
-            ProbeResult::Sent | ProbeResult::Refined(_) => {}
-        }
     }
 }
 
@@ -193,12 +160,14 @@ async fn open(link: &Link, session: &Session, port: u16) -> Result<(Prober, Sock
     let config = ProberConfig {
         target,
         key: probes.key.clone(),
+        instance: Some(session.instance),
         padding_bytes: probes.padding_bytes,
         stamps: probes.stamps,
         timeout: TIMEOUT,
     };
-    let prober =
+    let mut prober =
         Prober::open(config, Arc::clone(&link.shared.host.clock)).map_err(|error| error.to_string())?;
+    prober.check_stamps().await;
     Ok((prober, target))
 }
 

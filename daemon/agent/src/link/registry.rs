@@ -64,6 +64,8 @@ pub(super) struct Session {
     pub(super) host: String,
     /// UDP port of its probe reflector.
     pub(super) probes: Option<u16>,
+    /// The process that serves it.
+    pub(super) instance: u64,
     /// What it tells of its clock.
     pub(super) clock: watch::Receiver<PeerClock>,
 }
@@ -104,6 +106,7 @@ impl Links {
             network,
             host: address.host(),
             probes: accepted.probes,
+            instance: accepted.instance,
             clock: session.peer_clock(),
         };
         let id = joining.id;
@@ -186,7 +189,9 @@ impl Drop for Attached {
     }
 }
 
-/// Whether what is known of the cloud still holds. A program that was started anew counts its clock's steps anew.
+/// Whether what is known of the cloud still holds. A program that was started anew counts its clock's steps anew, and
+/// nobody knows how its clock was set in between.
 fn is_same_cloud(link: &Link, accepted: &SessionAccepted) -> bool {
-    link.clock == accepted.clock && link.cloud_epoch() <= accepted.host_clock.epoch
+    let known = link.sessions.borrow().first().map(|session| session.instance);
+    link.clock == accepted.clock && known == Some(accepted.instance)
 }

@@ -1,5 +1,6 @@
 //! Steps in words for people.
 
+use peernet_clock::Span;
 use peernet_logger::Slug;
 
 use super::knowledge::Restart;
@@ -13,8 +14,15 @@ pub(super) fn restart_in_words(restart: Restart, edge: &Slug, cloud: &Slug) -> S
         (false, false) => format!("the clock of {edge} or {cloud} was stepped or ran off without notice"),
     };
     let moved = restart.moved.map_or_else(String::new, |moved| {
+        // The offset is the cloud's clock less the edge's; it is told of the one that moved.
+        let own = restart.edge && !restart.cloud;
+        let (moved, mover, other) = if own { (-moved, edge, cloud) } else { (moved, cloud, edge) };
         let way = if moved.is_negative() { "back" } else { "forward" };
-        format!("; the clock of {cloud} went {:.6} s {way} against that of {edge}", moved.abs().seconds())
+        let far = moved.abs();
+        // Under a millisecond the figure would be nothing but zeros.
+        let far =
+            if far < Span::from_millis(1) { far.to_string() } else { format!("{:.3} s", far.seconds()) };
+        format!("; the clock of {mover} went {far} {way} against that of {other}")
     });
     let outlook = match restart.beyond_ppm {
         None => "their relation is learnt anew".to_owned(),
@@ -28,17 +36,33 @@ pub(super) fn restart_in_words(restart: Restart, edge: &Slug, cloud: &Slug) -> S
 
 #[cfg(test)]
 mod tests {
-    use peernet_clock::Span;
-
     use super::*;
 
     #[test]
     fn a_restart_names_the_host_and_the_size() {
         let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
-        let restart =
-            Restart { moved: Some(Span::from_seconds(-3)), edge: true, cloud: false, beyond_ppm: None };
-        let text = restart_in_words(restart, &edge, &cloud);
-        assert!(text.contains("the clock of robot was") && text.contains("3.000000 s back"), "{text}");
+        let by = |nanos, edge, cloud| Restart {
+            moved: Some(Span::from_nanos(nanos)),
+            edge,
+            cloud,
+            beyond_ppm: None,
+        };
+        for (restart, begin, told) in [
+            (
+                by(-3_000_007_000, true, false),
+                "the clock of robot was",
+                "the clock of robot went 3.000 s forward against that of desk;",
+            ),
+            (
+                by(-3_000_007_000, false, true),
+                "the clock of desk was",
+                "the clock of desk went 3.000 s back against that of robot;",
+            ),
+            (by(30_000, false, false), "the clock of robot or desk", "desk went 0.030 ms forward"),
+        ] {
+            let text = restart_in_words(restart, &edge, &cloud);
+            assert!(text.starts_with(begin) && text.contains(told), "{text}");
+        }
         let unknown = restart_in_words(
             Restart { moved: None, edge: false, cloud: false, beyond_ppm: Some(50.0) },
             &edge,

@@ -11,8 +11,8 @@ use super::cell::Cell;
 const KEPT: usize = 64;
 /// Seconds in one update at most: after an outage the newest go first and the others follow.
 const SENT: usize = 8;
-/// A second this far before the newest one means that the wall clock was set back.
-const STEP: i64 = 5;
+/// A second further before the newest one means that the wall clock was set back: iterations are recorded when they end.
+const STEP: i64 = 1;
 
 /// One cell per second in which something ended, oldest first.
 #[derive(Debug, Default)]
@@ -37,7 +37,8 @@ impl Ring {
 
     fn cell(&mut self, at: i64) -> &mut Cell {
         if self.cells.back().is_some_and(|newest| at < newest.at - STEP) {
-            self.cells.clear();
+            // Seconds that come a second time are others.
+            self.cells.retain(|cell| cell.at < at);
         }
         let after = self.cells.iter().rposition(|cell| cell.at <= at);
         let index = match after {
@@ -169,12 +170,20 @@ mod tests {
     }
 
     #[test]
-    fn a_wall_clock_set_back_begins_anew() {
+    fn seconds_that_a_wall_clock_shows_twice_are_not_added_up() {
         let mut ring = Ring::default();
-        ring.record(5000, &Outcome::Ok, &tree(1));
+        for at in 4990..=5000 {
+            ring.record(at, &Outcome::Ok, &tree(1));
+        }
         ring.record(4999, &Outcome::Ok, &tree(1));
-        assert_eq!(ring.cells.len(), 2);
+        assert_eq!(ring.cells.len(), 11, "two that ended at nearly the same time");
+        let of = |ring: &Ring| {
+            ring.cells.iter().map(|cell| (cell.at, cell.second().counts.ok)).collect::<Vec<_>>()
+        };
+        ring.record(4995, &Outcome::Ok, &tree(1));
+        ring.record(4996, &Outcome::Ok, &tree(1));
+        assert_eq!(of(&ring), (4990..=4996).map(|at| (at, 1)).collect::<Vec<_>>());
         ring.record(1400, &Outcome::Ok, &tree(1));
-        assert_eq!(ring.changed().0.iter().map(|second| second.at).collect::<Vec<_>>(), [1400]);
+        assert_eq!(of(&ring), [(1400, 1)]);
     }
 }

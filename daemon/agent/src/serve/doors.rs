@@ -7,6 +7,7 @@ use peernet_logger::Slug;
 use peernet_logger::stream::HostClock;
 use peernet_networks::{Address, Listener, PeerClock};
 use peernet_probes::Reflector;
+use uuid::Uuid;
 
 use super::reflector;
 use crate::agent::StartError;
@@ -20,6 +21,8 @@ const CALIBRATION: &str = "calibration";
 /// The port for sessions, and the one for probes unless that is switched off.
 #[derive(Debug)]
 pub(crate) struct Doors {
+    /// Tells this process from others behind the same address, and from those before it.
+    pub(super) instance: u64,
     pub(super) listener: Listener,
     pub(super) reflector: Option<Reflector>,
 }
@@ -34,12 +37,13 @@ impl Doors {
         let Some(serve) = &config.serve else { return Ok(None) };
         let (session, clock) = (serve.session.clone(), Arc::clone(&host.clock));
         let listener = Listener::bind(serve.network, &serve.listen, session, host.id, clock).await?;
+        let instance = Uuid::new_v4().as_u64_pair().0;
         let reflector = if config.probes.reflect {
-            Some(reflector::bind(&serve.listen, &config.probes, probes, &host.clock).await?)
+            Some(reflector::bind(&serve.listen, &config.probes, probes, instance, &host.clock).await?)
         } else {
             None
         };
-        Ok(Some(Self { listener, reflector }))
+        Ok(Some(Self { instance, listener, reflector }))
     }
 
     /// Where peers may ask for models, with the real port.

@@ -25,7 +25,7 @@ use crate::incidents::Concerning;
 
 /// Serves until it is told to stop. The error is why a port was lost.
 pub(crate) async fn run(doors: Doors, host: Host, stop: CancellationToken) -> Result<(), String> {
-    let probes = doors.probes();
+    let named = Named { probes: doors.probes(), instance: doors.instance };
     let announcer = doors.listener.announcer();
     let announcing = announce(host.own.clone(), announcer, stop.clone());
     let reflecting = async {
@@ -34,7 +34,7 @@ pub(crate) async fn run(doors: Doors, host: Host, stop: CancellationToken) -> Re
             None => Ok(()),
         }
     };
-    let serving = sessions(doors.listener, host, probes, stop.clone());
+    let serving = sessions(doors.listener, host, named, stop.clone());
     let ((), (), ()) = tokio::try_join!(serving, reflecting, announcing)?;
     Ok(())
 }
@@ -56,10 +56,10 @@ async fn announce(
 async fn sessions(
     mut listener: Listener,
     host: Host,
-    probes: Option<u16>,
+    named: Named,
     stop: CancellationToken,
 ) -> Result<(), String> {
-    let mut server = Server { host, probes, peers: HashMap::new() };
+    let mut server = Server { host, named, peers: HashMap::new() };
     // Models that are being loaded for a peer; the listener bounds how many peers there are.
     let mut loading: JoinSet<Loaded> = JoinSet::new();
     let mut stopping = std::pin::pin!(stop.cancelled());
@@ -90,6 +90,15 @@ async fn sessions(
     Ok(())
 }
 
+/// How a peer finds the one whose clock it must know.
+#[derive(Clone, Copy, Debug)]
+struct Named {
+    /// The port at which probes are answered.
+    probes: Option<u16>,
+    /// Who answers them.
+    instance: u64,
+}
+
 /// A wish for a session whose model has been loaded, or could not be.
 struct Loaded {
     wish: OpenRequest,
@@ -106,8 +115,7 @@ struct Peer {
 
 struct Server {
     host: Host,
-    /// The port at which probes are answered.
-    probes: Option<u16>,
+    named: Named,
     peers: HashMap<SessionId, Peer>,
 }
 
@@ -145,7 +153,8 @@ impl Server {
             device: pool.device(),
             facts: pool.facts(),
             host_clock: to_peers(self.host.own.borrow().clone()),
-            probes: self.probes,
+            probes: self.named.probes,
+            instance: self.named.instance,
         }
     }
 
@@ -169,7 +178,9 @@ impl Server {
         // A session that was never accepted has nothing to take leave of.
         if let Some(Peer { host, name, pipeline, .. }) = self.peers.remove(&session) {
             let text = format!("the session of {name} for its pipeline {pipeline} is over");
-            self.report(IncidentKind::Disconnected, host, text);
+            // An edge that lost its cloud says so itself; seen from here every session ends once.
+            let what = Concerning { peer: Some(host), ..Concerning::default() };
+            self.host.incidents.note(IncidentKind::Disconnected, what, text);
         }
     }
 

@@ -33,6 +33,7 @@ pub(super) async fn bind(
     listen: &Address,
     config: &ProbesConfig,
     settings: &ProbeSettings,
+    instance: u64,
     clock: &SharedClock,
 ) -> Result<Reflector, ReflectorError> {
     let port = config.port.unwrap_or(ProbesConfig::DEFAULT_PORT);
@@ -43,6 +44,7 @@ pub(super) async fn bind(
         let config = ReflectorConfig {
             listen: at,
             key: settings.key.clone(),
+            instance,
             max_per_source_hz: config.max_per_source_hz,
             stamps: settings.stamps,
             stateful: true,

@@ -117,7 +117,7 @@ fn bound(live: &mut LinkLive, left_out: &mut u64) {
     list(&mut live.pipelines, left_out);
     match &mut live.probing {
         Probing::On { address, stamps, .. } => [address, stamps].into_iter().for_each(text),
-        Probing::Unanswered { address } => text(address),
+        Probing::Unanswered { address, reason } => [address].into_iter().chain(reason).for_each(text),
         Probing::Off(reason) => text(reason),
     }
     for clock in [&mut live.edge, &mut live.cloud].into_iter().flatten() {

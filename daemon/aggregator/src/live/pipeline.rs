@@ -62,8 +62,9 @@ impl Pipeline {
     /// Takes over an update. A second that was known is replaced: each report of it is complete up to then.
     pub(super) fn update(&mut self, live: PipelineLive, sent: WallTime, now: Stamp, left_out: &mut u64) {
         if self.sent - sent > STEP {
-            self.recent.clear();
-            self.series.clear();
+            // The clock was set back and shows these seconds again: what is known of them happened at other times.
+            self.recent.forget_from(sent.unix_seconds());
+            drop(self.series.split_off(&sent.unix_seconds()));
         }
         (self.sent, self.seen) = (sent, now);
         (self.state, self.run, self.placement, self.load) = (live.state, live.run, live.placement, live.load);

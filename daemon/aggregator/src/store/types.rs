@@ -1,6 +1,6 @@
 //! What the store answers: plain data in SI units.
 
-use peernet_clock::{Verdict, WallTime};
+use peernet_clock::{DelaySource, Verdict, WallTime};
 use peernet_logger::stream::{HostDescription, OutcomeCounts, Placement};
 use peernet_logger::{HostId, Name, RunId, Slug, Tree};
 use serde::Serialize;
@@ -56,6 +56,8 @@ pub struct RunSummary {
     pub warm_up: u64,
     /// Figures of `total`, seconds; successful iterations only.
     pub total: Option<Figures>,
+    /// Whether the clock of one of its hosts was made wrong on purpose.
+    pub rehearsed: bool,
 }
 
 /// A run with all that is known of it.
@@ -198,12 +200,37 @@ pub struct IterationRow {
     pub total: Option<f64>,
     /// `total` over the run's median of it.
     pub factor: Option<f64>,
-    /// What took longest beyond its own median: a stage, or `unattributed`.
+    /// What took longest beyond its own median: a stage, `unattributed`, or [`BOTH_WAYS`].
     pub blame: Option<Blame>,
     /// Seconds per stage, in the order of the stages; a stage that occurs several times is added up.
     pub stages: Vec<(Name, f64)>,
-    /// Seconds that the total holds beyond its stages; `None` where the agent could not tell.
+    /// Seconds that the total holds beyond its stages, as the agent measured it; `None` where it could not tell.
     pub unattributed: Option<f64>,
+    /// Seconds of `upload` and `download` together where the two are not known apart: the total less the other stages
+    /// and `unattributed`. `None` where each is known, or nothing was sent.
+    pub both_ways: Option<f64>,
+    /// The one-way delays that were judged, in the order of the tree.
+    pub delays: Vec<DelayRow>,
+}
+
+/// What `upload` and `download` are called together, where the clocks do not tell them apart.
+pub const BOTH_WAYS: &str = "upload + download";
+
+/// A one-way delay, seconds.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct DelayRow {
+    /// `upload` or `download`.
+    pub stage: Name,
+    /// The estimate; `None` when it is not known.
+    pub value: Option<f64>,
+    /// The bounds that contain the truth; `None` when nothing is known.
+    pub bounds: Option<(f64, f64)>,
+    /// The receiver's stamp less the sender's: may be negative.
+    pub raw: f64,
+    /// What the correction rests on.
+    pub source: DelaySource,
+    /// How far it can be trusted.
+    pub verdict: Verdict,
 }
 
 /// The stage that explains most of an iteration's slowness.

@@ -1,7 +1,7 @@
 //! From what is known of the offset to the delay of a message.
 
 use super::sources::{Combined, Knowledge};
-use super::{Direction, Judged, Learned, Relation};
+use super::{Direction, Judged, Learned, Refusal, Relation};
 use crate::{DelaySource, Interval, OneWayDelay, Span, Verdict, WallTime, Witnessed};
 
 /// Fewer exchanges than these are too few, however fresh.
@@ -18,7 +18,7 @@ impl Relation {
         let down = self.knowledge(exchange.returned, None).combined().map(|known| known.estimate);
         let up = down.map(|down| down + self.band.growth(exchange.returned, exchange.sent));
         let delay = |direction, sent, received, guess| match learned {
-            Learned::Refused(_) => self.refused(direction, sent, received),
+            Learned::Refused(why) => self.refused(why, direction, sent, received),
             _ => self.delay_in_company(direction, sent, received, company, guess),
         };
         Judged {
@@ -67,11 +67,15 @@ impl Relation {
         Verdict::Ok
     }
 
-    fn refused(&self, direction: Direction, sent: WallTime, received: WallTime) -> OneWayDelay {
+    /// After a step nothing is known yet, but that is not why it was refused.
+    fn refused(&self, why: Refusal, direction: Direction, sent: WallTime, received: WallTime) -> OneWayDelay {
         let raw = received - sent;
-        match self.knowledge(edge_time(direction, sent, received), Some(Span::ZERO)).combined() {
-            None => OneWayDelay::unsynchronised(raw),
-            Some(_) => OneWayDelay::stepped(raw, DelaySource::None),
+        let at = edge_time(direction, sent, received);
+        let stepped = why == Refusal::Stepped || self.restarted.is_some();
+        if stepped || self.knowledge(at, Some(Span::ZERO)).combined().is_some() {
+            OneWayDelay::stepped(raw, DelaySource::None)
+        } else {
+            OneWayDelay::unsynchronised(raw)
         }
     }
 

@@ -19,7 +19,8 @@ pub(super) struct Combined {
     /// Within the bounds.
     pub(super) estimate: Span,
     pub(super) source: DelaySource,
-    /// Whether the sources have anything in common. If not, the bounds hold them all.
+    /// Whether the sources have anything in common. If not, the bounds hold them all, and the estimate is the band's
+    /// own: between the two lies nothing that anyone claims.
     pub(super) agree: bool,
 }
 
@@ -42,7 +43,7 @@ impl Knowledge {
         };
         let Some(bounds) = band.intersection(other) else {
             let bounds = band.hull(other);
-            return Some(Combined { bounds, estimate, source: DelaySource::Intersection, agree: false });
+            return Some(Combined { bounds, estimate, source: DelaySource::InBand, agree: false });
         };
         let source = if source != DelaySource::SameClock && bounds == band {
             DelaySource::InBand

@@ -60,11 +60,12 @@ pub enum Learned {
 pub struct Offset {
     /// The edge's wall clock.
     pub at: WallTime,
-    /// The best guess, within `bounds`.
+    /// The best guess, within `bounds`; where it is `inconsistent`, that of `source` alone.
     pub estimate: Span,
-    /// Contain the truth as long as the clocks drift apart no faster than the stated limit.
+    /// Contain the truth as long as the clocks drift apart no faster than the stated limit. Where it is `inconsistent`
+    /// they hold what each of the sources says: one of them is wrong, and it is not known which.
     pub bounds: Interval,
-    /// What the bounds rest on.
+    /// What the bounds rest on; where it is `inconsistent`, what the estimate does.
     pub source: DelaySource,
     /// Every source and what it says alone, for comparison: `in-band` first.
     pub sources: Vec<(DelaySource, Interval)>,

@@ -126,6 +126,9 @@ pub enum Probing {
     Unanswered {
         /// Where to.
         address: String,
+        /// What is known to be wrong, such as a key that only one end has; `None` when nothing is.
+        #[serde(default)]
+        reason: Option<String>,
     },
     /// No probes; the text says why.
     Off(String),

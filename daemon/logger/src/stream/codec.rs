@@ -255,7 +255,8 @@ mod tests {
     fn what_is_told_of_clocks_arrives_as_it_was_sent() {
         let probing = [
             Probing::On { address: "udp://h:8620".into(), rate_hz: 10.0, stamps: "program".into() },
-            Probing::Unanswered { address: "udp://h:8620".into() },
+            Probing::Unanswered { address: "udp://h:8620".into(), reason: Some("another key".into()) },
+            Probing::Unanswered { address: "udp://h:8620".into(), reason: None },
             Probing::Off("both read one clock".into()),
         ];
         let link = |probing| LinkLive {

@@ -135,7 +135,7 @@ pub(crate) struct Reply {
     pub(crate) request: u64,
     /// Present when the tree's growth is: an answer that no model made carries neither.
     pub(crate) departure: Option<Departure>,
-    /// The cloud's epoch right after the request's arrival was stamped. Another than the departure's: its clock was
+    /// The cloud's epoch right before the request's arrival was stamped. Another than the departure's: its clock was
     /// stepped in between.
     pub(crate) arrival_epoch: u32,
     pub(crate) outcome: Outcome,

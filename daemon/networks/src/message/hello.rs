@@ -11,7 +11,7 @@ use uuid::Uuid;
 use super::words;
 
 /// The version of the protocol between edge and cloud. Peers of different versions refuse each other.
-pub const PROTOCOL: u16 = 2;
+pub const PROTOCOL: u16 = 3;
 
 /// A session, by the random id that the cloud gave it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -71,6 +71,9 @@ pub struct SessionAccepted {
     pub host_clock: PeerClock,
     /// UDP port of the cloud's probe reflector, if it has one.
     pub probes: Option<u16>,
+    /// A number that the cloud's process chose at random when it began. Answers to probes carry it, and epochs of
+    /// different processes cannot be compared.
+    pub instance: u64,
 }
 
 /// What a cloud tells of its wall clock: when a session opens, and whenever it changes. On the wire a claim whose

@@ -67,18 +67,10 @@ pub(crate) fn peer_clock() -> impl Strategy<Value = PeerClock> {
 
 pub(crate) fn accepted() -> impl Strategy<Value = SessionAccepted> {
     let facts = proptest::collection::vec((".{0,12}", ".{0,12}"), 0..4);
-    let clocks = (clock(), peer_clock(), any::<Option<u16>>());
+    let clocks = (clock(), peer_clock(), any::<(Option<u16>, u64)>());
     (host(), slug(), clocks, ".{0,12}", slug(), ".{0,12}", facts).prop_map(
-        |(host, name, (clock, host_clock, probes), version, model, device, facts)| SessionAccepted {
-            host,
-            name,
-            clock,
-            version,
-            model,
-            device,
-            facts,
-            host_clock,
-            probes,
+        |(host, name, (clock, host_clock, (probes, instance)), version, model, device, facts)| {
+            SessionAccepted { host, name, clock, version, model, device, facts, host_clock, probes, instance }
         },
     )
 }

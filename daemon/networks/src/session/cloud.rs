@@ -130,8 +130,10 @@ impl Listener {
             }
             match self.receiver.receive().await? {
                 Arrival::Message(peer, frames) => {
+                    // Before the stamp, as the one at the answer is after it: if they are equal, so is all in between.
+                    let epoch = self.shared.clock.epoch();
                     let received = self.shared.clock.stamp();
-                    if let Some(incoming) = heard(&self.shared, &peer, frames, received) {
+                    if let Some(incoming) = heard(&self.shared, &peer, frames, (received, epoch)) {
                         return Some(incoming);
                     }
                 }
@@ -161,8 +163,8 @@ impl Listener {
     }
 }
 
-/// A message arrived: what to hand out, if anything.
-fn heard(shared: &Arc<Shared>, peer: &Peer, frames: Frames, received: Stamp) -> Option<Incoming> {
+/// A message arrived in this epoch of the clock: what to hand out, if anything.
+fn heard(shared: &Arc<Shared>, peer: &Peer, frames: Frames, received: (Stamp, u32)) -> Option<Incoming> {
     shared.counters.received(Sizes::of(&frames).total());
     if frames.len() > MAX_FRAMES {
         shared.malformed(peer.address, "too many frames");
@@ -203,9 +205,8 @@ fn incoming_request(
     peer: &Peer,
     request: Request,
     frames: Frames,
-    received: Stamp,
+    (received, arrival_epoch): (Stamp, u32),
 ) -> Option<Incoming> {
-    let arrival_epoch = shared.clock.epoch();
     let ticket = Ticket { session: request.session, request: request.request, arrival_epoch };
     let frames = match shared.budget.hold(frames) {
         Ok(frames) => frames,

@@ -86,11 +86,7 @@ impl Session {
         clock: SharedClock,
     ) -> Result<Self, OpenError> {
         let settings = settings.clamped();
-        let waited_ms = settings.open_timeout_ms;
-        let handshake = Box::pin(handshake(kind, address, hello, &settings));
-        let (dialled, accepted) = tokio::time::timeout(settings.open_timeout(), handshake)
-            .await
-            .unwrap_or_else(|_| Err(OpenError::TimedOut { address: address.clone(), waited_ms }))?;
+        let (dialled, accepted) = Box::pin(handshake(kind, address, hello, &settings)).await?;
         Ok(Self::start(dialled, accepted, &settings, clock))
     }
 
@@ -261,8 +257,9 @@ impl Shared {
         let request =
             self.machine().begin(waiter).map_err(|reason| RequestError::Lost(reason.to_string()))?;
 
-        let stamp = self.clock.stamp();
+        // Before the stamp, as the one at the answer is after it: if they are equal, so is all in between.
         let epoch = self.clock.epoch();
+        let stamp = self.clock.stamp();
         log.stop_at(encoding, stamp.mono);
         let departure = Departure { sent: stamp.wall, start: log.offset(stamp.mono), epoch };
         let departed = Departed { upload: put_upload(log.tree_mut(), departure), at: stamp, epoch };

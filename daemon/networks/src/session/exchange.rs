@@ -45,7 +45,7 @@ pub(crate) struct Departed {
     /// The `upload` node.
     pub(crate) upload: NodeId,
     pub(crate) at: Stamp,
-    /// The edge's epoch right after.
+    /// The edge's epoch right before.
     pub(crate) epoch: u32,
 }
 

@@ -1,5 +1,7 @@
 //! Opening a session: connect, say hello, wait for the answer.
 
+use tokio::time::{Instant, timeout_at};
+
 use super::client::{Opened, opened};
 use crate::message::{Accepted, Header, Open, SessionHello};
 use crate::transport::{DialFailure, Dialled};
@@ -16,9 +18,10 @@ pub enum OpenError {
         /// What went wrong.
         reason: String,
     },
-    /// The cloud did not answer in time.
+    /// Something took the connection and did not answer in time.
     #[error(
-        "no session with {address} within {waited_ms} ms; raise open_timeout_ms if its model takes longer to load"
+        "something listens at {address} but does not answer like an agent's [serve]; is this the port of an aggregator or of something else?{}",
+        Self::LOADING
     )]
     TimedOut {
         /// Where the session was to be opened.
@@ -48,7 +51,13 @@ pub enum OpenError {
     },
 }
 
-/// Connects and shakes hands, however long it takes.
+impl OpenError {
+    /// What [`Self::TimedOut`] ends with: of use only where a configuration can be changed and the model is one that
+    /// takes long to load.
+    pub const LOADING: &str = " or does its model take longer to load than open_timeout_ms allows?";
+}
+
+/// Connects and shakes hands within the time that the settings allow.
 pub(crate) async fn handshake(
     kind: NetworkKind,
     address: &Address,
@@ -57,17 +66,20 @@ pub(crate) async fn handshake(
 ) -> Result<(Dialled, Accepted), OpenError> {
     let unreachable = |reason: String| OpenError::Unreachable { address: address.clone(), reason };
     let ours = hello.protocol;
-    let mut dialled = kind.dial(address, settings).await.map_err(|failure| match failure {
+    let waited_ms = settings.open_timeout_ms;
+    let deadline = Instant::now() + settings.open_timeout();
+    let dialled = timeout_at(deadline, kind.dial(address, settings)).await;
+    let mut dialled = dialled.unwrap_or(Err(DialFailure::TimedOut)).map_err(|failure| match failure {
         DialFailure::Unreachable(reason) => unreachable(reason),
-        DialFailure::TimedOut => {
-            OpenError::TimedOut { address: address.clone(), waited_ms: settings.open_timeout_ms }
-        }
+        DialFailure::TimedOut => unreachable(format!("nothing answered within {waited_ms} ms")),
     })?;
     let open = Header::Open(Box::new(Open { hello, max_message_bytes: settings.max_message_bytes }));
     let open = open.encode().map_err(|error| unreachable(error.to_string()))?;
     dialled.sender.send(vec![open]).map_err(|error| unreachable(error.to_string()))?;
     loop {
-        let frames = dialled.receiver.receive().await.map_err(unreachable)?;
+        let frames = timeout_at(deadline, dialled.receiver.receive()).await;
+        let frames = frames.map_err(|_| OpenError::TimedOut { address: address.clone(), waited_ms })?;
+        let frames = frames.map_err(unreachable)?;
         let Some(Ok(header)) = frames.first().map(|frame| Header::decode(frame)) else { continue };
         match opened(header) {
             Opened::Accepted(accepted) => return Ok((dialled, *accepted)),

@@ -1,12 +1,12 @@
 //! What two hosts tell each other of their clocks, and the stamps that relate them.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicI64, AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU32, Ordering};
 use std::time::Duration;
 
 use peernet_clock::{
     Clock, ClockIdentity, DelaySource, Discipline, Interval, MonoTime, RehearsalDescription, RehearsedStep,
-    Span, SystemClock, WallTime,
+    Span, Stamp, SystemClock, WallTime,
 };
 use peernet_logger::{Measure, NodeId, Transit};
 use peernet_networks::{Exchange, PeerClock, RequestError};
@@ -21,12 +21,19 @@ struct Set {
     system: SystemClock,
     ahead: AtomicI64,
     epoch: AtomicU32,
+    /// It is set right after the next stamp, by little.
+    slips: AtomicBool,
 }
 
 impl Set {
     fn new(ahead: Span) -> Arc<Self> {
         let system = SystemClock::new(ClockIdentity::new("boot", "set"));
-        Arc::new(Self { system, ahead: AtomicI64::new(ahead.nanos()), epoch: AtomicU32::new(0) })
+        Arc::new(Self {
+            system,
+            ahead: AtomicI64::new(ahead.nanos()),
+            epoch: AtomicU32::new(0),
+            slips: AtomicBool::new(false),
+        })
     }
 
     fn forward(&self, by: Span) {
@@ -46,6 +53,14 @@ impl Clock for Set {
 
     fn identity(&self) -> &ClockIdentity {
         self.system.identity()
+    }
+
+    fn stamp(&self) -> Stamp {
+        let stamp = Stamp { wall: self.wall(), mono: self.mono() };
+        if self.slips.swap(false, Ordering::SeqCst) {
+            self.forward(Span::from_micros(-30));
+        }
+        stamp
     }
 
     fn epoch(&self) -> u32 {
@@ -138,6 +153,30 @@ async fn a_clock_stepped_meanwhile_leaves_nothing_to_learn_from() {
         assert!(exchange.result.is_ok());
         assert_eq!(exchange.witnessed.map(|witnessed| witnessed.edge_epoch), (!stepped).then_some(1));
     }
+}
+
+#[tokio::test]
+async fn a_clock_stepped_right_after_the_first_stamp_at_a_host_leaves_nothing_to_learn_from_either() {
+    let clock = Set::new(Span::ZERO);
+    let mut cloud = Cloud::start_by(clock.clone()).await;
+    let (session, _) = cloud.session(settings()).await;
+    clock.slips.store(true, Ordering::SeqCst);
+    let exchange = echo(&mut cloud, &session, "stepped at the cloud").await;
+    assert_eq!((exchange.witnessed, clock.epoch()), (None, 1));
+    let exchange = echo(&mut cloud, &session, "after").await;
+    assert_eq!(exchange.witnessed.expect("answered").cloud_epoch, Some(1));
+
+    let clock = Set::new(Span::ZERO);
+    let session = {
+        let edge = tokio::spawn(open_by(cloud.address(), clock.clone()));
+        cloud.next_open().await.accept(accepted(cloud.host));
+        within(edge).await.expect("no panic").expect("accepted")
+    };
+    clock.slips.store(true, Ordering::SeqCst);
+    let exchange = echo(&mut cloud, &session, "stepped at the edge").await;
+    assert_eq!((exchange.witnessed, clock.epoch()), (None, 1));
+    let exchange = echo(&mut cloud, &session, "after").await;
+    assert_eq!(exchange.witnessed.expect("answered").edge_epoch, 1);
 }
 
 #[tokio::test]

@@ -287,6 +287,7 @@ impl FakeCloud {
             facts: Vec::new(),
             host_clock: wire::host_clock(0),
             probes: None,
+            instance: 1,
         };
         Header::Accepted { protocol, session, accepted, max_message_bytes: 1_000_000, max_in_flight: 8 }
     }

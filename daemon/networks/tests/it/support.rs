@@ -50,6 +50,7 @@ pub(crate) fn accepted(host: HostId) -> SessionAccepted {
         facts: vec![("parameters".into(), "none".into())],
         host_clock: PeerClock { text: "left alone".into(), ..PeerClock::default() },
         probes: Some(8620),
+        instance: 4,
     }
 }
 

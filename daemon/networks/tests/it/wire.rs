@@ -67,6 +67,7 @@ pub(crate) struct Accepted {
     pub(crate) facts: Vec<(String, String)>,
     pub(crate) host_clock: HostClock,
     pub(crate) probes: Option<u16>,
+    pub(crate) instance: u64,
 }
 
 #[derive(Serialize, Deserialize, Debug)]

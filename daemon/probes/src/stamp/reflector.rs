@@ -13,7 +13,7 @@ use super::limiter::Limiter;
 use super::packet::{self, Mode, Reply, Request};
 use super::recent::Recent;
 use super::timestamp::ErrorEstimate;
-use super::tlv::{self, FollowUp};
+use super::tlv::{self, FollowUp, Origin};
 use super::uncertainty;
 
 /// Sessions that are remembered at least.
@@ -26,6 +26,7 @@ const LONGEST_ANSWER: Span = Span::from_seconds(4);
 #[derive(Debug)]
 pub struct Reflecting {
     key: Option<Key>,
+    instance: u64,
     limiter: Limiter,
     sessions: Option<Recent<SessionId, Session>>,
 }
@@ -76,10 +77,10 @@ impl Answer {
 
 impl Reflecting {
     /// A reflector that has not seen anybody. With a key it answers only what the key authenticates; `stateful` tells
-    /// sessions apart.
-    pub fn new(key: Option<Key>, max_per_source_hz: u32, stateful: bool) -> Self {
+    /// sessions apart; `instance` tells it from others in its answers.
+    pub fn new(key: Option<Key>, instance: u64, max_per_source_hz: u32, stateful: bool) -> Self {
         let sessions = stateful.then(|| Recent::new(SESSIONS));
-        Self { key, limiter: Limiter::new(max_per_source_hz), sessions }
+        Self { key, instance, limiter: Limiter::new(max_per_source_hz), sessions }
     }
 
     /// Turns a request into its answer, in place; [`complete`](Self::complete) stamps it.
@@ -134,9 +135,10 @@ impl Reflecting {
         reply.write(mode, packet);
         let tlvs = &mut packet[mode.base_bytes()..];
         if answer.intact {
-            let ours = tlv::places(tlvs).find(|place| is_our_epoch(place, tlvs));
+            let ours = tlv::places(tlvs).find(|place| is_for_origin(place, tlvs));
             if let Some(place) = ours {
-                tlvs[place.value].copy_from_slice(&tlv::epoch_value(epoch));
+                let origin = Origin { epoch, instance: self.instance };
+                tlvs[place.value].copy_from_slice(&origin.to_value());
             }
         }
         if let Some(key) = &self.key {
@@ -193,7 +195,7 @@ fn answer_tlvs(tlvs: &mut [u8], intact: bool, previous: Option<FollowUp>) {
             tlv::EXTRA_PADDING => (true, true),
             tlv::FOLLOW_UP => (true, length == FollowUp::BYTES),
             tlv::HMAC => (true, length == CODE_BYTES),
-            _ => (is_our_epoch(&place, tlvs), true),
+            _ => (is_for_origin(&place, tlvs), true),
         };
         let mut flags = 0;
         if !known {
@@ -217,6 +219,6 @@ fn answer_tlvs(tlvs: &mut [u8], intact: bool, previous: Option<FollowUp>) {
     }
 }
 
-fn is_our_epoch(place: &tlv::Place, tlvs: &[u8]) -> bool {
-    place.kind == tlv::EPOCH && tlv::epoch_from_value(&tlvs[place.value.clone()]).is_some()
+fn is_for_origin(place: &tlv::Place, tlvs: &[u8]) -> bool {
+    place.kind == tlv::ORIGIN && Origin::from_value(&tlvs[place.value.clone()]).is_some()
 }

@@ -7,8 +7,8 @@ use peernet_clock::{Clock, Exchange, MonoTime, Span, Stamp, WallTime, Witnessed}
 use super::auth::{CODE_BYTES, Key};
 use super::packet::{self, Mode, Reply, Request};
 use super::timestamp::{ErrorEstimate, Format};
-use super::tlv::{self, FollowUp};
-use super::uncertainty;
+use super::tlv::{self, FollowUp, Origin};
+use super::uncertainty::{self, AGREEMENT};
 
 /// Probes that are remembered at most, waiting or answered; a further one pushes out the oldest.
 const MAX_PENDING: usize = 1024;
@@ -16,15 +16,35 @@ const MAX_PENDING: usize = 1024;
 /// Longer than this after the program's stamp no packet leaves.
 const LONGEST_DEPARTURE: Span = Span::from_seconds(1);
 
+/// Whom a sender asks, and how.
+#[derive(Clone, Debug)]
+pub struct SendingConfig {
+    /// The key shared with the reflector.
+    pub key: Option<Key>,
+    /// The only reflector that is believed, by its [`Origin::instance`]; any at `None`.
+    pub instance: Option<u64>,
+    /// Tells the session from other sessions between the same ports.
+    pub ssid: u16,
+    /// Number of the first packet.
+    pub first: u32,
+    /// Bytes of padding.
+    pub padding_bytes: u16,
+    /// After this a probe without an answer is lost.
+    pub timeout: Span,
+}
+
 /// A sender's state.
 #[derive(Debug)]
 pub struct Sending {
     key: Option<Key>,
+    instance: Option<u64>,
     ssid: u16,
     next: u32,
     packet: Vec<u8>,
     timeout: Span,
     pending: VecDeque<Pending>,
+    /// The kernel's stamps are of another clock than the program's.
+    distrusts_kernel: bool,
 }
 
 /// A request that was stamped.
@@ -33,6 +53,8 @@ pub struct Departure {
     sequence: u32,
     timestamp: u64,
     sent: Stamp,
+    /// The edge's epoch, read before: the stamp belongs to this one or a later one.
+    epoch: u32,
 }
 
 impl Departure {
@@ -46,6 +68,8 @@ impl Departure {
 struct Pending {
     departure: Departure,
     left: Option<WallTime>,
+    /// The kernel says that it left before the program stamped it.
+    left_early: bool,
     answer: Option<Answered>,
 }
 
@@ -53,7 +77,8 @@ struct Pending {
 struct Answered {
     /// The reply's own number.
     sequence: u32,
-    witnessed: Witnessed,
+    /// `None` if the edge's clock was stepped meanwhile.
+    witnessed: Option<Witnessed>,
 }
 
 /// When a packet came back.
@@ -72,32 +97,33 @@ pub struct Return {
 pub struct Heard {
     /// An earlier exchange, now with the stamp of when its reply really left.
     pub refined: Option<Witnessed>,
-    /// The exchange that it completes.
-    pub answered: Witnessed,
+    /// The exchange that it completes; `None` if the edge's clock was set meanwhile: nothing follows from its stamps.
+    pub answered: Option<Witnessed>,
 }
 
 /// What the TLVs of a reply told.
 #[derive(Clone, Copy, Debug, Default)]
 struct Told {
     follow_up: Option<FollowUp>,
-    epoch: Option<u32>,
+    origin: Option<Origin>,
 }
 
 impl Sending {
-    /// A session that has sent nothing. `ssid` tells it from other sessions between the same ports, `first` is the
-    /// number of the first packet.
-    pub fn new(key: Option<Key>, ssid: u16, first: u32, padding_bytes: u16, timeout: Span) -> Self {
+    /// A session that has sent nothing.
+    pub fn new(config: SendingConfig) -> Self {
+        let SendingConfig { key, instance, ssid, first, padding_bytes, timeout } = config;
         let mut packet = vec![0; Mode::of(key.as_ref()).base_bytes()];
         // The room that the reflector fills.
         tlv::push(&mut packet, tlv::FOLLOW_UP, &[0; FollowUp::BYTES]);
-        tlv::push(&mut packet, tlv::EPOCH, &tlv::epoch_value(0));
+        tlv::push(&mut packet, tlv::ORIGIN, &Origin::default().to_value());
         if key.is_some() {
             tlv::push(&mut packet, tlv::HMAC, &[0; CODE_BYTES]);
         }
         if padding_bytes > 0 {
             tlv::push(&mut packet, tlv::EXTRA_PADDING, &vec![0; usize::from(padding_bytes)]);
         }
-        Self { key, ssid, next: first, packet, timeout, pending: VecDeque::new() }
+        let pending = VecDeque::new();
+        Self { key, instance, ssid, next: first, packet, timeout, pending, distrusts_kernel: false }
     }
 
     /// The next request, stamped. To be sent at once, then told to [`sent`](Self::sent).
@@ -107,6 +133,8 @@ impl Sending {
         if let Some(key) = &self.key {
             tlv::seal(key, self.next, &mut self.packet[mode.base_bytes()..]);
         }
+        // Before the stamp, as the one at the return is after it: if they are equal, so is all in between.
+        let epoch = clock.epoch();
         let sent = clock.stamp();
         let timestamp = Format::Ntp.encode(sent.wall);
         let request = Request { sequence: self.next, timestamp, estimate, ssid: self.ssid };
@@ -114,24 +142,41 @@ impl Sending {
         if let Some(key) = &self.key {
             packet::seal(key, &mut self.packet);
         }
-        (Departure { sequence: self.next, timestamp, sent }, &self.packet)
+        (Departure { sequence: self.next, timestamp, sent, epoch }, &self.packet)
     }
 
     /// The request was sent; returns how many earlier ones are given up for it.
     pub fn sent(&mut self, departure: Departure) -> usize {
         self.next = departure.sequence.wrapping_add(1);
         let given_up = if self.pending.len() >= MAX_PENDING { self.pending.pop_front() } else { None };
-        self.pending.push_back(Pending { departure, left: None, answer: None });
+        self.pending.push_back(Pending { departure, left: None, left_early: false, answer: None });
         usize::from(given_up.is_some_and(|oldest| oldest.answer.is_none()))
     }
 
     /// The kernel's stamp of a request's departure. Believed if it fits between the program's and the longest that a
     /// packet can wait here.
     pub fn departed(&mut self, sequence: u32, left: WallTime) {
-        if let Some(pending) = find(&mut self.pending, sequence)
-            && (Span::ZERO..=LONGEST_DEPARTURE).contains(&(left - pending.departure.sent.wall))
-        {
-            pending.left = Some(left);
+        if self.distrusts_kernel {
+            return;
+        }
+        if let Some(pending) = find(&mut self.pending, sequence) {
+            let after = left - pending.departure.sent.wall;
+            pending.left = (Span::ZERO..=LONGEST_DEPARTURE).contains(&after).then_some(left);
+            pending.left_early = after < -AGREEMENT;
+        }
+    }
+
+    /// Whether the kernel's stamps were found to be of another clock than the program's, as when something shows the
+    /// program a false time. They are ignored from then on.
+    pub const fn distrusts_kernel(&self) -> bool {
+        self.distrusts_kernel
+    }
+
+    /// Ignores the kernel's stamps from now on.
+    pub fn distrust_kernel(&mut self) {
+        self.distrusts_kernel = true;
+        for pending in &mut self.pending {
+            (pending.left, pending.left_early) = (None, false);
         }
     }
 
@@ -163,44 +208,68 @@ impl Sending {
             return Err("of another session");
         }
         let told = told(self.key.as_ref(), reply.sequence, &packet[mode.base_bytes()..]);
+        match (self.instance, told.origin) {
+            (Some(expected), Some(origin)) if origin.instance != expected => return Err(ANOTHER_PROCESS),
+            (Some(_), None) => return Err(NOT_OURS),
+            _ => {}
+        }
         let near = returned.read.wall;
         let format = reply.estimate.format();
         let decode = |bits| if bits == 0 { None } else { format.decode(bits, near) };
         let stamps = decode(reply.received).zip(decode(reply.timestamp));
         let (received, replied) = stamps.ok_or("without the reflector's stamps")?;
 
-        let pending = find(&mut self.pending, reply.asked.sequence).ok_or("late, or to no probe of ours")?;
+        let pending = find(&mut self.pending, reply.asked.sequence).ok_or(LATE)?;
         if pending.departure.timestamp != reply.asked.timestamp {
             return Err("to another stamp than was sent");
         }
         if pending.answer.is_some() {
             return Err("a second answer to the same probe");
         }
-        let sent = pending.departure.sent;
+        // Between two equal epochs all stamps are of one clock.
+        let Departure { sent, epoch, .. } = pending.departure;
+        if epoch != returned.epoch {
+            pending.answer = Some(Answered { sequence: reply.sequence, witnessed: None });
+            return Ok(Heard { refined: None, answered: None });
+        }
+        let impossible =
+            |kernel: WallTime| kernel > returned.read.wall + AGREEMENT || kernel < sent.wall - AGREEMENT;
+        if pending.left_early || returned.kernel.is_some_and(impossible) {
+            self.distrust_kernel();
+        }
+        let kernel = returned.kernel.filter(|_| !self.distrusts_kernel);
+        let pending = find(&mut self.pending, reply.asked.sequence).ok_or(LATE)?;
         let exchange = Exchange {
             sent: pending.left.unwrap_or(sent.wall),
             received,
             replied,
-            returned: returned.kernel.unwrap_or(returned.read.wall),
-            uncertainty: if told.epoch.is_some() { uncertainty::OWN } else { uncertainty::FOREIGN },
+            returned: kernel.unwrap_or(returned.read.wall),
+            uncertainty: if told.origin.is_some() { uncertainty::OWN } else { uncertainty::FOREIGN },
         };
         // The monotonic clock was read beside the program's stamps only. With the kernel's the epochs show a step.
-        let by_program = pending.left.is_none() && returned.kernel.is_none();
+        let by_program = pending.left.is_none() && kernel.is_none();
         let answered = Witnessed {
             exchange,
             edge_elapsed: by_program.then(|| returned.read.mono - sent.mono),
             cloud_elapsed: None,
             edge_epoch: returned.epoch,
-            cloud_epoch: told.epoch,
+            cloud_epoch: told.origin.map(|origin| origin.epoch),
         };
-        pending.answer = Some(Answered { sequence: reply.sequence, witnessed: answered });
+        pending.answer = Some(Answered { sequence: reply.sequence, witnessed: Some(answered) });
         let refined = told.follow_up.and_then(|told| {
             let left = decode(told.timestamp)?;
             refine(&mut self.pending, reply.asked.sequence, told.sequence, left, answered.cloud_epoch)
         });
-        Ok(Heard { refined, answered })
+        Ok(Heard { refined, answered: Some(answered) })
     }
 }
+
+/// Of a reply that nothing waits for.
+const LATE: &str = "late, or to no probe of ours";
+/// Of a reply by another reflector of ours than was expected.
+pub const ANOTHER_PROCESS: &str = "another process answers the probes than serves the data";
+/// Of a reply by no reflector of ours where one was expected.
+pub const NOT_OURS: &str = "something else answers the probes than the agent that serves the data";
 
 /// The probe of that number: they stand in order and without holes.
 fn find(pending: &mut VecDeque<Pending>, sequence: u32) -> Option<&mut Pending> {
@@ -221,7 +290,7 @@ fn refine(
     let answered = earlier
         .filter_map(|pending| pending.answer.as_mut())
         .find(|answered| answered.sequence == sequence)?;
-    let witnessed = &mut answered.witnessed;
+    let witnessed = answered.witnessed.as_mut()?;
     let later = left - witnessed.exchange.replied;
     if later <= Span::ZERO || later > LONGEST_DEPARTURE || witnessed.cloud_epoch != epoch {
         return None;
@@ -244,7 +313,7 @@ fn told(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> Told {
         if place.flags & tlv::UNRECOGNISED == 0 {
             match place.kind {
                 tlv::FOLLOW_UP => told.follow_up = FollowUp::from_value(&tlvs[place.value]),
-                tlv::EPOCH => told.epoch = tlv::epoch_from_value(&tlvs[place.value]),
+                tlv::ORIGIN => told.origin = Origin::from_value(&tlvs[place.value]),
                 _ => {}
             }
         }

@@ -10,9 +10,8 @@ pub const EXTRA_PADDING: u8 = 1;
 pub const FOLLOW_UP: u8 = 7;
 /// Authenticates the TLVs before it.
 pub const HMAC: u8 = 8;
-/// Ours, of the range for private use: the mark `PEER` and the reflector's [`epoch`](peernet_clock::Clock::epoch),
-/// four bytes each.
-pub const EPOCH: u8 = 252;
+/// Ours, of the range for private use: the mark `PEER`, then an [`Origin`].
+pub const ORIGIN: u8 = 252;
 
 /// Flag: the reflector does not know the type. Senders set it, reflectors that know the type clear it.
 pub const UNRECOGNISED: u8 = 0x80;
@@ -24,7 +23,7 @@ pub const NOT_INTACT: u8 = 0x20;
 /// Bytes before the value: flags, type, length.
 pub const HEADER_BYTES: usize = 4;
 
-const EPOCH_MARK: [u8; 4] = *b"PEER";
+const ORIGIN_MARK: [u8; 4] = *b"PEER";
 
 /// Where a TLV stands among others.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -107,21 +106,35 @@ impl FollowUp {
     }
 }
 
-/// Bytes of the value of [`EPOCH`].
-pub const EPOCH_BYTES: usize = 8;
-
-/// The value of [`EPOCH`] as it travels.
-pub fn epoch_value(epoch: u32) -> [u8; EPOCH_BYTES] {
-    let mut value = [0; EPOCH_BYTES];
-    value[..4].copy_from_slice(&EPOCH_MARK);
-    value[4..].copy_from_slice(&epoch.to_be_bytes());
-    value
+/// The value of [`ORIGIN`]: whose clock the stamps are of. A request has the room for it, with zeros.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Origin {
+    /// The reflector's [`epoch`](peernet_clock::Clock::epoch).
+    pub epoch: u32,
+    /// The number that the reflector's process chose at random when it began.
+    pub instance: u64,
 }
 
-/// The epoch in a value of [`EPOCH`]; `None` where somebody else uses the type.
-pub fn epoch_from_value(value: &[u8]) -> Option<u32> {
-    let value: &[u8; EPOCH_BYTES] = value.try_into().ok()?;
-    value.starts_with(&EPOCH_MARK).then(|| u32::from_be_bytes([value[4], value[5], value[6], value[7]]))
+impl Origin {
+    /// Bytes of the value.
+    pub const BYTES: usize = 16;
+
+    /// The value as it travels.
+    pub fn to_value(self) -> [u8; Self::BYTES] {
+        let mut value = [0; Self::BYTES];
+        value[..4].copy_from_slice(&ORIGIN_MARK);
+        value[4..8].copy_from_slice(&self.epoch.to_be_bytes());
+        value[8..].copy_from_slice(&self.instance.to_be_bytes());
+        value
+    }
+
+    /// From a value; `None` where somebody else uses the type.
+    pub fn from_value(value: &[u8]) -> Option<Self> {
+        let value: &[u8; Self::BYTES] = value.try_into().ok()?;
+        let epoch = u32::from_be_bytes(*value[4..].first_chunk()?);
+        let instance = u64::from_be_bytes(*value[8..].first_chunk()?);
+        value.starts_with(&ORIGIN_MARK).then_some(Self { epoch, instance })
+    }
 }
 
 /// Whether TLVs may be believed (RFC 8972, section 4.8): with a key, those before an [`HMAC`] that authenticates them

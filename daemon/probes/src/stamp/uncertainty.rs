@@ -16,3 +16,7 @@ pub const OWN: Span = Span::from_nanos(4);
 /// packets counts microseconds (`gettimeofday`, `SO_TIMESTAMP`) and rounds down. Its Error Estimate does not help: it
 /// speaks of UTC where it claims to follow it.
 pub const FOREIGN: Span = Span::from_nanos(1_000 + OWN.nanos());
+
+/// Stamps of one clock by the kernel and by the program are in the order of the events to this, or they are of two
+/// clocks.
+pub const AGREEMENT: Span = Span::from_micros(1);

@@ -3,13 +3,16 @@
 use std::time::Duration;
 
 use peernet_clock::{
-    ClockIdentity, Interval, RehearsalDescription, RehearsedClock, SharedClock, Span, Witnessed,
+    Clock, ClockIdentity, Interval, MonoTime, RehearsalDescription, RehearsedClock, SharedClock, Span,
+    SystemClock, WallTime, Witnessed,
 };
 use peernet_probes::{BindError, ProbeResult, Prober, Reflector, ReflectorConfig, Refusal, Stamps};
 use tokio::net::UdpSocket;
 use tokio_util::sync::CancellationToken;
 
-use crate::support::{Probing, Running, key, loopback, prober_config, reflector_config, system_clock};
+use crate::support::{
+    INSTANCE, Probing, Running, key, loopback, prober_config, reflector_config, system_clock,
+};
 
 fn answered(result: &ProbeResult) -> Option<Witnessed> {
     if let ProbeResult::Answered(witnessed) = result { Some(*witnessed) } else { None }
@@ -239,6 +242,86 @@ async fn without_a_reflector_probes_are_lost_and_probing_goes_on() {
         system_clock("cloud"),
     );
     probing.until(answered).await;
+    probing.stop().await;
+    running.stop().await;
+}
+
+/// The system's clock as a program sees it that is shown a false time, of which the kernel knows nothing: as under
+/// libfaketime.
+#[derive(Debug)]
+struct Shown {
+    system: SystemClock,
+    ahead: Span,
+}
+
+impl Clock for Shown {
+    fn wall(&self) -> WallTime {
+        self.system.wall() + self.ahead
+    }
+
+    fn mono(&self) -> MonoTime {
+        self.system.mono()
+    }
+
+    fn identity(&self) -> &ClockIdentity {
+        self.system.identity()
+    }
+}
+
+fn shown(ahead: Span) -> SharedClock {
+    std::sync::Arc::new(Shown { system: SystemClock::new(ClockIdentity::new("test", "shown")), ahead })
+}
+
+#[tokio::test]
+async fn a_time_that_is_shown_to_the_program_alone_is_not_mixed_with_the_kernels() {
+    // By so little that the kernel's stamps of departures look as if they could be true, and by much.
+    let (little, much) = (Span::from_millis(900), Span::from_seconds(3600));
+    for (edge, cloud) in [
+        (-little, Span::ZERO),
+        (much, Span::ZERO),
+        (Span::ZERO, -little),
+        (Span::ZERO, much),
+        (-little, much),
+    ] {
+        let running = Running::start(reflector_config(), shown(cloud));
+        let mut config = prober_config(running.address);
+        config.instance = Some(INSTANCE);
+        let mut probing = Probing::start(config, 200.0, shown(edge));
+        let offset = cloud - edge;
+        for _ in 0..30 {
+            let Interval { lo, hi } = probing.until(answered).await.0.exchange.bounds();
+            assert!(lo <= offset && offset <= hi, "{offset} not in [{lo}, {hi}]");
+        }
+        for result in probing.stop().await {
+            if let ProbeResult::Refined(witnessed) = result {
+                let Interval { lo, hi } = witnessed.exchange.bounds();
+                assert!(lo <= offset && offset <= hi, "{offset} not in [{lo}, {hi}]");
+            }
+        }
+        running.stop().await;
+    }
+}
+
+#[tokio::test]
+async fn where_stamps_are_made_is_known_before_the_first_probe() {
+    let target = loopback();
+    for (ahead, words) in [(Span::ZERO, "kernel, send and receive"), (Span::from_millis(50), "program")] {
+        let mut prober = Prober::open(prober_config(target), shown(ahead)).expect("a socket");
+        prober.check_stamps().await;
+        assert_eq!(prober.stamps_in_words(), words, "{ahead}");
+    }
+}
+
+#[tokio::test]
+async fn another_process_than_was_expected_is_refused() {
+    let running = Running::start(reflector_config(), system_clock("cloud"));
+    let config = peernet_probes::ProberConfig { instance: Some(7), ..prober_config(running.address) };
+    let mut probing = Probing::start(config, 100.0, system_clock("edge"));
+    let refusal =
+        |result: &ProbeResult| if let ProbeResult::Refused(why) = result { Some(*why) } else { None };
+    let (why, before) = probing.until(refusal).await;
+    assert_eq!(why, "another process answers the probes than serves the data");
+    assert!(before.iter().all(|result| *result == ProbeResult::Sent), "{before:?}");
     probing.stop().await;
     running.stop().await;
 }

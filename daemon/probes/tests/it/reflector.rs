@@ -8,9 +8,9 @@ use peernet_probes::stamp::auth::Key;
 use peernet_probes::stamp::packet::{self, Mode, Reply, Request};
 use peernet_probes::stamp::reflector::{Answer, Arrival, Reflecting};
 use peernet_probes::stamp::timestamp::{ErrorEstimate, Format};
-use peernet_probes::stamp::tlv::{self, FollowUp};
+use peernet_probes::stamp::tlv::{self, FollowUp, Origin};
 
-use crate::support::key;
+use crate::support::{INSTANCE, key};
 
 const NOW: WallTime = WallTime::from_unix_nanos(1_800_000_000_000_000_000);
 
@@ -59,7 +59,7 @@ fn tlvs_of(packet: &[u8], base: usize) -> Vec<(u8, u8, Vec<u8>)> {
 fn the_answer_holds_both_stamps_and_the_question() {
     for format in [Format::Ntp, Format::Ptp] {
         let clock = clock();
-        let mut reflector = Reflecting::new(None, 100, false);
+        let mut reflector = Reflecting::new(None, INSTANCE, 100, false);
         let asked = Request {
             sequence: 77,
             timestamp: format.encode(NOW - Span::from_seconds(3)),
@@ -82,7 +82,7 @@ fn the_answer_holds_both_stamps_and_the_question() {
 #[test]
 fn a_reflector_with_sessions_numbers_its_replies_for_each() {
     let clock = clock();
-    let mut reflector = Reflecting::new(None, 100, true);
+    let mut reflector = Reflecting::new(None, INSTANCE, 100, true);
     let number = |reflector: &mut Reflecting, sequence, ssid| {
         let mut packet = request(None, sequence, ssid, &[]);
         answer(reflector, &clock, &mut packet).expect("answered").sequence()
@@ -99,7 +99,7 @@ fn a_reflector_with_sessions_numbers_its_replies_for_each() {
 #[test]
 fn the_follow_up_tells_when_the_previous_reply_left() {
     let clock = clock();
-    let mut reflector = Reflecting::new(None, 100, true);
+    let mut reflector = Reflecting::new(None, INSTANCE, 100, true);
     let room: (u8, &[u8]) = (tlv::FOLLOW_UP, &[0; FollowUp::BYTES]);
     let follow_up = |packet: &[u8]| match &tlvs_of(packet, 44)[..] {
         [(tlv::FOLLOW_UP, 0, value)] => FollowUp::from_value(value),
@@ -120,7 +120,7 @@ fn the_follow_up_tells_when_the_previous_reply_left() {
     answer(&mut reflector, &clock, &mut second).expect("answered");
     assert_eq!(follow_up(&second), Some(FollowUp { sequence: 0, timestamp: Format::Ntp.encode(left) }));
 
-    let mut stateless = Reflecting::new(None, 100, false);
+    let mut stateless = Reflecting::new(None, INSTANCE, 100, false);
     for _ in 0..2 {
         let mut packet = request(None, 7, 1, &[(tlv::FOLLOW_UP, &[9; FollowUp::BYTES])]);
         answer(&mut stateless, &clock, &mut packet).expect("answered");
@@ -135,7 +135,7 @@ fn the_follow_up_tells_when_the_previous_reply_left() {
 #[test]
 fn tlvs_are_flagged_and_go_back_in_their_order() {
     let clock = clock();
-    let mut reflector = Reflecting::new(None, 100, true);
+    let mut reflector = Reflecting::new(None, INSTANCE, 100, true);
     let mut packet = request(
         None,
         1,
@@ -144,23 +144,25 @@ fn tlvs_are_flagged_and_go_back_in_their_order() {
             (99, b"unknown"),
             (tlv::EXTRA_PADDING, &[5; 30]),
             (tlv::FOLLOW_UP, &[1; 7]),
-            (tlv::EPOCH, &tlv::epoch_value(0)),
-            (tlv::EPOCH, b"another's"),
+            (tlv::ORIGIN, &Origin::default().to_value()),
+            (tlv::ORIGIN, b"another's"),
             (3, b""),
         ],
     );
     // The last one claims more than there is.
     let length = packet.len();
     packet[length - 1] = 200;
+    clock.step_wall(Span::from_micros(1));
     answer(&mut reflector, &clock, &mut packet).expect("answered");
+    let origin = Origin { epoch: 1, instance: INSTANCE };
     assert_eq!(
         tlvs_of(&packet, 44),
         [
             (99, tlv::UNRECOGNISED, b"unknown".to_vec()),
             (tlv::EXTRA_PADDING, 0, vec![5; 30]),
             (tlv::FOLLOW_UP, tlv::MALFORMED, vec![0; 7]),
-            (tlv::EPOCH, 0, tlv::epoch_value(clock.epoch()).to_vec()),
-            (tlv::EPOCH, tlv::UNRECOGNISED, b"another's".to_vec()),
+            (tlv::ORIGIN, 0, origin.to_value().to_vec()),
+            (tlv::ORIGIN, tlv::UNRECOGNISED, b"another's".to_vec()),
             (3, tlv::UNRECOGNISED | tlv::MALFORMED, Vec::new()),
         ]
     );
@@ -171,7 +173,7 @@ fn tlvs_that_are_not_authenticated_only_go_back() {
     let (clock, key) = (clock(), key(7));
     let room: &[u8] = &[0; FollowUp::BYTES];
     let code: &[u8] = &[0; 16];
-    let mut reflector = Reflecting::new(Some(key.clone()), 100, true);
+    let mut reflector = Reflecting::new(Some(key.clone()), INSTANCE, 100, true);
     let mut flags = |tlvs: &[(u8, &[u8])], touch: bool| {
         let mut packet = request(Some(&key), 1, 1, tlvs);
         if touch {
@@ -194,7 +196,7 @@ fn tlvs_that_are_not_authenticated_only_go_back() {
         [0; 3]
     );
 
-    let mut keyless = Reflecting::new(None, 100, true);
+    let mut keyless = Reflecting::new(None, INSTANCE, 100, true);
     let mut packet = request(None, 1, 1, &[(tlv::FOLLOW_UP, room), (tlv::HMAC, code)]);
     answer(&mut keyless, &clock, &mut packet).expect("answered");
     assert!(tlvs_of(&packet, 44).iter().all(|(_, flags, _)| *flags == bad), "nobody here can verify it");
@@ -203,7 +205,7 @@ fn tlvs_that_are_not_authenticated_only_go_back() {
 #[test]
 fn a_request_that_is_not_authentic_gets_nothing_and_costs_its_source_nothing() {
     let (clock, key) = (clock(), key(7));
-    let mut reflector = Reflecting::new(Some(key.clone()), 3, true);
+    let mut reflector = Reflecting::new(Some(key.clone()), INSTANCE, 3, true);
     let good = request(Some(&key), 1, 1, &[]);
     for at in [0, 20, 60, 111] {
         let mut packet = good.clone();
@@ -225,8 +227,8 @@ fn two_reflectors_do_not_play_ping_pong() {
     for format in [Format::Ntp, Format::Ptp] {
         for key in [None, Some(key(7))] {
             let mode = Mode::of(key.as_ref());
-            let mut one = Reflecting::new(key.clone(), 100, true);
-            let mut other = Reflecting::new(key.clone(), 100, false);
+            let mut one = Reflecting::new(key.clone(), INSTANCE, 100, true);
+            let mut other = Reflecting::new(key.clone(), INSTANCE, 100, false);
             let mut packet = request(key.as_ref(), 1, 1, &[]);
             let mut asked = Request::parse(mode, &packet).expect("long enough");
             asked.estimate = ErrorEstimate::new(format, Span::ZERO);
@@ -241,7 +243,7 @@ fn two_reflectors_do_not_play_ping_pong() {
             assert_eq!(answer(&mut other, &clock, &mut packet).expect_err("a reply"), Refusal::Reply);
         }
     }
-    let mut reflector = Reflecting::new(None, 100, true);
+    let mut reflector = Reflecting::new(None, INSTANCE, 100, true);
     let from_nowhere = Arrival { source: "10.0.0.1:0".parse().expect("an address"), ..arrival(&clock) };
     let refused = reflector.prepare(&mut request(None, 1, 1, &[]), &from_nowhere);
     assert_eq!(refused.expect_err("port 0"), Refusal::NoPort);
@@ -250,7 +252,7 @@ fn two_reflectors_do_not_play_ping_pong() {
 #[test]
 fn twamp_light_senders_are_answered_whatever_their_padding() {
     let clock = clock();
-    let mut reflector = Reflecting::new(None, 1000, false);
+    let mut reflector = Reflecting::new(None, INSTANCE, 1000, false);
     for (padding, length) in [(0u8, 44), (0, 341), (0xFF, 1400), (0x55, 45)] {
         let mut packet = vec![padding; length];
         packet[..4].copy_from_slice(&9u32.to_be_bytes());

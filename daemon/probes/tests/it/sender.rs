@@ -6,13 +6,18 @@ use std::sync::Arc;
 use peernet_clock::{Clock, ClockIdentity, ManualClock, MonoTime, Span, WallTime, Witnessed};
 use peernet_probes::stamp::packet::{self, Mode, Reply};
 use peernet_probes::stamp::reflector::{Arrival, Reflecting};
-use peernet_probes::stamp::sender::{Departure, Heard, Return, Sending};
-use peernet_probes::stamp::{tlv, uncertainty};
+use peernet_probes::stamp::sender::{Departure, Heard, Return, Sending, SendingConfig};
+use peernet_probes::stamp::tlv::{self, Origin};
+use peernet_probes::stamp::uncertainty;
 
-use crate::support::key;
+use crate::support::{INSTANCE, key};
 
 const TIMEOUT: Span = Span::from_seconds(1);
 const WAY: Span = Span::from_micros(700);
+
+fn config() -> SendingConfig {
+    SendingConfig { key: None, instance: None, ssid: 1, first: 0, padding_bytes: 0, timeout: TIMEOUT }
+}
 
 /// A sender and a reflector with nothing but two clocks between them, the reflector's ahead by a second.
 struct Pair {
@@ -28,8 +33,8 @@ impl Pair {
         let start = WallTime::from_unix_nanos(1_800_000_000_123_456_789);
         Self {
             clock: Arc::new(ManualClock::new(start, ClockIdentity::new("b", "c"))),
-            sender: Sending::new(key.clone(), 99, first, 0, TIMEOUT),
-            reflector: Reflecting::new(key, 1_000_000, true),
+            sender: Sending::new(SendingConfig { key: key.clone(), ssid: 99, first, ..config() }),
+            reflector: Reflecting::new(key, INSTANCE, 1_000_000, true),
             ahead: Span::from_seconds(1),
         }
     }
@@ -65,6 +70,31 @@ impl Pair {
         let reply = self.reflect(packet);
         self.hear(&reply).expect("an answer")
     }
+
+    /// The next answer, whose arrival the kernel stamped when the program's clock showed `kernel`.
+    fn stamped(&mut self, kernel: WallTime) -> Witnessed {
+        let (departure, packet) = self.send();
+        self.sender.departed(departure.sequence(), self.clock.wall());
+        let reply = self.reflect(packet);
+        let returned = Return { kernel: Some(kernel), read: self.clock.stamp(), epoch: self.clock.epoch() };
+        answered(&self.sender.receive(&reply, &returned).expect("an answer"))
+    }
+}
+
+fn answered(heard: &Heard) -> Witnessed {
+    heard.answered.expect("no step")
+}
+
+impl Pair {
+    /// The reply with another origin.
+    fn from_elsewhere(reply: &[u8], change: impl Fn(&mut Origin)) -> Vec<u8> {
+        let mut reply = reply.to_vec();
+        let place = tlv::places(&reply[44..]).find(|place| place.kind == tlv::ORIGIN).expect("we ask for it");
+        let mut origin = Origin::from_value(&reply[44..][place.value.clone()]).expect("ours");
+        change(&mut origin);
+        reply[44..][place.value].copy_from_slice(&origin.to_value());
+        reply
+    }
 }
 
 #[test]
@@ -73,7 +103,7 @@ fn an_answer_gives_the_four_stamps_and_the_next_one_corrects_the_third() {
         let mut pair = Pair::new(0, with_key);
         let begun = pair.clock.wall();
         let first = pair.exchange();
-        let Witnessed { exchange, edge_elapsed, cloud_elapsed, edge_epoch, cloud_epoch } = first.answered;
+        let Witnessed { exchange, edge_elapsed, cloud_elapsed, edge_epoch, cloud_epoch } = answered(&first);
         assert_eq!(first.refined, None);
         assert_eq!(exchange.sent, begun);
         assert_eq!(exchange.received, begun + WAY + pair.ahead);
@@ -101,7 +131,7 @@ fn the_kernels_stamp_of_a_departure_is_taken_if_it_can_be_true() {
         let (departure, packet) = pair.send();
         pair.sender.departed(departure.sequence(), begun + late);
         let reply = pair.reflect(packet);
-        let answered = pair.hear(&reply).expect("an answer").answered;
+        let answered = answered(&pair.hear(&reply).expect("an answer"));
         assert_eq!(answered.exchange.sent, if taken { begun + late } else { begun });
         assert_eq!(answered.edge_elapsed.is_none(), taken);
     }
@@ -126,7 +156,7 @@ fn late_ones_are_lost_and_second_ones_count_once() {
     let deadline = pair.sender.deadline().expect("it waits");
     assert_eq!(deadline, pair.clock.mono() + TIMEOUT);
     let heard = pair.exchange();
-    assert!(heard.answered.exchange.sent < pair.clock.wall());
+    assert!(answered(&heard).exchange.sent < pair.clock.wall());
     pair.clock.advance(TIMEOUT - Span::from_millis(900));
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet);
@@ -174,8 +204,8 @@ fn a_reply_that_was_touched_is_refused_or_its_tlvs_are_not_believed() {
     let mut touched = reply;
     *touched.last_mut().expect("not empty") ^= 1;
     let heard = pair.hear(&touched).expect("its base packet is authentic");
-    assert_eq!((heard.refined, heard.answered.cloud_epoch), (None, None));
-    assert_eq!(heard.answered.exchange.uncertainty, uncertainty::FOREIGN);
+    assert_eq!((heard.refined, answered(&heard).cloud_epoch), (None, None));
+    assert_eq!(answered(&heard).exchange.uncertainty, uncertainty::FOREIGN);
 }
 
 #[test]
@@ -190,7 +220,7 @@ fn a_reflector_that_knows_no_tlvs_is_believed_without() {
             // It gives everything back as it came.
             reply[44..].copy_from_slice(&packet[44..]);
         }
-        let answered = pair.hear(&reply).expect("an answer").answered;
+        let answered = answered(&pair.hear(&reply).expect("an answer"));
         assert_eq!((answered.cloud_epoch, answered.exchange.uncertainty), (None, uncertainty::FOREIGN));
     }
 }
@@ -200,12 +230,11 @@ fn a_step_at_the_reflector_keeps_a_follow_up_from_refining() {
     let mut pair = Pair::new(0, false);
     pair.exchange();
     let (_, packet) = pair.send();
-    let mut reply = pair.reflect(packet);
+    let reply = pair.reflect(packet);
     // As if the reflector had noticed a step between the two.
-    let place = tlv::places(&reply[44..]).find(|place| place.kind == tlv::EPOCH).expect("we ask for it");
-    reply[44..][place.value].copy_from_slice(&tlv::epoch_value(1));
+    let reply = Pair::from_elsewhere(&reply, |origin| origin.epoch = 1);
     let heard = pair.hear(&reply).expect("an answer");
-    assert_eq!((heard.refined, heard.answered.cloud_epoch), (None, Some(1)));
+    assert_eq!((heard.refined, answered(&heard).cloud_epoch), (None, Some(1)));
 }
 
 #[test]
@@ -224,13 +253,106 @@ fn what_is_remembered_is_bounded() {
 #[test]
 fn requests_are_authentic_and_padded_as_configured() {
     let clock = ManualClock::new(WallTime::from_unix_nanos(1), ClockIdentity::new("b", "c"));
-    let mut sender = Sending::new(Some(key(7)), 1, 5, 100, TIMEOUT);
+    let mut sender =
+        Sending::new(SendingConfig { key: Some(key(7)), first: 5, padding_bytes: 100, ..config() });
     let (departure, packet) = sender.request(&clock);
     assert_eq!(departure.sequence(), 5);
     assert!(packet::is_sealed(&key(7), packet));
     assert!(tlv::are_intact(Some(&key(7)), 5, &packet[112..]));
-    assert_eq!(packet.len(), 112 + 20 + 12 + 20 + 104);
-    let mut sender = Sending::new(None, 1, 5, 0, TIMEOUT);
+    assert_eq!(packet.len(), 112 + 20 + 20 + 20 + 104);
+    let mut sender = Sending::new(config());
     let (_, packet) = sender.request(&clock);
-    assert_eq!(packet.len(), 44 + 20 + 12);
+    assert_eq!(packet.len(), 44 + 20 + 20);
+}
+
+#[test]
+fn all_that_were_under_way_while_the_clock_was_set_tell_nothing_but_that() {
+    let mut pair = Pair::new(0, false);
+    let under_way: Vec<_> = (0..3).map(|_| pair.send().1).collect();
+    let replies: Vec<_> = under_way.into_iter().map(|packet| pair.reflect(packet)).collect();
+    pair.clock.step_wall(-Span::from_micros(30));
+    // The first one brings the news, the others are from before it all the same.
+    for reply in replies {
+        let heard = pair.hear(&reply).expect("an answer");
+        assert_eq!(heard, Heard { refined: None, answered: None });
+        assert_eq!(pair.hear(&reply), Err("a second answer to the same probe"));
+    }
+    let after = pair.exchange();
+    assert_eq!(after.refined, None, "of an exchange across the step");
+    assert_eq!(answered(&after).edge_epoch, 1);
+    assert_eq!(pair.sender.expire(pair.clock.mono() + TIMEOUT), 0, "all were answered");
+}
+
+#[test]
+fn another_process_is_not_believed_where_one_is_expected() {
+    for (expected, believed) in [(None, true), (Some(INSTANCE), true), (Some(INSTANCE + 1), false)] {
+        let mut pair = Pair::new(0, false);
+        pair.sender = Sending::new(SendingConfig { instance: expected, ..config() });
+        let (_, packet) = pair.send();
+        let reply = pair.reflect(packet);
+        let told = pair.hear(&reply);
+        assert_eq!(told.is_ok(), believed, "{expected:?}: {told:?}");
+        if !believed {
+            assert_eq!(told, Err("another process answers the probes than serves the data"));
+            let real = Pair::from_elsewhere(&reply, |origin| origin.instance = INSTANCE + 1);
+            assert!(pair.hear(&real).is_ok(), "the right one may still answer");
+        }
+    }
+}
+
+#[test]
+fn a_reply_that_does_not_say_whose_it_is_will_not_do_where_one_is_expected() {
+    let mut pair = Pair::new(0, false);
+    pair.sender = Sending::new(SendingConfig { instance: Some(INSTANCE), ..config() });
+    let (_, packet) = pair.send();
+    let reply = pair.reflect(packet.clone());
+    let foreign = [&reply[..44], &packet[44..]].concat();
+    for reply in [&reply[..44], &foreign] {
+        let told = pair.hear(reply);
+        assert_eq!(told, Err("something else answers the probes than the agent that serves the data"));
+    }
+    assert!(pair.hear(&reply).is_ok());
+}
+
+#[test]
+fn a_kernel_whose_stamps_cannot_be_of_our_clock_is_ignored_for_good() {
+    let (much, little) = (Span::from_millis(1), Span::from_nanos(900));
+    let there_and_back = WAY + WAY + Span::from_micros(55);
+    for (early, sound) in [(-much, false), (-little, true), (little, true), (there_and_back + much, false)] {
+        let mut pair = Pair::new(0, false);
+        let back = pair.clock.wall() + there_and_back;
+        let got = pair.stamped(back - early).exchange.returned;
+        assert_eq!(got, if sound { back - early } else { back }, "{early}");
+        assert_eq!(pair.sender.distrusts_kernel(), !sound, "{early}");
+        let (begun, back) = (pair.clock.wall(), pair.clock.wall() + there_and_back);
+        let next = pair.stamped(back - little);
+        assert_eq!(next.exchange.returned, if sound { back - little } else { back }, "{early}");
+        assert_eq!((next.exchange.sent, next.edge_elapsed.is_none()), (begun, sound), "{early}");
+    }
+}
+
+#[test]
+fn a_kernel_that_saw_it_leave_before_we_stamped_it_is_ignored_for_good() {
+    let mut pair = Pair::new(0, false);
+    let (departure, packet) = pair.send();
+    pair.sender.departed(departure.sequence(), pair.clock.wall() - Span::from_micros(300));
+    let reply = pair.reflect(packet);
+    pair.hear(&reply).expect("an answer");
+    assert!(pair.sender.distrusts_kernel());
+}
+
+#[test]
+fn a_clock_that_was_set_meanwhile_is_no_reason_to_distrust_the_kernel() {
+    for by in [Span::from_seconds(3), -Span::from_seconds(3)] {
+        let mut pair = Pair::new(0, false);
+        let (departure, packet) = pair.send();
+        let reply = pair.reflect(packet);
+        let kernel = pair.clock.wall();
+        pair.clock.step_wall(by);
+        // As if it had left only then.
+        pair.sender.departed(departure.sequence(), kernel + by);
+        let returned = Return { kernel: Some(kernel), read: pair.clock.stamp(), epoch: pair.clock.epoch() };
+        let heard = pair.sender.receive(&reply, &returned).expect("an answer");
+        assert_eq!((heard.answered, pair.sender.distrusts_kernel()), (None, false));
+    }
 }

@@ -12,6 +12,9 @@ use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
+/// The number of the reflectors here.
+pub(crate) const INSTANCE: u64 = 0x0123_4567_89AB_CDEF;
+
 /// Longest wait for anything that has to come.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(30);
 
@@ -31,6 +34,7 @@ pub(crate) fn reflector_config() -> ReflectorConfig {
     ReflectorConfig {
         listen: loopback(),
         key: None,
+        instance: INSTANCE,
         max_per_source_hz: 10_000,
         stamps: Stamps::Kernel,
         stateful: true,
@@ -41,6 +45,7 @@ pub(crate) fn prober_config(target: SocketAddr) -> ProberConfig {
     ProberConfig {
         target,
         key: None,
+        instance: None,
         padding_bytes: 0,
         stamps: Stamps::Kernel,
         timeout: Duration::from_secs(20),

@@ -1,5 +1,6 @@
 //! What became of the two clocks during the study.
 
+use peernet_clock::Span;
 use peernet_logger::stream::ClockSample;
 use serde::Serialize;
 
@@ -10,7 +11,7 @@ use super::sample::Sample;
 pub struct Clocks {
     /// Seconds that were reported.
     pub seconds: u64,
-    /// How often either clock was stepped, or ran off faster than allowed.
+    /// How often either clock was stepped, ran off faster than allowed, or was another after the peer had been away.
     pub steps: u64,
     /// The limit of drift that all bounds rest on, parts per million.
     pub max_drift_ppm: Option<f64>,
@@ -33,13 +34,28 @@ impl Clocks {
         // Counted per relation: a peer that came back begins at none again.
         let restarts = seconds.iter().map(|second| u64::from(second.exchanges.restarts));
         let before = std::iter::once(0).chain(restarts.clone());
+        let announced: u64 = restarts.zip(before).map(|(now, before)| now.saturating_sub(before)).sum();
+        let known: Vec<&ClockSample> = seconds.iter().filter(|second| second.offset.is_some()).collect();
+        let another = known.windows(2).filter(|pair| is_another(pair[0], pair[1])).count() as u64;
         Self {
             seconds: seconds.len() as u64,
-            steps: restarts.zip(before).map(|(now, before)| now.saturating_sub(before)).sum(),
+            steps: announced + another,
             max_drift_ppm: seconds.last().map(|second| second.max_drift_ppm),
             skew_ppm: seconds.iter().rev().find_map(|second| second.offset.as_ref()?.skew_ppm),
             offset: samples.iter().rev().find_map(offset),
             round_trip: round_trips.map(|trip| trip.min.seconds()).reduce(f64::min),
         }
     }
+}
+
+/// Whether a new relation of the two clocks excludes the one before it: one of the clocks was set while nobody looked,
+/// or what came back reads another.
+fn is_another(before: &ClockSample, after: &ClockSample) -> bool {
+    let is_new = before.window != after.window && after.exchanges.restarts <= before.exchanges.restarts;
+    let Some((was, is)) = before.offset.as_ref().zip(after.offset.as_ref()).filter(|_| is_new) else {
+        return false;
+    };
+    let ppm = before.max_drift_ppm.max(after.max_drift_ppm);
+    let drift = Span::from_seconds_f64((after.at - before.at).abs().seconds() * ppm * 1e-6);
+    was.bounds.hi + drift < is.bounds.lo || is.bounds.hi + drift < was.bounds.lo
 }

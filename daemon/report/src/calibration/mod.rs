@@ -7,6 +7,7 @@
 
 mod clocks;
 mod direction;
+mod failures;
 mod figures;
 mod sample;
 mod tables;
@@ -14,6 +15,7 @@ mod verdict;
 
 pub use clocks::Clocks;
 pub use direction::{Claim, DirectionStudy, Fits, Pair, SizeSummary, Throughput};
+pub use failures::Failures;
 pub use sample::{Passage, Sample};
 pub use verdict::{Kind, Verdict};
 
@@ -48,6 +50,11 @@ pub struct Setting {
     pub repeats: u64,
     /// Whether it was ended early.
     pub interrupted: bool,
+    /// Why it ended early, in words; `None` when the user ended it or nobody did.
+    pub ended: Option<String>,
+    /// How often the peer went away and came back while its clock remained the same. The clocks were related anew
+    /// each time.
+    pub reconnections: u64,
     /// Whether the clock of either host was made wrong on purpose.
     pub rehearsed: bool,
 }
@@ -70,6 +77,8 @@ pub struct Study {
     pub setting: Setting,
     /// How the iterations ended.
     pub counts: Counts,
+    /// Why payloads were not answered, by outcome.
+    pub failures: Vec<Failures>,
     /// What became of the clocks meanwhile.
     pub clocks: Clocks,
     /// Edge to cloud.
@@ -95,8 +104,8 @@ impl Study {
         let up = DirectionStudy::new(Direction::Up, &samples);
         let down = DirectionStudy::new(Direction::Down, &samples);
         let clocks = Clocks::new(clocks, &samples);
-        let verdict = Verdict::of(&up, &down, &clocks);
-        Self { setting, counts, clocks, up, down, verdict, samples }
+        let verdict = Verdict::of(&up, &down, &clocks).reconnected(setting.reconnections);
+        Self { failures: Failures::of(&samples), setting, counts, clocks, up, down, verdict, samples }
     }
 
     /// Writes `samples.csv`, `summary.csv`, `calibration.json`, `latency.png`, `latency.svg`, `throughput.png` and
@@ -120,11 +129,13 @@ impl Study {
         Ok(written)
     }
 
-    /// What the terminal shows: a table of sizes, one of fits, the verdict.
+    /// What the terminal shows: a table of sizes, one of fits, why payloads were not answered, the verdict.
     pub fn text(&self) -> String {
         let rehearsal = "rehearsal: the clock of one of the hosts was made wrong on purpose";
         let rehearsal = if self.setting.rehearsed { rehearsal } else { "" };
-        let parts = [&tables::sizes_text(self), &tables::fits_text(self), rehearsal, &self.verdict.sentence];
+        let failures = failures::sentence(&self.failures, self.counts.measured + self.counts.failed);
+        let (sizes, fits) = (tables::sizes_text(self), tables::fits_text(self));
+        let parts = [&sizes, &fits, &failures, rehearsal, &self.verdict.sentence];
         parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("\n\n")
     }
 

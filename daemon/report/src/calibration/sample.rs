@@ -17,6 +17,8 @@ pub struct Sample {
     pub warm_up: bool,
     /// `ok`, `failed`, `lost` or `timeout`.
     pub outcome: &'static str,
+    /// Why there was no answer, where somebody said so.
+    pub reason: Option<String>,
     /// From its start to its end, seconds.
     pub total: Option<f64>,
     /// Edge to cloud; `None` when it was never sent or never judged.
@@ -47,6 +49,7 @@ impl Sample {
             payload_bytes,
             warm_up: iteration.warm_up,
             outcome: iteration.outcome.name(),
+            reason: iteration.outcome.reason().map(str::to_owned),
             total: value(tree, &stage::TOTAL),
             up: passage(tree, [stage::UPLOAD, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES]),
             down: passage(tree, [stage::DOWNLOAD, stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES]),

@@ -17,6 +17,8 @@ use crate::table::{csv, text};
 
 /// What stands where nothing is known.
 const UNKNOWN: &str = "—";
+/// What stands where both ends read one clock.
+const EXACT: &str = "exact";
 
 const PASSAGE: [&str; 8] = ["bytes", "logger-bytes", "raw", "", "lo", "hi", "source", "verdict"];
 
@@ -29,6 +31,7 @@ pub(super) fn samples(samples: &[Sample], path: &Path) -> Result<(), WriteError>
         ["iteration", "at", "payload-bytes", "warm-up", "outcome", "total"].map(str::to_owned).to_vec();
     header.extend(columns("upload"));
     header.extend(columns("download"));
+    header.push("reason".to_owned());
     let header: Vec<&str> = header.iter().map(String::as_str).collect();
     csv(path, &header, samples.iter().map(sample_row))
 }
@@ -47,6 +50,7 @@ fn sample_row(sample: &Sample) -> Vec<String> {
             sample.passage(direction).map_or_else(|| vec![String::new(); PASSAGE.len()], passage_cells),
         );
     }
+    row.push(cell(sample.reason.clone()));
     row
 }
 
@@ -138,7 +142,10 @@ pub(super) fn sizes_text(study: &Study) -> String {
         .map(|&payload| {
             let of = |direction: &DirectionStudy| {
                 let size = direction.sizes.iter().find(|size| size.payload_bytes == payload);
-                size.map_or_else(|| vec![UNKNOWN.to_owned(); 4], size_cells)
+                size.map_or_else(
+                    || vec![UNKNOWN.to_owned(); 4],
+                    |size| size_cells(size, direction.same_clock),
+                )
             };
             let [up, down] = study.directions().map(of);
             [vec![bytes(payload as f64)], up, down].concat()
@@ -147,11 +154,12 @@ pub(super) fn sizes_text(study: &Study) -> String {
     text(&header, &rows)
 }
 
-fn size_cells(size: &SizeSummary) -> Vec<String> {
+fn size_cells(size: &SizeSummary, same_clock: bool) -> Vec<String> {
+    let bounds = if same_clock { Some(EXACT.to_owned()) } else { size.bounds.map(milliseconds_between) };
     vec![
         milliseconds(size.median),
         known(size.tails.map(milliseconds_between)),
-        known(size.bounds.map(milliseconds_between)),
+        known(bounds),
         known(size.throughput.map(megabytes_per_second)),
     ]
 }
@@ -189,12 +197,18 @@ fn fit_row(name: String, fit: &Fit) -> Vec<String> {
 /// What the clock bounds allow, to stand below the lines.
 fn bounds_row(direction: &DirectionStudy) -> Vec<String> {
     let throughput = direction.throughput.and_then(|throughput| throughput.bounds);
+    let (delay, throughput) = if direction.same_clock {
+        (Some(EXACT.to_owned()), Some(EXACT.to_owned()))
+    } else {
+        let claim = direction.claimed.map(|claim| milliseconds_between(claim.at_zero));
+        (claim, throughput.map(megabytes_per_second_between))
+    };
     vec![
         format!("{}: what the clock bounds allow", direction.name()),
         String::new(),
-        known(direction.claimed.map(|claim| milliseconds_between(claim.at_zero))),
+        known(delay),
         String::new(),
-        known(throughput.map(megabytes_per_second_between)),
+        known(throughput),
     ]
 }
 

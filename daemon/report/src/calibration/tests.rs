@@ -1,4 +1,6 @@
-use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict as Delay};
+use peernet_clock::{DelaySource, Interval, Offset, OneWayDelay, Span, Verdict as Delay, WallTime};
+use peernet_logger::HostId;
+use peernet_logger::stream::ProbeCounts;
 
 use super::*;
 
@@ -61,6 +63,7 @@ fn sweep(link: Link) -> Vec<Sample> {
             payload_bytes,
             warm_up: round == 0,
             outcome: "ok",
+            reason: None,
             total: Some(1e-3),
             up: Some(passage(link, payload_bytes, 2 * number, 1.0)),
             down: Some(passage(link, payload_bytes, 2 * number + 1, -1.0)),
@@ -139,6 +142,7 @@ fn lost_answers_are_counted_and_kept_in_the_file() {
     let mut samples = sweep(GOOD);
     let lost = samples.last_mut().expect("there are some");
     (lost.outcome, lost.up, lost.down) = ("lost", None, None);
+    lost.reason = Some("the connection broke: reset".to_owned());
     let study = study(samples);
     assert_eq!(study.counts, Counts { measured: 791, warm_up: 8, failed: 1 });
     let folder = tempfile::tempdir().expect("a folder");
@@ -147,6 +151,89 @@ fn lost_answers_are_counted_and_kept_in_the_file() {
     assert_eq!(rows.lines().count(), 801);
     let lost = rows.lines().last().expect("there are rows");
     assert!(lost.starts_with("800,800.000000,4000000,false,lost,0.001000000,,,"), "{lost}");
+    assert!(lost.ends_with(",the connection broke: reset"), "{lost}");
+}
+
+#[test]
+fn why_payloads_were_not_answered_is_counted_and_said() {
+    let mut samples = sweep(GOOD);
+    let fail = |samples: &mut [Sample], count: usize, outcome: &'static str, reason: Option<&str>| {
+        let answered = samples.iter_mut().filter(|sample| sample.counts());
+        for sample in answered.take(count) {
+            (sample.outcome, sample.up, sample.down) = (outcome, None, None);
+            sample.reason = reason.map(str::to_owned);
+        }
+    };
+    fail(&mut samples, 3, "failed", Some("too large"));
+    fail(&mut samples, 1, "failed", Some("overloaded"));
+    fail(&mut samples, 2, "timeout", None);
+    let study = study(samples);
+    let failures = [("failed", 4, Some("too large")), ("timeout", 2, None)];
+    let failures = failures.map(|(outcome, count, reason)| Failures {
+        outcome,
+        count,
+        commonest_reason: reason.map(str::to_owned),
+    });
+    assert_eq!(study.failures, failures);
+    let said = "6 of 792 payloads were not answered: 4 failed (most often: too large), 2 not in time";
+    assert!(study.text().contains(said), "{}", study.text());
+}
+
+#[test]
+fn on_one_clock_nothing_has_bounds_to_print() {
+    let study = study(sweep(Link { verdict: Delay::Ok, source: DelaySource::SameClock, ..GOOD }));
+    let text = study.text();
+    let rows: Vec<&str> = text.lines().filter(|line| line.contains("exact")).collect();
+    // A row per size, what the clock bounds allow either way, and the verdict.
+    assert_eq!(rows.len(), SIZES.len() + 3, "{text}");
+}
+
+/// A second of a relation that says that the cloud is so many milliseconds ahead.
+fn second(at: i64, window: u64, ahead_ms: i64) -> ClockSample {
+    let at = WallTime::from_unix_nanos(at * 1_000_000_000);
+    let estimate = Span::from_millis(ahead_ms);
+    let offset = Offset {
+        at,
+        estimate,
+        bounds: Interval { lo: estimate - Span::from_micros(50), hi: estimate + Span::from_micros(50) },
+        source: DelaySource::InBand,
+        sources: Vec::new(),
+        verdict: Delay::Ok,
+        skew_ppm: None,
+        exchanges: 100,
+        age: None,
+    };
+    ClockSample {
+        peer: HostId::random(),
+        peer_name: "cloud".parse().expect("a name"),
+        at,
+        window,
+        max_drift_ppm: 50.0,
+        upper: None,
+        lower: None,
+        offset: Some(offset),
+        probes: ProbeCounts::default(),
+        exchanges: peernet_clock::ExchangeCounts::default(),
+        round_trip: None,
+        up: None,
+        down: None,
+    }
+}
+
+#[test]
+fn a_peer_that_was_away_is_told_and_trusted_only_if_its_clock_is_the_same() {
+    let study = |seconds: &[ClockSample]| {
+        Study::new(Setting { reconnections: 1, ..Setting::default() }, sweep(GOOD), seconds)
+    };
+    let same = study(&[second(1, 7, 1_000), second(2, 7, 1_000), second(9, 8, 1_000)]);
+    assert_eq!((same.verdict.kind, same.clocks.steps), (Kind::Trusted, 0), "{}", same.verdict.sentence);
+    assert!(same.verdict.sentence.contains("the peer went away once"), "{}", same.verdict.sentence);
+    assert!(same.verdict.sentence.contains("related anew"), "{}", same.verdict.sentence);
+    // Ten minutes of drift by 50 ppm are 30 ms.
+    let drifted = study(&[second(1, 7, 1_000), second(601, 8, 1_029)]);
+    assert_eq!(drifted.clocks.steps, 0);
+    let another = study(&[second(1, 7, 1_000), second(9, 8, 1_001)]);
+    assert_eq!((another.verdict.kind, another.clocks.steps), (Kind::Stepped, 1));
 }
 
 #[test]

@@ -30,6 +30,13 @@ pub enum Kind {
     Insufficient,
 }
 
+impl Kind {
+    /// Whether the study found anything out: without related clocks or a line there is nothing to compare.
+    pub const fn is_result(self) -> bool {
+        !matches!(self, Self::Unsynchronised | Self::Insufficient)
+    }
+}
+
 /// What to make of a study.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Verdict {
@@ -55,11 +62,14 @@ impl Verdict {
         let judged = |verdict| up.judged(&[verdict]) + down.judged(&[verdict]);
         let say = |kind, sentence: String| Self { kind, within: None, sentence };
         if clocks.steps > 0 || judged(Delay::Stepped) > 0 {
-            let stepped = judged(Delay::Stepped);
+            let unusable = match judged(Delay::Stepped) {
+                0 => String::new(),
+                stepped => format!(" ({stepped} delays are unusable)"),
+            };
             return say(
                 Kind::Stepped,
                 format!(
-                    "the two clocks were stepped during the study ({stepped} delays are unusable); calibrate again when they are quiet"
+                    "the clocks were stepped during the study, or one is another than before{unusable}; calibrate again when they are quiet"
                 ),
             );
         }
@@ -99,6 +109,23 @@ impl Verdict {
                 ),
             ),
         }
+    }
+
+    /// Says that the peer was away so often, and what that means for the clocks.
+    pub(super) fn reconnected(mut self, times: u64) -> Self {
+        let times = match times {
+            0 => return self,
+            1 => "once".to_owned(),
+            times => format!("{times} times"),
+        };
+        let clocks = match self.kind {
+            Kind::Exact | Kind::Unsynchronised | Kind::Insufficient => "",
+            _ => ", and the clocks were related anew: each delay is judged by the relation of its own time",
+        };
+        self.sentence.push_str(&format!(
+            "; the peer went away {times} during the study and came back (restarted, or the network broke){clocks}"
+        ));
+        self
     }
 
     fn compare(up: &Compared, down: &Compared, intercepts: &str, clocks: &Clocks) -> Self {

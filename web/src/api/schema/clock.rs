@@ -1,13 +1,14 @@
 //! What is known of hosts' wall clocks.
 
 use peernet_aggregator as aggregator;
-use peernet_clock::{Discipline, Interval, Offset, RehearsalDescription};
+use peernet_clock::{DelaySource, Discipline, Interval, Offset, RehearsalDescription, Span};
 use peernet_logger::stream::{self, DelayPoint, DelaySecond, ProbeCounts};
 use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::figures::VerdictCount;
 use super::{Figures, time};
+use crate::view::link::known;
 
 /// An interval that contains the truth, seconds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
@@ -96,10 +97,10 @@ impl From<&stream::HostClock> for HostClock {
 /// The offset between two wall clocks at one time: cloud minus edge.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct ClockOffset {
-    /// The best guess, seconds.
-    pub estimate_s: f64,
-    pub lo_s: f64,
-    pub hi_s: f64,
+    /// The best guess, seconds; null with its bounds when the verdict is `inconsistent`: then nothing is known.
+    pub estimate_s: Option<f64>,
+    pub lo_s: Option<f64>,
+    pub hi_s: Option<f64>,
     /// What the bounds rest on: `same-clock`, `in-band`, `kernel`, `chrony`, `intersection` or `none`.
     pub source: &'static str,
     /// Every source and what it says alone.
@@ -129,16 +130,18 @@ impl From<&Offset> for ClockOffset {
             lo_s: interval.lo.seconds(),
             hi_s: interval.hi.seconds(),
         });
+        let consistent = known(offset).is_some();
+        let value = |span: Span| consistent.then(|| span.seconds());
         Self {
-            estimate_s: offset.estimate.seconds(),
-            lo_s: offset.bounds.lo.seconds(),
-            hi_s: offset.bounds.hi.seconds(),
-            source: offset.source.name(),
+            estimate_s: value(offset.estimate),
+            lo_s: value(offset.bounds.lo),
+            hi_s: value(offset.bounds.hi),
+            source: if consistent { offset.source } else { DelaySource::None }.name(),
             sources: sources.collect(),
             verdict: offset.verdict.name(),
-            skew_ppm: offset.skew_ppm,
+            skew_ppm: offset.skew_ppm.filter(|_| consistent),
             exchanges: offset.exchanges,
-            age_s: offset.age.map(peernet_clock::Span::seconds),
+            age_s: offset.age.map(Span::seconds),
         }
     }
 }
@@ -252,5 +255,24 @@ impl From<&aggregator::Recomputed> for Recomputed {
             after: Judgement::from(&stage.after),
         });
         Self { run: recomputed.number, samples: recomputed.samples, stages: stages.collect() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::Verdict;
+
+    use super::*;
+    use crate::view::samples;
+
+    #[test]
+    fn what_contradicts_itself_has_no_value() {
+        let sample = samples::clock_sample(samples::NOW, 1, Some(0.0005));
+        let known = sample.offset.expect("known");
+        let consistent = ClockOffset::from(&known);
+        assert_eq!((consistent.estimate_s, consistent.source), (Some(1.204), "intersection"));
+        let told = ClockOffset::from(&Offset { verdict: Verdict::Inconsistent, ..known });
+        assert_eq!((told.estimate_s, told.lo_s, told.hi_s, told.skew_ppm), (None, None, None, None));
+        assert_eq!((told.source, told.verdict, told.sources.len()), ("none", "inconsistent", 2));
     }
 }

@@ -1,6 +1,7 @@
 //! Iterations of a run.
 
 use peernet_aggregator as aggregator;
+use peernet_logger::{Name, stage};
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -30,19 +31,69 @@ pub(crate) struct IterationSummary {
     pub total: Option<f64>,
     /// `total` over the run's median of it.
     pub factor: Option<f64>,
-    /// What took longest beyond its own median: a stage, or `unattributed`.
+    /// What took longest beyond its own median: a stage, `unattributed`, or `upload + download`.
     pub blame: Option<Blame>,
     /// Seconds per stage, in their order.
     pub stages: Vec<StageTime>,
     /// Seconds that `total` holds beyond its stages.
     pub unattributed: Option<f64>,
+    /// Seconds of `upload` and `download` together where one of them has no value of its own: what the edge waited less
+    /// what the cloud took. `total` is this, `unattributed` and the other stages. Null where each is known.
+    pub both_ways: Option<f64>,
 }
 
 /// Seconds of a stage.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct StageTime {
     pub name: String,
-    pub seconds: f64,
+    /// Null for a one-way delay of which nothing is known.
+    pub seconds: Option<f64>,
+    /// How well a one-way delay is known; null for other stages.
+    pub delay: Option<StageDelay>,
+}
+
+/// How well one one-way delay is known.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct StageDelay {
+    /// The receiver's stamp less the sender's, each of its own wall clock: may be negative.
+    pub raw_s: f64,
+    /// The interval that contains the truth; null when nothing is known.
+    pub lo_s: Option<f64>,
+    pub hi_s: Option<f64>,
+    /// What the interval rests on: `same-clock`, `in-band`, `kernel`, `chrony`, `intersection` or `none`.
+    pub source: &'static str,
+    /// `ok`, `limited`, `stale`, `unsynchronised`, `stepped` or `inconsistent`.
+    pub verdict: &'static str,
+}
+
+impl StageDelay {
+    /// Of the iteration's one delay of that stage; several of one stage are added up, so that none stands for them.
+    pub(crate) fn of(row: &aggregator::IterationRow, stage: &Name) -> Option<Self> {
+        let mut same = row.delays.iter().filter(|delay| delay.stage == *stage);
+        let delay = same.next().filter(|_| same.next().is_none())?;
+        // Nothing arrives before it was sent.
+        let end = |of: fn((f64, f64)) -> f64| delay.bounds.map(of).map(|end| end.max(0.0));
+        Some(Self {
+            raw_s: delay.raw,
+            lo_s: end(|(lo, _)| lo),
+            hi_s: end(|(_, hi)| hi),
+            source: delay.source.name(),
+            verdict: delay.verdict.name(),
+        })
+    }
+}
+
+impl StageTime {
+    /// The stages of an iteration in their order, those included of which only a raw difference is known.
+    fn all(row: &aggregator::IterationRow) -> Vec<Self> {
+        let of = |stage: Name| {
+            let known = row.stages.iter().find(|(name, _)| *name == stage).map(|(_, seconds)| *seconds);
+            let judged = row.delays.iter().any(|delay| delay.stage == stage);
+            let delay = StageDelay::of(row, &stage);
+            (known.is_some() || judged).then(|| Self { name: stage.to_string(), seconds: known, delay })
+        };
+        stage::ORDER.into_iter().filter_map(of).collect()
+    }
 }
 
 /// The stage that explains most of an iteration's slowness.
@@ -56,7 +107,6 @@ pub(crate) struct Blame {
 
 impl From<&aggregator::IterationRow> for IterationSummary {
     fn from(row: &aggregator::IterationRow) -> Self {
-        let stages = row.stages.iter();
         Self {
             number: row.number,
             episode: row.episode,
@@ -72,10 +122,9 @@ impl From<&aggregator::IterationRow> for IterationSummary {
                 seconds: blame.value,
                 median: blame.median,
             }),
-            stages: stages
-                .map(|(name, seconds)| StageTime { name: name.to_string(), seconds: *seconds })
-                .collect(),
+            stages: StageTime::all(row),
             unattributed: row.unattributed,
+            both_ways: row.both_ways,
         }
     }
 }

@@ -41,7 +41,8 @@ pub(crate) struct LinkNow {
     pub pipelines: Vec<String>,
     /// Whether both hosts read one clock: then the offset is exactly zero.
     pub same_clock: bool,
-    /// The worse verdict of the two directions in the last ten seconds, else that of the clocks.
+    /// That of the offset, or `unsynchronised` without one; `limited` where that is well and delays of the last ten
+    /// seconds are too short for its bound.
     pub verdict: Option<&'static str>,
     pub probing: Probing,
     pub edge_clock: Option<HostClock>,
@@ -64,7 +65,7 @@ pub(crate) struct Probing {
     pub rate_hz: Option<f64>,
     /// Where the stamps are made, in words.
     pub stamps: Option<String>,
-    /// Why there are no probes.
+    /// Why there are no probes, or what is known of why none is answered.
     pub reason: Option<String>,
 }
 
@@ -79,8 +80,8 @@ impl From<&stream::Probing> for Probing {
                 stamps: Some(stamps.clone()),
                 ..none
             },
-            stream::Probing::Unanswered { address } => {
-                Self { state: "unanswered", address: Some(address.clone()), ..none }
+            stream::Probing::Unanswered { address, reason } => {
+                Self { state: "unanswered", address: Some(address.clone()), reason: reason.clone(), ..none }
             }
             stream::Probing::Off(reason) => Self { reason: Some(reason.clone()), ..none },
         }

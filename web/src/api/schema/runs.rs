@@ -37,6 +37,8 @@ pub(crate) struct Run {
     pub warm_up: u64,
     /// Of `total`, seconds; successful iterations only.
     pub total: Option<Figures>,
+    /// Whether the clock of one of its hosts was made wrong on purpose.
+    pub rehearsed: bool,
 }
 
 impl From<&aggregator::RunSummary> for Run {
@@ -54,6 +56,7 @@ impl From<&aggregator::RunSummary> for Run {
             counts: run.counts.into(),
             warm_up: run.warm_up,
             total: run.total.map(Figures::from),
+            rehearsed: run.rehearsed,
         }
     }
 }

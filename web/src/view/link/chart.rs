@@ -9,8 +9,8 @@ use super::super::incidents::IncidentLine;
 use super::super::speed::Way;
 use super::course::Course;
 use super::delays::{bounds, of_point, speed};
-use super::{Subject, offset};
-use crate::numbers::{SPACE, bound_ms, count, figure, length};
+use super::{Subject, known, offset};
+use crate::numbers::{SPACE, bound, bound_ms, count, figure, length};
 use crate::svg::{Gap, Percent, RailSign, Ruler, Segment, Strip, Track, Tracks, pen};
 use crate::zone::Zone;
 
@@ -58,7 +58,8 @@ impl Plan<'_> {
         (at - self.course.from).seconds() / self.course.seconds().max(1.0)
     }
 
-    /// A value of each point in milliseconds or another unit, with breaks where points are missing.
+    /// A value of each point in milliseconds or another unit, with breaks where points are missing. Where a clock was set
+    /// back, seconds come twice: each window is drawn for itself.
     pub(super) fn broken<T>(
         &self,
         points: &[ClockPoint],
@@ -66,7 +67,15 @@ impl Plan<'_> {
     ) -> Vec<Option<T>> {
         let mut drawn = Vec::with_capacity(points.len() + self.gaps.len());
         let mut before: Option<&ClockPoint> = None;
+        let mut windows: Vec<u64> = Vec::new();
         for point in points {
+            if !windows.contains(&point.window) {
+                windows.push(point.window);
+            }
+        }
+        let parts =
+            windows.iter().flat_map(|window| points.iter().filter(move |point| point.window == *window));
+        for point in parts {
             let parted = |before: &ClockPoint| {
                 before.window != point.window
                     || self.gaps.iter().any(|(from, to)| before.at <= *from && *to <= point.at)
@@ -93,7 +102,7 @@ pub(super) fn reach(values: impl Iterator<Item = f64>) -> f64 {
 /// How many values lie beyond the end of a scale, in words.
 pub(super) fn beyond(values: impl Iterator<Item = f64>, ruler: &Ruler, unit: &str) -> Option<String> {
     let many = values.filter(|value| *value > ruler.end()).count() as u64;
-    (many > 0).then(|| format!("{} beyond {}{SPACE}{unit} ↑", count(many), figure(ruler.end())))
+    (many > 0).then(|| format!("{} beyond {}{SPACE}{unit} ↑", count(many), ruler.end_label()))
 }
 
 /// The picture of a course.
@@ -303,19 +312,15 @@ fn finding(subject: &Subject<'_>, plan: &Plan<'_>, incidents: usize) -> String {
     let widths: Vec<f64> = course
         .points
         .iter()
-        .filter_map(|point| point.offset.as_ref())
-        .map(|offset| offset.bounds.width().seconds() / 2.0)
+        .filter_map(|point| known(point.offset.as_ref()?))
+        .map(|(_, half)| half)
         .collect();
     if let (Some(least), Some(most), false) = (
         widths.iter().copied().reduce(f64::min),
         widths.iter().copied().reduce(f64::max),
         subject.same_clock(),
     ) {
-        text.push_str(&format!(
-            " The offset was known to {} to {}{SPACE}ms.",
-            bound_ms(least),
-            bound_ms(most)
-        ));
+        text.push_str(&format!(" The offset was known to {} to {}.", bound_ms(least), bound(most)));
     }
     let probes = course.probes();
     text.push_str(&format!(

@@ -7,7 +7,7 @@ use peernet_logger::stream::{DelayPoint, DelaySecond};
 use super::super::chip::{Chip, severity};
 use super::super::clocks;
 use super::super::speed::Way;
-use crate::numbers::{NONE, figure, interval_ms, throughput};
+use crate::numbers::{EXACT, NONE, interval_ms, throughput, within_ms};
 
 /// What is known of them together.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,6 +32,11 @@ pub(crate) fn of_point(point: &ClockPoint, way: Way) -> Option<&DelaySecond> {
 /// A delay with its lower bound at zero or above: nothing arrives before it was sent.
 pub(crate) fn bounds(point: &DelayPoint) -> (f64, f64) {
     (point.bounds.lo.seconds().max(0.0), point.bounds.hi.seconds().max(0.0))
+}
+
+/// A delay in ms with the digits that its bounds support.
+pub(super) fn digits(point: &DelayPoint) -> String {
+    within_ms(point.value.seconds(), bounds(point))
 }
 
 /// Bits per second as far as the delay's bounds tell; the upper end is infinite where the delay may be zero.
@@ -97,13 +102,13 @@ impl Delays {
 
     /// The median in ms, or a dash.
     pub(crate) fn value(&self) -> String {
-        self.median.map_or_else(|| NONE.to_owned(), |point| figure(point.value.seconds() * 1e3))
+        self.median.map_or_else(|| NONE.to_owned(), |point| digits(&point))
     }
 
     /// The interval that contains it in ms; `None` without a median.
     pub(crate) fn interval(&self) -> Option<String> {
         let (lo, hi) = bounds(self.median.as_ref()?);
-        Some(if lo == hi { "exact".to_owned() } else { interval_ms(lo, hi) })
+        Some(if lo == hi { EXACT.to_owned() } else { interval_ms(lo, hi) })
     }
 
     /// Why there is no median.
@@ -121,11 +126,14 @@ impl Delays {
         match (self.verdict, known) {
             (None, _) => (NONE.to_owned(), "nothing was sent in the last 10 s"),
             (Some(Verdict::Ok), Some((_, rate, _))) => (throughput(rate), ""),
-            (Some(Verdict::Limited), Some((lo, _, hi))) => {
+            // A stale interval is wide and holds all the same.
+            (Some(Verdict::Limited | Verdict::Stale), Some((lo, _, hi))) => {
                 let hi = if hi.is_finite() { throughput(hi) } else { "∞".to_owned() };
                 (format!("{} – {hi}", throughput(lo)), "known only within the clock bound")
             }
-            (Some(Verdict::Ok | Verdict::Limited), None) => (NONE.to_owned(), "the sizes are not known"),
+            (Some(Verdict::Ok | Verdict::Limited | Verdict::Stale), None) => {
+                (NONE.to_owned(), "the sizes are not known")
+            }
             (Some(_), _) => (NONE.to_owned(), "the clocks do not tell this direction's delay"),
         }
     }

@@ -5,9 +5,10 @@ use peernet_clock::Verdict;
 use super::super::chip::Chip;
 use super::super::clocks;
 use super::super::speed::Way;
-use super::Subject;
-use super::delays::{Delays, bounds};
-use crate::numbers::{SPACE, bound_ms, figure, interval_ms};
+use super::delays::{Delays, bounds, digits};
+use super::list::{TOO_YOUNG, no_offset};
+use super::{CONTRADICTION, Subject, is_young};
+use crate::numbers::{SPACE, bound, ends_ms, interval_ms};
 use crate::zone::Zone;
 
 /// The title.
@@ -28,17 +29,22 @@ pub(crate) fn title(subject: &Subject<'_>, zone: Zone) -> String {
             seen.clock()
         );
     }
-    let Some(bound) = subject.bound() else {
-        return format!("{route}: the two clocks were never related, so one-way delays are not known");
+    if subject.contradicts() {
+        return format!("{route}: {CONTRADICTION}, so no one-way delay can be trusted");
+    }
+    let (Some(half), Some(offset)) = (subject.bound(), subject.offset()) else {
+        return format!("{route}: {}, so one-way delays are not known", no_offset(subject));
     };
-    let bound = format!("{}{SPACE}ms", bound_ms(bound));
+    let bound = bound(half);
+    match offset.verdict {
+        Verdict::Stale if is_young(offset) => return format!("{route}: {TOO_YOUNG}"),
+        Verdict::Stale => {
+            return format!("{route}: the clocks were not compared lately; the bound has grown to {bound}");
+        }
+        _ => {}
+    }
     let [up, down] = [Way::Up, Way::Down].map(|way| subject.delays(way).verdict);
     match (up, down) {
-        _ if subject.offset().is_some_and(|offset| offset.verdict == Verdict::Inconsistent) => {
-            format!(
-                "{route}: what is known of the clocks contradicts itself, so no one-way delay can be trusted"
-            )
-        }
         (None, None) => {
             format!("{route}: the clocks are known to {bound}; nothing was sent in the last 10{SPACE}s")
         }
@@ -61,7 +67,7 @@ pub(crate) fn title(subject: &Subject<'_>, zone: Zone) -> String {
             )
         }
         (Some(Verdict::Stale), _) | (_, Some(Verdict::Stale)) => {
-            format!("{route}: the clocks were not compared lately; the bound has grown to {bound}")
+            format!("{route}: the clocks are known to {bound}; delays can be trusted from now on")
         }
         _ => format!("{route}: one-way delays cannot be trusted at present"),
     }
@@ -79,23 +85,24 @@ pub(crate) struct Meaning {
 
 /// Both directions.
 pub(crate) fn meanings(subject: &Subject<'_>) -> Vec<Meaning> {
-    [Way::Up, Way::Down].map(|way| subject.delays(way)).iter().map(meaning).collect()
+    let young = subject.offset().is_some_and(is_young);
+    [Way::Up, Way::Down].map(|way| subject.delays(way)).iter().map(|delays| meaning(delays, young)).collect()
 }
 
-fn meaning(delays: &Delays) -> Meaning {
+fn meaning(delays: &Delays, young: bool) -> Meaning {
     let text = match (delays.verdict, &delays.median) {
         (None, _) => format!("was not used in the last 10{SPACE}s: without data there is nothing to judge."),
         (Some(Verdict::Ok), Some(point)) => {
             let (lo, hi) = bounds(point);
-            let takes = format!("takes {}{SPACE}ms", figure(point.value.seconds() * 1e3));
+            let takes = format!("takes {}{SPACE}ms", digits(point));
             let half = (hi - lo) / 2.0;
             if half > 0.0 {
                 let many = point.value.seconds() / half;
                 format!(
-                    "{takes}, {} times its bound of {}{SPACE}ms. The true value lies between {}{SPACE}ms.",
+                    "{takes}, {} times its bound of {}. The true value lies between {}{SPACE}ms.",
                     figure_of_times(many),
-                    bound_ms(half),
-                    interval_ms(lo, hi).replace(" – ", " and ")
+                    bound(half),
+                    ends_ms(lo, hi).join(" and ")
                 )
             } else {
                 format!("{takes}, exactly.")
@@ -104,13 +111,14 @@ fn meaning(delays: &Delays) -> Meaning {
         (Some(Verdict::Limited), Some(point)) => {
             let (lo, hi) = bounds(point);
             format!(
-                "takes about {}{SPACE}ms, too little for a bound of {}{SPACE}ms. Read it as {}{SPACE}ms: the truth is in there, \
+                "takes about {}{SPACE}ms, too little for a bound of {}. Read it as {}{SPACE}ms: the truth is in there, \
                  where is not known.",
-                figure(point.value.seconds() * 1e3),
-                bound_ms((hi - lo) / 2.0),
+                digits(point),
+                bound((hi - lo) / 2.0),
                 interval_ms(lo, hi)
             )
         }
+        (Some(Verdict::Stale), _) if young => format!("is known only widely: {TOO_YOUNG}."),
         (Some(verdict), _) => format!("cannot be trusted: {}.", clocks::meaning(verdict)),
     };
     Meaning { chip: delays.chip(), subject: delays.title(), text }

@@ -7,7 +7,7 @@ use super::super::chip::{Chip, severity};
 use super::super::now::Cell;
 use super::super::rehearsal::{self, Rehearsed};
 use super::stats::ppm;
-use super::{Subject, course, href, panels};
+use super::{CONTRADICTION, Subject, course, href, is_young, known, panels};
 use crate::numbers::{bound_ms, offset_ms, percent, trip_ms};
 use crate::zone::{Moment, Zone};
 
@@ -59,7 +59,7 @@ impl LinkLine {
         let probes = course::sum(link.history.iter().map(|point| point.probes));
         let trips = link.history.iter().rev().find_map(|point| point.round_trip);
         let rehearsed = rehearsed.concerns(&[&subject.edge, &subject.cloud]);
-        let why = "the two clocks were never related";
+        let why = no_offset(&subject);
         let shown = |of: Option<String>| {
             if one_clock {
                 Cell { text: "0".into(), title: Some("both hosts read one clock".into()) }
@@ -71,20 +71,21 @@ impl LinkLine {
             name: subject.route(),
             href: href(&subject.edge, &subject.cloud),
             chip: verdict.map(Chip::verdict),
-            meaning: verdict.map_or("", super::super::clocks::meaning),
+            meaning: match (verdict, offset) {
+                (Some(Verdict::Stale), Some(offset)) if is_young(offset) => TOO_YOUNG,
+                (verdict, _) => verdict.map_or("", super::super::clocks::meaning),
+            },
             away: (!link.connected).then(|| zone.moment(link.last_seen)),
             rehearsal: rehearsed.then_some(rehearsal::CHIP),
             networks: link.live.networks.join(", "),
             bound: shown(subject.bound().map(bound_ms)),
-            offset: shown(
-                offset.map(|offset| {
-                    offset_ms(offset.estimate.seconds(), offset.bounds.width().seconds() / 2.0)
-                }),
-            ),
+            offset: shown(offset.and_then(known).map(|(estimate, half)| offset_ms(estimate, half))),
             drift: if one_clock {
                 shown(None)
             } else {
-                cell(offset.and_then(|offset| offset.skew_ppm).map(ppm), "too few exchanges yet")
+                let consistent = offset.filter(|offset| known(offset).is_some());
+                let why = if subject.contradicts() { why } else { "too few exchanges yet" };
+                cell(consistent.and_then(|offset| offset.skew_ppm).map(ppm), why)
             },
             round_trip: cell(
                 trips.map(|trip| trip_ms(trip.median.seconds())),
@@ -99,6 +100,19 @@ impl LinkLine {
         }
     }
 }
+
+/// Why no offset is shown.
+pub(super) fn no_offset(subject: &Subject<'_>) -> &'static str {
+    match (subject.contradicts(), subject.was_related()) {
+        (true, _) => CONTRADICTION,
+        (false, true) => "no exchange has finished since a clock was stepped",
+        (false, false) => "the two clocks were never related",
+    }
+}
+
+/// What a link's verdict means as long as it is young.
+pub(super) const TOO_YOUNG: &str =
+    "too few exchanges yet: fewer than three since the link came up or a clock was stepped";
 
 impl PastLine {
     /// The stored links that are not in the live picture.

@@ -64,6 +64,25 @@ pub(crate) struct Subject<'a> {
     pub end: WallTime,
     /// Whether the edge tells of it now.
     pub connected: bool,
+    /// What was last known of the offset of a link that is only stored.
+    told: Option<Offset>,
+}
+
+/// Estimate and half the width of the bounds, seconds; `None` where sources exclude each other, or exchanges do: what
+/// contradicts itself gives no value.
+pub(crate) fn known(offset: &Offset) -> Option<(f64, f64)> {
+    let half = offset.bounds.width().seconds() / 2.0;
+    (offset.verdict != Verdict::Inconsistent).then(|| (offset.estimate.seconds(), half))
+}
+
+/// Why there is no value.
+pub(crate) const CONTRADICTION: &str = "what is known of the clocks contradicts itself";
+/// Fewer exchanges than these relate no clocks.
+const LEAST_EXCHANGES: u64 = 3;
+
+/// Whether an offset is stale because the link is young, or a clock was stepped a moment ago.
+pub(crate) fn is_young(offset: &Offset) -> bool {
+    offset.verdict == Verdict::Stale && offset.exchanges < LEAST_EXCHANGES
 }
 
 impl<'a> Subject<'a> {
@@ -75,6 +94,7 @@ impl<'a> Subject<'a> {
             ids: (link.edge, link.live.peer),
             end: link.history.last().map_or(link.live.now.at, |point| point.at),
             connected: link.connected,
+            told: None,
             live: Some(link),
         }
     }
@@ -88,7 +108,14 @@ impl<'a> Subject<'a> {
             live: None,
             end: row.last,
             connected: false,
+            told: None,
         }
+    }
+
+    /// With what its course tells of the offset at last.
+    pub(crate) fn remembering(self, course: &course::Course) -> Self {
+        let told = course.points.iter().rev().find_map(|point| point.offset.clone());
+        Self { told, ..self }
     }
 
     /// `cam-3 → rack-a`.
@@ -106,38 +133,63 @@ impl<'a> Subject<'a> {
         self.live.map_or(&[], |link| link.history.as_slice())
     }
 
-    /// What is known of the offset now.
-    pub(crate) fn offset(&self) -> Option<&'a Offset> {
-        let link = self.live?;
-        link.live.now.offset.as_ref().or_else(|| link.history.last()?.offset.as_ref())
+    /// What is known of the offset now, or was when the edge last told of it.
+    pub(crate) fn offset(&self) -> Option<&Offset> {
+        let Some(link) = self.live else { return self.told.as_ref() };
+        // What was known before a step says nothing of what is now.
+        let counts = |point: &&Arc<ClockPoint>| !self.connected || point.window == link.live.now.window;
+        let lately = if self.connected { 1 } else { link.history.len() };
+        let mut before = link.history.iter().rev().take(lately).filter(counts);
+        link.live.now.offset.as_ref().or_else(|| before.find_map(|point| point.offset.as_ref()))
     }
 
-    /// Half the width of the offset's bounds, seconds.
+    /// Whether sources or exchanges contradict each other.
+    pub(crate) fn contradicts(&self) -> bool {
+        self.offset().is_some_and(|offset| offset.verdict == Verdict::Inconsistent)
+    }
+
+    /// Whether exchanges have finished, before a step or long ago though it may be.
+    pub(crate) fn was_related(&self) -> bool {
+        self.live.is_none_or(|link| {
+            link.live.now.exchanges.taken > 0 || link.history.iter().any(|point| point.offset.is_some())
+        })
+    }
+
+    /// Half the width of the offset's bounds, seconds; `None` where there are none.
     pub(crate) fn bound(&self) -> Option<f64> {
         if self.same_clock() {
             return Some(0.0);
         }
-        Some(self.offset()?.bounds.width().seconds() / 2.0)
+        known(self.offset()?).map(|(_, half)| half)
     }
 
-    /// The delays of data of the last ten seconds.
+    /// The delays of data of the last ten seconds. Those that were judged before the clocks were known as they are now
+    /// do not count: a link is not to be coloured by its first moments.
     pub(crate) fn delays(&self, way: Way) -> Delays {
         let since = self.end - LATELY;
-        Delays::of(
-            way,
-            self.history().iter().rev().take_while(|point| point.at > since).map(|point| &**point),
-        )
+        let lately = self.history().iter().rev().take_while(|point| point.at > since);
+        let mut settled: Vec<&ClockPoint> = lately.map(|point| &**point).collect();
+        let before = settled.iter().position(|point| !is_settled(point) || point.window != settled[0].window);
+        let begun = self.history().len() == settled.len();
+        // In the second in which they came to be known some were judged before.
+        let all = before.unwrap_or(settled.len() + usize::from(!begun));
+        if all > 1 && !self.same_clock() {
+            settled.truncate(all - 1);
+        }
+        Delays::of(way, settled)
     }
 
-    /// The verdict to show for the whole link: the worse of the two directions, else that of the clocks.
+    /// The verdict of the whole link: that of the offset. Where that is well, delays may still be too short for its
+    /// bound.
     pub(crate) fn verdict(&self) -> Option<Verdict> {
-        let directions = [Way::Up, Way::Down].into_iter().filter_map(|way| self.delays(way).verdict);
-        let worst = directions.max_by_key(|verdict| super::chip::severity(*verdict));
-        worst.or_else(|| match (self.same_clock(), self.offset()) {
-            (true, _) => Some(Verdict::Ok),
-            (false, Some(offset)) => Some(offset.verdict),
-            (false, None) => self.live.map(|_| Verdict::Unsynchronised),
-        })
+        let clocks = match (self.same_clock(), self.offset()) {
+            (true, _) => Verdict::Ok,
+            (false, Some(offset)) => offset.verdict,
+            (false, None) => return self.live.map(|_| Verdict::Unsynchronised),
+        };
+        let limited =
+            [Way::Up, Way::Down].into_iter().any(|way| self.delays(way).verdict == Some(Verdict::Limited));
+        Some(if clocks == Verdict::Ok && limited { Verdict::Limited } else { clocks })
     }
 
     /// Names of the pipelines that use the link, with the addresses of their pages.
@@ -145,6 +197,11 @@ impl<'a> Subject<'a> {
         let used = self.live.into_iter().flat_map(|link| &link.live.pipelines);
         used.map(|name| (name.to_string(), super::place::pipeline_href(&self.edge, name.as_str()))).collect()
     }
+}
+
+/// Whether the clocks were known at the end of a second.
+fn is_settled(point: &ClockPoint) -> bool {
+    point.offset.as_ref().is_some_and(|offset| offset.verdict == Verdict::Ok)
 }
 
 #[cfg(test)]

@@ -4,17 +4,28 @@ use peernet_aggregator::ClockPoint;
 use peernet_clock::{DelaySource, Interval, Span};
 
 use super::chart::{OffsetView, Plan, beyond, reach};
+use super::known;
 use super::trend::Trend;
 use crate::svg::{Ruler, Track, pen};
 
 /// Another source that is so many times wider than the band leaves the scale to the band.
 const WIDER: f64 = 4.0;
+/// Room around the bands that nine of ten stay within.
+const ROOM: f64 = 1.5;
 
 /// Lower and upper end in ms, as drawn.
 type Ends = (f64, f64);
 
 fn larger((lo, hi): Ends) -> f64 {
     lo.abs().max(hi.abs())
+}
+
+/// The scale that most bands need: what is wide right after a step, or belongs to the time before it, may leave it.
+fn usual(sizes: impl Iterator<Item = f64>) -> f64 {
+    let mut sorted: Vec<f64> = sizes.filter(|size| size.is_finite()).collect();
+    sorted.sort_by(f64::total_cmp);
+    let most = sorted.len().saturating_sub(1) * 9 / 10;
+    sorted.get(most).map_or(0.0, |most| sorted.last().map_or(*most, |last| last.min(most * ROOM)))
 }
 
 /// The track of the offset of `cloud`.
@@ -31,7 +42,9 @@ pub(super) fn track(cloud: &str, plan: &Plan<'_>, view: OffsetView) -> Track {
     };
     let ends =
         |point: &ClockPoint, interval: Interval| (shown(point, interval.lo), shown(point, interval.hi));
-    let band = |point: &ClockPoint| Some(ends(point, point.offset.as_ref()?.bounds));
+    // Where what is known contradicts itself nothing is certain; what other sources say is drawn all the same.
+    let offset = |point: &ClockPoint| point.offset.clone().filter(|offset| known(offset).is_some());
+    let band = |point: &ClockPoint| Some(ends(point, offset(point)?.bounds));
     let said = |point: &ClockPoint, source: DelaySource| {
         let (_, interval) = point.offset.as_ref()?.sources.iter().find(|(from, _)| *from == source)?;
         Some(ends(point, *interval))
@@ -42,7 +55,7 @@ pub(super) fn track(cloud: &str, plan: &Plan<'_>, view: OffsetView) -> Track {
         .map(|source| (source, points.iter().filter_map(|point| said(point, source)).collect::<Vec<Ends>>()));
     let ruler = match view {
         OffsetView::Removed => {
-            let own = reach(certain.iter().copied().map(larger));
+            let own = usual(certain.iter().copied().map(larger));
             let sizes = others.iter().map(|(_, said)| reach(said.iter().copied().map(larger)));
             Ruler::both_sides(sizes.filter(|size| *size <= own * WIDER).fold(own, f64::max), 6)
         }
@@ -76,7 +89,7 @@ pub(super) fn track(cloud: &str, plan: &Plan<'_>, view: OffsetView) -> Track {
         let name = source.name();
         note.push(if seen { format!("dashed: {name}") } else { format!("{name}: wider than the axis") });
     }
-    let estimate = |point: &ClockPoint| Some(shown(point, point.offset.as_ref()?.estimate));
+    let estimate = |point: &ClockPoint| Some(shown(point, offset(point)?.estimate));
     let line = plan.broken(points, |x, point| Some((x, ruler.below(estimate(point)?))));
     track.draw("strong", pen::line(line));
     note.push("line: estimate".to_owned());

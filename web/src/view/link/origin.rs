@@ -3,9 +3,10 @@
 use peernet_clock::{DelaySource, Interval, Offset};
 use peernet_logger::stream::{HostClock, Probing};
 
-use super::Subject;
 use super::course::Course;
-use crate::numbers::{SPACE, bound_ms, count, interval_ms, trip_ms};
+use super::list::TOO_YOUNG;
+use super::{Subject, is_young, known};
+use crate::numbers::{NONE, SPACE, bound, count, interval_ms, trip_ms};
 
 /// One source about the offset.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -25,7 +26,9 @@ pub(crate) struct Origin {
     pub rows: Vec<SourceRow>,
     /// Sentences.
     pub why: Vec<String>,
-    /// What would narrow it, most promising first.
+    /// What the hints are for.
+    pub to: &'static str,
+    /// What would help, most promising first.
     pub hints: Vec<String>,
 }
 
@@ -50,11 +53,16 @@ impl Origin {
     /// What is known of a link's bound; nothing for one clock.
     pub(crate) fn of(subject: &Subject<'_>, course: &Course) -> Self {
         let Some(offset) = subject.offset() else {
+            let why = if subject.was_related() {
+                "No exchange has finished since a clock was stepped: what was known before says nothing of now."
+            } else {
+                "No exchange between the two hosts has finished yet. Each data message with its answer is one, each answered \
+                 probe another."
+            };
             return Self {
                 title: "Why there is no bound".to_owned(),
-                why: vec!["No exchange between the two hosts has finished yet. Each data message with its answer is one, \
-                           each answered probe another."
-                    .to_owned()],
+                why: vec![why.to_owned()],
+                to: "To get one",
                 hints: hints(subject, None),
                 ..Self::default()
             };
@@ -64,44 +72,69 @@ impl Origin {
             .iter()
             .map(|(from, interval)| row(source(*from, offset.exchanges), *interval, false))
             .collect();
-        let used = if offset.sources.len() > 1 { "intersection" } else { "used" };
-        rows.push(row(used.to_owned(), offset.bounds, true));
-        let half = bound_ms(offset.bounds.width().seconds() / 2.0);
+        let several = offset.sources.len() > 1;
+        let Some((_, half)) = known(offset) else {
+            // What holds two intervals that exclude each other is no interval of the offset.
+            let name = if several { "no common interval" } else { "not to be trusted" };
+            let none = || NONE.to_owned();
+            rows.push(SourceRow { name: name.to_owned(), between: none(), width: none(), sum: true });
+            let (why, hint) = if several { EXCLUDE } else { DOUBT };
+            return Self {
+                title: "Why there is no value".to_owned(),
+                rows,
+                why: vec![why.to_owned()],
+                to: "To find out",
+                hints: vec![hint.to_owned()],
+            };
+        };
+        rows.push(row(if several { "intersection" } else { "used" }.to_owned(), offset.bounds, true));
+        let then = if subject.connected { "comes" } else { "came" };
         Self {
-            title: format!("Where {half}{SPACE}ms comes from"),
+            title: format!("Where {} {then} from", bound(half)),
             rows,
             why: why(offset, course),
+            to: "To narrow it",
             hints: hints(subject, Some(offset)),
         }
     }
 }
 
+/// Of sources that exclude each other: what that means and what to do.
+const EXCLUDE: (&str, &str) = (
+    "The sources above exclude each other: at least one of them is wrong, and which one cannot be told from here. The \
+     exchanges hold whatever the clocks show, as long as neither host lies; a time daemon is wrong about its clock when \
+     its servers are, or when the clock is not the one it keeps.",
+    "see on both hosts what the time daemon follows (chronyc sources, chronyc tracking) and compare both with a third \
+     clock; look for a clock that a rehearsal, a container or libfaketime changes without its daemon's knowledge",
+);
+/// Of exchanges that contradict each other.
+const DOUBT: (&str, &str) = (
+    "The exchanges contradict each other again and again: the clocks drift apart faster than [clock] max_drift_ppm \
+     allows, or one of the hosts does not tell the truth.",
+    "see on both hosts whether a time daemon slews the clock hard, and raise [clock] max_drift_ppm above what the clocks \
+     really drift",
+);
+
 fn why(offset: &Offset, course: &Course) -> Vec<String> {
     let mut why = Vec::new();
     let half = offset.bounds.width().seconds() / 2.0;
-    if offset.verdict == peernet_clock::Verdict::Inconsistent {
-        let words = if offset.sources.len() > 1 {
-            "The sources above exclude each other: at least one of them is wrong, and which one cannot be told from here."
-        } else {
-            "The exchanges contradict each other again and again: the clocks drift apart faster than [clock] \
-             max_drift_ppm allows, or one of the hosts does not tell the truth."
-        };
-        why.push(words.to_owned());
+    if is_young(offset) {
+        why.push(format!("There are {TOO_YOUNG}."));
     }
     if let Some((min, _)) = course.round_trips() {
         let best = min / 2.0;
         let known = format!("The smallest probe round trip took {}{SPACE}ms", trip_ms(min));
         let general = "A round trip cannot tell how its time splits between the directions.".to_owned();
+        let best_words = bound(best);
         why.push(if half > best * 1.3 {
             format!(
-                "{general} {known}, so at best the offset is known to half of that, {}{SPACE}ms; since then the bound grows \
-                 with the drift that two clocks may have.",
-                bound_ms(best)
+                "{general} {known}, so at best the offset is known to half of that, {best_words}; since then the bound grows \
+                 with the drift that two clocks may have."
             )
         } else if half < best * 0.7 {
-            format!("{general} {known}, which alone gives {}{SPACE}ms; another source narrows it.", bound_ms(best))
+            format!("{general} {known}, which alone gives {best_words}; another source narrows it.")
         } else {
-            format!("{general} {known}, so the offset is known to half of that, {}{SPACE}ms.", bound_ms(best))
+            format!("{general} {known}, so the offset is known to half of that, {best_words}.")
         });
     } else {
         why.push(
@@ -122,9 +155,11 @@ fn hints(subject: &Subject<'_>, offset: Option<&Offset>) -> Vec<String> {
     let Some(link) = subject.live else { return hints };
     match &link.live.probing {
         Probing::Off(reason) => hints.push(format!("let probes through: {reason}")),
-        Probing::Unanswered { address } => {
-            hints.push(format!("open {address} for UDP: probes go there and none comes back"));
-        }
+        Probing::Unanswered { reason: Some(reason), .. } => hints.push(format!("get probes answered: {reason}")),
+        Probing::Unanswered { address, reason: None } => hints.push(format!(
+            "open {address} for UDP, and give both ends the same key ([probes] key_file) or none: probes go there and none \
+             comes back"
+        )),
         Probing::On { stamps, .. } if stamps.contains("program") => {
             hints.push("kernel stamps instead of the program's".to_owned());
         }

@@ -5,7 +5,7 @@ use peernet_logger::stream::{HostClock, Probing};
 use super::super::{counted, rehearsal};
 use super::Subject;
 use super::course::Course;
-use crate::numbers::{NONE, SPACE, bound_ms, count, figure, offset_ms, rate, trip_ms};
+use crate::numbers::{NONE, SPACE, bound, count, figure, offset_ms, rate, trip_ms};
 
 /// Pairs of a name and a text.
 pub(crate) type Pairs = Vec<(&'static str, String)>;
@@ -26,10 +26,10 @@ pub(crate) fn claims(clock: &HostClock) -> String {
     let Some(discipline) = clock.discipline else { return NONE.to_owned() };
     let (lo, hi) = (discipline.error.lo.seconds(), discipline.error.hi.seconds());
     if lo <= 0.0 && hi >= 0.0 {
-        return format!("within {}{SPACE}ms of true time", bound_ms(hi.max(-lo)));
+        return format!("within {} of true time", bound(hi.max(-lo)));
     }
     let half = (hi - lo) / 2.0;
-    format!("{}{SPACE}ms from true time, {}{SPACE}ms", offset_ms(lo + half, half), bound_ms(half))
+    format!("{}{SPACE}ms from true time, {}", offset_ms(lo + half, half), bound(half))
 }
 
 /// Who synchronises a clock, in words.
@@ -75,14 +75,13 @@ pub(crate) fn probes(subject: &Subject<'_>, course: &Course) -> Pairs {
             ("Rate", format!("{}{SPACE}/s", rate(*rate_hz))),
             ("Stamps", stamps.clone()),
         ],
-        Some(Probing::Unanswered { address }) => vec![
-            ("Sent to", address.clone()),
-            (
-                "Answers",
-                "none lately: the port is blocked, or the reflector is gone; data messages still bound the offset"
-                    .to_owned(),
-            ),
-        ],
+        Some(Probing::Unanswered { address, reason }) => {
+            let why = reason.as_deref().unwrap_or(
+                "the port is blocked, the reflector is gone, or the two ends do not have the same key ([probes] key_file)",
+            );
+            let answers = format!("none lately: {why}; data messages still bound the offset");
+            vec![("Sent to", address.clone()), ("Answers", answers)]
+        }
         Some(Probing::Off(reason)) => vec![("Off", reason.clone())],
         None => vec![("Now", "the edge does not report".to_owned())],
     };

@@ -4,9 +4,10 @@ use peernet_logger::stream::ProbeCounts;
 
 use super::super::chip::Chip;
 use super::super::speed::Way;
-use super::Subject;
 use super::course::Course;
-use crate::numbers::{NONE, SPACE, bound_ms, count, figure, fixed, length, offset_ms, percent, trip_ms};
+use super::list::no_offset;
+use super::{CONTRADICTION, Subject, known};
+use crate::numbers::{NONE, SPACE, bound, count, figure, fixed, length, offset_ms, percent, trip_ms};
 
 /// A quiet name, a figure with its unit, a quiet line.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -63,17 +64,19 @@ fn delay(subject: &Subject<'_>, way: Way) -> Stat {
 }
 
 fn offset(subject: &Subject<'_>) -> Stat {
-    let Some(offset) = subject.offset() else {
-        return Stat::new("Clock offset", None, "ms", "never related".to_owned());
+    let Some((estimate, half)) = subject.offset().and_then(known) else {
+        return Stat::new("Clock offset", None, "ms", no_offset(subject).to_owned());
     };
-    let estimate = offset.estimate.seconds();
-    let who = match estimate {
-        ahead if ahead > 0.0 => format!("{} is ahead", subject.cloud),
-        behind if behind < 0.0 => format!("{} is behind", subject.cloud),
-        _ => "level".to_owned(),
+    // Within its bound an offset may be none at all.
+    let who = if estimate.abs() <= half {
+        "level".to_owned()
+    } else if estimate > 0.0 {
+        format!("{} is ahead", subject.cloud)
+    } else {
+        format!("{} is behind", subject.cloud)
     };
-    let half = offset.bounds.width().seconds() / 2.0;
-    let line = format!("{who}, {}{SPACE}ms", bound_ms(half));
+    let then = if subject.connected { "" } else { ", when last told" };
+    let line = format!("{who}, {}{then}", bound(half));
     Stat::new("Clock offset", Some(offset_ms(estimate, half)), "ms", line)
 }
 
@@ -84,15 +87,18 @@ pub(crate) fn ppm(value: f64) -> String {
 }
 
 fn drift(subject: &Subject<'_>) -> Stat {
-    let skew = subject.offset().and_then(|offset| offset.skew_ppm);
-    let line = skew.map_or_else(
-        || "too few exchanges yet".to_owned(),
-        |skew| {
-            let a_day = skew.abs() * 1e-6 * 86_400.0;
-            let verb = if skew < 0.0 { "loses" } else { "gains" };
+    let consistent = subject.offset().filter(|offset| known(offset).is_some());
+    let skew = consistent.and_then(|offset| offset.skew_ppm);
+    let none = || if subject.contradicts() { CONTRADICTION } else { "too few exchanges yet" }.to_owned();
+    let line = skew.map_or_else(none, |skew| {
+        let a_day = skew.abs() * 1e-6 * 86_400.0;
+        let verb = if skew < 0.0 { "loses" } else { "gains" };
+        if a_day < 0.005 {
+            "both run alike".to_owned()
+        } else {
             format!("{} {verb} {}{SPACE}s a day", subject.cloud, figure(a_day))
-        },
-    );
+        }
+    });
     Stat::new("Drift", skew.map(ppm), "ppm", line)
 }
 

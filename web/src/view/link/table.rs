@@ -6,8 +6,9 @@ use super::super::chip::Sign;
 use super::super::speed::Way;
 use super::course::Course;
 use super::delays::Delays;
+use super::known;
 use super::stats::ppm;
-use crate::numbers::{NONE, bound_ms, count, offset_ms, stage_ms, trip_ms};
+use crate::numbers::{NONE, bound_ms, count, offset_ms, trip_ms};
 use crate::zone::{Moment, Zone};
 
 /// One stretch of time; times in ms.
@@ -54,16 +55,15 @@ impl Row {
     fn of(point: &ClockPoint, zone: Zone) -> Self {
         let dash = || NONE.to_owned();
         let offset = point.offset.as_ref();
+        let within = offset.and_then(known);
         let trip = point.round_trip;
         Self {
             at: zone.moment(point.at),
             up: Direction::of(&Delays::of(Way::Up, [point])),
             down: Direction::of(&Delays::of(Way::Down, [point])),
-            offset: offset.map_or_else(dash, |offset| {
-                offset_ms(offset.estimate.seconds(), offset.bounds.width().seconds() / 2.0)
-            }),
-            bound: offset.map_or_else(dash, |offset| bound_ms(offset.bounds.width().seconds() / 2.0)),
-            drift: offset.and_then(|offset| offset.skew_ppm).map_or_else(dash, ppm),
+            offset: within.map_or_else(dash, |(estimate, half)| offset_ms(estimate, half)),
+            bound: within.map_or_else(dash, |(_, half)| bound_ms(half)),
+            drift: within.and(offset).and_then(|offset| offset.skew_ppm).map_or_else(dash, ppm),
             smallest: trip.map_or_else(dash, |trip| trip_ms(trip.min.seconds())),
             median: trip.map_or_else(dash, |trip| trip_ms(trip.median.seconds())),
             sent: count(point.probes.sent.into()),
@@ -75,7 +75,7 @@ impl Row {
 impl Direction {
     fn of(delays: &Delays) -> Self {
         Self {
-            value: delays.median.map_or_else(|| NONE.to_owned(), |point| stage_ms(point.value.seconds())),
+            value: delays.value(),
             interval: delays.interval().unwrap_or_default(),
             sign: delays.chip().map(Sign::from),
             throughput: delays.throughput().0,

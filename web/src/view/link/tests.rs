@@ -129,7 +129,7 @@ fn where_a_bound_comes_from_and_what_would_narrow_it() {
     };
     let clock = HostClock { discipline: Some(claim), ..HostClock::default() };
     (link.live.edge, link.live.cloud) = (Some(clock.clone()), Some(clock));
-    link.live.probing = Probing::Unanswered { address: "udp://192.0.2.5:8620".into() };
+    link.live.probing = Probing::Unanswered { address: "udp://192.0.2.5:8620".into(), reason: None };
     let origin = Origin::of(&Subject::live(&link), &course(&link));
     assert!(origin.hints[0].contains("open udp://192.0.2.5:8620"), "{origin:?}");
     assert!(origin.hints[1].contains("is wider and does not help"), "{origin:?}");
@@ -227,4 +227,159 @@ fn what_the_cloud_tells_is_placed_by_the_offset_of_its_time() {
         let placed = course.on_the_edge(at(ago) + estimate);
         assert!((placed - at(ago)).abs() < Span::from_millis(1), "{ago}");
     }
+}
+
+fn inconsistent(sources: usize) -> LinkPicture {
+    let mut link = link(Some(0.0005), &[]);
+    let ms = Span::from_millis;
+    let away = Interval { lo: ms(249), hi: ms(250) };
+    let spoil = |offset: &mut Offset| {
+        offset.verdict = Verdict::Inconsistent;
+        offset.sources = vec![(DelaySource::InBand, offset.bounds), (DelaySource::Chrony, away)];
+        offset.sources.truncate(sources);
+        offset.bounds = offset.bounds.hull(away);
+    };
+    link.live.now.offset.iter_mut().for_each(spoil);
+    for point in &mut link.history {
+        Arc::make_mut(point).offset.iter_mut().for_each(spoil);
+    }
+    link
+}
+
+#[test]
+fn what_contradicts_itself_has_no_value_and_no_bound_anywhere() {
+    for (sources, row, hint) in
+        [(2, "no common interval", "chronyc tracking"), (1, "not to be trusted", "max_drift_ppm")]
+    {
+        let link = inconsistent(sources);
+        let subject = Subject::live(&link);
+        assert_eq!((subject.bound(), subject.verdict()), (None, Some(Verdict::Inconsistent)));
+        assert!(title(&subject, Zone::Utc).contains("contradicts itself"));
+        let stats = stats::all(&subject, &course(&link));
+        let offset = stats.iter().find(|stat| stat.name == "Clock offset").expect("it is a figure");
+        assert_eq!((offset.number.as_str(), offset.line.as_str()), ("—", CONTRADICTION));
+        let origin = Origin::of(&subject, &course(&link));
+        let last = origin.rows.last().expect("rows");
+        assert_eq!((last.name.as_str(), last.between.as_str()), (row, "—"));
+        assert!(origin.hints.iter().all(|one| one.contains(hint)), "{origin:?}");
+        assert!(!format!("{origin:?}").contains('±'), "{origin:?}");
+        let table = table::Row::all(&course(&link), Zone::Utc);
+        assert!(table.iter().all(|row| row.offset == "—" && row.bound == "—"), "{table:?}");
+        let picture = tracks(&subject, &course(&link), OffsetView::Removed, &[], Zone::Utc);
+        assert!(picture.tracks[0].curves.iter().all(|curve| curve.class != "band"));
+    }
+}
+
+#[test]
+fn a_young_link_says_so_and_its_first_moments_do_not_colour_it() {
+    let mut young = link(Some(0.00005), &[]);
+    young.history.drain(..119);
+    young.live.now.offset.iter_mut().for_each(|offset| {
+        (offset.verdict, offset.exchanges) = (Verdict::Stale, 2);
+    });
+    let subject = Subject::live(&young);
+    assert!(title(&subject, Zone::Utc).contains("too few exchanges yet"), "{}", title(&subject, Zone::Utc));
+    assert_eq!(subject.verdict(), Some(Verdict::Stale));
+
+    let mut link = link(Some(0.00005), &[]);
+    link.history.drain(..115);
+    let first = Arc::make_mut(&mut link.history[0]);
+    first.up = first.up.map(|second| DelaySecond { verdict: Verdict::Stale, ..second });
+    let subject = Subject::live(&link);
+    assert_eq!((subject.verdict(), subject.delays(Way::Up).verdict), (Some(Verdict::Ok), Some(Verdict::Ok)));
+    // One that was judged so while the clocks were known counts.
+    let later = Arc::make_mut(&mut link.history[3]);
+    later.up = later.up.map(|second| DelaySecond { verdict: Verdict::Stepped, ..second });
+    assert_eq!(Subject::live(&link).delays(Way::Up).verdict, Some(Verdict::Stepped));
+}
+
+#[test]
+fn a_link_that_fell_silent_keeps_what_it_told() {
+    let mut away = link(Some(0.00065), &[]);
+    away.connected = false;
+    away.live.now.offset = None;
+    Arc::make_mut(away.history.last_mut().expect("a second")).offset = None;
+    let subject = Subject::live(&away);
+    assert!(subject.bound().is_some());
+    let origin = Origin::of(&subject, &course(&away));
+    assert_eq!(origin.title, "Where ±0.65\u{202f}ms came from");
+
+    let row = peernet_aggregator::LinkRow {
+        edge: away.edge,
+        edge_name: away.edge_name.clone(),
+        cloud: away.live.peer,
+        cloud_name: away.live.peer_name.clone(),
+        first: NOW,
+        last: NOW,
+    };
+    let past = Subject::past(&row).remembering(&course(&away));
+    let stats = stats::all(&past, &course(&away));
+    let offset = stats.iter().find(|stat| stat.name == "Clock offset").expect("it is a figure");
+    assert!(offset.line.contains("when last told"), "{offset:?}");
+    assert!(!format!("{:?}", Origin::of(&past, &course(&away))).contains("No exchange"));
+}
+
+#[test]
+fn an_offset_that_may_be_none_is_neither_ahead_nor_behind() {
+    let mut level = link(Some(0.000_004), &[]);
+    let offset = level.live.now.offset.as_mut().expect("known");
+    let half = Span::from_nanos(4_000);
+    (offset.estimate, offset.skew_ppm) = (Span::from_nanos(-300), Some(0.02));
+    offset.bounds = Interval { lo: offset.estimate - half, hi: offset.estimate + half };
+    let stats = stats::all(&Subject::live(&level), &course(&level));
+    let line = |name: &str| stats.iter().find(|stat| stat.name == name).expect("a figure").line.clone();
+    assert_eq!(line("Clock offset"), "level, ±0.004\u{202f}ms");
+    assert_eq!(line("Drift"), "both run alike");
+}
+
+#[test]
+fn points_of_another_time_neither_tilt_the_line_nor_set_the_scale() {
+    let mut link = link(Some(0.000_01), &[]);
+    // A clock was set back by five seconds: the second after it still holds what was known before, and the first band
+    // is wide.
+    for (place, point) in link.history.iter_mut().enumerate().skip(60) {
+        let point = Arc::make_mut(point);
+        point.window = 2;
+        let offset = point.offset.as_mut().expect("known");
+        let by = if place == 60 { Span::ZERO } else { Span::from_seconds(5) };
+        offset.estimate += by;
+        let half = if place == 61 { Span::from_millis(40) } else { Span::from_micros(10) };
+        offset.bounds = Interval { lo: offset.estimate - half, hi: offset.estimate + half };
+    }
+    let points: Vec<ClockPoint> = link.history.iter().map(|point| (**point).clone()).collect();
+    let trend = trend::Trend::of(&points);
+    for point in &points[62..] {
+        let residual = point.offset.as_ref().expect("known").estimate.seconds() - trend.at(2, point.at);
+        assert!(residual.abs() < 1e-6, "{residual}");
+    }
+    let picture = tracks(&Subject::live(&link), &course(&link), OffsetView::Removed, &[], Zone::Utc);
+    let top = &picture.tracks[0].ticks.last().expect("ticks").1;
+    assert_eq!(top, "+0.015", "{:?}", picture.tracks[0].ticks);
+}
+
+#[test]
+fn seconds_that_came_twice_are_drawn_window_by_window() {
+    let at = |half_seconds: i64| WallTime::from_unix_nanos(NOW.unix_nanos() + half_seconds * 500_000_000);
+    let points: Vec<ClockPoint> = (0..40).map(|n| clock_point(at(n), (n % 2) as u64, Some(0.0005))).collect();
+    let whole = Course { from: at(0), to: at(40), bucket: 1, points };
+    let mut picture_of = link(Some(0.0005), &[]);
+    picture_of.history.clear();
+    let picture = tracks(&Subject::live(&picture_of), &whole, OffsetView::Removed, &[], Zone::Utc);
+    let band = picture.tracks[0].curves.iter().find(|curve| curve.class == "band").expect("a band");
+    assert_eq!(band.path.matches('Z').count(), 2, "{}", band.path);
+}
+
+#[test]
+fn why_probes_are_not_answered_is_told_where_it_is_known() {
+    let mut link = link(Some(0.00065), &[]);
+    let mut told = |reason: Option<&str>| {
+        link.live.probing =
+            Probing::Unanswered { address: "udp://192.0.2.5:8620".into(), reason: reason.map(str::to_owned) };
+        let probes = panels::probes(&Subject::live(&link), &course(&link));
+        (probes[1].1.clone(), Origin::of(&Subject::live(&link), &course(&link)).hints[0].clone())
+    };
+    let (answers, hint) = told(Some("the two ends have different keys"));
+    assert!(answers.contains("different keys") && hint.contains("different keys"), "{answers} {hint}");
+    let (answers, hint) = told(None);
+    assert!(answers.contains("key_file") && hint.contains("key_file"), "{answers} {hint}");
 }

@@ -5,7 +5,9 @@ use std::collections::BTreeMap;
 use peernet_aggregator::ClockPoint;
 use peernet_clock::WallTime;
 
-/// A straight line per window between steps, by least squares over the estimates.
+use super::known;
+
+/// A straight line per window between steps, through the estimates.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Trend {
     lines: BTreeMap<u64, Line>,
@@ -23,7 +25,7 @@ impl Trend {
     pub(crate) fn of(points: &[ClockPoint]) -> Self {
         let mut windows: BTreeMap<u64, Vec<(WallTime, f64)>> = BTreeMap::new();
         for point in points {
-            if let Some(offset) = &point.offset {
+            if let Some(offset) = point.offset.as_ref().filter(|offset| known(offset).is_some()) {
                 windows.entry(point.window).or_default().push((offset.at, offset.estimate.seconds()));
             }
         }
@@ -38,15 +40,21 @@ impl Trend {
 }
 
 impl Line {
+    /// Slopes and levels in the middle of many (after Theil 1950 and Sen 1968): a few points that belong elsewhere do not
+    /// tilt it.
     fn through(known: &[(WallTime, f64)]) -> Option<Self> {
         let middle = known.get(known.len() / 2)?.0;
-        let count = known.len() as f64;
         let at = |time: WallTime| (time - middle).seconds();
-        let mean_t = known.iter().map(|(time, _)| at(*time)).sum::<f64>() / count;
-        let mean = known.iter().map(|(_, value)| value).sum::<f64>() / count;
-        let spread: f64 = known.iter().map(|(time, _)| (at(*time) - mean_t).powi(2)).sum();
-        let common: f64 = known.iter().map(|(time, value)| (at(*time) - mean_t) * (value - mean)).sum();
-        let slope = if spread > 0.0 { common / spread } else { 0.0 };
-        Some(Self { middle, level: mean - slope * mean_t, slope })
+        let half = known.len() / 2;
+        let apart = known.iter().zip(&known[half..]).filter(|((from, _), (to, _))| to > from);
+        let slope = median(apart.map(|(from, to)| (to.1 - from.1) / (at(to.0) - at(from.0)))).unwrap_or(0.0);
+        let level = median(known.iter().map(|(time, value)| value - slope * at(*time)))?;
+        Some(Self { middle, level, slope })
     }
+}
+
+fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let mut sorted: Vec<f64> = values.collect();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied()
 }

@@ -130,7 +130,10 @@ pub(super) fn sample(
         lower: exchange,
         offset,
         probes: ProbeCounts { sent, answered: sent - lost, lost },
-        exchanges: ExchangeCounts { taken: 61_207, impossible: 2, outliers: 5, stepped: 3, restarts: 1 },
+        exchanges: match line.clocks {
+            Clocks::Unrelated => ExchangeCounts::default(),
+            _ => ExchangeCounts { taken: 61_207, impossible: 2, outliers: 5, stepped: 3, restarts: 1 },
+        },
         round_trip: trip,
         up: Some(delays(line, "upload", numbers)),
         down: Some(delays(line, "download", numbers)),
@@ -146,7 +149,7 @@ pub(super) fn live(line: &Line, now: ClockSample) -> LinkLive {
             stamps: "kernel, receive only".into(),
         },
         Clocks::Shared => Probing::Off("both hosts read one clock: nothing to find out".into()),
-        Clocks::Unrelated => Probing::Unanswered { address: "udp://192.0.2.5:8620".into() },
+        Clocks::Unrelated => Probing::Unanswered { address: "udp://192.0.2.5:8620".into(), reason: None },
     };
     let clock = host_clock(line.rehearsed, now.at);
     LinkLive {

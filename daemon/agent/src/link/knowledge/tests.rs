@@ -1,6 +1,6 @@
 //! Seconds, windows and restarts; what the relation itself makes of exchanges is tested where it is.
 
-use peernet_clock::{ClockIdentity, Exchange, RelationSettings};
+use peernet_clock::{ClockIdentity, DelaySource, Discipline, Exchange, Interval, RelationSettings};
 
 use super::*;
 
@@ -90,6 +90,10 @@ fn a_step_of_the_peers_clock_begins_a_window_and_names_it() {
     let under_way = Witnessed { cloud_epoch: Some(1), ..exchange(300, 3000) };
     let ([up, down], news) = knowledge.judge(&under_way, [None, None], at(304));
     assert_eq!((up.value, down.value, news.restart), (None, None, None));
+    assert_eq!((up.verdict, down.verdict), (Verdict::Stepped, Verdict::Stepped));
+    let [sample] = &news.samples[..] else { panic!("{news:?}") };
+    assert_eq!((sample.window, sample.at), (before, at(304)), "what was before belongs to the old window");
+    assert!(sample.upper.is_some() && sample.offset.is_none(), "{sample:?}");
     let after = Witnessed { cloud_epoch: Some(1), ..exchange(400, 3000) };
     let (_, news) = knowledge.judge(&after, [None, None], at(404));
     let restart = news.restart.expect("told");
@@ -97,9 +101,7 @@ fn a_step_of_the_peers_clock_begins_a_window_and_names_it() {
     if let Some(moved) = restart.moved {
         assert!((moved - Span::from_seconds(3)).abs() < Span::from_millis(10), "{moved}");
     }
-    let [sample] = &news.samples[..] else { panic!("{news:?}") };
-    assert_eq!((sample.window, sample.at), (before, at(404)), "what was before belongs to the old window");
-    assert!(sample.upper.is_some() && sample.offset.is_none(), "{sample:?}");
+    assert!(news.samples.is_empty(), "{news:?}");
     let news = knowledge.turn(at(1000));
     assert_ne!(news.samples[0].window, before);
     assert_eq!(news.samples[0].upper, Some(after.exchange));
@@ -122,4 +124,48 @@ fn an_exchange_across_a_step_has_no_value_and_is_counted() {
         (news.samples[0].up.map(|up| (up.count, up.median)), news.samples[0].at),
         (Some((1, None)), at(500))
     );
+}
+
+#[test]
+fn what_the_time_daemons_say_after_a_step_is_not_told_of_the_window_before_it() {
+    let mut knowledge = knowledge();
+    let claiming = |millis, epoch| HostClock {
+        discipline: Some(Discipline {
+            source: DelaySource::Chrony,
+            error: Interval::exactly(Span::from_millis(millis)),
+        }),
+        epoch,
+        ..HostClock::default()
+    };
+    knowledge.cloud_says(claiming(0, 0));
+    let _ = knowledge.judge(&exchange(5000, 0), [None, None], at(5004));
+    let before = knowledge.now(at(5010)).window;
+    // Set back by three seconds, and chrony knows at once by how much.
+    knowledge.edge_says(claiming(-3000, 1));
+    assert_eq!(knowledge.now(at(2200)).offset, None);
+    let news = knowledge.turn(at(2200));
+    let [sample] = &news.samples[..] else { panic!("{news:?}") };
+    assert_eq!((sample.window, sample.at, &sample.offset), (before, at(6000), &None));
+    let now = knowledge.now(at(2300));
+    assert_ne!(now.window, before);
+    assert_eq!(now.offset.map(|offset| offset.estimate), Some(Span::from_seconds(3)));
+}
+
+#[test]
+fn a_probe_across_a_step_of_the_own_clock_tells_of_it_and_of_nothing_else() {
+    let mut knowledge = knowledge();
+    for millis in [0, 100, 200] {
+        let _ = knowledge.judge(&exchange(millis, 0), [None, None], at(millis + 4));
+    }
+    assert!(knowledge.now(at(300)).offset.is_some());
+    let _ = knowledge.probed(&ProbeResult::Sent, at(300));
+    let _ = knowledge.probed(&ProbeResult::Stepped(1), at(304));
+    assert_eq!((knowledge.clocks().0.epoch, knowledge.now(at(305)).offset), (1, None));
+    let news = knowledge.probed(&ProbeResult::Stepped(1), at(306));
+    assert!(news.restart.is_none(), "{news:?}");
+    let after = |millis| Witnessed { edge_epoch: 1, ..exchange(millis, -3000) };
+    // It may have been under way, for all the relation knows.
+    let _ = knowledge.judge(&after(400), [None, None], at(404));
+    let (_, news) = knowledge.judge(&after(500), [None, None], at(504));
+    assert!(news.restart.is_some_and(|restart| restart.edge && !restart.cloud), "{news:?}");
 }

@@ -67,7 +67,8 @@ async fn probes_are_answered_if_the_key_is_shared_and_shown_as_unanswered_if_not
     let live = friend.until(|live| live.links.iter().any(|link| link.now.probes.answered > 0)).await;
     assert!(matches!(live.links[0].probing, Probing::On { .. }), "{:?}", live.links[0].probing);
     let at = |address: &str| address.starts_with("udp://127.0.0.1:");
-    let unanswered = |probing: &Probing| matches!(probing, Probing::Unanswered { address } if at(address));
+    let unanswered =
+        |probing: &Probing| matches!(probing, Probing::Unanswered { address, .. } if at(address));
     let live = stranger.until(|live| live.links.iter().any(|link| unanswered(&link.probing))).await;
     assert_eq!(live.links[0].now.probes.answered, 0);
     let offset = live.links[0].now.offset.as_ref().expect("known by the data");
@@ -75,6 +76,31 @@ async fn probes_are_answered_if_the_key_is_shared_and_shown_as_unanswered_if_not
     for agent in [stranger, friend, cloud] {
         agent.stop().await.expect("stops well");
     }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_key_that_only_the_edge_has_is_named_as_the_reason() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let key = folder.path().join("key");
+    std::fs::write(&key, "0123456789abcdef0123456789abcdef\n").expect("written");
+    std::fs::set_permissions(&key, Permissions::from_mode(0o600)).expect("mine");
+    let keyed = format!("[probes]\nkey_file = '{}'\n", key.display());
+    let aggregator = Aggregator::start().await;
+    let cloud = TestAgent::start_with("cloud", None, config(CLOUD), "cloud").await;
+    let tables = format!("{keyed}{}", line("line", &cloud, "load = { mode = 'rate', hz = 20.0 }"));
+    let edge = TestAgent::start_with("edge", Some(&aggregator.address), config(&tables), "edge").await;
+    let named = |probing: &Probing| matches!(probing, Probing::Unanswered { reason: Some(reason), .. } if reason.contains("same key"));
+    edge.until(|live| live.links.iter().any(|link| named(&link.probing))).await;
+    edge.stop().await.expect("stops well");
+    let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
+    // Those under way when the edge stopped are lost as well.
+    let (mut sent, mut lost) = (0, 0);
+    for sample in seen.clocks() {
+        (sent, lost) = (sent + sample.probes.sent, lost + sample.probes.lost);
+        assert_eq!(sample.probes.answered, 0);
+    }
+    assert!(sent > 0 && sent == lost, "{sent} sent, {lost} lost");
+    cloud.stop().await.expect("stops well");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

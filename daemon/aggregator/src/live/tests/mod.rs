@@ -208,6 +208,25 @@ fn an_agents_clock_may_be_wrong_and_may_be_set() {
 }
 
 #[test]
+fn a_clock_that_is_set_back_does_not_count_its_seconds_twice() {
+    let mut bed = Bed::new();
+    for at in 0..20 {
+        bed.send(at as f64 + 0.5, vec![second(at, &[0.010; 5], 0)]);
+    }
+    // Set back by five seconds: five a second all the time.
+    for at in 15..17 {
+        let host = bed.host;
+        let line = vec![pipeline("line", vec![second(at, &[0.010; 5], 0)])];
+        bed.live.take(update(host, wall(at as f64 + 0.5), line), now(at as f64 + 5.5));
+    }
+    let picture = bed.picture(21.6);
+    let pipeline = &picture.pipelines[0];
+    assert_eq!(pipeline.series.iter().map(|second| second.at).max(), Some(START + 16));
+    assert_eq!(pipeline.windows.each_ref().map(|window| window.counts.ok), [10, 55, 85]);
+    assert_eq!(pipeline.series.len(), 17, "what was before that time stays");
+}
+
+#[test]
 fn seconds_that_cannot_be_are_left_out_and_counted() {
     let mut bed = Bed::new();
     bed.send(1_000.5, vec![second(1_000, &[0.010; 5], 0)]);

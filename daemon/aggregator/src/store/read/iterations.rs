@@ -1,12 +1,16 @@
 //! Iterations.
 
+use std::collections::HashMap;
+
+use peernet_clock::{DelaySource, Span, Verdict};
 use peernet_logger::{Name, stage};
 use sqlx::{FromRow, SqlitePool};
 
+use super::clocks::known;
+use super::comparison::Comparison;
 use super::{corrupt, count, failed, sql, statistics, tree, wall};
 use crate::error::StoreError;
-use crate::figures::Figures;
-use crate::store::types::{Blame, IterationDetail, IterationFilter, IterationRow};
+use crate::store::types::{DelayRow, IterationDetail, IterationFilter, IterationRow};
 
 const WHAT: &str = "iterations";
 /// Names of the rows of the table `outcome`.
@@ -26,29 +30,23 @@ pub(super) struct Row {
     total: Option<f64>,
 }
 
-/// The run's figures, with which its iterations are compared.
-struct Comparison(Vec<(Name, Figures)>);
+#[derive(FromRow)]
+struct Duration {
+    iteration: i64,
+    text: String,
+    value: f64,
+}
 
-impl Comparison {
-    fn median(&self, name: &str) -> Option<f64> {
-        self.0.iter().find(|(known, _)| known == name).map(|(_, figures)| figures.p50)
-    }
-
-    fn factor(&self, total: Option<f64>) -> Option<f64> {
-        let median = self.median(&stage::TOTAL).filter(|median| *median > 0.0)?;
-        Some(total? / median)
-    }
-
-    /// What exceeds its own median most. What no stage accounts for is a candidate like any stage: blaming the
-    /// second largest excess would send the reader to the wrong place.
-    fn blame(&self, stages: &[(Name, f64)], unattributed: Option<f64>) -> Option<Blame> {
-        let rest = unattributed.map(|value| (stage::UNATTRIBUTED, value));
-        let compared = stages.iter().chain(&rest).filter_map(|(stage, value)| {
-            Some(Blame { stage: stage.clone(), value: *value, median: self.median(stage)? })
-        });
-        let over = |blame: &Blame| blame.value - blame.median;
-        compared.filter(|blame| over(blame) > 0.0).max_by(|a, b| over(a).total_cmp(&over(b)))
-    }
+#[derive(FromRow)]
+struct Delay {
+    iteration: i64,
+    text: String,
+    value: Option<f64>,
+    lo: Option<f64>,
+    hi: Option<f64>,
+    raw_ns: i64,
+    source: u8,
+    verdict: u8,
 }
 
 pub(in crate::store) async fn slowest(
@@ -62,7 +60,7 @@ pub(in crate::store) async fn slowest(
         .fetch_all(pool)
         .await
         .map_err(failed(WHAT))?;
-    complete(pool, run, rows).await
+    compared(pool, run, rows).await
 }
 
 pub(in crate::store) async fn iterations(
@@ -78,7 +76,7 @@ pub(in crate::store) async fn iterations(
         .fetch_all(pool)
         .await
         .map_err(failed(WHAT))?;
-    complete(pool, run, rows).await
+    compared(pool, run, rows).await
 }
 
 pub(in crate::store) async fn iteration(
@@ -118,39 +116,67 @@ pub(in crate::store) async fn iteration(
         Ok(number.map(count))
     };
     let (previous, next) = (neighbour(sql::PREVIOUS).await?, neighbour(sql::NEXT).await?);
-    let row = complete_row(pool, run, row, &comparison).await?;
+    let Some(row) = complete(pool, run, vec![row], &comparison).await?.pop() else { return Ok(None) };
     Ok(Some(IterationDetail { row, tree, hosts, rank, previous, next, run_figures: comparison.0 }))
 }
 
-async fn complete(pool: &SqlitePool, run: i64, rows: Vec<Row>) -> Result<Vec<IterationRow>, StoreError> {
-    let comparison = Comparison(statistics::figures(pool, run).await?);
-    let mut complete = Vec::with_capacity(rows.len());
-    for row in rows {
-        complete.push(complete_row(pool, run, row, &comparison).await?);
-    }
-    Ok(complete)
+async fn compared(pool: &SqlitePool, run: i64, rows: Vec<Row>) -> Result<Vec<IterationRow>, StoreError> {
+    complete(pool, run, rows, &Comparison(statistics::figures(pool, run).await?)).await
 }
 
-async fn complete_row(
+/// Adds what the trees say: two questions for all rows together.
+async fn complete(
     pool: &SqlitePool,
     run: i64,
-    row: Row,
+    rows: Vec<Row>,
     comparison: &Comparison,
-) -> Result<IterationRow, StoreError> {
-    let durations: Vec<(String, f64)> = sqlx::query_as(sql::DURATIONS)
+) -> Result<Vec<IterationRow>, StoreError> {
+    let numbers: Vec<i64> = rows.iter().map(|row| row.number).collect();
+    let numbers = serde_json::to_string(&numbers).map_err(|error| corrupt(WHAT, error))?;
+    let durations: Vec<Duration> = sqlx::query_as(sql::DURATIONS)
         .bind(run)
-        .bind(row.number)
+        .bind(&numbers)
         .fetch_all(pool)
         .await
         .map_err(failed(WHAT))?;
+    let delays: Vec<Delay> =
+        sqlx::query_as(sql::DELAYS).bind(run).bind(&numbers).fetch_all(pool).await.map_err(failed(WHAT))?;
+    let mut parts: HashMap<i64, (Vec<Duration>, Vec<DelayRow>)> = HashMap::with_capacity(rows.len());
+    for duration in durations {
+        parts.entry(duration.iteration).or_default().0.push(duration);
+    }
+    for delay in delays {
+        parts.entry(delay.iteration).or_default().1.push(delay.row()?);
+    }
+    rows.into_iter()
+        .map(|row| {
+            let (durations, delays) = parts.remove(&row.number).unwrap_or_default();
+            complete_row(row, &durations, delays, comparison)
+        })
+        .collect()
+}
+
+fn complete_row(
+    row: Row,
+    durations: &[Duration],
+    delays: Vec<DelayRow>,
+    comparison: &Comparison,
+) -> Result<IterationRow, StoreError> {
     let seconds_of = |stage: &Name| {
-        let of_stage = durations.iter().filter(|(name, _)| stage == name.as_str());
-        let values: Vec<f64> = of_stage.map(|(_, value)| *value).collect();
+        let of_stage = durations.iter().filter(|duration| stage == duration.text.as_str());
+        let values: Vec<f64> = of_stage.map(|duration| duration.value).collect();
         (!values.is_empty()).then(|| values.iter().sum::<f64>())
     };
     let stages: Vec<(Name, f64)> =
         stage::ORDER.into_iter().filter_map(|stage| Some((stage.clone(), seconds_of(&stage)?))).collect();
     let unattributed = seconds_of(&stage::UNATTRIBUTED);
+    let both_ways = delays.iter().any(|delay| delay.value.is_none()).then(|| {
+        let ways = [stage::UPLOAD, stage::DOWNLOAD];
+        let others = stages.iter().filter(|(stage, _)| !ways.contains(stage));
+        let others: f64 = others.map(|(_, seconds)| seconds).sum();
+        Some((row.total? - others - unattributed?).max(0.0))
+    });
+    let both_ways = both_ways.flatten();
     let outcome = OUTCOMES
         .get(usize::from(row.outcome))
         .ok_or_else(|| corrupt(WHAT, format_args!("outcome {}", row.outcome)))?;
@@ -164,8 +190,23 @@ async fn complete_row(
         started: wall(row.started_ns),
         total: row.total,
         factor: comparison.factor(row.total),
-        blame: comparison.blame(&stages, unattributed),
+        blame: comparison.blame(&stages, unattributed, both_ways),
         stages,
         unattributed,
+        both_ways,
+        delays,
     })
+}
+
+impl Delay {
+    fn row(self) -> Result<DelayRow, StoreError> {
+        Ok(DelayRow {
+            stage: Name::from(self.text.as_str()),
+            value: self.value,
+            bounds: self.lo.zip(self.hi),
+            raw: Span::from_nanos(self.raw_ns).seconds(),
+            source: known(DelaySource::ALL, self.source)?,
+            verdict: known(Verdict::ALL, self.verdict)?,
+        })
+    }
 }

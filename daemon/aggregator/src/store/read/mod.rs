@@ -2,6 +2,7 @@
 //! all of their plans.
 
 pub(super) mod clocks;
+mod comparison;
 pub(super) mod incidents;
 pub(super) mod iterations;
 pub(in crate::store) mod recompute;

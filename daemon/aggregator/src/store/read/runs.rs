@@ -70,7 +70,7 @@ pub(in crate::store) async fn run(pool: &SqlitePool, number: i64) -> Result<Opti
     let Some(row) = row else { return Ok(None) };
     Ok(Some(RunDetail {
         summary: summary(pool, &row).await?,
-        facts: serde_json::from_str(&row.facts).map_err(|error| corrupt(WHAT, error))?,
+        facts: facts(&row)?,
         configuration: row.configuration,
         version: row.version,
         gaps: gaps(pool, number).await?,
@@ -88,6 +88,10 @@ pub(in crate::store) async fn gaps(pool: &SqlitePool, run: i64) -> Result<Vec<Ga
         reason,
     };
     Ok(rows.into_iter().map(row).collect())
+}
+
+fn facts(row: &RunRow) -> Result<Vec<(String, String)>, StoreError> {
+    serde_json::from_str(&row.facts).map_err(|error| corrupt(WHAT, error))
 }
 
 async fn summary(pool: &SqlitePool, row: &RunRow) -> Result<RunSummary, StoreError> {
@@ -123,5 +127,9 @@ async fn summary(pool: &SqlitePool, row: &RunRow) -> Result<RunSummary, StoreErr
         total: statistics::whole_run(pool, row.number, &stage::TOTAL)
             .await?
             .and_then(|known| known.figures()),
+        // Of the edge itself, and of each cloud by its name.
+        rehearsed: facts(row)?
+            .iter()
+            .any(|(fact, _)| fact == "Rehearsal" || fact.starts_with("Rehearsal of ")),
     })
 }

@@ -75,9 +75,18 @@ statements! {
         "WHERE run = ?1 AND number > ?2 AND outcome <> 0 ORDER BY number LIMIT ?3");
     /// ?1 run, ?2 number.
     ITERATION = concat!(iteration_columns!(), "WHERE run = ?1 AND number = ?2");
-    /// Durations of one iteration, for a row of a list: ?1 run, ?2 number.
-    DURATIONS = "SELECT name.text, node.value FROM node JOIN name ON name.id = node.name \
-                 WHERE node.run = ?1 AND node.iteration = ?2 AND node.value IS NOT NULL AND name.unit = 's'";
+    /// Durations of iterations, for the rows of a list: ?1 run, ?2 their numbers, a JSON array.
+    DURATIONS = "SELECT node.iteration, name.text, node.value FROM node CROSS JOIN name ON name.id = node.name \
+                 WHERE node.run = ?1 AND node.iteration IN (SELECT value FROM json_each(?2)) \
+                 AND node.value IS NOT NULL AND name.unit = 's'";
+    /// One-way delays of iterations, for the rows of a list: ?1 run, ?2 their numbers, a JSON array.
+    DELAYS = "SELECT transit.iteration, name.text, node.value, node.lo, node.hi, transit.raw_ns, transit.source, \
+              transit.verdict FROM transit \
+              CROSS JOIN node ON node.run = transit.run AND node.iteration = transit.iteration AND node.node = transit.node \
+              CROSS JOIN name ON name.id = node.name \
+              WHERE transit.run = ?1 AND transit.iteration IN (SELECT value FROM json_each(?2)) \
+              AND transit.raw_ns IS NOT NULL AND transit.source IS NOT NULL AND transit.verdict IS NOT NULL \
+              ORDER BY transit.iteration, transit.node";
     /// ?1 run, ?2 number.
     NODES = "SELECT node.node, node.parent, node.host, node.start_ns, node.value, node.lo, node.hi, \
              name.text, name.kind, name.custom, name.unit FROM node JOIN name ON name.id = node.name \
@@ -128,6 +137,11 @@ statements! {
                      up_count, up_ns, up_lo_ns, up_hi_ns, up_bits_per_second, up_verdict, \
                      down_count, down_ns, down_lo_ns, down_hi_ns, down_bits_per_second, down_verdict \
                      FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3 ORDER BY at_ns, window";
+    /// A link's windows in the order of their arrival; the last one goes on: ?1 link, ?2 from, ?3 to.
+    CLOCK_WINDOW_ORDER = "SELECT window, first_ns, \
+                          iif(id = (SELECT max(id) FROM clock_window WHERE link = ?1), 9223372036854775807, last_ns) AS last_ns \
+                          FROM clock_window WHERE link = ?1 AND first_ns <= ?3 \
+                          AND (last_ns >= ?2 OR id = (SELECT max(id) FROM clock_window WHERE link = ?1)) ORDER BY id";
     /// The edge of a run, and when its first and last iterations began: ?1 run.
     RUN_EXTENT = "SELECT pipeline.host, (SELECT min(started_ns) FROM iteration WHERE run = ?1), \
                   (SELECT max(started_ns) FROM iteration WHERE run = ?1) \

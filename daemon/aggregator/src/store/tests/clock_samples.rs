@@ -107,6 +107,42 @@ async fn a_second_that_comes_again_replaces_itself_and_spares_that_of_another_wi
 }
 
 #[tokio::test]
+async fn of_seconds_that_a_clock_shows_twice_the_later_window_counts() {
+    // Numbers of windows are random: whichever is greater, the one that came later is the later one.
+    for (before, after) in [(1, u64::MAX), (u64::MAX, 1), (3, 2)] {
+        let mut bed = Bed::new().await;
+        let cloud = bed.cloud;
+        let of = |window, second, width| ClockSample { window, ..sample(cloud, second, width) };
+        store(&mut bed, (1..=10).map(|second| of(before, second, 90))).await;
+        // Set back by five seconds.
+        let set_back: Vec<_> = (6..=12).map(|second| of(after, second, 40)).collect();
+        store(&mut bed, set_back.clone()).await;
+        let told = series(&bed, 1_000).await.points;
+        let expected = (1..=5).map(|second| of(before, second, 90)).chain(set_back);
+        assert_eq!(told, expected.map(point).collect::<Vec<_>>());
+        // A bucket that holds the step tells what holds after it.
+        for point in series(&bed, 2).await.points {
+            let width = point.offset.as_ref().map(|offset| offset.bounds.width());
+            let own = if point.window == before { 90 } else { 40 };
+            assert_eq!(width, of(1, 1, own).offset.map(|offset| offset.bounds.width()), "{point:?}");
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_minute_in_1970_hides_nothing_once_it_is_over() {
+    let mut bed = Bed::new().await;
+    let cloud = bed.cloud;
+    let of = |window, second| ClockSample { window, ..sample(cloud, second, 40) };
+    // A host without a battery: its clock begins far back, and is set when it finds a time server.
+    for (window, seconds) in [(1, 1_000..1_010), (2, 10..20), (3, 1_020..1_030)] {
+        store(&mut bed, seconds.map(|second| of(window, second))).await;
+    }
+    let windows: Vec<u64> = series(&bed, 10_000).await.points.iter().map(|point| point.window).collect();
+    assert_eq!(windows, [2, 1, 3].map(|window| [window; 10]).concat());
+}
+
+#[tokio::test]
 async fn buckets_hold_the_widest_bounds_all_probes_and_the_median_delay() {
     let mut bed = Bed::new().await;
     let cloud = bed.cloud;

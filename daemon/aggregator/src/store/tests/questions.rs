@@ -1,7 +1,8 @@
 //! What readers are told.
 
+use peernet_clock::{DelaySource, OneWayDelay, Span, Verdict};
 use peernet_logger::stream::{Event, Incident, IncidentKind, Iteration, Outcome, RunEnded};
-use peernet_logger::{Name, RunId, stage};
+use peernet_logger::{Measure, Name, NodeId, RunId, stage};
 use peernet_statistics::Summary;
 
 use super::{Bed, generate};
@@ -204,6 +205,76 @@ async fn runs_are_listed_newest_first_in_pages() {
     assert_eq!(numbers(odd).await, [4, 2]);
     assert!(numbers(RunFilter { host: Some(bed.cloud), ..RunFilter::default() }).await.is_empty());
     assert_eq!(bed.store.run(6).await.expect("answers"), None);
+}
+
+#[tokio::test]
+async fn a_run_with_a_clock_made_wrong_is_marked_wherever_it_is_told_of() {
+    let mut bed = Bed::new().await;
+    for fact in ["Rehearsal", "Rehearsal of cloud", "Rehearsals"] {
+        let Event::RunStarted(mut run) = generate::run_started(RunId::random(), "line", generate::at(0.0))
+        else {
+            panic!("the start of a run")
+        };
+        run.facts.push((fact.to_owned(), "offset +1000 ms".to_owned()));
+        let work = bed.batch(vec![Event::RunStarted(run)]);
+        bed.commit(&[work]).await;
+    }
+    let runs = bed.store.runs(&RunFilter::default()).await.expect("answers");
+    assert_eq!(runs.iter().map(|run| run.rehearsed).collect::<Vec<_>>(), [false, true, true]);
+    let detail = bed.store.run(1).await.expect("answers").expect("exists");
+    assert!(detail.summary.rehearsed);
+}
+
+#[tokio::test]
+async fn delays_stand_in_the_rows_of_a_list_and_what_both_ways_took_where_they_are_not_known() {
+    let mut bed = Bed::new().await;
+    let run = bed.run_of(100).await;
+    let mut numbers = generate::Numbers(7);
+    let mut stepped = generate::iteration(run, 101, bed.hosts(), &mut numbers);
+    let nodes = ["upload", "download"].map(|name| stepped.tree.find(&[name]).expect("there").0);
+    for node in nodes {
+        let Some(Measure::Transit(transit)) = stepped.tree.measure_mut(node) else { panic!("a transit") };
+        transit.delay = Some(OneWayDelay::stepped(Span::from_seconds(-5), DelaySource::None));
+    }
+    let total = stepped.tree.find(&["total"]).expect("there").0;
+    if let Some(Measure::Timer(total)) = stepped.tree.measure_mut(total) {
+        *total = Some(Span::from_seconds(10));
+    }
+    let known = Measure::Timer(Some(Span::from_millis(1)));
+    stepped.tree.add(NodeId::ROOT, stage::UNATTRIBUTED, Span::ZERO, known);
+    let work = bed.batch(vec![Event::Iteration(stepped)]);
+    bed.commit(&[work]).await;
+
+    let rows = bed.store.iterations(1, &IterationFilter::default()).await.expect("answers");
+    assert_eq!(rows.len(), 100);
+    for row in &rows {
+        let detail = bed.store.iteration(1, row.number).await.expect("answers").expect("exists");
+        assert_eq!((&detail.row, row.both_ways), (row, None));
+        let names: Vec<_> = row.delays.iter().map(|delay| delay.stage.as_str().to_owned()).collect();
+        assert_eq!(names, ["upload", "download"]);
+        for delay in &row.delays {
+            let found = detail.tree.find(&[&delay.stage]).expect("there").1;
+            let Measure::Transit(transit) = &found.measure else { panic!("{found:?}") };
+            let sent = transit.delay.expect("judged");
+            let (lo, hi) = delay.bounds.expect("bounds");
+            assert!(close(lo, sent.bounds.expect("bounds").lo.seconds()) && lo <= hi);
+            assert_eq!(
+                (delay.raw, delay.source, delay.verdict),
+                (sent.raw.seconds(), sent.source, sent.verdict)
+            );
+            assert_eq!(delay.value, sent.value.map(Span::seconds));
+        }
+    }
+    let slowest = bed.store.slowest(1, 1).await.expect("answers").remove(0);
+    assert_eq!(slowest.number, 101);
+    let ways = slowest.both_ways.expect("not known apart");
+    let others: f64 = slowest.stages.iter().map(|(_, seconds)| seconds).sum();
+    assert!(close(others + ways + 0.001, 10.0), "{slowest:?}");
+    let blame = slowest.blame.expect("something took longer");
+    assert_eq!((blame.stage.as_str(), blame.value), ("upload + download", ways));
+    let verdicts: Vec<_> =
+        slowest.delays.iter().map(|delay| (delay.value, delay.bounds, delay.verdict)).collect();
+    assert_eq!(verdicts, [(None, None, Verdict::Stepped); 2]);
 }
 
 #[tokio::test]

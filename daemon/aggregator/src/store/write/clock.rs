@@ -30,6 +30,10 @@ const INSERT: &str = "INSERT OR REPLACE INTO clock_sample (link, at_ns, window, 
      VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, \
      ?, ?, ?, ?, ?, ?, ?, ?, ?)";
 
+const WINDOW: &str = "INSERT INTO clock_window (link, window, first_ns, last_ns) VALUES (?1, ?2, ?3, ?3) \
+     ON CONFLICT (link, window) DO UPDATE SET first_ns = min(first_ns, excluded.first_ns), \
+     last_ns = max(last_ns, excluded.last_ns)";
+
 /// What the writer remembers of the table `link`: by the edge's row and the cloud, its row and the cloud's name.
 #[derive(Debug, Default)]
 pub(super) struct Links(HashMap<(i64, HostId), (i64, Slug)>);
@@ -46,7 +50,13 @@ impl Links {
     ) -> Result<(), Refusal> {
         let link = self.link(connection, entities, edge, sample, now).await?;
         let values = values(link, sample).map_err(sqlx::Error::Encode)?;
-        sqlx::query_with(INSERT, values).execute(connection).await?;
+        sqlx::query_with(INSERT, values).execute(&mut *connection).await?;
+        sqlx::query(WINDOW)
+            .bind(link)
+            .bind(sample.window.cast_signed())
+            .bind(sample.at.unix_nanos())
+            .execute(connection)
+            .await?;
         Ok(())
     }
 

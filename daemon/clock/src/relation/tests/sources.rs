@@ -60,7 +60,7 @@ fn a_claim_within_the_band_a_band_within_the_claim_and_an_overlap_are_named_for_
     relation.set_disciplines(exact, claim(DelaySource::Kernel, 0, 100));
     assert_eq!(answer(&relation), (DelaySource::Intersection, (0, 35), 10, Verdict::Ok));
     relation.set_disciplines(exact, claim(DelaySource::Kernel, 50, 100));
-    assert_eq!(answer(&relation), (DelaySource::Intersection, (-15, 100), 10, Verdict::Inconsistent));
+    assert_eq!(answer(&relation), (DelaySource::InBand, (-15, 100), 10, Verdict::Inconsistent));
     let sources = relation.offset(at(10)).expect("known").sources;
     assert_eq!(sources[1], (DelaySource::Kernel, millis(50, 100)));
     assert_eq!(sources[0].0, DelaySource::InBand);

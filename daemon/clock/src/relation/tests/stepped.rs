@@ -129,7 +129,13 @@ fn a_notice_ends_the_window_once() {
     // The first may have been under way during the step.
     let first = relation.judge(&told(world.trip(10.1e9, 3e4, 1e5, 3e4)));
     assert_eq!(first.learned, Learned::Refused(Refusal::Stepped));
-    assert_eq!(first.up.verdict, Verdict::Unsynchronised);
+    for delay in [first.up, first.down] {
+        assert_eq!(
+            (delay.value, delay.verdict),
+            (None, Verdict::Stepped),
+            "though nothing is known any more"
+        );
+    }
     let second = relation.learn(&told(world.trip(10.2e9, 3e4, 1e5, 3e4)));
     assert!(matches!(second, Learned::Restarted(Some(_))), "{second:?}");
     relation.cloud_stepped(1);

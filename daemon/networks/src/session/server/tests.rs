@@ -36,6 +36,7 @@ fn accepted() -> SessionAccepted {
         facts: Vec::new(),
         host_clock: PeerClock::default(),
         probes: None,
+        instance: 1,
     }
 }
 

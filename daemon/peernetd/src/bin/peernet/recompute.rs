@@ -1,6 +1,6 @@
 //! `peernet recompute`
 
-use peernet_report::number::{milliseconds, milliseconds_with};
+use peernet_report::number::{bound_milliseconds, decimals_within, fixed};
 use peernet_report::table::text;
 use peernetd::exit::Failure;
 use peernetd::output::say;
@@ -27,6 +27,18 @@ struct Recomputed {
     stages: Vec<Stage>,
 }
 
+/// What was told of the run when it began.
+#[derive(Debug, Deserialize)]
+struct Run {
+    facts: Vec<Fact>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Fact {
+    name: String,
+    value: String,
+}
+
 #[derive(Debug, Deserialize)]
 struct Stage {
     stage: String,
@@ -47,6 +59,7 @@ struct Figures {
     std: Option<f64>,
     p50: f64,
     p95: Option<f64>,
+    max: f64,
 }
 
 #[derive(Debug, Deserialize)]
@@ -67,8 +80,27 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         return Ok(());
     }
     let recomputed: Recomputed = arguments.api.get(&path)?;
+    let run: Run = arguments.api.get(&format!("/api/v1/runs/{}", arguments.run))?;
     say(describe(arguments.run, &recomputed));
+    if let Some(rehearsal) = rehearsal(&run.facts) {
+        say(format_args!(
+            "\nREHEARSAL: run {} was made with a clock that was wrong on purpose: {rehearsal}",
+            arguments.run
+        ));
+    }
     Ok(())
+}
+
+/// Whose clock was made wrong on purpose and how, by the facts of a run; `None` for an ordinary run.
+fn rehearsal(facts: &[Fact]) -> Option<String> {
+    let whose = |name: &str| match name.strip_prefix("Rehearsal") {
+        Some("") => Some("the edge's".to_owned()),
+        Some(rest) => rest.strip_prefix(" of ").map(|cloud| format!("{cloud}'s")),
+        None => None,
+    };
+    let told: Vec<String> =
+        facts.iter().filter_map(|fact| Some(format!("{} ({})", whose(&fact.name)?, fact.value))).collect();
+    (!told.is_empty()).then(|| told.join(", "))
 }
 
 fn describe(run: i64, recomputed: &Recomputed) -> String {
@@ -79,29 +111,51 @@ fn describe(run: i64, recomputed: &Recomputed) -> String {
     let header = ["delay", "", "mean ± std ms", "median ms", "p95 ms", "bound ms", "verdicts"];
     let rows: Vec<Vec<String>> = stages
         .iter()
-        .flat_map(|Stage { stage, before, after }| [row(stage, "before", before), row("", "after", after)])
+        .flat_map(|Stage { stage, before, after }| {
+            let bounds =
+                [before, after].map(|judgement| judgement.half_width.as_ref().map(|width| width.p50));
+            let decimals = bounds.into_iter().map(decimals_within).max().unwrap_or_default();
+            [row(stage, "before", before, decimals), row("", "after", after, decimals)]
+        })
         .collect();
     let table = text(&header, &rows);
-    format!(
-        "{table}\n\nrun {run}, computed again with {samples} seconds of what was learnt of the two clocks, during the run and after it; nothing stored was changed"
-    )
+    let clocks = match samples {
+        _ if is_exact(stages) => {
+            "both hosts read one clock, so that its delays are exact: there was nothing to learn".to_owned()
+        }
+        0 => "nothing was learnt of the two clocks that could be used".to_owned(),
+        samples => format!(
+            "computed again with {samples} seconds of what was learnt of the two clocks, during the run and after it"
+        ),
+    };
+    format!("{table}\n\nrun {run}: {clocks}; nothing stored was changed")
 }
 
-fn row(stage: &str, when: &str, judgement: &Judgement) -> Vec<String> {
+/// Whether no delay can be off at all.
+fn is_exact(stages: &[Stage]) -> bool {
+    let exact = |stage: &Stage| stage.after.half_width.as_ref().is_some_and(|width| width.max == 0.0);
+    stages.iter().all(exact)
+}
+
+fn row(stage: &str, when: &str, judgement: &Judgement, decimals: usize) -> Vec<String> {
     let delay = judgement.delay.as_ref();
+    let milliseconds = |seconds: f64| fixed(seconds * 1e3, decimals);
     let verdicts: Vec<String> = judgement
         .verdicts
         .iter()
         .map(|VerdictCount { verdict, count }| format!("{count} {verdict}"))
         .collect();
-    let spread = |figures: &Figures| milliseconds_with(figures.mean, figures.std);
+    let spread = |figures: &Figures| match figures.std {
+        Some(std) => format!("{} ± {}", milliseconds(figures.mean), milliseconds(std)),
+        None => milliseconds(figures.mean),
+    };
     vec![
         stage.to_owned(),
         when.to_owned(),
         known(delay.map(spread)),
         known(delay.map(|figures| milliseconds(figures.p50))),
         known(delay.and_then(|figures| figures.p95).map(milliseconds)),
-        known(judgement.half_width.as_ref().map(|figures| format!("±{}", milliseconds(figures.p50)))),
+        known(judgement.half_width.as_ref().map(|figures| bound_milliseconds(figures.p50))),
         known(Some(verdicts.join(", ")).filter(|verdicts| !verdicts.is_empty())),
     ]
 }
@@ -132,12 +186,36 @@ mod tests {
         let expected = "\
 delay           mean ± std ms  median ms  p95 ms  bound ms          verdicts
 upload  before              —          —       —         —  40 unsynchronised
-         after   6.31 ± 0.40       6.20       —   ±0.0600   39 ok, 1 limited
+         after   6.310 ± 0.400    6.200       —    ±0.060   39 ok, 1 limited
 
-run 7, computed again with 60 seconds of what was learnt of the two clocks, during the run and after it; nothing stored was changed";
+run 7: computed again with 60 seconds of what was learnt of the two clocks, during the run and after it; nothing stored was changed";
         let squeeze = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
         assert_eq!(squeeze(&describe(7, &recomputed)), squeeze(expected));
+
+        let mut stages = recomputed.stages;
+        let after = &mut stages[0].after;
+        for figures in [&mut after.delay, &mut after.half_width].into_iter().flatten() {
+            *figures = Figures { std: figures.std, mean: 0.0, p50: 0.0, p95: None, max: 0.0 };
+        }
+        if let Some(delay) = &mut stages[0].after.delay {
+            (delay.mean, delay.std, delay.p50) = (1.2e-3, Some(15.02e-3), 59.5e-6);
+        }
+        let one_clock = describe(7, &Recomputed { samples: 0, stages });
+        assert!(one_clock.contains("1.200 ± 15.020") && one_clock.contains(" 0.060 "), "{one_clock}");
+        assert!(one_clock.contains(" exact ") && one_clock.contains("nothing to learn"), "{one_clock}");
+        assert!(!one_clock.contains("0 seconds"), "{one_clock}");
         let empty = Recomputed { samples: 0, stages: Vec::new() };
         assert!(describe(7, &empty).contains("no one-way delays"));
+    }
+
+    #[test]
+    fn a_rehearsal_is_told_by_the_facts() {
+        let fact = |(name, value): (&str, &str)| Fact { name: name.to_owned(), value: value.to_owned() };
+        let facts = |facts: &[(&str, &str)]| rehearsal(&facts.iter().copied().map(fact).collect::<Vec<_>>());
+        assert_eq!(facts(&[("Sensor", "synthetic"), ("Rehearsals", "3")]), None);
+        assert_eq!(
+            facts(&[("Rehearsal of cloud", "offset +1000 ms"), ("Rehearsal", "offset -5 ms")]).as_deref(),
+            Some("cloud's (offset +1000 ms), the edge's (offset -5 ms)")
+        );
     }
 }

@@ -1,11 +1,14 @@
 //! `peernet status`
 
+mod rehearsed;
+
 use peernet_report::table::text;
 use peernetd::exit::Failure;
 use peernetd::output::say;
 use serde::Deserialize;
 
 use crate::api::Api;
+use rehearsed::{Clock, Links, Rehearsed, marked, rehearsed};
 
 /// What `peernet status` can be told.
 #[derive(Debug, clap::Args)]
@@ -64,6 +67,7 @@ struct Host {
     connected: bool,
     last_seen: Option<String>,
     now: Option<Now>,
+    clock: Option<Clock>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -88,6 +92,8 @@ const WINDOW_S: u32 = 10;
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let Pipelines { pipelines } = arguments.api.get("/api/v1/pipelines")?;
     let Hosts { hosts } = arguments.api.get("/api/v1/hosts")?;
+    let Links { links } = arguments.api.get("/api/v1/links")?;
+    let rehearsed = rehearsed(&hosts, &links);
     if pipelines.is_empty() {
         say("no pipeline yet: start an agent with a [[pipeline]] whose [agent] aggregator is this one");
     } else {
@@ -103,7 +109,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
             "inference ms",
             "download ms",
         ];
-        say(text(&header, &pipelines.iter().map(pipeline_row).collect::<Vec<_>>()));
+        say(text(&header, &pipelines.iter().map(|one| pipeline_row(one, &rehearsed)).collect::<Vec<_>>()));
         // Below the table: a reason is a sentence and would tear the columns apart.
         for pipeline in &pipelines {
             if let Some(reason) = &pipeline.reason {
@@ -113,11 +119,16 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     say("");
     let header = ["host", "state", "CPU %", "waiting", "dropped"];
-    say(text(&header, &hosts.iter().map(host_row).collect::<Vec<_>>()));
+    say(text(&header, &hosts.iter().map(|one| host_row(one, &rehearsed)).collect::<Vec<_>>()));
+    for (name, how) in &rehearsed {
+        say(format_args!(
+            "\nREHEARSAL: {name}'s clock is made wrong on purpose ({how}); its delays should not move"
+        ));
+    }
     Ok(())
 }
 
-fn pipeline_row(pipeline: &Pipeline) -> Vec<String> {
+fn pipeline_row(pipeline: &Pipeline, rehearsed: &Rehearsed) -> Vec<String> {
     let window = pipeline.windows.iter().find(|window| window.seconds == WINDOW_S);
     let of = |name: &str| window.and_then(|window| window.values.iter().find(|figures| figures.name == name));
     let mean = |name: &str| milliseconds(of(name).map(|figures| figures.mean));
@@ -128,10 +139,12 @@ fn pipeline_row(pipeline: &Pipeline) -> Vec<String> {
         None if kind == "local" => format!("{model} on board"),
         None => model.clone(),
     };
+    let ends = [Some(&pipeline.host), peer.as_ref()];
+    let is_rehearsed = ends.into_iter().flatten().any(|host| rehearsed.contains_key(host));
     vec![
         format!("{}/{}", pipeline.host, pipeline.name),
         place,
-        pipeline.state.clone(),
+        marked(&pipeline.state, is_rehearsed),
         known(window.map(|window| format!("{:.1}", window.rate_hz))),
         known(window.and_then(|window| window.lost_fraction).map(percent)),
         milliseconds(total.and_then(|figures| figures.p50)),
@@ -142,7 +155,7 @@ fn pipeline_row(pipeline: &Pipeline) -> Vec<String> {
     ]
 }
 
-fn host_row(host: &Host) -> Vec<String> {
+fn host_row(host: &Host, rehearsed: &Rehearsed) -> Vec<String> {
     let state = match (&host.connected, &host.last_seen) {
         (true, _) => "connected".to_owned(),
         (false, Some(seen)) => format!("last seen {seen}"),
@@ -151,7 +164,7 @@ fn host_row(host: &Host) -> Vec<String> {
     let now = host.now.as_ref();
     vec![
         host.name.clone(),
-        state,
+        marked(&state, rehearsed.contains_key(&host.name)),
         known(now.and_then(|now| now.cpu).map(percent)),
         known(now.map(|now| now.events.waiting.to_string())),
         known(now.map(|now| now.events.dropped.to_string())),
@@ -168,4 +181,45 @@ fn percent(fraction: f64) -> String {
 
 fn known(figure: Option<String>) -> String {
     figure.unwrap_or_else(|| "—".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::rehearsed::Link;
+    use super::*;
+
+    #[test]
+    fn what_a_rehearsed_clock_touches_is_marked() {
+        let clock = json!({ "rehearsal": {
+            "offset_s": 1.0, "drift_ppm": -50.0, "steps": [{ "at_s": 20.0, "by_s": 0.3 }], "since": "x",
+        } });
+        let host = |name: &str, clock: serde_json::Value| {
+            let host =
+                json!({ "name": name, "connected": true, "last_seen": null, "now": null, "clock": clock });
+            serde_json::from_value::<Host>(host).expect("as the API answers")
+        };
+        let link = json!({ "cloud": "away", "connected": true, "now": { "cloud_clock": clock } });
+        let link: Link = serde_json::from_value(link).expect("as the API answers");
+        let hosts = [host("edge", clock), host("cloud", json!({ "rehearsal": null }))];
+        let rehearsed = rehearsed(&hosts, &[link]);
+        assert_eq!(rehearsed.keys().collect::<Vec<_>>(), ["away", "edge"]);
+        let how = "offset +1000 ms, drift -50 ppm, step +300 ms after 20 s";
+        assert_eq!(rehearsed["edge"].to_string(), how);
+        let states = hosts.map(|host| host_row(&host, &rehearsed)[1].clone());
+        assert_eq!(states, ["connected, rehearsed", "connected"]);
+
+        let state = |host: &str, peer: &str| {
+            let pipeline = json!({
+                "host": host, "name": "p", "state": "running", "reason": null, "windows": [],
+                "placement": { "kind": "remote", "peer": peer, "address": null, "model": "echo" },
+            });
+            let pipeline: Pipeline = serde_json::from_value(pipeline).expect("as the API answers");
+            pipeline_row(&pipeline, &rehearsed)[2].clone()
+        };
+        assert_eq!(state("edge", "cloud"), "running, rehearsed");
+        assert_eq!(state("other", "away"), "running, rehearsed");
+        assert_eq!(state("other", "cloud"), "running");
+    }
 }

@@ -72,6 +72,8 @@ fn subscriber(filter: EnvFilter) -> impl Subscriber + Send + Sync + for<'a> Look
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
         .with_ansi(terminal)
+        // It would print them to the same standard error, and panic when nobody reads that any more.
+        .log_internal_errors(false)
         .event_format(Line { journald })
         .finish()
 }

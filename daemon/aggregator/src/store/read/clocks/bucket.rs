@@ -51,6 +51,10 @@ impl Bucket {
     pub(super) fn add(&mut self, row: Row) -> Result<(), StoreError> {
         let point = row.point()?;
         let width = |offset: &Offset| offset.bounds.width();
+        if self.newest.as_ref().is_some_and(|newest| newest.window != point.window) {
+            // What held before a step is not what holds after it.
+            self.widest = None;
+        }
         if let Some(offset) = &point.offset
             && self.widest.as_ref().is_none_or(|widest| width(widest) <= width(offset))
         {

@@ -1,6 +1,7 @@
 //! Links and what was known of their clocks.
 
 mod bucket;
+mod repeats;
 
 use std::iter::successors;
 
@@ -11,6 +12,7 @@ use peernet_logger::stream::{DelayPoint, DelaySecond, ProbeCounts, RoundTrip};
 use sqlx::{FromRow, SqlitePool};
 
 use self::bucket::Bucket;
+use self::repeats::Repeats;
 use super::{corrupt, count, failed, parse, sql, wall};
 use crate::error::StoreError;
 use crate::picture::ClockPoint;
@@ -107,10 +109,14 @@ pub(in crate::store) async fn series(
         .map_err(failed(WHAT))?;
     let (Some(first), Some(last)) = extent else { return Ok(nothing) };
     let width = width(first, last, most_points.clamp(1, MOST_POINTS));
+    let repeats = Repeats::read(pool, link, (first, last)).await?;
     let mut rows = sqlx::query_as::<_, Row>(sql::CLOCK_SAMPLES).bind(link).bind(first).bind(last).fetch(pool);
     let mut points = Vec::new();
     let mut bucket: Option<Bucket> = None;
     while let Some(row) = rows.try_next().await.map_err(failed(WHAT))? {
+        if repeats.supersede(row.window, row.at_ns) {
+            continue;
+        }
         let index = index(row.at_ns, width);
         if bucket.as_ref().is_some_and(|bucket| bucket.index() != index) {
             points.extend(bucket.take().and_then(|bucket| bucket.point(width)));

@@ -24,7 +24,7 @@ pub(crate) struct Arguments {
     )]
     pub(super) sizes: Vec<u64>,
     /// How often each size is sent.
-    #[arg(long, default_value = "400")]
+    #[arg(long, default_value = "400", value_parser = repeats)]
     pub(super) repeats: NonZeroU64,
     /// Stop after so many seconds, however often each size was sent by then.
     #[arg(long, default_value = "120", value_parser = seconds)]
@@ -63,19 +63,29 @@ fn peer(text: &str) -> Result<Address, String> {
         .map_err(|error: peernet_networks::InvalidAddress| error.problem)
 }
 
-/// A size in bytes: a number, and B, kB or MB.
+fn repeats(text: &str) -> Result<NonZeroU64, String> {
+    let number = text.parse::<u64>().map_err(|_| "not a whole number".to_owned())?;
+    NonZeroU64::new(number).ok_or_else(|| "at least 1".to_owned())
+}
+
+/// A size in bytes: a number, and one of the usual units in any case.
 fn size(text: &str) -> Result<u64, String> {
     let text = text.trim();
     let digits = text.trim_end_matches(|char: char| char.is_ascii_alphabetic() || char == ' ');
-    let unit = match text[digits.len()..].trim() {
-        "" | "B" => 1.0,
-        "kB" | "KB" | "k" => 1e3,
-        "MB" | "M" => 1e6,
-        unit => return Err(format!("{unit:?} is not a unit; write B, kB or MB")),
+    let unit = text[digits.len()..].trim();
+    let unit = match unit.to_ascii_lowercase().as_str() {
+        "" | "b" => 1.0,
+        "k" | "kb" => 1e3,
+        "m" | "mb" => 1e6,
+        "g" | "gb" => 1e9,
+        "ki" | "kib" => 1024.0,
+        "mi" | "mib" => 1024.0 * 1024.0,
+        "gi" | "gib" => 1024.0 * 1024.0 * 1024.0,
+        _ => return Err(format!("{unit:?} is not a unit; write B, kB, MB, GB, KiB, MiB or GiB")),
     };
     let bytes = digits.parse::<f64>().map_err(|_| format!("{digits:?} is not a number"))? * unit;
     let bytes = bytes.round();
-    if (1.0..=1e9).contains(&bytes) { Ok(bytes as u64) } else { Err("from 1 B to 1000 MB".to_owned()) }
+    if (1.0..=1e9).contains(&bytes) { Ok(bytes as u64) } else { Err("from 1 B to 1 GB".to_owned()) }
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
@@ -110,12 +120,24 @@ mod tests {
     }
 
     #[test]
+    fn no_repeat_at_all_is_too_few() {
+        assert_eq!(repeats("0"), Err("at least 1".to_owned()));
+        assert_eq!(repeats("-1"), Err("not a whole number".to_owned()));
+        assert_eq!(repeats("12").map(NonZeroU64::get), Ok(12));
+    }
+
+    #[test]
     fn sizes_have_units() {
         assert_eq!(
             ["100", "100B", "1kB", "1.2MB", " 4 MB"].map(size),
             [100, 100, 1_000, 1_200_000, 4_000_000].map(Ok)
         );
-        for wrong in ["", "kB", "1 GiB", "0", "-3", "2e12", "1.2.3"] {
+        assert_eq!(
+            ["64 KiB", "1kiB", "1.5MiB", "1GB", "2mb", "3 K", "0.5GiB"].map(size),
+            [65_536, 1_024, 1_572_864, 1_000_000_000, 2_000_000, 3_000, 536_870_912].map(Ok)
+        );
+        assert_eq!(size("1 GiB"), Err("from 1 B to 1 GB".to_owned()));
+        for wrong in ["", "kB", "1 TB", "1 kBit", "0", "-3", "2e12", "1.2.3"] {
             assert!(size(wrong).is_err(), "{wrong}");
         }
     }

@@ -34,8 +34,8 @@ const EVENTS: usize = 4096;
 /// Studies the link, prints the study and writes its files.
 ///
 /// # Errors
-/// When the peer cannot be reached or does not take part (69), the configuration is wrong (78), the results cannot be
-/// written, or the user ended it early (130).
+/// When the peer cannot be reached or does not take part (69), the study has no result (69), the configuration is wrong
+/// (78), the results cannot be written, or the user ended it early (130).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
     let plan = Plan::new(arguments).map_err(|error| Failure::new(Exit::Usage, error))?;
@@ -64,9 +64,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
             Exit::Interrupted,
             anyhow!("ended early: what was measured until then is above"),
         )),
-        Ended::Failed(reason) => Some(unavailable(anyhow!("{reason}"))),
+        Ended::Unfit(reason) | Ended::Failed(reason) => Some(unavailable(anyhow!("{reason}"))),
     };
-    if observed.samples.is_empty() {
+    if observed.samples.is_empty() || matches!(observed.ended, Ended::Unfit(_)) {
         folder.discard();
         return match failed {
             Some(Failure { exit: Exit::Interrupted, .. }) => {
@@ -86,6 +86,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         sizes_bytes: plan.sizes().to_vec(),
         repeats: arguments.repeats.get(),
         interrupted: observed.ended != Ended::Finished,
+        ended: match &observed.ended {
+            Ended::Failed(reason) => Some(reason.clone()),
+            _ => None,
+        },
+        reconnections: observed.reconnections,
         rehearsed: observed.rehearsed,
     };
     let study = Study::new(setting, observed.samples, &observed.clocks);
@@ -96,7 +101,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     if observed.missed > 0 {
         complain(format_args!("{} iterations went by unseen: this machine is too busy", observed.missed));
     }
-    failed.map_or(Ok(()), Err)
+    match failed {
+        Some(failure) => Err(failure),
+        None if study.verdict.kind.is_result() => Ok(()),
+        None => Err(unavailable(anyhow!("the study has no result: {}", study.verdict.sentence))),
+    }
 }
 
 /// Runs the agent until the sweep is done or ends otherwise; returns its name and what was seen.

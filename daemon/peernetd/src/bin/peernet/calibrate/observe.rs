@@ -1,11 +1,14 @@
 //! Watching the sweep: what the agent measures, until it ends.
 
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 use peernet_agent::Running;
 use peernet_clock::{MonoTime, SharedClock, Span};
-use peernet_logger::stream::{ClockSample, Event, IncidentKind, PipelineState};
+use peernet_logger::stream::{ClockSample, Event, HostClock, IncidentKind, Outcome, PipelineState};
+use peernet_networks::OpenError;
 use peernet_report::calibration::Sample;
+use peernet_report::number::bytes;
 use peernetd::exit::{Exit, Failure};
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::mpsc;
@@ -18,6 +21,8 @@ use super::progress::Progress;
 const LOOK: Duration = Duration::from_millis(250);
 /// How long a peer that went away is waited for.
 const PATIENCE: Span = Span::from_seconds(90);
+/// How long it may stay silent before the user is told.
+const SILENCE: Span = Span::from_seconds(3);
 
 /// How the sweep ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -26,6 +31,8 @@ pub(super) enum Ended {
     Finished,
     /// The user ended it.
     Interrupted,
+    /// The peer cannot answer a payload of one of the sizes; the text says which and why.
+    Unfit(String),
     /// The peer or the agent could not go on; the text says why.
     Failed(String),
 }
@@ -39,6 +46,8 @@ pub(super) struct Observed {
     pub(super) ended: Ended,
     /// Whether the clock of either host was made wrong on purpose.
     pub(super) rehearsed: bool,
+    /// How often the peer was away and came back with the same clock.
+    pub(super) reconnections: u64,
     /// Events that there was no room for.
     pub(super) missed: u64,
 }
@@ -53,6 +62,12 @@ struct Watch<'a> {
     heard: MonoTime,
     /// The peer was not there, or refused, at the first try.
     turned_away: Option<IncidentKind>,
+    /// The sizes of which one payload at least was sent.
+    tried: BTreeSet<u64>,
+    /// The peer's clock, as it was told last.
+    cloud_clock: Option<HostClock>,
+    /// What comes now is another clock's and no part of the study.
+    over: bool,
 }
 
 /// Watches until the sweep ends, a signal comes or the peer stays away, then sees the agent to its end.
@@ -77,15 +92,26 @@ pub(super) async fn observe(
         cloud: None,
         ended: Ended::Interrupted,
         rehearsed: false,
+        reconnections: 0,
         missed: 0,
     };
-    let mut watch = Watch { plan, clock, progress, seen, heard: clock.mono(), turned_away: None };
+    let mut watch = Watch {
+        plan,
+        clock,
+        progress,
+        seen,
+        heard: clock.mono(),
+        turned_away: None,
+        tried: BTreeSet::new(),
+        cloud_clock: None,
+        over: false,
+    };
     watch.seen.ended = loop {
         let ended = tokio::select! {
             _ = interrupt.recv() => Some(Ended::Interrupted),
             _ = terminate.recv() => Some(Ended::Interrupted),
             event = events.recv() => match event {
-                Some(event) => watch.take(event),
+                Some(event) => watch.take(event, Some(&running)),
                 None => Some(Ended::Failed("the agent ended by itself".to_owned())),
             },
             _ = look.tick() => watch.look(&running),
@@ -100,19 +126,23 @@ pub(super) async fn observe(
     running.join().await.map_err(|error| Failure::new(Exit::Software, error))?;
     // What was under way when it ended.
     while let Ok(event) = events.try_recv() {
-        watch.take(event);
+        watch.take(event, None);
     }
     Ok(watch.seen)
 }
 
 impl Watch<'_> {
     /// Takes an event; says how the sweep ended if it did.
-    fn take(&mut self, event: Event) -> Option<Ended> {
+    fn take(&mut self, event: Event, running: Option<&Running>) -> Option<Ended> {
+        if self.over {
+            return None;
+        }
         match event {
             Event::RunStarted(run) => {
                 // One fact for each end whose clock is rehearsed.
                 self.seen.rehearsed |= run.facts.iter().any(|(fact, _)| fact.starts_with("Rehearsal"));
                 self.seen.cloud = run.placement.peer.map(|peer| peer.to_string());
+                self.cloud_clock = running.and_then(cloud_clock);
                 self.heard = self.clock.mono();
                 self.progress.begin(self.heard);
             }
@@ -121,14 +151,27 @@ impl Watch<'_> {
                 if sample.counts() || sample.warm_up {
                     self.heard = self.clock.mono();
                 }
+                let (payload, first) = (sample.payload_bytes, self.tried.insert(sample.payload_bytes));
                 self.seen.samples.push(sample);
+                // What a peer cannot do the first time it will not do later either.
+                if let (true, Outcome::Failed(reason)) = (first, &iteration.outcome) {
+                    return Some(Ended::Unfit(unfit(payload, reason)));
+                }
             }
             Event::Clock(second) => self.seen.clocks.push(*second),
-            Event::RunEnded(_) => return Some(Ended::Finished),
+            Event::RunEnded(run) => {
+                return Some(match run.reason.as_str() {
+                    "finished" => Ended::Finished,
+                    reason => Ended::Failed(format!("the sweep ended early: {reason}")),
+                });
+            }
             Event::Incident(incident) => match incident.kind {
                 IncidentKind::PipelineFailed => return Some(Ended::Failed(incident.text)),
                 IncidentKind::Disconnected | IncidentKind::Refused if self.seen.cloud.is_none() => {
                     self.turned_away = Some(incident.kind);
+                }
+                IncidentKind::Connected if self.seen.cloud.is_some() => {
+                    return self.came_back(running.and_then(cloud_clock));
                 }
                 _ => {}
             },
@@ -137,25 +180,76 @@ impl Watch<'_> {
         None
     }
 
+    /// There is a session again. What was measured with another clock is another study.
+    fn came_back(&mut self, clock: Option<HostClock>) -> Option<Ended> {
+        self.heard = self.clock.mono();
+        let before = std::mem::replace(&mut self.cloud_clock, clock);
+        let how = match (&before, &self.cloud_clock) {
+            // A program that was started anew rehearses anew, and counts the steps of its clock anew.
+            (Some(before), Some(now)) if before.rehearsal == now.rehearsal && before.epoch <= now.epoch => {
+                self.seen.reconnections += 1;
+                return None;
+            }
+            (_, Some(HostClock { rehearsal: Some(how), .. })) => {
+                format!("another clock, which is made wrong on purpose ({how})")
+            }
+            (_, Some(_)) => "another clock".to_owned(),
+            // It went again before anybody could look.
+            (_, None) => "a clock of which nothing is known".to_owned(),
+        };
+        self.over = true;
+        let name = self.seen.cloud.as_deref().unwrap_or("the peer");
+        let text = format!(
+            "{name} went away and came back with {how}: the study ends with what was measured before"
+        );
+        Some(Ended::Failed(text))
+    }
+
     /// Shows the progress; says whether to give up.
     fn look(&mut self, running: &Running) -> Option<Ended> {
-        if let Some(kind) = self.turned_away {
-            let pipelines = running.live().pipelines;
-            let state = pipelines.into_iter().next().map(|pipeline| pipeline.state);
-            if let Some(PipelineState::Waiting(reason)) = state {
-                let advice = match kind {
-                    IncidentKind::Refused => {
-                        "; calibrating needs the peer's model calibration, which its [serve] calibration = true offers"
-                    }
-                    _ => "",
-                };
-                return Some(Ended::Failed(format!("{reason}{advice}")));
-            }
+        let pipelines = running.live().pipelines;
+        let waits_for = match pipelines.into_iter().next().map(|pipeline| pipeline.state) {
+            Some(PipelineState::Waiting(reason)) => Some(reason),
+            _ => None,
+        };
+        if let (Some(kind), Some(reason)) = (self.turned_away, &waits_for) {
+            // There is no configuration here, and the model is a mere echo.
+            let reason = reason.strip_suffix(OpenError::LOADING).unwrap_or(reason);
+            let advice = match kind {
+                IncidentKind::Refused => {
+                    "; calibrating needs the peer's model calibration, which its [serve] calibration = true offers"
+                }
+                _ => "",
+            };
+            return Some(Ended::Failed(format!("{reason}{advice}")));
         }
         let now = self.clock.mono();
-        self.progress.show(&self.seen.samples, now);
         let silent = now - self.heard;
-        let text = format!("no answer for {:.0} s: gave up", silent.seconds());
+        let name = self.seen.cloud.as_deref().filter(|_| silent > SILENCE || waits_for.is_some());
+        let trouble = name.map(|name| {
+            let (silent, patience) = (silent.seconds(), PATIENCE.seconds());
+            match &waits_for {
+                Some(reason) => {
+                    format!("{name} is away ({reason}); waiting for {silent:.0} s, at most {patience:.0} s")
+                }
+                None => format!("no answer from {name} for {silent:.0} s"),
+            }
+        });
+        self.progress.show(&self.seen.samples, now, trouble);
+        let reason = waits_for.map_or_else(String::new, |reason| format!(": {reason}"));
+        let text = format!("gave up after {:.0} s without an answer{reason}", silent.seconds());
         (silent > PATIENCE).then_some(Ended::Failed(text))
     }
+}
+
+/// What is known of the peer's clock now.
+fn cloud_clock(running: &Running) -> Option<HostClock> {
+    running.live().links.into_iter().next()?.cloud
+}
+
+fn unfit(payload_bytes: u64, reason: &str) -> String {
+    let payload = bytes(payload_bytes as f64);
+    format!(
+        "payloads of {payload} cannot be measured: {reason}; leave that size out of --sizes, or allow more on the peer ([serve] session)"
+    )
 }

@@ -24,6 +24,8 @@ pub(super) struct Progress {
     extremes: (u64, u64),
     began: MonoTime,
     said: f64,
+    /// Whether it waited for something at the last look.
+    troubled: bool,
 }
 
 enum Shown {
@@ -46,7 +48,15 @@ impl Progress {
         let sizes = plan.sizes();
         let extremes =
             (sizes.first().copied().unwrap_or_default(), sizes.last().copied().unwrap_or_default());
-        Self { shown, iterations: plan.all(), seconds: plan.seconds, extremes, began: now, said: 0.0 }
+        Self {
+            shown,
+            iterations: plan.all(),
+            seconds: plan.seconds,
+            extremes,
+            began: now,
+            said: 0.0,
+            troubled: false,
+        }
     }
 
     /// The first iteration is under way.
@@ -54,19 +64,22 @@ impl Progress {
         self.began = now;
     }
 
-    /// Shows the state at `now`.
-    pub(super) fn show(&mut self, samples: &[Sample], now: MonoTime) {
+    /// Shows the state at `now`, or in its place what it waits for.
+    pub(super) fn show(&mut self, samples: &[Sample], now: MonoTime, trouble: Option<String>) {
         let elapsed = (now - self.began).seconds();
+        let is_news = trouble.is_some() && !self.troubled;
+        self.troubled = trouble.is_some();
         match &self.shown {
             Shown::Nothing => {}
             Shown::Bar(bar) => {
                 let (text, share) = self.describe(samples, elapsed);
+                let text = trouble.unwrap_or(text);
                 bar.set_position((share * STEPS as f64) as u64);
                 bar.set_message(text);
             }
-            Shown::Lines if elapsed - self.said < LINE_S => {}
+            Shown::Lines if elapsed - self.said < LINE_S && !is_news => {}
             Shown::Lines => {
-                complain(self.describe(samples, elapsed).0);
+                complain(trouble.unwrap_or_else(|| self.describe(samples, elapsed).0));
                 self.said = elapsed;
             }
         }

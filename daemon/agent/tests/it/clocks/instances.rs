@@ -1,0 +1,132 @@
+//! Whose clock it is: the process that serves the data is the one whose clock must be known.
+
+use peernet_clock::{ClockIdentity, SharedClock};
+use peernet_logger::HostId;
+use peernet_logger::stream::Probing;
+use peernet_networks::{
+    Incoming, Listener, NetworkKind, OpenRequest, PeerClock, SessionAccepted, SessionSettings,
+};
+use peernet_probes::{Reflector, ReflectorConfig, Stamps};
+use tokio::task::JoinHandle;
+use tokio_util::sync::CancellationToken;
+
+use crate::harness::{TestAgent, clock, config};
+
+/// A cloud that accepts sessions and answers no request.
+struct Cloud {
+    listener: Listener,
+    host: HostId,
+    clock: SharedClock,
+    instance: u64,
+    probes: Option<u16>,
+}
+
+impl Cloud {
+    async fn start(host: HostId, instance: u64, probes: Option<u16>) -> Self {
+        let clock = clock("cloud");
+        let address = "tcp://127.0.0.1:0".parse().expect("an address");
+        let settings = SessionSettings::default();
+        let listener = Listener::bind(NetworkKind::ZmqTcp, &address, settings, host, clock.clone()).await;
+        Self { listener: listener.expect("a free port"), host, clock, instance, probes }
+    }
+
+    fn line(&self, name: &str) -> String {
+        format!(
+            "[[pipeline]]\nname = '{name}'\nsensor = {{ kind = 'synthetic', size_bytes = 100 }}\n\
+             placement = {{ kind = 'remote', peer = '{}', model = 'echo' }}\n\
+             warm_up = {{ iterations = 0 }}\n",
+            self.listener.address()
+        )
+    }
+
+    async fn next_open(&mut self) -> OpenRequest {
+        loop {
+            if let Incoming::Open(open) = self.listener.next().await.expect("the listener is open") {
+                return open;
+            }
+        }
+    }
+
+    fn accept(&self, open: OpenRequest) {
+        let identity: &ClockIdentity = self.clock.identity();
+        let model = open.hello.model.clone();
+        assert!(open.accept(SessionAccepted {
+            host: self.host,
+            name: "cloud".parse().expect("a name"),
+            clock: identity.clone(),
+            version: "0".to_owned(),
+            model,
+            device: "cpu".to_owned(),
+            facts: Vec::new(),
+            host_clock: PeerClock::default(),
+            probes: self.probes,
+            instance: self.instance,
+        }));
+    }
+
+    /// Goes on for as long as the task is not aborted.
+    fn stay(mut self) -> JoinHandle<()> {
+        tokio::spawn(async move { while self.listener.next().await.is_some() {} })
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn probes_that_reach_another_process_are_refused_and_that_is_said() {
+    let listen = "127.0.0.1:0".parse().expect("an address");
+    let elsewhere = ReflectorConfig {
+        listen,
+        key: None,
+        instance: 2,
+        max_per_source_hz: 1000,
+        stamps: Stamps::Kernel,
+        stateful: true,
+    };
+    let reflector = Reflector::bind(elsewhere, clock("elsewhere")).expect("a free port");
+    let (port, answers) = (reflector.address().port(), reflector.figures());
+    let stop = CancellationToken::new();
+    let reflecting = tokio::spawn(reflector.run(stop.clone()));
+
+    let mut cloud = Cloud::start(HostId::random(), 1, Some(port)).await;
+    let edge = TestAgent::start_with("edge", None, config(&cloud.line("line")), "edge").await;
+    let open = cloud.next_open().await;
+    cloud.accept(open);
+    let cloud = cloud.stay();
+    let said = |probing: &Probing| matches!(probing, Probing::Unanswered { reason: Some(reason), .. } if reason.contains("another process"));
+    let live = edge.until(|live| live.links.iter().any(|link| said(&link.probing))).await;
+    assert!(answers.read().answered > 0, "they were answered");
+    let now = &live.links[0].now;
+    assert_eq!((now.probes.answered, now.exchanges.taken, &now.offset), (0, 0, &None), "and not believed");
+
+    edge.stop().await.expect("stops well");
+    cloud.abort();
+    stop.cancel();
+    reflecting.await.expect("no panic").expect("the socket was not lost");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_cloud_that_was_started_anew_is_known_by_nothing_while_a_session_of_before_hangs() {
+    let host = HostId::random();
+    let mut before = Cloud::start(host, 1, None).await;
+    let mut after = Cloud::start(host, 2, None).await;
+    let lines = config(&format!("{}{}", before.line("first"), after.line("second")));
+    let edge = TestAgent::start_with("edge", None, lines, "edge").await;
+    let open = before.next_open().await;
+    before.accept(open);
+    let before = before.stay();
+    let shows = |name: &'static str| {
+        move |live: &peernet_logger::stream::LiveUpdate| {
+            live.links.iter().any(|link| link.pipelines.iter().any(|pipeline| pipeline.as_str() == name))
+        }
+    };
+    edge.until(shows("first")).await;
+    let open = after.next_open().await;
+    after.accept(open);
+    let after = after.stay();
+    let live = edge.until(shows("second")).await;
+    let [link] = &live.links[..] else { panic!("{:?}", live.links) };
+    assert_eq!(link.pipelines.len(), 1, "{link:?}");
+
+    edge.stop().await.expect("stops well");
+    before.abort();
+    after.abort();
+}

@@ -1,0 +1,77 @@
+//! Clocks that are made wrong on purpose: said wherever they matter.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use serde::Deserialize;
+
+use super::Host;
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Links {
+    pub(super) links: Vec<Link>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Link {
+    cloud: String,
+    connected: bool,
+    now: Option<LinkNow>,
+}
+
+#[derive(Debug, Deserialize)]
+struct LinkNow {
+    cloud_clock: Option<Clock>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Clock {
+    rehearsal: Option<Rehearsal>,
+}
+
+/// How a clock is made wrong on purpose.
+#[derive(Clone, Debug, Deserialize)]
+pub(super) struct Rehearsal {
+    offset_s: f64,
+    drift_ppm: f64,
+    steps: Vec<Step>,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+struct Step {
+    at_s: f64,
+    by_s: f64,
+}
+
+/// Hosts whose clock is made wrong on purpose now, with how.
+pub(super) type Rehearsed = BTreeMap<String, Rehearsal>;
+
+/// By their own account, or by that of an edge: a cloud may report to another aggregator.
+pub(super) fn rehearsed(hosts: &[Host], links: &[Link]) -> Rehearsed {
+    let told = hosts.iter().filter(|host| host.connected).map(|host| (&host.name, host.clock.as_ref()));
+    let links = links.iter().filter(|link| link.connected);
+    let heard = links.map(|link| (&link.cloud, link.now.as_ref().and_then(|now| now.cloud_clock.as_ref())));
+    heard.chain(told).filter_map(|(name, clock)| Some((name.clone(), clock?.rehearsal.clone()?))).collect()
+}
+
+impl fmt::Display for Rehearsal {
+    /// As a run's facts have it: `offset +1000 ms, drift -50 ppm, step +3000 ms after 20 s`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // What nanoseconds become as seconds and back is not exact in binary.
+        let milliseconds = |seconds: f64| (seconds * 1e9).round() / 1e6;
+        write!(f, "offset {:+} ms", milliseconds(self.offset_s))?;
+        if self.drift_ppm != 0.0 {
+            write!(f, ", drift {:+} ppm", self.drift_ppm)?;
+        }
+        for step in &self.steps {
+            let after = milliseconds(step.at_s) / 1e3;
+            write!(f, ", step {:+} ms after {after} s", milliseconds(step.by_s))?;
+        }
+        Ok(())
+    }
+}
+
+/// A state, marked when one of the hosts is rehearsed.
+pub(super) fn marked(state: &str, is_rehearsed: bool) -> String {
+    if is_rehearsed { format!("{state}, rehearsed") } else { state.to_owned() }
+}

@@ -1,0 +1,70 @@
+//! What is told of refused probes: enough to find the mistake, not so much that anyone could fill a log.
+
+use peernet_clock::{MonoTime, Span};
+
+use crate::Refusal;
+
+/// One reason is told at most so often, whoever it concerns.
+const EVERY: Span = Span::from_seconds(60);
+
+/// When each reason was told last.
+#[derive(Debug)]
+pub(crate) struct Complaints {
+    key: bool,
+    told: [Option<MonoTime>; Refusal::ALL.len()],
+}
+
+impl Complaints {
+    /// Of a reflector with or without a key.
+    pub(crate) fn new(key: bool) -> Self {
+        Self { key, told: [None; Refusal::ALL.len()] }
+    }
+
+    /// What to do about it, if it is time to tell it.
+    pub(crate) fn due(&mut self, why: Refusal, now: MonoTime) -> Option<&'static str> {
+        let told = &mut self.told[why as usize];
+        if told.is_some_and(|told| now - told < EVERY) {
+            return None;
+        }
+        *told = Some(now);
+        Some(match (why, self.key) {
+            (Refusal::Short, true) => {
+                "it was probably sent without a key: with [probes] key_file both ends need the same key"
+            }
+            (Refusal::Unauthenticated, _) => {
+                "its sender has another key or none: with [probes] key_file both ends need the same key"
+            }
+            (Refusal::TooOften, _) => "raise [probes] max_per_source_hz here, or lower rate_hz there",
+            (Refusal::Short, false) | (Refusal::NoPort | Refusal::Reply, _) => {
+                "it is none of a peer's probes: see who sends it"
+            }
+            (Refusal::NotSent, _) => "see whether this machine's network or firewall lets UDP out",
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::{Clock, ClockIdentity, ManualClock, WallTime};
+
+    use super::*;
+
+    #[test]
+    fn each_reason_is_told_once_a_minute_and_names_the_key_where_that_is_the_matter() {
+        let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "clock"));
+        let mut complaints = Complaints::new(true);
+        let mut told = Vec::new();
+        for _ in 0..1_210 {
+            told.extend(complaints.due(Refusal::Short, clock.mono()));
+            clock.advance(Span::from_millis(100));
+        }
+        assert_eq!(told.len(), 3, "{told:?}");
+        assert!(told.iter().all(|advice| advice.contains("key_file")), "{told:?}");
+        assert!(complaints.due(Refusal::Unauthenticated, clock.mono()).is_some(), "another reason");
+        assert!(
+            complaints.due(Refusal::TooOften, clock.mono()).is_some_and(|advice| !advice.contains("key"))
+        );
+        let advice = Complaints::new(false).due(Refusal::Short, clock.mono());
+        assert!(advice.is_some_and(|advice| !advice.contains("key")), "{advice:?}");
+    }
+}

@@ -1,0 +1,63 @@
+//! Payloads that were not answered, and why.
+
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use super::sample::Sample;
+
+/// Payloads without an answer that ended alike. Warm-up left out.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Failures {
+    /// `failed`, `lost` or `timeout`.
+    pub outcome: &'static str,
+    /// How many.
+    pub count: u64,
+    /// The reason that was given most often; `None` when none was.
+    pub commonest_reason: Option<String>,
+}
+
+impl Failures {
+    /// Those of all samples, the most frequent outcome first.
+    pub(super) fn of(samples: &[Sample]) -> Vec<Self> {
+        let mut reasons: BTreeMap<&'static str, BTreeMap<Option<&str>, u64>> = BTreeMap::new();
+        for sample in samples.iter().filter(|sample| !sample.warm_up && !sample.counts()) {
+            *reasons.entry(sample.outcome).or_default().entry(sample.reason.as_deref()).or_default() += 1;
+        }
+        let mut failures: Vec<Self> = reasons
+            .into_iter()
+            .map(|(outcome, reasons)| {
+                let given = reasons.iter().filter_map(|(reason, count)| Some(((*reason)?, *count)));
+                let commonest = given.max_by_key(|(_, count)| *count);
+                let commonest_reason = commonest.map(|(reason, _)| reason.to_owned());
+                Self { outcome, count: reasons.values().sum(), commonest_reason }
+            })
+            .collect();
+        failures.sort_by_key(|failures| Reverse(failures.count));
+        failures
+    }
+
+    fn words(&self) -> String {
+        let what = match self.outcome {
+            "timeout" => "not in time",
+            outcome => outcome,
+        };
+        let reason = match &self.commonest_reason {
+            None => String::new(),
+            Some(reason) if self.count == 1 => format!(" ({reason})"),
+            Some(reason) => format!(" (most often: {reason})"),
+        };
+        format!("{} {what}{reason}", self.count)
+    }
+}
+
+/// In one sentence; empty when everything was answered.
+pub(super) fn sentence(failures: &[Failures], sent: u64) -> String {
+    if failures.is_empty() {
+        return String::new();
+    }
+    let count: u64 = failures.iter().map(|failures| failures.count).sum();
+    let parts: Vec<String> = failures.iter().map(Failures::words).collect();
+    format!("{count} of {sent} payloads were not answered: {}", parts.join(", "))
+}
