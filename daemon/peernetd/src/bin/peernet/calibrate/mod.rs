@@ -94,8 +94,13 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         rehearsed: observed.rehearsed,
     };
     let study = Study::new(setting, observed.samples, &observed.clocks);
-    let written = study.write(folder.path()).map_err(|error| unavailable(error.into()))?;
+    // Said first: a disk that is full must not take the result away.
     say(study.text());
+    let written = study.write(folder.path()).map_err(|error| {
+        unavailable(
+            anyhow::Error::from(error).context("the result is above, but not all of its files are written"),
+        )
+    })?;
     let names: Vec<_> = written.iter().filter_map(|path| path.file_name()?.to_str()).collect();
     say(format_args!("\n{}: {}", folder.path().display(), names.join(", ")));
     if observed.missed > 0 {

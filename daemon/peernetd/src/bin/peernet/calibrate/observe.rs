@@ -21,6 +21,8 @@ use super::progress::Progress;
 const LOOK: Duration = Duration::from_millis(250);
 /// How long a peer that went away is waited for.
 const PATIENCE: Span = Span::from_seconds(90);
+/// The same once the time for the sweep is over.
+const AFTER_THE_END: Span = Span::from_seconds(10);
 /// How long it may stay silent before the user is told.
 const SILENCE: Span = Span::from_seconds(3);
 
@@ -58,6 +60,7 @@ struct Watch<'a> {
     clock: &'a SharedClock,
     progress: Progress,
     seen: Observed,
+    began: MonoTime,
     /// The last sign of the peer.
     heard: MonoTime,
     /// The peer was not there, or refused, at the first try.
@@ -100,6 +103,7 @@ pub(super) async fn observe(
         clock,
         progress,
         seen,
+        began: clock.mono(),
         heard: clock.mono(),
         turned_away: None,
         tried: BTreeSet::new(),
@@ -225,9 +229,12 @@ impl Watch<'_> {
         }
         let now = self.clock.mono();
         let silent = now - self.heard;
+        // Who set an early end does not wait long after it for a peer that is away.
+        let left = self.began + Span::from_seconds_f64(self.plan.seconds) - self.heard;
+        let patience = (left + AFTER_THE_END).clamp(AFTER_THE_END, PATIENCE);
         let name = self.seen.cloud.as_deref().filter(|_| silent > SILENCE || waits_for.is_some());
         let trouble = name.map(|name| {
-            let (silent, patience) = (silent.seconds(), PATIENCE.seconds());
+            let (silent, patience) = (silent.seconds(), patience.seconds());
             match &waits_for {
                 Some(reason) => {
                     format!("{name} is away ({reason}); waiting for {silent:.0} s, at most {patience:.0} s")
@@ -238,7 +245,7 @@ impl Watch<'_> {
         self.progress.show(&self.seen.samples, now, trouble);
         let reason = waits_for.map_or_else(String::new, |reason| format!(": {reason}"));
         let text = format!("gave up after {:.0} s without an answer{reason}", silent.seconds());
-        (silent > PATIENCE).then_some(Ended::Failed(text))
+        (silent > patience).then_some(Ended::Failed(text))
     }
 }
 
