@@ -142,7 +142,7 @@ impl Knowledge {
         if clock.epoch > self.edge.epoch {
             self.told((clock.epoch, None), |relation| relation.edge_stepped(clock.epoch));
         }
-        self.edge = HostClock { epoch: self.edge.epoch, ..clock };
+        self.edge = latest(clock, self.edge.epoch);
         self.disciplines();
     }
 
@@ -151,7 +151,7 @@ impl Knowledge {
         if clock.epoch > self.cloud.epoch {
             self.told((0, Some(clock.epoch)), |relation| relation.cloud_stepped(clock.epoch));
         }
-        self.cloud = HostClock { epoch: self.cloud.epoch, ..clock };
+        self.cloud = latest(clock, self.cloud.epoch);
         self.disciplines();
     }
 
@@ -204,8 +204,12 @@ impl Knowledge {
         let answer = tell(&mut self.relation);
         let cloud = cloud.unwrap_or(0);
         let (edge_new, cloud_new) = (edge > self.edge.epoch, cloud > self.cloud.epoch);
-        self.edge.epoch = self.edge.epoch.max(edge);
-        self.cloud.epoch = self.cloud.epoch.max(cloud);
+        for (clock, epoch) in [(&mut self.edge, edge), (&mut self.cloud, cloud)] {
+            if epoch > clock.epoch {
+                // What was claimed before the step is no claim about the clock after it.
+                *clock = HostClock { epoch, discipline: None, ..std::mem::take(clock) };
+            }
+        }
         let restarted = self.relation.counts().restarts > before;
         if restarted {
             // It is not to be shown any more.
@@ -278,6 +282,12 @@ impl Knowledge {
     fn disciplines(&mut self) {
         self.relation.set_disciplines(self.edge.discipline, self.cloud.discipline);
     }
+}
+
+/// What was told, without its claim if a later epoch is known already: it was made before the step.
+fn latest(told: HostClock, known: u32) -> HostClock {
+    let discipline = told.discipline.filter(|_| told.epoch >= known);
+    HostClock { epoch: told.epoch.max(known), discipline, ..told }
 }
 
 /// The epochs of the edge and the cloud that an exchange knows of: perhaps before the announcement is here.

@@ -169,3 +169,28 @@ fn a_probe_across_a_step_of_the_own_clock_tells_of_it_and_of_nothing_else() {
     let (_, news) = knowledge.judge(&after(500), [None, None], at(504));
     assert!(news.restart.is_some_and(|restart| restart.edge && !restart.cloud), "{news:?}");
 }
+
+#[test]
+fn a_claim_made_before_a_step_does_not_come_back_with_the_next_news() {
+    let mut knowledge = knowledge();
+    let claim = |epoch| {
+        let error = Interval::exactly(Span::ZERO);
+        let discipline = Some(Discipline { source: DelaySource::Chrony, error });
+        HostClock { discipline, epoch, ..HostClock::default() }
+    };
+    knowledge.edge_says(claim(0));
+    knowledge.cloud_says(claim(0));
+    for sent in [0, 10, 20] {
+        let _ = knowledge.judge(&exchange(sent, 0), [None, None], at(sent + 4));
+    }
+    // The cloud is set forward by 5 s; an exchange tells of it before the announcement does.
+    let stepped = |sent| Witnessed { cloud_epoch: Some(1), ..exchange(sent, 5000) };
+    let _ = knowledge.judge(&stepped(30), [None, None], at(34));
+    knowledge.edge_says(claim(0));
+    knowledge.cloud_says(claim(0));
+    for sent in [40, 50] {
+        let ([up, down], _) = knowledge.judge(&stepped(sent), [None, None], at(sent + 4));
+        assert!(up.value.is_some() && down.value.is_some(), "{up:?} {down:?}");
+        assert_eq!((up.source, down.source), (DelaySource::InBand, DelaySource::InBand));
+    }
+}
