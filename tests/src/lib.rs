@@ -13,7 +13,7 @@ pub use network::Network;
 pub use plant::Plant;
 pub use process::{Ended, Process, until};
 pub use repository::{chrony, onnxruntime, program, root};
-pub use site::{Site, free_port};
+pub use site::{AGGREGATOR, Site, free_port};
 
 use std::time::Duration;
 

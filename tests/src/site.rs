@@ -78,8 +78,8 @@ impl Site {
     }
 }
 
-/// An aggregator with its dashboard.
-const AGGREGATOR: &str = r#"
+/// An aggregator with its dashboard, as [`Site::write`] takes it.
+pub const AGGREGATOR: &str = r#"
 [aggregator]
 name = "aggregator"
 listen = "tcp://127.0.0.1:{events}"

@@ -2,7 +2,7 @@
 
 use std::process::{Command, Stdio};
 
-use peernet_tests::{Api, Ended, Process, Site, program, until};
+use peernet_tests::{AGGREGATOR, Api, Ended, Process, Site, program, until};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
@@ -41,16 +41,6 @@ sensor = { kind = "synthetic", size_bytes = 1000 }
 placement = { kind = "remote", peer = "tcp://127.0.0.1:{data}", model = "echo" }
 load = { mode = "rate", hz = 50.0 }
 limit = { iterations = 100 }
-"#;
-
-const AGGREGATOR: &str = r#"
-[aggregator]
-name = "aggregator"
-listen = "tcp://127.0.0.1:{events}"
-database = "{folder}/aggregator.sqlite"
-
-[web]
-listen = "127.0.0.1:{http}"
 "#;
 
 /// Files of a calibration.

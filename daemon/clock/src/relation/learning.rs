@@ -27,8 +27,8 @@ pub(super) struct Epochs {
     older: Option<(u32, u32)>,
 }
 
-/// What keeps out exchanges that were under way during a step: a counter is read after the stamps, so that a stamp may be
-/// older than it says, never younger.
+/// What keeps out exchanges that were under way during a step. Who makes exchanges compares the edge's counter before and
+/// after them; the cloud's is read after its stamps, so that a stamp may be older than it says, never younger.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Barrier {
     /// Nothing.
