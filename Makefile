@@ -3,6 +3,7 @@
 # make test   everything that must hold; installs what it needs
 # make check  the quick part: formatting, lints, unit and end-to-end tests
 # make bench  the measured tables, ratios side by side in one run
+# make soak   hundreds of kills, a day's outage, full disks, with release builds; takes its time
 # make deb    the Debian package, in target/debian/
 # make setup  ONNX Runtime's library, checked by hash, into onnxruntime/
 
@@ -11,9 +12,9 @@ SHELL := /bin/bash
 .ONESHELL:
 CARGO ?= cargo
 
-.PHONY: help demo rehearsal setup build test check lint unit e2e configs units deny browser package deb bench clean
+.PHONY: help demo rehearsal setup build test check lint unit e2e configs units deny browser package deb bench soak clean
 help:
-	@sed -n 's/^# //p' $(firstword $(MAKEFILE_LIST)) | head -7
+	@sed -n 's/^# //p' $(firstword $(MAKEFILE_LIST)) | head -8
 
 demo: setup
 	$(CARGO) build --release --locked --package peernetd
@@ -79,6 +80,11 @@ bench: setup
 	@deploy/install-tools.sh bench
 	$(CARGO) build --release --locked --package peernetd
 	tests/bench/run.sh
+
+soak: setup
+	@deploy/install-tools.sh test
+	$(CARGO) build --release --locked --package peernetd
+	tests/soak/run.sh
 
 clean:
 	$(CARGO) clean

@@ -102,3 +102,16 @@ def delays(database: Path, run: Run, name: str) -> list[Delay]:
     )
     with _open(database) as connection:
         return [Delay(*row) for row in connection.execute(query, (run.number, name))]
+
+
+def ends(database: Path, run: Run) -> list[float]:
+    """When each iteration that counts ended, seconds since 1970 on the edge's clock, rising."""
+    query = f"SELECT started_ns * 1e-9 + total FROM iteration WHERE {COUNTED} AND total IS NOT NULL"
+    with _open(database) as connection:
+        return sorted(end for (end,) in connection.execute(query, (run.number,)))
+
+
+def nodes(database: Path) -> int:
+    """Nodes that are stored, by the hosts' counters."""
+    with _open(database) as connection:
+        return int(connection.execute("SELECT coalesce(sum(nodes), 0) FROM host").fetchone()[0])

@@ -1,12 +1,14 @@
 // Opens a running dashboard and looks at it as a person would: node run.mjs http://127.0.0.1:8040
+// With DATABASE=FILE that file is moved away for a moment, to see what the pages say then.
 // With SCREENSHOTS=FOLDER every page is written there as a picture, in both themes and at four widths.
 import assert from "node:assert/strict";
-import { mkdirSync } from "node:fs";
+import { mkdirSync, renameSync } from "node:fs";
 import { after, before, describe, test } from "node:test";
 import { drawn, launch, moves, open, sideways, violations } from "./browser.mjs";
 
 const base = process.argv[2] || process.env.BASE_URL || "http://127.0.0.1:8040";
 const folder = process.env.SCREENSHOTS;
+const database = process.env.DATABASE;
 const PATIENCE = 60000;
 
 let browser, pages;
@@ -245,6 +247,67 @@ describe("when things go wrong", () => {
     assert.equal(answer.status(), 404);
     assert.match(await page.locator("main").innerText(), /no run #999999999 is stored/);
     await context.close();
+  });
+});
+
+describe("events on their way to the database", () => {
+  test("what became of them moves while one looks, and adds up", async () => {
+    const { page, errors, close } = await open(browser, base, pages.host);
+    await moves(page, "#part-accounting");
+    assert.match(await page.locator("#part-accounting").innerText(), /Produced[\s\S]*Spooled[\s\S]*Sent[\s\S]*Stored[\s\S]*Waiting[\s\S]*Dropped[\s\S]*Spool[\s\S]*Storing behind/);
+    const { now } = await (await fetch(`${base}/api/v1${pages.host}`)).json();
+    assert.equal(now.events.produced, now.events.stored + now.events.waiting + now.events.dropped);
+    assert.deepEqual(errors, []);
+    await close();
+  });
+
+  test("a run is kept and let go, and a reload does not change that", async () => {
+    const { page, errors, close } = await open(browser, base, pages.run);
+    const keep = page.getByRole("button", { name: "Keep" }), chip = page.locator("#kept");
+    const pressed = () => keep.getAttribute("aria-pressed");
+    assert.deepEqual([await pressed(), await chip.isVisible()], ["false", false]);
+    await keep.focus();
+    await page.keyboard.press("Enter");
+    await chip.waitFor({ state: "visible" });
+    assert.deepEqual([await pressed(), await page.evaluate(() => document.activeElement.id)], ["true", "keep"]);
+    await page.reload();
+    assert.deepEqual([await pressed(), await chip.isVisible()], ["true", true]);
+    await page.goto("/runs");
+    assert.equal(await page.locator(`tr:has(a[href="${pages.run}"]) .chip`, { hasText: "kept" }).count(), 1);
+    await page.goto(pages.run);
+    await keep.click();
+    await chip.waitFor({ state: "hidden" });
+    await page.reload();
+    assert.deepEqual([await pressed(), await chip.isVisible()], ["false", false]);
+    assert.deepEqual(errors, []);
+
+    await page.route("**/pin", (route) => route.fulfill({ status: 503, contentType: "application/problem+json", body: JSON.stringify({ detail: "the disk is full" }) }));
+    await keep.click();
+    await page.locator("#keep-said", { hasText: "Not changed: the disk is full" }).waitFor();
+    assert.deepEqual([await pressed(), await chip.isVisible()], ["false", false]);
+    await close();
+  });
+
+  if (database) test("that they are not stored is said on every page for as long as it is so", async () => {
+    const { page, errors, close } = await open(browser, base, "/hosts");
+    const notice = page.locator("#storing");
+    assert.equal(await notice.isVisible(), false);
+    renameSync(database, `${database}.away`);
+    try {
+      await notice.waitFor({ state: "visible" });
+      assert.match(await notice.innerText(), /^Cannot store events: .*agents keep them/);
+      assert.equal((await fetch(`${base}/readyz`)).status, 503);
+      const other = await open(browser, base, "/links", { script: false });
+      assert.ok(await other.page.locator("#storing").isVisible(), "without a script as well");
+      assert.deepEqual(await violations(page), []);
+      await other.close();
+    } finally {
+      renameSync(`${database}.away`, database);
+    }
+    await notice.waitFor({ state: "hidden" });
+    assert.equal((await fetch(`${base}/readyz`)).status, 200);
+    assert.deepEqual(errors, []);
+    await close();
   });
 });
 

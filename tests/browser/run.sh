@@ -30,4 +30,4 @@ until grep -q Dashboard "$site/demo.log"; do
     sleep 0.2
 done
 
-node tests/browser/run.mjs "http://127.0.0.1:$http" || { tail -n 20 "$site"/logs/*.log >&2; exit 1; }
+DATABASE="$site/aggregator/peernet.sqlite" node tests/browser/run.mjs "http://127.0.0.1:$http" || { tail -n 20 "$site"/logs/*.log >&2; exit 1; }

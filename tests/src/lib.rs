@@ -1,19 +1,39 @@
 //! The harness of the end-to-end tests: real processes of the real programs, in folders of their own.
 
+mod account;
 mod api;
+mod chance;
+mod daemon;
+mod disk;
+mod figures;
+pub mod fleet;
+mod ledger;
 pub mod network;
 mod plant;
 mod process;
 mod repository;
 mod site;
+mod spooled;
+mod stranger;
+mod time;
 pub mod truth;
 
+pub use account::Account;
 pub use api::Api;
+pub use chance::Chance;
+pub use daemon::Daemon;
+pub use disk::SmallDisk;
+pub use figures::{measured, say, thousands};
+pub use fleet::Fleet;
+pub use ledger::{Ledger, StoredHost, StoredRun};
 pub use network::Network;
 pub use plant::Plant;
-pub use process::{Ended, Process, until};
+pub use process::{Ended, Process, until, until_grown};
 pub use repository::{chrony, onnxruntime, program, root};
 pub use site::{AGGREGATOR, Site, free_port};
+pub use spooled::Spooled;
+pub use stranger::{Introduced, Stranger};
+pub use time::{Since, wall};
 
 use std::time::Duration;
 

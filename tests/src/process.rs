@@ -12,6 +12,9 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use crate::PATIENCE;
 
+/// So much of its log is shown of a program that ran when a test failed.
+const LAST_LINES: usize = 200;
+
 /// A running program.
 #[derive(Debug)]
 pub struct Process {
@@ -171,7 +174,10 @@ impl Drop for Process {
         if std::thread::panicking() {
             #[expect(clippy::print_stderr, reason = "the log of a failed test")]
             {
-                eprintln!("--- {} ---\n{}", self.name, self.log());
+                let log = self.log();
+                let beyond = log.lines().count().saturating_sub(LAST_LINES);
+                let last: Vec<&str> = log.lines().skip(beyond).collect();
+                eprintln!("--- {} (after {beyond} lines) ---\n{}", self.name, last.join("\n"));
             }
         }
     }
@@ -197,4 +203,15 @@ pub fn until<T>(what: &str, mut question: impl FnMut() -> Option<T>) -> T {
         std::thread::sleep(pause);
     }
     panic!("waited {PATIENCE:?} in vain for {what}");
+}
+
+/// Asks for a figure until it has reached `enough`, however long that takes, as long as it grows.
+///
+/// # Panics
+/// When it has not grown for [`PATIENCE`].
+pub fn until_grown(what: &str, enough: u64, mut figure: impl FnMut() -> Option<u64>) {
+    let mut before = None;
+    while before < Some(enough) {
+        before = Some(until(what, || figure().filter(|now| Some(*now) > before)));
+    }
 }

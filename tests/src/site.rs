@@ -2,15 +2,31 @@
 
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use tempfile::TempDir;
 
 use crate::{Api, Process, program};
 
-/// A port nobody listens on at the moment.
+/// Ports that the system gives to nobody who does not ask for them: while a daemon is away, no connection of another
+/// process gets its port by chance.
+const PORTS: std::ops::Range<u32> = 10_000..32_000;
+
+/// A port nobody listens on at the moment, and another at each call.
+///
+/// # Panics
+/// When all are taken.
 pub fn free_port() -> u16 {
-    let listener = TcpListener::bind("127.0.0.1:0").expect("loopback has free ports");
-    listener.local_addr().expect("a bound socket has an address").port()
+    static TAKEN: AtomicU32 = AtomicU32::new(0);
+    let first = std::process::id().wrapping_mul(97);
+    for _ in PORTS {
+        let at = first.wrapping_add(TAKEN.fetch_add(1, Ordering::Relaxed)) % (PORTS.end - PORTS.start);
+        let port = u16::try_from(PORTS.start + at).expect("the range ends below 65,536");
+        if TcpListener::bind(("127.0.0.1", port)).is_ok() {
+            return port;
+        }
+    }
+    panic!("no port between {} and {} is free", PORTS.start, PORTS.end);
 }
 
 /// Where one test's hosts live.

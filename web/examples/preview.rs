@@ -1,7 +1,8 @@
 //! The pages with a factory that never was, for working on them: `cargo run -p peernet-web --example preview`.
 //!
 //! `--late` lets the hosts come after ten seconds, `--empty` shows them before the first host has reported, `--many` with thirty pipelines, `--unrelated` with
-//! clocks that were never related, `--one-clock` with a camera that reads the rack's, `--rehearsal` with one that is made wrong on purpose. The address is the first free argument, 127.0.0.1:8040 otherwise.
+//! clocks that were never related, `--one-clock` with a camera that reads the rack's, `--rehearsal` with one that is made wrong on purpose,
+//! `--backlog` with an agent that catches up with hours and one whose disk is full. The address is the first free argument, 127.0.0.1:8040 otherwise.
 
 #[path = "../tests/it/factory/mod.rs"]
 mod factory;
@@ -65,9 +66,10 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
                 .collect();
         }
         let pause = Duration::from_secs(if has("--late") { 10 } else { 0 });
+        let backlog = has("--backlog");
         tokio::spawn(async move {
             tokio::time::sleep(pause).await;
-            produce(listening, clock, lines).await;
+            produce(listening, clock, lines, backlog).await;
         });
     }
     tokio::signal::ctrl_c().await?;
@@ -77,7 +79,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-async fn produce(address: String, clock: SharedClock, lines: Vec<Line>) {
+async fn produce(address: String, clock: SharedClock, lines: Vec<Line>, backlog: bool) {
     let mut factory = Factory::new(&address, clock.clone(), lines).await;
     let many = factory.lines.len() > 5;
     factory.report(clock.wall() - Span::from_seconds(590), clock.wall()).await;
@@ -85,6 +87,7 @@ async fn produce(address: String, clock: SharedClock, lines: Vec<Line>) {
     factory.store_clocks(if many { 120 } else { 3_600 }).await;
     factory.store_runs(if many { 200 } else { 6_000 }, true).await;
     factory.store_runs(300, false).await;
+    factory.backlog = backlog.then(|| clock.wall());
     let mut ticks = tokio::time::interval(Duration::from_millis(250));
     loop {
         ticks.tick().await;

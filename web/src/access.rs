@@ -4,7 +4,8 @@
 use std::net::{IpAddr, SocketAddr};
 
 use axum::extract::{Request, State};
-use axum::http::header::HOST;
+use axum::http::header::{HOST, ORIGIN};
+use axum::http::{HeaderMap, HeaderName, Method};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
@@ -53,9 +54,56 @@ pub(crate) async fn guard(State(app): State<App>, request: Request, next: Next) 
     }
 }
 
+/// Lets only this dashboard's own pages and programs change something. A page from elsewhere could otherwise send the
+/// request from the browser of whoever opened it (cross-site request forgery). Browsers say where a request comes from
+/// (`Sec-Fetch-Site`, Fetch Metadata; older ones `Origin`) and no page can change that; programs say neither.
+pub(crate) async fn own_site(request: Request, next: Next) -> Response {
+    let reads = matches!(*request.method(), Method::GET | Method::HEAD | Method::OPTIONS);
+    if reads || is_own(request.headers()) {
+        return next.run(request).await;
+    }
+    let origin = request.headers().get(ORIGIN).and_then(|origin| origin.to_str().ok());
+    WebError::OtherSite(origin.unwrap_or("another site").to_owned()).into_response()
+}
+
+fn is_own(headers: &HeaderMap) -> bool {
+    let text = |name: HeaderName| headers.get(name).map(|value| value.to_str().unwrap_or_default());
+    if let Some(site) = text(HeaderName::from_static("sec-fetch-site")) {
+        return matches!(site, "same-origin" | "none");
+    }
+    let Some(origin) = text(ORIGIN) else { return true };
+    let authority = origin.split_once("://").map(|(_, authority)| authority);
+    authority.is_some_and(|authority| text(HOST).is_some_and(|host| authority.eq_ignore_ascii_case(host)))
+}
+
 #[cfg(test)]
 mod tests {
+    use axum::http::HeaderValue;
+
     use super::*;
+
+    #[test]
+    fn changes_come_from_this_site_or_from_programs() {
+        let own = |pairs: &[(&'static str, &'static str)]| {
+            let host = ("host", "localhost:8040");
+            let pairs = pairs.iter().copied().chain([host]);
+            is_own(
+                &pairs
+                    .map(|(name, value)| (HeaderName::from_static(name), HeaderValue::from_static(value)))
+                    .collect(),
+            )
+        };
+        assert!(own(&[]), "a program");
+        assert!(own(&[("sec-fetch-site", "same-origin"), ("origin", "http://localhost:8040")]));
+        assert!(own(&[("sec-fetch-site", "none")]), "typed by the user");
+        assert!(own(&[("origin", "http://LOCALHOST:8040")]), "an old browser");
+        for site in ["cross-site", "same-site", ""] {
+            assert!(!own(&[("sec-fetch-site", site), ("origin", "http://localhost:8040")]), "{site}");
+        }
+        for origin in ["http://evil.example", "http://localhost:9999", "null", "localhost:8040"] {
+            assert!(!own(&[("origin", origin)]), "{origin}");
+        }
+    }
 
     #[test]
     fn names_of_this_machine_are_known() {

@@ -29,6 +29,12 @@ pub(crate) enum WebError {
         "this server answers to names of this machine only, not to {0:?}; set allow_unauthenticated = true in the table [web] to let others in"
     )]
     OtherHost(String),
+    /// There was such a thing; the text says what became of it.
+    #[error("{0}")]
+    Gone(String),
+    /// A page of another site asks for a change.
+    #[error("only pages of this dashboard and programs may change something here, not a page of {0}")]
+    OtherSite(String),
     /// The store has no answer.
     #[error("the store has no answer")]
     Store(#[from] StoreError),
@@ -38,6 +44,9 @@ pub(crate) enum WebError {
     /// An answer could not be written as JSON.
     #[error("cannot write an answer as JSON")]
     Json(#[from] serde_json::Error),
+    /// An answer could not be written as text.
+    #[error("cannot write an answer as text")]
+    Text(#[from] fmt::Error),
     /// The answer took too long.
     #[error("no answer within {0} s")]
     TookTooLong(u64),
@@ -75,9 +84,13 @@ impl WebError {
         match self {
             Self::BadRequest(_) => StatusCode::BAD_REQUEST,
             Self::NotFound(_) => StatusCode::NOT_FOUND,
+            Self::Gone(_) => StatusCode::GONE,
+            Self::OtherSite(_) => StatusCode::FORBIDDEN,
             Self::OtherHost(_) => StatusCode::MISDIRECTED_REQUEST,
-            Self::TookTooLong(_) => StatusCode::SERVICE_UNAVAILABLE,
-            Self::Store(_) | Self::Render(_) | Self::Json(_) | Self::Panicked(_) => {
+            Self::TookTooLong(_) | Self::Store(StoreError::TooLong { .. } | StoreError::Busy { .. }) => {
+                StatusCode::SERVICE_UNAVAILABLE
+            }
+            Self::Store(_) | Self::Render(_) | Self::Json(_) | Self::Text(_) | Self::Panicked(_) => {
                 StatusCode::INTERNAL_SERVER_ERROR
             }
         }
@@ -88,6 +101,10 @@ impl WebError {
         let status = self.status();
         if !status.is_server_error() {
             return ProblemDetails::new(status, self.to_string(), None);
+        }
+        if let Self::Store(error @ (StoreError::TooLong { .. } | StoreError::Busy { .. })) = self {
+            tracing::warn!(%error, "a question was not answered");
+            return ProblemDetails::new(status, error.to_string(), None);
         }
         let id = uuid::Uuid::new_v4().simple().to_string()[..12].to_owned();
         tracing::error!(id, error = %Chain(self), "a request failed");
@@ -132,7 +149,10 @@ pub(crate) async fn dress(State(app): State<App>, request: Request, next: Next) 
     let problem = match response.extensions_mut().remove::<ProblemDetails>() {
         Some(problem) => problem,
         None if status == StatusCode::METHOD_NOT_ALLOWED => {
-            ProblemDetails::new(status, "this address can be read (GET) and nothing else".into(), None)
+            let allowed = response.headers().get(ALLOW).and_then(|methods| methods.to_str().ok());
+            let text =
+                format!("this address answers {} and nothing else", allowed.unwrap_or("other methods"));
+            ProblemDetails::new(status, text, None)
         }
         None => return response,
     };

@@ -11,6 +11,7 @@ mod config;
 mod connections;
 mod error;
 mod look;
+mod metrics;
 mod numbers;
 mod pages;
 mod router;

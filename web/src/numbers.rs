@@ -288,6 +288,18 @@ pub(crate) fn length(seconds: f64) -> String {
     shown.map(|(_, (value, unit))| format!("{}{SPACE}{unit}", count(*value))).collect::<Vec<_>>().join(" ")
 }
 
+/// A length of time as far as an estimate goes: `40 s`, `5 min`, `3 h 20 min`.
+pub(crate) fn roughly(seconds: f64) -> String {
+    let step = match seconds {
+        seconds if seconds < 60.0 => 10.0,
+        seconds if seconds < 3_600.0 => 60.0,
+        seconds if seconds < 86_400.0 => 600.0,
+        _ => 3_600.0,
+    };
+    // Rounded up: what ends sooner than it was said disappoints nobody.
+    length((seconds / step).ceil() * step)
+}
+
 #[cfg(test)]
 #[path = "numbers_tests.rs"]
 mod tests;

@@ -128,3 +128,17 @@ proptest! {
         prop_assert!(figure(value).chars().filter(char::is_ascii_digit).count() <= 3);
     }
 }
+
+#[test]
+fn estimates_claim_no_more_than_they_know() {
+    for (seconds, text) in
+        [(3.0, "10 s"), (51.0, "1 min"), (277.0, "5 min"), (3_541.0, "1 h"), (11_520.0, "3 h 20 min")]
+    {
+        assert_eq!(
+            roughly(seconds),
+            text.replace(' ', SPACE).replace(&format!("h{SPACE}"), "h "),
+            "{seconds}"
+        );
+    }
+    assert_eq!(roughly(f64::INFINITY), NONE);
+}

@@ -41,6 +41,7 @@ pub(crate) fn build(app: App) -> Router {
         .fallback(error::no_such_page)
         .layer(middleware::from_fn(patience))
         .layer(CatchPanicLayer::custom(panicked))
+        .layer(middleware::from_fn(access::own_site))
         .layer(middleware::from_fn_with_state(app.clone(), access::guard))
         .layer(middleware::from_fn_with_state(app.clone(), error::dress))
         .layer(CompressionLayer::new().compress_when(compressed))

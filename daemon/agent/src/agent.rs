@@ -23,7 +23,7 @@ use crate::identity::{IdentityError, StateLock, host_id};
 use crate::incidents::{Concerning, Incidents};
 use crate::link::{Links, Near, ProbeSettings};
 use crate::live::{Board, Display};
-use crate::outbox::{Outbox, Tap};
+use crate::outbox::{Outbox, SpoolError, Tap};
 use crate::runs::Runs;
 use crate::serve::{Doors, ReflectorError};
 use crate::tasks::Tasks;
@@ -40,6 +40,9 @@ pub enum StartError {
     /// The host id could not be read or made.
     #[error(transparent)]
     Identity(#[from] IdentityError),
+    /// The spool could not be had.
+    #[error(transparent)]
+    Spool(#[from] SpoolError),
     /// The port for peers could not be had.
     #[error(transparent)]
     Bind(#[from] BindError),
@@ -115,6 +118,7 @@ async fn start(
     let name = host_name(&config.agent)?;
     let state = StateLock::take(&config.agent.state_dir)?;
     let id = host_id(&config.agent.state_dir)?;
+    let spool = crate::outbox::open_spool(&config, id, &clock).await?;
     let (feed, exit) = crate::outbox::entrance(&config.agent, &clock);
     let feed = feed.tapped(tap.clone());
     let incidents = Incidents::new(Arc::clone(&clock), feed.clone());
@@ -160,11 +164,11 @@ async fn start(
         });
         tasks.keep_or_fail("serve", serving);
     }
-    let outbox = match (exit, &config.agent.aggregator) {
-        (Some(exit), Some(address)) => {
+    let outbox = match (exit, spool, &config.agent.aggregator) {
+        (Some(exit), Some(spool), Some(address)) => {
             let description = describe(&config, &host, serves.as_ref());
             let live = (board.clone(), metrics.clone());
-            Some(Outbox::start(&config.agent, address.clone(), exit, description, live, &host))
+            Some(Outbox::start(&config, address.clone(), exit, spool, description, live, &host))
         }
         _ => None,
     };

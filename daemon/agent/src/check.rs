@@ -1,5 +1,6 @@
 //! Everything that can be found wrong with a configuration before anything starts.
 
+mod spool;
 mod time;
 
 use std::collections::HashSet;
@@ -85,9 +86,10 @@ impl Report {
 pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     let mut report = Report::default();
     report.unless_ok("agent.name", host_name(&config.agent));
-    report.unless_ok("agent.state_dir", usable(&config.agent.state_dir));
+    report.unless_ok("agent.state_dir", usable(&config.agent.state_dir, "state_dir"));
     report.unless_ok("agent.state_dir", existing_id(&config.agent.state_dir));
     check_host(&mut report, &config.agent);
+    spool::check_spool(&mut report, config);
     let bank = Bank::new(config.models.clone(), config.onnxruntime.clone(), Arc::clone(clock));
     for (index, error) in bank.check() {
         let key = match &error {
@@ -186,15 +188,15 @@ fn check_pipeline(report: &mut Report, at: &str, pipeline: &PipelineConfig, mode
 }
 
 /// Whether files can be made in a folder, or the folder itself.
-fn usable(folder: &Path) -> Result<(), String> {
+fn usable(folder: &Path, key: &str) -> Result<(), String> {
     let existing = folder.ancestors().find(|part| part.exists() || part.as_os_str().is_empty());
     let existing = existing.filter(|part| !part.as_os_str().is_empty()).unwrap_or_else(|| Path::new("."));
     if !existing.is_dir() {
-        return Err(format!("{} is not a folder; choose another state_dir", existing.display()));
+        return Err(format!("{} is not a folder; choose another {key}", existing.display()));
     }
     access(existing, Access::WRITE_OK | Access::EXEC_OK).map_err(|error| {
         format!(
-            "cannot write to {}: {}; change its permissions or choose another state_dir",
+            "cannot write to {}: {}; change its permissions or choose another {key}",
             existing.display(),
             io::Error::from(error)
         )

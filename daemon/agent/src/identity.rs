@@ -5,7 +5,8 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use peernet_logger::HostId;
-use rustix::fs::{FlockOperation, flock};
+
+use crate::lock::FileLock;
 
 /// Why the host id could not be had.
 #[derive(Debug, thiserror::Error)]
@@ -75,7 +76,7 @@ pub fn host_id(state_dir: &Path) -> Result<HostId, IdentityError> {
 /// A folder that no other agent may use; let go when this is dropped, or the process ends.
 #[derive(Debug)]
 pub(crate) struct StateLock {
-    _file: File,
+    _lock: FileLock,
 }
 
 impl StateLock {
@@ -90,11 +91,9 @@ impl StateLock {
         };
         fs::create_dir_all(state_dir).map_err(io("make", state_dir))?;
         let path = state_dir.join("lock");
-        let file = File::options().create(true).append(true).open(&path).map_err(io("write", &path))?;
-        match flock(&file, FlockOperation::NonBlockingLockExclusive) {
-            Ok(()) => Ok(Self { _file: file }),
-            Err(rustix::io::Errno::WOULDBLOCK) => Err(IdentityError::InUse(state_dir.to_owned())),
-            Err(error) => Err(io("lock", &path)(error.into())),
+        match FileLock::take(&path).map_err(io("lock", &path))? {
+            Some(lock) => Ok(Self { _lock: lock }),
+            None => Err(IdentityError::InUse(state_dir.to_owned())),
         }
     }
 }

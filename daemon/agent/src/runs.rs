@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use peernet_logger::stream::{Event, RunDescription, RunEnded};
+use peernet_logger::stream::{Event, RunDescription};
 use peernet_logger::{RunId, Slug};
 
 /// Runs by pipeline; clones are the same.
@@ -13,45 +13,35 @@ pub(crate) struct Runs(Arc<Mutex<BTreeMap<Slug, Known>>>);
 #[derive(Debug)]
 struct Known {
     description: RunDescription,
-    ended: Option<RunEnded>,
+    ended: bool,
 }
 
 impl Runs {
     /// A run began; the last one of its pipeline is forgotten.
     pub(crate) fn began(&self, description: RunDescription) {
-        self.lock().insert(description.pipeline.clone(), Known { description, ended: None });
+        self.lock().insert(description.pipeline.clone(), Known { description, ended: false });
     }
 
     /// A run of `pipeline` ended.
-    pub(crate) fn ended(&self, pipeline: &Slug, ended: RunEnded) {
+    pub(crate) fn ended(&self, pipeline: &Slug, run: RunId) {
         if let Some(known) = self.lock().get_mut(pipeline)
-            && known.description.run == ended.run
+            && known.description.run == run
         {
-            known.ended = Some(ended);
+            known.ended = true;
         }
     }
 
     /// The run of `pipeline` that is under way.
     pub(crate) fn current(&self, pipeline: &Slug) -> Option<RunId> {
         let runs = self.lock();
-        runs.get(pipeline).filter(|known| known.ended.is_none()).map(|known| known.description.run)
+        runs.get(pipeline).filter(|known| !known.ended).map(|known| known.description.run)
     }
 
     /// The beginnings of all runs under way.
     pub(crate) fn beginnings(&self) -> Vec<Event> {
         let runs = self.lock();
-        let open = runs.values().filter(|known| known.ended.is_none());
+        let open = runs.values().filter(|known| !known.ended);
         open.map(|known| Event::RunStarted(known.description.clone())).collect()
-    }
-
-    /// The beginning of every pipeline's last run, and its end.
-    pub(crate) fn frames(&self) -> Vec<Event> {
-        let runs = self.lock();
-        let both = |known: &Known| {
-            let ended = known.ended.clone().map(Event::RunEnded);
-            std::iter::once(Event::RunStarted(known.description.clone())).chain(ended)
-        };
-        runs.values().flat_map(both).collect()
     }
 
     fn lock(&self) -> MutexGuard<'_, BTreeMap<Slug, Known>> {

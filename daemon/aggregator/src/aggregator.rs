@@ -1,4 +1,4 @@
-//! Starting and stopping: checks, the three tasks, and the handle that readers hold.
+//! Starting and stopping: checks, the tasks, and the handle that readers hold.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -8,15 +8,18 @@ use peernet_clock::{SharedClock, Span};
 use peernet_logger::Slug;
 use peernet_logger::stream::{Receiving, ReceivingConfig};
 use serde::Serialize;
-use tokio::sync::{mpsc, watch};
+use tokio::runtime::Handle;
+use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::{Id, JoinError, JoinSet};
 use tokio_util::sync::CancellationToken;
 
-use crate::config::AggregatorConfig;
-use crate::error::{Failure, Problem, StartError};
-use crate::ingest::{self, Desk, committing, socket};
+use crate::config::{AggregatorConfig, RetentionConfig};
+use crate::error::{Failure, Problem, StartError, StoreError};
+use crate::ingest::{self, Desk, Errand, committing, preparing, socket};
 use crate::live::{self, Live, News};
 use crate::picture::Picture;
+use crate::store::lock::DatabaseLock;
+use crate::store::readers::Readers;
 use crate::store::write::{Writer, newest_runs, stored_hosts, unknown_runs};
 use crate::store::{Store, database};
 
@@ -28,6 +31,9 @@ const COMMITS: usize = 16;
 const RUNS: u32 = 1_000;
 /// Hosts whose stored counts are known from the start.
 const HOSTS: u32 = 4_096;
+
+/// Errands that wait for the writer.
+const ERRANDS: usize = 16;
 
 /// Whether events are being stored.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -45,6 +51,9 @@ pub struct Aggregator {
     live: watch::Receiver<Arc<Picture>>,
     ready: watch::Receiver<Readiness>,
     store: Store,
+    errands: mpsc::Sender<Errand>,
+    database: Arc<Path>,
+    retention: RetentionConfig,
 }
 
 /// A running aggregator.
@@ -56,6 +65,10 @@ pub struct Running {
     names: HashMap<Id, &'static str>,
     asked: CancellationToken,
     stop: CancellationToken,
+    /// The writer when its task has ended.
+    written: oneshot::Receiver<Writer>,
+    /// Held as long as anything here may write.
+    _lock: DatabaseLock,
 }
 
 impl Aggregator {
@@ -81,11 +94,13 @@ impl Aggregator {
         if let Some(folder) = config.database.parent() {
             std::fs::create_dir_all(folder).map_err(|error| cannot_open(error.into()))?;
         }
+        let lock = DatabaseLock::take(&config.database)?;
         let mut connection = database::open(&config.database).await?;
         let runs = newest_runs(&mut connection, RUNS).await.map_err(cannot_open)?;
         let unknown = unknown_runs(&mut connection, RUNS).await.map_err(cannot_open)?;
         let hosts = stored_hosts(&mut connection, HOSTS).await.map_err(cannot_open)?;
-        let writer = Writer::new(config.database.clone(), connection).await.map_err(cannot_open)?;
+        let writer =
+            Writer::new(config.database.clone(), connection, config.retention).await.map_err(cannot_open)?;
         let (socket, address) = socket::listen(&config.listen).await?;
         tracing::info!(%address, database = %config.database.display(), "the aggregator listens");
 
@@ -97,25 +112,45 @@ impl Aggregator {
         for (host, stored) in hosts {
             picture.take(News::Stored(host, stored, None), clock.stamp());
         }
-        let (queue, work) = ingest::queue();
+        let (queue, waiting) = ingest::queue();
+        // While one group is stored, the next is prepared.
+        let (prepared, work) = preparing::ready(2 * config.commit_nodes);
+        let (errands_in, errands) = mpsc::channel(ERRANDS);
         let (news_in, news) = mpsc::channel(NEWS);
         let (committed_in, committed) = mpsc::channel(COMMITS);
         let (pictures, live) = watch::channel(picture.shared(clock.stamp()));
+        let (written_in, written) = oneshot::channel();
         let (ready_in, ready) = watch::channel(Readiness::Ready);
-        let receiving = Receiving::new(ReceivingConfig::new(name));
-        let desk = Desk::new(receiving, queue, writer.marks().clone(), unknown);
-        let store = Store::new(database::readers(&config.database, config.readers));
+        // What finds no room is asked for again, which costs more than waiting would.
+        let budget_bytes = ingest::ROOM_BYTES as u64;
+        let receiving = Receiving::new(ReceivingConfig { budget_bytes, ..ReceivingConfig::new(name) });
+        let desk = Desk::new(receiving, queue, writer.streams().clone(), unknown);
+        let store = Store::new(Readers::open(
+            &config.database,
+            config.readers,
+            config.question_limit(),
+            Arc::clone(&clock),
+        ));
 
         let asked = stop.clone();
         let stop = stop.child_token();
         let grouping =
             committing::Grouping { interval: config.commit_interval(), nodes: config.commit_nodes };
         let mut running = Running {
-            handle: Self { live, ready, store },
+            handle: Self {
+                live,
+                ready,
+                store,
+                errands: errands_in,
+                database: config.database.as_path().into(),
+                retention: config.retention,
+            },
+            _lock: lock,
             tasks: JoinSet::new(),
             names: HashMap::new(),
             asked,
             stop: stop.clone(),
+            written,
         };
         running.spawn("live picture", {
             let clock = Arc::clone(&clock);
@@ -124,12 +159,23 @@ impl Aggregator {
                 Ok(())
             }
         });
-        running.spawn("writer", {
-            let (clock, stop) = (Arc::clone(&clock), stop.clone());
-            async move {
-                committing::run(writer, work, committed_in, ready_in, grouping, (clock, stop)).await;
-                Ok(())
-            }
+        running.spawn_thread("preparing", {
+            let runtime = Handle::current();
+            move || preparing::run(&runtime, waiting, &prepared)
+        });
+        let wires = committing::Wires {
+            queue: work,
+            errands,
+            committed: committed_in,
+            ready: ready_in,
+            clock: Arc::clone(&clock),
+            stop: stop.clone(),
+        };
+        running.spawn("writer", async move {
+            let writer = committing::run(writer, wires, grouping).await;
+            // Whoever does not join lets the connection drop.
+            let _unjoined = written_in.send(writer);
+            Ok(())
         });
         let wires = socket::Wires { committed, news: news_in, clock, stop };
         running.spawn("ingest", socket::run(socket, address, desk, wires));
@@ -146,6 +192,39 @@ impl Aggregator {
         &self.store
     }
 
+    /// Keeps a run whatever its age, or no longer. Returns whether there is a run of that number.
+    ///
+    /// # Errors
+    /// When the database cannot be written now.
+    pub async fn pin(&self, run: i64, pinned: bool) -> Result<bool, StoreError> {
+        let what = "whether a run is kept";
+        let (answer, answered) = oneshot::channel();
+        let asked = self.errands.send(Errand::Pin(run, pinned, answer)).await;
+        let result = match asked {
+            Ok(()) => answered.await.unwrap_or(Err(sqlx::Error::WorkerCrashed)),
+            Err(_) => Err(sqlx::Error::WorkerCrashed),
+        };
+        result.map_err(|source| StoreError::Database { what, source })
+    }
+
+    /// How long what is stored is kept.
+    pub const fn retention(&self) -> &RetentionConfig {
+        &self.retention
+    }
+
+    /// Bytes of the database's files, with what is not yet in the main one; `None` while there is none.
+    pub fn database_bytes(&self) -> Option<u64> {
+        let mut log = self.database.as_os_str().to_owned();
+        log.push("-wal");
+        let main = std::fs::metadata(&self.database).ok()?.len();
+        Some(main + std::fs::metadata(log).map_or(0, |log| log.len()))
+    }
+
+    /// Whether events are being stored, to be followed.
+    pub fn readiness(&self) -> watch::Receiver<Readiness> {
+        self.ready.clone()
+    }
+
     /// Whether events are being stored, and if not, why.
     pub fn ready(&self) -> Readiness {
         self.ready.borrow().clone()
@@ -159,6 +238,16 @@ impl Running {
         task: impl Future<Output = Result<(), Failure>> + Send + 'static,
     ) {
         let id = self.tasks.spawn(task).id();
+        self.names.insert(id, name);
+    }
+
+    /// A task that computes and never waits for long.
+    fn spawn_thread(&mut self, name: &'static str, task: impl FnOnce() + Send + 'static) {
+        let work = move || {
+            task();
+            Ok(())
+        };
+        let id = self.tasks.spawn_blocking(work).id();
         self.names.insert(id, name);
     }
 
@@ -183,8 +272,19 @@ impl Running {
                 self.stop.cancel();
             }
         }
-        self.handle.store.close().await;
+        self.close().await;
         first
+    }
+
+    /// Closes the database, the writing connection last: only that can carry SQLite's log over into the file, so that
+    /// the file alone is whole.
+    async fn close(&mut self) {
+        self.handle.store.close().await;
+        // The task that had it may have died.
+        let Ok(writer) = (&mut self.written).await else { return };
+        if let Err(error) = writer.close().await {
+            tracing::warn!(%error, "the database was not closed well; what is stored is in its -wal file, too");
+        }
     }
 
     fn name(&self, id: Id) -> &'static str {

@@ -1,11 +1,15 @@
 //! The aggregator's table of the configuration file, and what can be checked before starting.
 
+pub(crate) mod retention;
+
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use peernet_logger::Slug;
 use serde::{Deserialize, Serialize};
 use zeromq::Endpoint;
+
+pub use self::retention::RetentionConfig;
 
 use crate::aggregator::machine_name;
 use crate::error::Problem;
@@ -26,8 +30,12 @@ pub struct AggregatorConfig {
     pub commit_nodes: usize,
     /// Connections that readers share, 1 to 64.
     pub readers: u32,
+    /// Longest time that one statement of a reader may take, 100 to 600,000; it is interrupted then.
+    pub question_limit_ms: u64,
     /// A host that has not been heard of for so long leaves the live picture; its runs stay.
     pub forget_hosts_after_s: u64,
+    /// How long what is stored is kept.
+    pub retention: RetentionConfig,
 }
 
 impl Default for AggregatorConfig {
@@ -37,9 +45,11 @@ impl Default for AggregatorConfig {
             listen: "tcp://127.0.0.1:5550".to_owned(),
             database: PathBuf::from("peernet.sqlite"),
             commit_interval_ms: 50,
-            commit_nodes: 30_000,
+            commit_nodes: 100_000,
             readers: 4,
+            question_limit_ms: 10_000,
             forget_hosts_after_s: 24 * 3600,
+            retention: RetentionConfig::default(),
         }
     }
 }
@@ -47,6 +57,10 @@ impl Default for AggregatorConfig {
 impl AggregatorConfig {
     pub(crate) const fn commit_interval(&self) -> Duration {
         Duration::from_millis(self.commit_interval_ms)
+    }
+
+    pub(crate) const fn question_limit(&self) -> Duration {
+        Duration::from_millis(self.question_limit_ms)
     }
 
     /// The configured name or the machine's.
@@ -65,7 +79,10 @@ impl AggregatorConfig {
         check("commit_interval_ms", outside(self.commit_interval_ms, 1, 10_000));
         check("commit_nodes", outside(self.commit_nodes as u64, 1, 1_000_000));
         check("readers", outside(u64::from(self.readers), 1, 64));
+        check("question_limit_ms", outside(self.question_limit_ms, 100, 600_000));
         check("forget_hosts_after_s", outside(self.forget_hosts_after_s, 1, u64::from(u32::MAX)));
+        let retention = self.retention.problems().into_iter();
+        problems.extend(retention.map(|(key, message)| Problem { key, message }));
         problems
     }
 }

@@ -1,6 +1,9 @@
 //! What can go wrong, in words that say what was tried, on what, and what to do.
 
 use std::path::PathBuf;
+use std::time::Duration;
+
+use crate::store::lock::LockError;
 
 /// A value of the configuration that cannot work.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -36,6 +39,9 @@ pub enum StartError {
         /// SQLite's own words.
         source: sqlx::Error,
     },
+    /// Another process has the database.
+    #[error("cannot start the aggregator: {0}")]
+    Lock(#[from] LockError),
     /// The database was written by a newer version.
     #[error("the database {} was written by a newer version (its schema {found}, known here {known}); update this program or choose another file with `database`", path.display())]
     NewerSchema {
@@ -90,6 +96,25 @@ pub enum StoreError {
         what: &'static str,
         /// SQLite's own words.
         source: sqlx::Error,
+    },
+    /// It took longer than a reader's statement may.
+    #[error(
+        "reading {what} from the database took longer than the {} s of [aggregator] question_limit_ms and was stopped; ask for less, or raise the limit",
+        limit.as_secs_f64()
+    )]
+    TooLong {
+        /// What was asked for.
+        what: &'static str,
+        /// How long it may take.
+        limit: Duration,
+    },
+    /// No connection was free for some seconds.
+    #[error(
+        "cannot read {what} from the database: all connections of [aggregator] readers are busy; ask again, or raise their number"
+    )]
+    Busy {
+        /// What was asked for.
+        what: &'static str,
     },
     /// The database holds something that this version cannot have written.
     #[error("cannot make sense of {what} in the database: {detail}")]

@@ -16,16 +16,17 @@ mod plausible;
 mod store;
 
 pub use aggregator::{Aggregator, Readiness, Running};
-pub use config::AggregatorConfig;
+pub use config::{AggregatorConfig, RetentionConfig};
 pub use error::{Failure, Problem, StartError, StoreError};
 pub use figures::{Bound, Figures, P95_NEEDS, P99_NEEDS, rank};
 pub use picture::{
-    ClockPoint, HostPicture, LinkPicture, LiveSecond, MetricsPoint, Picture, PipelinePicture, RefusedHost,
-    Stored, Window,
+    Arrivals, CatchingUp, ClockPoint, HostPicture, LinkPicture, LiveSecond, MetricsPoint, Picture,
+    PipelinePicture, RefusedFrames, RefusedHost, Stored, Totals, Window,
 };
-pub use store::Store;
+pub use store::lock::{DatabaseLock, LockError};
 pub use store::types::{
     BOTH_WAYS, Blame, ClockSeries, DelayRow, GapRow, Histogram, HostRow, IncidentRow, IterationDetail,
     IterationFilter, IterationRow, Judgement, LinkRow, Recomputed, RecomputedStage, RunDetail, RunFilter,
     RunSummary, Series, SeriesPoint, StageSeries, StageStatistics,
 };
+pub use store::{Store, maintenance};

@@ -32,6 +32,48 @@ pub struct Picture {
     pub links: Vec<Arc<LinkPicture>>,
     /// Hosts that were turned away in the last ten minutes, newest first, at most 32.
     pub refused: Vec<RefusedHost>,
+    /// Of all hosts together, those included that are not in the picture.
+    pub totals: Totals,
+}
+
+/// What is stored and what became of batches, all hosts together: only ever grows while the aggregator runs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Totals {
+    /// What the database holds.
+    pub stored: Stored,
+    /// Batches that came and were not taken.
+    pub arrivals: Arrivals,
+    /// What came and could not be told whose it is.
+    pub refused: RefusedFrames,
+}
+
+/// What came and could not be told whose it is; since the aggregator started.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct RefusedFrames {
+    /// Frames that are no message.
+    pub unreadable: u64,
+    /// Messages and batches of hosts that did not say hello on that connection; they are asked to.
+    pub strangers: u64,
+}
+
+/// Batches that came and were not taken, to be sent again; since the aggregator started.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Arrivals {
+    /// There was no room for them.
+    pub deferred: u64,
+    /// Their bytes did not match their hash.
+    pub damaged: u64,
+}
+
+/// How fast storing catches up with measuring.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct CatchingUp {
+    /// Seconds by which the lag falls in a second, over the last 10 s or so.
+    pub rate: f64,
+    /// Events stored in a second, over the same time.
+    pub events_per_second: f64,
+    /// Time until there is no lag, if it goes on like this.
+    pub left: Span,
 }
 
 /// One link, now: the relation between an edge's clock and a cloud's.
@@ -91,15 +133,19 @@ pub struct HostPicture {
     pub id: HostId,
     /// As the host introduced itself.
     pub description: HostDescription,
-    /// Whether it said hello and has been heard of in the last seconds.
+    /// Whether it said hello and has been heard of in the last seconds; after a restart, from its first update on:
+    /// until then, what it told is of the process before.
     pub connected: bool,
     /// When it was last heard of, on the aggregator's wall clock.
     pub last_seen: WallTime,
     /// Its wall clock minus the aggregator's, by the last update: includes that update's way, so it is a hint
     /// that a clock is wrong and nothing more.
     pub clock_ahead: Span,
-    /// How far storing is behind measuring, by the host's own clock; `None` when nothing waits.
+    /// How far storing is behind measuring: the age of the oldest event that waits, by the host's own clock at its last
+    /// update; `None` when nothing waits.
     pub behind: Option<Span>,
+    /// How fast that falls; `None` while it does not, or is below five seconds.
+    pub catching_up: Option<CatchingUp>,
     /// Its wall clock, by its own account.
     pub clock: HostClock,
     /// How it fares.
@@ -110,6 +156,10 @@ pub struct HostPicture {
     pub accounting: Accounting,
     /// What became of its events, by the aggregator's account.
     pub stored: Stored,
+    /// Batches of it that came and were not taken.
+    pub arrivals: Arrivals,
+    /// The newest moment that is stored of it, on its clock, as far as it was stored since the aggregator started.
+    pub newest_stored: Option<WallTime>,
     /// Pipelines, names and seconds of live updates that were beyond the limits and left out of the picture.
     pub live_left_out: u64,
 }

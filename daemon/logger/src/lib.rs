@@ -4,6 +4,7 @@
 //! No I/O. [`Recorder`] grows a [`Tree`] while an iteration runs; [`stage`] holds the standard names.
 
 pub mod csv;
+pub mod fuzzing;
 mod guard;
 mod host;
 pub mod limits;

@@ -11,6 +11,8 @@ pub enum Exit {
     Ok = 0,
     /// The command line was wrong (64).
     Usage = 64,
+    /// Stored data is damaged, or something else about it is wrong (65).
+    Data = 65,
     /// Something that was needed could not be had: a port, a file, a library (69).
     Unavailable = 69,
     /// A task died, or stopping took longer than allowed (70).

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from types import ModuleType
 
-from . import delays, idle, ingest, loop, model, node
+from . import agent, delays, idle, ingest, live, loop, model, node, pages
 
 # Each has `prepare()`, which builds and checks what it needs, and `measure(quick) -> Section`.
 ALL: dict[str, ModuleType] = {
@@ -12,6 +12,9 @@ ALL: dict[str, ModuleType] = {
     "loop": loop,
     "model": model,
     "ingest": ingest,
+    "live": live,
+    "pages": pages,
     "delays": delays,
     "idle": idle,
+    "agent": agent,
 }

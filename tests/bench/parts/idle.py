@@ -61,7 +61,7 @@ def _idle(seconds: float) -> dict[str, Cost]:
                 "agent", _agent(it, "agent", f'aggregator = "tcp://127.0.0.1:{events}"')
             ),
         }
-        return _watch(programs, seconds)
+        return watch(programs, seconds)
 
 
 def _demo(seconds: float) -> dict[str, Cost]:
@@ -75,7 +75,7 @@ def _demo(seconds: float) -> dict[str, Cost]:
             text = (ROOT / "configs" / f"{role}.toml").read_text()
             moved = re.sub(r"(?<=:)(5550|5551|8040)\b", lambda match: ports[match[0]], text)
             programs[f"demo: {role}"] = it.daemon(role, moved)
-        return _watch(programs, seconds)
+        return watch(programs, seconds)
 
 
 def _agent(it: Plant, name: str, reporting: str) -> str:
@@ -87,7 +87,7 @@ def _agent(it: Plant, name: str, reporting: str) -> str:
     """
 
 
-def _watch(programs: dict[str, Program], seconds: float) -> dict[str, Cost]:
+def watch(programs: dict[str, Program], seconds: float) -> dict[str, Cost]:
     time.sleep(SETTLE_S)
     begin = time.monotonic()
     before = {name: (_processor(program.pid), _wake_ups(program.pid)) for name, program in programs.items()}

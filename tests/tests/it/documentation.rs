@@ -154,13 +154,15 @@ fn links_lead_to_files_and_sections_that_exist() {
 }
 
 /// A section of the reference, and a file with a key or a value `zz` in what the section describes.
-const PROBES: [(&str, &str); 25] = [
+const PROBES: [(&str, &str); 27] = [
     ("configuration", "zz = 1"),
     ("log", "[log]\nzz = 1"),
     ("lifecycle", "[lifecycle]\nzz = 1"),
     ("aggregator", "[aggregator]\nzz = 1"),
     ("web", "[web]\nzz = 1"),
     ("agent", "[agent]\nzz = 1"),
+    ("spool", "[spool]\nzz = 1"),
+    ("spool", "[spool]\ncompression = \"zz\""),
     ("clock", "[clock]\nzz = 1"),
     ("clock", "[clock]\ntimestamps = \"zz\""),
     ("clock", "[clock]\ndiscipline = [\"zz\"]"),

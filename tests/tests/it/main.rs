@@ -7,4 +7,6 @@ mod configuration;
 mod documentation;
 mod floors;
 mod lifecycle;
+mod maintenance;
+mod stream;
 mod trouble;

@@ -88,6 +88,24 @@
     }
   }
 
+  // --- a run that is kept: pressed, and said beside its name
+  async function keep(button) {
+    if (button.ariaBusy === "true") return;
+    const on = button.getAttribute("aria-pressed") !== "true", said = find("#keep-said");
+    button.ariaBusy = "true";
+    said.textContent = "";
+    try {
+      const answer = await fetch(button.dataset.pin, { method: on ? "PUT" : "DELETE" });
+      if (!answer.ok) throw new Error((await answer.json()).detail);
+      button.setAttribute("aria-pressed", String(on));
+      find("#kept").hidden = !on;
+    } catch (error) {
+      said.textContent = `Not changed: ${error.message}`;
+    } finally {
+      button.ariaBusy = null;
+    }
+  }
+
   async function copy(button) {
     const text = button.parentElement.querySelector("pre").textContent;
     try {
@@ -107,6 +125,7 @@
     else if (at("#menu")) toggleMenu();
     else if (at("#keys")) find("#keyhelp").showModal();
     else if (at("#pause")) tell("peer-toggle-pause");
+    else if ((hit = at("#keep"))) keep(hit);
     else if ((hit = at("[data-copy]"))) copy(hit);
     else if ((hit = at("[data-shows]"))) choose(hit);
     else if ((hit = at("[data-flips]"))) flip(hit);

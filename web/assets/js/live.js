@@ -105,6 +105,12 @@
     }));
     banner.hidden = sentences.length === 0;
   }
+  // Events are not being stored: said for as long as it is so.
+  function storing(sentence) {
+    const banner = $("storing");
+    if (banner.textContent !== (sentence || "")) banner.textContent = sentence || "";
+    banner.hidden = !sentence;
+  }
   function state() {
     if (away) say("Reconnecting", "warn");
     else if (paused) say("Paused", "off");
@@ -128,7 +134,7 @@
       back();
       handle(event.data);
     });
-    on("status", (data) => { status = JSON.parse(data); rehearsals(status.rehearsals); state(); });
+    on("status", (data) => { status = JSON.parse(data); rehearsals(status.rehearsals); storing(status.not_storing); state(); });
     on("page", (data) => { pending = merged(pending, JSON.parse(data)); schedule(); });
     on("picture", (data) => tell("peer-picture", JSON.parse(data)));
     on("heartbeat", () => {});

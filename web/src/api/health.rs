@@ -1,8 +1,13 @@
 //! For those who watch the aggregator itself.
 
+use axum::Json;
 use axum::extract::State;
-use axum::http::StatusCode;
-use peernet_aggregator::Readiness;
+use axum::http::header::{ACCEPT, RETRY_AFTER};
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::{AppendHeaders, IntoResponse, Response};
+use peernet_aggregator::Readiness as Told;
+use serde::Serialize;
+use utoipa::ToSchema;
 
 use crate::state::App;
 
@@ -12,16 +17,70 @@ pub(crate) async fn alive() -> &'static str {
     "alive\n"
 }
 
-/// Whether events are being stored.
+/// Whether events are being stored, for programs.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub(crate) struct Readiness {
+    /// Whether batches are stored and acknowledged.
+    ready: bool,
+    /// Why not, in words; null when they are.
+    reason: Option<String>,
+}
+
+/// Whether events are being stored; as JSON where the request accepts `application/json`, else as text.
 #[utoipa::path(get, path = "/readyz", operation_id = "isReady", tag = "health", responses(
-    (status = 200, description = "batches are stored and acknowledged", body = String, content_type = "text/plain"),
-    (status = 503, description = "agents keep their events; the log says why", body = String, content_type = "text/plain"),
+    (status = 200, description = "batches are stored and acknowledged", content((String = "text/plain"), (Readiness = "application/json"))),
+    (status = 503, description = "batches are not acknowledged, agents keep their events; the answer says why", content((String = "text/plain"), (Readiness = "application/json"))),
 ))]
-pub(crate) async fn ready(State(app): State<App>) -> (StatusCode, &'static str) {
-    match app.aggregator.ready() {
-        Readiness::Ready => (StatusCode::OK, "ready\n"),
-        Readiness::NotStoring(_) => {
-            (StatusCode::SERVICE_UNAVAILABLE, "not storing: agents keep their events\n")
+pub(crate) async fn ready(State(app): State<App>, headers: HeaderMap) -> Response {
+    let reason = match app.aggregator.ready() {
+        Told::Ready => None,
+        Told::NotStoring(reason) => Some(reason),
+    };
+    let answer = if accepts_json(&headers) {
+        Json(Readiness { ready: reason.is_none(), reason: reason.clone() }).into_response()
+    } else {
+        let text = reason.as_ref().map_or_else(|| "ready\n".to_owned(), |why| format!("not ready: {why}\n"));
+        text.into_response()
+    };
+    match reason {
+        None => answer,
+        Some(_) => {
+            (StatusCode::SERVICE_UNAVAILABLE, AppendHeaders([(RETRY_AFTER, "2")]), answer).into_response()
         }
+    }
+}
+
+/// Whether JSON is named among what the request takes.
+fn accepts_json(headers: &HeaderMap) -> bool {
+    let named = headers.get_all(ACCEPT).iter().filter_map(|value| value.to_str().ok());
+    named.flat_map(|value| value.split(',')).any(|kind| {
+        let mut parts = kind.split(';').map(str::trim);
+        parts.next().is_some_and(|kind| kind.eq_ignore_ascii_case("application/json"))
+            && !parts.any(|parameter| matches!(parameter, "q=0" | "q=0.0" | "q=0.00" | "q=0.000"))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use axum::http::HeaderValue;
+
+    use super::*;
+
+    #[test]
+    fn json_is_for_those_who_name_it() {
+        let takes = |accept: &'static str| {
+            let mut headers = HeaderMap::new();
+            headers.insert(ACCEPT, HeaderValue::from_static(accept));
+            accepts_json(&headers)
+        };
+        for accept in
+            ["application/json", "text/html, Application/JSON;q=0.5", "application/json; charset=utf-8"]
+        {
+            assert!(takes(accept), "{accept}");
+        }
+        for accept in ["*/*", "text/plain", "application/json;q=0", "application/jsonx"] {
+            assert!(!takes(accept), "{accept}");
+        }
+        assert!(!accepts_json(&HeaderMap::new()));
     }
 }

@@ -8,7 +8,7 @@ use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 
 use super::parameters::{Parameters, bounded, path};
-use super::run::must_exist;
+use super::run::{deleted, no_run};
 use super::schema::{Iteration, IterationList, IterationSummary};
 use crate::error::{ProblemDetails, WebError};
 use crate::state::App;
@@ -39,7 +39,7 @@ pub(crate) struct Query {
     order: Order,
 }
 
-/// Iterations by rising number, or the slowest.
+/// Iterations by rising number, or the slowest; those that retention deleted are left out.
 #[utoipa::path(get, path = "/api/v1/runs/{run}/iterations", operation_id = "listIterations", tag = "iterations", params(("run" = i64, Path), Query), responses(
     (status = 200, body = IterationList),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
@@ -51,7 +51,7 @@ pub(crate) async fn list(
 ) -> Result<Json<IterationList>, WebError> {
     let number = path(number)?;
     let limit = bounded("limit", query.limit, 100, 1..=1_000)?;
-    must_exist(&app, number).await?;
+    let run = app.store().run(number).await?.ok_or_else(|| no_run(number))?;
     if query.order == Order::Slowest {
         if query.after.is_some() || query.unsuccessful {
             let text = "query parameter order: slowest cannot be combined with after or unsuccessful";
@@ -63,13 +63,14 @@ pub(crate) async fn list(
             next: None,
         }));
     }
-    let filter = IterationFilter { after: query.after.unwrap_or(0), limit, unsuccessful: query.unsuccessful };
+    let after = query.after.unwrap_or(0).max(run.summary.nodes_from);
+    let filter = IterationFilter { after, limit, unsuccessful: query.unsuccessful };
     let rows = app.store().iterations(number, &filter).await?;
     let next = rows.last().filter(|_| rows.len() == limit as usize).map(|row| row.number);
     Ok(Json(IterationList { iterations: rows.iter().map(IterationSummary::from).collect(), next }))
 }
 
-/// One iteration with its tree.
+/// One iteration with its tree. 410 where retention deleted it, 404 where there never was one.
 #[utoipa::path(get, path = "/api/v1/runs/{run}/iterations/{iteration}", operation_id = "getIteration", tag = "iterations",
     params(("run" = i64, Path), ("iteration" = u64, Path)),
     responses(
@@ -82,6 +83,10 @@ pub(crate) async fn one(
     numbers: Result<Path<(i64, u64)>, PathRejection>,
 ) -> Result<Json<Iteration>, WebError> {
     let (run, number) = path(numbers)?;
+    let known = app.store().run(run).await?.ok_or_else(|| no_run(run))?;
+    if let Some(gone) = deleted(&app, &known.summary, number) {
+        return Err(gone);
+    }
     let found = app.store().iteration(run, number).await?;
     let found =
         found.ok_or_else(|| WebError::NotFound(format!("run {run} has no stored iteration {number}")))?;

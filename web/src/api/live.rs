@@ -14,7 +14,7 @@ use axum::http::HeaderName;
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{AppendHeaders, IntoResponse};
 use futures::{Stream, StreamExt, stream};
-use peernet_aggregator::Picture;
+use peernet_aggregator::{Picture, Readiness};
 use serde::Deserialize;
 use tokio::sync::watch;
 use tokio::time::Instant;
@@ -129,6 +129,7 @@ struct Listener {
     app: App,
     topics: Vec<Topic>,
     pictures: watch::Receiver<Arc<Picture>>,
+    ready: watch::Receiver<Readiness>,
     next: Instant,
     /// What was sent last of each part of each topic's page.
     sent: HashMap<(usize, &'static str), u64>,
@@ -139,10 +140,14 @@ fn events(app: App, topics: Vec<Topic>) -> impl Stream<Item = Result<Event, Infa
     // The first picture goes out at once.
     pictures.mark_changed();
     let stop = app.stop.clone();
-    let listener = Listener { app, topics, pictures, next: Instant::now(), sent: HashMap::new() };
+    let ready = app.aggregator.readiness();
+    let listener = Listener { app, topics, pictures, ready, next: Instant::now(), sent: HashMap::new() };
     let batches = stream::unfold(listener, |mut listener| async move {
         tokio::time::sleep_until(listener.next).await;
-        listener.pictures.changed().await.ok()?;
+        tokio::select! {
+            changed = listener.pictures.changed() => changed.ok()?,
+            changed = listener.ready.changed() => changed.ok()?,
+        }
         let now = Instant::now();
         let picture = Arc::clone(&listener.pictures.borrow_and_update());
         let (events, bytes) = listener.events(&picture).await;
@@ -166,7 +171,8 @@ fn hash(text: &str) -> u64 {
 impl Listener {
     /// What to send of a picture, and how many bytes that is.
     async fn events(&mut self, picture: &Picture) -> (Vec<Event>, usize) {
-        let mut texts = vec![("status", serde_json::to_string(&StatusEvent::new(picture)))];
+        let readiness = self.ready.borrow_and_update().clone();
+        let mut texts = vec![("status", serde_json::to_string(&StatusEvent::new(picture, &readiness)))];
         for (index, topic) in self.topics.iter().enumerate() {
             match topic.update(&self.app, picture).await {
                 None => texts.push(("picture", serde_json::to_string(&PictureEvent::new(picture)))),

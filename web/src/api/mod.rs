@@ -9,8 +9,9 @@ mod links;
 pub(crate) mod live;
 mod openapi;
 pub(crate) mod parameters;
+mod pin;
 mod pipelines;
-mod run;
+pub(crate) mod run;
 mod runs;
 mod schema;
 
@@ -19,6 +20,7 @@ use axum::routing::get;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
+use crate::metrics;
 use crate::state::App;
 
 /// All resources with their description.
@@ -38,12 +40,14 @@ fn described() -> OpenApiRouter<App> {
         .routes(routes!(run::series))
         .routes(routes!(run::histogram))
         .routes(routes!(run::recomputed))
+        .routes(routes!(pin::put, pin::delete))
         .routes(routes!(iterations::list))
         .routes(routes!(iterations::one))
         .routes(routes!(export::table))
         .routes(routes!(incidents::list))
         .routes(routes!(health::alive))
         .routes(routes!(health::ready))
+        .routes(routes!(metrics::serve))
 }
 
 pub(crate) fn routes() -> Router<App> {

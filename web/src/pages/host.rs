@@ -3,13 +3,14 @@
 use askama::Template;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
-use peernet_aggregator::{HostPicture, HostRow, Picture, Stored};
-use peernet_logger::stream::{Accounting, HostClock, HostDescription};
+use peernet_aggregator::{HostPicture, HostRow, Picture};
+use peernet_logger::stream::{HostClock, HostDescription};
 
 use super::{Page, Update, page, path};
 use crate::error::WebError;
-use crate::numbers::{NONE, SPACE, bytes, count, fixed, length};
+use crate::numbers::{NONE, SPACE, bytes, count, fixed};
 use crate::state::{App, AppState};
+use crate::view::events::{self, Events};
 use crate::view::hosts::{HostLine, clock_words, hardware_name};
 use crate::view::link::panels::{claims, discipline};
 use crate::view::link::{self, Subject};
@@ -24,7 +25,7 @@ pub(crate) const TOPIC: &str = "host";
 type Pairs = Vec<(&'static str, String)>;
 
 #[derive(Template)]
-#[template(path = "pages/host.html", blocks = ["title", "now", "pipelines", "clock", "accounting"])]
+#[template(path = "pages/host.html", blocks = ["title", "now", "accounting", "pipelines", "clock", "stored"])]
 struct Host {
     shell: Shell,
     name: String,
@@ -35,7 +36,8 @@ struct Host {
     agent: Pairs,
     hardware: Pairs,
     clock: Pairs,
-    accounting: Pairs,
+    events: Events,
+    stored: Pairs,
     pipelines: Vec<NowRow>,
 }
 
@@ -50,7 +52,7 @@ struct PastHost {
     agent: Pairs,
     hardware: Pairs,
     clock: Pairs,
-    accounting: Pairs,
+    stored: Pairs,
 }
 
 /// `GET /hosts/{host}`.
@@ -74,9 +76,10 @@ pub(crate) fn update(app: &AppState, picture: &Picture, name: &str) -> Result<Up
     let parts = vec![
         ("title", page.as_title().render()?),
         ("now", page.as_now().render()?),
+        ("accounting", page.as_accounting().render()?),
         ("pipelines", page.as_pipelines().render()?),
         ("clock", page.as_clock().render()?),
-        ("accounting", page.as_accounting().render()?),
+        ("stored", page.as_stored().render()?),
     ];
     Ok(Update::new(page.shell.title, parts))
 }
@@ -107,25 +110,6 @@ fn agent(description: &HostDescription) -> Pairs {
         ("Serves", description.serves.clone().unwrap_or_else(|| format!("{NONE} no models for others"))),
         ("Models", if models.is_empty() { NONE.to_owned() } else { models }),
     ]
-}
-
-fn accounting(agents: Option<&Accounting>, stored: &Stored) -> Pairs {
-    let mut pairs = Vec::new();
-    if let Some(agents) = agents {
-        pairs.extend([
-            ("Offered", format!("{} events since the agent started", count(agents.offered))),
-            ("Acknowledged", count(agents.stored)),
-            ("Waiting there", format!("{}, {}", count(agents.waiting), bytes(agents.waiting_bytes as f64))),
-            ("Dropped there", count(agents.dropped)),
-        ]);
-    }
-    pairs.extend([
-        ("Stored here", format!("{} events, {} nodes", count(stored.events), count(stored.nodes))),
-        ("Gaps", format!("{}, {} events missing", count(stored.gaps), count(stored.missing))),
-        ("Came twice", format!("{} batches, stored once", count(stored.duplicates))),
-        ("Put aside", format!("{} batches that made no sense", count(stored.quarantined))),
-    ]);
-    pairs
 }
 
 /// How often the clock was found stepped, in words.
@@ -187,12 +171,9 @@ fn host_page(app: &AppState, picture: &Picture, host: &HostPicture) -> Host {
             ("Rehearsal", host.clock.rehearsal.as_ref().map_or_else(|| "none".to_owned(), rehearsal::words)),
             ("Boot id", description.clock.boot.to_string()),
             ("Clock name", description.clock.clock.to_string()),
-            (
-                "Storing behind",
-                host.behind.map_or_else(|| format!("0{SPACE}s"), |behind| length(behind.seconds())),
-            ),
         ],
-        accounting: accounting(Some(&host.accounting), &host.stored),
+        events: Events::of(host),
+        stored: events::stored(&host.stored, Some(&host.arrivals), host.newest_stored, app.zone),
         pipelines: NowTable::new(&mine, 10).rows,
         name,
     }
@@ -212,7 +193,7 @@ fn past_page(app: &AppState, picture: &Picture, row: &HostRow) -> PastHost {
             ("Boot id", description.clock.boot.to_string()),
             ("Clock name", description.clock.clock.to_string()),
         ],
-        accounting: accounting(None, &row.stored),
+        stored: events::stored(&row.stored, None, None, app.zone),
         name,
     }
 }

@@ -10,6 +10,7 @@ use super::{Page, Update, page};
 use crate::error::WebError;
 use crate::state::{App, AppState};
 use crate::view::cut;
+use crate::view::events::EventLine;
 use crate::view::hosts::{HostLine, RefusedLine};
 use crate::view::shell::{Place, Shell};
 use crate::zone::Moment;
@@ -18,11 +19,12 @@ use crate::zone::Moment;
 pub(crate) const TOPIC: &str = "hosts";
 
 #[derive(Template)]
-#[template(path = "pages/hosts.html", blocks = ["title", "list"])]
+#[template(path = "pages/hosts.html", blocks = ["title", "list", "events"])]
 struct Hosts {
     shell: Shell,
     title: String,
     hosts: Vec<HostLine>,
+    events: Vec<EventLine>,
     /// Said where not all of them are shown.
     cut: Option<String>,
     /// Hosts that were turned away lately.
@@ -42,7 +44,11 @@ pub(crate) async fn show(State(app): State<App>) -> Page {
 /// What of the page changed.
 pub(crate) fn update(app: &AppState, picture: &Picture) -> Result<Update, WebError> {
     let page = hosts(app, picture, &[]);
-    let parts = vec![("title", page.as_title().render()?), ("list", page.as_list().render()?)];
+    let parts = vec![
+        ("title", page.as_title().render()?),
+        ("list", page.as_list().render()?),
+        ("events", page.as_events().render()?),
+    ];
     Ok(Update::new(page.shell.title, parts))
 }
 
@@ -60,6 +66,7 @@ fn hosts(app: &AppState, picture: &Picture, stored: &[HostRow]) -> Hosts {
         shell: Shell::new(app, picture, Place::Hosts, "Hosts").live(TOPIC),
         title,
         hosts: HostLine::first(cut::LIST, picture, app.clock.identity(), app.zone),
+        events: picture.hosts.iter().take(cut::LIST).map(|host| EventLine::new(host)).collect(),
         cut: cut::words(cut::LIST, picture.hosts.len()),
         refused: RefusedLine::all(picture, app.zone),
         past_cut: cut::words(cut::LIST, past.len()),

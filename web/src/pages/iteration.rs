@@ -6,6 +6,7 @@ use axum::extract::{Path, State};
 use peernet_aggregator::{Blame, IterationDetail, IterationRow, RunDetail, RunSummary};
 
 use super::{Page, page, path};
+use crate::api::run::deleted;
 use crate::error::WebError;
 use crate::numbers::{NONE, count, duration, times};
 use crate::state::{App, AppState};
@@ -16,9 +17,6 @@ use crate::view::shell::{Place, Shell};
 use crate::view::timeline::Timeline;
 use crate::view::waterfall::{DelayRow, Row, delays, footnote, journey, rows};
 use crate::view::{link, place, rehearsal};
-
-/// Iterations slower than this one are looked for among so many.
-const RANKED: u64 = 1_000;
 
 #[derive(Template)]
 #[template(path = "pages/iteration.html")]
@@ -52,15 +50,15 @@ struct Iteration {
 pub(crate) async fn show(State(app): State<App>, numbers: Result<Path<(i64, u64)>, PathRejection>) -> Page {
     let (run_number, number) = path(numbers)?;
     let store = app.store();
-    let (run, detail) = tokio::try_join!(store.run(run_number), store.iteration(run_number, number))?;
+    let run = store.run(run_number).await?;
     let run = run.ok_or_else(|| WebError::NotFound(format!("no run #{run_number} is stored")))?;
+    if let Some(gone) = deleted(&app, &run.summary, number) {
+        return Err(gone);
+    }
+    let detail = store.iteration(run_number, number).await?;
     let detail = detail
         .ok_or_else(|| WebError::NotFound(format!("run #{run_number} has no stored iteration {number}")))?;
-    let ranked = match detail.rank.filter(|rank| *rank < RANKED) {
-        Some(rank) => store.slowest(run_number, u32::try_from(rank + 1).unwrap_or(1)).await?,
-        None => Vec::new(),
-    };
-    page(&assemble(&app, &run, &detail, &ranked))
+    page(&assemble(&app, &run, &detail))
 }
 
 /// The page's sentence: how long, how unusual, because of what.
@@ -116,12 +114,7 @@ fn facts(app: &AppState, run: &RunSummary, detail: &IterationDetail) -> Vec<Stri
     facts
 }
 
-fn assemble(
-    app: &AppState,
-    stored: &RunDetail,
-    detail: &IterationDetail,
-    ranked: &[IterationRow],
-) -> Iteration {
+fn assemble(app: &AppState, stored: &RunDetail, detail: &IterationDetail) -> Iteration {
     let (run, row) = (&stored.summary, &detail.row);
     let picture = app.picture();
     let timeline = Timeline::of(detail);
@@ -134,10 +127,6 @@ fn assemble(
     let edge = hosts.first().cloned().unwrap_or_default();
     let cloud = timeline.visit().and_then(|_| hosts.get(1).cloned());
     let neighbour = |number: Option<u64>| number.map(|number| (number, count(number)));
-    let ranked_at = |rank: Option<u64>| {
-        let index = usize::try_from(rank?.checked_sub(1)?).ok()?;
-        ranked.get(index).map(|row| row.number)
-    };
     Iteration {
         shell: Shell::new(app, &picture, Place::Runs, format!("Iteration {}", count(row.number))),
         run: run.number,
@@ -150,8 +139,8 @@ fn assemble(
         link: link::of_placement(&picture, run.host_name.as_str(), &run.placement),
         previous: neighbour(detail.previous),
         next: neighbour(detail.next),
-        slower: ranked_at(detail.rank.map(|rank| rank - 1)),
-        faster: ranked_at(detail.rank.map(|rank| rank + 1)),
+        slower: detail.slower,
+        faster: detail.faster,
         axis: Axis::milliseconds(&scale, ""),
         lanes: cloud
             .as_ref()

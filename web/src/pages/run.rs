@@ -64,6 +64,7 @@ struct Run {
     pipeline: String,
     facts: Vec<String>,
     rehearsal: Option<Chip>,
+    pinned: bool,
     notes: Vec<Note>,
     end: End,
     lead: (String, Option<String>),
@@ -181,15 +182,17 @@ fn assemble(app: &AppState, stored: &Stored<'_>, distribution: Distribution) -> 
     let missing: u64 = run.gaps.iter().map(|gap| gap.count).sum();
     let (zone, picture) = (app.zone, app.picture());
     let link = link::of_placement(&picture, summary.host_name.as_str(), &summary.placement);
+    let of_delays = Note::of_delays(summary.pipeline.as_str(), "", link.as_deref(), bounds, |name| {
+        stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures)
+    });
     Ok(Run {
         shell: Shell::new(app, &picture, Place::Runs, place::run_name(summary)),
         number: summary.number,
         pipeline: summary.pipeline.to_string(),
         facts: facts(run, zone),
         rehearsal: summary.rehearsed.then_some(rehearsal::CHIP),
-        notes: Note::of_delays(summary.pipeline.as_str(), "", link.as_deref(), bounds, |name| {
-            stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures)
-        }),
+        pinned: summary.pinned,
+        notes: runs::trimmed(summary, app.aggregator.retention()).into_iter().chain(of_delays).collect(),
         end: End::of(summary, &picture, zone),
         lead: total.map_or((NONE.to_owned(), None), |total| mean_std_ms(total.mean, total.std)),
         stats: vec![

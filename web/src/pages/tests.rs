@@ -1,5 +1,7 @@
 //! Every page that live updates change, in every state that its data may have.
 
+mod events;
+
 use peernet_clock::{Span, Verdict};
 use peernet_logger::Name;
 use peernet_logger::stream::{PipelineState, PlacementKind};
@@ -69,9 +71,11 @@ async fn thousands_of_pipelines_and_hosts_are_cut_off_where_the_page_says() {
 
     let (app, _folder) = samples::app().await;
     for update in [pipelines::update(&app, &shown), hosts::update(&app, &shown)] {
-        let html: String = update.expect("renders").parts.into_iter().map(|(_, html)| html).collect();
-        assert_eq!(html.matches("<tr><th scope=\"row\"").count(), 500);
-        assert!(html.contains("the first 500 of 2,000"), "{html}");
+        let parts = update.expect("renders").parts;
+        assert!(parts.iter().any(|(_, html)| html.contains("the first 500 of 2,000")), "{parts:?}");
+        let tables = parts.iter().map(|(_, html)| html.matches("<tr><th scope=\"row\"").count());
+        let tables: Vec<usize> = tables.filter(|rows| *rows > 0).collect();
+        assert!(!tables.is_empty() && tables.iter().all(|rows| *rows == 500), "{tables:?}");
     }
 }
 

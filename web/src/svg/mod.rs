@@ -6,6 +6,7 @@
 mod axis;
 mod bar;
 mod histogram;
+mod meter;
 pub(crate) mod pen;
 mod ruler;
 mod spark;
@@ -17,6 +18,7 @@ use std::fmt;
 pub(crate) use axis::{Axis, Scale};
 pub(crate) use bar::{Bar, Part, ShareBar};
 pub(crate) use histogram::{DistributionView, HistogramPlot, shown_in};
+pub(crate) use meter::Meter;
 pub(crate) use ruler::Ruler;
 pub(crate) use spark::Spark;
 pub(crate) use tracks::{Gap, RailSign, Segment, Strip, Track, Tracks};

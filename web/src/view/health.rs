@@ -1,20 +1,18 @@
 //! The health of the system in sentences: the title of the overview and the notes under it.
 
 use peernet_aggregator::{HostPicture, Picture, PipelinePicture};
-use peernet_clock::Span;
 use peernet_logger::stream::PipelineState;
 use peernet_logger::{Name, stage};
 
 use super::chip::{Chip, Tone};
+use super::events::FAR_BEHIND;
 use super::notes::Note;
 use super::{link, place};
-use crate::numbers::{count, length, percent};
+use crate::numbers::{count, length, percent, roughly};
 use crate::zone::Zone;
 
 /// At most so many notes are shown; the others are counted.
 const NOTES: usize = 5;
-/// Storing further behind measuring than this is worth a note.
-const FAR_BEHIND: Span = Span::from_seconds(5);
 /// A share of lost iterations worth a note.
 const MANY_LOST: f64 = 0.001;
 
@@ -84,14 +82,23 @@ fn host_notes(host: &HostPicture, zone: Zone) -> Vec<Note> {
         notes.push(note(Chip::new(Tone::Warn, "gap", "away"), format!("has not reported since {seen}.")));
     }
     let missing = host.accounting.dropped.max(host.stored.missing);
+    if let Some(trouble) = &host.accounting.trouble {
+        let text = format!("cannot use its spool: {trouble}. Its events wait in memory.");
+        notes.push(note(Chip::new(Tone::Bad, "failed", "spool fails"), text));
+    }
     if missing > 0 {
-        let text =
-            format!("dropped {} events: its queue was full. Nothing is shown for them.", count(missing));
+        let text = format!(
+            "dropped {} events: there was no room for them. Nothing is shown for them.",
+            count(missing)
+        );
         notes.push(note(Chip::new(Tone::Warn, "gap", "gap"), text));
     }
     if let Some(behind) = host.behind.filter(|behind| *behind > FAR_BEHIND) {
+        let left = host
+            .catching_up
+            .map_or_else(String::new, |found| format!(", about {} left", roughly(found.left.seconds())));
         let text = format!(
-            "stores {} behind measuring, {} events wait there. Live figures are not affected.",
+            "stores {} behind measuring{left}, {} events wait there. Live figures are not affected.",
             length(behind.seconds()),
             count(host.accounting.waiting)
         );

@@ -5,6 +5,7 @@ use peernet_clock::{ClockIdentity, Span};
 use peernet_logger::stream::{Hardware, HostMetrics};
 
 use super::chip::{Chip, Tone};
+use super::events::FAR_BEHIND;
 use super::link::panels::discipline;
 use super::rehearsal;
 use crate::numbers::{NONE, SPACE, count, fixed, gigabytes, length};
@@ -111,8 +112,8 @@ impl HostLine {
         let name = host.description.name.to_string();
         let metrics = &host.metrics;
         let (clock, clock_title) = clock_words(&host.description.clock, ours, host.clock_ahead);
-        let late = host.behind.is_some_and(|behind| behind > Span::from_seconds(5));
-        let tone = if !host.connected {
+        let late = host.behind.is_some_and(|behind| behind > FAR_BEHIND);
+        let tone = if !host.connected || host.accounting.trouble.is_some() {
             Tone::Bad
         } else if late || host.accounting.dropped > 0 {
             Tone::Warn

@@ -6,6 +6,7 @@ pub(crate) mod chip;
 pub(crate) mod clocks;
 pub(crate) mod cut;
 pub(crate) mod data;
+pub(crate) mod events;
 pub(crate) mod health;
 pub(crate) mod hosts;
 pub(crate) mod incidents;
@@ -22,6 +23,7 @@ pub(crate) mod shell;
 pub(crate) mod speed;
 pub(crate) mod stack;
 pub(crate) mod stages;
+pub(crate) mod storing;
 pub(crate) mod timeline;
 pub(crate) mod waterfall;
 

@@ -1,12 +1,16 @@
 //! Runs in a list.
 
-use peernet_aggregator::{Picture, RunSummary};
+use peernet_aggregator::{Picture, RetentionConfig, RunSummary};
 use peernet_clock::WallTime;
 
-use super::chip::Chip;
+use super::chip::{Chip, Tone};
+use super::notes::Note;
 use super::{place, rehearsal};
 use crate::numbers::{NONE, count, length, percent, total_ms};
 use crate::zone::{Moment, Zone};
+
+/// The chip of a run of which retention deletes nothing.
+pub(crate) const KEPT: Chip = Chip::new(Tone::Quiet, "pin", "kept");
 
 /// What is known of a run's end.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,6 +53,32 @@ pub(crate) struct RunLine {
     pub p95: String,
     pub p99: String,
     pub rehearsal: Option<Chip>,
+    pub kept: Option<Chip>,
+}
+
+/// Why iterations are deleted: `after 7 days`.
+pub(crate) fn why_deleted(retention: &RetentionConfig) -> String {
+    match (retention.nodes_days, retention.size_limit_bytes) {
+        (1, 0) => "after 1 day".to_owned(),
+        (days, 0) if days > 0 => format!("after {} days", count(days.into())),
+        _ => "because of their age or for want of room".to_owned(),
+    }
+}
+
+/// What retention deleted of a run: which iterations, and what of them.
+pub(crate) fn trimmed(run: &RunSummary, retention: &RetentionConfig) -> Option<Note> {
+    let which = match run.nodes_from {
+        0 => return None,
+        1 => "Iteration 1".to_owned(),
+        last => format!("Iterations 1 to {}", count(last)),
+    };
+    Some(Note {
+        chip: Chip::new(Tone::Quiet, "gap", "deleted"),
+        subject: which,
+        href: String::new(),
+        text: format!("can no longer be opened: deleted {}. The statistics remain.", why_deleted(retention)),
+        link: None,
+    })
 }
 
 /// Share of iterations without an answer.
@@ -80,6 +110,26 @@ impl RunLine {
             p95: quantile(total.and_then(|total| total.p95)),
             p99: quantile(total.and_then(|total| total.p99)),
             rehearsal: run.rehearsed.then_some(rehearsal::CHIP),
+            kept: run.pinned.then_some(KEPT),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn why_something_was_deleted_is_said_as_far_as_it_is_known() {
+        let why = |nodes_days, size_limit_bytes| {
+            why_deleted(&RetentionConfig { nodes_days, size_limit_bytes, ..RetentionConfig::default() })
+        };
+        assert_eq!((why(7, 0).as_str(), why(1, 0).as_str()), ("after 7 days", "after 1 day"));
+        assert_eq!(why(7, 1 << 30), "because of their age or for want of room");
+        assert_eq!(
+            why(0, 0),
+            "because of their age or for want of room",
+            "the configuration was another one"
+        );
     }
 }

@@ -3,9 +3,9 @@
 use std::sync::Arc;
 
 use peernet_aggregator::{
-    Aggregator, AggregatorConfig, Bound, ClockPoint, Figures, HostPicture, IncidentRow, IterationDetail,
-    IterationRow, LinkPicture, LiveSecond, MetricsPoint, Picture, PipelinePicture, RefusedHost, Stored,
-    Window,
+    Aggregator, AggregatorConfig, Arrivals, Bound, ClockPoint, Figures, HostPicture, IncidentRow,
+    IterationDetail, IterationRow, LinkPicture, LiveSecond, MetricsPoint, Picture, PipelinePicture,
+    RefusedHost, Stored, Totals, Window,
 };
 use peernet_clock::{
     ClockIdentity, DelaySource, ExchangeCounts, Interval, ManualClock, Offset, Span, Verdict, WallTime,
@@ -160,12 +160,34 @@ pub(crate) fn host(name: &str, kind: &str) -> HostPicture {
         last_seen: NOW,
         clock_ahead: Span::from_millis(3),
         behind: None,
+        catching_up: None,
         clock: HostClock::default(),
         history: vec![Arc::new(MetricsPoint { at: NOW, metrics: metrics.clone() })],
         metrics,
         accounting: Accounting::default(),
         stored: Stored::default(),
+        arrivals: Arrivals::default(),
+        newest_stored: None,
         live_left_out: 0,
+    }
+}
+
+/// An account that adds up: some events wait, some were dropped.
+pub(crate) fn accounting() -> Accounting {
+    Accounting {
+        produced: 1_204_500,
+        spooled: 1_204_370,
+        sent: 1_203_000,
+        stored: 1_202_988,
+        waiting: 1_462,
+        dropped: 50,
+        gaps: 1,
+        spool_bytes: 312_000_000,
+        spool_limit_bytes: 1 << 30,
+        memory_bytes: 21_200,
+        oldest: Some(NOW - Span::from_millis(400)),
+        compressed: false,
+        trouble: None,
     }
 }
 
@@ -178,6 +200,7 @@ pub(crate) fn picture(hosts: Vec<HostPicture>, pipelines: Vec<PipelinePicture>) 
         pipelines: pipelines.into_iter().map(Arc::new).collect(),
         links: Vec::new(),
         refused: Vec::new(),
+        totals: Totals::default(),
     }
 }
 
@@ -319,6 +342,8 @@ pub(crate) fn iteration() -> IterationDetail {
         rank: Some(19),
         previous: Some(10_481),
         next: Some(10_483),
+        slower: Some(8_120),
+        faster: Some(12_007),
         run_figures: MEANS.map(|(name, mean)| (Name::from(name), figures(mean, 17_640))).to_vec(),
     }
 }

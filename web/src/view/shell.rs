@@ -3,6 +3,7 @@
 use peernet_aggregator::Picture;
 
 use super::rehearsal::Rehearsed;
+use super::storing;
 use crate::assets;
 use crate::state::AppState;
 
@@ -52,6 +53,8 @@ pub(crate) struct Shell {
     pub waiting: bool,
     /// What is said about clocks that are made wrong on purpose.
     pub rehearsals: Vec<String>,
+    /// Said while events are not being stored.
+    pub not_storing: Option<String>,
 }
 
 impl Shell {
@@ -71,6 +74,7 @@ impl Shell {
             topic: None,
             waiting: picture.hosts.is_empty(),
             rehearsals: Rehearsed::of(picture).banner(),
+            not_storing: storing::notice(&app.aggregator.ready()),
         }
     }
 

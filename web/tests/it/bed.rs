@@ -24,7 +24,7 @@ pub(crate) struct Bed {
     pub(crate) listening: String,
     router: Router,
     _running: peernet_aggregator::Running,
-    _folder: tempfile::TempDir,
+    folder: tempfile::TempDir,
 }
 
 /// An answer, read to its end.
@@ -51,7 +51,11 @@ impl Answer {
 impl Bed {
     /// Nothing has reported yet.
     pub(crate) async fn empty() -> Self {
-        let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("rack-a", "system")));
+        Self::at(Arc::new(SystemClock::new(ClockIdentity::new("rack-a", "system")))).await
+    }
+
+    /// The same, by a clock of its own.
+    pub(crate) async fn at(clock: SharedClock) -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let stop = CancellationToken::new();
         let config = AggregatorConfig {
@@ -65,7 +69,7 @@ impl Bed {
         let listening = aggregator.live().borrow().listening.clone();
         let config = WebConfig { listen: "127.0.0.1:0".into(), time_zone: Zone::Utc, ..WebConfig::default() };
         let router = peernet_web::router(&config, aggregator.clone(), clock.clone(), stop.clone());
-        Self { aggregator, clock, stop, config, listening, router, _running: running, _folder: folder }
+        Self { aggregator, clock, stop, config, listening, router, _running: running, folder }
     }
 
     /// A run of each line is stored and all of them are live.
@@ -86,6 +90,11 @@ impl Bed {
         })
         .await;
         (bed, factory)
+    }
+
+    /// Moves the database's file, or something else into its place.
+    pub(crate) fn move_database(&self, from: &str, to: &str) {
+        std::fs::rename(self.folder.path().join(from), self.folder.path().join(to)).expect("moves");
     }
 
     /// Waits for a picture.

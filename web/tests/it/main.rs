@@ -3,6 +3,9 @@
 mod api;
 mod bed;
 mod factory;
+mod metrics;
 mod pages;
+mod retained;
 mod serving;
+mod storing;
 mod stream;

@@ -28,8 +28,9 @@ pub struct HostConfig {
     /// between them are exact. Another name makes peers treat it as a clock of its own, which is for tests and
     /// rehearsals. Default: `system`.
     pub clock_identity: String,
-    /// Events that may wait for the aggregator; when they are this many the newest are dropped, counted and
-    /// reported as a gap. At most 10000000. Default: 50000.
+    /// Events that may wait in memory because they are not in the spool yet, which takes milliseconds unless its disk
+    /// is slow, full or broken; when they are this many the newest are dropped, counted and reported as a gap. At most
+    /// 10000000. Default: 50000.
     pub queue_events: NonZeroUsize,
     /// Bytes that those events may take; the same happens beyond. At most 16 GiB. Default: 33554432
     /// (32 MiB).
@@ -42,7 +43,7 @@ pub struct HostConfig {
     /// How long the first event of a batch may wait for more; milliseconds, up to a minute. Default: 200.
     pub batch_delay_ms: u32,
     /// How long stopping may take, iterations in flight and unsent events together; milliseconds, up to a
-    /// minute. What the aggregator does not take in time is given up, counted and logged. Default: 5000.
+    /// minute. What the aggregator does not take in time stays in the spool. Default: 5000.
     pub stop_timeout_ms: u64,
 }
 

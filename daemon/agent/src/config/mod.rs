@@ -8,6 +8,7 @@ mod pipeline;
 mod probes;
 mod rehearsal;
 mod serve;
+mod spool;
 
 pub use clock::{ClockConfig, DisciplineSource, Timestamps};
 pub use host::HostConfig;
@@ -15,6 +16,7 @@ pub use pipeline::{Limit, LoadConfig, PipelineConfig, PlacementConfig, RemoteCon
 pub use probes::ProbesConfig;
 pub use rehearsal::{RehearsalConfig, RehearsedDiscipline, RehearsedStepConfig};
 pub use serve::ServeConfig;
+pub use spool::{CompressionMode, SpoolConfig};
 
 use peernet_inference::{ModelConfig, OnnxRuntimeConfig};
 use serde::{Deserialize, Serialize};
@@ -26,6 +28,9 @@ pub struct AgentConfig {
     /// `[agent]`: the host itself and its connection to the aggregator.
     #[serde(default)]
     pub agent: HostConfig,
+    /// `[spool]`: where events wait for the aggregator.
+    #[serde(default)]
+    pub spool: SpoolConfig,
     /// `[clock]`: what one-way delays rest on.
     #[serde(default)]
     pub clock: ClockConfig,

@@ -10,8 +10,7 @@ use zeromq::{
     TrySendError,
 };
 
-/// Messages that the socket takes before the connection has: a window of batches and little more, so that live
-/// figures never grow old in it.
+/// Messages that the socket takes before the connection has: few, because live figures grow old behind them.
 const QUEUE: u32 = 8;
 const HEARTBEAT: Duration = Duration::from_secs(1);
 /// A peer this silent is gone.
@@ -72,17 +71,19 @@ impl Connection {
         }
     }
 
-    /// The next message's frames, or why there will be none. Dropping the future loses nothing.
-    pub(super) async fn receive(&mut self) -> Result<Message, String> {
+    /// The next message's frames, or why there will be none; nothing when it is `blocked`, and has room again. Dropping
+    /// the future loses nothing.
+    pub(super) async fn receive(&mut self, blocked: bool) -> Result<Option<Message>, String> {
         loop {
             tokio::select! {
                 biased;
-                message = self.socket.recv() => return message.map_err(|error| error.to_string()),
+                message = self.socket.recv() => return message.map(Some).map_err(|error| error.to_string()),
                 event = self.monitor.recv() => match event {
                     Ok(MonitorEvent::Disconnected { reason, .. }) => return Err(in_words(&reason)),
                     Ok(_) => {}
                     Err(error) => return Err(error.to_string()),
                 },
+                () = self.socket.wait_send_ready(), if blocked => return Ok(None),
             }
         }
     }

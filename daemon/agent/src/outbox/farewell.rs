@@ -4,65 +4,58 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-/// Kept for what must not be left out when there is no time for everything.
-const RESERVE: Duration = Duration::from_millis(500);
-
-/// The last moments of the outbox.
+/// The last moments of the outbox: everything into the spool, and over there what is taken in time.
 #[derive(Debug)]
 pub(super) struct Farewell {
     deadline: Instant,
-    /// When there is no time for everything any more.
-    everything: Instant,
     /// How long it may stay silent over there.
     quiet: Duration,
     /// When something was last stored, and how much by then.
     heard: Instant,
     stored: u64,
-    given_up: bool,
 }
 
-/// What to do now.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Next {
-    /// Go on, and look again then at the latest.
-    Wait(Instant),
-    /// Give up what waits and send only that the runs ended.
-    Frames,
-    /// It is over.
-    Leave,
+/// How things are.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Standing {
+    /// Nothing is in memory only.
+    pub(super) spooled: bool,
+    /// The aggregator is known to be away.
+    pub(super) away: bool,
+    /// Events that it has stored.
+    pub(super) stored: u64,
+    /// Events that it has not.
+    pub(super) waiting: u64,
 }
 
 impl Farewell {
     /// Told `now` to end by `deadline`; so many events are stored already.
     pub(super) fn begin(now: Instant, deadline: Instant, stored: u64) -> Self {
-        let whole = deadline.saturating_duration_since(now);
-        let everything = deadline.checked_sub(RESERVE.min(whole / 4)).unwrap_or(now);
-        Self { deadline, everything, quiet: whole / 2, heard: now, stored, given_up: false }
+        Self { deadline, quiet: deadline.saturating_duration_since(now) / 2, heard: now, stored }
     }
 
-    /// Looks at how many events are stored and how many wait.
-    pub(super) fn next(&mut self, now: Instant, stored: u64, waiting: u64) -> Next {
-        if waiting == 0 || now >= self.deadline {
-            return Next::Leave;
-        }
+    /// Until when to go on, and look again then at the latest; `None` when it is over.
+    pub(super) fn next(&mut self, now: Instant, standing: Standing) -> Option<Instant> {
+        let Standing { spooled, away, stored, waiting } = standing;
         if stored > self.stored {
             (self.stored, self.heard) = (stored, now);
         }
-        if self.given_up {
-            return Next::Wait(self.deadline);
-        }
-        let until = self.everything.min(self.heard + self.quiet);
-        if now < until {
-            return Next::Wait(until);
-        }
-        self.given_up = true;
-        Next::Frames
+        let until = match (spooled, away) {
+            // What is in memory only is lost otherwise.
+            (false, _) => self.deadline,
+            (true, true) => now,
+            // The next start delivers what nobody takes now.
+            (true, false) => self.deadline.min(self.heard + self.quiet),
+        };
+        (waiting > 0 && now < until).then_some(until)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    const SAFE: Standing = Standing { spooled: true, away: false, stored: 10, waiting: 90 };
 
     fn seconds(seconds: f64) -> Duration {
         Duration::from_secs_f64(seconds)
@@ -73,21 +66,31 @@ mod tests {
         let now = Instant::now();
         let at = |after: f64| now + seconds(after);
         let mut farewell = Farewell::begin(now, at(4.0), 10);
-        assert_eq!(farewell.next(now, 10, 90), Next::Wait(at(2.0)));
-        assert_eq!(farewell.next(at(1.9), 20, 80), Next::Wait(at(3.5)));
-        assert_eq!(farewell.next(at(3.4), 30, 70), Next::Wait(at(3.5)));
-        assert_eq!(farewell.next(at(3.5), 30, 70), Next::Frames);
-        assert_eq!(farewell.next(at(3.5), 30, 2), Next::Wait(at(4.0)));
-        assert_eq!(farewell.next(at(3.6), 32, 0), Next::Leave);
+        assert_eq!(farewell.next(now, SAFE), Some(at(2.0)));
+        assert_eq!(farewell.next(at(1.9), Standing { stored: 20, ..SAFE }), Some(at(3.9)));
+        assert_eq!(farewell.next(at(3.4), Standing { stored: 30, ..SAFE }), Some(at(4.0)));
+        assert_eq!(farewell.next(at(3.5), Standing { stored: 100, waiting: 0, ..SAFE }), None);
+        assert_eq!(farewell.next(at(4.0), Standing { stored: 31, ..SAFE }), None, "the deadline");
     }
 
     #[tokio::test]
-    async fn nobody_waits_long_for_an_aggregator_that_takes_nothing() {
+    async fn nobody_waits_for_an_aggregator_that_takes_nothing_once_all_is_safe() {
         let now = Instant::now();
         let at = |after: f64| now + seconds(after);
         let mut farewell = Farewell::begin(now, at(4.0), 10);
-        assert_eq!(farewell.next(at(2.0), 10, 90), Next::Frames);
-        assert_eq!(farewell.next(at(4.0), 10, 2), Next::Leave);
-        assert_eq!(Farewell::begin(now, now, 0).next(now, 0, 1), Next::Leave, "no time at all");
+        assert_eq!(farewell.next(at(2.0), SAFE), None, "silent");
+        assert_eq!(farewell.next(at(0.1), Standing { away: true, ..SAFE }), None, "away");
+        assert_eq!(Farewell::begin(now, now, 0).next(now, SAFE), None, "no time at all");
+    }
+
+    #[tokio::test]
+    async fn what_is_in_memory_only_is_waited_for_until_the_deadline() {
+        let now = Instant::now();
+        let at = |after: f64| now + seconds(after);
+        let mut farewell = Farewell::begin(now, at(4.0), 10);
+        let unsafe_yet = Standing { spooled: false, away: true, ..SAFE };
+        assert_eq!(farewell.next(at(3.9), unsafe_yet), Some(at(4.0)));
+        assert_eq!(farewell.next(at(3.95), Standing { spooled: true, ..unsafe_yet }), None);
+        assert_eq!(farewell.next(at(4.0), unsafe_yet), None);
     }
 }

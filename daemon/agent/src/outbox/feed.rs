@@ -42,8 +42,9 @@ pub(crate) struct Exit {
 #[derive(Debug)]
 pub(super) struct Overflow {
     clock: SharedClock,
+    /// How many since they were last taken.
     dropped: AtomicU64,
-    /// What was dropped since it was last taken, by pipeline and run.
+    /// Which, by pipeline and run.
     gaps: Mutex<BTreeMap<Origin, Gap>>,
 }
 
@@ -110,7 +111,7 @@ impl Exit {
 }
 
 impl Overflow {
-    /// Events that were dropped.
+    /// Events that were dropped and not taken yet.
     pub(super) fn dropped(&self) -> u64 {
         self.dropped.load(Ordering::Relaxed)
     }
@@ -122,13 +123,15 @@ impl Overflow {
             return Vec::new();
         }
         let gaps = std::mem::take(&mut *self.gaps.lock().unwrap_or_else(PoisonError::into_inner));
-        gaps.into_values().collect()
+        let gaps: Vec<Gap> = gaps.into_values().collect();
+        self.dropped.fetch_sub(gaps.iter().map(|gap| gap.count).sum(), Ordering::Relaxed);
+        gaps
     }
 
     fn count(&self, pipeline: Option<&Slug>, run: Option<RunId>) {
-        self.dropped.fetch_add(1, Ordering::Relaxed);
         let now = self.clock.wall();
         let mut gaps = self.gaps.lock().unwrap_or_else(PoisonError::into_inner);
+        self.dropped.fetch_add(1, Ordering::Relaxed);
         let gap = gaps.entry((pipeline.cloned(), run)).or_insert_with(|| Gap {
             pipeline: pipeline.cloned(),
             run,

@@ -1,39 +1,48 @@
 //! The way to the aggregator: events that must all arrive, and live figures that must be fresh.
 //!
 //! Pipelines hand their events to the [`Feed`] and go on. One task takes them from there, drives the sending end
-//! of the event stream (`peernet_logger::stream::Sending`, which batches, numbers, spools and repeats), and owns
-//! the connection. The spool behind it is in memory; the one on disk takes its place in [`Outbox::start`].
+//! of the event stream (`peernet_logger::stream::Sending`, which batches, numbers and repeats), and owns the
+//! connection. A second one owns the [spool], the file in which batches are safe until the aggregator has them.
 
 mod connection;
+mod dropping;
 mod farewell;
 mod feed;
+mod line;
+mod reports;
 mod sender;
+mod spool;
 mod tap;
 
 pub(crate) use feed::{Exit, Feed};
+pub(crate) use spool::OpenSpool;
+pub use spool::SpoolError;
 pub(crate) use tap::Tap;
 
 use peernet_clock::{SharedClock, Span};
-use peernet_logger::stream::{
-    Accounting, HostDescription, HostMetrics, MemorySpool, Sending, SendingConfig, Usage,
-};
+use peernet_logger::HostId;
+use peernet_logger::stream::{Accounting, HostDescription, HostMetrics, Sending, SendingConfig, Usage};
 use peernet_networks::Address;
 use tokio::sync::{oneshot, watch};
-use tokio::task::JoinHandle;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
+use tokio_util::task::AbortOnDropHandle;
 use uuid::Uuid;
 
+use self::reports::Reports;
 use self::sender::Sender;
-use crate::config::HostConfig;
+use self::spool::SpoolTask;
+use crate::config::{AgentConfig, HostConfig};
 use crate::host::Host;
 use crate::live::Board;
 use crate::pauses::Pauses;
 use crate::tasks::Failure;
 
-/// Batches under way at once: enough to keep the aggregator busy over one round trip and one write to its disk,
+/// What may be under way at once, in batches of the usual length: enough to keep the aggregator busy over one round trip and one write to its disk,
 /// few enough that a live update behind them is still live.
-const WINDOW: u64 = 4;
+const WINDOW: u32 = 4;
+/// Places in memory that iterations leave to the other events.
+const RESERVE: u64 = 1024;
 
 /// Where events go in, and the end at which [`Outbox::start`] takes them out; nowhere without an aggregator.
 pub(crate) fn entrance(config: &HostConfig, clock: &SharedClock) -> (Feed, Option<Exit>) {
@@ -44,10 +53,26 @@ pub(crate) fn entrance(config: &HostConfig, clock: &SharedClock) -> (Feed, Optio
     (feed, Some(exit))
 }
 
-/// The outbox task.
+/// The spool of this host; none without an aggregator.
+///
+/// # Errors
+/// When it cannot be had.
+pub(crate) async fn open_spool(
+    config: &AgentConfig,
+    host: HostId,
+    clock: &SharedClock,
+) -> Result<Option<OpenSpool>, SpoolError> {
+    if config.agent.aggregator.is_none() {
+        return Ok(None);
+    }
+    let path = config.spool.path(&config.agent.state_dir);
+    OpenSpool::open(&path, host, clock).await.map(Some)
+}
+
+/// The outbox task; it ends with this, as it would in a crash.
 #[derive(Debug)]
 pub(crate) struct Outbox {
-    task: JoinHandle<()>,
+    task: AbortOnDropHandle<Result<(), String>>,
     /// Takes the moment by which it must have ended.
     stop: oneshot::Sender<Instant>,
     ended: CancellationToken,
@@ -57,29 +82,32 @@ pub(crate) struct Outbox {
 impl Outbox {
     /// Starts sending to `address`.
     pub(crate) fn start(
-        config: &HostConfig,
+        config: &AgentConfig,
         address: Address,
         exit: Exit,
+        spool: OpenSpool,
         description: HostDescription,
         live: (Board, watch::Receiver<HostMetrics>),
         host: &Host,
     ) -> Self {
-        let spool = MemorySpool::new(Usage {
-            events: config.queue_events.get() as u64,
-            bytes: config.queue_bytes.get() as u64,
-        });
+        let OpenSpool { file, state, aside } = spool;
+        let reports = Reports::new(host.incidents.clone());
+        if let Some(aside) = &aside {
+            reports.put_aside(aside);
+        }
         let process = Uuid::new_v4().as_u64_pair().0;
-        let machine = Sending::new(sending(config), description, process, spool);
-        let (publish, accounting) = watch::channel(Accounting::default());
+        let machine = Sending::new(sending(config), description, process, state);
+        let (publish, accounting) = watch::channel(machine.accounting());
         let ((stop, told), ended) = (oneshot::channel(), CancellationToken::new());
-        let sender = Sender::new(machine, exit, live, publish, host);
+        let spool = SpoolTask::start(file, config.spool.sync_interval());
+        let sender = Sender::new(machine, spool, exit, live, publish, reports, host);
         let work = sender.run(address, Pauses::new(host.id), told);
         let guard = ended.clone().drop_guard();
         let task = tokio::spawn(async move {
             let _ended = guard;
-            work.await;
+            work.await
         });
-        Self { task, stop, ended, accounting }
+        Self { task: AbortOnDropHandle::new(task), stop, ended, accounting }
     }
 
     /// Cancelled when the task has ended, however that came.
@@ -89,25 +117,34 @@ impl Outbox {
 
     /// What became of the events.
     pub(crate) fn accounting(&self) -> Accounting {
-        *self.accounting.borrow()
+        self.accounting.borrow().clone()
     }
 
-    /// Hands over what there is until `deadline`, and takes leave.
+    /// Makes everything safe, hands over what is taken until `deadline`, and takes leave.
     pub(crate) async fn close(self, deadline: Instant) -> Result<(), Failure> {
         // A task that has ended already says why below.
         let _ = self.stop.send(deadline);
-        self.task.await.map_err(|error| Failure { part: "outbox".to_owned(), reason: error.to_string() })
+        let failed = |reason| Failure { part: "outbox".to_owned(), reason };
+        self.task.await.map_err(|died| failed(died.to_string()))?.map_err(failed)
     }
 }
 
-fn sending(config: &HostConfig) -> SendingConfig {
-    let standard = SendingConfig::default();
+fn sending(config: &AgentConfig) -> SendingConfig {
+    let AgentConfig { agent, spool, .. } = config;
+    let memory = Usage { events: agent.queue_events.get() as u64, bytes: agent.queue_bytes.get() as u64 };
     SendingConfig {
-        batch_nodes: config.batch_nodes.get(),
-        batch_bytes: config.batch_bytes.get(),
-        batch_age: Span::from_millis(config.batch_delay_ms.into()),
+        batch_nodes: agent.batch_nodes.get(),
+        batch_bytes: agent.batch_bytes.get(),
+        batch_age: Span::from_millis(agent.batch_delay_ms.into()),
         window: WINDOW,
-        reserve_events: standard.reserve_events.min(config.queue_events.get() as u64 / 8),
-        ..standard
+        spool_bytes: spool.limit_bytes.get(),
+        memory,
+        reserve_events: RESERVE.min(memory.events / 8),
+        compression: spool.compression.into(),
+        first_pause: Span::from_millis(250),
+        longest_pause: Span::from_seconds(10),
+        refused_pause: Span::from_seconds(1),
+        patience: Span::from_seconds(10),
+        spool_pause: Span::from_seconds(1),
     }
 }

@@ -112,7 +112,7 @@ pub(super) fn end_orphan(pipeline: &Slug, reason: &str, host: &Host) {
 
 fn end(pipeline: &Slug, run: RunId, reason: &str, host: &Host) {
     let ended = RunEnded { run, ended: host.clock.wall(), reason: reason.to_owned() };
-    host.runs.ended(pipeline, ended.clone());
+    host.runs.ended(pipeline, run);
     host.feed.event(Some(pipeline), Some(run), Event::RunEnded(ended));
 }
 

@@ -17,7 +17,8 @@ fn a_sound_configuration_has_no_problems_and_reads_back_as_it_was() {
          placement = { kind = 'remote', peer = 'tcp://cloud:5551', network = 'zmq-tcp', model = 'm', device = 'cuda:0' }\n\
          load = { mode = 'poisson', hz = 5.0, seed = 3 }\nmax_in_flight = 2\ntimeout_ms = 100\n\
          warm_up = { iterations = 5, episodes = 1, steps = 2 }\nepisode_steps = 10\n\
-         limit = { iterations = 7, duration_s = 1.5 }\nactuator = { kind = 'log' }\nstart = 'manual'",
+         limit = { iterations = 7, duration_s = 1.5 }\nactuator = { kind = 'log' }\nstart = 'manual'\n\
+         [spool]\nlimit_bytes = 1048576\nsync_interval_ms = 1\ncompression = 'always'\n",
     );
     sound.agent.state_dir = state.path().join("new").join("er");
     assert_eq!(problems(&sound), Vec::<String>::new());
@@ -63,6 +64,7 @@ fn numbers_that_no_machine_could_serve_are_refused_with_the_limit() {
     let mut greedy = config(
         "[agent]\nqueue_events = 1000000000000\nqueue_bytes = 1000000000000000\nbatch_nodes = 1000000000\n\
          batch_bytes = 1000000000\nbatch_delay_ms = 4000000000\nstop_timeout_ms = 60001\n\
+         [spool]\nlimit_bytes = 1000000000000000\nsync_interval_ms = 4000000000\n\
          [[model]]\nname = 'echo'\nkind = 'echo'\nanswer_bytes = 1000000000000000\n\
          [[model]]\nname = 'crowd'\nkind = 'sleep'\nworkers = 1000000\n\
          [[model]]\nname = 'long'\nkind = 'sleep'\nqueue = 1000000000000000\n\
@@ -78,6 +80,8 @@ fn numbers_that_no_machine_could_serve_are_refused_with_the_limit() {
         ("agent.batch_bytes", "2097152"),
         ("agent.batch_delay_ms", "60000"),
         ("agent.stop_timeout_ms", "60000"),
+        ("spool.limit_bytes", "1099511627776"),
+        ("spool.sync_interval_ms", "60000"),
         ("model[0].answer_bytes", "1073741824"),
         ("model[1].workers", "256"),
         ("model[2].queue", "65536"),
@@ -88,7 +92,36 @@ fn numbers_that_no_machine_could_serve_are_refused_with_the_limit() {
         let says = |problem: &String| problem.starts_with(&format!("{key}: ")) && problem.ends_with(&limit);
         assert!(found.iter().any(says), "{key} {most} in {found:#?}");
     }
-    assert_eq!(found.len(), 11, "{found:#?}");
+    assert_eq!(found.len(), 13, "{found:#?}");
+}
+
+#[test]
+fn a_spool_that_could_not_work_is_named_with_a_remedy() {
+    let state = tempfile::tempdir().expect("a folder");
+    let of = |keys: &str| {
+        let mut config = config(&format!("[agent]\nbatch_bytes = 1000000\n[spool]\n{keys}"));
+        config.agent.state_dir = state.path().to_owned();
+        problems(&config)
+    };
+    std::fs::write(state.path().join("file"), b"").expect("written");
+    let folder = state.path().display();
+    for (keys, expected) in [
+        ("limit_bytes = 1048575".to_owned(), "spool.limit_bytes: 1048575 is too little; at least 1048576"),
+        (
+            "limit_bytes = 3999999".to_owned(),
+            "spool.limit_bytes: 3999999 is too little for batches of 1000000 bytes",
+        ),
+        (format!("file = '{folder}'"), "is a folder; name a file"),
+        (format!("file = '{folder}/file/spool.sqlite'"), "file is not a folder; choose another spool file"),
+    ] {
+        let found = of(&keys);
+        assert!(found.len() == 1 && found[0].contains(expected), "{expected} in {found:?}");
+        assert!(found[0].starts_with("spool."), "{found:?}");
+    }
+    assert_eq!(
+        of(&format!("limit_bytes = 4000000\nfile = '{folder}/new/spool.sqlite'")),
+        Vec::<String>::new()
+    );
 }
 
 #[test]
@@ -97,6 +130,7 @@ fn unknown_keys_are_refused_by_name() {
     for (tables, key) in [
         ("[agent]\nnam = 'x'".to_owned(), "nam"),
         ("[serve]\nport = 1".to_owned(), "port"),
+        ("[spool]\nsize = 1".to_owned(), "size"),
         (format!("{line}placement = {{ kind = 'local', model = 'm', peer = 'x' }}"), "peer"),
         (
             format!(

@@ -65,8 +65,8 @@ async fn live_figures_are_bounded_and_leave_the_warm_up_out() {
         assert_eq!(live.pipelines.len(), 1);
         assert!(live.pipelines[0].seconds.len() <= 8);
         assert!(live.pipelines[0].seconds.is_sorted_by(|a, b| a.at > b.at), "newest first");
-        let account = live.accounting;
-        assert_eq!(account.offered, account.stored + account.waiting + account.dropped);
+        let account = &live.accounting;
+        assert_eq!(account.produced, account.stored + account.waiting + account.dropped);
     }
     agent.stop().await.expect("stops well");
 }

@@ -11,6 +11,7 @@ mod midnight;
 mod outage;
 mod outbox;
 mod remote;
+mod spool;
 mod stopping;
 mod tap;
 mod trouble;

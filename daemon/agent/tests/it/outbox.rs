@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use peernet_logger::stream::IncidentKind;
 
-use crate::harness::{Aggregator, Manners, TestAgent, assert_contiguous, config};
+use crate::harness::{Aggregator, Manners, TestAgent, assert_contiguous};
 
 fn line(keys: &str) -> String {
     format!(
@@ -34,32 +34,6 @@ async fn every_event_arrives_exactly_once_over_reconnects() {
     assert!(seen.gaps().is_empty());
     assert!(seen.hellos >= 3);
     assert_eq!(agent.running.live().accounting.dropped, 0);
-    agent.stop().await.expect("stops well");
-}
-
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_does_not_fit_is_counted_and_reported_as_a_gap() {
-    let (address, seen) = Aggregator::start().await.down().await;
-    let mut config = config(&line("warm_up = { iterations = 0 }\nlimit = { iterations = 2000 }"));
-    config.agent.queue_events = std::num::NonZeroUsize::new(200).expect("not zero");
-    let agent = TestAgent::start_with("edge", Some(&address), config, "system").await;
-    agent.until_state(|state| *state == peernet_logger::stream::PipelineState::Finished).await;
-    let aggregator = Aggregator::up((address, seen)).await;
-    let seen = aggregator.until(|seen| !seen.gaps().is_empty() && !seen.ended().is_empty()).await;
-    let run = seen.runs()[0].run;
-    let missing: u64 = seen.gaps().iter().map(|gap| gap.count).sum();
-    assert_eq!(seen.iterations().len() as u64 + missing, 2000);
-    assert!(missing >= 1800, "{missing}");
-    for gap in seen.gaps() {
-        assert_eq!(
-            (gap.run, gap.pipeline.as_ref().map(peernet_logger::Slug::as_str)),
-            (Some(run), Some("line"))
-        );
-        assert!(gap.from <= gap.to && !gap.reason.is_empty());
-    }
-    let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
-    assert_eq!(account.dropped, missing);
-    assert_eq!(account.offered, account.stored + account.dropped);
     agent.stop().await.expect("stops well");
 }
 

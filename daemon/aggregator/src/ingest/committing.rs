@@ -3,12 +3,13 @@
 use std::time::Duration;
 
 use peernet_clock::SharedClock;
-use tokio::sync::{mpsc, watch};
+use tokio::sync::{mpsc, oneshot, watch};
 use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 
-use super::queue::Queued;
+use super::preparing::Queued;
 use crate::aggregator::Readiness;
+use crate::store::retention::Step;
 use crate::store::write::{CommitError, Committed, Work, Writer};
 
 /// The first pause after a failed commit, and the longest.
@@ -17,6 +18,9 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(5);
 
 /// How often the database's path is checked while there is nothing to store.
 const CHECK_FILE_EVERY: Duration = Duration::from_secs(1);
+
+/// Commits after which what is old is deleted even though work waits.
+const RETAIN_EVERY: u64 = 8;
 
 /// When a group is large or old enough.
 #[derive(Clone, Copy, Debug)]
@@ -27,59 +31,112 @@ pub(crate) struct Grouping {
     pub(crate) nodes: usize,
 }
 
+/// What is asked of the writer beside storing.
+#[derive(Debug)]
+pub(crate) enum Errand {
+    /// Keep a run whatever its age, or no longer; answers whether there is such a run.
+    Pin(i64, bool, oneshot::Sender<Result<bool, sqlx::Error>>),
+}
+
+/// What the writer's task is wired to.
+pub(crate) struct Wires {
+    pub(crate) queue: mpsc::Receiver<Queued>,
+    pub(crate) errands: mpsc::Receiver<Errand>,
+    pub(crate) committed: mpsc::Sender<Committed>,
+    pub(crate) ready: watch::Sender<Readiness>,
+    pub(crate) clock: SharedClock,
+    pub(crate) stop: CancellationToken,
+}
+
 /// Commits until no more work will come and all that came is stored.
 ///
 /// While the database refuses, the same group is tried again and nothing is acknowledged: agents keep what they sent.
-/// When told to stop, the group is tried a last time and then left to them.
-pub(crate) async fn run(
-    mut writer: Writer,
-    mut queue: mpsc::Receiver<Queued>,
-    committed: mpsc::Sender<Committed>,
-    ready: watch::Sender<Readiness>,
-    grouping: Grouping,
-    (clock, stop): (SharedClock, CancellationToken),
-) {
+/// When told to stop, the group is tried a last time and then left to them. Gives the writer back, to be closed.
+pub(crate) async fn run(mut writer: Writer, mut wires: Wires, grouping: Grouping) -> Writer {
     let mut checking = tokio::time::interval(CHECK_FILE_EVERY);
     checking.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let (mut commits, mut more) = (0_u64, Step::More);
     loop {
         let first = tokio::select! {
             biased;
-            first = queue.recv() => first,
+            Some(errand) = wires.errands.recv() => {
+                run_errand(&mut writer, errand).await;
+                continue;
+            }
+            first = wires.queue.recv() => first,
+            () = std::future::ready(()), if more == Step::More => {
+                more = retain(&mut writer, &wires).await;
+                continue;
+            }
             _ = checking.tick() => {
-                check_file(&writer, &ready);
+                check_file(&writer, &wires.ready);
+                more = Step::More;
                 continue;
             }
         };
-        let Some(first) = first else { return };
-        let group = gather(first, &mut queue, grouping).await;
-        let (work, room): (Vec<Work>, Vec<_>) = group.into_iter().map(Queued::into_parts).unzip();
-        let mut pause = FIRST_PAUSE;
+        let Some(first) = first else { return writer };
+        let group = gather(first, &mut wires, grouping).await;
+        let (work, room): (Vec<Work>, Vec<_>) = group.into_iter().map(|it| (it.work, it.room)).unzip();
+        if !store(&mut writer, &work, &mut wires).await {
+            return writer;
+        }
+        drop((work, room));
+        commits += 1;
+        more = Step::More;
+        if commits.is_multiple_of(RETAIN_EVERY) {
+            more = retain(&mut writer, &wires).await;
+        }
+    }
+}
+
+/// Deletes a little of what is old. What fails is tried again at the next occasion.
+async fn retain(writer: &mut Writer, wires: &Wires) -> Step {
+    writer.retain(wires.clock.wall()).await.unwrap_or_else(|error| {
+        tracing::warn!(%error, "cannot delete what is old, tried again by itself");
+        Step::Done
+    })
+}
+
+/// Stores a group, however long that takes; whether it was before the task had to end.
+async fn store(writer: &mut Writer, work: &[Work], wires: &mut Wires) -> bool {
+    let mut pause = FIRST_PAUSE;
+    loop {
+        let reason = match writer.commit(work, wires.clock.wall()).await {
+            Ok(stored) => {
+                set(&wires.ready, Readiness::Ready);
+                for (head, reason) in &stored.quarantined {
+                    tracing::error!(host = %head.host, number = head.number, %reason, "a batch was put aside");
+                }
+                // Closed only while everything ends.
+                let _ended = wires.committed.send(stored).await;
+                return true;
+            }
+            Err(error) => words(&error),
+        };
+        if wires.stop.is_cancelled() {
+            tracing::error!(batches = work.len(), %reason, "gave up storing: told to stop");
+            return false;
+        }
+        set(&wires.ready, Readiness::NotStoring(reason));
+        let again = tokio::time::sleep(pause);
+        tokio::pin!(again);
         loop {
-            match writer.commit(&work, clock.wall()).await {
-                Ok(stored) => {
-                    set(&ready, Readiness::Ready);
-                    for (head, reason) in &stored.quarantined {
-                        tracing::error!(host = %head.host, number = head.number, %reason, "a batch was put aside");
-                    }
-                    // Closed only while everything ends.
-                    let _ended = committed.send(stored).await;
-                    break;
-                }
-                Err(error) => {
-                    let reason = words(&error);
-                    if stop.is_cancelled() {
-                        tracing::error!(batches = work.len(), %reason, "gave up storing: told to stop");
-                        return;
-                    }
-                    set(&ready, Readiness::NotStoring(reason));
-                    tokio::select! {
-                        () = tokio::time::sleep(pause) => pause = (pause * 2).min(LONGEST_PAUSE),
-                        () = stop.cancelled() => {}
-                    }
-                }
+            tokio::select! {
+                () = &mut again => break,
+                () = wires.stop.cancelled() => break,
+                Some(errand) = wires.errands.recv() => run_errand(writer, errand).await,
             }
         }
-        drop(room);
+        pause = (pause * 2).min(LONGEST_PAUSE);
+    }
+}
+
+async fn run_errand(writer: &mut Writer, errand: Errand) {
+    match errand {
+        Errand::Pin(run, pinned, answer) => {
+            // Whoever asked may have gone.
+            let _gone = answer.send(writer.pin(run, pinned).await);
+        }
     }
 }
 
@@ -95,16 +152,18 @@ fn words(error: &CommitError) -> String {
     format!("cannot store events: {error}; agents keep them, tried again by itself")
 }
 
-/// The group that begins with `first`.
-async fn gather(first: Queued, queue: &mut mpsc::Receiver<Queued>, grouping: Grouping) -> Vec<Queued> {
+/// The group that begins with `first`: what waits already, and what comes until the first has waited long enough since
+/// it was let in. Under load that was during the commit before, so that nothing more is waited for.
+async fn gather(first: Queued, wires: &mut Wires, grouping: Grouping) -> Vec<Queued> {
+    let waited = (wires.clock.mono() - first.since).to_duration();
     let mut nodes = first.work.weight();
     let mut group = vec![first];
-    let patience = tokio::time::sleep(grouping.interval);
+    let patience = tokio::time::sleep(grouping.interval.saturating_sub(waited));
     tokio::pin!(patience);
     while nodes < grouping.nodes {
         tokio::select! {
             biased;
-            next = queue.recv() => match next {
+            next = wires.queue.recv() => match next {
                 Some(next) => {
                     nodes += next.work.weight();
                     group.push(next);

@@ -3,19 +3,18 @@
 use std::collections::{HashMap, HashSet};
 
 use bytes::Bytes;
-use peernet_clock::{Span, Stamp};
-use peernet_logger::stream::codec::{self, BatchHead};
+use peernet_clock::{MonoTime, Span, Stamp};
 use peernet_logger::stream::{
-    Arrival, Greeting, Hello, LiveUpdate, Receiving, StreamId, ToAgent, ToAggregator,
+    Arrival, BatchHead, Greeting, Hello, LiveUpdate, Receiving, ToAgent, ToAggregator, codec,
 };
 use peernet_logger::{HostId, RunId};
 use zeromq::Identity;
 
-use super::queue::Queue;
+use super::queue::{Incoming, Queue};
 use super::refusals::Refusals;
 use crate::live::News;
 use crate::picture::RefusedHost;
-use crate::store::write::{Committed, Mark, RunName, Work};
+use crate::store::write::{Aside, Committed, Introduction, RunName, Streams, Work};
 
 /// A host that was silent for so long is asked to say hello again.
 const FORGET_SESSIONS: Span = Span::from_seconds(60);
@@ -24,14 +23,16 @@ const FORGET_SESSIONS: Span = Span::from_seconds(60);
 const MOST_PER_CONNECTION: usize = 64;
 /// Runs that wait for the live lane to name them.
 const MOST_UNKNOWN: usize = 1_024;
-/// Largest batch number that is believed: SQLite's integers end there.
-const LAST_BATCH: u64 = i64::MAX as u64;
+/// Bytes of a batch as agents cut them, as a rule: by them it is reckoned how many there is room for.
+const USUAL_BATCH: usize = 128 * 1024;
 
 /// What could not be taken, since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Untaken {
-    /// Batches that found no room; their agents send them again.
+    /// Batches and greetings that found no room; batches are asked for again, greetings are repeated.
     pub(crate) deferred: u64,
+    /// Batches that do not match their hash; they are asked for again.
+    pub(crate) damaged: u64,
     /// Frames that are no message.
     pub(crate) unreadable: u64,
     /// Messages of hosts that did not say hello on that connection.
@@ -45,7 +46,7 @@ pub(crate) struct Desk {
     queue: Queue,
     /// The connection on which each host said hello.
     routes: HashMap<HostId, Identity>,
-    marks: HashMap<StreamId, Mark>,
+    streams: Streams,
     /// Runs of which the store knows iterations only.
     unknown: HashSet<RunId>,
     refusals: Refusals,
@@ -55,19 +56,14 @@ pub(crate) struct Desk {
 }
 
 impl Desk {
-    /// A desk that knows nobody; `marks` are what is stored of each stream, `unknown` the runs of which the store
-    /// knows iterations only.
-    pub(crate) fn new(
-        receiving: Receiving,
-        queue: Queue,
-        marks: HashMap<StreamId, Mark>,
-        unknown: Vec<RunId>,
-    ) -> Self {
+    /// A desk that knows nobody; `streams` are what is stored, `unknown` the runs of which the store knows iterations
+    /// only.
+    pub(crate) fn new(receiving: Receiving, queue: Queue, streams: Streams, unknown: Vec<RunId>) -> Self {
         Self {
             receiving,
             queue,
             routes: HashMap::new(),
-            marks,
+            streams,
             unknown: unknown.into_iter().collect(),
             refusals: Refusals::default(),
             replies: Vec::new(),
@@ -86,7 +82,7 @@ impl Desk {
             Ok(ToAggregator::Hello(hello)) => self.hello(from, hello, now),
             Ok(ToAggregator::Live(update)) => {
                 if self.knows(from, update.host) && self.receiving.live(update.host, now.mono).is_none() {
-                    self.name_runs(&update);
+                    self.name_runs(&update, now.mono);
                     self.news.push(News::Update(Box::new(update)));
                 }
             }
@@ -96,17 +92,20 @@ impl Desk {
                     self.routes.remove(&host);
                     // Without room the next hello of the host ends its runs.
                     if let Some(place) = self.queue.place(0) {
-                        place.put(Work::Goodbye(host));
+                        place.put(Incoming::Work(Work::Goodbye(host)), now.mono);
                     }
                     self.news.push(News::Goodbye(host));
                 }
             }
-            Ok(ToAggregator::Batch(_)) | Err(_) => self.untaken.unreadable += 1,
+            Err(_) => {
+                self.untaken.unreadable += 1;
+                self.news.push(News::Unreadable);
+            }
         }
     }
 
     /// The live lane names runs whose beginning the store never got: it was acknowledged into another database.
-    fn name_runs(&mut self, update: &LiveUpdate) {
+    fn name_runs(&mut self, update: &LiveUpdate, now: MonoTime) {
         if self.unknown.is_empty() {
             return;
         }
@@ -115,7 +114,8 @@ impl Desk {
             // Without room, a later update does.
             let Some(place) = self.queue.place(0) else { return };
             let (host, pipeline, placement) = (update.host, live.pipeline.clone(), live.placement.clone());
-            place.put(Work::Name(Box::new(RunName { host, run, pipeline, placement })));
+            let name = RunName { host, run, pipeline, placement };
+            place.put(Incoming::Work(Work::Name(Box::new(name))), now);
             self.unknown.remove(&run);
         }
     }
@@ -125,36 +125,64 @@ impl Desk {
         let known = self.routes.get(&host) == Some(from);
         if !known {
             self.untaken.strangers += 1;
+            self.news.push(News::Stranger);
             self.replies.push((from.clone(), ToAgent::Unknown));
         }
         known
     }
 
     fn hello(&mut self, from: &Identity, hello: Hello, now: Stamp) {
-        if let Some(reason) = self.objection(&hello).or_else(|| self.too_many(from, hello.host.id)) {
+        if let Some(reason) = self.too_many(from, hello.host.id) {
             self.refuse(from, &hello, reason, now);
             return;
         }
-        let stored = self.marks.get(&hello.stream).map_or(0, |mark| mark.stored);
         // Without room for what follows from it, a greeting counts as lost; the agent repeats it.
         let (Some(greeting), Some(hole)) = (self.queue.place(0), self.queue.place(0)) else {
             self.untaken.deferred += 1;
             return;
         };
-        match self.receiving.hello(&hello, stored, now.mono) {
-            Greeting::Welcome { reply, missing } => {
-                greeting.put(Work::Hello { host: Box::new(hello.host.clone()), process: hello.process });
+        let host = hello.host.id;
+        let known = self.streams.known(&hello);
+        match self.receiving.hello(&hello, known, now.mono) {
+            Greeting::Welcome { reply, missing, replaced, lacking } => {
+                let Hello { host: description, process, stream, previous, first, .. } = hello;
+                let name = &description.name;
+                if let Some(replaced) = replaced {
+                    tracing::warn!(
+                        host = %name, %stream, %replaced,
+                        "the spool of this host was deleted or replaced: what it still held is lost"
+                    );
+                }
+                if let Some(lacking) = lacking {
+                    tracing::warn!(
+                        host = %name, stream = %lacking.stream, from = lacking.from, through = lacking.through,
+                        "batches of this host were stored in a newer database than this one"
+                    );
+                }
                 if let Some(missing) = missing {
                     tracing::warn!(
-                        host = %hello.host.name, from = missing.from, through = missing.through,
+                        host = %name, from = missing.from, through = missing.through,
                         "batches of this host will never come: its spool no longer holds them"
                     );
-                    hole.put(Work::Missing(missing));
                 }
-                tracing::info!(host = %hello.host.name, id = %hello.host.id, stored, "a host connected");
-                self.routes.insert(hello.host.id, from.clone());
+                tracing::info!(host = %name, id = %host, stored = ?known.mark.map(|mark| mark.stored), "a host connected");
+                let introduction = Introduction {
+                    host: description.clone(),
+                    process,
+                    stream,
+                    previous,
+                    first,
+                    replaced,
+                    lacking,
+                };
+                greeting.put(Incoming::Work(Work::Hello(Box::new(introduction))), now.mono);
+                if let Some(missing) = missing {
+                    hole.put(Incoming::Work(Work::Missing(missing)), now.mono);
+                }
+                self.streams.came(host, stream);
+                self.routes.insert(host, from.clone());
                 self.replies.push((from.clone(), reply));
-                self.news.push(News::Hello(Box::new(hello.host)));
+                self.news.push(News::Hello(Box::new(description), process));
             }
             Greeting::Refused { reason, .. } => {
                 drop((greeting, hole));
@@ -162,18 +190,6 @@ impl Desk {
             }
             Greeting::Wait => {}
         }
-    }
-
-    /// What speaks against a hello because of what is stored.
-    fn objection(&self, hello: &Hello) -> Option<String> {
-        if hello.oldest > LAST_BATCH {
-            return Some(format!("batch {} cannot be: delete the spool of this agent", hello.oldest));
-        }
-        let mark = self.marks.get(&hello.stream).filter(|mark| mark.host != hello.host.id)?;
-        Some(format!(
-            "the spool of this agent belongs to the host with the id {}: delete the one that was copied",
-            mark.host
-        ))
     }
 
     /// What speaks against one more host.
@@ -203,36 +219,60 @@ impl Desk {
         if !self.knows(from, head.host) {
             return;
         }
-        let Some(place) = self.queue.place(frame.len()) else {
-            self.untaken.deferred += 1;
-            return;
-        };
-        match self.receiving.batch(head.host, head.stream, head.number, now.mono) {
-            Arrival::Accept => place.put(match codec::decode(frame) {
-                Ok(ToAggregator::Batch(batch)) => Work::Batch(Box::new(batch)),
-                Ok(_) => Work::Unreadable { head, frame: frame.clone(), reason: "not a batch".to_owned() },
-                Err(error) => Work::Unreadable { head, frame: frame.clone(), reason: error.to_string() },
-            }),
-            Arrival::Duplicate(reply) => {
+        let Some(place) = self.queue.place(frame.len()) else { return self.defer(head) };
+        let body = codec::batch_body(frame.clone());
+        let size = body.as_ref().map_or(frame.len(), Bytes::len);
+        // Compressed events take more room than their frame.
+        let Some(place) = place.grown_to(size) else { return self.defer(head) };
+        if body.is_err() {
+            self.untaken.damaged += 1;
+            self.news.push(News::Damaged(head.host));
+        }
+        match (self.receiving.batch(&head, body.is_ok(), now.mono), body) {
+            (Arrival::Accept, Ok(body)) => place.put(Incoming::Batch(head, body), now.mono),
+            (Arrival::AcceptDamaged, Err(error)) => {
+                let aside = Aside { head, frame: frame.clone(), body: None, reason: error.to_string() };
+                place.put(Incoming::Work(Work::Aside(Box::new(aside))), now.mono);
+            }
+            (Arrival::Duplicate(reply), _) => {
                 self.replies.push((from.clone(), reply));
                 self.news.push(News::Duplicate(head.host));
             }
-            Arrival::Hole(Some(reply)) | Arrival::Unknown(reply) => self.replies.push((from.clone(), reply)),
-            Arrival::Pending | Arrival::Hole(None) => {}
+            (Arrival::Hole(Some(reply)) | Arrival::Unknown(reply), _) => {
+                self.replies.push((from.clone(), reply));
+            }
+            (Arrival::Pending | Arrival::Hole(None) | Arrival::Accept | Arrival::AcceptDamaged, _) => {}
+        }
+    }
+
+    /// There is no room for a batch: it counts as never come.
+    fn defer(&mut self, head: BatchHead) {
+        self.receiving.deferred(head.stream);
+        self.untaken.deferred += 1;
+        self.news.push(News::Deferred(head.host));
+    }
+
+    /// Asks for what found no room, as far as there is some now.
+    fn ask_for_deferred(&mut self) {
+        for (host, request) in self.receiving.room(self.queue.room_for(USUAL_BATCH)) {
+            if let Some(route) = self.routes.get(&host) {
+                self.replies.push((route.clone(), request));
+            }
         }
     }
 
     /// A transaction is on disk.
     pub(super) fn committed(&mut self, committed: Committed) {
         for (stream, mark) in committed.marks {
-            self.marks.insert(stream, mark);
-            let listener = self.receiving.stored(stream, mark.stored);
+            self.streams.marks.insert(stream, mark);
+            let listener = self.receiving.stored(stream, mark);
             if let Some((route, reply)) =
                 listener.and_then(|(host, reply)| Some((self.routes.get(&host)?, reply)))
             {
                 self.replies.push((route.clone(), reply));
             }
         }
+        self.ask_for_deferred();
         for (host, (stored, newest)) in committed.hosts {
             self.news.push(News::Stored(host, stored, newest));
         }

@@ -1,11 +1,13 @@
-//! From the socket to the store: who may speak ([`desk`]), the socket itself ([`socket`]), and the task that
-//! commits what was let in ([`committing`]), with a bounded [`queue`] between them.
+//! From the socket to the store: who may speak ([`desk`]), the socket itself ([`socket`]), a bounded [`queue`], the
+//! thread that makes rows of what was let in ([`preparing`]), and the task that commits them ([`committing`]).
 
 pub(crate) mod committing;
 mod desk;
+pub(crate) mod preparing;
 mod queue;
 mod refusals;
 pub(crate) mod socket;
 
+pub(crate) use self::committing::Errand;
 pub(crate) use self::desk::Desk;
-pub(crate) use self::queue::queue;
+pub(crate) use self::queue::{ROOM_BYTES, queue};

@@ -16,8 +16,9 @@ use crate::error::{Failure, StartError};
 use crate::live::News;
 use crate::store::write::Committed;
 
-/// Frames that wait in the socket for each agent, at most.
-const WAITING_FRAMES: u32 = 256;
+/// Frames that wait in the socket, at most, each way and of each agent: the desk takes them at once, so few are enough,
+/// and a thousand agents' fit into memory.
+const WAITING_FRAMES: u32 = 16;
 /// How often silent hosts are looked for and losses are reported.
 const AGE_EVERY: Duration = Duration::from_secs(5);
 /// A connection without any sign of life for so long is closed.
@@ -166,9 +167,11 @@ fn report(untaken: Untaken, reported: &mut Untaken) {
     if untaken != *reported {
         tracing::warn!(
             deferred = untaken.deferred - reported.deferred,
+            damaged = untaken.damaged - reported.damaged,
             unreadable = untaken.unreadable - reported.unreadable,
             strangers = untaken.strangers - reported.strangers,
-            "messages were not taken: without room (sent again), not readable, from hosts that did not say hello"
+            "messages were not taken: without room (asked for again), damaged on their way (asked for again), not \
+             readable, from hosts that did not say hello"
         );
         *reported = untaken;
     }

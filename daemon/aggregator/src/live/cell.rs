@@ -26,6 +26,7 @@ impl Cell {
         let mut limit = |names: &mut Vec<(Name, Summary)>| {
             *left_out += names.len().saturating_sub(MOST_NAMES) as u64;
             names.truncate(MOST_NAMES);
+            names.shrink_to_fit();
         };
         limit(&mut values);
         limit(&mut bounds);

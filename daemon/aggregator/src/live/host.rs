@@ -7,10 +7,12 @@ use peernet_clock::{MonoTime, Span, Stamp, WallTime};
 use peernet_logger::stream::{Accounting, HostClock, HostDescription, HostMetrics, LinkLive, LiveUpdate};
 use peernet_logger::{HostId, RunId, Slug};
 
-use super::link::{Link, bound_clock};
+use super::bounds;
+use super::catching_up::Lag;
+use super::link::Link;
 use super::pipeline::Pipeline;
 use super::{MOST_LINKS, MOST_PIPELINES};
-use crate::picture::{HostPicture, LinkPicture, MetricsPoint, PipelinePicture, Stored};
+use crate::picture::{Arrivals, HostPicture, LinkPicture, MetricsPoint, PipelinePicture, Stored};
 
 /// A host that sent nothing for so long counts as disconnected; it sends four times a second.
 const CONNECTED_WITHIN: Span = Span::from_seconds(3);
@@ -23,6 +25,8 @@ const POINTS: usize = 120;
 #[derive(Debug)]
 pub(super) struct Host {
     description: HostDescription,
+    /// The number that its process made at its start.
+    process: u64,
     connected: bool,
     seen: Stamp,
     /// The host's clock at its last update.
@@ -32,7 +36,9 @@ pub(super) struct Host {
     history: VecDeque<Arc<MetricsPoint>>,
     next_point: MonoTime,
     accounting: Accounting,
+    lag: Lag,
     stored: Stored,
+    arrivals: Arrivals,
     /// The newest moment that is stored, on the host's clock.
     newest_stored: Option<WallTime>,
     left_out: u64,
@@ -43,9 +49,12 @@ pub(super) struct Host {
 
 impl Host {
     /// A host that just introduced itself.
-    pub(super) fn new(description: HostDescription, now: Stamp) -> Self {
+    pub(super) fn new(mut description: HostDescription, process: u64, now: Stamp) -> Self {
+        let mut left_out = 0;
+        bounds::description(&mut description, &mut left_out);
         Self {
             description,
+            process,
             connected: true,
             seen: now,
             sent: None,
@@ -54,24 +63,33 @@ impl Host {
             history: VecDeque::new(),
             next_point: now.mono,
             accounting: Accounting::default(),
+            lag: Lag::default(),
             stored: Stored::default(),
+            arrivals: Arrivals::default(),
             newest_stored: None,
-            left_out: 0,
+            left_out,
             pipelines: BTreeMap::new(),
             links: BTreeMap::new(),
             picture: None,
         }
     }
 
-    /// It introduced itself again.
-    pub(super) fn introduce(&mut self, description: HostDescription, now: Stamp) {
+    /// It introduced itself again. What another process of it told stays, as that of a host that is away: counters
+    /// must not begin anew for a moment.
+    pub(super) fn introduce(&mut self, mut description: HostDescription, process: u64, now: Stamp) {
+        bounds::description(&mut description, &mut self.left_out);
         if self.description.name != description.name {
             self.pipelines.values_mut().for_each(Pipeline::redraw);
             self.links.values_mut().for_each(Link::redraw);
         }
         self.description = description;
-        self.connected = true;
         self.seen = now;
+        if self.process == process {
+            self.connected = true;
+        } else {
+            self.process = process;
+            self.goodbye();
+        }
         self.picture = None;
     }
 
@@ -88,6 +106,8 @@ impl Host {
         self.seen = now;
         self.sent = Some(update.sent);
         self.accounting = update.accounting;
+        bounds::accounting(&mut self.accounting);
+        self.lag.observe(self.behind(), self.accounting.stored, now.mono);
         if now.mono >= self.next_point {
             self.next_point = now.mono + POINT_EVERY;
             if self.history.len() == POINTS {
@@ -97,7 +117,7 @@ impl Host {
         }
         self.metrics = update.metrics;
         self.clock = update.clock;
-        bound_clock(&mut self.clock, &mut self.left_out);
+        bounds::clock(&mut self.clock, &mut self.left_out);
         for live in update.pipelines {
             if let Some(pipeline) = self.pipelines.get_mut(&live.pipeline) {
                 pipeline.update(live, update.sent, now, &mut self.left_out);
@@ -134,10 +154,27 @@ impl Host {
         self.stored.events > 0
     }
 
+    /// What the database was last said to hold of it.
+    pub(super) fn stored(&self) -> Stored {
+        self.stored
+    }
+
     /// A batch of it came again.
     pub(super) fn duplicate(&mut self) {
         self.stored.duplicates += 1;
         self.picture = None;
+    }
+
+    /// A batch of it came and was not taken.
+    pub(super) fn arrived(&mut self, count: impl FnOnce(&mut Arrivals)) {
+        count(&mut self.arrivals);
+        self.picture = None;
+    }
+
+    /// How far storing is behind measuring, by the host's own clock.
+    fn behind(&self) -> Option<Span> {
+        let oldest = self.accounting.oldest.filter(|_| self.accounting.waiting > 0);
+        self.sent.zip(oldest).map(|(sent, oldest)| (sent - oldest).max(Span::ZERO))
     }
 
     /// The store gave a run its number.
@@ -178,22 +215,22 @@ impl Host {
         if let Some(drawn) = &self.picture {
             return Arc::clone(drawn);
         }
-        let behind = (self.accounting.waiting > 0)
-            .then(|| self.sent.zip(self.newest_stored))
-            .flatten()
-            .map(|(sent, stored)| (sent - stored).max(Span::ZERO));
         let picture = Arc::new(HostPicture {
             id: self.description.id,
             description: self.description.clone(),
             connected: self.connected,
             last_seen: self.seen.wall,
             clock_ahead: self.sent.map_or(Span::ZERO, |sent| sent - self.seen.wall),
-            behind,
+            behind: self.behind(),
+            // A host that is away stores nothing, however fast it did.
+            catching_up: self.lag.catching_up().filter(|_| self.connected),
             clock: self.clock.clone(),
             metrics: self.metrics.clone(),
             history: self.history.iter().cloned().collect(),
-            accounting: self.accounting,
+            accounting: self.accounting.clone(),
             stored: self.stored,
+            arrivals: self.arrivals,
+            newest_stored: self.newest_stored,
             live_left_out: self.left_out,
         });
         self.picture = Some(Arc::clone(&picture));

@@ -4,20 +4,16 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use peernet_clock::{MonoTime, Span, Stamp, WallTime};
-use peernet_logger::stream::{ClockSample, HostClock, LinkLive, Probing};
+use peernet_logger::stream::{ClockSample, LinkLive};
 use peernet_logger::{HostId, Slug};
 
+use super::bounds;
 use crate::picture::{ClockPoint, LinkPicture};
-use crate::plausible;
 
 /// Seconds of the history.
 const HISTORY_S: i64 = 600;
 /// A report's parts may be made so long after it was stamped.
 const LATER: Span = Span::from_millis(100);
-/// Kinds of network, pipelines and steps of a rehearsal that are shown of one link.
-const MOST_LISTED: usize = 32;
-/// Bytes of a text.
-const MOST_TEXT: usize = 512;
 
 /// One link: as last reported, and its last seconds on the edge's own wall clock, whatever that shows.
 #[derive(Debug)]
@@ -40,7 +36,7 @@ impl Link {
     /// Takes over a report, within the limits. A second that was known is replaced: each report of it is complete up
     /// to then.
     pub(super) fn update(&mut self, mut live: LinkLive, sent: WallTime, now: Stamp, left_out: &mut u64) {
-        bound(&mut live, left_out);
+        bounds::link(&mut live, left_out);
         // The second under way. What is known of later ones was said before the edge's clock was set back.
         let newest = (sent + LATER).unix_seconds();
         drop(self.history.split_off(&newest.saturating_add(1)));
@@ -108,44 +104,4 @@ fn point(sample: &ClockSample) -> ClockPoint {
         up: sample.up,
         down: sample.down,
     }
-}
-
-/// Cuts a report to what is shown.
-fn bound(live: &mut LinkLive, left_out: &mut u64) {
-    list(&mut live.networks, left_out);
-    live.networks.iter_mut().for_each(text);
-    list(&mut live.pipelines, left_out);
-    match &mut live.probing {
-        Probing::On { address, stamps, .. } => [address, stamps].into_iter().for_each(text),
-        Probing::Unanswered { address, reason } => [address].into_iter().chain(reason).for_each(text),
-        Probing::Off(reason) => text(reason),
-    }
-    for clock in [&mut live.edge, &mut live.cloud].into_iter().flatten() {
-        bound_clock(clock, left_out);
-    }
-    let now = &mut live.now;
-    let offset = now.offset.as_ref().and_then(plausible::offset);
-    let (up, down) = (now.up.map(plausible::delays), now.down.map(plausible::delays));
-    // Not-a-number is unequal to itself: taken out and counted as well.
-    *left_out += u64::from((&offset, up, down) != (&now.offset, now.up, now.down));
-    (now.offset, now.up, now.down) = (offset, up, down);
-}
-
-/// Cuts what a host says of its clock to what is shown.
-pub(super) fn bound_clock(clock: &mut HostClock, left_out: &mut u64) {
-    text(&mut clock.text);
-    if let Some(rehearsal) = &mut clock.rehearsal {
-        list(&mut rehearsal.steps, left_out);
-    }
-}
-
-fn list<T>(items: &mut Vec<T>, left_out: &mut u64) {
-    *left_out += items.len().saturating_sub(MOST_LISTED) as u64;
-    items.truncate(MOST_LISTED);
-    items.shrink_to_fit();
-}
-
-fn text(text: &mut String) {
-    text.truncate(text.floor_char_boundary(MOST_TEXT));
-    text.shrink_to_fit();
 }

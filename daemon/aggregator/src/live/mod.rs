@@ -4,6 +4,8 @@
 //! Memory is bounded whatever is sent: so many hosts, so many pipelines and links a host, so many names a second.
 //! What is beyond is left out and counted.
 
+mod bounds;
+mod catching_up;
 mod cell;
 mod host;
 mod link;
@@ -20,7 +22,7 @@ use peernet_logger::stream::{HostDescription, LiveUpdate};
 use peernet_logger::{HostId, RunId, Slug};
 
 use self::host::Host;
-use crate::picture::{Picture, RefusedHost, Stored};
+use crate::picture::{Picture, RefusedHost, Stored, Totals};
 
 /// Hosts in the picture; beyond, the one that was silent for longest gives way.
 const MOST_HOSTS: usize = 4_096;
@@ -35,14 +37,16 @@ const MOST_NAMES: usize = 128;
 /// Refused hosts that are remembered, and for how long.
 const MOST_REFUSED: usize = 32;
 const REFUSED_FOR: Span = Span::from_seconds(600);
+/// Hosts outside the picture of which it is remembered what is stored.
+const MOST_REMEMBERED: usize = 65_536;
 /// Numbers of runs that are remembered.
 const MOST_RUNS: usize = 10_000;
 
 /// What the picture is made from.
 #[derive(Debug)]
 pub(crate) enum News {
-    /// A host was let in.
-    Hello(Box<HostDescription>),
+    /// A host was let in, and the number that its process made at its start.
+    Hello(Box<HostDescription>, u64),
     /// The live lane.
     Update(Box<LiveUpdate>),
     /// A host took its leave.
@@ -53,6 +57,14 @@ pub(crate) enum News {
     Stored(HostId, Stored, Option<WallTime>),
     /// A batch came again.
     Duplicate(HostId),
+    /// A batch came for which there was no room.
+    Deferred(HostId),
+    /// A batch came whose bytes do not match its hash.
+    Damaged(HostId),
+    /// A frame came that is no message.
+    Unreadable,
+    /// A message came of a host that did not say hello on that connection.
+    Stranger,
     /// The store's number of a run.
     Run(RunId, i64),
 }
@@ -66,8 +78,9 @@ pub(crate) struct Live {
     hosts: HashMap<HostId, Host>,
     refused: VecDeque<(Stamp, RefusedHost)>,
     numbers: HashMap<RunId, i64>,
-    /// What the database holds of hosts that have not come yet.
+    /// What the database holds of hosts that are not in the picture.
     stored: HashMap<HostId, Stored>,
+    totals: Totals,
 }
 
 impl Live {
@@ -81,13 +94,14 @@ impl Live {
             refused: VecDeque::new(),
             numbers: HashMap::new(),
             stored: HashMap::new(),
+            totals: Totals::default(),
         }
     }
 
     /// Takes in news; whether they change anything to be seen.
     pub(crate) fn take(&mut self, news: News, now: Stamp) -> bool {
         match news {
-            News::Hello(description) => self.introduce(*description, now),
+            News::Hello(description, process) => self.introduce(*description, process, now),
             News::Refused(refused) => self.refuse(refused, now),
             News::Run(run, number) => {
                 if self.numbers.len() >= MOST_RUNS {
@@ -98,40 +112,67 @@ impl Live {
             }
             News::Update(update) => return self.with(update.host, |host| host.update(*update, now)),
             News::Goodbye(host) => return self.with(host, Host::goodbye),
-            News::Duplicate(host) => return self.with(host, Host::duplicate),
-            News::Stored(host, stored, newest) => {
-                let known = self.with(host, |host| host.store(stored, newest));
-                if !known && self.stored.len() < MOST_HOSTS {
-                    self.stored.insert(host, stored);
-                }
-                return known;
+            News::Duplicate(host) => {
+                self.totals.stored.duplicates += 1;
+                return self.with(host, Host::duplicate);
             }
+            News::Deferred(host) => {
+                self.totals.arrivals.deferred += 1;
+                return self.with(host, |host| host.arrived(|arrivals| arrivals.deferred += 1));
+            }
+            News::Damaged(host) => {
+                self.totals.arrivals.damaged += 1;
+                return self.with(host, |host| host.arrived(|arrivals| arrivals.damaged += 1));
+            }
+            News::Unreadable => self.totals.refused.unreadable += 1,
+            News::Stranger => self.totals.refused.strangers += 1,
+            News::Stored(host, stored, newest) => return self.store(host, stored, newest),
         }
         true
+    }
+
+    fn store(&mut self, id: HostId, stored: Stored, newest: Option<WallTime>) -> bool {
+        let before = self.hosts.get(&id).map(Host::stored).or_else(|| self.stored.get(&id).copied());
+        add(&mut self.totals.stored, before.unwrap_or_default(), stored);
+        let known = self.with(id, |host| host.store(stored, newest));
+        if !known {
+            self.remember(id, stored);
+        }
+        known
+    }
+
+    /// Keeps what the database holds of a host that is not in the picture.
+    fn remember(&mut self, id: HostId, stored: Stored) {
+        if self.stored.len() < MOST_REMEMBERED || self.stored.contains_key(&id) {
+            self.stored.insert(id, stored);
+        }
     }
 
     fn with(&mut self, host: HostId, change: impl FnOnce(&mut Host)) -> bool {
         self.hosts.get_mut(&host).map(change).is_some()
     }
 
-    fn introduce(&mut self, description: HostDescription, now: Stamp) {
+    fn introduce(&mut self, description: HostDescription, process: u64, now: Stamp) {
         if let Some(host) = self.hosts.get_mut(&description.id) {
-            host.introduce(description, now);
+            host.introduce(description, process, now);
             return;
         }
         if self.hosts.len() >= MOST_HOSTS {
             let silent = self.hosts.iter().min_by_key(|(_, host)| host.seen()).map(|(id, _)| *id);
-            silent.and_then(|id| self.hosts.remove(&id));
+            if let Some((id, host)) = silent.and_then(|id| self.hosts.remove_entry(&id)) {
+                self.remember(id, host.stored());
+            }
         }
         let id = description.id;
-        let mut host = Host::new(description, now);
+        let mut host = Host::new(description, process, now);
         if let Some(stored) = self.stored.remove(&id) {
             host.store(stored, None);
         }
         self.hosts.insert(id, host);
     }
 
-    fn refuse(&mut self, refused: RefusedHost, now: Stamp) {
+    fn refuse(&mut self, mut refused: RefusedHost, now: Stamp) {
+        bounds::text(&mut refused.reason);
         let same = |known: &RefusedHost| (&known.name, &known.reason) == (&refused.name, &refused.reason);
         self.refused.retain(|(_, known)| !same(known));
         self.refused.truncate(MOST_REFUSED - 1);
@@ -142,10 +183,14 @@ impl Live {
     pub(crate) fn age(&mut self, now: Stamp) -> bool {
         let before = (self.hosts.len(), self.refused.len());
         let forget = self.forget;
-        self.hosts.retain(|_, host| {
+        let gone = self.hosts.extract_if(|_, host| {
             let patience = if host.has_stored() { forget } else { forget.min(FORGET_STRANGERS) };
-            now.mono - host.seen() <= patience
+            now.mono - host.seen() > patience
         });
+        let gone: Vec<(HostId, Stored)> = gone.map(|(id, host)| (id, host.stored())).collect();
+        gone.into_iter()
+            .filter(|(_, stored)| stored.events > 0)
+            .for_each(|(id, stored)| self.remember(id, stored));
         self.refused.retain(|(at, _)| now.mono - at.mono <= REFUSED_FOR);
         let mut changed = before != (self.hosts.len(), self.refused.len());
         for host in self.hosts.values_mut() {
@@ -175,6 +220,7 @@ impl Live {
             pipelines,
             links,
             refused: self.refused.iter().map(|(_, refused)| refused.clone()).collect(),
+            totals: self.totals,
         }
     }
 
@@ -182,4 +228,13 @@ impl Live {
     pub(crate) fn shared(&mut self, now: Stamp) -> Arc<Picture> {
         Arc::new(self.picture(now))
     }
+}
+
+/// Adds what came to be stored of a host from one account of it to the next.
+fn add(total: &mut Stored, before: Stored, now: Stored) {
+    total.events += now.events.saturating_sub(before.events);
+    total.nodes += now.nodes.saturating_sub(before.nodes);
+    total.gaps += now.gaps.saturating_sub(before.gaps);
+    total.missing += now.missing.saturating_sub(before.missing);
+    total.quarantined += now.quarantined.saturating_sub(before.quarantined);
 }

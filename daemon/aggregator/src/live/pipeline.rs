@@ -8,6 +8,7 @@ use peernet_logger::stream::{PipelineLive, PipelineState, Placement};
 use peernet_logger::{HostId, RunId, Slug};
 use peernet_statistics::{Merge, Windows};
 
+use super::bounds;
 use super::cell::Cell;
 use crate::picture::{LiveSecond, PipelinePicture, Window};
 
@@ -60,7 +61,10 @@ impl Pipeline {
     }
 
     /// Takes over an update. A second that was known is replaced: each report of it is complete up to then.
-    pub(super) fn update(&mut self, live: PipelineLive, sent: WallTime, now: Stamp, left_out: &mut u64) {
+    pub(super) fn update(&mut self, mut live: PipelineLive, sent: WallTime, now: Stamp, left_out: &mut u64) {
+        bounds::state(&mut live.state);
+        bounds::placement(&mut live.placement);
+        bounds::text(&mut live.load);
         if self.sent - sent > STEP {
             // The clock was set back and shows these seconds again: what is known of them happened at other times.
             self.recent.forget_from(sent.unix_seconds());

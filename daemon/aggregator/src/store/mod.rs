@@ -1,7 +1,12 @@
 //! The store: what people and programs ask of the database.
 
 pub(crate) mod database;
+pub(crate) mod lock;
+pub mod maintenance;
 mod read;
+pub(crate) mod readers;
+pub(crate) mod rebuild;
+pub(crate) mod retention;
 #[cfg(test)]
 mod tests;
 pub(crate) mod types;
@@ -9,26 +14,26 @@ pub(crate) mod write;
 
 use peernet_clock::WallTime;
 use peernet_logger::{HostId, Name};
-use sqlx::SqlitePool;
 
 use crate::error::StoreError;
 use crate::figures::Bound;
+use readers::Readers;
 use types::*;
 
 /// Read-only access to what is stored, over connections of its own: never blocks the writer.
 #[derive(Clone, Debug)]
 pub struct Store {
-    pool: SqlitePool,
+    readers: Readers,
 }
 
 impl Store {
-    pub(crate) fn new(pool: SqlitePool) -> Self {
-        Self { pool }
+    pub(crate) fn new(readers: Readers) -> Self {
+        Self { readers }
     }
 
     /// Closes the connections; questions that are under way are answered first.
     pub(crate) async fn close(&self) {
-        self.pool.close().await;
+        self.readers.pool.close().await;
     }
 
     /// Runs, newest first.
@@ -36,23 +41,23 @@ impl Store {
     /// # Errors
     /// When the database cannot be read; so for all questions here.
     pub async fn runs(&self, filter: &RunFilter) -> Result<Vec<RunSummary>, StoreError> {
-        read::runs::runs(&self.pool, filter).await
+        read::runs::runs(&self.readers, filter).await
     }
 
     /// One run; `None` when there is no run of that number. So for all questions about a run.
     pub async fn run(&self, number: i64) -> Result<Option<RunDetail>, StoreError> {
-        read::runs::run(&self.pool, number).await
+        read::runs::run(&self.readers, number).await
     }
 
     /// Statistics per node name, in the order of tables.
     pub async fn stages(&self, run: i64) -> Result<Vec<StageStatistics>, StoreError> {
-        read::statistics::stages(&self.pool, run).await
+        read::statistics::stages(&self.readers, run).await
     }
 
     /// How well the one-way delays of a run are known: `upload`, `download`. Also where no delay had a value, so that
     /// there are no statistics of it.
     pub async fn bounds(&self, run: i64) -> Result<Vec<Bound>, StoreError> {
-        read::statistics::bounds(&self.pool, run).await
+        read::statistics::bounds(&self.readers, run).await
     }
 
     /// The distribution of one node name over at most `bins` bins (1 to 500).
@@ -62,17 +67,18 @@ impl Store {
         stage: &str,
         bins: usize,
     ) -> Result<Option<Histogram>, StoreError> {
-        read::statistics::histogram(&self.pool, run, stage, bins).await
+        read::statistics::histogram(&self.readers, run, stage, bins).await
     }
 
-    /// Node names over the time of a run, in at most `max_points` buckets of 10, 30, 60 … seconds.
+    /// Node names over the time of a run, in at most `max_points` buckets of 1, 2, 5, 10, 20, 30, 60 … seconds. Where
+    /// retention deleted fine ones of a part of the run, all are made of coarser ones.
     pub async fn series(&self, run: i64, stages: &[Name], max_points: usize) -> Result<Series, StoreError> {
-        read::statistics::series(&self.pool, run, stages, max_points).await
+        read::statistics::series(&self.readers, run, stages, max_points).await
     }
 
     /// The `n` slowest successful iterations (at most 1,000), slowest first.
     pub async fn slowest(&self, run: i64, n: u32) -> Result<Vec<IterationRow>, StoreError> {
-        read::iterations::slowest(&self.pool, run, n).await
+        read::iterations::slowest(&self.readers, run, n).await
     }
 
     /// Iterations by rising number.
@@ -81,27 +87,27 @@ impl Store {
         run: i64,
         filter: &IterationFilter,
     ) -> Result<Vec<IterationRow>, StoreError> {
-        read::iterations::iterations(&self.pool, run, filter).await
+        read::iterations::iterations(&self.readers, run, filter).await
     }
 
     /// One iteration with its tree.
     pub async fn iteration(&self, run: i64, number: u64) -> Result<Option<IterationDetail>, StoreError> {
-        read::iterations::iteration(&self.pool, run, number).await
+        read::iterations::iteration(&self.readers, run, number).await
     }
 
     /// Incidents, newest first; `before` is the id of the last of the page before.
     pub async fn incidents(&self, limit: u32, before: Option<i64>) -> Result<Vec<IncidentRow>, StoreError> {
-        read::incidents::incidents(&self.pool, limit, before).await
+        read::incidents::incidents(&self.readers, limit, before).await
     }
 
     /// All hosts by name.
     pub async fn hosts(&self) -> Result<Vec<HostRow>, StoreError> {
-        read::incidents::hosts(&self.pool).await
+        read::incidents::hosts(&self.readers).await
     }
 
     /// All links by the edge's and the cloud's name.
     pub async fn links(&self) -> Result<Vec<LinkRow>, StoreError> {
-        read::clocks::links(&self.pool).await
+        read::clocks::links(&self.readers).await
     }
 
     /// What was known of a link's clocks from `from` to `to`, on the edge's wall clock, in at most `most_points`
@@ -114,11 +120,11 @@ impl Store {
         to: WallTime,
         most_points: u32,
     ) -> Result<ClockSeries, StoreError> {
-        read::clocks::series(&self.pool, (edge, cloud), (from, to), most_points).await
+        read::clocks::series(&self.readers, (edge, cloud), (from, to), most_points).await
     }
 
     /// Judges the one-way delays of a run again, with the exchanges that came after them too. Writes nothing.
     pub async fn recompute(&self, run: i64) -> Result<Option<Recomputed>, StoreError> {
-        read::recompute::recompute(&self.pool, run).await
+        read::recompute::recompute(&self.readers, run).await
     }
 }

@@ -58,6 +58,11 @@ pub struct RunSummary {
     pub total: Option<Figures>,
     /// Whether the clock of one of its hosts was made wrong on purpose.
     pub rehearsed: bool,
+    /// Whether it is kept whole, whatever its age.
+    pub pinned: bool,
+    /// Iterations up to and including this number were deleted, because of their age or for want of room; 0 when none
+    /// were.
+    pub nodes_from: u64,
 }
 
 /// A run with all that is known of it.
@@ -261,6 +266,10 @@ pub struct IterationDetail {
     pub previous: Option<u64>,
     /// The stored iteration after.
     pub next: Option<u64>,
+    /// The successful iteration that is slower by one place; `None` without a `rank`.
+    pub slower: Option<u64>,
+    /// The one that is faster by one place; `None` without a `rank`.
+    pub faster: Option<u64>,
     /// Figures of the run per node name, for comparison; in the order of tables.
     pub run_figures: Vec<(Name, Figures)>,
 }

@@ -7,12 +7,13 @@ use peernet_clock::{SharedClock, Span};
 use peernet_logger::HostId;
 use peernet_logger::stream::codec::{decode, encode};
 use peernet_logger::stream::{
-    Accounting, Event, HostClock, HostMetrics, LinkLive, LiveUpdate, MemorySpool, Notice, PipelineLive,
-    Sending, SendingConfig, ToAgent, ToAggregator, Usage,
+    Accounting, Action, Event, HostClock, HostMetrics, LinkLive, LiveUpdate, Notice, PipelineLive, Sending,
+    SendingConfig, ToAgent, ToAggregator,
 };
 use zeromq::{Message, Options, Socket, SocketType};
 
 use crate::generate;
+use crate::spool::Spool;
 
 /// Longest time that anything may take before a test counts as hung.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -20,8 +21,9 @@ const PATIENCE: Duration = Duration::from_secs(30);
 /// An agent: the real state machine, a spool in memory, a socket.
 pub(crate) struct Agent {
     pub(crate) id: HostId,
-    pub(crate) sending: Sending<MemorySpool>,
+    pub(crate) sending: Sending,
     pub(crate) notices: Vec<Notice>,
+    spool: Spool,
     socket: Wire,
     clock: SharedClock,
 }
@@ -40,8 +42,8 @@ impl Wire {
         self.send_frame(encode(message)).await;
     }
 
-    pub(crate) async fn send_frame(&self, frame: Vec<u8>) {
-        self.0.send(Message::single(Bytes::from(frame))).await.expect("sends");
+    pub(crate) async fn send_frame(&self, frame: impl Into<Bytes>) {
+        self.0.send(Message::single(frame.into())).await.expect("sends");
     }
 
     pub(crate) async fn receive(&self) -> ToAgent {
@@ -57,15 +59,26 @@ impl Agent {
     }
 
     pub(crate) async fn with(id: HostId, name: &str, address: &str, clock: &SharedClock) -> Self {
-        let spool = MemorySpool::new(Usage { events: 1_000_000, bytes: 1 << 30 });
+        let spool = Spool::new();
         // The transport does not tell of lost connections here: patience notices.
         let patience = Span::from_millis(500);
         let config = SendingConfig { batch_nodes: 1_000, patience, ..SendingConfig::default() };
         let process = generate::Numbers(clock.mono().nanos() as u64).bits();
-        let mut sending = Sending::new(config, generate::host(id, name), process, spool);
+        let mut sending = Sending::new(config, generate::host(id, name), process, spool.state());
         sending.connected(clock.mono());
         let socket = Wire::to(address).await;
-        Self { id, sending, notices: Vec::new(), socket, clock: SharedClock::clone(clock) }
+        Self { id, sending, notices: Vec::new(), spool, socket, clock: SharedClock::clone(clock) }
+    }
+
+    /// Does what the state machine wants to have done.
+    async fn act(&mut self) {
+        while let Some(action) = self.sending.next(self.clock.mono()) {
+            if let Action::Send(frame) = action {
+                self.socket.send_frame(frame).await;
+            } else {
+                self.notices.extend(self.spool.act(action, &mut self.sending, self.clock.stamp()));
+            }
+        }
     }
 
     pub(crate) fn offer(&mut self, events: impl IntoIterator<Item = Event>) {
@@ -77,11 +90,7 @@ impl Agent {
         let speak = async {
             loop {
                 self.sending.tick(self.clock.stamp());
-                while let Some(frame) =
-                    self.sending.transmit(self.clock.mono()).expect("the spool is in memory")
-                {
-                    self.socket.send_frame(frame).await;
-                }
+                self.act().await;
                 if done(self) {
                     return;
                 }
@@ -89,7 +98,7 @@ impl Agent {
                     self.sending.deadline().map(|deadline| (deadline - self.clock.mono()).to_duration());
                 tokio::select! {
                     message = self.socket.receive() => {
-                        let notice = self.sending.received(&message, self.clock.stamp()).expect("in memory");
+                        let notice = self.sending.received(&message, self.clock.stamp());
                         self.notices.extend(notice);
                     }
                     () = tokio::time::sleep(wait.unwrap_or(PATIENCE).min(Duration::from_millis(50))) => {}

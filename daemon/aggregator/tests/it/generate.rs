@@ -159,3 +159,8 @@ fn transit(sent: WallTime, nanos: i64) -> Measure {
     };
     Measure::Transit(Box::new(Transit { sent, received: Some(sent + span), delay: Some(delay) }))
 }
+
+/// Events in wire form, one after the other: the body of a batch.
+pub fn body(events: &[Event]) -> Vec<u8> {
+    events.iter().flat_map(|event| rmp_serde::to_vec(event).expect("plain data")).collect()
+}

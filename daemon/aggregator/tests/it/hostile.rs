@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use peernet_aggregator::Readiness;
 use peernet_clock::{Interval, OneWayDelay, Span, WallTime};
-use peernet_logger::stream::{Event, Hello, HostClock, PROTOCOL, StreamId, ToAgent, ToAggregator};
+use peernet_logger::stream::{Event, HostClock, ToAgent, ToAggregator};
 use peernet_logger::{HostId, Measure, RunId};
 use tokio::io::AsyncReadExt;
 use tokio::net::TcpStream;
@@ -13,6 +13,7 @@ use tokio::task::JoinSet;
 
 use crate::agent::Wire;
 use crate::bed::Bed;
+use crate::raw::{Raw, Reply};
 use crate::{clocks, generate};
 
 #[tokio::test]
@@ -45,8 +46,8 @@ async fn one_connection_says_hello_for_few_hosts() {
     let mut bed = Bed::new().await;
     let wire = Wire::to(&bed.address).await;
     for n in 0..65 {
-        let host = generate::host(HostId::random(), &format!("host-{n}"));
-        let hello = Hello { protocol: PROTOCOL, host, stream: StreamId::random(), oldest: 1, process: 1 };
+        // Each as if it had a connection of its own.
+        let hello = Raw::new(&bed).await.hello(&format!("host-{n}"));
         wire.send(&ToAggregator::Hello(hello)).await;
         match wire.receive().await {
             ToAgent::Welcome { .. } => assert!(n < 64),
@@ -59,6 +60,26 @@ async fn one_connection_says_hello_for_few_hosts() {
     // Others are let in.
     let mut agent = bed.agent("edge").await;
     agent.until_up().await;
+    bed.stop().await;
+}
+
+#[tokio::test]
+async fn what_is_no_message_and_what_strangers_send_is_counted() {
+    let mut bed = Bed::new().await;
+    let mut stranger = Raw::new(&bed).await;
+    for junk in [&b""[..], b"\xff\xff\xff", &[7; 100_000]] {
+        stranger.wire.send_frame(junk.to_vec()).await;
+    }
+    stranger.send_next().await;
+    stranger.expect(Reply::Unknown).await;
+    stranger.wire.send(&ToAggregator::Goodbye(stranger.host)).await;
+    stranger.expect(Reply::Unknown).await;
+    let counted = bed.picture("all of them", |picture| {
+        let refused = picture.totals.refused;
+        (refused.unreadable, refused.strangers) == (3, 2)
+    });
+    let picture = counted.await;
+    assert!(picture.hosts.is_empty() && picture.totals.stored.events == 0);
     bed.stop().await;
 }
 

@@ -1,24 +1,13 @@
 //! Agents that are refused, crash, repeat themselves or send nonsense.
 
-use peernet_logger::stream::codec::encode;
-use peernet_logger::stream::{Batch, Hello, Notice, PROTOCOL, StreamId, ToAgent, ToAggregator};
-use peernet_logger::{HostId, RunId};
+use peernet_logger::RunId;
+use peernet_logger::stream::{Chain, Hello, Notice, StreamId, ToAgent, ToAggregator};
+use sqlx::Connection;
 
-use crate::agent::{Agent, Wire};
+use crate::agent::Agent;
 use crate::bed::Bed;
 use crate::generate;
-
-fn hello(host: HostId, name: &str, stream: StreamId) -> ToAggregator {
-    let host = generate::host(host, name);
-    ToAggregator::Hello(Hello { protocol: PROTOCOL, host, stream, oldest: 1, process: 1 })
-}
-
-fn batch(host: HostId, stream: StreamId, number: u64, run: RunId) -> ToAggregator {
-    let mut random = generate::Numbers(number);
-    let iteration = generate::iteration(run, number, (host, HostId::from_bytes([7; 16])), &mut random);
-    let events = vec![peernet_logger::stream::Event::Iteration(iteration)];
-    ToAggregator::Batch(Batch { host, stream, number, events })
-}
+use crate::raw::{Raw, Reply};
 
 #[tokio::test]
 async fn a_second_host_of_one_name_is_refused_and_shown() {
@@ -63,82 +52,233 @@ async fn a_crashed_agent_comes_back_under_its_own_id() {
 #[tokio::test]
 async fn repeated_missing_and_early_batches_are_told_apart() {
     let mut bed = Bed::new().await;
-    let wire = Wire::to(&bed.address).await;
-    let (host, stream, run) = (HostId::random(), StreamId::random(), RunId::random());
-    wire.send(&batch(host, stream, 1, run)).await;
-    assert_eq!(wire.receive().await, ToAgent::Unknown, "no hello yet");
-    wire.send(&hello(host, "edge", stream)).await;
-    assert!(matches!(wire.receive().await, ToAgent::Welcome { stored: 0, .. }));
-    wire.send(&batch(host, stream, 3, run)).await;
-    assert_eq!(wire.receive().await, ToAgent::Resend { stream, from: 1 });
-    wire.send(&batch(host, stream, 1, run)).await;
-    assert_eq!(wire.receive().await, ToAgent::Ack { stream, through: 1 });
+    let mut raw = Raw::new(&bed).await;
+    let batches = [raw.next(), raw.next(), raw.next()];
+    raw.wire.send_frame(batches[0].clone()).await;
+    raw.expect(Reply::Unknown).await;
+    let hello = raw.hello("edge");
+    let hello = Hello { oldest: 1, before: Chain::START, ..hello };
+    raw.wire.send(&ToAggregator::Hello(hello)).await;
+    assert!(matches!(raw.wire.receive().await, ToAgent::Welcome { stored: 0, .. }));
+    raw.wire.send_frame(batches[2].clone()).await;
+    raw.expect(Reply::Resend(1)).await;
+    raw.wire.send_frame(batches[0].clone()).await;
+    raw.expect(Reply::Ack(1)).await;
     for _ in 0..3 {
-        wire.send(&batch(host, stream, 1, run)).await;
-        assert_eq!(wire.receive().await, ToAgent::Ack { stream, through: 1 });
+        raw.wire.send_frame(batches[0].clone()).await;
+        raw.expect(Reply::Ack(1)).await;
     }
-    wire.send(&batch(host, stream, 2, run)).await;
-    assert_eq!(wire.receive().await, ToAgent::Ack { stream, through: 2 });
+    raw.wire.send_frame(batches[1].clone()).await;
+    raw.expect(Reply::Ack(2)).await;
     assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 2);
     bed.picture("three duplicates", |picture| {
         picture.hosts.first().is_some_and(|host| host.stored.duplicates == 3)
     })
     .await;
     // From another connection the host id alone opens nothing.
-    let stranger = Wire::to(&bed.address).await;
-    stranger.send(&batch(host, stream, 3, run)).await;
-    assert_eq!(stranger.receive().await, ToAgent::Unknown);
-    stranger.send(&ToAggregator::Goodbye(host)).await;
-    assert_eq!(stranger.receive().await, ToAgent::Unknown);
+    let stranger = Raw::new(&bed).await;
+    stranger.wire.send_frame(batches[2].clone()).await;
+    stranger.expect(Reply::Unknown).await;
+    stranger.wire.send(&ToAggregator::Goodbye(raw.host)).await;
+    stranger.expect(Reply::Unknown).await;
     assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 2);
     bed.stop().await;
 }
 
 #[tokio::test]
-async fn a_batch_that_cannot_be_read_is_put_aside_and_the_stream_goes_on() {
+async fn what_is_damaged_is_asked_for_again_and_put_aside_at_the_third_time() {
     let mut bed = Bed::new().await;
-    let wire = Wire::to(&bed.address).await;
-    let (host, stream, run) = (HostId::random(), StreamId::random(), RunId::random());
-    wire.send_frame(vec![0xc1; 100]).await;
-    wire.send(&hello(host, "edge", stream)).await;
-    assert!(matches!(wire.receive().await, ToAgent::Welcome { stored: 0, .. }));
-    let mut damaged = encode(&batch(host, stream, 1, run));
-    damaged.truncate(damaged.len() - 30);
-    wire.send_frame(damaged).await;
-    assert_eq!(wire.receive().await, ToAgent::Ack { stream, through: 1 });
-    wire.send(&batch(host, stream, 2, run)).await;
-    assert_eq!(wire.receive().await, ToAgent::Ack { stream, through: 2 });
-    assert_eq!(bed.count("SELECT count(*) FROM quarantine WHERE number = 1 AND events IS NULL").await, 1);
-    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 1);
+    let mut raw = Raw::welcome(&bed, "edge").await;
+    raw.wire.send_frame(vec![0xc1; 100]).await;
+    raw.expect(Reply::Unknown).await;
+    let first = raw.next();
+    let damaged = first[..first.len() - 30].to_vec();
+    raw.wire.send_frame(damaged.clone()).await;
+    raw.expect(Reply::Resend(1)).await;
+    raw.wire.send_frame(first).await;
+    raw.expect(Reply::Ack(1)).await;
+
+    let second = raw.next();
+    let mut damaged = second.clone();
+    *damaged.last_mut().expect("a body") ^= 1;
+    for _ in 0..2 {
+        raw.wire.send_frame(damaged.clone()).await;
+        raw.expect(Reply::Resend(2)).await;
+    }
+    raw.wire.send_frame(damaged).await;
+    raw.expect(Reply::Ack(2)).await;
+    raw.send_next().await;
+    raw.expect(Reply::Ack(3)).await;
+    assert_eq!(bed.count("SELECT count(*) FROM quarantine WHERE number = 2 AND events IS NULL").await, 1);
+    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 2);
+    assert_eq!(bed.count("SELECT count(*) FROM gap WHERE count = 1").await, 1);
     let picture = bed.picture("the quarantined batch", |picture| {
-        picture.hosts.first().is_some_and(|host| host.stored.quarantined == 1)
+        picture.hosts.first().is_some_and(|host| host.stored.quarantined == 1 && host.arrivals.damaged == 4)
     });
-    assert_eq!(picture.await.hosts[0].stored.nodes, 21);
+    assert_eq!(picture.await.hosts[0].stored.nodes, 42);
+    bed.stop().await;
+}
+
+#[tokio::test]
+async fn what_matches_its_hash_and_is_no_event_is_put_aside_at_once() {
+    let mut bed = Bed::new().await;
+    let mut raw = Raw::welcome(&bed, "edge").await;
+    let frames = [
+        raw.next_with(7, &[0xc1; 100]),
+        raw.next_with(u32::MAX, &[0xc0; 10]),
+        raw.next_with(0, &[]),
+        raw.next(),
+    ];
+    for (frame, number) in frames.into_iter().zip(1..) {
+        raw.wire.send_frame(frame).await;
+        raw.expect(Reply::Ack(number)).await;
+    }
+    assert_eq!(bed.count("SELECT count(*) FROM quarantine WHERE number < 3 AND length(frame) > 80").await, 2);
+    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 1);
+    assert_eq!(bed.count("SELECT missing FROM host WHERE name = 'edge'").await, 7);
+    bed.stop().await;
+}
+
+#[tokio::test]
+async fn a_flipped_byte_anywhere_harms_nothing_else() {
+    let mut bed = Bed::new().await;
+    let mut raw = Raw::welcome(&bed, "edge").await;
+    let mut other = Raw::welcome(&bed, "other").await;
+    let frame = raw.next();
+    // All that the head says, and half of the length: from there on the batch is known by its head, and a third time in
+    // a row it would be put aside.
+    for at in 0..80 {
+        let mut flipped = frame.clone();
+        flipped[at] ^= 0x10;
+        raw.wire.send_frame(flipped).await;
+        if at % 30 == 0 {
+            let number = at as u64 / 30 + 1;
+            other.send_next().await;
+            other.expect(Reply::Ack(number)).await;
+        }
+    }
+    raw.wire.send_frame(frame).await;
+    raw.until_stored_over_requests(1).await;
+    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 4);
+    assert_eq!(bed.count("SELECT count(*) FROM quarantine").await, 0);
+    assert_eq!(bed.count("SELECT count(*) FROM stream").await, 2);
+    bed.stop().await;
+}
+
+#[tokio::test]
+async fn a_batch_that_does_not_follow_is_not_stored() {
+    let mut bed = Bed::new().await;
+    let mut raw = Raw::welcome(&bed, "edge").await;
+    raw.send_next().await;
+    raw.expect(Reply::Ack(1)).await;
+    // Another history under the same numbers: a copied spool.
+    let mut copy = Raw::new(&bed).await;
+    (copy.host, copy.stream) = (raw.host, raw.stream);
+    let _other_first = copy.next_with(1, &[0xc0]);
+    raw.wire.send_frame(copy.next()).await;
+    raw.expect(Reply::Unknown).await;
+    assert_eq!(bed.count("SELECT stored FROM stream").await, 1);
+    raw.send_next().await;
+    raw.expect(Reply::Ack(2)).await;
+    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 2);
+    bed.stop().await;
+}
+
+#[tokio::test]
+async fn whoever_ignores_the_window_gains_nothing_and_loses_nothing() {
+    let mut bed = Bed::new().await;
+    let mut raw = Raw::welcome(&bed, "edge").await;
+    // The greeting is stored before the lock.
+    raw.send_next().await;
+    raw.expect(Reply::Ack(1)).await;
+    let mut holder = bed.connection().await;
+    sqlx::raw_sql("BEGIN EXCLUSIVE").execute(&mut holder).await.expect("locks");
+    let frames: Vec<Vec<u8>> = (0..200).map(|_| raw.next()).collect();
+    for frame in &frames {
+        raw.wire.send_frame(frame.clone()).await;
+    }
+    assert!(raw.is_silent().await, "nothing is stored, so nothing is acknowledged");
+    sqlx::raw_sql("ROLLBACK").execute(&mut holder).await.expect("unlocks");
+    holder.close().await.expect("closes");
+    // What was not taken is sent again, now as it should be.
+    let mut stored = 1;
+    while stored < 201 {
+        let from = match raw.wire.receive().await {
+            ToAgent::Ack { through, .. } => {
+                stored = through;
+                through + 1
+            }
+            ToAgent::Resend { from, .. } => from,
+            other => panic!("{other:?}"),
+        };
+        for frame in frames.iter().skip(from as usize - 2).take(8) {
+            raw.wire.send_frame(frame.clone()).await;
+        }
+    }
+    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 201);
     bed.stop().await;
 }
 
 #[tokio::test]
 async fn a_spool_that_lost_batches_leaves_a_gap_and_a_copied_one_is_refused() {
     let mut bed = Bed::new().await;
-    let wire = Wire::to(&bed.address).await;
-    let (host, stream, run) = (HostId::random(), StreamId::random(), RunId::random());
-    let ToAggregator::Hello(mut greeting) = hello(host, "edge", stream) else { panic!("a hello") };
-    greeting.oldest = 8;
-    wire.send(&ToAggregator::Hello(greeting.clone())).await;
-    assert!(matches!(wire.receive().await, ToAgent::Welcome { .. }));
-    assert_eq!(wire.receive().await, ToAgent::Ack { stream, through: 7 }, "the gap is stored");
-    wire.send(&batch(host, stream, 8, run)).await;
-    assert_eq!(wire.receive().await, ToAgent::Ack { stream, through: 8 });
+    let mut raw = Raw::new(&bed).await;
+    for _ in 0..7 {
+        raw.next();
+    }
+    let greeting = raw.hello("edge");
+    raw.wire.send(&ToAggregator::Hello(greeting.clone())).await;
+    assert!(matches!(raw.wire.receive().await, ToAgent::Welcome { .. }));
+    // The gap is stored.
+    raw.expect(Reply::Ack(7)).await;
+    raw.send_next().await;
+    raw.expect(Reply::Ack(8)).await;
     assert_eq!(bed.count("SELECT count(*) FROM gap WHERE reason LIKE 'batches 1 to 7 of stream%'").await, 1);
     // The owner of a stream is known across restarts.
     bed.stop().await;
     bed.start().await;
-    let copy = Wire::to(&bed.address).await;
-    copy.send(&hello(HostId::random(), "copy", stream)).await;
-    let ToAgent::Refused { reason } = copy.receive().await else { panic!("refused") };
-    assert!(reason.contains(&host.to_string()), "{reason}");
-    greeting.oldest = u64::MAX;
-    copy.send(&ToAggregator::Hello(greeting)).await;
-    assert!(matches!(copy.receive().await, ToAgent::Refused { .. }));
+    let mut copy = Raw::new(&bed).await;
+    copy.stream = raw.stream;
+    copy.wire.send(&ToAggregator::Hello(copy.hello("copy"))).await;
+    let ToAgent::Refused { reason } = copy.wire.receive().await else { panic!("refused") };
+    assert!(reason.contains(&raw.host.to_string()), "{reason}");
+    let impossible = Hello { oldest: u64::MAX, ..greeting };
+    copy.wire.send(&ToAggregator::Hello(impossible)).await;
+    assert!(matches!(copy.wire.receive().await, ToAgent::Refused { .. }));
     bed.stop().await;
+}
+
+#[tokio::test]
+async fn a_deleted_spool_leaves_one_gap_however_often_its_agent_comes_back() {
+    let mut bed = Bed::new().await;
+    let mut raw = Raw::welcome(&bed, "edge").await;
+    raw.send_next().await;
+    raw.expect(Reply::Ack(1)).await;
+    let mut anew = Raw::new(&bed).await;
+    anew.host = raw.host;
+    for _ in 0..2 {
+        for _ in 0..2 {
+            // The same process number: no other agent is to be waited for.
+            let again = Raw { stream: anew.stream, host: raw.host, ..Raw::new(&bed).await };
+            again.wire.send(&ToAggregator::Hello(again.hello("edge"))).await;
+            assert!(matches!(again.wire.receive().await, ToAgent::Welcome { stored: 0, .. }));
+        }
+        bed.stop().await;
+        bed.start().await;
+    }
+    assert_eq!(bed.count("SELECT count(*) FROM gap WHERE reason LIKE '%deleted or replaced%'").await, 1);
+    assert_eq!(bed.count("SELECT gaps FROM host WHERE name = 'edge'").await, 1);
+    // One that went on from it leaves none.
+    let next = Raw { host: raw.host, ..Raw::new(&bed).await };
+    let hello = Hello { previous: Some(anew.stream), ..next.hello("edge") };
+    next.wire.send(&ToAggregator::Hello(hello)).await;
+    assert!(matches!(next.wire.receive().await, ToAgent::Welcome { .. }));
+    bed.stop().await;
+    assert_eq!(bed.count("SELECT count(*) FROM gap").await, 1);
+    let previous = anew.stream;
+    let uuid: Option<String> = sqlx::query_scalar("SELECT previous FROM stream WHERE previous IS NOT NULL")
+        .fetch_one(&mut bed.connection().await)
+        .await
+        .expect("reads");
+    assert_eq!(uuid.and_then(|uuid| uuid.parse::<StreamId>().ok()), Some(previous));
 }

@@ -1,4 +1,4 @@
-//! From events to batches in the spool: the agent's side before anything is sent.
+//! From events to batches: the agent's side before anything is numbered.
 
 use std::collections::BTreeMap;
 
@@ -6,7 +6,7 @@ use bytes::Bytes;
 use peernet_clock::{MonoTime, Stamp, WallTime};
 
 use super::losses::Losses;
-use super::spool::{Spool, SpooledBatch, Usage};
+use super::spool::{Totals, Usage};
 use super::{Event, Gap, SendingConfig, codec};
 use crate::limits::MAX_BYTES;
 use crate::{RunId, Slug};
@@ -20,170 +20,282 @@ const GAP: Usage = Usage { events: 1, bytes: 512 };
 /// Longest event: the largest tree and what surrounds it.
 const MAX_EVENT_BYTES: usize = MAX_BYTES + 16 * 1024;
 
-/// Takes events, counts them, cuts them into batches, and hands those to the spool.
-#[derive(Debug)]
-pub(super) struct Intake<S> {
+/// Longest batch, whatever is configured: its frame must be read over there.
+const MOST_BATCH_BYTES: usize = codec::MAX_MESSAGE_BYTES - codec::BATCH_HEAD_BYTES;
+
+/// Takes events, counts them, and cuts them into batches that are still to be numbered.
+#[derive(Clone, Debug)]
+pub(super) struct Intake {
     config: SendingConfig,
-    pub(super) spool: S,
-    pub(super) offered: u64,
-    pub(super) dropped: u64,
+    totals: Totals,
     open: OpenBatch,
+    /// Batches that were cut and not collected yet.
+    cut: Vec<CutBatch>,
+    cut_usage: Usage,
     /// The event at hand, encoded; kept to reuse its memory.
     encoded: Vec<u8>,
     losses: Losses,
+    /// Events that a process before this one dropped and did not tell of.
+    untold: u64,
     /// Pipelines of the runs under way: an iteration names its run only.
     pipelines: BTreeMap<RunId, Slug>,
 }
 
 /// A batch under construction.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 struct OpenBatch {
     body: Vec<u8>,
     events: u32,
+    gaps: u64,
+    told: u64,
     nodes: usize,
-    since: MonoTime,
+    since: Option<Stamp>,
 }
 
-impl<S: Spool> Intake<S> {
-    pub(super) fn new(config: SendingConfig, spool: S) -> Self {
+/// A batch that waits for its number.
+#[derive(Clone, Debug)]
+pub(super) struct CutBatch {
+    pub(super) since: WallTime,
+    pub(super) events: u32,
+    pub(super) body: Bytes,
+    /// What was counted up to its last event.
+    pub(super) totals: Totals,
+}
+
+/// What may still be taken in.
+#[derive(Clone, Debug)]
+pub(super) struct Room {
+    /// In memory.
+    pub(super) memory: Usage,
+    /// Bytes in the spool.
+    pub(super) spool_bytes: u64,
+    /// Why the spool is not written, when it is not.
+    pub(super) spool_fails: bool,
+}
+
+impl Room {
+    fn fits(&self, usage: Usage) -> bool {
+        usage.fits(self.memory) && usage.bytes <= self.spool_bytes
+    }
+
+    fn lacks(&self, usage: Usage) -> &'static str {
+        match () {
+            () if usage.bytes > self.spool_bytes => "the agent's spool was full",
+            () if self.spool_fails => "the agent's spool could not be written and its memory was full",
+            () => "the agent's memory was full: events came faster than the spool takes them",
+        }
+    }
+}
+
+impl Intake {
+    /// What was counted before goes on.
+    pub(super) fn new(config: SendingConfig, totals: Totals) -> Self {
         Self {
             config,
-            offered: spool.usage().events,
-            dropped: 0,
-            spool,
+            totals,
             open: OpenBatch::default(),
+            cut: Vec::new(),
+            cut_usage: Usage::default(),
             encoded: Vec::new(),
             losses: Losses::default(),
+            untold: totals.dropped.saturating_sub(totals.told),
             pipelines: BTreeMap::new(),
         }
     }
 
-    pub(super) fn offer(&mut self, event: &Event, now: Stamp) {
-        self.offered += 1;
+    pub(super) fn offer(&mut self, event: &Event, room: &Room, now: Stamp) {
+        self.lose_untold(now);
         self.encoded.clear();
         codec::append(&mut self.encoded, event);
-        match self.refusal(event) {
+        match self.refusal(event, room) {
             None => {
-                self.report_losses(now);
+                self.report_losses(room, now);
                 if let Event::RunEnded(ended) = event {
-                    self.report_ended(Some(ended.run), now);
+                    self.report_ended(Some(ended.run), room, now);
                 }
                 self.take(weight(event), now);
             }
             Some(reason) => {
-                self.dropped += 1;
+                self.totals.produced += 1;
                 let (pipeline, run) = self.scope(event);
-                self.losses.add(pipeline, run, now, 1, reason);
+                self.lose(pipeline, run, 1, reason, now);
             }
         }
         self.remember(event);
     }
 
+    /// Counts events that are lost.
+    pub(super) fn lose(
+        &mut self,
+        pipeline: Option<Slug>,
+        run: Option<RunId>,
+        count: u64,
+        reason: String,
+        now: Stamp,
+    ) {
+        self.totals.dropped += count;
+        self.losses.add(pipeline, run, now, count, reason);
+    }
+
+    /// Counts events that were dropped before they came here.
+    pub(super) fn lost(&mut self, gap: &Gap, now: Stamp) {
+        self.totals.produced += gap.count;
+        self.totals.dropped += gap.count;
+        self.losses.add_gap(gap.clone(), now);
+    }
+
+    /// What was dropped before the start is told with the first that happens after it.
+    fn lose_untold(&mut self, now: Stamp) {
+        let count = std::mem::take(&mut self.untold);
+        if count > 0 {
+            let reason = "dropped before the agent last ended, for want of room in its spool";
+            self.losses.add(None, None, now, count, reason.to_owned());
+        }
+    }
+
     /// Why the event at hand cannot be taken.
-    fn refusal(&self, event: &Event) -> Option<String> {
+    fn refusal(&self, event: &Event, room: &Room) -> Option<String> {
         let mut more = Usage { events: 1, bytes: self.encoded.len() as u64 };
         if let Event::Iteration(iteration) = event {
             // One that the aggregator would refuse must not hold up everything behind it.
             if let Err(error) = iteration.tree.check(0) {
                 return Some(format!("the iteration cannot be sent: {error}"));
             }
-            more.events += self.config.reserve_events;
+            more = more + self.reserve();
         }
         if self.encoded.len() > MAX_EVENT_BYTES {
             return Some(format!("the event is longer than {MAX_EVENT_BYTES} bytes"));
         }
-        let fits = self.spool.fits(self.open_usage() + more + self.reports());
-        (!fits).then(|| "the agent's spool was full".to_owned())
+        let wanted = self.usage() + more + self.reports();
+        (!room.fits(wanted)).then(|| room.lacks(wanted).to_owned())
+    }
+
+    /// What iterations leave to the other events.
+    fn reserve(&self) -> Usage {
+        let events = self.config.reserve_events;
+        // As much of the bytes as of the places, so that neither is used up alone.
+        let share = |bytes: u64| bytes / (self.config.memory.events / events.max(1)).max(8);
+        let bytes = share(self.config.memory.bytes).min(share(self.config.spool_bytes));
+        Usage { events, bytes: if events > 0 { bytes } else { 0 } }
     }
 
     /// Puts gaps that are due where the lost events would have been, if there is room.
-    pub(super) fn report_losses(&mut self, now: Stamp) {
-        if self.has_room_for_reports() {
+    pub(super) fn report_losses(&mut self, room: &Room, now: Stamp) {
+        if self.has_room_for_reports(room) {
             let gaps = self.losses.take_due(now.mono);
             self.report(gaps, now);
         }
     }
 
     /// The same for all losses of a run that ends, or of all that end.
-    fn report_ended(&mut self, run: Option<RunId>, now: Stamp) {
-        if self.has_room_for_reports() {
+    fn report_ended(&mut self, run: Option<RunId>, room: &Room, now: Stamp) {
+        if self.has_room_for_reports(room) {
             let gaps = self.losses.take_ended(run, now.mono);
             self.report(gaps, now);
         }
     }
 
-    fn has_room_for_reports(&self) -> bool {
-        self.losses.len() > 0 && self.spool.fits(self.open_usage() + self.reports())
+    fn has_room_for_reports(&self, room: &Room) -> bool {
+        self.losses.len() > 0 && room.fits(self.usage() + self.reports())
     }
 
     fn report(&mut self, gaps: Vec<Gap>, now: Stamp) {
         let event = std::mem::take(&mut self.encoded);
         for gap in gaps {
-            self.offered += 1;
             self.encoded.clear();
+            let count = gap.count;
             codec::append(&mut self.encoded, &Event::Gap(gap));
             self.take(1, now);
+            self.totals.gaps += 1;
+            self.totals.told += count;
+            self.open.gaps += 1;
+            self.open.told += count;
         }
         self.encoded = event;
     }
 
     /// Adds the event at hand to the batch.
     fn take(&mut self, nodes: usize, now: Stamp) {
-        let full = self.open.body.len() + self.encoded.len() > self.config.batch_bytes
+        let most = self.config.batch_bytes.min(MOST_BATCH_BYTES);
+        let full = self.open.body.len() + self.encoded.len() > most
             || self.open.nodes + nodes > self.config.batch_nodes;
         if full {
-            self.cut(now);
+            self.cut();
         }
-        if self.open.events == 0 {
-            self.open.since = now.mono;
-        }
+        // Counted after the cut: the totals of a batch are those up to its last event.
+        self.totals.produced += 1;
+        self.open.since.get_or_insert(now);
         self.open.body.extend_from_slice(&self.encoded);
         self.open.events += 1;
         self.open.nodes += nodes;
     }
 
-    /// Reports what is not reported yet and hands everything to the spool: before a stop.
-    pub(super) fn flush(&mut self, now: WallTime) {
-        // The age of the batch does not matter: it is cut at once.
-        let now = Stamp { wall: now, mono: self.open.since };
-        self.report_ended(None, now);
-        self.cut(now);
+    /// Reports what is not reported yet and cuts the batch under construction: before a stop.
+    pub(super) fn flush(&mut self, room: &Room, now: WallTime) {
+        // How long a loss was not reported does not matter: all are.
+        let now = Stamp { wall: now, mono: self.open.since.map_or(MonoTime::default(), |since| since.mono) };
+        self.report_ended(None, room, now);
+        self.cut();
     }
 
-    /// Hands the batch under construction to the spool.
-    pub(super) fn cut(&mut self, now: Stamp) {
+    fn cut(&mut self) {
+        let Some(since) = self.open.since else { return };
+        self.cut_usage = self.cut_usage + self.open_usage();
         let OpenBatch { body, events, .. } = std::mem::take(&mut self.open);
-        if events == 0 {
-            return;
-        }
-        if let Err(error) = self.spool.append(SpooledBatch { events, body: Bytes::from(body) }) {
-            self.dropped += u64::from(events);
-            self.losses.add(None, None, now, u64::from(events), error.to_string());
-        }
+        self.cut.push(CutBatch {
+            since: since.wall,
+            events,
+            body: Bytes::from(body.into_boxed_slice()),
+            totals: self.totals(),
+        });
     }
 
-    pub(super) fn tick(&mut self, now: Stamp) {
+    /// The batches that were cut since the last call.
+    pub(super) fn take_cut(&mut self) -> Vec<CutBatch> {
+        self.cut_usage = Usage::default();
+        std::mem::take(&mut self.cut)
+    }
+
+    pub(super) fn tick(&mut self, room: &Room, now: Stamp) {
+        self.lose_untold(now);
         if self.batch_deadline().is_some_and(|deadline| now.mono >= deadline) {
-            self.cut(now);
+            self.cut();
         }
-        self.report_losses(now);
+        self.report_losses(room, now);
     }
 
     /// When the batch under construction is old enough, or a loss is to be reported.
-    pub(super) fn deadline(&self) -> Option<MonoTime> {
-        let batch = self.batch_deadline();
+    pub(super) fn deadline(&self, room: &Room) -> Option<MonoTime> {
         // Without room there is nothing to do: an acknowledgement makes some.
-        let report = self.has_room_for_reports().then(|| self.losses.due()).flatten();
-        batch.into_iter().chain(report).min()
+        let report = self.has_room_for_reports(room).then(|| self.losses.due()).flatten();
+        self.batch_deadline().into_iter().chain(report).min()
     }
 
     fn batch_deadline(&self) -> Option<MonoTime> {
-        (self.open.events > 0).then(|| self.open.since + self.config.batch_age)
+        self.open.since.map(|since| since.mono + self.config.batch_age)
     }
 
-    /// What is not stored over there yet.
-    pub(super) fn waiting(&self) -> Usage {
-        self.spool.usage() + self.open_usage()
+    /// What was counted, without the batch under construction: the totals that agree with the numbered batches.
+    pub(super) const fn totals(&self) -> Totals {
+        let Totals { produced, dropped, gaps, told, reached } = self.totals;
+        let open = &self.open;
+        let (produced, gaps, told) = (produced - open.events as u64, gaps - open.gaps, told - open.told);
+        Totals { produced, dropped, gaps, told, reached }
+    }
+
+    /// Everything that was counted.
+    pub(super) const fn counted(&self) -> Totals {
+        self.totals
+    }
+
+    /// When the first event that is not numbered came.
+    pub(super) fn since(&self) -> Option<WallTime> {
+        self.open.since.map(|since| since.wall)
+    }
+
+    /// What is held here.
+    pub(super) fn usage(&self) -> Usage {
+        self.open_usage() + self.cut_usage
     }
 
     fn open_usage(&self) -> Usage {

@@ -121,19 +121,36 @@ pub struct OutcomeCounts {
     pub timeout: u64,
 }
 
-/// What became of an agent's events since it started. At rest, offered = stored + waiting + dropped.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+/// What became of an agent's events since its spool was made. `produced = stored + waiting + dropped` at any time.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Accounting {
-    /// Events that were handed in.
-    pub offered: u64,
-    /// Events that were acknowledged as stored.
+    /// Events that were handed in; gaps that are reported count as events of their own.
+    pub produced: u64,
+    /// Of those, written to the spool, or stored without it while its disk failed.
+    pub spooled: u64,
+    /// Of those, sent at least once.
+    pub sent: u64,
+    /// Acknowledged as stored.
     pub stored: u64,
-    /// Events that wait on the agent.
+    /// Waiting on the agent, in memory or in the spool.
     pub waiting: u64,
-    /// Events that were dropped.
+    /// Dropped, and counted in gaps.
     pub dropped: u64,
-    /// Bytes that the waiting events take.
-    pub waiting_bytes: u64,
+    /// Gaps that were reported.
+    pub gaps: u64,
+    /// Bytes of the batches in the spool.
+    pub spool_bytes: u64,
+    /// Bytes that the spool may take.
+    pub spool_limit_bytes: u64,
+    /// Bytes of events in memory that are not in the spool yet.
+    pub memory_bytes: u64,
+    /// When the oldest event that waits came, on the agent's wall clock: storing is so far behind measuring.
+    pub oldest: Option<WallTime>,
+    /// Batches carry their events compressed: that is configured, or they wait for acknowledgements, because of a slow
+    /// link or a slow store.
+    pub compressed: bool,
+    /// Why the spool cannot be written or read, in words; events wait in memory meanwhile.
+    pub trouble: Option<String>,
 }
 
 impl OutcomeCounts {

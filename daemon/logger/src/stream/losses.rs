@@ -57,6 +57,19 @@ impl Losses {
         }
     }
 
+    /// Counts what was dropped elsewhere and is not reported yet.
+    pub(super) fn add_gap(&mut self, gap: Gap, now: Stamp) {
+        let Gap { pipeline, run, from, count, reason, .. } = gap;
+        self.add(pipeline.clone(), run, now, count, reason.clone());
+        let same = |loss: &&mut Loss| {
+            let known = &loss.gap;
+            known.pipeline == pipeline && known.run == run && known.reason == reason
+        };
+        if let Some(loss) = self.known.iter_mut().find(same) {
+            loss.gap.from = loss.gap.from.min(from);
+        }
+    }
+
     /// How many gaps there are to report, now or later.
     pub(super) fn len(&self) -> usize {
         self.known.iter().filter(|loss| loss.gap.count > 0).count()

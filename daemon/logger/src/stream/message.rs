@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Event, HostDescription, LiveUpdate};
+use super::{Chain, Event, HostDescription, LiveUpdate};
 use crate::host::random_id;
 use crate::{HostId, Slug};
 use std::fmt;
@@ -10,7 +10,16 @@ use std::str::FromStr;
 use uuid::Uuid;
 
 /// Version of the event stream's messages. Both ends must agree.
-pub const PROTOCOL: u16 = 2;
+pub const PROTOCOL: u16 = 3;
+
+/// Batches of one agent that may be under way at once, however small they are.
+pub const MOST_UNDER_WAY: usize = 1_024;
+
+/// What a batch counts in a window, bytes: those of its body, and no less than 1 KiB, because a small one takes its
+/// place in memory and in queues as well.
+pub fn batch_weight(body_bytes: usize) -> u64 {
+    body_bytes.max(1_024) as u64
+}
 
 random_id! {
     /// A stream of batches: made with the agent's spool, so that a new or copied spool is recognised.
@@ -18,14 +27,15 @@ random_id! {
 }
 
 /// From agent to aggregator. The host id is in the message, never in the transport's routing id.
+///
+/// The durable lane's batches are frames of their own kind ([`super::codec::batch_frame`]): they are checked by hash
+/// before anything in them is read.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ToAggregator {
     /// Opens the connection; repeated after each reconnect.
     Hello(Hello),
     /// Live lane.
     Live(LiveUpdate),
-    /// Durable lane.
-    Batch(Batch),
     /// The agent is about to stop; nothing more will come.
     Goodbye(HostId),
 }
@@ -39,8 +49,16 @@ pub struct Hello {
     pub host: HostDescription,
     /// The stream its batches belong to.
     pub stream: StreamId,
-    /// Number of the oldest batch the agent still holds.
+    /// The stream that this one goes on from, where the agent had to leave one: nothing is missing between the two.
+    pub previous: Option<StreamId>,
+    /// Number of the first batch that there ever was in the stream.
+    pub first: u64,
+    /// Number of the oldest batch the agent still holds; one more than the newest when it holds none.
     pub oldest: u64,
+    /// Chain of the batch before `oldest`.
+    pub before: Chain,
+    /// Longest body of a batch that the agent cuts, as a rule; bytes. Windows are counted in the weight of such a batch.
+    pub batch_bytes: u32,
     /// A random number made at process start: tells a reconnect from a second process with a copied host id.
     pub process: u64,
 }
@@ -54,8 +72,14 @@ pub enum ToAgent {
         aggregator: Slug,
         /// The stream of the hello that this answers.
         stream: StreamId,
-        /// All batches of the stream up to and including this number are stored; 0 when none is.
+        /// All batches of the stream up to and including this number are stored; `first - 1` when none is.
         stored: u64,
+        /// Chain of that batch; `None` when it is not known here (none is stored).
+        chain: Option<Chain>,
+        /// The process that sent that batch ([`Hello::process`]); `None` when it is not known.
+        process: Option<u64>,
+        /// What may be under way at once, see [`ToAgent::Ack`].
+        window: u32,
     },
     /// The hello was refused; the agent reports the reason and tries again later.
     Refused {
@@ -68,6 +92,9 @@ pub enum ToAgent {
         stream: StreamId,
         /// The number.
         through: u64,
+        /// What may be under way at once from now on, in units of a batch of [`Hello::batch_bytes`], at least 1:
+        /// batches whose weights ([`batch_weight`]) are no more together, at most [`MOST_UNDER_WAY`], and always one.
+        window: u32,
     },
     /// Batches are missing here: send them again from this number on.
     Resend {
@@ -76,19 +103,35 @@ pub enum ToAgent {
         /// The first missing number.
         from: u64,
     },
-    /// A message came from a host that has not said hello (the aggregator was restarted): say it again.
+    /// A message came from a host that has not said hello (the aggregator was restarted), or a batch does not follow
+    /// the one before it: say hello again.
     Unknown,
 }
 
-/// Numbered events of one stream.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Batch {
+/// What a batch's frame says of it, readable even when the events are not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BatchHead {
     /// Whose.
     pub host: HostId,
     /// Which stream.
     pub stream: StreamId,
-    /// Contiguous from 1.
+    /// Which process sends it ([`Hello::process`]).
+    pub process: u64,
+    /// Contiguous from the stream's first.
     pub number: u64,
+    /// Chain of the batch before it.
+    pub before: Chain,
+    /// Its own chain.
+    pub chain: Chain,
+    /// How many events it holds.
+    pub events: u32,
+}
+
+/// Numbered events of one stream, checked and read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Batch {
+    /// What the frame says of it.
+    pub head: BatchHead,
     /// What happened, in order.
     pub events: Vec<Event>,
 }

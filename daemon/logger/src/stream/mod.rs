@@ -7,10 +7,13 @@
 //!
 //! What the durable lane promises: what is in the agent's spool is stored exactly once and in order, whatever
 //! the transport loses, repeats or reorders and whichever end is started anew, as long as the aggregator keeps a
-//! batch and its stream's mark in one transaction. What did not fit into the spool is counted, and a gap stands in
+//! batch and its stream's mark in one transaction. Two things are excepted, in which nothing is lost but some may be stored
+//! twice, in two streams: when a spool was copied, what both copies hold; when it was set back to an old copy, what it
+//! holds again. What did not fit into the spool is counted, and a gap stands in
 //! its place.
 
 mod bounded;
+mod chain;
 mod clock;
 pub mod codec;
 mod event;
@@ -23,16 +26,19 @@ mod receiving;
 mod sending;
 mod spool;
 
+pub use chain::Chain;
 pub use clock::{ClockSample, DelayPoint, DelaySecond, HostClock, LinkLive, ProbeCounts, Probing, RoundTrip};
 pub use event::{Event, Gap, Incident, IncidentKind, Iteration, Outcome, RunDescription, RunEnded};
 pub use host::{Hardware, HostDescription, HostMetrics};
 pub use live::{
     Accounting, LiveUpdate, OutcomeCounts, PipelineLive, PipelineState, Placement, PlacementKind, Second,
 };
-pub use message::{Batch, Hello, PROTOCOL, StreamId, ToAgent, ToAggregator};
-pub use receiving::{Arrival, Greeting, Missing, Receiving, ReceivingConfig};
-pub use sending::{Notice, Sending, SendingConfig};
-pub use spool::{MemorySpool, Spool, SpoolError, SpooledBatch, Usage};
+pub use message::{
+    Batch, BatchHead, Hello, MOST_UNDER_WAY, PROTOCOL, StreamId, ToAgent, ToAggregator, batch_weight,
+};
+pub use receiving::{Arrival, Greeting, Known, Lacking, Mark, Missing, Receiving, ReceivingConfig};
+pub use sending::{Action, Compression, Notice, Sending, SendingConfig};
+pub use spool::{Reached, SpoolState, SpooledBatch, Totals, Usage};
 
 #[cfg(test)]
 mod tests;

@@ -1,6 +1,7 @@
 //! Hosts and incidents.
 
-use peernet_aggregator::{HostPicture, HostRow, IncidentRow};
+use peernet_aggregator::{Arrivals, HostPicture, HostRow, IncidentRow};
+use peernet_clock::Span;
 use peernet_logger::stream::{Accounting, HostDescription, HostMetrics};
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -79,8 +80,11 @@ pub(crate) struct Description {
 pub(crate) struct Now {
     /// Its wall clock minus the aggregator's, seconds, by its last update: a hint, no measurement.
     pub clock_ahead_s: f64,
-    /// How far storing is behind measuring, seconds; null when nothing waits.
+    /// How far storing is behind measuring, seconds: age of the oldest event that waits, by the host's own clock; null
+    /// when nothing waits.
     pub behind_s: Option<f64>,
+    /// Null while that does not fall, or is below five seconds.
+    pub catching_up: Option<CatchingUp>,
     /// Busy share of all cores, 0 to 1.
     pub cpu: Option<f64>,
     pub memory_used_bytes: Option<u64>,
@@ -94,35 +98,109 @@ pub(crate) struct Now {
     pub events: EventAccount,
 }
 
-/// What became of an agent's events since it started, by its own account.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
+/// What became of an agent's events since its spool was made, by its own account; produced = stored + waiting + dropped.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct EventAccount {
-    pub offered: u64,
+    /// Events that were made; gaps that are reported count as events of their own.
+    pub produced: u64,
+    /// Of those, written to the spool, or stored without it while its disk failed.
+    pub spooled: u64,
+    /// Of those, sent at least once.
+    pub sent: u64,
     /// Acknowledged as stored.
     pub stored: u64,
+    /// Events that wait on the agent, in memory or in the spool.
     pub waiting: u64,
+    /// Events that were dropped for want of room, and counted in gaps.
     pub dropped: u64,
-    pub waiting_bytes: u64,
+    /// Gaps that were reported.
+    pub gaps: u64,
+    /// Bytes of the batches in the spool.
+    pub spool_bytes: u64,
+    /// Bytes that the spool may take.
+    pub spool_limit_bytes: u64,
+    /// Bytes of events in memory that are not in the spool yet.
+    pub memory_bytes: u64,
+    /// When the oldest event that waits came, on the agent's wall clock; null when none waits.
+    pub oldest: Option<String>,
+    /// Whether batches travel compressed: they wait for the link or the aggregator.
+    pub compressed: bool,
+    /// Why the spool cannot be written or read, in words; null while it works.
+    pub trouble: Option<String>,
 }
 
-/// What the database holds of a host.
+impl From<&Accounting> for EventAccount {
+    fn from(account: &Accounting) -> Self {
+        let Accounting {
+            produced,
+            spooled,
+            sent,
+            stored,
+            waiting,
+            dropped,
+            gaps,
+            spool_bytes,
+            spool_limit_bytes,
+            memory_bytes,
+            oldest,
+            compressed,
+            ref trouble,
+        } = *account;
+        Self {
+            produced,
+            spooled,
+            sent,
+            stored,
+            waiting,
+            dropped,
+            gaps,
+            spool_bytes,
+            spool_limit_bytes,
+            memory_bytes,
+            oldest: oldest.map(time),
+            compressed,
+            trouble: trouble.clone(),
+        }
+    }
+}
+
+/// How fast storing catches up with measuring.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct CatchingUp {
+    /// Seconds by which the lag falls in a second, over the last 10 s or so.
+    pub rate: f64,
+    /// Events stored in a second, over the same time.
+    pub events_per_second: f64,
+    /// Seconds until there is no lag, if it goes on like this.
+    pub left_s: f64,
+}
+
+/// What the database holds of a host, by the aggregator's account.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Stored {
+    /// Events of all kinds.
     pub events: u64,
+    /// Nodes of iterations.
     pub nodes: u64,
+    /// Gaps that the host reported or that were noticed in its streams.
     pub gaps: u64,
     /// Events missing in the gaps, as far as they could be counted.
     pub missing: u64,
-    /// Batches that came more than once and were stored once.
+    /// Batches that came more than once and were stored once, since the aggregator started.
     pub duplicates: u64,
     /// Batches put aside because they could not be stored as they were.
     pub quarantined: u64,
+    /// Batches for which there was no room and that were asked for again, since the aggregator started.
+    pub deferred: u64,
+    /// Batches whose bytes did not match their hash, since the aggregator started.
+    pub damaged: u64,
 }
 
-impl From<peernet_aggregator::Stored> for Stored {
-    fn from(stored: peernet_aggregator::Stored) -> Self {
+impl Stored {
+    fn new(stored: peernet_aggregator::Stored, arrivals: Arrivals) -> Self {
         let peernet_aggregator::Stored { events, nodes, gaps, missing, duplicates, quarantined } = stored;
-        Self { events, nodes, gaps, missing, duplicates, quarantined }
+        let Arrivals { deferred, damaged } = arrivals;
+        Self { events, nodes, gaps, missing, duplicates, quarantined, deferred, damaged }
     }
 }
 
@@ -156,7 +234,6 @@ impl From<&HostPicture> for Host {
             agent_cpu,
             agent_memory_bytes,
         } = host.metrics.clone();
-        let Accounting { offered, stored, waiting, dropped, waiting_bytes } = host.accounting;
         Self {
             id: host.id.to_string(),
             name: host.description.name.to_string(),
@@ -165,7 +242,12 @@ impl From<&HostPicture> for Host {
             description: Description::from(&host.description),
             now: Some(Now {
                 clock_ahead_s: host.clock_ahead.seconds(),
-                behind_s: host.behind.map(peernet_clock::Span::seconds),
+                behind_s: host.behind.map(Span::seconds),
+                catching_up: host.catching_up.map(|found| CatchingUp {
+                    rate: found.rate,
+                    events_per_second: found.events_per_second,
+                    left_s: found.left.seconds(),
+                }),
                 cpu,
                 memory_used_bytes,
                 gpu,
@@ -173,10 +255,10 @@ impl From<&HostPicture> for Host {
                 power_watts,
                 agent_cpu,
                 agent_memory_bytes,
-                events: EventAccount { offered, stored, waiting, dropped, waiting_bytes },
+                events: EventAccount::from(&host.accounting),
             }),
             clock: Some(HostClock::from(&host.clock)),
-            stored: host.stored.into(),
+            stored: Stored::new(host.stored, host.arrivals),
         }
     }
 }
@@ -191,7 +273,7 @@ impl From<&HostRow> for Host {
             description: Description::from(&row.description),
             now: None,
             clock: None,
-            stored: row.stored.into(),
+            stored: Stored::new(row.stored, Arrivals::default()),
         }
     }
 }

@@ -2,13 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use peernet_aggregator::{LiveSecond, Picture, PipelinePicture};
+use peernet_aggregator::{LiveSecond, Picture, PipelinePicture, Readiness};
 use peernet_logger::stream::PipelineState;
 use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::{Bound, Counts, NodeFigures, Placement, time};
 use crate::view::rehearsal::Rehearsed;
+use crate::view::storing;
 
 /// Every pipeline that reported.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -174,10 +175,12 @@ pub(crate) struct StatusEvent {
     pub behind_s: Option<f64>,
     /// What is said of clocks that are made wrong on purpose, a sentence per host.
     pub rehearsals: Vec<String>,
+    /// Why events are not being stored, in a sentence; null while they are.
+    pub not_storing: Option<String>,
 }
 
 impl StatusEvent {
-    pub(crate) fn new(picture: &Picture) -> Self {
+    pub(crate) fn new(picture: &Picture, readiness: &Readiness) -> Self {
         let connected = picture.hosts.iter().filter(|host| host.connected);
         let behind = connected.clone().map(|host| (picture.at - host.last_seen).seconds().max(0.0));
         Self {
@@ -186,6 +189,7 @@ impl StatusEvent {
             hosts: picture.hosts.len(),
             behind_s: behind.max_by(f64::total_cmp),
             rehearsals: Rehearsed::of(picture).banner(),
+            not_storing: storing::notice(readiness),
         }
     }
 }

@@ -39,6 +39,11 @@ pub(crate) struct Run {
     pub total: Option<Figures>,
     /// Whether the clock of one of its hosts was made wrong on purpose.
     pub rehearsed: bool,
+    /// Whether it is kept: retention deletes nothing of it.
+    pub pinned: bool,
+    /// Iterations up to and including this number were deleted because of their age or for want of room, their statistics
+    /// remain; 0: none.
+    pub deleted_through: u64,
 }
 
 impl From<&aggregator::RunSummary> for Run {
@@ -57,6 +62,8 @@ impl From<&aggregator::RunSummary> for Run {
             warm_up: run.warm_up,
             total: run.total.map(Figures::from),
             rehearsed: run.rehearsed,
+            pinned: run.pinned,
+            deleted_through: run.nodes_from,
         }
     }
 }

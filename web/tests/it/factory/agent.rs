@@ -1,24 +1,28 @@
 //! The agent's end of the event stream over a real socket.
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use bytes::Bytes;
-use peernet_clock::SharedClock;
+use peernet_clock::{SharedClock, Span};
 use peernet_logger::HostId;
 use peernet_logger::stream::codec::{decode, encode};
 use peernet_logger::stream::{
-    Accounting, Event, HostDescription, LiveUpdate, MemorySpool, Sending, SendingConfig, ToAgent,
-    ToAggregator, Usage,
+    Accounting, Action, Chain, Event, HostDescription, LiveUpdate, Sending, SendingConfig, SpoolState,
+    SpooledBatch, StreamId, ToAgent, ToAggregator, Totals, Usage,
 };
 use zeromq::{Message, Options, Socket, SocketType};
 
 /// Longest time that anything may take before it counts as hung.
 const PATIENCE: Duration = Duration::from_secs(60);
+/// Everything may wait in memory: a factory drops nothing.
+const MEMORY: Usage = Usage { events: 1_000_000, bytes: 1 << 30 };
 
 /// An agent: the real state machine, a spool in memory, a socket.
 pub(crate) struct Agent {
     id: HostId,
-    sending: Sending<MemorySpool>,
+    sending: Sending,
+    spool: BTreeMap<u64, SpooledBatch>,
     socket: Socket,
     clock: SharedClock,
 }
@@ -27,12 +31,25 @@ impl Agent {
     /// Connects.
     pub(crate) async fn new(host: HostDescription, address: &str, clock: &SharedClock) -> Self {
         let id = host.id;
-        let spool = MemorySpool::new(Usage { events: 1_000_000, bytes: 1 << 30 });
-        let mut sending = Sending::new(SendingConfig::default(), host, clock.mono().nanos() as u64, spool);
+        let config =
+            SendingConfig { batch_age: Span::from_millis(10), memory: MEMORY, ..SendingConfig::default() };
+        let spool = SpoolState {
+            stream: StreamId::random(),
+            previous: None,
+            first: 1,
+            oldest: 1,
+            before: Chain::START,
+            newest: (0, Chain::START),
+            since: None,
+            held: Usage::default(),
+            totals: Totals::default(),
+            reached: Vec::new(),
+        };
+        let mut sending = Sending::new(config, host, clock.mono().nanos() as u64, spool);
         sending.connected(clock.mono());
         let socket = Socket::new(SocketType::Dealer, Options::default());
         socket.connect(address).await.expect("connects");
-        Self { id, sending, socket, clock: SharedClock::clone(clock) }
+        Self { id, sending, spool: BTreeMap::new(), socket, clock: SharedClock::clone(clock) }
     }
 
     /// Whose.
@@ -54,14 +71,38 @@ impl Agent {
         self.socket.send(Message::single(Bytes::from(frame))).await.expect("sends");
     }
 
-    async fn until(&mut self, what: &str, done: impl Fn(&Sending<MemorySpool>) -> bool) {
+    async fn act(&mut self, action: Action) {
+        let now = self.clock.stamp();
+        match action {
+            Action::Append { batches, .. } => {
+                self.spool.extend(batches.into_iter().map(|batch| (batch.number, batch)));
+                self.sending.appended(now);
+            }
+            Action::Load { from, bytes } => {
+                let mut taken = 0;
+                let wanted = self.spool.range(from..).map(|(_, batch)| batch).take_while(|batch| {
+                    let more = taken <= bytes;
+                    taken += batch.body.len();
+                    more
+                });
+                let batches = wanted.cloned().collect();
+                self.sending.loaded(batches, now);
+            }
+            Action::Delete { through, .. } => {
+                self.spool = self.spool.split_off(&(through + 1));
+                self.sending.deleted();
+            }
+            Action::Renew { .. } => self.sending.renewed(now),
+            Action::Send(frame) => self.send(frame).await,
+        }
+    }
+
+    async fn until(&mut self, what: &str, done: impl Fn(&Sending) -> bool) {
         let speak = async {
             loop {
                 self.sending.tick(self.clock.stamp());
-                while let Some(frame) =
-                    self.sending.transmit(self.clock.mono()).expect("the spool is in memory")
-                {
-                    self.send(frame).await;
+                while let Some(action) = self.sending.next(self.clock.mono()) {
+                    self.act(action).await;
                 }
                 if done(&self.sending) {
                     return;
@@ -72,7 +113,7 @@ impl Agent {
                     message = self.socket.recv() => {
                         let message = message.expect("receives");
                         let message: ToAgent = decode(message.part_slice(0).expect("a frame")).expect("a message");
-                        self.sending.received(&message, self.clock.stamp()).expect("the spool is in memory");
+                        self.sending.received(&message, self.clock.stamp());
                     }
                     () = tokio::time::sleep(due.unwrap_or(PATIENCE).min(Duration::from_millis(50))) => {}
                 }
@@ -88,7 +129,6 @@ impl Agent {
 
     /// Sends everything and waits until it is acknowledged.
     pub(crate) async fn until_stored(&mut self) {
-        self.sending.flush(self.clock.wall());
         self.until("everything is stored", Sending::is_idle).await;
     }
 

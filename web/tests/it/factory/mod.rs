@@ -2,6 +2,7 @@
 //! the aggregator's own socket, so that pages and API are shown what a real deployment would show them.
 
 mod agent;
+mod backlog;
 mod clocks;
 mod line;
 mod numbers;
@@ -24,6 +25,8 @@ pub(crate) struct Factory {
     pub(crate) lines: Vec<Line>,
     /// Agents of the cameras, in the order of the lines, and of the rack.
     pub(crate) agents: Vec<Agent>,
+    /// Since when the second line catches up with a day's backlog, and the third has trouble with its spool.
+    pub(crate) backlog: Option<WallTime>,
     clock: SharedClock,
     numbers: Numbers,
 }
@@ -66,7 +69,7 @@ impl Factory {
         for agent in &mut agents {
             agent.until_up().await;
         }
-        Self { lines, agents, clock, numbers: Numbers(7) }
+        Self { lines, agents, backlog: None, clock, numbers: Numbers(7) }
     }
 
     fn rack(&self) -> HostId {
@@ -226,7 +229,7 @@ impl Factory {
             links: link.into_iter().collect(),
             clock,
             metrics,
-            accounting: agent.accounting(),
+            accounting: backlog::disguise(agent.accounting(), index, self.backlog, sent),
         };
         agent.live(update).await;
     }

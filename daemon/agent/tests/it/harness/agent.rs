@@ -1,9 +1,10 @@
 //! An agent in this process.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use peernet_agent::{Agent, AgentConfig, Failure, Running};
+use peernet_agent::{Agent, AgentConfig, Failure, Running, StartError};
 use peernet_clock::{ClockIdentity, RehearsalDescription, RehearsedClock, SharedClock, SystemClock};
 use peernet_logger::stream::{LiveUpdate, PipelineLive, PipelineState};
 use tempfile::TempDir;
@@ -15,9 +16,12 @@ use super::PATIENCE;
 pub(crate) struct TestAgent {
     pub(crate) running: Running,
     stop: CancellationToken,
-    /// Goes with the agent.
-    _state: TempDir,
+    /// Goes with the agents that use it.
+    state: State,
 }
+
+/// The folder that outlives an agent.
+pub(crate) type State = Arc<TempDir>;
 
 /// This machine's clock under a name.
 pub(crate) fn clock(name: &str) -> SharedClock {
@@ -57,15 +61,36 @@ impl TestAgent {
         clock: SharedClock,
         name: &str,
         aggregator: Option<&str>,
-        mut config: AgentConfig,
+        config: AgentConfig,
     ) -> Self {
-        let state = tempfile::tempdir().expect("a folder");
+        let state = Arc::new(tempfile::tempdir().expect("a folder"));
+        Self::try_start(clock, name, aggregator, config, state).await.expect("starts")
+    }
+
+    /// Starts an agent on the system's clock in a folder that another one may have left.
+    pub(crate) async fn start_in(state: State, aggregator: &str, config: AgentConfig) -> Self {
+        Self::try_start(clock("system"), "edge", Some(aggregator), config, state).await.expect("starts")
+    }
+
+    /// As [`start_in`](Self::start_in), where it may be refused.
+    pub(crate) async fn try_start(
+        clock: SharedClock,
+        name: &str,
+        aggregator: Option<&str>,
+        mut config: AgentConfig,
+        state: State,
+    ) -> Result<Self, StartError> {
         config.agent.name = Some(name.parse().expect("a name"));
         config.agent.state_dir = state.path().to_owned();
         config.agent.aggregator = aggregator.map(|address| address.parse().expect("an address"));
         let stop = CancellationToken::new();
-        let running = Agent::start(config, clock, stop.clone()).await.expect("starts");
-        Self { running, stop, _state: state }
+        let running = Agent::start(config, clock, stop.clone()).await?;
+        Ok(Self { running, stop, state })
+    }
+
+    /// Its spool's file.
+    pub(crate) fn spool(&self) -> PathBuf {
+        self.state.path().join("spool.sqlite")
     }
 
     /// Where it serves.
@@ -103,12 +128,30 @@ impl TestAgent {
 
     /// Stops it as the process would.
     pub(crate) async fn stop(self) -> Result<(), Failure> {
+        self.stop_and_keep().await.map(drop)
+    }
+
+    /// The same; what it leaves behind stays.
+    pub(crate) async fn stop_and_keep(self) -> Result<State, Failure> {
         self.stop.cancel();
-        tokio::time::timeout(PATIENCE, self.running.join()).await.expect("stops in time")
+        tokio::time::timeout(PATIENCE, self.running.join()).await.expect("stops in time")?;
+        Ok(self.state)
     }
 
     /// Ends it as a crash would: nothing is said, nothing finished.
     pub(crate) fn kill(self) {
         drop(self.running);
+    }
+
+    /// The same, and waits until its spool is free.
+    pub(crate) async fn crash(self) -> State {
+        let lock = self.state.path().join("spool.sqlite-lock");
+        drop(self.running);
+        let free = tokio::task::spawn_blocking(move || {
+            let lock = std::fs::File::open(lock).expect("it had a spool");
+            rustix::fs::flock(&lock, rustix::fs::FlockOperation::LockExclusive).expect("becomes free");
+        });
+        tokio::time::timeout(PATIENCE, free).await.expect("ends in time").expect("no panic");
+        self.state
     }
 }

@@ -1,19 +1,23 @@
 //! The other end of the event stream, as simple as it can be: it accepts, remembers and acknowledges.
 
+use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Duration;
 
+use bytes::Bytes;
+use peernet_clock::{MonoTime, SharedClock};
 use peernet_logger::HostId;
 use peernet_logger::stream::{
-    ClockSample, Event, Gap, Incident, IncidentKind, Iteration, LiveUpdate, RunDescription, RunEnded,
-    ToAgent, ToAggregator, codec,
+    Arrival, BatchHead, ClockSample, Event, Gap, Greeting, Hello, Incident, IncidentKind, Iteration, Known,
+    LiveUpdate, Mark, Missing, Receiving, ReceivingConfig, RunDescription, RunEnded, StreamId, ToAgent,
+    ToAggregator, codec,
 };
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 use zeromq::{IdentitySocket, Message, Options, Socket, SocketType};
 
-use super::PATIENCE;
+use super::{PATIENCE, clock};
 
 /// What it has seen, over all its lives.
 #[derive(Clone, Debug, Default)]
@@ -23,8 +27,14 @@ pub(crate) struct Seen {
     /// Each once, in order.
     pub(crate) events: Vec<Event>,
     pub(crate) lives: Vec<LiveUpdate>,
-    /// Number of the last batch stored.
-    stored: u64,
+    /// How far each stream is stored.
+    marks: HashMap<StreamId, Mark>,
+    /// The streams that hosts said hello with, in this order.
+    pub(crate) streams: Vec<StreamId>,
+    /// Batches that nobody has.
+    pub(crate) missing: Vec<Missing>,
+    /// Streams that ended because the spool was another one at the next hello.
+    pub(crate) replaced: Vec<StreamId>,
     /// Batches that came although they were stored.
     pub(crate) repeated: usize,
 }
@@ -154,65 +164,107 @@ async fn bind(socket: &Socket, address: &str) -> String {
 }
 
 async fn serve(socket: &IdentitySocket, seen: &watch::Sender<Seen>, manners: Manners) {
+    let clock = clock("system");
+    let mut desk = Desk { receiving: receiving(), clock, manners };
     loop {
         let Ok((peer, message)) = socket.recv_from().await else { return };
         let frame = message.part_bytes(0).expect("one frame");
-        let message: ToAggregator = codec::decode(&frame).expect("the agent sends sense");
-        if let (Some(last), ToAggregator::Batch(batch)) = (manners.die_before_ack, &message)
-            && batch.number == last
-        {
-            seen.send_modify(|seen| drop(answer(seen, message, &manners)));
-            return;
-        }
-        if let (Some(pause), ToAggregator::Batch(_)) = (manners.slow, &message) {
+        let head = codec::batch_head(&frame);
+        if let (Some(pause), Some(_)) = (desk.manners.slow, head) {
             tokio::time::sleep(pause).await;
         }
-        let mut reply = None;
-        seen.send_modify(|seen| reply = answer(seen, message, &manners));
-        if let Some(reply) = reply {
+        let mut replies = Vec::new();
+        seen.send_modify(|seen| replies = desk.answer(seen, head, &frame));
+        if head.is_some() && head.map(|head| head.number) == desk.manners.die_before_ack {
+            return;
+        }
+        for reply in replies {
             // An agent that has gone meanwhile says hello when it is back.
             let _ = socket.send_to(peer.to_bytes(), Message::single(codec::encode(&reply))).await;
         }
     }
 }
 
-fn answer(seen: &mut Seen, message: ToAggregator, manners: &Manners) -> Option<ToAgent> {
-    if manners.mute {
-        return None;
+fn receiving() -> Receiving {
+    Receiving::new(ReceivingConfig::new("test".parse().expect("a name")))
+}
+
+struct Desk {
+    receiving: Receiving,
+    clock: SharedClock,
+    manners: Manners,
+}
+
+impl Desk {
+    fn answer(&mut self, seen: &mut Seen, head: Option<BatchHead>, frame: &Bytes) -> Vec<ToAgent> {
+        if self.manners.mute {
+            return Vec::new();
+        }
+        let now = self.clock.mono();
+        match head {
+            Some(head) => self.batch(seen, head, frame, now),
+            None => match codec::decode(frame).expect("the agent sends sense") {
+                ToAggregator::Hello(hello) => self.hello(seen, &hello, now),
+                ToAggregator::Live(update) => {
+                    let reply = self.receiving.live(update.host, now);
+                    seen.lives.push(update);
+                    reply.into_iter().collect()
+                }
+                ToAggregator::Goodbye(host) => {
+                    self.receiving.goodbye(host);
+                    seen.goodbyes.push(host);
+                    Vec::new()
+                }
+            },
+        }
     }
-    match message {
-        ToAggregator::Hello(hello) => {
-            seen.hellos += 1;
-            let stored = seen.stored;
-            // What is before its oldest it cannot send any more.
-            seen.stored = stored.max(hello.oldest - 1);
-            Some(match &manners.refuse {
-                Some(reason) => ToAgent::Refused { reason: reason.clone() },
-                None => ToAgent::Welcome {
-                    aggregator: "test".parse().expect("a name"),
-                    stream: hello.stream,
-                    stored,
-                },
-            })
+
+    fn hello(&mut self, seen: &mut Seen, hello: &Hello, now: MonoTime) -> Vec<ToAgent> {
+        seen.hellos += 1;
+        if let Some(reason) = &self.manners.refuse {
+            return vec![ToAgent::Refused { reason: reason.clone() }];
         }
-        ToAggregator::Live(update) => {
-            seen.lives.push(update);
-            None
-        }
-        ToAggregator::Batch(batch) => {
-            if batch.number == seen.stored + 1 {
-                seen.stored = batch.number;
-                seen.events.extend(batch.events);
-            } else if batch.number <= seen.stored {
-                seen.repeated += 1;
-            } else {
-                return Some(ToAgent::Resend { stream: batch.stream, from: seen.stored + 1 });
+        let mark_of = |stream| seen.marks.get(&stream).copied();
+        let known = Known {
+            mark: mark_of(hello.stream),
+            came: seen.streams.contains(&hello.stream),
+            last: seen.streams.last().copied(),
+            previous: hello.previous.and_then(mark_of),
+        };
+        match self.receiving.hello(hello, known, now) {
+            Greeting::Welcome { reply, missing, replaced, .. } => {
+                seen.streams.push(hello.stream);
+                seen.replaced.extend(replaced);
+                let stored = missing.and_then(|missing| {
+                    seen.missing.push(missing);
+                    self.store(seen, missing.stream, missing.into())
+                });
+                std::iter::once(reply).chain(stored).collect()
             }
-            Some(ToAgent::Ack { stream: batch.stream, through: seen.stored })
+            Greeting::Refused { reply, .. } => vec![reply],
+            Greeting::Wait => Vec::new(),
         }
-        ToAggregator::Goodbye(host) => {
-            seen.goodbyes.push(host);
-            None
+    }
+
+    fn batch(&mut self, seen: &mut Seen, head: BatchHead, frame: &Bytes, now: MonoTime) -> Vec<ToAgent> {
+        let body = codec::batch_body(Bytes::clone(frame)).expect("whole");
+        match self.receiving.batch(&head, true, now) {
+            Arrival::Accept => {
+                seen.events.extend(codec::events(&body, head.events).expect("events"));
+                self.store(seen, head.stream, head.into()).into_iter().collect()
+            }
+            Arrival::Duplicate(reply) => {
+                seen.repeated += 1;
+                vec![reply]
+            }
+            Arrival::Hole(reply) => reply.into_iter().collect(),
+            Arrival::Unknown(reply) => vec![reply],
+            Arrival::Pending | Arrival::AcceptDamaged => panic!("all is whole and stored at once"),
         }
+    }
+
+    fn store(&mut self, seen: &mut Seen, stream: StreamId, mark: Mark) -> Option<ToAgent> {
+        seen.marks.insert(stream, mark);
+        self.receiving.stored(stream, mark).map(|(_, reply)| reply)
     }
 }

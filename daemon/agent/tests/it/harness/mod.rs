@@ -4,7 +4,7 @@ mod agent;
 mod aggregator;
 mod late;
 
-pub(crate) use agent::{TestAgent, clock, config, rehearsed};
+pub(crate) use agent::{State, TestAgent, clock, config, rehearsed};
 pub(crate) use aggregator::{Aggregator, Manners, Seen};
 pub(crate) use late::Late;
 

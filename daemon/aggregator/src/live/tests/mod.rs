@@ -1,5 +1,6 @@
 //! The picture against exact computation, under clocks that jump and agents that send nonsense.
 
+mod durable;
 mod links;
 
 use std::sync::Arc;
@@ -14,7 +15,7 @@ use peernet_statistics::Summary;
 use proptest::prelude::*;
 
 use super::{Live, MOST_NAMES, MOST_PIPELINES, News};
-use crate::picture::{Picture, RefusedHost, Stored};
+use crate::picture::{Picture, RefusedFrames, RefusedHost, Stored};
 
 const START: i64 = 1_750_000_000;
 
@@ -74,6 +75,12 @@ fn update(host: HostId, sent: WallTime, pipelines: Vec<PipelineLive>) -> News {
     }))
 }
 
+fn with(news: News, accounting: Accounting) -> News {
+    let News::Update(mut update) = news else { panic!("an update") };
+    update.accounting = accounting;
+    News::Update(update)
+}
+
 /// A second in which iterations of these totals succeeded and so many were lost.
 fn second(at: i64, totals: &[f64], lost: u64) -> Second {
     let mut summary = Summary::default();
@@ -98,7 +105,7 @@ impl Bed {
     fn new() -> Self {
         let mut live = Live::new(slug("here"), "tcp://127.0.0.1:5550".into(), Span::from_seconds(3_600));
         let host = HostId::random();
-        live.take(News::Hello(Box::new(description(host, "edge"))), now(0.0));
+        live.take(News::Hello(Box::new(description(host, "edge")), 1), now(0.0));
         Self { live, host }
     }
 
@@ -260,7 +267,7 @@ fn more_pipelines_and_names_than_anyone_has_are_left_out_and_counted() {
 fn what_did_not_change_is_not_drawn_again() {
     let mut bed = Bed::new();
     let other = HostId::random();
-    bed.live.take(News::Hello(Box::new(description(other, "other"))), now(0.0));
+    bed.live.take(News::Hello(Box::new(description(other, "other")), 1), now(0.0));
     bed.live.take(update(other, wall(0.1), vec![pipeline("quiet", vec![])]), now(0.1));
     bed.send(0.2, vec![second(0, &[0.010], 0)]);
     let first = bed.picture(0.3);
@@ -288,20 +295,56 @@ fn a_run_gets_its_number_when_the_store_knows_it() {
 #[test]
 fn accounts_of_both_sides_stand_side_by_side() {
     let mut bed = Bed::new();
-    let accounting = Accounting { offered: 10, stored: 4, waiting: 6, ..Accounting::default() };
-    let News::Update(mut news) = update(bed.host, wall(30.0), vec![]) else { panic!("an update") };
-    news.accounting = accounting;
-    bed.live.take(News::Update(news), now(30.0));
-    assert_eq!(bed.picture(30.0).hosts[0].behind, None, "nothing is stored yet");
+    let accounting = Accounting {
+        produced: 10,
+        stored: 4,
+        waiting: 6,
+        oldest: Some(wall(12.0)),
+        trouble: Some("é".repeat(1_000)),
+        ..Accounting::default()
+    };
+    bed.live.take(with(update(bed.host, wall(30.0), vec![]), accounting.clone()), now(30.0));
     let stored = Stored { events: 4, nodes: 80, ..Stored::default() };
     bed.live.take(News::Stored(bed.host, stored, Some(wall(12.0))), now(30.1));
     bed.live.take(News::Duplicate(bed.host), now(30.2));
     let picture = bed.picture(30.2);
     assert_eq!(picture.hosts[0].behind, Some(Span::from_seconds(18)));
+    assert_eq!(picture.hosts[0].newest_stored, Some(wall(12.0)));
     assert_eq!(picture.hosts[0].stored, Stored { duplicates: 1, ..stored });
-    assert_eq!(picture.hosts[0].accounting, accounting);
+    let cut = Some("é".repeat(256));
+    assert_eq!(picture.hosts[0].accounting, Accounting { trouble: cut, ..accounting });
+    let idle = Accounting { waiting: 0, ..accounting };
+    bed.live.take(with(update(bed.host, wall(30.5), vec![]), idle), now(30.5));
+    assert_eq!(bed.picture(30.5).hosts[0].behind, None, "nothing waits");
     assert!(bed.live.take(News::Goodbye(bed.host), now(31.0)));
     assert!(!bed.picture(31.0).hosts[0].connected);
+}
+
+#[test]
+fn a_host_that_began_anew_is_not_connected_until_it_tells_of_itself() {
+    let mut bed = Bed::new();
+    let account = |produced| Accounting { produced, ..Accounting::default() };
+    let told = update(bed.host, wall(1.0), vec![pipeline("line", vec![])]);
+    bed.live.take(with(told, account(10)), now(1.0));
+    let mut hello = |process, at| {
+        bed.live.take(News::Hello(Box::new(description(bed.host, "edge")), process), now(at));
+        let picture = bed.live.picture(now(at));
+        (picture.hosts[0].connected, picture.hosts[0].accounting.produced, picture.pipelines[0].state.clone())
+    };
+    // The same process on a new connection, then another one.
+    assert_eq!(hello(1, 1.1), (true, 10, PipelineState::Running));
+    assert_eq!(hello(2, 1.2), (false, 10, PipelineState::Away));
+    bed.live.take(with(update(bed.host, wall(1.3), vec![]), account(12)), now(1.3));
+    let host = &bed.picture(1.3).hosts[0];
+    assert_eq!((host.connected, host.accounting.produced), (true, 12));
+}
+
+#[test]
+fn what_is_of_no_known_host_is_counted() {
+    let mut bed = Bed::new();
+    assert!(bed.live.take(News::Unreadable, now(0.1)));
+    assert!(bed.live.take(News::Stranger, now(0.1)) && bed.live.take(News::Stranger, now(0.2)));
+    assert_eq!(bed.picture(0.2).totals.refused, RefusedFrames { unreadable: 1, strangers: 2 });
 }
 
 #[test]
@@ -330,8 +373,8 @@ fn hosts_of_which_nothing_is_stored_leave_early_and_what_was_stored_before_is_sh
     let (known, stranger) = (HostId::random(), HostId::random());
     let stored = Stored { events: 7, nodes: 70, ..Stored::default() };
     assert!(!live.take(News::Stored(known, stored, None), now(0.0)));
-    live.take(News::Hello(Box::new(description(known, "known"))), now(1.0));
-    live.take(News::Hello(Box::new(description(stranger, "stranger"))), now(1.0));
+    live.take(News::Hello(Box::new(description(known, "known")), 1), now(1.0));
+    live.take(News::Hello(Box::new(description(stranger, "stranger")), 1), now(1.0));
     let picture = live.picture(now(1.0));
     assert_eq!(picture.hosts.iter().map(|host| host.stored.events).collect::<Vec<_>>(), [7, 0]);
     live.age(now(600.0));

@@ -1,10 +1,11 @@
 //! Incidents and hosts.
 
-use sqlx::{FromRow, SqlitePool};
+use sqlx::FromRow;
 
-use super::{corrupt, count, failed, parse, sql, wall};
+use super::{corrupt, count, parse, sql, wall};
 use crate::error::StoreError;
 use crate::picture::Stored;
+use crate::store::readers::Readers;
 use crate::store::types::{HostRow, IncidentRow};
 use crate::store::write::UNKNOWN;
 
@@ -36,7 +37,7 @@ struct Host {
 }
 
 pub(in crate::store) async fn incidents(
-    pool: &SqlitePool,
+    readers: &Readers,
     limit: u32,
     before: Option<i64>,
 ) -> Result<Vec<IncidentRow>, StoreError> {
@@ -44,9 +45,9 @@ pub(in crate::store) async fn incidents(
     let rows: Vec<Incident> = sqlx::query_as(sql::INCIDENTS)
         .bind(limit.clamp(1, 1_000))
         .bind(before)
-        .fetch_all(pool)
+        .fetch_all(&readers.pool)
         .await
-        .map_err(failed(WHAT))?;
+        .map_err(readers.failed(WHAT))?;
     rows.into_iter()
         .map(|row| {
             Ok(IncidentRow {
@@ -64,9 +65,10 @@ pub(in crate::store) async fn incidents(
         .collect()
 }
 
-pub(in crate::store) async fn hosts(pool: &SqlitePool) -> Result<Vec<HostRow>, StoreError> {
+pub(in crate::store) async fn hosts(readers: &Readers) -> Result<Vec<HostRow>, StoreError> {
     const WHAT: &str = "hosts";
-    let rows: Vec<Host> = sqlx::query_as(sql::HOSTS).fetch_all(pool).await.map_err(failed(WHAT))?;
+    let rows: Vec<Host> =
+        sqlx::query_as(sql::HOSTS).fetch_all(&readers.pool).await.map_err(readers.failed(WHAT))?;
     rows.into_iter()
         .map(|row| {
             Ok(HostRow {

@@ -4,12 +4,13 @@ use std::collections::HashMap;
 
 use peernet_clock::{DelaySource, Span, Verdict};
 use peernet_logger::{Name, stage};
-use sqlx::{FromRow, SqlitePool};
+use sqlx::FromRow;
 
 use super::clocks::known;
 use super::comparison::Comparison;
-use super::{corrupt, count, failed, sql, statistics, tree, wall};
+use super::{corrupt, count, sql, statistics, tree, wall};
 use crate::error::StoreError;
+use crate::store::readers::Readers;
 use crate::store::types::{DelayRow, IterationDetail, IterationFilter, IterationRow};
 
 const WHAT: &str = "iterations";
@@ -49,22 +50,30 @@ struct Delay {
     verdict: u8,
 }
 
+/// A place among the slowest, and who stands beside it.
+#[derive(Default)]
+struct Place {
+    rank: Option<u64>,
+    slower: Option<u64>,
+    faster: Option<u64>,
+}
+
 pub(in crate::store) async fn slowest(
-    pool: &SqlitePool,
+    readers: &Readers,
     run: i64,
     n: u32,
 ) -> Result<Vec<IterationRow>, StoreError> {
     let rows: Vec<Row> = sqlx::query_as(sql::SLOWEST)
         .bind(run)
         .bind(n.min(1_000))
-        .fetch_all(pool)
+        .fetch_all(&readers.pool)
         .await
-        .map_err(failed(WHAT))?;
-    compared(pool, run, rows).await
+        .map_err(readers.failed(WHAT))?;
+    compared(readers, run, rows).await
 }
 
 pub(in crate::store) async fn iterations(
-    pool: &SqlitePool,
+    readers: &Readers,
     run: i64,
     filter: &IterationFilter,
 ) -> Result<Vec<IterationRow>, StoreError> {
@@ -73,14 +82,14 @@ pub(in crate::store) async fn iterations(
         .bind(run)
         .bind(i64::try_from(filter.after).unwrap_or(i64::MAX))
         .bind(filter.limit.clamp(1, 1_000))
-        .fetch_all(pool)
+        .fetch_all(&readers.pool)
         .await
-        .map_err(failed(WHAT))?;
-    compared(pool, run, rows).await
+        .map_err(readers.failed(WHAT))?;
+    compared(readers, run, rows).await
 }
 
 pub(in crate::store) async fn iteration(
-    pool: &SqlitePool,
+    readers: &Readers,
     run: i64,
     number: u64,
 ) -> Result<Option<IterationDetail>, StoreError> {
@@ -88,45 +97,64 @@ pub(in crate::store) async fn iteration(
     let row: Option<Row> = sqlx::query_as(sql::ITERATION)
         .bind(run)
         .bind(number)
-        .fetch_optional(pool)
+        .fetch_optional(&readers.pool)
         .await
-        .map_err(failed(WHAT))?;
+        .map_err(readers.failed(WHAT))?;
     let Some(row) = row else { return Ok(None) };
-    let (tree, hosts) = tree::tree(pool, run, number, wall(row.started_ns)).await?;
-    let comparison = Comparison(statistics::figures(pool, run).await?);
-    let rank = match row.total {
-        Some(total) if row.outcome == 0 && !row.warm_up => {
-            let slower: i64 = sqlx::query_scalar(sql::SLOWER)
-                .bind(run)
-                .bind(total)
-                .fetch_one(pool)
-                .await
-                .map_err(failed(WHAT))?;
-            (slower < RANKED).then(|| count(slower) + 1)
-        }
-        _ => None,
+    let (tree, hosts) = tree::tree(readers, run, number, wall(row.started_ns)).await?;
+    let comparison = Comparison(statistics::figures(readers, run).await?);
+    let place = match row.total {
+        Some(total) if row.outcome == 0 && !row.warm_up => place(readers, run, (total, number)).await?,
+        _ => Place::default(),
     };
     let neighbour = async |statement: &'static str| {
         let number: Option<i64> = sqlx::query_scalar(statement)
             .bind(run)
             .bind(number)
-            .fetch_one(pool)
+            .fetch_one(&readers.pool)
             .await
-            .map_err(failed(WHAT))?;
+            .map_err(readers.failed(WHAT))?;
         Ok(number.map(count))
     };
     let (previous, next) = (neighbour(sql::PREVIOUS).await?, neighbour(sql::NEXT).await?);
-    let Some(row) = complete(pool, run, vec![row], &comparison).await?.pop() else { return Ok(None) };
-    Ok(Some(IterationDetail { row, tree, hosts, rank, previous, next, run_figures: comparison.0 }))
+    let Some(row) = complete(readers, run, vec![row], &comparison).await?.pop() else { return Ok(None) };
+    let Place { rank, slower, faster } = place;
+    let run_figures = comparison.0;
+    Ok(Some(IterationDetail { row, tree, hosts, rank, previous, next, slower, faster, run_figures }))
 }
 
-async fn compared(pool: &SqlitePool, run: i64, rows: Vec<Row>) -> Result<Vec<IterationRow>, StoreError> {
-    complete(pool, run, rows, &Comparison(statistics::figures(pool, run).await?)).await
+/// Where a successful iteration stands among the slowest.
+async fn place(readers: &Readers, run: i64, (total, number): (f64, i64)) -> Result<Place, StoreError> {
+    let slower: i64 = sqlx::query_scalar(sql::SLOWER)
+        .bind(run)
+        .bind(total)
+        .fetch_one(&readers.pool)
+        .await
+        .map_err(readers.failed(WHAT))?;
+    if slower >= RANKED {
+        return Ok(Place::default());
+    }
+    let beside = async |statement: &'static str| {
+        let number: Option<i64> = sqlx::query_scalar(statement)
+            .bind(run)
+            .bind(total)
+            .bind(number)
+            .fetch_optional(&readers.pool)
+            .await
+            .map_err(readers.failed(WHAT))?;
+        Ok(number.map(count))
+    };
+    let rank = Some(count(slower) + 1);
+    Ok(Place { rank, slower: beside(sql::ONE_SLOWER).await?, faster: beside(sql::ONE_FASTER).await? })
+}
+
+async fn compared(readers: &Readers, run: i64, rows: Vec<Row>) -> Result<Vec<IterationRow>, StoreError> {
+    complete(readers, run, rows, &Comparison(statistics::figures(readers, run).await?)).await
 }
 
 /// Adds what the trees say: two questions for all rows together.
 async fn complete(
-    pool: &SqlitePool,
+    readers: &Readers,
     run: i64,
     rows: Vec<Row>,
     comparison: &Comparison,
@@ -136,11 +164,15 @@ async fn complete(
     let durations: Vec<Duration> = sqlx::query_as(sql::DURATIONS)
         .bind(run)
         .bind(&numbers)
-        .fetch_all(pool)
+        .fetch_all(&readers.pool)
         .await
-        .map_err(failed(WHAT))?;
-    let delays: Vec<Delay> =
-        sqlx::query_as(sql::DELAYS).bind(run).bind(&numbers).fetch_all(pool).await.map_err(failed(WHAT))?;
+        .map_err(readers.failed(WHAT))?;
+    let delays: Vec<Delay> = sqlx::query_as(sql::DELAYS)
+        .bind(run)
+        .bind(&numbers)
+        .fetch_all(&readers.pool)
+        .await
+        .map_err(readers.failed(WHAT))?;
     let mut parts: HashMap<i64, (Vec<Duration>, Vec<DelayRow>)> = HashMap::with_capacity(rows.len());
     for duration in durations {
         parts.entry(duration.iteration).or_default().0.push(duration);

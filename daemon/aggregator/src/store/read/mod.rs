@@ -16,11 +16,6 @@ use peernet_logger::Slug;
 
 use crate::error::StoreError;
 
-/// Turns a failed statement into an error that says what was asked for.
-pub(super) fn failed(what: &'static str) -> impl Fn(sqlx::Error) -> StoreError + Copy {
-    move |source| StoreError::Database { what, source }
-}
-
 pub(super) fn corrupt(what: &'static str, detail: impl std::fmt::Display) -> StoreError {
     StoreError::Corrupt { what, detail: detail.to_string() }
 }
@@ -38,7 +33,7 @@ pub(super) fn name(what: &'static str, text: Option<&str>) -> Result<Option<Slug
 }
 
 /// A count that is never negative.
-pub(super) fn count(value: i64) -> u64 {
+pub(in crate::store) fn count(value: i64) -> u64 {
     u64::try_from(value).unwrap_or(0)
 }
 

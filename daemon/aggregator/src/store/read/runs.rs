@@ -3,10 +3,11 @@
 use peernet_clock::WallTime;
 use peernet_logger::stage;
 use peernet_logger::stream::{OutcomeCounts, Placement, PlacementKind};
-use sqlx::{FromRow, SqlitePool};
+use sqlx::FromRow;
 
-use super::{corrupt, count, failed, name, parse, sql, statistics, wall};
+use super::{corrupt, count, name, parse, sql, statistics, wall};
 use crate::error::StoreError;
+use crate::store::readers::Readers;
 use crate::store::types::{GapRow, RunDetail, RunFilter, RunSummary};
 use crate::store::write::{UNKNOWN, placement_word};
 
@@ -37,50 +38,55 @@ struct RunRow {
     facts: String,
     configuration: String,
     version: String,
+    pinned: bool,
+    nodes_from: i64,
 }
 
 pub(in crate::store) async fn runs(
-    pool: &SqlitePool,
+    readers: &Readers,
     filter: &RunFilter,
 ) -> Result<Vec<RunSummary>, StoreError> {
     let before = filter.before.unwrap_or(i64::MAX);
     let limit = filter.limit.clamp(1, 1_000);
     let rows: Vec<RunRow> = if filter.pipeline.is_none() && filter.host.is_none() {
-        sqlx::query_as(sql::RUNS).bind(before).bind(limit).fetch_all(pool).await
+        sqlx::query_as(sql::RUNS).bind(before).bind(limit).fetch_all(&readers.pool).await
     } else {
         sqlx::query_as(sql::RUNS_FILTERED)
             .bind(before)
             .bind(limit)
             .bind(filter.pipeline.as_ref().map(ToString::to_string))
             .bind(filter.host.map(|host| host.to_string()))
-            .fetch_all(pool)
+            .fetch_all(&readers.pool)
             .await
     }
-    .map_err(failed(WHAT))?;
+    .map_err(readers.failed(WHAT))?;
     let mut summaries = Vec::with_capacity(rows.len());
     for row in &rows {
-        summaries.push(summary(pool, row).await?);
+        summaries.push(summary(readers, row).await?);
     }
     Ok(summaries)
 }
 
-pub(in crate::store) async fn run(pool: &SqlitePool, number: i64) -> Result<Option<RunDetail>, StoreError> {
-    let row: Option<RunRow> =
-        sqlx::query_as(sql::RUN).bind(number).fetch_optional(pool).await.map_err(failed(WHAT))?;
+pub(in crate::store) async fn run(readers: &Readers, number: i64) -> Result<Option<RunDetail>, StoreError> {
+    let row: Option<RunRow> = sqlx::query_as(sql::RUN)
+        .bind(number)
+        .fetch_optional(&readers.pool)
+        .await
+        .map_err(readers.failed(WHAT))?;
     let Some(row) = row else { return Ok(None) };
     Ok(Some(RunDetail {
-        summary: summary(pool, &row).await?,
+        summary: summary(readers, &row).await?,
         facts: facts(&row)?,
         configuration: row.configuration,
         version: row.version,
-        gaps: gaps(pool, number).await?,
+        gaps: gaps(readers, number).await?,
     }))
 }
 
 /// What is missing of a run, oldest first.
-pub(in crate::store) async fn gaps(pool: &SqlitePool, run: i64) -> Result<Vec<GapRow>, StoreError> {
+pub(in crate::store) async fn gaps(readers: &Readers, run: i64) -> Result<Vec<GapRow>, StoreError> {
     let rows: Vec<(i64, i64, i64, String)> =
-        sqlx::query_as(sql::GAPS).bind(run).fetch_all(pool).await.map_err(failed("gaps"))?;
+        sqlx::query_as(sql::GAPS).bind(run).fetch_all(&readers.pool).await.map_err(readers.failed("gaps"))?;
     let row = |(from, to, missing, reason)| GapRow {
         from: wall(from),
         to: wall(to),
@@ -94,7 +100,7 @@ fn facts(row: &RunRow) -> Result<Vec<(String, String)>, StoreError> {
     serde_json::from_str(&row.facts).map_err(|error| corrupt(WHAT, error))
 }
 
-async fn summary(pool: &SqlitePool, row: &RunRow) -> Result<RunSummary, StoreError> {
+async fn summary(readers: &Readers, row: &RunRow) -> Result<RunSummary, StoreError> {
     let kind = [PlacementKind::Local, PlacementKind::Remote]
         .into_iter()
         .find(|kind| placement_word(*kind) == row.placement)
@@ -124,12 +130,14 @@ async fn summary(pool: &SqlitePool, row: &RunRow) -> Result<RunSummary, StoreErr
             timeout: count(row.timeout),
         },
         warm_up: count(row.warm_up),
-        total: statistics::whole_run(pool, row.number, &stage::TOTAL)
+        total: statistics::whole_run(readers, row.number, &stage::TOTAL)
             .await?
             .and_then(|known| known.figures()),
         // Of the edge itself, and of each cloud by its name.
         rehearsed: facts(row)?
             .iter()
             .any(|(fact, _)| fact == "Rehearsal" || fact.starts_with("Rehearsal of ")),
+        pinned: row.pinned,
+        nodes_from: count(row.nodes_from),
     })
 }

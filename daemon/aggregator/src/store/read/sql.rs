@@ -15,7 +15,7 @@ macro_rules! run_columns {
         "SELECT run.number, run.uuid, host.uuid AS host_uuid, host.name AS host_name, pipeline.name AS pipeline, \
          run.placement, run.peer, run.network, run.address, run.model, run.device, run.started_ns, run.ended_ns, \
          run.end_reason, run.last_iteration_ns, run.warm_up, run.ok, run.failed, run.lost, run.timeout, \
-         run.facts, run.configuration, run.version \
+         run.facts, run.configuration, run.version, run.pinned, run.nodes_from \
          FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host "
     };
 }
@@ -51,23 +51,27 @@ statements! {
     GAPS = "SELECT from_ns, to_ns, count, reason FROM gap WHERE run = ?1 ORDER BY from_ns LIMIT 1000";
     /// Summaries of one name over a whole run: ?1 run, ?2 name.
     ROLLUP_OF_NAME = concat!(rollup_columns!(),
-        "WHERE rollup.run = ?1 AND rollup.resolution_s = 0 AND rollup.quantity = 0 \
+        "WHERE rollup.run = ?1 AND rollup.resolution_s = 0 AND rollup.bucket_s = 0 AND rollup.quantity = 0 \
          AND rollup.name IN (SELECT id FROM name WHERE text = ?2)");
     /// Summaries of all names over a whole run: ?1 run.
     ROLLUPS = concat!(rollup_columns!(), "WHERE rollup.run = ?1 AND rollup.resolution_s = 0");
-    /// Summaries of one name over time: ?1 run, ?2 name, ?3 resolution.
-    ROLLUPS_OVER_TIME = concat!(rollup_columns!(),
-        "WHERE rollup.run = ?1 AND rollup.resolution_s = ?3 AND rollup.quantity = 0 \
-         AND rollup.name IN (SELECT id FROM name WHERE text = ?2) ORDER BY rollup.bucket_s");
+    /// The rows of some names: ?1 their texts, a JSON array.
+    NAMES = "SELECT id, text, unit FROM name WHERE text IN (SELECT value FROM json_each(?1))";
+    /// Summaries of some names over time: ?1 run, ?2 resolution, ?3 the names' ids, a JSON array.
+    ROLLUPS_OVER_TIME = "SELECT run, resolution_s, bucket_s, name, quantity, count, mean, m2, min, max, sketch \
+                         FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND quantity = 0 \
+                         AND name IN (SELECT value FROM json_each(?3)) ORDER BY bucket_s";
     /// ?1 run.
     VERDICTS = "SELECT name.text, verdict_count.verdict, verdict_count.count FROM verdict_count \
                 JOIN name ON name.id = verdict_count.name WHERE verdict_count.run = ?1 ORDER BY verdict_count.verdict";
-    /// First and last bucket that any name has: ?1 run, ?2 resolution, ?3 name.
-    EXTENT = "SELECT min(bucket_s), max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND quantity = 0 \
-              AND name IN (SELECT id FROM name WHERE text = ?3)";
+    /// First and last bucket: ?1 run, ?2 resolution.
+    EXTENT = "SELECT (SELECT min(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = ?2), \
+              (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = ?2)";
+    /// What was deleted: ?1 run.
+    TRIMMED = "SELECT kind, before_s FROM trimmed WHERE run = ?1";
     /// ?1 run, ?2 limit.
     SLOWEST = concat!(iteration_columns!(),
-        "WHERE run = ?1 AND warm_up = 0 AND outcome = 0 AND total IS NOT NULL ORDER BY total DESC LIMIT ?2");
+        "WHERE run = ?1 AND warm_up = 0 AND outcome = 0 AND total IS NOT NULL ORDER BY total DESC, number DESC LIMIT ?2");
     /// ?1 run, ?2 after, ?3 limit.
     ITERATIONS = concat!(iteration_columns!(), "WHERE run = ?1 AND number > ?2 ORDER BY number LIMIT ?3");
     /// ?1 run, ?2 after, ?3 limit.
@@ -103,6 +107,12 @@ statements! {
     /// How many are slower, as far as a thousand: ?1 run, ?2 total.
     SLOWER = "SELECT count(*) FROM (SELECT 1 FROM iteration WHERE run = ?1 AND warm_up = 0 AND outcome = 0 \
               AND total IS NOT NULL AND total > ?2 LIMIT 1000)";
+    /// The next slower one, in the order of `SLOWEST`: ?1 run, ?2 total, ?3 number.
+    ONE_SLOWER = "SELECT number FROM iteration WHERE run = ?1 AND warm_up = 0 AND outcome = 0 \
+                  AND (total, number) > (?2, ?3) ORDER BY total, number LIMIT 1";
+    /// The next faster one: ?1 run, ?2 total, ?3 number.
+    ONE_FASTER = "SELECT number FROM iteration WHERE run = ?1 AND warm_up = 0 AND outcome = 0 \
+                  AND (total, number) < (?2, ?3) ORDER BY total DESC, number DESC LIMIT 1";
     /// ?1 run, ?2 number.
     PREVIOUS = "SELECT max(number) FROM iteration WHERE run = ?1 AND number < ?2";
     /// ?1 run, ?2 number.
@@ -142,9 +152,13 @@ statements! {
                           iif(id = (SELECT max(id) FROM clock_window WHERE link = ?1), 9223372036854775807, last_ns) AS last_ns \
                           FROM clock_window WHERE link = ?1 AND first_ns <= ?3 \
                           AND (last_ns >= ?2 OR id = (SELECT max(id) FROM clock_window WHERE link = ?1)) ORDER BY id";
-    /// The edge of a run, and when its first and last iterations began: ?1 run.
-    RUN_EXTENT = "SELECT pipeline.host, (SELECT min(started_ns) FROM iteration WHERE run = ?1), \
-                  (SELECT max(started_ns) FROM iteration WHERE run = ?1) \
+    /// The edge of a run, when its first and last iterations began, and its first and last minutes with successful
+    /// ones: where the edge's clock was set back, the first is not the earliest: ?1 run.
+    RUN_EXTENT = "SELECT pipeline.host, \
+                  (SELECT started_ns FROM iteration WHERE run = ?1 ORDER BY number LIMIT 1) AS first_ns, \
+                  (SELECT started_ns FROM iteration WHERE run = ?1 ORDER BY number DESC LIMIT 1) AS last_ns, \
+                  (SELECT min(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 60) AS first_s, \
+                  (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 60) AS last_s \
                   FROM run JOIN pipeline ON pipeline.id = run.pipeline WHERE run.number = ?1";
     /// One-way delays that statistics are made of, a page of them; the cloud is the tree's second host. The order of
     /// the joins is given, because any other sorts: ?1 run, ?2 and ?3 iteration and node of the last of the page

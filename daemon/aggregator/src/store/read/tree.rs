@@ -2,10 +2,11 @@
 
 use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict, WallTime};
 use peernet_logger::{Anchor, HostIndex, Measure, Name, Node, NodeId, Rate, Slug, Transit, Tree, Unit};
-use sqlx::{FromRow, SqlitePool};
+use sqlx::FromRow;
 
-use super::{corrupt, failed, name, parse, sql, wall};
+use super::{corrupt, name, parse, sql, wall};
 use crate::error::StoreError;
+use crate::store::readers::Readers;
 
 const WHAT: &str = "an iteration's tree";
 
@@ -36,20 +37,24 @@ struct TransitRow {
 
 /// The tree of an iteration as it was sent, and the names of its hosts.
 pub(super) async fn tree(
-    pool: &SqlitePool,
+    readers: &Readers,
     run: i64,
     iteration: i64,
     started: WallTime,
 ) -> Result<(Tree, Vec<Option<Slug>>), StoreError> {
-    let (anchors, hosts) = anchors(pool, run, iteration, started).await?;
-    let nodes: Vec<NodeRow> =
-        sqlx::query_as(sql::NODES).bind(run).bind(iteration).fetch_all(pool).await.map_err(failed(WHAT))?;
+    let (anchors, hosts) = anchors(readers, run, iteration, started).await?;
+    let nodes: Vec<NodeRow> = sqlx::query_as(sql::NODES)
+        .bind(run)
+        .bind(iteration)
+        .fetch_all(&readers.pool)
+        .await
+        .map_err(readers.failed(WHAT))?;
     let transits: Vec<TransitRow> = sqlx::query_as(sql::TRANSITS)
         .bind(run)
         .bind(iteration)
-        .fetch_all(pool)
+        .fetch_all(&readers.pool)
         .await
-        .map_err(failed(WHAT))?;
+        .map_err(readers.failed(WHAT))?;
     let mut nodes_again = Vec::with_capacity(nodes.len());
     for row in nodes {
         let transit = transits.iter().find(|transit| transit.node == row.node);
@@ -66,15 +71,19 @@ pub(super) async fn tree(
 }
 
 async fn anchors(
-    pool: &SqlitePool,
+    readers: &Readers,
     run: i64,
     iteration: i64,
     started: WallTime,
 ) -> Result<(Vec<Anchor>, Vec<Option<Slug>>), StoreError> {
     let edge: (String, Option<String>) =
-        sqlx::query_as(sql::EDGE).bind(run).fetch_one(pool).await.map_err(failed(WHAT))?;
-    let others: Vec<(String, Option<String>, i64)> =
-        sqlx::query_as(sql::ANCHORS).bind(run).bind(iteration).fetch_all(pool).await.map_err(failed(WHAT))?;
+        sqlx::query_as(sql::EDGE).bind(run).fetch_one(&readers.pool).await.map_err(readers.failed(WHAT))?;
+    let others: Vec<(String, Option<String>, i64)> = sqlx::query_as(sql::ANCHORS)
+        .bind(run)
+        .bind(iteration)
+        .fetch_all(&readers.pool)
+        .await
+        .map_err(readers.failed(WHAT))?;
     let mut anchors = vec![Anchor { host: parse(WHAT, &edge.0)?, wall: started }];
     let mut hosts = vec![name(WHAT, edge.1.as_deref())?];
     for (uuid, text, wall_ns) in others {

@@ -5,7 +5,7 @@ use peernet_logger::stream::{ClockSample, Event, HostDescription, Iteration};
 use peernet_logger::{HostId, RunId};
 
 use super::clocks::{link, micros, sample};
-use super::{Bed, NOW, Work, generate};
+use super::{Bed, NOW, generate};
 use crate::picture::ClockPoint;
 use crate::store::types::ClockSeries;
 
@@ -100,7 +100,7 @@ async fn a_second_that_comes_again_replaces_itself_and_spares_that_of_another_wi
     assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 2);
     assert_eq!(bed.count("SELECT probes_lost FROM clock_sample WHERE window <> 7").await, 5);
     // The same batch once more is no second that comes again.
-    let work = bed.batch_numbered(1, samples.map(event).to_vec());
+    let work = bed.batch_numbered(1, samples.map(event));
     bed.commit(&[work]).await;
     assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 2);
     assert_eq!(bed.count("SELECT events FROM host WHERE name = 'edge'").await, 3);
@@ -258,7 +258,7 @@ async fn a_cloud_that_never_reported_here_has_the_name_that_the_edge_gave_it_las
     };
     assert_eq!(name(&bed).await, "farther");
     let host: HostDescription = generate::host(bed.cloud, "base");
-    bed.commit(&[Work::Hello { host: Box::new(host), process: 1 }]).await;
+    bed.commit(&[super::hello(host, 1)]).await;
     assert_eq!(name(&bed).await, "base");
     assert_eq!(series(&bed, 10).await.points.len(), 2);
 }

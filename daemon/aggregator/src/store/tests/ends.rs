@@ -1,12 +1,11 @@
 //! Runs whose agent was killed, runs known by their iterations only, and what a batch put aside leaves behind.
 
 use peernet_logger::RunId;
-use peernet_logger::stream::codec::{BatchHead, encode};
-use peernet_logger::stream::{Batch, Event, RunEnded, ToAggregator};
+use peernet_logger::stream::{BatchHead, Event, RunEnded, codec};
 
 use super::{Bed, NOW, Work, generate, open};
 use crate::picture::Stored;
-use crate::store::write::{RunName, stored_hosts, unknown_runs};
+use crate::store::write::{Aside, RunName, stored_hosts, unknown_runs};
 
 const LEFT: &str = "the agent ended without saying so";
 
@@ -16,7 +15,7 @@ fn iterations(bed: &Bed, run: RunId, numbers: std::ops::RangeInclusive<u64>) -> 
 }
 
 fn hello(bed: &Bed, process: u64) -> Work {
-    Work::Hello { host: Box::new(generate::host(bed.edge, "edge")), process }
+    super::hello(generate::host(bed.edge, "edge"), process)
 }
 
 async fn ends(bed: &Bed) -> Vec<Option<(f64, String)>> {
@@ -117,20 +116,21 @@ async fn the_live_lane_names_a_run_known_by_its_iterations_once() {
 async fn events_of_batches_put_aside_count_as_missing() {
     let mut bed = Bed::new().await;
     let run = bed.run_of(5).await;
-    // Iterations that are there already; a batch that is cut off; one that is no batch behind its head.
+    // Iterations that are there already; a batch that is cut off; one whose head claims more events than it has bytes.
     let twice = iterations(&bed, run, 4..=6);
     let twice = bed.batch(twice);
-    let mut unreadable = |kept: usize| {
-        let (host, stream, number) = (bed.edge, bed.stream, bed.next);
+    let mut unreadable = |events: u32| {
+        let body = generate::body(&vec![generate::run_started(run, "line", NOW); 2]);
+        let number = bed.next;
         bed.next += 1;
-        let events = vec![generate::run_started(run, "line", NOW); 2];
-        let mut frame = encode(&ToAggregator::Batch(Batch { host, stream, number, events }));
-        frame.truncate(kept);
-        let head = BatchHead { host, stream, number };
-        Work::Unreadable { head, frame: frame.into(), reason: "cut off".into() }
+        let head = BatchHead { events, ..bed.head(number, &body, 2) };
+        let mut frame = codec::batch_frame(&head, &body, false);
+        frame.truncate(frame.len() / 2);
+        let reason = "cut off".into();
+        Work::Aside(Box::new(Aside { head, frame: frame.into(), body: None, reason }))
     };
-    let (short, empty) = (unreadable(100), unreadable(47));
-    let committed = bed.commit(&[twice, short, empty]).await;
+    let (short, impossible) = (unreadable(2), unreadable(u32::MAX));
+    let committed = bed.commit(&[twice, short, impossible]).await;
     assert_eq!(committed.quarantined.len(), 3);
     let (stored, _) = committed.hosts[&bed.edge];
     assert_eq!((stored.quarantined, stored.gaps, stored.missing), (3, 3, 5));

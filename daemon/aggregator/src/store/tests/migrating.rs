@@ -1,34 +1,22 @@
-//! A file of the version before: everything in it stays, everything new works.
+//! Files of all versions before: everything in them stays, everything new works.
 
 use std::borrow::Cow;
+use std::path::{Path, PathBuf};
 
+use peernet_logger::stage;
 use peernet_logger::stream::Event;
 use sqlx::migrate::Migrator;
-use sqlx::{ConnectOptions, Connection};
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
 
 use super::clocks::sample;
-use super::{Bed, Writer, database, generate};
+use super::rollups::{assert_same, table};
+use super::{Bed, database, generate, open};
+use crate::store::retention::{Retention, Step};
+use crate::store::types::IterationFilter;
 
-#[tokio::test]
-async fn a_database_of_the_version_before_goes_on_as_it_was() {
-    // A file with runs, brought back to the schema that had no clocks.
-    let mut bed = Bed::new().await;
-    bed.run_of(20).await;
-    let before = bed.store.stages(1).await.expect("answers");
-    let path = bed.path.with_file_name("before.sqlite");
-    let mut old = database::writing(&path).connect().await.expect("makes");
-    let known = |version: &i64| *version <= 2;
-    let migrations: Vec<_> =
-        database::MIGRATIONS.iter().filter(|migration| known(&migration.version)).cloned().collect();
-    assert_eq!(migrations.len(), 2);
-    let migrator = Migrator { migrations: Cow::Owned(migrations), ..Migrator::DEFAULT };
-    migrator.run_direct(None, &mut old, false).await.expect("makes the old schema");
-    sqlx::query("ATTACH ? AS new")
-        .bind(bed.path.to_string_lossy().into_owned())
-        .execute(&mut old)
-        .await
-        .expect("opens");
-    for table in [
+/// The tables that each version added.
+const TABLES: [&[&str]; 4] = [
+    &[
         "name",
         "host",
         "pipeline",
@@ -43,25 +31,112 @@ async fn a_database_of_the_version_before_goes_on_as_it_was() {
         "incident",
         "gap",
         "quarantine",
-    ] {
-        let copy = format!("INSERT INTO main.{table} SELECT * FROM new.{table}");
-        sqlx::raw_sql(sqlx::AssertSqlSafe(copy)).execute(&mut old).await.expect("copies");
+    ],
+    &[],
+    &["link", "clock_sample"],
+    &["clock_window"],
+];
+
+/// The same data in a file as a version of before would have left it: what it knew, in the order of its own columns, and
+/// of the statistics those that it kept.
+async fn as_of_version(bed: &Bed, version: usize) -> PathBuf {
+    let path = bed.path.with_file_name(format!("version-{version}.sqlite"));
+    let mut old = database::writing(&path).connect().await.expect("makes");
+    let known = |migration: &i64| usize::try_from(*migration).is_ok_and(|number| number <= version);
+    let migrations: Vec<_> =
+        database::MIGRATIONS.iter().filter(|migration| known(&migration.version)).cloned().collect();
+    assert_eq!(migrations.len(), version);
+    let migrator = Migrator { migrations: Cow::Owned(migrations), ..Migrator::DEFAULT };
+    migrator.run_direct(None, &mut old, false).await.expect("makes the old schema");
+    sqlx::query("ATTACH ? AS new")
+        .bind(bed.path.to_string_lossy().into_owned())
+        .execute(&mut old)
+        .await
+        .expect("opens");
+    for name in TABLES[..version].concat() {
+        let columns: Vec<String> = sqlx::query_scalar("SELECT name FROM pragma_table_info(?, 'main')")
+            .bind(name)
+            .fetch_all(&mut old)
+            .await
+            .expect("describes");
+        let columns = columns.join(", ");
+        let which = if name == "rollup" { "WHERE resolution_s IN (0, 10)" } else { "" };
+        let copy = format!("INSERT INTO main.{name} ({columns}) SELECT {columns} FROM new.{name} {which}");
+        sqlx::raw_sql(AssertSqlSafe(copy)).execute(&mut old).await.expect("copies");
     }
     old.close().await.expect("closes");
+    path
+}
 
-    let connection = database::open(&path).await.expect("brings the schema up to date");
-    bed.writer = Writer::new(path.clone(), connection).await.expect("reads the marks");
-    bed.store = super::Store::new(database::readers(&path, 2));
-    assert_eq!(bed.store.stages(1).await.expect("answers"), before);
-    assert_eq!(bed.count("SELECT count(*) FROM node").await, 20 * 21);
-    assert_eq!(bed.store.links().await.expect("answers"), []);
-    let recomputed = bed.store.recompute(1).await.expect("answers").expect("exists");
-    assert_eq!((recomputed.samples, recomputed.stages.len()), (0, 2));
+/// What pages ask about a run, as text. Series in points of ten seconds, which all versions had.
+async fn answers(bed: &Bed) -> String {
+    let store = &bed.store;
+    let series = store.series(1, &[stage::UPLOAD, stage::TOTAL], 21).await.expect("answers");
+    assert_eq!(series.bucket_s, 10);
+    format!(
+        "{:?}\n{:?}\n{:?}\n{:?}\n{:?}\n{:?}\n{series:?}",
+        store.run(1).await.expect("answers").expect("exists"),
+        store.stages(1).await.expect("answers"),
+        store.histogram(1, "upload", 20).await.expect("answers"),
+        store.iterations(1, &IterationFilter::default()).await.expect("answers"),
+        store.iteration(1, 17).await.expect("answers").expect("exists"),
+        store.hosts().await.expect("answers"),
+    )
+}
 
-    let work = bed.batch(vec![Event::Clock(Box::new(sample(bed.cloud, 1, 40)))]);
-    bed.commit(&[work]).await;
-    let links = bed.store.links().await.expect("answers");
-    assert_eq!((links.len(), links[0].first), (1, generate::at(1.0)));
-    // Opening it once more changes nothing.
-    database::open(&path).await.expect("opens");
+async fn reopen(bed: &mut Bed, path: &Path) -> SqliteConnection {
+    bed.writer = open(path).await;
+    bed.store = super::Store::new(super::readers(path));
+    database::writing(path).connect().await.expect("opens")
+}
+
+#[tokio::test]
+async fn a_database_of_any_version_before_goes_on_as_it_was() {
+    for version in 1..=TABLES.len() {
+        let mut bed = Bed::new().await;
+        bed.run_of(1_000).await;
+        let work = bed.batch(vec![Event::Clock(Box::new(sample(bed.cloud, 0, 40)))]);
+        bed.commit(&[work]).await;
+        let expected = answers(&bed).await;
+        let links = bed.store.links().await.expect("answers");
+        let recomputed = bed.store.recompute(1).await.expect("answers").expect("exists");
+        let grown = table(&mut bed.other().await).await;
+        let path = as_of_version(&bed, version).await;
+
+        let mut connection = reopen(&mut bed, &path).await;
+        assert_eq!(answers(&bed).await, expected, "version {version}");
+        assert_eq!(bed.count("SELECT count(*) FROM node").await, 1_000 * 21);
+        // The coarser statistics were made of those that were there; finer ones there were none.
+        let coarser = grown.into_iter().filter(|((_, width_s, ..), _)| *width_s != 1).collect();
+        assert_same(&table(&mut connection).await, &coarser);
+        assert_eq!(bed.count("SELECT count(*) FROM rollup_debt").await, 0);
+        let minutes = bed.store.series(1, &[stage::TOTAL], 4).await.expect("answers");
+        assert_eq!((minutes.bucket_s, minutes.stages[0].points.len()), (60, 4));
+        let all = bed.store.series(1, &[stage::TOTAL], 1_000).await.expect("answers");
+        assert_eq!(all.bucket_s, 10);
+        if version >= 3 {
+            assert_eq!(bed.store.links().await.expect("answers"), links);
+            assert_eq!(bed.store.recompute(1).await.expect("answers"), Some(recomputed));
+        } else {
+            assert_eq!(bed.store.links().await.expect("answers"), []);
+            let recomputed = bed.store.recompute(1).await.expect("answers").expect("exists");
+            assert_eq!((recomputed.samples, recomputed.stages.len()), (0, 2));
+        }
+        // Who updates has the whole of each period to pin what must stay, however old it is.
+        let mut retention = Retention::new(crate::config::RetentionConfig::default());
+        let mut steps = 0;
+        while retention.step(&mut connection, super::NOW, 1_000).await.expect("steps") == Step::More {
+            steps += 1;
+        }
+        assert_eq!(bed.count("SELECT count(*) FROM node").await, 1_000 * 21, "{steps} steps");
+
+        let work = bed.batch(vec![Event::Clock(Box::new(sample(bed.cloud, 1, 40)))]);
+        bed.commit(&[work]).await;
+        let links = bed.store.links().await.expect("answers");
+        assert_eq!((links.len(), links[0].last), (1, generate::at(1.0)));
+        // Opening it once more changes nothing.
+        let before = table(&mut connection).await;
+        reopen(&mut bed, &path).await;
+        assert_same(&table(&mut connection).await, &before);
+    }
 }

@@ -8,25 +8,37 @@ mod ends;
 #[path = "../../../tests/it/generate.rs"]
 #[expect(unreachable_pub, reason = "shared with the integration tests and the benchmark")]
 mod generate;
+mod limits;
+mod maintaining;
 mod migrating;
 mod plans;
 mod questions;
+mod rebuilding;
 mod recomputing;
+mod retention;
+mod rollups;
 mod simulation;
 mod writing;
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
-use peernet_clock::WallTime;
-use peernet_logger::stream::{Batch, Event, StreamId};
+use bytes::Bytes;
+use peernet_clock::{ClockIdentity, SystemClock, WallTime};
+use peernet_logger::stream::{BatchHead, Chain, Event, HostDescription, StreamId};
 use peernet_logger::{HostId, RunId};
 use sqlx::{ConnectOptions, SqliteConnection};
 use tempfile::TempDir;
 
-use super::write::{Committed, Work, Writer};
+use super::readers::Readers;
+use super::write::{Committed, Introduction, Work, Writer};
 use super::{Store, database};
+use crate::RetentionConfig;
 
 const NOW: WallTime = WallTime::from_unix_nanos(1_750_000_000_000_000_000);
+
+/// The process that all batches come from.
+const PROCESS: u64 = u64::MAX - 4;
 
 /// A database in a folder of its own, with one agent that writes to it.
 struct Bed {
@@ -45,12 +57,12 @@ impl Bed {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("peernet.sqlite");
         let writer = open(&path).await;
-        let store = Store::new(database::readers(&path, 2));
+        let store = Store::new(readers(&path));
         let (edge, cloud, stream) = (HostId::random(), HostId::random(), StreamId::random());
         let mut bed = Self { _folder: folder, path, writer, store, edge, cloud, stream, next: 1 };
         bed.commit(&[
-            Work::Hello { host: Box::new(generate::host(bed.edge, "edge")), process: 1 },
-            Work::Hello { host: Box::new(generate::host(bed.cloud, "cloud")), process: 1 },
+            hello(generate::host(bed.edge, "edge"), 1),
+            hello(generate::host(bed.cloud, "cloud"), 1),
         ])
         .await;
         bed
@@ -67,9 +79,15 @@ impl Bed {
         self.batch_numbered(number, events)
     }
 
-    fn batch_numbered(&self, number: u64, events: Vec<Event>) -> Work {
-        let batch = Batch { host: self.edge, stream: self.stream, number, events };
-        Work::Batch(Box::new(batch))
+    fn batch_numbered(&self, number: u64, events: impl AsRef<[Event]>) -> Work {
+        let events = events.as_ref();
+        let body = Bytes::from(generate::body(events));
+        Work::of_batch(self.head(number, &body, events.len()), body)
+    }
+
+    fn head(&self, number: u64, body: &[u8], events: usize) -> BatchHead {
+        let (host, stream, before, events) = (self.edge, self.stream, Chain::START, events as u32);
+        BatchHead { host, stream, process: PROCESS, number, before, chain: before.then(events, body), events }
     }
 
     async fn commit(&mut self, work: &[Work]) -> Committed {
@@ -98,11 +116,31 @@ impl Bed {
 
     /// One number of the database.
     async fn count(&self, sql: &'static str) -> i64 {
-        sqlx::query_scalar(sql).fetch_one(&self.store.pool).await.expect("counts")
+        sqlx::query_scalar(sql).fetch_one(&self.store.readers.pool).await.expect("counts")
     }
 }
 
 async fn open(path: &std::path::Path) -> Writer {
     let connection = database::open(path).await.expect("opens");
-    Writer::new(path.to_owned(), connection).await.expect("reads the marks")
+    Writer::new(path.to_owned(), connection, RetentionConfig::default()).await.expect("reads the marks")
+}
+
+/// A process of a host introduces itself, with a stream that nothing else of the test uses.
+fn hello(host: HostDescription, process: u64) -> Work {
+    let stream = StreamId::random();
+    Work::Hello(Box::new(Introduction {
+        host,
+        process,
+        stream,
+        previous: None,
+        first: 1,
+        replaced: None,
+        lacking: None,
+    }))
+}
+
+/// Readers with a limit that no question of a test reaches.
+fn readers(path: &std::path::Path) -> Readers {
+    let identity = ClockIdentity::of_this_machine(ClockIdentity::SYSTEM).expect("linux has a boot id");
+    Readers::open(path, 2, std::time::Duration::from_secs(600), Arc::new(SystemClock::new(identity)))
 }

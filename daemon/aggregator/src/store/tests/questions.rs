@@ -146,15 +146,33 @@ async fn the_slowest_come_first_and_name_their_culprit() {
     let first = bed.store.iteration(1, numbers[0]).await.expect("answers").expect("exists");
     let tenth = bed.store.iteration(1, numbers[9]).await.expect("answers").expect("exists");
     assert_eq!((first.rank, tenth.rank), (Some(1), Some(10)));
+    assert_eq!((first.slower, first.faster), (None, Some(numbers[1])));
+    assert_eq!((tenth.slower, tenth.faster), (Some(numbers[8]), Some(totals[10].1)));
+    // Those that took equally long have an order, too.
+    let mut other = bed.other().await;
+    sqlx::query("UPDATE iteration SET total = 9 WHERE number IN (?1, ?2, ?3)")
+        .bind(numbers[3].cast_signed())
+        .bind(numbers[5].cast_signed())
+        .bind(numbers[8].cast_signed())
+        .execute(&mut other)
+        .await
+        .expect("changes");
+    let order: Vec<u64> =
+        bed.store.slowest(1, 5).await.expect("answers").iter().map(|row| row.number).collect();
+    for (place, number) in order.iter().enumerate().take(4) {
+        let detail = bed.store.iteration(1, *number).await.expect("answers").expect("exists");
+        let slower = place.checked_sub(1).map(|place| order[place]);
+        assert_eq!((detail.slower, detail.faster), (slower, Some(order[place + 1])), "{order:?}");
+    }
 }
 
 #[tokio::test]
 async fn a_series_adds_up_to_the_run_whatever_its_buckets() {
     let mut bed = Bed::new().await;
-    // 1,000 iterations of 0.2 s: 20 stored buckets of 10 s, or 21 where the run begins within one.
+    // 1,000 iterations of 0.2 s: 201 seconds, 21 buckets of 10 s.
     bed.run_of(1_000).await;
     let names = [stage::UPLOAD, stage::TOTAL, "nonsense".into()];
-    for (points, width) in [(100, 10), (21, 10), (8, 30), (4, 60), (1, 300)] {
+    for (points, width) in [(201, 1), (200, 2), (100, 5), (21, 10), (8, 30), (4, 60), (1, 300)] {
         let series = bed.store.series(1, &names, points).await.expect("answers");
         assert_eq!((series.bucket_s, series.stages.len()), (width, 2), "{points} points");
         for stage in &series.stages {

@@ -72,7 +72,7 @@ fn times(judgement: &Judgement, verdict: Verdict) -> u64 {
 /// Every delay judged again holds the truth, within what was known before.
 async fn assert_sound(bed: &Bed, simulated: &Simulated) {
     let mut judged = 0;
-    let samples = judge_again(&bed.store.pool, 1, |delay| {
+    let samples = judge_again(&bed.store.readers, 1, |delay| {
         let (Some(before), Some(after)) = (delay.before, delay.after) else { panic!("judged: {delay:?}") };
         let (up, down) = simulated.truths[judged / 2];
         let truth = if delay.direction == Direction::Up { up } else { down };

@@ -1,11 +1,12 @@
 //! What the writer promises: each batch exactly once, a bad one aside, nothing half done.
 
-use peernet_logger::stream::codec::BatchHead;
-use peernet_logger::stream::{Event, Gap, Iteration, Missing};
+use peernet_logger::stream::{
+    Chain, Event, Gap, Hello, Iteration, Known, Lacking, Mark, Missing, PROTOCOL, StreamId,
+};
 use peernet_logger::{HostId, RunId};
 
 use super::{Bed, NOW, Work, generate, open};
-use crate::store::write::Mark;
+use crate::store::write::{Aside, Introduction};
 
 fn iterations(bed: &Bed, run: RunId, numbers: std::ops::RangeInclusive<u64>) -> Vec<Event> {
     let mut random = generate::Numbers(*numbers.start());
@@ -26,7 +27,8 @@ async fn a_batch_that_comes_again_is_stored_once() {
     let again = bed.batch_numbered(1, events.clone());
     assert_eq!(bed.commit(&[again]).await.marks[&bed.stream].stored, 1);
     bed.writer = open(&bed.path).await;
-    assert_eq!(bed.writer.marks()[&bed.stream], Mark { host: bed.edge, stored: 1 });
+    let mark = bed.writer.streams().marks[&bed.stream];
+    assert_eq!(mark, Mark::from(bed.head(1, &generate::body(&events), 11)));
     let again = bed.batch_numbered(1, events);
     let committed = bed.commit(&[again]).await;
     assert_eq!((committed.marks[&bed.stream].stored, committed.nodes), (1, 0));
@@ -125,8 +127,9 @@ async fn a_bad_batch_is_put_aside_and_the_others_are_stored() {
 #[tokio::test]
 async fn an_unreadable_batch_is_kept_as_it_came_and_left_behind() {
     let mut bed = Bed::new().await;
-    let head = BatchHead { host: bed.edge, stream: bed.stream, number: 1 };
-    let unreadable = Work::Unreadable { head, frame: vec![0x81, 0xa5].into(), reason: "cut off".into() };
+    let head = bed.head(1, &[], 0);
+    let aside = Aside { head, frame: vec![0x81, 0xa5].into(), body: None, reason: "cut off".into() };
+    let unreadable = Work::Aside(Box::new(aside));
     let after = bed.batch_numbered(2, vec![generate::run_started(RunId::random(), "line", NOW)]);
     let committed = bed.commit(&[unreadable, after]).await;
     assert_eq!(committed.marks[&bed.stream].stored, 2);
@@ -143,7 +146,7 @@ async fn a_run_of_another_host_cannot_be_written_to() {
     let run = bed.run_of(3).await;
     let (edge, stream) = (bed.edge, bed.stream);
     bed.edge = HostId::random();
-    bed.stream = peernet_logger::stream::StreamId::random();
+    bed.stream = StreamId::random();
     let events = iterations(&bed, run, 10..=12);
     let work = bed.batch_numbered(1, events);
     let taken_over = bed.batch_numbered(2, vec![generate::run_started(run, "mine", NOW)]);
@@ -190,7 +193,8 @@ async fn gaps_are_told_with_their_run_and_holes_with_their_host() {
     let detail = bed.store.run(1).await.expect("answers").expect("exists");
     assert_eq!((detail.gaps.len(), detail.gaps[0].count), (1, 1_050));
 
-    let missing = Missing { host: bed.edge, stream: bed.stream, from: 3, through: 9 };
+    let (host, stream) = (bed.edge, bed.stream);
+    let missing = Missing { host, stream, from: 3, through: 9, chain: Chain::START, process: 7 };
     let after = bed.batch_numbered(10, vec![]);
     let committed = bed.commit(&[Work::Missing(missing), after]).await;
     assert_eq!(committed.marks[&bed.stream].stored, 10);
@@ -200,6 +204,85 @@ async fn gaps_are_told_with_their_run_and_holes_with_their_host() {
     let hosts = bed.store.hosts().await.expect("answers");
     assert_eq!(hosts.iter().map(|host| host.name.as_str()).collect::<Vec<_>>(), ["cloud", "edge"]);
     assert_eq!(hosts[1].stored, stored);
+}
+
+#[tokio::test]
+async fn a_replaced_spool_leaves_one_gap_and_its_stream_is_the_last() {
+    let mut bed = Bed::new().await;
+    let (old, new) = (bed.stream, StreamId::random());
+    let greeting = |stream, previous, replaced| {
+        let (host, process, first, lacking) = (generate::host(bed.edge, "edge"), 1, 5, None);
+        Work::Hello(Box::new(Introduction { host, process, stream, previous, first, replaced, lacking }))
+    };
+    let (first, renewed, replaced) = (
+        greeting(old, None, None),
+        greeting(new, Some(old), None),
+        greeting(StreamId::from_bytes([9; 16]), None, Some(new)),
+    );
+    bed.commit(&[first, renewed]).await;
+    assert_eq!(bed.count("SELECT count(*) FROM gap").await, 0);
+    // Handed in twice, as after a commit that was not told of.
+    bed.commit(std::slice::from_ref(&replaced)).await;
+    let committed = bed.commit(&[replaced]).await;
+    assert_eq!(committed.hosts[&bed.edge].0.gaps, 1);
+    assert_eq!(
+        bed.count("SELECT count(*) FROM gap WHERE count = 0 AND reason LIKE '%was deleted or replaced%'")
+            .await,
+        1
+    );
+    assert_eq!(bed.count("SELECT count(*) FROM stream WHERE previous IS NOT NULL AND stored = 4").await, 1);
+    bed.writer = open(&bed.path).await;
+    assert!(bed.writer.streams().marks.is_empty(), "nothing of any is stored");
+    let hello = hello_of(bed.edge, StreamId::from_bytes([9; 16]), None);
+    let known = Known { came: true, last: Some(hello.stream), ..Known::default() };
+    assert_eq!(bed.writer.streams().known(&hello), known);
+}
+
+#[tokio::test]
+async fn what_an_older_database_lacks_of_a_stream_that_was_left_is_one_gap() {
+    let mut bed = Bed::new().await;
+    let (old, new) = (bed.stream, StreamId::random());
+    let work = bed.batch(vec![generate::run_started(RunId::random(), "line", generate::at(1.0))]);
+    let mark = bed.commit(&[work]).await.marks[&old];
+    bed.writer = open(&bed.path).await;
+    let hello = hello_of(bed.edge, new, Some(old));
+    let known = Known { last: Some(old), previous: Some(mark), ..Known::default() };
+    assert_eq!(bed.writer.streams().known(&hello), known);
+    let (host, lacking) = (hello.host, Some(Lacking { stream: old, from: 2, through: 4 }));
+    let (process, previous, first, replaced) = (1, Some(old), 5, None);
+    let came = Introduction { host, process, stream: new, previous, first, replaced, lacking };
+    for _ in 0..2 {
+        let committed = bed.commit(&[Work::Hello(Box::new(came.clone()))]).await;
+        assert_eq!(committed.hosts[&bed.edge].0.gaps, 1);
+    }
+    let gaps = "SELECT count(*) FROM gap WHERE reason LIKE 'batches 2 to 4 of stream % a newer database %'";
+    assert_eq!(bed.count(gaps).await, 1);
+}
+
+fn hello_of(host: HostId, stream: StreamId, previous: Option<StreamId>) -> Hello {
+    Hello {
+        protocol: PROTOCOL,
+        host: generate::host(host, "edge"),
+        stream,
+        previous,
+        first: 5,
+        oldest: 5,
+        before: Chain::START,
+        batch_bytes: 1,
+        process: 1,
+    }
+}
+
+#[tokio::test]
+async fn what_an_agent_claims_to_be_missing_fits_into_its_column() {
+    let mut bed = Bed::new().await;
+    let at = generate::at(1.0);
+    let gap = Gap { pipeline: None, run: None, from: at, to: at, count: u64::MAX, reason: "many".into() };
+    let work = [0, 1].map(|_| bed.batch(vec![Event::Gap(gap.clone()), Event::Gap(gap.clone())]));
+    let committed = bed.commit(&work).await;
+    assert_eq!((committed.quarantined.len(), committed.hosts[&bed.edge].0.missing), (0, u64::MAX));
+    let after = bed.batch(vec![Event::Gap(gap)]);
+    assert!(bed.commit(&[after]).await.quarantined.is_empty());
 }
 
 #[tokio::test]

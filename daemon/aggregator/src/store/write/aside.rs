@@ -1,59 +1,97 @@
-//! What is missing because a batch was put aside.
+//! Batches that are put aside: kept as they came, and what is missing because of it.
 
 use std::collections::BTreeMap;
 
+use bytes::Bytes;
 use peernet_clock::WallTime;
 use peernet_logger::RunId;
-use peernet_logger::stream::codec;
-use peernet_logger::stream::{Event, Gap};
+use peernet_logger::stream::{BatchHead, Event, Gap, codec};
 use sqlx::SqliteConnection;
 
 use super::entities::Entities;
-use super::{Refusal, Work, records};
+use super::prepared::Prepared;
+use super::{Aside, Refusal, records};
+use crate::picture::Stored;
 
-/// Records the events of a batch that was put aside as missing: by run where it can be read, else as many as its head
-/// claims. Returns how many gaps and how many events.
-pub(super) async fn gaps(
-    connection: &mut SqliteConnection,
-    entities: &mut Entities,
-    host: i64,
-    work: &Work,
-    reason: &str,
-    now: WallTime,
-) -> Result<(u64, u64), Refusal> {
-    let gap = |run, count| Gap {
-        pipeline: None,
-        run,
-        from: now,
-        to: now,
-        count,
-        reason: format!("a batch was put aside: {reason}"),
-    };
-    let gaps = match work {
-        Work::Batch(batch) => {
-            let mut runs = BTreeMap::<Option<RunId>, Gap>::new();
-            for event in &batch.events {
-                let (run, at) = scope(event);
-                let run = match run {
-                    Some(run) => {
-                        entities.known_run(connection, run).await?.filter(|it| it.is_of(host)).map(|_| run)
-                    }
-                    None => None,
-                };
-                let at = at.unwrap_or(now);
-                let known = runs.entry(run).or_insert_with(|| Gap { from: at, to: at, ..gap(run, 0) });
-                (known.from, known.to) = (known.from.min(at), known.to.max(at));
-                known.count += 1;
-            }
-            runs.into_values().collect()
-        }
-        Work::Unreadable { frame, .. } => vec![gap(None, codec::batch_events(frame).unwrap_or(0))],
-        Work::Hello { .. } | Work::Goodbye(_) | Work::Name(_) | Work::Missing(_) => Vec::new(),
-    };
-    for gap in &gaps {
-        records::gap(connection, entities, host, gap).await?;
+/// A batch to be put aside.
+pub(super) struct Rejected<'a> {
+    pub(super) head: BatchHead,
+    frame: Bytes,
+    events: Option<Vec<Event>>,
+    reason: &'a str,
+}
+
+impl<'a> Rejected<'a> {
+    /// One that was found bad before it reached the database.
+    pub(super) fn aside(aside: &'a Aside) -> Self {
+        let events = aside.body.as_ref().and_then(|body| codec::events(body, aside.head.events).ok());
+        Self { head: aside.head, frame: aside.frame.clone(), events, reason: &aside.reason }
     }
-    Ok((gaps.len() as u64, gaps.iter().map(|gap| gap.count).sum()))
+
+    /// One that the database refused.
+    pub(super) fn refused(batch: &Prepared, reason: &'a str) -> Self {
+        let (head, body) = (batch.head, &batch.body);
+        let frame = Bytes::from(codec::batch_frame(&head, body, false));
+        Self { head, frame, events: codec::events(body, head.events).ok(), reason }
+    }
+
+    /// Why it cannot be stored.
+    pub(super) fn reason(&self) -> &str {
+        self.reason
+    }
+
+    /// Keeps it and records its events as missing: by run where they can be read, else as many as its head claims, if
+    /// it can hold so many. Returns what that adds to the counters of its host.
+    pub(super) async fn put(
+        self,
+        connection: &mut SqliteConnection,
+        entities: &mut Entities,
+        host: i64,
+        now: WallTime,
+    ) -> Result<Stored, Refusal> {
+        let kept = (self.events.as_ref().map(Vec::len), &self.frame);
+        records::quarantine(connection, host, self.head, kept, self.reason, now).await?;
+        let gap = |run, at, count| Gap {
+            pipeline: None,
+            run,
+            from: at,
+            to: at,
+            count,
+            reason: format!("a batch was put aside: {}", self.reason),
+        };
+        let gaps = match &self.events {
+            Some(events) => {
+                let mut runs = BTreeMap::<Option<RunId>, Gap>::new();
+                for event in events {
+                    let (run, at) = scope(event);
+                    let run = match run {
+                        Some(run) => entities
+                            .known_run(connection, run)
+                            .await?
+                            .filter(|it| it.is_of(host))
+                            .and(Some(run)),
+                        None => None,
+                    };
+                    let at = at.unwrap_or(now);
+                    let known = runs.entry(run).or_insert_with(|| gap(run, at, 0));
+                    (known.from, known.to) = (known.from.min(at), known.to.max(at));
+                    known.count += 1;
+                }
+                runs.into_values().collect()
+            }
+            None => {
+                let claimed = self.head.events as usize;
+                // Each takes a byte at least.
+                let count = if claimed <= self.frame.len() { claimed as u64 } else { 0 };
+                vec![gap(None, now, count)]
+            }
+        };
+        for gap in &gaps {
+            records::gap(connection, entities, host, gap).await?;
+        }
+        let missing = gaps.iter().map(|gap| gap.count).sum();
+        Ok(Stored { quarantined: 1, gaps: gaps.len() as u64, missing, ..Stored::default() })
+    }
 }
 
 /// The run that an event concerns, and when it happened.

@@ -11,7 +11,7 @@ use sqlx::{Arguments, SqliteConnection};
 
 use super::Refusal;
 use super::entities::Entities;
-use super::iteration::position;
+use super::prepared::position;
 use crate::plausible;
 
 /// Links kept in memory; beyond, all are forgotten and read again when needed.

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::str::FromStr;
 
 use peernet_clock::WallTime;
-use peernet_logger::stream::{HostDescription, PlacementKind, RunDescription, RunEnded, StreamId};
+use peernet_logger::stream::{HostDescription, PlacementKind, RunDescription, RunEnded};
 use peernet_logger::{HostId, RunId};
 use sqlx::SqliteConnection;
 
@@ -315,40 +315,11 @@ pub(crate) async fn stored_hosts(
     .await?;
     rows.into_iter()
         .map(|(uuid, events, nodes, gaps, missing, quarantined)| {
-            let counts = [events, nodes, gaps, missing, quarantined];
-            let [events, nodes, gaps, missing, quarantined] =
-                counts.map(|count| u64::try_from(count).unwrap_or(0));
-            Ok((id(&uuid)?, Stored { events, nodes, gaps, missing, duplicates: 0, quarantined }))
+            Ok((id(&uuid)?, Stored::of_columns((events, nodes, gaps, missing, quarantined))))
         })
         .collect()
 }
 
-/// Up to where a stream is stored.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Mark {
-    /// Whose stream it is.
-    pub(crate) host: HostId,
-    /// All batches up to this number are stored.
-    pub(crate) stored: u64,
-}
-
-/// The marks of all streams.
-pub(super) async fn stream_marks(
-    connection: &mut SqliteConnection,
-) -> Result<HashMap<StreamId, Mark>, sqlx::Error> {
-    let rows: Vec<(String, String, i64)> = sqlx::query_as(
-        "SELECT stream.uuid, host.uuid, stream.stored FROM stream JOIN host ON host.id = stream.host",
-    )
-    .fetch_all(connection)
-    .await?;
-    rows.into_iter()
-        .map(|(stream, host, stored)| {
-            let stored = u64::try_from(stored).map_err(|error| sqlx::Error::Decode(error.into()))?;
-            Ok((id(&stream)?, Mark { host: id(&host)?, stored }))
-        })
-        .collect()
-}
-
-fn id<T: FromStr<Err = uuid::Error>>(text: &str) -> Result<T, sqlx::Error> {
+pub(super) fn id<T: FromStr<Err = uuid::Error>>(text: &str) -> Result<T, sqlx::Error> {
     text.parse().map_err(|error: uuid::Error| sqlx::Error::Decode(error.into()))
 }

@@ -1,7 +1,8 @@
-//! Multi-row inserts: the fast path into SQLite.
+//! Multi-row statements: the fast path into SQLite.
 
 use std::sync::Arc;
 
+use futures::future::BoxFuture;
 use sqlx::error::BoxDynError;
 use sqlx::sqlite::SqliteArguments;
 use sqlx::{Arguments, AssertSqlSafe, SqliteConnection};
@@ -10,7 +11,7 @@ use sqlx::{Arguments, AssertSqlSafe, SqliteConnection};
 /// under SQLite's 32,766 parameters for up to 31 columns.
 const SIZES: [usize; 5] = [1024, 256, 32, 4, 1];
 
-/// One table's insert statement in all sizes.
+/// One table's statement in all sizes.
 #[derive(Debug)]
 pub(crate) struct Insert {
     statements: [Arc<str>; SIZES.len()],
@@ -18,7 +19,7 @@ pub(crate) struct Insert {
 }
 
 impl Insert {
-    /// Inserts rows of `columns` columns: `head (?, …), (?, …) tail`.
+    /// A statement over rows of `columns` columns: `head VALUES (?, …), (?, …) tail`.
     pub(crate) fn new(head: &str, columns: usize, tail: &str) -> Self {
         let row = format!("({})", vec!["?"; columns].join(","));
         let statements = SIZES
@@ -26,43 +27,37 @@ impl Insert {
         Self { statements, columns }
     }
 
-    /// Inserts all rows; `bind` adds one row's values in the order of the columns.
+    /// Executes it over all rows; `bind` adds one row's values in the order of the columns.
     ///
     /// SQLite works on a thread of its own: while it executes one statement, the next one's values are bound.
-    pub(crate) async fn run<R>(
-        &self,
-        connection: &mut SqliteConnection,
-        rows: &[R],
-        bind: impl Fn(&R, &mut SqliteArguments) -> Result<(), BoxDynError>,
-    ) -> Result<(), sqlx::Error> {
-        let collect = |rows: &[R]| -> Result<SqliteArguments, sqlx::Error> {
+    pub(crate) fn run<'a, R: 'a>(
+        &'a self,
+        connection: &'a mut SqliteConnection,
+        rows: impl IntoIterator<Item = R, IntoIter: ExactSizeIterator + Send + 'a>,
+        mut bind: impl FnMut(R, &mut SqliteArguments) -> Result<(), BoxDynError> + Send + 'a,
+    ) -> BoxFuture<'a, Result<(), sqlx::Error>> {
+        let mut rows = rows.into_iter();
+        let mut next = move || -> Result<Option<(&'a Arc<str>, SqliteArguments)>, sqlx::Error> {
+            let left = rows.len();
+            let Some(size) = SIZES.iter().position(|size| *size <= left) else { return Ok(None) };
             let mut arguments = SqliteArguments::default();
-            arguments.reserve(rows.len() * self.columns, 0);
-            rows.iter().try_for_each(|row| bind(row, &mut arguments)).map_err(sqlx::Error::Encode)?;
-            Ok(arguments)
+            arguments.reserve(SIZES[size] * self.columns, 0);
+            rows.by_ref()
+                .take(SIZES[size])
+                .try_for_each(|row| bind(row, &mut arguments))
+                .map_err(sqlx::Error::Encode)?;
+            Ok(Some((&self.statements[size], arguments)))
         };
-        let mut chunks = self.chunks(rows);
-        let Some((mut statement, first)) = chunks.next() else { return Ok(()) };
-        let mut arguments = collect(first)?;
-        loop {
-            let query = sqlx::query_with(AssertSqlSafe(Arc::clone(statement)), arguments);
-            let next = async { chunks.next().map(|(statement, rows)| (statement, collect(rows))) };
-            let (executed, next) = tokio::join!(biased; query.execute(&mut *connection), next);
-            executed?;
-            match next {
-                Some((following, bound)) => (statement, arguments) = (following, bound?),
-                None => return Ok(()),
+        Box::pin(async move {
+            let mut ready = next()?;
+            while let Some((statement, arguments)) = ready {
+                let query = sqlx::query_with(AssertSqlSafe(Arc::clone(statement)), arguments);
+                let (executed, following) =
+                    tokio::join!(biased; query.execute(&mut *connection), async { next() });
+                executed?;
+                ready = following?;
             }
-        }
-    }
-
-    /// Cuts rows to the sizes of the statements.
-    fn chunks<'a, R>(&'a self, rows: &'a [R]) -> impl Iterator<Item = (&'a Arc<str>, &'a [R])> {
-        let mut rest = rows;
-        SIZES.into_iter().zip(&self.statements).flat_map(move |(size, statement)| {
-            let (now, later) = rest.split_at(rest.len() - rest.len() % size);
-            rest = later;
-            now.chunks(size).map(move |rows| (statement, rows))
+            Ok(())
         })
     }
 }

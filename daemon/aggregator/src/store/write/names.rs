@@ -2,10 +2,11 @@
 
 use std::collections::HashMap;
 
-use peernet_logger::{Measure, Name};
+use peernet_logger::Name;
 use sqlx::SqliteConnection;
 
 use super::Refusal;
+use super::prepared::NameKey;
 
 /// Distinct names the store takes in; beyond, batches that bring new ones are put aside. A program that puts
 /// numbers into its names would otherwise fill memory and table.
@@ -39,37 +40,35 @@ impl Names {
         Ok(names)
     }
 
-    /// The number of a name of the given measure's kind and unit.
+    /// The number of a name with its kind and unit.
     pub(super) async fn id(
         &mut self,
         connection: &mut SqliteConnection,
-        name: &Name,
-        measure: &Measure,
+        key: &NameKey,
     ) -> Result<i64, Refusal> {
-        let unit = measure.unit();
-        let custom = matches!(measure, Measure::Custom(..));
-        let kind = measure.kind();
-        let known = self.known.get(name).into_iter().flatten();
+        let known = self.known.get(&key.text).into_iter().flatten();
         for entry in known {
-            if entry.kind == kind && entry.custom == custom && entry.unit == unit.symbol() {
+            if entry.kind == key.kind && entry.custom == key.custom && entry.unit == key.unit.symbol() {
                 return Ok(entry.id);
             }
         }
+        let NameKey { text, kind, custom, unit } = key;
         if self.count >= MOST {
             return Err(Refusal::Batch(format!(
-                "the store knows {MOST} names already, {name:?} is one too many; put numbers into values, not names"
+                "the store knows {MOST} names already, {text:?} is one too many; put numbers into values, not names"
             )));
         }
         let id = sqlx::query_scalar(
             "INSERT INTO name (text, kind, custom, unit) VALUES (?, ?, ?, ?) RETURNING id",
         )
-        .bind(name.as_str())
+        .bind(text.as_str())
         .bind(kind.as_str())
-        .bind(custom)
+        .bind(*custom)
         .bind(unit.symbol())
         .fetch_one(connection)
         .await?;
-        self.remember(name.clone(), Entry { id, kind, custom, unit: unit.symbol().into() });
+        let entry = Entry { id, kind: kind.clone(), custom: *custom, unit: unit.symbol().into() };
+        self.remember(text.clone(), entry);
         Ok(id)
     }
 

@@ -1,102 +1,48 @@
-//! Rows that wait to be inserted together, and how each table takes them.
+//! The statements that insert what grows with every iteration, straight from the batches.
 
 use sqlx::error::BoxDynError;
 use sqlx::sqlite::SqliteArguments;
 use sqlx::{Arguments, SqliteConnection};
 
 use super::insert::Insert;
+use super::prepared::{AnchorRow, IterationRow, NodeRow, Prepared, TransitRow};
+use super::rollups::Rollups;
 
-/// One row of `iteration`.
+/// A batch, and the numbers of what stands in its lists.
 #[derive(Debug)]
-pub(super) struct IterationRow {
-    pub(super) run: i64,
-    pub(super) number: i64,
-    pub(super) episode: u32,
-    pub(super) step: u32,
-    pub(super) warm_up: bool,
-    pub(super) outcome: u8,
-    pub(super) reason: Option<String>,
-    pub(super) started_ns: i64,
-    pub(super) total: Option<f64>,
+pub(super) struct Resolved<'a> {
+    pub(super) batch: &'a Prepared,
+    pub(super) runs: Vec<i64>,
+    pub(super) names: Vec<i64>,
+    pub(super) hosts: Vec<i64>,
 }
 
-/// One row of `node`.
-#[derive(Debug)]
-pub(crate) struct NodeRow {
-    pub(crate) run: i64,
-    pub(crate) iteration: i64,
-    pub(crate) node: u32,
-    pub(crate) parent: Option<u32>,
-    pub(crate) name: i64,
-    pub(crate) host: u8,
-    pub(crate) start_ns: i64,
-    pub(crate) value: Option<f64>,
-    pub(crate) lo: Option<f64>,
-    pub(crate) hi: Option<f64>,
+impl Resolved<'_> {
+    /// Adds the statistics of the batch to the roll-ups.
+    fn sum_up(&self, rollups: &mut Rollups) {
+        for part in &self.batch.summaries {
+            let (run, name) = (self.runs[part.run as usize], self.names[part.name as usize]);
+            rollups.merge(run, name, part.quantity, part.second_s, &part.summary);
+        }
+        for (run, name, verdict, count) in &self.batch.verdicts {
+            rollups.judge(self.runs[*run as usize], self.names[*name as usize], *verdict, *count);
+        }
+    }
+
+    /// Run and number of the iteration at a position.
+    fn iteration(&self, at: u32) -> (i64, i64) {
+        let row = &self.batch.iterations[at as usize];
+        (self.runs[row.run as usize], row.number)
+    }
 }
 
-/// One row of `anchor`.
-#[derive(Debug)]
-pub(super) struct AnchorRow {
-    pub(super) run: i64,
-    pub(super) iteration: i64,
-    pub(super) position: u8,
-    pub(super) host: i64,
-    pub(super) wall_ns: i64,
-}
-
-/// One row of `transit`.
-#[derive(Debug)]
-pub(super) struct TransitRow {
-    pub(super) run: i64,
-    pub(super) iteration: i64,
-    pub(super) node: u32,
-    pub(super) sent_ns: i64,
-    pub(super) received_ns: Option<i64>,
-    pub(super) raw_ns: Option<i64>,
-    pub(super) source: Option<u8>,
-    pub(super) verdict: Option<u8>,
-}
-
-/// Rows of all tables that grow with every iteration.
-#[derive(Debug, Default)]
-pub(super) struct Rows {
-    pub(super) iterations: Vec<IterationRow>,
-    pub(super) nodes: Vec<NodeRow>,
-    pub(super) anchors: Vec<AnchorRow>,
-    pub(super) transits: Vec<TransitRow>,
-}
-
-/// The statements that insert them.
+/// The statements.
 #[derive(Debug)]
 pub(super) struct Inserts {
     iterations: Insert,
     nodes: Insert,
     anchors: Insert,
     transits: Insert,
-}
-
-/// The statement for nodes, also for the benchmark's bare loop.
-pub(crate) fn node_insert() -> Insert {
-    Insert::new(
-        "INSERT INTO node (run, iteration, node, parent, name, host, start_ns, value, lo, hi)",
-        10,
-        "",
-    )
-}
-
-/// Adds a node's values in the order of [`node_insert`].
-pub(crate) fn bind_node(row: &NodeRow, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
-    to.add(row.run)?;
-    to.add(row.iteration)?;
-    to.add(row.node)?;
-    to.add(row.parent)?;
-    to.add(row.name)?;
-    to.add(row.host)?;
-    to.add(row.start_ns)?;
-    to.add(row.value)?;
-    to.add(row.lo)?;
-    to.add(row.hi)
 }
 
 impl Default for Inserts {
@@ -107,7 +53,11 @@ impl Default for Inserts {
                 9,
                 "",
             ),
-            nodes: node_insert(),
+            nodes: Insert::new(
+                "INSERT INTO node (run, iteration, node, parent, name, host, start_ns, value, lo, hi)",
+                10,
+                "",
+            ),
             anchors: Insert::new("INSERT INTO anchor (run, iteration, position, host, wall_ns)", 5, ""),
             transits: Insert::new(
                 "INSERT INTO transit (run, iteration, node, sent_ns, received_ns, raw_ns, source, verdict)",
@@ -119,58 +69,117 @@ impl Default for Inserts {
 }
 
 impl Inserts {
-    /// Inserts everything that waits and empties `rows`, keeping their memory for the next commit.
+    /// Inserts the rows of all batches, and adds their statistics to the roll-ups while SQLite is busy with the nodes.
     pub(super) async fn run(
         &self,
         connection: &mut SqliteConnection,
-        rows: &mut Rows,
+        batches: &[Resolved<'_>],
+        rollups: &mut Rollups,
     ) -> Result<(), sqlx::Error> {
-        self.iterations
-            .run(connection, &rows.iterations, |row, to| {
-                to.add(row.run)?;
-                to.add(row.number)?;
-                to.add(row.episode)?;
-                to.add(row.step)?;
-                to.add(row.warm_up)?;
-                to.add(row.outcome)?;
-                to.add(row.reason.as_deref())?;
-                to.add(row.started_ns)?;
-                to.add(row.total)
-            })
-            .await?;
-        self.nodes.run(connection, &rows.nodes, bind_node).await?;
-        self.anchors
-            .run(connection, &rows.anchors, |row, to| {
-                to.add(row.run)?;
-                to.add(row.iteration)?;
-                to.add(row.position)?;
-                to.add(row.host)?;
-                to.add(row.wall_ns)
-            })
-            .await?;
-        self.transits
-            .run(connection, &rows.transits, |row, to| {
-                to.add(row.run)?;
-                to.add(row.iteration)?;
-                to.add(row.node)?;
-                to.add(row.sent_ns)?;
-                to.add(row.received_ns)?;
-                to.add(row.raw_ns)?;
-                to.add(row.source)?;
-                to.add(row.verdict)
-            })
-            .await?;
-        rows.clear();
-        Ok(())
+        let iterations = Rows::of(batches, |batch| &batch.iterations);
+        self.iterations.run(connection, iterations, bind_iteration).await?;
+        let nodes = Rows::of(batches, |batch| &batch.nodes);
+        let bind = |(of, row): (&Resolved<'_>, &NodeRow), to: &mut SqliteArguments| {
+            if (row.iteration, row.node) == (0, 0) {
+                of.sum_up(rollups);
+            }
+            bind_node((of, row), to)
+        };
+        self.nodes.run(connection, nodes, bind).await?;
+        let anchors = Rows::of(batches, |batch| &batch.anchors);
+        self.anchors.run(connection, anchors, bind_anchor).await?;
+        let transits = Rows::of(batches, |batch| &batch.transits);
+        self.transits.run(connection, transits, bind_transit).await
     }
 }
 
-impl Rows {
-    /// Drops what waits.
-    pub(super) fn clear(&mut self) {
-        self.iterations.clear();
-        self.nodes.clear();
-        self.anchors.clear();
-        self.transits.clear();
+fn bind_iteration(
+    (of, row): (&Resolved<'_>, &IterationRow),
+    to: &mut SqliteArguments,
+) -> Result<(), BoxDynError> {
+    to.add(of.runs[row.run as usize])?;
+    to.add(row.number)?;
+    to.add(row.episode)?;
+    to.add(row.step)?;
+    to.add(row.warm_up)?;
+    to.add(row.outcome)?;
+    to.add(row.reason.as_deref())?;
+    to.add(row.started_ns)?;
+    to.add(row.total)
+}
+
+fn bind_node((of, row): (&Resolved<'_>, &NodeRow), to: &mut SqliteArguments) -> Result<(), BoxDynError> {
+    let (run, iteration) = of.iteration(row.iteration);
+    to.add(run)?;
+    to.add(iteration)?;
+    to.add(row.node)?;
+    to.add(row.parent)?;
+    to.add(of.names[row.name as usize])?;
+    to.add(row.host)?;
+    to.add(row.start_ns)?;
+    to.add(row.value)?;
+    to.add(row.lo)?;
+    to.add(row.hi)
+}
+
+fn bind_anchor((of, row): (&Resolved<'_>, &AnchorRow), to: &mut SqliteArguments) -> Result<(), BoxDynError> {
+    let (run, iteration) = of.iteration(row.iteration);
+    to.add(run)?;
+    to.add(iteration)?;
+    to.add(row.position)?;
+    to.add(of.hosts[row.host as usize])?;
+    to.add(row.wall_ns)
+}
+
+fn bind_transit(
+    (of, row): (&Resolved<'_>, &TransitRow),
+    to: &mut SqliteArguments,
+) -> Result<(), BoxDynError> {
+    let (run, iteration) = of.iteration(row.iteration);
+    to.add(run)?;
+    to.add(iteration)?;
+    to.add(row.node)?;
+    to.add(row.sent_ns)?;
+    to.add(row.received_ns)?;
+    to.add(row.raw_ns)?;
+    to.add(row.source)?;
+    to.add(row.verdict)
+}
+
+/// The rows of one table in all batches, one batch after the other.
+struct Rows<'a, R, F> {
+    batches: std::slice::Iter<'a, Resolved<'a>>,
+    rows: F,
+    now: Option<(&'a Resolved<'a>, std::slice::Iter<'a, R>)>,
+    left: usize,
+}
+
+impl<'a, R, F: Fn(&'a Prepared) -> &'a Vec<R>> Rows<'a, R, F> {
+    fn of(batches: &'a [Resolved<'a>], rows: F) -> Self {
+        let left = batches.iter().map(|batch| rows(batch.batch).len()).sum();
+        Self { batches: batches.iter(), rows, now: None, left }
     }
 }
+
+impl<'a, R, F: Fn(&'a Prepared) -> &'a Vec<R>> Iterator for Rows<'a, R, F> {
+    type Item = (&'a Resolved<'a>, &'a R);
+
+    fn next(&mut self) -> Option<Self::Item> {
+        loop {
+            if let Some((batch, rows)) = &mut self.now
+                && let Some(row) = rows.next()
+            {
+                self.left -= 1;
+                return Some((*batch, row));
+            }
+            let batch = self.batches.next()?;
+            self.now = Some((batch, (self.rows)(batch.batch).iter()));
+        }
+    }
+
+    fn size_hint(&self) -> (usize, Option<usize>) {
+        (self.left, Some(self.left))
+    }
+}
+
+impl<'a, R, F: Fn(&'a Prepared) -> &'a Vec<R>> ExactSizeIterator for Rows<'a, R, F> {}

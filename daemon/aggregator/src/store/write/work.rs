@@ -1,37 +1,58 @@
 //! What the writer is given, and why something of it is not stored.
 
 use bytes::Bytes;
-use peernet_logger::stream::codec::BatchHead;
-use peernet_logger::stream::{Batch, Event, HostDescription, Missing, Placement};
+use peernet_logger::stream::{BatchHead, HostDescription, Lacking, Missing, Placement, StreamId, codec};
 use peernet_logger::{HostId, RunId, Slug};
+
+use super::prepared::Prepared;
 
 /// What is to be stored, in the order in which it arrived.
 #[derive(Debug)]
 pub(crate) enum Work {
     /// A host introduced itself.
-    Hello {
-        /// The host.
-        host: Box<HostDescription>,
-        /// The number that its process made at its start.
-        process: u64,
-    },
+    Hello(Box<Introduction>),
     /// A host took its leave: nothing more comes of its runs, unless it kept something for later.
     Goodbye(HostId),
     /// The live lane names a run that the store knows by its iterations only.
     Name(Box<RunName>),
     /// Events.
-    Batch(Box<Batch>),
-    /// A batch that cannot be read: put aside as it came.
-    Unreadable {
-        /// Which.
-        head: BatchHead,
-        /// As it came.
-        frame: Bytes,
-        /// What is wrong with it.
-        reason: String,
-    },
+    Batch(Box<Prepared>),
+    /// A batch that cannot be stored whatever the database holds: put aside as it came.
+    Aside(Box<Aside>),
     /// Batches that nobody has any more.
     Missing(Missing),
+}
+
+/// A host that was let in.
+#[derive(Clone, Debug)]
+pub(crate) struct Introduction {
+    /// The host.
+    pub(crate) host: HostDescription,
+    /// The number that its process made at its start.
+    pub(crate) process: u64,
+    /// The stream that its batches belong to.
+    pub(crate) stream: StreamId,
+    /// The stream that this one goes on from.
+    pub(crate) previous: Option<StreamId>,
+    /// Number of the stream's first batch.
+    pub(crate) first: u64,
+    /// The host's stream before, which this one does not go on from: its spool was deleted or replaced.
+    pub(crate) replaced: Option<StreamId>,
+    /// What this database lacks of the stream that this one goes on from.
+    pub(crate) lacking: Option<Lacking>,
+}
+
+/// A batch that cannot be stored.
+#[derive(Clone, Debug)]
+pub(crate) struct Aside {
+    /// Which.
+    pub(crate) head: BatchHead,
+    /// As it came.
+    pub(crate) frame: Bytes,
+    /// Its events in wire form, where they match their hash.
+    pub(crate) body: Option<Bytes>,
+    /// What is wrong with it.
+    pub(crate) reason: String,
 }
 
 /// What the live lane tells of a run.
@@ -48,28 +69,20 @@ pub(crate) struct RunName {
 }
 
 impl Work {
-    /// What it counts when commits are cut by nodes.
-    pub(crate) fn weight(&self) -> usize {
-        let Self::Batch(batch) = self else { return 1 };
-        let weight = |event: &Event| match event {
-            Event::Iteration(iteration) => iteration.tree.nodes().len(),
-            _ => 1,
-        };
-        1 + batch.events.iter().map(weight).sum::<usize>()
-    }
-
-    /// Whose it is, and up to which number of which stream it goes; nothing of what is no batch.
-    pub(super) fn head(&self) -> Option<BatchHead> {
-        match self {
-            Self::Hello { .. } | Self::Goodbye(_) | Self::Name(_) => None,
-            Self::Batch(batch) => {
-                Some(BatchHead { host: batch.host, stream: batch.stream, number: batch.number })
-            }
-            Self::Unreadable { head, .. } => Some(*head),
-            Self::Missing(Missing { host, stream, through, .. }) => {
-                Some(BatchHead { host: *host, stream: *stream, number: *through })
+    /// Events that match their hash, made ready to be stored or to be put aside.
+    pub(crate) fn of_batch(head: BatchHead, body: Bytes) -> Self {
+        match Prepared::new(head, body.clone()) {
+            Ok(batch) => Self::Batch(Box::new(batch)),
+            Err(reason) => {
+                let frame = Bytes::from(codec::batch_frame(&head, &body, false));
+                Self::Aside(Box::new(Aside { head, frame, body: Some(body), reason }))
             }
         }
+    }
+
+    /// What it counts when commits are cut by nodes.
+    pub(crate) fn weight(&self) -> usize {
+        if let Self::Batch(batch) = self { batch.weight() } else { 1 }
     }
 }
 

@@ -1,10 +1,13 @@
-//! Both ends together: by hand for what is worth reading, and by the thousand with a transport that loses, repeats
-//! and reorders while either end is started anew.
+//! Both ends: each by hand for what is worth reading, together by the thousand in a [`world`] of faults, and on a
+//! small model in every order there is.
 
 mod admission;
 mod disturbed;
-mod lane;
+mod exhaustive;
 mod limits;
+mod progress;
+mod random;
+mod world;
 
 use peernet_clock::{ClockIdentity, MonoTime, Span, Stamp, WallTime};
 
@@ -39,27 +42,6 @@ fn incident(text: &str) -> Event {
     })
 }
 
-/// Small limits, so that a few events reach all of them.
-fn config() -> SendingConfig {
-    SendingConfig { batch_nodes: 3, window: 3, reserve_events: 2, ..SendingConfig::default() }
-}
-
 fn receiving() -> Receiving {
     Receiving::new(ReceivingConfig::new("base".parse().expect("a name")))
-}
-
-/// Everything that is to be sent now.
-fn frames<S: Spool>(sending: &mut Sending<S>, now: Stamp) -> Vec<ToAggregator> {
-    std::iter::from_fn(|| sending.transmit(now.mono).expect("the spool is in memory"))
-        .map(|frame| codec::decode(&frame).expect("our own frame"))
-        .collect()
-}
-
-/// Numbers of the batches among messages.
-fn numbers(messages: &[ToAggregator]) -> Vec<u64> {
-    let number = |message: &ToAggregator| match message {
-        ToAggregator::Batch(batch) => Some(batch.number),
-        _ => None,
-    };
-    messages.iter().filter_map(number).collect()
 }

@@ -5,6 +5,8 @@ use std::path::PathBuf;
 use clap::{Parser, Subcommand};
 use peernetd::VERSION;
 
+use crate::commands::{Database, DoctorArguments};
+
 /// PEERNet's daemon: profiles edge-cloud loops live, stage by stage.
 ///
 /// One binary, two roles that the configuration switches on, together or apart: the agent runs sensing,
@@ -32,5 +34,34 @@ pub(crate) enum Command {
         /// The configuration files to check.
         #[arg(value_name = "CONFIG", required = true)]
         configs: Vec<PathBuf>,
+    },
+    /// Copy an aggregator's database to a file, as it is at this moment; the aggregator may go on storing.
+    ///
+    /// The copy is complete and on the disk when this ends with 0, and is a database like the first: stop the
+    /// aggregator, put the copy in the place of its database, start it again. A file that exists is not written over.
+    /// Exits with 69 when there is no copy (no room, no such database), 130 when interrupted; nothing is left then.
+    Backup {
+        #[command(flatten)]
+        database: Database,
+        /// The copy.
+        #[arg(value_name = "FILE")]
+        file: PathBuf,
+    },
+    /// Examine an aggregator's database or an agent's spool: damage, gaps, streams, sizes. Changes nothing.
+    ///
+    /// Reads the whole file once; the aggregator or agent may go on. Exits with 0 when nothing is wrong, 65 when
+    /// something is (it says what, and what to do), 69 when a file cannot be opened.
+    Doctor(DoctorArguments),
+    /// Compute an aggregator's roll-ups again from the nodes that are stored, while the aggregator is stopped.
+    ///
+    /// Roll-ups grow with the nodes and need no rebuilding; this is for a doubt, or a repaired file. Each run is
+    /// replaced at once; of times whose nodes were deleted the roll-ups stay as they are. Exits with 69 when the
+    /// aggregator runs or the database cannot be written; interrupted, the runs that were done are done.
+    RebuildRollups {
+        #[command(flatten)]
+        database: Database,
+        /// Only this run, by its number.
+        #[arg(long, value_name = "NUMBER")]
+        run: Option<i64>,
     },
 }

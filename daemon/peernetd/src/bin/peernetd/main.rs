@@ -28,6 +28,9 @@ fn main() -> ExitCode {
     match arguments.command {
         Command::Run { config } => commands::run(&config),
         Command::Check { configs } => commands::check(&configs),
+        Command::Backup { database, file } => commands::backup(database, &file),
+        Command::RebuildRollups { database, run } => commands::rebuild(database, run),
+        Command::Doctor(arguments) => commands::doctor(arguments),
     }
     .into()
 }

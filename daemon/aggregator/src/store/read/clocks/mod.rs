@@ -9,13 +9,14 @@ use futures::TryStreamExt;
 use peernet_clock::{DelaySource, Interval, Offset, Span, Verdict, WallTime};
 use peernet_logger::HostId;
 use peernet_logger::stream::{DelayPoint, DelaySecond, ProbeCounts, RoundTrip};
-use sqlx::{FromRow, SqlitePool};
+use sqlx::FromRow;
 
 use self::bucket::Bucket;
 use self::repeats::Repeats;
-use super::{corrupt, count, failed, parse, sql, wall};
+use super::{corrupt, count, parse, sql, wall};
 use crate::error::StoreError;
 use crate::picture::ClockPoint;
+use crate::store::readers::Readers;
 use crate::store::types::{ClockSeries, LinkRow};
 use crate::store::write::UNKNOWN;
 
@@ -68,9 +69,10 @@ struct Row {
     down_verdict: Option<u8>,
 }
 
-pub(in crate::store) async fn links(pool: &SqlitePool) -> Result<Vec<LinkRow>, StoreError> {
+pub(in crate::store) async fn links(readers: &Readers) -> Result<Vec<LinkRow>, StoreError> {
     const WHAT: &str = "links";
-    let rows: Vec<Link> = sqlx::query_as(sql::LINKS).fetch_all(pool).await.map_err(failed(WHAT))?;
+    let rows: Vec<Link> =
+        sqlx::query_as(sql::LINKS).fetch_all(&readers.pool).await.map_err(readers.failed(WHAT))?;
     let mut links = Vec::with_capacity(rows.len());
     for row in rows {
         let (Some(first), Some(last)) = (row.first_ns, row.last_ns) else { continue };
@@ -87,7 +89,7 @@ pub(in crate::store) async fn links(pool: &SqlitePool) -> Result<Vec<LinkRow>, S
 }
 
 pub(in crate::store) async fn series(
-    pool: &SqlitePool,
+    readers: &Readers,
     (edge, cloud): (HostId, HostId),
     (from, to): (WallTime, WallTime),
     most_points: u32,
@@ -96,24 +98,25 @@ pub(in crate::store) async fn series(
     let link: Option<i64> = sqlx::query_scalar(sql::LINK)
         .bind(edge.to_string())
         .bind(cloud.to_string())
-        .fetch_optional(pool)
+        .fetch_optional(&readers.pool)
         .await
-        .map_err(failed(WHAT))?;
+        .map_err(readers.failed(WHAT))?;
     let Some(link) = link else { return Ok(nothing) };
     let extent: (Option<i64>, Option<i64>) = sqlx::query_as(sql::CLOCK_EXTENT)
         .bind(link)
         .bind(from.unix_nanos())
         .bind(to.unix_nanos())
-        .fetch_one(pool)
+        .fetch_one(&readers.pool)
         .await
-        .map_err(failed(WHAT))?;
+        .map_err(readers.failed(WHAT))?;
     let (Some(first), Some(last)) = extent else { return Ok(nothing) };
     let width = width(first, last, most_points.clamp(1, MOST_POINTS));
-    let repeats = Repeats::read(pool, link, (first, last)).await?;
-    let mut rows = sqlx::query_as::<_, Row>(sql::CLOCK_SAMPLES).bind(link).bind(first).bind(last).fetch(pool);
+    let repeats = Repeats::read(readers, link, (first, last)).await?;
+    let mut rows =
+        sqlx::query_as::<_, Row>(sql::CLOCK_SAMPLES).bind(link).bind(first).bind(last).fetch(&readers.pool);
     let mut points = Vec::new();
     let mut bucket: Option<Bucket> = None;
-    while let Some(row) = rows.try_next().await.map_err(failed(WHAT))? {
+    while let Some(row) = rows.try_next().await.map_err(readers.failed(WHAT))? {
         if repeats.supersede(row.window, row.at_ns) {
             continue;
         }

@@ -2,11 +2,12 @@
 
 use std::collections::HashMap;
 
-use sqlx::{FromRow, SqlitePool};
+use sqlx::FromRow;
 
 use super::WHAT;
 use crate::error::StoreError;
-use crate::store::read::{failed, sql};
+use crate::store::read::sql;
+use crate::store::readers::Readers;
 
 /// A window and the times that it has samples of.
 #[derive(Debug, FromRow)]
@@ -28,7 +29,7 @@ pub(super) struct Repeats {
 
 impl Repeats {
     pub(super) async fn read(
-        pool: &SqlitePool,
+        readers: &Readers,
         link: i64,
         (from, to): (i64, i64),
     ) -> Result<Self, StoreError> {
@@ -36,9 +37,9 @@ impl Repeats {
             .bind(link)
             .bind(from)
             .bind(to)
-            .fetch_all(pool)
+            .fetch_all(&readers.pool)
             .await
-            .map_err(failed(WHAT))?;
+            .map_err(readers.failed(WHAT))?;
         let mut repeats = Self::default();
         let mut end = i64::MIN;
         for (place, Window { window, first_ns, last_ns }) in windows.into_iter().enumerate() {

@@ -3,12 +3,13 @@
 use std::collections::{BTreeSet, HashMap};
 
 use peernet_clock::{Relation, WallTime};
-use sqlx::{FromRow, SqlitePool};
+use sqlx::FromRow;
 
-use super::super::{count, failed, sql, wall};
+use super::super::{count, sql, wall};
 use super::rolling::{Rolling, SPAN};
 use super::windows::{Extent, Timeline};
 use crate::error::StoreError;
+use crate::store::readers::Readers;
 
 const WHAT: &str = "clock samples";
 /// Windows of one link that are told apart within a run; a later one has no say.
@@ -29,7 +30,7 @@ struct Window {
 
 /// The clouds of a run, by their rows in the table `host`.
 pub(super) struct Clouds<'a> {
-    pool: &'a SqlitePool,
+    readers: &'a Readers,
     edge: i64,
     run: (WallTime, WallTime),
     known: HashMap<i64, Option<Cloud>>,
@@ -47,8 +48,8 @@ struct Cloud {
 
 impl<'a> Clouds<'a> {
     /// Of a run of an edge whose first and last iterations began at these times.
-    pub(super) fn new(pool: &'a SqlitePool, edge: i64, run: (WallTime, WallTime)) -> Self {
-        Self { pool, edge, run, known: HashMap::new(), used: BTreeSet::new() }
+    pub(super) fn new(readers: &'a Readers, edge: i64, run: (WallTime, WallTime)) -> Self {
+        Self { readers, edge, run, known: HashMap::new(), used: BTreeSet::new() }
     }
 
     /// What is known of the clocks of the edge and a cloud at a time of the edge's; `None` where no sample tells.
@@ -72,7 +73,7 @@ impl<'a> Clouds<'a> {
             cloud.rolling.clear();
         }
         let rolling = cloud.rolling.entry(place).or_insert_with(|| Rolling::new(cloud.link, *window, at));
-        rolling.at(self.pool, at).await
+        rolling.at(self.readers, at).await
     }
 
     /// Stored samples of the windows that were asked for, from so long before the run to so long after as they count.
@@ -84,9 +85,9 @@ impl<'a> Clouds<'a> {
         let link: Option<i64> = sqlx::query_scalar(sql::LINK_OF)
             .bind(self.edge)
             .bind(cloud)
-            .fetch_optional(self.pool)
+            .fetch_optional(&self.readers.pool)
             .await
-            .map_err(failed(WHAT))?;
+            .map_err(self.readers.failed(WHAT))?;
         let Some(link) = link else { return Ok(None) };
         // Iterations last less than the span.
         let (first, last) = self.run;
@@ -95,9 +96,9 @@ impl<'a> Clouds<'a> {
             .bind((first - SPAN).unix_nanos())
             .bind((last + SPAN + SPAN).unix_nanos())
             .bind(MOST_WINDOWS)
-            .fetch_all(self.pool)
+            .fetch_all(&self.readers.pool)
             .await
-            .map_err(failed(WHAT))?;
+            .map_err(self.readers.failed(WHAT))?;
         let extents: Vec<Extent> = windows
             .iter()
             .map(|it| Extent {

@@ -11,13 +11,14 @@ mod windows;
 
 use peernet_clock::{DelaySource, Direction, Interval, OneWayDelay, Span, Verdict, WallTime};
 use peernet_logger::stage;
-use sqlx::{FromRow, SqlitePool};
+use sqlx::FromRow;
 
 use self::clouds::Clouds;
 use self::tally::Tally;
 use super::clocks::known;
-use super::{failed, sql, wall};
+use super::{sql, wall};
 use crate::error::StoreError;
+use crate::store::readers::Readers;
 use crate::store::types::{Recomputed, RecomputedStage};
 
 const WHAT: &str = "a run's delays";
@@ -41,6 +42,36 @@ struct Row {
     cloud: Option<i64>,
 }
 
+/// Seconds of the buckets by which a run's times are looked up.
+const MINUTE_S: i64 = 60;
+
+/// The edge of a run, and between what times it ran.
+#[derive(FromRow)]
+struct Extent {
+    host: i64,
+    first_ns: Option<i64>,
+    last_ns: Option<i64>,
+    first_s: Option<i64>,
+    last_s: Option<i64>,
+}
+
+impl Extent {
+    /// When the earliest iteration began and when the latest one did, on the edge's wall clock: to the minute where its
+    /// clock was set back in between.
+    fn times(&self) -> (WallTime, WallTime) {
+        let nanos = |seconds: i64| seconds.saturating_mul(1_000_000_000);
+        let (first, last) = (self.first_ns.unwrap_or(0), self.last_ns.unwrap_or(0));
+        let (mut from, mut to) = (first.min(last), first.max(last));
+        if let Some(begin) = self.first_s.filter(|begin| nanos(begin + MINUTE_S) <= from) {
+            from = nanos(begin);
+        }
+        if let Some(begin) = self.last_s.filter(|begin| nanos(*begin) > to) {
+            to = nanos(begin + MINUTE_S);
+        }
+        (wall(from), wall(to))
+    }
+}
+
 /// A delay, then and now.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::store) struct Rejudged {
@@ -50,14 +81,14 @@ pub(in crate::store) struct Rejudged {
 }
 
 pub(in crate::store) async fn recompute(
-    pool: &SqlitePool,
+    readers: &Readers,
     run: i64,
 ) -> Result<Option<Recomputed>, StoreError> {
     let mut stages = [
         (Direction::Up, stage::UPLOAD, Tally::default(), Tally::default()),
         (Direction::Down, stage::DOWNLOAD, Tally::default(), Tally::default()),
     ];
-    let samples = judge_again(pool, run, |delay| {
+    let samples = judge_again(readers, run, |delay| {
         let of_direction = stages.iter_mut().filter(|(direction, ..)| *direction == delay.direction);
         of_direction.for_each(|(_, _, old, new)| {
             old.add(delay.before.as_ref());
@@ -81,14 +112,17 @@ pub(in crate::store) async fn recompute(
 /// Hands over each delay of a run that statistics are made of, in the order of iterations and nodes. Returns how many
 /// samples were used, or `None` when there is no such run.
 pub(in crate::store) async fn judge_again(
-    pool: &SqlitePool,
+    readers: &Readers,
     run: i64,
     mut each: impl FnMut(Rejudged),
 ) -> Result<Option<u64>, StoreError> {
-    let extent: Option<(i64, Option<i64>, Option<i64>)> =
-        sqlx::query_as(sql::RUN_EXTENT).bind(run).fetch_optional(pool).await.map_err(failed(WHAT))?;
-    let Some((edge, first, last)) = extent else { return Ok(None) };
-    let mut clouds = Clouds::new(pool, edge, (wall(first.unwrap_or(0)), wall(last.unwrap_or(0))));
+    let extent: Option<Extent> = sqlx::query_as(sql::RUN_EXTENT)
+        .bind(run)
+        .fetch_optional(&readers.pool)
+        .await
+        .map_err(readers.failed(WHAT))?;
+    let Some(extent) = extent else { return Ok(None) };
+    let mut clouds = Clouds::new(readers, extent.host, extent.times());
     let mut page_ends = (i64::MIN, i64::MIN);
     loop {
         let rows: Vec<Row> = sqlx::query_as(sql::RUN_DELAYS)
@@ -96,9 +130,9 @@ pub(in crate::store) async fn judge_again(
             .bind(page_ends.0)
             .bind(page_ends.1)
             .bind(PAGE)
-            .fetch_all(pool)
+            .fetch_all(&readers.pool)
             .await
-            .map_err(failed(WHAT))?;
+            .map_err(readers.failed(WHAT))?;
         let Some(last) = rows.last() else { return Ok(Some(clouds.samples())) };
         page_ends = (last.iteration, last.node);
         for row in &rows {

@@ -6,11 +6,12 @@ use peernet_clock::{
     ClockIdentity, DelaySource, Discipline, Exchange, Interval, Relation, RelationSettings, Span, WallTime,
     Witnessed,
 };
-use sqlx::{FromRow, SqlitePool};
+use sqlx::FromRow;
 
 use super::super::clocks::{known, sources};
-use super::super::{failed, sql, wall};
+use super::super::{sql, wall};
 use crate::error::StoreError;
+use crate::store::readers::Readers;
 
 const WHAT: &str = "clock samples";
 /// How far exchanges are looked for on both sides of a time. The agent itself looks back as far.
@@ -77,7 +78,7 @@ impl Rolling {
     /// What is known of a time; times are asked for nearly in their order.
     pub(super) async fn at(
         &mut self,
-        pool: &SqlitePool,
+        readers: &Readers,
         at: WallTime,
     ) -> Result<Option<&Relation>, StoreError> {
         let until = (at + SPAN).unix_nanos();
@@ -88,7 +89,7 @@ impl Rolling {
             if self.complete || !self.ahead.is_empty() {
                 break;
             }
-            self.read(pool).await?;
+            self.read(readers).await?;
         }
         while self.claims.pop_front_if(|(end, _)| *end < at).is_some() {}
         if let (Some(relation), Some((_, claim))) = (&mut self.relation, self.claims.front())
@@ -104,15 +105,15 @@ impl Rolling {
         Ok(self.relation.as_ref())
     }
 
-    async fn read(&mut self, pool: &SqlitePool) -> Result<(), StoreError> {
+    async fn read(&mut self, readers: &Readers) -> Result<(), StoreError> {
         let rows: Vec<Row> = sqlx::query_as(sql::CLOCK_EXCHANGES)
             .bind(self.link)
             .bind(self.window)
             .bind(self.read)
             .bind(PAGE)
-            .fetch_all(pool)
+            .fetch_all(&readers.pool)
             .await
-            .map_err(failed(WHAT))?;
+            .map_err(readers.failed(WHAT))?;
         self.complete = rows.len() < PAGE as usize;
         self.read = rows.last().map_or(self.read, |row| row.at_ns);
         self.ahead.extend(rows);

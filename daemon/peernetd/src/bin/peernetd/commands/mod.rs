@@ -1,7 +1,15 @@
 //! What the commands do.
 
+mod backup;
 mod check;
+mod doctor;
+mod place;
+mod rebuild;
 mod run;
 
+pub(crate) use backup::backup;
 pub(crate) use check::check;
+pub(crate) use doctor::{Arguments as DoctorArguments, doctor};
+pub(crate) use place::Database;
+pub(crate) use rebuild::rebuild;
 pub(crate) use run::run;

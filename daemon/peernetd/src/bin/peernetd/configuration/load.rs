@@ -7,6 +7,7 @@ use std::{fmt, io};
 use peernet_agent::Agent;
 use peernet_agent::config::{
     AgentConfig, ClockConfig, HostConfig, PipelineConfig, ProbesConfig, RehearsalConfig, ServeConfig,
+    SpoolConfig,
 };
 use peernet_aggregator::{Aggregator, AggregatorConfig};
 use peernet_clock::{ClockIdentity, SharedClock};
@@ -33,6 +34,7 @@ struct File {
     aggregator: Option<AggregatorConfig>,
     web: Option<WebConfig>,
     agent: Option<HostConfig>,
+    spool: Option<SpoolConfig>,
     clock: Option<ClockConfig>,
     probes: Option<ProbesConfig>,
     rehearsal: Option<RehearsalConfig>,
@@ -82,24 +84,45 @@ impl fmt::Display for Problem {
 /// # Errors
 /// All problems found; more than one where the file could be read.
 pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
-    let problem =
-        |line, key: &str, text: String| Problem { file: path.to_owned(), line, key: key.to_owned(), text };
-    let text = read_text(path)
-        .map_err(|error| vec![problem(None, "", format!("cannot read the configuration: {error}"))])?;
-    let locator = Locator::new(&text);
-    let file: File = read(&text).map_err(|(key, error)| {
-        // Within tables that are told apart by their `kind` the span is that of the first of them; the key knows better.
-        let line = error.span().map(|span| locator.line_at(span.start)).max(locator.line(&key));
-        vec![problem(line, &key, error.message().to_owned())]
-    })?;
-
+    let text = read_text(path).map_err(|error| vec![unreadable(path, &error)])?;
+    let file = parse(path, &text)?;
     let found = roles(&file).into_iter().map(str::to_owned).map(|text| ("".to_owned(), text));
     let configuration = Configuration::from(file);
     let problems: Vec<(String, String)> = found.chain(configuration.check()).collect();
     if problems.is_empty() {
         return Ok(configuration);
     }
-    Err(problems.into_iter().map(|(key, text)| problem(locator.line(&key), &key, text)).collect())
+    let locator = Locator::new(&text);
+    let problem = |(key, text): (String, String)| Problem {
+        file: path.to_owned(),
+        line: locator.line(&key),
+        key,
+        text,
+    };
+    Err(problems.into_iter().map(problem).collect())
+}
+
+/// Reads a configuration file without checking what it names.
+///
+/// # Errors
+/// When it cannot be read or understood.
+pub(super) fn read_unchecked(path: &Path) -> Result<Configuration, Vec<Problem>> {
+    let text = read_text(path).map_err(|error| vec![unreadable(path, &error)])?;
+    parse(path, &text).map(Configuration::from)
+}
+
+fn unreadable(path: &Path, error: &io::Error) -> Problem {
+    let text = format!("cannot read the configuration: {error}");
+    Problem { file: path.to_owned(), line: None, key: String::new(), text }
+}
+
+fn parse(path: &Path, text: &str) -> Result<File, Vec<Problem>> {
+    let locator = Locator::new(text);
+    read(text).map_err(|(key, error)| {
+        // Within tables that are told apart by their `kind` the span is that of the first of them; the key knows better.
+        let line = error.span().map(|span| locator.line_at(span.start)).max(locator.line(&key));
+        vec![Problem { file: path.to_owned(), line, key, text: error.message().to_owned() }]
+    })
 }
 
 /// The text of a regular file of reasonable size: a device or a recording given by mistake would be read for ever.
@@ -128,7 +151,8 @@ fn roles(file: &File) -> Option<&'static str> {
     if file.agent.is_none() && file.aggregator.is_none() {
         return Some("no role is switched on: add a table [agent], a table [aggregator], or both");
     }
-    let for_agent = file.clock.is_some()
+    let for_agent = file.spool.is_some()
+        || file.clock.is_some()
         || file.probes.is_some()
         || file.rehearsal.is_some()
         || file.serve.is_some()
@@ -137,7 +161,7 @@ fn roles(file: &File) -> Option<&'static str> {
         || !file.pipeline.is_empty();
     if file.agent.is_none() && for_agent {
         return Some(
-            "[clock], [probes], [rehearsal], [serve], [[model]], [onnxruntime] and [[pipeline]] belong to an agent: add a table [agent]",
+            "[spool], [clock], [probes], [rehearsal], [serve], [[model]], [onnxruntime] and [[pipeline]] belong to an agent: add a table [agent]",
         );
     }
     if file.aggregator.is_none() && file.web.is_some() {
@@ -150,6 +174,7 @@ impl From<File> for Configuration {
     fn from(file: File) -> Self {
         let agent = file.agent.map(|agent| AgentConfig {
             agent,
+            spool: file.spool.unwrap_or_default(),
             clock: file.clock.unwrap_or_default(),
             probes: file.probes.unwrap_or_default(),
             rehearsal: file.rehearsal,

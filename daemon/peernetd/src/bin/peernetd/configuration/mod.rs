@@ -2,6 +2,8 @@
 
 mod load;
 mod locate;
+mod places;
 
-pub(crate) use load::{Configuration, load};
+pub(crate) use load::{Configuration, Problem, load};
 pub(crate) use locate::Locator;
+pub(crate) use places::{Places, places};

@@ -1,0 +1,138 @@
+//! What the outbox says of itself: to the log and, as incidents, to the aggregator.
+
+use peernet_clock::MonoTime;
+use peernet_logger::Slug;
+use peernet_logger::stream::{Accounting, IncidentKind};
+use peernet_networks::Address;
+
+use super::dropping::{Dropping, Said};
+use super::spool::PutAside;
+use crate::incidents::{Concerning, Incidents};
+use crate::pauses::Pauses;
+
+/// Says each trouble once.
+#[derive(Debug)]
+pub(super) struct Reports {
+    incidents: Incidents,
+    /// The trouble with the connection that was reported last.
+    said: Option<String>,
+    /// The trouble with what is in the spool that was reported last.
+    rotten: Option<String>,
+    dropping: Dropping,
+}
+
+impl Reports {
+    pub(super) fn new(incidents: Incidents) -> Self {
+        Self { incidents, said: None, rotten: None, dropping: Dropping::default() }
+    }
+
+    /// The aggregator took us in.
+    pub(super) fn welcomed(&mut self, aggregator: &Slug, stored: u64, lacks: bool) {
+        self.said = None;
+        let has = match stored {
+            0 => String::new(),
+            stored => format!(", which has batches up to {stored}"),
+        };
+        let lost = if lacks {
+            "; batches that it once acknowledged are gone there: its database is a new one or an old copy"
+        } else {
+            ""
+        };
+        let text = format!("connected to the aggregator {aggregator}{has}{lost}");
+        self.incidents.report(IncidentKind::Connected, Concerning::default(), text);
+    }
+
+    /// It did not.
+    pub(super) fn refused(&mut self, reason: &str) {
+        let text = format!("the aggregator refuses this agent and is asked again: {reason}");
+        self.connection(IncidentKind::Refused, text);
+    }
+
+    /// There is no connection.
+    pub(super) fn away(&mut self, address: &Address, reason: &str) {
+        if self.said.is_none() {
+            let text = format!(
+                "no connection to the aggregator at {address}: {reason}; measuring goes on, events wait, and it is \
+                 tried again every {} to {} s",
+                Pauses::SHORTEST.as_secs_f64(),
+                Pauses::LONGEST.as_secs()
+            );
+            self.connection(IncidentKind::Disconnected, text);
+        }
+    }
+
+    /// Something takes connections there and says nothing.
+    pub(super) fn mute(&mut self, address: &Address) {
+        let text = format!(
+            "connected to {address}, but no aggregator answers there; is it the event port (5550) of an \
+             aggregator? It is tried again, events wait"
+        );
+        self.connection(IncidentKind::Disconnected, text);
+    }
+
+    /// What the spool holds goes on in a new stream.
+    pub(super) fn renewed(&self, stored: u64, newest: u64) {
+        let text = format!(
+            "the aggregator has batches up to {stored} of a stream that ends at {newest} here, or others under the \
+             same numbers: the spool is a copy or a restored one; what it holds goes on in a new stream"
+        );
+        self.incidents.report(IncidentKind::Gap, Concerning::default(), text);
+    }
+
+    /// The spool cannot be written or read.
+    pub(super) fn spool_failed(&self, reason: &str) {
+        let text = format!("{reason}; measuring goes on, events go to the aggregator from memory meanwhile");
+        self.incidents.report(IncidentKind::Gap, Concerning::default(), text);
+    }
+
+    /// It can again.
+    pub(super) fn spool_recovered(&self) {
+        let text = "the spool can be used again".to_owned();
+        self.incidents.note(IncidentKind::Gap, Concerning::default(), text);
+    }
+
+    /// Something in it was not as it should be.
+    pub(super) fn rotten(&mut self, text: String) {
+        if self.rotten.as_ref() != Some(&text) {
+            self.incidents.report(IncidentKind::Gap, Concerning::default(), text.clone());
+            self.rotten = Some(text);
+        }
+    }
+
+    /// A new one had to take its place.
+    pub(super) fn put_aside(&self, aside: &PutAside) {
+        let text = format!(
+            "{}; it is kept as {}, and an empty one takes its place: events that the aggregator had not got are \
+             missing there",
+            aside.reason,
+            aside.kept.display()
+        );
+        self.incidents.report(IncidentKind::Gap, Concerning::default(), text);
+    }
+
+    /// So stand the events. That some are missing stands in the stream as a gap; the log is for who looks here.
+    pub(super) fn account(&mut self, account: &Accounting, now: MonoTime) {
+        let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
+        match self.dropping.look(account.dropped, now) {
+            None => {}
+            Some(Said::Dropping(events)) => tracing::warn!(
+                events,
+                "dropping the newest events, there is no room: the spool holds {:.1} of {:.1} MiB, the memory before it \
+                 {:.1} MiB; [spool] limit_bytes sets the limit",
+                mib(account.spool_bytes),
+                mib(account.spool_limit_bytes),
+                mib(account.memory_bytes)
+            ),
+            Some(Said::Over(events)) => {
+                tracing::info!(events, "no event was dropped for some seconds; those before stand in gaps");
+            }
+        }
+    }
+
+    fn connection(&mut self, kind: IncidentKind, text: String) {
+        if self.said.as_ref() != Some(&text) {
+            self.incidents.report(kind, Concerning::default(), text.clone());
+            self.said = Some(text);
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! The two lanes: events on their way through the machine, the spool and the connection; live figures beside them.
+
+use peernet_logger::stream::{Action, LiveUpdate, ToAggregator, codec};
+
+use super::Sender;
+use crate::outbox::connection::Connection;
+use crate::outbox::line::Line;
+use crate::outbox::spool::{Done, Order};
+
+impl Sender {
+    /// Empties the feed.
+    pub(super) fn take(&mut self) {
+        let now = self.clock.stamp();
+        while let Ok(event) = self.exit.queue.try_recv() {
+            self.machine.offer(&event, now);
+        }
+        for gap in self.exit.overflow.take_gaps() {
+            self.machine.lost(&gap, now);
+        }
+        self.machine.tick(now);
+    }
+
+    /// Does what the machine wants.
+    pub(super) fn act(&mut self, line: &Line) -> Result<(), String> {
+        while let Some(action) = self.machine.next(self.clock.mono()) {
+            let order = match action {
+                Action::Send(frame) => {
+                    self.held.push_back(frame);
+                    continue;
+                }
+                Action::Append { batches, totals } => Order::Append { batches, totals },
+                Action::Load { from, bytes } => Order::Load { from, bytes },
+                Action::Delete { through, chain } => Order::Delete { through, chain },
+                Action::Renew { stream, previous, first } => Order::Renew { stream, previous, first },
+            };
+            self.spool.order(order)?;
+        }
+        let Line::Open(connection) = line else { return Ok(()) };
+        if self.due && self.show(connection) {
+            self.due = false;
+        }
+        while let Some(frame) = self.held.pop_front() {
+            if let Err(back) = connection.send(frame) {
+                self.held.push_front(back);
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// The spool's task did something.
+    pub(super) fn spooled(&mut self, done: Done) {
+        let now = self.clock.stamp();
+        let notice = match done {
+            Done::Appended(Ok(())) => self.machine.appended(now),
+            Done::Appended(Err(reason)) => self.machine.append_failed(reason, now),
+            Done::Loaded(Ok(loaded)) => {
+                if let Some(what) = loaded.rotten {
+                    self.reports.rotten(what);
+                }
+                self.machine.loaded(loaded.batches, now)
+            }
+            Done::Loaded(Err(reason)) => self.machine.load_failed(reason, now),
+            Done::Deleted(Ok(())) => {
+                self.machine.deleted();
+                None
+            }
+            Done::Deleted(Err(reason)) => self.machine.delete_failed(reason, now),
+            Done::Renewed(Ok(())) => {
+                self.machine.renewed(now);
+                None
+            }
+            Done::Renewed(Err(reason)) => self.machine.renew_failed(reason, now),
+        };
+        if let Some(notice) = notice {
+            self.noticed(notice);
+        }
+    }
+
+    /// Sends a live update, before all that waits for the connection: it is worth nothing later. Returns whether it
+    /// went, or the aggregator wants none.
+    fn show(&self, connection: &Connection) -> bool {
+        if !self.machine.is_up() {
+            return true;
+        }
+        let (pipelines, receipt) = self.board.look();
+        let update = LiveUpdate {
+            host: self.machine.host(),
+            sent: self.clock.wall(),
+            pipelines,
+            links: self.links.live(),
+            clock: self.own.borrow().clone(),
+            metrics: self.metrics.borrow().clone(),
+            accounting: self.count(),
+        };
+        let sent = connection.send(codec::encode(&ToAggregator::Live(update))).is_ok();
+        if sent {
+            self.board.delivered(&receipt);
+        }
+        sent
+    }
+}

@@ -1,0 +1,61 @@
+//! A spool file that is broken must not keep the robot from measuring: it is put aside, and a new one begins.
+
+use std::ffi::OsString;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use peernet_clock::WallTime;
+
+/// Why a file was put aside, and where it is now.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(in crate::outbox) struct PutAside {
+    /// What was wrong with it.
+    pub(in crate::outbox) reason: String,
+    /// Its new name.
+    pub(in crate::outbox) kept: PathBuf,
+}
+
+/// Moves the spool and what belongs to it to a name of their own, from which the `sqlite3` shell may save something.
+/// Nobody may have it open.
+pub(super) fn put_aside(spool: &Path, reason: String, now: WallTime) -> io::Result<PutAside> {
+    let free = |seconds: i64| {
+        let kept = beside(spool, &format!(".damaged-{seconds}"));
+        (!kept.exists()).then_some(kept)
+    };
+    let first = now.unix_seconds();
+    let kept = (first..=i64::MAX).find_map(free).unwrap_or_else(|| beside(spool, ".damaged"));
+    for part in ["-wal", "-shm", ""] {
+        match fs::rename(beside(spool, part), beside(&kept, part)) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound || part.is_empty() => return Err(error),
+            _ => {}
+        }
+    }
+    match fs::remove_file(mark(spool)) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(PutAside { reason, kept }),
+    }
+}
+
+/// Notes that the spool turned out to be broken while it was open: the next start puts it aside.
+pub(super) fn condemn(spool: &Path, reason: &str) {
+    if let Err(error) = fs::write(mark(spool), format!("{reason}\n")) {
+        tracing::warn!(%error, "cannot note that the spool {} is broken", spool.display());
+    }
+}
+
+/// Why the spool is known to be broken, if it is.
+pub(super) fn condemned(spool: &Path) -> Option<String> {
+    fs::read_to_string(mark(spool)).ok().map(|reason| reason.trim().to_owned())
+}
+
+fn mark(spool: &Path) -> PathBuf {
+    beside(spool, "-condemned")
+}
+
+/// The path with something added to its last part.
+pub(super) fn beside(path: &Path, ending: &str) -> PathBuf {
+    let mut name = OsString::from(path);
+    name.push(ending);
+    name.into()
+}

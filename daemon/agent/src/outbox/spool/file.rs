@@ -1,0 +1,296 @@
+//! What is done with the open file: one transaction per call.
+
+use std::fmt;
+use std::fs::File;
+use std::io;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+
+use bytes::Bytes;
+use peernet_clock::WallTime;
+use peernet_logger::stream::{Chain, SpooledBatch, StreamId, Totals};
+use sqlx::{Connection, SqliteConnection};
+
+use super::aside::beside;
+use super::error::Trouble;
+use super::open::chain;
+use super::reserve::Reserve;
+use super::statements::{checkpoint, delete, give_all_back, insert, vacuum};
+use crate::lock::FileLock;
+
+/// A spool file that is open, of one stream of one host.
+#[derive(Debug)]
+pub(in crate::outbox) struct SpoolFile {
+    path: PathBuf,
+    /// Device and inode of the open file.
+    identity: (u64, u64),
+    connection: SqliteConnection,
+    reserve: Reserve,
+    _lock: FileLock,
+}
+
+/// What was read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(in crate::outbox) struct Loaded {
+    /// Contiguous batches that are as they were written, as far as that can be checked: the first one cannot when the
+    /// one before it is not there.
+    pub(in crate::outbox) batches: Vec<SpooledBatch>,
+    /// Why there are no more of them, if that is not how it should be.
+    pub(in crate::outbox) rotten: Option<String>,
+}
+
+impl SpoolFile {
+    pub(super) fn new(
+        path: PathBuf,
+        connection: SqliteConnection,
+        reserve: Reserve,
+        lock: FileLock,
+    ) -> io::Result<Self> {
+        let identity = identity(&path)?;
+        Ok(Self { path, identity, connection, reserve, _lock: lock })
+    }
+
+    /// Its path.
+    pub(in crate::outbox) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Writes batches and what is counted up to the last of them: all or nothing. Without batches it is on the medium
+    /// afterwards.
+    pub(in crate::outbox) async fn append(
+        &mut self,
+        batches: &[SpooledBatch],
+        totals: Totals,
+    ) -> Result<(), Trouble> {
+        const ACTION: &str = "append to";
+        self.in_place()?;
+        if !self.reserve.take() {
+            return Err(Trouble::Full { action: ACTION, path: self.path.clone() });
+        }
+        let written = insert(&mut self.connection, batches, totals).await;
+        self.end(ACTION, written).await?;
+        if batches.is_empty() {
+            // What is sent next may be stored over there: a power cut must not make the file forget who sent it.
+            self.log().sync().map_err(|error| self.trouble(ACTION)(sqlx::Error::Io(error)))?;
+        }
+        Ok(())
+    }
+
+    /// Reads batches from a number on, at least one, until they exceed so many bytes.
+    pub(in crate::outbox) async fn load(&mut self, from: u64, bytes: usize) -> Result<Loaded, Trouble> {
+        let mut loaded = Loaded { batches: Vec::new(), rotten: None };
+        let mut size = 0;
+        let mut before = self.chain_before(from).await?;
+        let mut number = from;
+        while loaded.batches.is_empty() || size < bytes {
+            match self.read(number, before).await {
+                Ok(Ok(batch)) => {
+                    (size, before) = (size + batch.body.len(), Some(batch.chain));
+                    loaded.batches.push(batch);
+                }
+                // The end, unless it is the very batch that was asked for.
+                Ok(Err(Rot::Missing)) if !loaded.batches.is_empty() => break,
+                Ok(Err(rot)) => {
+                    loaded.rotten = Some(self.rotten(number, rot));
+                    break;
+                }
+                Err(Trouble::Corrupt { source, .. }) => {
+                    loaded.rotten = Some(self.rotten(number, format!("cannot be read ({source})")));
+                    break;
+                }
+                Err(_) if !loaded.batches.is_empty() => break,
+                Err(trouble) => return Err(trouble),
+            }
+            number += 1;
+        }
+        Ok(loaded)
+    }
+
+    /// Deletes the batches up to a number and remembers the chain of that batch.
+    pub(in crate::outbox) async fn delete_through(
+        &mut self,
+        through: u64,
+        chain: Chain,
+    ) -> Result<(), Trouble> {
+        self.in_place()?;
+        match self.try_to_delete(through, chain).await {
+            Err(Trouble::Full { .. }) if self.reserve.release() => {
+                let deleted = self.delete_on_full_disk(through, chain).await;
+                self.reserve.take();
+                deleted
+            }
+            deleted => deleted,
+        }
+    }
+
+    /// The file belongs to another stream from now on, which begins at `first`.
+    pub(in crate::outbox) async fn renew(
+        &mut self,
+        stream: StreamId,
+        previous: StreamId,
+        first: u64,
+    ) -> Result<(), Trouble> {
+        const ACTION: &str = "begin a new stream in";
+        self.in_place()?;
+        let renewed = sqlx::query("UPDATE stream SET uuid = ?, previous = ?, first = ? WHERE id = 1")
+            .bind(stream.to_string())
+            .bind(previous.to_string())
+            .bind(first.cast_signed())
+            .execute(&mut self.connection)
+            .await;
+        renewed.map_err(self.trouble(ACTION))?;
+        self.in_place()?;
+        // A power cut must not bring the old stream back: what was stored in the new one would be sent once more.
+        self.log().sync().map_err(|error| self.trouble(ACTION)(sqlx::Error::Io(error)))
+    }
+
+    /// Gives the disk what a backlog needed, some at a time.
+    pub(in crate::outbox) async fn shrink(&mut self) -> Result<bool, Trouble> {
+        let shrunk = vacuum(&mut self.connection).await;
+        match shrunk.map_err(self.trouble("shrink")) {
+            Err(Trouble::Full { .. }) if self.reserve.release() => {
+                let shrunk = self.shrink_on_full_disk().await;
+                self.reserve.take();
+                shrunk.map(|()| false)
+            }
+            shrunk => shrunk,
+        }
+    }
+
+    /// The log, in which all is before it is in the file.
+    pub(in crate::outbox) fn log(&self) -> Log {
+        Log(beside(&self.path, "-wal"))
+    }
+
+    /// Moves the log into the file and closes it.
+    pub(in crate::outbox) async fn close(self) -> Result<(), Trouble> {
+        let path = self.path;
+        self.connection.close().await.map_err(|source| Trouble::new("close", path, source))
+    }
+
+    /// The connection, for tests that make the disk small.
+    #[cfg(test)]
+    pub(super) fn connection(&mut self) -> &mut SqliteConnection {
+        &mut self.connection
+    }
+
+    async fn try_to_delete(&mut self, through: u64, chain: Chain) -> Result<(), Trouble> {
+        let deleted = delete(&mut self.connection, through, chain).await;
+        self.end("delete from", deleted).await
+    }
+
+    /// Empties the log first, which may hold more than the reserve, and gives the disk what was deleted.
+    async fn delete_on_full_disk(&mut self, through: u64, chain: Chain) -> Result<(), Trouble> {
+        checkpoint(&mut self.connection).await.map_err(self.trouble("delete from"))?;
+        self.try_to_delete(through, chain).await?;
+        self.shrink_on_full_disk().await
+    }
+
+    /// Gives the disk all that is free.
+    async fn shrink_on_full_disk(&mut self) -> Result<(), Trouble> {
+        let given = async {
+            checkpoint(&mut self.connection).await?;
+            give_all_back(&mut self.connection).await
+        };
+        given.await.map_err(self.trouble("shrink"))
+    }
+
+    /// The chain of the batch before; `None` when it is not known any more.
+    async fn chain_before(&mut self, number: u64) -> Result<Option<Chain>, Trouble> {
+        let bytes: Option<Vec<u8>> = sqlx::query_scalar(
+            "SELECT chain FROM batch WHERE number = ?1 UNION ALL SELECT chain FROM stream WHERE acknowledged = ?1",
+        )
+        .bind((number.saturating_sub(1)).cast_signed())
+        .fetch_optional(&mut self.connection)
+        .await
+        .map_err(self.trouble("read"))?;
+        Ok(bytes.and_then(|bytes| chain(&bytes).ok()))
+    }
+
+    async fn read(
+        &mut self,
+        number: u64,
+        before: Option<Chain>,
+    ) -> Result<Result<SpooledBatch, Rot>, Trouble> {
+        let row: Option<(i64, u32, Vec<u8>, Vec<u8>)> =
+            sqlx::query_as("SELECT since_ns, events, chain, body FROM batch WHERE number = ?")
+                .bind(number.cast_signed())
+                .fetch_optional(&mut self.connection)
+                .await
+                .map_err(self.trouble("read"))?;
+        let Some((since, events, kept, body)) = row else { return Ok(Err(Rot::Missing)) };
+        let since = WallTime::from_unix_nanos(since);
+        Ok(match chain(&kept) {
+            // Behind a hole it cannot be checked here; what follows it can.
+            Ok(chain) if before.is_none_or(|before| before.then(events, &body) == chain) => {
+                Ok(SpooledBatch { number, since, events, chain, body: Bytes::from(body) })
+            }
+            _ => Err(Rot::Changed),
+        })
+    }
+
+    fn rotten(&self, number: u64, what: impl fmt::Display) -> String {
+        format!("batch {number} in the spool {} {what}; it cannot be sent", self.path.display())
+    }
+
+    /// Commits what went well, and undoes what did not.
+    async fn end(&mut self, action: &'static str, result: Result<(), sqlx::Error>) -> Result<(), Trouble> {
+        let ended = match result {
+            Ok(()) => sqlx::query("COMMIT").execute(&mut self.connection).await.map(drop),
+            Err(error) => Err(error),
+        };
+        if let Err(error) = ended {
+            // After some errors SQLite has undone it already, and says that there is nothing to undo.
+            if let Err(error) = sqlx::query("ROLLBACK").execute(&mut self.connection).await {
+                tracing::debug!(%error, "nothing to roll back in the spool");
+            }
+            return Err(self.trouble(action)(error));
+        }
+        self.in_place()
+    }
+
+    /// Whether the path still names the open file: two words of the file system's cache.
+    fn in_place(&self) -> Result<(), Trouble> {
+        match identity(&self.path) {
+            Ok(identity) if identity == self.identity => Ok(()),
+            _ => Err(Trouble::Moved(self.path.clone())),
+        }
+    }
+
+    fn trouble(&self, action: &'static str) -> impl Fn(sqlx::Error) -> Trouble + use<> {
+        let path = self.path.clone();
+        move |source| Trouble::new(action, path.clone(), source)
+    }
+}
+
+/// What is wrong with a batch.
+#[derive(Debug, thiserror::Error)]
+enum Rot {
+    #[error("is not there")]
+    Missing,
+    #[error("is not what was written")]
+    Changed,
+}
+
+/// SQLite's log file.
+#[derive(Clone, Debug)]
+pub(in crate::outbox) struct Log(PathBuf);
+
+impl Log {
+    /// Puts on the disk what is in the log; blocks.
+    ///
+    /// The file is opened for it: SQLite does not lock the log, so that closing it again takes no lock away. (The
+    /// spool's own file must never be opened beside SQLite: closing that would.)
+    pub(in crate::outbox) fn sync(&self) -> io::Result<()> {
+        match File::open(&self.0) {
+            Ok(log) => log.sync_data(),
+            // There is none before the first transaction.
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+            Err(error) => Err(error),
+        }
+    }
+}
+
+fn identity(path: &Path) -> io::Result<(u64, u64)> {
+    std::fs::metadata(path).map(|file| (file.dev(), file.ino()))
+}

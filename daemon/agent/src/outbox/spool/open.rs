@@ -1,0 +1,255 @@
+//! Opening the file: settings, migrations, and what it knows.
+
+use std::fs::{self, File};
+use std::path::Path;
+use std::time::Duration;
+
+use peernet_clock::{SharedClock, WallTime};
+use peernet_logger::HostId;
+use peernet_logger::stream::{Chain, Reached, SpoolState, StreamId, Totals, Usage};
+use sqlx::migrate::{MigrateError, Migrator};
+use sqlx::sqlite::{SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
+use sqlx::{ConnectOptions, Connection, FromRow, SqliteConnection};
+
+use super::aside::{beside, condemned, put_aside};
+use super::file::SpoolFile;
+use super::reserve::Reserve;
+use super::{PutAside, SpoolError};
+use crate::lock::FileLock;
+
+static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations/spool");
+
+/// How long it is waited for another program that looks into the file.
+const BUSY: Duration = Duration::from_secs(1);
+/// Pages in the log after which it is moved into the file: 1 MiB.
+const LOG_PAGES: &str = "256";
+/// What the log keeps of the disk after a large transaction.
+const LOG_BYTES: &str = "8388608";
+
+/// Processes that are remembered: there is one, and one more for each start while nothing was stored.
+const MOST_PROCESSES: i64 = 256;
+
+/// A spool, ready for use.
+#[derive(Debug)]
+pub(crate) struct OpenSpool {
+    pub(in crate::outbox) file: SpoolFile,
+    pub(in crate::outbox) state: SpoolState,
+    /// The broken one whose place it took.
+    pub(in crate::outbox) aside: Option<PutAside>,
+}
+
+impl OpenSpool {
+    /// Opens the spool of a host, making it when missing. A broken one is put aside.
+    ///
+    /// # Errors
+    /// When it cannot be had, or is not this host's.
+    pub(crate) async fn open(path: &Path, host: HostId, clock: &SharedClock) -> Result<Self, SpoolError> {
+        let io = |action, path: &Path| {
+            let path = path.to_owned();
+            move |source| SpoolError::Io { action, path, source }
+        };
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let folder = folder.unwrap_or_else(|| Path::new("."));
+        fs::create_dir_all(folder).map_err(io("make", folder))?;
+        let lock_file = beside(path, "-lock");
+        let lock = FileLock::take(&lock_file).map_err(io("lock", &lock_file))?;
+        let lock = lock.ok_or_else(|| SpoolError::InUse(path.to_owned()))?;
+
+        // On a full disk even opening may need it.
+        let mut reserve = Reserve::new(beside(path, "-reserve"));
+        let mut aside = None;
+        let opened = match connect(path, host).await {
+            Err(error) if error.is_damage() => {
+                let put = put_aside(path, error.to_string(), clock.wall());
+                aside = Some(put.map_err(io("put aside the damaged spool", path))?);
+                connect(path, host).await
+            }
+            opened => opened,
+        };
+        let (connection, state) = opened?;
+        // A new name must be on the disk before what the file holds counts.
+        File::open(folder).and_then(|folder| folder.sync_all()).map_err(io("write", folder))?;
+        reserve.take();
+        let file = SpoolFile::new(path.to_owned(), connection, reserve, lock).map_err(io("look at", path))?;
+        Ok(Self { file, state, aside })
+    }
+}
+
+/// Settings of the connection.
+///
+/// With WAL and `synchronous=NORMAL` SQLite syncs only when it moves the log into the file: a crash of the process
+/// loses nothing, and a power cut what came since the log was last synced, which the spool's task does.
+fn settings(path: &Path) -> SqliteConnectOptions {
+    SqliteConnectOptions::new()
+        .filename(path)
+        .create_if_missing(true)
+        .auto_vacuum(SqliteAutoVacuum::Incremental)
+        .journal_mode(SqliteJournalMode::Wal)
+        .synchronous(SqliteSynchronous::Normal)
+        .pragma("journal_size_limit", LOG_BYTES)
+        .pragma("wal_autocheckpoint", LOG_PAGES)
+        .busy_timeout(BUSY)
+        .disable_statement_logging()
+}
+
+async fn connect(path: &Path, host: HostId) -> Result<(SqliteConnection, SpoolState), SpoolError> {
+    if let Some(reason) = condemned(path) {
+        return Err(SpoolError::Damaged { path: path.to_owned(), what: reason });
+    }
+    let cannot_open = |source| SpoolError::Open { path: path.to_owned(), source };
+    let mut connection = settings(path).connect().await.map_err(cannot_open)?;
+    match prepare(path, host, &mut connection).await {
+        Ok(state) => Ok((connection, state)),
+        Err(error) => {
+            // Closed before anybody moves the file: closing deletes the log, by its name.
+            if let Err(error) = connection.close().await {
+                tracing::debug!(%error, "the spool that could not be used was not closed cleanly");
+            }
+            Err(error)
+        }
+    }
+}
+
+async fn prepare(
+    path: &Path,
+    host: HostId,
+    connection: &mut SqliteConnection,
+) -> Result<SpoolState, SpoolError> {
+    let cannot_open = |source| SpoolError::Open { path: path.to_owned(), source };
+    // A read-only file opens without complaint: find out now.
+    sqlx::raw_sql("BEGIN IMMEDIATE; ROLLBACK").execute(&mut *connection).await.map_err(cannot_open)?;
+    MIGRATIONS.run_direct(None, connection, false).await.map_err(|source| match source {
+        MigrateError::VersionMissing(found) => {
+            let known = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
+            SpoolError::NewerSchema { path: path.to_owned(), found, known }
+        }
+        source => SpoolError::Migrate { path: path.to_owned(), source },
+    })?;
+    let row = stream(connection, host).await.map_err(cannot_open)?;
+    if row.host != host.to_string() {
+        return Err(SpoolError::OtherHost { path: path.to_owned(), found: row.host, own: host });
+    }
+    let held = held(connection).await.map_err(cannot_open)?;
+    let reached = reached(connection).await.map_err(cannot_open)?;
+    row.state(held, reached).map_err(|what| SpoolError::Damaged { path: path.to_owned(), what })
+}
+
+#[derive(FromRow)]
+struct StreamRow {
+    uuid: String,
+    host: String,
+    previous: Option<String>,
+    first: i64,
+    acknowledged: i64,
+    chain: Vec<u8>,
+    produced: i64,
+    dropped: i64,
+    gaps: i64,
+    told: i64,
+}
+
+/// The stream of the file; a new file begins one.
+async fn stream(connection: &mut SqliteConnection, host: HostId) -> Result<StreamRow, sqlx::Error> {
+    sqlx::query(
+        "INSERT OR IGNORE INTO stream (id, uuid, host, first, acknowledged, chain) VALUES (1, ?, ?, 1, 0, ?)",
+    )
+    .bind(StreamId::random().to_string())
+    .bind(host.to_string())
+    .bind(Chain::START.as_bytes().as_slice())
+    .execute(&mut *connection)
+    .await?;
+    sqlx::query_as(
+        "SELECT uuid, host, previous, first, acknowledged, chain, produced, dropped, gaps, told
+         FROM stream WHERE id = 1",
+    )
+    .fetch_one(connection)
+    .await
+}
+
+/// What waits in the file.
+#[derive(FromRow)]
+struct Held {
+    batches: i64,
+    events: i64,
+    bytes: i64,
+    since_ns: Option<i64>,
+    newest: Option<i64>,
+    chain: Option<Vec<u8>>,
+}
+
+async fn held(connection: &mut SqliteConnection) -> Result<Held, sqlx::Error> {
+    // length() of a blob reads its header only.
+    sqlx::query_as(
+        "SELECT COUNT(*) AS batches, COALESCE(SUM(events), 0) AS events, COALESCE(SUM(length(body)), 0) AS bytes,
+                (SELECT since_ns FROM batch ORDER BY number LIMIT 1) AS since_ns, MAX(number) AS newest,
+                (SELECT chain FROM batch ORDER BY number DESC LIMIT 1) AS chain
+         FROM batch",
+    )
+    .fetch_one(connection)
+    .await
+}
+
+/// How far processes came, the newest ones where there are very many.
+async fn reached(connection: &mut SqliteConnection) -> Result<Vec<Reached>, sqlx::Error> {
+    let rows: Vec<(i64, i64)> =
+        sqlx::query_as("SELECT process, number FROM reached ORDER BY number DESC LIMIT ?")
+            .bind(MOST_PROCESSES)
+            .fetch_all(connection)
+            .await?;
+    let reached = |(process, number): (i64, i64)| Reached {
+        process: process.cast_unsigned(),
+        number: number.cast_unsigned(),
+    };
+    Ok(rows.into_iter().map(reached).collect())
+}
+
+impl StreamRow {
+    fn state(self, held: Held, reached: Vec<Reached>) -> Result<SpoolState, String> {
+        let id = |text: &str| text.parse().map_err(|_| format!("{text:?} is no id of a stream"));
+        let before = chain(&self.chain)?;
+        let acknowledged = self.acknowledged.cast_unsigned();
+        let newest = match (held.newest, held.chain) {
+            (Some(newest), Some(bytes)) => (newest.cast_unsigned(), chain(&bytes)?),
+            _ => (acknowledged, before),
+        };
+        if newest.0 < acknowledged || self.first.cast_unsigned() > acknowledged + 1 {
+            return Err(format!(
+                "it begins at batch {}, was acknowledged up to {acknowledged} and ends at {}",
+                self.first, newest.0
+            ));
+        }
+        if held.batches.cast_unsigned() != newest.0 - acknowledged {
+            tracing::warn!(
+                batches = held.batches,
+                "the spool lacks some of the batches {} to {}",
+                acknowledged + 1,
+                newest.0
+            );
+        }
+        Ok(SpoolState {
+            stream: id(&self.uuid)?,
+            previous: self.previous.as_deref().map(id).transpose()?,
+            first: self.first.cast_unsigned(),
+            oldest: acknowledged + 1,
+            before,
+            newest,
+            since: held.since_ns.map(WallTime::from_unix_nanos),
+            held: Usage { events: held.events.cast_unsigned(), bytes: held.bytes.cast_unsigned() },
+            totals: Totals {
+                produced: self.produced.cast_unsigned(),
+                dropped: self.dropped.cast_unsigned(),
+                gaps: self.gaps.cast_unsigned(),
+                told: self.told.cast_unsigned(),
+                reached: None,
+            },
+            reached,
+        })
+    }
+}
+
+/// A chain as it stands in a row.
+pub(super) fn chain(bytes: &[u8]) -> Result<Chain, String> {
+    let bytes =
+        <[u8; 16]>::try_from(bytes).map_err(|_| format!("a chain has {} bytes, not 16", bytes.len()))?;
+    Ok(Chain::from_bytes(bytes))
+}

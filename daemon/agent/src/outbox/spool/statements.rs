@@ -1,0 +1,107 @@
+//! The statements that change the file.
+
+use peernet_logger::stream::{Chain, SpooledBatch, Totals};
+use sqlx::SqliteConnection;
+
+/// Pages that stay free for the next batches: 8 MiB.
+const SPARE_PAGES: i64 = 2048;
+
+/// Begins a transaction with these batches in it. They replace themselves where a commit went well that seemed to fail.
+pub(super) async fn insert(
+    connection: &mut SqliteConnection,
+    batches: &[SpooledBatch],
+    totals: Totals,
+) -> Result<(), sqlx::Error> {
+    begin(connection).await?;
+    for batch in batches {
+        sqlx::query(
+            "INSERT OR REPLACE INTO batch (number, since_ns, events, chain, body) VALUES (?, ?, ?, ?, ?)",
+        )
+        .bind(batch.number.cast_signed())
+        .bind(batch.since.unix_nanos())
+        .bind(batch.events)
+        .bind(batch.chain.as_bytes().as_slice())
+        .bind(batch.body.as_ref())
+        .execute(&mut *connection)
+        .await?;
+    }
+    sqlx::query("UPDATE stream SET produced = ?, dropped = ?, gaps = ?, told = ? WHERE id = 1")
+        .bind(totals.produced.cast_signed())
+        .bind(totals.dropped.cast_signed())
+        .bind(totals.gaps.cast_signed())
+        .bind(totals.told.cast_signed())
+        .execute(&mut *connection)
+        .await?;
+    let Some(reached) = totals.reached else { return Ok(()) };
+    sqlx::query("INSERT OR REPLACE INTO reached (process, number) VALUES (?, ?)")
+        .bind(reached.process.cast_signed())
+        .bind(reached.number.cast_signed())
+        .execute(connection)
+        .await
+        .map(drop)
+}
+
+/// Begins a transaction without these batches in it.
+pub(super) async fn delete(
+    connection: &mut SqliteConnection,
+    through: u64,
+    chain: Chain,
+) -> Result<(), sqlx::Error> {
+    begin(connection).await?;
+    sqlx::query("DELETE FROM batch WHERE number <= ?")
+        .bind(through.cast_signed())
+        .execute(&mut *connection)
+        .await?;
+    sqlx::query("UPDATE stream SET acknowledged = ?, chain = ? WHERE id = 1")
+        .bind(through.cast_signed())
+        .bind(chain.as_bytes().as_slice())
+        .execute(&mut *connection)
+        .await?;
+    sqlx::query("DELETE FROM reached WHERE number <= ?")
+        .bind(through.cast_signed())
+        .execute(connection)
+        .await
+        .map(drop)
+}
+
+async fn begin(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
+    sqlx::query("BEGIN IMMEDIATE").execute(connection).await.map(drop)
+}
+
+/// Gives back some free pages when more than half of the file is free; returns whether that goes on.
+///
+/// Not at less: the pages at the end of the file would have to be moved, and the next batches need the room anyway.
+pub(super) async fn vacuum(connection: &mut SqliteConnection) -> Result<bool, sqlx::Error> {
+    let (free, all) = pages(connection).await?;
+    if free <= all - free + SPARE_PAGES {
+        return Ok(false);
+    }
+    vacuum_step(connection).await?;
+    Ok(true)
+}
+
+/// Gives back all free pages and the log.
+pub(super) async fn give_all_back(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
+    while pages(connection).await?.0 > 0 {
+        vacuum_step(connection).await?;
+        checkpoint(connection).await?;
+    }
+    checkpoint(connection).await
+}
+
+/// Moves the log into the file, and leaves none.
+pub(super) async fn checkpoint(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
+    sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(connection).await.map(drop)
+}
+
+/// Free pages, and all.
+async fn pages(connection: &mut SqliteConnection) -> Result<(i64, i64), sqlx::Error> {
+    sqlx::query_as("SELECT freelist_count, page_count FROM pragma_freelist_count(), pragma_page_count()")
+        .fetch_one(connection)
+        .await
+}
+
+/// Gives back 1024 pages, which are 4 MiB, at most: nothing waits long behind it.
+async fn vacuum_step(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
+    sqlx::query("PRAGMA incremental_vacuum(1024)").execute(connection).await.map(drop)
+}

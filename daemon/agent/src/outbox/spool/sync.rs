@@ -1,0 +1,58 @@
+//! Syncing the log beside the work that fills it.
+
+use std::io;
+
+use tokio::task::JoinHandle;
+
+use super::file::Log;
+
+/// Whether the log is on the disk, and who brings it there.
+#[derive(Debug)]
+pub(super) struct Syncing {
+    log: Log,
+    /// Something was written since the last sync began.
+    dirty: bool,
+    running: Option<JoinHandle<io::Result<()>>>,
+}
+
+impl Syncing {
+    pub(super) const fn new(log: Log) -> Self {
+        Self { log, dirty: false, running: None }
+    }
+
+    /// Something was written.
+    pub(super) const fn written(&mut self) {
+        self.dirty = true;
+    }
+
+    /// Begins to sync what was written, unless that is under way.
+    pub(super) fn begin(&mut self) {
+        if self.dirty && self.running.is_none() {
+            self.dirty = false;
+            let log = self.log.clone();
+            self.running = Some(tokio::task::spawn_blocking(move || log.sync()));
+        }
+    }
+
+    /// Whether [`ended`](Self::ended) has something to wait for.
+    pub(super) const fn is_running(&self) -> bool {
+        self.running.is_some()
+    }
+
+    /// Waits for the end of the sync under way. One that failed is repeated at the next [`begin`](Self::begin).
+    /// Dropping the future loses nothing.
+    pub(super) async fn ended(&mut self) -> io::Result<()> {
+        let Some(running) = &mut self.running else { return Ok(()) };
+        let synced = running.await.unwrap_or_else(|died| Err(io::Error::other(died)));
+        self.running = None;
+        self.dirty |= synced.is_err();
+        synced
+    }
+
+    /// Syncs what was written, now.
+    pub(super) async fn finish(&mut self) -> io::Result<()> {
+        self.ended().await?;
+        self.begin();
+        self.ended().await
+    }
+}

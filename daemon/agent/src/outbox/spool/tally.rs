@@ -1,0 +1,52 @@
+//! Says in the log which iterations are safe: what a test compares with the aggregator after a crash.
+
+use std::collections::BTreeMap;
+
+use peernet_logger::RunId;
+use peernet_logger::stream::{Event, SpooledBatch, codec};
+use tracing::Level;
+
+/// The log's name for it.
+const TARGET: &str = "peernet_agent::outbox::spool";
+
+/// Logs the iterations of batches that are in the spool: per batch and run a line for every range of numbers without
+/// holes.
+pub(super) fn tell(batches: &[SpooledBatch]) {
+    if !tracing::enabled!(target: TARGET, Level::DEBUG) {
+        return;
+    }
+    for batch in batches {
+        for (run, first, last) in ranges(batch) {
+            let count = last - first + 1;
+            tracing::debug!(target: TARGET, batch = batch.number, %run, first, last, count, "spooled");
+        }
+    }
+}
+
+/// The iterations of a batch, as ranges by run.
+pub(super) fn ranges(batch: &SpooledBatch) -> Vec<(RunId, u64, u64)> {
+    let events = match codec::events(&batch.body, batch.events) {
+        Ok(events) => events,
+        Err(error) => {
+            tracing::debug!(target: TARGET, batch = batch.number, %error, "spooled what cannot be read");
+            return Vec::new();
+        }
+    };
+    let mut runs: BTreeMap<RunId, Vec<u64>> = BTreeMap::new();
+    for event in events {
+        if let Event::Iteration(iteration) = event {
+            runs.entry(iteration.run).or_default().push(iteration.number);
+        }
+    }
+    let mut ranges = Vec::new();
+    for (run, mut numbers) in runs {
+        numbers.sort_unstable();
+        for number in numbers {
+            match ranges.last_mut() {
+                Some((same, _, last)) if *same == run && *last + 1 == number => *last = number,
+                _ => ranges.push((run, number, number)),
+            }
+        }
+    }
+    ranges
+}

@@ -1,0 +1,172 @@
+//! The task that owns the file: orders in, answers out.
+
+use std::io;
+use std::time::Duration;
+
+use peernet_logger::stream::{Chain, SpooledBatch, StreamId, Totals};
+use tokio::sync::mpsc::{self, error::TrySendError};
+use tokio::time::MissedTickBehavior;
+use tokio_util::task::AbortOnDropHandle;
+
+use super::aside::condemn;
+use super::error::Trouble;
+use super::file::{Loaded, SpoolFile};
+use super::sync::Syncing;
+use super::tally;
+
+/// The state machine has at most one order of each of the four kinds under way.
+const ORDERS: usize = 8;
+
+/// What the task is to do.
+#[derive(Clone, Debug)]
+pub(in crate::outbox) enum Order {
+    /// Answered by [`Done::Appended`].
+    Append { batches: Vec<SpooledBatch>, totals: Totals },
+    /// Answered by [`Done::Loaded`].
+    Load { from: u64, bytes: usize },
+    /// Answered by [`Done::Deleted`].
+    Delete { through: u64, chain: Chain },
+    /// Answered by [`Done::Renewed`].
+    Renew { stream: StreamId, previous: StreamId, first: u64 },
+}
+
+/// What became of an order.
+#[derive(Debug)]
+pub(in crate::outbox) enum Done {
+    Appended(Result<(), String>),
+    Loaded(Result<Loaded, String>),
+    Deleted(Result<(), String>),
+    Renewed(Result<(), String>),
+}
+
+/// The other end of the task; it ends with this.
+#[derive(Debug)]
+pub(in crate::outbox) struct SpoolTask {
+    orders: mpsc::Sender<Order>,
+    done: mpsc::Receiver<Done>,
+    task: AbortOnDropHandle<Result<(), Trouble>>,
+}
+
+impl SpoolTask {
+    /// Starts the task.
+    pub(in crate::outbox) fn start(file: SpoolFile, sync_interval: Duration) -> Self {
+        let (orders, ordered) = mpsc::channel(ORDERS);
+        let (answers, done) = mpsc::channel(ORDERS);
+        let task = AbortOnDropHandle::new(tokio::spawn(work(file, sync_interval, ordered, answers)));
+        Self { orders, done, task }
+    }
+
+    /// Hands over an order, without waiting.
+    ///
+    /// # Errors
+    /// When the task is not there any more or has too many orders, which must not happen.
+    pub(in crate::outbox) fn order(&self, order: Order) -> Result<(), String> {
+        self.orders.try_send(order).map_err(|error| match error {
+            TrySendError::Closed(_) => "the spool's task ended".to_owned(),
+            TrySendError::Full(order) => {
+                format!("the spool was given more orders than it can have: {order:?}")
+            }
+        })
+    }
+
+    /// The next answer; `None` when the task is not there any more.
+    pub(in crate::outbox) async fn done(&mut self) -> Option<Done> {
+        self.done.recv().await
+    }
+
+    /// Ends the task when it has done what it was given, and the file with it.
+    pub(in crate::outbox) async fn close(self) -> Result<(), String> {
+        let Self { orders, done, task } = self;
+        drop((orders, done));
+        match task.await {
+            Ok(closed) => closed.map_err(|trouble| trouble.to_string()),
+            Err(died) => Err(died.to_string()),
+        }
+    }
+}
+
+async fn work(
+    mut file: SpoolFile,
+    sync_interval: Duration,
+    mut orders: mpsc::Receiver<Order>,
+    answers: mpsc::Sender<Done>,
+) -> Result<(), Trouble> {
+    let mut ticks = tokio::time::interval(sync_interval);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut syncing = Syncing::new(file.log());
+    loop {
+        tokio::select! {
+            biased;
+            synced = syncing.ended(), if syncing.is_running() => report(&file, synced),
+            _ = ticks.tick() => {
+                syncing.begin();
+                shrink(&mut file, &orders).await;
+            }
+            order = orders.recv() => {
+                let Some(order) = order else { break };
+                let done = obey(&mut file, &mut syncing, order).await;
+                // Nobody is there when the outbox has left; the order is done all the same.
+                let _ = answers.send(done).await;
+            }
+        }
+    }
+    let synced = syncing.finish().await;
+    report(&file, synced);
+    file.close().await
+}
+
+async fn obey(file: &mut SpoolFile, syncing: &mut Syncing, order: Order) -> Done {
+    match order {
+        Order::Append { batches, totals } => {
+            let appended = file.append(&batches, totals).await;
+            if appended.is_ok() {
+                syncing.written();
+                tally::tell(&batches);
+            }
+            Done::Appended(in_words(file, appended))
+        }
+        Order::Load { from, bytes } => {
+            Done::Loaded(file.load(from, bytes).await.map_err(|trouble| trouble.to_string()))
+        }
+        Order::Delete { through, chain } => {
+            let deleted = file.delete_through(through, chain).await;
+            Done::Deleted(in_words(file, deleted))
+        }
+        Order::Renew { stream, previous, first } => {
+            let renewed = file.renew(stream, previous, first).await;
+            Done::Renewed(in_words(file, renewed))
+        }
+    }
+}
+
+/// A file that cannot be written because it is broken is not opened again.
+fn in_words(file: &SpoolFile, result: Result<(), Trouble>) -> Result<(), String> {
+    result.map_err(|trouble| {
+        let words = trouble.to_string();
+        if matches!(trouble, Trouble::Corrupt { .. }) {
+            condemn(file.path(), &words);
+        }
+        words
+    })
+}
+
+/// A step at a time: what is to be written goes first.
+async fn shrink(file: &mut SpoolFile, orders: &mpsc::Receiver<Order>) {
+    while orders.is_empty() {
+        match file.shrink().await {
+            Ok(true) => {}
+            Ok(false) => return,
+            Err(trouble) => {
+                tracing::debug!(%trouble, "the spool keeps its size");
+                return;
+            }
+        }
+    }
+}
+
+fn report(file: &SpoolFile, synced: io::Result<()>) {
+    if let Err(error) = synced {
+        let spool = file.path().display();
+        tracing::warn!(%error, "cannot sync the spool {spool}: a power cut may lose what it holds; tried again");
+    }
+}

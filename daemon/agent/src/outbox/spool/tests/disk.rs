@@ -1,0 +1,63 @@
+//! Disks that are full, and files that go away.
+
+use std::fs;
+
+use peernet_logger::stream::Chain;
+
+use super::*;
+
+/// Lets the file grow by so many pages and no further.
+async fn limit(file: &mut SpoolFile, more: i64) {
+    let pages: i64 =
+        sqlx::query_scalar("PRAGMA page_count").fetch_one(file.connection()).await.expect("counts");
+    let limit = format!("PRAGMA max_page_count = {}", pages + more);
+    sqlx::query(sqlx::AssertSqlSafe(limit)).execute(file.connection()).await.expect("limited");
+}
+
+#[tokio::test]
+async fn a_full_disk_refuses_all_or_nothing_and_takes_again_what_there_is_room_for() {
+    let place = Place::new();
+    let (mut file, _) = place.sound().await;
+    let written = batches(Chain::START, 1..=40, 10_000);
+    file.append(&written[..2], totals(6)).await.expect("appends");
+    limit(&mut file, 10).await;
+    let refused = file.append(&written[2..], totals(120)).await.expect_err("no room").to_string();
+    assert!(refused.contains("the disk is full") && refused.contains("spool.sqlite"), "{refused}");
+    assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written[..2], "none of them");
+
+    file.append(&written[2..4], totals(12)).await.expect("two fit");
+    file.append(&written[4..7], totals(21)).await.expect_err("no more do");
+    file.delete_through(2, written[1].chain).await.expect("deletes");
+    file.append(&written[4..6], totals(18)).await.expect("there is room again");
+    assert_eq!(file.load(3, usize::MAX).await.expect("loads").batches, written[2..6]);
+    drop(file.close().await);
+    let (_, state) = place.sound().await;
+    assert_eq!((state.oldest, state.newest.0, state.totals), (3, 6, totals(18)));
+}
+
+#[tokio::test]
+async fn a_file_that_was_moved_is_not_written_until_it_is_back() {
+    let place = Place::new();
+    let (mut file, _) = place.sound().await;
+    let written = batches(Chain::START, 1..=2, 10);
+    file.append(&written[..1], totals(3)).await.expect("appends");
+    let away = place.folder.path().join("away");
+    fs::rename(place.path(), &away).expect("moved");
+    let refused = file.append(&written[1..], totals(6)).await.expect_err("moved").to_string();
+    assert!(refused.contains("deleted, moved or replaced"), "{refused}");
+    file.delete_through(1, written[0].chain).await.expect_err("moved");
+    fs::write(place.path(), b"something else").expect("written");
+    file.append(&written[1..], totals(6)).await.expect_err("replaced");
+    fs::rename(&away, place.path()).expect("moved back");
+    file.append(&written[1..], totals(6)).await.expect("appends");
+    assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written);
+}
+
+#[tokio::test]
+async fn a_folder_that_cannot_be_made_is_named() {
+    let place = Place::new();
+    fs::write(place.folder.path().join("file"), b"").expect("written");
+    let path = place.folder.path().join("file").join("spool.sqlite");
+    let refused = OpenSpool::open(&path, host(), &clock()).await.expect_err("no folder").to_string();
+    assert!(refused.contains("cannot make") && refused.contains("[spool] file"), "{refused}");
+}

@@ -1,0 +1,141 @@
+//! What is written is there again.
+
+use peernet_logger::stream::{Chain, Reached, StreamId, Usage};
+
+use super::*;
+
+#[tokio::test]
+async fn a_new_spool_is_empty_and_keeps_its_stream() {
+    let place = Place::new();
+    let (file, fresh) = place.sound().await;
+    assert_eq!(
+        (fresh.first, fresh.oldest, fresh.before, fresh.newest),
+        (1, 1, Chain::START, (0, Chain::START))
+    );
+    assert_eq!(
+        (fresh.previous, fresh.since, fresh.held, fresh.totals),
+        (None, None, Usage::default(), Totals::default())
+    );
+    file.close().await.expect("closes");
+    let (_, again) = place.sound().await;
+    assert_eq!(again, fresh);
+    let (_, other) = Place::new().sound().await;
+    assert_ne!(other.stream, fresh.stream);
+}
+
+#[tokio::test]
+async fn batches_totals_and_deletions_are_there_after_it_was_opened_anew() {
+    let place = Place::new();
+    let (mut file, fresh) = place.sound().await;
+    let written = batches(Chain::START, 1..=9, 100);
+    file.append(&written[..4], totals(12)).await.expect("appends");
+    file.append(&written[4..], totals(29)).await.expect("appends");
+    file.delete_through(3, written[2].chain).await.expect("deletes");
+    file.close().await.expect("closes");
+
+    let (mut file, state) = place.sound().await;
+    assert_eq!(
+        (state.stream, state.first, state.oldest, state.before),
+        (fresh.stream, 1, 4, written[2].chain)
+    );
+    assert_eq!((state.newest, state.since), ((9, written[8].chain), Some(written[3].since)));
+    assert_eq!((state.held, state.totals), (Usage { events: 18, bytes: 600 }, totals(29)));
+
+    let all = file.load(4, usize::MAX).await.expect("loads");
+    assert_eq!((all.batches.as_slice(), all.rotten), (&written[3..], None));
+    let some = file.load(6, 150).await.expect("loads");
+    assert_eq!((some.batches.as_slice(), some.rotten), (&written[5..7], None), "until they exceed it");
+    let one = file.load(6, 0).await.expect("loads");
+    assert_eq!(one.batches.as_slice(), &written[5..6], "one at least");
+}
+
+#[tokio::test]
+async fn an_emptied_spool_knows_where_it_was() {
+    let place = Place::new();
+    let (mut file, _) = place.sound().await;
+    let written = batches(Chain::START, 1..=2, 10);
+    file.append(&written, totals(6)).await.expect("appends");
+    file.delete_through(2, written[1].chain).await.expect("deletes");
+    drop(file.close().await);
+    let (_, state) = place.sound().await;
+    assert_eq!((state.oldest, state.before), (3, written[1].chain));
+    assert_eq!((state.newest, state.since, state.held), ((2, written[1].chain), None, Usage::default()));
+    assert_eq!(state.totals, totals(6));
+}
+
+#[tokio::test]
+async fn batches_that_were_stored_without_the_spool_leave_no_hole() {
+    // While the disk failed, batches 3 to 5 went from memory and were acknowledged.
+    let place = Place::new();
+    let (mut file, _) = place.sound().await;
+    let made = batches(Chain::START, 1..=7, 10);
+    file.append(&made[..2], totals(6)).await.expect("appends");
+    file.delete_through(5, made[4].chain).await.expect("deletes");
+    file.append(&made[5..], totals(21)).await.expect("appends");
+    assert_eq!(file.load(6, usize::MAX).await.expect("loads").batches, made[5..]);
+    drop(file.close().await);
+    let (_, state) = place.sound().await;
+    assert_eq!((state.oldest, state.before, state.newest), (6, made[4].chain, (7, made[6].chain)));
+}
+
+#[tokio::test]
+async fn a_renewed_spool_goes_on_with_its_batches_under_another_stream() {
+    let place = Place::new();
+    let (mut file, fresh) = place.sound().await;
+    let written = batches(Chain::START, 1..=3, 10);
+    file.append(&written, totals(9)).await.expect("appends");
+    file.delete_through(1, written[0].chain).await.expect("deletes");
+    let renewed = StreamId::random();
+    file.renew(renewed, fresh.stream, 2).await.expect("renews");
+    drop(file.close().await);
+    let (mut file, state) = place.sound().await;
+    assert_eq!((state.stream, state.previous, state.first), (renewed, Some(fresh.stream), 2));
+    assert_eq!(file.load(2, usize::MAX).await.expect("loads").batches, written[1..]);
+}
+
+#[tokio::test]
+async fn who_may_have_sent_what_waits_is_remembered_until_it_is_gone() {
+    let place = Place::new();
+    let (mut file, fresh) = place.sound().await;
+    assert_eq!(fresh.reached, []);
+    let written = batches(Chain::START, 1..=6, 10);
+    let by = |process, number| {
+        let reached = Reached { process, number };
+        (reached, Totals { reached: Some(reached), ..totals(9) })
+    };
+    let ((first, as_first), (second, as_second)) = (by(u64::MAX, 2), by(5, 4));
+    file.append(&written[..2], as_first).await.expect("appends");
+    file.append(&[], by(5, 2).1).await.expect("appends");
+    file.append(&written[2..4], as_second).await.expect("appends");
+    file.append(&written[4..], totals(18)).await.expect("appends out of contact");
+    file.close().await.expect("closes");
+    let (mut file, state) = place.sound().await;
+    assert_eq!(state.reached, [second, first]);
+    file.delete_through(2, written[1].chain).await.expect("deletes");
+    file.close().await.expect("closes");
+    assert_eq!(place.sound().await.1.reached, [second]);
+}
+
+#[tokio::test]
+async fn a_repeated_append_replaces_what_is_there() {
+    let place = Place::new();
+    let (mut file, _) = place.sound().await;
+    let written = batches(Chain::START, 1..=2, 10);
+    file.append(&written[..1], totals(3)).await.expect("appends");
+    file.append(&written, totals(6)).await.expect("appends what seemed to have failed");
+    assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written);
+}
+
+#[tokio::test]
+async fn a_second_agent_is_refused_and_another_hosts_spool_too() {
+    let place = Place::new();
+    let (file, _) = place.sound().await;
+    let refused = place.open().await.expect_err("one has it").to_string();
+    assert!(refused.contains("another agent uses") && refused.contains("spool.sqlite"), "{refused}");
+    drop(file.close().await);
+    let other = HostId::from_bytes([8; 16]);
+    let refused =
+        OpenSpool::open(&place.path(), other, &clock()).await.expect_err("another host's").to_string();
+    assert!(refused.contains(&host().to_string()) && refused.contains(&other.to_string()), "{refused}");
+    place.open().await.expect("nothing was changed");
+}

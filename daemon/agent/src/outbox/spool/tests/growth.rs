@@ -1,0 +1,51 @@
+//! How much of the disk it takes.
+
+use peernet_logger::stream::Chain;
+
+use super::*;
+
+const MIB: u64 = 1 << 20;
+
+async fn pages(file: &mut SpoolFile) -> u64 {
+    let pages: i64 =
+        sqlx::query_scalar("PRAGMA page_count").fetch_one(file.connection()).await.expect("counts");
+    pages.unsigned_abs() * 4096
+}
+
+#[tokio::test]
+async fn the_file_is_little_larger_than_what_it_holds_and_shrinks_after_a_backlog() {
+    let place = Place::new();
+    let (mut file, _) = place.sound().await;
+    let written = batches(Chain::START, 1..=40, MIB as usize);
+    for some in written.chunks(8) {
+        file.append(some, totals(120)).await.expect("appends");
+    }
+    let full = pages(&mut file).await;
+    assert!((40 * MIB..42 * MIB).contains(&full), "{full}");
+    assert!(!file.shrink().await.expect("looks"), "nothing is free");
+
+    file.delete_through(39, written[38].chain).await.expect("deletes");
+    assert_eq!(pages(&mut file).await, full, "free pages are kept for the next batches");
+    let mut steps = 0;
+    while file.shrink().await.expect("shrinks") {
+        steps += 1;
+    }
+    assert!((7..=9).contains(&steps), "{steps} steps of 4 MiB");
+    let rest = pages(&mut file).await;
+    assert!(rest <= 12 * MIB, "{rest}");
+    assert_eq!(file.load(40, usize::MAX).await.expect("loads").batches, written[39..]);
+    file.close().await.expect("closes");
+    assert!(std::fs::metadata(place.path()).expect("there").len() <= 12 * MIB);
+}
+
+#[tokio::test]
+async fn settings_are_the_ones_that_the_promise_rests_on() {
+    let place = Place::new();
+    let (mut file, _) = place.sound().await;
+    for (pragma, expected) in [("auto_vacuum", "2"), ("journal_mode", "wal"), ("synchronous", "1")] {
+        let query = format!("SELECT CAST({pragma} AS TEXT) FROM pragma_{pragma}");
+        let found: String =
+            sqlx::query_scalar(sqlx::AssertSqlSafe(query)).fetch_one(file.connection()).await.expect("asks");
+        assert_eq!(found, expected, "{pragma}");
+    }
+}

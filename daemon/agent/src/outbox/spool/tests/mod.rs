@@ -1,0 +1,87 @@
+//! The spool with real files.
+
+mod damage;
+mod disk;
+mod file;
+mod growth;
+mod tally;
+mod task;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use bytes::Bytes;
+use peernet_clock::{ClockIdentity, ManualClock, SharedClock, WallTime};
+use peernet_logger::HostId;
+use peernet_logger::stream::{Chain, SpoolState, SpooledBatch, Totals};
+use tempfile::TempDir;
+
+use super::file::SpoolFile;
+use super::{OpenSpool, SpoolError};
+
+/// Whose spool it is.
+fn host() -> HostId {
+    HostId::from_bytes([7; 16])
+}
+
+/// A folder for a spool.
+struct Place {
+    folder: TempDir,
+}
+
+impl Place {
+    fn new() -> Self {
+        Self { folder: tempfile::tempdir().expect("a folder") }
+    }
+
+    fn path(&self) -> PathBuf {
+        self.folder.path().join("spool.sqlite")
+    }
+
+    async fn open(&self) -> Result<OpenSpool, SpoolError> {
+        OpenSpool::open(&self.path(), host(), &clock()).await
+    }
+
+    /// Opens a spool that is not broken.
+    async fn sound(&self) -> (SpoolFile, SpoolState) {
+        let OpenSpool { file, state, aside } = self.open().await.expect("opens");
+        assert_eq!(aside, None);
+        (file, state)
+    }
+}
+
+fn clock() -> SharedClock {
+    Arc::new(ManualClock::new(WallTime::from_unix_nanos(5_000_000_000), ClockIdentity::new("boot", "system")))
+}
+
+/// Batches of these numbers that follow on a chain.
+fn batches(mut before: Chain, numbers: impl IntoIterator<Item = u64>, bytes: usize) -> Vec<SpooledBatch> {
+    let batch = |number: u64| {
+        let body = Bytes::from(vec![number as u8; bytes]);
+        before = before.then(3, &body);
+        SpooledBatch {
+            number,
+            since: WallTime::from_unix_nanos(number as i64),
+            events: 3,
+            chain: before,
+            body,
+        }
+    };
+    numbers.into_iter().map(batch).collect()
+}
+
+fn totals(produced: u64) -> Totals {
+    Totals { produced, dropped: 2, gaps: 1, told: 2, reached: None }
+}
+
+/// The names of the files beside the spool, without those that SQLite keeps while it is open.
+fn names(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).expect("can be listed");
+    let name = |entry: std::io::Result<std::fs::DirEntry>| {
+        entry.expect("can be listed").file_name().into_string().expect("text")
+    };
+    let mut names: Vec<String> = entries.map(name).collect();
+    names.retain(|name| !["-shm", "-wal", "-lock", "-reserve"].iter().any(|ending| name.ends_with(ending)));
+    names.sort();
+    names
+}

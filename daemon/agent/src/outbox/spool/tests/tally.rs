@@ -1,0 +1,61 @@
+//! What the log says is safe.
+
+use peernet_clock::Stamp;
+use peernet_logger::stream::{
+    Action, Event, HostDescription, Iteration, Outcome, Sending, SendingConfig, SpoolState,
+};
+use peernet_logger::{Recorder, RunId};
+
+use super::super::tally::ranges;
+use super::*;
+use crate::telemetry;
+
+fn iteration(clock: &SharedClock, run: RunId, number: u64) -> Event {
+    let tree = Recorder::begin(SharedClock::clone(clock), host()).finish();
+    Event::Iteration(Iteration {
+        run,
+        number,
+        episode: 0,
+        step: 0,
+        warm_up: false,
+        outcome: Outcome::Ok,
+        tree,
+    })
+}
+
+/// What the state machine makes of events.
+fn batch(clock: &SharedClock, state: SpoolState, events: &[Event]) -> SpooledBatch {
+    let description = HostDescription {
+        id: host(),
+        name: "edge".parse().expect("a name"),
+        clock: clock.identity().clone(),
+        version: "1".to_owned(),
+        hardware: telemetry::hardware(),
+        serves: None,
+        models: Vec::new(),
+    };
+    let mut machine = Sending::new(SendingConfig::default(), description, 1, state);
+    let now: Stamp = clock.stamp();
+    events.iter().for_each(|event| machine.offer(event, now));
+    machine.flush(now.wall);
+    match machine.next(now.mono) {
+        Some(Action::Append { mut batches, .. }) if batches.len() == 1 => batches.remove(0),
+        other => panic!("{other:?}"),
+    }
+}
+
+#[tokio::test]
+async fn every_iteration_of_a_batch_is_in_one_range_and_nothing_else_is() {
+    let (clock, place) = (clock(), Place::new());
+    let (_, state) = place.sound().await;
+    let mut runs = [RunId::random(), RunId::random()];
+    runs.sort();
+    let [first, second] = runs;
+    // Iterations in flight end in any order, and some are not there.
+    let mixed = [(second, 7), (first, 4), (first, 2), (second, 6), (first, 3), (first, 9)];
+    let events: Vec<Event> = mixed.iter().map(|(run, number)| iteration(&clock, *run, *number)).collect();
+    let batch = batch(&clock, state, &events);
+    assert_eq!(ranges(&batch), [(first, 2, 4), (first, 9, 9), (second, 6, 7)]);
+    let rotten = SpooledBatch { events: 99, ..batch };
+    assert!(ranges(&rotten).is_empty(), "what cannot be read is not claimed");
+}

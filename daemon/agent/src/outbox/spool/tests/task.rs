@@ -1,0 +1,78 @@
+//! The task and its two channels.
+
+use std::time::Duration;
+
+use peernet_logger::stream::{Chain, StreamId};
+
+use super::super::task::{Done, Order, SpoolTask};
+use super::*;
+
+const HOUR: Duration = Duration::from_secs(3600);
+
+#[tokio::test]
+async fn orders_are_done_one_after_the_other_and_answered() {
+    let place = Place::new();
+    let (file, fresh) = place.sound().await;
+    let mut task = SpoolTask::start(file, HOUR);
+    let written = batches(Chain::START, 1..=3, 10);
+    task.order(Order::Append { batches: written.clone(), totals: totals(9) }).expect("takes it");
+    task.order(Order::Load { from: 2, bytes: usize::MAX }).expect("takes it");
+    task.order(Order::Delete { through: 1, chain: written[0].chain }).expect("takes it");
+    let stream = StreamId::random();
+    task.order(Order::Renew { stream, previous: fresh.stream, first: 2 }).expect("takes it");
+    assert!(matches!(task.done().await, Some(Done::Appended(Ok(())))));
+    let Some(Done::Loaded(Ok(loaded))) = task.done().await else { panic!("loads") };
+    assert_eq!(loaded.batches, written[1..]);
+    assert!(matches!(task.done().await, Some(Done::Deleted(Ok(())))));
+    assert!(matches!(task.done().await, Some(Done::Renewed(Ok(())))));
+    task.close().await.expect("closes");
+    let (_, state) = place.sound().await;
+    assert_eq!((state.stream, state.oldest, state.newest.0), (stream, 2, 3));
+}
+
+#[tokio::test]
+async fn what_was_ordered_last_is_done_before_it_closes() {
+    let place = Place::new();
+    let (file, _) = place.sound().await;
+    let task = SpoolTask::start(file, HOUR);
+    let written = batches(Chain::START, 1..=3, 10);
+    task.order(Order::Append { batches: written, totals: totals(9) }).expect("takes it");
+    task.close().await.expect("closes");
+    assert_eq!(place.sound().await.1.newest.0, 3);
+}
+
+#[tokio::test]
+async fn trouble_is_told_in_words() {
+    let place = Place::new();
+    let (file, _) = place.sound().await;
+    let mut task = SpoolTask::start(file, HOUR);
+    std::fs::rename(place.path(), place.folder.path().join("away")).expect("moved");
+    task.order(Order::Append { batches: batches(Chain::START, 1..=1, 10), totals: totals(3) })
+        .expect("takes it");
+    let Some(Done::Appended(Err(words))) = task.done().await else { panic!("fails") };
+    assert!(words.contains("spool.sqlite"), "{words}");
+}
+
+#[tokio::test]
+async fn a_file_that_turns_out_to_be_broken_is_put_aside_at_the_next_start() {
+    let place = Place::new();
+    let (mut file, _) = place.sound().await;
+    // What SQLite itself would find: the tree of the table leads to a page of another one.
+    sqlx::raw_sql(
+        "PRAGMA writable_schema = ON;
+         UPDATE sqlite_schema SET rootpage = (SELECT rootpage FROM sqlite_schema WHERE name = 'sqlite_autoindex__sqlx_migrations_1') WHERE name = 'batch';
+         PRAGMA writable_schema = RESET",
+    )
+    .execute(file.connection())
+    .await
+    .expect("broken");
+    let mut task = SpoolTask::start(file, HOUR);
+    task.order(Order::Append { batches: batches(Chain::START, 1..=1, 10), totals: totals(3) })
+        .expect("takes it");
+    let Some(Done::Appended(Err(words))) = task.done().await else { panic!("fails") };
+    assert!(words.contains("puts the file aside"), "{words}");
+    drop(task.close().await);
+    let aside = place.open().await.expect("opens").aside.expect("put aside");
+    assert!(aside.reason.contains("append"), "{}", aside.reason);
+    assert_eq!(names(place.folder.path()), ["spool.sqlite", "spool.sqlite.damaged-5"]);
+}

@@ -1,0 +1,99 @@
+//! Agents that die, and others that take over what they left.
+
+use std::time::Duration;
+
+use peernet_logger::stream::{Event, PipelineState};
+
+use super::{idle, line, nobody, spooled, state};
+use crate::harness::{Aggregator, Manners, TestAgent, assert_contiguous};
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_was_in_the_spool_of_an_agent_that_died_is_delivered_by_the_next_exactly_once() {
+    let (address, seen) = nobody().await;
+    let keys = "load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64";
+    let agent = TestAgent::start("edge", Some(&address), "").await;
+    let host = agent.running.live().host;
+    let state = agent.stop_and_keep().await.expect("stops well");
+
+    let agent = TestAgent::start_in(state, &address, line(keys)).await;
+    let account = agent.until(|live| live.accounting.spooled >= 200).await.accounting;
+    let file = agent.spool();
+    let state = agent.crash().await;
+    let left = spooled(&file).await;
+    assert!(left.len() as u64 >= account.spooled, "{} < {}", left.len(), account.spooled);
+
+    // It crashes once more while it delivers.
+    let agent = TestAgent::start_in(state, &address, idle()).await;
+    let restarted = agent.running.live().accounting;
+    assert_eq!(
+        (restarted.spooled, restarted.waiting >= left.len() as u64),
+        (left.len() as u64, true),
+        "{restarted:?}"
+    );
+    let aggregator = Aggregator::up((address, seen)).await;
+    aggregator.until(|seen| !seen.iterations().is_empty()).await;
+    let state = agent.crash().await;
+    let agent = TestAgent::start_in(state, &aggregator.address, idle()).await;
+    let seen = aggregator.until(|seen| seen.events.len() >= left.len()).await;
+    assert_eq!(seen.events[..left.len()], left);
+    assert_contiguous(&seen.iterations());
+    let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
+    assert_eq!((account.dropped, account.produced), (0, account.stored));
+
+    assert!(seen.streams.iter().all(|stream| *stream == seen.streams[0]), "one stream: {:?}", seen.streams);
+    assert!(seen.missing.is_empty() && seen.replaced.is_empty());
+    assert_eq!(agent.running.live().host, host);
+    agent.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn stopping_without_an_aggregator_leaves_everything_in_the_spool() {
+    let (address, seen) = nobody().await;
+    let keys = "load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64";
+    let mut config = line(keys);
+    config.agent.stop_timeout_ms = 60_000;
+    let agent = TestAgent::start_in(state(), &address, config).await;
+    agent.until_state(|state| *state == PipelineState::Running).await;
+    agent.until(|live| live.accounting.produced >= 100).await;
+    let file = agent.spool();
+    // At once: there is nothing to wait for.
+    let stopping = tokio::time::timeout(Duration::from_secs(20), agent.stop_and_keep()).await;
+    let state = stopping.expect("does not wait for the aggregator").expect("stops well");
+    let left = spooled(&file).await;
+    assert!(left.iter().any(|event| matches!(event, Event::RunEnded(ended) if ended.reason == "stopped")));
+
+    let aggregator = Aggregator::up((address, seen)).await;
+    let agent = TestAgent::start_in(state, &aggregator.address, idle()).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    assert_eq!(seen.events[..left.len()], left);
+    assert_contiguous(&seen.iterations());
+    let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
+    assert_eq!((account.dropped, account.produced), (0, account.stored));
+    agent.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_an_aggregator_does_not_take_in_time_goes_out_after_the_next_start() {
+    let manners = Manners { slow: Some(Duration::from_millis(40)), ..Default::default() };
+    let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Default::default(), manners).await;
+    let mut config = line("load = { mode = 'rate', hz = 1000.0 }\nmax_in_flight = 64");
+    config.agent.stop_timeout_ms = 1000;
+    config.agent.batch_nodes = std::num::NonZeroUsize::new(50).expect("not zero");
+    // Few are under way, or the aggregator would take them all while the goodbye waits behind them.
+    config.agent.batch_bytes = std::num::NonZeroUsize::new(4096).expect("not zero");
+    config.agent.batch_delay_ms = 10;
+    let agent = TestAgent::start_in(state(), &aggregator.address, config).await;
+    agent.until(|live| live.accounting.waiting > 1000).await;
+    let before = agent.running.live().accounting.stored;
+    let state = agent.stop_and_keep().await.expect("stops well");
+    let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
+    assert!(seen.events.len() as u64 > before, "some was handed over while it stopped");
+    assert!(seen.ended().is_empty(), "and not all");
+
+    let aggregator = Aggregator::up(aggregator.down().await).await;
+    let agent = TestAgent::start_in(state, &aggregator.address, idle()).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    assert_contiguous(&seen.iterations());
+    assert_eq!((seen.ended()[0].reason.as_str(), seen.gaps().len()), ("stopped", 0));
+    agent.stop().await.expect("stops well");
+}

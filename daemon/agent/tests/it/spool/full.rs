@@ -1,0 +1,48 @@
+//! A spool that is full.
+
+use std::num::NonZeroU64;
+
+use peernet_logger::Slug;
+use peernet_logger::stream::Gap;
+
+use super::{line, nobody, state};
+use crate::harness::{Aggregator, TestAgent};
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_newest_are_dropped_and_counted_and_a_gap_stands_in_their_place() {
+    let (address, seen) = nobody().await;
+    let mut config = line("load = { mode = 'rate', hz = 2000.0 }\nmax_in_flight = 64");
+    config.spool.limit_bytes = NonZeroU64::new(100_000).expect("not zero");
+    let agent = TestAgent::start_in(state(), &address, config).await;
+    let full = agent.until(|live| live.accounting.dropped > 1000).await.accounting;
+    assert!(full.spool_bytes <= full.spool_limit_bytes, "{full:?}");
+    assert_eq!((full.spool_limit_bytes, full.trouble), (100_000, None));
+
+    let aggregator = Aggregator::up((address, seen)).await;
+    let seen = aggregator.until(|seen| !seen.gaps().is_empty()).await;
+    let before = seen.iterations().len();
+    aggregator.until(|seen| seen.iterations().len() > before + 100).await;
+    let state = agent.stop_and_keep().await.expect("stops well");
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    let run = seen.runs()[0].run;
+    let all: u64 = seen.gaps().iter().map(|gap| gap.count).sum();
+    let of_run = |gap: &&&Gap| gap.run == Some(run);
+    let missing: u64 = seen.gaps().iter().filter(of_run).map(|gap| gap.count).sum();
+    let numbers: Vec<u64> = seen.iterations().iter().map(|iteration| iteration.number).collect();
+    let newest = numbers.iter().max().copied().expect("there are some");
+    assert_eq!(numbers.len() as u64 + missing, newest, "each is there or in a gap");
+    for gap in seen.gaps().iter().filter(of_run) {
+        assert_eq!(gap.pipeline.as_ref().map(Slug::as_str), Some("line"));
+        assert!(gap.from <= gap.to && !gap.reason.is_empty());
+    }
+
+    // It remembers what was counted.
+    let agent = TestAgent::start_in(state, &aggregator.address, line("limit = { iterations = 50 }")).await;
+    let seen = aggregator.until(|seen| seen.ended().len() == 2).await;
+    let second = seen.ended()[1].run;
+    assert_eq!(seen.iterations().iter().filter(|iteration| iteration.run == second).count(), 50);
+    let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
+    assert_eq!((account.dropped, account.gaps), (all, seen.gaps().len() as u64));
+    assert_eq!(account.produced, account.stored + account.dropped);
+    agent.stop().await.expect("stops well");
+}

@@ -1,0 +1,63 @@
+//! Spools that are gone, broken, or somebody else's.
+
+use peernet_agent::StartError;
+use peernet_logger::stream::IncidentKind;
+
+use super::{idle, line, state};
+use crate::harness::{Aggregator, TestAgent, clock};
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_spool_that_was_deleted_begins_a_new_stream() {
+    let aggregator = Aggregator::start().await;
+    let agent = TestAgent::start_in(state(), &aggregator.address, line("limit = { iterations = 20 }")).await;
+    aggregator.until(|seen| !seen.ended().is_empty()).await;
+    let file = agent.spool();
+    let state = agent.stop_and_keep().await.expect("stops well");
+    std::fs::remove_file(file).expect("removed");
+    let agent = TestAgent::start_in(state, &aggregator.address, line("limit = { iterations = 20 }")).await;
+    let seen = aggregator.until(|seen| seen.ended().len() == 2).await;
+    assert_eq!(seen.iterations().len(), 40);
+    assert_ne!(seen.streams.first(), seen.streams.last());
+    assert_eq!(seen.replaced, seen.streams[..1], "the aggregator sees that it was replaced");
+    agent.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_broken_spool_is_put_aside_and_measuring_begins_all_the_same() {
+    let (aggregator, state) = (Aggregator::start().await, state());
+    let file = state.path().join("spool.sqlite");
+    std::fs::write(&file, b"not a database".repeat(100)).expect("written");
+    let agent = TestAgent::start_in(state, &aggregator.address, line("limit = { iterations = 20 }")).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    assert_eq!(seen.iterations().len(), 20);
+    let said = seen.incidents(IncidentKind::Gap);
+    assert_eq!(said.len(), 1, "{said:?}");
+    let (_, kept) = said[0].text.split_once("kept as ").expect("says where");
+    let (kept, _) = kept.split_once(',').expect("says more");
+    assert!(std::fs::read(kept).expect("kept").starts_with(b"not a database"), "{kept}");
+    agent.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn two_agents_cannot_use_one_spool() {
+    let (aggregator, shared) = (Aggregator::start().await, tempfile::tempdir().expect("a folder"));
+    let mut config = idle();
+    config.spool.file = Some(shared.path().join("deep").join("spool.sqlite"));
+    let first = TestAgent::start_in(state(), &aggregator.address, config.clone()).await;
+    let start =
+        |config| TestAgent::try_start(clock("system"), "other", Some(&aggregator.address), config, state());
+    let refused = start(config.clone()).await.err().expect("the first has it");
+    assert!(matches!(&refused, StartError::Spool(_)), "{refused}");
+    assert!(refused.to_string().contains("another agent uses the spool"), "{refused}");
+    first.stop().await.expect("stops well");
+    // Another host than the one whose events it holds.
+    let refused = start(config).await.err().expect("it is not its own").to_string();
+    assert!(refused.contains("holds events of the host"), "{refused}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn without_an_aggregator_there_is_no_spool() {
+    let agent = TestAgent::start("edge", None, "").await;
+    assert!(!agent.spool().exists());
+    agent.stop().await.expect("stops well");
+}

@@ -1,0 +1,94 @@
+//! A spool that cannot be written while the agent runs.
+
+use std::num::NonZeroUsize;
+
+use peernet_logger::stream::{IncidentKind, Iteration, PipelineState};
+
+use super::{idle, line, nobody, state};
+use crate::harness::{Aggregator, TestAgent, assert_contiguous, value};
+
+const RATE: &str = "load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64";
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn events_go_out_from_memory_while_the_file_is_gone_and_through_it_when_it_is_back() {
+    let aggregator = Aggregator::start().await;
+    let agent = TestAgent::start_in(state(), &aggregator.address, line(RATE)).await;
+    aggregator.until(|seen| seen.iterations().len() >= 50).await;
+    let (file, away) = (agent.spool(), agent.spool().with_extension("away"));
+    std::fs::rename(&file, &away).expect("moved");
+    let trouble = agent.until(|live| live.accounting.trouble.is_some()).await.accounting.trouble;
+    assert!(trouble.as_ref().is_some_and(|words| words.contains("moved")), "{trouble:?}");
+    let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Gap).is_empty()).await;
+    let said = &seen.incidents(IncidentKind::Gap)[0].text;
+    assert!(said.contains("spool.sqlite") && said.contains("measuring goes on"), "{said}");
+    let before = seen.iterations().len();
+    aggregator.until(|seen| seen.iterations().len() >= before + 100).await;
+
+    std::fs::rename(&away, &file).expect("moved back");
+    agent.until(|live| live.accounting.trouble.is_none()).await;
+    let before = aggregator.until(|_| true).await.iterations().len();
+    aggregator.until(|seen| seen.iterations().len() >= before + 50).await;
+    let state = agent.stop_and_keep().await.expect("stops well");
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    assert_contiguous(&seen.iterations());
+    assert_eq!((seen.gaps().len(), seen.incidents(IncidentKind::Gap).len()), (0, 2), "failed, recovered");
+
+    // The file agrees with what went around it.
+    let agent = TestAgent::start_in(state, &aggregator.address, line("limit = { iterations = 20 }")).await;
+    let seen = aggregator.until(|seen| seen.ended().len() == 2).await;
+    assert!(seen.missing.is_empty() && seen.replaced.is_empty());
+    assert!(seen.streams.iter().all(|stream| *stream == seen.streams[0]));
+    let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
+    assert_eq!((account.dropped, account.produced), (0, account.stored));
+    agent.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn without_file_and_aggregator_memory_is_the_limit_and_what_does_not_fit_is_counted() {
+    let (address, seen) = nobody().await;
+    let mut config =
+        line("limit = { iterations = 5000 }\nload = { mode = 'rate', hz = 5000.0 }\nmax_in_flight = 64");
+    config.agent.queue_events = NonZeroUsize::new(500).expect("not zero");
+    let agent = TestAgent::start_in(state(), &address, config).await;
+    let (file, away) = (agent.spool(), agent.spool().with_extension("away"));
+    std::fs::rename(&file, &away).expect("moved");
+    agent.until(|live| live.accounting.trouble.is_some() && live.accounting.dropped > 500).await;
+    std::fs::rename(&away, &file).expect("moved back");
+    agent.until_state(|state| *state == PipelineState::Finished).await;
+    let aggregator = Aggregator::up((address, seen)).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
+    assert_eq!((account.produced, account.trouble), (account.stored + account.dropped, None));
+    drop(seen);
+    let seen = aggregator.until(|seen| seen.events.len() as u64 == account.stored).await;
+    let missing: u64 = seen.gaps().iter().map(|gap| gap.count).sum();
+    assert_eq!(missing, account.dropped);
+    // Iterations whose start was skipped have no event of their own.
+    let skipped = |it: &&Iteration| value(&it.tree, "skipped-starts");
+    let skipped: f64 = seen.iterations().iter().filter_map(skipped).sum();
+    assert!(seen.iterations().len() as u64 + missing + skipped as u64 >= 5000 - 64);
+    agent.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn stopping_with_nowhere_to_put_the_events_ends_at_the_deadline_and_loses_only_those() {
+    let (address, seen) = nobody().await;
+    let mut config = line(RATE);
+    config.agent.stop_timeout_ms = 600;
+    let agent = TestAgent::start_in(state(), &address, config).await;
+    agent.until(|live| live.accounting.spooled >= 100).await;
+    let (file, away) = (agent.spool(), agent.spool().with_extension("away"));
+    std::fs::rename(&file, &away).expect("moved");
+    let safe = agent.until(|live| live.accounting.trouble.is_some()).await.accounting.spooled;
+    let state = agent.stop_and_keep().await.expect("stops well");
+    std::fs::rename(&away, &file).expect("moved back");
+
+    let aggregator = Aggregator::up((address, seen)).await;
+    let agent = TestAgent::start_in(state, &aggregator.address, idle()).await;
+    let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
+    let seen = aggregator.until(|seen| seen.events.len() as u64 == account.stored).await;
+    assert!(account.stored >= safe, "{account:?}");
+    assert_contiguous(&seen.iterations());
+    assert!(seen.ended().is_empty(), "the end of the run was in memory only");
+    agent.stop().await.expect("stops well");
+}

@@ -1,0 +1,102 @@
+//! The bare loop: the same rows in the order of their arrival, many a statement, no roll-ups, nothing else.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
+use sqlx::sqlite::{SqliteArguments, SqliteConnectOptions, SqliteJournalMode, SqliteRow, SqliteSynchronous};
+use sqlx::{Arguments, AssertSqlSafe, ConnectOptions, Connection, Row, SqliteConnection, TypeInfo, ValueRef};
+
+use crate::load::Plan;
+use crate::say;
+
+/// Nodes per transaction, and rows per statement.
+const COMMIT_NODES: usize = 30_000;
+const ROWS: usize = 1_000;
+const TABLES: [&str; 4] = ["iteration", "node", "anchor", "transit"];
+
+/// Inserts what one database holds into an empty one of the same schema, and says how many seconds that took.
+pub(crate) async fn run(from: &Path, to: &Path, plan: &Plan) {
+    let mut source = SqliteConnectOptions::new().filename(from).connect().await.expect("opens");
+    let mut tables = Vec::new();
+    for table in TABLES {
+        // Batch by batch, one of each run after the other.
+        let number = if table == "iteration" { "number" } else { "iteration" };
+        let select =
+            format!("SELECT * FROM {table} ORDER BY ({number} - 1) / {}, run, {number}", plan.iterations);
+        let mut rows = sqlx::query(AssertSqlSafe(select)).fetch_all(&mut source).await.expect("reads");
+        let rows: Vec<_> = rows.drain(..).map(|row| cells(&row)).collect();
+        let statement = |count: usize| -> Arc<str> {
+            let row = format!("({})", vec!["?"; rows[0].len()].join(","));
+            format!("INSERT INTO {table} VALUES {}", vec![row.as_str(); count].join(",")).into()
+        };
+        tables.push((statement(ROWS), statement(rows.len() % ROWS), rows));
+    }
+    let nodes = tables[1].2.len();
+    let mut target = SqliteConnectOptions::new()
+        .filename(to)
+        .create_if_missing(true)
+        .journal_mode(SqliteJournalMode::Wal)
+        .synchronous(SqliteSynchronous::Full)
+        .pragma("cache_size", "-65536")
+        .foreign_keys(false)
+        .disable_statement_logging()
+        .connect()
+        .await
+        .expect("opens");
+    sqlx::migrate!("../../migrations").run_direct(None, &mut target, false).await.expect("makes the schema");
+    let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("bench", "bare")));
+    let transactions = nodes.div_ceil(COMMIT_NODES);
+    let began = clock.mono();
+    for at in 0..transactions {
+        sqlx::query("BEGIN").execute(&mut target).await.expect("begins");
+        for (full, rest, rows) in &tables {
+            // Whole statements only, so that each is prepared once.
+            let statements = rows.len().div_ceil(ROWS);
+            let share = |at: usize| rows.len().min(statements * at / transactions * ROWS);
+            for part in rows[share(at)..share(at + 1)].chunks(ROWS) {
+                let sql = if part.len() == ROWS { full } else { rest };
+                insert(&mut target, sql, part).await;
+            }
+        }
+        sqlx::query("COMMIT").execute(&mut target).await.expect("commits");
+    }
+    say((clock.mono() - began).seconds());
+    target.close().await.expect("closes");
+}
+
+async fn insert(target: &mut SqliteConnection, sql: &Arc<str>, rows: &[Vec<Cell>]) {
+    let mut arguments = SqliteArguments::default();
+    arguments.reserve(rows.len() * rows[0].len(), 0);
+    for cell in rows.iter().flatten() {
+        match cell {
+            Cell::Null => arguments.add(None::<i64>),
+            Cell::Integer(value) => arguments.add(*value),
+            Cell::Real(value) => arguments.add(*value),
+            Cell::Text(value) => arguments.add(value.as_str()),
+        }
+        .expect("encodes");
+    }
+    sqlx::query_with(AssertSqlSafe(Arc::clone(sql)), arguments).execute(target).await.expect("inserts");
+}
+
+enum Cell {
+    Null,
+    Integer(i64),
+    Real(f64),
+    Text(String),
+}
+
+fn cells(row: &SqliteRow) -> Vec<Cell> {
+    (0..row.len())
+        .map(|at| {
+            let raw = row.try_get_raw(at).expect("a column");
+            match raw.type_info().name() {
+                _ if raw.is_null() => Cell::Null,
+                "INTEGER" => Cell::Integer(row.get(at)),
+                "REAL" => Cell::Real(row.get(at)),
+                _ => Cell::Text(row.get(at)),
+            }
+        })
+        .collect()
+}

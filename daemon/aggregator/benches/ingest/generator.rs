@@ -1,0 +1,75 @@
+//! The agents: all in one process, each with a connection of its own.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use bytes::Bytes;
+use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
+use peernet_logger::stream::ToAgent;
+use peernet_logger::stream::codec::decode;
+use tokio::time::{Instant, sleep_until};
+use zeromq::{Message, Options, Socket, SocketType};
+
+use crate::load::{BATCH_BYTES, Load, Plan};
+use crate::{generate, say, server};
+
+/// What an agent has under way at most, whatever it is allowed, in units of `BATCH_BYTES`.
+const WINDOW: u32 = 8;
+
+/// Prepares and connects all, sends everything, and says how many seconds that took. With a `speed` batches go at that
+/// multiple of the rate at which the plan's iterations are made, and else as fast as they are taken.
+pub(crate) async fn run(address: &str, plan: &Plan, speed: Option<f64>) {
+    server::raise_file_limit();
+    let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("bench", "agents")));
+    let start = generate::at(0.0);
+    let mut agents = Vec::new();
+    for agent in 0..plan.agents {
+        let load = plan.load(agent, start);
+        let socket = Socket::new(SocketType::Dealer, Options::default());
+        socket.connect(address).await.expect("connects");
+        socket.send(Message::single(Bytes::from(load.hello.clone()))).await.expect("sends");
+        let ToAgent::Welcome { window, .. } = receive(&socket).await else { panic!("not welcome") };
+        agents.push((socket, load, window));
+    }
+    let every = speed.map_or(Duration::ZERO, |speed| Duration::from_secs_f64(plan.batch_s() / speed));
+    let began = clock.mono();
+    let tasks: Vec<_> = agents
+        .into_iter()
+        .map(|(socket, load, window)| tokio::spawn(send(socket, load, window, every)))
+        .collect();
+    for task in tasks {
+        task.await.expect("sends everything");
+    }
+    say((clock.mono() - began).seconds());
+}
+
+/// Keeps a window under way until all are acknowledged; goes back where it is asked to.
+async fn send(socket: Socket, load: Load, mut window: u32, every: Duration) {
+    let began = Instant::now();
+    let (mut next, mut stored) = (0, 0);
+    while stored < load.frames.len() {
+        let room = u64::from(window.min(WINDOW)) * BATCH_BYTES;
+        let allowed = stored + load.within(stored, room);
+        while next < allowed && began + every * next as u32 <= Instant::now() {
+            socket.send(Message::single(load.frames[next].clone())).await.expect("sends");
+            next += 1;
+        }
+        let due = began + every * next as u32;
+        let heard = tokio::select! {
+            heard = receive(&socket) => heard,
+            () = sleep_until(due), if next < allowed => continue,
+        };
+        match heard {
+            ToAgent::Ack { stream, through, window: now } if stream == load.stream => {
+                (stored, window) = (through as usize, now);
+            }
+            ToAgent::Resend { from, .. } => next = from as usize - 1,
+            other => panic!("unexpected {other:?}"),
+        }
+    }
+}
+
+async fn receive(socket: &Socket) -> ToAgent {
+    let message = socket.recv().await.expect("receives");
+    decode(message.part_slice(0).expect("a frame")).expect("a message")
+}

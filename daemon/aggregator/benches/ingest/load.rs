@@ -1,0 +1,126 @@
+//! What agents send: batches cut as agents cut them, with the times that their iterations would have at the rate aimed
+//! at.
+
+use std::fmt;
+
+use bytes::Bytes;
+use peernet_clock::WallTime;
+use peernet_logger::stream::{
+    BatchHead, Chain, Event, Hello, MOST_UNDER_WAY, PROTOCOL, StreamId, ToAggregator, batch_weight, codec,
+};
+use peernet_logger::{HostId, RunId};
+
+use crate::generate;
+
+/// Nodes of an iteration.
+const NODES: u64 = 21;
+/// When agents cut a batch, as configured by default: nodes, bytes, age.
+const BATCH_NODES: u64 = 8_192;
+pub(crate) const BATCH_BYTES: u64 = 128 * 1024;
+const BATCH_AGE_S: f64 = 0.2;
+/// A bit more than an iteration takes on the wire.
+const ITERATION_BYTES: u64 = 540;
+
+/// Who sends how much.
+pub(crate) struct Plan {
+    pub(crate) agents: u64,
+    /// Batches of each agent.
+    pub(crate) batches: u64,
+    /// Iterations of each batch.
+    pub(crate) iterations: u64,
+    /// Seconds between two iterations of an agent.
+    every_s: f64,
+}
+
+/// An agent's messages.
+pub(crate) struct Load {
+    pub(crate) hello: Vec<u8>,
+    pub(crate) stream: StreamId,
+    pub(crate) frames: Vec<Bytes>,
+}
+
+impl Load {
+    /// How many batches from this one on may be under way together where there is `room`.
+    pub(crate) fn within(&self, from: usize, mut room: u64) -> usize {
+        let waiting = self.frames[from..].iter().take(MOST_UNDER_WAY);
+        let fits = |frame: &Bytes| {
+            let rest = room.checked_sub(batch_weight(frame.len()));
+            room = rest.unwrap_or(0);
+            rest.is_some()
+        };
+        waiting.map(fits).take_while(|fits| *fits).count().max(1)
+    }
+}
+
+impl Plan {
+    pub(crate) fn new(agents: u64, nodes: u64) -> Self {
+        let aim = if agents >= 1_000 { 350_000.0 } else { 500_000.0 };
+        let every_s = NODES as f64 * agents as f64 / aim;
+        let by_age = (BATCH_AGE_S / every_s) as u64;
+        let iterations = by_age.clamp(1, (BATCH_NODES / NODES).min(BATCH_BYTES / ITERATION_BYTES));
+        let batches = nodes.div_ceil(agents * iterations * NODES);
+        Self { agents, batches, iterations, every_s }
+    }
+
+    pub(crate) fn nodes(&self) -> u64 {
+        self.agents * self.batches * self.iterations * NODES
+    }
+
+    /// Seconds of measuring in one batch.
+    pub(crate) fn batch_s(&self) -> f64 {
+        self.iterations as f64 * self.every_s
+    }
+
+    /// The messages of one agent.
+    pub(crate) fn load(&self, agent: u64, start: WallTime) -> Load {
+        let (host, stream, run) = (HostId::random(), StreamId::random(), RunId::random());
+        let cloud = HostId::random();
+        let mut random = generate::Numbers(agent);
+        let mut before = Chain::START;
+        let mut frames = Vec::new();
+        let mut longest = 0;
+        for number in 1..=self.batches {
+            let first = (number == 1).then(|| generate::run_started(run, "line", start));
+            let numbers = (number - 1) * self.iterations + 1..=number * self.iterations;
+            let iterations = numbers.map(|n| {
+                let at = start + peernet_clock::Span::from_seconds_f64(n as f64 * self.every_s);
+                Event::Iteration(generate::iteration_at(run, n, (host, cloud), at, &mut random))
+            });
+            let events: Vec<Event> = first.into_iter().chain(iterations).collect();
+            let body = generate::body(&events);
+            let count = events.len() as u32;
+            let chain = before.then(count, &body);
+            let head = BatchHead { host, stream, process: 1, number, before, chain, events: count };
+            before = chain;
+            longest = longest.max(body.len());
+            frames.push(Bytes::from(codec::batch_frame(&head, &body, false)));
+        }
+        assert!(longest as u64 <= BATCH_BYTES + 1_024, "batches of {longest} bytes are not cut as agents do");
+        let hello = Hello {
+            protocol: PROTOCOL,
+            host: generate::host(host, &format!("agent-{agent}")),
+            stream,
+            previous: None,
+            first: 1,
+            oldest: 1,
+            before: Chain::START,
+            batch_bytes: BATCH_BYTES as u32,
+            process: 1,
+        };
+        Load { hello: codec::encode(&ToAggregator::Hello(hello)), stream, frames }
+    }
+}
+
+impl fmt::Display for Plan {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { agents, batches, iterations, every_s } = self;
+        write!(
+            f,
+            "{agents} agents: {} nodes in {} batches of {} nodes, an iteration every {:.3} ms",
+            self.nodes(),
+            agents * batches,
+            iterations * NODES,
+            every_s * 1e3
+        )
+    }
+}

@@ -1,0 +1,146 @@
+//! Nodes per second that reach the disk: agents over real ZeroMQ into an aggregator, beside a bare loop that inserts
+//! the same rows in the order of their arrival into the same schema. Both sync each transaction
+//! (`synchronous=FULL`). The aggregator, the agents and the bare loop are processes of their own.
+//!
+//! `cargo bench -p peernet-aggregator -- [NODES] [ROUNDS] [AGENTS…]`
+
+#![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
+
+mod bare;
+#[path = "../../tests/it/generate.rs"]
+#[expect(unreachable_pub, dead_code, reason = "shared with the tests")]
+mod generate;
+mod generator;
+mod load;
+mod server;
+
+use std::io::{BufRead, BufReader, Write};
+use std::path::Path;
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{ConnectOptions, Row};
+
+use crate::load::Plan;
+
+#[tokio::main]
+async fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|it| it != "--bench").collect();
+    let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    match words.as_slice() {
+        ["server", database, commit_nodes] => server::run(Path::new(database), number(commit_nodes)).await,
+        ["generator", address, agents, nodes] => {
+            generator::run(address, &Plan::new(number(agents), number(nodes)), None).await;
+        }
+        ["generator", address, agents, nodes, speed] => {
+            let speed: f64 = speed.parse().unwrap_or_else(|_| panic!("{speed:?} is no speed"));
+            generator::run(address, &Plan::new(number(agents), number(nodes)), Some(speed)).await;
+        }
+        ["bare", from, to, agents, nodes] => {
+            let plan = Plan::new(number(agents), number(nodes));
+            bare::run(Path::new(from), Path::new(to), &plan).await;
+        }
+        words => {
+            let numbers: Vec<u64> = words.iter().map(|word| number(word)).collect();
+            let (nodes, rounds) = (numbers.first().unwrap_or(&4_000_000), numbers.get(1).unwrap_or(&3));
+            let agents = numbers.get(2..).filter(|agents| !agents.is_empty()).unwrap_or(&[1, 10, 1_000]);
+            table(*nodes, *rounds, agents).await;
+        }
+    }
+}
+
+fn number(word: &str) -> u64 {
+    word.parse().unwrap_or_else(|_| panic!("{word:?} is not a number"))
+}
+
+async fn table(nodes: u64, rounds: u64, agents: &[u64]) {
+    let commit_nodes = std::env::var("COMMIT_NODES").unwrap_or_else(|_| "0".to_owned());
+    for agents in agents {
+        let plan = Plan::new(*agents, nodes);
+        println!("{plan}");
+        println!(
+            "{:>5}  {:>18}  {:>17}  {:>5}  {:>10}  {:>9}  {:>4}",
+            "round", "aggregator nodes/s", "bare loop nodes/s", "ratio", "bytes/node", "peak MiB", "lost"
+        );
+        for round in 1..=rounds {
+            let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).expect("a folder");
+            let (ours, bare) = (folder.path().join("aggregator.sqlite"), folder.path().join("bare.sqlite"));
+            let (agents, nodes) = (agents.to_string(), nodes.to_string());
+            let mut server = Role::start(&["server", text(&ours), &commit_nodes]);
+            let address = server.line();
+            let mut generator = Role::start(&["generator", &address, &agents, &nodes]);
+            let seconds: f64 = generator.line().parse().expect("seconds");
+            generator.end();
+            let peak = server.peak_kib() as f64 / 1024.0;
+            server.end();
+            let mut loop_of_inserts = Role::start(&["bare", text(&ours), text(&bare), &agents, &nodes]);
+            let bare_seconds: f64 = loop_of_inserts.line().parse().expect("seconds");
+            loop_of_inserts.end();
+            let stored = one(&ours, "SELECT count(*) FROM node").await;
+            let bytes =
+                one(&ours, "SELECT page_count * page_size FROM pragma_page_count, pragma_page_size").await;
+            let (rate, bare_rate) = (stored as f64 / seconds, stored as f64 / bare_seconds);
+            println!(
+                "{round:>5}  {rate:>18.0}  {bare_rate:>17.0}  {:>5.2}  {:>10.1}  {peak:>9.0}  {:>4}",
+                rate / bare_rate,
+                bytes as f64 / stored as f64,
+                plan.nodes() as i64 - stored
+            );
+        }
+    }
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("a path of text")
+}
+
+async fn one(database: &Path, sql: &'static str) -> i64 {
+    let options = SqliteConnectOptions::new().filename(database);
+    let mut connection = options.connect().await.expect("opens");
+    sqlx::query(sql).fetch_one(&mut connection).await.expect("reads").get(0)
+}
+
+/// This program again, in another role: it says what it found out by lines, and ends when its input does.
+struct Role {
+    child: Child,
+    input: Option<ChildStdin>,
+    lines: BufReader<ChildStdout>,
+}
+
+impl Role {
+    fn start(arguments: &[&str]) -> Self {
+        let program = std::env::current_exe().expect("this program");
+        let mut child = Command::new(program)
+            .args(arguments)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("starts");
+        let lines = BufReader::new(child.stdout.take().expect("piped"));
+        Self { input: child.stdin.take(), child, lines }
+    }
+
+    fn line(&mut self) -> String {
+        let mut line = String::new();
+        self.lines.read_line(&mut line).expect("reads");
+        line.trim().to_owned()
+    }
+
+    /// The most memory that it ever held.
+    fn peak_kib(&self) -> u64 {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).expect("runs");
+        let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).expect("a peak");
+        number(line.trim().trim_end_matches(" kB"))
+    }
+
+    fn end(mut self) {
+        drop(self.input.take());
+        assert!(self.child.wait().expect("ends").success(), "a part of the benchmark failed");
+    }
+}
+
+/// Says something to the process that started this one.
+fn say(line: impl std::fmt::Display) {
+    println!("{line}");
+    std::io::stdout().flush().expect("the one who started this reads");
+}

@@ -1,0 +1,165 @@
+//! One long run of one agent, as its agent would have sent it, and some short ones.
+
+use std::path::Path;
+
+use bytes::Bytes;
+use peernet_clock::{SharedClock, Span};
+use peernet_logger::stream::{
+    BatchHead, Chain, Event, Hello, Incident, IncidentKind, Outcome, PROTOCOL, StreamId, ToAgent,
+    ToAggregator, codec,
+};
+use peernet_logger::{HostId, RunId};
+use tokio_util::sync::CancellationToken;
+use zeromq::{Message, Options, Socket, SocketType};
+
+use crate::{clocks, generate, start};
+
+/// Nodes of an iteration.
+const NODES: u64 = 21;
+/// Iterations of a batch: about 100 kB.
+const ITERATIONS: u64 = 240;
+/// Iterations in a second.
+const HZ: u64 = 100;
+/// Every so manieth iteration has no answer.
+const LOST: u64 = 1_000;
+/// Short runs before the long one, for the lists.
+const RUNS: u64 = 100;
+
+/// Ingests about so many nodes into a new database.
+pub(crate) async fn fill(database: &Path, nodes: u64, clock: &SharedClock) {
+    let stop = CancellationToken::new();
+    let running = start(database, clock, stop.clone()).await;
+    let address = running.handle.live().borrow().listening.clone();
+    let mut agent = Agent::connect(&address).await;
+    for _ in 0..RUNS {
+        agent.run(ITERATIONS * NODES).await;
+    }
+    agent.run(nodes).await;
+    agent.settle().await;
+    stop.cancel();
+    running.join().await.expect("ends well");
+}
+
+/// The sending end of a stream.
+struct Agent {
+    socket: Socket,
+    hosts: (HostId, HostId),
+    stream: StreamId,
+    chain: Chain,
+    number: u64,
+    stored: u64,
+    window: u32,
+    numbers: generate::Numbers,
+    /// Seconds since the begin of everything.
+    second: i64,
+}
+
+impl Agent {
+    async fn connect(address: &str) -> Self {
+        let socket = Socket::new(SocketType::Dealer, Options::default());
+        socket.connect(address).await.expect("connects");
+        let (edge, cloud, stream) = (HostId::random(), HostId::random(), StreamId::random());
+        let hello = Hello {
+            protocol: PROTOCOL,
+            host: generate::host(edge, "edge"),
+            stream,
+            previous: None,
+            first: 1,
+            oldest: 1,
+            before: Chain::START,
+            batch_bytes: 128 * 1024,
+            process: 1,
+        };
+        let hello = codec::encode(&ToAggregator::Hello(hello));
+        socket.send(Message::single(Bytes::from(hello))).await.expect("sends");
+        let mut agent = Self {
+            socket,
+            hosts: (edge, cloud),
+            stream,
+            chain: Chain::START,
+            number: 0,
+            stored: 0,
+            window: 0,
+            numbers: generate::Numbers(1),
+            second: 0,
+        };
+        let ToAgent::Welcome { window, .. } = agent.receive().await else { panic!("not welcome") };
+        agent.window = window;
+        agent
+    }
+
+    /// A run of so many nodes, at its rate on the edge's clock, and what was known of the clocks meanwhile.
+    async fn run(&mut self, nodes: u64) {
+        let run = RunId::random();
+        let began = self.second;
+        let mut events = vec![generate::run_started(run, "line", generate::at(began as f64))];
+        for number in 1..=nodes.div_ceil(NODES) {
+            let at = generate::at(began as f64) + Span::from_seconds_f64(number as f64 / HZ as f64);
+            let mut iteration = generate::iteration_at(run, number, self.hosts, at, &mut self.numbers);
+            if number.is_multiple_of(LOST) {
+                iteration.outcome = Outcome::Timeout;
+                events.push(Event::Incident(self.incident(run)));
+            }
+            events.push(Event::Iteration(iteration));
+            if number.is_multiple_of(HZ) {
+                self.second += 1;
+                let sample = clocks::sample(self.hosts.1, self.second, 30);
+                events.push(Event::Clock(Box::new(sample)));
+            }
+            if number.is_multiple_of(ITERATIONS) {
+                self.send(&std::mem::take(&mut events)).await;
+            }
+        }
+        self.second += 1;
+        self.send(&events).await;
+    }
+
+    fn incident(&self, run: RunId) -> Incident {
+        Incident {
+            at: generate::at(self.second as f64),
+            kind: IncidentKind::Disconnected,
+            pipeline: Some("line".parse().expect("a name")),
+            run: Some(run),
+            peer: Some(self.hosts.1),
+            text: "no answer in time".to_owned(),
+        }
+    }
+
+    async fn send(&mut self, events: &[Event]) {
+        if events.is_empty() {
+            return;
+        }
+        while self.number >= self.stored + u64::from(self.window) {
+            self.acknowledged().await;
+        }
+        self.number += 1;
+        let body = generate::body(events);
+        let count = u32::try_from(events.len()).expect("a batch");
+        let before = self.chain;
+        self.chain = before.then(count, &body);
+        let (host, stream, number, chain) = (self.hosts.0, self.stream, self.number, self.chain);
+        let head = BatchHead { host, stream, process: 1, number, before, chain, events: count };
+        let frame = Bytes::from(codec::batch_frame(&head, &body, false));
+        self.socket.send(Message::single(frame)).await.expect("sends");
+    }
+
+    async fn settle(&mut self) {
+        while self.stored < self.number {
+            self.acknowledged().await;
+        }
+    }
+
+    async fn acknowledged(&mut self) {
+        match self.receive().await {
+            ToAgent::Ack { stream, through, window } if stream == self.stream => {
+                (self.stored, self.window) = (through, window);
+            }
+            other => panic!("unexpected {other:?}"),
+        }
+    }
+
+    async fn receive(&self) -> ToAgent {
+        let message = self.socket.recv().await.expect("receives");
+        codec::decode(message.part_slice(0).expect("a frame")).expect("a message")
+    }
+}

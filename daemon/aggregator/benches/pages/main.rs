@@ -1,0 +1,85 @@
+//! How long the questions of each page take when the database is large: a run of a million nodes beside one of as many
+//! as wanted, both ingested over real ZeroMQ.
+//!
+//! `cargo bench -p peernet-aggregator --bench pages -- [NODES] [FOLDER]`: 100 million nodes take some minutes and about
+//! 6 GB. A folder that is given keeps the databases, and those found there are used again.
+
+#![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
+
+#[path = "../../tests/it/clocks.rs"]
+#[expect(unreachable_pub, dead_code, reason = "shared with the tests")]
+mod clocks;
+mod fill;
+#[path = "../../tests/it/generate.rs"]
+#[expect(unreachable_pub, dead_code, reason = "shared with the tests")]
+mod generate;
+mod questions;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use peernet_aggregator::{Aggregator, AggregatorConfig};
+use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
+use tokio_util::sync::CancellationToken;
+
+use crate::questions::{Times, measure};
+
+/// Nodes of the run that the large one is compared with, unless that is small itself.
+const SMALL: u64 = 1_000_000;
+
+#[tokio::main]
+async fn main() {
+    let mut arguments = std::env::args().skip(1).filter(|argument| argument != "--bench");
+    let nodes: u64 = arguments.next().map_or(SMALL * 100, |word| word.parse().expect("a number of nodes"));
+    let scratch = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).expect("a folder");
+    let folder = arguments.next().map_or_else(|| scratch.path().to_owned(), PathBuf::from);
+    std::fs::create_dir_all(&folder).expect("a folder");
+    let few = SMALL.min(nodes / 2);
+    let small = answers(&folder, few).await;
+    let large = answers(&folder, nodes).await;
+    println!("\n| question | {few} nodes, median ms | max | {nodes} nodes, median ms | max | ratio |");
+    println!("| --- | --- | --- | --- | --- | --- |");
+    for (less, more) in small.iter().zip(&large) {
+        println!(
+            "| {} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} |",
+            less.question,
+            less.median_ms,
+            less.max_ms,
+            more.median_ms,
+            more.max_ms,
+            more.median_ms / less.median_ms
+        );
+    }
+}
+
+/// Fills a database unless it is there, and asks it everything.
+async fn answers(folder: &Path, nodes: u64) -> Vec<Times> {
+    let database = folder.join(format!("{nodes}.sqlite"));
+    let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("bench", "pages")));
+    if !database.exists() {
+        let began = clock.mono();
+        fill::fill(&database, nodes, &clock).await;
+        let seconds = (clock.mono() - began).seconds();
+        let bytes = std::fs::metadata(&database).expect("is there").len();
+        println!(
+            "{nodes} nodes in {seconds:.0} s, {:.0} nodes/s, {:.1} bytes/node",
+            nodes as f64 / seconds,
+            bytes as f64 / nodes as f64
+        );
+    }
+    let stop = CancellationToken::new();
+    let running = start(&database, &clock, stop.clone()).await;
+    let times = measure(running.handle.store(), &clock).await;
+    stop.cancel();
+    running.join().await.expect("ends well");
+    times
+}
+
+async fn start(database: &Path, clock: &SharedClock, stop: CancellationToken) -> peernet_aggregator::Running {
+    let config = AggregatorConfig {
+        listen: "tcp://127.0.0.1:0".into(),
+        database: database.to_owned(),
+        ..AggregatorConfig::default()
+    };
+    Aggregator::start(config, Arc::clone(clock), stop).await.expect("starts")
+}

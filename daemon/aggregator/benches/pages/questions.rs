@@ -1,0 +1,105 @@
+//! What each page and resource asks, of the largest run.
+
+use std::future::Future;
+
+use peernet_aggregator::{IterationFilter, RunFilter, Store, StoreError};
+use peernet_clock::{SharedClock, Span};
+use peernet_logger::stage;
+
+/// How often each is asked.
+const TIMES: usize = 20;
+/// Points of a run's series and of a link's, bins of a histogram, and the slowest iterations, as pages ask for them.
+const POINTS: usize = 300;
+const CLOCK_POINTS: u32 = 360;
+const BINS: usize = 60;
+const SLOWEST: u32 = 10;
+
+/// How long one question took.
+#[derive(Debug)]
+pub(crate) struct Times {
+    pub(crate) question: &'static str,
+    pub(crate) median_ms: f64,
+    pub(crate) max_ms: f64,
+}
+
+/// Asks everything.
+pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<Times> {
+    let newest = store.runs(&RunFilter { limit: 1, ..RunFilter::default() }).await.expect("answers");
+    let run = newest.first().expect("there is a run");
+    let (number, host) = (run.number, run.host);
+    let last = run.counts.ok + run.counts.timeout;
+    let end = run.last_iteration.expect("it has iterations");
+    let links = store.links().await.expect("answers");
+    let link = links.first().expect("there is a link");
+    let (edge, cloud) = (link.edge, link.cloud);
+    let slowest = store.slowest(number, 1_000).await.expect("answers");
+    let ranked = slowest.last().expect("there are some").number;
+    let [total, upload] = [stage::TOTAL, stage::UPLOAD];
+    let names = [stage::TOTAL, stage::SENSING, stage::UPLOAD, stage::INFERENCE, stage::DOWNLOAD];
+    let page = |after: u64, unsuccessful: bool| IterationFilter { after, limit: 100, unsuccessful };
+    let (first, end_of_list) = (page(0, false), page(last.saturating_sub(100), false));
+    let (lost, later_lost) = (page(0, true), page(last / 2, true));
+    let all = RunFilter::default();
+    let of_host = RunFilter {
+        host: Some(host),
+        pipeline: Some("line".parse().expect("a name")),
+        ..RunFilter::default()
+    };
+    let day = end - Span::from_seconds(86_400);
+
+    vec![
+        time("run page", clock, async || {
+            tokio::try_join!(
+                store.run(number),
+                store.stages(number),
+                store.bounds(number),
+                store.histogram(number, &total, BINS),
+                store.series(number, &names, POINTS),
+                store.slowest(number, SLOWEST),
+                store.iterations(number, &lost),
+            )
+        })
+        .await,
+        time("iteration page", clock, async || {
+            tokio::try_join!(store.run(number), store.iteration(number, last / 2))
+        })
+        .await,
+        time("run", clock, || store.run(number)).await,
+        time("stages", clock, || store.stages(number)).await,
+        time("histogram", clock, || store.histogram(number, &upload, BINS)).await,
+        time("series of one name", clock, || store.series(number, &names[..1], POINTS)).await,
+        time("series of five names", clock, || store.series(number, &names, POINTS)).await,
+        time("iterations, first page", clock, || store.iterations(number, &first)).await,
+        time("iterations, last page", clock, || store.iterations(number, &end_of_list)).await,
+        time("iterations without answer", clock, || store.iterations(number, &later_lost)).await,
+        time("ten slowest", clock, || store.slowest(number, SLOWEST)).await,
+        time("thousand slowest", clock, || store.slowest(number, 1_000)).await,
+        time("one iteration", clock, || store.iteration(number, last / 2)).await,
+        time("one of the slowest", clock, || store.iteration(number, ranked)).await,
+        time("hosts", clock, || store.hosts()).await,
+        time("runs", clock, || store.runs(&all)).await,
+        time("runs of a pipeline", clock, || store.runs(&of_host)).await,
+        time("incidents", clock, || store.incidents(100, None)).await,
+        time("links", clock, || store.links()).await,
+        time("a link's hour", clock, || {
+            store.clock_series(edge, cloud, end - Span::from_seconds(3_600), end, CLOCK_POINTS)
+        })
+        .await,
+        time("a link's day", clock, || store.clock_series(edge, cloud, day, end, CLOCK_POINTS)).await,
+    ]
+}
+
+async fn time<T, F: Future<Output = Result<T, StoreError>>>(
+    question: &'static str,
+    clock: &SharedClock,
+    ask: impl Fn() -> F,
+) -> Times {
+    let mut took = Vec::with_capacity(TIMES);
+    for _ in 0..TIMES {
+        let began = clock.mono();
+        ask().await.unwrap_or_else(|error| panic!("{question}: {error}"));
+        took.push((clock.mono() - began).seconds() * 1e3);
+    }
+    took.sort_by(f64::total_cmp);
+    Times { question, median_ms: took[TIMES / 2], max_ms: took[TIMES - 1] }
+}

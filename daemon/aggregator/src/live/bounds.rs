@@ -1,0 +1,83 @@
+//! What an agent says, cut to what the picture takes: its memory is bounded whatever is sent.
+
+use peernet_logger::stream::{
+    Accounting, HostClock, HostDescription, LinkLive, PipelineState, Placement, Probing,
+};
+
+use crate::plausible;
+
+/// Items of a list: kinds of network, accelerators, steps of a rehearsal.
+const MOST_LISTED: usize = 32;
+/// Models that a host offers.
+const MOST_MODELS: usize = 256;
+/// Bytes of a text.
+const MOST_TEXT: usize = 512;
+
+/// A link, with what can be true of its clocks only.
+pub(super) fn link(live: &mut LinkLive, left_out: &mut u64) {
+    list(&mut live.networks, MOST_LISTED, left_out);
+    live.networks.iter_mut().for_each(text);
+    list(&mut live.pipelines, MOST_LISTED, left_out);
+    match &mut live.probing {
+        Probing::On { address, stamps, .. } => [address, stamps].into_iter().for_each(text),
+        Probing::Unanswered { address, reason } => [address].into_iter().chain(reason).for_each(text),
+        Probing::Off(reason) => text(reason),
+    }
+    for theirs in [&mut live.edge, &mut live.cloud].into_iter().flatten() {
+        clock(theirs, left_out);
+    }
+    let now = &mut live.now;
+    let offset = now.offset.as_ref().and_then(plausible::offset);
+    let (up, down) = (now.up.map(plausible::delays), now.down.map(plausible::delays));
+    // Not-a-number is unequal to itself: taken out and counted as well.
+    *left_out += u64::from((&offset, up, down) != (&now.offset, now.up, now.down));
+    (now.offset, now.up, now.down) = (offset, up, down);
+}
+
+/// What a host says of its clock.
+pub(super) fn clock(clock: &mut HostClock, left_out: &mut u64) {
+    text(&mut clock.text);
+    if let Some(rehearsal) = &mut clock.rehearsal {
+        list(&mut rehearsal.steps, MOST_LISTED, left_out);
+    }
+}
+
+/// What a host says of itself.
+pub(super) fn description(description: &mut HostDescription, left_out: &mut u64) {
+    let hardware = &mut description.hardware;
+    list(&mut hardware.gpus, MOST_LISTED, left_out);
+    list(&mut description.models, MOST_MODELS, left_out);
+    let texts =
+        [&mut description.version, &mut hardware.cpu, &mut hardware.system, &mut hardware.architecture];
+    texts.into_iter().chain(&mut hardware.gpus).chain(&mut description.serves).for_each(text);
+}
+
+/// What a host says of its events.
+pub(super) fn accounting(accounting: &mut Accounting) {
+    accounting.trouble.iter_mut().for_each(text);
+}
+
+/// What a pipeline does.
+pub(super) fn state(state: &mut PipelineState) {
+    if let PipelineState::Waiting(why) | PipelineState::Failed(why) = state {
+        text(why);
+    }
+}
+
+/// Where a pipeline computes.
+pub(super) fn placement(placement: &mut Placement) {
+    let Placement { network, address, device, .. } = placement;
+    [network, address, device].into_iter().flatten().for_each(text);
+}
+
+/// A text.
+pub(super) fn text(text: &mut String) {
+    text.truncate(text.floor_char_boundary(MOST_TEXT));
+    text.shrink_to_fit();
+}
+
+fn list<T>(items: &mut Vec<T>, most: usize, left_out: &mut u64) {
+    *left_out += items.len().saturating_sub(most) as u64;
+    items.truncate(most);
+    items.shrink_to_fit();
+}

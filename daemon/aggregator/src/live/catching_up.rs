@@ -1,0 +1,131 @@
+//! How fast storing catches up with measuring, from how far it is behind at each update.
+
+use peernet_clock::{MonoTime, Span};
+
+use crate::picture::CatchingUp;
+
+/// Time within which older observations lose most of their weight, seconds.
+const MEMORY_S: f64 = 10.0;
+/// Less observed time, seconds, supports no rate.
+const LEAST_S: f64 = 2.0;
+/// Updates come four times a second: what was before such a silence says nothing of now.
+const SILENCE: Span = Span::from_seconds(5);
+/// Less than this is the time that a batch takes, no backlog.
+const NEAR: Span = Span::from_seconds(5);
+/// A lag that falls by less, in seconds per second, leads nowhere.
+const LEAST_RATE: f64 = 0.02;
+
+/// Exponentially weighted sums: constant memory, and unbiased from the first second on because numerators and the
+/// observed time fade alike.
+#[derive(Debug, Default)]
+pub(super) struct Lag {
+    last: Option<(MonoTime, Span, u64)>,
+    observed_s: f64,
+    fallen_s: f64,
+    stored: f64,
+}
+
+impl Lag {
+    /// Takes in how far storing is behind, and how many events were stored by then.
+    pub(super) fn observe(&mut self, behind: Option<Span>, stored: u64, now: MonoTime) {
+        let Some(behind) = behind else {
+            *self = Self::default();
+            return;
+        };
+        if let Some((then, before, count)) = self.last {
+            let elapsed = (now - then).seconds();
+            // A spool that was replaced begins to count anew.
+            if now - then > SILENCE || stored < count {
+                *self = Self::default();
+            } else {
+                let kept = (-elapsed / MEMORY_S).exp();
+                self.observed_s = self.observed_s * kept + elapsed;
+                self.fallen_s = self.fallen_s * kept + (before - behind).seconds();
+                self.stored = self.stored * kept + (stored - count) as f64;
+            }
+        }
+        self.last = Some((now, behind, stored));
+    }
+
+    /// How fast it catches up; `None` while it does not, or is not far behind.
+    pub(super) fn catching_up(&self) -> Option<CatchingUp> {
+        let (_, behind, _) = self.last?;
+        if self.observed_s < LEAST_S || behind < NEAR {
+            return None;
+        }
+        let rate = self.fallen_s / self.observed_s;
+        (rate >= LEAST_RATE).then(|| CatchingUp {
+            rate,
+            events_per_second: self.stored / self.observed_s,
+            left: Span::from_seconds_f64(behind.seconds() / rate),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(seconds: f64) -> MonoTime {
+        MonoTime::from_nanos(7) + Span::from_seconds_f64(seconds)
+    }
+
+    /// Four updates a second from `from` to `to`, `behind` as a function of the time.
+    fn observe(lag: &mut Lag, from: i32, to: i32, behind: impl Fn(f64) -> f64) {
+        for quarter in from * 4..to * 4 {
+            let time = f64::from(quarter) / 4.0;
+            let stored = (time * 20_000.0) as u64;
+            lag.observe(Some(Span::from_seconds_f64(behind(time))), stored, at(time));
+        }
+    }
+
+    #[test]
+    fn a_falling_lag_says_how_long_it_will_take() {
+        let mut lag = Lag::default();
+        observe(&mut lag, 0, 1, |time| 11_520.0 - 48.0 * time);
+        assert_eq!(lag.catching_up(), None, "one second supports no rate");
+        observe(&mut lag, 1, 30, |time| 11_520.0 - 48.0 * time);
+        let found = lag.catching_up().expect("it falls");
+        assert!((found.rate - 48.0).abs() < 1e-6, "{found:?}");
+        assert!((found.events_per_second - 20_000.0).abs() < 1.0, "{found:?}");
+        let left = (11_520.0 - 48.0 * 29.75) / 48.0;
+        assert!((found.left.seconds() - left).abs() < 1e-3, "{found:?}");
+    }
+
+    #[test]
+    fn a_lag_that_grows_or_stays_or_is_small_is_no_catching_up() {
+        for behind in [|time: f64| 100.0 + time, |_: f64| 100.0, |time: f64| (4.0 - time * 0.1).max(0.1)] {
+            let mut lag = Lag::default();
+            observe(&mut lag, 0, 30, behind);
+            assert_eq!(lag.catching_up(), None);
+        }
+    }
+
+    #[test]
+    fn a_change_of_rate_is_followed_and_steps_are_smoothed() {
+        let mut lag = Lag::default();
+        observe(&mut lag, 0, 60, |time| 10_000.0 + time);
+        observe(&mut lag, 60, 120, |time| 10_060.0 - 20.0 * (time - 60.0));
+        let found = lag.catching_up().expect("it falls");
+        assert!((found.rate - 20.0).abs() < 0.3, "{found:?}");
+        // Batches of four seconds each: the oldest that waits moves on in steps.
+        let mut lag = Lag::default();
+        observe(&mut lag, 0, 60, |time| 10_000.0 - 40.0 * (time / 4.0).floor() * 4.0);
+        let found = lag.catching_up().expect("it falls");
+        assert!((30.0..50.0).contains(&found.rate), "{found:?}");
+    }
+
+    #[test]
+    fn after_a_silence_or_with_a_new_spool_it_is_judged_anew() {
+        let mut lag = Lag::default();
+        observe(&mut lag, 0, 30, |time| 10_000.0 - 20.0 * time);
+        lag.observe(Some(Span::from_seconds(5_000)), 40_000_000, at(120.0));
+        assert_eq!(lag.catching_up(), None, "the silence is no catching up");
+        observe(&mut lag, 121, 130, |time| 5_000.0 - 20.0 * (time - 121.0));
+        assert_eq!(lag.catching_up().map(|found| found.rate.round()), Some(20.0));
+        lag.observe(Some(Span::from_seconds(4_000)), 3, at(130.0));
+        assert_eq!(lag.catching_up(), None, "a spool that was replaced begins to count anew");
+        lag.observe(None, 4, at(131.0));
+        assert_eq!(lag.catching_up(), None, "nothing waits");
+    }
+}

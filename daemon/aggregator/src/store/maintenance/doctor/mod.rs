@@ -1,0 +1,217 @@
+//! A database's health, from a connection that changes nothing.
+
+mod contents;
+mod report;
+
+use std::path::{Path, PathBuf};
+
+use peernet_clock::WallTime;
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
+
+pub use self::report::{
+    FileFigures, Finding, GapGroup, Integrity, OpenRun, QuarantineGroup, Report, RollupExtent, Schema,
+    Severity, StreamState, TableRows,
+};
+use super::{free_bytes, reading};
+use crate::store::database::MIGRATIONS;
+
+/// SQLite's codes for a file that is damaged or never was a database (SQLITE_CORRUPT, SQLITE_NOTADB).
+const DAMAGED: [&str; 2] = ["11", "26"];
+/// A disk with less room is as good as full.
+const LITTLE_ROOM: u64 = 512 << 20;
+/// A log beside the database that is larger is not being taken over.
+const LARGE_LOG: u64 = 512 << 20;
+/// What to do about a damaged file.
+const RESTORE: &str = "stop the aggregator, keep a copy of the file with its -wal, and restore the newest backup: agents \
+                       send again what they still have in their spools";
+
+/// Why a database cannot be examined at all.
+#[derive(Debug, thiserror::Error)]
+pub enum DoctorError {
+    /// There is none.
+    #[error("there is no database {}; name the file of [aggregator] database", .0.display())]
+    Missing(PathBuf),
+    /// It cannot be opened.
+    #[error("cannot open the database {}: {source}; check that this user may read it and write in its folder", path.display())]
+    Open {
+        /// The file.
+        path: PathBuf,
+        /// SQLite's or the system's own words.
+        source: sqlx::Error,
+    },
+}
+
+/// How to examine.
+#[derive(Clone, Copy, Debug)]
+pub struct Examination {
+    /// Whether indexes are compared with their tables and references followed, too: takes several times as long.
+    pub full: bool,
+    /// Now, on this machine's wall clock.
+    pub now: WallTime,
+}
+
+/// Looks at everything there is to see. Reads the whole file once, beside a running aggregator if there is one.
+///
+/// # Errors
+/// When there is no such file or it cannot be opened. What is wrong within it stands in the report.
+pub async fn examine(database: &Path, how: Examination) -> Result<Report, DoctorError> {
+    if !database.is_file() {
+        return Err(DoctorError::Missing(database.to_owned()));
+    }
+    let cannot_open = |source| DoctorError::Open { path: database.to_owned(), source };
+    let mut report = Report { database: database.to_owned(), ..Report::default() };
+    let opened = async {
+        let mut connection = reading(database).connect().await?;
+        let _tables: i64 =
+            sqlx::query_scalar("SELECT count(*) FROM sqlite_schema").fetch_one(&mut connection).await?;
+        Ok(connection)
+    };
+    match opened.await {
+        Ok(mut connection) => {
+            report.sizes(&mut connection, database).await;
+            report.check(&mut connection, how.full).await;
+            if report.tables_are_known(&mut connection).await {
+                contents::read(&mut report, &mut connection, how.now).await;
+            }
+            let _ = connection.close().await;
+        }
+        Err(error) if damaged(&error) => {
+            report.problem(format!("it is damaged, or no database: {error}"), RESTORE);
+        }
+        Err(error) => return Err(cannot_open(error)),
+    }
+    Ok(report)
+}
+
+/// Whether an error says that the file itself is wrong.
+fn damaged(error: &sqlx::Error) -> bool {
+    let code = error.as_database_error().and_then(|error| error.code());
+    code.is_some_and(|code| DAMAGED.contains(&&*code))
+}
+
+impl Report {
+    /// Whether nothing is wrong.
+    pub fn is_healthy(&self) -> bool {
+        self.findings.iter().all(|finding| finding.severity != Severity::Problem)
+    }
+
+    fn problem(&mut self, what: String, advice: &str) {
+        self.findings.push(Finding { severity: Severity::Problem, what, advice: advice.to_owned() });
+    }
+
+    fn notice(&mut self, what: String, advice: &str) {
+        self.findings.push(Finding { severity: Severity::Notice, what, advice: advice.to_owned() });
+    }
+
+    /// The rows of an answer; none, and a finding, where the file cannot give one.
+    fn or_problem<T: Default>(&mut self, what: &str, answer: Result<T, sqlx::Error>) -> T {
+        answer.unwrap_or_else(|error| {
+            if damaged(&error) {
+                self.problem(format!("it is damaged: cannot read {what}: {error}"), RESTORE);
+            } else {
+                self.problem(
+                    format!("cannot read {what}: {error}"),
+                    "run this again; if it stays, restore a backup",
+                );
+            }
+            T::default()
+        })
+    }
+
+    async fn sizes(&mut self, connection: &mut SqliteConnection, database: &Path) {
+        let answer = sqlx::query_scalar(
+            "SELECT freelist_count * page_size FROM pragma_freelist_count, pragma_page_size",
+        );
+        let answer: Result<i64, _> = answer.fetch_one(connection).await;
+        let free = self.or_problem("the file's size", answer);
+        let length = |path: &Path| std::fs::metadata(path).map_or(0, |file| file.len());
+        let mut log =
+            std::fs::canonicalize(database).unwrap_or_else(|_| database.to_owned()).into_os_string();
+        log.push("-wal");
+        self.file = FileFigures {
+            bytes: length(database),
+            free_bytes: u64::try_from(free).unwrap_or(0),
+            wal_bytes: length(Path::new(&log)),
+            disk_free_bytes: 0,
+        };
+        match free_bytes(database) {
+            Ok(bytes) => self.file.disk_free_bytes = bytes,
+            Err(error) => self.problem(format!("cannot tell how full its disk is: {error}"), "look at `df`"),
+        }
+        if self.file.disk_free_bytes < LITTLE_ROOM {
+            let megabytes = self.file.disk_free_bytes >> 20;
+            self.problem(
+                format!("its disk has only {megabytes} MiB of room"),
+                "make room: nothing is stored when it is full; agents keep their events meanwhile. Retention \
+                 ([aggregator.retention]) keeps the file small",
+            );
+        }
+        if self.file.wal_bytes > LARGE_LOG {
+            let megabytes = self.file.wal_bytes >> 20;
+            self.notice(
+                format!("the log beside it has {megabytes} MiB"),
+                "some program reads the file for very long, a backup or a shell: end it, and the log is reused",
+            );
+        }
+    }
+
+    async fn check(&mut self, connection: &mut SqliteConnection, full: bool) {
+        self.integrity.full = full;
+        let pragma = if full { "PRAGMA integrity_check(100)" } else { "PRAGMA quick_check(100)" };
+        let answer: Result<Vec<String>, _> =
+            sqlx::query_scalar(AssertSqlSafe(pragma)).fetch_all(&mut *connection).await;
+        let said = self.or_problem("the whole file", answer);
+        self.integrity.problems = said.into_iter().filter(|line| line != "ok").collect();
+        if full {
+            let answer = sqlx::query_as(
+                "SELECT \"table\", parent, count(*) FROM pragma_foreign_key_check GROUP BY 1, 2",
+            );
+            let answer: Result<Vec<(String, String, i64)>, _> = answer.fetch_all(connection).await;
+            let lost = self.or_problem("references between tables", answer);
+            let lines = lost.into_iter().map(|(table, parent, rows)| {
+                format!("{rows} rows of {table} refer to rows of {parent} that are not there")
+            });
+            self.integrity.problems.extend(lines);
+        }
+        if let Some(first) = self.integrity.problems.first() {
+            let what = match self.integrity.problems.len() {
+                1 => format!("it is damaged: {first}"),
+                n => format!("it is damaged in {n} places, the first: {first}"),
+            };
+            self.problem(what, RESTORE);
+        }
+    }
+
+    /// Whether this program knows what the tables mean.
+    async fn tables_are_known(&mut self, connection: &mut SqliteConnection) -> bool {
+        let known = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
+        let answer = sqlx::query_as("SELECT max(version), min(success) FROM _sqlx_migrations");
+        let answer: Result<(Option<i64>, Option<bool>), _> = answer.fetch_one(connection).await;
+        let (found, whole) = match answer {
+            Ok((Some(found), whole)) => (found, whole != Some(false)),
+            Err(error) if damaged(&error) => {
+                self.problem(format!("it is damaged: cannot read which version wrote it: {error}"), RESTORE);
+                return false;
+            }
+            _ => {
+                self.problem(
+                    "it is not an aggregator's database".to_owned(),
+                    "name the file of [aggregator] database",
+                );
+                return false;
+            }
+        };
+        self.schema = Some(Schema { found, known });
+        if !whole {
+            let what = format!("bringing its schema up to {found} was interrupted");
+            self.problem(what, "restore the backup from before the update");
+        } else if found > known {
+            let what = format!("a newer version wrote it (its schema is {found}, known here is {known})");
+            self.problem(what, "update this program");
+        } else if found < known {
+            let what = format!("an older version wrote it (its schema is {found}, known here is {known})");
+            self.notice(what, "make a backup; its content is looked at after the aggregator has brought it up to date at its next start");
+        }
+        whole && found == known
+    }
+}

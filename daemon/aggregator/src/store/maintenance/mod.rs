@@ -1,0 +1,33 @@
+//! What an operator does with the file: copies of it and looks at its health, beside a running aggregator, and roll-ups
+//! made anew, without one.
+
+mod backup;
+mod doctor;
+mod rebuild;
+
+use std::path::Path;
+use std::time::Duration;
+
+use sqlx::ConnectOptions;
+use sqlx::sqlite::SqliteConnectOptions;
+
+pub use self::backup::{Backup, BackupError, Copied};
+pub use self::doctor::{
+    DoctorError, Examination, FileFigures, Finding, GapGroup, Integrity, OpenRun, QuarantineGroup, Report,
+    RollupExtent, Schema, Severity, StreamState, TableRows, examine,
+};
+pub use self::rebuild::{RebuildError, Rebuilt, rebuild_rollups};
+
+/// How long a command waits for another program that locks the file.
+const BUSY: Duration = Duration::from_secs(10);
+
+/// Settings of a connection that changes nothing.
+fn reading(path: &Path) -> SqliteConnectOptions {
+    SqliteConnectOptions::new().filename(path).read_only(true).busy_timeout(BUSY).disable_statement_logging()
+}
+
+/// Bytes that this user may still write to the disk of a file or folder.
+fn free_bytes(path: &Path) -> std::io::Result<u64> {
+    let disk = rustix::fs::statvfs(path)?;
+    Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
+}

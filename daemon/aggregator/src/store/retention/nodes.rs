@@ -1,0 +1,77 @@
+//! The oldest iterations of a run, with all that belongs to them.
+
+use sqlx::SqliteConnection;
+
+use super::{Deleted, Kind, Rest, runs};
+
+/// Iterations looked at together.
+const PAGE: i64 = 500;
+/// Nodes of an iteration, as a first guess.
+const NODES: u64 = 32;
+/// What an iteration costs beside its nodes, in nodes: two indexes and two more tables.
+const ITERATION: u64 = 4;
+
+/// ?1 run, ?2 limit.
+const OLDEST: &str = "SELECT number, started_ns FROM iteration WHERE run = ?1 ORDER BY number LIMIT ?2";
+/// ?1 run, ?2 and ?3 first and last iteration; so for the others.
+const NODE: &str = "DELETE FROM node WHERE run = ?1 AND iteration BETWEEN ?2 AND ?3";
+const TRANSIT: &str = "DELETE FROM transit WHERE run = ?1 AND iteration BETWEEN ?2 AND ?3";
+const ANCHOR: &str = "DELETE FROM anchor WHERE run = ?1 AND iteration BETWEEN ?2 AND ?3";
+const ITERATIONS: &str = "DELETE FROM iteration WHERE run = ?1 AND number BETWEEN ?2 AND ?3";
+/// ?1 run, ?2 the last iteration that is gone.
+const NODES_FROM: &str = "UPDATE run SET nodes_from = max(nodes_from, ?2) WHERE number = ?1";
+
+#[cfg(test)]
+pub(super) const STATEMENTS: [(&str, &str); 6] = [
+    ("OLDEST", OLDEST),
+    ("NODE", NODE),
+    ("TRANSIT", TRANSIT),
+    ("ANCHOR", ANCHOR),
+    ("ITERATIONS", ITERATIONS),
+    ("NODES_FROM", NODES_FROM),
+];
+
+/// Deletes iterations that began before a second, from the lowest number up, of about so many rows.
+///
+/// Numbers rise with true time, so an iteration that seems young before one that is old is old: the clock was set back.
+pub(super) async fn delete(
+    connection: &mut SqliteConnection,
+    run: i64,
+    before_s: i64,
+    rows: u64,
+) -> Result<Deleted, sqlx::Error> {
+    let mut deleted = 0;
+    let mut per_iteration = NODES;
+    loop {
+        let page: Vec<(i64, i64)> =
+            sqlx::query_as(OLDEST).bind(run).bind(PAGE).fetch_all(&mut *connection).await?;
+        let seconds = |(_, started_ns): &(i64, i64)| started_ns.div_euclid(1_000_000_000);
+        let Some(first) = page.first() else { return Ok(Deleted { rows: deleted, rest: Rest::Nothing }) };
+        let Some(last) = page.iter().rposition(|iteration| seconds(iteration) < before_s) else {
+            return Ok(Deleted { rows: deleted, rest: Rest::Begins(seconds(first)) });
+        };
+        let mut old = &page[..=last];
+        while let Some((from, _)) = old.first()
+            && deleted < rows
+        {
+            let together =
+                usize::try_from((rows - deleted) / per_iteration).unwrap_or(usize::MAX).clamp(1, old.len());
+            let (now, later) = old.split_at(together);
+            let through = now.last().map_or(*from, |(number, _)| *number);
+            let mut gone = now.len() as u64 * ITERATION;
+            for table in [NODE, TRANSIT, ANCHOR, ITERATIONS] {
+                let done = sqlx::query(table).bind(run).bind(from).bind(through);
+                gone += done.execute(&mut *connection).await?.rows_affected();
+            }
+            let newest_s = now.iter().map(seconds).max().unwrap_or(i64::MIN);
+            runs::trimmed(connection, Kind::Nodes, run, newest_s.saturating_add(1)).await?;
+            sqlx::query(NODES_FROM).bind(run).bind(through).execute(&mut *connection).await?;
+            per_iteration = (gone / now.len() as u64).max(1);
+            deleted += gone;
+            old = later;
+        }
+        if deleted >= rows {
+            return Ok(Deleted { rows: deleted, rest: Rest::Old });
+        }
+    }
+}

@@ -1,0 +1,167 @@
+//! Which run is next, and what is remembered of it.
+
+use peernet_clock::WallTime;
+use sqlx::SqliteConnection;
+
+use super::{Deleted, Kind, RUNS, Rest, buckets, nodes};
+
+/// Pins a run, so that nothing of it is deleted, or lets it go: its periods count from now then. False when there is no
+/// such run. What was deleted before stays deleted.
+pub(crate) async fn pin(
+    connection: &mut SqliteConnection,
+    run: i64,
+    pinned: bool,
+) -> Result<bool, sqlx::Error> {
+    let done = sqlx::query(PIN).bind(run).bind(pinned).execute(connection).await?;
+    Ok(done.rows_affected() > 0)
+}
+
+/// Something of this kind has to go in its time, counted from now, unless the run is pinned.
+pub(crate) async fn release(
+    connection: &mut SqliteConnection,
+    kind: Kind,
+    run: i64,
+) -> Result<(), sqlx::Error> {
+    sqlx::query(RELEASE).bind(kind.number()).bind(run).execute(connection).await?;
+    Ok(())
+}
+
+/// Triggers see to the table `retained`: ?1 run, ?2 0 or 1.
+const PIN: &str = "UPDATE run SET pinned = ?2 WHERE number = ?1";
+/// ?1 kind, ?2 run.
+const RELEASE: &str =
+    "INSERT OR IGNORE INTO retained (kind, run) SELECT ?1, number FROM run WHERE number = ?2 AND pinned = 0";
+const ARRIVED: &str =
+    "SELECT EXISTS (SELECT 1 FROM retained WHERE kind IN (0, 1, 10, 60, 3600) AND look_s IS NULL)";
+/// ?1 kind, ?2 now, ?3 limit.
+const ARRIVE: &str = "UPDATE retained SET look_s = ?2 WHERE kind = ?1 AND run IN \
+     (SELECT run FROM retained WHERE kind = ?1 AND look_s IS NULL LIMIT ?3)";
+/// The run whose period began first: ?1 kind, ?2 only before this second.
+const NEXT: &str = "SELECT run FROM retained WHERE kind = ?1 AND look_s < ?2 ORDER BY look_s LIMIT 1";
+/// ?1 kind, ?2 run, ?3 second.
+const LATER: &str = "UPDATE retained SET look_s = ?3 WHERE kind = ?1 AND run = ?2";
+/// ?1 kind, ?2 run.
+const SETTLE: &str = "DELETE FROM retained WHERE kind = ?1 AND run = ?2";
+/// ?1 run.
+const SETTLED: &str = "UPDATE run SET settled = 1 WHERE number = ?1";
+/// ?1 run.
+const ENDED: &str = "SELECT ended_ns IS NOT NULL FROM run WHERE number = ?1";
+/// ?1 run, ?2 kind, ?3 second.
+const TRIMMED: &str = "INSERT INTO trimmed (run, kind, before_s) VALUES (?1, ?2, ?3) \
+     ON CONFLICT DO UPDATE SET before_s = max(before_s, excluded.before_s)";
+
+#[cfg(test)]
+pub(super) const STATEMENTS: [(&str, &str); 10] = [
+    ("PIN", PIN),
+    ("RELEASE", RELEASE),
+    ("ARRIVED", ARRIVED),
+    ("ARRIVE", ARRIVE),
+    ("NEXT", NEXT),
+    ("LATER", LATER),
+    ("SETTLE", SETTLE),
+    ("SETTLED", SETTLED),
+    ("ENDED", ENDED),
+    ("TRIMMED", TRIMMED),
+];
+
+/// Whether there are runs that were not seen before.
+pub(super) async fn arrived(connection: &mut SqliteConnection) -> Result<bool, sqlx::Error> {
+    sqlx::query_scalar(ARRIVED).fetch_one(connection).await
+}
+
+/// Their periods count from now: a robot whose clock is behind, or that delivers what it measured weeks ago, is
+/// not deleted as it comes.
+pub(super) async fn arrive(
+    connection: &mut SqliteConnection,
+    now_s: i64,
+    rows: u64,
+) -> Result<(), sqlx::Error> {
+    let runs = i64::try_from(rows / Kind::ALL.len() as u64).unwrap_or(i64::MAX).max(1);
+    for kind in Kind::ALL {
+        let some = sqlx::query(ARRIVE).bind(kind.number()).bind(now_s).bind(runs);
+        some.execute(&mut *connection).await?;
+    }
+    Ok(())
+}
+
+/// The run of which something of this kind is due.
+pub(super) async fn next(
+    connection: &mut SqliteConnection,
+    kind: Kind,
+    before_s: i64,
+) -> Result<Option<i64>, sqlx::Error> {
+    sqlx::query_scalar(NEXT).bind(kind.number()).bind(before_s).fetch_optional(connection).await
+}
+
+/// What was done with the runs that are due.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Trimmed {
+    /// Deleted, in the cost of a small row.
+    pub(super) rows: u64,
+    /// No run is due any more.
+    pub(super) through: bool,
+}
+
+/// Deletes of one run after the other, of those that are due, what began before a second.
+pub(super) async fn trim(
+    connection: &mut SqliteConnection,
+    kind: Kind,
+    (due_s, before_s): (i64, i64),
+    now: WallTime,
+    rows: u64,
+) -> Result<Trimmed, sqlx::Error> {
+    let mut deleted = 0;
+    for _ in 0..RUNS {
+        let left = rows.saturating_sub(deleted);
+        if left == 0 {
+            break;
+        }
+        let Some(run) = next(connection, kind, due_s).await? else {
+            return Ok(Trimmed { rows: deleted, through: true });
+        };
+        let gone = match kind {
+            Kind::Nodes => nodes::delete(connection, run, before_s, left).await?,
+            Kind::Buckets(width_s) => buckets::delete(connection, run, width_s, before_s, left).await?,
+        };
+        deleted += gone.rows;
+        remember(connection, kind, run, gone, now.unix_seconds()).await?;
+    }
+    Ok(Trimmed { rows: deleted, through: false })
+}
+
+/// When to look at the run again.
+async fn remember(
+    connection: &mut SqliteConnection,
+    kind: Kind,
+    run: i64,
+    gone: Deleted,
+    now_s: i64,
+) -> Result<(), sqlx::Error> {
+    let look_s = match gone.rest {
+        Rest::Old => return Ok(()),
+        Rest::Begins(second_s) => second_s.min(now_s),
+        Rest::Nothing => {
+            let ended: Option<bool> =
+                sqlx::query_scalar(ENDED).bind(run).fetch_optional(&mut *connection).await?;
+            if ended != Some(false) {
+                sqlx::query(SETTLE).bind(kind.number()).bind(run).execute(&mut *connection).await?;
+                sqlx::query(SETTLED).bind(run).execute(connection).await?;
+                return Ok(());
+            }
+            now_s + 1
+        }
+    };
+    sqlx::query(LATER).bind(kind.number()).bind(run).bind(look_s).execute(connection).await?;
+    Ok(())
+}
+
+/// Of what began before a second, some of this kind is gone.
+pub(super) async fn trimmed(
+    connection: &mut SqliteConnection,
+    kind: Kind,
+    run: i64,
+    before_s: i64,
+) -> Result<(), sqlx::Error> {
+    sqlx::query(TRIMMED).bind(run).bind(kind.number()).bind(before_s).execute(connection).await?;
+    Ok(())
+}

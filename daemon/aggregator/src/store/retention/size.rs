@@ -1,0 +1,102 @@
+//! The limit of the file's size.
+
+use peernet_clock::{Span, WallTime};
+use sqlx::SqliteConnection;
+
+use super::runs::Trimmed;
+use super::{Kind, runs};
+
+/// What goes, in this order. Hours and whole runs stay.
+const ORDER: [Kind; 4] = [Kind::Nodes, Kind::Buckets(1), Kind::Buckets(10), Kind::Buckets(60)];
+/// When there is nothing left to delete, it is not looked again for so long.
+const PAUSE: Span = Span::from_seconds(60);
+
+/// Bytes in use; free pages are used again before the file grows.
+const USED: &str = "SELECT (page_count - freelist_count) * page_size \
+     FROM pragma_page_count, pragma_freelist_count, pragma_page_size";
+
+/// Keeps what the file uses below a limit.
+#[derive(Debug)]
+pub(super) struct SizeLimit {
+    /// Bytes; 0 for none.
+    limit: u64,
+    told: bool,
+    told_in_vain: bool,
+    /// When nothing was found to delete.
+    in_vain: Option<WallTime>,
+}
+
+impl SizeLimit {
+    pub(super) const fn new(limit: u64) -> Self {
+        Self { limit, told: false, told_in_vain: false, in_vain: None }
+    }
+
+    /// Whether something has to go.
+    pub(super) async fn exceeded(
+        &self,
+        connection: &mut SqliteConnection,
+        now: WallTime,
+    ) -> Result<bool, sqlx::Error> {
+        let in_vain = self.in_vain.is_some_and(|at| now >= at && now < at + PAUSE);
+        Ok(self.limit > 0 && !in_vain && used_bytes(connection).await? > self.limit)
+    }
+
+    /// Deletes the oldest of what may go, whatever its age.
+    pub(super) async fn reduce(
+        &mut self,
+        connection: &mut SqliteConnection,
+        now: WallTime,
+        rows: u64,
+    ) -> Result<(), sqlx::Error> {
+        for kind in ORDER {
+            // Runs of which nothing is left are looked at again from the next second on.
+            let due_s = now.unix_seconds() + 1;
+            let Trimmed { rows: deleted, through } =
+                runs::trim(connection, kind, (due_s, i64::MAX), now, rows).await?;
+            if deleted > 0 {
+                if !self.told {
+                    tracing::warn!(
+                        limit_bytes = self.limit,
+                        "the database is at [aggregator.retention] size_limit_bytes: the oldest data is deleted before \
+                         its time; raise the limit, or ask for shorter periods"
+                    );
+                    self.told = true;
+                }
+                self.in_vain = None;
+                return note(connection, now, deleted).await;
+            }
+            if !through {
+                return Ok(());
+            }
+        }
+        if !self.told_in_vain {
+            tracing::warn!(
+                limit_bytes = self.limit,
+                "the database is above [aggregator.retention] size_limit_bytes, and nothing is left that may be deleted: \
+                 the rest is pinned runs and statistics of hours and whole runs; unpin runs or raise the limit"
+            );
+            self.told_in_vain = true;
+        }
+        self.in_vain = Some(now);
+        Ok(())
+    }
+}
+
+/// Bytes that the file uses, free pages left out.
+async fn used_bytes(connection: &mut SqliteConnection) -> Result<u64, sqlx::Error> {
+    let bytes: i64 = sqlx::query_scalar(USED).fetch_one(connection).await?;
+    Ok(bytes.unsigned_abs())
+}
+
+/// For `peernetd doctor`.
+async fn note(connection: &mut SqliteConnection, now: WallTime, rows: u64) -> Result<(), sqlx::Error> {
+    sqlx::query(
+        "INSERT INTO retention_note (what, first_ns, last_ns, count) VALUES ('size-limit', ?1, ?1, ?2) \
+         ON CONFLICT DO UPDATE SET last_ns = excluded.last_ns, count = count + excluded.count",
+    )
+    .bind(now.unix_nanos())
+    .bind(i64::try_from(rows).unwrap_or(i64::MAX))
+    .execute(connection)
+    .await?;
+    Ok(())
+}

@@ -1,0 +1,173 @@
+//! Counters of hosts and runs: added up over a transaction, written at its end.
+
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
+
+use peernet_clock::WallTime;
+use peernet_logger::HostId;
+use peernet_logger::stream::OutcomeCounts;
+use sqlx::{Arguments, SqliteConnection};
+
+use super::ends::LEFT;
+use super::insert::Insert;
+use super::prepared::RunPart;
+use crate::picture::Stored;
+
+/// Hosts whose counters are kept in memory; beyond, all are forgotten and read again when needed.
+const MOST_HOSTS: usize = 10_000;
+
+/// What a transaction adds to the counters of a host.
+#[derive(Debug, Default)]
+pub(super) struct HostCounts {
+    id: i64,
+    added: Stored,
+    pub(super) newest: Option<WallTime>,
+}
+
+#[derive(Debug, Default)]
+struct RunCounts {
+    outcomes: OutcomeCounts,
+    warm_up: u64,
+    last: WallTime,
+}
+
+/// What a transaction adds, and the hosts' counters as they will stand after it.
+#[derive(Debug)]
+pub(super) struct Counters {
+    hosts: HashMap<HostId, HostCounts>,
+    runs: HashMap<i64, RunCounts>,
+    totals: HashMap<i64, Stored>,
+    write_hosts: Insert,
+    write_runs: Insert,
+}
+
+impl Default for Counters {
+    fn default() -> Self {
+        Self {
+            hosts: HashMap::new(),
+            runs: HashMap::new(),
+            totals: HashMap::new(),
+            // Whole counts and no sums: what an agent claims to be missing may not overflow a column.
+            write_hosts: Insert::new(
+                "UPDATE host SET last_seen_ns = now.column2, events = now.column3, nodes = now.column4, \
+                 gaps = now.column5, missing = now.column6, quarantined = now.column7 FROM (",
+                7,
+                ") AS now WHERE host.id = now.column1",
+            ),
+            write_runs: Insert::new(
+                "UPDATE run SET warm_up = warm_up + more.column2, ok = ok + more.column3, \
+                 failed = failed + more.column4, lost = lost + more.column5, timeout = timeout + more.column6, \
+                 last_iteration_ns = max(coalesce(last_iteration_ns, more.column7), more.column7), \
+                 ended_ns = iif(end_reason = more.column8, max(ended_ns, more.column7), ended_ns) FROM (",
+                8,
+                ") AS more WHERE run.number = more.column1",
+            ),
+        }
+    }
+}
+
+impl Counters {
+    /// What the transaction adds to a host, whose row has that id.
+    pub(super) fn host(&mut self, host: HostId, id: i64) -> &mut HostCounts {
+        let counts = self.hosts.entry(host).or_default();
+        counts.id = id;
+        counts
+    }
+
+    /// Adds to a run.
+    pub(super) fn run(&mut self, run: i64, part: &RunPart) {
+        let counts = self.runs.entry(run).or_default();
+        counts.outcomes.merge(&part.outcomes);
+        counts.warm_up += part.warm_up;
+        counts.last = counts.last.max(part.last);
+    }
+
+    /// Writes all of it; returns what the database then holds of the hosts, and their newest moments.
+    pub(super) async fn write(
+        &mut self,
+        connection: &mut SqliteConnection,
+        now: WallTime,
+    ) -> Result<HashMap<HostId, (Stored, Option<WallTime>)>, sqlx::Error> {
+        self.write_runs
+            .run(connection, &self.runs, |(run, counts), to| {
+                to.add(*run)?;
+                to.add(column(counts.warm_up))?;
+                to.add(column(counts.outcomes.ok))?;
+                to.add(column(counts.outcomes.failed))?;
+                to.add(column(counts.outcomes.lost))?;
+                to.add(column(counts.outcomes.timeout))?;
+                to.add(counts.last.unix_nanos())?;
+                to.add(LEFT)
+            })
+            .await?;
+        self.runs.clear();
+        if self.totals.len() > MOST_HOSTS {
+            self.totals.clear();
+        }
+        let mut hosts = Vec::with_capacity(self.hosts.len());
+        for (host, counts) in self.hosts.drain() {
+            let total = match self.totals.entry(counts.id) {
+                Entry::Occupied(known) => known.into_mut(),
+                Entry::Vacant(place) => place.insert(total(connection, counts.id).await?),
+            };
+            total.add(&counts.added);
+            hosts.push((host, counts.id, *total, counts.newest));
+        }
+        self.write_hosts
+            .run(connection, &hosts, |(_, id, total, _), to| {
+                to.add(*id)?;
+                to.add(now.unix_nanos())?;
+                to.add(column(total.events))?;
+                to.add(column(total.nodes))?;
+                to.add(column(total.gaps))?;
+                to.add(column(total.missing))?;
+                to.add(column(total.quarantined))
+            })
+            .await?;
+        Ok(hosts.into_iter().map(|(host, _, total, newest)| (host, (total, newest))).collect())
+    }
+
+    /// Forgets what is only in memory: the transaction did not end well.
+    pub(super) fn forget(&mut self) {
+        self.hosts.clear();
+        self.runs.clear();
+        self.totals.clear();
+    }
+}
+
+impl HostCounts {
+    pub(super) fn add(&mut self, more: &Stored) {
+        self.added.add(more);
+    }
+}
+
+impl Stored {
+    /// From the columns of `host`: events, nodes, gaps, missing, quarantined.
+    pub(super) fn of_columns((events, nodes, gaps, missing, quarantined): (i64, i64, i64, i64, i64)) -> Self {
+        let [events, nodes, gaps, missing, quarantined] =
+            [events, nodes, gaps, missing, quarantined].map(|count| u64::try_from(count).unwrap_or(0));
+        Self { events, nodes, gaps, missing, duplicates: 0, quarantined }
+    }
+
+    fn add(&mut self, more: &Self) {
+        let Self { events, nodes, gaps, missing, duplicates: _, quarantined } = more;
+        self.events = self.events.saturating_add(*events);
+        self.nodes = self.nodes.saturating_add(*nodes);
+        self.gaps = self.gaps.saturating_add(*gaps);
+        self.missing = self.missing.saturating_add(*missing);
+        self.quarantined = self.quarantined.saturating_add(*quarantined);
+    }
+}
+
+async fn total(connection: &mut SqliteConnection, host: i64) -> Result<Stored, sqlx::Error> {
+    let counts: (i64, i64, i64, i64, i64) =
+        sqlx::query_as("SELECT events, nodes, gaps, missing, quarantined FROM host WHERE id = ?")
+            .bind(host)
+            .fetch_one(connection)
+            .await?;
+    Ok(Stored::of_columns(counts))
+}
+
+fn column(count: u64) -> i64 {
+    i64::try_from(count).unwrap_or(i64::MAX)
+}

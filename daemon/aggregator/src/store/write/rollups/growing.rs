@@ -1,0 +1,137 @@
+//! The buckets of one run that may still grow.
+
+use std::collections::BTreeMap;
+
+use peernet_statistics::{Moments, Sketch, Summary};
+use sqlx::SqliteConnection;
+
+use super::table::{self, RollupRow};
+use super::{Added, Series, WHOLE_RUN, WIDTHS_S, bucket};
+
+/// Buckets of a width kept beside the newest one: iterations end in another order than they began in.
+const KEPT: usize = 2;
+/// Bytes of a run beside those of its rows, about.
+const OVERHEAD: usize = 512;
+
+/// A summary in the form in which it is stored, which is far smaller than the one for counting.
+#[derive(Clone, Debug)]
+pub(super) struct Packed {
+    pub(super) moments: Moments,
+    pub(super) sketch: Vec<u8>,
+}
+
+impl Packed {
+    pub(super) fn of(summary: &Summary) -> Self {
+        Self { moments: summary.moments, sketch: summary.sketch.to_bytes() }
+    }
+
+    fn add(&mut self, summary: &Summary) -> Result<(), sqlx::Error> {
+        let mut sketch =
+            Sketch::from_bytes(&self.sketch).map_err(|error| sqlx::Error::Decode(error.into()))?;
+        sketch.merge(&summary.sketch);
+        self.moments.merge(&summary.moments);
+        self.sketch = sketch.to_bytes();
+        Ok(())
+    }
+
+    fn bytes(&self) -> usize {
+        size_of::<(Series, Self)>() + self.sketch.capacity()
+    }
+}
+
+/// One width.
+#[derive(Debug)]
+struct Width {
+    /// All rows of each bucket, by series. A bucket that is here is whole.
+    buckets: BTreeMap<i64, Vec<(Series, Packed)>>,
+    /// From here on the database has nothing that is not in `buckets`.
+    known_from: i64,
+}
+
+/// What is kept of a run.
+#[derive(Debug)]
+pub(super) struct Growing {
+    run: i64,
+    /// In the order of [`WIDTHS_S`], and the whole run.
+    widths: [Width; WIDTHS_S.len() + 1],
+    bytes: usize,
+    turn: u64,
+}
+
+impl Growing {
+    /// What the database has of a run: how far its buckets reach, no more.
+    pub(super) async fn of(connection: &mut SqliteConnection, run: i64) -> Result<Self, sqlx::Error> {
+        let newest = table::newest_buckets(connection, run).await?;
+        let widths = newest.map(|newest| Width {
+            buckets: BTreeMap::new(),
+            known_from: newest.map_or(i64::MIN, |newest| newest.saturating_add(1)),
+        });
+        Ok(Self { run, widths, bytes: OVERHEAD, turn: 0 })
+    }
+
+    pub(super) const fn bytes(&self) -> usize {
+        self.bytes
+    }
+
+    /// When it was written last.
+    pub(super) const fn turn(&self) -> u64 {
+        self.turn
+    }
+
+    /// Adds to the buckets of a width; `rows` get what they are then.
+    pub(super) async fn add(
+        &mut self,
+        connection: &mut SqliteConnection,
+        width_s: i64,
+        added: &[Added],
+        rows: &mut Vec<RollupRow>,
+    ) -> Result<(), sqlx::Error> {
+        let at = WIDTHS_S.iter().position(|known| *known == width_s).unwrap_or(WIDTHS_S.len());
+        let width = &mut self.widths[at];
+        let mut unknown: Vec<i64> = added
+            .iter()
+            .map(|(_, bucket_s, _)| *bucket_s)
+            .filter(|bucket_s| *bucket_s < width.known_from && !width.buckets.contains_key(bucket_s))
+            .collect();
+        unknown.sort_unstable();
+        unknown.dedup();
+        if !unknown.is_empty() {
+            for row in table::read_buckets(connection, self.run, width_s, &unknown).await? {
+                let (bucket_s, series, packed) = row.into_parts();
+                width.buckets.entry(bucket_s).or_default().push((series, packed));
+            }
+        }
+        for (series, bucket_s, summary) in added {
+            let bucket = width.buckets.entry(*bucket_s).or_default();
+            let at = match bucket.binary_search_by_key(series, |(series, _)| *series) {
+                Ok(at) => {
+                    bucket[at].1.add(summary)?;
+                    at
+                }
+                Err(at) => {
+                    bucket.insert(at, (*series, Packed::of(summary)));
+                    at
+                }
+            };
+            let packed = bucket[at].1.clone();
+            rows.push(RollupRow::new((self.run, width_s, *bucket_s), *series, packed));
+        }
+        Ok(())
+    }
+
+    /// Keeps the newest buckets of each width only.
+    pub(super) fn shrink(&mut self, turn: u64) {
+        self.turn = turn;
+        for width in &mut self.widths {
+            while width.buckets.len() > KEPT
+                && let Some((bucket_s, _)) = width.buckets.pop_first()
+            {
+                width.known_from = width.known_from.max(bucket_s.saturating_add(1));
+            }
+        }
+        let rows = self.widths.iter().flat_map(|width| width.buckets.values().flatten());
+        self.bytes = OVERHEAD + rows.map(|(_, packed)| packed.bytes()).sum::<usize>();
+    }
+}
+
+const _: () = assert!(bucket(-1, 10) == -10 && bucket(59, 60) == 0 && bucket(7, WHOLE_RUN) == 0);

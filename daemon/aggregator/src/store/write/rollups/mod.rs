@@ -1,0 +1,220 @@
+//! Statistics that grow with the nodes, in the same transaction.
+//!
+//! What a row costs is what limits a thousand agents: each of them touches a bucket of every width and name in each
+//! commit. So a commit's numbers are summed up before the rows are touched; nothing is read for a bucket that is
+//! certainly new; the buckets that still grow are kept in memory in the form in which they are stored; and all rows go
+//! into a few large statements, in the order of the table's key.
+
+mod growing;
+mod table;
+
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
+use std::sync::Arc;
+
+use peernet_statistics::Summary;
+use sqlx::SqliteConnection;
+
+use self::growing::Growing;
+#[cfg(test)]
+pub(crate) use self::table::QUESTIONS;
+pub(crate) use self::table::RollupRow;
+use self::table::Upserts;
+
+/// Widths of the buckets in seconds, finest first.
+pub(crate) const WIDTHS_S: [i64; 4] = [1, 10, 60, 3600];
+/// Stands for the whole run where a width is asked for.
+pub(crate) const WHOLE_RUN: i64 = 0;
+/// Bytes of growing buckets kept in memory; beyond, the runs that were written least recently are read again when
+/// needed. Enough for some thousand runs with usual trees.
+const MOST_BYTES: usize = 96 << 20;
+
+/// What is summed up of a node.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub(crate) enum Quantity {
+    /// Its value.
+    Value = 0,
+    /// Half the width of its bounds.
+    HalfWidth = 1,
+}
+
+/// What is summed up together, beside the bucket.
+type Series = (i64, Quantity);
+
+/// What is added to a bucket: series, the bucket's begin, numbers.
+type Added = (Series, i64, Arc<Summary>);
+
+/// The begin of the bucket of a width that a second falls into.
+pub(crate) const fn bucket(second_s: i64, width_s: i64) -> i64 {
+    if width_s == WHOLE_RUN { 0 } else { second_s - second_s.rem_euclid(width_s) }
+}
+
+/// The summaries that current runs write to.
+#[derive(Debug, Default)]
+pub(crate) struct Rollups {
+    /// What the current transaction adds, by run, second and series.
+    fresh: HashMap<(i64, i64, Series), Summary>,
+    verdicts: HashMap<(i64, i64, u8), i64>,
+    /// By run, as they stand in the database, or will when the transaction ends well.
+    growing: HashMap<i64, Growing>,
+    /// Of all that grows.
+    bytes: usize,
+    /// Counts transactions: who was written least recently.
+    turn: u64,
+    upserts: Upserts,
+    scope: Scope,
+}
+
+/// Which buckets are written.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) enum Scope {
+    /// All.
+    #[default]
+    All,
+    /// Those that begin at this second or later, and not the whole run: what came before is no longer there.
+    From(i64),
+    /// Minutes and hours: the others are there.
+    Coarser,
+}
+
+impl Scope {
+    pub(crate) const fn covers(self, width_s: i64, bucket_s: i64) -> bool {
+        match self {
+            Self::All => true,
+            Self::From(second_s) => width_s != WHOLE_RUN && bucket_s >= second_s,
+            Self::Coarser => width_s >= 60,
+        }
+    }
+}
+
+impl Rollups {
+    /// Writes some buckets only.
+    pub(crate) fn of(scope: Scope) -> Self {
+        Self { scope, ..Self::default() }
+    }
+
+    /// Adds what iterations of a run that began in one second showed of a name.
+    pub(crate) fn merge(
+        &mut self,
+        run: i64,
+        name: i64,
+        quantity: Quantity,
+        second_s: i64,
+        summary: &Summary,
+    ) {
+        if summary.count() == 0 {
+            return;
+        }
+        match self.fresh.entry((run, second_s, (name, quantity))) {
+            Entry::Occupied(mut known) => known.get_mut().merge(summary),
+            Entry::Vacant(place) => {
+                place.insert(summary.clone());
+            }
+        }
+    }
+
+    /// Counts how often a verdict was given.
+    pub(crate) fn judge(&mut self, run: i64, name: i64, verdict: u8, count: u64) {
+        *self.verdicts.entry((run, name, verdict)).or_default() += count.cast_signed();
+    }
+
+    /// How many summaries wait to be written.
+    pub(crate) fn waiting(&self) -> usize {
+        self.fresh.len()
+    }
+
+    /// Writes what was added since the last time.
+    pub(crate) async fn write(&mut self, connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
+        self.turn += 1;
+        let mut fresh: Vec<(i64, Added)> = self
+            .fresh
+            .drain()
+            .map(|((run, second_s, series), summary)| (run, (series, second_s, Arc::new(summary))))
+            .collect();
+        fresh.sort_unstable_by_key(|(run, (series, second_s, _))| (*run, *series, *second_s));
+        let mut rows = Vec::with_capacity(fresh.len() * (WIDTHS_S.len() + 1));
+        for of_run in fresh.chunk_by(|(a, _), (b, _)| a == b) {
+            let Some((run, _)) = of_run.first() else { continue };
+            let mut growing = match self.growing.remove(run) {
+                Some(growing) => {
+                    self.bytes -= growing.bytes();
+                    growing
+                }
+                None => Growing::of(connection, *run).await?,
+            };
+            let begin = rows.len();
+            let mut added: Vec<Added> = of_run.iter().map(|(_, added)| added.clone()).collect();
+            for width_s in WIDTHS_S.into_iter().chain([WHOLE_RUN]) {
+                added = coarser(&added, width_s);
+                let covered = |(_, bucket_s, _): &&Added| self.scope.covers(width_s, *bucket_s);
+                let covered: Vec<Added> = added.iter().filter(covered).cloned().collect();
+                growing.add(connection, width_s, &covered, &mut rows).await?;
+            }
+            rows[begin..].sort_unstable_by_key(RollupRow::key);
+            growing.shrink(self.turn);
+            self.bytes += growing.bytes();
+            self.growing.insert(*run, growing);
+        }
+        self.upserts.rollups(connection, rows).await?;
+        let mut verdicts: Vec<_> = self.verdicts.drain().collect();
+        verdicts.sort_unstable();
+        self.upserts.verdicts(connection, &verdicts).await?;
+        self.evict(MOST_BYTES);
+        Ok(())
+    }
+
+    /// Forgets what is only in memory: the transaction did not end well.
+    pub(crate) fn forget(&mut self) {
+        self.fresh.clear();
+        self.verdicts.clear();
+        self.growing.clear();
+        self.bytes = 0;
+    }
+
+    /// Forgets runs that were written least recently, until a tenth below the limit.
+    fn evict(&mut self, most: usize) {
+        if self.bytes <= most {
+            return;
+        }
+        let mut by_age: Vec<_> =
+            self.growing.iter().map(|(run, growing)| (growing.turn(), *run, growing.bytes())).collect();
+        by_age.sort_unstable();
+        for (_, run, bytes) in by_age {
+            if self.bytes <= most - most / 10 {
+                break;
+            }
+            self.growing.remove(&run);
+            self.bytes -= bytes;
+        }
+    }
+
+    /// Bytes of growing buckets in memory, about.
+    #[cfg(test)]
+    pub(crate) fn bytes(&self) -> usize {
+        self.bytes
+    }
+
+    /// Forgets all but so many bytes of runs.
+    #[cfg(test)]
+    pub(crate) fn keep(&mut self, bytes: usize) {
+        self.evict(bytes);
+    }
+}
+
+/// Buckets of a width from narrower ones; both in the order of series and time.
+fn coarser(finer: &[Added], width_s: i64) -> Vec<Added> {
+    let key = |(series, bucket_s, _): &Added| (*series, bucket(*bucket_s, width_s));
+    finer
+        .chunk_by(|a, b| key(a) == key(b))
+        .filter_map(|of_bucket| {
+            let [first, others @ ..] = of_bucket else { return None };
+            let (series, bucket_s) = key(first);
+            let mut all = Arc::clone(&first.2);
+            if !others.is_empty() {
+                let all = Arc::make_mut(&mut all);
+                others.iter().for_each(|(_, _, summary)| all.merge(summary));
+            }
+            Some((series, bucket_s, all))
+        })
+        .collect()
+}

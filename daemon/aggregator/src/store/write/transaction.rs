@@ -1,0 +1,201 @@
+//! One transaction: the work of many hosts, from `BEGIN` to `COMMIT`.
+
+use std::collections::HashMap;
+
+use peernet_clock::WallTime;
+use peernet_logger::stream::{BatchHead, Event, Mark, Missing, StreamId};
+use sqlx::SqliteConnection;
+
+use super::aside::Rejected;
+use super::clock::Links;
+use super::counters::Counters;
+use super::ends::Ends;
+use super::entities::Entities;
+use super::names::Names;
+use super::prepared::{Prepared, Step};
+use super::rollups::Rollups;
+use super::rows::{Inserts, Resolved};
+use super::streams::Moved;
+use super::{Committed, Introduction, Refusal, Work, records};
+use crate::picture::Stored;
+
+/// What transactions are made with: what is known of the small tables, and what waits to be written at the end.
+#[derive(Debug, Default)]
+pub(super) struct Staging {
+    pub(super) names: Names,
+    entities: Entities,
+    inserts: Inserts,
+    rollups: Rollups,
+    counters: Counters,
+    moved: Moved,
+    ends: Ends,
+    links: Links,
+}
+
+impl Staging {
+    pub(super) fn new(names: Names) -> Self {
+        Self { names, ..Self::default() }
+    }
+
+    /// Stores all of `work`. With `aside` its batches go to the quarantine for that reason. `marks` are as committed.
+    pub(super) async fn run(
+        &mut self,
+        connection: &mut SqliteConnection,
+        work: &[Work],
+        marks: &HashMap<StreamId, Mark>,
+        now: WallTime,
+        aside: Option<&str>,
+    ) -> Result<Committed, Refusal> {
+        sqlx::query("BEGIN IMMEDIATE").execute(&mut *connection).await?;
+        let mut committed = Committed::default();
+        let mut batches = Vec::new();
+        for item in work {
+            let (head, rejected) = match (item, aside) {
+                (Work::Batch(batch), None) => (batch.head, None),
+                (Work::Batch(batch), Some(reason)) => (batch.head, Some(Rejected::refused(batch, reason))),
+                (Work::Aside(aside), _) => (aside.head, Some(Rejected::aside(aside))),
+                (Work::Missing(missing), _) => {
+                    let Missing { host, stream, through: number, chain, process, .. } = *missing;
+                    // Only who it is, and what it is marked with.
+                    let head = BatchHead { host, stream, process, number, before: chain, chain, events: 0 };
+                    (head, None)
+                }
+                // Nothing of a greeting can be put aside: the batches that follow bring the host's row.
+                (Work::Hello(_) | Work::Goodbye(_) | Work::Name(_), Some(_)) => continue,
+                (Work::Hello(came), None) => {
+                    self.introduce(connection, came, now).await?;
+                    continue;
+                }
+                (Work::Goodbye(host), None) => {
+                    let id = self.entities.host(connection, *host, now).await?;
+                    self.ends.left(connection, id).await?;
+                    continue;
+                }
+                (Work::Name(name), None) => {
+                    self.entities.name_run(connection, name, now).await?;
+                    continue;
+                }
+            };
+            let mark = self.moved.stored(head.stream).or_else(|| marks.get(&head.stream).copied());
+            if let Some(mark) = mark.filter(|mark| head.number <= mark.stored) {
+                // Came again before its acknowledgement: stored once.
+                committed.marks.insert(head.stream, mark);
+                continue;
+            }
+            let host = self.entities.host(connection, head.host, now).await?;
+            let added = match (item, rejected) {
+                (_, Some(rejected)) => {
+                    let reason = rejected.reason().to_owned();
+                    let added = rejected.put(connection, &mut self.entities, host, now).await?;
+                    committed.quarantined.push((head, reason));
+                    added
+                }
+                (Work::Batch(batch), None) => {
+                    batches.push(self.resolve(connection, batch, host, now).await?);
+                    let counts = self.counters.host(head.host, host);
+                    counts.newest = counts.newest.max(batch.newest);
+                    batch.added
+                }
+                (Work::Missing(missing), None) => {
+                    records::missing(connection, host, missing, now).await?;
+                    records::one_gap()
+                }
+                _ => continue,
+            };
+            self.counters.host(head.host, host).add(&added);
+            self.moved.mark(host, head);
+        }
+        committed.nodes = batches.iter().map(|batch| batch.batch.nodes.len() as u64).sum();
+        // Rows of one run stand beside each other in the tables.
+        batches.sort_by_key(|batch| batch.runs.first().copied());
+        self.inserts.run(connection, &batches, &mut self.rollups).await?;
+        self.rollups.write(connection).await?;
+        committed.hosts = self.counters.write(connection, now).await?;
+        self.ends.write(connection).await?;
+        committed.marks.extend(self.moved.write(connection, now).await?);
+        sqlx::query("COMMIT").execute(connection).await?;
+        committed.runs = self.entities.take_met();
+        committed.unknown = self.entities.take_unknown();
+        Ok(committed)
+    }
+
+    async fn introduce(
+        &mut self,
+        connection: &mut SqliteConnection,
+        came: &Introduction,
+        now: WallTime,
+    ) -> Result<(), Refusal> {
+        let id = self.entities.introduce(connection, &came.host, now).await?;
+        self.ends.process(connection, id, came.process).await?;
+        let holes = self.moved.introduce(connection, id, came, now).await?;
+        let counts = self.counters.host(came.host.id, id);
+        counts.add(&Stored { gaps: holes, ..Stored::default() });
+        Ok(())
+    }
+
+    /// Does what a batch wants to have done one by one, and finds the numbers of what its rows refer to.
+    async fn resolve<'a>(
+        &mut self,
+        connection: &mut SqliteConnection,
+        batch: &'a Prepared,
+        host: i64,
+        now: WallTime,
+    ) -> Result<Resolved<'a>, Refusal> {
+        let mut runs = vec![0; batch.runs.len()];
+        for step in &batch.steps {
+            match step {
+                Step::Event(event) => self.event(connection, event, host, now).await?,
+                Step::Run(run, started) => {
+                    let (place, part) = (&mut runs[*run as usize], &batch.runs[*run as usize]);
+                    *place = self.entities.run_of(connection, host, part.id, *started).await?.number;
+                }
+            }
+        }
+        let mut names = Vec::with_capacity(batch.names.len());
+        for key in &batch.names {
+            names.push(self.names.id(connection, key).await?);
+        }
+        let mut hosts = Vec::with_capacity(batch.hosts.len());
+        for host in &batch.hosts {
+            hosts.push(self.entities.host(connection, *host, now).await?);
+        }
+        for (part, run) in batch.runs.iter().zip(&runs) {
+            self.counters.run(*run, part);
+        }
+        Ok(Resolved { batch, runs, names, hosts })
+    }
+
+    async fn event(
+        &mut self,
+        connection: &mut SqliteConnection,
+        event: &Event,
+        host: i64,
+        now: WallTime,
+    ) -> Result<(), Refusal> {
+        match event {
+            Event::RunStarted(run) => {
+                let (known, pipeline) = self.entities.run_started(connection, host, run).await?;
+                self.ends.followed(pipeline, known.number);
+                Ok(())
+            }
+            Event::RunEnded(end) => self.entities.run_ended(connection, host, end).await,
+            Event::Incident(incident) => {
+                records::incident(connection, &mut self.entities, host, incident, now).await
+            }
+            Event::Gap(gap) => records::gap(connection, &mut self.entities, host, gap).await,
+            Event::Clock(sample) => self.links.store(connection, &mut self.entities, host, sample, now).await,
+            // Has become rows.
+            Event::Iteration(_) => Ok(()),
+        }
+    }
+
+    /// Forgets what is only in memory: the transaction did not end well. The names are to be read again.
+    pub(super) fn forget(&mut self) {
+        self.entities.forget();
+        self.rollups.forget();
+        self.counters.forget();
+        self.moved.forget();
+        self.ends.forget();
+        self.links.forget();
+    }
+}

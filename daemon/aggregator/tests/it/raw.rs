@@ -1,0 +1,121 @@
+//! An agent whose every frame a test makes by hand.
+
+use std::time::Duration;
+
+use peernet_logger::stream::{
+    BatchHead, Chain, Event, Hello, PROTOCOL, StreamId, ToAgent, ToAggregator, codec,
+};
+use peernet_logger::{HostId, RunId};
+
+use crate::agent::Wire;
+use crate::bed::Bed;
+use crate::generate;
+
+/// A host with a stream of its own, and how far that has come.
+pub(crate) struct Raw {
+    pub(crate) wire: Wire,
+    pub(crate) host: HostId,
+    pub(crate) stream: StreamId,
+    pub(crate) run: RunId,
+    pub(crate) process: u64,
+    pub(crate) number: u64,
+    pub(crate) before: Chain,
+}
+
+impl Raw {
+    /// Connected, without having said hello.
+    pub(crate) async fn new(bed: &Bed) -> Self {
+        Self {
+            wire: Wire::to(&bed.address).await,
+            host: HostId::random(),
+            stream: StreamId::random(),
+            run: RunId::random(),
+            process: 1,
+            number: 0,
+            before: Chain::START,
+        }
+    }
+
+    /// Connected and welcome.
+    pub(crate) async fn welcome(bed: &Bed, name: &str) -> Self {
+        let raw = Self::new(bed).await;
+        raw.wire.send(&ToAggregator::Hello(raw.hello(name))).await;
+        assert!(matches!(raw.wire.receive().await, ToAgent::Welcome { stored: 0, chain: None, .. }));
+        raw
+    }
+
+    pub(crate) fn hello(&self, name: &str) -> Hello {
+        Hello {
+            protocol: PROTOCOL,
+            host: generate::host(self.host, name),
+            stream: self.stream,
+            previous: None,
+            first: 1,
+            oldest: self.number + 1,
+            before: self.before,
+            batch_bytes: 128 * 1024,
+            process: self.process,
+        }
+    }
+
+    /// The next batch's frame, with one iteration.
+    pub(crate) fn next(&mut self) -> Vec<u8> {
+        let mut random = generate::Numbers(self.number);
+        let hosts = (self.host, HostId::from_bytes([7; 16]));
+        let iteration = generate::iteration(self.run, self.number + 1, hosts, &mut random);
+        self.next_of(&[Event::Iteration(iteration)])
+    }
+
+    /// The next batch's frame, with these events.
+    pub(crate) fn next_of(&mut self, events: &[Event]) -> Vec<u8> {
+        self.next_with(events.len() as u32, &generate::body(events))
+    }
+
+    /// The next batch's frame, with any body: its hash is right.
+    pub(crate) fn next_with(&mut self, events: u32, body: &[u8]) -> Vec<u8> {
+        self.number += 1;
+        let (host, stream, number, before) = (self.host, self.stream, self.number, self.before);
+        self.before = before.then(events, body);
+        let (process, chain) = (self.process, self.before);
+        let head = BatchHead { host, stream, process, number, before, chain, events };
+        codec::batch_frame(&head, body, number.is_multiple_of(2))
+    }
+
+    /// Sends the next batch.
+    pub(crate) async fn send_next(&mut self) {
+        let frame = self.next();
+        self.wire.send_frame(frame).await;
+    }
+
+    pub(crate) async fn expect(&self, what: Reply) {
+        let stream = self.stream;
+        match (what, self.wire.receive().await) {
+            (Reply::Ack(number), ToAgent::Ack { stream: of, through, window }) => {
+                assert_eq!((of, through, window > 0), (stream, number, true));
+            }
+            (Reply::Resend(number), ToAgent::Resend { stream: of, from }) => {
+                assert_eq!((of, from), (stream, number));
+            }
+            (Reply::Unknown, ToAgent::Unknown) => {}
+            (what, came) => panic!("expected {what:?}, got {came:?}"),
+        }
+    }
+
+    /// Waits until so much is acknowledged, whatever else is said.
+    pub(crate) async fn until_stored_over_requests(&self, number: u64) {
+        while !matches!(self.wire.receive().await, ToAgent::Ack { through, .. } if through == number) {}
+    }
+
+    /// Whether nothing is said for a moment; a busy machine can only make it true.
+    pub(crate) async fn is_silent(&self) -> bool {
+        tokio::time::timeout(Duration::from_millis(50), self.wire.receive()).await.is_err()
+    }
+}
+
+/// What the aggregator says.
+#[derive(Debug)]
+pub(crate) enum Reply {
+    Ack(u64),
+    Resend(u64),
+    Unknown,
+}

@@ -1,0 +1,93 @@
+//! A spool in memory: what an agent keeps in its file.
+
+use std::collections::BTreeMap;
+
+use peernet_clock::Stamp;
+use peernet_logger::stream::{
+    Action, Chain, Notice, Reached, Sending, SpoolState, SpooledBatch, StreamId, Totals, Usage,
+};
+
+/// What survives the process.
+#[derive(Clone, Debug)]
+pub(crate) struct Spool {
+    pub(crate) stream: StreamId,
+    previous: Option<StreamId>,
+    first: u64,
+    /// Number and chain of the last batch that was deleted.
+    deleted: (u64, Chain),
+    batches: BTreeMap<u64, SpooledBatch>,
+    totals: Totals,
+    reached: Vec<Reached>,
+}
+
+impl Spool {
+    pub(crate) fn new() -> Self {
+        Self {
+            stream: StreamId::random(),
+            previous: None,
+            first: 1,
+            deleted: (0, Chain::START),
+            batches: BTreeMap::new(),
+            totals: Totals::default(),
+            reached: Vec::new(),
+        }
+    }
+
+    /// What it knows when it is opened.
+    pub(crate) fn state(&self) -> SpoolState {
+        let newest = self.batches.last_key_value();
+        let held = self
+            .batches
+            .values()
+            .map(|batch| Usage { events: u64::from(batch.events), bytes: batch.body.len() as u64 });
+        SpoolState {
+            stream: self.stream,
+            previous: self.previous,
+            first: self.first,
+            oldest: self.deleted.0 + 1,
+            before: self.deleted.1,
+            newest: newest.map_or(self.deleted, |(number, batch)| (*number, batch.chain)),
+            since: self.batches.first_key_value().map(|(_, batch)| batch.since),
+            held: held.fold(Usage::default(), |all, one| all + one),
+            totals: self.totals,
+            reached: self.reached.clone(),
+        }
+    }
+
+    /// Does what the state machine wants, which never fails here.
+    pub(crate) fn act(&mut self, action: Action, sending: &mut Sending, now: Stamp) -> Option<Notice> {
+        match action {
+            Action::Append { batches, totals } => {
+                self.batches.extend(batches.into_iter().map(|batch| (batch.number, batch)));
+                self.reached.retain(|old| totals.reached.is_none_or(|new| new.process != old.process));
+                self.reached.extend(totals.reached);
+                self.totals = totals;
+                sending.appended(now)
+            }
+            Action::Load { from, bytes } => {
+                let mut wanted = Vec::new();
+                let mut length = 0;
+                for batch in self.batches.range(from..).map(|(_, batch)| batch) {
+                    if !wanted.is_empty() && length + batch.body.len() > bytes {
+                        break;
+                    }
+                    length += batch.body.len();
+                    wanted.push(batch.clone());
+                }
+                sending.loaded(wanted, now)
+            }
+            Action::Delete { through, chain } => {
+                self.batches.retain(|number, _| *number > through);
+                self.deleted = (through, chain);
+                sending.deleted();
+                None
+            }
+            Action::Renew { stream, previous, first } => {
+                (self.stream, self.previous, self.first) = (stream, Some(previous), first);
+                sending.renewed(now);
+                None
+            }
+            Action::Send(_) => None,
+        }
+    }
+}

@@ -1,0 +1,265 @@
+use peernet_clock::{
+    DelaySource, Discipline, Exchange, ExchangeCounts, Interval, Offset, RehearsalDescription, RehearsedStep,
+    Span, Verdict, WallTime,
+};
+use proptest::prelude::*;
+
+use super::super::{
+    Accounting, ClockSample, DelayPoint, DelaySecond, HostClock, HostMetrics, Incident, IncidentKind,
+    LinkLive, LiveUpdate, ProbeCounts, Probing, RoundTrip,
+};
+use super::*;
+
+fn interval(lo: i64, hi: i64) -> Interval {
+    Interval { lo: Span::from_nanos(lo), hi: Span::from_nanos(hi) }
+}
+
+/// A sample with everything that one can hold.
+fn clock() -> ClockSample {
+    let at = WallTime::from_unix_nanos;
+    let exchange = Exchange {
+        sent: at(1_000),
+        received: at(-2_000),
+        replied: at(-1_500),
+        returned: at(4_000),
+        uncertainty: Span::from_nanos(2),
+    };
+    let delays = DelaySecond {
+        count: 5,
+        median: Some(DelayPoint {
+            value: Span::from_micros(600),
+            bounds: interval(500_000, 700_000),
+            bits_per_second: Some(8e6),
+        }),
+        verdict: Verdict::Limited,
+    };
+    ClockSample {
+        peer: HostId::random(),
+        peer_name: "cloud".parse().expect("a name"),
+        at: at(1_000_000_000),
+        window: u64::MAX,
+        max_drift_ppm: 50.0,
+        upper: Some(exchange),
+        lower: None,
+        offset: Some(Offset {
+            at: at(1_000_000_000),
+            estimate: Span::from_nanos(-4_000),
+            bounds: interval(-5_500, -3_000),
+            source: DelaySource::Intersection,
+            sources: vec![
+                (DelaySource::InBand, interval(-6_000, -3_000)),
+                (DelaySource::Chrony, interval(-5_500, 9)),
+            ],
+            verdict: Verdict::Ok,
+            skew_ppm: Some(-12.5),
+            exchanges: 17,
+            age: Some(Span::from_millis(80)),
+        }),
+        probes: ProbeCounts { sent: 10, answered: 9, lost: 1 },
+        exchanges: ExchangeCounts { taken: 9, impossible: 1, outliers: 2, stepped: 3, restarts: 4 },
+        round_trip: Some(RoundTrip { min: Span::from_micros(2), median: Span::from_micros(3) }),
+        up: Some(delays),
+        down: Some(DelaySecond { median: None, ..delays }),
+    }
+}
+
+fn host_clock() -> HostClock {
+    HostClock {
+        discipline: Some(Discipline { source: DelaySource::Chrony, error: interval(-7, 7) }),
+        text: "chrony, stratum 2, to 10.0.0.1".into(),
+        epoch: 3,
+        rehearsal: Some(RehearsalDescription {
+            offset: Span::from_seconds(1),
+            drift_ppm: -50.0,
+            steps: vec![RehearsedStep { at: Span::from_seconds(9), by: Span::from_seconds(-3) }],
+            since: WallTime::from_unix_nanos(5),
+        }),
+    }
+}
+
+fn some(count: usize) -> Vec<Event> {
+    let incident = Incident {
+        at: WallTime::from_unix_nanos(7),
+        kind: IncidentKind::Connected,
+        pipeline: Some("line".parse().expect("a name")),
+        run: None,
+        peer: Some(HostId::random()),
+        text: "back after 2 s".into(),
+    };
+    [Event::Incident(incident), Event::Clock(Box::new(clock()))].into_iter().cycle().take(count).collect()
+}
+
+fn body_of(events: &[Event]) -> Vec<u8> {
+    let mut body = Vec::new();
+    events.iter().for_each(|event| append(&mut body, event));
+    body
+}
+
+fn head_of(number: u64, events: u32, body: &[u8]) -> BatchHead {
+    let before = Chain::from_bytes([3; 16]);
+    let (host, stream) = (HostId::random(), StreamId::random());
+    BatchHead { host, stream, process: 7, number, before, chain: before.then(events, body), events }
+}
+
+/// A frame of so many events, and what it was made from.
+fn frame_of(count: usize, compress: bool) -> (Bytes, BatchHead, Vec<Event>) {
+    let events = some(count);
+    let body = body_of(&events);
+    let head = head_of(5, count as u32, &body);
+    (batch_frame(&head, &body, compress).into(), head, events)
+}
+
+#[test]
+fn a_batch_arrives_as_it_was_sent() {
+    for (number, count, compress) in
+        [(1, 0, true), (300, 1, false), (70_000, 40, true), (u64::MAX, 4_000, true)]
+    {
+        let sent = some(count);
+        let body = body_of(&sent);
+        let head = head_of(number, count as u32, &body);
+        let frame = Bytes::from(batch_frame(&head, &body, compress));
+        assert_eq!(batch_head(&frame), Some(head));
+        if count > 1 {
+            assert_eq!(frame.len() < body.len(), compress, "a frame of {} bytes", frame.len());
+        }
+        let read = batch_body(frame).expect("what was sent");
+        assert!(read == body);
+        assert_eq!(events(&read, head.events), Ok(sent));
+    }
+}
+
+#[test]
+fn what_compression_makes_longer_is_sent_as_it_is() {
+    let body: Vec<u8> = (0..=255_u8).collect();
+    let head = head_of(1, 1, &body);
+    let frame = batch_frame(&head, &body, true);
+    assert_eq!(frame.len(), BATCH_HEAD_BYTES + body.len());
+    assert_eq!(batch_body(frame.into()).as_deref(), Ok(&body[..]));
+}
+
+#[test]
+fn a_batch_is_no_message_and_a_message_is_no_batch() {
+    let (frame, ..) = frame_of(2, false);
+    assert!(matches!(decode::<ToAggregator>(&frame), Err(CodecError::Malformed(_))));
+    assert!(matches!(decode::<ToAgent>(&frame), Err(CodecError::Malformed(_))));
+    for message in [encode(&ToAggregator::Goodbye(HostId::random())), encode(&ToAgent::Unknown), Vec::new()] {
+        assert_eq!(batch_head(&message), None);
+        assert!(matches!(batch_body(message.into()), Err(CodecError::Malformed(_))));
+    }
+}
+
+#[test]
+fn a_damaged_batch_can_still_be_named() {
+    for compress in [false, true] {
+        let (frame, head, _) = frame_of(2, compress);
+        for cut in [frame.slice(..frame.len() - 1), Bytes::from([&frame[..], &[0]].concat())] {
+            assert_eq!(batch_head(&cut), Some(head));
+            assert_eq!(batch_body(cut), Err(CodecError::Damaged(5)));
+        }
+        assert_eq!(batch_head(&frame[..BATCH_HEAD_BYTES - 1]), None);
+    }
+}
+
+#[test]
+fn events_must_be_as_many_as_the_head_says() {
+    let body = body_of(&some(3));
+    assert_eq!(events(&body, 3).map(|events| events.len()), Ok(3));
+    for count in [2, 4, body.len() as u32 + 1, u32::MAX] {
+        assert!(matches!(events(&body, count), Err(CodecError::Malformed(_))), "{count}");
+    }
+    assert_eq!(events(&[], 0), Ok(Vec::new()));
+}
+
+#[test]
+fn a_body_that_grows_without_end_is_not_unpacked() {
+    // Compresses to almost nothing: the head would have to lie to let it in.
+    let body = vec![0; 8 * MAX_MESSAGE_BYTES];
+    let mut frame = batch_frame(&head_of(5, 1, &body), &body, true);
+    assert!(frame.len() < MAX_MESSAGE_BYTES);
+    assert_eq!(batch_body(frame.clone().into()), Err(CodecError::TooLong(body.len())));
+    frame[BATCH_HEAD_BYTES - 4..BATCH_HEAD_BYTES].copy_from_slice(&1_000_u32.to_be_bytes());
+    assert_eq!(batch_body(frame.into()), Err(CodecError::Damaged(5)));
+}
+
+#[test]
+fn what_is_told_of_clocks_arrives_as_it_was_sent() {
+    let probing = [
+        Probing::On { address: "udp://h:8620".into(), rate_hz: 10.0, stamps: "program".into() },
+        Probing::Unanswered { address: "udp://h:8620".into(), reason: Some("another key".into()) },
+        Probing::Unanswered { address: "udp://h:8620".into(), reason: None },
+        Probing::Off("both read one clock".into()),
+    ];
+    let link = |probing| LinkLive {
+        peer: HostId::random(),
+        peer_name: "cloud".parse().expect("a name"),
+        networks: vec!["zmq-tcp".into()],
+        pipelines: vec!["line".parse().expect("a name")],
+        same_clock: false,
+        probing,
+        edge: Some(host_clock()),
+        cloud: None,
+        now: clock(),
+    };
+    let update = ToAggregator::Live(LiveUpdate {
+        host: HostId::random(),
+        sent: WallTime::from_unix_nanos(1_000_000_001),
+        pipelines: vec![],
+        links: probing.map(link).into(),
+        clock: host_clock(),
+        metrics: HostMetrics::default(),
+        accounting: Accounting::default(),
+    });
+    assert_eq!(decode(&encode(&update)), Ok(update));
+}
+
+#[test]
+fn limits_and_remainders_are_refused() {
+    let frame = encode(&ToAgent::Unknown);
+    assert_eq!(decode(&frame), Ok(ToAgent::Unknown));
+    assert_eq!(decode::<ToAgent>(&[&frame[..], &[0]].concat()), Err(CodecError::Trailing(1)));
+    let long = vec![0; MAX_MESSAGE_BYTES + 1];
+    assert_eq!(decode::<ToAgent>(&long), Err(CodecError::TooLong(long.len())));
+    let deep = vec![0x91; 100_000];
+    assert!(matches!(decode::<ToAggregator>(&deep), Err(CodecError::Malformed(_))));
+}
+
+proptest! {
+    #[test]
+    fn no_bytes_panic(bytes: Vec<u8>, count: u32) {
+        let _ = (decode::<ToAggregator>(&bytes), decode::<ToAgent>(&bytes), events(&bytes, count));
+        let batch: Bytes = [&[BATCH], &bytes[..]].concat().into();
+        let _ = (batch_head(&batch), batch_body(batch.clone()), batch_head(&bytes), batch_body(bytes.into()));
+    }
+
+    #[test]
+    fn no_damage_panics(at: prop::sample::Index, byte: u8, cut: prop::sample::Index) {
+        let mut frame = encode(&ToAggregator::Goodbye(HostId::random()));
+        let at_message = at.index(frame.len());
+        frame[at_message] = byte;
+        let _ = (decode::<ToAggregator>(&frame), decode::<ToAggregator>(&frame[..cut.index(at_message + 1)]));
+        let mut body = body_of(&some(2));
+        let at_body = at.index(body.len());
+        body[at_body] = byte;
+        let _ = (events(&body, 2), events(&body[..cut.index(at_body + 1)], 2));
+    }
+
+    /// Whatever bit of a frame changes: it is another batch's by its head, or its events are not read.
+    #[test]
+    fn no_bit_changes_unnoticed(bit: prop::sample::Index, compress: bool) {
+        let (frame, head, _) = frame_of(2, compress);
+        let mut damaged = frame.to_vec();
+        let bit = bit.index(8 * frame.len());
+        damaged[bit / 8] ^= 1 << (bit % 8);
+        if batch_head(&damaged) == Some(head) {
+            prop_assert!(batch_body(damaged.into()).is_err(), "bit {bit}");
+        } else {
+            prop_assert!(bit / 8 < BATCH_HEAD_BYTES);
+        }
+    }
+
+    #[test]
+    fn no_cut_goes_unnoticed(cut: prop::sample::Index, compress: bool) {
+        let (frame, ..) = frame_of(2, compress);
+        prop_assert!(batch_body(frame.slice(..cut.index(frame.len()))).is_err());
+    }
+}

@@ -1,0 +1,37 @@
+//! Streams that found no room.
+
+use std::collections::{BTreeSet, VecDeque};
+
+use super::StreamId;
+
+/// Streams in the order in which they first found no room, each once.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Deferred {
+    order: VecDeque<StreamId>,
+    known: BTreeSet<StreamId>,
+}
+
+impl Deferred {
+    pub(super) const fn new() -> Self {
+        Self { order: VecDeque::new(), known: BTreeSet::new() }
+    }
+
+    pub(super) fn push(&mut self, stream: StreamId) {
+        if self.known.insert(stream) {
+            self.order.push_back(stream);
+        }
+    }
+
+    /// The one that waits longest.
+    pub(super) fn pop(&mut self) -> Option<StreamId> {
+        let stream = self.order.pop_front()?;
+        self.known.remove(&stream);
+        Some(stream)
+    }
+
+    pub(super) fn remove(&mut self, stream: StreamId) {
+        if self.known.remove(&stream) {
+            self.order.retain(|other| *other != stream);
+        }
+    }
+}

@@ -1,0 +1,237 @@
+//! The agent's end of the durable lane.
+
+mod action;
+mod backlog;
+mod config;
+mod job;
+mod link;
+mod pace;
+mod skim;
+mod spooling;
+mod under_way;
+
+use std::collections::VecDeque;
+
+use peernet_clock::{MonoTime, Stamp, WallTime};
+
+pub use self::action::{Action, Notice};
+use self::backlog::Backlog;
+pub use self::config::{Compression, SendingConfig};
+use self::link::Link;
+use self::pace::Pace;
+use self::skim::Hole;
+use self::spooling::Spooling;
+use self::under_way::UnderWay;
+use super::intake::{Intake, Room};
+use super::spool::{Reached, SpoolState, Totals};
+use super::{Accounting, Event, Gap, HostDescription, StreamId, ToAggregator, codec};
+use crate::HostId;
+
+/// The agent's end of the durable lane, without I/O: told of events, messages, completed work and time, it says what
+/// to do.
+///
+/// Whoever owns it calls [`next`](Self::next) after every other call until it returns nothing, and
+/// [`tick`](Self::tick) when [`deadline`](Self::deadline) has come. It recovers by itself from whatever the transport
+/// loses, repeats or reorders; being told of connections only makes that faster.
+///
+/// A batch is sent after it was written to the spool. While the spool fails, batches are sent from memory: better
+/// stored over there than nowhere.
+#[derive(Clone, Debug)]
+pub struct Sending {
+    config: SendingConfig,
+    host: HostDescription,
+    process: u64,
+    intake: Intake,
+    backlog: Backlog,
+    spooling: Spooling,
+    link: Link,
+    /// The stream that is to be gone on in; nothing is sent until the spool belongs to it.
+    renewal: Option<StreamId>,
+    /// Batches that the spool should hold and does not.
+    hole: Option<Hole>,
+    /// Whether the aggregator took this process in with the stream at hand.
+    met: bool,
+    /// How far the processes before this one came.
+    reached_before: Vec<Reached>,
+    /// What may be under way, in units of batches, by the aggregator's word.
+    window: u32,
+    /// Greetings since there last was progress.
+    greetings: u32,
+    pace: Pace,
+    under_way: UnderWay,
+    stored: u64,
+    closing: bool,
+    notices: VecDeque<Notice>,
+}
+
+impl Sending {
+    /// The sending end of a host; `process` is a random number made at process start. Nothing is sent before
+    /// [`connected`](Self::connected).
+    pub fn new(config: SendingConfig, host: HostDescription, process: u64, spool: SpoolState) -> Self {
+        let budget = 2 * u64::from(config.window.max(1)) * config.batch_bytes as u64;
+        let backlog = Backlog::new(&spool, budget);
+        let Totals { produced, dropped, .. } = spool.totals;
+        // What is held was produced, whatever the file says.
+        let held = backlog.held().events;
+        let produced = produced.max(dropped.saturating_add(held));
+        let totals = Totals { produced, reached: None, ..spool.totals };
+        Self {
+            intake: Intake::new(config, totals),
+            spooling: Spooling::new(&spool, backlog.acknowledged().0, totals),
+            backlog,
+            link: Link::Down,
+            renewal: None,
+            hole: None,
+            met: false,
+            reached_before: spool.reached,
+            window: 1,
+            greetings: 0,
+            pace: Pace::new(config.compression),
+            under_way: UnderWay::default(),
+            stored: produced - dropped - held,
+            closing: false,
+            notices: VecDeque::new(),
+            config,
+            host,
+            process,
+        }
+    }
+
+    /// Takes in an event, or drops and counts it. Never waits, never fails: when there is no room the newest events are
+    /// dropped, and a gap stands in their place as soon as there is some.
+    pub fn offer(&mut self, event: &Event, now: Stamp) {
+        let room = self.room();
+        self.intake.offer(event, &room, now);
+        self.number();
+    }
+
+    /// Events were dropped before they came here: counts them, as those that are dropped here.
+    pub fn lost(&mut self, gap: &Gap, now: Stamp) {
+        self.intake.lost(gap, now);
+    }
+
+    /// Time has passed: cuts a batch that is old enough, reports losses, opens the connection anew when no
+    /// acknowledgement came for too long.
+    pub fn tick(&mut self, now: Stamp) {
+        let room = self.room();
+        self.intake.tick(&room, now);
+        self.number();
+        self.lose_patience(now.mono);
+    }
+
+    /// When [`tick`](Self::tick) or [`next`](Self::next) has something to do without anything else happening.
+    pub fn deadline(&self) -> Option<MonoTime> {
+        let times = [self.intake.deadline(&self.room()), self.link_deadline(), self.spool_deadline()];
+        times.into_iter().flatten().min()
+    }
+
+    /// What to do now; `None` when there is nothing.
+    pub fn next(&mut self, now: MonoTime) -> Option<Action> {
+        self.spool_action(now).or_else(|| self.frame(now).map(Action::Send))
+    }
+
+    /// Reports losses and cuts the batch under construction now: before a stop. All is safe when
+    /// [`is_spooled`](Self::is_spooled).
+    pub fn flush(&mut self, now: WallTime) {
+        let room = self.room();
+        self.intake.flush(&room, now);
+        self.number();
+        self.closing = true;
+    }
+
+    /// The frame that says goodbye; `None` when nobody knows us, so that a refused copy cannot say it in our name.
+    pub fn goodbye(&mut self) -> Option<Vec<u8>> {
+        let known = self.is_up();
+        self.disconnected();
+        known.then(|| codec::encode(&ToAggregator::Goodbye(self.host.id)))
+    }
+
+    /// Whether the aggregator knows us, and live updates make sense.
+    pub const fn is_up(&self) -> bool {
+        matches!(self.link, Link::Up { .. })
+    }
+
+    /// Whether nothing is in memory that is neither in the spool nor stored.
+    pub fn is_spooled(&self) -> bool {
+        self.intake.usage().events == 0 && self.backlog.pending().events == 0
+    }
+
+    /// Whether everything that was taken in is stored.
+    pub fn is_idle(&self) -> bool {
+        self.intake.usage().events == 0 && self.backlog.held().events == 0
+    }
+
+    /// What became of the events.
+    pub fn accounting(&self) -> Accounting {
+        let (open, held, pending) = (self.intake.usage(), self.backlog.held(), self.backlog.pending());
+        let Totals { produced, dropped, gaps, .. } = self.intake.counted();
+        let waiting = open.events + held.events;
+        debug_assert_eq!(produced, self.stored + waiting + dropped, "an event is not accounted for");
+        Accounting {
+            produced,
+            spooled: self.stored + held.events.saturating_sub(pending.events),
+            sent: self.stored + self.backlog.sent_events(),
+            stored: self.stored,
+            waiting,
+            dropped,
+            gaps,
+            spool_bytes: self.spooling.bytes,
+            spool_limit_bytes: self.config.spool_bytes,
+            memory_bytes: open.bytes + pending.bytes,
+            oldest: if held.events > 0 { self.backlog.since() } else { self.intake.since() },
+            compressed: self.pace.compresses(),
+            trouble: self.spooling.trouble(),
+        }
+    }
+
+    /// Whose events these are.
+    pub const fn host(&self) -> HostId {
+        self.host.id
+    }
+
+    /// The host, to be described anew when the connection is next opened.
+    pub const fn describe(&mut self) -> &mut HostDescription {
+        &mut self.host
+    }
+
+    /// Numbers what was cut.
+    fn number(&mut self) {
+        for cut in self.intake.take_cut() {
+            self.backlog.push(cut);
+        }
+    }
+
+    /// What may still be taken in.
+    fn room(&self) -> Room {
+        let pending = self.backlog.pending();
+        Room {
+            memory: self.config.memory - pending,
+            spool_bytes: self
+                .config
+                .spool_bytes
+                .saturating_sub(self.spooling.bytes)
+                .saturating_sub(pending.bytes),
+            spool_fails: self.spooling.fails_to_write(),
+        }
+    }
+
+    /// All batches up to and including `through` are stored over there.
+    fn acknowledged(&mut self, through: u64, skimmed: Option<skim::Skimmed>, now: Stamp) {
+        let writing = self.spooling.writing();
+        let freed = self.backlog.free(through, skimmed, writing);
+        if skimmed.is_some() {
+            // It was passed, or is found again.
+            self.hole = None;
+        }
+        self.stored += freed.events;
+        self.spooling.freed(freed, now.mono);
+        let bytes = self.under_way.acknowledged(through);
+        self.pace.acknowledged(bytes, now.mono);
+        let room = self.room();
+        self.intake.report_losses(&room, now);
+        self.number();
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,179 @@
+//! Whether batches are compressed: by what the link was seen to carry.
+
+use peernet_clock::{MonoTime, Span};
+
+use super::Compression;
+
+/// Below so many bytes a second a link is slow. An agent at full speed makes a few megabytes of events a second, which
+/// is nothing for a cable and too much for a poor radio link; above that rate compression would cost processor time
+/// on a host that is being measured, and gain nothing.
+const SLOW: f64 = (4 << 20) as f64;
+
+/// Above so many it no longer is. Well above `SLOW`, so that a link between the two does not make it change its mind.
+const FAST: f64 = 2.0 * SLOW;
+
+/// So long the sending must have waited for acknowledgements before the rate means anything.
+const OBSERVED: Span = Span::from_seconds(1);
+
+/// Without having waited for so long there is nothing to gain any more.
+const CALM: Span = Span::from_seconds(10);
+
+/// Watches the bytes that were acknowledged while the window was full: only then is it the way to the store, and not
+/// the events, that sets the pace.
+///
+/// A slow store looks like a slow link from here. Compressing for it costs some processor time and does no harm. A
+/// store that stood still for a while, because its disk was full, does not: of the times that the sending waited, the
+/// longest does not count. A slow link makes it wait again and again.
+#[derive(Clone, Debug)]
+pub(super) struct Pace {
+    compression: Compression,
+    compress: bool,
+    /// Since when the window has been full.
+    full: Option<MonoTime>,
+    /// When it last was.
+    last_full: MonoTime,
+    /// What was seen while it was full: for how long, and how many bytes of frames.
+    observed: Span,
+    bytes: u64,
+    /// The longest wait of those, and the bytes that came with it.
+    longest: (Span, u64),
+}
+
+impl Pace {
+    pub(super) fn new(compression: Compression) -> Self {
+        let compress = compression == Compression::Always;
+        let (observed, last_full) = (Span::ZERO, MonoTime::default());
+        Self { compression, compress, full: None, last_full, observed, bytes: 0, longest: (Span::ZERO, 0) }
+    }
+
+    pub(super) const fn compresses(&self) -> bool {
+        self.compress
+    }
+
+    /// There is a batch to send, and it must wait for an acknowledgement.
+    pub(super) fn is_full(&mut self, now: MonoTime) {
+        self.full.get_or_insert(now);
+    }
+
+    /// There is nothing to send.
+    pub(super) fn is_idle(&mut self, now: MonoTime) {
+        self.pause(now);
+        if self.compression == Compression::Auto && self.compress && now - self.last_full >= CALM {
+            self.compress = false;
+        }
+    }
+
+    /// The link went away, or is opened anew: waiting says nothing about it.
+    pub(super) fn interrupted(&mut self) {
+        self.full = None;
+    }
+
+    /// Frames of so many bytes were acknowledged.
+    pub(super) fn acknowledged(&mut self, bytes: u64, now: MonoTime) {
+        let Some(since) = self.full else { return };
+        self.pause(now);
+        self.bytes += bytes;
+        if now - since > self.longest.0 {
+            self.longest = (now - since, bytes);
+        }
+        let (observed, bytes) = (self.observed - self.longest.0, self.bytes - self.longest.1);
+        if observed < OBSERVED {
+            return;
+        }
+        let rate = bytes as f64 / observed.seconds();
+        if self.compression == Compression::Auto {
+            self.compress = if self.compress { rate < FAST } else { rate < SLOW };
+        }
+        (self.observed, self.bytes, self.longest) = (Span::ZERO, 0, (Span::ZERO, 0));
+    }
+
+    /// Counts the time that it waited until now.
+    fn pause(&mut self, now: MonoTime) {
+        if let Some(since) = self.full.take() {
+            self.observed += now - since;
+            self.last_full = now;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(millis: i64) -> MonoTime {
+        MonoTime::default() + Span::from_millis(millis)
+    }
+
+    /// So many seconds in which the window is always full and so many bytes a second are acknowledged.
+    fn wait(pace: &mut Pace, from: i64, seconds: i64, rate: u64) -> i64 {
+        for n in 0..10 * seconds {
+            pace.is_full(at(from + 100 * n));
+            pace.acknowledged(rate / 10, at(from + 100 * (n + 1)));
+        }
+        from + 1_000 * seconds
+    }
+
+    #[test]
+    fn a_slow_link_is_spared_and_a_fast_one_is_not() {
+        let mut pace = Pace::new(Compression::Auto);
+        let now = wait(&mut pace, 0, 5, 100 << 20);
+        assert!(!pace.compresses());
+        let now = wait(&mut pace, now, 2, 1 << 20);
+        assert!(pace.compresses());
+        let now = wait(&mut pace, now, 5, 6 << 20);
+        assert!(pace.compresses(), "between the two nothing changes");
+        let now = wait(&mut pace, now, 2, 20 << 20);
+        assert!(!pace.compresses());
+        wait(&mut pace, now, 5, 6 << 20);
+        assert!(!pace.compresses());
+    }
+
+    #[test]
+    fn only_what_waits_for_the_link_says_something_of_it() {
+        let mut pace = Pace::new(Compression::Auto);
+        // Few events, always acknowledged at once.
+        for n in 0..1_000 {
+            pace.acknowledged(1_000, at(100 * n));
+            pace.is_idle(at(100 * n));
+        }
+        assert!(!pace.compresses());
+        let now = wait(&mut pace, 100_000, 2, 1 << 10);
+        pace.is_idle(at(now + 9_000));
+        assert!(pace.compresses());
+        pace.is_idle(at(now + 10_001));
+        assert!(!pace.compresses(), "the backlog is gone");
+        // An outage is no slowness.
+        pace.is_full(at(200_000));
+        pace.interrupted();
+        pace.acknowledged(10, at(300_000));
+        assert!(!pace.compresses());
+    }
+
+    #[test]
+    fn a_store_that_stands_still_is_no_slow_link() {
+        let mut pace = Pace::new(Compression::Auto);
+        let now = wait(&mut pace, 0, 5, 100 << 20);
+        // Its disk is full for a minute, and then everything is acknowledged.
+        pace.is_full(at(now));
+        pace.acknowledged(1 << 20, at(now + 60_000));
+        wait(&mut pace, now + 60_000, 5, 100 << 20);
+        assert!(!pace.compresses());
+        // Batches that take three seconds each are another matter.
+        for n in 0..6 {
+            pace.is_full(at(100_000 + 3_000 * n));
+            pace.acknowledged(128 << 10, at(100_000 + 3_000 * (n + 1)));
+        }
+        assert!(pace.compresses());
+    }
+
+    #[test]
+    fn what_is_configured_is_obeyed() {
+        for (compression, compresses) in [(Compression::Always, true), (Compression::Never, false)] {
+            let mut pace = Pace::new(compression);
+            let now = wait(&mut pace, 0, 3, 1 << 10);
+            let now = wait(&mut pace, now, 3, 1 << 30);
+            pace.is_idle(at(now + 60_000));
+            assert_eq!(pace.compresses(), compresses);
+        }
+    }
+}

@@ -1,0 +1,94 @@
+//! When batches are cut, and that they are written before they are sent.
+
+use super::*;
+
+#[test]
+fn a_batch_is_cut_by_nodes_by_bytes_and_by_age() {
+    let mut agent = Agent::up(SendingConfig { batch_nodes: 3, ..config() });
+    agent.offer(7);
+    assert_eq!(agent.sent.iter().map(|head| head.events).collect::<Vec<_>>(), [3, 3]);
+    assert_eq!(agent.sending.deadline(), Some(at(200).mono));
+    agent.pass(199);
+    assert_eq!(agent.sent.len(), 2);
+    agent.pass(1);
+    assert_eq!(agent.sent.iter().map(|head| head.events).collect::<Vec<_>>(), [3, 3, 1]);
+
+    let one = agent.file.batches[&3].body.len();
+    let mut agent = Agent::up(SendingConfig { batch_nodes: 100, batch_bytes: 2 * one, ..config() });
+    agent.offer(3);
+    assert_eq!(agent.numbers(), [1]);
+    let long = incident(&"x".repeat(10 * one));
+    agent.sending.offer(&long, agent.now());
+    agent.sending.offer(&incident("event 0"), agent.now());
+    agent.settle();
+    assert_eq!(
+        agent.sent.iter().map(|head| head.events).collect::<Vec<_>>(),
+        [1, 1],
+        "a long event stands alone"
+    );
+}
+
+#[test]
+fn batches_follow_one_another_and_are_in_the_file_when_they_are_sent() {
+    let mut agent = Agent::up(config());
+    agent.cut(3);
+    assert_eq!(agent.numbers(), [1, 2, 3]);
+    assert_eq!(agent.file.newest.0, 3);
+    let state = agent.file.state();
+    assert_eq!((state.held.events, state.totals.produced), (3, 3));
+    agent.sending.offer(&incident("a"), agent.now());
+    agent.sending.offer(&incident("b"), agent.now());
+    let Some(Action::Append { batches, totals }) = agent.sending.next(agent.now().mono) else {
+        panic!("no append")
+    };
+    assert_eq!((batches.len(), batches[0].number), (1, 4));
+    assert_eq!(
+        totals,
+        Totals {
+            produced: 4,
+            dropped: 0,
+            gaps: 0,
+            told: 0,
+            reached: Some(Reached { process: 1, number: 4 })
+        }
+    );
+    agent.ack(3);
+    assert_eq!(agent.numbers(), [0; 0], "it is not known to be written");
+    agent.perform(Action::Append { batches, totals });
+    agent.settle();
+    assert_eq!(agent.numbers(), [4]);
+}
+
+#[test]
+fn many_batches_are_written_at_once_while_the_disk_is_slow() {
+    let mut agent = Agent::new(config());
+    let events = 600;
+    (0..events).for_each(|n| agent.sending.offer(&incident(&n.to_string()), agent.now()));
+    agent.sending.flush(agent.now().wall);
+    let mut appends = Vec::new();
+    while let Some(action) = agent.sending.next(agent.now().mono) {
+        let Action::Append { batches, .. } = &action else { continue };
+        appends.push(batches.len());
+        assert_eq!(agent.sending.next(agent.now().mono), None, "one at a time");
+        agent.perform(action);
+    }
+    assert_eq!(appends, [256, 256, 88]);
+    assert!(agent.sending.is_spooled() && !agent.sending.is_idle());
+}
+
+#[test]
+fn a_stop_leaves_nothing_in_memory() {
+    let mut agent = Agent::new(SendingConfig { batch_nodes: 100, ..config() });
+    agent.offer(5);
+    assert!(!agent.sending.is_spooled());
+    agent.sending.flush(agent.now().wall);
+    agent.settle();
+    assert!(agent.sending.is_spooled());
+    assert_eq!(agent.file.state().held.events, 5);
+    assert_eq!(agent.sending.goodbye(), None, "nobody knows it");
+    let mut agent = agent.restart();
+    agent.connect();
+    agent.welcome(0, None);
+    assert_eq!(agent.deliver(), [1]);
+    assert!(agent.sending.is_idle() && agent.sending.goodbye().is_some() && !agent.sending.is_up());
+}

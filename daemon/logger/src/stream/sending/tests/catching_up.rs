@@ -1,0 +1,97 @@
+//! A backlog in the file: streamed in order, read ahead, never all in memory.
+
+use super::*;
+
+/// Long enough that few batches fill the memory.
+const LONG: usize = 1024;
+
+fn backlog(batches: usize) -> Agent {
+    let mut agent = Agent::new(SendingConfig { batch_bytes: LONG, ..config() });
+    for _ in 0..batches {
+        agent.sending.offer(&incident(&"x".repeat(LONG - 100)), agent.now());
+        agent.settle();
+    }
+    agent.pass(1_000);
+    agent
+}
+
+/// Bytes of bodies in memory.
+fn in_memory(agent: &Agent) -> u64 {
+    agent.sending.backlog.held().bytes - agent.sending.backlog.filed().bytes
+}
+
+#[test]
+fn a_backlog_stays_in_the_file() {
+    let agent = backlog(200);
+    assert!(in_memory(&agent) <= 6 * LONG as u64, "{} bytes in memory", in_memory(&agent));
+    let is = agent.accounting();
+    assert_eq!((is.waiting, is.spooled, is.memory_bytes), (200, 200, 0));
+    assert_eq!(is.oldest, Some(at(0).wall));
+}
+
+#[test]
+fn a_backlog_is_delivered_in_order_with_new_events_behind_it() {
+    for restart in [false, true] {
+        let mut agent = backlog(200);
+        if restart {
+            agent = agent.restart();
+            assert_eq!(in_memory(&agent), 0);
+            assert_eq!(agent.accounting().oldest, Some(at(0).wall));
+        }
+        agent.connect();
+        agent.welcome(0, None);
+        agent.offer(20);
+        agent.pass(200);
+        let delivered = agent.deliver();
+        assert_eq!(delivered, (1..=220).collect::<Vec<_>>());
+        assert!(agent.sending.is_idle());
+        assert_eq!(agent.accounting().stored, 220);
+        agent.pass(1_000);
+        assert_eq!((agent.accounting().spool_bytes, agent.file.batches.len()), (0, 0));
+    }
+}
+
+#[test]
+fn the_file_is_read_while_batches_are_under_way() {
+    let mut agent = backlog(40).restart();
+    agent.connect();
+    agent.welcome(0, None);
+    let mut waited = 0;
+    while !agent.sending.is_idle() {
+        let Some(last) = agent.numbers().last().copied() else { panic!("nothing is sent") };
+        // The answers of the disk come one round later than those of the aggregator.
+        let (stream, now) = (agent.stream(), agent.now());
+        agent.sending.received(&ToAgent::Ack { stream, through: last, window: 3 }, now);
+        let mut jobs = Vec::new();
+        while let Some(action) = agent.sending.next(now.mono) {
+            match action {
+                Action::Send(frame) => agent.sent(frame.into()),
+                job => jobs.push(job),
+            }
+        }
+        waited += usize::from(agent.sent.is_empty() && last < 40);
+        assert!(in_memory(&agent) <= 6 * LONG as u64);
+        jobs.into_iter().for_each(|job| agent.perform(job));
+        agent.settle();
+    }
+    assert_eq!(waited, 0, "the aggregator had to wait for the disk");
+}
+
+#[test]
+fn a_spool_that_cannot_be_read_is_tried_again() {
+    let mut agent = backlog(20).restart();
+    agent.broken = true;
+    agent.connect();
+    agent.welcome(0, None);
+    assert_eq!(agent.numbers(), [0; 0]);
+    assert!(
+        matches!(&agent.notices[..], [Notice::SpoolFailed(why), Notice::Welcomed { .. }] if why == "the disk is full")
+    );
+    assert_eq!(agent.accounting().trouble.as_deref(), Some("the disk is full"));
+    assert_eq!(agent.sending.deadline(), Some(at(1_000).mono));
+    agent.broken = false;
+    agent.pass(1_000);
+    assert_eq!(agent.deliver(), (1..=20).collect::<Vec<_>>());
+    assert_eq!(agent.notices.last(), Some(&Notice::SpoolRecovered));
+    assert_eq!(agent.accounting().trouble, None);
+}

@@ -1,0 +1,182 @@
+//! What both ends know is compared before anything is deleted.
+
+use super::*;
+
+/// Another history than ours.
+const OTHER: Option<Chain> = Some(Chain::from_bytes([9; 16]));
+
+/// Batches in the file that were never acknowledged; the aggregator was met when there were so many.
+fn held(met: usize, later: usize) -> Agent {
+    let mut agent = Agent::up(config());
+    agent.cut(met);
+    let mut agent = agent.restart();
+    agent.cut(later);
+    agent.restart()
+}
+
+fn renewals(agent: &Agent) -> usize {
+    agent.asked(|action| matches!(action, Action::Renew { .. }))
+}
+
+#[test]
+fn what_is_stored_goes_when_the_chains_are_equal() {
+    for stored in [0, 1, 7, 10] {
+        let mut agent = held(10, 0);
+        agent.connect();
+        let chain = agent.chain(stored);
+        agent.welcome(stored, chain);
+        let welcomed = Notice::Welcomed { aggregator: "base".parse().expect("a name"), stored, lacks: false };
+        assert_eq!(agent.notices, [welcomed]);
+        assert_eq!(agent.deliver(), (stored + 1..=10).collect::<Vec<_>>());
+        assert_eq!(agent.accounting().stored, 10);
+        assert_eq!(renewals(&agent), 0);
+        agent.pass(1_000);
+        assert_eq!(agent.file.batches.len(), 0);
+    }
+}
+
+#[test]
+fn nothing_is_deleted_and_nothing_sent_before_the_comparison() {
+    let mut agent = held(10, 0);
+    agent.config.batch_bytes = 40;
+    let mut agent = agent.restart();
+    agent.connect();
+    let (stream, chain) = (agent.file.stream, agent.chain(9));
+    let aggregator = "base".parse().expect("a name");
+    let welcome = ToAgent::Welcome { aggregator, stream, stored: 9, chain, process: None, window: 8 };
+    assert_eq!(agent.sending.received(&welcome, at(0)), None);
+    let Some(load @ Action::Load { .. }) = agent.sending.next(at(0).mono) else { panic!("nothing is read") };
+    assert_eq!(agent.sending.next(at(0).mono), None);
+    // The connection breaks meanwhile: the answer of the disk means nothing.
+    agent.sending.disconnected();
+    agent.perform(load);
+    agent.pass(5_000);
+    assert_eq!((agent.file.batches.len(), agent.sent.len()), (10, 0));
+    agent.connect();
+    agent.receive(&welcome);
+    assert_eq!(agent.deliver(), [10]);
+}
+
+#[test]
+fn a_spool_that_lost_its_end_sends_nothing_twice() {
+    // Ten were sent, acknowledged and not yet deleted; the aggregator has five more of the same process.
+    let mut agent = held(10, 0);
+    agent.cut(2);
+    let left = agent.file.stream;
+    agent.connect();
+    agent.welcome_after(15, OTHER, Some(1));
+    assert_eq!(agent.notices, [Notice::StreamRenewed { stored: 15, newest: 12 }]);
+    let hello = agent.hellos.last().expect("a hello").clone();
+    assert_eq!((hello.first, hello.oldest, hello.previous), (11, 11, Some(left)));
+    assert_ne!(hello.stream, left);
+    assert_eq!(Some(hello.before), agent.chain(11).map(|_| agent.file.before));
+    agent.welcome(10, None);
+    assert_eq!(agent.deliver(), [11, 12], "what was never sent, and nothing else");
+    assert_eq!(agent.accounting().stored, 12);
+}
+
+#[test]
+fn what_was_written_out_of_contact_is_told_from_what_was_sent() {
+    // The same after a process that met nobody.
+    let mut agent = held(10, 3).restart();
+    agent.cut(2);
+    agent.connect();
+    agent.welcome_after(14, OTHER, Some(1));
+    agent.welcome(10, None);
+    assert_eq!(agent.deliver(), (11..=15).collect::<Vec<_>>());
+    assert_eq!(renewals(&agent), 1);
+}
+
+#[test]
+fn what_each_of_several_processes_may_have_sent_is_known() {
+    // Another one took over before all that the first had sent was stored; both lost their ends.
+    let mut agent = held(10, 0);
+    agent.connect();
+    agent.welcome(0, None);
+    agent.cut(4);
+    for (process, first) in [(1, 11), (3, 15)] {
+        let file = agent.file.clone();
+        let mut agent = Agent::open(agent.config, agent.host, file);
+        agent.cut(1);
+        agent.connect();
+        agent.welcome_after(17, OTHER, Some(process));
+        assert_eq!(agent.hellos.last().map(|hello| hello.first), Some(first));
+        agent.welcome(first - 1, None);
+        assert_eq!(agent.deliver(), (first..=15).collect::<Vec<_>>());
+    }
+}
+
+#[test]
+fn a_copy_of_the_spool_deletes_nothing_by_what_another_process_stored() {
+    // The original went on under another process, or under none that is known.
+    for (stored, process) in [(15, Some(9)), (15, None), (11, Some(9)), (8, Some(9)), (8, Some(1))] {
+        let mut agent = held(10, 3);
+        agent.connect();
+        agent.welcome_after(stored, OTHER, process);
+        assert_eq!(agent.hellos.last().map(|hello| hello.first), Some(1), "{stored} {process:?}");
+        agent.welcome(0, None);
+        assert_eq!(agent.deliver(), (1..=13).collect::<Vec<_>>());
+    }
+}
+
+#[test]
+fn a_mark_without_a_chain_deletes_nothing() {
+    let mut agent = held(10, 0);
+    agent.connect();
+    agent.welcome(7, None);
+    assert_eq!(agent.file.batches.len(), 10);
+    assert_eq!(renewals(&agent), 1);
+    agent.welcome(0, None);
+    assert_eq!(agent.deliver().len(), 10);
+}
+
+#[test]
+fn an_aggregator_that_lacks_what_it_acknowledged_is_told_of() {
+    let mut agent = Agent::up(config());
+    agent.cut(6);
+    agent.deliver();
+    agent.cut(2);
+    agent.receive(&ToAgent::Unknown);
+    agent.welcome(2, OTHER);
+    let lacking = Notice::Welcomed { aggregator: "base".parse().expect("a name"), stored: 2, lacks: true };
+    assert_eq!(agent.notices.last(), Some(&lacking));
+    assert_eq!(agent.hellos.last().map(|hello| (hello.first, hello.oldest)), Some((1, 7)));
+    agent.ack(8);
+    assert!(agent.sending.is_idle());
+}
+
+#[test]
+fn while_the_stream_is_renewed_nothing_is_sent_and_events_are_kept() {
+    let mut agent = held(4, 0);
+    agent.connect();
+    agent.broken = true;
+    agent.welcome_after(9, OTHER, Some(1));
+    assert_eq!(agent.notices.len(), 2, "{:?}", agent.notices);
+    let hellos = agent.hellos.len();
+    agent.cut(3);
+    agent.welcome(4, OTHER);
+    agent.pass(30_000);
+    assert_eq!((agent.hellos.len(), agent.sent.len()), (hellos, 0));
+    agent.broken = false;
+    agent.pass(1_000);
+    agent.welcome(4, None);
+    assert_eq!(agent.deliver(), [5, 6, 7]);
+    assert_eq!(agent.accounting().dropped, 0);
+}
+
+#[test]
+fn a_large_file_is_compared_without_being_kept_in_memory() {
+    let mut agent = Agent::up(SendingConfig { batch_bytes: 200, ..config() });
+    agent.cut(500);
+    let mut agent = agent.restart();
+    agent.connect();
+    let chain = agent.chain(400);
+    agent.welcome(400, chain);
+    assert_eq!(agent.deliver(), (401..=500).collect::<Vec<_>>());
+    let asked = agent.actions.iter().filter_map(|action| match action {
+        Action::Load { bytes, .. } => Some(*bytes),
+        _ => None,
+    });
+    assert!(asked.max() <= Some(200 * 2));
+    assert_eq!(agent.accounting().stored, 500);
+}

@@ -1,0 +1,142 @@
+//! While the spool fails, batches go from memory.
+
+use super::*;
+
+/// Three batches that were delivered, then the disk fails.
+fn failing() -> Agent {
+    let mut agent = Agent::up(config());
+    agent.cut(3);
+    agent.deliver();
+    agent.pass(1_000);
+    agent.broken = true;
+    agent
+}
+
+#[test]
+fn batches_go_from_memory_while_the_disk_is_full_and_into_the_file_afterwards() {
+    let mut agent = failing();
+    agent.cut(7);
+    let why = "the disk is full";
+    assert_eq!(agent.notices[1..], [Notice::SpoolFailed(why.into())]);
+    assert_eq!(agent.numbers(), [4, 5, 6]);
+    let is = agent.accounting();
+    assert_eq!((is.trouble.as_deref(), is.waiting, is.sent), (Some(why), 7, 6));
+    assert!(is.memory_bytes > 0);
+    agent.ack(6);
+    assert_eq!(agent.numbers(), [7, 8, 9]);
+    agent.broken = false;
+    agent.actions.clear();
+    agent.pass(1_000);
+    assert_eq!(agent.notices.last(), Some(&Notice::SpoolRecovered));
+    // The file learns what is gone, then what may be stored over there, then what is new.
+    let [
+        Action::Delete { through: 6, .. },
+        Action::Append { batches: none, totals },
+        Action::Append { batches, .. },
+    ] = &agent.actions[..]
+    else {
+        panic!("{:?}", agent.actions)
+    };
+    assert_eq!((none.len(), totals.reached.map(|reached| reached.number), batches.len()), (0, Some(6), 4));
+    assert_eq!(agent.file.batches.keys().copied().collect::<Vec<_>>(), [7, 8, 9, 10]);
+    agent.ack(9);
+    assert_eq!(agent.deliver(), [10]);
+    assert!(agent.sending.is_idle());
+    assert_eq!(agent.accounting().stored, 10);
+    agent.pass(1_000);
+    assert_eq!((agent.accounting().spool_bytes, agent.file.batches.len()), (0, 0));
+}
+
+#[test]
+fn it_fails_and_recovers_once_however_often_it_is_tried() {
+    let mut agent = failing();
+    agent.cut(2);
+    (0..20).for_each(|_| agent.pass(1_000));
+    assert!(agent.asked(|action| matches!(action, Action::Append { .. })) > 10);
+    agent.broken = false;
+    agent.pass(1_000);
+    let told = |agent: &Agent| {
+        agent.notices.iter().filter(|notice| !matches!(notice, Notice::Welcomed { .. })).count()
+    };
+    assert_eq!(told(&agent), 2, "{:?}", agent.notices);
+}
+
+#[test]
+fn an_acknowledgement_that_comes_during_the_write_is_not_forgotten() {
+    for fails in [false, true] {
+        let mut agent = failing();
+        agent.cut(2);
+        assert_eq!(agent.numbers(), [4, 5]);
+        agent.millis += 1_000;
+        let again = agent.sending.next(agent.now().mono).expect("it is tried again");
+        assert!(matches!(&again, Action::Append { batches, .. } if batches.len() == 2));
+        agent.ack(4);
+        agent.broken = fails;
+        agent.perform(again);
+        agent.settle();
+        agent.broken = false;
+        agent.pass(2_000);
+        assert_eq!(agent.file.batches.keys().copied().collect::<Vec<_>>(), [5]);
+        assert_eq!(agent.accounting().spool_bytes, agent.file.batches[&5].body.len() as u64);
+        agent.ack(5);
+        agent.pass(2_000);
+        assert_eq!((agent.accounting().spool_bytes, agent.accounting().stored), (0, 5));
+    }
+}
+
+#[test]
+fn a_process_killed_meanwhile_loses_what_was_not_stored_and_repeats_nothing() {
+    // Two are in the file, undeleted though acknowledged; two more were stored from memory.
+    let mut agent = Agent::up(config());
+    agent.cut(2);
+    agent.broken = true;
+    agent.deliver();
+    agent.cut(3);
+    assert_eq!(agent.numbers(), [3, 4, 5]);
+    agent.ack(4);
+    let mut agent = agent.restart();
+    assert_eq!((agent.file.newest.0, agent.file.batches.len()), (2, 2));
+    agent.cut(2);
+    agent.connect();
+    agent.welcome_after(4, Some(Chain::from_bytes([9; 16])), Some(1));
+    agent.welcome(2, None);
+    assert_eq!(agent.deliver(), [3, 4], "new batches with numbers of the new stream");
+    let is = agent.accounting();
+    assert_eq!((is.produced, is.stored, is.waiting), (4, 4, 0), "by what the file knew");
+}
+
+#[test]
+fn nothing_goes_from_memory_before_the_file_knows_what_may_be_stored() {
+    // A process that met nobody wrote two batches; the next one meets the aggregator and a full disk at once.
+    let mut agent = Agent::new(config());
+    agent.cut(2);
+    let mut agent = agent.restart();
+    agent.broken = true;
+    agent.cut(2);
+    agent.connect();
+    agent.welcome(0, None);
+    assert_eq!(agent.numbers(), [0; 0], "the file cannot be read either");
+    agent.broken = false;
+    agent.pass(1_000);
+    assert_eq!(agent.file.reached, [Reached { process: 2, number: 4 }]);
+    assert_eq!(agent.deliver(), [1, 2, 3, 4]);
+}
+
+#[test]
+fn what_a_full_disk_and_a_full_memory_cannot_hold_is_dropped_and_counted() {
+    let memory = Usage { events: 6, bytes: 1 << 20 };
+    let mut agent = Agent::new(SendingConfig { memory, ..config() });
+    agent.broken = true;
+    agent.offer(20);
+    let is = agent.accounting();
+    assert_eq!((is.waiting, is.dropped, is.gaps), (6, 14, 0));
+    agent.broken = false;
+    agent.pass(1_000);
+    assert_eq!(agent.accounting().gaps, 1);
+    agent.connect();
+    agent.welcome(0, None);
+    agent.pass(1_000);
+    assert_eq!(agent.deliver(), (1..=7).collect::<Vec<_>>(), "and the gap");
+    let is = agent.accounting();
+    assert_eq!((is.produced, is.stored, is.dropped), (21, 7, 14));
+}

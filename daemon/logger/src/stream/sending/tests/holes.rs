@@ -1,0 +1,95 @@
+//! Batches that somebody deleted from the file.
+
+use super::*;
+
+/// A file of ten batches without these.
+fn without(numbers: &[u64]) -> Agent {
+    let mut agent = Agent::new(config());
+    agent.cut(10);
+    numbers.iter().for_each(|number| assert!(agent.file.batches.remove(number).is_some()));
+    let state = agent.file.state();
+    let mut agent = agent.restart();
+    // The file says that it holds them: they went after it was opened.
+    let lost = numbers.len() as u64;
+    let held = Usage { events: state.held.events + lost, bytes: state.held.bytes + lost * 10 };
+    let described = agent.sending.host.clone();
+    agent.sending = Sending::new(agent.config, described, 1, SpoolState { held, ..state });
+    agent
+}
+
+#[test]
+fn a_hole_is_passed_counted_and_told_to_the_aggregator() {
+    let mut agent = without(&[4, 5]);
+    agent.connect();
+    agent.welcome(0, None);
+    assert_eq!(agent.deliver(), [1, 2, 3]);
+    // The one behind the hole cannot be checked by anyone.
+    let hello = agent.hellos.last().expect("a hello").clone();
+    assert_eq!((agent.hellos.len(), hello.oldest, hello.first), (2, 7, 1));
+    agent.welcome(3, None);
+    assert!(matches!(agent.notices.last(), Some(Notice::Welcomed { lacks: true, .. })));
+    agent.pass(1_000);
+    assert_eq!(agent.deliver(), [7, 8, 9, 10, 11], "the last says what is missing");
+    let is = agent.accounting();
+    assert_eq!((is.dropped, is.gaps, is.stored, is.waiting), (3, 1, 8, 0));
+    agent.pass(1_000);
+    let is = agent.accounting();
+    assert_eq!(is.spool_bytes, 0);
+    assert_eq!(agent.file.batches.len(), 0);
+}
+
+#[test]
+fn a_hole_up_to_the_end_is_passed_as_well() {
+    let mut agent = without(&[8, 9, 10]);
+    agent.connect();
+    agent.welcome(0, None);
+    assert_eq!(agent.deliver(), (1..=7).collect::<Vec<_>>());
+    agent.cut(2);
+    agent.welcome(7, None);
+    assert_eq!(agent.deliver(), [11, 12, 13]);
+    assert_eq!((agent.accounting().dropped, agent.accounting().waiting), (3, 0));
+}
+
+#[test]
+fn a_file_without_any_of_its_batches_ends_nothing() {
+    let mut agent = without(&(2..=10).collect::<Vec<_>>());
+    agent.file.batches.clear();
+    agent.connect();
+    agent.welcome(0, None);
+    assert_eq!(agent.hellos.last().map(|hello| hello.oldest), Some(11));
+    agent.welcome(0, None);
+    agent.pass(200);
+    assert_eq!(agent.deliver(), [11]);
+    assert!(agent.sending.is_idle());
+    assert_eq!(agent.accounting().dropped, 10);
+}
+
+#[test]
+fn several_holes_are_passed_one_after_the_other() {
+    let mut agent = without(&[2, 5, 8]);
+    agent.connect();
+    let mut delivered = Vec::new();
+    let mut stored = 0;
+    for _ in 0..5 {
+        agent.welcome(stored, None);
+        delivered.extend(agent.deliver());
+        agent.pass(200);
+        stored = delivered.last().copied().unwrap_or(0);
+    }
+    assert_eq!(delivered, [1, 4, 7, 10, 11]);
+    assert!(agent.sending.is_idle());
+    assert_eq!(agent.accounting().dropped, 6);
+}
+
+#[test]
+fn a_hole_in_what_is_compared_deletes_nothing_that_may_not_be_stored() {
+    let mut agent = without(&[6]);
+    agent.connect();
+    agent.welcome(6, Some(Chain::from_bytes([9; 16])));
+    assert!(agent.notices.contains(&Notice::StreamRenewed { stored: 6, newest: 10 }));
+    agent.welcome(0, None);
+    assert_eq!(agent.deliver(), [1, 2, 3, 4, 5]);
+    agent.welcome(5, None);
+    agent.pass(200);
+    assert_eq!(agent.deliver(), [8, 9, 10, 11]);
+}

@@ -1,0 +1,70 @@
+//! An aggregator that lies: nothing panics, and nothing that is not stored disappears.
+
+use proptest::prelude::*;
+
+use super::*;
+
+#[test]
+fn an_acknowledgement_of_what_was_never_sent_is_a_reason_to_ask() {
+    let mut agent = Agent::up(config());
+    agent.cut(5);
+    assert_eq!(agent.numbers(), [1, 2, 3]);
+    for through in [4, 5, 6, u64::MAX] {
+        agent.ack(through);
+        assert_eq!((agent.file.batches.len(), agent.accounting().stored), (5, 0));
+        agent.pass(60_000);
+        agent.welcome(0, None);
+    }
+    assert_eq!(agent.numbers().last(), Some(&3));
+}
+
+fn message(stream: StreamId, kind: u8, number: u64, window: u32, chain: Option<Chain>) -> ToAgent {
+    match kind {
+        0 | 1 => {
+            let aggregator = "base".parse().expect("a name");
+            ToAgent::Welcome { aggregator, stream, stored: number, chain, process: Some(number & 3), window }
+        }
+        2 | 3 => ToAgent::Ack { stream, through: number, window },
+        4 => ToAgent::Resend { stream, from: number },
+        5 => ToAgent::Refused { reason: "no".into() },
+        _ => ToAgent::Unknown,
+    }
+}
+
+proptest! {
+    #[test]
+    fn no_messages_panic_or_loop(
+        steps in prop::collection::vec((0_u8..11, prop_oneof![0_u64..14, Just(u64::MAX)], any::<u32>(), 0_u8..4), 1..60),
+    ) {
+        let mut agent = Agent::new(SendingConfig { batch_bytes: 200, ..config() });
+        agent.cut(8);
+        let mut agent = agent.restart();
+        agent.connect();
+        for (kind, number, window, flags) in steps {
+            agent.broken = flags == 3;
+            match kind {
+                7 => agent.cut(1),
+                8 => agent.pass(1_000),
+                9 => { agent.sending.disconnected(); agent.settle(); agent.connect(); }
+                10 => { agent.broken = false; agent = agent.restart(); agent.connect(); }
+                _ => {
+                    let stream = if flags == 0 { StreamId::random() } else { agent.stream() };
+                    let chain = match flags { 1 => agent.chain(number), 2 => Some(Chain::START), _ => None };
+                    agent.receive(&message(stream, kind, number, window, chain));
+                }
+            }
+        }
+        // An honest one then gets everything that is left.
+        agent.broken = false;
+        agent.sending.disconnected();
+        for _ in 0..10 {
+            agent.pass(20_000);
+            agent.connect();
+            let hello = agent.hellos.last().expect("a hello").clone();
+            agent.welcome(hello.oldest - 1, (hello.oldest > hello.first).then_some(hello.before));
+            agent.deliver();
+        }
+        prop_assert!(agent.sending.is_idle(), "{:?}", agent.sending);
+        prop_assert_eq!(agent.accounting().dropped, 0);
+    }
+}

@@ -1,0 +1,257 @@
+//! The agent's end against an aggregator that keeps its word, while processes are killed, the power is cut, the disk
+//! fails and connections break: what survives in the file is stored once.
+
+use std::collections::{BTreeSet, HashMap, VecDeque};
+
+use proptest::prelude::*;
+
+use super::*;
+
+/// The aggregator: its marks, what its connection knows, and the names of the events it stores.
+#[derive(Default)]
+struct Store {
+    marks: HashMap<StreamId, (u64, Chain, Option<u64>)>,
+    greeted: Option<StreamId>,
+    names: Vec<u64>,
+}
+
+impl Store {
+    fn take(&mut self, frame: Bytes) -> Option<ToAgent> {
+        let Some(head) = codec::batch_head(&frame) else {
+            let Ok(ToAggregator::Hello(hello)) = codec::decode(&frame) else { panic!("no hello") };
+            let stream = hello.stream;
+            self.greeted = Some(stream);
+            let known = self.marks.get(&stream).copied();
+            let (stored, chain, process) = known
+                .map_or((hello.first - 1, None, None), |(stored, chain, process)| {
+                    (stored, Some(chain), process)
+                });
+            assert!(hello.oldest <= stored + 1, "batches are missing that nobody took out");
+            if known.is_none() {
+                self.marks.insert(stream, (stored, hello.before, None));
+            }
+            let aggregator = "base".parse().expect("a name");
+            return Some(ToAgent::Welcome {
+                aggregator,
+                stream,
+                stored,
+                chain: chain.filter(|_| stored >= hello.first),
+                process,
+                window: 4,
+            });
+        };
+        if self.greeted != Some(head.stream) {
+            return Some(ToAgent::Unknown);
+        }
+        let (stored, chain, process) = self.marks.get_mut(&head.stream)?;
+        if head.number == *stored + 1 {
+            if head.before != *chain {
+                return Some(ToAgent::Unknown);
+            }
+            (*stored, *chain, *process) = (head.number, head.chain, Some(head.process));
+            let body = codec::batch_body(frame).expect("intact");
+            self.names.extend(names(&body, head.events));
+        } else if head.number > *stored {
+            return Some(ToAgent::Resend { stream: head.stream, from: *stored + 1 });
+        }
+        Some(ToAgent::Ack { stream: head.stream, through: *stored, window: 4 })
+    }
+}
+
+fn names(body: &[u8], count: u32) -> Vec<u64> {
+    let name = |event: Event| match event {
+        Event::Incident(incident) => incident.text.parse().ok(),
+        _ => None,
+    };
+    codec::events(body, count).expect("readable").into_iter().filter_map(name).collect()
+}
+
+struct World {
+    agent: Agent,
+    /// What the disk is to do, in order.
+    jobs: VecDeque<Action>,
+    up: VecDeque<Bytes>,
+    down: VecDeque<ToAgent>,
+    store: Store,
+    offered: u64,
+    /// The file as it was after each job that a power cut may undo.
+    unsynced: Vec<File>,
+    /// Events that were in a file when a process began, or at the end.
+    survived: BTreeSet<u64>,
+}
+
+impl World {
+    fn new() -> Self {
+        let mut config = SendingConfig { batch_nodes: 2, batch_bytes: 100, spool_bytes: 2_000, ..config() };
+        config.memory = Usage { events: 12, bytes: 400 };
+        let (jobs, up, down, store, unsynced, survived) = Default::default();
+        let mut world =
+            Self { agent: Agent::new(config), jobs, up, down, store, offered: 0, unsynced, survived };
+        world.reconnect();
+        world
+    }
+
+    fn run(&mut self) {
+        while let Some(action) = self.agent.sending.next(self.agent.now().mono) {
+            match action {
+                Action::Send(frame) => self.up.push_back(frame.into()),
+                job => self.jobs.push_back(job),
+            }
+        }
+        self.agent.accounting();
+    }
+
+    fn offer(&mut self) {
+        self.offered += 1;
+        self.agent.sending.offer(&incident(&self.offered.to_string()), self.agent.now());
+        self.run();
+    }
+
+    fn pass(&mut self, millis: i64) {
+        self.agent.millis += millis;
+        self.agent.sending.tick(self.agent.now());
+        self.run();
+    }
+
+    fn work(&mut self) {
+        let Some(job) = self.jobs.pop_front() else { return };
+        // The file is synced at once when it says how far the sending may go.
+        let at_once =
+            matches!(&job, Action::Append { batches, .. } if batches.is_empty()) && !self.agent.broken;
+        let before = self.agent.file.clone();
+        self.agent.perform(job);
+        match at_once {
+            true => self.unsynced.clear(),
+            false => self.unsynced.push(before),
+        }
+        self.run();
+    }
+
+    fn deliver(&mut self) {
+        if let Some(frame) = self.up.pop_front() {
+            self.down.extend(self.store.take(frame));
+        }
+    }
+
+    fn answer(&mut self) {
+        if let Some(message) = self.down.pop_front() {
+            let _ = self.agent.sending.received(&message, self.agent.now());
+            self.run();
+        }
+    }
+
+    fn reconnect(&mut self) {
+        self.agent.sending.disconnected();
+        self.up.clear();
+        self.down.clear();
+        self.store.greeted = None;
+        self.agent.sending.connected(self.agent.now().mono);
+        self.run();
+    }
+
+    /// The process is gone, with what it asked for; and with the power what was not synced. The next one meets the
+    /// aggregator or not.
+    fn start(&mut self, file: File, connect: bool) {
+        self.up.clear();
+        self.down.clear();
+        self.jobs.clear();
+        self.unsynced.clear();
+        self.store.greeted = None;
+        let (config, host, millis, broken) =
+            (self.agent.config, self.agent.host, self.agent.millis, self.agent.broken);
+        self.agent = Agent::open(config, host, file);
+        (self.agent.millis, self.agent.broken) = (millis, broken);
+        self.survive();
+        if connect {
+            self.reconnect();
+        }
+    }
+
+    fn survive(&mut self) {
+        let batches = self.agent.file.batches.values();
+        self.survived.extend(batches.flat_map(|batch| names(&batch.body, batch.events)));
+    }
+
+    fn end(&mut self) {
+        self.agent.broken = false;
+        self.reconnect();
+        for _ in 0..2_000 {
+            if self.agent.sending.is_idle() {
+                break;
+            }
+            while !(self.jobs.is_empty() && self.up.is_empty() && self.down.is_empty()) {
+                self.work();
+                self.deliver();
+                self.answer();
+            }
+            self.pass(1_000);
+        }
+        assert!(self.agent.sending.is_idle(), "something waits for ever: {:?}", self.agent.sending);
+        self.survive();
+        let stored: BTreeSet<u64> = self.store.names.iter().copied().collect();
+        assert_eq!(stored.len(), self.store.names.len(), "stored twice: {:?}", self.store.names);
+        let lost: Vec<_> = self.survived.difference(&stored).collect();
+        assert!(lost.is_empty(), "lost: {lost:?}");
+    }
+}
+
+#[derive(Clone, Debug)]
+enum Step {
+    Offer(u8),
+    Pass(u16),
+    Work(u8),
+    Deliver(u8),
+    Answer(u8),
+    Reconnect,
+    Break(bool),
+    Kill { connect: bool },
+    Cut { back: u8, connect: bool },
+    Sync,
+}
+
+fn step() -> impl Strategy<Value = Step> {
+    prop_oneof![
+        8 => (1_u8..6).prop_map(Step::Offer),
+        4 => (1_u16..1_500).prop_map(Step::Pass),
+        10 => (1_u8..5).prop_map(Step::Work),
+        10 => (1_u8..5).prop_map(Step::Deliver),
+        10 => (1_u8..5).prop_map(Step::Answer),
+        1 => Just(Step::Reconnect),
+        2 => any::<bool>().prop_map(Step::Break),
+        2 => any::<bool>().prop_map(|connect| Step::Kill { connect }),
+        2 => (any::<u8>(), any::<bool>()).prop_map(|(back, connect)| Step::Cut { back, connect }),
+        1 => Just(Step::Sync),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2_000))]
+
+    #[test]
+    fn what_survives_in_the_file_is_stored_once(steps in prop::collection::vec(step(), 1..80)) {
+        let mut world = World::new();
+        for step in steps {
+            match step {
+                Step::Offer(count) => (0..count).for_each(|_| world.offer()),
+                Step::Pass(millis) => world.pass(millis.into()),
+                Step::Work(count) => (0..count).for_each(|_| world.work()),
+                Step::Deliver(count) => (0..count).for_each(|_| world.deliver()),
+                Step::Answer(count) => (0..count).for_each(|_| world.answer()),
+                Step::Reconnect => world.reconnect(),
+                Step::Break(broken) => {
+                    // A full disk has lost nothing of what was on it before.
+                    world.unsynced.clear();
+                    world.agent.broken = broken;
+                }
+                Step::Kill { connect } => world.start(world.agent.file.clone(), connect),
+                Step::Cut { back, connect } => {
+                    let index = world.unsynced.len().saturating_sub(usize::from(back) % 8);
+                    let file = world.unsynced.get(index).unwrap_or(&world.agent.file).clone();
+                    world.start(file, connect);
+                }
+                Step::Sync => world.unsynced.clear(),
+            }
+        }
+        world.end();
+    }
+}

@@ -1,0 +1,116 @@
+//! How much is under way, and what happens when no answer comes.
+
+use super::super::super::MOST_UNDER_WAY;
+use super::*;
+
+fn allow(agent: &mut Agent, through: u64, window: u32) {
+    let stream = agent.stream();
+    agent.receive(&ToAgent::Ack { stream, through, window });
+}
+
+#[test]
+fn no_more_is_under_way_than_both_ends_allow() {
+    let mut agent = Agent::up(config());
+    agent.cut(10);
+    assert_eq!(agent.numbers(), [1, 2, 3], "by the agent's own window");
+    allow(&mut agent, 1, 1);
+    assert_eq!(agent.numbers(), [0; 0], "by the aggregator's");
+    allow(&mut agent, 3, 1);
+    assert_eq!(agent.numbers(), [4]);
+    allow(&mut agent, 4, 0);
+    assert_eq!(agent.numbers(), [5], "one always may");
+    allow(&mut agent, 5, u32::MAX);
+    assert_eq!(agent.numbers(), [6, 7, 8]);
+}
+
+#[test]
+fn small_batches_are_under_way_in_greater_number() {
+    let config = SendingConfig { batch_bytes: 64 * 1_024, ..config() };
+    let mut agent = Agent::up(config);
+    agent.cut(300);
+    assert_eq!(agent.numbers(), (1..=3 * 64).collect::<Vec<_>>());
+    allow(&mut agent, 64, 1);
+    assert_eq!(agent.numbers(), [0; 0]);
+    allow(&mut agent, 130, 1);
+    assert_eq!(agent.numbers(), [193, 194]);
+    let stream = agent.stream();
+    agent.receive(&ToAgent::Resend { stream, from: 150 });
+    assert_eq!(agent.numbers(), (150..=194).collect::<Vec<_>>());
+    // However small they are, there is an end to it.
+    let mut agent = Agent::up(SendingConfig { batch_bytes: 1 << 20, ..config });
+    agent.cut(1_100);
+    assert_eq!(agent.numbers().len(), MOST_UNDER_WAY);
+}
+
+#[test]
+fn what_is_asked_for_again_is_sent_again() {
+    let mut agent = Agent::up(config());
+    agent.cut(4);
+    assert_eq!(agent.numbers(), [1, 2, 3]);
+    let stream = agent.stream();
+    agent.receive(&ToAgent::Resend { stream, from: 2 });
+    assert_eq!(agent.numbers(), [2, 3]);
+    agent.receive(&ToAgent::Resend { stream, from: 9 });
+    agent.receive(&ToAgent::Resend { stream: StreamId::random(), from: 1 });
+    assert_eq!(agent.numbers(), [0; 0]);
+    agent.ack(2);
+    assert_eq!(agent.numbers(), [4]);
+    let hellos = agent.hellos.len();
+    agent.receive(&ToAgent::Resend { stream, from: 1 });
+    assert_eq!(
+        (agent.hellos.len(), agent.hellos[hellos].oldest),
+        (hellos + 1, 3),
+        "what is gone is told by the hello"
+    );
+}
+
+#[test]
+fn without_an_answer_the_greeting_is_repeated() {
+    let mut agent = Agent::up(config());
+    agent.cut(2);
+    assert_eq!(agent.numbers(), [1, 2]);
+    agent.pass(9_000 - agent.millis);
+    assert_eq!(agent.hellos.len(), 1);
+    assert_eq!(agent.sending.deadline(), Some(at(10_000).mono));
+    agent.pass(1_000);
+    assert_eq!(agent.hellos.len(), 2, "patience ended");
+    agent.pass(250);
+    agent.pass(499);
+    assert_eq!(agent.hellos.len(), 3);
+    agent.pass(1);
+    assert_eq!(agent.hellos.len(), 4, "each pause is twice the one before");
+    let chain = agent.chain(1);
+    agent.welcome(1, chain);
+    assert_eq!(agent.numbers(), [2]);
+    assert_eq!(agent.accounting().stored, 1);
+}
+
+#[test]
+fn a_refusal_is_told_and_the_greeting_repeated_later() {
+    let mut agent = Agent::new(config());
+    agent.connect();
+    agent.receive(&ToAgent::Refused { reason: "the name is taken".into() });
+    assert_eq!(agent.notices, [Notice::Refused("the name is taken".into())]);
+    agent.pass(999);
+    assert_eq!(agent.hellos.len(), 1);
+    agent.pass(1);
+    assert_eq!(agent.hellos.len(), 2);
+}
+
+#[test]
+fn greetings_that_lead_to_nothing_become_rare() {
+    let mut agent = Agent::up(config());
+    agent.cut(1);
+    for _ in 0..100 {
+        agent.receive(&ToAgent::Unknown);
+        agent.welcome(0, None);
+    }
+    assert!(agent.hellos.len() < 6, "{} greetings at one instant", agent.hellos.len());
+    agent.pass(20_000);
+    agent.welcome(0, None);
+    assert_eq!(agent.sent.last().map(|head| head.number), Some(1));
+    agent.ack(1);
+    let hellos = agent.hellos.len();
+    agent.receive(&ToAgent::Unknown);
+    assert_eq!(agent.hellos.len(), hellos + 1, "after an acknowledgement it is prompt again");
+}

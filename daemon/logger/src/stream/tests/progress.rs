@@ -1,0 +1,247 @@
+//! The aggregator's end alone: what becomes of a batch.
+
+use super::admission::{chain, hello, known, mark, welcomed};
+use super::*;
+
+/// The window of one agent alone.
+const WINDOW: u32 = 8;
+
+struct End {
+    end: Receiving,
+    id: HostId,
+    stream: StreamId,
+    process: u64,
+}
+
+impl End {
+    /// A host of which so many batches are stored said hello.
+    fn with(stored: u64) -> Self {
+        let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
+        let mark = (stored > 0).then(|| mark(id, stored));
+        let greeting = end.hello(&hello(id, "edge", 1, stream, stored + 1), known(mark), at(0).mono);
+        assert_eq!(welcomed(&greeting), (stored, mark.map(|mark| mark.chain), WINDOW));
+        Self { end, id, stream, process: 1 }
+    }
+
+    fn head(&self, number: u64) -> BatchHead {
+        let (host, stream) = (self.id, self.stream);
+        let (before, chain) = (chain(number - 1), chain(number));
+        BatchHead { host, stream, process: self.process, number, before, chain, events: 1 }
+    }
+
+    fn batch(&mut self, number: u64) -> Arrival {
+        let head = self.head(number);
+        self.end.batch(&head, true, at(1).mono)
+    }
+
+    fn stored(&mut self, number: u64) -> Option<ToAgent> {
+        let (to, reply) = self.end.stored(self.stream, mark(self.id, number))?;
+        assert_eq!(to, self.id);
+        Some(reply)
+    }
+
+    fn ack(&self, through: u64) -> ToAgent {
+        ToAgent::Ack { stream: self.stream, through, window: WINDOW }
+    }
+
+    fn resend(&self, from: u64) -> ToAgent {
+        ToAgent::Resend { stream: self.stream, from }
+    }
+
+    /// Another process with the same spool, long after the first.
+    fn restarted(&mut self, stored: u64) -> Greeting {
+        self.process = 2;
+        let hello = hello(self.id, "edge", self.process, self.stream, stored + 1);
+        self.end.hello(&hello, known(Some(mark(self.id, stored))), at(5_000).mono)
+    }
+}
+
+const UNKNOWN: Arrival = Arrival::Unknown(ToAgent::Unknown);
+
+#[test]
+fn batches_are_accepted_in_order_and_acknowledged_when_stored() {
+    let mut end = End::with(2);
+    assert_eq!(end.batch(3), Arrival::Accept);
+    assert_eq!(end.batch(3), Arrival::Pending);
+    assert_eq!(end.batch(4), Arrival::Accept);
+    let ack = end.ack(3);
+    assert_eq!(end.stored(3), Some(ack.clone()));
+    assert_eq!(end.batch(1), Arrival::Duplicate(ack));
+    assert_eq!(end.batch(4), Arrival::Pending);
+}
+
+#[test]
+fn a_hole_is_asked_for_once() {
+    let mut end = End::with(0);
+    let (first, second) = (end.resend(1), end.resend(2));
+    assert_eq!(end.batch(2), Arrival::Hole(Some(first)));
+    assert_eq!(end.batch(3), Arrival::Hole(None));
+    assert_eq!(end.batch(1), Arrival::Accept);
+    assert_eq!(end.batch(3), Arrival::Hole(Some(second)));
+    assert_eq!(end.batch(9), Arrival::Hole(None));
+}
+
+#[test]
+fn a_failed_write_is_asked_for_again_with_all_that_followed() {
+    let mut end = End::with(0);
+    (1..=3).for_each(|number| assert_eq!(end.batch(number), Arrival::Accept));
+    end.stored(1);
+    assert_eq!(end.end.failed(end.stream), Some((end.id, end.resend(2))));
+    assert_eq!(end.batch(3), Arrival::Hole(None));
+    assert_eq!(end.batch(2), Arrival::Accept);
+}
+
+#[test]
+fn what_nobody_holds_is_reported_missing_once() {
+    for (stored, first, from) in [(3, 1, 4), (0, 1, 1), (0, 5, 5), (3, 6, 4)] {
+        let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
+        let hello = Hello { first, ..hello(id, "edge", 1, stream, 8) };
+        let known = known((stored > 0).then(|| mark(id, stored)));
+        let greeting = end.hello(&hello, known, at(0).mono);
+        let Greeting::Welcome { missing, .. } = greeting else { panic!("{greeting:?}") };
+        assert_eq!(
+            missing,
+            Some(Missing { host: id, stream, from, through: 7, chain: chain(7), process: 1 })
+        );
+        welcomed(&end.hello(&hello, known, at(1).mono));
+        let mut end = End { end, id, stream, process: 1 };
+        assert_eq!(end.batch(8), Arrival::Accept);
+        let ack = end.ack(7);
+        assert_eq!(end.stored(7), Some(ack));
+    }
+}
+
+#[test]
+fn another_stream_or_a_batch_that_does_not_follow_is_answered_by_a_call_for_a_hello() {
+    let mut end = End::with(4);
+    let other = BatchHead { stream: StreamId::random(), ..end.head(5) };
+    assert_eq!(end.end.batch(&other, true, at(1).mono), UNKNOWN);
+    let stranger = BatchHead { host: HostId::random(), ..end.head(5) };
+    assert_eq!(end.end.batch(&stranger, true, at(1).mono), UNKNOWN);
+    let copied = BatchHead { before: chain(9), ..end.head(5) };
+    assert_eq!(end.end.batch(&copied, true, at(1).mono), UNKNOWN);
+    assert_eq!(end.batch(5), Arrival::Accept);
+}
+
+#[test]
+fn what_a_dead_process_sent_is_acknowledged_to_the_next_only_when_that_holds_the_same() {
+    let mut end = End::with(0);
+    (1..=3).for_each(|number| assert_eq!(end.batch(number), Arrival::Accept));
+    end.stored(1);
+    welcomed(&end.restarted(1));
+    assert_eq!(end.stored(2), None, "the new process has not shown its second batch");
+    assert_eq!(end.batch(2), Arrival::Duplicate(end.ack(2)));
+    assert_eq!(end.batch(3), Arrival::Pending);
+    let ack = end.ack(3);
+    assert_eq!(end.stored(3), Some(ack));
+}
+
+#[test]
+fn a_process_that_holds_others_than_a_dead_one_sent_is_told_to_compare() {
+    let mut end = End::with(1);
+    (2..=3).for_each(|number| assert_eq!(end.batch(number), Arrival::Accept));
+    welcomed(&end.restarted(1));
+    let other = BatchHead { chain: chain(9), ..end.head(2) };
+    let next = BatchHead { before: chain(9), chain: chain(10), ..end.head(4) };
+    for head in [other, next] {
+        assert_eq!(
+            end.end.batch(&head, true, at(5_001).mono),
+            Arrival::Hole(None),
+            "nothing to compare with yet"
+        );
+    }
+    assert_eq!(end.stored(3), Some(ToAgent::Unknown));
+    assert_eq!(end.end.batch(&other, true, at(5_002).mono), UNKNOWN);
+    // When storing fails there is nothing that speaks against its own.
+    let mut end = End::with(1);
+    assert_eq!(end.batch(2), Arrival::Accept);
+    welcomed(&end.restarted(1));
+    assert_eq!(end.end.failed(end.stream), Some((end.id, end.resend(2))));
+    let other = BatchHead { chain: chain(9), ..end.head(2) };
+    assert_eq!(end.end.batch(&other, true, at(5_001).mono), Arrival::Accept);
+}
+
+#[test]
+fn a_damaged_batch_is_asked_for_twice_more_and_then_put_aside() {
+    let mut end = End::with(0);
+    let (head, resend) = (end.head(1), Arrival::Hole(Some(end.resend(1))));
+    assert_eq!(end.end.batch(&head, false, at(1).mono), resend);
+    assert_eq!(end.batch(2), Arrival::Hole(None));
+    assert_eq!(end.end.batch(&head, false, at(1).mono), resend);
+    // Another damage shows that it was the way.
+    let other = BatchHead { events: 2, ..head };
+    assert_eq!(end.end.batch(&other, false, at(1).mono), resend);
+    assert_eq!(end.end.batch(&head, false, at(1).mono), resend);
+    assert_eq!(end.end.batch(&head, false, at(1).mono), resend);
+    assert_eq!(end.end.batch(&head, false, at(1).mono), Arrival::AcceptDamaged);
+    assert_eq!(end.batch(2), Arrival::Accept);
+}
+
+#[test]
+fn a_spool_whose_chains_are_damaged_is_told_to_compare() {
+    let mut end = End::with(0);
+    let (head, resend) = (BatchHead { before: chain(7), ..end.head(1) }, Arrival::Hole(Some(end.resend(1))));
+    for expected in [resend.clone(), resend.clone(), UNKNOWN, resend] {
+        assert_eq!(end.end.batch(&head, false, at(1).mono), expected);
+    }
+}
+
+#[test]
+fn what_found_no_room_is_asked_for_when_there_is_some_those_that_wait_longest_first() {
+    let mut end = receiving();
+    let agents: Vec<(HostId, StreamId)> = (0..3)
+        .map(|n| {
+            let (id, stream) = (HostId::random(), StreamId::random());
+            welcomed(&end.hello(&hello(id, &format!("edge-{n}"), n, stream, 1), known(None), at(0).mono));
+            (id, stream)
+        })
+        .collect();
+    for agent in [2, 0, 2, 1] {
+        end.deferred(agents[agent].1);
+    }
+    end.deferred(StreamId::random());
+    let request = |agent: usize| (agents[agent].0, ToAgent::Resend { stream: agents[agent].1, from: 1 });
+    assert_eq!(end.room(0), []);
+    assert_eq!(end.room(2), [request(2), request(0)]);
+    // What a hello brings again is not asked for.
+    end.hello(&hello(agents[1].0, "edge-1", 1, agents[1].1, 1), known(None), at(1).mono);
+    assert_eq!(end.room(2), []);
+    // Asked, and there was no room once more.
+    end.deferred(agents[2].1);
+    assert_eq!(end.room(9), [request(2)]);
+    end.deferred(agents[0].1);
+    end.goodbye(agents[0].0);
+    assert_eq!(end.room(9), []);
+}
+
+#[test]
+fn an_agent_that_ignores_its_window_fills_no_memory() {
+    let mut end = End::with(0);
+    let accepted = (1..=10_000).take_while(|number| end.batch(*number) == Arrival::Accept).count();
+    assert!((MOST_UNDER_WAY..3_000).contains(&accepted), "{accepted}");
+    assert_eq!(end.restarted(0), Greeting::Wait);
+}
+
+#[test]
+fn numbers_at_their_end_break_nothing() {
+    let last = i64::MAX as u64;
+    let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
+    let stored = |number| Mark { host: id, stored: number, chain: Chain::START, process: None };
+    let hello = Hello { oldest: last, before: Chain::START, ..hello(id, "edge", 1, stream, 1) };
+    let greeting = end.hello(&hello, known(None), at(0).mono);
+    assert!(matches!(greeting, Greeting::Welcome { missing: Some(Missing { from: 1, .. }), .. }));
+    let head = |number| {
+        let (host, before, chain) = (id, Chain::START, chain(1));
+        BatchHead { host, stream, process: 1, number, before, chain, events: 1 }
+    };
+    assert_eq!(end.batch(&head(last), true, at(1).mono), Arrival::Accept);
+    assert_eq!(
+        end.batch(&BatchHead { before: chain(1), ..head(last + 1) }, true, at(1).mono),
+        Arrival::Hole(None)
+    );
+    assert!(end.stored(stream, stored(u64::MAX)).is_some());
+    assert_eq!(end.failed(stream), Some((id, ToAgent::Resend { stream, from: u64::MAX })));
+    assert_eq!(end.batch(&head(u64::MAX), true, at(1).mono), UNKNOWN);
+    end.goodbye(id);
+    welcomed(&end.hello(&hello, known(Some(stored(u64::MAX))), at(2).mono));
+}

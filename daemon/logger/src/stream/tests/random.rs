@@ -1,0 +1,41 @@
+//! Any bytes at both ends, and what the fuzz targets have found worth keeping.
+
+use std::path::Path;
+
+use proptest::prelude::*;
+
+use crate::fuzzing::{any_batch, any_conversation, any_message};
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2_000))]
+
+    #[test]
+    fn any_bytes_are_survived(data: Vec<u8>) {
+        any_batch(&data);
+        any_message(&data);
+    }
+
+    #[test]
+    fn any_conversation_is_survived(data in prop::collection::vec(any::<u8>(), 0..600)) {
+        any_conversation(&data);
+    }
+}
+
+#[test]
+fn the_fuzz_targets_corpus_is_survived() {
+    for name in ["batch", "message", "conversation"] {
+        let target = match name {
+            "batch" => any_batch,
+            "message" => any_message,
+            _ => any_conversation,
+        };
+        let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/corpus").join(name);
+        let entries = std::fs::read_dir(&corpus).expect("the corpus is part of the checkout");
+        let mut seen = 0;
+        for entry in entries {
+            target(&std::fs::read(entry.expect("readable").path()).expect("readable"));
+            seen += 1;
+        }
+        assert!(seen >= 3, "only {seen} files in {}", corpus.display());
+    }
+}

@@ -1,0 +1,225 @@
+//! The aggregator: the desk that routes, the writer's queue, the database that survives.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use bytes::Bytes;
+
+use super::super::*;
+use super::names;
+
+/// What waits for the writer.
+#[derive(Clone, Debug)]
+enum Work {
+    /// A host said hello with this stream, and left another: one transaction.
+    Hello(StreamId, Option<StreamId>, Option<Lacking>),
+    Batch {
+        head: BatchHead,
+        body: Bytes,
+    },
+    Damaged(BatchHead),
+    Missing(Missing),
+}
+
+/// What stands in a stream.
+#[derive(Clone, Debug, PartialEq)]
+pub(in super::super) enum Entry {
+    /// A batch and what is in it.
+    Batch { number: u64, names: Vec<u64> },
+    /// One that was put aside.
+    Damaged { number: u64, chain: Chain },
+    /// Batches that nobody had any more.
+    Gap { from: u64, through: u64 },
+}
+
+#[derive(Clone, Debug, Default)]
+pub(in super::super) struct Database {
+    pub(in super::super) marks: BTreeMap<StreamId, Mark>,
+    pub(in super::super) entries: BTreeMap<StreamId, Vec<Entry>>,
+    pub(in super::super) replaced: Vec<StreamId>,
+    came: BTreeSet<StreamId>,
+    last: Option<StreamId>,
+}
+
+#[derive(Clone, Debug)]
+pub(in super::super) struct Aggregator {
+    pub(in super::super) receiving: Receiving,
+    pub(in super::super) database: Database,
+    pub(in super::super) backup: Option<Database>,
+    queue: Vec<Work>,
+    capacity: usize,
+    /// The connection on which the host said hello.
+    route: Option<u64>,
+    /// Streams that the host came with, with what is in the queue, and the last of them.
+    came: BTreeSet<StreamId>,
+    last: Option<StreamId>,
+    /// Greetings that found batches missing.
+    pub(in super::super) missing: u32,
+}
+
+impl Aggregator {
+    pub(super) fn new(capacity: usize) -> Self {
+        Self {
+            receiving: receiving(),
+            database: Database::default(),
+            backup: None,
+            queue: Vec::new(),
+            capacity,
+            route: None,
+            came: BTreeSet::new(),
+            last: None,
+            missing: 0,
+        }
+    }
+
+    pub(in super::super) const fn is_idle(&self) -> bool {
+        self.queue.is_empty()
+    }
+
+    pub(super) fn live(&mut self, connection: u64, host: HostId, now: MonoTime) -> Option<ToAgent> {
+        if self.route != Some(connection) {
+            return Some(ToAgent::Unknown);
+        }
+        self.receiving.live(host, now)
+    }
+
+    /// A frame came; returns what is to be sent back on its connection.
+    pub(super) fn frame(&mut self, connection: u64, frame: &Bytes, now: MonoTime) -> Option<ToAgent> {
+        if let Some(head) = codec::batch_head(frame) {
+            if self.route != Some(connection) {
+                return Some(ToAgent::Unknown);
+            }
+            if self.queue.len() >= self.capacity {
+                self.receiving.deferred(head.stream);
+                return None;
+            }
+            let body = codec::batch_body(frame.clone());
+            return match self.receiving.batch(&head, body.is_ok(), now) {
+                Arrival::Accept => {
+                    let body = body.expect("only what is intact is accepted");
+                    self.queue.push(Work::Batch { head, body });
+                    None
+                }
+                Arrival::AcceptDamaged => {
+                    self.queue.push(Work::Damaged(head));
+                    None
+                }
+                Arrival::Duplicate(reply) | Arrival::Unknown(reply) => Some(reply),
+                Arrival::Hole(reply) => reply,
+                Arrival::Pending => None,
+            };
+        }
+        match codec::decode(frame).ok()? {
+            ToAggregator::Hello(hello) => self.hello(connection, &hello, now),
+            ToAggregator::Live(_) | ToAggregator::Goodbye(_) => unreachable!("never sent here"),
+        }
+    }
+
+    fn hello(&mut self, connection: u64, hello: &Hello, now: MonoTime) -> Option<ToAgent> {
+        let mark_of = |stream| self.database.marks.get(&stream).copied();
+        let known = Known {
+            mark: mark_of(hello.stream),
+            came: self.came.contains(&hello.stream),
+            last: self.last,
+            previous: hello.previous.and_then(mark_of),
+        };
+        match self.receiving.hello(hello, known, now) {
+            Greeting::Welcome { reply, missing, replaced, lacking } => {
+                self.route = Some(connection);
+                self.missing += u32::from(missing.is_some());
+                self.queue.push(Work::Hello(hello.stream, replaced, lacking));
+                self.queue.extend(missing.map(Work::Missing));
+                self.last = Some(hello.stream);
+                self.came.insert(hello.stream);
+                Some(reply)
+            }
+            Greeting::Refused { reply, .. } => Some(reply),
+            Greeting::Wait => None,
+        }
+    }
+
+    /// The next `count` works are on disk; returns what they put there.
+    pub(super) fn commit(&mut self, count: usize) -> Vec<(StreamId, Entry)> {
+        let count = count.min(self.queue.len());
+        let works: Vec<Work> = self.queue.drain(..count).collect();
+        works.into_iter().filter_map(|work| self.database.apply(work)).collect()
+    }
+
+    /// They were; returns what is to be sent where the host said hello.
+    pub(super) fn committed(&mut self, mut streams: Vec<StreamId>) -> Vec<(u64, ToAgent)> {
+        streams.dedup();
+        let marks = &self.database.marks;
+        let mut replies: Vec<_> =
+            streams.into_iter().filter_map(|stream| self.receiving.stored(stream, marks[&stream])).collect();
+        replies.extend(self.receiving.room(self.capacity.saturating_sub(self.queue.len())));
+        self.routed(replies)
+    }
+
+    /// The next commit fails, and everything that waits with it.
+    pub(super) fn fail(&mut self) -> Vec<(u64, ToAgent)> {
+        let mut replies = Vec::new();
+        for work in std::mem::take(&mut self.queue) {
+            match work {
+                Work::Batch { head, .. } | Work::Damaged(head) => {
+                    replies.extend(self.receiving.failed(head.stream));
+                }
+                Work::Missing(missing) => replies.extend(self.receiving.failed(missing.stream)),
+                kept @ Work::Hello(..) => self.queue.push(kept),
+            }
+        }
+        self.routed(replies)
+    }
+
+    pub(in super::super) fn kill(&mut self) {
+        self.queue.clear();
+        self.receiving = receiving();
+        self.route = None;
+        self.last = self.database.last;
+        self.came = self.database.came.clone();
+    }
+
+    fn routed(&self, replies: Vec<(HostId, ToAgent)>) -> Vec<(u64, ToAgent)> {
+        replies.into_iter().filter_map(|(_, reply)| Some((self.route?, reply))).collect()
+    }
+}
+
+impl Database {
+    /// Returns what was put into which stream.
+    fn apply(&mut self, work: Work) -> Option<(StreamId, Entry)> {
+        let (stream, mark, entry) = match work {
+            Work::Hello(stream, replaced, lacking) => {
+                self.last = Some(stream);
+                if self.came.insert(stream) {
+                    self.replaced.extend(replaced);
+                    if let Some(Lacking { stream, from, through }) = lacking {
+                        self.entries.entry(stream).or_default().push(Entry::Gap { from, through });
+                    }
+                }
+                return None;
+            }
+            Work::Batch { head, body } => {
+                let before = self.marks.get(&head.stream);
+                if let Some(before) = before {
+                    assert_eq!(head.number, before.stored + 1, "stored out of order");
+                    assert_eq!(head.before, before.chain, "stored behind another batch than its own");
+                }
+                assert_eq!(head.chain, head.before.then(head.events, &body));
+                let entry = Entry::Batch { number: head.number, names: names(head.events, &body) };
+                (head.stream, Mark::from(head), entry)
+            }
+            Work::Damaged(head) => {
+                let entry = Entry::Damaged { number: head.number, chain: head.chain };
+                (head.stream, Mark::from(head), entry)
+            }
+            Work::Missing(missing) => {
+                let Missing { stream, from, through, .. } = missing;
+                if let Some(before) = self.marks.get(&stream) {
+                    assert_eq!(from, before.stored + 1, "a gap follows what is stored");
+                }
+                (stream, Mark::from(missing), Entry::Gap { from, through })
+            }
+        };
+        self.marks.insert(stream, mark);
+        self.entries.entry(stream).or_default().push(entry.clone());
+        Some((stream, entry))
+    }
+}

@@ -1,0 +1,100 @@
+//! The agent's spool as its file has it: what survives the process.
+
+use std::collections::BTreeMap;
+
+use super::super::*;
+
+/// A spool's file.
+#[derive(Clone, Debug)]
+pub(in super::super) struct SpoolFile {
+    pub(in super::super) stream: StreamId,
+    previous: Option<StreamId>,
+    first: u64,
+    before: Chain,
+    newest: (u64, Chain),
+    totals: Totals,
+    reached: Vec<Reached>,
+    pub(in super::super) batches: BTreeMap<u64, SpooledBatch>,
+}
+
+impl SpoolFile {
+    pub(super) fn new(stream: StreamId) -> Self {
+        Self {
+            stream,
+            previous: None,
+            first: 1,
+            before: Chain::START,
+            newest: (0, Chain::START),
+            totals: Totals::default(),
+            reached: Vec::new(),
+            batches: BTreeMap::new(),
+        }
+    }
+
+    pub(super) fn open(&self) -> SpoolState {
+        let oldest = self.batches.values().next();
+        SpoolState {
+            stream: self.stream,
+            previous: self.previous,
+            first: self.first,
+            oldest: oldest.map_or(self.newest.0 + 1, |batch| batch.number),
+            before: self.before,
+            newest: self.newest,
+            since: oldest.map(|batch| batch.since),
+            held: self.batches.values().fold(Usage::default(), |sum, batch| sum + batch.usage()),
+            totals: self.totals,
+            reached: self.reached.clone(),
+        }
+    }
+
+    pub(super) fn append(&mut self, batches: &[SpooledBatch], totals: Totals) {
+        for batch in batches {
+            let (newest, chain) = self.newest;
+            assert_eq!(batch.number, newest + 1, "numbers in the spool are contiguous");
+            assert_eq!(batch.chain, chain.then(batch.events, &batch.body), "and so are chains");
+            self.newest = (batch.number, batch.chain);
+            self.batches.insert(batch.number, batch.clone());
+        }
+        if let Some(reached) = totals.reached {
+            self.reached.retain(|other| other.process != reached.process);
+            self.reached.push(reached);
+        }
+        self.totals = totals;
+    }
+
+    pub(super) fn load(&self, from: u64, bytes: usize) -> Vec<SpooledBatch> {
+        let mut room = bytes;
+        let mut found = Vec::new();
+        for number in from.. {
+            let Some(batch) = self.batches.get(&number) else { break };
+            if !found.is_empty() && batch.body.len() > room {
+                break;
+            }
+            room = room.saturating_sub(batch.body.len());
+            found.push(batch.clone());
+        }
+        found
+    }
+
+    /// Returns what is deleted.
+    pub(super) fn delete(&mut self, through: u64, chain: Chain) -> Vec<SpooledBatch> {
+        let kept = self.batches.split_off(&(through + 1));
+        let deleted = std::mem::replace(&mut self.batches, kept);
+        if let Some(last) = deleted.get(&through) {
+            assert_eq!(last.chain, chain, "the chain is that of the last one deleted");
+        }
+        self.before = chain;
+        self.reached.retain(|reached| reached.number > through);
+        if through > self.newest.0 {
+            // Batches were stored over there that never came into the file.
+            self.newest = (through, chain);
+        }
+        deleted.into_values().collect()
+    }
+
+    pub(super) fn renew(&mut self, stream: StreamId, previous: StreamId, first: u64) {
+        assert_eq!(previous, self.stream);
+        assert_eq!(first, self.open().oldest, "the new stream begins with what is held");
+        (self.stream, self.previous, self.first) = (stream, Some(previous), first);
+    }
+}

@@ -1,0 +1,122 @@
+//! What must be in the database, as somebody knows who sees everything.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+
+use bytes::Bytes;
+
+use super::super::*;
+use super::aggregator::{Aggregator, Database, Entry};
+use super::{SpoolFile, names};
+
+#[derive(Clone, Debug, Default)]
+pub(in super::super) struct Truth {
+    /// Events that were in a spool and not deleted with it.
+    spooled: BTreeSet<u64>,
+    /// Where each event ever stood in the database.
+    places: BTreeMap<u64, BTreeSet<(StreamId, u64)>>,
+    /// What is in the batches that were sent, by their chains.
+    contents: HashMap<Chain, Vec<u64>>,
+    /// Their events in wire form, each batch once.
+    pub(in super::super) bodies: Vec<(u32, Bytes)>,
+    /// Streams whose spool was deleted.
+    deleted: BTreeSet<StreamId>,
+    /// A spool was copied: what the copy had in common with the original may be in two streams.
+    pub(super) copied: bool,
+    /// The database was replaced by an older copy.
+    pub(super) restored: bool,
+}
+
+impl Truth {
+    pub(super) fn sent(&mut self, frame: &Bytes) {
+        let Some(head) = codec::batch_head(frame) else { return };
+        let body = codec::batch_body(frame.clone()).expect("a batch is intact when it is sent");
+        if self.contents.insert(head.chain, names(head.events, &body)).is_none() {
+            self.bodies.push((head.events, body));
+        }
+    }
+
+    pub(super) fn is_damaged(&self, frame: &Bytes) -> bool {
+        codec::batch_head(frame).is_some() && codec::batch_body(frame.clone()).is_err()
+    }
+
+    pub(super) fn appended(&mut self, batch: &SpooledBatch) {
+        self.spooled.extend(names(batch.events, &batch.body));
+    }
+
+    /// Nothing is deleted that was not stored.
+    pub(super) fn deleted(&self, batches: &[SpooledBatch]) {
+        for name in batches.iter().flat_map(|batch| names(batch.events, &batch.body)) {
+            assert!(self.places.contains_key(&name), "event {name} was deleted before it was stored");
+        }
+    }
+
+    /// A spool was deleted, and what it held with it.
+    pub(super) fn lost(&mut self, file: &SpoolFile) {
+        self.deleted.insert(file.stream);
+        for name in file.batches.values().flat_map(|batch| names(batch.events, &batch.body)) {
+            self.spooled.remove(&name);
+        }
+    }
+
+    pub(super) fn committed(&mut self, stream: StreamId, entry: &Entry) {
+        for (number, name) in self.events(entry) {
+            self.places.entry(name).or_default().insert((stream, number));
+        }
+    }
+
+    /// The events that an entry stands for, and the batch of each. One that was put aside is there as well.
+    fn events(&self, entry: &Entry) -> Vec<(u64, u64)> {
+        let (number, names) = match entry {
+            Entry::Batch { number, names } => (*number, names.clone()),
+            Entry::Damaged { number, chain } => {
+                (*number, self.contents.get(chain).cloned().unwrap_or_default())
+            }
+            Entry::Gap { .. } => return Vec::new(),
+        };
+        names.into_iter().map(|name| (number, name)).collect()
+    }
+
+    /// What holds when nothing waits any more.
+    pub(super) fn check(&self, aggregator: &Aggregator) {
+        let database = &aggregator.database;
+        let mut stored: BTreeMap<u64, u32> = BTreeMap::new();
+        for entries in database.entries.values() {
+            let names: Vec<u64> =
+                entries.iter().flat_map(|entry| self.events(entry)).map(|(_, name)| name).collect();
+            assert!(
+                names.windows(2).all(|pair| pair[0] < pair[1]),
+                "in order and once in a stream: {names:?}"
+            );
+            names.iter().for_each(|name| *stored.entry(*name).or_default() += 1);
+        }
+        for (name, times) in &stored {
+            assert!(*times == 1 || self.copied, "event {name} is stored {times} times");
+        }
+        for name in self.spooled.iter().filter(|name| !stored.contains_key(name)) {
+            assert!(self.restored && self.is_accounted(*name, database), "event {name} is lost");
+        }
+        self.check_deleted(database);
+    }
+
+    /// An event that a restored database no longer has stands under a gap, unless its spool was deleted.
+    fn is_accounted(&self, name: u64, database: &Database) -> bool {
+        self.places.get(&name).into_iter().flatten().any(|(stream, number)| {
+            let entries = database.entries.get(stream).into_iter().flatten();
+            let covers = |entry: &Entry| matches!(entry, Entry::Gap { from, through } if (from..=through).contains(&number));
+            entries.clone().any(covers) || self.deleted.contains(stream)
+        })
+    }
+
+    fn check_deleted(&self, database: &Database) {
+        if self.restored || self.copied {
+            return;
+        }
+        let mut replaced = database.replaced.clone();
+        replaced.sort();
+        replaced.dedup();
+        assert_eq!(replaced.len(), database.replaced.len(), "a replaced spool is reported once");
+        assert!(replaced.is_empty() || !self.deleted.is_empty(), "none is reported when none was deleted");
+        let known = self.deleted.iter().filter(|stream| database.entries.contains_key(stream));
+        known.for_each(|stream| assert!(replaced.contains(stream), "a deleted spool is reported"));
+    }
+}

@@ -1,0 +1,41 @@
+"""What a running aggregator says over HTTP, asked over one connection that stays open."""
+
+from __future__ import annotations
+
+import http.client
+import json
+from typing import Any
+
+from programs import Failure
+
+
+class Api:
+    """`GET` on the REST API of one daemon."""
+
+    def __init__(self, port: int) -> None:
+        self._connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+
+    def get(self, path: str) -> dict[str, Any] | None:
+        """The answer; `None` when there is nothing of that name yet."""
+        self._connection.request("GET", f"/api/v1/{path}")
+        response = self._connection.getresponse()
+        body = response.read()
+        if response.status == 404:
+            return None
+        if response.status != 200:
+            raise Failure(f"GET /api/v1/{path} answered {response.status}: {body[:200]!r}")
+        answer: dict[str, Any] = json.loads(body)
+        return answer
+
+    def waiting(self, host: str) -> int | None:
+        """Events of a host that are not stored, by its own account; `None` before it was heard."""
+        answer = self.get(f"hosts/{host}")
+        return None if answer is None else int(answer["accounting"]["waiting"])
+
+    def ended(self, host: str, pipeline: str) -> int:
+        """Iterations of a pipeline in the last minute of the live figures."""
+        answer = self.get(f"pipelines/{host}/{pipeline}")
+        if answer is None:
+            return 0
+        minute = max(answer["windows"], key=lambda window: int(window["seconds"]))
+        return sum(minute["counts"].values())

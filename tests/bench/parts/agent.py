@@ -1,0 +1,86 @@
+"""What storing costs the agent: the same pipelines with and without an aggregator to send to."""
+
+from __future__ import annotations
+
+import time
+
+import store
+from plant import Plant, free_ports, plant
+from programs import Failure
+from report import Section, Table, micros
+
+from . import idle
+
+# Iterations of a local pipeline have 10 nodes.
+RATES_HZ = (100, 2_000)
+PROCESSOR_AIM = 0.02
+MEMORY_AIM = 60 * 2**20
+
+
+def prepare() -> None:
+    pass
+
+
+def measure(quick: bool) -> Section:
+    seconds, repeats = (6.0, 1) if quick else (20.0, 3)
+    section = Section("What an agent's events cost")
+    section.say(
+        f"A pipeline with the model `echo` at a fixed rate, {seconds:.0f} s, median of {repeats}: an agent without an "
+        "aggregator, which measures and keeps live figures, and one with, which also encodes, spools and sends. The "
+        "difference, divided by the nodes, is the way from the timer's stop to the spool and on to the acknowledgement."
+    )
+    table = Table(
+        "rate", "nodes/s", "without, % of a core", "with, % of a core", "per node, µs", "resident, MiB", "spool's share, MiB"
+    )
+    for hz in RATES_HZ:
+        rows = sorted((_pair(hz, seconds) for _ in range(repeats)), key=lambda row: row[2] - row[1])
+        nodes, without, using, resident, more = rows[len(rows) // 2]
+        table.row(
+            f"{hz:,} Hz",
+            f"{nodes:,.0f}",
+            f"{100 * without:.2f}",
+            f"{100 * using:.2f}",
+            micros((using - without) / nodes),
+            f"{resident / 2**20:.1f}",
+            f"{more / 2**20:.1f}",
+        )
+        if hz == RATES_HZ[0]:
+            section.aim("agent at 1,000 nodes/s ≤ 2 % of a core", f"{100 * using:.2f} %", using <= PROCESSOR_AIM)
+            section.aim("agent at 1,000 nodes/s ≤ 60 MiB", f"{resident / 2**20:.1f} MiB", resident <= MEMORY_AIM)
+    section.table(table)
+    return section
+
+
+def _pair(hz: int, seconds: float) -> tuple[float, float, float, float, float]:
+    """Nodes per second, processor share without and with, memory with, how much more that is than without."""
+    events, web = free_ports(2)
+    with plant() as it:
+        it.aggregator(events=events, web=web)
+        agents = {
+            "without": it.daemon("without", _agent(it, "without", hz, "")),
+            "with": it.daemon("with", _agent(it, "with", hz, f'aggregator = "tcp://127.0.0.1:{events}"')),
+        }
+        before, began = store.nodes(it.database), time.monotonic()
+        costs = idle.watch(agents, seconds)
+        nodes = (store.nodes(it.database) - before) / (time.monotonic() - began)
+    if nodes < hz:
+        raise Failure(f"{nodes:.0f} nodes/s were stored at {hz} Hz: fewer than iterations")
+    without, using = costs["without"], costs["with"]
+    return nodes, without.processor, using.processor, using.resident, using.resident - without.resident
+
+
+def _agent(it: Plant, name: str, hz: int, reporting: str) -> str:
+    return f"""
+        [agent]
+        name = "{name}"
+        state_dir = "{it.folder}/{name}"
+        {reporting}
+        [[model]]
+        name = "echo"
+        kind = "echo"
+        [[pipeline]]
+        name = "line"
+        sensor = {{ kind = "synthetic", size_bytes = 64 }}
+        load = {{ mode = "rate", hz = {hz} }}
+        placement = {{ kind = "local", model = "echo" }}
+    """

@@ -1,0 +1,162 @@
+"""How live the live figures are: under half the load of the ingest aim, and while a backlog is caught up."""
+
+from __future__ import annotations
+
+import time
+
+import store
+from http_api import Api
+from lag import Watched, watch
+from plant import Plant, free_ports, plant
+from programs import Failure, Program
+from quantiles import quantile
+from report import Section, Table, rate
+
+from . import ingest
+
+PROBE_HZ = 50
+# Half of what the aggregator promises to store from ten agents.
+LOAD_AGENTS = 10
+LOAD_SPEED = 0.5
+LOAD_NODES_PER_S = 250_000
+LAG_AIM_S = 0.5
+CATCH_UP_AIM = 200_000
+
+
+def prepare() -> None:
+    ingest.prepare()
+
+
+def measure(quick: bool) -> Section:
+    section = Section("Live figures")
+    section.say(
+        f"A pipeline of {PROBE_HZ} iterations a second; the live figures of the aggregator are asked for every 10 ms over "
+        "HTTP. Lag: from the end of an iteration to the first answer that counts it."
+    )
+    table = Table("meanwhile", "iterations", "p50, ms", "p99, ms", "most, ms", "nodes/s stored")
+    for name, lags, stored in (_nothing(quick), _load(quick), _catching_up(section, quick)):
+        ordered = sorted(lags)
+        if not ordered:
+            raise Failure(f"{name}: no iteration was seen in the live figures")
+        p50, p99 = quantile(ordered, 0.5), quantile(ordered, 0.99)
+        table.row(name, f"{len(ordered):,}", *(f"{1e3 * x:.0f}" for x in (p50, p99, ordered[-1])), rate(stored))
+        section.aim(f"live figures, {name}: p99 ≤ {1e3 * LAG_AIM_S:.0f} ms", f"{1e3 * p99:.0f} ms", p99 <= LAG_AIM_S)
+    section.table(table)
+    return section
+
+
+def _nothing(quick: bool) -> tuple[str, list[float], float]:
+    with plant() as it:
+        api = _aggregator(it)
+        lags = _probe(it, api, 8.0 if quick else 40.0)
+    return "nothing else", lags, 0.0
+
+
+def _load(quick: bool) -> tuple[str, list[float], float]:
+    """Simulated agents send at half the rate that the aggregator promises to store."""
+    seconds = 8.0 if quick else 40.0
+    with plant() as it:
+        api = _aggregator(it)
+        nodes = int(LOAD_NODES_PER_S * (seconds + 15.0))
+        with ingest.generator(it.folder / "load.log", api.events, LOAD_AGENTS, nodes, LOAD_SPEED) as load:
+            load.wait_until("the load is being stored", lambda: store.nodes(it.database) > 0)
+            before, began = store.nodes(it.database), time.monotonic()
+            lags = _probe(it, api, seconds)
+            stored = (store.nodes(it.database) - before) / (time.monotonic() - began)
+            load.check()
+    return f"{rate(LOAD_NODES_PER_S)} nodes/s from {LOAD_AGENTS} agents", lags, stored
+
+
+def _catching_up(section: Section, quick: bool) -> tuple[str, list[float], float]:
+    """An agent measures at full speed while its aggregator is away, and is started anew when that is back."""
+    iterations = 60_000 if quick else 600_000
+    with plant() as it:
+        events, web = free_ports(2)
+        filling = it.daemon("edge", _agent(it, events, _filler(iterations)))
+        filling.wait_until("the pipeline has finished", lambda: "finished" in filling.text(), 300.0)
+        filling.stop()
+        backlog = (it.folder / "state/spool.sqlite").stat().st_size
+        api = _Api(it, events, web)
+        began = time.monotonic()
+        probe = it.daemon("edge", _agent(it, events, _pipeline()))
+        watched, done = Watched("edge", "probe"), [0.0]
+
+        def behind() -> bool:
+            waiting = api.waiting("edge")
+            if not done[0] and waiting is not None and waiting < 1_000 and watched.seen:
+                done[0] = time.monotonic()
+            return not done[0]
+
+        watch(api, watched, 50.0, behind)
+        if not done[0]:
+            raise Failure(f"the backlog of {backlog / 2**20:.0f} MiB was not caught up within 50 s")
+        nodes, seconds = store.nodes(it.database), done[0] - began
+        lags = _lags(it, probe, watched)
+    section.say(
+        f"Catching up: {nodes:,} nodes of one agent, {backlog / 2**20:.0f} MiB on its disk, were stored in {seconds:.1f} s, "
+        "from the agent's start to the last acknowledgement."
+    )
+    section.aim(f"catching up ≥ {CATCH_UP_AIM:,} nodes/s", rate(nodes / seconds), nodes / seconds >= CATCH_UP_AIM)
+    return "catching up from the agent's disk", lags, nodes / seconds
+
+
+class _Api(Api):
+    """An aggregator with its ports."""
+
+    def __init__(self, it: Plant, events: int, web: int) -> None:
+        it.aggregator(events=events, web=web)
+        super().__init__(web)
+        self.events = events
+
+
+def _aggregator(it: Plant) -> _Api:
+    return _Api(it, *free_ports(2))
+
+
+def _probe(it: Plant, api: _Api, seconds: float) -> list[float]:
+    probe = it.daemon("edge", _agent(it, api.events, _pipeline()))
+    watched = Watched("edge", "probe")
+    watch(api, watched, seconds)
+    return _lags(it, probe, watched)
+
+
+def _lags(it: Plant, probe: Program, watched: Watched) -> list[float]:
+    probe.stop()
+    probe_run = store.run_of(it.database, "probe")
+    if probe_run is None:
+        raise Failure("the pipeline's run was not stored")
+    return watched.lags(store.ends(it.database, probe_run))
+
+
+def _agent(it: Plant, events: int, pipeline: str) -> str:
+    return f"""
+        [agent]
+        name = "edge"
+        state_dir = "{it.folder}/state"
+        aggregator = "tcp://127.0.0.1:{events}"
+        [[model]]
+        name = "echo"
+        kind = "echo"
+        {pipeline}
+    """
+
+
+def _pipeline() -> str:
+    return f"""
+        [[pipeline]]
+        name = "probe"
+        sensor = {{ kind = "synthetic", size_bytes = 64 }}
+        load = {{ mode = "rate", hz = {PROBE_HZ} }}
+        placement = {{ kind = "local", model = "echo" }}
+    """
+
+
+def _filler(iterations: int) -> str:
+    return f"""
+        [[pipeline]]
+        name = "filler"
+        sensor = {{ kind = "synthetic", size_bytes = 64 }}
+        load = {{ mode = "closed" }}
+        limit = {{ iterations = {iterations} }}
+        placement = {{ kind = "local", model = "echo" }}
+    """

@@ -1,0 +1,47 @@
+"""How long the questions of each page take over a hundred million stored nodes: the aggregator's own benchmark."""
+
+from __future__ import annotations
+
+import re
+
+from programs import ROOT, Failure, output
+from report import Section, Table
+
+BENCH = ["cargo", "bench", "--locked", "--quiet", "--package", "peernet-aggregator", "--bench", "pages"]
+# A question with median and greatest time over the small and over the large database, in ms, and the medians' ratio.
+ROW = re.compile(r"^\| ([^|]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", re.MULTILINE)
+
+TIME_AIM_MS = 200.0
+RATIO_AIM = 2.0
+# Below this, a ratio says more about the machine than about the question.
+MEASURABLE_MS = 5.0
+
+
+def prepare() -> None:
+    output([*BENCH, "--no-run"], folder=ROOT, timeout_s=1800)
+
+
+def measure(quick: bool) -> Section:
+    nodes = 2_000_000 if quick else 100_000_000
+    printed = output([*BENCH, "--", nodes], folder=ROOT, timeout_s=3600, show=True)
+    rows = [(name, *map(float, figures)) for name, *figures in ROW.findall(printed)]
+    if not rows:
+        raise Failure(f"{' '.join(BENCH)} printed no row:\n{printed}")
+    section = Section("Pages over many nodes")
+    section.say(
+        f"What each page asks of the store, 20 times each, over a database with a run of {nodes:,} nodes and over one of "
+        "1,000,000 at most; milliseconds."
+    )
+    table = Table("page", "small, median", "most", "large, median", "most", "ratio")
+    for name, *figures in rows:
+        table.row(name, *(f"{figure:.2f}" for figure in figures))
+    section.table(table)
+    slowest = max(rows, key=lambda row: row[3])
+    section.aim(f"every page ≤ {TIME_AIM_MS:.0f} ms", f"{slowest[3]:.1f} ms ({slowest[0]})", slowest[3] <= TIME_AIM_MS)
+    grown = max(rows, key=lambda row: row[5] if row[3] >= MEASURABLE_MS else 0.0)
+    section.aim(
+        f"every page that takes {MEASURABLE_MS:.0f} ms ≤ {RATIO_AIM:.0f} × the time over 1,000,000 nodes",
+        f"{grown[5]:.2f} × ({grown[0]})",
+        grown[5] <= RATIO_AIM or grown[3] < MEASURABLE_MS,
+    )
+    return section

@@ -1,0 +1,37 @@
+#!/bin/sh
+# The long tests of `make soak`: the end-to-end tests of the event stream with release builds, many more kills and a day's
+# backlog. What they counted goes to standard output and, as Markdown, into target/soak/measurements.md.
+# Usage: run.sh [FILTER]…    (names of tests, such as stream::kills; all of the event stream unless some are named)
+# PEERNET_SEED repeats a run.
+set -eu
+root=$(cd "$(dirname "$0")/../.." && pwd)
+results=$root/target/soak
+rows=$results/rows
+mkdir -p "$results"
+rm -f "$rows"
+
+export PEERNET_KILLS="${PEERNET_KILLS:-200}"
+# A day at 20 Hz, measured in three minutes.
+export PEERNET_OUTAGE_ITERATIONS="${PEERNET_OUTAGE_ITERATIONS:-1728000}"
+export PEERNET_OUTAGE_HZ="${PEERNET_OUTAGE_HZ:-10000}"
+export PEERNET_LAG_MS="${PEERNET_LAG_MS:-500}"
+export PEERNET_CATCH_UP="${PEERNET_CATCH_UP:-200000}"
+export PEERNET_FIGURES="$rows"
+
+[ $# -gt 0 ] || set -- stream::
+cd "$root"
+passed=0
+${CARGO:-cargo} test --release --locked --package peernet-tests --test it -- --test-threads 1 "$@" || passed=$?
+
+cpu=$(sed -n 's/^model name[[:space:]]*: //p' /proc/cpuinfo | head -1)
+{
+    echo "## Kills, outages and full disks"
+    echo
+    echo "Measured $(date -u '+%Y-%m-%d %H:%M') UTC on $cpu, $(nproc) cores, Linux $(uname -r), by \`make soak\`; $(target/release/peernetd --version)."
+    echo
+    echo "| test | what | figure |"
+    echo "| --- | --- | ---: |"
+    cat "$rows" 2>/dev/null || true
+    [ "$passed" = 0 ] || printf '\n**Not all of the tests passed.**\n'
+} | tee "$results/measurements.md"
+exit "$passed"

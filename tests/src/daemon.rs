@@ -1,0 +1,124 @@
+//! A `peernetd` that lives more than once.
+
+use rustix::process::Signal;
+
+use crate::{Ended, Process, Site, Spooled};
+
+/// One configuration file and the process that runs it at the moment; what its earlier lives said is kept.
+#[derive(Debug)]
+pub struct Daemon {
+    /// Its name; the file is `NAME.toml`.
+    pub name: String,
+    configuration: String,
+    process: Option<Process>,
+    spooled: Vec<Spooled>,
+}
+
+impl Daemon {
+    /// Writes the configuration; starts nothing.
+    pub fn new(site: &Site, name: &str, configuration: &str) -> Self {
+        let (name, spooled) = (name.to_owned(), Vec::new());
+        let mut daemon = Self { name, configuration: String::new(), process: None, spooled };
+        daemon.configure(site, configuration);
+        daemon
+    }
+
+    /// The same, started.
+    pub fn started(site: &Site, name: &str, configuration: &str) -> Self {
+        let mut daemon = Self::new(site, name, configuration);
+        daemon.start(site);
+        daemon
+    }
+
+    /// Writes another configuration for the next life.
+    pub fn configure(&mut self, site: &Site, configuration: &str) {
+        self.configuration = configuration.replace("NAME", &self.name);
+        site.write(&self.file(), &self.configuration);
+    }
+
+    /// Starts it without its pipelines: an agent that measures nothing.
+    ///
+    /// # Panics
+    /// When it runs already.
+    pub fn start_idle(&mut self, site: &Site) {
+        let (idle, _) = self.configuration.split_once("[[pipeline]]").unwrap_or((&self.configuration, ""));
+        let file = format!("{}-idle.toml", self.name);
+        site.write(&file, idle);
+        self.start_from(site, &file);
+    }
+
+    fn file(&self) -> String {
+        format!("{}.toml", self.name)
+    }
+
+    /// Starts it.
+    ///
+    /// # Panics
+    /// When it runs already.
+    pub fn start(&mut self, site: &Site) {
+        self.start_from(site, &self.file());
+    }
+
+    fn start_from(&mut self, site: &Site, file: &str) {
+        assert!(self.process.is_none(), "{} runs already", self.name);
+        self.process = Some(site.start(file));
+    }
+
+    /// Whether it was started and neither stopped nor killed.
+    pub fn runs(&self) -> bool {
+        self.process.is_some()
+    }
+
+    /// The process.
+    ///
+    /// # Panics
+    /// When it does not run.
+    pub fn process(&self) -> &Process {
+        self.process.as_ref().unwrap_or_else(|| panic!("{} does not run", self.name))
+    }
+
+    /// Kills it (-9) and waits for its end.
+    pub fn kill(&mut self) {
+        let ended = self.take().kill();
+        assert_eq!(
+            std::os::unix::process::ExitStatusExt::signal(&ended.status),
+            Some(Signal::KILL.as_raw()),
+            "{} ended before it was killed:\n{}",
+            self.name,
+            ended.log
+        );
+        self.keep(&ended);
+    }
+
+    /// Stops it with SIGTERM. It must end well.
+    ///
+    /// # Panics
+    /// When its exit code is not 0.
+    pub fn stop(&mut self) -> Ended {
+        // Before that it has not taken over the signals.
+        self.process().wait_for("ready");
+        let ended = self.take().stop();
+        assert_eq!(ended.code(), 0, "{}:\n{}", self.name, ended.log);
+        self.keep(&ended);
+        ended
+    }
+
+    fn take(&mut self) -> Process {
+        self.process.take().unwrap_or_else(|| panic!("{} does not run", self.name))
+    }
+
+    fn keep(&mut self, ended: &Ended) {
+        self.spooled.extend(Spooled::all(&ended.log));
+    }
+
+    /// What it said is in its spool, in all lives that are over.
+    pub fn spooled(&self) -> &[Spooled] {
+        &self.spooled
+    }
+
+    /// What it said so far, with the life under way.
+    pub fn spooled_now(&self) -> Vec<Spooled> {
+        let now = self.process.as_ref().map(|process| Spooled::all(&process.log())).unwrap_or_default();
+        self.spooled.iter().cloned().chain(now).collect()
+    }
+}

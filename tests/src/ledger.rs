@@ -1,0 +1,239 @@
+//! What an aggregator's database holds, counted in every way it can be counted.
+
+use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
+use std::path::Path;
+
+use crate::Spooled;
+use crate::truth::ask;
+
+/// A database, read as people read it.
+#[derive(Clone, Debug)]
+pub struct Ledger {
+    /// Runs by id.
+    pub runs: BTreeMap<String, StoredRun>,
+    /// Hosts by name.
+    pub hosts: BTreeMap<String, StoredHost>,
+}
+
+/// A run as it is stored.
+#[derive(Clone, Debug, Default)]
+pub struct StoredRun {
+    /// Its host.
+    pub host: String,
+    /// Its pipeline.
+    pub pipeline: String,
+    /// How it ended; empty while it goes on.
+    pub reason: String,
+    /// Iterations that the run's own counters tell.
+    pub counted: u64,
+    /// Successful ones without the warm-up, by those counters.
+    pub ok: u64,
+    /// Successful ones in the roll-up over the whole run, and in those of seconds.
+    pub rolled_up: (u64, u64),
+    /// Numbers of the stored iterations.
+    pub ranges: Vec<RangeInclusive<u64>>,
+    /// Iterations that have nodes.
+    pub with_nodes: u64,
+    /// Those of them whose nodes are not contiguous from 0.
+    pub torn: u64,
+    /// All nodes.
+    pub nodes: u64,
+    /// Events missing in the run's gaps.
+    pub missing: u64,
+}
+
+/// A host as it is stored.
+#[derive(Clone, Debug, Default)]
+pub struct StoredHost {
+    /// Events.
+    pub events: u64,
+    /// Nodes.
+    pub nodes: u64,
+    /// Gaps, by the host's own counters.
+    pub gaps: u64,
+    /// Events missing in them, by the host's own counters.
+    pub missing: u64,
+    /// The same, by the gaps themselves.
+    pub gap_rows: (u64, u64),
+    /// Batches put aside.
+    pub quarantined: u64,
+    /// Streams that it ever had.
+    pub streams: u64,
+}
+
+const RUNS: &str = "
+SELECT r.uuid, p.name, coalesce(r.end_reason, ''), r.warm_up + r.ok + r.failed + r.lost + r.timeout, r.ok,
+       (SELECT coalesce(sum(count), 0) FROM rollup WHERE run = r.number AND resolution_s = 0 AND quantity = 0
+          AND name IN (SELECT id FROM name WHERE text = 'total' AND kind = 'timer')),
+       (SELECT coalesce(sum(count), 0) FROM rollup WHERE run = r.number AND resolution_s = 1 AND quantity = 0
+          AND name IN (SELECT id FROM name WHERE text = 'total' AND kind = 'timer')),
+       (SELECT coalesce(sum(count), 0) FROM gap WHERE run = r.number), coalesce(h.name, h.uuid)
+FROM run AS r JOIN pipeline AS p ON p.id = r.pipeline JOIN host AS h ON h.id = p.host ORDER BY r.number";
+
+const RANGES: &str = "
+SELECT uuid, min(n), max(n) FROM (
+    SELECT run.uuid, i.number AS n, i.number - row_number() OVER (PARTITION BY i.run ORDER BY i.number) AS island
+    FROM iteration AS i JOIN run ON run.number = i.run)
+GROUP BY uuid, island ORDER BY uuid, min(n)";
+
+const NODES: &str = "
+SELECT run.uuid, count(*), sum(t.n <> t.last + 1 OR t.first <> 0), sum(t.n) FROM (
+    SELECT run, iteration, count(*) AS n, min(node) AS first, max(node) AS last FROM node GROUP BY run, iteration) AS t
+JOIN run ON run.number = t.run GROUP BY run.uuid";
+
+const HOSTS: &str = "
+SELECT coalesce(h.name, h.uuid), h.events, h.nodes, h.gaps, h.missing, h.quarantined,
+       (SELECT count(*) FROM gap WHERE host = h.id), (SELECT coalesce(sum(count), 0) FROM gap WHERE host = h.id),
+       (SELECT count(*) FROM stream WHERE host = h.id)
+FROM host AS h";
+
+impl Ledger {
+    /// Reads a database.
+    ///
+    /// # Panics
+    /// As [`ask`].
+    pub fn of(database: &Path) -> Self {
+        let mut runs: BTreeMap<String, StoredRun> = rows(database, RUNS)
+            .into_iter()
+            .map(|row| {
+                let run = StoredRun {
+                    host: row[8].clone(),
+                    pipeline: row[1].clone(),
+                    reason: row[2].clone(),
+                    counted: number(&row[3]),
+                    ok: number(&row[4]),
+                    rolled_up: (number(&row[5]), number(&row[6])),
+                    missing: number(&row[7]),
+                    ..StoredRun::default()
+                };
+                (row[0].clone(), run)
+            })
+            .collect();
+        for row in rows(database, RANGES) {
+            let run = runs.get_mut(&row[0]).expect("joined with its run");
+            run.ranges.push(number(&row[1])..=number(&row[2]));
+        }
+        for row in rows(database, NODES) {
+            let run = runs.get_mut(&row[0]).expect("joined with its run");
+            (run.with_nodes, run.torn, run.nodes) = (number(&row[1]), number(&row[2]), number(&row[3]));
+        }
+        let hosts = rows(database, HOSTS).into_iter().map(|row| {
+            let n = |at: usize| number(&row[at]);
+            let host = StoredHost {
+                events: n(1),
+                nodes: n(2),
+                gaps: n(3),
+                missing: n(4),
+                quarantined: n(5),
+                gap_rows: (n(6), n(7)),
+                streams: n(8),
+            };
+            (row[0].clone(), host)
+        });
+        Self { runs, hosts: hosts.collect() }
+    }
+
+    /// Iterations of all runs.
+    pub fn iterations(&self) -> u64 {
+        self.runs.values().map(StoredRun::iterations).sum()
+    }
+
+    /// Nodes of all runs.
+    pub fn nodes(&self) -> u64 {
+        self.runs.values().map(|run| run.nodes).sum()
+    }
+
+    /// Checks that everything is there once and whole, however it is counted: rows, counters, roll-ups, nodes.
+    ///
+    /// # Panics
+    /// When the counts differ.
+    pub fn agrees(&self) {
+        for (id, run) in &self.runs {
+            let iterations = run.iterations();
+            assert_eq!(run.counted, iterations, "counted against stored: run {id}: {run:?}");
+            assert_eq!(run.rolled_up, (run.ok, run.ok), "roll-ups against the counters: run {id}: {run:?}");
+            assert_eq!((run.with_nodes, run.torn), (iterations, 0), "nodes of run {id}: {run:?}");
+        }
+        for (name, host) in &self.hosts {
+            assert_eq!(host.gap_rows, (host.gaps, host.missing), "gaps of {name}: {host:?}");
+        }
+        let told: u64 = self.hosts.values().map(|host| host.nodes).sum();
+        assert_eq!(told, self.nodes(), "nodes by the hosts' counters and in the table: {self:?}");
+    }
+
+    /// How many iterations of what was spooled are not there; checks that no line's range holds more than it says.
+    ///
+    /// # Panics
+    /// When a run is unknown or holds too many.
+    pub fn lacks(&self, spooled: &[Spooled]) -> u64 {
+        let mut lost = 0;
+        for line in spooled {
+            let run = self.runs.get(&line.run).unwrap_or_else(|| panic!("the run of {line:?} is not stored"));
+            let there = run.within(line.first, line.last);
+            assert!(there <= line.count, "{there} stored, more than {line:?}: {:?}", run.ranges);
+            lost += line.count - there;
+        }
+        lost
+    }
+}
+
+impl StoredRun {
+    /// How many iterations are stored.
+    pub fn iterations(&self) -> u64 {
+        self.ranges.iter().map(|range| range.end() - range.start() + 1).sum()
+    }
+
+    /// How many of those between two numbers are stored.
+    pub fn within(&self, first: u64, last: u64) -> u64 {
+        let shared = |range: &RangeInclusive<u64>| {
+            let (first, last) = (first.max(*range.start()), last.min(*range.end()));
+            (last + 1).saturating_sub(first)
+        };
+        self.ranges.iter().map(shared).sum()
+    }
+
+    /// How many are not there of those from 1 to the last that is.
+    pub fn holes(&self) -> u64 {
+        self.ranges.last().map_or(0, |range| *range.end()) - self.iterations()
+    }
+
+    /// Whether all from the first to the last are there.
+    pub fn is_whole(&self) -> bool {
+        matches!(self.ranges.as_slice(), [range] if *range.start() == 1)
+    }
+}
+
+fn rows(database: &Path, sql: &str) -> Vec<Vec<String>> {
+    ask(database, sql).lines().map(|line| line.split('|').map(str::to_owned).collect()).collect()
+}
+
+fn number(text: &str) -> u64 {
+    text.parse().unwrap_or_else(|_| panic!("{text:?} is no count"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn spooled(first: u64, last: u64) -> Spooled {
+        Spooled { run: "a".to_owned(), batch: 1, first, last, count: last - first + 1 }
+    }
+
+    #[test]
+    fn what_is_not_there_is_missed() {
+        let mut ledger = Ledger { runs: BTreeMap::new(), hosts: BTreeMap::new() };
+        let run = StoredRun { ranges: vec![1..=10, 13..=20], ..StoredRun::default() };
+        assert_eq!((run.iterations(), run.holes(), run.is_whole()), (18, 2, false));
+        ledger.runs.insert("a".to_owned(), run);
+        assert_eq!(ledger.lacks(&[spooled(1, 10), spooled(14, 20)]), 0);
+        assert_eq!(ledger.lacks(&[spooled(9, 11), spooled(12, 13), spooled(30, 31)]), 4);
+    }
+
+    #[test]
+    #[should_panic(expected = "counted against stored")]
+    fn counters_that_tell_of_more_than_there_is_are_noticed() {
+        let run = StoredRun { ranges: vec![1..=10], counted: 11, ..StoredRun::default() };
+        Ledger { runs: BTreeMap::from([("a".to_owned(), run)]), hosts: BTreeMap::new() }.agrees();
+    }
+}

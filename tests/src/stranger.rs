@@ -1,0 +1,171 @@
+//! Somebody who speaks the event stream's protocol as he likes, over a real socket.
+
+use std::fmt::Debug;
+use std::sync::OnceLock;
+
+use bytes::Bytes;
+use peernet_clock::ClockIdentity;
+use peernet_logger::HostId;
+use peernet_logger::stream::{
+    BatchHead, Chain, Event, Hardware, Hello, HostDescription, Incident, IncidentKind, PROTOCOL, StreamId,
+    ToAgent, ToAggregator, codec,
+};
+use tokio::runtime::{Builder, Runtime};
+use zeromq::{Message, Options, Socket, SocketType};
+
+use crate::{Chance, PATIENCE, wall};
+
+/// A connection to an aggregator.
+pub struct Stranger {
+    socket: Socket,
+}
+
+/// Connections live on in threads of their own while the test does something else.
+fn runtime() -> &'static Runtime {
+    static RUNTIME: OnceLock<Runtime> = OnceLock::new();
+    RUNTIME.get_or_init(|| {
+        Builder::new_multi_thread().worker_threads(2).enable_all().build().expect("a runtime")
+    })
+}
+
+impl Debug for Stranger {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Stranger")
+    }
+}
+
+impl Stranger {
+    /// Connects to a port of this machine.
+    ///
+    /// # Panics
+    /// When that fails.
+    pub fn at(port: u16) -> Self {
+        let socket = runtime().block_on(async {
+            let socket = Socket::new(SocketType::Dealer, Options::default());
+            socket.connect(format!("tcp://127.0.0.1:{port}")).await.expect("connects");
+            socket
+        });
+        Self { socket }
+    }
+
+    /// Sends a frame.
+    ///
+    /// # Panics
+    /// When the socket is closed.
+    pub fn send(&self, frame: &[u8]) {
+        let message = Message::single(Bytes::copy_from_slice(frame));
+        runtime().block_on(self.socket.send(message)).expect("sends");
+    }
+
+    /// Sends a message.
+    pub fn say(&self, message: &ToAggregator) {
+        self.send(&codec::encode(message));
+    }
+
+    /// The next message that comes.
+    ///
+    /// # Panics
+    /// When none comes within [`PATIENCE`].
+    pub fn hear(&self) -> ToAgent {
+        let received = runtime().block_on(async { tokio::time::timeout(PATIENCE, self.socket.recv()).await });
+        let message = received.expect("an answer in time").expect("receives");
+        codec::decode(message.part_slice(0).expect("a frame")).expect("a message of the aggregator")
+    }
+
+    /// Hears until something is said that `holds` looks for.
+    pub fn hear_until<T>(&self, mut holds: impl FnMut(&ToAgent) -> Option<T>) -> T {
+        loop {
+            if let Some(found) = holds(&self.hear()) {
+                return found;
+            }
+        }
+    }
+
+    /// Waits until all batches up to a number are acknowledged.
+    pub fn hear_ack(&self, number: u64) {
+        self.hear_until(|said| {
+            matches!(said, ToAgent::Ack { through, .. } if *through >= number).then_some(())
+        });
+    }
+
+    /// Waits for a refusal and returns its words.
+    pub fn hear_refusal(&self) -> String {
+        self.hear_until(|said| match said {
+            ToAgent::Refused { reason } => Some(reason.clone()),
+            _ => None,
+        })
+    }
+}
+
+/// A host that the test makes up, with a stream of batches.
+#[derive(Clone, Debug)]
+pub struct Introduced {
+    /// The hello that it opens with.
+    pub hello: Hello,
+    newest: (u64, Chain),
+}
+
+impl Introduced {
+    /// A host with a new stream.
+    pub fn new(name: &str, chance: &mut Chance) -> Self {
+        let host = HostDescription {
+            id: HostId::random(),
+            name: name.parse().expect("a name"),
+            clock: ClockIdentity::new("boot", "test"),
+            version: "0.1.0".into(),
+            hardware: Hardware { cpu: "test".into(), cores: 2, ..Hardware::default() },
+            serves: None,
+            models: vec![],
+        };
+        let hello = Hello {
+            protocol: PROTOCOL,
+            host,
+            stream: StreamId::random(),
+            previous: None,
+            first: 1,
+            oldest: 1,
+            before: Chain::START,
+            batch_bytes: 128 << 10,
+            process: chance.bits(),
+        };
+        Self { hello, newest: (0, Chain::START) }
+    }
+
+    /// Says hello and waits until it is taken in.
+    pub fn enter(&self, stranger: &Stranger) {
+        stranger.say(&ToAggregator::Hello(self.hello.clone()));
+        stranger.hear_until(|said| matches!(said, ToAgent::Welcome { .. }).then_some(()));
+    }
+
+    /// The next batch of the stream, with so many events.
+    pub fn batch(&mut self, events: u32) -> Vec<u8> {
+        let text = |n: u32| format!("event {n} of batch {}", self.newest.0 + 1);
+        let body: Vec<u8> = (0..events)
+            .flat_map(|n| {
+                let incident = Incident {
+                    at: wall(),
+                    kind: IncidentKind::Connected,
+                    pipeline: None,
+                    run: None,
+                    peer: None,
+                    text: text(n),
+                };
+                rmp_serde::to_vec(&Event::Incident(incident)).expect("plain data serialises")
+            })
+            .collect();
+        self.batch_of(events, &body, false)
+    }
+
+    /// The next batch of the stream, of whatever bytes, correctly hashed.
+    pub fn batch_of(&mut self, events: u32, body: &[u8], compress: bool) -> Vec<u8> {
+        let (newest, before) = self.newest;
+        let (number, chain) = (newest + 1, before.then(events, body));
+        self.newest = (number, chain);
+        let (host, stream, process) = (self.hello.host.id, self.hello.stream, self.hello.process);
+        codec::batch_frame(
+            &BatchHead { host, stream, process, number, before, chain, events },
+            body,
+            compress,
+        )
+    }
+}

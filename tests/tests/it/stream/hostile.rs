@@ -1,0 +1,217 @@
+//! Peers that send whatever they like to a real aggregator, with a good agent beside them.
+
+use peernet_logger::stream::{ToAgent, ToAggregator, codec};
+use peernet_tests::fleet::{echo, edge, rate};
+use peernet_tests::{Chance, Fleet, Introduced, Stranger, measured, thousands, until};
+
+use super::{nothing_lost, turn};
+
+/// A fleet whose agent measures meanwhile.
+fn beside_an_agent() -> Fleet {
+    let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(200.0))));
+    fleet.start(0);
+    fleet.account(0, "something is stored", |account| account.events > 0);
+    fleet
+}
+
+/// The agent beside lost nothing, and the aggregator ends well.
+fn nobody_was_harmed(mut fleet: Fleet) -> u64 {
+    let seen = fleet.account(0, "it is there", |_| true);
+    fleet.account(0, "more is stored", |account| account.events > seen.events + 100);
+    fleet.agents[0].stop();
+    fleet.deliver(0).balances();
+    let mut ledger = fleet.stop();
+    ledger.hosts.retain(|name, _| name == "edge");
+    nothing_lost(&fleet, &ledger)
+}
+
+/// The sum of a counter over all its labels, by the start of its name.
+fn counter(fleet: &Fleet, name: &str) -> u64 {
+    let (status, text) = fleet.api.get("/metrics").expect("the aggregator answers");
+    assert_eq!(status, 200, "{text}");
+    let of_name = text.lines().filter(|line| line.starts_with(name));
+    let values = of_name.filter_map(|line| line.rsplit_once(' ')?.1.parse::<f64>().ok());
+    values.sum::<f64>() as u64
+}
+
+#[test]
+fn frames_that_are_cut_or_flipped_are_refused_and_counted() {
+    let _turn = turn();
+    let mut chance = Chance::new("damaged frames");
+    let fleet = beside_an_agent();
+    let stranger = Stranger::at(fleet.site.events);
+    let mut host = Introduced::new("stranger", &mut chance);
+    host.enter(&stranger);
+    stranger.send(&host.batch(10));
+    stranger.hear_ack(1);
+
+    // Neither pieces of messages nor noise are messages.
+    let hello = codec::encode(&ToAggregator::Hello(host.hello.clone()));
+    let next = host.batch(10);
+    let mut sent = 0;
+    for _ in 0..300 {
+        let whole = if chance.once_in(2) { &hello } else { &next };
+        let mut frame = whole[..chance.below(whole.len())].to_vec();
+        if chance.once_in(3) {
+            frame.iter_mut().for_each(|byte| *byte = chance.bits() as u8);
+        }
+        stranger.send(&frame);
+        sent += 1;
+    }
+    // Whatever was made of them, the batch itself comes through: it may have to be introduced again.
+    stranger.say(&ToAggregator::Hello(host.hello.clone()));
+    stranger.send(&next);
+    stranger.hear_ack(2);
+
+    // Each bit of a batch that is turned round is noticed, in whatever part of it.
+    for _ in 0..300 {
+        let mut frame = next.clone();
+        let at = chance.below(frame.len());
+        frame[at] ^= 1 << chance.below(8);
+        stranger.send(&frame);
+        sent += 1;
+    }
+    stranger.say(&ToAggregator::Hello(host.hello.clone()));
+    stranger.hear_until(|said| match said {
+        ToAgent::Welcome { stored, .. } => (*stored == 2).then_some(()),
+        _ => None,
+    });
+    until("it is counted", || {
+        (counter(&fleet, "peernet_aggregator_damaged_batches_total") > 0).then_some(())
+    });
+    let damaged = counter(&fleet, "peernet_aggregator_damaged_batches_total");
+    let told = fleet.aggregator.process().wait_for("messages were not taken");
+    assert!(told.contains("unreadable="), "{told}");
+    stranger.say(&ToAggregator::Goodbye(host.hello.host.id));
+    let spooled = nobody_was_harmed(fleet);
+    measured(
+        "damaged frames",
+        &[
+            ("sent", thousands(f64::from(sent))),
+            ("recognised by their hash", thousands(damaged as f64)),
+            ("iterations of the agent beside, spooled and stored", thousands(spooled as f64)),
+        ],
+    );
+}
+
+#[test]
+fn a_batch_that_is_wrong_in_itself_is_put_aside_and_the_stream_goes_on() {
+    let _turn = turn();
+    let mut chance = Chance::new("wrong batches");
+    let fleet = beside_an_agent();
+    let stranger = Stranger::at(fleet.site.events);
+    let mut host = Introduced::new("stranger", &mut chance);
+    host.enter(&stranger);
+
+    // Correctly hashed, but noise, too few, too many, and more than it may be.
+    let noise: Vec<u8> = (0..10_000).map(|_| chance.bits() as u8).collect();
+    let event = host.clone().batch(1).split_off(0);
+    let wrong = [(7, noise.clone(), false), (u32::MAX, noise, true), (3, event, false), (0, vec![], false)];
+    for (number, (events, body, compress)) in (1..).zip(wrong) {
+        let batch = host.batch_of(events, &body, compress);
+        stranger.send(&batch);
+        stranger.hear_ack(number);
+    }
+    stranger.send(&host.batch(10));
+    stranger.hear_ack(5);
+    // Its bytes are not what its hash says, however often it comes.
+    let mut damaged = host.batch(10);
+    let last = damaged.len() - 1;
+    damaged[last] ^= 1;
+    for _ in 0..8 {
+        stranger.send(&damaged);
+    }
+    stranger.hear_ack(6);
+    // Zeros that take four thousand times the room when they are unpacked.
+    stranger.send(&host.batch_of(9, &vec![0; 64 << 20], true));
+    stranger.send(&host.batch(10));
+    let stored = until("what is stored", || {
+        let stranger = fleet.api.json("/api/v1/hosts/stranger");
+        let quarantined = stranger["stored"]["quarantined"].as_u64()?;
+        (quarantined >= 4).then(|| stranger["stored"].clone())
+    });
+    assert!(stored["gaps"].as_u64() >= Some(4), "{stored}");
+    // What a batch claims to hold is not believed when it cannot be.
+    assert!(stored["missing"].as_u64() < Some(1_000), "{stored}");
+    nobody_was_harmed(fleet);
+}
+
+#[test]
+fn batches_of_another_host_are_not_taken_and_repeated_ones_not_twice() {
+    let _turn = turn();
+    let mut chance = Chance::new("replayed batches");
+    let fleet = beside_an_agent();
+    let (own, other) = (Stranger::at(fleet.site.events), Stranger::at(fleet.site.events));
+    let mut host = Introduced::new("victim", &mut chance);
+    host.enter(&own);
+    let batches: Vec<Vec<u8>> = (0..5).map(|_| host.batch(20)).collect();
+    batches[..4].iter().for_each(|batch| own.send(batch));
+    own.hear_ack(4);
+
+    // Overheard and sent by somebody else: old ones and the next.
+    for batch in &batches {
+        other.send(batch);
+        other.hear_until(|said| (*said == ToAgent::Unknown).then_some(()));
+    }
+    // In his own name, in the victim's name, with the victim's stream.
+    let mut thief = Introduced::new("thief", &mut chance);
+    thief.hello.stream = host.hello.stream;
+    other.say(&ToAggregator::Hello(thief.hello));
+    let words = other.hear_refusal();
+    assert!(words.contains(&host.hello.host.id.to_string()), "{words}");
+    let mut impostor = Introduced::new("victim", &mut chance);
+    other.say(&ToAggregator::Hello(impostor.hello.clone()));
+    let words = other.hear_refusal();
+    assert!(words.contains("name"), "{words}");
+    impostor.hello.host.name = "impostor".parse().expect("a name");
+    impostor.enter(&other);
+    batches.iter().for_each(|batch| other.send(batch));
+
+    // The host itself may repeat as it likes.
+    for batch in batches.iter().chain(&batches) {
+        own.send(batch);
+    }
+    own.hear_ack(5);
+    let stored = until("duplicates are counted", || {
+        let victim = fleet.api.json("/api/v1/hosts/victim");
+        (victim["stored"]["duplicates"].as_u64()? >= 8).then(|| victim["stored"].clone())
+    });
+    assert_eq!((stored["events"].as_u64(), stored["gaps"].as_u64()), (Some(100), Some(0)), "{stored}");
+    nobody_was_harmed(fleet);
+}
+
+#[test]
+fn a_storm_of_hellos_keeps_no_agent_out() {
+    let _turn = turn();
+    let mut chance = Chance::new("hello storm");
+    let fleet = beside_an_agent();
+    let stranger = Stranger::at(fleet.site.events);
+    // More hosts than one connection may speak for.
+    for n in 0..200 {
+        stranger.say(&ToAggregator::Hello(Introduced::new(&format!("crowd-{n}"), &mut chance).hello));
+    }
+    let words = stranger.hear_refusal();
+    assert!(words.contains("connection"), "{words}");
+    // Many connections, many with the good agent's name, wrong versions, and long stories.
+    let crowd: Vec<Stranger> = (0..60).map(|_| Stranger::at(fleet.site.events)).collect();
+    for (n, one) in crowd.iter().enumerate() {
+        let name = if n % 2 == 0 { "edge" } else { "somebody" };
+        let mut hello = Introduced::new(name, &mut chance).hello;
+        match n % 3 {
+            0 => hello.protocol = u16::MAX,
+            1 => hello.host.hardware.cpu = "x".repeat(3 << 20),
+            _ => hello.oldest = u64::MAX,
+        }
+        for _ in 0..20 {
+            one.say(&ToAggregator::Hello(hello.clone()));
+        }
+    }
+    let words = crowd[0].hear_refusal();
+    assert!(words.contains("version"), "{words}");
+    until("refusals are shown", || {
+        let hosts = fleet.api.json("/api/v1/hosts");
+        (!hosts["refused"].as_array()?.is_empty()).then_some(())
+    });
+    until("refusals are counted", || (counter(&fleet, "peernet_aggregator_refused_hosts") > 0).then_some(()));
+    nobody_was_harmed(fleet);
+}

@@ -1,0 +1,103 @@
+//! The aggregator is away for long, and comes back.
+
+use std::time::Duration;
+
+use peernet_tests::fleet::{echo, edge, rate};
+use peernet_tests::truth::ask;
+use peernet_tests::{Account, Fleet, Since, measured, thousands, until, until_grown};
+
+use super::{nothing_lost, setting, turn};
+
+/// Between two looks at what is stored.
+const LOOK: Duration = Duration::from_millis(100);
+const DAY_S: f64 = 86_400.0;
+
+/// How far the live picture may be behind, in a debug build on a busy machine. The figure that counts is measured by
+/// `make bench`, and by `make soak`, which sets the other one.
+const USUAL_LAG_MS: u64 = 5_000;
+
+#[test]
+fn an_aggregator_that_was_away_for_a_day_gets_everything_in_order_while_the_picture_is_live() {
+    let _turn = turn();
+    let iterations = setting("PEERNET_OUTAGE_ITERATIONS", 30_000);
+    // A day's work is measured in no time; the other pipeline is what is looked at meanwhile.
+    let hz = setting("PEERNET_OUTAGE_HZ", 3_000) as f64;
+    let flood =
+        format!("warm_up = {{ iterations = 0 }}\nlimit = {{ iterations = {iterations} }}\n{}", rate(hz));
+    let pipelines = echo("day", &flood) + &echo("steady", &rate(20.0));
+    // Far less fits into memory.
+    let mut fleet = Fleet::new(&["edge"], &edge("queue_events = 8000", &pipelines));
+    // The host is known; a moment later the aggregator is not there any more.
+    fleet.start(0);
+    fleet.account(0, "it is there", |_| true);
+    fleet.aggregator.kill();
+    let agent = &fleet.agents[0];
+    until_grown("the day's iterations are in the spool", iterations, || {
+        agent.spooled_now().iter().filter(|line| line.count > 20).map(|line| line.last).max()
+    });
+
+    fleet.aggregator_returns();
+    let (begin, before) = (Since::now(), stored(&fleet));
+    let mut lags = Vec::new();
+    let mut seen = before.unwrap_or_default();
+    loop {
+        let (number, done) = until("more of the day is stored", || {
+            let account = Account::of(&fleet.api, "edge").filter(|account| account.connected)?;
+            lags.push(account.live_lag_s);
+            std::thread::sleep(LOOK);
+            Some(stored(&fleet)?).filter(|(number, done)| *number > seen.0 || *done)
+        });
+        seen = (number, done);
+        if done {
+            break;
+        }
+    }
+    let seconds = begin.elapsed().as_secs_f64();
+    fleet.agents[0].stop();
+    let account = fleet.deliver(0);
+    let ledger = fleet.stop();
+    nothing_lost(&fleet, &ledger);
+    account.balances();
+    let day = ledger.runs.values().find(|run| run.pipeline == "day").expect("it was measured");
+    assert_eq!((day.iterations(), day.reason.as_str()), (iterations, "finished"));
+
+    lags.sort_by(f64::total_cmp);
+    let lag = |share: f64| lags[((lags.len() - 1) as f64 * share) as usize];
+    let caught_up = (iterations - before.map_or(0, |(number, _)| number)) as f64;
+    let per_second = caught_up / seconds * (day.nodes as f64 / iterations as f64);
+    let ms = |seconds: f64| format!("{:.0} ms", seconds * 1e3);
+    measured(
+        "outage",
+        &[
+            ("iterations while away", thousands(caught_up)),
+            ("which is a day at", format!("{:.2} Hz", iterations as f64 / DAY_S)),
+            ("nodes", thousands(day.nodes as f64)),
+            ("caught up in", format!("{seconds:.1} s")),
+            ("nodes per second", thousands(per_second)),
+            ("live picture behind meanwhile, p50", ms(lag(0.5))),
+            ("live picture behind meanwhile, p99", ms(lag(0.99))),
+            ("lost", thousands(0.0)),
+        ],
+    );
+    assert!(
+        lag(0.99) * 1e3 <= setting("PEERNET_LAG_MS", USUAL_LAG_MS) as f64,
+        "the picture was not live: {}",
+        ms(lag(0.99))
+    );
+    assert!(per_second >= setting("PEERNET_CATCH_UP", 1) as f64, "{per_second} nodes/s");
+}
+
+/// The newest stored iteration of the day and whether its run has ended; checks that none before it is missing.
+fn stored(fleet: &Fleet) -> Option<(u64, bool)> {
+    let sql = "SELECT r.ok + r.warm_up + r.failed, coalesce((SELECT max(number) FROM iteration WHERE run = r.number), 0),
+                      r.end_reason IS NOT NULL
+               FROM run AS r JOIN pipeline AS p ON p.id = r.pipeline WHERE p.name = 'day'";
+    let row = ask(fleet.database(), sql);
+    if row.is_empty() {
+        return None;
+    }
+    let mut columns = row.trim().split('|').map(|column| column.parse::<u64>().expect("a count"));
+    let (counted, newest, ended) = (columns.next()?, columns.next()?, columns.next()?);
+    assert_eq!(counted, newest, "stored in order, so that what is there has no hole");
+    Some((newest, ended == 1))
+}

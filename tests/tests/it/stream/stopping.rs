@@ -1,0 +1,87 @@
+//! SIGTERM while everything runs at full speed.
+
+use peernet_tests::fleet::{echo, edge};
+use peernet_tests::{Ended, Fleet, measured, thousands};
+
+use super::{SMALL_SPOOL, nothing_lost, turn};
+
+/// The agent says each answer, so that what was measured is known from elsewhere than the spool.
+fn counted() -> String {
+    edge("", &(SMALL_SPOOL.to_owned() + &echo("loop", "actuator = { kind = \"log\" }")))
+}
+
+/// Answers that an agent said it had.
+fn answers(ended: &Ended) -> u64 {
+    ended.log.lines().filter(|line| line.contains("actuators: answer")).count() as u64
+}
+
+/// What was measured is stored or counted in gaps, and the end of the run is there.
+fn everything_measured_is_stored(what: &str, mut fleet: Fleet, measured_in_all: u64) {
+    fleet.deliver(0).balances();
+    let ledger = fleet.stop();
+    nothing_lost(&fleet, &ledger);
+    let run = ledger.runs.values().next().expect("one run");
+    assert_eq!((ledger.runs.len(), run.reason.as_str()), (1, "stopped"), "{ledger:?}");
+    assert_eq!(run.iterations() + run.missing, measured_in_all, "{ledger:?}");
+    let number = |count: u64| thousands(count as f64);
+    measured(
+        what,
+        &[
+            ("iterations measured", number(measured_in_all)),
+            ("iterations stored", number(run.iterations())),
+            ("iterations in gaps", number(run.missing)),
+        ],
+    );
+}
+
+#[test]
+fn an_agent_that_stops_without_its_aggregator_leaves_everything_in_its_spool() {
+    let _turn = turn();
+    let mut fleet = Fleet::new(&["edge"], &counted());
+    fleet.aggregator.stop();
+    fleet.start(0);
+    fleet.agents[0].process().wait_for_nth("spooled batch=", 8);
+    let ended = fleet.agents[0].stop();
+    fleet.aggregator_returns();
+    everything_measured_is_stored("SIGTERM, agent alone", fleet, answers(&ended));
+}
+
+#[test]
+fn an_agent_that_stops_under_load_has_everything_spooled_or_stored() {
+    let _turn = turn();
+    let mut fleet = Fleet::new(&["edge"], &counted());
+    fleet.start(0);
+    fleet.account(0, "something is stored", |account| account.events > 1_000);
+    let ended = fleet.agents[0].stop();
+    everything_measured_is_stored("SIGTERM, agent", fleet, answers(&ended));
+}
+
+#[test]
+fn an_aggregator_that_stops_under_load_has_stored_what_it_acknowledged() {
+    let _turn = turn();
+    let mut fleet =
+        Fleet::new(&["edge-1", "edge-2"], &edge("", &(SMALL_SPOOL.to_owned() + &echo("loop", ""))));
+    fleet.start_all();
+    for agent in 0..2 {
+        fleet.account(agent, "something is stored", |account| account.events > 1_000);
+    }
+    fleet.aggregator.stop();
+    let first = fleet.ledger();
+    // What was acknowledged is deleted in the spools: had it not been stored, its absence would be a gap now.
+    fleet.aggregator_returns();
+    for agent in 0..2 {
+        fleet.account(agent, "more is stored", |account| account.events > account.stored.min(1_000));
+        fleet.agents[agent].stop();
+        fleet.deliver(agent).balances();
+    }
+    let ledger = fleet.stop();
+    nothing_lost(&fleet, &ledger);
+    let number = |count: u64| thousands(count as f64);
+    measured(
+        "SIGTERM, aggregator",
+        &[
+            ("iterations stored when it ended", number(first.iterations())),
+            ("in the end", number(ledger.iterations())),
+        ],
+    );
+}

@@ -1,0 +1,86 @@
+//! `GET /metrics`: the live picture as OpenMetrics text, for Prometheus and whatever reads its format.
+//!
+//! Each metric is an entry of [`table`]; all samples of an answer come from one snapshot.
+
+mod hosts;
+mod links;
+mod pipelines;
+mod scrape;
+mod table;
+
+use std::fmt;
+
+use axum::extract::State;
+use axum::http::header::CONTENT_TYPE;
+use axum::response::{IntoResponse, Response};
+use peernet_aggregator::Readiness;
+use prometheus_client::collector::Collector;
+use prometheus_client::encoding::text;
+use prometheus_client::encoding::{DescriptorEncoder, MetricEncoder, NoLabelSet};
+use prometheus_client::metrics::MetricType;
+use prometheus_client::registry::{Registry, Unit};
+
+use self::scrape::Scrape;
+use self::table::{Kind, METRICS, Sample};
+use crate::error::WebError;
+use crate::state::App;
+
+/// <https://prometheus.io/docs/specs/om/open_metrics_spec/>
+const FORM: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+
+/// Everything that is counted and measured, in the OpenMetrics text format; `docs/metrics.md` lists the metrics.
+#[utoipa::path(get, path = "/metrics", operation_id = "getMetrics", tag = "health", responses(
+    (status = 200, body = String, content_type = "application/openmetrics-text"),
+))]
+pub(crate) async fn serve(State(app): State<App>) -> Result<Response, WebError> {
+    let ready = app.aggregator.ready() == Readiness::Ready;
+    let text = render(Scrape::of(&app.picture(), ready, app.aggregator.database_bytes()))?;
+    Ok(([(CONTENT_TYPE, FORM)], text).into_response())
+}
+
+fn render(scrape: Scrape) -> Result<String, WebError> {
+    let mut registry = Registry::with_prefix("peernet");
+    registry.register_collector(Box::new(scrape));
+    let mut text = String::new();
+    text::encode(&mut text, &registry)?;
+    Ok(text)
+}
+
+impl Collector for Scrape {
+    fn encode(&self, mut encoder: DescriptorEncoder<'_>) -> fmt::Result {
+        for metric in METRICS {
+            let unit = Unit::Other(metric.unit.to_owned());
+            let kind = match metric.kind {
+                Kind::Counter => MetricType::Counter,
+                Kind::Gauge => MetricType::Gauge,
+            };
+            let mut family = encoder.encode_descriptor(metric.name, metric.help, Some(&unit), kind)?;
+            let mut written = Ok(());
+            (metric.samples)(self, &mut |values, sample| {
+                if written.is_err() {
+                    return;
+                }
+                let labels: Vec<(&str, &str)> =
+                    metric.labels.iter().copied().zip(values.iter().copied()).collect();
+                // An empty set of labels would leave its braces.
+                written = if labels.is_empty() {
+                    write(&mut family, sample)
+                } else {
+                    family.encode_family(&labels).and_then(|mut line| write(&mut line, sample))
+                };
+            });
+            written?;
+        }
+        Ok(())
+    }
+}
+
+fn write(line: &mut MetricEncoder<'_>, sample: Sample) -> fmt::Result {
+    match sample {
+        Sample::Count(count) => line.encode_counter::<NoLabelSet, u64, f64>(&count, None),
+        Sample::Size(size) => line.encode_gauge(&size),
+        // A figure that is no number says nothing.
+        Sample::Value(value) if value.is_finite() => line.encode_gauge(&value),
+        Sample::Value(_) => Ok(()),
+    }
+}

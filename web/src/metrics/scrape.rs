@@ -1,0 +1,125 @@
+//! What one answer is made from: one snapshot, within limits.
+
+use std::collections::{BTreeMap, HashSet};
+use std::sync::Arc;
+
+use peernet_aggregator::{HostPicture, LinkPicture, Picture, PipelinePicture, Totals};
+
+use super::table::{Sample, Sink};
+
+/// Hosts of one answer; each makes about twenty lines.
+const HOSTS: usize = 4_096;
+/// Pipelines of one answer; each makes at most 49 lines.
+const PIPELINES: usize = 1_000;
+/// Links of one answer; each makes three lines.
+const LINKS: usize = 4_096;
+
+/// The snapshot.
+#[derive(Debug)]
+pub(super) struct Scrape {
+    pub(super) ready: bool,
+    pub(super) connected: u64,
+    pub(super) known: u64,
+    pub(super) refused: u64,
+    pub(super) database_bytes: Option<u64>,
+    pub(super) totals: Totals,
+    pub(super) hosts: Vec<Arc<HostPicture>>,
+    pub(super) pipelines: Vec<Arc<PipelinePicture>>,
+    pub(super) links: Vec<Arc<LinkPicture>>,
+    omitted: [(&'static str, usize); 3],
+}
+
+impl Scrape {
+    /// Takes what it needs of a picture. Names are the labels: of several hosts of one name, all but one of which must
+    /// be away, the one that was heard of last is shown.
+    pub(super) fn of(picture: &Picture, ready: bool, database_bytes: Option<u64>) -> Self {
+        let mut by_name: BTreeMap<&str, &Arc<HostPicture>> = BTreeMap::new();
+        for host in &picture.hosts {
+            let held = by_name.entry(host.description.name.as_str()).or_insert(host);
+            if (host.connected, host.last_seen) > (held.connected, held.last_seen) {
+                *held = host;
+            }
+        }
+        let shown: HashSet<_> = by_name.values().map(|host| host.id).collect();
+        let mut hosts: Vec<Arc<HostPicture>> = by_name.into_values().cloned().collect();
+        let mut pipelines: Vec<Arc<PipelinePicture>> =
+            picture.pipelines.iter().filter(|one| shown.contains(&one.host)).cloned().collect();
+        let mut names = HashSet::new();
+        let mut links: Vec<Arc<LinkPicture>> = picture
+            .links
+            .iter()
+            .filter(|link| {
+                shown.contains(&link.edge) && names.insert((&link.edge_name, &link.live.peer_name))
+            })
+            .cloned()
+            .collect();
+        let omitted = [
+            ("hosts", cut(&mut hosts, HOSTS)),
+            ("pipelines", cut(&mut pipelines, PIPELINES)),
+            ("links", cut(&mut links, LINKS)),
+        ];
+        Self {
+            ready,
+            connected: picture.hosts.iter().filter(|host| host.connected).count() as u64,
+            known: picture.hosts.len() as u64,
+            refused: picture.refused.len() as u64,
+            database_bytes,
+            totals: picture.totals,
+            hosts,
+            pipelines,
+            links,
+            omitted,
+        }
+    }
+
+    /// What the database takes.
+    pub(super) fn database(&self, to: &mut Sink<'_>) {
+        self.database_bytes.into_iter().for_each(|bytes| to(&[], Sample::Size(bytes)));
+    }
+
+    /// What did not fit, by kind.
+    pub(super) fn omitted(&self, to: &mut Sink<'_>) {
+        self.omitted.iter().for_each(|(kind, many)| to(&[kind], Sample::Size(*many as u64)));
+    }
+}
+
+fn cut<T>(items: &mut Vec<T>, most: usize) -> usize {
+    let beyond = items.len().saturating_sub(most);
+    items.truncate(most);
+    beyond
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::{Span, Verdict};
+    use peernet_logger::HostId;
+
+    use super::*;
+    use crate::view::samples;
+
+    #[test]
+    fn a_name_stands_once_and_means_the_host_that_reports() {
+        let mut old = samples::host("cam-1", "Orin");
+        (old.id, old.connected) = (HostId::from_bytes([8; 16]), false);
+        old.last_seen = samples::NOW + Span::from_seconds(9);
+        let line = samples::pipeline("line", 30.0, 1.0, Verdict::Ok, &[]);
+        let mut twin = line.clone();
+        twin.host = old.id;
+        let mut picture = samples::picture(vec![old, samples::host("cam-1", "Orin")], vec![twin, line]);
+        picture.links = vec![Arc::new(samples::link(None, &[])), Arc::new(samples::link(None, &[]))];
+        let scrape = Scrape::of(&picture, true, None);
+        assert_eq!(scrape.hosts.iter().map(|host| host.connected).collect::<Vec<_>>(), [true]);
+        assert_eq!((scrape.pipelines.len(), scrape.links.len(), scrape.known), (1, 1, 2));
+        assert_eq!(scrape.pipelines[0].host, scrape.hosts[0].id);
+    }
+
+    #[test]
+    fn an_answer_is_bounded_and_says_what_it_leaves_out() {
+        let line = |index| samples::pipeline(&format!("line-{index}"), 30.0, 1.0, Verdict::Ok, &[]);
+        let picture = samples::picture(vec![samples::host("cam-1", "Orin")], (0..1_200).map(line).collect());
+        let text = super::super::render(Scrape::of(&picture, false, Some(4_096))).expect("plain text");
+        assert_eq!(text.matches("peernet_pipeline_running_bool{").count(), PIPELINES);
+        assert!(text.contains("peernet_aggregator_omitted_items{kind=\"pipelines\"} 200\n"), "{text}");
+        assert!(text.contains("peernet_aggregator_ready_bool 0\n"));
+    }
+}

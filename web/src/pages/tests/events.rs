@@ -1,0 +1,66 @@
+//! What became of events, in every state.
+
+use super::*;
+
+#[tokio::test]
+async fn what_became_of_events_is_shown_whatever_it_was() {
+    let (app, _folder) = samples::app().await;
+    let mut told = host("cam-1", "Orin");
+    told.accounting = samples::accounting();
+    told.behind = Some(Span::from_seconds(11_520));
+    told.catching_up = Some(peernet_aggregator::CatchingUp {
+        rate: 48.0,
+        events_per_second: 20_100.0,
+        left: Span::from_seconds(240),
+    });
+    told.newest_stored = Some(samples::NOW);
+    told.arrivals = peernet_aggregator::Arrivals { deferred: 7, damaged: 2 };
+    let mut broken = host("cam-2", "Orin");
+    broken.accounting = peernet_logger::stream::Accounting {
+        trouble: Some(HOSTILE.into()),
+        compressed: true,
+        spool_bytes: 1 << 31,
+        ..samples::accounting()
+    };
+    let shown = picture(vec![told, broken, host("cam-3", "Orin")], Vec::new());
+    let part = |name: &str, wanted: &str| {
+        let update = host::update(&app, &shown, name).expect("renders");
+        let (_, html) = update.parts.into_iter().find(|(id, _)| *id == wanted).expect("the part");
+        check(&html);
+        html
+    };
+    let html = part("cam-1", "accounting");
+    for text in [
+        "1,204,500",
+        "1,370 not yet",
+        "catching up</span><span>3\u{202f}h 12\u{202f}min behind, about 4\u{202f}min left at 20,100 events/s",
+        "312\u{202f}MB of 1.07\u{202f}GB",
+        "in 1 gap",
+        "width=\"29.",
+    ] {
+        assert!(html.contains(text), "{text} is missing: {html}");
+    }
+    let html = part("cam-1", "stored");
+    assert!(
+        html.contains("7 batches, asked for again") && html.contains("19 Nov 2026, 12:01:07 by its clock"),
+        "{html}"
+    );
+    let html = part("cam-2", "accounting");
+    assert!(
+        html.contains("wait for the link or the aggregator")
+            && html.contains("spool full")
+            && html.contains("meter full"),
+        "{html}"
+    );
+    let html = part("cam-3", "accounting");
+    assert!(html.contains("not known yet") && html.contains("nothing waits"), "{html}");
+    let update = hosts::update(&app, &shown).expect("renders");
+    let (_, html) = update.parts.iter().find(|(id, _)| *id == "events").expect("the part");
+    check(html);
+    assert!(html.contains("spool fails") && html.contains("11,520.0"), "{html}");
+    let html = overview_of(&shown, Vec::new()).await;
+    assert!(
+        html.contains("cannot use its spool: ") && html.contains("behind measuring, about 4\u{202f}min left"),
+        "{html}"
+    );
+}

@@ -1,0 +1,298 @@
+//! What became of a host's events, from measuring to the database, in figures that add up.
+
+use std::cmp::Reverse;
+
+use peernet_aggregator::{Arrivals, HostPicture, Stored};
+use peernet_clock::Span;
+use peernet_logger::stream::Accounting;
+
+use super::chip::{Chip, Tone};
+use super::counted;
+use crate::numbers::{NONE, SPACE, bytes, count, figure, fixed, length, percent, roughly};
+use crate::svg::Meter;
+use crate::zone::Zone;
+
+/// Storing further behind measuring than this is worth a note.
+pub(crate) const FAR_BEHIND: Span = Span::from_seconds(5);
+/// A spool fuller than this has room for little more.
+const NEARLY_FULL: f64 = 0.95;
+/// The agent compresses when batches wait, whatever holds them up.
+const COMPRESSED: &str = "batches wait for the link or the aggregator";
+
+/// A sentence with its chip.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Remark {
+    pub chip: Chip,
+    pub text: String,
+}
+
+impl Remark {
+    fn new(tone: Tone, sign: &'static str, word: &'static str, text: impl Into<String>) -> Self {
+        Self { chip: Chip::new(tone, sign, word), text: text.into() }
+    }
+}
+
+/// One step of an event's way.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Step {
+    pub name: &'static str,
+    pub number: String,
+    /// What of the step before is not there yet.
+    pub about: String,
+}
+
+/// The agent's account.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Events {
+    pub remarks: Vec<Remark>,
+    /// Produced, spooled, sent, stored.
+    pub flow: Vec<Step>,
+    pub waiting: String,
+    pub dropped: String,
+    pub gaps: String,
+    pub spool: Spool,
+    /// Number and unit, and what to make of it.
+    pub behind: (String, String),
+}
+
+/// How full a spool is.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Spool {
+    /// Percent of its limit.
+    pub percent: String,
+    /// `312 MB of 1.07 GB`.
+    pub words: String,
+    pub meter: Meter,
+}
+
+impl Spool {
+    fn of(name: &str, accounting: &Accounting) -> Self {
+        let (used, limit) = (accounting.spool_bytes as f64, accounting.spool_limit_bytes as f64);
+        if accounting.spool_limit_bytes == 0 {
+            let meter = Meter::new(format!("the spool of {name} is not known"), 0.0);
+            return Self { percent: NONE.to_owned(), words: "not known yet".to_owned(), meter };
+        }
+        let share = used / limit;
+        let percent = percent(share);
+        let meter = Meter::new(format!("{percent}{SPACE}% of the spool of {name} is taken"), share);
+        Self { percent, words: format!("{} of {}", bytes(used), bytes(limit)), meter }
+    }
+}
+
+impl Events {
+    pub(crate) fn of(host: &HostPicture) -> Self {
+        let account = &host.accounting;
+        let name = host.description.name.as_str();
+        let in_memory = account.produced.saturating_sub(account.dropped).saturating_sub(account.spooled);
+        let unsent = account.spooled.saturating_sub(account.sent);
+        let under_way = account.sent.saturating_sub(account.stored);
+        let memory = match account.memory_bytes {
+            0 => format!("{} in memory", count(in_memory)),
+            held => format!("{} in memory, {}", count(in_memory), bytes(held as f64)),
+        };
+        let step = |name, number, about| Step { name, number: count(number), about };
+        Self {
+            remarks: remarks(host),
+            flow: vec![
+                step("Produced", account.produced, "since the spool was made".to_owned()),
+                step("Spooled", account.spooled, memory),
+                step("Sent", account.sent, format!("{} not yet", count(unsent))),
+                step("Stored", account.stored, format!("{} under way", count(under_way))),
+            ],
+            waiting: count(account.waiting),
+            dropped: count(account.dropped),
+            gaps: counted(usize::try_from(account.gaps).unwrap_or(usize::MAX), "gap", "gaps"),
+            spool: Spool::of(name, account),
+            behind: (
+                host.behind.map_or_else(|| format!("0{SPACE}s"), |behind| length(behind.seconds())),
+                match host.catching_up {
+                    Some(found) => format!("about {} left", roughly(found.left.seconds())),
+                    None if account.waiting == 0 => "nothing waits".to_owned(),
+                    None => format!("{} wait", counted_events(account.waiting)),
+                },
+            ),
+        }
+    }
+}
+
+fn counted_events(many: u64) -> String {
+    counted(usize::try_from(many).unwrap_or(usize::MAX), "event", "events")
+}
+
+fn remarks(host: &HostPicture) -> Vec<Remark> {
+    let account = &host.accounting;
+    let mut remarks = Vec::new();
+    if let Some(trouble) = &account.trouble {
+        let text =
+            format!("the spool cannot be used: {trouble}. Events wait in memory, where there is less room.");
+        remarks.push(Remark::new(Tone::Bad, "failed", "spool fails", text));
+    }
+    let full = account.spool_limit_bytes as f64 * NEARLY_FULL;
+    if account.spool_limit_bytes > 0 && account.spool_bytes as f64 >= full {
+        let text = "new events are dropped and counted in gaps until there is room";
+        remarks.push(Remark::new(Tone::Bad, "gap", "spool full", text));
+    }
+    if let Some(behind) = host.behind.filter(|behind| *behind > FAR_BEHIND) {
+        let behind = length(behind.seconds());
+        remarks.push(match host.catching_up {
+            Some(found) => {
+                let (left, rate) = (roughly(found.left.seconds()), figure(found.events_per_second));
+                let text = format!(
+                    "{behind} behind, about {left} left at {rate} events/s. Live figures are not affected."
+                );
+                Remark::new(Tone::Quiet, "reconnect", "catching up", text)
+            }
+            None => {
+                let text = format!("storing is {behind} behind measuring. Live figures are not affected.");
+                Remark::new(Tone::Warn, "stale", "behind", text)
+            }
+        });
+    }
+    if account.compressed {
+        remarks.push(Remark::new(Tone::Quiet, "slow", "compressed", COMPRESSED));
+    }
+    remarks
+}
+
+/// The aggregator's account, as pairs.
+pub(crate) fn stored(
+    stored: &Stored,
+    arrivals: Option<&Arrivals>,
+    newest: Option<peernet_clock::WallTime>,
+    zone: Zone,
+) -> Vec<(&'static str, String)> {
+    let mut pairs = vec![
+        ("Stored", format!("{} events, {} nodes", count(stored.events), count(stored.nodes))),
+        ("Gaps", format!("{}, {} events missing", count(stored.gaps), count(stored.missing))),
+        ("Put aside", format!("{} batches that could not be stored as they were", count(stored.quarantined))),
+    ];
+    if let Some(arrivals) = arrivals {
+        pairs.extend([
+            ("Came twice", format!("{} batches, stored once", count(stored.duplicates))),
+            ("Found no room", format!("{} batches, asked for again", count(arrivals.deferred))),
+            ("Came damaged", format!("{} batches, asked for again", count(arrivals.damaged))),
+        ]);
+    }
+    pairs.extend(newest.map(|newest| {
+        let newest = zone.moment(newest);
+        ("Stored up to", format!("{}, {} by its clock", newest.date(), newest.clock()))
+    }));
+    pairs
+}
+
+/// The account of one host as a row of a table; figures without their unit, which stands in the header.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct EventLine {
+    pub name: String,
+    pub produced: String,
+    pub spooled: String,
+    pub sent: String,
+    pub stored: String,
+    pub waiting: String,
+    pub dropped: String,
+    pub gaps: String,
+    pub spool: Spool,
+    pub behind: String,
+    /// The worst of what is to be said.
+    pub remark: Option<Remark>,
+}
+
+impl EventLine {
+    pub(crate) fn new(host: &HostPicture) -> Self {
+        let account = &host.accounting;
+        let name = host.description.name.to_string();
+        Self {
+            produced: count(account.produced),
+            spooled: count(account.spooled),
+            sent: count(account.sent),
+            stored: count(account.stored),
+            waiting: count(account.waiting),
+            dropped: count(account.dropped),
+            gaps: count(account.gaps),
+            spool: Spool::of(&name, account),
+            behind: host.behind.map_or_else(|| "0".to_owned(), |behind| fixed(behind.seconds(), 1)),
+            remark: remarks(host).into_iter().min_by_key(|remark| Reverse(remark.chip.tone)),
+            name,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_aggregator::CatchingUp;
+
+    use super::*;
+    use crate::view::samples;
+
+    fn host() -> HostPicture {
+        let mut host = samples::host("cam-1", "Orin");
+        host.accounting = samples::accounting();
+        host
+    }
+
+    #[test]
+    fn each_step_says_what_is_not_there_yet_and_the_sum_is_what_waits() {
+        let host = host();
+        let account = &host.accounting;
+        assert_eq!(account.produced, account.stored + account.waiting + account.dropped);
+        let events = Events::of(&host);
+        let told: Vec<(&str, &str)> =
+            events.flow.iter().map(|step| (step.number.as_str(), step.about.as_str())).collect();
+        assert_eq!(
+            told,
+            [
+                ("1,204,500", "since the spool was made"),
+                ("1,204,370", "80 in memory, 21.2\u{202f}kB"),
+                ("1,203,000", "1,370 not yet"),
+                ("1,202,988", "12 under way"),
+            ]
+        );
+        assert_eq!(80 + 1_370 + 12, account.waiting);
+        assert_eq!(
+            (events.spool.percent.as_str(), events.spool.words.as_str()),
+            ("29", "312\u{202f}MB of 1.07\u{202f}GB")
+        );
+    }
+
+    #[test]
+    fn catching_up_is_said_in_words_and_with_its_rate() {
+        let mut host = host();
+        host.behind = Some(Span::from_seconds(11_520));
+        let texts = |host: &HostPicture| -> Vec<String> {
+            remarks(host).into_iter().map(|remark| remark.text).collect()
+        };
+        assert_eq!(
+            texts(&host),
+            ["storing is 3\u{202f}h 12\u{202f}min behind measuring. Live figures are not affected."]
+        );
+        host.catching_up =
+            Some(CatchingUp { rate: 48.0, events_per_second: 20_100.0, left: Span::from_seconds(240) });
+        assert_eq!(
+            texts(&host),
+            [
+                "3\u{202f}h 12\u{202f}min behind, about 4\u{202f}min left at 20,100 events/s. Live figures are not affected."
+            ]
+        );
+        host.behind = Some(Span::from_millis(400));
+        host.catching_up = None;
+        assert!(texts(&host).is_empty(), "a batch's time is no lag");
+    }
+
+    #[test]
+    fn what_is_wrong_with_the_spool_comes_first() {
+        let mut host = host();
+        host.accounting.trouble = Some("no space left on device".into());
+        host.accounting.spool_bytes = host.accounting.spool_limit_bytes;
+        host.accounting.compressed = true;
+        let words: Vec<&str> = remarks(&host).iter().map(|remark| remark.chip.word).collect();
+        assert_eq!(words, ["spool fails", "spool full", "compressed"]);
+        let line = EventLine::new(&host);
+        assert_eq!(line.remark.expect("something is wrong").chip.tone, Tone::Bad);
+    }
+
+    #[test]
+    fn an_agent_that_has_not_told_yet_has_no_spool() {
+        let spool = Events::of(&samples::host("cam-1", "Orin")).spool;
+        assert_eq!((spool.percent.as_str(), spool.words.as_str()), ("—", "not known yet"));
+    }
+}

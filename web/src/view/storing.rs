@@ -1,0 +1,26 @@
+//! That events are not being stored: said on every page for as long as it is so.
+
+use peernet_aggregator::Readiness;
+
+/// The sentence for people; `None` while all is well.
+pub(crate) fn notice(readiness: &Readiness) -> Option<String> {
+    let Readiness::NotStoring(reason) = readiness else { return None };
+    let mut characters = reason.chars();
+    let first: String = characters.next()?.to_uppercase().collect();
+    Some(format!("{first}{}.", characters.as_str().trim_end_matches('.')))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reason_reads_as_a_sentence() {
+        let told = Readiness::NotStoring("cannot store events: the disk is full; agents keep them".into());
+        assert_eq!(
+            notice(&told).as_deref(),
+            Some("Cannot store events: the disk is full; agents keep them.")
+        );
+        assert_eq!(notice(&Readiness::Ready), None);
+    }
+}

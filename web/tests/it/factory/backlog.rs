@@ -1,0 +1,52 @@
+//! Accounts of agents that are in trouble, for looking at them.
+
+use peernet_clock::{Span, WallTime};
+use peernet_logger::stream::Accounting;
+
+/// Seconds that storing was behind at first, and by how many of them it catches up in a second.
+const BEHIND_S: f64 = 14_400.0;
+const RATE: f64 = 48.0;
+/// Events that a second of measuring makes.
+const HZ: f64 = 300.0;
+
+/// What an agent tells: the second one catches up since `since`, the third has a disk that fails.
+pub(crate) fn disguise(
+    account: Accounting,
+    index: usize,
+    since: Option<WallTime>,
+    now: WallTime,
+) -> Accounting {
+    let Some(since) = since else { return account };
+    let elapsed = (now - since).seconds();
+    let behind = (BEHIND_S - RATE * elapsed).max(0.0);
+    let waiting = (behind * HZ) as u64;
+    let delivered = (BEHIND_S * HZ) as u64 - waiting;
+    match index {
+        1 => Accounting {
+            produced: account.produced + delivered + waiting,
+            spooled: account.spooled + delivered + waiting - waiting.min(120),
+            sent: account.sent + delivered + waiting.min(1_024),
+            stored: account.stored + delivered,
+            waiting: account.waiting + waiting,
+            spool_bytes: waiting * 280,
+            spool_limit_bytes: 2 << 30,
+            memory_bytes: waiting.min(120) * 280,
+            oldest: (waiting > 0).then(|| now - Span::from_seconds_f64(behind)),
+            compressed: waiting > 0,
+            ..account
+        },
+        2 => Accounting {
+            produced: account.produced + 12_050,
+            waiting: account.waiting + 9_000,
+            dropped: account.dropped + 3_050,
+            gaps: account.gaps + 4,
+            spool_bytes: 1_060_000_000,
+            spool_limit_bytes: 1 << 30,
+            memory_bytes: 2_520_000,
+            oldest: Some(now - Span::from_seconds_f64(30.0)),
+            trouble: Some("cannot write /var/lib/peernet/spool.sqlite: no space left on device".into()),
+            ..account
+        },
+        _ => account,
+    }
+}
