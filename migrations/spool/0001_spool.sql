@@ -20,8 +20,8 @@ CREATE TABLE stream (
     told         INTEGER NOT NULL DEFAULT 0   -- of the events that were dropped, those that stand in a gap
 ) STRICT;
 
--- Who may have sent some of what waits: an aggregator that has a later batch of one of these processes has all up to
--- that process's number.
+-- Who sent from this file: an aggregator that has a later batch of one of these processes has all up to that process's
+-- number. The newest 64 are kept.
 CREATE TABLE reached (
     process INTEGER PRIMARY KEY,  -- the random number that an agent's process made at its start
     number  INTEGER NOT NULL      -- of the newest batch that it may have sent

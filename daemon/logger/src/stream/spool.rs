@@ -83,7 +83,8 @@ pub struct SpoolState {
     pub held: Usage,
     /// What was counted up to the newest batch.
     pub totals: Totals,
-    /// How far each process came that may have sent some of what is held; the newest of them is enough.
+    /// How far the processes came that sent from this spool. It need not be all of them: a process that is forgotten
+    /// counts as one of a copy of the spool.
     pub reached: Vec<Reached>,
 }
 

@@ -14,6 +14,7 @@ use sqlx::{ConnectOptions, Connection, FromRow, SqliteConnection};
 use super::aside::{beside, condemned, put_aside};
 use super::file::SpoolFile;
 use super::reserve::Reserve;
+use super::statements::MOST_PROCESSES;
 use super::{PutAside, SpoolError};
 use crate::lock::FileLock;
 
@@ -25,9 +26,6 @@ const BUSY: Duration = Duration::from_secs(1);
 const LOG_PAGES: &str = "256";
 /// What the log keeps of the disk after a large transaction.
 const LOG_BYTES: &str = "8388608";
-
-/// Processes that are remembered: there is one, and one more for each start while nothing was stored.
-const MOST_PROCESSES: i64 = 256;
 
 /// A spool, ready for use.
 #[derive(Debug)]
@@ -189,7 +187,7 @@ async fn held(connection: &mut SqliteConnection) -> Result<Held, sqlx::Error> {
     .await
 }
 
-/// How far processes came, the newest ones where there are very many.
+/// How far the newest processes came.
 async fn reached(connection: &mut SqliteConnection) -> Result<Vec<Reached>, sqlx::Error> {
     let rows: Vec<(i64, i64)> =
         sqlx::query_as("SELECT process, number FROM reached ORDER BY number DESC LIMIT ?")

@@ -3,6 +3,9 @@
 use peernet_logger::stream::{Chain, SpooledBatch, Totals};
 use sqlx::SqliteConnection;
 
+/// Processes that are remembered, the newest: one, and one more for each start.
+pub(super) const MOST_PROCESSES: i64 = 64;
+
 /// Pages that stay free for the next batches: 8 MiB.
 const SPARE_PAGES: i64 = 2048;
 
@@ -57,11 +60,13 @@ pub(super) async fn delete(
         .bind(chain.as_bytes().as_slice())
         .execute(&mut *connection)
         .await?;
-    sqlx::query("DELETE FROM reached WHERE number <= ?")
-        .bind(through.cast_signed())
-        .execute(connection)
-        .await
-        .map(drop)
+    sqlx::query(
+        "DELETE FROM reached WHERE process NOT IN (SELECT process FROM reached ORDER BY number DESC LIMIT ?)",
+    )
+    .bind(MOST_PROCESSES)
+    .execute(connection)
+    .await
+    .map(drop)
 }
 
 async fn begin(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {

@@ -28,6 +28,28 @@ macro_rules! rollup_columns {
     };
 }
 
+macro_rules! clock_columns {
+    () => {
+        clock_columns!("", "")
+    };
+    // What stands before and after a throughput.
+    ($before:literal, $after:literal) => {
+        concat!(
+            "at_ns, window, offset_ns, offset_lo_ns, offset_hi_ns, offset_source, offset_verdict, offset_sources, \
+             skew_ppm, exchanges, age_ns, probes_sent, probes_answered, probes_lost, round_trip_min_ns, \
+             round_trip_median_ns, up_count, up_ns, up_lo_ns, up_hi_ns, ",
+            $before,
+            "up_bits_per_second",
+            $after,
+            ", up_verdict, down_count, down_ns, down_lo_ns, down_hi_ns, ",
+            $before,
+            "down_bits_per_second",
+            $after,
+            ", down_verdict"
+        )
+    };
+}
+
 macro_rules! iteration_columns {
     () => {
         "SELECT number, episode, step, warm_up, outcome, reason, started_ns, total FROM iteration "
@@ -141,12 +163,13 @@ statements! {
     CLOCK_EXTENT = "SELECT (SELECT min(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3), \
                     (SELECT max(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3)";
     /// ?1 link, ?2 from, ?3 to.
-    CLOCK_SAMPLES = "SELECT at_ns, window, offset_ns, offset_lo_ns, offset_hi_ns, offset_source, offset_verdict, \
-                     offset_sources, skew_ppm, exchanges, age_ns, probes_sent, probes_answered, probes_lost, \
-                     round_trip_min_ns, round_trip_median_ns, \
-                     up_count, up_ns, up_lo_ns, up_hi_ns, up_bits_per_second, up_verdict, \
-                     down_count, down_ns, down_lo_ns, down_hi_ns, down_bits_per_second, down_verdict \
-                     FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3 ORDER BY at_ns, window";
+    CLOCK_SAMPLES = concat!("SELECT ", clock_columns!(),
+        " FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3 ORDER BY at_ns, window");
+    /// The same in JSON, a row for each part of the time. Throughputs are whole numbers: writing fractions would take a
+    /// fifth of the time: ?1 link, ?2 the parts' first and last moments, a JSON array of pairs.
+    CLOCK_PARTS = concat!("SELECT (SELECT json_group_array(json_array(", clock_columns!("CAST(", " AS INTEGER)"),
+        ")) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN part.value ->> 0 AND part.value ->> 1) \
+         FROM json_each(?2) AS part");
     /// A link's windows in the order of their arrival; the last one goes on: ?1 link, ?2 from, ?3 to.
     CLOCK_WINDOW_ORDER = "SELECT window, first_ns, \
                           iif(id = (SELECT max(id) FROM clock_window WHERE link = ?1), 9223372036854775807, last_ns) AS last_ns \

@@ -174,7 +174,11 @@ async fn buckets_hold_the_widest_bounds_all_probes_and_the_median_delay() {
     assert_eq!((trip.min, trip.median), (Span::from_micros(80), Span::from_micros(3 * 44)));
     let (up, down) = (second.up.expect("judged"), second.down.expect("judged"));
     assert_eq!((up.count, down.count), (50, 40));
-    assert_eq!(up.median.expect("has one").value, Span::from_micros(3_994));
+    let median = up.median.expect("has one");
+    assert_eq!(median.value, Span::from_micros(3_994));
+    let rate = |point: &ClockPoint| point.up.and_then(|up| up.median).and_then(|it| it.bits_per_second);
+    let (told, sent) = (median.bits_per_second, rate(&point(sample(cloud, 14, 44))));
+    assert_eq!(told, sent.map(f64::trunc), "to the bit");
     assert_eq!((up.verdict, down.verdict), (Verdict::Stale, Verdict::Limited), "a tenth is enough");
     let wide =
         bed.store.clock_series(bed.edge, cloud, generate::at(1.0), ALWAYS.1, 20).await.expect("answers");

@@ -4,7 +4,7 @@ use peernet_clock::{MonoTime, Span, Stamp};
 
 use super::super::{BatchHead, Chain, Hello, PROTOCOL, StreamId, ToAgent, ToAggregator, batch_weight, codec};
 use super::skim::{Skim, Skimmed};
-use super::{Notice, Sending};
+use super::{Notice, Reached, Sending};
 use crate::Slug;
 
 /// Greetings without any progress that follow one another at once; later ones wait, each longer than the one before.
@@ -235,7 +235,10 @@ impl Sending {
             return self.leave(&welcome, now);
         }
         if welcome.stored < acknowledged {
-            return self.taken_in(welcome, true, now);
+            return match self.has_sent(&welcome) {
+                true => self.taken_in(welcome, true, now),
+                false => self.leave(&welcome, now),
+            };
         }
         match self.known(welcome.stored) {
             Some((chain, skimmed)) => self.judge(welcome, Some(chain), skimmed, now),
@@ -281,6 +284,14 @@ impl Sending {
         }
     }
 
+    /// Whether the aggregator's last batch, which is not here any more, was sent by this process or by one before it.
+    /// In an older database there may stand what a copy of the spool sent; what is held does not go on from that.
+    fn has_sent(&self, welcome: &Welcome) -> bool {
+        let by =
+            |reached: &Reached| Some(reached.process) == welcome.process && reached.number >= welcome.stored;
+        welcome.chain.is_none() || welcome.process == Some(self.process) || self.reached_before.iter().any(by)
+    }
+
     fn taken_in(&mut self, welcome: Welcome, lacks: bool, now: Stamp) {
         self.met = true;
         self.link = Link::Up { next: self.backlog.oldest(), heard: now.mono };
@@ -295,8 +306,6 @@ impl Sending {
     /// process ([`Reached`]): either the spool lost its end, or is a copy from which that process went on. What
     /// came into the spool later was never stored. When that batch came from another process, the spool is a copy of
     /// unknown age, and everything that is held is sent: rather twice, in two streams, than not at all.
-    ///
-    /// [`Reached`]: super::Reached
     fn leave(&mut self, welcome: &Welcome, now: Stamp) {
         let (stored, newest) = (welcome.stored, self.backlog.newest());
         self.notices.push_back(Notice::StreamRenewed { stored, newest });

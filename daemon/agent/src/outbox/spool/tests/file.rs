@@ -94,7 +94,7 @@ async fn a_renewed_spool_goes_on_with_its_batches_under_another_stream() {
 }
 
 #[tokio::test]
-async fn who_may_have_sent_what_waits_is_remembered_until_it_is_gone() {
+async fn who_sent_from_the_file_is_remembered() {
     let place = Place::new();
     let (mut file, fresh) = place.sound().await;
     assert_eq!(fresh.reached, []);
@@ -111,9 +111,13 @@ async fn who_may_have_sent_what_waits_is_remembered_until_it_is_gone() {
     file.close().await.expect("closes");
     let (mut file, state) = place.sound().await;
     assert_eq!(state.reached, [second, first]);
-    file.delete_through(2, written[1].chain).await.expect("deletes");
+    for process in 100..200 {
+        file.append(&[], by(process, 6).1).await.expect("appends");
+    }
+    file.delete_through(6, written[5].chain).await.expect("deletes");
     file.close().await.expect("closes");
-    assert_eq!(place.sound().await.1.reached, [second]);
+    let reached = place.sound().await.1.reached;
+    assert!(reached.len() == 64 && reached.iter().all(|reached| reached.number == 6), "{reached:?}");
 }
 
 #[tokio::test]

@@ -1,6 +1,6 @@
 //! Several seconds as one point.
 
-use peernet_clock::{Offset, Span, Verdict};
+use peernet_clock::{Offset, Span, Verdict, WallTime};
 use peernet_logger::stream::{DelayPoint, DelaySecond, ProbeCounts, RoundTrip};
 
 use super::{Row, wall};
@@ -13,7 +13,8 @@ const WORST_OF: u64 = 20;
 /// The seconds of one bucket, summed up.
 pub(super) struct Bucket {
     index: i64,
-    newest: Option<ClockPoint>,
+    /// Time and window.
+    newest: Option<(WallTime, u64)>,
     widest: Option<Offset>,
     probes: ProbeCounts,
     shortest: Option<Span>,
@@ -48,40 +49,41 @@ impl Bucket {
         self.index
     }
 
-    pub(super) fn add(&mut self, row: Row) -> Result<(), StoreError> {
-        let point = row.point()?;
-        let width = |offset: &Offset| offset.bounds.width();
-        if self.newest.as_ref().is_some_and(|newest| newest.window != point.window) {
+    pub(super) fn add(&mut self, row: &Row) -> Result<(), StoreError> {
+        let window = row.window.cast_unsigned();
+        if self.newest.is_some_and(|(_, before)| before != window) {
             // What held before a step is not what holds after it.
             self.widest = None;
         }
-        if let Some(offset) = &point.offset
-            && self.widest.as_ref().is_none_or(|widest| width(widest) <= width(offset))
+        // Made of a row only when it counts: that is what takes time.
+        if let Some(bounds) = row.bounds()
+            && self.widest.as_ref().is_none_or(|widest| widest.bounds.width() <= bounds.width())
+            && let Some(offset) = row.offset()?
         {
-            self.widest = Some(offset.clone());
+            self.widest = Some(offset);
         }
-        self.probes.sent = self.probes.sent.saturating_add(point.probes.sent);
-        self.probes.answered = self.probes.answered.saturating_add(point.probes.answered);
-        self.probes.lost = self.probes.lost.saturating_add(point.probes.lost);
-        if let Some(trip) = point.round_trip {
+        self.probes.sent = self.probes.sent.saturating_add(row.probes_sent);
+        self.probes.answered = self.probes.answered.saturating_add(row.probes_answered);
+        self.probes.lost = self.probes.lost.saturating_add(row.probes_lost);
+        if let Some(trip) = row.round_trip() {
             self.shortest = Some(self.shortest.map_or(trip.min, |shortest| shortest.min(trip.min)));
             self.round_trips.push(trip.median);
         }
-        self.up.add(point.up);
-        self.down.add(point.down);
-        self.newest = Some(point);
+        self.up.add(row.up()?);
+        self.down.add(row.down()?);
+        self.newest = Some((wall(row.at_ns), window));
         Ok(())
     }
 
     /// The bucket as a point; `None` when it is empty.
     pub(super) fn point(mut self, width: u32) -> Option<ClockPoint> {
-        let newest = self.newest?;
+        let (newest, window) = self.newest?;
         let end = self.index.saturating_add(1).saturating_mul(i64::from(width) * 1_000_000_000);
         let median = median(&mut self.round_trips, |trip| *trip);
         Some(ClockPoint {
             // As stored where a second is a point.
-            at: if width == 1 { newest.at } else { wall(end) },
-            window: newest.window,
+            at: if width == 1 { newest } else { wall(end) },
+            window,
             offset: self.widest,
             probes: self.probes,
             round_trip: self.shortest.zip(median).map(|(min, median)| RoundTrip { min, median }),

@@ -8,7 +8,8 @@ use std::iter::successors;
 use futures::TryStreamExt;
 use peernet_clock::{DelaySource, Interval, Offset, Span, Verdict, WallTime};
 use peernet_logger::HostId;
-use peernet_logger::stream::{DelayPoint, DelaySecond, ProbeCounts, RoundTrip};
+use peernet_logger::stream::{DelayPoint, DelaySecond, RoundTrip};
+use serde::Deserialize;
 use sqlx::FromRow;
 
 use self::bucket::Bucket;
@@ -36,8 +37,8 @@ struct Link {
     last_ns: Option<i64>,
 }
 
-/// One stored second.
-#[derive(FromRow)]
+/// One stored second. In JSON it is an array, in this order.
+#[derive(FromRow, Deserialize)]
 struct Row {
     at_ns: i64,
     window: i64,
@@ -112,22 +113,70 @@ pub(in crate::store) async fn series(
     let (Some(first), Some(last)) = extent else { return Ok(nothing) };
     let width = width(first, last, most_points.clamp(1, MOST_POINTS));
     let repeats = Repeats::read(readers, link, (first, last)).await?;
-    let mut rows =
-        sqlx::query_as::<_, Row>(sql::CLOCK_SAMPLES).bind(link).bind(first).bind(last).fetch(&readers.pool);
-    let mut points = Vec::new();
-    let mut bucket: Option<Bucket> = None;
-    while let Some(row) = rows.try_next().await.map_err(readers.failed(WHAT))? {
-        if repeats.supersede(row.window, row.at_ns) {
-            continue;
+    let mut points = Points { width, repeats, points: Vec::new(), bucket: None };
+    if width == 1 {
+        let rows = sqlx::query_as::<_, Row>(sql::CLOCK_SAMPLES).bind(link).bind(first).bind(last);
+        let mut rows = rows.fetch(&readers.pool);
+        while let Some(row) = rows.try_next().await.map_err(readers.failed(WHAT))? {
+            points.add(&row)?;
         }
-        let index = index(row.at_ns, width);
-        if bucket.as_ref().is_some_and(|bucket| bucket.index() != index) {
-            points.extend(bucket.take().and_then(|bucket| bucket.point(width)));
+    } else {
+        let parts =
+            sqlx::query_scalar::<_, String>(sql::CLOCK_PARTS).bind(link).bind(parts(first, last, width)?);
+        let mut parts = parts.fetch(&readers.pool);
+        while let Some(part) = parts.try_next().await.map_err(readers.failed(WHAT))? {
+            let mut rows: Vec<Row> = serde_json::from_str(&part).map_err(|error| corrupt(WHAT, error))?;
+            // As they stand in the table; SQLite does not promise to keep that within an aggregate.
+            rows.sort_by_key(|row| (row.at_ns, row.window));
+            rows.iter().try_for_each(|row| points.add(row))?;
         }
-        bucket.get_or_insert_with(|| Bucket::new(index)).add(row)?;
     }
-    points.extend(bucket.and_then(|bucket| bucket.point(width)));
-    Ok(ClockSeries { bucket_s: width, points })
+    Ok(ClockSeries { bucket_s: width, points: points.done() })
+}
+
+/// The first and the last moment of each bucket, as JSON. A row of SQLite's for each of them costs far less than one
+/// for each second.
+fn parts(first: i64, last: i64, width: u32) -> Result<String, StoreError> {
+    let nanos = i64::from(width) * 1_000_000_000;
+    let mut from = first;
+    let parts = (index(first, width)..=index(last, width)).map(|index| {
+        let through = index.saturating_add(1).saturating_mul(nanos).min(last);
+        [std::mem::replace(&mut from, through.saturating_add(1)), through]
+    });
+    let parts: Vec<[i64; 2]> = parts.collect();
+    serde_json::to_string(&parts).map_err(|error| corrupt(WHAT, error))
+}
+
+/// Points under construction.
+struct Points {
+    width: u32,
+    repeats: Repeats,
+    points: Vec<ClockPoint>,
+    bucket: Option<Bucket>,
+}
+
+impl Points {
+    /// Adds the second that follows.
+    fn add(&mut self, row: &Row) -> Result<(), StoreError> {
+        if self.repeats.supersede(row.window, row.at_ns) {
+            return Ok(());
+        }
+        let index = index(row.at_ns, self.width);
+        if self.bucket.as_ref().is_some_and(|bucket| bucket.index() != index) {
+            self.finish();
+        }
+        self.bucket.get_or_insert_with(|| Bucket::new(index)).add(row)
+    }
+
+    fn finish(&mut self) {
+        let point = self.bucket.take().and_then(|bucket| bucket.point(self.width));
+        self.points.extend(point);
+    }
+
+    fn done(mut self) -> Vec<ClockPoint> {
+        self.finish();
+        self.points
+    }
 }
 
 /// The narrowest buckets of which so few are enough.
@@ -147,38 +196,29 @@ fn index(at_ns: i64, width: u32) -> i64 {
 }
 
 impl Row {
-    fn point(self) -> Result<ClockPoint, StoreError> {
-        let offset = self.offset()?;
-        Ok(ClockPoint {
-            at: wall(self.at_ns),
-            window: self.window.cast_unsigned(),
-            offset,
-            probes: ProbeCounts {
-                sent: self.probes_sent,
-                answered: self.probes_answered,
-                lost: self.probes_lost,
-            },
-            round_trip: self.round_trip_min_ns.zip(self.round_trip_median_ns).map(|(min, median)| {
-                RoundTrip { min: Span::from_nanos(min), median: Span::from_nanos(median) }
-            }),
-            up: delays(
-                (self.up_count, self.up_verdict),
-                (self.up_ns, self.up_lo_ns, self.up_hi_ns, self.up_bits_per_second),
-            )?,
-            down: delays(
-                (self.down_count, self.down_verdict),
-                (self.down_ns, self.down_lo_ns, self.down_hi_ns, self.down_bits_per_second),
-            )?,
-        })
+    fn bounds(&self) -> Option<Interval> {
+        interval(self.offset_lo_ns, self.offset_hi_ns)
+    }
+
+    fn round_trip(&self) -> Option<RoundTrip> {
+        let (min, median) = self.round_trip_min_ns.zip(self.round_trip_median_ns)?;
+        Some(RoundTrip { min: Span::from_nanos(min), median: Span::from_nanos(median) })
+    }
+
+    fn up(&self) -> Result<Option<DelaySecond>, StoreError> {
+        let median = (self.up_ns, self.up_lo_ns, self.up_hi_ns, self.up_bits_per_second);
+        delays((self.up_count, self.up_verdict), median)
+    }
+
+    fn down(&self) -> Result<Option<DelaySecond>, StoreError> {
+        let median = (self.down_ns, self.down_lo_ns, self.down_hi_ns, self.down_bits_per_second);
+        delays((self.down_count, self.down_verdict), median)
     }
 
     fn offset(&self) -> Result<Option<Offset>, StoreError> {
-        let (Some(estimate), Some(bounds), Some(source), Some(verdict)) = (
-            self.offset_ns,
-            interval(self.offset_lo_ns, self.offset_hi_ns),
-            self.offset_source,
-            self.offset_verdict,
-        ) else {
+        let (Some(estimate), Some(bounds), Some(source), Some(verdict)) =
+            (self.offset_ns, self.bounds(), self.offset_source, self.offset_verdict)
+        else {
             return Ok(None);
         };
         let source = known(DelaySource::ALL, source)?;

@@ -132,17 +132,46 @@ fn a_mark_without_a_chain_deletes_nothing() {
 
 #[test]
 fn an_aggregator_that_lacks_what_it_acknowledged_is_told_of() {
+    // A new database, an older copy of it, and one of the time of an earlier process.
+    for (stored, chain, process) in [(0, None, None), (5, OTHER, Some(2)), (2, OTHER, Some(1))] {
+        let mut agent = lacked();
+        agent.welcome_after(stored, chain, process);
+        let aggregator = "base".parse().expect("a name");
+        assert_eq!(agent.notices.last(), Some(&Notice::Welcomed { aggregator, stored, lacks: true }));
+        assert_eq!(agent.hellos.last().map(|hello| (hello.first, hello.oldest)), Some((1, 7)));
+        agent.ack(8);
+        assert!(agent.sending.is_idle());
+    }
+}
+
+#[test]
+fn an_aggregator_that_has_what_a_copy_sent_instead_gets_another_stream() {
+    for (stored, process) in [(2, Some(9)), (5, Some(1))] {
+        let mut agent = lacked();
+        agent.welcome_after(stored, OTHER, process);
+        assert_eq!(agent.hellos.last().map(|hello| (hello.first, hello.oldest)), Some((7, 7)));
+        agent.welcome(6, None);
+        assert_eq!(agent.deliver(), [7, 8]);
+    }
+}
+
+/// An agent that says hello again with two batches; four of those before were stored from its first process, and two
+/// from its second.
+fn lacked() -> Agent {
     let mut agent = Agent::up(config());
-    agent.cut(6);
+    agent.cut(4);
+    agent.deliver();
+    agent.pass(1_000);
+    let mut agent = agent.restart();
+    agent.connect();
+    let chain = Some(agent.file.before);
+    agent.welcome_after(4, chain, Some(1));
+    agent.cut(2);
     agent.deliver();
     agent.cut(2);
+    agent.numbers();
     agent.receive(&ToAgent::Unknown);
-    agent.welcome(2, OTHER);
-    let lacking = Notice::Welcomed { aggregator: "base".parse().expect("a name"), stored: 2, lacks: true };
-    assert_eq!(agent.notices.last(), Some(&lacking));
-    assert_eq!(agent.hellos.last().map(|hello| (hello.first, hello.oldest)), Some((1, 7)));
-    agent.ack(8);
-    assert!(agent.sending.is_idle());
+    agent
 }
 
 #[test]

@@ -84,7 +84,6 @@ impl SpoolFile {
             assert_eq!(last.chain, chain, "the chain is that of the last one deleted");
         }
         self.before = chain;
-        self.reached.retain(|reached| reached.number > through);
         if through > self.newest.0 {
             // Batches were stored over there that never came into the file.
             self.newest = (through, chain);

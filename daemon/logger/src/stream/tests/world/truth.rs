@@ -98,12 +98,13 @@ impl Truth {
         self.check_deleted(database);
     }
 
-    /// An event that a restored database no longer has stands under a gap, unless its spool was deleted.
+    /// An event that a restored database no longer has stands under a gap, unless its spool was deleted. Of two copies
+    /// the database may lack different batches under the same numbers.
     fn is_accounted(&self, name: u64, database: &Database) -> bool {
         self.places.get(&name).into_iter().flatten().any(|(stream, number)| {
             let entries = database.entries.get(stream).into_iter().flatten();
             let covers = |entry: &Entry| matches!(entry, Entry::Gap { from, through } if (from..=through).contains(&number));
-            entries.clone().any(covers) || self.deleted.contains(stream)
+            entries.clone().any(covers) || self.deleted.contains(stream) || self.copied
         })
     }
 
