@@ -10,8 +10,8 @@ use sqlx::{Arguments, AssertSqlSafe, ConnectOptions, Connection, Row, SqliteConn
 use crate::load::Plan;
 use crate::say;
 
-/// Nodes per transaction, and rows per statement.
-const COMMIT_NODES: usize = 30_000;
+/// Nodes per transaction, as the aggregator's default, and rows per statement.
+const COMMIT_NODES: usize = 100_000;
 const ROWS: usize = 1_000;
 const TABLES: [&str; 4] = ["iteration", "node", "anchor", "transit"];
 
@@ -38,7 +38,9 @@ pub(crate) async fn run(from: &Path, to: &Path, plan: &Plan) {
         .create_if_missing(true)
         .journal_mode(SqliteJournalMode::Wal)
         .synchronous(SqliteSynchronous::Full)
+        // As the aggregator sets them: what is compared is the work, not the settings.
         .pragma("cache_size", "-65536")
+        .pragma("wal_autocheckpoint", "16000")
         .foreign_keys(false)
         .disable_statement_logging()
         .connect()
