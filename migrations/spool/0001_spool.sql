@@ -2,6 +2,8 @@
 --
 --   sqlite3 -readonly spool.sqlite 'SELECT number, events, length(body) FROM batch'
 --
+-- Its application_id is 1347318640 (PNsp).
+--
 -- Units: columns named _ns are nanoseconds since 1970-01-01 UTC on the agent's wall clock.
 
 -- The stream that the batches belong to: one row. Made with the file, so that an aggregator tells a new or copied

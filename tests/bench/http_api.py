@@ -30,7 +30,7 @@ class Api:
     def waiting(self, host: str) -> int | None:
         """Events of a host that are not stored, by its own account; `None` before it was heard."""
         answer = self.get(f"hosts/{host}")
-        return None if answer is None else int(answer["accounting"]["waiting"])
+        return None if answer is None or answer["now"] is None else int(answer["now"]["events"]["waiting"])
 
     def ended(self, host: str, pipeline: str) -> int:
         """Iterations of a pipeline in the last minute of the live figures."""

@@ -147,6 +147,13 @@ describe("clocks", () => {
     assert.ok(await box.evaluate((one) => one.scrollWidth <= one.clientWidth), "no column is hidden to the right");
     await phone.close();
 
+    for (const [path, table] of [["/", "#part-hosts"], ["/hosts", "#part-list"], ["/hosts", "#part-events .scroll"], ["/incidents", "#incident-list"], [pages.host, "#part-pipelines"]]) {
+      const { page, close } = await open(browser, base, path, { width: 400, height: 800 });
+      const hidden = await page.locator(table).evaluate((one) => one.scrollWidth - one.clientWidth);
+      assert.ok(hidden <= 0, `${table} of ${path} hides ${hidden} px to the right`);
+      await close();
+    }
+
     const screen = await open(browser, base, "/");
     const hosts = screen.page.locator("#part-hosts");
     await hosts.locator("tbody th a").first().evaluate((link) => { link.textContent = "edge-with-a-wrong-clock-and-a-long-name"; });
@@ -226,6 +233,22 @@ describe("when things go wrong", () => {
     await close();
   });
 
+  test("a lost connection is said on every page, and no dot stays green", async () => {
+    for (const [name, path] of Object.entries(pages)) {
+      const { page, close } = await open(browser, base, path);
+      await page.waitForFunction(() => document.getElementById("livetext").textContent === "Live");
+      const alive = await page.locator("h1").innerText();
+      await page.route("**/api/v1/live*", (route) => route.abort());
+      await page.evaluate(() => dispatchEvent(new PageTransitionEvent("pageshow", { persisted: true })));
+      await page.locator("#banner", { hasText: "Connection to the aggregator lost at" }).waitFor();
+      const live = (await page.locator("[id^=part-] h1").count()) > 0;
+      assert.equal((await page.locator("h1").innerText()) !== alive, live, `${name}: a live title says of when it is`);
+      const dots = await page.locator("main .dot").evaluateAll((all) => all.map((dot) => getComputedStyle(dot).backgroundColor));
+      assert.deepEqual(dots.filter((colour) => colour !== "rgba(0, 0, 0, 0)"), [], name);
+      await close();
+    }
+  });
+
   test("without a script the figures and tables are there", async () => {
     for (const [name, path] of Object.entries(pages)) {
       const { page, errors, close } = await open(browser, base, path, { script: false });
@@ -254,22 +277,23 @@ describe("events on their way to the database", () => {
   test("what became of them moves while one looks, and adds up", async () => {
     const { page, errors, close } = await open(browser, base, pages.host);
     await moves(page, "#part-accounting");
-    assert.match(await page.locator("#part-accounting").innerText(), /Produced[\s\S]*Spooled[\s\S]*Sent[\s\S]*Stored[\s\S]*Waiting[\s\S]*Dropped[\s\S]*Spool[\s\S]*Storing behind/);
+    assert.match(await page.locator("#part-accounting").innerText(), /Produced[\s\S]*Spooled[\s\S]*Sent[\s\S]*Acknowledged[\s\S]*Waiting[\s\S]*Dropped[\s\S]*Spool[\s\S]*Storing behind/);
     const { now } = await (await fetch(`${base}/api/v1${pages.host}`)).json();
-    assert.equal(now.events.produced, now.events.stored + now.events.waiting + now.events.dropped);
+    assert.equal(now.events.produced, now.events.acknowledged + now.events.waiting + now.events.dropped);
     assert.deepEqual(errors, []);
     await close();
   });
 
   test("a run is kept and let go, and a reload does not change that", async () => {
     const { page, errors, close } = await open(browser, base, pages.run);
-    const keep = page.getByRole("button", { name: "Keep" }), chip = page.locator("#kept");
+    const keep = page.locator("#keep"), chip = page.locator("#kept");
     const pressed = () => keep.getAttribute("aria-pressed");
     assert.deepEqual([await pressed(), await chip.isVisible()], ["false", false]);
     await keep.focus();
     await page.keyboard.press("Enter");
     await chip.waitFor({ state: "visible" });
     assert.deepEqual([await pressed(), await page.evaluate(() => document.activeElement.id)], ["true", "keep"]);
+    assert.equal((await keep.innerText()).trim(), "Kept");
     await page.reload();
     assert.deepEqual([await pressed(), await chip.isVisible()], ["true", true]);
     await page.goto("/runs");

@@ -61,7 +61,7 @@ impl Account {
             seen: WallTime::from_unix_nanos(seen.timestamp_nanos_opt()?),
             produced: count(events, "produced"),
             spooled: count(events, "spooled"),
-            stored: count(events, "stored"),
+            stored: count(events, "acknowledged"),
             waiting: count(events, "waiting"),
             dropped: count(events, "dropped"),
             gaps: count(events, "gaps"),

@@ -2,7 +2,7 @@
 //!
 //! `--late` lets the hosts come after ten seconds, `--empty` shows them before the first host has reported, `--many` with thirty pipelines, `--unrelated` with
 //! clocks that were never related, `--one-clock` with a camera that reads the rack's, `--rehearsal` with one that is made wrong on purpose,
-//! `--backlog` with an agent that catches up with hours and one whose disk is full. The address is the first free argument, 127.0.0.1:8040 otherwise.
+//! `--backlog` with an agent that catches up with hours and one whose disk is full, and with a run with gaps. The address is the first free argument, 127.0.0.1:8040 otherwise.
 
 #[path = "../tests/it/factory/mod.rs"]
 mod factory;
@@ -86,6 +86,9 @@ async fn produce(address: String, clock: SharedClock, lines: Vec<Line>, backlog:
     factory.store_incidents().await;
     factory.store_clocks(if many { 120 } else { 3_600 }).await;
     factory.store_runs(if many { 200 } else { 6_000 }, true).await;
+    if backlog {
+        factory.store_gaps(2, 42).await;
+    }
     factory.store_runs(300, false).await;
     factory.backlog = backlog.then(|| clock.wall());
     let mut ticks = tokio::time::interval(Duration::from_millis(250));

@@ -39,6 +39,14 @@ pub enum StartError {
         /// SQLite's own words.
         source: sqlx::Error,
     },
+    /// The file is something else.
+    #[error("{} is {what} and not an aggregator's database; choose another file with `database`", path.display())]
+    NotADatabase {
+        /// The configured file.
+        path: PathBuf,
+        /// What it is.
+        what: &'static str,
+    },
     /// Another process has the database.
     #[error("cannot start the aggregator: {0}")]
     Lock(#[from] LockError),

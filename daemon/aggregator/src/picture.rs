@@ -32,6 +32,8 @@ pub struct Picture {
     pub links: Vec<Arc<LinkPicture>>,
     /// Hosts that were turned away in the last ten minutes, newest first, at most 32.
     pub refused: Vec<RefusedHost>,
+    /// Hosts of which something is stored and nothing was heard lately, or since the aggregator started.
+    pub absent: usize,
     /// Of all hosts together, those included that are not in the picture.
     pub totals: Totals,
 }

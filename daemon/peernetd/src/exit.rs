@@ -48,6 +48,40 @@ impl Failure {
 impl fmt::Display for Failure {
     /// The error and everything that led to it, in one line.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{:#}", self.error)
+        f.write_str(&in_one_line(&self.error))
+    }
+}
+
+/// An error and everything that led to it, each once: many errors have their cause in their own words already, as people
+/// read most of them without a chain.
+pub fn in_one_line(error: &anyhow::Error) -> String {
+    let mut told: Vec<String> = Vec::new();
+    for cause in error.chain().map(ToString::to_string) {
+        if told.iter().any(|text| text.contains(&cause)) {
+            continue;
+        }
+        if told.last().is_some_and(|text| cause.starts_with(text)) {
+            told.pop();
+        }
+        told.push(cause);
+    }
+    told.join(": ")
+}
+
+#[cfg(test)]
+mod tests {
+    use anyhow::anyhow;
+
+    use super::*;
+
+    #[test]
+    fn what_was_said_is_not_said_again() {
+        let cause = anyhow!("No such file").context("cannot open x: No such file; make it");
+        assert_eq!(in_one_line(&cause), "cannot open x: No such file; make it");
+        let cause =
+            anyhow!("it is in use").context("cannot start it: it is in use").context("cannot start it");
+        assert_eq!(in_one_line(&cause), "cannot start it: it is in use");
+        let cause = anyhow!("the reason").context("what failed").context("what was wanted");
+        assert_eq!(in_one_line(&cause), "what was wanted: what failed: the reason");
     }
 }

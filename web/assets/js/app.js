@@ -98,6 +98,8 @@
       const answer = await fetch(button.dataset.pin, { method: on ? "PUT" : "DELETE" });
       if (!answer.ok) throw new Error((await answer.json()).detail);
       button.setAttribute("aria-pressed", String(on));
+      button.querySelector("span").textContent = on ? "Kept" : "Keep";
+      button.title = on ? "Let go" : "Keep (pin): nothing of this run is deleted by age";
       find("#kept").hidden = !on;
     } catch (error) {
       said.textContent = `Not changed: ${error.message}`;

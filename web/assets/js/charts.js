@@ -128,25 +128,44 @@ const PEER = (() => {
     unsynchronised: "M6 1.4a4.6 4.6 0 1 0 0 9.2 4.6 4.6 0 0 0 0-9.2M2.8 9.2 9.2 2.8",
     run: "M3 1.8v8.4L10 6z",
   };
-  function marks(list, gaps, plots, more) {
+  const TOUCHING = 6;
+  // Gaps as they stand on the axis now: neighbours closer than TOUCHING px are drawn as one. `said` stands once for all.
+  function spans(gaps, api, area, said) {
+    const found = [];
+    gaps.forEach((gap, index) => {
+      const from = Math.max(api.coord([gap.from, 0])[0], area.x), to = Math.min(api.coord([gap.to, 0])[0], area.x + area.width);
+      if (to < area.x || from > area.x + area.width) return;
+      const last = found[found.length - 1];
+      if (last && from - last.to < TOUCHING) last.to = Math.max(last.to, to);
+      else found.push({ index, from, to, text: gap.text });
+    });
+    const widest = found.reduce((best, span) => (best && best.to - best.from >= span.to - span.from ? best : span), null);
+    // A short gap beside a sign would write over it: its hatching says enough.
+    for (const span of found) span.said = said ? (span === widest ? said : "") : span.to - span.from >= px(0.75) || gaps.length === 1 ? span.text : "";
+    return new Map(found.map((span) => [span.index, span]));
+  }
+  function marks(list, gaps, plots, said) {
     const faint = css("--ink-3"), ink = css("--ink-2"), shade = hatch(null, css("--line"), 1), words = text();
-    const rows = gaps.map((gap) => [gap.from, gap.to, "gap-span", gap.text]).concat(list.map((mark) => [mark.at, mark.at, mark.sign, ""]));
+    const rows = gaps.map((gap) => [gap.from, gap.to, "gap-span"]).concat(list.map((mark) => [mark.at, mark.at, mark.sign]));
     return {
-      type: "custom", silent: true, z: 6, clip: false, tooltip: { show: false }, encode: { x: [0, 1] }, data: rows.map((row) => [row[0], row[1]]), ...more,
+      type: "custom", silent: true, z: 6, clip: false, tooltip: { show: false }, encode: { x: [0, 1] }, data: rows.map((row) => [row[0], row[1]]),
       renderItem(params, api) {
-        const [, , kind, note] = rows[params.dataIndex], area = params.coordSys, unit = px(0.75) / 12;
-        let from = api.coord([api.value(0), 0])[0], to = api.coord([api.value(1), 0])[0];
-        if (to < area.x || from > area.x + area.width) return null;
-        from = Math.max(from, area.x);
-        to = Math.min(to, area.x + area.width);
+        const kind = rows[params.dataIndex][2], area = params.coordSys, unit = px(0.75) / 12;
         const dash = (x) => plots.map(([top, bottom]) => ({ type: "line", shape: { x1: x, x2: x, y1: top, y2: bottom }, style: { stroke: faint, lineWidth: 1, lineDash: [2, 3] } }));
         if (kind === "gap-span") {
-          const spans = plots.map(([top, bottom]) => ({ type: "rect", shape: { x: from, y: top, width: to - from, height: bottom - top }, style: { fill: shade } }));
-          const label = { type: "text", style: { text: note, x: Math.max(area.x + px(1.5), Math.min(area.x + area.width - px(1.5), (from + to) / 2)), y: plots[0][0] - px(0.25), align: "center", verticalAlign: "bottom", fill: ink, fontSize: words.fontSize, fontFamily: FONT } };
-          // A short gap beside a sign would write over it: its hatching says enough.
-          const room = to - from >= px(0.75) || rows.length === 1;
-          return { type: "group", children: spans.concat(dash(from), dash(to), room ? [label] : []) };
+          params.context.spans ??= spans(gaps, api, area, said);
+          const span = params.context.spans.get(params.dataIndex);
+          if (!span) return null;
+          const { from, to, said: note } = span;
+          // Where one word stands for many, narrow ones are bands without edges: edges alone would look like marks.
+          const band = Boolean(said) && to - from < px(0.75);
+          const style = band ? { fill: css("--line-strong"), opacity: 0.35 } : { fill: shade };
+          const shades = plots.map(([top, bottom]) => ({ type: "rect", shape: { x: from, y: top, width: Math.max(to - from, 2), height: bottom - top }, style }));
+          const label = { type: "text", style: { text: note, x: Math.max(area.x + px(2), Math.min(area.x + area.width - px(2.25), (from + to) / 2)), y: plots[0][0] - px(0.25), align: "center", verticalAlign: "bottom", fill: ink, fontSize: words.fontSize, fontFamily: FONT } };
+          return { type: "group", children: shades.concat(band ? [] : dash(from), band ? [] : dash(to), note ? [label] : []) };
         }
+        const from = api.coord([api.value(0), 0])[0];
+        if (from < area.x || from > area.x + area.width) return null;
         const sign = { type: "path", x: from - 6 * unit, y: plots[0][0] - 14 * unit, scaleX: unit, scaleY: unit, shape: { pathData: SIGNS[kind] || SIGNS.run }, style: { fill: "none", stroke: ink, lineWidth: 1.3, strokeNoScale: true } };
         return { type: "group", children: dash(from).concat([sign]) };
       },

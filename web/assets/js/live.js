@@ -150,8 +150,9 @@
     document.body.classList.add("away");
     $("banner").textContent = `Connection to the aggregator lost at ${at}. Trying again every 2\u202fs; the figures below are the last ones received.`;
     $("banner").hidden = false;
-    const title = document.querySelector("h1[data-past]");
-    if (title) title.textContent = `${title.dataset.past} at ${at}`;
+    // What is live says of when it is; what is stored stays as true as it was.
+    const title = document.querySelector("h1[data-past], [id^=part-] h1");
+    if (title) title.textContent = title.dataset.past ? `${title.dataset.past} at ${at}` : `${title.textContent} (as of ${at})`;
     state();
   }
   function back() {

@@ -28,7 +28,7 @@
     const top = TOP(), height = plotBottom() - top, left = PEER.px(2.5), right = PEER.px(0.75);
     const highest = Math.max(...data.points.map((point) => Math.max(point[1] || 0, point[2] || 0)), ...data.slow.map((point) => point[1] || 0));
     const ends = PEER.steps(highest), seconds = to - from < 600000;
-    const gaps = data.gaps.map(([start, stop, count]) => ({ from: start, to: stop, text: count ? `${count.toLocaleString("en-US")} dropped` : "not recorded" }));
+    const gaps = data.gaps.map(([start, stop]) => ({ from: start, to: stop })).sort((one, other) => one.from - other.from);
     return {
       grid: [{ left, right, top, height }],
       dataZoom: [{
@@ -56,7 +56,7 @@
           type: "scatter", symbolSize: PEER.px(0.4375), z: 5, cursor: "pointer", emphasis: { disabled: true },
           data: data.slow.map(([at, total, stage, number]) => ({ value: [at, total], stage, number, itemStyle: { color: stage === "total" || stage === "other" ? PEER.css("--line-strong") : PEER.edge(stage) } })),
         },
-        PEER.marks([], gaps, [[top, top + height]]),
+        PEER.marks([], gaps, [[top, top + height]], "not recorded"),
       ],
     };
   }

@@ -1,4 +1,4 @@
-//! Runs that are kept for ever.
+//! Runs that are kept (pinned) for ever.
 
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
@@ -9,7 +9,7 @@ use super::run::no_run;
 use crate::error::{ProblemDetails, WebError};
 use crate::state::{App, AppState};
 
-/// Keeps a run: retention deletes nothing of it.
+/// Keeps (pins) a run: retention deletes nothing of it.
 #[utoipa::path(put, path = "/api/v1/runs/{run}/pin", operation_id = "pinRun", tag = "runs", params(("run" = i64, Path)), responses(
     (status = 204, description = "it is kept"),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
@@ -21,7 +21,7 @@ pub(crate) async fn put(
     set(&app, path(number)?, true).await
 }
 
-/// Keeps a run no longer than others.
+/// Lets a run go (unpins it): keeps it no longer than others.
 #[utoipa::path(delete, path = "/api/v1/runs/{run}/pin", operation_id = "unpinRun", tag = "runs", params(("run" = i64, Path)), responses(
     (status = 204, description = "it is kept no longer than others"),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),

@@ -9,10 +9,10 @@ use peernet_aggregator::{HostRow, Picture};
 use super::{Page, Update, page};
 use crate::error::WebError;
 use crate::state::{App, AppState};
-use crate::view::cut;
 use crate::view::events::EventLine;
 use crate::view::hosts::{HostLine, RefusedLine};
 use crate::view::shell::{Place, Shell};
+use crate::view::{awaited, cut};
 use crate::zone::Moment;
 
 /// Topic of the live stream.
@@ -23,11 +23,15 @@ pub(crate) const TOPIC: &str = "hosts";
 struct Hosts {
     shell: Shell,
     title: String,
+    /// The title in the past tense, for when the connection is lost.
+    past_title: String,
     hosts: Vec<HostLine>,
     events: Vec<EventLine>,
     /// Said where not all of them are shown.
     cut: Option<String>,
     /// Hosts that were turned away lately.
+    /// Said of hosts that are known from before, while none reports.
+    known: Option<String>,
     refused: Vec<RefusedLine>,
     /// Hosts that are stored but not in the live picture: name and last sign of life.
     past: Vec<(String, Moment)>,
@@ -55,19 +59,27 @@ pub(crate) fn update(app: &AppState, picture: &Picture) -> Result<Update, WebErr
 fn hosts(app: &AppState, picture: &Picture, stored: &[HostRow]) -> Hosts {
     let connected = picture.hosts.iter().filter(|host| host.connected).count();
     let title = match picture.hosts.len() {
+        0 if picture.absent > 0 => awaited::WAITING.to_owned(),
         0 => "No host has reported yet".to_owned(),
         1 if connected == 1 => "1 host, connected".to_owned(),
         all if all == connected => format!("{all} hosts, all connected"),
         all => format!("{connected} of {all} hosts are connected"),
+    };
+    let past_title = match picture.hosts.len() {
+        0 => "No host had reported".to_owned(),
+        1 => format!("{connected} of 1 host was connected"),
+        all => format!("{connected} of {all} hosts were connected"),
     };
     let live: HashSet<_> = picture.hosts.iter().map(|host| host.id).collect();
     let past: Vec<&HostRow> = stored.iter().filter(|row| !live.contains(&row.id)).collect();
     Hosts {
         shell: Shell::new(app, picture, Place::Hosts, "Hosts").live(TOPIC),
         title,
+        past_title,
         hosts: HostLine::first(cut::LIST, picture, app.clock.identity(), app.zone),
         events: picture.hosts.iter().take(cut::LIST).map(|host| EventLine::new(host)).collect(),
         cut: cut::words(cut::LIST, picture.hosts.len()),
+        known: awaited::known(picture),
         refused: RefusedLine::all(picture, app.zone),
         past_cut: cut::words(cut::LIST, past.len()),
         past: past

@@ -27,6 +27,8 @@ struct Incidents {
     shell: Shell,
     title: &'static str,
     lines: Vec<IncidentLine>,
+    /// Whether any of them belongs to a run.
+    runs: bool,
     older: Option<i64>,
 }
 
@@ -43,6 +45,7 @@ pub(crate) async fn show(State(app): State<App>, Parameters(query): Parameters<Q
             "What happened beside the measurements"
         },
         older: rows.last().filter(|_| more).map(|last| last.id),
+        runs: rows.iter().any(|row| row.run.is_some()),
         lines: IncidentLine::all(&rows, app.zone),
     })
 }

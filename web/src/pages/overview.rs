@@ -8,6 +8,7 @@ use peernet_logger::stream::PipelineState;
 use super::{Mark, Page, Update, page};
 use crate::error::WebError;
 use crate::state::{App, AppState};
+use crate::view::awaited;
 use crate::view::chart::ChartCard;
 use crate::view::cut;
 use crate::view::data::JsonBlock;
@@ -39,12 +40,15 @@ pub(super) struct Overview {
 
 #[derive(Template)]
 #[template(path = "pages/overview_empty.html", blocks = ["seen"])]
-struct Empty {
+pub(super) struct Empty {
     shell: Shell,
     layout: String,
     listening: String,
     since: Moment,
     refused: Vec<RefusedLine>,
+    title: &'static str,
+    /// Said of hosts that are known from before; the way to a first host then helps nobody.
+    known: Option<String>,
 }
 
 /// `GET /`.
@@ -98,9 +102,13 @@ pub(crate) fn marks(rows: &[IncidentRow]) -> Vec<Mark> {
         .collect()
 }
 
-fn empty(app: &AppState, picture: &Picture) -> Empty {
+pub(super) fn empty(app: &AppState, picture: &Picture) -> Empty {
+    let known = awaited::known(picture);
+    let title = if known.is_some() { awaited::WAITING } else { "No host has reported yet" };
     Empty {
-        shell: Shell::new(app, picture, Place::Overview, "No host has reported yet").live(TOPIC),
+        shell: Shell::new(app, picture, Place::Overview, title).live(TOPIC),
+        title,
+        known,
         layout: "empty".to_owned(),
         listening: picture.listening.clone(),
         since: app.zone.moment(app.since),
@@ -121,7 +129,7 @@ pub(super) fn overview(
     picture: &Picture,
     incidents: Incidents,
 ) -> Result<Overview, WebError> {
-    let health = Health::of(picture, app.zone);
+    let health = Health::of(picture, app.zone, app.since);
     let pipelines = ordered(picture);
     let charts: Vec<ChartCard> = pipelines.iter().map(|one| ChartCard::new(one, picture, app.zone)).collect();
     let marks = incidents.as_ref().map(|rows| marks(rows)).unwrap_or_default();

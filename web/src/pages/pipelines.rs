@@ -8,10 +8,10 @@ use peernet_logger::stream::PipelineState;
 use super::{Page, Update, page};
 use crate::error::WebError;
 use crate::state::{App, AppState};
-use crate::view::cut;
 use crate::view::now::{NowRow, NowTable};
 use crate::view::place;
 use crate::view::shell::{Place, Shell};
+use crate::view::{awaited, cut};
 
 /// Topic of the live stream.
 pub(crate) const TOPIC: &str = "pipelines";
@@ -21,6 +21,8 @@ pub(crate) const TOPIC: &str = "pipelines";
 struct Pipelines {
     shell: Shell,
     title: String,
+    /// The title in the past tense, for when the connection is lost.
+    past: String,
     lines: Vec<Line>,
     /// Said where not all of them are shown.
     cut: Option<String>,
@@ -64,9 +66,14 @@ fn pipelines(app: &AppState, picture: &Picture) -> Pipelines {
     let all: Vec<&PipelinePicture> = picture.pipelines.iter().map(|one| &**one).collect();
     let running = all.iter().filter(|one| one.state == PipelineState::Running).count();
     let title = match all.len() {
+        0 if awaited::starting(picture, app.since) => awaited::WAITING.to_owned(),
         0 => "No pipeline has reported yet".to_owned(),
         1 => format!("1 pipeline, {running} running"),
         many => format!("{many} pipelines, {running} running"),
+    };
+    let past = match all.len() {
+        0 => "No pipeline had reported".to_owned(),
+        many => format!("{running} of {many} pipelines ran"),
     };
     let shown = &all[..all.len().min(cut::LIST)];
     let rows = NowTable::new(shown, 10).rows;
@@ -82,6 +89,7 @@ fn pipelines(app: &AppState, picture: &Picture) -> Pipelines {
     Pipelines {
         shell: Shell::new(app, picture, Place::Pipelines, "Pipelines").live(TOPIC),
         title,
+        past,
         lines: lines.collect(),
         cut: cut::words(cut::LIST, all.len()),
     }

@@ -192,7 +192,11 @@ fn assemble(app: &AppState, stored: &Stored<'_>, distribution: Distribution) -> 
         facts: facts(run, zone),
         rehearsal: summary.rehearsed.then_some(rehearsal::CHIP),
         pinned: summary.pinned,
-        notes: runs::trimmed(summary, app.aggregator.retention()).into_iter().chain(of_delays).collect(),
+        notes: runs::unrecorded(&run.gaps, zone)
+            .into_iter()
+            .chain(runs::trimmed(summary, app.aggregator.retention()))
+            .chain(of_delays)
+            .collect(),
         end: End::of(summary, &picture, zone),
         lead: total.map_or((NONE.to_owned(), None), |total| mean_std_ms(total.mean, total.std)),
         stats: vec![

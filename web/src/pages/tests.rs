@@ -7,6 +7,7 @@ use peernet_logger::Name;
 use peernet_logger::stream::{PipelineState, PlacementKind};
 
 use super::*;
+use crate::view::now::{Cell, NowTable};
 use crate::view::samples::{self, HOSTILE, figures, host, incident, picture, pipeline, placement, refused};
 
 /// What holds for every page, whatever it shows.
@@ -91,6 +92,25 @@ async fn hosts_that_were_turned_away_stand_on_the_page_of_hosts() {
 }
 
 #[tokio::test]
+async fn hosts_that_are_known_from_before_are_waited_for() {
+    let (app, _folder) = samples::app().await;
+    let mut shown = picture(Vec::new(), Vec::new());
+    shown.absent = 2;
+    let html = askama::Template::render(&overview::empty(&app, &shown)).expect("renders");
+    check(&html);
+    assert!(
+        html.contains("<h1>Waiting for agents to report</h1>") && html.contains("2 hosts are known"),
+        "{html}"
+    );
+    assert!(!html.contains("make demo"), "{html}");
+    for update in [hosts::update(&app, &shown), pipelines::update(&app, &shown)] {
+        let (_, html) = &update.expect("renders").parts[0];
+        check(html);
+        assert!(html.contains(">Waiting for agents to report</h1>"), "{html}");
+    }
+}
+
+#[tokio::test]
 async fn too_few_samples_give_no_quantile_but_a_reason() {
     let html =
         overview_of(&picture(Vec::new(), vec![pipeline("slow", 0.5, 1.0, Verdict::Ok, &[])]), Vec::new())
@@ -103,11 +123,19 @@ async fn too_few_samples_give_no_quantile_but_a_reason() {
 }
 
 #[tokio::test]
-async fn longer_windows_stand_in_where_ten_seconds_hold_too_few() {
-    let html =
-        overview_of(&picture(Vec::new(), vec![pipeline("line", 5.0, 1.0, Verdict::Ok, &[])]), Vec::new())
-            .await;
-    assert!(html.contains("of the last 60 s: 10 s hold too few iterations"), "{html}");
+async fn all_quantiles_are_of_one_window() {
+    let mut line = pipeline("line", 5.0, 1.0, Verdict::Ok, &[]);
+    // Slower in the last seconds than in the minute: the tail of the one would be above that of the other.
+    let window = |seconds, scale| samples::window(seconds, 30.0, scale, Verdict::Ok);
+    line.windows = [window(1, 4.0), window(10, 4.0), window(60, 1.0)];
+    let of_minute = NowTable::new(&[&line], 60).rows.remove(0);
+    let row = NowTable::new(&[&line], 10).rows.remove(0);
+    assert_eq!((&row.p50, &row.p95, &row.p99), (&of_minute.p50, &of_minute.p95, &of_minute.p99));
+    assert_ne!(row.total, of_minute.total, "the bar is of the last seconds");
+    let number = |cell: &Cell| cell.text.parse::<f64>().expect("a figure");
+    assert!(number(&row.p50) <= number(&row.p95) && number(&row.p95) <= number(&row.p99), "{row:?}");
+    let html = overview_of(&picture(Vec::new(), vec![line]), Vec::new()).await;
+    assert!(html.contains("p50, p95 and p99 of total: last 60&#x202f;s"), "{html}");
 }
 
 #[tokio::test]

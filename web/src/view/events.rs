@@ -16,6 +16,8 @@ use crate::zone::Zone;
 pub(crate) const FAR_BEHIND: Span = Span::from_seconds(5);
 /// A spool fuller than this has room for little more.
 const NEARLY_FULL: f64 = 0.95;
+/// Why events are dropped.
+const NO_ROOM: &str = "no room in the agent's spool";
 /// The agent compresses when batches wait, whatever holds them up.
 const COMPRESSED: &str = "batches wait for the link or the aggregator";
 
@@ -45,11 +47,13 @@ pub(crate) struct Step {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Events {
     pub remarks: Vec<Remark>,
-    /// Produced, spooled, sent, stored.
+    /// Produced, spooled, sent, acknowledged.
     pub flow: Vec<Step>,
     pub waiting: String,
     pub dropped: String,
     pub gaps: String,
+    /// Why some were dropped; `None` when none was.
+    pub lost: Option<&'static str>,
     pub spool: Spool,
     /// Number and unit, and what to make of it.
     pub behind: (String, String),
@@ -97,11 +101,12 @@ impl Events {
                 step("Produced", account.produced, "since the spool was made".to_owned()),
                 step("Spooled", account.spooled, memory),
                 step("Sent", account.sent, format!("{} not yet", count(unsent))),
-                step("Stored", account.stored, format!("{} under way", count(under_way))),
+                step("Acknowledged", account.stored, format!("{} under way", count(under_way))),
             ],
             waiting: count(account.waiting),
             dropped: count(account.dropped),
             gaps: counted(usize::try_from(account.gaps).unwrap_or(usize::MAX), "gap", "gaps"),
+            lost: lost(account),
             spool: Spool::of(name, account),
             behind: (
                 host.behind.map_or_else(|| format!("0{SPACE}s"), |behind| length(behind.seconds())),
@@ -113,6 +118,11 @@ impl Events {
             ),
         }
     }
+}
+
+/// Why events were dropped; `None` when none was.
+fn lost(account: &Accounting) -> Option<&'static str> {
+    (account.dropped > 0).then_some(NO_ROOM)
 }
 
 fn counted_events(many: u64) -> String {
@@ -148,10 +158,19 @@ fn remarks(host: &HostPicture) -> Vec<Remark> {
             }
         });
     }
+    if let Some(why) = lost(account) {
+        let text = format!("{} dropped: {why}; see gaps.", counted_events(account.dropped));
+        remarks.push(Remark::new(Tone::Warn, "gap", "dropped", text));
+    }
     if account.compressed {
         remarks.push(Remark::new(Tone::Quiet, "slow", "compressed", COMPRESSED));
     }
     remarks
+}
+
+/// The worst of what is to be said of a host's events.
+pub(crate) fn worst(host: &HostPicture) -> Option<Remark> {
+    remarks(host).into_iter().min_by_key(|remark| Reverse(remark.chip.tone))
 }
 
 /// The aggregator's account, as pairs.
@@ -187,10 +206,12 @@ pub(crate) struct EventLine {
     pub produced: String,
     pub spooled: String,
     pub sent: String,
-    pub stored: String,
+    pub acknowledged: String,
     pub waiting: String,
     pub dropped: String,
     pub gaps: String,
+    /// Why some were dropped; `None` when none was.
+    pub lost: Option<&'static str>,
     pub spool: Spool,
     pub behind: String,
     /// The worst of what is to be said.
@@ -205,13 +226,14 @@ impl EventLine {
             produced: count(account.produced),
             spooled: count(account.spooled),
             sent: count(account.sent),
-            stored: count(account.stored),
+            acknowledged: count(account.stored),
             waiting: count(account.waiting),
             dropped: count(account.dropped),
             gaps: count(account.gaps),
+            lost: lost(account),
             spool: Spool::of(&name, account),
             behind: host.behind.map_or_else(|| "0".to_owned(), |behind| fixed(behind.seconds(), 1)),
-            remark: remarks(host).into_iter().min_by_key(|remark| Reverse(remark.chip.tone)),
+            remark: worst(host),
             name,
         }
     }
@@ -257,6 +279,7 @@ mod tests {
     #[test]
     fn catching_up_is_said_in_words_and_with_its_rate() {
         let mut host = host();
+        host.accounting.dropped = 0;
         host.behind = Some(Span::from_seconds(11_520));
         let texts = |host: &HostPicture| -> Vec<String> {
             remarks(host).into_iter().map(|remark| remark.text).collect()
@@ -285,9 +308,20 @@ mod tests {
         host.accounting.spool_bytes = host.accounting.spool_limit_bytes;
         host.accounting.compressed = true;
         let words: Vec<&str> = remarks(&host).iter().map(|remark| remark.chip.word).collect();
-        assert_eq!(words, ["spool fails", "spool full", "compressed"]);
+        assert_eq!(words, ["spool fails", "spool full", "dropped", "compressed"]);
         let line = EventLine::new(&host);
         assert_eq!(line.remark.expect("something is wrong").chip.tone, Tone::Bad);
+    }
+
+    #[test]
+    fn what_was_dropped_is_marked_with_the_reason() {
+        let mut host = host();
+        let dropped = worst(&host).expect("50 were dropped");
+        assert_eq!((dropped.chip.word, dropped.chip.tone), ("dropped", Tone::Warn));
+        assert_eq!(dropped.text, "50 events dropped: no room in the agent's spool; see gaps.");
+        assert_eq!(Events::of(&host).lost, Some(NO_ROOM));
+        host.accounting.dropped = 0;
+        assert_eq!((worst(&host), EventLine::new(&host).lost), (None, None));
     }
 
     #[test]

@@ -1,13 +1,14 @@
 //! The health of the system in sentences: the title of the overview and the notes under it.
 
 use peernet_aggregator::{HostPicture, Picture, PipelinePicture};
+use peernet_clock::WallTime;
 use peernet_logger::stream::PipelineState;
 use peernet_logger::{Name, stage};
 
 use super::chip::{Chip, Tone};
 use super::events::FAR_BEHIND;
 use super::notes::Note;
-use super::{link, place};
+use super::{awaited, link, place};
 use crate::numbers::{count, length, percent, roughly};
 use crate::zone::Zone;
 
@@ -22,14 +23,16 @@ pub(crate) struct Health {
     pub title: String,
     /// The title in the past tense, for when the connection is lost.
     pub past: String,
+    /// Whether agents may still be on their way.
+    pub starting: bool,
     pub notes: Vec<Note>,
     /// Notes beyond those shown.
     pub more: usize,
 }
 
 impl Health {
-    /// The health that a picture shows.
-    pub(crate) fn of(picture: &Picture, zone: Zone) -> Self {
+    /// The health that a picture of an aggregator shows that serves since then.
+    pub(crate) fn of(picture: &Picture, zone: Zone, since: WallTime) -> Self {
         let mut notes = Vec::new();
         notes.extend(picture.refused.iter().map(|refused| Note {
             chip: Chip::new(Tone::Bad, "unsynchronised", "refused"),
@@ -61,11 +64,21 @@ impl Health {
             0 => String::new(),
             many => format!(", {many} to look at"),
         };
+        let starting = awaited::starting(picture, since);
         let more = notes.len().saturating_sub(NOTES);
         notes.truncate(NOTES);
         Self {
-            title: format!("{subject} {is}running{rest}"),
-            past: format!("{subject} {was}running"),
+            title: if starting {
+                format!("{}{rest}", awaited::WAITING)
+            } else {
+                format!("{subject} {is}running{rest}")
+            },
+            past: if starting {
+                "No agent had reported".to_owned()
+            } else {
+                format!("{subject} {was}running")
+            },
+            starting,
             notes,
             more,
         }

@@ -5,7 +5,7 @@ use peernet_clock::{ClockIdentity, Span};
 use peernet_logger::stream::{Hardware, HostMetrics};
 
 use super::chip::{Chip, Tone};
-use super::events::FAR_BEHIND;
+use super::events::{self, FAR_BEHIND, Remark};
 use super::link::panels::discipline;
 use super::rehearsal;
 use crate::numbers::{NONE, SPACE, count, fixed, gigabytes, length};
@@ -17,6 +17,8 @@ use crate::zone::{Moment, Zone};
 pub(crate) struct HostLine {
     pub name: String,
     pub tone: Tone,
+    /// The reason of that tone, where there is one.
+    pub remark: Option<Remark>,
     /// `last seen 14:09:12`, for a host that does not report.
     pub away: Option<Moment>,
     /// Its accelerator, or its processor where it has none.
@@ -113,15 +115,15 @@ impl HostLine {
         let metrics = &host.metrics;
         let (clock, clock_title) = clock_words(&host.description.clock, ours, host.clock_ahead);
         let late = host.behind.is_some_and(|behind| behind > FAR_BEHIND);
-        let tone = if !host.connected || host.accounting.trouble.is_some() {
-            Tone::Bad
-        } else if late || host.accounting.dropped > 0 {
-            Tone::Warn
-        } else {
-            Tone::Ok
+        let remark = events::worst(host).filter(|remark| late || remark.chip.tone >= Tone::Warn);
+        let tone = match &remark {
+            _ if !host.connected => Tone::Bad,
+            Some(remark) => remark.chip.tone.max(Tone::Warn),
+            None => Tone::Ok,
         };
         Self {
             tone,
+            remark,
             away: (!host.connected).then(|| zone.moment(host.last_seen)),
             kind: hardware_name(&host.description.hardware),
             cpu: percent(metrics.cpu),

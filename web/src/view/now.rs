@@ -1,6 +1,6 @@
 //! Where the time goes now: pipelines as stage bars on one scale, with their figures.
 
-use peernet_aggregator::{PipelinePicture, Window};
+use peernet_aggregator::{Figures, PipelinePicture, Window};
 use peernet_logger::stage;
 use peernet_logger::stream::PipelineState;
 
@@ -10,11 +10,14 @@ use super::place;
 use super::speed::{self, Way};
 use super::stack::Stack;
 use crate::look;
-use crate::numbers::{NONE, percent, rate, stage_ms, total_ms};
+use crate::numbers::{NONE, count, percent, rate, stage_ms, total_ms};
 use crate::svg::{Axis, Bar, Scale};
 
 /// How many times as long as the longest bar a whisker may make the axis.
 const TAIL: f64 = 2.0;
+/// Seconds of the window of every quantile: the shortest that holds enough iterations at 5 Hz. All come from it, since
+/// quantiles of different windows cannot be compared.
+const QUANTILES: u32 = 60;
 
 /// Bars on a shared scale.
 #[derive(Clone, Debug, PartialEq)]
@@ -78,31 +81,21 @@ pub(crate) fn state_chip(state: &PipelineState) -> Option<Chip> {
     }
 }
 
-/// A quantile of `total` from the given window, or from the next longer one that holds enough samples.
-fn quantile(
-    pipeline: &PipelinePicture,
-    seconds: u32,
-    needs: u64,
-    of: fn(&peernet_aggregator::Figures) -> Option<f64>,
-) -> (Option<f64>, Cell) {
-    for window in pipeline.windows.iter().filter(|window| window.seconds >= seconds) {
-        if let Some(value) = window.value(&stage::TOTAL).and_then(of) {
-            let title = (window.seconds > seconds)
-                .then(|| format!("of the last {} s: {seconds} s hold too few iterations", window.seconds));
-            return (Some(value), Cell { text: total_ms(value), title });
-        }
-    }
-    let held = pipeline
-        .windows
-        .iter()
-        .filter_map(|window| window.value(&stage::TOTAL))
-        .map(|total| total.count)
-        .max();
-    (None, Cell::none(format!("needs {needs} iterations; the last minute has {}", held.unwrap_or(0))))
+/// A quantile of `total` within the window of all quantiles.
+fn quantile(total: Option<&Figures>, needs: u64, of: fn(&Figures) -> Option<f64>) -> (Option<f64>, Cell) {
+    let value = total.and_then(of);
+    let cell = value.map_or_else(
+        || {
+            let held = total.map_or(0, |total| total.count);
+            Cell::none(format!("needs {needs} iterations; the last minute has {}", count(held)))
+        },
+        |value| Cell::new(total_ms(value)),
+    );
+    (value, cell)
 }
 
 impl NowTable {
-    /// The pipelines as they are in the window of `seconds` (1, 10 or 60).
+    /// The pipelines as they are in the window of `seconds` (1, 10 or 60), with the quantiles of the last minute.
     pub(crate) fn new(pipelines: &[&PipelinePicture], seconds: u32) -> Self {
         let windows: Vec<(&PipelinePicture, &Window)> =
             pipelines.iter().filter_map(|one| Some((*one, one.window(seconds)?))).collect();
@@ -111,7 +104,7 @@ impl NowTable {
         // is far longer than the bars would squeeze them: its figure is in the table, its whisker leaves the axis.
         let longest = stacks.iter().map(Stack::end_ms).fold(0.0, f64::max);
         let reach = windows.iter().map(|(pipeline, _)| {
-            let minute = pipeline.window(60).and_then(|window| window.value(&stage::TOTAL));
+            let minute = pipeline.window(QUANTILES).and_then(|window| window.value(&stage::TOTAL));
             minute.map_or(0.0, |total| total.p99.or(total.p95).unwrap_or(total.p50) * 1e3)
         });
         let scale = Scale::fit(reach.fold(0.0, f64::max).min(TAIL * longest).max(longest), 6);
@@ -144,10 +137,9 @@ impl NowRow {
         columns: &[&'static str],
     ) -> Self {
         let host = pipeline.host_name.as_str();
-        let (p95, p95_cell) =
-            quantile(pipeline, window.seconds, peernet_aggregator::P95_NEEDS, |total| total.p95);
-        let (p99, p99_cell) =
-            quantile(pipeline, window.seconds, peernet_aggregator::P99_NEEDS, |total| total.p99);
+        let minute = pipeline.window(QUANTILES).and_then(|window| window.value(&stage::TOTAL));
+        let (p95, p95_cell) = quantile(minute, peernet_aggregator::P95_NEEDS, |total| total.p95);
+        let (p99, p99_cell) = quantile(minute, peernet_aggregator::P99_NEEDS, |total| total.p99);
         let part = |name: &str| stack.parts.iter().find(|part| part.name == name);
         let mean =
             |name: &&'static str| part(name).map_or_else(|| NONE.to_owned(), |part| stage_ms(part.seconds));
@@ -161,7 +153,7 @@ impl NowRow {
             ),
             state: state_chip(&pipeline.state),
             bar: stack.bar("", (p95, p99), scale),
-            p50: stack.total.map_or_else(
+            p50: minute.map_or_else(
                 || Cell::none("no successful iteration in this time"),
                 |total| Cell::new(total_ms(total.p50)),
             ),

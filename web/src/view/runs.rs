@@ -1,11 +1,11 @@
 //! Runs in a list.
 
-use peernet_aggregator::{Picture, RetentionConfig, RunSummary};
+use peernet_aggregator::{GapRow, Picture, RetentionConfig, RunSummary};
 use peernet_clock::WallTime;
 
 use super::chip::{Chip, Tone};
 use super::notes::Note;
-use super::{place, rehearsal};
+use super::{counted, place, rehearsal};
 use crate::numbers::{NONE, count, length, percent, total_ms};
 use crate::zone::{Moment, Zone};
 
@@ -81,6 +81,33 @@ pub(crate) fn trimmed(run: &RunSummary, retention: &RetentionConfig) -> Option<N
     })
 }
 
+/// What of a run was not recorded: by reason how many events, and from when to when some are missing.
+pub(crate) fn unrecorded(gaps: &[GapRow], zone: Zone) -> Vec<Note> {
+    let mut reasons: Vec<&str> = gaps.iter().map(|gap| gap.reason.as_str()).collect();
+    reasons.sort_unstable();
+    reasons.dedup();
+    let notes = reasons.into_iter().filter_map(|reason| {
+        let those = || gaps.iter().filter(|gap| gap.reason == reason);
+        let (from, to) = (those().map(|gap| gap.from).min()?, those().map(|gap| gap.to).max()?);
+        let missing: u64 = those().map(|gap| gap.count).sum();
+        let (subject, was) = match missing {
+            0 => ("An unknown number of events of this run".to_owned(), "were"),
+            1 => ("1 event of this run".to_owned(), "was"),
+            many => (format!("{} events of this run", count(many)), "were"),
+        };
+        let [from, to] = [from, to].map(|at| zone.moment(at).clock());
+        let gaps = counted(those().count(), "gap", "gaps");
+        Some(Note {
+            chip: Chip::new(Tone::Warn, "gap", "gap"),
+            subject,
+            href: String::new(),
+            text: format!("{was} not recorded: {reason} (from {from} to {to}, in {gaps})."),
+            link: None,
+        })
+    });
+    notes.collect()
+}
+
 /// Share of iterations without an answer.
 pub(crate) fn lost_share(run: &RunSummary) -> Option<f64> {
     let counts = &run.counts;
@@ -117,7 +144,33 @@ impl RunLine {
 
 #[cfg(test)]
 mod tests {
+    use peernet_clock::Span;
+
     use super::*;
+    use crate::view::samples;
+
+    #[test]
+    fn what_was_not_recorded_is_said_with_its_reason_and_its_time() {
+        let gap = |after, count, reason: &str| GapRow {
+            from: samples::NOW + Span::from_seconds(after),
+            to: samples::NOW + Span::from_seconds(after + 5),
+            count,
+            reason: reason.to_owned(),
+        };
+        let gaps =
+            [gap(60, 849, "no room"), gap(0, 40_000, "no room"), gap(30, 0, "batches 3 to 9 are missing")];
+        let told = unrecorded(&gaps, Zone::Utc);
+        let told: Vec<String> = told.iter().map(|note| format!("{} {}", note.subject, note.text)).collect();
+        assert_eq!(
+            told,
+            [
+                "An unknown number of events of this run were not recorded: batches 3 to 9 are missing (from 12:01:37 \
+                 to 12:01:42, in 1 gap).",
+                "40,849 events of this run were not recorded: no room (from 12:01:07 to 12:02:12, in 2 gaps).",
+            ]
+        );
+        assert!(unrecorded(&[], Zone::Utc).is_empty());
+    }
 
     #[test]
     fn why_something_was_deleted_is_said_as_far_as_it_is_known() {

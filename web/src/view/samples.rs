@@ -200,6 +200,7 @@ pub(crate) fn picture(hosts: Vec<HostPicture>, pipelines: Vec<PipelinePicture>) 
         pipelines: pipelines.into_iter().map(Arc::new).collect(),
         links: Vec::new(),
         refused: Vec::new(),
+        absent: 0,
         totals: Totals::default(),
     }
 }

@@ -25,7 +25,7 @@ async fn every_page_is_there_and_complete_without_a_script() {
         ("/links/cam-3~rack-a?range=1h&offset=measured", "clock offset of rack-a, ms"),
         ("/links/cam-3~rack-a?range=24h", "in-band, 6,120 exchanges"),
         ("/hosts", "4 hosts, all connected"),
-        ("/hosts", "produced = stored + waiting + dropped"),
+        ("/hosts", "produced = acknowledged + waiting + dropped"),
         ("/hosts/cam-1", "In the database"),
         ("/hosts/cam-2", "within ±2.1\u{202f}ms of true time"),
         ("/incidents", "stepped by +18.2 ms"),
@@ -100,6 +100,16 @@ async fn what_is_not_there_is_said_on_a_page() {
     let answer = bed.get("/runs?bfore=3").await;
     assert_eq!(answer.status, StatusCode::BAD_REQUEST);
     assert!(answer.text().contains("bfore"), "{}", answer.text());
+}
+
+#[tokio::test]
+async fn what_of_a_run_was_not_recorded_is_said_with_its_reason() {
+    let (bed, mut factory) = Bed::with(vec![Line::local()]).await;
+    assert!(!bed.get("/runs/1").await.text().contains("of this run were not recorded"));
+    factory.store_gaps(0, 3).await;
+    let page = bed.get("/runs/1").await;
+    let said = "2,922 events of this run were not recorded: no room in the agent&#39;s spool (from ";
+    assert!(page.text().contains(said) && page.text().contains(", in 3 gaps)."), "{}", page.text());
 }
 
 #[tokio::test]

@@ -75,15 +75,15 @@ async fn both_accounts_agree_at_rest() {
     let mut all = 0;
     for host in hosts["hosts"].as_array().expect("hosts") {
         let events = &host["now"]["events"];
-        let sum = number(&events["stored"]) + number(&events["waiting"]) + number(&events["dropped"]);
+        let sum = number(&events["acknowledged"]) + number(&events["waiting"]) + number(&events["dropped"]);
         assert_eq!(number(&events["produced"]), sum, "{host}");
-        assert_eq!(events["stored"], host["stored"]["events"], "{host}");
+        assert_eq!(events["acknowledged"], host["stored"]["events"], "{host}");
         assert_eq!((&events["trouble"], &host["now"]["catching_up"]), (&Value::Null, &Value::Null));
         all += number(&host["stored"]["events"]);
     }
     assert_eq!(all, picture.totals.stored.events);
     let page = bed.get("/hosts/cam-2").await;
-    assert!(page.text().contains("produced = stored + waiting + dropped"), "{}", page.text());
+    assert!(page.text().contains("produced = acknowledged + waiting + dropped"), "{}", page.text());
 }
 
 async fn pin(bed: &Bed, method: Method, run: &str, site: Option<&str>) -> Answer {

@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use super::{Report, usable};
-use crate::config::AgentConfig;
+use crate::config::{AgentConfig, SpoolConfig};
+use crate::outbox::Look;
 
 /// Fewest bytes that a spool may hold: 1 MiB.
 const MIN_LIMIT_BYTES: u64 = 1 << 20;
@@ -27,12 +28,71 @@ pub(super) fn check_spool(report: &mut Report, config: &AgentConfig) {
     report.at_most("spool.sync_interval_ms", spool.sync_interval_ms.get().into(), MAX_SYNC_INTERVAL_MS);
     // Without a name of its own the file is in the state_dir, which is checked.
     if let Some(file) = &spool.file {
-        if file.is_dir() {
+        if file.as_os_str().is_empty() {
+            report.add("spool.file", "a file has a name; remove the key for spool.sqlite in state_dir");
+        } else if file.is_dir() {
             let text = format!("{} is a folder; name a file, such as spool.sqlite, in it", file.display());
             report.add("spool.file", text);
         } else {
             let folder = file.parent().unwrap_or_else(|| Path::new("."));
             report.unless_ok("spool.file", usable(folder, "spool file"));
         }
+    }
+    check_content(report, config);
+}
+
+/// What is there already. What is no spool at all is put aside at the start where it has the name of the agent's own.
+fn check_content(report: &mut Report, config: &AgentConfig) {
+    let path = config.spool.path(&config.agent.state_dir);
+    let kept_by_agent = path == SpoolConfig::default().path(&config.agent.state_dir);
+    if config.agent.aggregator.is_none() || path.as_os_str().is_empty() || path.is_dir() {
+        return;
+    }
+    if path.exists() && !path.is_file() {
+        return report.add("spool.file", format!("{} is a device or a pipe; name a file", path.display()));
+    }
+    match Look::at(&path) {
+        Ok(Look::Other) if kept_by_agent => {}
+        Ok(look) => {
+            if let Some(objection) = look.objection() {
+                report.add("spool.file", format!("the file {} {objection}", path.display()));
+            }
+        }
+        Err(error) => report.add("spool.file", format!("cannot read {}: {error}", path.display())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn problems(state: &Path, file: &Path) -> Vec<String> {
+        let table = format!(
+            "[agent]\nname = 'edge'\nstate_dir = {state:?}\naggregator = 'tcp://127.0.0.1:5550'\n[spool]\nfile = {file:?}"
+        );
+        let config: AgentConfig = toml::from_str(&table).expect("it can be read");
+        let mut report = Report::default();
+        check_spool(&mut report, &config);
+        report.0.into_iter().map(|problem| problem.text).collect()
+    }
+
+    #[test]
+    fn a_file_that_is_something_else_is_refused_unless_it_has_the_name_of_the_agents_own() {
+        let folder = tempfile::tempdir().expect("there is room for a temporary folder");
+        let (state, notes) = (folder.path(), folder.path().join("notes.txt"));
+        assert!(problems(state, &notes).is_empty(), "it is made at the start");
+        for (content, objection) in [("", ""), ("notes", "not a spool"), ("SQLite format 3", "")] {
+            std::fs::write(&notes, content).expect("it can be written");
+            let said = problems(state, &notes).join(" ");
+            assert!(
+                said.contains(objection) && said.is_empty() == objection.is_empty(),
+                "{content:?}: {said}"
+            );
+        }
+        let own = state.join("spool.sqlite");
+        std::fs::write(&own, "spoilt by its disk").expect("it can be written");
+        assert!(problems(state, &own).is_empty());
+        assert!(problems(state, Path::new("")).join(" ").contains("a name"));
+        assert!(problems(state, state).join(" ").contains("is a folder"));
     }
 }

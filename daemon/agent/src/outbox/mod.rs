@@ -15,8 +15,8 @@ mod spool;
 mod tap;
 
 pub(crate) use feed::{Exit, Feed};
-pub(crate) use spool::OpenSpool;
 pub use spool::SpoolError;
+pub(crate) use spool::{Look, OpenSpool};
 pub(crate) use tap::Tap;
 
 use peernet_clock::{SharedClock, Span};
@@ -32,7 +32,7 @@ use uuid::Uuid;
 use self::reports::Reports;
 use self::sender::Sender;
 use self::spool::SpoolTask;
-use crate::config::{AgentConfig, HostConfig};
+use crate::config::{AgentConfig, HostConfig, SpoolConfig};
 use crate::host::Host;
 use crate::live::Board;
 use crate::pauses::Pauses;
@@ -66,7 +66,8 @@ pub(crate) async fn open_spool(
         return Ok(None);
     }
     let path = config.spool.path(&config.agent.state_dir);
-    OpenSpool::open(&path, host, clock).await.map(Some)
+    let kept_by_agent = path == SpoolConfig::default().path(&config.agent.state_dir);
+    OpenSpool::open(&path, host, kept_by_agent, clock).await.map(Some)
 }
 
 /// The outbox task; it ends with this, as it would in a crash.

@@ -10,6 +10,19 @@ use super::spool::PutAside;
 use crate::incidents::{Concerning, Incidents};
 use crate::pauses::Pauses;
 
+/// With a comma between thousands.
+fn grouped(number: u64) -> String {
+    let digits = number.to_string();
+    let mut text = String::with_capacity(digits.len() * 4 / 3);
+    for (index, digit) in digits.chars().enumerate() {
+        if index > 0 && (digits.len() - index).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}
+
 /// Says each trouble once.
 #[derive(Debug)]
 pub(super) struct Reports {
@@ -27,7 +40,7 @@ impl Reports {
     }
 
     /// The aggregator took us in.
-    pub(super) fn welcomed(&mut self, aggregator: &Slug, stored: u64, lacks: bool) {
+    pub(super) fn welcomed(&mut self, aggregator: &Slug, stored: u64, lacks: bool, waiting: u64) {
         self.said = None;
         let has = match stored {
             0 => String::new(),
@@ -38,7 +51,12 @@ impl Reports {
         } else {
             ""
         };
-        let text = format!("connected to the aggregator {aggregator}{has}{lost}");
+        let wait = match waiting {
+            0 => String::new(),
+            1 => ", 1 event waits".to_owned(),
+            waiting => format!(", {} events wait", grouped(waiting)),
+        };
+        let text = format!("connected to the aggregator {aggregator}{has}{wait}{lost}");
         self.incidents.report(IncidentKind::Connected, Concerning::default(), text);
     }
 
@@ -133,6 +151,18 @@ impl Reports {
         if self.said.as_ref() != Some(&text) {
             self.incidents.report(kind, Concerning::default(), text.clone());
             self.said = Some(text);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::grouped;
+
+    #[test]
+    fn thousands_are_told_apart() {
+        for (number, text) in [(7, "7"), (999, "999"), (1_000, "1,000"), (12_345_678, "12,345,678")] {
+            assert_eq!(grouped(number), text);
         }
     }
 }

@@ -220,6 +220,7 @@ impl Live {
             pipelines,
             links,
             refused: self.refused.iter().map(|(_, refused)| refused.clone()).collect(),
+            absent: self.stored.len(),
             totals: self.totals,
         }
     }

@@ -7,6 +7,7 @@ use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
 use sqlx::{ConnectOptions, SqliteConnection};
 
+use super::contents::Contents;
 use super::rebuild::make_coarser;
 use crate::error::StartError;
 
@@ -46,6 +47,10 @@ pub(crate) async fn open(path: &Path) -> Result<SqliteConnection, StartError> {
     let mut connection = writing(path).connect().await.map_err(cannot_open)?;
     // A read-only file opens without complaint and fails at the first batch: find out now.
     sqlx::raw_sql("BEGIN IMMEDIATE; ROLLBACK").execute(&mut connection).await.map_err(cannot_open)?;
+    let contents = Contents::of(&mut connection).await.map_err(cannot_open)?;
+    if let (true, Some(what)) = (contents != Contents::Nothing, contents.instead_of_database()) {
+        return Err(StartError::NotADatabase { path: path.to_owned(), what });
+    }
     MIGRATIONS.run_direct(None, &mut connection, false).await.map_err(|source| match source {
         MigrateError::VersionMissing(found) => {
             let known = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);

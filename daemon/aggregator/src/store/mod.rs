@@ -1,5 +1,6 @@
 //! The store: what people and programs ask of the database.
 
+pub(crate) mod contents;
 pub(crate) mod database;
 pub(crate) mod lock;
 pub mod maintenance;

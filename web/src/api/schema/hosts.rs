@@ -98,7 +98,7 @@ pub(crate) struct Now {
     pub events: EventAccount,
 }
 
-/// What became of an agent's events since its spool was made, by its own account; produced = stored + waiting + dropped.
+/// What became of an agent's events since its spool was made, by its own account; produced = acknowledged + waiting + dropped.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct EventAccount {
     /// Events that were made; gaps that are reported count as events of their own.
@@ -107,8 +107,8 @@ pub(crate) struct EventAccount {
     pub spooled: u64,
     /// Of those, sent at least once.
     pub sent: u64,
-    /// Acknowledged as stored.
-    pub stored: u64,
+    /// Of those, acknowledged as stored.
+    pub acknowledged: u64,
     /// Events that wait on the agent, in memory or in the spool.
     pub waiting: u64,
     /// Events that were dropped for want of room, and counted in gaps.
@@ -135,7 +135,7 @@ impl From<&Accounting> for EventAccount {
             produced,
             spooled,
             sent,
-            stored,
+            stored: acknowledged,
             waiting,
             dropped,
             gaps,
@@ -150,7 +150,7 @@ impl From<&Accounting> for EventAccount {
             produced,
             spooled,
             sent,
-            stored,
+            acknowledged,
             waiting,
             dropped,
             gaps,

@@ -39,7 +39,7 @@ pub(crate) struct Run {
     pub total: Option<Figures>,
     /// Whether the clock of one of its hosts was made wrong on purpose.
     pub rehearsed: bool,
-    /// Whether it is kept: retention deletes nothing of it.
+    /// Whether it is kept (pinned): retention deletes nothing of it.
     pub pinned: bool,
     /// Iterations up to and including this number were deleted because of their age or for want of room, their statistics
     /// remain; 0: none.

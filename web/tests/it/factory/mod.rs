@@ -14,8 +14,8 @@ pub(crate) use numbers::Numbers;
 
 use peernet_clock::{ClockIdentity, SharedClock, Span, WallTime};
 use peernet_logger::stream::{
-    Event, Hardware, HostDescription, HostMetrics, Incident, IncidentKind, Iteration, LiveUpdate, Outcome,
-    PipelineLive, PipelineState, RunDescription, RunEnded,
+    Event, Gap, Hardware, HostDescription, HostMetrics, Incident, IncidentKind, Iteration, LiveUpdate,
+    Outcome, PipelineLive, PipelineState, RunDescription, RunEnded,
 };
 use peernet_logger::{HostId, RunId};
 
@@ -163,6 +163,22 @@ impl Factory {
             self.agents[index].offer([Event::Incident(incident)]);
             self.agents[index].until_stored().await;
         }
+    }
+
+    /// Stores `count` gaps of the newest run of a line, ten seconds apart, 974 events in each.
+    pub(crate) async fn store_gaps(&mut self, index: usize, count: i64) {
+        let line = &self.lines[index];
+        let now = self.clock.wall();
+        let gaps = (1..=count).rev().map(|ago| Gap {
+            pipeline: Some(slug(line.name)),
+            run: line.run,
+            from: now - Span::from_seconds(10 * ago),
+            to: now - Span::from_seconds(10 * ago - 3),
+            count: 974,
+            reason: "no room in the agent's spool".to_owned(),
+        });
+        self.agents[index].offer(gaps.map(Event::Gap).collect::<Vec<_>>());
+        self.agents[index].until_stored().await;
     }
 
     /// Reports the seconds from `from` to `to` of all lines; the last one may be under way.

@@ -23,7 +23,7 @@ impl Sender {
     pub(super) fn noticed(&mut self, notice: Notice) {
         match notice {
             Notice::Welcomed { aggregator, stored, lacks } => {
-                self.reports.welcomed(&aggregator, stored, lacks);
+                self.reports.welcomed(&aggregator, stored, lacks, self.count().waiting);
                 // It may have been started anew and know no second of ours.
                 self.board.start_over();
                 if lacks {

@@ -44,9 +44,17 @@ pub(super) fn condemn(spool: &Path, reason: &str) {
     }
 }
 
-/// Why the spool is known to be broken, if it is.
+/// Why the spool is known to be broken, if it is. A mark without a spool is left over: somebody took the file away, or
+/// putting it aside was interrupted after that.
 pub(super) fn condemned(spool: &Path) -> Option<String> {
-    fs::read_to_string(mark(spool)).ok().map(|reason| reason.trim().to_owned())
+    let reason = fs::read_to_string(mark(spool)).ok()?;
+    if !spool.exists() {
+        if let Err(error) = fs::remove_file(mark(spool)) {
+            tracing::warn!(%error, "cannot remove the mark of a broken spool that is gone: {}", mark(spool).display());
+        }
+        return None;
+    }
+    Some(reason.trim().to_owned())
 }
 
 fn mark(spool: &Path) -> PathBuf {

@@ -35,6 +35,14 @@ pub enum SpoolError {
     /// Another agent has it.
     #[error("another agent uses the spool {}; stop it, or give each agent a [spool] file of its own", .0.display())]
     InUse(PathBuf),
+    /// Something else is there under its name.
+    #[error("the file {} {objection}", .path.display())]
+    NotASpool {
+        /// The file.
+        path: PathBuf,
+        /// What it is, and what to do.
+        objection: &'static str,
+    },
     /// It was written by a newer version.
     #[error("the spool {} was written by a newer version (its schema {found}, known here {known}); update this program, or choose another file with [spool] file", .path.display())]
     NewerSchema {

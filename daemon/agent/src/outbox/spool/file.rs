@@ -80,7 +80,11 @@ impl SpoolFile {
     pub(in crate::outbox) async fn load(&mut self, from: u64, bytes: usize) -> Result<Loaded, Trouble> {
         let mut loaded = Loaded { batches: Vec::new(), rotten: None };
         let mut size = 0;
-        let mut before = self.chain_before(from).await?;
+        // A damaged page in front of it is no reason not to read on: what follows a hole cannot be checked either.
+        let mut before = match self.chain_before(from).await {
+            Err(Trouble::Corrupt { .. }) => None,
+            chain => chain?,
+        };
         let mut number = from;
         while loaded.batches.is_empty() || size < bytes {
             match self.read(number, before).await {

@@ -8,6 +8,7 @@
 mod aside;
 mod error;
 mod file;
+mod look;
 mod open;
 mod reserve;
 mod statements;
@@ -20,5 +21,6 @@ mod tests;
 
 pub(in crate::outbox) use aside::PutAside;
 pub use error::SpoolError;
+pub(crate) use look::Look;
 pub(crate) use open::OpenSpool;
 pub(in crate::outbox) use task::{Done, Order, SpoolTask};

@@ -9,10 +9,11 @@ use peernet_logger::HostId;
 use peernet_logger::stream::{Chain, Reached, SpoolState, StreamId, Totals, Usage};
 use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::sqlite::{SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
-use sqlx::{ConnectOptions, Connection, FromRow, SqliteConnection};
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, FromRow, SqliteConnection};
 
 use super::aside::{beside, condemned, put_aside};
 use super::file::SpoolFile;
+use super::look::{APPLICATION_ID, Look};
 use super::reserve::Reserve;
 use super::statements::MOST_PROCESSES;
 use super::{PutAside, SpoolError};
@@ -37,11 +38,17 @@ pub(crate) struct OpenSpool {
 }
 
 impl OpenSpool {
-    /// Opens the spool of a host, making it when missing. A broken one is put aside.
+    /// Opens the spool of a host, making it when missing. A broken one is put aside; so is what cannot be told to be one
+    /// where the agent keeps its own files, but not elsewhere.
     ///
     /// # Errors
-    /// When it cannot be had, or is not this host's.
-    pub(crate) async fn open(path: &Path, host: HostId, clock: &SharedClock) -> Result<Self, SpoolError> {
+    /// When it cannot be had, is none, or is not this host's.
+    pub(crate) async fn open(
+        path: &Path,
+        host: HostId,
+        kept_by_agent: bool,
+        clock: &SharedClock,
+    ) -> Result<Self, SpoolError> {
         let io = |action, path: &Path| {
             let path = path.to_owned();
             move |source| SpoolError::Io { action, path, source }
@@ -53,6 +60,12 @@ impl OpenSpool {
         let lock = FileLock::take(&lock_file).map_err(io("lock", &lock_file))?;
         let lock = lock.ok_or_else(|| SpoolError::InUse(path.to_owned()))?;
 
+        let look = Look::at(path).map_err(io("read", path))?;
+        if !(kept_by_agent && look == Look::Other)
+            && let Some(objection) = look.objection()
+        {
+            return Err(SpoolError::NotASpool { path: path.to_owned(), objection });
+        }
         // On a full disk even opening may need it.
         let mut reserve = Reserve::new(beside(path, "-reserve"));
         let mut aside = None;
@@ -116,6 +129,7 @@ async fn prepare(
     let cannot_open = |source| SpoolError::Open { path: path.to_owned(), source };
     // A read-only file opens without complaint: find out now.
     sqlx::raw_sql("BEGIN IMMEDIATE; ROLLBACK").execute(&mut *connection).await.map_err(cannot_open)?;
+    claim(path, connection).await?;
     MIGRATIONS.run_direct(None, connection, false).await.map_err(|source| match source {
         MigrateError::VersionMissing(found) => {
             let known = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
@@ -130,6 +144,25 @@ async fn prepare(
     let held = held(connection).await.map_err(cannot_open)?;
     let reached = reached(connection).await.map_err(cannot_open)?;
     row.state(held, reached).map_err(|what| SpoolError::Damaged { path: path.to_owned(), what })
+}
+
+/// Makes an empty database a spool, before it has a table: a disk that becomes full then leaves one that is recognised.
+async fn claim(path: &Path, connection: &mut SqliteConnection) -> Result<(), SpoolError> {
+    let cannot_open = |source| SpoolError::Open { path: path.to_owned(), source };
+    let (id, tables): (i32, i64) = sqlx::query_as(
+        "SELECT application_id, (SELECT COUNT(*) FROM sqlite_schema) FROM pragma_application_id",
+    )
+    .fetch_one(&mut *connection)
+    .await
+    .map_err(cannot_open)?;
+    if id == APPLICATION_ID {
+        return Ok(());
+    }
+    if let (true, Some(objection)) = (id != 0 || tables != 0, Look::Database.objection()) {
+        return Err(SpoolError::NotASpool { path: path.to_owned(), objection });
+    }
+    let mark = AssertSqlSafe(format!("PRAGMA application_id = {APPLICATION_ID}"));
+    sqlx::query(mark).execute(connection).await.map(drop).map_err(cannot_open)
 }
 
 #[derive(FromRow)]

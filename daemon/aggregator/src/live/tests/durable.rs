@@ -59,14 +59,16 @@ fn totals_hold_hosts_that_left_and_never_fall() {
     let stored =
         |events| Stored { events, nodes: 10 * events, quarantined: events / 100, ..Stored::default() };
     bed.live.take(News::Stored(gone, stored(100), None), now(0.0));
+    assert_eq!(bed.live.picture(now(0.0)).absent, 1, "it is known, and nothing was heard of it");
     bed.live.take(News::Hello(Box::new(description(gone, "gone")), 1), now(0.0));
+    assert_eq!(bed.live.picture(now(0.0)).absent, 0);
     bed.live.take(News::Hello(Box::new(description(stranger, "stranger")), 1), now(0.0));
     bed.live.take(News::Stored(gone, stored(150), None), now(1.0));
     bed.live.take(News::Damaged(bed.host), now(1.0));
     bed.send(3_500.0, vec![]);
     bed.live.age(now(3_601.0));
     let picture = bed.picture(3_601.0);
-    assert_eq!(picture.hosts.len(), 1, "the others left the picture");
+    assert_eq!((picture.hosts.len(), picture.absent), (1, 1), "the others left the picture, one is known");
     let expected = |events, damaged| Totals {
         stored: Stored { quarantined: 1, ..stored(events) },
         arrivals: Arrivals { deferred: 0, damaged },

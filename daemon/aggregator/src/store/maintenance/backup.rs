@@ -9,7 +9,7 @@ use rustix::io::Errno;
 use sqlx::{ConnectOptions, Connection, SqliteConnection};
 use tokio_util::sync::CancellationToken;
 
-use super::{free_bytes, reading};
+use super::{Contents, free_bytes, reading};
 
 /// Instructions of SQLite's machine between two looks at whether to stop.
 const INSTRUCTIONS: i32 = 10_000;
@@ -27,6 +27,14 @@ pub enum BackupError {
         path: PathBuf,
         /// SQLite's own words.
         source: sqlx::Error,
+    },
+    /// It is something else.
+    #[error("{} is {what} and not an aggregator's database; name the file of [aggregator] database", path.display())]
+    NotADatabase {
+        /// The file.
+        path: PathBuf,
+        /// What it is.
+        what: &'static str,
     },
     /// The copy has the name of another file.
     #[error("{} exists already; name a file that does not", .0.display())]
@@ -104,6 +112,10 @@ impl Backup {
         }
         let read = |source| BackupError::Read { path: database.to_owned(), source };
         let mut connection = reading(database).connect().await.map_err(read)?;
+        let contents = Contents::of(&mut connection).await.map_err(read)?;
+        if let Some(what) = contents.instead_of_database() {
+            return Err(BackupError::NotADatabase { path: database.to_owned(), what });
+        }
         let used: i64 = sqlx::query_scalar(
             "SELECT (page_count - freelist_count) * page_size \
              FROM pragma_page_count, pragma_freelist_count, pragma_page_size",

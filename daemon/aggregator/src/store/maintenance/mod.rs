@@ -17,6 +17,7 @@ pub use self::doctor::{
     RollupExtent, Schema, Severity, StreamState, TableRows, examine,
 };
 pub use self::rebuild::{RebuildError, Rebuilt, rebuild_rollups};
+pub use super::contents::Contents;
 
 /// How long a command waits for another program that locks the file.
 const BUSY: Duration = Duration::from_secs(10);

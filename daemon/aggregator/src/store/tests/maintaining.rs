@@ -8,7 +8,9 @@ use sqlx::sqlite::SqliteConnectOptions;
 use tokio_util::sync::CancellationToken;
 
 use super::{Bed, NOW};
-use crate::store::maintenance::{Backup, BackupError, DoctorError, Examination, Report, Severity, examine};
+use crate::store::maintenance::{
+    Backup, BackupError, DoctorError, Examination, Report, Severity, examine, rebuild_rollups,
+};
 
 const QUICK: Examination = Examination { full: false, now: NOW };
 const FULL: Examination = Examination { full: true, now: NOW };
@@ -85,6 +87,48 @@ async fn a_healthy_database_is_described_while_it_is_written() {
     assert_eq!((stream.host.as_deref(), stream.stored), (Some("edge"), 3));
     assert!(report.rollups.iter().any(|extent| extent.oldest_s.is_some()), "{report:?}");
     assert!(report.file.bytes > 0 && report.file.disk_free_bytes > 0);
+}
+
+#[tokio::test]
+async fn rows_are_told_as_they_are_after_old_ones_were_deleted() {
+    let mut bed = Bed::new().await;
+    bed.run_of(100).await;
+    let mut connection = SqliteConnectOptions::new().filename(&bed.path).connect().await.expect("opens");
+    sqlx::raw_sql("DELETE FROM node WHERE iteration <= 60; DELETE FROM iteration WHERE number <= 60")
+        .execute(&mut connection)
+        .await
+        .expect("deletes");
+    let report = examine(&bed.path, QUICK).await.expect("opens");
+    let left = count(&bed.path, "iteration").await;
+    assert!((1..100).contains(&left), "{left}");
+    for table in ["iteration", "node"] {
+        let told = report.tables.iter().find(|rows| rows.table == table).expect("is there").rows;
+        assert_eq!(told, count(&bed.path, table).await.cast_unsigned(), "{table}");
+    }
+}
+
+#[tokio::test]
+async fn an_agents_spool_is_told_from_a_database() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("spool.sqlite");
+    let options = SqliteConnectOptions::new().filename(&path).create_if_missing(true);
+    let mut connection = options.connect().await.expect("opens");
+    sqlx::raw_sql(include_str!("../../../../../migrations/spool/0001_spool.sql"))
+        .execute(&mut connection)
+        .await
+        .expect("makes its tables");
+    let report = examine(&path, QUICK).await.expect("opens");
+    assert!(problems(&report).iter().any(|problem| problem.contains("an agent's spool")), "{report:?}");
+    assert!(report.findings.iter().any(|finding| finding.advice.contains("--spool")), "{report:?}");
+    let refused = Backup::prepare(&path, &folder.path().join("copy.sqlite")).await.expect_err("no database");
+    assert!(refused.to_string().contains("an agent's spool"), "{refused}");
+    let refused = rebuild_rollups(&path, None, |_| {}).await.expect_err("no database");
+    assert!(refused.to_string().contains("an agent's spool"), "{refused}");
+    let tables: i64 = sqlx::query_scalar("SELECT count(*) FROM sqlite_schema WHERE type = 'table'")
+        .fetch_one(&mut connection)
+        .await
+        .expect("reads");
+    assert_eq!(tables, 3, "none was added");
 }
 
 #[tokio::test]

@@ -5,7 +5,10 @@ use peernet_logger::stream::{
 };
 use peernet_logger::{HostId, RunId};
 
+use super::rollups::{assert_same, table};
 use super::{Bed, NOW, Work, generate, open};
+use crate::picture::Stored;
+use crate::store::rebuild::rebuild;
 use crate::store::write::{Aside, Introduction};
 
 fn iterations(bed: &Bed, run: RunId, numbers: std::ops::RangeInclusive<u64>) -> Vec<Event> {
@@ -93,8 +96,8 @@ async fn a_bad_batch_is_put_aside_and_the_others_are_stored() {
     let run = RunId::random();
     let good = vec![generate::run_started(run, "line", NOW)];
     let first = iterations(&bed, run, 1..=5);
-    // The same iterations under a new batch number; and an iteration that began on another host.
-    let twice = iterations(&bed, run, 5..=6);
+    // One iteration twice in one batch; and an iteration that began on another host.
+    let twice = [iterations(&bed, run, 6..=6), iterations(&bed, run, 6..=6)].concat();
     let mut numbers = generate::Numbers(1);
     let foreign: Iteration = generate::iteration(run, 9, (HostId::random(), bed.cloud), &mut numbers);
     let last = iterations(&bed, run, 7..=8);
@@ -122,6 +125,66 @@ async fn a_bad_batch_is_put_aside_and_the_others_are_stored() {
         .await,
         7
     );
+}
+
+#[tokio::test]
+async fn iterations_that_come_again_in_another_stream_are_left_out() {
+    let mut bed = Bed::new().await;
+    let run = bed.run_of(20).await;
+    let stranger = RunId::random();
+    // A copy of the spool goes on by itself: half of what it sends is known, some of it of a run that is not.
+    bed.stream = StreamId::random();
+    let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
+    events.extend(iterations(&bed, run, 11..=30));
+    events.extend(iterations(&bed, stranger, 1..=5));
+    let known = bed.batch_numbered(1, events);
+    let (all_known, new) = (iterations(&bed, run, 1..=10), iterations(&bed, run, 31..=35));
+    let (all_known, new) = (bed.batch_numbered(2, all_known), bed.batch_numbered(3, new));
+    let committed = bed.commit(&[known, all_known, new]).await;
+    assert_eq!(committed.marks[&bed.stream].stored, 3);
+    assert!(committed.quarantined.is_empty(), "{:?}", committed.quarantined);
+    let (stored, _) = committed.hosts[&bed.edge];
+    let (events, nodes, missing, quarantined) = (1 + 20 + 1 + 15 + 5, 40 * 21, 0, 0);
+    assert_eq!(stored, Stored { events, nodes, missing, quarantined, ..Stored::default() });
+
+    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 40);
+    assert_eq!(bed.count("SELECT count(*) FROM node").await, 40 * 21);
+    assert_eq!(bed.count("SELECT sum(ok + failed + lost + timeout + warm_up) FROM run").await, 40);
+    assert_eq!(bed.count("SELECT (SELECT count(*) FROM gap) + (SELECT count(*) FROM quarantine)").await, 0);
+    let mut connection = bed.other().await;
+    let verdicts = "SELECT run, name, verdict, count FROM verdict_count ORDER BY run, name, verdict";
+    let judged: Vec<(i64, i64, i64, i64)> =
+        sqlx::query_as(verdicts).fetch_all(&mut connection).await.expect("reads");
+    let grown = table(&mut connection).await;
+    rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
+    assert_same(&table(&mut connection).await, &grown);
+    let again: Vec<(i64, i64, i64, i64)> =
+        sqlx::query_as(verdicts).fetch_all(&mut connection).await.expect("reads");
+    assert_eq!(again, judged);
+}
+
+#[tokio::test]
+async fn nothing_is_acknowledged_without_the_log() {
+    let mut bed = Bed::new().await;
+    bed.run_of(3).await;
+    let work = [bed.batch(vec![generate::run_started(RunId::random(), "line", NOW)])];
+    let log = bed.path.with_extension("sqlite-wal");
+    std::fs::remove_file(&log).expect("there was one");
+    for _ in 0..2 {
+        let refused = bed.writer.commit(&work, NOW).await.expect_err("gone").to_string();
+        assert!(refused.contains("sqlite-wal of the database was deleted"), "{refused}");
+        // As another program would that opens the database.
+        std::fs::write(&log, "").expect("writes");
+    }
+    assert!(bed.writer.check_file().is_err());
+    // A restart goes on with what is in the main file.
+    let Bed { _folder, path, writer, store, stream, .. } = bed;
+    store.readers.pool.close().await;
+    writer.close().await.expect("closes");
+    let mut writer = open(&path).await;
+    // SQLite has carried over what it still had open; what was refused is not stored.
+    assert_eq!(writer.streams().marks.get(&stream).map(|mark| mark.stored), Some(1));
+    assert_eq!(writer.commit(&work, NOW).await.expect("commits").marks[&stream].stored, 2);
 }
 
 #[tokio::test]

@@ -1,5 +1,6 @@
 //! The one writing connection: batches in, one transaction for many of them, marks out.
 
+mod again;
 mod aside;
 mod clock;
 mod counters;
@@ -28,6 +29,7 @@ pub(crate) use self::entities::{UNKNOWN, newest_runs, placement_word, stored_hos
 pub(crate) use self::file::CommitError;
 use self::file::DatabaseFile;
 use self::names::Names;
+use self::prepared::Prepared;
 pub(crate) use self::streams::Streams;
 use self::transaction::Staging;
 pub(crate) use self::work::{Aside, Introduction, Refusal, RunName, Work};
@@ -99,11 +101,13 @@ impl Writer {
         &self.streams
     }
 
-    /// Stores all of `work` in one transaction. A batch that cannot be stored is put aside, and only it.
+    /// Stores all of `work` in one transaction. A batch that cannot be stored is put aside, and only it; of one that
+    /// brings iterations again the others are stored.
     ///
     /// # Errors
     /// When the database cannot store anything now; nothing has changed then. Or when its file is no longer where it
-    /// was: what was committed meanwhile is told of when the file is back and the same work is handed in again.
+    /// was: what was committed meanwhile is told of when the file is back and the same work is handed in again. Or when
+    /// its log is gone: nothing more is committed then.
     pub(crate) async fn commit(&mut self, work: &[Work], now: WallTime) -> Result<Committed, CommitError> {
         self.check_file()?;
         // The group, or what is left of it: halved around a bad batch until that one is alone.
@@ -117,14 +121,11 @@ impl Writer {
                     parts.extend([second, first]);
                     continue;
                 }
-                Err(Refusal::Batch(reason)) => match self.attempt(part, now, Some(&reason)).await {
-                    Ok(committed) => committed,
-                    Err(Refusal::Database(error)) => return Err(error.into()),
-                    Err(Refusal::Batch(reason)) => return Err(sqlx::Error::Protocol(reason).into()),
-                },
+                Err(Refusal::Batch(reason)) => self.alone(part, now, reason).await?,
             };
             self.untold.merge(committed);
         }
+        self.file.remember_log();
         self.check_file()?;
         Ok(std::mem::take(&mut self.untold))
     }
@@ -146,10 +147,10 @@ impl Writer {
         Ok(step)
     }
 
-    /// Whether the database's path still names the file that is open.
+    /// Whether the paths of the database and of its log still name the files that are open.
     ///
     /// # Errors
-    /// When it does not.
+    /// When they do not.
     pub(crate) fn check_file(&self) -> Result<(), CommitError> {
         self.file.check()
     }
@@ -173,7 +174,49 @@ impl Writer {
     async fn connection(&mut self) -> Result<SqliteConnection, sqlx::Error> {
         match self.connection.take() {
             Some(connection) => Ok(connection),
-            None => database::writing(self.file.path()).connect().await,
+            None => self.connect().await,
+        }
+    }
+
+    /// Another connection in place of one that was closed: if that was the last, SQLite has removed the log with it.
+    async fn connect(&mut self) -> Result<SqliteConnection, sqlx::Error> {
+        self.file.forget_log();
+        database::writing(self.file.path()).connect().await
+    }
+
+    /// Stores one batch that was refused: without the iterations that are stored already, or else aside.
+    async fn alone(
+        &mut self,
+        part: &[Work],
+        now: WallTime,
+        mut reason: String,
+    ) -> Result<Committed, CommitError> {
+        if let [Work::Batch(batch)] = part {
+            let mut connection = self.connection().await?;
+            let stored = again::stored(&mut connection, batch).await?;
+            self.connection = Some(connection);
+            if !stored.is_empty()
+                && let Ok(rest) = Prepared::without(batch.head, batch.body.clone(), &stored)
+            {
+                match self.attempt(&[Work::Batch(Box::new(rest))], now, None).await {
+                    Ok(committed) => {
+                        let (host, number, left_out) = (batch.head.host, batch.head.number, stored.len());
+                        tracing::warn!(
+                            %host, number, left_out,
+                            "iterations that are stored already came in another batch and were left out: perhaps two \
+                             copies of one spool are in use"
+                        );
+                        return Ok(committed);
+                    }
+                    Err(Refusal::Database(error)) => return Err(error.into()),
+                    Err(Refusal::Batch(also)) => reason = also,
+                }
+            }
+        }
+        match self.attempt(part, now, Some(&reason)).await {
+            Ok(committed) => Ok(committed),
+            Err(Refusal::Database(error)) => Err(error.into()),
+            Err(Refusal::Batch(reason)) => Err(sqlx::Error::Protocol(reason).into()),
         }
     }
 
@@ -207,7 +250,7 @@ impl Writer {
                     }
                     Err(_) => {
                         let _closed = connection.close().await;
-                        let mut connection = database::writing(self.file.path()).connect().await?;
+                        let mut connection = self.connect().await?;
                         self.staging.names = Names::load(&mut connection).await?;
                         self.connection = Some(connection);
                     }

@@ -39,7 +39,8 @@ pub(crate) enum Command {
     ///
     /// The copy is complete and on the disk when this ends with 0, and is a database like the first: stop the
     /// aggregator, put the copy in the place of its database, start it again. A file that exists is not written over.
-    /// Exits with 69 when there is no copy (no room, no such database), 130 when interrupted; nothing is left then.
+    /// Exits with 65 when the file is no aggregator's database, 69 when there is no copy for another reason (no room, no
+    /// such database), 130 when interrupted; nothing is left then.
     Backup {
         #[command(flatten)]
         database: Database,
@@ -55,8 +56,9 @@ pub(crate) enum Command {
     /// Compute an aggregator's roll-ups again from the nodes that are stored, while the aggregator is stopped.
     ///
     /// Roll-ups grow with the nodes and need no rebuilding; this is for a doubt, or a repaired file. Each run is
-    /// replaced at once; of times whose nodes were deleted the roll-ups stay as they are. Exits with 69 when the
-    /// aggregator runs or the database cannot be written; interrupted, the runs that were done are done.
+    /// replaced at once; of times whose nodes were deleted the roll-ups stay as they are. Exits with 65 when the file is
+    /// no aggregator's database, 69 when the aggregator runs or the database cannot be written; interrupted, the runs
+    /// that were done are done.
     RebuildRollups {
         #[command(flatten)]
         database: Database,

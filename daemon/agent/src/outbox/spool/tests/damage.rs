@@ -4,8 +4,11 @@ use std::fs;
 use std::io::{Seek, SeekFrom, Write};
 
 use peernet_logger::stream::Chain;
+use sqlx::ConnectOptions;
+use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode};
 
 use super::*;
+use crate::outbox::spool::aside::{beside, condemn, condemned};
 
 #[tokio::test]
 async fn a_file_that_is_no_database_is_put_aside_and_a_new_one_begins() {
@@ -26,6 +29,44 @@ async fn a_file_that_is_no_database_is_put_aside_and_a_new_one_begins() {
     fs::write(place.path(), b"once more").expect("written");
     let second = place.open().await.expect("opens").aside.expect("put aside");
     assert_eq!(second.kept, place.folder.path().join("spool.sqlite.damaged-6"), "none is overwritten");
+}
+
+#[tokio::test]
+async fn a_file_that_never_was_a_spool_is_left_alone() {
+    let place = Place::new();
+    let notes = place.folder.path().join("notes");
+    fs::write(&notes, "not for you").expect("written");
+    let refused = OpenSpool::open(&notes, host(), false, &clock()).await.expect_err("no spool").to_string();
+    assert!(refused.contains("notes is not a spool") && refused.contains("[spool] file"), "{refused}");
+    assert_eq!(fs::read(&notes).expect("there"), b"not for you");
+
+    // Another program's database, by the name of the agent's own or not, and also while all of it is in its log.
+    let options = SqliteConnectOptions::new().filename(place.path()).create_if_missing(true);
+    let options = options.journal_mode(SqliteJournalMode::Wal);
+    let mut other = options.connect().await.expect("opens");
+    sqlx::query("CREATE TABLE theirs (id)").execute(&mut other).await.expect("makes a table");
+    for _ in 0..2 {
+        let refused = place.open().await.expect_err("no spool").to_string();
+        assert!(refused.contains("another program"), "{refused}");
+        sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut other).await.expect("moves the log");
+    }
+    let tables: Vec<String> =
+        sqlx::query_scalar("SELECT name FROM sqlite_schema").fetch_all(&mut other).await.expect("reads");
+    assert_eq!(tables, ["theirs"]);
+    assert_eq!(names(place.folder.path()), ["notes", "spool.sqlite"]);
+}
+
+#[tokio::test]
+async fn a_spool_of_a_killed_process_is_one_while_all_of_it_is_in_its_log() {
+    let place = Place::new();
+    let (file, state) = place.sound().await;
+    let killed = Place::new();
+    for ending in ["", "-wal"] {
+        fs::copy(beside(&place.path(), ending), beside(&killed.path(), ending)).expect("copied");
+    }
+    drop(file);
+    let (_, again) = killed.sound().await;
+    assert_eq!(again, state);
 }
 
 #[tokio::test]
@@ -98,4 +139,40 @@ async fn a_spool_of_a_newer_version_is_refused_and_left_alone() {
     let refused = place.open().await.expect_err("too new").to_string();
     assert!(refused.contains("newer version") && refused.contains('9'), "{refused}");
     assert_eq!(names(place.folder.path()), ["spool.sqlite"]);
+}
+
+#[tokio::test]
+async fn a_damaged_page_costs_the_batches_on_it_and_no_others() {
+    let place = Place::new();
+    let (mut file, _) = place.sound().await;
+    let written = batches(Chain::START, 1..=200, 2000);
+    file.append(&written, totals(600)).await.expect("appends");
+    for statement in ["PRAGMA wal_checkpoint(TRUNCATE)", "PRAGMA shrink_memory"] {
+        sqlx::query(statement).execute(file.connection()).await.expect("brings all to the file");
+    }
+    let mut broken = fs::File::options().write(true).open(place.path()).expect("opens");
+    broken.seek(SeekFrom::Start(50 * 4096)).expect("seeks");
+    broken.write_all(&[0xa5; 4096]).expect("written");
+
+    let (mut sound, mut rotten, mut next) = (Vec::new(), 0, 1);
+    while next <= 200 {
+        let loaded = file.load(next, usize::MAX).await.expect("what can be read is read");
+        next += loaded.batches.len() as u64;
+        sound.extend(loaded.batches);
+        if loaded.rotten.is_some() {
+            (rotten, next) = (rotten + 1, next + 1);
+        }
+    }
+    assert!((1..=3).contains(&rotten) && sound.len() == 200 - rotten, "{} sound, {rotten} not", sound.len());
+    assert!(sound.iter().all(|batch| written.contains(batch)));
+}
+
+#[tokio::test]
+async fn a_mark_without_its_spool_keeps_nobody_from_beginning_anew() {
+    let place = Place::new();
+    condemn(&place.path(), "a page was broken");
+    let (_, state) = place.sound().await;
+    assert_eq!(state.newest, (0, Chain::START));
+    assert_eq!(condemned(&place.path()), None);
+    assert!(!beside(&place.path(), "-condemned").exists());
 }

@@ -58,6 +58,6 @@ async fn a_folder_that_cannot_be_made_is_named() {
     let place = Place::new();
     fs::write(place.folder.path().join("file"), b"").expect("written");
     let path = place.folder.path().join("file").join("spool.sqlite");
-    let refused = OpenSpool::open(&path, host(), &clock()).await.expect_err("no folder").to_string();
+    let refused = OpenSpool::open(&path, host(), true, &clock()).await.expect_err("no folder").to_string();
     assert!(refused.contains("cannot make") && refused.contains("[spool] file"), "{refused}");
 }

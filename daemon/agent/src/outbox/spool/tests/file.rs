@@ -139,7 +139,7 @@ async fn a_second_agent_is_refused_and_another_hosts_spool_too() {
     drop(file.close().await);
     let other = HostId::from_bytes([8; 16]);
     let refused =
-        OpenSpool::open(&place.path(), other, &clock()).await.expect_err("another host's").to_string();
+        OpenSpool::open(&place.path(), other, true, &clock()).await.expect_err("another host's").to_string();
     assert!(refused.contains(&host().to_string()) && refused.contains(&other.to_string()), "{refused}");
     place.open().await.expect("nothing was changed");
 }

@@ -39,7 +39,7 @@ impl Place {
     }
 
     async fn open(&self) -> Result<OpenSpool, SpoolError> {
-        OpenSpool::open(&self.path(), host(), &clock()).await
+        OpenSpool::open(&self.path(), host(), true, &clock()).await
     }
 
     /// Opens a spool that is not broken.

@@ -28,9 +28,18 @@ const ROLLUPS: &str = "SELECT width.column1 AS resolution_s, \
 const OPEN_RUNS: &str = "SELECT run.number, pipeline.name AS pipeline, host.name AS host, host.last_seen_ns \
      FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
      WHERE run.ended_ns IS NULL AND host.last_seen_ns < ?1 ORDER BY run.number LIMIT 1000";
-/// Iterations that are stored now and that ever were, and nodes that ever were: by the counters of runs and hosts.
-const STORED: &str = "SELECT coalesce(sum(max(ok + failed + lost + timeout + warm_up - nodes_from, 0)), 0), \
-     coalesce(sum(ok + failed + lost + timeout + warm_up), 0), (SELECT coalesce(sum(nodes), 0) FROM host) FROM run";
+/// Iterations and nodes that are stored now: per run from its first number to its last, at most what was counted, with as
+/// many nodes as the newest 20 have on average. Some look-ups per run.
+const STORED: &str = "WITH kept AS ( \
+       SELECT number AS run, ok + failed + lost + timeout + warm_up AS counted, \
+         (SELECT min(iteration.number) FROM iteration WHERE iteration.run = run.number) AS oldest, \
+         (SELECT max(iteration.number) FROM iteration WHERE iteration.run = run.number) AS newest FROM run \
+     ), sampled AS ( \
+       SELECT min(newest - oldest + 1, counted) AS iterations, \
+         (SELECT count(*) FROM iteration WHERE iteration.run = kept.run AND number > newest - 20) AS some, \
+         (SELECT count(*) FROM node WHERE node.run = kept.run AND iteration > newest - 20) AS nodes \
+       FROM kept WHERE newest IS NOT NULL \
+     ) SELECT coalesce(sum(iterations), 0), coalesce(sum(iterations * nodes / some), 0) FROM sampled";
 const TRIMMED: &str = "SELECT what, count FROM retention_note";
 const DEBTS: &str = "SELECT count(*) FROM rollup_debt";
 
@@ -63,15 +72,10 @@ async fn tables(report: &mut Report, connection: &mut SqliteConnection) {
         report.tables.push(TableRows { table, rows: count(rows), estimated: false });
     }
     let answer = sqlx::query_as(STORED).fetch_one(connection).await;
-    let (kept, ever, nodes): (i64, i64, i64) = report.or_problem("the counters of runs", answer);
-    let (kept, ever, nodes) = (count(kept), count(ever), count(nodes));
-    let share = if ever > 0 { kept as f64 / ever as f64 } else { 0.0 };
-    report.tables.push(TableRows { table: "iteration", rows: kept, estimated: true });
-    report.tables.push(TableRows {
-        table: "node",
-        rows: (nodes as f64 * share).round() as u64,
-        estimated: true,
-    });
+    let (iterations, nodes): (i64, i64) = report.or_problem("the iterations", answer);
+    for (table, rows) in [("iteration", iterations), ("node", nodes)] {
+        report.tables.push(TableRows { table, rows: count(rows), estimated: true });
+    }
 }
 
 /// What of this matters.
@@ -81,14 +85,14 @@ fn judge(report: &mut Report, trimmed: &[(String, i64)], debts: i64) {
     if gaps > 0 {
         report.notice(
             format!("{gaps} gaps: {events} events or more never arrived"),
-            "the gaps below say when and why; figures of those times rest on what did arrive",
+            "the table of gaps says when and why; figures of those times rest on what did arrive",
         );
     }
     let aside: i64 = report.quarantine.iter().map(|group| group.batches).sum();
     if aside > 0 {
         report.notice(
             format!("{aside} batches could not be stored and were put aside (table quarantine)"),
-            "the reasons below tell whether an agent is of another version or its disk or memory is failing",
+            "the table of reasons tells whether an agent is of another version or its disk or memory is failing",
         );
     }
     if let [first, ..] = report.open_runs.as_slice() {

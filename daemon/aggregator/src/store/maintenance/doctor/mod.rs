@@ -12,7 +12,7 @@ pub use self::report::{
     FileFigures, Finding, GapGroup, Integrity, OpenRun, QuarantineGroup, Report, RollupExtent, Schema,
     Severity, StreamState, TableRows,
 };
-use super::{free_bytes, reading};
+use super::{Contents, free_bytes, reading};
 use crate::store::database::MIGRATIONS;
 
 /// SQLite's codes for a file that is damaged or never was a database (SQLITE_CORRUPT, SQLITE_NOTADB).
@@ -62,12 +62,11 @@ pub async fn examine(database: &Path, how: Examination) -> Result<Report, Doctor
     let mut report = Report { database: database.to_owned(), ..Report::default() };
     let opened = async {
         let mut connection = reading(database).connect().await?;
-        let _tables: i64 =
-            sqlx::query_scalar("SELECT count(*) FROM sqlite_schema").fetch_one(&mut connection).await?;
-        Ok(connection)
+        let contents = Contents::of(&mut connection).await?;
+        Ok((connection, contents))
     };
     match opened.await {
-        Ok(mut connection) => {
+        Ok((mut connection, Contents::Database)) => {
             report.sizes(&mut connection, database).await;
             report.check(&mut connection, how.full).await;
             if report.tables_are_known(&mut connection).await {
@@ -75,7 +74,19 @@ pub async fn examine(database: &Path, how: Examination) -> Result<Report, Doctor
             }
             let _ = connection.close().await;
         }
+        Ok((mut connection, contents)) => {
+            report.sizes(&mut connection, database).await;
+            let what = contents.instead_of_database().unwrap_or_default();
+            let advice = if contents == Contents::Spool {
+                "look at it with `peernetd doctor --spool FILE`"
+            } else {
+                "name the file of [aggregator] database"
+            };
+            report.problem(format!("it is {what} and not an aggregator's database"), advice);
+            let _ = connection.close().await;
+        }
         Err(error) if damaged(&error) => {
+            report.lengths(database);
             report.problem(format!("it is damaged, or no database: {error}"), RESTORE);
         }
         Err(error) => return Err(cannot_open(error)),
@@ -124,20 +135,8 @@ impl Report {
         );
         let answer: Result<i64, _> = answer.fetch_one(connection).await;
         let free = self.or_problem("the file's size", answer);
-        let length = |path: &Path| std::fs::metadata(path).map_or(0, |file| file.len());
-        let mut log =
-            std::fs::canonicalize(database).unwrap_or_else(|_| database.to_owned()).into_os_string();
-        log.push("-wal");
-        self.file = FileFigures {
-            bytes: length(database),
-            free_bytes: u64::try_from(free).unwrap_or(0),
-            wal_bytes: length(Path::new(&log)),
-            disk_free_bytes: 0,
-        };
-        match free_bytes(database) {
-            Ok(bytes) => self.file.disk_free_bytes = bytes,
-            Err(error) => self.problem(format!("cannot tell how full its disk is: {error}"), "look at `df`"),
-        }
+        self.file.free_bytes = u64::try_from(free).unwrap_or(0);
+        self.lengths(database);
         if self.file.disk_free_bytes < LITTLE_ROOM {
             let megabytes = self.file.disk_free_bytes >> 20;
             self.problem(
@@ -152,6 +151,19 @@ impl Report {
                 format!("the log beside it has {megabytes} MiB"),
                 "some program reads the file for very long, a backup or a shell: end it, and the log is reused",
             );
+        }
+    }
+
+    /// What the file system says, whatever is in the file.
+    fn lengths(&mut self, database: &Path) {
+        let length = |path: &Path| std::fs::metadata(path).map_or(0, |file| file.len());
+        let mut log =
+            std::fs::canonicalize(database).unwrap_or_else(|_| database.to_owned()).into_os_string();
+        log.push("-wal");
+        (self.file.bytes, self.file.wal_bytes) = (length(database), length(Path::new(&log)));
+        match free_bytes(database) {
+            Ok(bytes) => self.file.disk_free_bytes = bytes,
+            Err(error) => self.problem(format!("cannot tell how full its disk is: {error}"), "look at `df`"),
         }
     }
 

@@ -90,7 +90,7 @@ pub struct TableRows {
     pub table: &'static str,
     /// Its rows.
     pub rows: u64,
-    /// Whether they were computed from counters rather than counted.
+    /// Whether they were computed from the ends of runs and a sample rather than counted.
     pub estimated: bool,
 }
 

@@ -7,7 +7,7 @@ mod names;
 mod rows;
 mod summaries;
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use bytes::Bytes;
 use peernet_clock::WallTime;
@@ -73,9 +73,24 @@ impl Prepared {
     /// # Errors
     /// In words, when they cannot be read or cannot be stored, whatever the database holds.
     pub(crate) fn new(head: BatchHead, body: Bytes) -> Result<Self, String> {
+        Self::without(head, body, &HashSet::new())
+    }
+
+    /// The same, some iterations left out: those are stored already.
+    pub(super) fn without(
+        head: BatchHead,
+        body: Bytes,
+        stored: &HashSet<(RunId, i64)>,
+    ) -> Result<Self, String> {
         let events = codec::events(&body, head.events).map_err(|error| error.to_string())?;
         let mut preparing = Preparing::of(Self::empty(head, body));
         for event in events {
+            if let (false, Event::Iteration(it)) = (stored.is_empty(), &event)
+                && stored.contains(&(it.run, it.number.cast_signed()))
+            {
+                preparing.batch.added.events -= 1;
+                continue;
+            }
             preparing.add(event)?;
         }
         Ok(preparing.done())

@@ -40,7 +40,11 @@ pub(crate) fn backup(database: Database, target: &Path) -> Exit {
 
 async fn copy(database: &Path, target: &Path) -> Result<Copied, Failure> {
     let failed = |error: BackupError| {
-        let exit = if matches!(error, BackupError::Stopped) { Exit::Interrupted } else { Exit::Unavailable };
+        let exit = match error {
+            BackupError::Stopped => Exit::Interrupted,
+            BackupError::NotADatabase { .. } => Exit::Data,
+            _ => Exit::Unavailable,
+        };
         Failure::new(exit, error)
     };
     let signals = |kind| signal(kind).map_err(|error| Failure::new(Exit::Unavailable, error));

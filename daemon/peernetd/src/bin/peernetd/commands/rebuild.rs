@@ -3,6 +3,7 @@
 use std::io::IsTerminal;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use peernet_aggregator::StartError;
 use peernet_aggregator::maintenance::{RebuildError, Rebuilt, rebuild_rollups};
 use peernet_report::number::fixed;
 use peernetd::exit::{Exit, Failure};
@@ -55,6 +56,7 @@ pub(crate) fn rebuild(database: Database, run: Option<i64>) -> Exit {
 fn exit(error: &RebuildError) -> Exit {
     match error {
         RebuildError::NoRun { .. } => Exit::Usage,
+        RebuildError::Open(StartError::NotADatabase { .. }) => Exit::Data,
         RebuildError::Missing(_)
         | RebuildError::Lock(_)
         | RebuildError::Open(_)

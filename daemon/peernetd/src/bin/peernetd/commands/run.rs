@@ -12,7 +12,7 @@ use crate::configuration::{Configuration, load};
 use crate::lifecycle::Lifecycle;
 use crate::log;
 use peernetd::VERSION;
-use peernetd::exit::{Exit, Failure};
+use peernetd::exit::{Exit, Failure, in_one_line};
 use peernetd::output::complain;
 
 /// How long threads that block may take to end after everything else has.
@@ -32,7 +32,7 @@ pub(crate) fn run(file: &Path) -> Exit {
     };
     drop(temporary);
     if let Err(error) = log::install(&configuration.log) {
-        complain(format_args!("{}: {error:#}", file.display()));
+        complain(format_args!("{}: {}", file.display(), in_one_line(&error)));
         return Exit::Configuration;
     }
     info!("peernetd {VERSION} with {}", file.display());

@@ -23,6 +23,9 @@ use crate::log::LogConfig;
 /// Bytes of the largest configuration file that is read.
 const LARGEST_FILE: u64 = 4 << 20;
 
+/// Tables that belong into another one, and what to write.
+const MISPLACED: [(&str, &str); 1] = [("retention", "did you mean [aggregator.retention]?")];
+
 /// The whole file.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -86,7 +89,7 @@ impl fmt::Display for Problem {
 pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
     let text = read_text(path).map_err(|error| vec![unreadable(path, &error)])?;
     let file = parse(path, &text)?;
-    let found = roles(&file).into_iter().map(str::to_owned).map(|text| ("".to_owned(), text));
+    let found = roles(&file).into_iter().map(|(key, text)| (key.to_owned(), text.to_owned()));
     let configuration = Configuration::from(file);
     let problems: Vec<(String, String)> = found.chain(configuration.check()).collect();
     if problems.is_empty() {
@@ -121,7 +124,13 @@ fn parse(path: &Path, text: &str) -> Result<File, Vec<Problem>> {
     read(text).map_err(|(key, error)| {
         // Within tables that are told apart by their `kind` the span is that of the first of them; the key knows better.
         let line = error.span().map(|span| locator.line_at(span.start)).max(locator.line(&key));
-        vec![Problem { file: path.to_owned(), line, key, text: error.message().to_owned() }]
+        let mut text = error.message().to_owned();
+        if text.starts_with("unknown field")
+            && let Some((_, hint)) = MISPLACED.iter().find(|(table, _)| *table == key)
+        {
+            text = format!("{hint} ({text})");
+        }
+        vec![Problem { file: path.to_owned(), line, key, text }]
     })
 }
 
@@ -146,10 +155,10 @@ fn read(text: &str) -> Result<File, (String, toml::de::Error)> {
     })
 }
 
-/// Tables that make no sense together or alone.
-fn roles(file: &File) -> Option<&'static str> {
+/// Tables that make no sense together or alone: a key and what is wrong.
+fn roles(file: &File) -> Option<(&'static str, &'static str)> {
     if file.agent.is_none() && file.aggregator.is_none() {
-        return Some("no role is switched on: add a table [agent], a table [aggregator], or both");
+        return Some(("", "no role is switched on: add a table [agent], a table [aggregator], or both"));
     }
     let for_agent = file.spool.is_some()
         || file.clock.is_some()
@@ -160,12 +169,19 @@ fn roles(file: &File) -> Option<&'static str> {
         || !file.model.is_empty()
         || !file.pipeline.is_empty();
     if file.agent.is_none() && for_agent {
-        return Some(
+        return Some((
+            "",
             "[spool], [clock], [probes], [rehearsal], [serve], [[model]], [onnxruntime] and [[pipeline]] belong to an agent: add a table [agent]",
-        );
+        ));
     }
     if file.aggregator.is_none() && file.web.is_some() {
-        return Some("[web] shows what an aggregator has: add a table [aggregator], or remove [web]");
+        return Some(("", "[web] shows what an aggregator has: add a table [aggregator], or remove [web]"));
+    }
+    if file.spool.is_some() && file.agent.as_ref().is_some_and(|agent| agent.aggregator.is_none()) {
+        return Some((
+            "spool",
+            "there is no spool without an aggregator: name one with [agent] aggregator, or remove [spool]",
+        ));
     }
     None
 }
@@ -259,6 +275,23 @@ mod tests {
         let truth = configuration.clock().expect("linux has a boot id");
         let agents = configuration.agent_clock(&truth).expect("linux has a boot id");
         (truth, agents)
+    }
+
+    fn said(text: &str) -> String {
+        let folder = tempfile::tempdir().expect("there is room for a temporary folder");
+        let file = folder.path().join("it.toml");
+        std::fs::write(&file, text).expect("the temporary folder is writable");
+        let problems = load(&file).expect_err("something is wrong with it");
+        problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n")
+    }
+
+    #[test]
+    fn tables_in_the_wrong_place_are_named_with_the_right_one() {
+        let text = said("[aggregator]\n[retention]\nnodes_days = 1\n");
+        assert!(text.contains("did you mean [aggregator.retention]?"), "{text}");
+        let folder = tempfile::tempdir().expect("there is room for a temporary folder");
+        let text = said(&format!("[agent]\nname = 'a'\nstate_dir = {:?}\n[spool]\n", folder.path()));
+        assert!(text.contains(":4: spool: ") && text.contains("[agent] aggregator"), "{text}");
     }
 
     #[test]

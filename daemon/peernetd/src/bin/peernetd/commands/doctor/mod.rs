@@ -9,7 +9,7 @@ use clap::ArgGroup;
 use peernet_aggregator::maintenance::{Examination, Finding, Report, Severity, examine};
 use peernet_clock::{ClockIdentity, WallTime};
 use peernetd::clock;
-use peernetd::exit::{Exit, Failure};
+use peernetd::exit::{Exit, Failure, in_one_line};
 use peernetd::output::{complain, say};
 use serde::Serialize;
 
@@ -112,7 +112,7 @@ impl Examined {
         if let Some(path) = &places.spool {
             match spool::examine(path).await {
                 Ok(report) => all.spool = Some(report),
-                Err(error) => all.unavailable.push(format!("{error:#}")),
+                Err(error) => all.unavailable.push(in_one_line(&error)),
             }
         }
         all.healthy = all.exit() == Exit::Ok;

@@ -11,6 +11,8 @@ use super::spool::SpoolReport;
 
 /// Lines of one table; all stand in the JSON form.
 const LINES: usize = 20;
+/// Of what SQLite finds broken, and of findings.
+const FEW: usize = 10;
 
 pub(super) fn print(examined: &Examined, now: WallTime) {
     if let Some(report) = &examined.database {
@@ -19,12 +21,15 @@ pub(super) fn print(examined: &Examined, now: WallTime) {
     if let Some(report) = &examined.spool {
         spool(report, now);
     }
-    for finding in examined.findings() {
+    for finding in examined.findings().take(FEW) {
         let severity = match finding.severity {
             Severity::Problem => "PROBLEM",
             Severity::Notice => "notice",
         };
         say(format_args!("{severity}: {}\n  → {}", finding.what, finding.advice));
+    }
+    if let Some(more) = examined.findings().count().checked_sub(FEW + 1) {
+        say(format_args!("… and {} more (--json shows all)", more + 1));
     }
     let problems = examined.findings().filter(|finding| finding.severity == Severity::Problem).count();
     let notices = examined.findings().count() - problems;
@@ -54,6 +59,10 @@ fn database(report: &Report, now: WallTime) {
     let said = match report.integrity.problems.as_slice() {
         [] if report.is_healthy() => "ok".to_owned(),
         [] => "nothing found, but see below".to_owned(),
+        problems if problems.len() > FEW => {
+            let more = problems.len() - FEW;
+            format!("{}\n    … and {more} more (--json shows all)", problems[..FEW].join("\n    "))
+        }
         problems => problems.join("\n    "),
     };
     say(format_args!("  {how}: {said}\n"));
@@ -73,7 +82,7 @@ fn database(report: &Report, now: WallTime) {
         };
         vec![format!("{} s", fixed(extent.resolution_s as f64, 0)), at(extent.oldest_s), at(extent.newest_s)]
     });
-    section(&["roll-ups of", "oldest", "newest"], rows);
+    section(&["roll-ups of", "oldest begins", "newest begins"], rows);
     let rows = report.gaps.iter().map(|gap| {
         let host = gap.host.clone().unwrap_or_else(|| "unknown".to_owned());
         let events = if gap.uncounted > 0 { format!("≥ {}", gap.events) } else { gap.events.to_string() };

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use futures::TryStreamExt;
-use peernet_aggregator::maintenance::{Finding, Severity};
+use peernet_aggregator::maintenance::{Contents, Finding, Severity};
 use peernet_logger::stream::Chain;
 use serde::Serialize;
 use sqlx::sqlite::SqliteConnectOptions;
@@ -85,6 +85,11 @@ pub(super) async fn examine(path: &Path) -> anyhow::Result<SpoolReport> {
     let read = async {
         let mut connection = options.connect().await?;
         sqlx::query("BEGIN").execute(&mut connection).await?;
+        let contents = Contents::of(&mut connection).await?;
+        if contents != Contents::Spool {
+            report.is_something_else(contents);
+            return connection.close().await;
+        }
         let said: Vec<String> =
             sqlx::query_scalar("PRAGMA quick_check(100)").fetch_all(&mut connection).await?;
         let damages: Vec<String> = said.into_iter().filter(|line| line != "ok").collect();
@@ -105,6 +110,20 @@ pub(super) async fn examine(path: &Path) -> anyhow::Result<SpoolReport> {
 }
 
 impl SpoolReport {
+    fn is_something_else(&mut self, contents: Contents) {
+        let (what, advice) = match contents {
+            Contents::Database => {
+                ("an aggregator's database", "look at it with `peernetd doctor --database FILE`")
+            }
+            Contents::Nothing => ("an empty file", "start its agent, which makes it"),
+            Contents::Spool | Contents::Other => {
+                ("the database of another program", "name the file of [spool] file")
+            }
+        };
+        let what = format!("it is {what} and not an agent's spool");
+        self.findings.push(Finding { severity: Severity::Problem, what, advice: advice.to_owned() });
+    }
+
     fn problem(&mut self, what: String) {
         self.findings.push(Finding { severity: Severity::Problem, what, advice: RENEW.to_owned() });
     }

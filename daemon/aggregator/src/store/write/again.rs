@@ -1,0 +1,42 @@
+//! Iterations that came before under another batch number: two copies of one spool that take turns send the same ones
+//! in two streams.
+//!
+//! What else such a batch holds is stored as it stands: runs and clock samples are the same rows again; incidents and
+//! gaps have nothing to be told apart by, and appear twice.
+
+use std::collections::HashSet;
+
+use peernet_logger::RunId;
+use sqlx::SqliteConnection;
+
+use super::prepared::Prepared;
+
+/// The run's key leads to its iterations one by one.
+const STORED: &str = "SELECT iteration.number FROM run \
+     JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
+     CROSS JOIN json_each(?3) AS asked \
+     CROSS JOIN iteration ON iteration.run = run.number AND iteration.number = asked.value \
+     WHERE run.uuid = ?1 AND host.uuid = ?2";
+
+/// The iterations of a batch that are stored already, of runs of its own host.
+pub(super) async fn stored(
+    connection: &mut SqliteConnection,
+    batch: &Prepared,
+) -> Result<HashSet<(RunId, i64)>, sqlx::Error> {
+    let mut numbers = vec![Vec::new(); batch.runs.len()];
+    for iteration in &batch.iterations {
+        numbers[iteration.run as usize].push(iteration.number);
+    }
+    let mut stored = HashSet::new();
+    for (run, numbers) in batch.runs.iter().zip(numbers) {
+        let asked = serde_json::to_string(&numbers).map_err(|error| sqlx::Error::Encode(error.into()))?;
+        let known: Vec<i64> = sqlx::query_scalar(STORED)
+            .bind(run.id.to_string())
+            .bind(batch.head.host.to_string())
+            .bind(asked)
+            .fetch_all(&mut *connection)
+            .await?;
+        stored.extend(known.into_iter().map(|number| (run.id, number)));
+    }
+    Ok(stored)
+}

@@ -1,0 +1,50 @@
+//! The first moments of an aggregator: agents that it knows have not come back yet.
+
+use peernet_aggregator::Picture;
+use peernet_clock::{Span, WallTime};
+
+use super::counted;
+
+/// Said instead of that nobody has reported, or that nothing runs.
+pub(crate) const WAITING: &str = "Waiting for agents to report";
+/// Agents try again every few seconds; after so long, one that has not come is away.
+const PATIENCE: Span = Span::from_seconds(15);
+
+/// Whether agents may still be on their way to an aggregator that serves since then: what it does not see is not
+/// known to be missing.
+pub(crate) fn starting(picture: &Picture, since: WallTime) -> bool {
+    let known = picture.absent > 0 || !picture.hosts.is_empty();
+    known && picture.pipelines.is_empty() && (picture.hosts.is_empty() || picture.at - since < PATIENCE)
+}
+
+/// `2 hosts are known from before`; `None` where none is.
+pub(crate) fn known(picture: &Picture) -> Option<String> {
+    (picture.absent > 0).then(|| {
+        let verb = if picture.absent == 1 { "is" } else { "are" };
+        format!("{} {verb} known from before", counted(picture.absent, "host", "hosts"))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::Verdict;
+
+    use super::*;
+    use crate::view::samples::{host, picture, pipeline};
+
+    #[test]
+    fn agents_are_awaited_for_a_while_and_those_known_from_before_until_one_comes() {
+        let mut shown = picture(Vec::new(), Vec::new());
+        let (now, long_ago) = (shown.at - Span::from_seconds(3), shown.at - Span::from_seconds(3_600));
+        assert!(!starting(&shown, now), "a new aggregator knows nobody");
+        shown.absent = 2;
+        assert_eq!(known(&shown).as_deref(), Some("2 hosts are known from before"));
+        assert!(starting(&shown, now) && starting(&shown, long_ago));
+
+        let mut shown = picture(vec![host("rack-a", "EPYC")], Vec::new());
+        shown.absent = 1;
+        assert!(starting(&shown, now) && !starting(&shown, long_ago), "the other one is away by then");
+        shown.pipelines.push(pipeline("line", 5.0, 1.0, Verdict::Ok, &[]).into());
+        assert!(!starting(&shown, now), "one runs");
+    }
+}
