@@ -97,6 +97,8 @@ def free_ports(count: int) -> list[int]:
 def _ready_socket(path: Path) -> Iterator[socket.socket]:
     """Where a daemon tells its service manager that it is ready."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ready:
+        # A daemon of the same name may have been there before.
+        path.unlink(missing_ok=True)
         ready.bind(str(path))
         ready.setblocking(False)
         yield ready

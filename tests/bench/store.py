@@ -115,3 +115,10 @@ def nodes(database: Path) -> int:
     """Nodes that are stored, by the hosts' counters."""
     with _open(database) as connection:
         return int(connection.execute("SELECT coalesce(sum(nodes), 0) FROM host").fetchone()[0])
+
+
+def produced(spool: Path) -> int:
+    """Events that an agent wrote to its spool or dropped, ever."""
+    with _open(spool) as connection:
+        row = connection.execute("SELECT produced FROM stream").fetchone()
+    return 0 if row is None else int(row[0])

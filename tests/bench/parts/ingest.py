@@ -27,7 +27,7 @@ def prepare() -> None:
 
 
 def measure(quick: bool) -> Section:
-    nodes, rounds = (1_000_000, 1) if quick else (6_000_000, 5)
+    nodes, rounds = (1_000_000, 1) if quick else (4_000_000, 3)
     section = Section("Ingest")
     section.say(
         f"About {nodes:,} nodes from simulated agents over ZeroMQ into the database, every transaction synced to disk; "

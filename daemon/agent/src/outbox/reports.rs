@@ -99,7 +99,7 @@ impl Reports {
 
     /// The spool cannot be written or read.
     pub(super) fn spool_failed(&self, reason: &str) {
-        let text = format!("{reason}; measuring goes on, events go to the aggregator from memory meanwhile");
+        let text = format!("{reason}; measuring goes on, and it is tried again");
         self.incidents.report(IncidentKind::Gap, Concerning::default(), text);
     }
 
@@ -135,8 +135,8 @@ impl Reports {
             None => {}
             Some(Said::Dropping(events)) => tracing::warn!(
                 events,
-                "dropping the newest events, there is no room: the spool holds {:.1} of {:.1} MiB, the memory before it \
-                 {:.1} MiB; [spool] limit_bytes sets the limit",
+                "events are dropped, the gaps say why: the spool holds {:.1} of {:.1} MiB ([spool] limit_bytes), the \
+                 memory before it {:.1} MiB",
                 mib(account.spool_bytes),
                 mib(account.spool_limit_bytes),
                 mib(account.memory_bytes)
