@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use peernet_actuators::ActuatorConfig;
 use peernet_logger::Slug;
+use peernet_logger::stream::ExperimentPlace;
 use peernet_networks::{Address, NetworkKind, SessionSettings};
 use peernet_sensors::{SensorConfig, TransformConfig};
 use serde::{Deserialize, Serialize};
@@ -48,6 +49,9 @@ pub struct PipelineConfig {
     /// Whether it starts with the agent. Default: `boot`.
     #[serde(default)]
     pub start: StartMode,
+    /// Its place in an experiment; `peernet run` fills it in.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub experiment: Option<ExperimentPlace>,
 }
 
 /// Where a pipeline computes.

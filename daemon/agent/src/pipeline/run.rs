@@ -42,6 +42,8 @@ impl Run {
             facts,
             configuration: configuration(config),
             version: VERSION.to_owned(),
+            experiment: config.experiment.clone(),
+            conditions: Vec::new(),
         };
         host.runs.began(description.clone());
         host.feed.event(Some(&config.name), Some(id), Event::RunStarted(description));

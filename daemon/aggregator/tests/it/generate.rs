@@ -68,6 +68,8 @@ pub fn run_started(run: RunId, pipeline: &str, started: WallTime) -> Event {
         facts: vec![("Sensor".into(), "30 images".into()), ("Load".into(), "5 Hz".into())],
         configuration: "name = \"line\"\n".into(),
         version: "0.1.0".into(),
+        experiment: None,
+        conditions: Vec::new(),
     })
 }
 

@@ -6,6 +6,7 @@ use peernet_clock::WallTime;
 use serde::{Deserialize, Serialize};
 
 use super::clock::ClockSample;
+use super::experiment::{Condition, ExperimentPlace};
 use super::live::Placement;
 use crate::{HostId, RunId, Slug, Tree};
 
@@ -43,6 +44,10 @@ pub struct RunDescription {
     pub configuration: String,
     /// Version of the agent.
     pub version: String,
+    /// Its place in an experiment, if it belongs to one.
+    pub experiment: Option<ExperimentPlace>,
+    /// What was found of the hosts before it began.
+    pub conditions: Vec<Condition>,
 }
 
 /// A run is over.

@@ -17,6 +17,7 @@ mod chain;
 mod clock;
 pub mod codec;
 mod event;
+mod experiment;
 mod host;
 mod intake;
 mod live;
@@ -29,6 +30,7 @@ mod spool;
 pub use chain::Chain;
 pub use clock::{ClockSample, DelayPoint, DelaySecond, HostClock, LinkLive, ProbeCounts, Probing, RoundTrip};
 pub use event::{Event, Gap, Incident, IncidentKind, Iteration, Outcome, RunDescription, RunEnded};
+pub use experiment::{Condition, ExperimentPlace, Grade};
 pub use host::{Hardware, HostDescription, HostMetrics};
 pub use live::{
     Accounting, LiveUpdate, OutcomeCounts, PipelineLive, PipelineState, Placement, PlacementKind, Second,

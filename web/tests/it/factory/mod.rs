@@ -104,6 +104,8 @@ impl Factory {
             facts: line.facts(),
             configuration: line.configuration(),
             version: "0.1.0".into(),
+            experiment: None,
+            conditions: Vec::new(),
         })];
         let mut at = started;
         for number in 1..=iterations {

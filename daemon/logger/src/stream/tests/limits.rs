@@ -29,6 +29,8 @@ fn started(run: RunId) -> Event {
         facts: Vec::new(),
         configuration: String::new(),
         version: "0.1.0".into(),
+        experiment: None,
+        conditions: Vec::new(),
     })
 }
 
