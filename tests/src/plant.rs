@@ -117,7 +117,17 @@ impl Plant {
     /// # Panics
     /// When it ends with another exit code than 0.
     pub fn stop(self) {
-        let ended = self.aggregator.stop();
+        self.stop_leaving(|| ());
+    }
+
+    /// The same, and looks at what it left.
+    ///
+    /// # Panics
+    /// As [`stop`](Self::stop).
+    pub fn stop_leaving<T>(self, look: impl FnOnce() -> T) -> T {
+        let Self { aggregator, site: _site, network: _network, .. } = self;
+        let ended = aggregator.stop();
         assert_eq!(ended.code(), 0, "{}", ended.log);
+        look()
     }
 }

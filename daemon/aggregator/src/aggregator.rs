@@ -113,8 +113,9 @@ impl Aggregator {
             picture.take(News::Stored(host, stored, None), clock.stamp());
         }
         let (queue, waiting) = ingest::queue();
+        let grouping = committing::Grouping::new(&config);
         // While one group is stored, the next is prepared.
-        let (prepared, work) = preparing::ready(2 * config.commit_nodes);
+        let (prepared, work) = preparing::ready(2 * grouping.most);
         let (errands_in, errands) = mpsc::channel(ERRANDS);
         let (news_in, news) = mpsc::channel(NEWS);
         let (committed_in, committed) = mpsc::channel(COMMITS);
@@ -122,8 +123,9 @@ impl Aggregator {
         let (written_in, written) = oneshot::channel();
         let (ready_in, ready) = watch::channel(Readiness::Ready);
         // What finds no room is asked for again, which costs more than waiting would.
-        let budget_bytes = ingest::ROOM_BYTES as u64;
-        let receiving = Receiving::new(ReceivingConfig { budget_bytes, ..ReceivingConfig::new(name) });
+        let (budget_bytes, most_window) = (ingest::ROOM_BYTES as u64, ingest::MOST_WINDOW);
+        let receiving =
+            Receiving::new(ReceivingConfig { budget_bytes, most_window, ..ReceivingConfig::new(name) });
         let desk = Desk::new(receiving, queue, writer.streams().clone(), unknown);
         let store = Store::new(Readers::open(
             &config.database,
@@ -134,8 +136,6 @@ impl Aggregator {
 
         let asked = stop.clone();
         let stop = stop.child_token();
-        let grouping =
-            committing::Grouping { interval: config.commit_interval(), nodes: config.commit_nodes };
         let mut running = Running {
             handle: Self {
                 live,

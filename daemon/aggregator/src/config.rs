@@ -26,7 +26,8 @@ pub struct AggregatorConfig {
     pub database: PathBuf,
     /// Longest time a batch waits for others to be committed with it, 1 to 10,000.
     pub commit_interval_ms: u64,
-    /// Nodes after which a commit begins at once, 1 to 1,000,000.
+    /// Nodes after which a commit begins at once, 1 to 1,000,000: enough for the sync to cost little beside them. It
+    /// takes what else is ready.
     pub commit_nodes: usize,
     /// Connections that readers share, 1 to 64.
     pub readers: u32,
@@ -45,7 +46,7 @@ impl Default for AggregatorConfig {
             listen: "tcp://127.0.0.1:5550".to_owned(),
             database: PathBuf::from("peernet.sqlite"),
             commit_interval_ms: 50,
-            commit_nodes: 100_000,
+            commit_nodes: 10_000,
             readers: 4,
             question_limit_ms: 10_000,
             forget_hosts_after_s: 24 * 3600,

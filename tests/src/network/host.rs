@@ -78,6 +78,18 @@ impl Host {
         self.run("tc", &[&["qdisc", "add", "dev", interface], &tbf[..]].concat());
     }
 
+    /// Lets so little out of an interface that every packet shows; what waits for longer than 300 ms is dropped.
+    pub fn throttle(&self, interface: &str, kbit_per_second: u32) {
+        let rate = format!("{kbit_per_second}kbit");
+        let tbf = ["root", "tbf", "rate", &rate, "burst", "2kb", "latency", "300ms"];
+        self.run("tc", &[&["qdisc", "add", "dev", interface], &tbf[..]].concat());
+    }
+
+    /// Lets everything out of an interface again.
+    pub fn open_up(&self, interface: &str) {
+        self.run("tc", &["qdisc", "delete", "dev", interface, "root"]);
+    }
+
     /// Drops what arrives for a UDP port of this host on the measured path.
     pub fn block_udp(&self, port: u16) {
         let port = port.to_string();

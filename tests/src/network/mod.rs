@@ -28,6 +28,9 @@ use crate::until;
 /// The interface of the measured path, on edge and cloud.
 pub const DATA: &str = "data";
 
+/// The interface to the namespace that the tests run in, on edge and cloud.
+pub const HOME: &str = "home";
+
 /// How a wire treats what goes over it, in one direction.
 #[derive(Clone, Copy, Debug)]
 pub struct Way {
@@ -131,10 +134,10 @@ impl Network {
         };
         for (host, role) in [(&network.edge, "e"), (&network.cloud, "c")] {
             let outside = network.slot.interface(role);
-            ip(&["link", "add", &outside, "type", "veth", "peer", "name", "home", "netns", &host.namespace]);
+            ip(&["link", "add", &outside, "type", "veth", "peer", "name", HOME, "netns", &host.namespace]);
             ip(&["address", "add", &format!("{}/30", host.home), "dev", &outside]);
             ip(&["link", "set", &outside, "up"]);
-            host.set_up("home", Ipv4Addr::from_bits(host.home.to_bits() + 1), 30);
+            host.set_up(HOME, Ipv4Addr::from_bits(host.home.to_bits() + 1), 30);
         }
         network
     }

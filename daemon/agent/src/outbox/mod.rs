@@ -40,7 +40,7 @@ use crate::tasks::Failure;
 
 /// What may be under way at once, in batches of the usual length: enough to keep the aggregator busy over one round trip and one write to its disk,
 /// few enough that a live update behind them is still live.
-const WINDOW: u32 = 4;
+const WINDOW: u32 = 32;
 /// Places in memory that iterations leave to the other events.
 const RESERVE: u64 = 1024;
 
@@ -142,7 +142,8 @@ fn sending(config: &AgentConfig) -> SendingConfig {
         memory,
         reserve_events: RESERVE.min(memory.events / 8),
         compression: spool.compression.into(),
-        first_pause: Span::from_millis(250),
+        // Longer than the way there and back on any link: it takes an aggregator without room to be asked again.
+        first_pause: Span::from_seconds(1),
         longest_pause: Span::from_seconds(10),
         refused_pause: Span::from_seconds(1),
         patience: Span::from_seconds(10),

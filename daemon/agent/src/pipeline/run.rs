@@ -42,7 +42,7 @@ impl Run {
             facts,
             configuration: configuration(config),
             version: VERSION.to_owned(),
-            experiment: config.experiment.clone(),
+            experiment: config.experiment.clone().map(Box::new),
             conditions: Vec::new(),
         };
         host.runs.began(description.clone());

@@ -14,7 +14,7 @@ use crate::load::{BATCH_BYTES, Load, Plan};
 use crate::{generate, say, server};
 
 /// What an agent has under way at most, whatever it is allowed, in units of `BATCH_BYTES`.
-const WINDOW: u32 = 8;
+const WINDOW: u32 = 32;
 
 /// Prepares and connects all, sends everything, and says how many seconds that took. With a `speed` batches go at that
 /// multiple of the rate at which the plan's iterations are made, and else as fast as they are taken.

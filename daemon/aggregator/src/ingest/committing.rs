@@ -9,6 +9,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::preparing::Queued;
 use crate::aggregator::Readiness;
+use crate::config::AggregatorConfig;
 use crate::store::retention::Step;
 use crate::store::write::{CommitError, Committed, Work, Writer};
 
@@ -19,6 +20,9 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(5);
 /// How often the database's path is checked while there is nothing to store.
 const CHECK_FILE_EVERY: Duration = Duration::from_secs(1);
 
+/// Nodes of a commit at most, unless it is configured to wait for more: beyond that a larger one is no cheaper.
+const MOST_NODES: usize = 100_000;
+
 /// Commits after which what is old is deleted even though work waits.
 const RETAIN_EVERY: u64 = 8;
 
@@ -27,8 +31,17 @@ const RETAIN_EVERY: u64 = 8;
 pub(crate) struct Grouping {
     /// Longest time that the first of a group waits for others.
     pub(crate) interval: Duration,
-    /// Nodes after which a group waits for no more.
-    pub(crate) nodes: usize,
+    /// Nodes after which a group waits for no more, and takes only what is there.
+    pub(crate) enough: usize,
+    /// Nodes after which a group takes no more.
+    pub(crate) most: usize,
+}
+
+impl Grouping {
+    pub(crate) fn new(config: &AggregatorConfig) -> Self {
+        let enough = config.commit_nodes;
+        Self { interval: config.commit_interval(), enough, most: enough.max(MOST_NODES) }
+    }
 }
 
 /// What is asked of the writer beside storing.
@@ -75,7 +88,8 @@ pub(crate) async fn run(mut writer: Writer, mut wires: Wires, grouping: Grouping
             }
         };
         let Some(first) = first else { return writer };
-        let group = gather(first, &mut wires, grouping).await;
+        let waited = (wires.clock.mono() - first.since).to_duration();
+        let group = gather(first, &mut wires.queue, waited, grouping).await;
         let (work, room): (Vec<Work>, Vec<_>) = group.into_iter().map(|it| (it.work, it.room)).unzip();
         if !store(&mut writer, &work, &mut wires).await {
             return writer;
@@ -153,25 +167,31 @@ fn words(error: &CommitError) -> String {
 }
 
 /// The group that begins with `first`: what waits already, and what comes until the first has waited long enough since
-/// it was let in. Under load that was during the commit before, so that nothing more is waited for.
-async fn gather(first: Queued, wires: &mut Wires, grouping: Grouping) -> Vec<Queued> {
-    let waited = (wires.clock.mono() - first.since).to_duration();
+/// it was let in. Under load that was during the commit before, so that nothing more is waited for. Nor is it where the
+/// group is worth a sync already: its agents may have sent all that they are allowed, and wait for this commit.
+async fn gather(
+    first: Queued,
+    queue: &mut mpsc::Receiver<Queued>,
+    waited: Duration,
+    grouping: Grouping,
+) -> Vec<Queued> {
     let mut nodes = first.work.weight();
     let mut group = vec![first];
     let patience = tokio::time::sleep(grouping.interval.saturating_sub(waited));
     tokio::pin!(patience);
-    while nodes < grouping.nodes {
-        tokio::select! {
-            biased;
-            next = wires.queue.recv() => match next {
-                Some(next) => {
-                    nodes += next.work.weight();
-                    group.push(next);
-                }
-                None => break,
-            },
-            () = &mut patience => break,
-        }
+    while nodes < grouping.most {
+        let next = if nodes >= grouping.enough {
+            queue.try_recv().ok()
+        } else {
+            tokio::select! {
+                biased;
+                next = queue.recv() => next,
+                () = &mut patience => None,
+            }
+        };
+        let Some(next) = next else { break };
+        nodes += next.work.weight();
+        group.push(next);
     }
     group
 }
@@ -189,4 +209,70 @@ fn set(ready: &watch::Sender<Readiness>, now: Readiness) {
         *was = now;
         true
     });
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use peernet_clock::MonoTime;
+    use peernet_logger::HostId;
+    use tokio::sync::Semaphore;
+
+    use super::*;
+
+    const EVER: Duration = Duration::from_secs(3600);
+
+    /// Weighs one node.
+    fn piece() -> Queued {
+        let room = Arc::new(Semaphore::new(2));
+        let permit = || Arc::clone(&room).try_acquire_owned().expect("a permit");
+        Queued {
+            work: Work::Goodbye(HostId::random()),
+            since: MonoTime::from_nanos(0),
+            room: [permit(), permit()],
+        }
+    }
+
+    async fn waiting(pieces: usize) -> (mpsc::Sender<Queued>, mpsc::Receiver<Queued>) {
+        let (sender, receiver) = mpsc::channel(16);
+        for _ in 0..pieces {
+            sender.send(piece()).await.expect("there is room");
+        }
+        (sender, receiver)
+    }
+
+    #[tokio::test]
+    async fn what_is_enough_takes_what_is_there_and_waits_for_nothing() {
+        let (_more_may_come, mut queue) = waiting(4).await;
+        let grouping = Grouping { interval: EVER, enough: 2, most: 100 };
+        assert_eq!(gather(piece(), &mut queue, Duration::ZERO, grouping).await.len(), 5);
+    }
+
+    #[tokio::test]
+    async fn too_little_waits_until_it_is_enough() {
+        let (sender, mut queue) = waiting(1).await;
+        let grouping = Grouping { interval: EVER, enough: 4, most: 100 };
+        let group = tokio::spawn(async move { gather(piece(), &mut queue, Duration::ZERO, grouping).await });
+        tokio::task::yield_now().await;
+        assert!(!group.is_finished());
+        for _ in 0..2 {
+            sender.send(piece()).await.expect("it takes");
+        }
+        assert_eq!(group.await.expect("gathers").len(), 4);
+    }
+
+    #[tokio::test]
+    async fn what_waited_its_time_goes_however_little_it_is() {
+        let (_more_may_come, mut queue) = waiting(1).await;
+        let grouping = Grouping { interval: EVER, enough: 100, most: 100 };
+        assert_eq!(gather(piece(), &mut queue, EVER, grouping).await.len(), 2);
+    }
+
+    #[tokio::test]
+    async fn no_group_takes_more_than_the_most() {
+        let (_more_may_come, mut queue) = waiting(10).await;
+        let grouping = Grouping { interval: EVER, enough: 2, most: 6 };
+        assert_eq!(gather(piece(), &mut queue, Duration::ZERO, grouping).await.len(), 6);
+    }
 }

@@ -74,6 +74,15 @@ impl Desk {
 
     /// A frame came from a connection.
     pub(super) fn frame(&mut self, from: &Identity, frame: &Bytes, now: Stamp) {
+        if let Some(part) = codec::part(frame) {
+            if self.knows(from, part.host)
+                && let Some(frame) = self.receiving.part(&part, now.mono)
+                && let Some(head) = codec::batch_head(&frame)
+            {
+                self.batch(from, head, &frame, now);
+            }
+            return;
+        }
         if let Some(head) = codec::batch_head(frame) {
             self.batch(from, head, frame, now);
             return;
@@ -84,6 +93,11 @@ impl Desk {
                 if self.knows(from, update.host) && self.receiving.live(update.host, now.mono).is_none() {
                     self.name_runs(&update, now.mono);
                     self.news.push(News::Update(Box::new(update)));
+                }
+            }
+            Ok(ToAggregator::Echo { host, bytes }) => {
+                if self.knows(from, host) {
+                    self.replies.push((from.clone(), self.receiving.echo(host, bytes, now.mono)));
                 }
             }
             Ok(ToAggregator::Goodbye(host)) => {

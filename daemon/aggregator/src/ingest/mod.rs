@@ -10,4 +10,4 @@ pub(crate) mod socket;
 
 pub(crate) use self::committing::Errand;
 pub(crate) use self::desk::Desk;
-pub(crate) use self::queue::{ROOM_BYTES, queue};
+pub(crate) use self::queue::{MOST_WINDOW, ROOM_BYTES, queue};

@@ -14,6 +14,9 @@ use crate::store::write::Work;
 
 /// Bytes of batches that may wait, from their arrival until they are stored.
 pub(crate) const ROOM_BYTES: usize = 96 * 1024 * 1024;
+/// What one agent may have under way, in batches of its usual length: about 160,000 nodes, so that there is always
+/// enough to be prepared while a commit syncs, also where few agents send.
+pub(crate) const MOST_WINDOW: u32 = 32;
 /// Pieces of work that may wait: as many small batches as there is room for.
 const ROOM_ITEMS: usize = ROOM_BYTES / PER_PERMIT;
 /// Bytes per permit: permits are counted in 32 bits.

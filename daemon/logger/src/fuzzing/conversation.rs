@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
+use bytes::Bytes;
 use peernet_clock::{MonoTime, Span, Stamp};
 
 use super::script::{Script, beginning, host};
@@ -103,6 +104,8 @@ struct Agent {
     jobs: VecDeque<Action>,
     spool: Vec<SpooledBatch>,
     now: Stamp,
+    /// The echo that was last asked for.
+    echo: u64,
 }
 
 fn at_an_agent(script: &mut Script<'_>) {
@@ -128,7 +131,7 @@ fn at_an_agent(script: &mut Script<'_>) {
     };
     let now = Stamp { wall: beginning(), mono: MonoTime::from_nanos(0) };
     let sending = Sending::new(config, host(HostId::from_bytes([1; 16])), 1, state);
-    let mut agent = Agent { sending, jobs: VecDeque::new(), spool: Vec::new(), now };
+    let mut agent = Agent { sending, jobs: VecDeque::new(), spool: Vec::new(), now, echo: 0 };
     let mut sent = (stream, Chain::START, 0);
     for _ in 0..MOST_STEPS {
         if script.is_over() {
@@ -139,11 +142,14 @@ fn at_an_agent(script: &mut Script<'_>) {
             match action {
                 Action::Send(frame) => match codec::batch_head(&frame) {
                     Some(head) => sent = (head.stream, head.chain, head.number),
-                    None => {
-                        let message = codec::decode(&frame);
-                        let Ok(ToAggregator::Hello(hello)) = message else { panic!("{message:?} was sent") };
-                        sent = (hello.stream, hello.before, hello.oldest - 1);
-                    }
+                    None if codec::part(&Bytes::from(frame.clone())).is_some() => {}
+                    None => match codec::decode(&frame) {
+                        Ok(ToAggregator::Hello(hello)) => {
+                            sent = (hello.stream, hello.before, hello.oldest - 1);
+                        }
+                        Ok(ToAggregator::Echo { bytes, .. }) => agent.echo = bytes,
+                        message => panic!("{message:?} was sent"),
+                    },
                 },
                 job => agent.jobs.push_back(job),
             }
@@ -166,6 +172,8 @@ impl Agent {
                 self.sending.tick(self.now);
             }
             5 => match script.byte() % 8 {
+                2 => self.sending.shown(usize::from(script.byte()) * 64),
+                3 | 4 => drop(self.sending.received(&ToAgent::Echo { bytes: self.echo }, now)),
                 0 => self.sending.disconnected(),
                 1 => self.sending.flush(now.wall),
                 _ => self.sending.connected(now.mono),

@@ -12,6 +12,11 @@
 //! | 16, 16 | chain of the batch before, chain of this one |
 //! | 4, 4 | events, bytes of the body when it is not compressed |
 //! | rest | the body: wire forms of the events, one after the other |
+//!
+//! A batch's frame that is long for its way is sent in [parts](part_frame); other messages can be
+//! [compressed](encode_packed).
+
+mod parts;
 
 use bytes::{Buf, Bytes};
 use serde::Serialize;
@@ -19,6 +24,9 @@ use serde::de::{Deserialize, DeserializeOwned, IgnoredAny};
 
 use super::{BatchHead, Chain, Event, StreamId, ToAgent, ToAggregator};
 use crate::HostId;
+
+pub(super) use self::parts::PART_HEAD_BYTES;
+pub use self::parts::{Part, part, part_frame};
 
 /// Longest message that is read, and longest body of a batch. A batch is cut far below it; one tree of the largest
 /// size fits.
@@ -36,6 +44,10 @@ const BATCH: u8 = 0xC1;
 /// Forms of a batch's body.
 const PLAIN: u8 = 0;
 const ZSTD: u8 = 1;
+/// In the place of a form: this is a part of a batch's frame.
+const PART: u8 = 2;
+/// In the place of a form: behind it are four bytes with the length of a message, and the message compressed.
+const PACKED: u8 = 3;
 
 /// The fastest of zstd's usual levels: events shrink to about a third with it, and level 3 gains little more.
 const ZSTD_LEVEL: i32 = 1;
@@ -73,6 +85,31 @@ pub fn encode(message: &impl Message) -> Vec<u8> {
     frame
 }
 
+/// The frame of a message for a slow link, compressed where that makes it shorter.
+pub fn encode_packed(message: &impl Message) -> Vec<u8> {
+    let plain = encode(message);
+    let (Ok(length), Ok(packed)) = (u32::try_from(plain.len()), zstd::bulk::compress(&plain, ZSTD_LEVEL))
+    else {
+        return plain;
+    };
+    let frame = [&[BATCH, PACKED][..], &length.to_be_bytes(), &packed].concat();
+    if frame.len() < plain.len() { frame } else { plain }
+}
+
+/// The message in a frame that [`encode_packed`] made.
+fn unpack(frame: &[u8]) -> Result<Vec<u8>, CodecError> {
+    let read =
+        frame.split_first_chunk().map(|(length, packed)| (u32::from_be_bytes(*length) as usize, packed));
+    let Some((length, packed)) = read else {
+        return Err(CodecError::Malformed("a compressed message without a length".into()));
+    };
+    if length > MAX_MESSAGE_BYTES {
+        return Err(CodecError::TooLong(length));
+    }
+    // Never more than it says.
+    zstd::bulk::decompress(packed, length).map_err(|error| CodecError::Malformed(error.to_string()))
+}
+
 /// Appends the wire form of plain data.
 pub(super) fn append(out: &mut Vec<u8>, data: &impl Serialize) {
     rmp_serde::encode::write(out, data).expect("plain data written to memory always serialises");
@@ -86,6 +123,13 @@ pub fn decode<M: Message>(frame: &[u8]) -> Result<M, CodecError> {
     if frame.len() > MAX_MESSAGE_BYTES {
         return Err(CodecError::TooLong(frame.len()));
     }
+    if let Some(packed) = frame.strip_prefix(&[BATCH, PACKED]) {
+        return read(&unpack(packed)?);
+    }
+    read(frame)
+}
+
+fn read<M: Message>(frame: &[u8]) -> Result<M, CodecError> {
     let mut reader = rmp_serde::Deserializer::new(frame);
     reader.set_max_depth(MAX_NESTING);
     let message = M::deserialize(&mut reader).map_err(|error| malformed(&error))?;
@@ -187,6 +231,9 @@ struct Head {
 fn read_head(frame: &[u8]) -> Option<Head> {
     let rest = frame.strip_prefix(&[BATCH])?;
     let (&[form], rest) = rest.split_first_chunk()?;
+    if form == PART || form == PACKED {
+        return None;
+    }
     let (&host, rest) = rest.split_first_chunk()?;
     let (&stream, rest) = rest.split_first_chunk()?;
     let (&process, rest) = rest.split_first_chunk()?;

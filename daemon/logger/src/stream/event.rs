@@ -45,7 +45,7 @@ pub struct RunDescription {
     /// Version of the agent.
     pub version: String,
     /// Its place in an experiment, if it belongs to one.
-    pub experiment: Option<ExperimentPlace>,
+    pub experiment: Option<Box<ExperimentPlace>>,
     /// What was found of the hosts before it began.
     pub conditions: Vec<Condition>,
 }

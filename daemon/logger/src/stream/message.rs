@@ -10,7 +10,7 @@ use std::str::FromStr;
 use uuid::Uuid;
 
 /// Version of the event stream's messages. Both ends must agree.
-pub const PROTOCOL: u16 = 3;
+pub const PROTOCOL: u16 = 4;
 
 /// Batches of one agent that may be under way at once, however small they are.
 pub const MOST_UNDER_WAY: usize = 1_024;
@@ -29,13 +29,21 @@ random_id! {
 /// From agent to aggregator. The host id is in the message, never in the transport's routing id.
 ///
 /// The durable lane's batches are frames of their own kind ([`super::codec::batch_frame`]): they are checked by hash
-/// before anything in them is read.
+/// before anything in them is read. One that is long for its way comes in parts ([`super::codec::part_frame`]), so that a
+/// live update can go between them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ToAggregator {
     /// Opens the connection; repeated after each reconnect.
     Hello(Hello),
     /// Live lane.
     Live(LiveUpdate),
+    /// Asks for a [`ToAgent::Echo`]: by when that comes the agent knows how long the way is, and how much it carries.
+    Echo {
+        /// Whose.
+        host: HostId,
+        /// Bytes that the agent sent on this connection up to here.
+        bytes: u64,
+    },
     /// The agent is about to stop; nothing more will come.
     Goodbye(HostId),
 }
@@ -102,6 +110,11 @@ pub enum ToAgent {
         stream: StreamId,
         /// The first missing number.
         from: u64,
+    },
+    /// All that was sent before the message with this number has come, whatever becomes of it. Sent at once.
+    Echo {
+        /// As it was asked.
+        bytes: u64,
     },
     /// A message came from a host that has not said hello (the aggregator was restarted), or a batch does not follow
     /// the one before it: say hello again.

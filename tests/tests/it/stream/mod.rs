@@ -9,6 +9,7 @@ mod hostile;
 mod identity;
 mod kills;
 mod outage;
+mod slow_link;
 mod spool_full;
 mod stopping;
 

@@ -22,6 +22,11 @@ impl Sender {
 
     /// Does what the machine wants.
     pub(super) fn act(&mut self, line: &Line) -> Result<(), String> {
+        if self.due
+            && let Line::Open(connection) = line
+        {
+            self.show(connection);
+        }
         while let Some(action) = self.machine.next(self.clock.mono()) {
             let order = match action {
                 Action::Send(frame) => {
@@ -36,9 +41,6 @@ impl Sender {
             self.spool.order(order)?;
         }
         let Line::Open(connection) = line else { return Ok(()) };
-        if self.due && self.show(connection) {
-            self.due = false;
-        }
         while let Some(frame) = self.held.pop_front() {
             if let Err(back) = connection.send(frame) {
                 self.held.push_front(back);
@@ -77,11 +79,17 @@ impl Sender {
         }
     }
 
-    /// Sends a live update, before all that waits for the connection: it is worth nothing later. Returns whether it
-    /// went, or the aggregator wants none.
-    fn show(&self, connection: &Connection) -> bool {
+    /// Sends a live update, before all that waits for the connection: it is worth nothing later. On a slow link it is
+    /// made when it can go, not earlier.
+    fn show(&mut self, connection: &Connection) {
         if !self.machine.is_up() {
-            return true;
+            // The aggregator wants none.
+            self.due = false;
+            return;
+        }
+        self.blocked = false;
+        if !self.machine.may_show() {
+            return;
         }
         let (pipelines, receipt) = self.board.look();
         let update = LiveUpdate {
@@ -93,10 +101,15 @@ impl Sender {
             metrics: self.metrics.borrow().clone(),
             accounting: self.count(),
         };
-        let sent = connection.send(codec::encode(&ToAggregator::Live(update))).is_ok();
-        if sent {
+        let message = ToAggregator::Live(update);
+        let frame =
+            if self.machine.compresses() { codec::encode_packed(&message) } else { codec::encode(&message) };
+        let bytes = frame.len();
+        self.blocked = connection.send(frame).is_err();
+        if !self.blocked {
+            self.due = false;
+            self.machine.shown(bytes);
             self.board.delivered(&receipt);
         }
-        sent
     }
 }

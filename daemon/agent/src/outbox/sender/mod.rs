@@ -56,6 +56,8 @@ pub(super) struct Sender {
     held: VecDeque<Vec<u8>>,
     /// A live update is due.
     due: bool,
+    /// It waits for room on the connection, not for the way to be free.
+    blocked: bool,
     /// The last try to reach the aggregator failed.
     away: bool,
 }
@@ -72,7 +74,7 @@ impl Sender {
     ) -> Self {
         let (clock, runs) = (SharedClock::clone(&host.clock), host.runs.clone());
         let (links, own) = (host.links.clone(), host.own.clone());
-        let (held, due, away) = (VecDeque::new(), false, false);
+        let (held, due, blocked, away) = (VecDeque::new(), false, false, false);
         Self {
             machine,
             spool,
@@ -87,6 +89,7 @@ impl Sender {
             reports,
             held,
             due,
+            blocked,
             away,
         }
     }
@@ -114,7 +117,7 @@ impl Sender {
         let mut unanswered = false;
         let mut line = Line::dial(&address, Duration::ZERO);
         loop {
-            let blocked = self.due || !self.held.is_empty();
+            let blocked = self.due && self.blocked || !self.held.is_empty();
             tokio::select! {
                 biased;
                 deadline = &mut stopping, if farewell.is_none() => {
@@ -183,7 +186,7 @@ impl Sender {
     fn lost(&mut self) {
         self.machine.disconnected();
         self.held.clear();
-        self.due = false;
+        (self.due, self.blocked) = (false, false);
         self.away = true;
     }
 

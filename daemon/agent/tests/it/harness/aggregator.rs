@@ -168,7 +168,11 @@ async fn serve(socket: &IdentitySocket, seen: &watch::Sender<Seen>, manners: Man
     let mut desk = Desk { receiving: receiving(), clock, manners };
     loop {
         let Ok((peer, message)) = socket.recv_from().await else { return };
-        let frame = message.part_bytes(0).expect("one frame");
+        let mut frame = message.part_bytes(0).expect("one frame");
+        if let Some(part) = codec::part(&frame) {
+            let Some(whole) = desk.receiving.part(&part, desk.clock.mono()) else { continue };
+            frame = whole;
+        }
         let head = codec::batch_head(&frame);
         if let (Some(pause), Some(_)) = (desk.manners.slow, head) {
             tokio::time::sleep(pause).await;
@@ -210,6 +214,7 @@ impl Desk {
                     seen.lives.push(update);
                     reply.into_iter().collect()
                 }
+                ToAggregator::Echo { host, bytes } => vec![self.receiving.echo(host, bytes, now)],
                 ToAggregator::Goodbye(host) => {
                     self.receiving.goodbye(host);
                     seen.goodbyes.push(host);

@@ -149,6 +149,21 @@ fn a_batch_is_no_message_and_a_message_is_no_batch() {
 }
 
 #[test]
+fn a_compressed_message_is_read_like_any_other_and_never_unpacked_without_end() {
+    let refused = ToAgent::Refused { reason: "no ".repeat(1_000) };
+    let frame = encode_packed(&refused);
+    assert!(frame.len() < 200 && batch_head(&[&frame[..], &[0; 200]].concat()).is_none());
+    assert_eq!(decode::<ToAgent>(&frame), Ok(refused));
+    assert_eq!(encode_packed(&ToAgent::Unknown), encode(&ToAgent::Unknown), "shorter as it is");
+    for length in [MAX_MESSAGE_BYTES as u32 + 1, 100] {
+        let mut lies = frame.clone();
+        lies[2..6].copy_from_slice(&length.to_be_bytes());
+        decode::<ToAgent>(&lies).expect_err("more than it says, or than is read");
+    }
+    (0..frame.len()).for_each(|end| drop(decode::<ToAgent>(&frame[..end]).expect_err("cut off")));
+}
+
+#[test]
 fn a_damaged_batch_can_still_be_named() {
     for compress in [false, true] {
         let (frame, head, _) = frame_of(2, compress);

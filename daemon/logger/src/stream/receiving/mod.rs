@@ -2,15 +2,19 @@
 
 mod admission;
 mod deferred;
+mod parts;
 mod progress;
 
 use std::collections::BTreeMap;
 
+use bytes::Bytes;
 use peernet_clock::{MonoTime, Span};
 
 use self::admission::{Admission, Session};
 use self::deferred::Deferred;
+use self::parts::Parts;
 use self::progress::Progress;
+use super::codec::Part;
 use super::{BatchHead, Chain, Hello, StreamId, ToAgent};
 use crate::{HostId, Slug};
 
@@ -177,12 +181,19 @@ pub struct Receiving {
     hosts: BTreeMap<HostId, Session>,
     streams: BTreeMap<StreamId, Progress>,
     deferred: Deferred,
+    parts: Parts,
 }
 
 impl Receiving {
     /// The receiving end, knowing nobody.
     pub const fn new(config: ReceivingConfig) -> Self {
-        Self { config, hosts: BTreeMap::new(), streams: BTreeMap::new(), deferred: Deferred::new() }
+        Self {
+            hosts: BTreeMap::new(),
+            streams: BTreeMap::new(),
+            deferred: Deferred::new(),
+            parts: Parts::new(config.budget_bytes),
+            config,
+        }
     }
 
     /// A hello came. What is found lacking or replaced is said when the host first comes with a stream.
@@ -216,6 +227,7 @@ impl Receiving {
         let missing = progress.greet(hello, mark, same);
         let (stored, last) = progress.stored();
         self.deferred.remove(stream);
+        self.parts.forget(host);
         if let Some(left) = left {
             self.forget_if_settled(left.stream);
         }
@@ -245,6 +257,17 @@ impl Receiving {
         };
         session.heard = now;
         progress.arrive(head, intact, window)
+    }
+
+    /// A part of a batch came from a host that said hello. Returns the frame of the batch once it is whole.
+    pub fn part(&mut self, part: &Part, now: MonoTime) -> Option<Bytes> {
+        self.hosts.get_mut(&part.host)?.heard = now;
+        self.parts.take(part)
+    }
+
+    /// A host asks for an echo. Returns what is to be sent at once.
+    pub fn echo(&mut self, host: HostId, bytes: u64, now: MonoTime) -> ToAgent {
+        self.live(host, now).unwrap_or(ToAgent::Echo { bytes })
     }
 
     /// A batch of the stream came and there was no room for it: it counts as never come, and is asked for by
@@ -286,6 +309,7 @@ impl Receiving {
 
     /// An agent stops: its name and its host id are free at once.
     pub fn goodbye(&mut self, host: HostId) {
+        self.parts.forget(host);
         if let Some(session) = self.hosts.remove(&host) {
             self.deferred.remove(session.stream);
             self.forget_if_settled(session.stream);

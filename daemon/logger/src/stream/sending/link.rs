@@ -2,7 +2,7 @@
 
 use peernet_clock::{MonoTime, Span, Stamp};
 
-use super::super::{BatchHead, Chain, Hello, PROTOCOL, StreamId, ToAgent, ToAggregator, batch_weight, codec};
+use super::super::{Chain, Hello, PROTOCOL, StreamId, ToAgent, ToAggregator, codec};
 use super::skim::{Skim, Skimmed};
 use super::{Notice, Reached, Sending};
 use crate::Slug;
@@ -46,14 +46,15 @@ impl Sending {
     /// The transport has a connection.
     pub fn connected(&mut self, now: MonoTime) {
         self.greetings = 0;
+        self.asked.0 = 0;
+        self.flow.restart();
         self.greet_again(now);
     }
 
     /// The transport has none. Batches under way count as not sent.
     pub fn disconnected(&mut self) {
         self.link = Link::Down;
-        self.under_way.lost(0);
-        self.pace.interrupted();
+        self.take_back();
     }
 
     /// A message came.
@@ -66,6 +67,7 @@ impl Sending {
             | ToAgent::Resend { stream, .. }
                 if *stream != self.backlog.stream || self.renewal.is_some() => {}
             ToAgent::Welcome { aggregator, stored, chain, process, window, .. } => {
+                self.answered(now.mono);
                 let (aggregator, chain, process) = (aggregator.clone(), *chain, *process);
                 self.allowed(*window);
                 self.welcomed(Welcome { aggregator, stored: *stored, chain, process }, now);
@@ -75,6 +77,12 @@ impl Sending {
                 self.acknowledged_through(*through, now);
             }
             ToAgent::Resend { from, .. } => self.asked_again(*from, now.mono),
+            ToAgent::Echo { bytes } => {
+                self.flow.echoed(*bytes, now.mono);
+                if self.flow.is_slow() {
+                    self.pace.is_slow();
+                }
+            }
             ToAgent::Refused { reason } => self.refused(reason, now.mono),
             ToAgent::Unknown if self.is_up() => self.greet_again(now.mono),
             ToAgent::Unknown => {}
@@ -87,40 +95,33 @@ impl Sending {
         match self.link {
             Link::Greeting { again, pause } if now >= again && self.renewal.is_none() => {
                 self.link = Link::Greeting { again: now + pause, pause: self.longer(pause) };
+                self.asked = (self.asked.0.saturating_add(1), now);
                 Some(codec::encode(&ToAggregator::Hello(self.hello())))
             }
-            Link::Up { next, heard } => {
-                let (through, unspooled) = self.sendable();
-                let batch = self.backlog.get(next, unspooled).filter(|_| next <= through);
-                let Some(body) = batch.map(|batch| batch.body.len()) else {
-                    self.pace.is_idle(now);
-                    return None;
-                };
-                if self.under_way.is_full(body, self.allowance()) {
-                    self.pace.is_full(now);
-                    return None;
-                }
-                let (head, body) = self.backlog.send(next, unspooled, (self.host.id, self.process))?;
-                // Patience begins when there is something to wait for.
-                let idle = next == self.backlog.oldest();
-                self.link = Link::Up { next: next + 1, heard: if idle { now } else { heard } };
-                Some(self.batch(&head, &body))
-            }
+            Link::Up { next, heard } => self.durable(next, heard, now),
             _ => None,
         }
     }
 
-    fn batch(&mut self, head: &BatchHead, body: &[u8]) -> Vec<u8> {
-        let frame = codec::batch_frame(head, body, self.pace.compresses());
-        self.under_way.push(head.number, body.len(), frame.len());
-        frame
+    /// What is under way counts as not sent.
+    fn take_back(&mut self) {
+        self.under_way.lost(0);
+        self.rest = None;
+        self.pace.interrupted();
+    }
+
+    /// The aggregator answered a greeting. Which one of several is not known.
+    fn answered(&mut self, now: MonoTime) {
+        if let (1, at) = std::mem::take(&mut self.asked) {
+            self.flow.round_trip(now - at, now);
+        }
     }
 
     /// When the link has something to do without anything else happening.
     pub(super) fn link_deadline(&self) -> Option<MonoTime> {
         match self.link {
             Link::Greeting { again, .. } => self.renewal.is_none().then_some(again),
-            _ => self.patience_ends(),
+            _ => self.patience_ends().into_iter().chain(self.flow.remind_at().filter(|_| self.is_up())).min(),
         }
     }
 
@@ -133,7 +134,10 @@ impl Sending {
 
     fn patience_ends(&self) -> Option<MonoTime> {
         match self.link {
-            Link::Up { next, heard } if next > self.backlog.oldest() => Some(heard + self.config.patience),
+            // What is on a slow link is not lost while it arrives bit by bit.
+            Link::Up { next, heard } if next > self.backlog.oldest() => {
+                Some(heard.max(self.flow.progress()) + self.config.patience)
+            }
             _ => None,
         }
     }
@@ -150,8 +154,7 @@ impl Sending {
         let idle = self.greetings.saturating_sub(PROMPT_GREETINGS);
         let wait = (0..idle.min(16)).fold(Span::ZERO, |wait, _| self.longer(wait.max(first)));
         self.greetings = self.greetings.saturating_add(1);
-        self.under_way.lost(0);
-        self.pace.interrupted();
+        self.take_back();
         self.link = Link::Greeting { again: now + wait, pause: first.max(wait) };
     }
 
@@ -178,11 +181,6 @@ impl Sending {
         self.window = window.clamp(1, self.config.window.max(1));
     }
 
-    /// What may be under way, by weight.
-    fn allowance(&self) -> u64 {
-        u64::from(self.window) * batch_weight(self.config.batch_bytes)
-    }
-
     fn refused(&mut self, reason: &str, now: MonoTime) {
         let pause = match self.link {
             Link::Greeting { pause, .. } => pause.max(self.config.refused_pause),
@@ -200,6 +198,7 @@ impl Sending {
         } else {
             self.link = Link::Up { next: next.min(from), heard };
             self.under_way.lost(from);
+            self.rest.take_if(|rest| rest.number() >= from);
         }
     }
 

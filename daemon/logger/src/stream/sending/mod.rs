@@ -1,11 +1,14 @@
-//! The agent's end of the durable lane.
+//! The agent's end of the durable lane, and what both lanes may have on their way.
 
 mod action;
 mod backlog;
 mod config;
+mod durable;
+mod flow;
 mod job;
 mod link;
 mod pace;
+mod rest;
 mod skim;
 mod spooling;
 mod under_way;
@@ -17,8 +20,10 @@ use peernet_clock::{MonoTime, Stamp, WallTime};
 pub use self::action::{Action, Notice};
 use self::backlog::Backlog;
 pub use self::config::{Compression, SendingConfig};
+use self::flow::Flow;
 use self::link::Link;
 use self::pace::Pace;
+use self::rest::Rest;
 use self::skim::Hole;
 use self::spooling::Spooling;
 use self::under_way::UnderWay;
@@ -57,8 +62,13 @@ pub struct Sending {
     window: u32,
     /// Greetings since there last was progress.
     greetings: u32,
+    /// Greetings on this connection since the last answer, and when the last of them went.
+    asked: (u32, MonoTime),
     pace: Pace,
+    flow: Flow,
     under_way: UnderWay,
+    /// What is left of the batch that was sent last.
+    rest: Option<Rest>,
     stored: u64,
     closing: bool,
     notices: VecDeque<Notice>,
@@ -86,8 +96,11 @@ impl Sending {
             reached_before: spool.reached,
             window: 1,
             greetings: 0,
+            asked: (0, MonoTime::default()),
             pace: Pace::new(config.compression),
+            flow: Flow::new(budget),
             under_way: UnderWay::default(),
+            rest: None,
             stored: produced - dropped - held,
             closing: false,
             notices: VecDeque::new(),
@@ -149,6 +162,22 @@ impl Sending {
     /// Whether the aggregator knows us, and live updates make sense.
     pub const fn is_up(&self) -> bool {
         matches!(self.link, Link::Up { .. })
+    }
+
+    /// Whether a live update may go now: it would not wait for long on its way, and the durable lane had its share of a
+    /// link that is too narrow for both. What it would have said goes into the next.
+    pub fn may_show(&self) -> bool {
+        self.is_up() && self.flow.may_show()
+    }
+
+    /// Whether what is sent is to be compressed.
+    pub const fn compresses(&self) -> bool {
+        self.pace.compresses()
+    }
+
+    /// A live update of so many bytes was sent.
+    pub const fn shown(&mut self, bytes: usize) {
+        self.flow.shown(bytes as u64);
     }
 
     /// Whether nothing is in memory that is neither in the spool nor stored.
@@ -225,8 +254,10 @@ impl Sending {
         }
         self.stored += freed.events;
         self.spooling.freed(freed, now.mono);
-        let bytes = self.under_way.acknowledged(through);
+        let (bytes, end) = self.under_way.acknowledged(through);
         self.pace.acknowledged(bytes, now.mono);
+        self.flow.arrived(end, now.mono);
+        self.rest.take_if(|rest| rest.number() <= through);
         let room = self.room();
         self.intake.report_losses(&room, now);
         self.number();

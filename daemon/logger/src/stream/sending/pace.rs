@@ -55,10 +55,15 @@ impl Pace {
         self.full.get_or_insert(now);
     }
 
-    /// There is nothing to send.
-    pub(super) fn is_idle(&mut self, now: MonoTime) {
+    /// What was sent took too long to arrive.
+    pub(super) fn is_slow(&mut self) {
+        self.compress |= self.compression == Compression::Auto;
+    }
+
+    /// There is nothing to send, on a link that is slow or not: where it is, there would soon be without compression.
+    pub(super) fn is_idle(&mut self, slow: bool, now: MonoTime) {
         self.pause(now);
-        if self.compression == Compression::Auto && self.compress && now - self.last_full >= CALM {
+        if self.compression == Compression::Auto && self.compress && !slow && now - self.last_full >= CALM {
             self.compress = false;
         }
     }
@@ -134,14 +139,20 @@ mod tests {
         // Few events, always acknowledged at once.
         for n in 0..1_000 {
             pace.acknowledged(1_000, at(100 * n));
-            pace.is_idle(at(100 * n));
+            pace.is_idle(false, at(100 * n));
         }
         assert!(!pace.compresses());
         let now = wait(&mut pace, 100_000, 2, 1 << 10);
-        pace.is_idle(at(now + 9_000));
+        pace.is_idle(false, at(now + 9_000));
         assert!(pace.compresses());
-        pace.is_idle(at(now + 10_001));
+        pace.is_idle(false, at(now + 10_001));
         assert!(!pace.compresses(), "the backlog is gone");
+        // Without compression there would soon be one again.
+        pace.is_slow();
+        pace.is_idle(true, at(now + 30_000));
+        assert!(pace.compresses(), "the link is slow");
+        pace.is_idle(false, at(now + 30_000));
+        assert!(!pace.compresses());
         // An outage is no slowness.
         pace.is_full(at(200_000));
         pace.interrupted();
@@ -172,7 +183,7 @@ mod tests {
             let mut pace = Pace::new(compression);
             let now = wait(&mut pace, 0, 3, 1 << 10);
             let now = wait(&mut pace, now, 3, 1 << 30);
-            pace.is_idle(at(now + 60_000));
+            pace.is_idle(false, at(now + 60_000));
             assert_eq!(pace.compresses(), compresses);
         }
     }

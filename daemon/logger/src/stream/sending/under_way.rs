@@ -11,6 +11,8 @@ struct Sent {
     weight: u64,
     /// Bytes of its frame.
     frame: u64,
+    /// Bytes of the connection up to its end; 0 while a part of it is still here.
+    end: u64,
 }
 
 /// Batches under way, contiguous, and what they count together.
@@ -30,17 +32,26 @@ impl UnderWay {
     pub(super) fn push(&mut self, number: u64, body: usize, frame: usize) {
         let weight = batch_weight(body);
         self.weight += weight;
-        self.sent.push_back(Sent { number, weight, frame: frame as u64 });
+        self.sent.push_back(Sent { number, weight, frame: frame as u64, end: 0 });
     }
 
-    /// Batches up to this one are acknowledged: returns the bytes of their frames.
-    pub(super) fn acknowledged(&mut self, through: u64) -> u64 {
-        let mut bytes = 0;
+    /// The last batch is on its way, all of it.
+    pub(super) fn handed_over(&mut self, end: u64) {
+        if let Some(sent) = self.sent.back_mut() {
+            sent.end = end;
+        }
+    }
+
+    /// Batches up to this one are acknowledged: returns the bytes of their frames, and those of the connection up to
+    /// the end of the last.
+    pub(super) fn acknowledged(&mut self, through: u64) -> (u64, u64) {
+        let (mut bytes, mut end) = (0, 0);
         while let Some(sent) = self.sent.pop_front_if(|sent| sent.number <= through) {
             self.weight -= sent.weight;
             bytes += sent.frame;
+            end = sent.end;
         }
-        bytes
+        (bytes, end)
     }
 
     /// Batches from this one on did not arrive.

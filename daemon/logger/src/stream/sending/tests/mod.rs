@@ -8,6 +8,7 @@ mod holes;
 mod hostile;
 mod losing;
 mod model;
+mod slow;
 mod window;
 
 use std::collections::BTreeMap;
@@ -138,6 +139,8 @@ struct Agent {
     /// The spool fails.
     broken: bool,
     sent: Vec<BatchHead>,
+    /// What came of a batch in parts.
+    parts: Vec<u8>,
     hellos: Vec<Hello>,
     notices: Vec<Notice>,
     /// What was asked of the spool.
@@ -161,8 +164,8 @@ impl Agent {
             models: Vec::new(),
         };
         let sending = Sending::new(config, description, file.processes, file.state());
-        let (sent, hellos, notices, actions) = Default::default();
-        Self { config, host, file, sending, millis: 0, broken: false, sent, hellos, notices, actions }
+        let (sent, parts, hellos, notices, actions) = Default::default();
+        Self { config, host, file, sending, millis: 0, broken: false, sent, parts, hellos, notices, actions }
     }
 
     /// An agent that is connected and welcomed.
@@ -202,6 +205,18 @@ impl Agent {
     }
 
     fn sent(&mut self, frame: Bytes) {
+        if let Some(part) = codec::part(&frame) {
+            if part.offset == 0 {
+                self.parts.clear();
+            }
+            assert_eq!(self.parts.len(), part.offset as usize, "parts follow one another");
+            self.parts.extend_from_slice(&part.bytes);
+            if self.parts.len() == part.total as usize {
+                let whole = std::mem::take(&mut self.parts);
+                self.sent(whole.into());
+            }
+            return;
+        }
         match codec::batch_head(&frame) {
             Some(head) => {
                 codec::batch_body(frame).expect("intact");
@@ -209,6 +224,10 @@ impl Agent {
             }
             None => match codec::decode(&frame) {
                 Ok(ToAggregator::Hello(hello)) => self.hellos.push(hello),
+                // The way is short.
+                Ok(ToAggregator::Echo { bytes, .. }) => {
+                    self.sending.received(&ToAgent::Echo { bytes }, self.now());
+                }
                 other => panic!("{other:?} was sent"),
             },
         }

@@ -18,7 +18,11 @@ struct Store {
 impl Store {
     fn take(&mut self, frame: Bytes) -> Option<ToAgent> {
         let Some(head) = codec::batch_head(&frame) else {
-            let Ok(ToAggregator::Hello(hello)) = codec::decode(&frame) else { panic!("no hello") };
+            let hello = match codec::decode(&frame) {
+                Ok(ToAggregator::Hello(hello)) => hello,
+                Ok(ToAggregator::Echo { bytes, .. }) => return Some(ToAgent::Echo { bytes }),
+                other => panic!("{other:?} was sent"),
+            };
             let stream = hello.stream;
             self.greeted = Some(stream);
             let known = self.marks.get(&stream).copied();

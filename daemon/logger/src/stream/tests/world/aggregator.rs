@@ -84,6 +84,13 @@ impl Aggregator {
 
     /// A frame came; returns what is to be sent back on its connection.
     pub(super) fn frame(&mut self, connection: u64, frame: &Bytes, now: MonoTime) -> Option<ToAgent> {
+        if let Some(part) = codec::part(frame) {
+            if self.route != Some(connection) {
+                return Some(ToAgent::Unknown);
+            }
+            let whole = self.receiving.part(&part, now)?;
+            return self.frame(connection, &whole, now);
+        }
         if let Some(head) = codec::batch_head(frame) {
             if self.route != Some(connection) {
                 return Some(ToAgent::Unknown);
@@ -110,6 +117,10 @@ impl Aggregator {
         }
         match codec::decode(frame).ok()? {
             ToAggregator::Hello(hello) => self.hello(connection, &hello, now),
+            ToAggregator::Echo { host, bytes } if self.route == Some(connection) => {
+                Some(self.receiving.echo(host, bytes, now))
+            }
+            ToAggregator::Echo { .. } => Some(ToAgent::Unknown),
             ToAggregator::Live(_) | ToAggregator::Goodbye(_) => unreachable!("never sent here"),
         }
     }

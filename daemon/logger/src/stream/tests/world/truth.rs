@@ -16,6 +16,8 @@ pub(in super::super) struct Truth {
     places: BTreeMap<u64, BTreeSet<(StreamId, u64)>>,
     /// What is in the batches that were sent, by their chains.
     contents: HashMap<Chain, Vec<u64>>,
+    /// What was sent of a batch in parts.
+    parts: Vec<u8>,
     /// Their events in wire form, each batch once.
     pub(in super::super) bodies: Vec<(u32, Bytes)>,
     /// Streams whose spool was deleted.
@@ -28,6 +30,15 @@ pub(in super::super) struct Truth {
 
 impl Truth {
     pub(super) fn sent(&mut self, frame: &Bytes) {
+        if let Some(part) = codec::part(frame) {
+            self.parts.truncate(part.offset as usize);
+            self.parts.extend_from_slice(&part.bytes);
+            if self.parts.len() == part.total as usize {
+                let whole = std::mem::take(&mut self.parts);
+                self.sent(&whole.into());
+            }
+            return;
+        }
         let Some(head) = codec::batch_head(frame) else { return };
         let body = codec::batch_body(frame.clone()).expect("a batch is intact when it is sent");
         if self.contents.insert(head.chain, names(head.events, &body)).is_none() {
