@@ -2,9 +2,12 @@
 //!
 //! A new kind is one file here plus one variant of [`ActuatorConfig`].
 
+mod exec;
 mod log;
 mod none;
 
+use peernet_clock::SharedClock;
+use peernet_external::exec::ExecConfig;
 use peernet_logger::Recorder;
 use peernet_sample::Sample;
 use serde::{Deserialize, Serialize};
@@ -16,6 +19,11 @@ pub trait Actuator: Send {
     /// # Errors
     /// When the action failed; the iteration is recorded as failed.
     fn act(&mut self, source: &str, answer: &Sample, log: &mut Recorder) -> Result<(), ActuatorError>;
+
+    /// Whether `act` may block, and so must not run on an I/O thread.
+    fn blocks(&self) -> bool {
+        false
+    }
 }
 
 /// Why an action failed.
@@ -24,13 +32,15 @@ pub trait Actuator: Send {
 pub struct ActuatorError(pub String);
 
 /// `actuator` in the configuration of a pipeline.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum ActuatorConfig {
     /// Does nothing.
     None {},
     /// Writes each answer to the log.
     Log {},
+    /// Hands each answer to a program of your own: docs/external-programs.md.
+    Exec(ExecConfig),
 }
 
 impl Default for ActuatorConfig {
@@ -40,11 +50,28 @@ impl Default for ActuatorConfig {
 }
 
 impl ActuatorConfig {
-    /// The actuator.
-    pub fn build(&self) -> Box<dyn Actuator> {
-        match self {
+    /// The actuator; `clock` is what its deadlines are taken from.
+    ///
+    /// # Errors
+    /// When its program cannot be started.
+    pub fn build(&self, clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError> {
+        Ok(match self {
             Self::None {} => Box::new(none::Idle),
             Self::Log {} => Box::new(log::Log),
+            Self::Exec(config) => Box::new(exec::Exec::start(config, clock)?),
+        })
+    }
+
+    /// Checks what can be checked without running a user's program.
+    ///
+    /// # Errors
+    /// When the configuration contradicts itself, or what it names is not there.
+    pub fn check(&self) -> Result<(), ActuatorError> {
+        match self {
+            Self::None {} | Self::Log {} => Ok(()),
+            Self::Exec(config) => config
+                .check()
+                .map_err(|reason| ActuatorError(format!("the program of an exec actuator: {reason}"))),
         }
     }
 }

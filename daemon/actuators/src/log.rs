@@ -40,7 +40,7 @@ mod tests {
     use std::io::{self, Write};
     use std::sync::{Arc, Mutex};
 
-    use peernet_clock::{ClockIdentity, ManualClock, WallTime};
+    use peernet_clock::{ClockIdentity, ManualClock, SharedClock, WallTime};
     use peernet_logger::HostId;
     use peernet_sample::Description;
 
@@ -63,13 +63,15 @@ mod tests {
 
     fn logged(answer: &Sample) -> String {
         let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("b", "c"));
-        let mut log = Recorder::begin(Arc::new(clock), HostId::random());
+        let clock: SharedClock = Arc::new(clock);
+        let mut actuator = ActuatorConfig::Log {}.build(&clock).expect("needs nothing");
+        let mut log = Recorder::begin(clock, HostId::random());
         let lines = Lines::default();
         let writer = lines.clone();
         let subscriber =
             tracing_subscriber::fmt().with_ansi(false).with_writer(move || writer.clone()).finish();
         tracing::subscriber::with_default(subscriber, || {
-            ActuatorConfig::Log {}.build().act("part-1.jpg", answer, &mut log).expect("only logs");
+            actuator.act("part-1.jpg", answer, &mut log).expect("only logs");
         });
         let text = lines.0.lock().expect("no test panics while writing").clone();
         String::from_utf8(text).expect("is text")

@@ -70,6 +70,39 @@ pub enum ElementType {
     F64,
     /// 64-bit signed integer.
     I64,
+    /// Truth value, one byte: 0 or 1.
+    Bool,
+    /// Signed byte.
+    I8,
+    /// 16-bit unsigned integer.
+    U16,
+    /// 16-bit signed integer.
+    I16,
+    /// 32-bit unsigned integer.
+    U32,
+    /// 32-bit signed integer.
+    I32,
+    /// 64-bit unsigned integer.
+    U64,
+    /// 16-bit float.
+    F16,
+    /// Complex number of two 32-bit floats, the real part first.
+    C64,
+    /// Complex number of two 64-bit floats, the real part first.
+    C128,
+}
+
+impl ElementType {
+    /// Bytes of one element.
+    pub const fn bytes(self) -> u64 {
+        match self {
+            Self::Bool | Self::U8 | Self::I8 => 1,
+            Self::U16 | Self::I16 | Self::F16 => 2,
+            Self::U32 | Self::I32 | Self::F32 => 4,
+            Self::U64 | Self::I64 | Self::F64 | Self::C64 => 8,
+            Self::C128 => 16,
+        }
+    }
 }
 
 impl Description {
@@ -81,6 +114,12 @@ impl Description {
     /// Bytes without further meaning.
     pub const fn bytes() -> Self {
         Self::unshaped(MediaType::Bytes)
+    }
+
+    /// Bytes that a part of this shape has; `None` when it has no shape, or one that nothing can have.
+    pub fn shaped_bytes(&self) -> Option<u64> {
+        let mut dimensions = self.shape.iter().map(|length| u64::from(*length));
+        self.element.and_then(|element| dimensions.try_fold(element.bytes(), u64::checked_mul))
     }
 
     /// Decoded pixels of the given size.
@@ -96,6 +135,17 @@ impl Description {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_shape_says_how_many_bytes_there_are() {
+        assert_eq!(Description::pixels(PixelFormat::Rgb8, 4, 3).shaped_bytes(), Some(36));
+        let of = |shape: &[u32]| {
+            let (shape, element) = (shape.to_vec(), Some(ElementType::F64));
+            Description { media: MediaType::Tensor, shape, element }.shaped_bytes()
+        };
+        assert_eq!((of(&[]), of(&[2, 0]), of(&[u32::MAX; 3])), (Some(8), Some(0), None));
+        assert_eq!(Description::bytes().shaped_bytes(), None);
+    }
 
     #[test]
     fn every_description_survives_the_wire_form() {

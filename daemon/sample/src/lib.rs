@@ -3,6 +3,7 @@
 //! Payloads are [`Bytes`]: cloning a sample copies no payload.
 
 mod description;
+mod media;
 
 pub use description::{Description, ElementType, MediaType, PixelFormat};
 

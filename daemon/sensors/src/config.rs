@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use peernet_external::exec::ExecConfig;
+use peernet_external::python::PythonConfig;
 use peernet_imaging::Filter;
 use serde::{Deserialize, Serialize};
 
@@ -13,7 +15,7 @@ use crate::{SensorError, Transform, build_transform};
 pub enum SensorConfig {
     /// Pictures from files, sent as they are.
     ///
-    /// Their labels come from `labels.csv` (columns `file`, `label`) in the folder where there is one, otherwise
+    /// Their labels come from the file `labels`, otherwise from `labels.csv` in the folder where there is one, otherwise
     /// from the name of the folder below `path` that a picture lies in.
     Images {
         /// A picture, or a folder that is searched with all folders below it for `.jpg`, `.jpeg` and `.png`.
@@ -27,7 +29,23 @@ pub enum SensorConfig {
         /// Begin again after the last picture; when shuffled, in a new order.
         #[serde(default = "yes")]
         repeat: bool,
+        /// A file of labels, wherever it lies: comma-separated, with the columns `file` (below `path`) and `label`. It may
+        /// hold more files than there are.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        labels: Option<PathBuf>,
     },
+    /// Random letters and digits, for ever, another text each time: what was published as "random string".
+    Text {
+        /// Characters of every sample, one byte each.
+        length: usize,
+        /// What the text follows from.
+        #[serde(default = "one")]
+        seed: u64,
+    },
+    /// A program of your own: docs/external-programs.md.
+    Exec(ExecConfig),
+    /// A Python object of your own with `sample()`: docs/python.md.
+    Python(PythonConfig),
     /// Random bytes, for ever: made once per size, so that a sample costs nothing.
     Synthetic {
         /// Payload of every sample, in bytes. Give this or `sizes_bytes`.
@@ -143,8 +161,13 @@ mod tests {
              { kind = \"decode\" } ]",
         )
         .expect("reads");
-        let images =
-            SensorConfig::Images { path: "pictures".into(), order: Order::Shuffled, seed: 7, repeat: true };
+        let images = SensorConfig::Images {
+            path: "pictures".into(),
+            order: Order::Shuffled,
+            seed: 7,
+            repeat: true,
+            labels: None,
+        };
         assert_eq!(pipeline.sensor, images);
         assert_eq!(
             pipeline.transforms[0],

@@ -3,6 +3,8 @@
 use std::io;
 use std::path::PathBuf;
 
+use peernet_external::exec::ExchangeError;
+use peernet_external::python::PythonError;
 use peernet_imaging::ImageError;
 
 /// Why a sensor could not be opened, a sample not be had or not be changed.
@@ -30,6 +32,17 @@ pub enum SensorError {
         /// What is wrong with it.
         reason: String,
     },
+    /// A program that gave no sample.
+    #[error("the program {command}: {error}")]
+    Program {
+        /// The program and its arguments.
+        command: String,
+        /// What went wrong.
+        error: ExchangeError,
+    },
+    /// A Python object that could not be had, or gave no sample.
+    #[error(transparent)]
+    Python(#[from] PythonError),
     /// A configuration that contradicts itself.
     #[error("{0}")]
     Config(String),

@@ -9,7 +9,7 @@ mod transform;
 
 pub use config::{Format, Order, SensorConfig, TransformConfig};
 pub use error::SensorError;
-pub use sensor::open;
+pub use sensor::{check, open};
 pub use transform::build_transform;
 
 use peernet_logger::Recorder;

@@ -32,9 +32,15 @@ struct Picture {
 }
 
 impl Images {
-    pub(super) fn open(path: &Path, order: Order, seed: u64, repeat: bool) -> Result<Self, SensorError> {
+    pub(super) fn open(
+        path: &Path,
+        order: Order,
+        seed: u64,
+        repeat: bool,
+        labels: Option<&Path>,
+    ) -> Result<Self, SensorError> {
         let about = fs::metadata(path).map_err(|error| SensorError::Read { path: path.to_owned(), error })?;
-        let pictures = if about.is_dir() { of_folder(path)? } else { vec![single(path)?] };
+        let pictures = if about.is_dir() { of_folder(path, labels)? } else { vec![single(path, labels)?] };
         let mut images = Self {
             path: path.to_owned(),
             pictures,
@@ -83,12 +89,12 @@ impl Sensor for Images {
     }
 }
 
-fn of_folder(path: &Path) -> Result<Vec<Picture>, SensorError> {
+fn of_folder(path: &Path, file: Option<&Path>) -> Result<Vec<Picture>, SensorError> {
     let files = folder::pictures(path)?;
     if files.is_empty() {
         return Err(SensorError::Empty(path.to_owned()));
     }
-    let mut labels = labels::read(path)?;
+    let mut labels = labels::read(path, file)?;
     let pictures: Vec<_> = files
         .into_iter()
         .filter_map(|file| {
@@ -102,21 +108,30 @@ fn of_folder(path: &Path) -> Result<Vec<Picture>, SensorError> {
             Some(Picture { media, source, label, file })
         })
         .collect();
-    match labels.and_then(|left| left.into_keys().min()) {
-        Some(missing) => Err(SensorError::Labels {
+    let labelled = pictures.iter().any(|picture| picture.label.is_some());
+    match (labels.and_then(|left| left.into_keys().min()), file) {
+        // A file of the user's own may well be that of a larger set.
+        (Some(missing), None) => Err(SensorError::Labels {
             file: path.join(labels::FILE),
             reason: format!("it labels {missing}, which is not among the pictures of the folder"),
         }),
-        None => Ok(pictures),
+        (Some(other), Some(file)) if !labelled => Err(SensorError::Labels {
+            file: file.to_owned(),
+            reason: format!(
+                "it labels no picture of {}, but {other}: write paths below that folder",
+                path.display()
+            ),
+        }),
+        _ => Ok(pictures),
     }
 }
 
-fn single(file: &Path) -> Result<Picture, SensorError> {
+fn single(file: &Path, labels: Option<&Path>) -> Result<Picture, SensorError> {
     let media = folder::media(file).filter(|_| folder::is_file(file));
     let media = media.ok_or_else(|| SensorError::NotAPicture(file.to_owned()))?;
     let source = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let label = match file.parent() {
-        Some(folder) => labels::read(folder)?.and_then(|mut labels| labels.remove(&source)),
+        Some(folder) => labels::read(folder, labels)?.and_then(|mut labels| labels.remove(&source)),
         None => None,
     };
     Ok(Picture { file: file.to_owned(), media, source, label })

@@ -19,12 +19,15 @@ struct Row {
     label: String,
 }
 
-/// Reads the labels of `folder`; `None` when it has no file of labels.
-pub(super) fn read(folder: &Path) -> Result<Option<Labels>, SensorError> {
-    let file = folder.join(FILE);
+/// Reads the labels of `folder`, from the `given` file or its own; `None` when neither is there to be read.
+///
+/// # Errors
+/// When a file is there and cannot be used, or the given one is not there.
+pub(super) fn read(folder: &Path, given: Option<&Path>) -> Result<Option<Labels>, SensorError> {
+    let file = given.map_or_else(|| folder.join(FILE), Path::to_owned);
     let text = match std::fs::read_to_string(&file) {
         Ok(text) => text,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+        Err(error) if given.is_none() && error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(SensorError::Read { path: file, error }),
     };
     let wrong = |reason: String| SensorError::Labels { file: file.clone(), reason };

@@ -4,7 +4,7 @@ use std::path::Path;
 use peernet_sample::MediaType;
 use peernet_sensors::{Order, Sensor, SensorConfig, SensorError, open};
 
-use super::{next, sources};
+use super::{clock, next, sources};
 
 fn folder(files: &[(&str, &str)]) -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("can be made");
@@ -17,7 +17,7 @@ fn folder(files: &[(&str, &str)]) -> tempfile::TempDir {
 }
 
 fn images(path: &Path, order: Order, seed: u64, repeat: bool) -> Result<Box<dyn Sensor>, SensorError> {
-    open(&SensorConfig::Images { path: path.to_owned(), order, seed, repeat })
+    open(&SensorConfig::Images { path: path.to_owned(), order, seed, repeat, labels: None }, &clock())
 }
 
 fn refused(path: &Path) -> String {
@@ -122,4 +122,25 @@ fn a_picture_that_vanished_fails_alone() {
     let error = next(sensor.as_mut()).expect_err("is gone").to_string();
     assert!(error.contains("b.jpg"), "{error}");
     assert_eq!(sources(sensor.as_mut(), 1), ["c.jpg"]);
+}
+
+#[test]
+fn labels_may_lie_in_a_file_anywhere() {
+    let pictures = folder(&[("x/a.jpg", ""), ("b.jpg", "")]);
+    let elsewhere = folder(&[
+        ("of-all.csv", "file,label\nx/a.jpg,cat\nb.jpg,dog\nz.jpg,bird\n"),
+        ("of-others.csv", "file,label\nz.jpg,bird\n"),
+    ]);
+    let open_with = |file: &str| {
+        let (path, labels) = (pictures.path().to_owned(), Some(elsewhere.path().join(file)));
+        open(&SensorConfig::Images { path, order: Order::Name, seed: 1, repeat: true, labels }, &clock())
+    };
+    let mut sensor = open_with("of-all.csv").expect("more labels than pictures are fine");
+    let labels: Vec<_> =
+        (0..2).map(|_| next(sensor.as_mut()).expect("reads").expect("goes on").label).collect();
+    assert_eq!(labels, [Some("dog".to_owned()), Some("cat".to_owned())]);
+    for (file, part) in [("of-others.csv", "labels no picture"), ("not-there.csv", "not-there.csv")] {
+        let error = open_with(file).err().expect("is refused").to_string();
+        assert!(error.contains(part), "{error}");
+    }
 }

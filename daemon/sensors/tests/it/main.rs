@@ -1,19 +1,24 @@
 //! Sensors on real folders, transforms on real pictures.
 
+mod exec;
 mod images;
 mod synthetic;
+mod text;
 mod transforms;
 
 use std::sync::Arc;
 
-use peernet_clock::{ClockIdentity, ManualClock, WallTime};
+use peernet_clock::{ClockIdentity, ManualClock, SharedClock, WallTime};
 use peernet_logger::{HostId, Recorder};
 use peernet_sample::Sample;
 use peernet_sensors::{Sensor, SensorError};
 
+fn clock() -> SharedClock {
+    Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "clock")))
+}
+
 fn recorder() -> Recorder {
-    let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "clock"));
-    Recorder::begin(Arc::new(clock), HostId::random())
+    Recorder::begin(clock(), HostId::random())
 }
 
 fn next(sensor: &mut dyn Sensor) -> Result<Option<Sample>, SensorError> {

@@ -2,10 +2,10 @@ use bytes::Bytes;
 use peernet_sample::MediaType;
 use peernet_sensors::{Sensor, SensorConfig, SensorError, open};
 
-use super::next;
+use super::{clock, next};
 
 fn synthetic(size: Option<usize>, sizes: &[usize], seed: u64) -> Result<Box<dyn Sensor>, SensorError> {
-    open(&SensorConfig::Synthetic { size_bytes: size, sizes_bytes: sizes.to_vec(), seed })
+    open(&SensorConfig::Synthetic { size_bytes: size, sizes_bytes: sizes.to_vec(), seed }, &clock())
 }
 
 fn payload(sensor: &mut dyn Sensor) -> Bytes {

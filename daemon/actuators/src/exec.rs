@@ -1,0 +1,91 @@
+//! `exec`: hands each answer to a program of the user's own.
+
+use peernet_clock::SharedClock;
+use peernet_external::exec::{ExchangeError, ExecConfig, Program, Request, Role};
+use peernet_logger::{Name, Recorder, Unit};
+use peernet_sample::Sample;
+
+use crate::{Actuator, ActuatorError};
+
+/// A program that is told each answer, and says when it has acted.
+pub(crate) struct Exec {
+    command: String,
+    program: Program,
+}
+
+impl Exec {
+    pub(crate) fn start(config: &ExecConfig, clock: &SharedClock) -> Result<Self, ActuatorError> {
+        let command = config.command.to_string();
+        match Program::start(config, Role::Actuator, &format!("actuator {command}"), clock) {
+            Ok(program) => Ok(Self { command, program }),
+            Err(error) => Err(failed(&command, &error)),
+        }
+    }
+}
+
+fn failed(command: &str, error: &ExchangeError) -> ActuatorError {
+    ActuatorError(format!("the program {command}: {error}"))
+}
+
+impl Actuator for Exec {
+    fn act(&mut self, source: &str, answer: &Sample, log: &mut Recorder) -> Result<(), ActuatorError> {
+        let request = Request::Answer { answer, source };
+        let exchange = self.program.ask(request).map_err(|error| failed(&self.command, &error))?;
+        for (name, span) in &exchange.notes.stages {
+            log.timed(Name::from(name.as_str()), exchange.began, exchange.began + *span);
+        }
+        for (name, value, unit) in &exchange.notes.values {
+            log.value(Name::from(name.as_str()), *value, Unit::new(unit));
+        }
+        Ok(())
+    }
+
+    fn blocks(&self) -> bool {
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use peernet_clock::{ClockIdentity, SystemClock};
+    use peernet_external::exec::CommandLine;
+    use peernet_logger::HostId;
+    use peernet_sample::{Description, MediaType};
+
+    use crate::ActuatorConfig;
+
+    use super::*;
+
+    #[test]
+    fn the_answer_reaches_the_program_and_its_failure_is_ours() {
+        let folder = tempfile::tempdir().expect("can be made");
+        let file = folder.path().join("answers");
+        let script = format!(
+            "while read -r word bytes media shape source; do \
+             echo \"$word $media $source: $(head -c \"$bytes\")\" >> {}; \
+             if [ \"$source\" = wall ]; then echo error too close; else echo value force 2.5 N; echo done; fi; done",
+            file.display()
+        );
+        let config = ActuatorConfig::Exec(ExecConfig::of(CommandLine::Shell(script)));
+        let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
+        let mut actuator = config.build(&clock).expect("sh is there");
+        assert!(actuator.blocks());
+        let mut log = Recorder::begin(SharedClock::clone(&clock), HostId::random());
+        let answer = Sample::of(Description::unshaped(MediaType::Text), "left".into());
+        actuator.act("door", &answer, &mut log).expect("acts");
+        assert_eq!(log.tree().find(&["force"]).and_then(|(_, node)| node.measure.value()), Some(2.5));
+        let error = actuator.act("wall", &answer, &mut log).expect_err("says so").to_string();
+        assert!(error.contains("too close"), "{error}");
+        let written = std::fs::read_to_string(&file).expect("was written");
+        assert_eq!(written, "answer text/plain door: left\nanswer text/plain wall: left\n");
+    }
+
+    #[test]
+    fn a_command_that_is_not_there_is_found_without_running_it() {
+        let config = ExecConfig::of(CommandLine::Words(vec!["no-such-program-anywhere".to_owned()]));
+        let error = ActuatorConfig::Exec(config).check().expect_err("is not there").to_string();
+        assert!(error.contains("no-such-program-anywhere"), "{error}");
+    }
+}

@@ -1,0 +1,69 @@
+//! What a call of an external program costs, all in all: the program, in C, answers with what it got.
+//!
+//!     cargo bench -p peernet-external --bench exec -- [--json] [ROUNDS]
+
+use std::fs;
+use std::process::Command;
+use std::sync::Arc;
+
+use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
+use peernet_external::exec::{CommandLine, ExecConfig, Program, Request, Role, Said};
+use peernet_sample::{Description, Sample};
+
+const SIZES: [usize; 3] = [1_000, 150_000, 1_200_000];
+const ECHO: &str = r#"
+#include <stdio.h>
+static char line[8192], bytes[4 << 20];
+int main(void) {
+    size_t n;
+    while (fgets(line, sizeof line, stdin) && sscanf(line, "%*s %zu", &n) == 1 && n <= sizeof bytes) {
+        if (fread(bytes, 1, n, stdin) != n) return 1;
+        printf("answer %zu\n", n);
+        fwrite(bytes, 1, n, stdout);
+        fflush(stdout);
+    }
+}
+"#;
+
+#[expect(clippy::print_stdout, reason = "a benchmark prints its table")]
+fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
+    let json = arguments.iter().any(|argument| argument == "--json");
+    let rounds = arguments.iter().find_map(|argument| argument.parse().ok()).unwrap_or(2000);
+    let folder = tempfile::tempdir().expect("there is room for a folder");
+    let (source, program) = (folder.path().join("echo.c"), folder.path().join("echo"));
+    fs::write(&source, ECHO).expect("it can be written");
+    let built = Command::new("cc").arg("-O2").arg("-o").arg(&program).arg(&source).status();
+    assert!(built.expect("a C compiler is there").success());
+    let config = ExecConfig::of(CommandLine::Words(vec![program.display().to_string()]));
+
+    let rows = SIZES.map(|size| (size, call(&config, size, rounds)));
+    if json {
+        let rows = rows.iter().map(|(size, [p50, p99])| {
+            serde_json::json!({ "what": "exec", "bytes": size, "p50_s": p50, "p99_s": p99 })
+        });
+        println!("{}", serde_json::Value::from_iter(rows));
+        return;
+    }
+    println!("{:>12}{:>10}{:>10}   µs there and back, {rounds} rounds", "bytes", "p50", "p99");
+    for (size, [p50, p99]) in rows {
+        println!("{size:>12}{:>10.1}{:>10.1}", p50 * 1e6, p99 * 1e6);
+    }
+}
+
+/// From request to reply: p50 and p99, in seconds.
+fn call(config: &ExecConfig, size: usize, rounds: usize) -> [f64; 2] {
+    let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("bench", ClockIdentity::SYSTEM)));
+    let mut program = Program::start(config, Role::Model, "bench", &clock).expect("it starts");
+    let sample = Sample::of(Description::bytes(), vec![7; size].into());
+    let mut taken: Vec<f64> = (0..rounds + rounds / 10)
+        .map(|_| {
+            let exchange = program.ask(Request::Sample(&sample)).expect("it answers");
+            assert!(matches!(&exchange.said, Said::Parts(parts) if *parts == sample.parts));
+            exchange.whole().seconds()
+        })
+        .skip(rounds / 10)
+        .collect();
+    taken.sort_unstable_by(f64::total_cmp);
+    [0.5, 0.99].map(|p| taken[((taken.len() - 1) as f64 * p).round() as usize])
+}

@@ -1,0 +1,100 @@
+//! What a call of a Python object costs beyond the user's code, beside the same bytes through bare pipes.
+//!
+//!     cargo bench -p peernet-external --bench python -- [--json] [ROUNDS]
+//!
+//! *bytes* and *array* go to an object that answers with what it got; *cat* is the same process frame around `cat`, the
+//! least that two pipes and two changes of process cost.
+
+use std::fs;
+use std::sync::Arc;
+
+use bytes::Bytes;
+use peernet_clock::{ClockIdentity, SharedClock, Span, SystemClock};
+use peernet_external::process::{Launch, Process, Voice};
+use peernet_external::python::{PythonConfig, PythonObject, Role};
+use peernet_sample::{Description, ElementType, MediaType, Part};
+
+const SIZES: [usize; 3] = [1_000, 150_000, 1_200_000];
+const ECHO: &str = "class Echo:\n    def infer(self, x): return x\n";
+const PATIENCE: Span = Span::from_seconds(60);
+
+#[expect(clippy::print_stdout, reason = "a benchmark prints its table")]
+fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
+    let json = arguments.iter().any(|argument| argument == "--json");
+    let rounds = arguments.iter().find_map(|argument| argument.parse().ok()).unwrap_or(2000);
+    let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("bench", ClockIdentity::SYSTEM)));
+    let mut rows = Vec::new();
+    for size in SIZES {
+        let content = Bytes::from(vec![7; size]);
+        let array = Description {
+            media: MediaType::Tensor,
+            shape: vec![u32::try_from(size).expect("is small")],
+            element: Some(ElementType::U8),
+        };
+        rows.push(("cat", size, cat(&content, rounds, &clock)));
+        for (name, description) in [("bytes", Description::bytes()), ("array", array)] {
+            let part = Part { description, bytes: content.clone() };
+            rows.push((name, size, echo(&part, rounds, &clock)));
+        }
+    }
+    if json {
+        let rows = rows.iter().map(|(name, size, [p50, p99])| {
+            serde_json::json!({ "what": name, "bytes": size, "p50_s": p50, "p99_s": p99 })
+        });
+        println!("{}", serde_json::Value::from_iter(rows));
+        return;
+    }
+    println!("{:<8}{:>12}{:>10}{:>10}   µs there and back, {rounds} rounds", "", "bytes", "p50", "p99");
+    for (name, size, [p50, p99]) in rows {
+        println!("{name:<8}{size:>12}{:>10.1}{:>10.1}", p50 * 1e6, p99 * 1e6);
+    }
+}
+
+/// The border's share of each call: p50 and p99, in seconds.
+fn echo(part: &Part, rounds: usize, clock: &SharedClock) -> [f64; 2] {
+    let folder = tempfile::tempdir().expect("there is room for a folder");
+    fs::write(folder.path().join("echo.py"), ECHO).expect("it can be written");
+    let mut config = PythonConfig::of("echo::Echo");
+    config.folder = Some(folder.path().to_owned());
+    let mut object = PythonObject::start(&config, Role::Model, "bench", None, clock).expect("it starts");
+    let parts = std::slice::from_ref(part);
+    let mut taken = Vec::with_capacity(rounds);
+    for round in 0..rounds + rounds / 10 {
+        let called = object.call(parts);
+        assert_eq!(called.result.expect("it answers").as_deref(), Some(parts));
+        if round >= rounds / 10 {
+            taken.push(called.times.border().seconds());
+        }
+    }
+    quantiles(taken)
+}
+
+fn cat(content: &Bytes, rounds: usize, clock: &SharedClock) -> [f64; 2] {
+    let launch = Launch {
+        name: "cat".to_owned(),
+        voice: Voice::Exec,
+        program: "cat".into(),
+        arguments: Vec::new(),
+        folder: None,
+        environment: Default::default(),
+    };
+    let mut process = Process::start(&launch, clock).expect("cat is there");
+    let mut taken = Vec::with_capacity(rounds);
+    for round in 0..rounds + rounds / 10 {
+        let begun = clock.mono();
+        process.write(&[content], begun + PATIENCE).expect("it reads");
+        let back = process.read_exact(content.len(), begun + PATIENCE).expect("it writes");
+        let span = clock.mono() - begun;
+        assert_eq!(back.len(), content.len());
+        if round >= rounds / 10 {
+            taken.push(span.seconds());
+        }
+    }
+    quantiles(taken)
+}
+
+fn quantiles(mut taken: Vec<f64>) -> [f64; 2] {
+    taken.sort_by(f64::total_cmp);
+    [0.5, 0.99].map(|share| taken[((taken.len() - 1) as f64 * share) as usize])
+}

@@ -1,0 +1,156 @@
+//! Which program, in the configuration and on the command line.
+
+use std::collections::BTreeMap;
+use std::ffi::OsStr;
+use std::fmt;
+use std::num::NonZeroU64;
+use std::path::{Path, PathBuf};
+
+use peernet_clock::Span;
+use serde::{Deserialize, Serialize};
+
+use crate::process::find_program;
+
+/// A command: a line for the shell, or a program with its arguments.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum CommandLine {
+    /// Run by `sh -c`.
+    Shell(String),
+    /// Run as it is: the program first, looked up on the path unless it contains a slash.
+    Words(Vec<String>),
+}
+
+/// `{ kind = "exec", … }`
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ExecConfig {
+    /// The program: `["./blur", "--fast"]`, or a line for `sh -c`.
+    pub command: CommandLine,
+    /// How long it may take for one reply; milliseconds, up to a day. It is killed after that and started anew with
+    /// the next request. Default: 10000.
+    #[serde(default = "ten_seconds")]
+    pub timeout_ms: NonZeroU64,
+    /// The folder it runs in, which a program's name with a slash in it is relative to. Default: the current directory.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub folder: Option<PathBuf>,
+    /// Environment variables for it.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub env: BTreeMap<String, String>,
+}
+
+/// Longest wait for a reply: a day. Milliseconds.
+const MAX_TIMEOUT_MS: u64 = 24 * 3600 * 1000;
+
+impl ExecConfig {
+    /// A program with the defaults.
+    pub fn of(command: CommandLine) -> Self {
+        Self { command, timeout_ms: ten_seconds(), folder: None, env: BTreeMap::new() }
+    }
+
+    /// How long one reply may take.
+    pub fn timeout(&self) -> Span {
+        Span::from_millis(self.timeout_ms.get().min(MAX_TIMEOUT_MS).cast_signed())
+    }
+
+    /// Checks what can be checked without running the program.
+    ///
+    /// # Errors
+    /// A sentence that says what is wrong.
+    pub fn check(&self) -> Result<(), String> {
+        if self.timeout_ms.get() > MAX_TIMEOUT_MS {
+            return Err(format!("timeout_ms = {} is too much; at most {MAX_TIMEOUT_MS}", self.timeout_ms));
+        }
+        if let Some(folder) = self.folder.as_ref().filter(|folder| !folder.is_dir()) {
+            return Err(format!("{} is not a folder to run it in", folder.display()));
+        }
+        if let Some(key) = self.env.keys().find(|key| key.is_empty() || key.contains(['=', '\0'])) {
+            return Err(format!("{key:?} cannot be the name of an environment variable"));
+        }
+        match &self.command {
+            CommandLine::Shell(line) if line.trim().is_empty() => {
+                Err("an empty command runs nothing".to_owned())
+            }
+            CommandLine::Shell(_) => Ok(()),
+            CommandLine::Words(words) => match words.first() {
+                None => Err("an empty command runs nothing".to_owned()),
+                Some(program) if words.iter().any(|word| word.contains('\0')) => {
+                    Err(format!("the command of {program:?} contains a zero byte"))
+                }
+                Some(program) if program.contains('/') => {
+                    let path = self.folder.as_deref().unwrap_or(Path::new("")).join(program);
+                    if path.is_file() {
+                        Ok(())
+                    } else {
+                        Err(format!("there is no program {}", path.display()))
+                    }
+                }
+                Some(program) => match find_program(OsStr::new(program)) {
+                    Some(_) => Ok(()),
+                    None => Err(format!("there is no program {program} in the folders of PATH")),
+                },
+            },
+        }
+    }
+}
+
+const fn ten_seconds() -> NonZeroU64 {
+    NonZeroU64::MIN.saturating_add(9999)
+}
+
+impl CommandLine {
+    /// The program and its arguments, as the system is asked for them.
+    pub fn words(&self) -> (String, Vec<String>) {
+        match self {
+            Self::Shell(line) => ("sh".to_owned(), vec!["-c".to_owned(), line.clone()]),
+            Self::Words(words) => {
+                let mut words = words.iter().cloned();
+                (words.next().unwrap_or_default(), words.collect())
+            }
+        }
+    }
+}
+
+impl fmt::Display for CommandLine {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Shell(line) => f.write_str(line),
+            Self::Words(words) => f.write_str(&words.join(" ")),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> Result<ExecConfig, toml::de::Error> {
+        toml::from_str(text)
+    }
+
+    #[test]
+    fn a_command_is_a_line_for_the_shell_or_a_list_of_words() {
+        let words = read("command = ['cat', '-u']").expect("reads");
+        assert_eq!(words.command.words(), ("cat".to_owned(), vec!["-u".to_owned()]));
+        assert_eq!((words.check(), words.timeout()), (Ok(()), Span::from_seconds(10)));
+        let line = read("command = 'while read x; do :; done'\ntimeout_ms = 5").expect("reads");
+        assert_eq!(line.command.words().1, ["-c", "while read x; do :; done"]);
+        assert!(read("comand = 'x'").is_err() && read("command = 3").is_err());
+    }
+
+    #[test]
+    fn what_cannot_be_run_is_said_before_it_is() {
+        for (text, part) in [
+            ("command = ''", "empty"),
+            ("command = []", "empty"),
+            ("command = ['no-such-program-anywhere']", "PATH"),
+            ("command = ['./no/such/program']", "./no/such/program"),
+            ("command = 'x'\nfolder = '/no/such/folder'", "/no/such/folder"),
+            ("command = 'x'\nenv = { 'a=b' = 'c' }", "a=b"),
+            ("command = 'x'\ntimeout_ms = 86400001", "86400000"),
+        ] {
+            let error = read(text).expect("reads").check().expect_err(text);
+            assert!(error.contains(part), "{error}");
+        }
+    }
+}

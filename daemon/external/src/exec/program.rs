@@ -1,0 +1,167 @@
+//! A running program: asked, watched, and started anew when it fails.
+
+use bytes::Bytes;
+use peernet_clock::{MonoTime, SharedClock, Span};
+
+use super::words::shown;
+use super::{
+    Assembler, ExchangeError, ExecConfig, MAX_LINE, Next, Notes, Reply, Request, Role, Said, VERSION,
+};
+use crate::process::{Launch, Process, ProcessError, Restarts, Voice};
+
+/// How long a program may take to end once its standard input is closed.
+const FAREWELL: Span = Span::from_millis(1000);
+
+/// A program in one role. All calls block.
+#[derive(Debug)]
+pub struct Program {
+    role: Role,
+    launch: Launch,
+    timeout: Span,
+    clock: SharedClock,
+    process: Option<Process>,
+    restarts: Restarts,
+    /// A sensor that has no more samples is not asked again.
+    over: bool,
+}
+
+/// A request and its reply.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Exchange {
+    /// When the request began to be written.
+    pub began: MonoTime,
+    /// When the reply was whole.
+    pub ended: MonoTime,
+    /// What the program said beside.
+    pub notes: Notes,
+    /// What it replied; never [`Said::Error`].
+    pub said: Said,
+}
+
+impl Program {
+    /// Starts the program; `name` says in the log whose it is.
+    ///
+    /// # Errors
+    /// When the command is wrong or the system cannot start it.
+    pub fn start(
+        config: &ExecConfig,
+        role: Role,
+        name: &str,
+        clock: &SharedClock,
+    ) -> Result<Self, ExchangeError> {
+        config.check().map_err(ExchangeError::Command)?;
+        let (program, arguments) = config.command.words();
+        let mut environment = config.env.clone();
+        environment.insert("PEERNET_EXEC".to_owned(), VERSION.to_string());
+        environment.insert("PEERNET_ROLE".to_owned(), role.word().to_owned());
+        let launch = Launch {
+            name: name.to_owned(),
+            voice: Voice::Exec,
+            program: program.into(),
+            arguments: arguments.into_iter().map(Into::into).collect(),
+            folder: config.folder.clone(),
+            environment,
+        };
+        let process = Process::start(&launch, clock).map_err(ExchangeError::Start)?;
+        Ok(Self {
+            role,
+            launch,
+            timeout: config.timeout(),
+            clock: SharedClock::clone(clock),
+            process: Some(process),
+            restarts: Restarts::default(),
+            over: false,
+        })
+    }
+
+    /// Sends a request and waits for the reply. A program that ended, was too slow or did not keep to the framing is
+    /// killed, and started anew with a later request.
+    ///
+    /// # Errors
+    /// Why there is no reply to this request; the next may well have one.
+    pub fn ask(&mut self, request: Request<'_>) -> Result<Exchange, ExchangeError> {
+        if self.over {
+            let now = self.clock.mono();
+            return Ok(Exchange { began: now, ended: now, notes: Notes::default(), said: Said::End });
+        }
+        let mut process = match self.process.take() {
+            Some(process) => process,
+            None => self.start_anew()?,
+        };
+        let began = self.clock.mono();
+        let replied = exchange(&mut process, request, self.role, began + self.timeout);
+        let ended = self.clock.mono();
+        match replied {
+            Ok(Reply { notes, said }) => {
+                self.process = Some(process);
+                self.restarts.worked();
+                self.over = said == Said::End;
+                match said {
+                    Said::Error(text) => Err(ExchangeError::Refused(text)),
+                    said => Ok(Exchange { began, ended, notes, said }),
+                }
+            }
+            Err(error) => {
+                // Killed before the pause begins: what it still does is not to disturb the next.
+                drop(process);
+                self.restarts.died(self.clock.mono());
+                Err(match error {
+                    ExchangeError::Process(ProcessError::TimedOut) => {
+                        ExchangeError::TooSlow(self.timeout.to_duration())
+                    }
+                    error => error,
+                })
+            }
+        }
+    }
+
+    fn start_anew(&mut self) -> Result<Process, ExchangeError> {
+        if let Some(left) = self.restarts.wait(self.clock.mono()) {
+            return Err(ExchangeError::Pausing(left.to_duration()));
+        }
+        tracing::info!(name = self.launch.name, "starting the program anew");
+        Process::start(&self.launch, &self.clock).map_err(|error| {
+            self.restarts.died(self.clock.mono());
+            ExchangeError::Start(error)
+        })
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        if let Some(process) = self.process.take() {
+            let ended = process.end(FAREWELL);
+            tracing::debug!(name = self.launch.name, %ended, "the program was told to end");
+        }
+    }
+}
+
+fn exchange(
+    process: &mut Process,
+    request: Request<'_>,
+    role: Role,
+    until: MonoTime,
+) -> Result<Reply, ExchangeError> {
+    // What was written before it was asked would be taken for the reply, and every reply after it be the wrong one.
+    if process.has_more() {
+        let line = process.read_line(MAX_LINE, until)?;
+        return Err(ExchangeError::Unasked(shown(&String::from_utf8_lossy(&line))));
+    }
+    let pieces = request.pieces();
+    let slices: Vec<&[u8]> = pieces.iter().map(Bytes::as_ref).collect();
+    process.write(&slices, until)?;
+    let mut assembler = Assembler::new(role);
+    let mut next = Next::Line;
+    loop {
+        next = match next {
+            Next::Line => assembler.line(&process.read_line(MAX_LINE, until)?)?,
+            Next::Bytes(0) => assembler.bytes(Bytes::new()),
+            // Never beyond `MAX_BYTES`, which a usize holds.
+            Next::Bytes(count) => assembler.bytes(process.read_exact(count as usize, until)?),
+            Next::Reply(reply) => return Ok(reply),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

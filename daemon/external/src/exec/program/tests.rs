@@ -1,0 +1,133 @@
+//! Real programs: most of them a few lines of shell.
+
+use std::num::NonZeroU64;
+use std::sync::Arc;
+
+use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
+use peernet_sample::{Description, Sample};
+
+use super::*;
+use crate::exec::CommandLine;
+
+fn clock() -> SharedClock {
+    Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")))
+}
+
+fn start(role: Role, script: &str, timeout_ms: u64) -> Program {
+    let timeout_ms = NonZeroU64::new(timeout_ms).expect("above 0");
+    let config = ExecConfig { timeout_ms, ..ExecConfig::of(CommandLine::Shell(script.to_owned())) };
+    Program::start(&config, role, "the program of a test", &clock()).expect("sh is there")
+}
+
+/// Long enough for a busy machine.
+const PATIENT: u64 = 60_000;
+
+fn echo() -> Sample {
+    Sample::of(Description::bytes(), Bytes::from_static(b"payload\nwith a line"))
+}
+
+const ECHO: &str = "while read -r word bytes media shape source; do \
+    stage='stage inference 0'; echo \"$stage\"; echo \"answer $bytes $media $shape\"; head -c \"$bytes\"; done";
+
+#[test]
+fn a_shell_echoes_samples() {
+    let mut program = start(Role::Model, ECHO, PATIENT);
+    for _ in 0..3 {
+        let exchange = program.ask(Request::Sample(&echo())).expect("replies");
+        assert_eq!(exchange.said, Said::Parts(echo().parts));
+        assert_eq!(exchange.notes.stages[0].0, "inference");
+        assert!(exchange.ended > exchange.began);
+    }
+}
+
+#[test]
+fn a_sample_larger_than_any_pipe_passes_both_ways() {
+    let mut program = start(Role::Model, ECHO, PATIENT);
+    let large = Sample::of(Description::bytes(), vec![7; 5 << 20].into());
+    assert_eq!(program.ask(Request::Sample(&large)).expect("replies").said, Said::Parts(large.parts));
+}
+
+#[test]
+fn it_knows_its_role_and_the_version_of_the_framing() {
+    let script = "read -r word; echo \"source $PEERNET_ROLE $PEERNET_EXEC $word\"; echo answer 0; read -r word; echo end";
+    let mut program = start(Role::Sensor, script, PATIENT);
+    let first = program.ask(Request::Next).expect("replies");
+    assert_eq!(first.notes.source.as_deref(), Some("sensor 1 next"));
+    for _ in 0..3 {
+        assert_eq!(program.ask(Request::Next).expect("has ended").said, Said::End, "and is not asked again");
+    }
+}
+
+#[test]
+fn what_it_says_went_wrong_is_passed_on_and_it_goes_on() {
+    let mut program = start(
+        Role::Actuator,
+        "n=0; while read -r line; do n=$((n+1)); echo \"error number $n\"; done",
+        PATIENT,
+    );
+    let empty = Sample::of(Description::bytes(), Bytes::new());
+    for number in 1..3 {
+        let error = program.ask(Request::Answer { answer: &empty, source: "x" }).expect_err("an error");
+        assert_eq!(error.to_string(), format!("the program says: number {number}"), "the same process");
+    }
+}
+
+#[test]
+fn after_its_end_it_is_started_anew() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mark = folder.path().join("mark");
+    let script = format!(
+        "read -r line; if [ -e {0} ]; then echo answer 0; read -r line; fi; touch {0}; echo so long >&2; exit 3",
+        mark.display()
+    );
+    let mut program = start(Role::Sensor, &script, PATIENT);
+    let error = program.ask(Request::Next).expect_err("it ended").to_string();
+    assert!(
+        error.contains("exit status 3") && error.contains("so long") && error.contains("anew"),
+        "{error}"
+    );
+    assert!(program.ask(Request::Next).is_ok(), "the second one knows what to do");
+}
+
+#[test]
+fn garbage_is_quoted_and_ends_it() {
+    let mut program = start(Role::Model, "read -r line; echo Loading model...; cat", PATIENT);
+    let error = program.ask(Request::Sample(&echo())).expect_err("garbage").to_string();
+    assert!(error.contains("Loading model...") && error.contains("standard error"), "{error}");
+    let mut program = start(Role::Model, "head -c 100000 /dev/zero | tr '\\0' x; cat", PATIENT);
+    let error = program.ask(Request::Sample(&echo())).expect_err("an endless line");
+    let text = error.to_string();
+    assert!(text.contains("bytes") || text.contains("before it was asked"), "{text}");
+}
+
+#[test]
+fn a_reply_too_many_does_not_shift_the_others() {
+    let mut program =
+        start(Role::Sensor, "while read -r line; do printf 'answer 1\\naanswer 1\\nb'; done", PATIENT);
+    assert!(program.ask(Request::Next).is_ok());
+    let error = program.ask(Request::Next).expect_err("one too many");
+    assert!(matches!(error, ExchangeError::Unasked(_)), "{error}");
+}
+
+#[test]
+fn a_huge_length_is_refused_before_memory_is_taken() {
+    let mut program = start(Role::Sensor, "read -r line; echo answer 99999999999999; cat", PATIENT);
+    let error = program.ask(Request::Next).expect_err("too large").to_string();
+    assert!(error.contains("99999999999999") && error.contains("at most"), "{error}");
+}
+
+#[test]
+fn one_that_hangs_is_killed_and_one_that_dies_again_and_again_is_left_alone_for_a_while() {
+    let mut program = start(Role::Sensor, "sleep 600", 50);
+    let error = program.ask(Request::Next).expect_err("it hangs");
+    assert!(matches!(error, ExchangeError::TooSlow(_)), "{error}");
+    let mut errors = (0..6).map(|_| program.ask(Request::Next).expect_err("it hangs"));
+    assert!(errors.any(|error| matches!(error, ExchangeError::Pausing(_))));
+}
+
+#[test]
+fn a_command_that_is_not_there_is_said_at_once() {
+    let config = ExecConfig::of(CommandLine::Words(vec!["/no/such/program".to_owned()]));
+    let error = Program::start(&config, Role::Model, "m", &clock()).expect_err("is not there");
+    assert!(error.to_string().contains("/no/such/program"), "{error}");
+}

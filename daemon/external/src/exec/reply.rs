@@ -1,0 +1,240 @@
+//! What a program writes, put together line by line. No I/O.
+
+use bytes::Bytes;
+use peernet_clock::Span;
+use peernet_sample::{MediaType, Part};
+
+use super::error::FramingError;
+use super::words::{first, shown, text};
+use super::{MAX_BYTES, MAX_LINES, MAX_PARTS, Role, VERSION, shape};
+
+/// Names that have a meaning of their own in every tree.
+const OURS: [&str; 26] = [
+    "iteration",
+    "sensing",
+    "capture",
+    "transform",
+    "encode",
+    "send-queue",
+    "upload",
+    "queue",
+    "download",
+    "actuation",
+    "total",
+    "stages-total",
+    "unattributed",
+    "ipc",
+    "capture-ipc",
+    "upload-bytes",
+    "upload-logger-bytes",
+    "download-bytes",
+    "download-logger-bytes",
+    "upload-throughput",
+    "download-throughput",
+    "skipped-nodes",
+    "lateness",
+    "dropped-samples",
+    "top-1",
+    "top-5",
+];
+/// The stages of a model; nobody else has them.
+const OF_A_MODEL: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
+
+/// What a program said of one request.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Reply {
+    /// What it said beside.
+    pub notes: Notes,
+    /// How it came out.
+    pub said: Said,
+}
+
+/// How a request came out.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Said {
+    /// A sample or an answer.
+    Parts(Vec<Part>),
+    /// An actuator has acted.
+    Done,
+    /// A sensor has no more samples.
+    End,
+    /// This one failed; the program goes on.
+    Error(String),
+}
+
+/// What a program may say before its reply.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Notes {
+    /// Its own stages, in their order: name and duration.
+    pub stages: Vec<(String, Span)>,
+    /// Values: name, number in SI units, unit's symbol.
+    pub values: Vec<(String, f64, String)>,
+    /// Running number of a sensor's sample; a gap tells how many were dropped.
+    pub sequence: Option<u64>,
+    /// The right answer to a sensor's sample.
+    pub label: Option<String>,
+    /// Where a sensor's sample came from.
+    pub source: Option<String>,
+}
+
+/// What is to be read next.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Next {
+    /// A line, up to `\n`.
+    Line,
+    /// So many bytes.
+    Bytes(u64),
+    /// Nothing: the reply is whole.
+    Reply(Reply),
+}
+
+/// Puts one reply together: feed it the lines and bytes that it asks for.
+#[derive(Debug)]
+pub struct Assembler {
+    role: Role,
+    notes: Notes,
+    parts: Vec<Part>,
+    lines: usize,
+    /// Bytes of all parts so far.
+    bytes: u64,
+    /// The part whose bytes are read now, and whether it is the last.
+    open: Option<(peernet_sample::Description, bool)>,
+}
+
+impl Assembler {
+    /// For one reply of a program that is used as `role`.
+    pub fn new(role: Role) -> Self {
+        Self { role, notes: Notes::default(), parts: Vec::new(), lines: 0, bytes: 0, open: None }
+    }
+
+    /// Takes a line, without its `\n`.
+    ///
+    /// # Errors
+    /// When the line is not part of the framing.
+    pub fn line(&mut self, line: &[u8]) -> Result<Next, FramingError> {
+        self.lines += 1;
+        if self.lines > MAX_LINES {
+            return Err(FramingError::TooManyLines);
+        }
+        let line = text(line)?;
+        let (word, rest) = first(line);
+        let wrong = |form| FramingError::Form { line: shown(line), form };
+        let notes = &mut self.notes;
+        match (word, self.role) {
+            ("", _) if line.trim().is_empty() => {}
+            ("version", _) => {
+                let version = rest.parse().map_err(|_| wrong("version NUMBER"))?;
+                if version != VERSION {
+                    return Err(FramingError::Version(version));
+                }
+            }
+            ("stage", role) => {
+                let (name, span) = stage(rest).ok_or_else(|| wrong(STAGE))?;
+                notes.stages.push((free(name, role)?, span));
+            }
+            ("value", role) => {
+                let (name, number, unit) = value(rest).ok_or_else(|| wrong(VALUE))?;
+                notes.values.push((free(name, role)?, number, unit.to_owned()));
+            }
+            ("error", _) => return Ok(self.whole(Said::Error(rest.to_owned()))),
+            ("sequence", Role::Sensor) => {
+                notes.sequence = Some(rest.parse().map_err(|_| wrong("sequence NUMBER"))?);
+            }
+            ("label", Role::Sensor) => notes.label = Some(rest.to_owned()).filter(|label| !label.is_empty()),
+            ("source", Role::Sensor) => notes.source = Some(rest.to_owned()),
+            ("end", Role::Sensor) => return Ok(self.whole(Said::End)),
+            ("done", Role::Actuator) => return Ok(self.whole(Said::Done)),
+            ("answer" | "part", Role::Sensor | Role::Model) => {
+                return self
+                    .announce(rest, word == "answer")
+                    .map_err(|error| error.unwrap_or_else(|| wrong(ANSWER)));
+            }
+            _ => return Err(self.unknown(line)),
+        }
+        Ok(Next::Line)
+    }
+
+    /// Takes the bytes that [`Next::Bytes`] asked for.
+    pub fn bytes(&mut self, bytes: Bytes) -> Next {
+        let Some((description, last)) = self.open.take() else { return Next::Line };
+        self.parts.push(Part { description, bytes });
+        if last {
+            let parts = std::mem::take(&mut self.parts);
+            return self.whole(Said::Parts(parts));
+        }
+        Next::Line
+    }
+
+    /// `BYTES [MEDIA-TYPE [SHAPE]]`; an error of `None` is a wrong form.
+    fn announce(&mut self, rest: &str, last: bool) -> Result<Next, Option<FramingError>> {
+        let mut words = rest.split_ascii_whitespace();
+        let bytes: u64 = words.next().and_then(|word| word.parse().ok()).ok_or(None)?;
+        let media = words.next().map_or(MediaType::Bytes, MediaType::from_iana);
+        let (description, expected) =
+            shape::read(media, words.next().unwrap_or(shape::NOTHING)).ok_or(None)?;
+        if words.next().is_some() {
+            return Err(None);
+        }
+        self.bytes = self.bytes.saturating_add(bytes);
+        if self.bytes > MAX_BYTES {
+            return Err(Some(FramingError::TooLarge(self.bytes)));
+        }
+        if let Some(expected) = expected.filter(|expected| *expected != bytes) {
+            return Err(Some(FramingError::Shape { bytes, expected }));
+        }
+        if self.parts.len() == MAX_PARTS {
+            return Err(Some(FramingError::TooManyParts));
+        }
+        self.open = Some((description, last));
+        Ok(Next::Bytes(bytes))
+    }
+
+    fn whole(&mut self, said: Said) -> Next {
+        Next::Reply(Reply { notes: std::mem::take(&mut self.notes), said })
+    }
+
+    fn unknown(&self, line: &str) -> FramingError {
+        let words = match self.role {
+            Role::Sensor => "answer, part, end, error, stage, value, sequence, label, source, version",
+            Role::Model => "answer, part, error, stage, value, version",
+            Role::Actuator => "done, error, stage, value, version",
+        };
+        FramingError::Word { line: shown(line), role: self.role.word(), words: words.to_owned() }
+    }
+}
+
+const STAGE: &str = "stage NAME SECONDS";
+const VALUE: &str = "value NAME NUMBER [UNIT]";
+const ANSWER: &str = "answer BYTES [MEDIA-TYPE [SHAPE]] (a shape such as 480x640x3:u8)";
+
+/// A name that is the program's to use.
+fn free(name: &str, role: Role) -> Result<String, FramingError> {
+    let taken = OURS.contains(&name) || role != Role::Model && OF_A_MODEL.contains(&name);
+    if taken { Err(FramingError::Name(name.to_owned())) } else { Ok(name.to_owned()) }
+}
+
+/// `NAME SECONDS`.
+fn stage(rest: &str) -> Option<(&str, Span)> {
+    let (name, seconds) = named(rest)?;
+    let seconds: f64 = seconds.parse().ok()?;
+    // A day: longer than any stage, and far from what the clock's type holds.
+    (0.0..=86_400.0).contains(&seconds).then(|| (name, Span::from_seconds_f64(seconds)))
+}
+
+/// `NAME NUMBER [UNIT]`.
+fn value(rest: &str) -> Option<(&str, f64, &str)> {
+    let (name, rest) = named(rest)?;
+    let (number, unit) = first(rest);
+    let number: f64 = number.parse().ok()?;
+    (number.is_finite() && unit.len() <= 16).then_some((name, number, unit))
+}
+
+/// A name of lower-case letters, digits and hyphens, and the rest.
+fn named(rest: &str) -> Option<(&str, &str)> {
+    let (name, rest) = first(rest);
+    let good = |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit() || byte == b'-';
+    (!name.is_empty() && name.len() <= 64 && name.bytes().all(good)).then_some((name, rest))
+}
+
+#[cfg(test)]
+mod tests;

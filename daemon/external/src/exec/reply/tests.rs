@@ -1,0 +1,193 @@
+use std::io::{BufRead, Cursor, Read};
+
+use peernet_sample::{Description, ElementType, Sample};
+use proptest::prelude::*;
+
+use super::*;
+use crate::exec::{MAX_LINE, Request};
+
+/// Feeds all that a program wrote; `None` when it ended before its reply was whole.
+fn feed(role: Role, written: &[u8]) -> Result<Option<(Reply, usize)>, FramingError> {
+    let mut from = Cursor::new(written);
+    let mut assembler = Assembler::new(role);
+    let mut next = Next::Line;
+    loop {
+        next = match next {
+            Next::Line => {
+                let mut line = Vec::new();
+                from.read_until(b'\n', &mut line).expect("memory can be read");
+                if line.pop() != Some(b'\n') {
+                    return Ok(None);
+                }
+                assembler.line(&line)?
+            }
+            Next::Bytes(count) => {
+                let mut bytes = Vec::new();
+                from.by_ref().take(count).read_to_end(&mut bytes).expect("memory can be read");
+                if bytes.len() as u64 != count {
+                    return Ok(None);
+                }
+                assembler.bytes(bytes.into())
+            }
+            Next::Reply(reply) => return Ok(Some((reply, from.position() as usize))),
+        }
+    }
+}
+
+fn reply(role: Role, written: &str) -> Reply {
+    let (reply, used) = feed(role, written.as_bytes()).expect("is well formed").expect("is whole");
+    assert_eq!(used, written.len(), "nothing is left over");
+    reply
+}
+
+fn error(role: Role, written: &str) -> String {
+    feed(role, written.as_bytes()).expect_err("is not well formed").to_string()
+}
+
+#[test]
+fn an_answer_is_one_line_and_its_bytes() {
+    let answer = reply(Role::Model, "answer 13 application/json\n{\"label\":\"a\"}");
+    let Said::Parts(parts) = answer.said else { panic!("is an answer") };
+    assert_eq!(
+        (&parts[0].description.media, parts[0].bytes.as_ref()),
+        (&MediaType::Json, &b"{\"label\":\"a\"}"[..])
+    );
+    let Said::Parts(parts) = reply(Role::Sensor, "answer 2\r\n\n\n").said else { panic!("is an answer") };
+    assert_eq!((&parts[0].description, parts[0].bytes.as_ref()), (&Description::bytes(), &b"\n\n"[..]));
+}
+
+#[test]
+fn parts_and_shapes() {
+    let written = "part 3 image/x-rgb8 1x1x3:u8\nrgbanswer 8 application/x-tensor 2:f32\n12345678";
+    let Said::Parts(parts) = reply(Role::Sensor, written).said else { panic!("is an answer") };
+    assert_eq!(parts.len(), 2);
+    assert_eq!(
+        (parts[1].description.shape.as_slice(), parts[1].description.element),
+        (&[2][..], Some(ElementType::F32))
+    );
+}
+
+#[test]
+fn notes_come_before_the_reply() {
+    let written = "version 1\nsequence 7\nlabel golden retriever\nsource a b.jpg\nstage warm-up 0.25\nvalue exposure 1e-3 s\nanswer 0\n";
+    let notes = reply(Role::Sensor, written).notes;
+    let expected = Notes {
+        stages: vec![("warm-up".to_owned(), Span::from_millis(250))],
+        values: vec![("exposure".to_owned(), 0.001, "s".to_owned())],
+        sequence: Some(7),
+        label: Some("golden retriever".to_owned()),
+        source: Some("a b.jpg".to_owned()),
+    };
+    assert_eq!(notes, expected);
+}
+
+#[test]
+fn each_role_has_its_own_words() {
+    assert_eq!(reply(Role::Sensor, "end\n").said, Said::End);
+    assert_eq!(reply(Role::Actuator, "done\n").said, Said::Done);
+    assert_eq!(reply(Role::Model, "error too dark\n").said, Said::Error("too dark".to_owned()));
+    assert!(error(Role::Model, "end\n").contains("a model writes one of: answer"));
+    assert!(
+        error(Role::Actuator, "answer 3\nabc").contains("an actuator")
+            || error(Role::Actuator, "answer 3\nabc").contains("actuator writes")
+    );
+    assert!(error(Role::Model, "label a\n").contains("label a"));
+}
+
+#[test]
+fn what_is_wrong_is_shown_with_the_right_form() {
+    for (written, part) in [
+        ("hello\n", "standard error"),
+        ("answer\n", "answer BYTES"),
+        ("answer -3\n", "answer BYTES"),
+        ("answer 3 text/plain - more\n", "answer BYTES"),
+        ("answer 9999999999999\n", "at most"),
+        ("answer 3 application/x-tensor 2:u8\n", "shape of 2"),
+        ("stage inference\n", "stage NAME SECONDS"),
+        ("stage inference -1\n", "stage NAME SECONDS"),
+        ("stage inference NaN\n", "stage NAME SECONDS"),
+        ("stage Upper 1\n", "stage NAME SECONDS"),
+        ("stage upload 1\n", "not its to measure"),
+        ("value x inf\n", "value NAME NUMBER"),
+        ("version 2\n", "version 2"),
+        ("version x\n", "version NUMBER"),
+    ] {
+        let text = error(Role::Model, written);
+        assert!(text.contains(part), "{written:?}: {text}");
+    }
+    assert!(matches!(feed(Role::Model, b"\xff\xfe\n"), Err(FramingError::NotText(_))));
+}
+
+#[test]
+fn lines_and_parts_are_bounded() {
+    assert_eq!(feed(Role::Model, "\n".repeat(MAX_LINES + 1).as_bytes()), Err(FramingError::TooManyLines));
+    assert_eq!(
+        feed(Role::Model, "part 0\n".repeat(MAX_PARTS + 1).as_bytes()),
+        Err(FramingError::TooManyParts)
+    );
+    let long = format!("answer {MAX_BYTES}\n");
+    assert_eq!(Assembler::new(Role::Model).line(long.trim_end().as_bytes()), Ok(Next::Bytes(MAX_BYTES)));
+    let mut assembler = Assembler::new(Role::Model);
+    assembler.line(b"part 1").expect("is small");
+    assembler.bytes(Bytes::from_static(b"x"));
+    assert_eq!(assembler.line(long.trim_end().as_bytes()), Err(FramingError::TooLarge(MAX_BYTES + 1)));
+}
+
+proptest! {
+    /// Whatever a program writes, there is a reply, an error, or more to be read.
+    #[test]
+    fn garbage_never_panics(written in prop::collection::vec(any::<u8>(), 0..MAX_LINE), role in 0..3) {
+        let role = [Role::Sensor, Role::Model, Role::Actuator][role as usize];
+        let _ = feed(role, &written);
+    }
+
+    /// The same for what looks like the framing.
+    #[test]
+    fn nearly_right_words_never_panic(
+        words in prop::collection::vec("(answer|part|stage|value|error|end|done|version|sequence|label) ?[0-9a-z.:x/-]{0,12} ?[0-9a-z.:x/-]{0,8}\n", 0..20),
+    ) {
+        for role in [Role::Sensor, Role::Model, Role::Actuator] {
+            if let Ok(Some((_, used))) = feed(role, words.concat().as_bytes()) {
+                prop_assert!(used <= words.concat().len());
+            }
+        }
+    }
+
+    /// What is sent to a model reads back as an answer: both directions write parts alike.
+    #[test]
+    fn what_we_write_reads_back(payloads in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..200), 1..5)) {
+        let parts: Vec<_> = payloads
+            .into_iter()
+            .map(|bytes| Part {
+                description: Description {
+                    media: MediaType::Tensor,
+                    shape: vec![bytes.len() as u32],
+                    element: Some(ElementType::U8),
+                },
+                bytes: bytes.into(),
+            })
+            .collect();
+        let sample = Sample { parts, source: String::new(), label: None };
+        let written = Request::Answer { answer: &sample, source: "" }.pieces().concat();
+        // A source of "-" is the only word more than in a reply.
+        let (lines, _) = feed_without_source(&written);
+        prop_assert_eq!(lines, sample.parts);
+    }
+}
+
+/// Reads what we write, leaving out the source at the end of each header.
+fn feed_without_source(written: &[u8]) -> (Vec<Part>, usize) {
+    let mut from = Cursor::new(written);
+    let mut assembler = Assembler::new(Role::Model);
+    loop {
+        let mut line = Vec::new();
+        from.read_until(b'\n', &mut line).expect("memory can be read");
+        let line = line.strip_suffix(b" -\n").expect("the source is empty");
+        let Ok(Next::Bytes(count)) = assembler.line(line) else { panic!("announces bytes") };
+        let mut bytes = Vec::new();
+        from.by_ref().take(count).read_to_end(&mut bytes).expect("memory can be read");
+        if let Next::Reply(Reply { said: Said::Parts(parts), .. }) = assembler.bytes(bytes.into()) {
+            return (parts, from.position() as usize);
+        }
+    }
+}

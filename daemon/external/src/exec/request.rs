@@ -1,0 +1,88 @@
+//! What is written to a program.
+
+use bytes::Bytes;
+use peernet_sample::Sample;
+
+use super::shape::{self, NOTHING};
+use super::words::one_line;
+
+/// The media type of bytes without further meaning.
+const BYTES: &str = "application/octet-stream";
+
+/// A message to a program.
+#[derive(Clone, Copy, Debug)]
+pub enum Request<'a> {
+    /// To a sensor: the next sample.
+    Next,
+    /// To a model: a sample to answer.
+    Sample(&'a Sample),
+    /// To an actuator: an answer, given for the sample that came from `source`.
+    Answer {
+        /// The answer.
+        answer: &'a Sample,
+        /// Where the sample came from.
+        source: &'a str,
+    },
+}
+
+impl Request<'_> {
+    /// The message as pieces to be written one after the other; payloads are not copied.
+    pub fn pieces(&self) -> Vec<Bytes> {
+        match self {
+            Self::Next => vec![Bytes::from_static(b"next\n")],
+            Self::Sample(sample) => parts("sample", sample, &sample.source),
+            Self::Answer { answer, source } => parts("answer", answer, source),
+        }
+    }
+}
+
+fn parts(word: &str, sample: &Sample, source: &str) -> Vec<Bytes> {
+    let source = one_line(source);
+    let source = if source.is_empty() { NOTHING } else { &source };
+    let Some((last, before)) = sample.parts.split_last() else {
+        return vec![format!("{word} 0 {BYTES} {NOTHING} {source}\n").into()];
+    };
+    let parts = before.iter().map(|part| ("part", part)).chain([(word, last)]);
+    let pieces = parts.flat_map(|(word, part)| {
+        // A name with a space in it would shift the words after it.
+        let media = one_line(&part.description.media.iana()).replace(' ', "?");
+        let media = if media.is_empty() { BYTES } else { &media };
+        let shape = shape::write(&part.description);
+        let header = format!("{word} {} {media} {shape} {source}\n", part.bytes.len());
+        [header.into(), part.bytes.clone()]
+    });
+    pieces.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_sample::{Description, MediaType, Part, PixelFormat};
+
+    use super::*;
+
+    fn written(request: Request<'_>) -> String {
+        String::from_utf8(request.pieces().concat()).expect("is text")
+    }
+
+    #[test]
+    fn one_line_and_the_bytes() {
+        let mut sample = Sample::of(Description::unshaped(MediaType::Text), Bytes::from_static(b"hello"));
+        assert_eq!(written(Request::Sample(&sample)), "sample 5 text/plain - -\nhello");
+        sample.source = "a b\nnext.jpg".to_owned();
+        assert_eq!(written(Request::Sample(&sample)), "sample 5 text/plain - a b?next.jpg\nhello");
+        assert_eq!(
+            written(Request::Answer { answer: &sample, source: "x" }),
+            "answer 5 text/plain - x\nhello"
+        );
+        assert_eq!(written(Request::Next), "next\n");
+    }
+
+    #[test]
+    fn all_parts_but_the_last_say_that_another_follows() {
+        let pixels = Description::pixels(PixelFormat::Rgb8, 2, 1);
+        let mut sample = Sample::of(pixels, Bytes::from_static(b"rgbrgb"));
+        sample.parts.push(Part { description: Description::bytes(), bytes: Bytes::from_static(b"d") });
+        let expected = "part 6 image/x-rgb8 1x2x3:u8 -\nrgbrgbsample 1 application/octet-stream - -\nd";
+        assert_eq!(written(Request::Sample(&sample)), expected);
+    }
+}

@@ -1,0 +1,100 @@
+//! Where a model's stages lie between request and reply.
+
+use peernet_clock::{MonoTime, Span};
+
+use super::{Exchange, ExchangeError};
+
+/// The stages of a model that add up.
+const STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
+/// What the way to the program and back costs.
+const IPC: &str = "ipc";
+/// How far rounded stages may add up to more than the whole.
+const ROUNDING: Span = Span::from_millis(1);
+
+/// A stage with its two ends.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Timed {
+    /// Its name.
+    pub name: String,
+    /// Its beginning.
+    pub from: MonoTime,
+    /// Its end.
+    pub to: MonoTime,
+}
+
+impl Exchange {
+    /// From the request to the reply.
+    pub fn whole(&self) -> Span {
+        self.ended - self.began
+    }
+
+    /// The stages of a model. Without any of its own, all from request to reply is `inference`. With
+    /// `preprocessing`, `inference` or `postprocessing` these have the durations that the program told, one after
+    /// the other from the request on, and what remains is `ipc`. Stages of other names begin with the request and add to
+    /// nothing.
+    ///
+    /// # Errors
+    /// [`ExchangeError::Stages`] when the stages add up to more than there was.
+    pub fn stages(&self) -> Result<Vec<Timed>, ExchangeError> {
+        let timed = |name: &str, from, to| Timed { name: name.to_owned(), from, to };
+        let (mut stages, mut at) = (Vec::new(), self.began);
+        for (name, span) in &self.notes.stages {
+            if STAGES.contains(&name.as_str()) {
+                stages.push(timed(name, at, at + *span));
+                at = at + *span;
+            } else {
+                stages.push(timed(name, self.began, self.began + *span));
+            }
+        }
+        let told = at - self.began;
+        if told > self.whole() + ROUNDING {
+            let (stages, whole) = (told.to_duration(), self.whole().to_duration());
+            return Err(ExchangeError::Stages { stages, whole });
+        }
+        if told == Span::ZERO && !stages.iter().any(|stage| STAGES.contains(&stage.name.as_str())) {
+            stages.push(timed("inference", self.began, self.ended));
+        } else {
+            stages.push(timed(IPC, at.min(self.ended), self.ended));
+        }
+        Ok(stages)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::exec::{Notes, Said};
+
+    /// Stages of a program that told these milliseconds and replied after ten.
+    fn stages(told: &[(&str, i64)]) -> Result<Vec<(String, i64, i64)>, ExchangeError> {
+        let stages = told.iter().map(|(name, ms)| ((*name).to_owned(), Span::from_millis(*ms))).collect();
+        let (began, ended) = (MonoTime::from_nanos(0), MonoTime::from_nanos(10_000_000));
+        let exchange =
+            Exchange { began, ended, notes: Notes { stages, ..Notes::default() }, said: Said::Done };
+        let millis = |at: MonoTime| at.nanos() / 1_000_000;
+        Ok(exchange
+            .stages()?
+            .into_iter()
+            .map(|stage| (stage.name, millis(stage.from), millis(stage.to)))
+            .collect())
+    }
+
+    #[test]
+    fn what_a_program_does_not_tell_is_the_way_to_it_and_back() {
+        let told = stages(&[("preprocessing", 1), ("inference", 6), ("warm", 3)]).expect("adds up");
+        let expected = [("preprocessing", 0, 1), ("inference", 1, 7), ("warm", 0, 3), ("ipc", 7, 10)];
+        assert_eq!(told, expected.map(|(name, from, to)| (name.to_owned(), from, to)));
+    }
+
+    #[test]
+    fn a_silent_program_is_all_inference() {
+        assert_eq!(stages(&[]).expect("adds up"), [("inference".to_owned(), 0, 10)]);
+        assert_eq!(stages(&[("warm", 3)]).expect("adds up")[1], ("inference".to_owned(), 0, 10));
+    }
+
+    #[test]
+    fn stages_beyond_the_whole_are_refused_unless_they_were_rounded() {
+        assert_eq!(stages(&[("inference", 11)]).expect("is rounded")[1], ("ipc".to_owned(), 10, 10));
+        assert!(matches!(stages(&[("inference", 80_000)]), Err(ExchangeError::Stages { .. })));
+    }
+}

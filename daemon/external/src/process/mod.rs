@@ -1,0 +1,21 @@
+//! A process behind two pipes: what is written reaches its standard input, what is read came from its standard
+//! output, and what it says on its standard error goes to the log, line by line.
+//!
+//! All calls block the thread that makes them, until a moment the caller gives. A process has a group of its own, which
+//! is ended with it; it also dies with this program, however that ends.
+
+mod ended;
+mod error;
+mod launch;
+mod pipe;
+mod restarts;
+mod running;
+mod spawner;
+mod voice;
+
+pub use ended::Ended;
+pub use error::ProcessError;
+pub use launch::{Launch, find_program};
+pub use restarts::Restarts;
+pub use running::Process;
+pub use voice::Voice;

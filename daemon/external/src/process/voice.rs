@@ -1,0 +1,127 @@
+//! What a process says on its standard error.
+
+use std::collections::VecDeque;
+use std::io::{self, Read};
+use std::process::ChildStderr;
+use std::sync::mpsc::{Receiver, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
+use std::time::Duration;
+
+/// Longest line in the log, in bytes; a longer one is cut into several.
+const MAX_LINE: usize = 4096;
+/// Lines that are kept for the report of an end.
+const KEPT_LINES: usize = 12;
+/// Bytes of a line that are kept.
+const KEPT_BYTES: usize = 400;
+
+/// What a process is to the log.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Voice {
+    /// Target `peernet_external::python`.
+    Python,
+    /// Target `peernet_external::exec`.
+    Exec,
+}
+
+impl Voice {
+    fn say(self, name: &str, line: &str) {
+        match self {
+            Self::Python => tracing::info!(target: "peernet_external::python", name, "{line}"),
+            Self::Exec => tracing::info!(target: "peernet_external::exec", name, "{line}"),
+        }
+    }
+}
+
+/// The thread that passes lines on, and the last of them.
+#[derive(Debug)]
+pub(super) struct Listening {
+    last: Arc<Mutex<VecDeque<String>>>,
+    over: Receiver<()>,
+}
+
+impl Listening {
+    pub(super) fn begin(stderr: ChildStderr, voice: Voice, name: String) -> io::Result<Self> {
+        let last = Arc::new(Mutex::new(VecDeque::with_capacity(KEPT_LINES)));
+        let (end, over) = sync_channel(0);
+        let keep = Arc::clone(&last);
+        thread::Builder::new().name("stderr".to_owned()).spawn(move || {
+            // Its going tells that there is nothing more to come.
+            let _end = end;
+            listen(stderr, |line| {
+                voice.say(&name, line);
+                remember(&keep, line);
+            });
+        })?;
+        Ok(Self { last, over })
+    }
+
+    /// The last lines, once all is read or `patience` is over.
+    pub(super) fn last_lines(&self, patience: Duration) -> Vec<String> {
+        let _ = self.over.recv_timeout(patience);
+        self.last.lock().unwrap_or_else(PoisonError::into_inner).iter().cloned().collect()
+    }
+}
+
+fn remember(last: &Mutex<VecDeque<String>>, line: &str) {
+    let mut last = last.lock().unwrap_or_else(PoisonError::into_inner);
+    if last.len() == KEPT_LINES {
+        last.pop_front();
+    }
+    last.push_back(line[..line.floor_char_boundary(KEPT_BYTES)].to_owned());
+}
+
+/// Calls `say` with each line that is not blank.
+fn listen(mut from: impl Read, mut say: impl FnMut(&str)) {
+    let (mut line, mut chunk) = (Vec::new(), [0; MAX_LINE]);
+    let mut tell = |line: &mut Vec<u8>| {
+        let text = String::from_utf8_lossy(line);
+        let text = text.trim_end();
+        if !text.is_empty() {
+            say(text);
+        }
+        line.clear();
+    };
+    loop {
+        let read = match from.read(&mut chunk) {
+            Ok(0) => break,
+            Ok(read) => read,
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+            Err(_) => break,
+        };
+        for &byte in &chunk[..read] {
+            if byte == b'\n' || line.len() >= MAX_LINE {
+                tell(&mut line);
+            }
+            if byte != b'\n' {
+                line.push(byte);
+            }
+        }
+    }
+    tell(&mut line);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_are_told_one_by_one_and_endless_ones_are_cut() {
+        let mut said = Vec::new();
+        let text = format!("one\r\n\n{}\nlast", "x".repeat(MAX_LINE + 3));
+        listen(text.as_bytes(), |line| said.push(line.to_owned()));
+        assert_eq!(said, ["one", &"x".repeat(MAX_LINE), "xxx", "last"]);
+    }
+
+    #[test]
+    fn the_last_lines_are_kept_and_bounded() {
+        let last = Mutex::new(VecDeque::new());
+        for number in 0..100 {
+            remember(&last, &format!("{number} {}", "ä".repeat(KEPT_BYTES)));
+        }
+        let last = last.into_inner().expect("not poisoned");
+        assert_eq!(last.len(), KEPT_LINES);
+        assert!(last.iter().all(|line| line.len() <= KEPT_BYTES));
+        assert!(last.back().is_some_and(|line| line.starts_with("99 ")));
+    }
+}

@@ -1,0 +1,94 @@
+//! What a call gave and how long it took.
+
+use peernet_clock::{MonoTime, Span};
+use peernet_sample::Part;
+
+use super::PythonError;
+
+/// A call that was made.
+#[derive(Debug)]
+pub struct Called {
+    /// The value it returned as parts; `None` when a sensor has no more.
+    pub result: Result<Option<Vec<Part>>, PythonError>,
+    /// When what happened.
+    pub times: Times,
+}
+
+/// A step of the user's own code.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Stage {
+    /// `sample()` of a sensor.
+    Sample,
+    /// `preprocess(x)` of a model.
+    Preprocess,
+    /// `infer(x)` of a model.
+    Infer,
+    /// `postprocess(y)` of a model.
+    Postprocess,
+}
+
+/// The user's code on our monotonic clock, and what the process border cost around it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Times {
+    /// When the call was begun.
+    pub begun: MonoTime,
+    /// When its result was there.
+    pub ended: MonoTime,
+    /// The steps that were run, in order. One that raised an exception is the last.
+    pub stages: Vec<(Stage, MonoTime, MonoTime)>,
+}
+
+impl Times {
+    /// The worker stamps with `time.monotonic_ns()`, which reads the clock ours is. Where the times do not lie within the
+    /// call, because ours is a rehearsed one, they are laid end to end from its beginning.
+    pub(super) fn new(begun: MonoTime, ended: MonoTime, stamps: &[(Stage, i64, i64)]) -> Self {
+        let inside = stamps
+            .iter()
+            .try_fold(begun.nanos(), |before, (_, from, to)| (before <= *from && from <= to).then_some(*to));
+        let mut next = begun;
+        let place = |&(stage, from, to): &(Stage, i64, i64)| match inside {
+            Some(last) if last <= ended.nanos() => {
+                (stage, MonoTime::from_nanos(from), MonoTime::from_nanos(to))
+            }
+            _ => {
+                let from_here = next;
+                next = next + Span::from_nanos(to.saturating_sub(from).max(0));
+                (stage, from_here, next)
+            }
+        };
+        Self { begun, ended, stages: stamps.iter().map(place).collect() }
+    }
+
+    /// What is not the user's code: both ways over the border, and both conversions.
+    pub fn border(&self) -> Span {
+        let own: Span = self.stages.iter().map(|(_, from, to)| *to - *from).sum();
+        (self.ended - self.begun - own).max(Span::ZERO)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(nanos: i64) -> MonoTime {
+        MonoTime::from_nanos(nanos)
+    }
+
+    #[test]
+    fn stages_stand_where_they_were_stamped() {
+        let stamps = [(Stage::Preprocess, 120, 130), (Stage::Infer, 131, 180)];
+        let times = Times::new(at(100), at(200), &stamps);
+        assert_eq!(times.stages, [(Stage::Preprocess, at(120), at(130)), (Stage::Infer, at(131), at(180))]);
+        assert_eq!(times.border(), Span::from_nanos(41));
+    }
+
+    #[test]
+    fn stamps_of_another_clock_keep_their_lengths() {
+        let stamps = [(Stage::Preprocess, 9120, 9130), (Stage::Infer, 9131, 9180)];
+        let times = Times::new(at(100), at(200), &stamps);
+        assert_eq!(times.stages, [(Stage::Preprocess, at(100), at(110)), (Stage::Infer, at(110), at(159))]);
+        assert_eq!(times.border(), Span::from_nanos(41));
+        assert_eq!(Times::new(at(0), at(5), &stamps).border(), Span::ZERO);
+    }
+}

@@ -1,0 +1,111 @@
+//! Which Python, and how it is started.
+
+use std::env;
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+use peernet_clock::{SharedClock, Span};
+
+use super::{PythonConfig, PythonError, SOURCE};
+use crate::process::{Launch, Process, ProcessError, Voice, find_program};
+
+/// The variable that names another Python.
+const VARIABLE: &str = "PEERNET_PYTHON";
+/// How a model learns for which device it was configured.
+const DEVICE: &str = "PEERNET_DEVICE";
+/// Reads the source, of a length it is told, from standard input and not a byte more, then runs it.
+const BOOTSTRAP: &str = "import os, sys\n\
+    assert sys.version_info >= (3, 8), 'Python 3.8 or newer is needed, this is %s' % sys.version\n\
+    source = b''\n\
+    while len(source) < int(sys.argv[1]):\n    source += os.read(0, int(sys.argv[1]) - len(source))\n\
+    exec(compile(source, '<peernet>', 'exec'), {'__name__': '<peernet>'})";
+/// Exits well when Python finds a module, without running anything of it.
+const FINDS: &str = "import importlib.util, sys\n\
+    sys.path.insert(0, '')\n\
+    sys.exit(importlib.util.find_spec(sys.argv[1]) is None)";
+/// How long Python may take to look for a module.
+const LOOK: Span = Span::from_seconds(20);
+
+/// The Python of a configuration.
+///
+/// # Errors
+/// When it is not there.
+pub(super) fn python(config: &PythonConfig) -> Result<PathBuf, PythonError> {
+    let named = config.python.clone().map(PathBuf::into_os_string);
+    let name = named
+        .or_else(|| env::var_os(VARIABLE).filter(|name| !name.is_empty()))
+        .unwrap_or_else(|| OsString::from("python3"));
+    let missing = || {
+        let name = name.to_string_lossy();
+        PythonError::NoPython(if name.contains('/') {
+            name.into_owned()
+        } else {
+            format!("{name} on the PATH")
+        })
+    };
+    let found = find_program(&name).ok_or_else(missing)?;
+    // The process may run in another folder than this one.
+    std::path::absolute(&found).map_err(|_| missing())
+}
+
+/// How an object's process is started. It reads the source first.
+pub(super) fn launch(
+    config: &PythonConfig,
+    name: String,
+    device: Option<&str>,
+) -> Result<Launch, PythonError> {
+    let folder = folder(config)?;
+    let mut environment = config.env.clone();
+    if let Some(device) = device {
+        environment.entry(DEVICE.to_owned()).or_insert_with(|| device.to_owned());
+    }
+    let length = SOURCE.len().to_string();
+    let arguments = ["-c", BOOTSTRAP, &length, &config.object].map(OsString::from).to_vec();
+    Ok(Launch {
+        name,
+        voice: Voice::Python,
+        program: python(config)?.into_os_string(),
+        arguments,
+        folder,
+        environment,
+    })
+}
+
+/// Everything that can be found wrong without running a line of the user's code: the name, the folder, the Python, and
+/// whether it finds the module.
+///
+/// # Errors
+/// The first of these.
+pub(super) fn check(config: &PythonConfig, clock: &SharedClock) -> Result<(), PythonError> {
+    config.check_limits()?;
+    let (module, _) = config.module_and_path()?;
+    let launch = launch(config, config.object.clone(), None)?;
+    let place = launch.folder.clone().unwrap_or_default();
+    let top = module.split('.').next().unwrap_or(module);
+    if place.join(format!("{top}.py")).is_file() || place.join(top).is_dir() {
+        return Ok(());
+    }
+    let arguments = ["-c", FINDS, top].map(OsString::from).to_vec();
+    let python = launch.program.to_string_lossy().into_owned();
+    let failed =
+        |reason: String| PythonError::Start { object: config.object.clone(), python: python.clone(), reason };
+    let looking = Launch { arguments, ..launch };
+    let mut process = Process::start(&looking, clock).map_err(PythonError::Process)?;
+    match process.read_exact(1, clock.mono() + LOOK) {
+        Err(ProcessError::Ended(ended)) if ended.well() => Ok(()),
+        Err(ProcessError::Ended(ended)) if ended.status.and_then(|status| status.code()) == Some(1) => {
+            let folder =
+                if place.as_os_str().is_empty() { env::current_dir().unwrap_or_default() } else { place };
+            Err(PythonError::NoModule { module: module.to_owned(), folder, python })
+        }
+        Err(error) => Err(failed(error.to_string())),
+        Ok(_) => Err(failed("it writes to its standard output as it starts".to_owned())),
+    }
+}
+
+fn folder(config: &PythonConfig) -> Result<Option<PathBuf>, PythonError> {
+    match &config.folder {
+        Some(folder) if !Path::new(folder).is_dir() => Err(PythonError::Folder(folder.clone())),
+        folder => Ok(folder.clone()),
+    }
+}

@@ -1,0 +1,252 @@
+//! A user's object and the process it lives in.
+
+use bytes::Bytes;
+use peernet_clock::{MonoTime, SharedClock, Span};
+use peernet_sample::Part;
+use serde::Serialize;
+
+use super::frame::{self, MAX_BYTES, PREFIX, PartHead, Reply, Request};
+use super::interpreter;
+use super::{Called, PythonConfig, PythonError, SOURCE, Stage, Times};
+use crate::process::{Launch, Process, ProcessError, Restarts};
+
+/// How long a process that is not needed any more may take to end.
+const GRACE: Span = Span::from_millis(1000);
+
+/// What an object is used as.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Role {
+    /// It has `sample()`.
+    Sensor,
+    /// It has `infer(x)`, and may have `preprocess(x)` and `postprocess(y)`.
+    Model,
+}
+
+/// What was found.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct About {
+    /// The version of Python: `3.11.2`.
+    pub python: String,
+    /// The object in words: `class camera::Camera`.
+    pub what: String,
+}
+
+/// A Python object in a process of its own, which is started anew when it dies. Dropping it ends the process.
+#[derive(Debug)]
+pub struct PythonObject {
+    config: PythonConfig,
+    role: Role,
+    launch: Launch,
+    clock: SharedClock,
+    about: About,
+    process: Option<Process>,
+    restarts: Restarts,
+    /// Why it died last, for who asks while it rests.
+    last: String,
+}
+
+/// The reply to a call with the bytes that came with it.
+type Answer = (Reply, Vec<Bytes>);
+
+impl PythonObject {
+    /// Checks without running any of the user's code whether an object can be had: its name, folder, Python, and whether
+    /// Python finds the module. Blocks for some tens of milliseconds.
+    ///
+    /// # Errors
+    /// The first that is wrong.
+    pub fn check(config: &PythonConfig, clock: &SharedClock) -> Result<(), PythonError> {
+        interpreter::check(config, clock)
+    }
+
+    /// Starts the process, imports the module and makes the object; blocks until that is done. `name` is what its
+    /// output is logged under, `device` what the variable `PEERNET_DEVICE` tells it.
+    ///
+    /// # Errors
+    /// When the object cannot be had.
+    pub fn start(
+        config: &PythonConfig,
+        role: Role,
+        name: &str,
+        device: Option<&str>,
+        clock: &SharedClock,
+    ) -> Result<Self, PythonError> {
+        interpreter::check(config, clock)?;
+        let mut object = Self {
+            config: config.clone(),
+            role,
+            launch: interpreter::launch(config, name.to_owned(), device)?,
+            clock: SharedClock::clone(clock),
+            about: About { python: String::new(), what: String::new() },
+            process: None,
+            restarts: Restarts::default(),
+            last: String::new(),
+        };
+        object.process = Some(object.begin()?);
+        Ok(object)
+    }
+
+    /// What was found.
+    pub fn about(&self) -> &About {
+        &self.about
+    }
+
+    /// Calls the object with a value: `sample()` takes none. Blocks until it has answered, its time is over, or its
+    /// process is gone; the process is then started anew by the next call.
+    pub fn call(&mut self, parts: &[Part]) -> Called {
+        let begun = self.clock.mono();
+        let answer = self.living().and_then(|mut process| {
+            let begun = self.clock.mono();
+            let answer = self.ask(&mut process, parts, begun + milliseconds(self.config.timeout_ms.get()));
+            // Whatever is still in its pipe belongs to nothing any more: only one that answered is kept.
+            if answer.is_ok() {
+                self.process = Some(process);
+                self.restarts.worked();
+            }
+            Ok((begun, answer?))
+        });
+        let ended = self.clock.mono();
+        match answer {
+            Ok((begun, (reply, bytes))) => self.called(reply, bytes, begun, ended),
+            Err(error) => {
+                if !matches!(error, PythonError::Resting { .. }) {
+                    self.restarts.died(ended);
+                    self.last = error.to_string();
+                }
+                Called { result: Err(error), times: Times::new(begun, ended, &[]) }
+            }
+        }
+    }
+
+    fn called(&self, reply: Reply, bytes: Vec<Bytes>, begun: MonoTime, ended: MonoTime) -> Called {
+        let called =
+            |result, stages: &[(Stage, i64, i64)]| Called { result, times: Times::new(begun, ended, stages) };
+        match reply {
+            Reply::Value { parts, stages } => {
+                let parts = parts.into_iter().zip(bytes);
+                let parts =
+                    parts.map(|(head, bytes)| Part { description: head.description, bytes }).collect();
+                called(Ok(Some(parts)), &stages)
+            }
+            Reply::Over { stages } => called(Ok(None), &stages),
+            Reply::Raised { text, stages } => called(Err(PythonError::Raised(text)), &stages),
+            Reply::Refused { text, stages } => called(Err(PythonError::Value(text)), &stages),
+            Reply::Ready { .. } => {
+                called(Err(self.garbled("it says twice that it is ready".to_owned())), &[])
+            }
+        }
+    }
+
+    /// The process, or a new one when the last is gone and has rested enough.
+    fn living(&mut self) -> Result<Process, PythonError> {
+        if let Some(process) = self.process.take() {
+            return Ok(process);
+        }
+        if let Some(left) = self.restarts.wait(self.clock.mono()) {
+            return Err(PythonError::Resting {
+                object: self.config.object.clone(),
+                left,
+                last: self.last.clone(),
+            });
+        }
+        tracing::info!(
+            name = self.launch.name,
+            object = self.config.object,
+            "a Python process is started anew"
+        );
+        self.begin()
+    }
+
+    /// Starts a process and waits until the object is made.
+    fn begin(&mut self) -> Result<Process, PythonError> {
+        let (module, path) = self.config.module_and_path()?;
+        let settings = Request::Start {
+            module,
+            path,
+            role: self.role,
+            pickle: self.config.pickle,
+            images: self.config.images,
+        };
+        let head = self.encoded(&settings)?;
+        let until = self.clock.mono() + milliseconds(self.config.start_timeout_ms.get());
+        let mut process = Process::start(&self.launch, &self.clock).map_err(PythonError::Process)?;
+        let written = process.write(&[SOURCE.as_bytes(), &head], until);
+        let reply = written
+            .map_err(|error| self.trouble(error, "start_timeout_ms"))
+            .and_then(|()| self.read(&mut process, until, "start_timeout_ms"));
+        let failed = |reason: String| PythonError::Start {
+            object: self.config.object.clone(),
+            python: self.launch.program.to_string_lossy().into_owned(),
+            reason,
+        };
+        match reply {
+            Ok((Reply::Ready { python, what }, _)) => {
+                self.about = About { python, what };
+                Ok(process)
+            }
+            Ok((Reply::Raised { text, .. } | Reply::Refused { text, .. }, _)) => Err(failed(text)),
+            Ok(_) => Err(failed("it answers before it was asked".to_owned())),
+            Err(PythonError::Died { ended, .. }) => Err(failed(ended.to_string())),
+            Err(error) => Err(error),
+        }
+    }
+
+    fn ask(&self, process: &mut Process, parts: &[Part], until: MonoTime) -> Result<Answer, PythonError> {
+        let head = self.encoded(&Request::Call { parts: parts.iter().map(PartHead::of).collect() })?;
+        let mut chunks: Vec<&[u8]> = vec![&head];
+        chunks.extend(parts.iter().map(|part| &part.bytes[..]));
+        process.write(&chunks, until).map_err(|error| self.trouble(error, "timeout_ms"))?;
+        self.read(process, until, "timeout_ms")
+    }
+
+    fn read(&self, process: &mut Process, until: MonoTime, key: &'static str) -> Result<Answer, PythonError> {
+        let mut take = |length| process.read_exact(length, until).map_err(|error| self.trouble(error, key));
+        let prefix = take(PREFIX)?;
+        let length = frame::header_length(&prefix).map_err(|reason| self.garbled(reason))?;
+        let reply: Reply =
+            serde_json::from_slice(&take(length)?).map_err(|error| self.garbled(error.to_string()))?;
+        let Reply::Value { parts, .. } = &reply else { return Ok((reply, Vec::new())) };
+        let total = parts.iter().try_fold(0_u64, |sum, part| sum.checked_add(part.length));
+        if total.is_none_or(|total| total > MAX_BYTES) {
+            return Err(self.garbled(format!("a value has more than {MAX_BYTES} bytes")));
+        }
+        let bytes = parts.iter().map(|part| take(part.length as usize)).collect::<Result<_, _>>()?;
+        Ok((reply, bytes))
+    }
+
+    fn encoded(&self, request: &Request<'_>) -> Result<Vec<u8>, PythonError> {
+        frame::encode(request).map_err(|error| self.garbled(error.to_string()))
+    }
+
+    fn trouble(&self, error: ProcessError, key: &'static str) -> PythonError {
+        let object = self.config.object.clone();
+        match error {
+            ProcessError::Ended(ended) => PythonError::Died { object, ended },
+            ProcessError::TimedOut => {
+                let allowed =
+                    if key == "timeout_ms" { self.config.timeout_ms } else { self.config.start_timeout_ms };
+                PythonError::TooSlow { object, after: milliseconds(allowed.get()), key }
+            }
+            error => PythonError::Process(error),
+        }
+    }
+
+    fn garbled(&self, reason: String) -> PythonError {
+        PythonError::Garbled { object: self.config.object.clone(), reason }
+    }
+}
+
+impl Drop for PythonObject {
+    fn drop(&mut self) {
+        if let Some(process) = self.process.take() {
+            let ended = process.end(GRACE);
+            if !ended.well() {
+                tracing::warn!(name = self.launch.name, "at its end, {ended}");
+            }
+        }
+    }
+}
+
+fn milliseconds(number: u64) -> Span {
+    Span::from_millis(number.cast_signed())
+}

@@ -1,0 +1,194 @@
+# The process around a user's object: reads a call, makes it, writes what it gave.
+import inspect
+import os
+import time
+import traceback
+
+MARK = b"PN1\n"
+METHODS = {"sensor": "sample", "model": "infer"}
+MAX_TEXT = 4000
+now = time.monotonic_ns
+
+
+class Pipes:
+    """The protocol's own two pipes; the user's code has others in their place."""
+
+    def __init__(self):
+        self.source = os.fdopen(os.dup(0), "rb", 1 << 16)
+        self.sink = os.dup(1)
+        # Requests with equal headers follow each other where all samples are alike.
+        self.header, self.request = b"", None
+        nothing = os.open(os.devnull, os.O_RDONLY)
+        os.dup2(nothing, 0)
+        os.close(nothing)
+        # What the user prints goes where their errors go.
+        os.dup2(2, 1)
+        sys.stdout.reconfigure(line_buffering=True, errors="backslashreplace")
+        # A process that the user forks has no business with the pipes.
+        os.register_at_fork(after_in_child=self.forget)
+
+    def forget(self):
+        os.close(self.source.fileno())
+        os.close(self.sink)
+
+    def read(self):
+        """The next request and the number of parts that follow, or None at the end."""
+        prefix = self.source.read(8)
+        if len(prefix) < 8:
+            return None
+        if prefix[:4] != MARK:
+            raise RuntimeError("the request begins with %r" % prefix)
+        header = read_bytes(self.source, int.from_bytes(prefix[4:], "little"))
+        if header != self.header:
+            self.header, self.request = header, json.loads(header)
+        return self.request
+
+    def write(self, kind, body, parts=()):
+        if parts:
+            parts = [(head, memoryview(data)) for head, data in parts]
+            body["parts"] = [{"description": head, "length": data.nbytes} for head, data in parts]
+        header = to_json({kind: body}).encode()
+        chunks = [memoryview(MARK + len(header).to_bytes(4, "little") + header)]
+        chunks += [data.cast("B") for _, data in parts if data.nbytes]
+        while chunks:
+            written = os.writev(self.sink, chunks)
+            while chunks and written >= len(chunks[0]):
+                written -= len(chunks.pop(0))
+            if written:
+                chunks[0] = chunks[0][written:]
+
+
+def found(module, path, method):
+    """The user's object, made where it is a class."""
+    __import__(module)
+    thing = sys.modules[module]
+    for name in path.split(".") if path else ():
+        if not hasattr(thing, name):
+            there = [one for one in vars(thing) if not one.startswith("_")] if hasattr(thing, "__dict__") else []
+            raise Refused("%s has no %s; it has %s" % (module, path, ", ".join(there[:20]) or "nothing"))
+        thing = getattr(thing, name)
+    what = "%s %s" % (kind_of(thing), "%s::%s" % (module, path) if path else module)
+    if inspect.isclass(thing):
+        thing = thing()
+    if not callable(getattr(thing, method, None)):
+        raise Refused("the %s has no %s(%s)" % (what, method, "x" if method == "infer" else ""))
+    return thing, what
+
+
+def kind_of(thing):
+    if inspect.isclass(thing):
+        return "class"
+    if inspect.ismodule(thing):
+        return "module"
+    return "function" if inspect.isfunction(thing) else "object"
+
+
+def finished():
+    """Waits until what was given to a GPU is computed, so that it counts where it was caused."""
+    torch = sys.modules.get("torch")
+    if torch is not None and torch.cuda.is_initialized():
+        torch.cuda.synchronize()
+
+
+class Sensor:
+    def __init__(self, thing):
+        self.thing = thing
+
+    def call(self, _, stages):
+        begun = now()
+        try:
+            value = self.thing.sample()
+            # PIL opens files lazily; decoding them is part of having a sample.
+            image = sys.modules.get("PIL.Image")
+            if image is not None and isinstance(value, image.Image):
+                value.load()
+            finished()
+        finally:
+            stages.append(("sample", begun, now()))
+        return value
+
+
+class Model:
+    def __init__(self, thing):
+        steps = (("preprocess", "preprocess"), ("infer", "infer"), ("postprocess", "postprocess"))
+        self.steps = [(stage, getattr(thing, name)) for stage, name in steps if callable(getattr(thing, name, None))]
+
+    def call(self, value, stages):
+        for stage, step in self.steps:
+            begun = now()
+            try:
+                value = step(value)
+                finished()
+            finally:
+                stages.append((stage, begun, now()))
+        return value
+
+
+def text_of(error):
+    """An exception in one line, then its traceback from the user's first frame on, then bounded."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_frame.f_code.co_filename.startswith(("<peernet>", "<frozen importlib")):
+        trace = trace.tb_next
+    line = "".join(traceback.format_exception_only(type(error), error)).strip()
+    if trace is None and error.__cause__ is None and error.__context__ is None:
+        return line[:MAX_TEXT]
+    lines = "".join(traceback.format_exception(type(error), error, trace)).strip()
+    text = line[: MAX_TEXT // 4] + "\n" + lines
+    return text if len(text) <= MAX_TEXT else text[: MAX_TEXT // 2] + "\n  …\n" + text[-MAX_TEXT // 2 :]
+
+
+def start(request):
+    settings = request["start"]
+    sys.path[:] = [""] + [place for place in sys.path if place != ""]
+    sys.argv[:] = [settings["module"]]
+    if settings["images"] == "pil":
+        # So that the first sample does not wait for it.
+        try:
+            import PIL.Image  # noqa: F401
+        except ImportError:
+            pass
+    thing, what = found(settings["module"], settings["path"], METHODS[settings["role"]])
+    role = Sensor(thing) if settings["role"] == "sensor" else Model(thing)
+    return role, what, Encoder(settings["pickle"]), Decoder(settings["pickle"], settings["images"])
+
+
+def answer(pipes, request, role, encoder, decoder):
+    stages = []
+    try:
+        value = decoder.read(pipes.source, request["call"]["parts"])
+        value = role.call(value, stages)
+        parts = encoder.parts(value)
+    except Gone:
+        raise
+    except Refused as error:
+        pipes.write("refused", {"text": str(error), "stages": stages})
+    except StopIteration as error:
+        if isinstance(role, Sensor):
+            pipes.write("over", {"stages": stages})
+        else:
+            pipes.write("raised", {"text": text_of(error), "stages": stages})
+    except Exception as error:
+        pipes.write("raised", {"text": text_of(error), "stages": stages})
+    else:
+        pipes.write("value", {"stages": stages, "parts": []}, parts)
+
+
+def main():
+    pipes = Pipes()
+    request = pipes.read()
+    try:
+        role, what, encoder, decoder = start(request)
+    except Refused as error:
+        return pipes.write("refused", {"text": str(error), "stages": []})
+    except Exception as error:
+        return pipes.write("raised", {"text": text_of(error), "stages": []})
+    version = ".".join(str(number) for number in sys.version_info[:3])
+    pipes.write("ready", {"python": version, "what": what})
+    while True:
+        request = pipes.read()
+        if request is None:
+            return None
+        answer(pipes, request, role, encoder, decoder)
+
+
+main()

@@ -1,0 +1,3 @@
+//! Users' Python objects and programs, run for real.
+
+mod python;

@@ -1,0 +1,128 @@
+//! What users' code does wrong, and that the next call works all the same.
+
+use std::num::NonZeroU64;
+
+use peernet_external::python::{PythonError, Stage};
+
+use super::{Module, bytes, failure, value};
+
+const MODEL: &str = "
+import ctypes, os, sys, time, threading
+class Own:
+    def infer(self, x):
+        if x == b'raise':
+            return self.deeper(x)
+        if x == b'exit':
+            print('no more', file=sys.stderr)
+            sys.exit(3)
+        if x == b'crash':
+            ctypes.string_at(0)
+        if x == b'hang':
+            time.sleep(600)
+        if x == b'object':
+            return threading.Lock()
+        if x == b'loud':
+            print('words of mine')
+            os.write(1, b'more words\\n')
+        if x == b'eof':
+            raise EOFError('of mine')
+        return x
+    def deeper(self, x):
+        raise ValueError('wrong: %r' % x)
+";
+
+fn module() -> Module {
+    Module::new(MODEL, "own::Own")
+}
+
+#[test]
+fn an_exception_fails_one_call_with_the_users_part_of_the_traceback() {
+    let mut model = module().model();
+    let called = model.call(&[bytes(b"raise")]);
+    assert_eq!(called.times.stages.iter().map(|stage| stage.0).collect::<Vec<_>>(), [Stage::Infer]);
+    let said = called.result.expect_err("it raised").to_string();
+    assert!(said.starts_with("ValueError: wrong: b'raise'\nTraceback"), "{said}");
+    assert!(said.contains("own.py\", line") && said.contains("in deeper"), "{said}");
+    assert!(!said.contains("<peernet>"), "our own frames help nobody: {said}");
+    assert!(failure(&mut model, &[bytes(b"eof")]).starts_with("EOFError: of mine"));
+    assert_eq!(value(&mut model, &[bytes(b"on")])[0].bytes, "on");
+}
+
+#[test]
+fn a_long_traceback_is_bounded() {
+    let source = "
+class Own:
+    def infer(self, x):
+        raise ValueError('x' * 100000)
+";
+    let said = failure(&mut Module::new(source, "own::Own").model(), &[]);
+    assert!(said.starts_with("ValueError: xxx") && said.len() < 5000, "{} bytes", said.len());
+}
+
+#[test]
+fn a_value_that_cannot_cross_fails_one_call() {
+    let mut model = module().model();
+    let said = failure(&mut model, &[bytes(b"object")]);
+    assert!(said.contains("_thread.lock does not cross"), "{said}");
+    assert_eq!(value(&mut model, &[bytes(b"on")])[0].bytes, "on");
+}
+
+#[test]
+fn what_is_printed_does_not_disturb() {
+    let mut model = module().model();
+    assert_eq!(value(&mut model, &[bytes(b"loud")])[0].bytes, "loud");
+    assert_eq!(value(&mut model, &[bytes(b"on")])[0].bytes, "on");
+}
+
+#[test]
+fn a_process_that_dies_is_told_of_and_started_anew() {
+    let module = module();
+    let mut model = module.model();
+    let said = failure(&mut model, &[bytes(b"exit")]);
+    assert!(said.contains("exit status 3") && said.contains("no more") && said.contains("anew"), "{said}");
+    assert_eq!(value(&mut model, &[bytes(b"on")])[0].bytes, "on");
+    let said = failure(&mut model, &[bytes(b"crash")]);
+    assert!(said.contains("SIGSEGV"), "{said}");
+    assert_eq!(value(&mut model, &[bytes(b"on")])[0].bytes, "on");
+}
+
+#[test]
+fn a_process_that_keeps_dying_rests_longer_and_longer() {
+    let module = module();
+    let mut model = module.model();
+    let mut rested = 0;
+    for _ in 0..6 {
+        match model.call(&[bytes(b"exit")]).result.expect_err("it dies") {
+            PythonError::Resting { left, last, .. } => {
+                assert!(last.contains("exit status 3"), "{last}");
+                std::thread::sleep(left.to_duration());
+                rested += 1;
+            }
+            error => assert!(matches!(error, PythonError::Died { .. }), "{error}"),
+        }
+    }
+    assert!(rested >= 2, "it rested {rested} times");
+}
+
+#[test]
+fn a_call_that_hangs_ends_when_its_time_is_over() {
+    let mut module = module();
+    module.config.timeout_ms = NonZeroU64::new(500).expect("above 0");
+    let mut model = module.model();
+    let said = failure(&mut model, &[bytes(b"hang")]);
+    assert!(said.contains("within 0.5 s") && said.contains("timeout_ms"), "{said}");
+    model.call(&[bytes(b"on")]);
+}
+
+#[test]
+fn a_fork_of_the_users_does_not_hide_that_the_process_died() {
+    let source = "
+import multiprocessing, os, time
+class Own:
+    def infer(self, x):
+        multiprocessing.get_context('fork').Process(target=time.sleep, args=(600,)).start()
+        os._exit(7)
+";
+    let said = failure(&mut Module::new(source, "own::Own").model(), &[]);
+    assert!(said.contains("exit status 7"), "{said}");
+}

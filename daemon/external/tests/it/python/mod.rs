@@ -1,0 +1,85 @@
+//! Objects in real Python processes.
+
+mod border;
+mod failures;
+mod hostile;
+mod refusals;
+mod values;
+
+use std::fs;
+use std::path::PathBuf;
+use std::process::Command;
+use std::sync::{Arc, OnceLock};
+
+use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
+use peernet_external::python::{PythonConfig, PythonError, PythonObject, Role};
+use peernet_sample::{Description, Part};
+use tempfile::TempDir;
+
+fn clock() -> SharedClock {
+    Arc::new(SystemClock::new(ClockIdentity::new("boot", "test")))
+}
+
+/// A Python that has numpy and PIL, which users have and these tests need.
+fn python() -> PathBuf {
+    static FOUND: OnceLock<PathBuf> = OnceLock::new();
+    let has_both = |python: &PathBuf| {
+        let run = Command::new(python).args(["-c", "import numpy, PIL"]).output();
+        run.is_ok_and(|output| output.status.success())
+    };
+    let find = || {
+        let named = std::env::var_os("PEERNET_PYTHON").map(PathBuf::from);
+        let all = named.into_iter().chain(["python3".into(), "/usr/bin/python3".into()]);
+        all.into_iter()
+            .find(has_both)
+            .expect("python3-numpy and python3-pil are installed: deploy/install-tools.sh")
+    };
+    FOUND.get_or_init(find).clone()
+}
+
+/// A folder with the module `own`, and the configuration of an object in it.
+struct Module {
+    folder: TempDir,
+    config: PythonConfig,
+}
+
+impl Module {
+    fn new(source: &str, object: &str) -> Self {
+        let folder = tempfile::tempdir().expect("there is room for a folder");
+        fs::write(folder.path().join("own.py"), source).expect("it can be written");
+        let mut config = PythonConfig::of(object);
+        config.folder = Some(folder.path().to_owned());
+        config.python = Some(python());
+        Self { folder, config }
+    }
+
+    fn start(&self, role: Role) -> Result<PythonObject, PythonError> {
+        PythonObject::start(&self.config, role, "test", None, &clock())
+    }
+
+    fn model(&self) -> PythonObject {
+        self.start(Role::Model).unwrap_or_else(|error| panic!("{error}"))
+    }
+
+    fn sensor(&self) -> PythonObject {
+        self.start(Role::Sensor).unwrap_or_else(|error| panic!("{error}"))
+    }
+
+    /// Why it cannot be started.
+    fn refusal(&self, role: Role) -> String {
+        self.start(role).expect_err("it cannot be started").to_string()
+    }
+}
+
+fn bytes(content: &'static [u8]) -> Part {
+    Part { description: Description::bytes(), bytes: content.into() }
+}
+
+fn value(object: &mut PythonObject, parts: &[Part]) -> Vec<Part> {
+    let result = object.call(parts).result.unwrap_or_else(|error| panic!("{error}"));
+    result.expect("it is not over")
+}
+
+fn failure(object: &mut PythonObject, parts: &[Part]) -> String {
+    object.call(parts).result.expect_err("it fails").to_string()
+}

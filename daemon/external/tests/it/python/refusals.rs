@@ -1,0 +1,86 @@
+//! What is refused at the start, or by a check that runs nothing of the user's.
+
+use std::fs;
+use std::path::PathBuf;
+
+use peernet_external::python::{PythonObject, Role};
+
+use super::{Module, clock};
+
+const SOURCE: &str = "
+class Model:
+    def infer(self, x): return x
+class Broken:
+    def __init__(self): raise RuntimeError('no camera at 0')
+class Needs:
+    def __init__(self, path): pass
+    def infer(self, x): return x
+def detect(x): return x
+instance = Model()
+";
+
+fn said(object: &str, role: Role) -> String {
+    Module::new(SOURCE, object).refusal(role)
+}
+
+#[test]
+fn the_start_says_what_was_tried() {
+    for (object, role, parts) in [
+        ("nowhere::Model", Role::Model, &["no Python module nowhere", "nowhere.py", "folder"][..]),
+        ("own::Nothing", Role::Model, &["own has no Nothing", "Model", "instance"]),
+        ("own::Model", Role::Sensor, &["class own::Model has no sample()"]),
+        ("own::detect", Role::Model, &["function own::detect has no infer(x)"]),
+        ("own", Role::Model, &["module own has no infer(x)"]),
+        ("own::Broken", Role::Model, &["RuntimeError: no camera at 0", "own.py"]),
+        ("own::Needs", Role::Model, &["TypeError", "path"]),
+        ("own.py::Model", Role::Model, &["cannot start own.py::Model", "No module named 'own.py'"]),
+        ("./own::Model", Role::Model, &["module::object"]),
+    ] {
+        let said = said(object, role);
+        for part in parts {
+            assert!(said.contains(part), "{object}: {said}");
+        }
+    }
+}
+
+#[test]
+fn classes_instances_and_modules_are_used() {
+    for object in ["own::Model", "own::instance"] {
+        let found = Module::new(SOURCE, object).model();
+        assert!(found.about().what.ends_with(object), "{}", found.about().what);
+        assert!(found.about().python.starts_with("3."));
+    }
+    let found = Module::new("def infer(x): return x", "own").model();
+    assert_eq!(found.about().what, "module own");
+}
+
+#[test]
+fn a_module_that_does_not_load_says_why() {
+    let said = Module::new("import nothing_of_this_name", "own::A").refusal(Role::Model);
+    assert!(said.contains("ModuleNotFoundError: No module named 'nothing_of_this_name'"), "{said}");
+    let said = Module::new("def broken(:", "own::A").refusal(Role::Model);
+    assert!(said.contains("SyntaxError"), "{said}");
+    let said = Module::new("import sys; sys.exit('not on this robot')", "own::A").refusal(Role::Model);
+    assert!(said.contains("exit status 1") && said.contains("not on this robot"), "{said}");
+}
+
+#[test]
+fn a_check_runs_nothing_of_the_users() {
+    let mut module = Module::new("raise SystemExit(9)", "own::Model");
+    let check =
+        |module: &Module| PythonObject::check(&module.config, &clock()).map_err(|error| error.to_string());
+    check(&module).expect("the module is there");
+    module.config.object = "json::JSONDecoder".to_owned();
+    check(&module).expect("Python has it");
+    module.config.object = "nowhere::Model".to_owned();
+    assert!(check(&module).is_err_and(|said| said.contains("no Python module nowhere")));
+    module.config.folder = Some("/nowhere".into());
+    assert!(check(&module).is_err_and(|said| said.contains("/nowhere is not a folder")));
+    module.config.folder = None;
+    module.config.python = Some(PathBuf::from("/nowhere/python3"));
+    assert!(check(&module).is_err_and(|said| said.contains("no Python at /nowhere/python3")));
+    let broken = module.folder.path().join("python");
+    fs::write(&broken, "not a program").expect("it can be written");
+    module.config.python = Some(broken);
+    assert!(check(&module).is_err_and(|said| said.contains("cannot start")));
+}

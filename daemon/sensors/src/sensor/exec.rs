@@ -1,0 +1,69 @@
+//! `exec`: a program of the user's own.
+
+use peernet_clock::{MonoTime, SharedClock};
+use peernet_external::exec::{ExchangeError, ExecConfig, Notes, Program, Request, Role, Said};
+use peernet_logger::{Name, Recorder, Unit};
+use peernet_sample::Sample;
+
+use crate::{Sensor, SensorError};
+
+/// Samples that the program took and did not give, by the gaps in its numbers.
+const DROPPED_SAMPLES: Name = Name::from_static("dropped-samples");
+
+/// A program that is asked for each sample.
+pub(super) struct Exec {
+    command: String,
+    program: Program,
+    /// Number of the last sample, where the program numbers them.
+    last: Option<u64>,
+}
+
+/// Checks the command without running it.
+pub(super) fn check(config: &ExecConfig) -> Result<(), SensorError> {
+    config.check().map_err(|reason| SensorError::Config(format!("the program of an exec sensor: {reason}")))
+}
+
+impl Exec {
+    /// Starts the program.
+    pub(super) fn open(config: &ExecConfig, clock: &SharedClock) -> Result<Self, SensorError> {
+        let command = config.command.to_string();
+        let program = Program::start(config, Role::Sensor, &format!("sensor {command}"), clock)
+            .map_err(|error| SensorError::Program { command: command.clone(), error })?;
+        Ok(Self { command, program, last: None })
+    }
+
+    fn failed(&self, error: ExchangeError) -> SensorError {
+        SensorError::Program { command: self.command.clone(), error }
+    }
+
+    /// Records what the program told beside its sample.
+    fn note(&mut self, notes: &Notes, log: &mut Recorder, began: MonoTime) {
+        for (name, span) in &notes.stages {
+            log.timed(Name::from(name.as_str()), began, began + *span);
+        }
+        for (name, value, unit) in &notes.values {
+            log.value(Name::from(name.as_str()), *value, Unit::new(unit));
+        }
+        if let Some(sequence) = notes.sequence {
+            // One that counts from the beginning again has been started anew: what it missed is not known.
+            let next = self.last.and_then(|last| last.checked_add(1));
+            let dropped = next.and_then(|next| sequence.checked_sub(next)).unwrap_or(0);
+            log.value(DROPPED_SAMPLES, dropped as f64, Unit::NONE);
+            self.last = Some(sequence);
+        }
+    }
+}
+
+impl Sensor for Exec {
+    fn sample(&mut self, log: &mut Recorder) -> Result<Option<Sample>, SensorError> {
+        let exchange = self.program.ask(Request::Next).map_err(|error| self.failed(error))?;
+        let Said::Parts(parts) = exchange.said else { return Ok(None) };
+        self.note(&exchange.notes, log, exchange.began);
+        let Notes { source, label, .. } = exchange.notes;
+        Ok(Some(Sample { parts, source: source.unwrap_or_default(), label }))
+    }
+
+    fn facts(&self) -> Vec<(String, String)> {
+        vec![("Sensor".to_owned(), format!("the program {}", self.command))]
+    }
+}
