@@ -19,4 +19,4 @@ pub use encode::{Encoding, encode};
 pub use error::ImageError;
 pub use picture::Picture;
 pub use probe::{Header, MAX_PIXELS, MAX_SIDE, probe, probe_part};
-pub use resize::{Filter, Resizer};
+pub use resize::{Filter, Resizer, Scaling};

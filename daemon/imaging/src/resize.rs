@@ -27,14 +27,35 @@ pub enum Filter {
     Lanczos,
 }
 
-impl Filter {
+/// A filter, and whether it widens when a picture is scaled down.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Scaling {
+    /// How pixels are combined.
+    pub filter: Filter,
+    /// Whether all pixels that are merged count; otherwise only the nearest ones do, as many as the filter takes when it
+    /// scales up. Some models were trained so.
+    pub antialias: bool,
+}
+
+impl From<Filter> for Scaling {
+    fn from(filter: Filter) -> Self {
+        Self { filter, antialias: true }
+    }
+}
+
+impl Scaling {
     fn algorithm(self) -> fir::ResizeAlg {
-        match self {
-            Self::Nearest => fir::ResizeAlg::Nearest,
-            Self::Box => fir::ResizeAlg::Convolution(fir::FilterType::Box),
-            Self::Bilinear => fir::ResizeAlg::Convolution(fir::FilterType::Bilinear),
-            Self::Bicubic => fir::ResizeAlg::Convolution(fir::FilterType::CatmullRom),
-            Self::Lanczos => fir::ResizeAlg::Convolution(fir::FilterType::Lanczos3),
+        let filter = match self.filter {
+            Filter::Nearest => return fir::ResizeAlg::Nearest,
+            Filter::Box => fir::FilterType::Box,
+            Filter::Bilinear => fir::FilterType::Bilinear,
+            Filter::Bicubic => fir::FilterType::CatmullRom,
+            Filter::Lanczos => fir::FilterType::Lanczos3,
+        };
+        if self.antialias {
+            fir::ResizeAlg::Convolution(filter)
+        } else {
+            fir::ResizeAlg::Interpolation(filter)
         }
     }
 }
@@ -58,7 +79,7 @@ impl Resizer {
         picture: &Picture,
         width: u32,
         height: u32,
-        filter: Filter,
+        scaling: impl Into<Scaling>,
         target: &mut Picture,
     ) -> Result<(), ImageError> {
         check_size(u64::from(picture.width()), u64::from(picture.height()))?;
@@ -73,7 +94,7 @@ impl Resizer {
             .map_err(impossible)?;
         let pixels = target.reshape(picture.format(), width, height);
         let mut to = fir::images::Image::from_slice_u8(width, height, pixels, kind).map_err(impossible)?;
-        let options = fir::ResizeOptions::new().resize_alg(filter.algorithm()).use_alpha(false);
+        let options = fir::ResizeOptions::new().resize_alg(scaling.into().algorithm()).use_alpha(false);
         self.0
             .resize(&from, &mut to, &options)
             .map_err(|_| ImageError::Size { width: u64::from(width), height: u64::from(height) })
@@ -103,6 +124,22 @@ mod tests {
             let far = target.pixels().iter().filter(|grey| grey.abs_diff(128) > 12).count();
             assert_eq!(far, 0, "{filter:?}: {:?}", target.pixels());
         }
+    }
+
+    #[test]
+    fn without_antialiasing_only_the_nearest_pixels_count() {
+        // Pixel 0 of 8 of 64 lies at 3.5: halfway between a black and a white one, whatever lies beside them.
+        let mut lone = vec![0; 64];
+        lone[3] = 200;
+        let row = Picture::new(PixelFormat::Grey8, 64, 1, lone).expect("fits");
+        let mut target = Picture::default();
+        let mut first = |antialias| {
+            let scaling = Scaling { filter: Filter::Bilinear, antialias };
+            Resizer::new().resize(&row, 8, 1, scaling, &mut target).expect("fits");
+            target.pixels()[0]
+        };
+        assert_eq!(first(false), 100);
+        assert!(first(true) < 30, "the mean of about sixteen");
     }
 
     #[test]

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use peernet_logger::Slug;
 use serde::{Deserialize, Serialize};
 
-use crate::LoadError;
+use crate::{ExecModelConfig, LoadError, PythonModelConfig};
 
 /// Most threads that compute samples of one model.
 const MAX_WORKERS: usize = 256;
@@ -25,6 +25,10 @@ const MAX_STAGE_MS: usize = 24 * 3600 * 1000;
 pub enum ModelConfig {
     /// A model in ONNX form, run by ONNX Runtime.
     Onnx(OnnxConfig),
+    /// A Python object of the user's own with `infer(x)`.
+    Python(PythonModelConfig),
+    /// A program of your own: docs/external-programs.md.
+    Exec(ExecModelConfig),
     /// Answers with what it was given, at once: measures everything around a model.
     Echo(EchoConfig),
     /// Takes the time it is told to: a model of known latency.
@@ -100,11 +104,21 @@ pub struct OnnxRuntimeConfig {
     pub library: Option<PathBuf>,
 }
 
+impl OnnxConfig {
+    /// A model in a folder on a device; every other key at its default.
+    pub fn new(name: Slug, path: PathBuf, device: &str) -> Self {
+        let (workers, queue, intra_threads, inter_threads) = (one(), sixteen(), one(), one());
+        Self { name, path, device: device.to_owned(), workers, queue, intra_threads, inter_threads }
+    }
+}
+
 impl ModelConfig {
     /// The name under which peers ask for it.
     pub fn name(&self) -> &Slug {
         match self {
             Self::Onnx(config) => &config.name,
+            Self::Python(config) => &config.name,
+            Self::Exec(config) => &config.name,
             Self::Echo(config) => &config.name,
             Self::Sleep(config) => &config.name,
         }
@@ -114,6 +128,8 @@ impl ModelConfig {
     pub fn device(&self) -> &str {
         match self {
             Self::Onnx(config) => &config.device,
+            Self::Python(config) => &config.device,
+            Self::Exec(config) => &config.device,
             Self::Echo(_) | Self::Sleep(_) => "cpu",
         }
     }
@@ -130,6 +146,12 @@ impl ModelConfig {
                 ("intra_threads", config.intra_threads.get(), MAX_THREADS),
                 ("inter_threads", config.inter_threads.get(), MAX_THREADS),
             ],
+            Self::Exec(config) => {
+                &[("workers", config.workers.get(), MAX_WORKERS), ("queue", config.queue.get(), MAX_QUEUE)]
+            }
+            Self::Python(config) => {
+                &[("workers", config.workers.get(), MAX_WORKERS), ("queue", config.queue.get(), MAX_QUEUE)]
+            }
             Self::Echo(config) => &[("answer_bytes", config.answer_bytes.unwrap_or(0), MAX_ANSWER_BYTES)],
             Self::Sleep(config) => &[
                 ("preprocessing_ms", config.preprocessing_ms as usize, MAX_STAGE_MS),
@@ -151,6 +173,8 @@ impl ModelConfig {
     pub fn workers(&self) -> usize {
         match self {
             Self::Onnx(config) => config.workers.get(),
+            Self::Python(config) => config.workers.get(),
+            Self::Exec(config) => config.workers.get(),
             Self::Sleep(config) => config.workers.get(),
             Self::Echo(_) => 1,
         }
@@ -160,6 +184,8 @@ impl ModelConfig {
     pub fn queue(&self) -> usize {
         match self {
             Self::Onnx(config) => config.queue.get(),
+            Self::Python(config) => config.queue.get(),
+            Self::Exec(config) => config.queue.get(),
             Self::Sleep(config) => config.queue.get(),
             Self::Echo(_) => 1,
         }
@@ -221,6 +247,7 @@ mod tests {
             ("'onnx'\npath = 'x'", "intra_threads", 1024),
             ("'onnx'\npath = 'x'", "inter_threads", 1024),
             ("'echo'", "answer_bytes", 1 << 30),
+            ("'python'\nobject = 'a::b'", "workers", 256),
             ("'sleep'", "workers", 256),
             ("'sleep'", "queue", 65_536),
             ("'sleep'", "inference_ms", 86_400_000),

@@ -2,6 +2,12 @@
 
 use std::path::PathBuf;
 
+use peernet_external::exec::ExchangeError;
+use peernet_external::python::PythonError;
+
+/// Most names that are listed.
+const LISTED: usize = 30;
+
 /// Why a model is not there.
 #[derive(Debug, thiserror::Error)]
 pub enum LoadError {
@@ -12,6 +18,42 @@ pub enum LoadError {
         name: String,
         /// What this host offers.
         known: Vec<String>,
+    },
+    /// No folder has a model of that name.
+    #[error(
+        "no model named {name} in {}; {}; name another folder, give a path with a slash, or export the model \
+         (models/export_torchvision.py)",
+        listed(.looked), there_is(.known)
+    )]
+    NotFound {
+        /// What was asked for.
+        name: String,
+        /// The folders that were searched.
+        looked: Vec<PathBuf>,
+        /// The models in them.
+        known: Vec<String>,
+    },
+    /// Nobody said which of several models is wanted.
+    #[error("no model was named; {}; name one", offered(.known))]
+    Unnamed {
+        /// What this host offers.
+        known: Vec<String>,
+    },
+    /// The files of a model in use are not those that were loaded.
+    #[error("model {0} was changed on disk while others use it; ask again when their sessions are over")]
+    Changed(String),
+    /// No more models of the bank's folders may be in memory.
+    #[error(
+        "no room for model {model}: {most} models of the bank may be loaded and all are in use ({}); ask again later, or \
+         raise [bank] most_loaded on the serving host", .in_use.join(", ")
+    )]
+    BankFull {
+        /// The model.
+        model: String,
+        /// How many may be in memory.
+        most: usize,
+        /// Those that are.
+        in_use: Vec<String>,
     },
     /// Two models have one name.
     #[error("two models are named {0}; give each its own name")]
@@ -63,6 +105,19 @@ pub enum LoadError {
         /// The execution providers it has, of those this program knows.
         available: Vec<&'static str>,
     },
+    /// A program could not be started.
+    #[error("model {model}, the program {command}: {error}")]
+    Program {
+        /// The model.
+        model: String,
+        /// The program and its arguments.
+        command: String,
+        /// What went wrong.
+        error: ExchangeError,
+    },
+    /// A Python object could not be had.
+    #[error(transparent)]
+    Python(#[from] PythonError),
     /// A file of the model is missing, unreadable or wrong.
     #[error("cannot use {}: {reason}", .file.display())]
     File {
@@ -179,9 +234,30 @@ pub enum InferenceError {
     },
 }
 
+fn listed(folders: &[PathBuf]) -> String {
+    folders.iter().map(|folder| folder.display().to_string()).collect::<Vec<_>>().join(", ")
+}
+
+/// The first names of a list that may be long: an answer to a peer is not.
+fn first(names: &[String]) -> String {
+    match names.get(..LISTED) {
+        Some(first) if names.len() > LISTED => {
+            format!("{} and {} more", first.join(", "), names.len() - LISTED)
+        }
+        _ => names.join(", "),
+    }
+}
+
+fn there_is(known: &[String]) -> String {
+    match known {
+        [] => "there is none at all".to_owned(),
+        known => format!("there is {}", first(known)),
+    }
+}
+
 fn offered(known: &[String]) -> String {
     match known {
         [] => "this host offers none: add a [[model]] to its configuration".to_owned(),
-        known => format!("this host offers {}", known.join(", ")),
+        known => format!("this host offers {}", first(known)),
     }
 }

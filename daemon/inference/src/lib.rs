@@ -1,27 +1,32 @@
-//! Models: `onnx`, `echo`, `sleep`; loaded once, run by their own threads behind a bounded queue.
+//! Models: `onnx`, `python`, `exec`, `echo`, `sleep`; loaded once, run by their own threads behind a bounded queue.
 //!
 //! [`Bank`] is the list of models that a host offers and the only way to one. Asked for a model it loads it,
 //! once, and hands out its [`Pool`]: jobs go in by [`Pool::submit`], each comes back through its own `reply`.
 //!
 //! A new kind is one file or folder here plus one variant of [`ModelConfig`].
 
-mod bank;
+pub mod bank;
 mod config;
 mod echo;
 mod error;
+mod exec;
 mod job;
 mod litter;
 mod onnx;
 mod pool;
+mod python;
 mod queue;
 mod sleep;
 mod thread;
 
-pub use bank::Bank;
+pub use bank::{Bank, BankConfig};
 pub use config::{EchoConfig, ModelConfig, OnnxConfig, OnnxRuntimeConfig, SleepConfig};
 pub use error::{InferenceError, LibraryError, LoadError};
+pub use exec::ExecModelConfig;
 pub use job::{Done, Job, Refused};
+pub use onnx::{CardSummary, MODEL_HASH};
 pub use pool::Pool;
+pub use python::PythonModelConfig;
 
 use peernet_logger::Recorder;
 use peernet_sample::Sample;

@@ -177,12 +177,13 @@ async fn serve_session(plan: Plan, tell: std::sync::mpsc::SyncSender<Address>) -
                     name: "cloud".parse()?,
                     clock: clock.identity().clone(),
                     version: String::new(),
-                    model: open.hello.model.clone(),
+                    model: open.hello.model.clone().ok_or("a hello without a model")?,
                     device: "cpu".into(),
                     facts: Vec::new(),
                     host_clock: PeerClock::default(),
                     probes: None,
                     instance: 1,
+                    conditions: Vec::new(),
                 };
                 open.accept(accepted);
             }
@@ -221,7 +222,7 @@ fn edge(plan: &Plan, bare: &str, address: &Address) -> Anyhow<()> {
         name: "edge".parse()?,
         clock: clock().identity().clone(),
         pipeline: "bench".parse()?,
-        model: "echo".parse::<Slug>()?,
+        model: Some("echo".parse::<Slug>()?),
         device: None,
     };
     let opening = Session::open(NetworkKind::ZmqTcp, address, hello, SessionSettings::default(), clock());

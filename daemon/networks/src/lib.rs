@@ -16,7 +16,7 @@ mod transport;
 pub use address::{Address, InvalidAddress};
 pub use figures::NetworkFigures;
 pub use kind::NetworkKind;
-pub use message::{PROTOCOL, PeerClock, SessionAccepted, SessionHello, SessionId};
+pub use message::{MAX_CONDITIONS, PROTOCOL, PeerClock, SessionAccepted, SessionHello, SessionId};
 pub use session::{
     Announcer, BindError, CloseReason, Exchange, Failure, Incoming, IncomingRequest, Listener, OpenError,
     OpenRequest, RequestError, Responder, Session,

@@ -13,7 +13,7 @@ use crate::LoadError;
 #[serde(deny_unknown_fields)]
 pub(super) struct Card {
     pub(super) name: String,
-    task: Task,
+    pub(super) task: Task,
     #[serde(default)]
     pub(super) description: String,
     #[serde(default)]
@@ -23,12 +23,12 @@ pub(super) struct Card {
     pub(super) output: Output,
     /// Where the model came from: for people, in any form.
     #[serde(default)]
-    provenance: toml::Table,
+    pub(super) provenance: toml::Table,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-enum Task {
+pub(super) enum Task {
     Classification,
 }
 
@@ -93,12 +93,18 @@ pub(super) enum Resize {
         height: u32,
         #[serde(default)]
         filter: Filter,
+        /// Scaling down, whether all pixels that are merged count.
+        #[serde(default = "yes")]
+        antialias: bool,
     },
     /// The shorter side to this length, the other in proportion (rounded down).
     Shortest {
         size: u32,
         #[serde(default)]
         filter: Filter,
+        /// Scaling down, whether all pixels that are merged count.
+        #[serde(default = "yes")]
+        antialias: bool,
     },
 }
 
@@ -107,6 +113,30 @@ pub(super) enum Resize {
 pub(super) struct Centre {
     pub(super) width: u32,
     pub(super) height: u32,
+    /// Where it lies when the margins cannot be equal.
+    #[serde(default)]
+    pub(super) rounding: Rounding,
+}
+
+/// What becomes of the half pixel of an odd margin, left and above.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(super) enum Rounding {
+    /// It is dropped.
+    #[default]
+    Down,
+    /// To the even number, as torchvision does (Python's `round`).
+    HalfEven,
+}
+
+impl Rounding {
+    /// Pixels before the crop when `margin` pixels are left over.
+    pub(super) const fn before(self, margin: u32) -> u32 {
+        match self {
+            Self::HalfEven if margin % 4 == 3 => margin / 2 + 1,
+            _ => margin / 2,
+        }
+    }
 }
 
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -174,7 +204,7 @@ impl Card {
             return Err("preprocessing needs finite numbers and no std of 0".to_owned());
         }
         let result = match (preprocessing.resize, preprocessing.crop) {
-            (_, Some(Centre { width, height })) => Some((height, width)),
+            (_, Some(Centre { width, height, .. })) => Some((height, width)),
             (Some(Resize::Exact { width, height, .. }), None) => Some((height, width)),
             (Some(Resize::Shortest { .. }), None) => {
                 return Err("preprocessing.resize to the shortest side needs a crop after it".to_owned());
@@ -224,6 +254,10 @@ impl fmt::Display for Layout {
     }
 }
 
+const fn yes() -> bool {
+    true
+}
+
 const fn five() -> usize {
     5
 }
@@ -264,9 +298,17 @@ labels = ["a", "b"]
         assert_eq!(card.output.top_k, 5);
         assert_eq!(
             card.preprocessing.resize,
-            Some(Resize::Exact { width: 2, height: 1, filter: Filter::Bilinear })
+            Some(Resize::Exact { width: 2, height: 1, filter: Filter::Bilinear, antialias: true })
         );
         assert!(Card::parse(&format!("{SMALL}\n[provenance]\nanything = [1, 2]\n")).is_ok());
+    }
+
+    #[test]
+    fn an_odd_margin_is_split_as_the_card_says() {
+        let before = |rounding: Rounding| [0, 1, 2, 3, 4, 5, 7].map(|margin| rounding.before(margin));
+        assert_eq!(before(Rounding::Down), [0, 0, 1, 1, 2, 2, 3]);
+        // int(round(margin / 2.0)) in Python.
+        assert_eq!(before(Rounding::HalfEven), [0, 0, 1, 2, 2, 2, 4]);
     }
 
     #[test]

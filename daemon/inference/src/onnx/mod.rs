@@ -12,7 +12,11 @@ mod preprocess;
 mod search;
 mod session;
 mod shared;
+mod summary;
 mod worker;
+
+pub use summary::CardSummary;
+pub(crate) use summary::{hash, summarise};
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -28,14 +32,26 @@ use shared::Shared;
 use worker::OnnxWorker;
 
 /// The model in a model's folder.
-const MODEL: &str = "model.onnx";
+pub(crate) const MODEL: &str = "model.onnx";
 
 /// The card in a model's folder.
-const CARD: &str = "model.toml";
+pub(crate) const CARD: &str = "model.toml";
+
+/// The name of the fact that tells which file a model is: its SHA-256 in hexadecimal.
+pub const MODEL_HASH: &str = "Model SHA-256";
+
+/// Whether this is the name of a device.
+///
+/// # Errors
+/// When it is none.
+pub(crate) fn check_device(name: &str) -> Result<(), LoadError> {
+    name.parse::<Device>().map(drop)
+}
 
 /// A loaded ONNX model.
 pub(crate) struct Onnx {
     plan: Arc<Plan>,
+    hash: String,
     runtime: Arc<Runtime>,
     /// The model's weights in a form that several workers share; `None` when there is one worker only.
     shared: Option<Shared>,
@@ -65,8 +81,9 @@ impl Onnx {
         litter: &Litter,
     ) -> Result<Self, LoadError> {
         let (plan, runtime) = Self::plan(config, runtime)?;
+        let hash = hash(&config.path)?;
         let shared = Shared::prepare(&plan, &runtime, litter)?;
-        Ok(Self { plan: Arc::new(plan), runtime, shared })
+        Ok(Self { plan: Arc::new(plan), hash, runtime, shared })
     }
 
     fn plan(config: &OnnxConfig, runtime: &OnnxRuntimeConfig) -> Result<(Plan, Arc<Runtime>), LoadError> {
@@ -103,11 +120,11 @@ impl Model for Onnx {
 
     fn facts(&self) -> Vec<(String, String)> {
         let Plan { card, device, intra_threads, inter_threads, .. } = &*self.plan;
-        let shape: Vec<_> = card.input.shape.iter().map(usize::to_string).collect();
         let facts = [
-            ("Model", format!("{} {}", card.name, card.version)),
+            ("Model", format!("{} {}", card.name, card.version).trim_end().to_owned()),
+            (MODEL_HASH, self.hash.clone()),
             ("Task", card.description.clone()),
-            ("Input", format!("{} float32 {}", shape.join(" × "), card.input.layout)),
+            ("Input", card.summary().input),
             ("Device", device.to_string()),
             ("Threads per worker", format!("{intra_threads} within operators, {inter_threads} across")),
             ("ONNX Runtime", self.runtime.library().display().to_string()),

@@ -1,15 +1,15 @@
 //! From a sample to the model's input.
 
-use peernet_imaging::{Crop, Filter, ImageError, Picture, Resizer, crop, read_part};
+use peernet_imaging::{Crop, ImageError, Picture, Resizer, Scaling, crop, read_part};
 use peernet_sample::{PixelFormat, Sample};
 
-use super::card::{Card, Colour, Layout, Resize};
+use super::card::{Card, Centre, Colour, Layout, Resize};
 
 /// Decodes, resizes, crops and normalises as a card says; keeps all buffers from one sample to the next.
 pub(super) struct Preprocessor {
     format: PixelFormat,
     resize: Option<Resize>,
-    crop: Option<Crop>,
+    crop: Option<Centre>,
     width: u32,
     height: u32,
     layout: Layout,
@@ -42,12 +42,7 @@ impl Preprocessor {
         Self {
             format: if card.input.colour == Colour::Grey { PixelFormat::Grey8 } else { PixelFormat::Rgb8 },
             resize: preprocessing.resize,
-            crop: preprocessing.crop.map(|centre| Crop {
-                width: centre.width,
-                height: centre.height,
-                x: None,
-                y: None,
-            }),
+            crop: preprocessing.crop,
             width: width as u32,
             height: height as u32,
             layout: card.input.layout,
@@ -72,14 +67,14 @@ impl Preprocessor {
         read_part(part, self.format, &mut self.decoded).map_err(error)?;
         let mut picture = &self.decoded;
         if let Some(resize) = self.resize {
-            let (width, height, filter) = target(resize, picture);
+            let (width, height, scaling) = target(resize, picture);
             if (width, height) != (picture.width(), picture.height()) {
-                self.resizer.resize(picture, width, height, filter, &mut self.resized).map_err(error)?;
+                self.resizer.resize(picture, width, height, scaling, &mut self.resized).map_err(error)?;
                 picture = &self.resized;
             }
         }
-        if let Some(rectangle) = self.crop {
-            crop(picture, rectangle, &mut self.cropped).map_err(error)?;
+        if let Some(centre) = self.crop {
+            crop(picture, rectangle(centre, picture), &mut self.cropped).map_err(error)?;
             picture = &self.cropped;
         }
         if (picture.width(), picture.height()) != (self.width, self.height) {
@@ -96,15 +91,21 @@ impl Preprocessor {
     }
 }
 
-/// The size to scale to.
-fn target(resize: Resize, picture: &Picture) -> (u32, u32, Filter) {
+/// Where the centre of a picture lies; one that is too small is for the cropping to refuse.
+fn rectangle(Centre { width, height, rounding }: Centre, picture: &Picture) -> Crop {
+    let before = |whole: u32, part: u32| Some(rounding.before(whole.saturating_sub(part)));
+    Crop { width, height, x: before(picture.width(), width), y: before(picture.height(), height) }
+}
+
+/// The size to scale to, and how.
+fn target(resize: Resize, picture: &Picture) -> (u32, u32, Scaling) {
     match resize {
-        Resize::Exact { width, height, filter } => (width, height, filter),
-        Resize::Shortest { size, filter } => {
+        Resize::Exact { width, height, filter, antialias } => (width, height, Scaling { filter, antialias }),
+        Resize::Shortest { size, filter, antialias } => {
             let (width, height) = (u64::from(picture.width()), u64::from(picture.height()));
             let shortest = width.min(height).max(1);
             let scaled = |side: u64| u32::try_from(side * u64::from(size) / shortest).unwrap_or(u32::MAX);
-            (scaled(width), scaled(height), filter)
+            (scaled(width), scaled(height), Scaling { filter, antialias })
         }
     }
 }

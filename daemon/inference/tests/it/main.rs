@@ -3,6 +3,8 @@
 
 mod accuracy;
 mod bank;
+mod exec;
+mod folders;
 mod process;
 mod refusals;
 mod samples;

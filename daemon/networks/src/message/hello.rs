@@ -3,15 +3,19 @@
 use std::fmt;
 
 use peernet_clock::{ClockIdentity, Discipline, RehearsalDescription};
+use peernet_logger::stream::Condition;
 use peernet_logger::{HostId, Slug};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 use uuid::Uuid;
 
-use super::words;
+use super::{printable, words};
 
 /// The version of the protocol between edge and cloud. Peers of different versions refuse each other.
-pub const PROTOCOL: u16 = 3;
+pub const PROTOCOL: u16 = 4;
+
+/// Most findings about a host that a peer may tell.
+pub const MAX_CONDITIONS: usize = 32;
 
 /// A session, by the random id that the cloud gave it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -44,8 +48,8 @@ pub struct SessionHello {
     pub clock: ClockIdentity,
     /// The pipeline that samples will come from.
     pub pipeline: Slug,
-    /// The model wanted.
-    pub model: Slug,
+    /// The model wanted; `None` is the cloud's only one.
+    pub model: Option<Slug>,
     /// The device it must run on, such as `cuda:0`; `None` leaves it to the cloud.
     pub device: Option<String>,
 }
@@ -74,6 +78,10 @@ pub struct SessionAccepted {
     /// A number that the cloud's process chose at random when it began. Answers to probes carry it, and epochs of
     /// different processes cannot be compared.
     pub instance: u64,
+    /// What was found of the cloud before the session; at most [`MAX_CONDITIONS`]. On the wire a longer list makes the
+    /// whole message unreadable.
+    #[serde(deserialize_with = "few")]
+    pub conditions: Vec<Condition>,
 }
 
 /// What a cloud tells of its wall clock: when a session opens, and whenever it changes. On the wire a claim whose
@@ -91,6 +99,22 @@ pub struct PeerClock {
     /// How it is made wrong on purpose.
     #[serde(deserialize_with = "finite")]
     pub rehearsal: Option<RehearsalDescription>,
+}
+
+/// A peer's findings, which end up on terminals and pages.
+fn few<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Condition>, D::Error> {
+    let conditions: Vec<Condition> = Vec::deserialize(deserializer)?;
+    if conditions.len() > MAX_CONDITIONS {
+        return Err(D::Error::custom(format_args!("more than {MAX_CONDITIONS} conditions")));
+    }
+    let clean = |Condition { host, about, found, grade, advice }| Condition {
+        host: printable(host),
+        about: printable(about),
+        found: printable(found),
+        grade,
+        advice: printable(advice),
+    };
+    Ok(conditions.into_iter().map(clean).collect())
 }
 
 /// A peer's claim, from which intervals are computed here: one that ends before it begins is none.

@@ -24,16 +24,19 @@ pub(crate) use header::{
     Accepted, ClockNews, Departure, Goodbye, Header, HeaderError, MAX_FRAMES, Open, Outcome, RefusalKind,
     Refused, Reply, Request, SampleHeader, UnknownSession,
 };
-pub use hello::{PROTOCOL, PeerClock, SessionAccepted, SessionHello, SessionId};
+pub use hello::{MAX_CONDITIONS, PROTOCOL, PeerClock, SessionAccepted, SessionHello, SessionId};
 pub(crate) use tree::{decode_growth, decode_tree, encode_growth, encode_tree, put_upload};
 
 use serde::{Deserialize, Deserializer};
 
 /// A peer's words, which end up on terminals and in logs: control characters become spaces.
 fn words<'de, D: Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
-    let text = String::deserialize(deserializer)?;
+    String::deserialize(deserializer).map(printable)
+}
+
+fn printable(text: String) -> String {
     if !text.contains(char::is_control) {
-        return Ok(text);
+        return text;
     }
-    Ok(text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect())
+    text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
 }

@@ -3,6 +3,7 @@
 use peernet_clock::{
     ClockIdentity, DelaySource, Discipline, Interval, RehearsalDescription, RehearsedStep, Span, WallTime,
 };
+use peernet_logger::stream::{Condition, Grade};
 use peernet_logger::{HostId, Slug};
 use peernet_sample::{Description, ElementType, MediaType, PixelFormat};
 use proptest::prelude::*;
@@ -26,7 +27,7 @@ fn clock() -> impl Strategy<Value = ClockIdentity> {
 
 pub(crate) fn hello() -> impl Strategy<Value = SessionHello> {
     let device = proptest::option::of(".{0,12}");
-    (any::<u16>(), host(), slug(), clock(), slug(), slug(), device).prop_map(
+    (any::<u16>(), host(), slug(), clock(), slug(), proptest::option::of(slug()), device).prop_map(
         |(protocol, host, name, clock, pipeline, model, device)| SessionHello {
             protocol,
             host,
@@ -68,11 +69,36 @@ pub(crate) fn peer_clock() -> impl Strategy<Value = PeerClock> {
 pub(crate) fn accepted() -> impl Strategy<Value = SessionAccepted> {
     let facts = proptest::collection::vec((".{0,12}", ".{0,12}"), 0..4);
     let clocks = (clock(), peer_clock(), any::<(Option<u16>, u64)>());
-    (host(), slug(), clocks, ".{0,12}", slug(), ".{0,12}", facts).prop_map(
-        |(host, name, (clock, host_clock, (probes, instance)), version, model, device, facts)| {
-            SessionAccepted { host, name, clock, version, model, device, facts, host_clock, probes, instance }
+    let words = (".{0,12}", ".{0,12}", facts, proptest::collection::vec(condition(), 0..4));
+    (host(), slug(), clocks, slug(), words).prop_map(
+        |(host, name, (clock, host_clock, (probes, instance)), model, words)| {
+            let (version, device, facts, conditions) = words;
+            SessionAccepted {
+                host,
+                name,
+                clock,
+                version,
+                model,
+                device,
+                facts,
+                host_clock,
+                probes,
+                instance,
+                conditions,
+            }
         },
     )
+}
+
+fn condition() -> impl Strategy<Value = Condition> {
+    let grade = prop_oneof![Just(Grade::Good), Just(Grade::Unknown), Just(Grade::Doubtful), Just(Grade::Bad)];
+    (words(), words(), words(), grade, words()).prop_map(|(host, about, found, grade, advice)| Condition {
+        host,
+        about,
+        found,
+        grade,
+        advice,
+    })
 }
 
 fn description() -> impl Strategy<Value = Description> {

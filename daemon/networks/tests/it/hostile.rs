@@ -3,12 +3,13 @@
 use bytes::Bytes;
 use peernet_clock::{Span, WallTime};
 use peernet_logger::{Anchor, Growth, HostId, HostIndex, Measure, Node, NodeId, Tree, stage, wire as logger};
-use peernet_networks::{Address, CloseReason, Incoming, PROTOCOL, RequestError, SessionSettings};
+use peernet_networks::{CloseReason, Incoming, PROTOCOL, RequestError, SessionSettings};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
-use zeromq::{Message, Options, Socket, SocketType};
+use zeromq::Options;
 
-use crate::support::{Cloud, PATIENCE, accepted, echo, hello, log, open, request, sample, settings, within};
+use crate::fake_cloud::FakeCloud;
+use crate::support::{Cloud, PATIENCE, accepted, echo, log, request, sample, settings, within};
 use crate::wire::{self, Header, Id, Outcome, Plain};
 
 fn tree() -> Bytes {
@@ -249,60 +250,6 @@ async fn an_oversize_message_ends_its_own_connection_alone() {
     plain.say(&plain_request(&session, 0, 1), vec![tree(), vec![0; 1_000_000].into()]).await;
     cloud.next_closed().await;
     echo(&mut cloud, &good, "not my fault").await;
-}
-
-/// A cloud that says what it likes.
-struct FakeCloud {
-    socket: zeromq::IdentitySocket,
-    address: Address,
-}
-
-impl FakeCloud {
-    async fn start() -> Self {
-        let socket = Socket::new(SocketType::Router, Options::default());
-        let endpoint = socket.bind("tcp://127.0.0.1:0").await.expect("a free port");
-        let socket = socket.identity_routing().expect("a router");
-        Self { socket, address: endpoint.to_string().parse().expect("an address") }
-    }
-
-    async fn hear(&self) -> (zeromq::Identity, Header) {
-        let (identity, message) = within(self.socket.recv_from()).await.expect("a message");
-        (identity, rmp_serde::from_slice(&message[0]).expect("a header"))
-    }
-
-    async fn say(&self, to: &zeromq::Identity, header: &Header, rest: Vec<Bytes>) {
-        let header = rmp_serde::to_vec_named(header).expect("serialises");
-        let message = Message::multipart([vec![header.into()], rest].concat());
-        within(self.socket.send_to(to, message)).await.expect("sent");
-    }
-
-    fn accepted(session: Id, protocol: u16) -> Header {
-        let accepted = wire::Accepted {
-            host: Id::from([2; 16]),
-            name: "fake".into(),
-            clock: wire::Clock { boot: "b".into(), clock: "c".into() },
-            version: "9".into(),
-            model: "echo".into(),
-            device: "cpu".into(),
-            facts: Vec::new(),
-            host_clock: wire::host_clock(0),
-            probes: None,
-            instance: 1,
-        };
-        Header::Accepted { protocol, session, accepted, max_message_bytes: 1_000_000, max_in_flight: 8 }
-    }
-
-    async fn session(&self) -> (peernet_networks::Session, zeromq::Identity, Id) {
-        let address = self.address.clone();
-        let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
-        let (to, header) = self.hear().await;
-        assert!(matches!(header, Header::Open { .. }));
-        let id = Id::from([3; 16]);
-        // Nonsense before the answer is passed over.
-        self.say(&to, &Header::Goodbye { session: id.clone(), reason: String::new() }, Vec::new()).await;
-        self.say(&to, &Self::accepted(id.clone(), PROTOCOL), Vec::new()).await;
-        (within(edge).await.expect("no panic").expect("accepted"), to, id)
-    }
 }
 
 #[tokio::test]

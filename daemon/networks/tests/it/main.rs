@@ -3,9 +3,11 @@
 mod clocks;
 mod crowd;
 mod failures;
+mod fake_cloud;
 mod handshake;
 mod hostile;
 mod requests;
 mod shutdown;
 mod support;
+mod telling;
 mod wire;

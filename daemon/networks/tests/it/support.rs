@@ -34,7 +34,7 @@ pub(crate) fn hello() -> SessionHello {
         name: "robot-1".parse().expect("a name"),
         clock: ClockIdentity::new("boot", "system"),
         pipeline: "line".parse().expect("a name"),
-        model: "echo".parse().expect("a name"),
+        model: Some("echo".parse().expect("a name")),
         device: None,
     }
 }
@@ -51,6 +51,7 @@ pub(crate) fn accepted(host: HostId) -> SessionAccepted {
         host_clock: PeerClock { text: "left alone".into(), ..PeerClock::default() },
         probes: Some(8620),
         instance: 4,
+        conditions: Vec::new(),
     }
 }
 

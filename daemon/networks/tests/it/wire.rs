@@ -43,7 +43,7 @@ pub(crate) struct Hello {
     pub(crate) name: String,
     pub(crate) clock: Clock,
     pub(crate) pipeline: String,
-    pub(crate) model: String,
+    pub(crate) model: Option<String>,
     pub(crate) device: Option<String>,
     /// Something a later version adds.
     #[serde(default)]
@@ -68,6 +68,16 @@ pub(crate) struct Accepted {
     pub(crate) host_clock: HostClock,
     pub(crate) probes: Option<u16>,
     pub(crate) instance: u64,
+    pub(crate) conditions: Vec<Condition>,
+}
+
+#[derive(Clone, Serialize, Deserialize, Debug)]
+pub(crate) struct Condition {
+    pub(crate) host: String,
+    pub(crate) about: String,
+    pub(crate) found: String,
+    pub(crate) grade: String,
+    pub(crate) advice: String,
 }
 
 #[derive(Serialize, Deserialize, Debug)]
@@ -116,7 +126,7 @@ pub(crate) fn hello(protocol: u16) -> Hello {
         name: "plain".into(),
         clock: Clock { boot: "b".into(), clock: "c".into() },
         pipeline: "p".into(),
-        model: "echo".into(),
+        model: Some("echo".into()),
         device: None,
         colour: None,
     }

@@ -19,7 +19,7 @@ fn hello() -> Header {
         name: "edge".parse().expect("a name"),
         clock: ClockIdentity::new("b", "c"),
         pipeline: "p".parse().expect("a name"),
-        model: "m".parse().expect("a name"),
+        model: Some("m".parse().expect("a name")),
         device: None,
     };
     Header::Open(Box::new(Open { hello, max_message_bytes: 1_000 }))
@@ -37,6 +37,7 @@ fn accepted() -> SessionAccepted {
         host_clock: PeerClock::default(),
         probes: None,
         instance: 1,
+        conditions: Vec::new(),
     }
 }
 

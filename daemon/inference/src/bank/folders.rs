@@ -1,0 +1,150 @@
+//! Folders of models on disk.
+
+use std::collections::HashSet;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+
+use peernet_logger::Slug;
+
+use crate::onnx::{self, CardSummary};
+use crate::{LoadError, OnnxConfig};
+
+/// Where the package and `peernet models` look for models by default.
+pub const INSTALLED: &str = "/var/lib/peernet/models";
+
+/// The variable with further folders, separated by colons.
+const VARIABLE: &str = "PEERNET_MODELS";
+
+/// Folders that hold one folder per model, in the order in which they are searched.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Folders(Vec<PathBuf>);
+
+/// A model on disk.
+#[derive(Debug)]
+pub struct Found {
+    /// Its name: that of its folder.
+    pub name: Slug,
+    /// The folder with `model.onnx` and its card `model.toml`.
+    pub folder: PathBuf,
+    /// What the card says, or what is wrong with the model as far as that shows without loading it.
+    pub card: Result<CardSummary, LoadError>,
+    /// The folder of another model of this name, which is searched first.
+    pub hidden_by: Option<PathBuf>,
+}
+
+impl Folders {
+    /// The folders of the command line: `extra`, then those of `PEERNET_MODELS`, [`INSTALLED`] and `models`.
+    pub fn search(extra: &[PathBuf]) -> Self {
+        let variable = std::env::var_os(VARIABLE).unwrap_or_default();
+        let named = std::env::split_paths(&variable).filter(|path| !path.as_os_str().is_empty());
+        Self::of(extra.iter().cloned().chain(named).chain([INSTALLED.into(), "models".into()]))
+    }
+
+    /// These folders; one that comes again by another path counts once.
+    pub fn of(folders: impl IntoIterator<Item = PathBuf>) -> Self {
+        let mut seen = HashSet::new();
+        let new = |folder: &PathBuf| seen.insert(folder.canonicalize().unwrap_or_else(|_| folder.clone()));
+        Self(folders.into_iter().filter(new).collect())
+    }
+
+    /// The folders in order, whether they exist or not.
+    pub fn places(&self) -> &[PathBuf] {
+        &self.0
+    }
+
+    /// All models, folder by folder, each by name. A folder that is not there has none.
+    pub fn list(&self) -> Vec<Found> {
+        let mut models: Vec<Found> = Vec::new();
+        for place in &self.0 {
+            let mut names = names(place).unwrap_or_default();
+            names.sort();
+            for name in names {
+                let first = models.iter().find(|model| model.name == name && model.hidden_by.is_none());
+                let hidden_by = first.map(|model| model.folder.clone());
+                models.push(Found { hidden_by, ..Found::at(name.clone(), place.join(name.as_str())) });
+            }
+        }
+        models
+    }
+
+    /// The model of this name, or in this folder if the name contains a slash.
+    ///
+    /// # Errors
+    /// When there is none. A model with something wrong is found; its card tells.
+    pub fn find(&self, name: &str) -> Result<Found, LoadError> {
+        if name.contains('/') {
+            return Found::in_folder(Path::new(name));
+        }
+        let slug: Option<Slug> = name.parse().ok();
+        let mut places =
+            self.0.iter().filter_map(|place| Some((slug.clone()?, place.join(slug.as_ref()?.as_str()))));
+        if let Some((name, folder)) = places.find(|(_, folder)| is_model(folder)) {
+            return Ok(Found::at(name, folder));
+        }
+        let mut known: Vec<String> = self.list().into_iter().map(|found| found.name.to_string()).collect();
+        let mut seen = HashSet::new();
+        known.retain(|name| seen.insert(name.clone()));
+        Err(LoadError::NotFound { name: name.to_owned(), looked: self.0.clone(), known })
+    }
+
+    /// The folders that are there and cannot be read.
+    pub fn check(&self) -> Vec<LoadError> {
+        let unreadable = |place: &PathBuf| match names(place) {
+            Err(error) if error.kind() != ErrorKind::NotFound => {
+                Some(LoadError::File { file: place.clone(), reason: error.to_string() })
+            }
+            _ => None,
+        };
+        self.0.iter().filter_map(unreadable).collect()
+    }
+}
+
+impl Found {
+    fn at(name: Slug, folder: PathBuf) -> Self {
+        let card = onnx::summarise(&folder);
+        Self { name, folder, card, hidden_by: None }
+    }
+
+    fn in_folder(folder: &Path) -> Result<Self, LoadError> {
+        let wrong = |reason: String| LoadError::File { file: folder.to_owned(), reason };
+        let folder = folder.canonicalize().map_err(|error| wrong(error.to_string()))?;
+        if !is_model(&folder) {
+            return Err(wrong("the folder holds neither model.onnx nor model.toml".to_owned()));
+        }
+        let name = folder.file_name().unwrap_or_default().to_string_lossy();
+        let name = name.parse().map_err(|error: peernet_logger::InvalidName| wrong(error.to_string()))?;
+        Ok(Self::at(name, folder))
+    }
+
+    /// The model on this device with one worker, as a `[[model]]` would have it; every other key at its default.
+    pub fn configuration(&self, device: &str) -> OnnxConfig {
+        OnnxConfig::new(self.name.clone(), self.folder.clone(), device)
+    }
+
+    /// SHA-256 of `model.onnx`, in hexadecimal.
+    ///
+    /// # Errors
+    /// When the file cannot be read.
+    pub fn hash(&self) -> Result<String, LoadError> {
+        onnx::hash(&self.folder)
+    }
+}
+
+fn is_model(folder: &Path) -> bool {
+    [onnx::MODEL, onnx::CARD].iter().any(|file| folder.join(file).exists())
+}
+
+/// The names of the models in a folder.
+fn names(place: &Path) -> std::io::Result<Vec<Slug>> {
+    let mut names = Vec::new();
+    for entry in std::fs::read_dir(place)? {
+        let entry = entry?;
+        // What cannot be a name cannot be asked for.
+        if let Some(Ok(name)) = entry.file_name().to_str().map(str::parse)
+            && is_model(&entry.path())
+        {
+            names.push(name);
+        }
+    }
+    Ok(names)
+}

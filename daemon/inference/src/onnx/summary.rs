@@ -1,0 +1,162 @@
+//! What a model on disk is, without loading it.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::Path;
+
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+
+use super::card::{Activation, Card, Centre, Resize, Rounding};
+use super::{CARD, MODEL};
+use crate::LoadError;
+
+/// A model's card in words.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct CardSummary {
+    /// The model's own name, which need not be that of its folder.
+    pub name: String,
+    /// May be empty.
+    pub version: String,
+    /// `classification`.
+    pub task: String,
+    /// May be empty.
+    pub description: String,
+    /// Shape, element type and order of dimensions: `1 × 3 × 384 × 384 float32 nchw`.
+    pub input: String,
+    /// Colours, resize, crop and normalisation, in the order in which they are applied.
+    pub preprocessing: Vec<String>,
+    /// How many numbers the answer has and what becomes of them.
+    pub output: String,
+    /// The classes, in the order of the output.
+    pub labels: Vec<String>,
+    /// Where the model came from, as pairs.
+    pub provenance: Vec<(String, String)>,
+}
+
+/// The card of the model in a folder.
+///
+/// # Errors
+/// When it is wrong, or `model.onnx` is not beside it.
+pub(crate) fn summarise(folder: &Path) -> Result<CardSummary, LoadError> {
+    let card = Card::read(&folder.join(CARD))?;
+    let file = folder.join(MODEL);
+    match File::open(&file) {
+        Ok(_) => Ok(card.summary()),
+        Err(error) => Err(LoadError::File { file, reason: error.to_string() }),
+    }
+}
+
+/// SHA-256 of the model in a folder, in hexadecimal.
+///
+/// # Errors
+/// When it cannot be read.
+pub(crate) fn hash(folder: &Path) -> Result<String, LoadError> {
+    let file = folder.join(MODEL);
+    sha256(&file).map_err(|error| LoadError::File { file, reason: error.to_string() })
+}
+
+fn sha256(file: &Path) -> io::Result<String> {
+    let mut file = File::open(file)?;
+    let mut hasher = Sha256::new();
+    let mut buffer = vec![0; 1 << 20];
+    loop {
+        match file.read(&mut buffer)? {
+            0 => break,
+            count => hasher.update(&buffer[..count]),
+        }
+    }
+    Ok(hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+impl Card {
+    /// In words.
+    pub(super) fn summary(&self) -> CardSummary {
+        let Self { input, preprocessing, output, .. } = self;
+        let shape: Vec<_> = input.shape.iter().map(usize::to_string).collect();
+        let colour = format!("{:?}", input.colour).to_lowercase();
+        let mut steps = vec![format!("colours {colour}")];
+        steps.extend(preprocessing.resize.map(resize));
+        steps.extend(preprocessing.crop.map(crop));
+        let (scale, mean, std) = (preprocessing.scale, &preprocessing.mean, &preprocessing.std);
+        steps.push(format!("(byte × {scale} − mean) / std, mean {mean:?}, std {std:?}"));
+        let scores = match output.activation {
+            Activation::None => "scores as they come",
+            Activation::Softmax => "softmax",
+            Activation::Sigmoid => "sigmoid",
+        };
+        CardSummary {
+            name: self.name.clone(),
+            version: self.version.clone(),
+            task: format!("{:?}", self.task).to_lowercase(),
+            description: self.description.clone(),
+            input: format!("{} float32 {}", shape.join(" × "), input.layout),
+            preprocessing: steps,
+            output: format!("{} classes, {scores}, best {} listed", output.labels.len(), output.top_k),
+            labels: output.labels.clone(),
+            provenance: self.provenance.iter().map(|(key, value)| (key.clone(), plain(value))).collect(),
+        }
+    }
+}
+
+fn resize(resize: Resize) -> String {
+    let (what, filter, antialias) = match resize {
+        Resize::Exact { width, height, filter, antialias } => {
+            (format!("to {width} × {height}"), filter, antialias)
+        }
+        Resize::Shortest { size, filter, antialias } => {
+            (format!("shorter side to {size}"), filter, antialias)
+        }
+    };
+    let how = if antialias { "antialiased" } else { "not antialiased" };
+    format!("resize {what}, {}, {how}", format!("{filter:?}").to_lowercase())
+}
+
+fn crop(Centre { width, height, rounding }: Centre) -> String {
+    let rounding = match rounding {
+        Rounding::Down => "",
+        Rounding::HalfEven => ", odd margins split half to even",
+    };
+    format!("centre crop {width} × {height}{rounding}")
+}
+
+/// A value without the quotes of a text.
+fn plain(value: &toml::Value) -> String {
+    value.as_str().map_or_else(|| value.to_string(), str::to_owned)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::card::tests::changed;
+    use super::*;
+
+    #[test]
+    fn every_step_is_told() {
+        let card = changed(
+            "resize = { mode = \"exact\", width = 2, height = 1 }",
+            "resize = { mode = \"shortest\", size = 3, filter = \"bicubic\" }\n\
+             crop = { width = 2, height = 1, rounding = \"half-even\" }",
+        );
+        let summary = card.expect("is right").summary();
+        assert_eq!(summary.input, "1 × 1 × 1 × 2 float32 nchw");
+        assert_eq!(
+            summary.preprocessing,
+            [
+                "colours grey",
+                "resize shorter side to 3, bicubic, antialiased",
+                "centre crop 2 × 1, odd margins split half to even",
+                "(byte × 0.5 − mean) / std, mean [1.0], std [2.0]",
+            ]
+        );
+        assert_eq!(summary.output, "2 classes, softmax, best 5 listed");
+    }
+
+    #[test]
+    fn the_hash_is_that_of_sha256sum() {
+        let folder = tempfile::tempdir().expect("a folder");
+        std::fs::write(folder.path().join(MODEL), "abc").expect("written");
+        // FIPS 180-4's own example.
+        let known = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!(hash(folder.path()).expect("is read"), known);
+    }
+}

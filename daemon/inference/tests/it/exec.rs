@@ -1,0 +1,67 @@
+//! External programs as models.
+
+use peernet_inference::{InferenceError, LoadError};
+use peernet_sample::{Description, MediaType, Sample};
+
+use super::{bank, jpeg, loaded, run, slug};
+
+/// Answers with what it was told and where it runs; says how long it took where the sample asks for it.
+const MODEL: &str = r#"
+while read -r word bytes media shape source; do
+    sample=$(head -c "$bytes")
+    case $sample in
+    stages) echo stage preprocessing 0; echo stage inference 0.0000001; echo value layers 3 ;;
+    lie) echo stage inference 3600 ;;
+    esac
+    answer="$sample on $PEERNET_DEVICE $COLOUR"
+    echo "answer ${#answer} text/plain"
+    printf %s "$answer"
+done
+"#;
+
+fn model(more: &str) -> String {
+    format!("name = 'p'\nkind = 'exec'\ncommand = {}\n{more}", toml::Value::from(MODEL))
+}
+
+fn text(text: &'static str) -> Sample {
+    Sample::of(Description::unshaped(MediaType::Text), text.into())
+}
+
+#[test]
+fn a_silent_program_is_all_inference_and_one_that_tells_leaves_the_way_to_it() {
+    let bank = bank(&[&model("device = 'cuda:3'\nenv = { COLOUR = 'red' }\nworkers = 2")]);
+    let pool = loaded(&bank, "p");
+    assert_eq!((pool.device(), pool.workers()), ("cuda:3".to_owned(), 2));
+    let done = run(&pool, text("plain"));
+    let answer = done.result.expect("answers");
+    assert_eq!(answer.parts[0].bytes, "plain on cuda:3 red");
+    assert_eq!(answer.parts[0].description.media, MediaType::Text);
+    let tree = done.log.finish();
+    assert!(tree.find(&["inference"]).is_some() && tree.find(&["ipc"]).is_none());
+
+    let tree = run(&pool, text("stages")).log.finish();
+    let value = |name: &str| tree.find(&[name]).and_then(|(_, node)| node.measure.value());
+    assert_eq!((value("preprocessing"), value("inference")), (Some(0.0), Some(1e-7)));
+    assert!(value("ipc").is_some_and(|ipc| ipc > 0.0));
+    assert_eq!(value("layers"), Some(3.0));
+}
+
+#[test]
+fn a_program_that_tells_more_time_than_there_was_fails_the_sample_alone() {
+    let bank = bank(&[&model("")]);
+    let pool = loaded(&bank, "p");
+    let error = run(&pool, text("lie")).result.expect_err("an hour has not passed");
+    assert!(
+        matches!(&error, InferenceError::Failed { .. }) && error.to_string().contains("3600s"),
+        "{error}"
+    );
+    assert!(run(&pool, jpeg(b"\xff".to_vec())).result.is_ok());
+}
+
+#[test]
+fn what_is_not_there_is_found_by_a_check_and_by_loading() {
+    let bank = bank(&["name = 'p'\nkind = 'exec'\ncommand = ['./no-such-program']"]);
+    assert!(matches!(bank.check().as_slice(), [(0, LoadError::Program { .. })]));
+    let error = bank.load(&slug("p"), None).expect_err("is not there").to_string();
+    assert!(error.contains("model p") && error.contains("./no-such-program"), "{error}");
+}

@@ -1,0 +1,185 @@
+//! Folders of models: what is found in them, and what a bank makes of it.
+
+use std::fs;
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use peernet_inference::bank::Folders;
+use peernet_inference::{Bank, BankConfig, LoadError, MODEL_HASH, OnnxRuntimeConfig};
+
+use super::{clock, demo, slug};
+
+/// Puts the demo model into a folder under a name.
+fn put(folder: &Path, name: &str) -> PathBuf {
+    let model = folder.join(name);
+    fs::create_dir_all(&model).expect("made");
+    for file in ["model.onnx", "model.toml"] {
+        symlink(demo().join(file), model.join(file)).expect("linked");
+    }
+    model
+}
+
+fn config(folder: &Path, keys: &str) -> BankConfig {
+    toml::from_str(&format!("folders = [{folder:?}]\n{keys}")).expect("reads")
+}
+
+fn bank(folder: &Path, keys: &str) -> Bank {
+    Bank::new(Vec::new(), OnnxRuntimeConfig::default(), clock()).with_folders(config(folder, keys))
+}
+
+#[test]
+fn models_are_found_by_name_in_the_order_of_the_folders_and_by_path() {
+    let root = tempfile::tempdir().expect("a folder");
+    let (first, second) = (root.path().join("first"), root.path().join("second"));
+    let chosen = put(&first, "twin");
+    let hidden = put(&second, "twin");
+    put(&second, "efficientnet_v2_s");
+    fs::create_dir(second.join("scripts")).expect("made");
+    put(&second, "-no-name");
+    fs::create_dir(second.join("torn")).expect("made");
+    fs::write(second.join("torn/model.toml"), "name = 7").expect("written");
+    let folders = Folders::of([first, root.path().join("nowhere"), second.clone(), second]);
+
+    let listed: Vec<(String, bool, bool)> = folders
+        .list()
+        .into_iter()
+        .map(|found| (found.name.to_string(), found.card.is_ok(), found.hidden_by.is_some()))
+        .collect();
+    let expected = [
+        ("twin", true, false),
+        ("efficientnet_v2_s", true, false),
+        ("torn", false, false),
+        ("twin", true, true),
+    ];
+    assert_eq!(listed, expected.map(|(name, card, hidden)| (name.to_owned(), card, hidden)));
+    assert!(folders.check().is_empty(), "a folder that is not there is none");
+
+    assert_eq!(folders.find("twin").expect("is there").folder, chosen);
+    let path = format!("{}/", hidden.display());
+    assert_eq!(folders.find(&path).expect("is there").folder, hidden);
+    for missing in ["twins", "..", "", "no such name"] {
+        let error = folders.find(missing).expect_err(missing);
+        assert!(matches!(&error, LoadError::NotFound { .. }), "{error}");
+        assert!(
+            error.to_string().contains("efficientnet_v2_s") && error.to_string().contains("nowhere"),
+            "{error}"
+        );
+    }
+    let error = folders.find(&format!("{}/", root.path().display())).expect_err("no model");
+    assert!(error.to_string().contains("neither model.onnx nor model.toml"), "{error}");
+}
+
+#[test]
+fn a_bank_offers_what_is_whole_and_on_the_devices_that_it_allows() {
+    let root = tempfile::tempdir().expect("a folder");
+    let bank = bank(root.path(), "");
+    assert!(matches!(bank.only(), Err(LoadError::Unnamed { known }) if known.is_empty()));
+    put(root.path(), "plates");
+    fs::create_dir(root.path().join("torn")).expect("made");
+    fs::write(root.path().join("torn/model.onnx"), "").expect("written");
+    assert_eq!(bank.offered(), [slug("plates")]);
+    assert_eq!(bank.only().expect("the only one"), slug("plates"));
+
+    let pool = bank.load(&slug("plates"), Some("cpu")).expect("loads");
+    assert_eq!((pool.name().as_str(), pool.device().as_str()), ("plates", "cpu"));
+    let hash = pool.facts().into_iter().find(|(name, _)| name == MODEL_HASH).expect("is told").1;
+    let card = fs::read_to_string(demo().join("model.toml")).expect("is committed");
+    assert!(card.contains(&hash), "{hash} is what the card says of its own file");
+
+    let error = bank.load(&slug("plates"), Some("cuda:0")).expect_err("not offered").to_string();
+    assert!(error.contains("cuda:0") && error.contains("only on cpu"), "{error}");
+    assert!(matches!(bank.load(&slug("torn"), None), Err(LoadError::File { .. })));
+    let error = bank.load(&slug("plate"), None).expect_err("unknown").to_string();
+    assert!(error.contains("plates") && !error.contains(&root.path().display().to_string()), "{error}");
+    put(root.path(), "second");
+    let error = bank.only().expect_err("two").to_string();
+    assert!(error.contains("plates, second"), "{error}");
+    bank.shutdown();
+}
+
+#[test]
+fn a_configured_model_hides_that_of_a_folder_and_the_built_in_one_is_nobodys_choice() {
+    let root = tempfile::tempdir().expect("a folder");
+    put(root.path(), "echo");
+    put(root.path(), "plates");
+    let echo = |name: &str| toml::from_str(&format!("kind = 'echo'\nname = '{name}'")).expect("reads");
+    let bank = Bank::new(vec![echo("echo")], OnnxRuntimeConfig::default(), clock())
+        .with_built_in(echo("calibration"))
+        .with_folders(config(root.path(), ""));
+    assert_eq!(bank.offered(), [slug("echo"), slug("plates")]);
+    assert_eq!(bank.only().expect("the configured one"), slug("echo"));
+    assert!(!bank.load(&slug("echo"), None).expect("is there").blocks(), "the one that echoes");
+    assert!(bank.load(&slug("calibration"), None).is_ok());
+}
+
+#[test]
+fn no_more_models_than_allowed_are_in_memory_and_none_in_use_goes() {
+    let root = tempfile::tempdir().expect("a folder");
+    for name in ["a", "b", "c"] {
+        put(root.path(), name);
+    }
+    let bank = bank(root.path(), "most_loaded = 2");
+    let load = |name: &str| bank.load(&slug(name), None);
+    let a = load("a").expect("has room");
+    let b = load("b").expect("has room");
+    let error = load("c").expect_err("both are in use").to_string();
+    assert!(error.contains("a on cpu, b on cpu") && error.contains("most_loaded"), "{error}");
+    assert!(Arc::ptr_eq(&a, &load("a").expect("is loaded")), "and now b was asked for longest ago");
+
+    let b_was = Arc::downgrade(&b);
+    drop((a, b));
+    let c = load("c").expect("b goes");
+    assert!(b_was.upgrade().is_none(), "b is out of memory");
+    let again = load("b").expect("a goes, c is in use");
+    assert!(load("a").is_err());
+    drop((c, again));
+    bank.shutdown();
+}
+
+#[test]
+fn a_model_that_was_replaced_on_disk_is_loaded_anew_once_nobody_uses_it() {
+    let root = tempfile::tempdir().expect("a folder");
+    let folder = put(root.path(), "plates");
+    let bank = bank(root.path(), "");
+    let old = bank.load(&slug("plates"), None).expect("loads");
+    let card = fs::read_to_string(demo().join("model.toml")).expect("is committed");
+    fs::remove_file(folder.join("model.toml")).expect("removed");
+    fs::write(folder.join("model.toml"), card.replace("version = \"1\"", "version = \"22\""))
+        .expect("written");
+    let error = bank.load(&slug("plates"), None).expect_err("in use").to_string();
+    assert!(error.contains("changed on disk"), "{error}");
+    drop(old);
+    let new = bank.load(&slug("plates"), None).expect("loads");
+    assert!(new.facts().iter().any(|(_, value)| value == "quality-control 22"), "{:?}", new.facts());
+}
+
+#[test]
+fn a_model_that_cannot_be_loaded_takes_no_place() {
+    let root = tempfile::tempdir().expect("a folder");
+    put(root.path(), "good");
+    let bad = put(root.path(), "bad");
+    fs::remove_file(bad.join("model.onnx")).expect("removed");
+    fs::write(bad.join("model.onnx"), "no model").expect("written");
+    let bank = bank(root.path(), "most_loaded = 1");
+    for _ in 0..2 {
+        assert!(matches!(bank.load(&slug("bad"), None), Err(LoadError::Session { .. })));
+    }
+    let good = bank.load(&slug("good"), None).expect("has the place");
+    assert!(matches!(bank.load(&slug("bad"), None), Err(LoadError::BankFull { .. })));
+    drop(good);
+}
+
+#[test]
+fn what_is_wrong_with_the_table_is_named_by_its_key() {
+    let root = tempfile::tempdir().expect("a folder");
+    fs::write(root.path().join("file"), "").expect("written");
+    let keys = "devices = ['cpu', 'gpu']\nmost_loaded = 65\nqueue = 70000";
+    let wrong = bank(&root.path().join("file"), keys).check_folders();
+    let named: Vec<&str> = wrong.iter().map(|(key, _)| *key).collect();
+    assert_eq!(named, ["folders", "most_loaded", "queue", "devices"], "{wrong:?}");
+    let none = config(root.path(), "devices = []");
+    put(root.path(), "plates");
+    let bank = Bank::new(Vec::new(), OnnxRuntimeConfig::default(), clock()).with_folders(none);
+    assert!(bank.offered().is_empty());
+}

@@ -1,0 +1,63 @@
+//! A cloud made of a plain ZeroMQ socket.
+
+use bytes::Bytes;
+use peernet_networks::{Address, PROTOCOL};
+use zeromq::{Message, Options, Socket, SocketType};
+
+use crate::support::{hello, open, settings, within};
+use crate::wire::{self, Header, Id};
+
+/// A cloud that says what it likes.
+pub(crate) struct FakeCloud {
+    socket: zeromq::IdentitySocket,
+    pub(crate) address: Address,
+}
+
+impl FakeCloud {
+    pub(crate) async fn start() -> Self {
+        let socket = Socket::new(SocketType::Router, Options::default());
+        let endpoint = socket.bind("tcp://127.0.0.1:0").await.expect("a free port");
+        let socket = socket.identity_routing().expect("a router");
+        Self { socket, address: endpoint.to_string().parse().expect("an address") }
+    }
+
+    pub(crate) async fn hear(&self) -> (zeromq::Identity, Header) {
+        let (identity, message) = within(self.socket.recv_from()).await.expect("a message");
+        (identity, rmp_serde::from_slice(&message[0]).expect("a header"))
+    }
+
+    pub(crate) async fn say(&self, to: &zeromq::Identity, header: &Header, rest: Vec<Bytes>) {
+        let header = rmp_serde::to_vec_named(header).expect("serialises");
+        let message = Message::multipart([vec![header.into()], rest].concat());
+        within(self.socket.send_to(to, message)).await.expect("sent");
+    }
+
+    pub(crate) fn accepted(session: Id, protocol: u16) -> Header {
+        let accepted = wire::Accepted {
+            host: Id::from([2; 16]),
+            name: "fake".into(),
+            clock: wire::Clock { boot: "b".into(), clock: "c".into() },
+            version: "9".into(),
+            model: "echo".into(),
+            device: "cpu".into(),
+            facts: Vec::new(),
+            host_clock: wire::host_clock(0),
+            probes: None,
+            instance: 1,
+            conditions: Vec::new(),
+        };
+        Header::Accepted { protocol, session, accepted, max_message_bytes: 1_000_000, max_in_flight: 8 }
+    }
+
+    pub(crate) async fn session(&self) -> (peernet_networks::Session, zeromq::Identity, Id) {
+        let address = self.address.clone();
+        let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
+        let (to, header) = self.hear().await;
+        assert!(matches!(header, Header::Open { .. }));
+        let id = Id::from([3; 16]);
+        // Nonsense before the answer is passed over.
+        self.say(&to, &Header::Goodbye { session: id.clone(), reason: String::new() }, Vec::new()).await;
+        self.say(&to, &Self::accepted(id.clone(), PROTOCOL), Vec::new()).await;
+        (within(edge).await.expect("no panic").expect("accepted"), to, id)
+    }
+}

@@ -1,0 +1,64 @@
+//! What hello and its answer carry beside identities.
+
+use peernet_logger::stream::{Condition, Grade};
+use peernet_networks::{MAX_CONDITIONS, PROTOCOL};
+use zeromq::Options;
+
+use crate::fake_cloud::FakeCloud;
+use crate::support::{Cloud, accepted, hello, open, settings, within};
+use crate::wire::{self, Header, Id, Plain};
+
+#[tokio::test]
+async fn an_edge_may_leave_the_model_to_the_cloud() {
+    let mut cloud = Cloud::start().await;
+    let plain = Plain::dealer(&cloud.address(), Options::default()).await;
+    let hello = wire::Hello { model: None, ..wire::hello(PROTOCOL) };
+    plain.say(&Header::Open { hello, max_message_bytes: 1_000_000 }, Vec::new()).await;
+    let wish = cloud.next_open().await;
+    assert_eq!(wish.hello.model, None);
+    wish.accept(accepted(cloud.host));
+    let (Header::Accepted { accepted, .. }, _) = plain.hear().await else { panic!("not accepted") };
+    assert_eq!(accepted.model, "echo", "the cloud says which one it is");
+}
+
+fn found(host: &str) -> wire::Condition {
+    wire::Condition {
+        host: host.into(),
+        about: "CPU governor".into(),
+        found: "powersave\n\u{1b}[2J".into(),
+        grade: "doubtful".into(),
+        advice: "set it to performance".into(),
+    }
+}
+
+/// The answer to a hello, with these conditions.
+fn telling(session: Id, conditions: Vec<wire::Condition>) -> Header {
+    match FakeCloud::accepted(session, PROTOCOL) {
+        Header::Accepted { protocol, session, accepted, max_message_bytes, max_in_flight } => {
+            let accepted = wire::Accepted { conditions, ..accepted };
+            Header::Accepted { protocol, session, accepted, max_message_bytes, max_in_flight }
+        }
+        other => other,
+    }
+}
+
+#[tokio::test]
+async fn what_was_found_of_the_cloud_arrives_few_and_fit_to_print() {
+    let cloud = FakeCloud::start().await;
+    let address = cloud.address.clone();
+    let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
+    let (to, _) = cloud.hear().await;
+    let id = Id::from([3; 16]);
+    let too_many = telling(id.clone(), vec![found("too many"); MAX_CONDITIONS + 1]);
+    cloud.say(&to, &too_many, Vec::new()).await;
+    cloud.say(&to, &telling(id, vec![found("fake"); MAX_CONDITIONS]), Vec::new()).await;
+    let session = within(edge).await.expect("no panic").expect("accepted");
+    let expected = Condition {
+        host: "fake".into(),
+        about: "CPU governor".into(),
+        found: "powersave  [2J".into(),
+        grade: Grade::Doubtful,
+        advice: "set it to performance".into(),
+    };
+    assert_eq!(session.accepted().conditions, vec![expected; MAX_CONDITIONS]);
+}
