@@ -75,6 +75,16 @@ impl Slug {
     pub fn as_str(&self) -> &str {
         &self.0
     }
+
+    /// `any`: stands where a peer chooses and has not done so yet.
+    pub fn any() -> Self {
+        Self("any".into())
+    }
+
+    /// `none`: stands where a name is asked for and there is nothing to name.
+    pub fn none() -> Self {
+        Self("none".into())
+    }
 }
 
 impl TryFrom<String> for Slug {

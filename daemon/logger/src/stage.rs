@@ -95,13 +95,20 @@ standard_names! {
     symbols { "" "s" "B" "bit/s" "token/s" "W" "°C" "J" "token" }
 }
 
+/// Cloud or edge: what the border of a worker process costs around the model's code in it, both ways. On the wire it is
+/// spelt out, as names of users' own are.
+pub const IPC: Name = Name::from_static("ipc");
+/// The same of a sensor, below `capture`. It has a name of its own because summaries go by name.
+pub const CAPTURE_IPC: Name = Name::from_static("capture-ipc");
+
 /// The stages that add up to `stages-total`, in the order of every stack, key and table.
-pub const ORDER: [Name; 10] = [
+pub const ORDER: [Name; 11] = [
     SENSING,
     ENCODE,
     SEND_QUEUE,
     UPLOAD,
     QUEUE,
+    IPC,
     PREPROCESSING,
     INFERENCE,
     POSTPROCESSING,
@@ -115,7 +122,7 @@ mod tests {
 
     #[test]
     fn standard_names_are_recognised() {
-        for stage in &ORDER {
+        for stage in ORDER.iter().filter(|stage| **stage != IPC) {
             assert_eq!(standard(stage), Some(stage.as_str()));
         }
         assert_eq!(standard("gripper-force"), None);

@@ -5,7 +5,7 @@ use peernet_clock::{Span, WallTime};
 use crate::{HostIndex, Measure, Name, Node, NodeId, Tree, stage};
 
 /// How many stages there are.
-const STAGES: usize = 10;
+const STAGES: usize = 11;
 static ORDER: [Name; STAGES] = stage::ORDER;
 
 /// How long each standard stage of a finished tree took, and their sum.
@@ -252,7 +252,9 @@ mod tests {
     fn stages_that_are_absent_have_no_duration_and_add_nothing() {
         let clock = clock(0);
         let mut log = Recorder::begin(Arc::<ManualClock>::clone(&clock), HostId::random());
-        for (name, nanos) in [(stage::SENSING, 4), (stage::INFERENCE, 6), (stage::INFERENCE, 7)] {
+        for (name, nanos) in
+            [(stage::SENSING, 4), (stage::IPC, 5), (stage::INFERENCE, 6), (stage::INFERENCE, 7)]
+        {
             let _timing = log.time(name);
             clock.advance(Span::from_nanos(nanos));
         }
@@ -261,12 +263,13 @@ mod tests {
             .iter()
             .map(|name| match name.as_str() {
                 "sensing" => Some(Span::from_nanos(4)),
+                "ipc" => Some(Span::from_nanos(5)),
                 "inference" => Some(Span::from_nanos(13)),
                 _ => None,
             })
             .collect();
         assert_eq!(stages.iter().map(|(_, span)| span).collect::<Vec<_>>(), expected);
-        assert_eq!(stages.stages_total(), Some(Span::from_nanos(17)));
+        assert_eq!(stages.stages_total(), Some(Span::from_nanos(22)));
         assert_eq!((stages.total(), stages.unattributed(), stages.transport()), (None, None, None));
     }
 

@@ -75,13 +75,21 @@ pub struct Placement {
     pub network: Option<String>,
     /// Address of the peer, for a remote placement.
     pub address: Option<String>,
-    /// The model's name.
+    /// The model's name; `none` for a sensor alone.
     pub model: Slug,
     /// The device it runs on, once known.
     pub device: Option<String>,
 }
 
-/// Here or there.
+impl Placement {
+    /// A sensor alone: there is neither peer nor model.
+    pub fn sensor_alone() -> Self {
+        let (peer, network, address, device) = (None, None, None, None);
+        Self { kind: PlacementKind::None, peer, network, address, model: Slug::none(), device }
+    }
+}
+
+/// Here, there or nowhere.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PlacementKind {
@@ -89,6 +97,8 @@ pub enum PlacementKind {
     Local,
     /// On a cloud over a network.
     Remote,
+    /// Nowhere: a sensor alone.
+    None,
 }
 
 /// What happened within one second of the edge's wall clock, by the iterations' ends.
