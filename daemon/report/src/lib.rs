@@ -1,18 +1,29 @@
 //! What is made of measurements once they are there: lines fitted to them, figures, tables, studies.
 //!
 //! ```text
-//! samples ── calibration (a study: fits, bounds, verdict) ─┬─ table   CSV, text
-//!                └─ fit, order                              └─ figure  SVG, PNG
+//! samples ── calibration (a study: fits, bounds, verdict) ─┬─ table   CSV, text, Markdown, LaTeX
+//!                └─ fit, order                              ├─ figure  SVG, PNG
+//! iterations ── results (rows, record, summary) ── compare ─┘
+//!                └─ trust
 //! ```
 //!
 //! Pure but for writing the files: samples in, study out.
 
+pub mod batches;
 pub mod calibration;
+pub mod compare;
 mod error;
 pub mod figure;
+pub mod figures;
 pub mod fit;
 pub mod number;
 pub mod order;
+mod passage;
+pub mod results;
+pub mod sensor_study;
 pub mod table;
+pub mod trust;
+pub mod users;
 
 pub use error::WriteError;
+pub use passage::Passage;

@@ -40,7 +40,8 @@ impl Ordered {
     pub fn quantile(&self, p: f64) -> Option<f64> {
         let at = p.clamp(0.0, 1.0) * self.0.len().checked_sub(1)? as f64;
         let (below, above) = (self.0[at.floor() as usize], self.0[at.ceil() as usize]);
-        Some(below + (above - below) * at.fract())
+        // Equal ones may both be infinite, and their difference no number.
+        Some(if below == above { below } else { below + (above - below) * at.fract() })
     }
 
     /// The median; `None` without values.
@@ -76,6 +77,10 @@ mod tests {
             (Some(2.5), Some(1.3), Some(4.0))
         );
         assert_eq!(Ordered::default().median(), None);
+        assert_eq!(
+            [1.0, f64::INFINITY, f64::INFINITY].into_iter().collect::<Ordered>().median(),
+            Some(f64::INFINITY)
+        );
     }
 
     #[test]

@@ -5,7 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use peernet_clock::{DelaySource, Direction};
 use serde::Serialize;
 
-use super::sample::{Passage, Sample};
+use super::sample::Sample;
+use crate::Passage;
 use crate::fit::{Estimate, Fit, Point, Weighted, least_squares, theil_sen};
 use crate::order::{Ordered, Z95};
 

@@ -19,7 +19,7 @@ pub(super) fn latency(study: &Study) -> Option<Scaling> {
     };
     let line =
         |direction: &DirectionStudy| direction.main_fit().map(|fit| (fit.intercept.value, fit.slope.value));
-    let unit = Unit { title: "One-way delay, ms", per_si: 1e3 };
+    let unit = Unit::milliseconds("One-way delay");
     scaling(
         study,
         unit,
@@ -45,7 +45,7 @@ pub(super) fn throughput(study: &Study) -> Option<Scaling> {
         Some(format!("{}: {rate} MB/s{interval}", direction.name()))
     };
     let line = |direction: &DirectionStudy| direction.throughput.map(|throughput| (throughput.value, 0.0));
-    let unit = Unit { title: "Throughput, MB/s", per_si: 1.0 / 8e6 };
+    let unit = Unit::megabytes_per_second("Throughput");
     scaling(
         study,
         unit,

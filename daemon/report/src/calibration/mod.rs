@@ -16,7 +16,7 @@ mod verdict;
 pub use clocks::Clocks;
 pub use direction::{Claim, DirectionStudy, Fits, Pair, SizeSummary, Throughput};
 pub use failures::Failures;
-pub use sample::{Passage, Sample};
+pub use sample::Sample;
 pub use verdict::{Kind, Verdict};
 
 use std::path::{Path, PathBuf};

@@ -1,8 +1,10 @@
 //! One iteration of the sweep.
 
-use peernet_clock::{Direction, OneWayDelay, Verdict};
+use peernet_clock::Direction;
+use peernet_logger::stage;
 use peernet_logger::stream::{Iteration, Outcome};
-use peernet_logger::{Measure, Tree, stage};
+
+use crate::Passage;
 
 /// One iteration of the sweep.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,17 +29,6 @@ pub struct Sample {
     pub down: Option<Passage>,
 }
 
-/// A message one way.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Passage {
-    /// Payload, bytes.
-    pub payload_bytes: u64,
-    /// Metadata, bytes.
-    pub logger_bytes: u64,
-    /// What is known of its delay.
-    pub delay: OneWayDelay,
-}
-
 impl Sample {
     /// What an iteration of a payload of `payload_bytes` measured.
     pub fn new(iteration: &Iteration, payload_bytes: u64) -> Self {
@@ -50,9 +41,9 @@ impl Sample {
             warm_up: iteration.warm_up,
             outcome: iteration.outcome.name(),
             reason: iteration.outcome.reason().map(str::to_owned),
-            total: value(tree, &stage::TOTAL),
-            up: passage(tree, [stage::UPLOAD, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES]),
-            down: passage(tree, [stage::DOWNLOAD, stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES]),
+            total: tree.find(&[&stage::TOTAL]).and_then(|(_, node)| node.measure.value()),
+            up: Passage::up(tree),
+            down: Passage::down(tree),
         }
     }
 
@@ -68,36 +59,4 @@ impl Sample {
             Direction::Down => self.down.as_ref(),
         }
     }
-}
-
-impl Passage {
-    /// Payload and metadata, bytes.
-    pub fn wire_bytes(&self) -> u64 {
-        self.payload_bytes + self.logger_bytes
-    }
-
-    /// The delay in seconds, where it is known: one near a step or from contradicting sources is not.
-    pub fn seconds(&self) -> Option<f64> {
-        let known = matches!(self.delay.verdict, Verdict::Ok | Verdict::Limited | Verdict::Stale);
-        self.delay.value.filter(|_| known).map(peernet_clock::Span::seconds)
-    }
-
-    /// The delay's bounds in seconds.
-    pub fn bounds(&self) -> Option<(f64, f64)> {
-        self.seconds()?;
-        self.delay.bounds.map(|bounds| (bounds.lo.seconds(), bounds.hi.seconds()))
-    }
-}
-
-fn value(tree: &Tree, name: &str) -> Option<f64> {
-    tree.find(&[name])?.1.measure.value()
-}
-
-fn passage(tree: &Tree, [transit, payload, metadata]: [peernet_logger::Name; 3]) -> Option<Passage> {
-    let Measure::Transit(transit) = &tree.find(&[transit.as_str()])?.1.measure else { return None };
-    Some(Passage {
-        payload_bytes: value(tree, &payload)? as u64,
-        logger_bytes: value(tree, &metadata)? as u64,
-        delay: transit.delay?,
-    })
 }

@@ -6,14 +6,14 @@ use peernet_clock::{Direction, Span};
 
 use super::Study;
 use super::direction::{DirectionStudy, SizeSummary, Throughput};
-use super::sample::{Passage, Sample};
-use crate::WriteError;
+use super::sample::Sample;
 use crate::fit::Fit;
 use crate::number::{
     bytes, megabytes_per_second, megabytes_per_second_between, milliseconds, milliseconds_between,
     milliseconds_with,
 };
 use crate::table::{csv, text};
+use crate::{Passage, WriteError};
 
 /// What stands where nothing is known.
 const UNKNOWN: &str = "—";

@@ -1,12 +1,25 @@
 //! Figures: one drawing, as SVG and as PNG, legible at the width of one column.
 //!
-//! No system font is needed: the PNG's text is drawn with the font in `assets/`, and the SVG's stays text.
+//! No system font is needed: the PNG's text is drawn with the font in `assets/`, and the SVG's stays text. What differs
+//! by colour differs by mark, dash or hatch as well.
 
-mod axis;
-mod canvas;
-mod colour;
+mod course;
+mod histogram;
+mod kit;
+mod lengths;
+mod paired;
 mod scaling;
+mod stacked;
+mod stage;
 
-pub use canvas::{Drawn, Figure, FigureError};
-pub use colour::{DOWNLOAD, UPLOAD};
-pub use scaling::{Mark, Scaling, Series, Unit, Value};
+pub use course::{Course, Line};
+pub use histogram::{Bins, Histogram};
+pub use kit::{DOWNLOAD, Drawn, Figure, FigureError, Fill, Hatch, INK, Mark, Paper, UPLOAD, Unit};
+pub use lengths::Lengths;
+pub use paired::{Group, MOST_GROUPS, MOST_SIDES, Paired};
+pub use scaling::{Scaling, Series, Value};
+pub use stacked::{Bar, Stacked};
+pub use stage::{UNATTRIBUTED, stage_fill};
+
+#[cfg(test)]
+mod tests;

@@ -1,46 +1,18 @@
 //! How something grows with size: logarithmic axes, a point per size with what is known of it, a line per series.
 
-use plotters::coord::Shift;
-use plotters::element::{Circle, DashedPathElement, PathElement, Rectangle, Text, TriangleMarker};
-use plotters::prelude::{DrawingArea, DrawingBackend};
-use plotters::style::text_anchor::{HPos, VPos};
+use plotters::element::{DashedPathElement, PathElement, Rectangle};
+use plotters::prelude::DrawingBackend;
 use plotters::style::{Color, RGBColor, ShapeStyle};
 
-use super::axis::Axis;
-use super::canvas::{Drawn, Figure, SIZE, SMALL, TEXT, style};
-use super::colour::{AXIS, GRID, INK, QUIET};
-use crate::number::{bytes, significant};
+use super::kit::{Axis, Drawn, Figure, Frame, Header, Key, Mark, Paper, SIZE, Swatch, Unit};
+use crate::number::bytes;
 
-/// Room around the plot, pixels: left, right, bottom.
-const LEFT: i32 = 180;
-const RIGHT: i32 = 50;
-const BOTTOM: i32 = 160;
-/// Distance between lines of text above the plot.
-const LINE: i32 = 66;
 /// Half the distance between two series at one size.
 const APART: i32 = 13;
 /// Half the width of a bar.
 const BAR: i32 = 9;
 /// Half the width of a whisker's cap.
 const CAP: i32 = 11;
-
-/// What is measured: how it is called and how a value in SI units becomes the number shown.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Unit {
-    /// With the unit: `One-way delay, ms`.
-    pub title: &'static str,
-    /// The number shown per SI unit.
-    pub per_si: f64,
-}
-
-/// How the points and the line of a series look, so that they differ without colour.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Mark {
-    /// Discs on a solid line.
-    Disc,
-    /// Triangles on a dashed line.
-    Triangle,
-}
 
 /// What is known at one size, in SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -83,7 +55,7 @@ pub struct Scaling {
 
 impl Scaling {
     /// Axes that hold all values; `None` when there is none above zero.
-    fn axes(&self, top: i32) -> Option<(Axis, Axis)> {
+    fn frame(&self, header: i32) -> Option<Frame> {
         let values =
             || self.series.iter().flat_map(|series| &series.values).filter(|value| value.value > 0.0);
         let range = |of: &dyn Fn(&Value) -> (f64, f64)| {
@@ -99,56 +71,16 @@ impl Scaling {
             let least = value.bounds.map_or(lo, |bounds| bounds.0.max(value.value / 4.0));
             (least.min(lo).max(value.value / 100.0), most.max(hi))
         })?;
-        let (width, height) = (SIZE.0 as i32, SIZE.1 as i32);
-        let x = Axis { values: (small / 1.4, large * 1.4), pixels: (LEFT, width - RIGHT) };
-        let y = Axis {
-            values: (low * self.unit.per_si / 1.3, high * self.unit.per_si * 1.3),
-            pixels: (height - BOTTOM, top),
-        };
-        Some((x, y))
-    }
-
-    fn draw_key<DB: DrawingBackend>(&self, paper: &DrawingArea<DB, Shift>) -> Drawn<DB> {
-        let text = style(TEXT, INK, HPos::Left, VPos::Center);
-        for (row, series) in self.series.iter().enumerate() {
-            let y = 50 + LINE * row as i32;
-            paper.draw(&PathElement::new([(40, y), (130, y)], series.colour.stroke_width(5)))?;
-            draw_mark(paper, series, (85, y))?;
-            paper.draw(&Text::new(series.name.clone(), (160, y + 3), text.clone()))?;
-        }
-        let y = 50 + LINE * self.series.len() as i32;
-        paper.draw(&Text::new(self.note, (40, y), style(SMALL, QUIET, HPos::Left, VPos::Center)))
-    }
-
-    fn draw_axes<DB: DrawingBackend>(&self, paper: &DrawingArea<DB, Shift>, x: &Axis, y: &Axis) -> Drawn<DB> {
-        let ((left, right), (bottom, top)) = (x.pixels, y.pixels);
-        for tick in y.ticks() {
-            let at = y.at(tick);
-            paper.draw(&PathElement::new([(left, at), (right, at)], GRID.stroke_width(3)))?;
-            let text = style(TEXT, QUIET, HPos::Right, VPos::Center);
-            paper.draw(&Text::new(tick_label(tick), (left - 18, at + 3), text))?;
-        }
-        paper.draw(&PathElement::new([(left, bottom), (right, bottom)], AXIS.stroke_width(3)))?;
-        for tick in x.ticks() {
-            let at = x.at(tick);
-            paper.draw(&PathElement::new([(at, bottom), (at, bottom + 12)], AXIS.stroke_width(3)))?;
-            let text = style(TEXT, QUIET, HPos::Center, VPos::Top);
-            paper.draw(&Text::new(bytes(tick), (at, bottom + 22), text))?;
-        }
-        let title = style(TEXT, QUIET, HPos::Left, VPos::Bottom);
-        paper.draw(&Text::new(self.unit.title, (40, top - 18), title))?;
-        let title = style(TEXT, QUIET, HPos::Center, VPos::Bottom);
-        paper.draw(&Text::new(
-            "Size on the wire, bytes",
-            (i32::midpoint(left, right), SIZE.1 as i32 - 16),
-            title,
-        ))
+        let shown = (low * self.unit.per_si / 1.3, high * self.unit.per_si * 1.3);
+        let y = Frame::below(header, SIZE.1 as i32, |pixels| Axis::logarithmic(shown, pixels));
+        let x = Axis::logarithmic((small / 1.4, large * 1.4), Frame::beside(&y, SIZE.0 as i32));
+        Some(Frame { x, y })
     }
 
     fn draw_series<DB: DrawingBackend>(
         &self,
-        paper: &DrawingArea<DB, Shift>,
-        (x, y): (&Axis, &Axis),
+        paper: &Paper<DB>,
+        Frame { x, y }: &Frame,
         (series, aside): (&Series, i32),
     ) -> Drawn<DB> {
         let show = |value: f64| value * self.unit.per_si;
@@ -159,7 +91,7 @@ impl Scaling {
                 vec![(left, y.at(show(intercept))), (right, y.at(show(intercept)))]
             } else {
                 let values = x.along(60).map(|bytes| (bytes, show(intercept + slope * bytes)));
-                let inside = values.filter(|(_, value)| (y.values.0..=y.values.1).contains(value));
+                let inside = values.filter(|(_, value)| y.has(*value));
                 // Aside like its points, so that they lie on it where they should.
                 let points = inside.map(|(bytes, value)| (x.at(bytes) + aside, y.at(value)));
                 points.filter(|(at, _)| (left..=right).contains(at)).collect()
@@ -167,7 +99,7 @@ impl Scaling {
             match series.mark {
                 Mark::Disc => paper.draw(&PathElement::new(line, colour.stroke_width(5)))?,
                 // Two lines that lie on each other are both seen.
-                Mark::Triangle => {
+                _ => {
                     paper.draw(&DashedPathElement::new(line, 22, 16, colour.stroke_width(5)))?;
                 }
             }
@@ -190,40 +122,27 @@ impl Scaling {
                     paper.draw(&PathElement::new([(at - CAP, end), (at + CAP, end)], whisker))?;
                 }
             }
-            draw_mark(paper, series, (at, height(value.value)))?;
+            series.mark.draw(paper, (at, height(value.value)), colour)?;
         }
         Ok(())
     }
 }
 
 impl Figure for Scaling {
-    fn draw<DB: DrawingBackend>(&self, paper: &DrawingArea<DB, Shift>) -> Drawn<DB> {
-        self.draw_key(paper)?;
-        let top = 50 + LINE * (self.series.len() as i32 + 2) + 10;
-        let Some((x, y)) = self.axes(top) else { return Ok(()) };
-        self.draw_axes(paper, &x, &y)?;
+    fn draw<DB: DrawingBackend>(&self, paper: &Paper<DB>) -> Drawn<DB> {
+        let key = |series: &Series| Key::new(Swatch::Mark(series.colour, series.mark), series.name.clone());
+        let header = Header {
+            title: String::new(),
+            keys: self.series.iter().map(key).collect(),
+            notes: vec![self.note.to_owned()],
+        };
+        let Some(frame) = self.frame(header.draw(paper)?) else { return Ok(()) };
+        frame.draw_y(paper, (&self.unit.title, 0))?;
+        frame.draw_x(paper, "Size on the wire, bytes", |tick| bytes(tick.value))?;
         let middle = self.series.len() as i32 - 1;
         for (index, series) in self.series.iter().enumerate() {
-            self.draw_series(paper, (&x, &y), (series, APART * (2 * index as i32 - middle)))?;
+            self.draw_series(paper, &frame, (series, APART * (2 * index as i32 - middle)))?;
         }
         Ok(())
     }
-}
-
-fn draw_mark<DB: DrawingBackend>(
-    paper: &DrawingArea<DB, Shift>,
-    series: &Series,
-    at: (i32, i32),
-) -> Drawn<DB> {
-    let style = series.colour.filled();
-    match series.mark {
-        Mark::Disc => paper.draw(&Circle::new(at, 12, style)),
-        Mark::Triangle => paper.draw(&TriangleMarker::new(at, 16, style)),
-    }
-}
-
-/// A power of ten, or 2 or 5 of them, without needless zeros.
-fn tick_label(value: f64) -> String {
-    let text = significant(value);
-    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }

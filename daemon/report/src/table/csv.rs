@@ -17,3 +17,13 @@ pub(crate) fn csv(
     }
     file.flush().map_err(WriteError::at(path))
 }
+
+/// The same as text: rows of as many cells as the header has.
+pub(crate) fn csv_text(header: &[&str], rows: &[Vec<String>]) -> String {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    let written =
+        writer.write_record(header).and_then(|()| rows.iter().try_for_each(|row| writer.write_record(row)));
+    written.expect("memory takes rows of one length");
+    let bytes = writer.into_inner().expect("memory can be flushed");
+    String::from_utf8(bytes).expect("made of text")
+}

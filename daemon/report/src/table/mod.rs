@@ -1,7 +1,40 @@
-//! Tables: for programs as CSV, for people as text.
+//! Tables: for programs as CSV, for people as text, Markdown and LaTeX.
 
 mod csv;
+mod latex;
+mod markdown;
 mod text;
 
-pub(crate) use csv::csv;
+pub(crate) use csv::{csv, csv_text};
+pub use latex::escape as latex_escape;
 pub use text::text;
+
+/// Cells under a header.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Table {
+    /// What the columns are.
+    pub header: Vec<String>,
+    /// How many columns from the left are text and stand to the left; the others are figures and stand to the right.
+    pub labels: usize,
+    /// Rows of as many cells as the header has.
+    pub rows: Vec<Vec<String>>,
+    /// Rows to be marked, as the best one.
+    pub marked: Vec<usize>,
+}
+
+impl Table {
+    /// For the terminal: columns as wide as their longest cell; marked rows end with an asterisk.
+    pub fn text(&self) -> String {
+        text::table(self)
+    }
+
+    /// As GitHub and most others read it; marked rows are bold.
+    pub fn markdown(&self) -> String {
+        markdown::table(self)
+    }
+
+    /// For the package `booktabs`, everything escaped; marked rows are bold.
+    pub fn latex(&self, caption: &str) -> String {
+        latex::table(self, caption)
+    }
+}

@@ -1,21 +1,43 @@
 //! Tables for the terminal: columns as wide as their longest cell.
 
+use super::Table;
+
 /// Rows of cells under a header; the first column is text, the others are figures and stand to the right.
 pub fn text(header: &[&str], rows: &[Vec<String>]) -> String {
+    lines(&header.iter().map(|&cell| cell.to_owned()).collect::<Vec<_>>(), rows, 1)
+}
+
+pub(super) fn table(table: &Table) -> String {
+    let mark = |(row, cells): (usize, &Vec<String>)| {
+        let mut cells = cells.clone();
+        if let (true, Some(last)) = (!table.marked.is_empty(), cells.last_mut()) {
+            last.push_str(if table.marked.contains(&row) { " *" } else { "  " });
+        }
+        cells
+    };
+    let rows: Vec<Vec<String>> = table.rows.iter().enumerate().map(mark).collect();
+    let mut header = table.header.clone();
+    if let (true, Some(last)) = (!table.marked.is_empty(), header.last_mut()) {
+        last.push_str("  ");
+    }
+    lines(&header, &rows, table.labels)
+}
+
+fn lines(header: &[String], rows: &[Vec<String>], labels: usize) -> String {
     let width = |column: usize| {
         let cells = rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count());
         cells.chain([header[column].chars().count()]).max().unwrap_or_default()
     };
     let widths: Vec<usize> = (0..header.len()).map(width).collect();
-    let line = |cells: &[String]| {
-        let cells = cells.iter().zip(&widths).enumerate().map(|(column, (cell, width))| match column {
-            0 => format!("{cell:<width$}"),
-            _ => format!("{cell:>width$}"),
-        });
-        cells.collect::<Vec<_>>().join("  ").trim_end().to_owned()
-    };
-    let header: Vec<String> = header.iter().map(|&cell| cell.to_owned()).collect();
-    std::iter::once(line(&header)).chain(rows.iter().map(|row| line(row))).collect::<Vec<_>>().join("\n")
+    let line =
+        |cells: &[String]| {
+            let cells = cells.iter().zip(&widths).enumerate();
+            let cells = cells.map(|(column, (cell, width))| {
+                if column < labels { format!("{cell:<width$}") } else { format!("{cell:>width$}") }
+            });
+            cells.collect::<Vec<_>>().join("  ").trim_end().to_owned()
+        };
+    std::iter::once(line(header)).chain(rows.iter().map(|row| line(row))).collect::<Vec<_>>().join("\n")
 }
 
 #[cfg(test)]
@@ -28,6 +50,21 @@ mod tests {
         assert_eq!(
             text(&["pipeline", "p50 ms"], &rows),
             "pipeline   p50 ms\nedge/full   21.60\nä               —"
+        );
+    }
+
+    #[test]
+    fn labels_stand_to_the_left_and_a_mark_moves_no_figure() {
+        let cells = |cells: [&str; 3]| cells.map(str::to_owned).to_vec();
+        let table = Table {
+            header: cells(["model", "network", "total"]),
+            labels: 2,
+            rows: vec![cells(["s", "LAN", "9.50"]), cells(["medium", "5G", "100.25"])],
+            marked: vec![0],
+        };
+        assert_eq!(
+            table.text(),
+            "model   network   total\ns       LAN        9.50 *\nmedium  5G       100.25"
         );
     }
 }

@@ -1,0 +1,84 @@
+//! How long the blocks of a bootstrap have to be, so that what follows upon one another stays together.
+
+/// The mean block length of a stationary bootstrap of the mean of these values, at least 1.
+///
+/// Latencies that follow upon one another are alike: a queue empties slowly, a processor stays warm. Drawing them one by
+/// one would make an interval that is too narrow. The length that makes the error of the bootstrapped variance smallest
+/// is that of Politis and White, *Automatic block-length selection for the dependent bootstrap* (Econometric Reviews
+/// 23, 2004), as corrected by Patton, Politis and White (Econometric Reviews 28, 2009): with the autocovariance R, the
+/// window λ, G = Σ λ(k/M) |k| R(k) and σ² = Σ λ(k/M) R(k), it is (G² / σ⁴ · n)^⅓, at most 3 √n and n / 3. Values that do
+/// not depend on one another have a length of about 1, and the bootstrap is the ordinary one.
+pub(super) fn length(values: &[f64]) -> f64 {
+    let n = values.len() as f64;
+    let longest = (3.0 * n.sqrt()).min(n / 3.0).ceil().max(1.0);
+    let mean = values.iter().sum::<f64>() / n;
+    let centred: Vec<f64> = values.iter().map(|value| value - mean).collect();
+    let Some(window) = window(&centred) else { return 1.0 };
+    let flat_top = |lag: usize| (2.0 * (1.0 - lag as f64 / window as f64)).clamp(0.0, 1.0);
+    let (mut g, mut variance) = (0.0, covariance(&centred, 0));
+    for lag in 1..=window.min(values.len().saturating_sub(1)) {
+        let weighted = 2.0 * flat_top(lag) * covariance(&centred, lag);
+        g += lag as f64 * weighted;
+        variance += weighted;
+    }
+    let length = (g * g / (variance * variance) * n).cbrt();
+    if length.is_finite() { length.clamp(1.0, longest) } else { 1.0 }
+}
+
+/// Twice the lag behind which there is no correlation any more: five in a row within ±2 √(log₁₀ n / n). `None` where the
+/// values do not vary.
+fn window(centred: &[f64]) -> Option<usize> {
+    let n = centred.len() as f64;
+    let variance = covariance(centred, 0);
+    (variance > 0.0).then_some(())?;
+    let in_a_row = (n.log10() as usize).max(5);
+    let farthest = n.sqrt().ceil() as usize + in_a_row;
+    let negligible = 2.0 * (n.log10() / n).sqrt();
+    let mut quiet = 0;
+    for lag in 1..=farthest {
+        let small = (covariance(centred, lag) / variance).abs() < negligible;
+        quiet = if small { quiet + 1 } else { 0 };
+        if quiet == in_a_row {
+            return Some((2 * (lag - in_a_row)).max(2).min(farthest));
+        }
+    }
+    Some(farthest)
+}
+
+fn covariance(centred: &[f64], lag: usize) -> f64 {
+    let pairs = centred.iter().zip(centred.iter().skip(lag));
+    pairs.map(|(a, b)| a * b).sum::<f64>() / centred.len() as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::rngs::StdRng;
+    use rand::{Rng, SeedableRng};
+
+    use super::*;
+
+    /// Values each of which keeps so much of the one before.
+    fn autoregressive(keeps: f64, count: usize) -> Vec<f64> {
+        let mut random = StdRng::seed_from_u64(5);
+        let mut last = 0.0;
+        let next = |_| {
+            last = keeps * last + random.random_range(-1.0..1.0);
+            last
+        };
+        (0..count).map(next).collect()
+    }
+
+    #[test]
+    fn blocks_grow_with_the_memory_of_the_values() {
+        let lengths = [0.0, 0.5, 0.9].map(|keeps| length(&autoregressive(keeps, 4000)));
+        assert!(lengths[0] < 6.0, "{lengths:?}");
+        // (2 φ / (1 − φ²))² n to the third: 19.2 and 71 for infinitely many values.
+        assert!((12.0..30.0).contains(&lengths[1]), "{lengths:?}");
+        assert!((45.0..110.0).contains(&lengths[2]), "{lengths:?}");
+    }
+
+    #[test]
+    fn values_without_variance_need_no_blocks() {
+        assert_eq!((length(&[2.0; 50]), length(&[1.0]), length(&[])), (1.0, 1.0, 1.0));
+    }
+}

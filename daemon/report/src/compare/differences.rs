@@ -1,0 +1,125 @@
+//! Two runs, stage by stage.
+
+use std::panic::resume_unwind;
+
+use serde::Serialize;
+
+use super::{Comparison, Difference, Statistic, difference, values};
+use crate::order::Ordered;
+use crate::results::{Loaded, Row};
+
+/// What two lines of a comparison may both have.
+const STAGES: [&str; 15] = [
+    "sensing",
+    "encode",
+    "send-queue",
+    "upload",
+    "queue",
+    "ipc",
+    "preprocessing",
+    "inference",
+    "postprocessing",
+    "download",
+    "actuation",
+    "stages-total",
+    "unattributed",
+    "total",
+    "lateness",
+];
+
+/// What one line of a comparison has more than another, stage by stage. Seconds.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Differences {
+    /// What is compared with.
+    pub baseline: String,
+    /// What is compared.
+    pub other: String,
+    /// The stages that both have.
+    pub stages: Vec<StageDifference>,
+}
+
+/// A stage of two runs.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct StageDifference {
+    /// Which.
+    pub stage: String,
+    /// Mean of the baseline and of the other.
+    pub means: (f64, f64),
+    /// The other's less the baseline's.
+    pub mean: Difference,
+    /// Median of the baseline and of the other.
+    pub medians: (f64, f64),
+    /// The other's less the baseline's.
+    pub median: Difference,
+    /// How far the difference can be off beyond its interval, because the clocks of the hosts are known no better: half
+    /// the mean width of both lines' bounds together. `None` for what one clock measured.
+    pub clocks: Option<f64>,
+}
+
+impl Differences {
+    /// Compares a run with a baseline.
+    pub fn of(baseline: &Loaded, other: &Loaded, seed: u64) -> Self {
+        let name = |run: &Loaded| run.record.title.clone();
+        Self::between((name(baseline), &[baseline]), (name(other), &[other]), seed)
+    }
+
+    /// Compares a line of a comparison of `runs` with another one.
+    pub fn of_lines(
+        comparison: &Comparison,
+        runs: &[Loaded],
+        baseline: usize,
+        other: usize,
+        seed: u64,
+    ) -> Self {
+        let line = |at: usize| {
+            let line = &comparison.lines[at];
+            let runs: Vec<&Loaded> = line.runs.iter().map(|run| &runs[*run]).collect();
+            (line.name(), runs)
+        };
+        let (baseline, other) = (line(baseline), line(other));
+        Self::between((baseline.0, &baseline.1), (other.0, &other.1), seed)
+    }
+
+    fn between(baseline: (String, &[&Loaded]), other: (String, &[&Loaded]), seed: u64) -> Self {
+        let (a, b) = (baseline.1, other.1);
+        // Thousands of resamples of every stage: side by side.
+        let stages = std::thread::scope(|scope| {
+            let of = |stage: &&'static str| {
+                let stage = *stage;
+                scope.spawn(move || StageDifference::of(stage, a, b, seed))
+            };
+            let threads: Vec<_> = STAGES.iter().map(of).collect();
+            let done =
+                threads.into_iter().map(|thread| thread.join().unwrap_or_else(|panic| resume_unwind(panic)));
+            done.flatten().collect()
+        });
+        Self { baseline: baseline.0, other: other.0, stages }
+    }
+}
+
+impl StageDifference {
+    fn of(stage: &str, baseline: &[&Loaded], other: &[&Loaded], seed: u64) -> Option<Self> {
+        let of = |runs: &[&Loaded]| runs.iter().map(|run| values(&run.rows, stage)).collect::<Vec<_>>();
+        let (a, b) = (of(baseline), of(other));
+        let pooled = |runs: &[Vec<f64>]| runs.iter().flatten().copied().collect::<Ordered>();
+        let (all_a, all_b) = (pooled(&a), pooled(&b));
+        let mean = |values: &Ordered| values.values().iter().sum::<f64>() / values.len() as f64;
+        Some(Self {
+            stage: stage.to_owned(),
+            medians: (all_a.median()?, all_b.median()?),
+            means: (mean(&all_a), mean(&all_b)),
+            mean: difference(&a, &b, Statistic::Mean, seed)?,
+            median: difference(&a, &b, Statistic::Median, seed)?,
+            clocks: half_width(baseline, stage).zip(half_width(other, stage)).map(|(a, b)| a + b),
+        })
+    }
+}
+
+/// Half the mean width of a delay's bounds.
+fn half_width(runs: &[&Loaded], stage: &str) -> Option<f64> {
+    ["upload", "download"].contains(&stage).then_some(())?;
+    let width = |row: &Row| Some(row.value(&format!("{stage}-hi"))? - row.value(&format!("{stage}-lo"))?);
+    let rows = runs.iter().flat_map(|run| &run.rows).filter(|row| row.counts());
+    let widths: Vec<f64> = rows.filter_map(width).collect();
+    (!widths.is_empty()).then(|| widths.iter().sum::<f64>() / widths.len() as f64 / 2.0)
+}

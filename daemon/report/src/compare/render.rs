@@ -1,0 +1,261 @@
+//! Comparisons as tables.
+
+use super::configuration::NOTHING;
+use super::{Comparison, Difference, Differences, LATENCIES, Latency, Line, StageDifference};
+use crate::number::{bound_milliseconds, decimals_within, fixed, milliseconds_between};
+use crate::table::{Table, csv_text};
+
+const HEADINGS: [&str; LATENCIES.len()] =
+    ["sensing", "upload", "inference", "download", "total (stages)", "total (measured)"];
+/// Less than this share of iterations with a known delay is told.
+const NEARLY_ALL: f64 = 0.95;
+
+impl Comparison {
+    /// For the terminal.
+    pub fn text(&self) -> String {
+        format!("{}\n\n{}", self.table().text(), self.notes().join("\n"))
+    }
+
+    /// For documents.
+    pub fn markdown(&self) -> String {
+        format!("{}\n{}\n", self.table().markdown(), self.notes().join("\n"))
+    }
+
+    /// For papers, with booktabs.
+    pub fn latex(&self) -> String {
+        self.table().latex(&self.notes().join(" "))
+    }
+
+    /// For programs: seconds, every digit.
+    pub fn csv(&self) -> String {
+        let mut header: Vec<String> = self.axes.clone();
+        header.extend(["runs", "count", "unanswered", "best", "tie"].map(str::to_owned));
+        header.extend(LATENCIES.iter().flat_map(|name| [format!("{name}-mean"), format!("{name}-std")]));
+        let row = |(at, line): (usize, &Line)| {
+            let flag = |is: bool| u8::from(is).to_string();
+            let number = |number: Option<f64>| number.map(|number| number.to_string()).unwrap_or_default();
+            let label = |label: &String| if label == NOTHING { String::new() } else { label.clone() };
+            let mut cells: Vec<String> = line.labels.iter().map(label).collect();
+            cells
+                .extend([line.runs.len() as u64, line.count, line.unanswered].map(|count| count.to_string()));
+            cells.extend([flag(self.best == Some(at)), flag(self.ties.contains(&at))]);
+            cells.extend(line.latencies.iter().flat_map(|latency| {
+                [number(latency.map(|latency| latency.mean)), number(latency.and_then(|latency| latency.std))]
+            }));
+            cells
+        };
+        let rows: Vec<Vec<String>> = self.lines.iter().enumerate().map(row).collect();
+        csv_text(&header.iter().map(String::as_str).collect::<Vec<_>>(), &rows)
+    }
+
+    fn table(&self) -> Table {
+        let pooled = self.lines.iter().any(|line| line.runs.len() > 1);
+        let unanswered = self.lines.iter().any(|line| line.unanswered > 0);
+        let mut header = self.axes.clone();
+        header.extend(pooled.then(|| "runs".to_owned()));
+        header.push("count".to_owned());
+        header.extend(unanswered.then(|| "unanswered".to_owned()));
+        header.extend(HEADINGS.map(str::to_owned));
+        let decimals: Vec<usize> = (0..LATENCIES.len()).map(|at| self.decimals(at)).collect();
+        let count = |count: u64| fixed(count as f64, 0);
+        let row = |line: &Line| {
+            let mut cells = line.labels.clone();
+            cells.extend(pooled.then(|| count(line.runs.len() as u64)));
+            cells.push(count(line.count));
+            cells.extend(unanswered.then(|| count(line.unanswered)));
+            cells.extend(
+                line.latencies.iter().zip(&decimals).map(|(latency, decimals)| cell(*latency, *decimals)),
+            );
+            cells
+        };
+        let rows = self.lines.iter().map(row).collect();
+        Table { header, labels: self.axes.len(), rows, marked: self.best.into_iter().collect() }
+    }
+
+    /// As many in a whole column, so that its figures compare.
+    fn decimals(&self, at: usize) -> usize {
+        let latencies = self.lines.iter().filter_map(|line| line.latencies[at]);
+        latencies.map(|latency| decimals_within(latency.std)).max().unwrap_or_default()
+    }
+
+    /// What the table means and what it does not show, a sentence or two each.
+    fn notes(&self) -> Vec<String> {
+        let mut notes = vec![
+            "Latencies: mean ± standard deviation in ms over all iterations that count. Total (stages) is the sum of all \
+             stages, those without a column too; the paper calls it Total."
+                .to_owned(),
+        ];
+        notes.extend(self.verdict());
+        let spread: Vec<String> = self.lines.iter().filter_map(Line::spread).collect();
+        if !spread.is_empty() {
+            notes.push(format!("Repeats are taken together; their mean totals: {} ms.", spread.join("; ")));
+        }
+        let unknown: Vec<String> = self.lines.iter().flat_map(Line::unknown).collect();
+        if !unknown.is_empty() {
+            notes
+                .push(format!("Delays are known of a part of the iterations alone: {}.", unknown.join("; ")));
+        }
+        notes
+    }
+
+    fn verdict(&self) -> Option<String> {
+        let best = &self.lines[self.best?];
+        let total = if self.by == "total" { "measured" } else { "stages" };
+        let ties: Vec<String> = self.ties.iter().map(|at| self.lines[*at].name()).collect();
+        let ties = if ties.is_empty() {
+            "every other differs from it with 95 % confidence".to_owned()
+        } else {
+            format!("with 95 % confidence it cannot be told from {}", ties.join("; "))
+        };
+        Some(format!("The smallest mean total ({total}) is that of {}; {ties}.", best.name()))
+    }
+}
+
+impl Line {
+    /// Its labels in one.
+    pub fn name(&self) -> String {
+        let labels: Vec<&str> =
+            self.labels.iter().map(String::as_str).filter(|label| *label != NOTHING).collect();
+        labels.join(", ")
+    }
+
+    /// The smallest and the largest mean of its repeats.
+    fn spread(&self) -> Option<String> {
+        (self.runs.len() > 1).then_some(())?;
+        let runs = self.deciding.iter().filter(|run| !run.is_empty());
+        let means: Vec<f64> = runs.map(|run| run.iter().sum::<f64>() / run.len() as f64).collect();
+        let ends = (means.iter().copied().reduce(f64::min)?, means.iter().copied().reduce(f64::max)?);
+        Some(format!("{} {}", self.name(), milliseconds_between(ends)))
+    }
+
+    fn unknown(&self) -> Vec<String> {
+        let part = |name: &str| {
+            let share = self.latency(name)?.count as f64 / self.count as f64;
+            (share < NEARLY_ALL).then(|| format!("{name} of {} {:.0} %", self.name(), share * 100.0))
+        };
+        ["upload", "download"].into_iter().filter_map(part).collect()
+    }
+}
+
+fn cell(latency: Option<Latency>, decimals: usize) -> String {
+    let figure = |seconds: f64| fixed(seconds * 1e3, decimals);
+    match latency {
+        None => NOTHING.to_owned(),
+        Some(Latency { mean, std: None, .. }) => figure(mean),
+        Some(Latency { mean, std: Some(std), .. }) => format!("{} ± {}", figure(mean), figure(std)),
+    }
+}
+
+impl Differences {
+    /// For the terminal.
+    pub fn text(&self) -> String {
+        format!("{}\n\n{}\n\n{}", self.heading(), self.table().text(), self.notes())
+    }
+
+    /// For documents.
+    pub fn markdown(&self) -> String {
+        format!("{}\n\n{}\n{}\n", self.heading(), self.table().markdown(), self.notes())
+    }
+
+    /// For papers, with booktabs.
+    pub fn latex(&self) -> String {
+        self.table().latex(&format!("{} {}", self.heading(), self.notes()))
+    }
+
+    /// For programs: seconds, every digit; one row for each pair and stage.
+    pub fn csv(differences: &[Self]) -> String {
+        let rows = differences.iter().flat_map(|this| this.stages.iter().map(|stage| this.csv_row(stage)));
+        csv_text(&Self::CSV_HEADER, &rows.collect::<Vec<_>>())
+    }
+
+    const CSV_HEADER: [&'static str; 14] = [
+        "baseline",
+        "other",
+        "stage",
+        "baseline-mean",
+        "other-mean",
+        "mean-difference",
+        "mean-difference-lo",
+        "mean-difference-hi",
+        "baseline-median",
+        "other-median",
+        "median-difference",
+        "median-difference-lo",
+        "median-difference-hi",
+        "clocks",
+    ];
+
+    fn csv_row(&self, stage: &StageDifference) -> Vec<String> {
+        let number = |number: Option<f64>| number.map(|number| number.to_string()).unwrap_or_default();
+        let three = |of: Difference| {
+            [Some(of.value), of.interval.map(|ends| ends.0), of.interval.map(|ends| ends.1)].map(number)
+        };
+        let two = |of: (f64, f64)| [of.0.to_string(), of.1.to_string()];
+        let names = [self.baseline.clone(), self.other.clone(), stage.stage.clone()].into_iter();
+        let means = two(stage.means).into_iter().chain(three(stage.mean));
+        let medians = two(stage.medians).into_iter().chain(three(stage.median));
+        names.chain(means).chain(medians).chain([number(stage.clocks)]).collect()
+    }
+
+    fn heading(&self) -> String {
+        format!("A: {}. B: {}.", self.baseline, self.other)
+    }
+
+    fn table(&self) -> Table {
+        let header = [
+            "stage",
+            "mean A",
+            "mean B",
+            "B − A",
+            "95 % confidence",
+            "median A",
+            "median B",
+            "B − A",
+            "95 % confidence",
+            "clocks",
+        ];
+        Table {
+            header: header.map(str::to_owned).to_vec(),
+            labels: 1,
+            rows: self.stages.iter().map(row).collect(),
+            marked: Vec::new(),
+        }
+    }
+
+    fn notes(&self) -> String {
+        let clocks = if self.stages.iter().any(|stage| stage.clocks.is_some_and(|clocks| clocks > 0.0)) {
+            " What the clocks of the hosts leave open comes on top of it."
+        } else {
+            ""
+        };
+        format!(
+            "In ms. The interval says how far the difference would vary if the same minutes were measured again \
+             (stationary bootstrap, percentiles).{clocks} What changes from day to day is not in it: only repeats \
+             show that."
+        )
+    }
+}
+
+fn row(stage: &StageDifference) -> Vec<String> {
+    let margin = |difference: &Difference| difference.interval.map(|(lo, hi)| (hi - lo) / 2.0);
+    let three = |of: (f64, f64), difference: &Difference| {
+        let decimals = decimals_within(margin(difference));
+        let figure = |seconds: f64| fixed(seconds * 1e3, decimals);
+        let interval = difference.interval.map_or_else(
+            || NOTHING.to_owned(),
+            |(lo, hi)| format!("{} to {}", signed(lo, decimals), signed(hi, decimals)),
+        );
+        [figure(of.0), figure(of.1), signed(difference.value, decimals), interval]
+    };
+    let [means, medians] = [three(stage.means, &stage.mean), three(stage.medians, &stage.median)];
+    let name = std::iter::once(stage.stage.clone());
+    let clocks = stage.clocks.map(bound_milliseconds).unwrap_or_default();
+    name.chain(means).chain(medians).chain([clocks]).collect()
+}
+
+/// Milliseconds with a sign on either side of zero.
+fn signed(seconds: f64, decimals: usize) -> String {
+    let text = fixed(seconds * 1e3, decimals);
+    let is_zero = !text.bytes().any(|digit| (b'1'..=b'9').contains(&digit));
+    if seconds > 0.0 && !is_zero { format!("+{text}") } else { text }
+}

@@ -1,0 +1,215 @@
+//! Comparisons of made-up runs whose figures are known.
+
+use std::path::PathBuf;
+
+use peernet_logger::stream::ExperimentPlace;
+
+use super::*;
+use crate::results::{HostRecord, ModelRecord, Outcome, Placement, RunRecord};
+
+/// A run in which every stage takes what is said, give or take a microsecond, and the total 1 ms more; `None` for what
+/// did not take place. Milliseconds.
+fn run(folder: &str, [sensing, upload, inference, download]: [Option<f64>; 4]) -> Loaded {
+    let row = |number: u64| {
+        let about = |millis: f64| millis / 1e3 + if number.is_multiple_of(2) { 1e-6 } else { -1e-6 };
+        let stages =
+            [("sensing", sensing), ("upload", upload), ("inference", inference), ("download", download)];
+        let mut values: Vec<_> =
+            stages.into_iter().filter_map(|(name, millis)| Some((name.into(), about(millis?)))).collect();
+        let sum: f64 = values.iter().map(|(_, value)| value).sum();
+        values.extend([("stages-total".into(), sum), ("total".into(), sum + 1e-3)]);
+        Row {
+            iteration: number,
+            at: number as f64,
+            episode: 0,
+            step: 0,
+            warm_up: number <= 5,
+            outcome: if number == 10 { Outcome::Lost } else { Outcome::Ok },
+            reason: None,
+            values,
+            upload: None,
+            download: None,
+        }
+    };
+    let record = RunRecord { title: folder.to_owned(), name: folder.to_owned(), ..RunRecord::default() };
+    Loaded { folder: PathBuf::from("results").join(folder), record, rows: (1..=106).map(row).collect() }
+}
+
+fn of(model: &str, device: &str, network: Option<&str>, run: Loaded) -> Loaded {
+    let record = RunRecord {
+        model: Some(ModelRecord { name: model.to_owned(), device: Some(device.to_owned()), sha256: None }),
+        placement: Placement {
+            kind: if network.is_some() { "remote" } else { "local" }.to_owned(),
+            network: network.map(str::to_owned),
+            address: None,
+        },
+        edge: HostRecord { name: "robot".to_owned(), ..HostRecord::default() },
+        facts: vec![("Load".to_owned(), "closed".to_owned()), ("Model".to_owned(), model.to_owned())],
+        ..run.record
+    };
+    Loaded { record, ..run }
+}
+
+fn placed(pairs: &[(&str, &str)], repeat: u32, run: Loaded) -> Loaded {
+    let configuration = pairs.iter().map(|(axis, label)| ((*axis).to_owned(), (*label).to_owned())).collect();
+    let place =
+        ExperimentPlace { name: "teleoperation".to_owned(), id: "a1".to_owned(), configuration, repeat };
+    Loaded { record: RunRecord { experiment: Some(place), ..run.record }, ..run }
+}
+
+/// The first lines of the paper's table.
+fn paper() -> Vec<Loaded> {
+    vec![
+        of("policy", "orin", None, run("local", [Some(0.71), None, Some(18.55), None])),
+        of("policy", "cuda:0", Some("lan"), run("lan", [Some(0.76), Some(17.53), Some(3.73), Some(0.37)])),
+        of("policy", "cuda:0", Some("can"), run("can", [Some(0.81), Some(98.28), Some(3.73), Some(1.73)])),
+    ]
+}
+
+#[test]
+fn the_papers_table_is_what_comes_out() {
+    let comparison = Comparison::of(&paper());
+    assert_eq!(
+        comparison.text(),
+        "\
+device  where   network  count  unanswered        sensing          upload       inference       download   total (stages)  total (measured)
+orin    local   —          100           1  0.710 ± 0.001               —  18.550 ± 0.001              —   19.260 ± 0.002    20.260 ± 0.002 *
+cuda:0  remote  lan        100           1  0.760 ± 0.001  17.530 ± 0.001   3.730 ± 0.001  0.370 ± 0.001   22.390 ± 0.004    23.390 ± 0.004
+cuda:0  remote  can        100           1  0.810 ± 0.001  98.280 ± 0.001   3.730 ± 0.001  1.730 ± 0.001  104.550 ± 0.004   105.550 ± 0.004
+
+Latencies: mean ± standard deviation in ms over all iterations that count. Total (stages) is the sum of all stages, those without a column too; the paper calls it Total.
+The smallest mean total (measured) is that of orin, local; every other differs from it with 95 % confidence."
+    );
+}
+
+#[test]
+fn every_format_has_every_line() {
+    let comparison = Comparison::of(&paper());
+    let markdown = comparison.markdown();
+    assert!(
+        markdown.starts_with("| device | where | network | count | unanswered | sensing |"),
+        "{markdown}"
+    );
+    assert!(markdown.contains("| **orin** | **local** | **—** | **100** |"), "{markdown}");
+    let latex = comparison.latex();
+    assert!(
+        latex.contains("cuda:0 & remote & can & 100 & 1 & 0.810 $\\pm$ 0.001 & 98.280 $\\pm$ 0.001 &"),
+        "{latex}"
+    );
+    assert!(
+        latex.contains("\\begin{tabular}{lllrrrrrrrr}") && latex.contains("95 \\% confidence"),
+        "{latex}"
+    );
+    let csv = comparison.csv();
+    assert_eq!(csv.lines().count(), 4);
+    assert!(
+        csv.starts_with("device,where,network,runs,count,unanswered,best,tie,sensing-mean,sensing-std,"),
+        "{csv}"
+    );
+    assert!(
+        csv.lines().nth(1).is_some_and(|line| line.starts_with("orin,local,,1,100,1,1,0,0.0007")),
+        "{csv}"
+    );
+}
+
+#[test]
+fn repeats_are_taken_together_and_others_are_not() {
+    let lan = |folder: &str, inference: f64| run(folder, [Some(1.0), Some(5.0), Some(inference), Some(0.5)]);
+    let runs = [
+        placed(&[("resize", "no"), ("network", "LAN")], 0, lan("a", 10.0)),
+        placed(&[("resize", "yes"), ("network", "LAN")], 0, lan("b", 4.0)),
+        placed(&[("resize", "no"), ("network", "LAN")], 1, lan("c", 12.0)),
+    ];
+    let comparison = Comparison::of(&runs);
+    assert_eq!(
+        comparison.axes,
+        ["resize", "network"],
+        "as declared, though one of them is the same everywhere"
+    );
+    assert_eq!(
+        comparison.lines.iter().map(|line| line.runs.clone()).collect::<Vec<_>>(),
+        [vec![0, 2], vec![1]]
+    );
+    let inference = comparison.lines[0].latency("inference").expect("measured");
+    assert!((inference.mean - 0.011).abs() < 1e-9 && inference.count == 200, "{inference:?}");
+    assert_eq!((comparison.best, comparison.ties.as_slice()), (Some(1), [].as_slice()));
+    let text = comparison.text();
+    assert!(
+        text.contains("Repeats are taken together; their mean totals: no, LAN 17.5 – 19.5 ms."),
+        "{text}"
+    );
+    let apart = Comparison::with(&runs, Repeats::Apart, 1);
+    assert_eq!(apart.axes, ["resize", "network", "repeat"]);
+    assert_eq!(apart.lines.len(), 3);
+}
+
+#[test]
+fn folders_tell_runs_apart_that_nothing_else_does() {
+    let one =
+        |folder: &str, total: f64| of("s", "cpu", None, run(folder, [Some(1.0), None, Some(total), None]));
+    let comparison = Comparison::of(&[one("before/run-2", 7.0), one("after/run-2", 7.0)]);
+    assert_eq!(comparison.axes, ["run"]);
+    assert_eq!(comparison.lines.iter().map(Line::name).collect::<Vec<_>>(), ["before/run-2", "after/run-2"]);
+    assert_eq!(
+        (comparison.best, comparison.ties.as_slice()),
+        (Some(0), [1].as_slice()),
+        "the same twice is a tie"
+    );
+    assert!(comparison.text().contains("cannot be told from after/run-2"), "{}", comparison.text());
+    let alone = Comparison::of(&[one("x", 7.0)]);
+    assert_eq!((alone.axes.as_slice(), alone.best), (["run".to_owned()].as_slice(), None));
+}
+
+#[test]
+fn executions_of_one_experiment_are_told_apart() {
+    let mut runs = [0, 1].map(|_| placed(&[("model", "s")], 0, run("a", [Some(1.0), None, Some(2.0), None])));
+    runs[1].record.experiment.as_mut().expect("placed").id = "b2".to_owned();
+    let comparison = Comparison::of(&runs);
+    assert_eq!(comparison.axes, ["model", "execution"]);
+    assert_eq!(comparison.lines.iter().map(Line::name).collect::<Vec<_>>(), ["s, a1", "s, b2"]);
+}
+
+#[test]
+fn without_a_measured_total_the_stages_decide() {
+    let mut runs = paper();
+    runs.iter_mut()
+        .flat_map(|run| &mut run.rows)
+        .for_each(|row| row.values.retain(|(name, _)| name != "total"));
+    let comparison = Comparison::of(&runs);
+    assert_eq!((comparison.by, comparison.best), ("stages-total", Some(0)));
+    assert!(comparison.lines[0].latency("total").is_none());
+    assert!(comparison.text().contains("The smallest mean total (stages) is that of orin, local;"));
+}
+
+#[test]
+fn a_run_without_a_single_answer_is_a_line_and_never_the_best() {
+    let mut runs = paper();
+    runs[0].rows.iter_mut().for_each(|row| row.outcome = Outcome::Lost);
+    let comparison = Comparison::of(&runs);
+    assert_eq!(
+        (comparison.best, comparison.lines[0].count, comparison.lines[0].unanswered),
+        (Some(1), 0, 101)
+    );
+}
+
+#[test]
+fn differences_are_told_stage_by_stage() {
+    let runs = paper();
+    let differences = Differences::of(&runs[1], &runs[2], 5);
+    let stages: Vec<&str> = differences.stages.iter().map(|stage| stage.stage.as_str()).collect();
+    assert_eq!(stages, ["sensing", "upload", "inference", "download", "stages-total", "total"]);
+    let upload = &differences.stages[1];
+    assert!((upload.mean.value - 0.08075).abs() < 1e-9, "{upload:?}");
+    assert_eq!((upload.mean.is_distinct(), upload.median.is_distinct()), (Some(true), Some(true)));
+    assert_eq!(differences.stages[2].mean.is_distinct(), Some(false), "inference is the same");
+    let text = differences.text();
+    assert!(text.starts_with("A: lan. B: can.\n\nstage"), "{text}");
+    assert!(text.contains("+80.750"), "{text}");
+    assert_eq!(differences, Differences::of(&runs[1], &runs[2], 5), "the same seed");
+    let csv = Differences::csv(&[differences]);
+    assert!(csv.lines().nth(2).is_some_and(|line| line.starts_with("lan,can,upload,0.0175")), "{csv}");
+    let comparison = Comparison::of(&runs);
+    let local = Differences::of_lines(&comparison, &runs, 1, 0, 5);
+    assert_eq!((local.baseline.as_str(), local.other.as_str()), ("cuda:0, remote, lan", "orin, local"));
+    assert!(local.stages.iter().all(|stage| stage.stage != "upload"), "one of them has none");
+}

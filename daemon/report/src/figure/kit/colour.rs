@@ -1,0 +1,19 @@
+//! The colours of the dashboard on paper: Okabe–Ito hues, told apart with every kind of colour vision.
+
+use plotters::style::RGBColor;
+
+/// Edge to cloud.
+pub const UPLOAD: RGBColor = RGBColor(0xd5, 0x5e, 0x00);
+/// Cloud to edge.
+pub const DOWNLOAD: RGBColor = RGBColor(0xae, 0x54, 0x85);
+/// Text, and whatever is no stage.
+pub const INK: RGBColor = RGBColor(0x14, 0x18, 0x1f);
+
+/// Quiet text.
+pub(in crate::figure) const QUIET: RGBColor = RGBColor(0x45, 0x4d, 0x59);
+/// Lines of a grid.
+pub(in crate::figure) const GRID: RGBColor = RGBColor(0xdd, 0xe2, 0xe8);
+/// Axes.
+pub(in crate::figure) const AXIS: RGBColor = RGBColor(0x8a, 0x94, 0xa3);
+/// What is left out.
+pub(in crate::figure) const SHADE: RGBColor = RGBColor(0xe8, 0xeb, 0xef);

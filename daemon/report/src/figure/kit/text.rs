@@ -1,0 +1,78 @@
+//! How wide text is, and making it fit.
+
+use plotters::element::Text;
+use plotters::prelude::DrawingBackend;
+use plotters::style::TextStyle;
+use plotters::style::text_anchor::{HPos, VPos};
+
+use super::canvas::{Drawn, Paper, register, style};
+use super::colour::INK;
+
+/// Draws text at a point.
+pub(in crate::figure) fn text<DB: DrawingBackend>(
+    paper: &Paper<DB>,
+    words: impl Into<String>,
+    (x, y): (i32, i32),
+    style: TextStyle<'static>,
+) -> Drawn<DB> {
+    // The middle of a line's height is above the middle of its digits.
+    let lower =
+        if matches!(style.pos.v_pos, VPos::Center) { (style.font.get_size() / 9.0) as i32 } else { 0 };
+    paper.draw(&Text::new(words.into(), (x, y + lower), style))
+}
+
+/// Width of text of a height, pixels.
+pub(in crate::figure) fn width(text: &str, height: i32) -> i32 {
+    register();
+    let size = style(height, INK, HPos::Left, VPos::Top).font.box_size(text);
+    // Without a font nothing is drawn either; a guess keeps the layout whole.
+    size.map_or_else(|_| text.chars().count() as i32 * height / 2, |(width, _)| width as i32)
+}
+
+/// The text, or its beginning and its end around `…` where it is wider than there is room: what tells names apart is
+/// often at their end.
+pub(in crate::figure) fn shorten(text: &str, height: i32, room: i32) -> String {
+    if width(text, height) <= room {
+        return text.to_owned();
+    }
+    let chars: Vec<char> = text.chars().collect();
+    let cut = |count: usize| {
+        let tail = count * 2 / 5;
+        let part = |chars: &[char]| chars.iter().collect::<String>();
+        let (head, tail) = (part(&chars[..count - tail]), part(&chars[chars.len() - tail..]));
+        format!("{}…{}", head.trim_end(), tail.trim_start())
+    };
+    let fits = (0..chars.len()).rev().map(cut).find(|text| width(text, height) <= room);
+    fits.unwrap_or_else(|| "…".to_owned())
+}
+
+/// Lines that fit, broken between words. A word that is wider than a line is shortened.
+pub(in crate::figure) fn wrap(text: &str, height: i32, room: i32) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in text.split(' ') {
+        let longer = lines.last().map(|line| format!("{line} {word}"));
+        match (longer.filter(|line| width(line, height) <= room), lines.last_mut()) {
+            (Some(longer), Some(line)) => *line = longer,
+            _ => lines.push(shorten(word, height, room)),
+        }
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_is_made_to_fit() {
+        assert!(width("iterations", 50) > width("iter", 50));
+        assert_eq!(shorten("short", 50, 1000), "short");
+        let cut = shorten(&"a long label ".repeat(20), 50, 300);
+        assert!(cut.starts_with("a lo") && cut.contains('…') && width(&cut, 50) <= 300, "{cut}");
+        assert!(shorten("a model with a long name, small", 50, 400).ends_with("small"));
+        let lines = wrap("so many words that they need several lines", 50, 300);
+        assert!(lines.len() > 2 && lines.iter().all(|line| width(line, 50) <= 300), "{lines:?}");
+        assert_eq!(lines.join(" "), "so many words that they need several lines");
+        assert_eq!(wrap(&"x".repeat(100), 50, 300).len(), 1);
+    }
+}

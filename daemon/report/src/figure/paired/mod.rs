@@ -1,0 +1,171 @@
+//! One quantity here and there: the same model on the robot and in the cloud, side by side.
+
+mod density;
+
+use plotters::element::{PathElement, Polygon, Rectangle};
+use plotters::prelude::DrawingBackend;
+use plotters::style::text_anchor::{HPos, VPos};
+use plotters::style::{Color, RGBColor, WHITE};
+
+use super::histogram::{nothing, range};
+use super::kit::{
+    Axis, Drawn, Figure, Frame, Header, INK, Key, Mark, Paper, QUIET, SIZE, SMALL, Swatch, TEXT, Unit,
+    shorten, style, text, width,
+};
+use crate::number::{fixed, significant};
+use crate::order::Ordered;
+use density::density;
+
+/// Up to how many values each is drawn.
+const MOST_POINTS: usize = 60;
+/// The sides' colours (Okabe and Ito), each with a mark of its own.
+const COLOURS: [RGBColor; 4] = [
+    RGBColor(0x00, 0x72, 0xb2),
+    RGBColor(0xd5, 0x5e, 0x00),
+    RGBColor(0x00, 0x9e, 0x73),
+    RGBColor(0xcc, 0x79, 0xa7),
+];
+
+/// Most sides that can be told apart.
+pub const MOST_SIDES: usize = COLOURS.len();
+/// Most groups that a column has room for.
+pub const MOST_GROUPS: usize = 12;
+
+/// Distributions side by side, in groups.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Paired {
+    /// What is shown.
+    pub title: String,
+    /// What stands along the vertical axis.
+    pub unit: Unit,
+    /// What is side by side in each group: at most four.
+    pub sides: Vec<String>,
+    /// One for each model: at most twelve.
+    pub groups: Vec<Group>,
+    /// What is left out and so on.
+    pub notes: Vec<String>,
+}
+
+/// A group: one model.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Group {
+    /// Its name.
+    pub name: String,
+    /// The values of each side, SI units; empty where there are none.
+    pub values: Vec<Ordered>,
+}
+
+impl Group {
+    /// `2.5 ×`: the first side's median over the second's, where there are two.
+    fn ratio(&self) -> Option<String> {
+        let [first, second] = self.values.as_slice() else { return None };
+        let (first, second) = (first.median()?, second.median()?);
+        (first > 0.0 && second > 0.0).then(|| format!("{} ×", significant(first / second)))
+    }
+}
+
+impl Paired {
+    fn header(&self) -> Header {
+        let looks = COLOURS.into_iter().zip(Mark::ALL);
+        let key = |(name, (colour, mark)): (&String, _)| Key::new(Swatch::Mark(colour, mark), name.clone());
+        let mut notes = self.notes.clone();
+        if self.groups.iter().any(|group| group.ratio().is_some()) {
+            notes.push(format!("above a pair: median {} ÷ {}", self.sides[0], self.sides[1]));
+        }
+        if self.groups.iter().flat_map(|group| &group.values).any(|values| beyond(values) > 0) {
+            notes.push("+ above a shape: so many values are larger than it shows".to_owned());
+        }
+        Header { title: self.title.clone(), keys: self.sides.iter().zip(looks).map(key).collect(), notes }
+    }
+
+    /// What the axis holds: every distribution but for tails that would squeeze the rest.
+    fn shown(&self) -> Option<(f64, f64)> {
+        let all = self.groups.iter().flat_map(|group| &group.values).filter_map(range);
+        all.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).filter(|(lo, hi)| lo.is_finite() && hi.is_finite())
+    }
+
+    fn draw_one<DB: DrawingBackend>(
+        &self,
+        paper: &Paper<DB>,
+        frame: &Frame,
+        (values, side, middle, half): (&Ordered, usize, i32, i32),
+    ) -> Drawn<DB> {
+        let (colour, mark) = (COLOURS[side % MOST_SIDES], Mark::ALL[side % MOST_SIDES]);
+        let y = |value: f64| frame.y.at(value * self.unit.per_si);
+        let Some((lo, hi)) = range(values) else { return Ok(()) };
+        let hill = density(values, (lo, hi));
+        let wide = |dense: f64| (f64::from(half) * dense).round() as i32;
+        let right = hill.iter().map(|(value, dense)| (middle + wide(*dense), y(*value)));
+        let left = hill.iter().rev().map(|(value, dense)| (middle - wide(*dense), y(*value)));
+        let mut outline: Vec<(i32, i32)> = right.chain(left).collect();
+        if outline.len() > 2 && values.len() > MOST_POINTS {
+            paper.draw(&Polygon::new(outline.clone(), colour.mix(0.35).filled()))?;
+            outline.extend(outline.first().copied());
+            paper.draw(&PathElement::new(outline, colour.stroke_width(4)))?;
+        } else {
+            for (number, value) in values.values().iter().enumerate() {
+                // Spread evenly to the sides, so that each is seen; the same every time.
+                let aside = (number as f64 * 0.618_034).fract() - 0.5;
+                let at = (middle + (aside * f64::from(half)) as i32, y(*value));
+                mark.draw(paper, at, colour)?;
+            }
+        }
+        if values.len() >= 4
+            && let Some((low, high)) = values.quantile(0.25).zip(values.quantile(0.75))
+        {
+            let bar = [(middle - 9, y(high)), (middle + 9, y(low))];
+            paper.draw(&Rectangle::new(
+                [(bar[0].0 - 4, bar[0].1 - 4), (bar[1].0 + 4, bar[1].1 + 4)],
+                WHITE.filled(),
+            ))?;
+            paper.draw(&Rectangle::new(bar, colour.filled()))?;
+        }
+        if let Some(median) = values.median() {
+            let at = (middle, y(median));
+            mark.draw(paper, at, INK)?;
+        }
+        let above = beyond(values);
+        if above > 0 {
+            let look = style(SMALL, QUIET, HPos::Center, VPos::Bottom);
+            let at = (middle, y(hi) - 10);
+            text(paper, format!("+{}", fixed(above as f64, 0)), at, look)?;
+        }
+        Ok(())
+    }
+}
+
+/// How many values are above what is shown of them.
+fn beyond(values: &Ordered) -> usize {
+    range(values).map_or(0, |(_, hi)| values.values().iter().filter(|value| **value > hi).count())
+}
+
+impl Figure for Paired {
+    fn draw<DB: DrawingBackend>(&self, paper: &Paper<DB>) -> Drawn<DB> {
+        let top = self.header().draw(paper)?;
+        let Some((lo, hi)) = self.shown() else { return nothing(paper, top) };
+        let range = (lo * self.unit.per_si, hi * self.unit.per_si * 1.12);
+        let y = Frame::below(top, SIZE.1 as i32 + 70, |pixels| Axis::from_zero(range, pixels));
+        let pixels = Frame::beside(&y, SIZE.0 as i32);
+        let frame = Frame { x: Axis::linear((0.0, 1.0), pixels), y };
+        frame.draw_y(paper, (&self.unit.title, 0))?;
+        let step = (pixels.1 - pixels.0) / self.groups.len().max(1) as i32;
+        let fit = self.groups.iter().all(|group| width(&group.name, TEXT) <= step - 12);
+        let height = if fit { TEXT } else { SMALL };
+        for (number, group) in self.groups.iter().enumerate() {
+            let left = pixels.0 + step * number as i32;
+            let lane = step * 9 / 10 / group.values.len().max(1) as i32;
+            for (side, values) in group.values.iter().enumerate() {
+                let middle = left + step / 20 + lane * side as i32 + lane / 2;
+                self.draw_one(paper, &frame, (values, side, middle, (lane * 2 / 5).min(130)))?;
+            }
+            let at = (left + step / 2, y.pixels.0 + 24);
+            let name = shorten(&group.name, height, step - 12);
+            text(paper, name, at, style(height, INK, HPos::Center, VPos::Top))?;
+            if let Some(ratio) = group.ratio() {
+                let at = (left + step / 2, y.pixels.1 + 4);
+                text(paper, ratio, at, style(SMALL, INK, HPos::Center, VPos::Top))?;
+            }
+        }
+        Ok(())
+    }
+}

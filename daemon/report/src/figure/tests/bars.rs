@@ -1,0 +1,164 @@
+//! Histograms and stacked bars.
+
+use super::*;
+
+pub(super) fn histogram(values: Ordered) -> Histogram {
+    Histogram {
+        title: "Upload time · robot".to_owned(),
+        unit: Unit::milliseconds("Upload time"),
+        fill: Fill::dark(UPLOAD, Hatch::Plain),
+        notes: vec![format!("n = {}", values.len())],
+        values,
+    }
+}
+
+#[test]
+fn a_histogram_has_a_bar_for_each_bin_as_high_as_its_count() {
+    // 30, 60 and 10 values far enough apart.
+    let values = [(10.0, 30), (20.0, 60), (90.0, 10)];
+    let values = millis(values.iter().flat_map(|(value, count)| std::iter::repeat_n(*value, *count)));
+    let figure = histogram(values);
+    let svg = figure.svg().expect("drawn");
+    let bars = Elements::of(&svg, "rect").with("fill", &colour(figure.fill));
+    let heights = bars.numbers("height");
+    assert_eq!(heights.len(), 3, "{svg}");
+    assert!((heights[1] / heights[0] - 2.0).abs() < 0.02 && (heights[0] / heights[2] - 3.0).abs() < 0.05);
+    for text in
+        ["Upload time · robot", "Upload time, ms", "Iterations", "median 20.0 ms", "p95 90.0 ms", "n = 100"]
+    {
+        assert!(has(&svg, text), "{text} in {:?}", texts(&svg));
+    }
+    assert_on_paper(&figure, &svg);
+}
+
+#[test]
+fn the_median_stands_where_its_value_is() {
+    let figure = histogram(millis((0..=1000).map(f64::from)));
+    let svg = figure.svg().expect("drawn");
+    let bars = Elements::of(&svg, "rect").with("fill", &colour(figure.fill));
+    let (left, last) = (bars.numbers("x")[0], bars.0.len() - 1);
+    let right = bars.numbers("x")[last] + bars.numbers("width")[last];
+    let line = Elements::of(&svg, "polyline").with("stroke", "#14181F").with("stroke-width", "6");
+    let at: Vec<f64> =
+        line.0.iter().filter_map(|line| line["points"].split(',').next()?.parse().ok()).collect();
+    assert!(at.iter().any(|at| (at - f64::midpoint(left, right)).abs() < 4.0), "{at:?} {left} {right}");
+}
+
+#[test]
+fn a_long_tail_is_counted_instead_of_drawn() {
+    let figure = histogram(millis((0..1000).map(|i| f64::from(i) / 100.0 + 10.0).chain([9e5, 1e6])));
+    let svg = figure.svg().expect("drawn");
+    assert!(texts(&svg).iter().any(|text| text == "6 beyond 19.9 ms →"), "{:?}", texts(&svg));
+    assert_on_paper(&figure, &svg);
+}
+
+#[test]
+fn odd_values_are_drawn_too() {
+    let cases: [Vec<f64>; 6] = [
+        vec![],
+        vec![17.5],
+        vec![0.0; 80],
+        vec![-3.0, -2.0, -1.5, 0.2],
+        vec![f64::NAN, 1.0, f64::INFINITY, 2.0],
+        vec![1e-9, 1e12],
+    ];
+    for values in cases {
+        let figure = histogram(millis(values.clone()));
+        let svg = figure.svg().expect("drawn");
+        assert_eq!(has(&svg, "no values"), values.is_empty(), "{values:?}");
+        assert!(!has(&svg, "1.5"), "iterations are whole: {:?}", texts(&svg));
+        assert_on_paper(&figure, &svg);
+    }
+}
+
+fn stacked(bars: Vec<(&str, [f64; 3], Option<f64>)>) -> Stacked {
+    let bar = |(label, means, std): (&str, [f64; 3], Option<f64>)| Bar {
+        label: label.to_owned(),
+        means: means.map(|mean| mean / 1e3).to_vec(),
+        std: std.map(|std| std / 1e3),
+    };
+    Stacked {
+        title: "Latency".to_owned(),
+        unit: Unit::milliseconds("Latency"),
+        stages: ["sensing", "upload", "inference"].map(str::to_owned).to_vec(),
+        bars: bars.into_iter().map(bar).collect(),
+        notes: vec!["configurations: network".to_owned()],
+    }
+}
+
+/// The areas of a stage, without the key's.
+fn areas(svg: &str, stage: &str) -> Elements {
+    let mut areas = Elements::of(svg, "rect").with("fill", &colour(stage_fill(stage)));
+    areas.0.remove(0);
+    areas
+}
+
+#[test]
+fn parts_are_as_long_as_their_means_and_follow_upon_one_another() {
+    let long = "a long label that is not to stand below a bar";
+    let figure = stacked(vec![(long, [10.0, 40.0, 50.0], Some(5.0)), ("b", [10.0, 0.0, 20.0], None)]);
+    let svg = figure.svg().expect("drawn");
+    let (sensing, upload, inference) =
+        (areas(&svg, "sensing"), areas(&svg, "upload"), areas(&svg, "inference"));
+    assert_eq!(
+        (sensing.0.len(), upload.0.len(), inference.0.len()),
+        (2, 1, 2),
+        "no area for what took no time"
+    );
+    let width = |of: &Elements| of.numbers("width")[0];
+    assert!((width(&upload) / width(&sensing) - 4.0).abs() < 0.1, "{svg}");
+    assert!((sensing.numbers("x")[0] + width(&sensing) - upload.numbers("x")[0]).abs() < 1.0);
+    for text in
+        ["100 ± 5", "30.0", "sensing", "upload", "inference", "Latency, ms", "b", "configurations: network"]
+    {
+        assert!(has(&svg, text), "{text} in {:?}", texts(&svg));
+    }
+    assert_on_paper(&figure, &svg);
+}
+
+#[test]
+fn few_bars_with_short_labels_stand_upright() {
+    let figure =
+        stacked(vec![("LAN, no", [10.0, 40.0, 50.0], Some(5.0)), ("CAN, yes", [10.0, 0.0, 20.0], Some(1.0))]);
+    let svg = figure.svg().expect("drawn");
+    let (sensing, upload) = (areas(&svg, "sensing"), areas(&svg, "upload"));
+    assert!((upload.numbers("height")[0] / sensing.numbers("height")[0] - 4.0).abs() < 0.1);
+    assert_eq!(sensing.numbers("width")[0], upload.numbers("width")[0]);
+    assert!(["LAN", "no", "CAN", "yes"].iter().all(|text| has(&svg, text)), "{:?}", texts(&svg));
+    assert_on_paper(&figure, &svg);
+}
+
+#[test]
+fn sixty_configurations_have_a_bar_each() {
+    let labels: Vec<String> = (0..60)
+        .map(|number| format!("a label of many words that goes on and on, configuration {number}"))
+        .collect();
+    let bars = labels.iter().map(|label| (label.as_str(), [1.0, 2.0, 3.0], Some(0.5))).collect();
+    let figure = stacked(bars);
+    let svg = figure.svg().expect("drawn");
+    assert_eq!(areas(&svg, "upload").0.len(), 60);
+    let shown = |number: usize| {
+        texts(&svg).iter().any(|text| text.contains('…') && text.ends_with(&format!(" {number}")))
+    };
+    assert!((0..60).all(shown), "shortened, and still told apart: {:?}", texts(&svg));
+    assert!((4000..4320).contains(&figure.size().1));
+    assert_on_paper(&figure, &svg);
+}
+
+#[test]
+fn negative_parts_lie_on_the_other_side_of_zero() {
+    let figure = stacked(vec![(
+        "uncorrected clocks and a label that is too long to stand below a bar of a figure of this width",
+        [10.0, -4.0, 20.0],
+        Some(900.0),
+    )]);
+    let svg = figure.svg().expect("drawn");
+    let (sensing, upload) = (areas(&svg, "sensing"), areas(&svg, "upload"));
+    assert!(
+        (upload.numbers("x")[0] + upload.numbers("width")[0] - sensing.numbers("x")[0]).abs() <= 1.0,
+        "{svg}"
+    );
+    assert_on_paper(&figure, &svg);
+    let empty = stacked(Vec::new());
+    assert!(has(&empty.svg().expect("drawn"), "no values"));
+}

@@ -1,0 +1,79 @@
+//! Histograms of a run: the six published ones, or that of any column.
+
+use super::columns::{account, heading, titled, unit, values};
+use super::written::{Drawing, Shown};
+use crate::figure::{Fill, Hatch, Histogram, stage_fill};
+use crate::number::{megabytes_per_second_between, milliseconds_between};
+use crate::order::Ordered;
+use crate::results::{Loaded, Row, RunRecord, Scale};
+
+/// The published histograms: name of the file, column, what it is.
+pub const HISTOGRAMS: [(&str, &str, &str); 6] = [
+    ("sensing-time", "sensing", "Sensing time"),
+    ("upload-time", "upload", "Upload time"),
+    ("inference-time", "inference", "Inference time"),
+    ("download-time", "download", "Download time"),
+    ("upload-throughput", "upload-throughput", "Upload throughput"),
+    ("download-throughput", "download-throughput", "Download throughput"),
+];
+
+/// Those of a run that it can have.
+pub(super) fn published(record: &RunRecord, rows: &[Row]) -> Vec<Drawing> {
+    let remote = !matches!(record.placement.kind.as_str(), "local" | "none");
+    let drawings = HISTOGRAMS.iter().filter_map(|(stem, column, what)| {
+        let histogram = histogram(record, rows, column, what);
+        let expected = match *column {
+            "sensing" => true,
+            "inference" => record.placement.kind != "none",
+            _ => remote,
+        };
+        (expected || !histogram.values.is_empty()).then(|| Drawing::new(*stem, Shown::Histogram(histogram)))
+    });
+    drawings.collect()
+}
+
+/// The published ones, or that of one column.
+pub(super) fn drawings(run: &Loaded, column: Option<&str>) -> Result<Vec<Drawing>, String> {
+    let Some(column) = column else { return Ok(published(&run.record, &run.rows)) };
+    let histogram = histogram(&run.record, &run.rows, column, &heading(column));
+    if histogram.values.is_empty() {
+        return Err(format!("no iteration that counts has a number in the column {column}"));
+    }
+    Ok(vec![Drawing::new(format!("{column}-histogram"), Shown::Histogram(histogram))])
+}
+
+fn histogram(record: &RunRecord, rows: &[Row], column: &str, what: &str) -> Histogram {
+    let values = values(rows, column);
+    let mut notes = vec![account(&rows.iter(), values.len())];
+    notes.extend(clocks(rows, column));
+    // Bars stand side by side: a hatch would only blur them.
+    let fill = stage_fill(column.trim_end_matches("-throughput"));
+    Histogram {
+        title: titled(what, &record.title),
+        unit: unit(column, what),
+        fill: Fill::dark(fill.colour, Hatch::Plain),
+        values,
+        notes,
+    }
+}
+
+/// Where the true median lies, as far as the hosts' clocks are known: between the medians of the lower and the upper
+/// bounds. `None` where the column has no bounds, or both ends read one clock.
+fn clocks(rows: &[Row], column: &str) -> Option<String> {
+    let end = |end: &str| -> Option<f64> {
+        let name = format!("{column}-{end}");
+        let counted = rows.iter().filter(|row| row.counts() && row.value(column).is_some());
+        counted.map(|row| row.value(&name)).collect::<Option<Ordered>>()?.median()
+    };
+    if !["upload", "download", "upload-throughput", "download-throughput"].contains(&column) {
+        return None;
+    }
+    let (lo, hi) = (end("lo")?, end("hi")?);
+    let between = match Scale::of(column) {
+        Scale::MegabytesPerSecond => {
+            format!("{} MB/s", megabytes_per_second_between((lo, Some(hi).filter(|hi| hi.is_finite()))))
+        }
+        _ => format!("{} ms", milliseconds_between((lo, hi))),
+    };
+    (lo < hi).then(|| format!("clock bounds of the median: {between}"))
+}

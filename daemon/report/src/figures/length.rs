@@ -1,0 +1,47 @@
+//! Response length against latency.
+
+use super::Columns;
+use super::columns::{account, heading, titled, unit};
+use super::written::{Drawing, Shown};
+use crate::figure::Lengths;
+use crate::results::{Loaded, Row};
+
+/// Columns that hold the length of an answer, the best first. Those of a run's own end with `tokens`.
+const ANSWER: &str = "download-bytes";
+const TOKENS: &str = "tokens";
+/// The longest answer is at least so much longer than the shortest, or its length is not what matters.
+const VARIED: f64 = 1.5;
+
+/// Length and latency of each answer.
+pub(super) fn drawings(run: &Loaded, columns: &Columns) -> Result<Vec<Drawing>, String> {
+    let x = columns.x.clone().unwrap_or_else(|| length(&run.rows));
+    let y = columns.y.clone().unwrap_or_else(|| "inference".to_owned());
+    let counted = run.rows.iter().filter(|row| row.counts());
+    let point = |row: &Row| Some((row.value(&x)?, row.value(&y)?));
+    let points: Vec<(f64, f64)> =
+        counted.filter_map(point).filter(|(x, y)| x.is_finite() && y.is_finite()).collect();
+    if points.is_empty() {
+        return Err(format!("no iteration that counts has a number in both columns, {x} and {y}"));
+    }
+    let (shortest, longest) = points
+        .iter()
+        .fold((f64::INFINITY, 0.0_f64), |(lo, hi), (length, _)| (lo.min(*length), hi.max(*length)));
+    if columns.x.is_none() && longest < VARIED * shortest {
+        return Err(format!("all answers have much the same length ({x}); name another column with --x"));
+    }
+    let lengths = Lengths {
+        title: titled(&format!("{} against {}", heading(&y), x.replace(['-', '_'], " ")), &run.record.title),
+        x: unit(&x, &heading(&x)),
+        y: unit(&y, &heading(&y)),
+        notes: vec![account(&run.rows.iter(), points.len())],
+        points,
+    };
+    Ok(vec![Drawing::new("length", Shown::Lengths(lengths))])
+}
+
+fn length(rows: &[Row]) -> String {
+    let names =
+        || rows.iter().filter(|row| row.counts()).flat_map(|row| row.values.iter().map(|(name, _)| name));
+    let tokens = names().find(|name| name.ends_with(TOKENS));
+    tokens.map_or(ANSWER, |name| name.as_ref()).to_owned()
+}

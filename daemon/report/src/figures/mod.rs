@@ -1,0 +1,139 @@
+//! Results as figures: which of them a run or an experiment has, and under which names they are written.
+//!
+//! ```text
+//! Loaded ─┬─ histograms, length, series      of each run
+//!         └─ stacked, paired, payload        of all together
+//! ```
+//!
+//! What figures look like is the business of [`crate::figure`].
+
+mod columns;
+mod histograms;
+mod length;
+mod paired;
+mod payload;
+mod series;
+mod stacked;
+mod written;
+
+pub use histograms::HISTOGRAMS;
+
+use std::path::{Path, PathBuf};
+
+use crate::WriteError;
+use crate::results::{Loaded, Row, RunRecord};
+use written::Drawing;
+
+/// The figures there are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// The six histograms of the published program.
+    Histograms,
+    /// Stages over time.
+    Series,
+    /// Response length against latency.
+    Length,
+    /// What the stages of each configuration add up to.
+    Stacked,
+    /// A model's latency here and there.
+    Paired,
+    /// Latency and throughput against payload.
+    Payload,
+}
+
+impl Kind {
+    /// Every kind: those of single runs first.
+    pub const ALL: [Self; 6] =
+        [Self::Histograms, Self::Series, Self::Length, Self::Stacked, Self::Paired, Self::Payload];
+
+    /// As on the command line.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Histograms => "histograms",
+            Self::Series => "series",
+            Self::Length => "length",
+            Self::Stacked => "stacked",
+            Self::Paired => "paired",
+            Self::Payload => "payload",
+        }
+    }
+
+    /// Whether each run has one of its own.
+    pub const fn is_of_one_run(self) -> bool {
+        matches!(self, Self::Histograms | Self::Series | Self::Length)
+    }
+}
+
+/// The columns that were asked for; else each kind takes its own.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Columns {
+    /// The horizontal axis: the column of a histogram, the length of a response.
+    pub x: Option<String>,
+    /// The vertical axis: a latency.
+    pub y: Option<String>,
+}
+
+/// A figure that was not drawn.
+#[derive(Debug, thiserror::Error)]
+pub enum PlotError {
+    /// There is nothing in the results that it could show.
+    #[error("cannot draw {kind}: {reason}", kind = .0.name(), reason = .1)]
+    Lacking(Kind, String),
+    /// A file cannot be written.
+    #[error(transparent)]
+    Write(#[from] WriteError),
+}
+
+/// Draws the six published histograms of a run, `sensing-time` to `download-throughput`, as `.png` and `.svg` into a
+/// folder that is there; returns what was written. A run that sent nothing over a network has those of sensing and
+/// inference alone; one of which there are no values at all says so.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn of_run(record: &RunRecord, rows: &[Row], folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
+    written::write(&histograms::published(record, rows), folder)
+}
+
+/// Draws what several runs have together, as far as there is something to show: `stacked`, `paired`, `payload-latency`
+/// and `payload-throughput`.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn of_experiment(runs: &[Loaded], folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
+    let mut files = Vec::new();
+    for kind in Kind::ALL.into_iter().filter(|kind| !kind.is_of_one_run()) {
+        match draw(kind, runs, &Columns::default(), folder) {
+            Ok(written) => files.extend(written),
+            Err(PlotError::Write(error)) => return Err(error),
+            Err(PlotError::Lacking(..)) => {}
+        }
+    }
+    Ok(files)
+}
+
+/// Draws the figures of one kind into a folder that is there: of all runs together, or, for a kind that
+/// [is of one run](Kind::is_of_one_run), of the first. Returns what was written.
+///
+/// # Errors
+/// When the runs lack what the kind shows, or a file cannot be written.
+pub fn draw(
+    kind: Kind,
+    runs: &[Loaded],
+    columns: &Columns,
+    folder: &Path,
+) -> Result<Vec<PathBuf>, PlotError> {
+    let first = runs.first().ok_or_else(|| PlotError::Lacking(kind, "there is no run".to_owned()))?;
+    let drawings: Result<Vec<Drawing>, String> = match kind {
+        Kind::Histograms => histograms::drawings(first, columns.x.as_deref()),
+        Kind::Series => series::drawings(first),
+        Kind::Length => length::drawings(first, columns),
+        Kind::Stacked => stacked::drawings(runs),
+        Kind::Paired => paired::drawings(runs, columns.y.as_deref()),
+        Kind::Payload => payload::drawings(runs),
+    };
+    let drawings = drawings.map_err(|reason| PlotError::Lacking(kind, reason))?;
+    Ok(written::write(&drawings, folder)?)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,79 @@
+//! A model's latency on the robot and in the cloud.
+
+use super::columns::{account, heading, unit, values};
+use super::written::{Drawing, Shown};
+use crate::figure::{Group, MOST_GROUPS, MOST_SIDES, Paired};
+use crate::order::Ordered;
+use crate::results::{Loaded, RunRecord};
+
+/// Every model with the places where it ran, if some model ran in two.
+pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Drawing>, String> {
+    let column = column.unwrap_or("inference");
+    let shown: Vec<&Loaded> = runs.iter().filter(|run| !values(&run.rows, column).is_empty()).collect();
+    let models = distinct(shown.iter().map(|run| model(&run.record)));
+    let mut sides = distinct(shown.iter().map(|run| side(&run.record)));
+    sides.sort_by_key(|(kind, _)| kind != "local");
+    if sides.len() < 2 {
+        return Err(format!(
+            "it needs the {column} of runs in two places, such as a local and a remote one of the same model"
+        ));
+    }
+    if sides.len() > MOST_SIDES || models.len() > MOST_GROUPS {
+        return Err(format!(
+            "{} models in {} places are too many for one picture ({MOST_GROUPS} and {MOST_SIDES}); name fewer runs",
+            models.len(),
+            sides.len()
+        ));
+    }
+    let of = |model_name: &String, place: &(String, String)| -> Ordered {
+        let here =
+            shown.iter().filter(|run| model(&run.record) == *model_name && side(&run.record) == *place);
+        here.flat_map(|run| values(&run.rows, column).values().to_vec()).collect()
+    };
+    let group = |name: &String| Group {
+        name: name.clone(),
+        values: sides.iter().map(|place| of(name, place)).collect(),
+    };
+    let groups: Vec<Group> = models.iter().map(group).collect();
+    let rows = shown.iter().flat_map(|run| &run.rows);
+    let count = groups.iter().flat_map(|group| &group.values).map(Ordered::len).sum();
+    let what = heading(column);
+    let paired = Paired {
+        title: format!("{what} by model"),
+        unit: unit(column, &what),
+        sides: names(&sides),
+        groups,
+        notes: vec![format!("{} · black: median, bar: middle half", account(&rows, count))],
+    };
+    Ok(vec![Drawing::new("paired", Shown::Paired(paired))])
+}
+
+fn model(record: &RunRecord) -> String {
+    record.model.as_ref().map_or_else(|| record.name.clone(), |model| model.name.clone())
+}
+
+/// Where it ran, and on what.
+fn side(record: &RunRecord) -> (String, String) {
+    let device = record.model.as_ref().and_then(|model| model.device.clone()).unwrap_or_default();
+    let kind = if record.placement.kind.is_empty() { "remote" } else { &record.placement.kind };
+    (kind.to_owned(), device)
+}
+
+/// The places' names: with the device where the place alone does not tell them apart.
+fn names(sides: &[(String, String)]) -> Vec<String> {
+    let alone = |kind: &str| sides.iter().filter(|(other, _)| other == kind).count() == 1;
+    let name = |(kind, device): &(String, String)| {
+        if alone(kind) || device.is_empty() { kind.clone() } else { format!("{kind}, {device}") }
+    };
+    sides.iter().map(name).collect()
+}
+
+fn distinct<T: PartialEq>(all: impl Iterator<Item = T>) -> Vec<T> {
+    let mut distinct: Vec<T> = Vec::new();
+    all.for_each(|one| {
+        if !distinct.contains(&one) {
+            distinct.push(one);
+        }
+    });
+    distinct
+}

@@ -1,0 +1,95 @@
+//! How a run went.
+
+use peernet_logger::stage;
+
+use super::columns::{account, titled};
+use super::written::{Drawing, Shown};
+use crate::figure::{Course, INK, Line, Unit, stage_fill};
+use crate::results::{Loaded, Outcome, Row};
+
+/// So many stages are shown beside the total: those that take longest.
+const STAGES: usize = 4;
+/// The horizontal axis where times are not known.
+const ITERATION: &str = "Iteration";
+
+/// Total and stages over time.
+pub(super) fn drawings(run: &Loaded) -> Result<Vec<Drawing>, String> {
+    let rows = run.rows.as_slice();
+    let (x, time) = times(rows);
+    let answered = || rows.iter().filter(|row| row.outcome == Outcome::Ok);
+    let line = |column: &str, colour| {
+        let values = answered().filter_map(|row| Some((time(row), row.value(column)?)));
+        Line {
+            name: column.to_owned(),
+            colour,
+            values: values.filter(|(_, value)| value.is_finite()).collect(),
+        }
+    };
+    let total = ["total", "stages-total"].map(|column| line(column, INK));
+    let total = total.into_iter().find(|line| !line.values.is_empty());
+    let unanswered: Vec<f64> = rows.iter().filter(|row| row.outcome != Outcome::Ok).map(&time).collect();
+    let Some(total) = total else {
+        return Err("no iteration has a total: nothing was answered".to_owned());
+    };
+    let mut stages: Vec<(f64, usize, Line)> = stage::ORDER
+        .iter()
+        .enumerate()
+        .map(|(place, name)| {
+            let line = line(name, stage_fill(name).colour);
+            (line.values.iter().map(|(_, value)| value).sum(), place, line)
+        })
+        .filter(|(_, _, line)| !line.values.is_empty())
+        .collect();
+    stages.sort_by(|a, b| b.0.total_cmp(&a.0));
+    stages.truncate(STAGES);
+    stages.sort_by_key(|(_, place, _)| *place);
+    let first = |pair: &[Row]| (pair[0].episode != pair[1].episode).then(|| time(&pair[1]));
+    let course = Course {
+        title: titled("Latency over time", &run.record.title),
+        is_counted: x == ITERATION,
+        x: x.to_owned(),
+        unit: Unit::milliseconds("Latency"),
+        notes: vec![account_of(rows, total.values.len())],
+        total,
+        stages: stages.into_iter().map(|(_, _, line)| line).collect(),
+        warm_up: warm_up(rows, &time),
+        episodes: rows.windows(2).filter_map(first).collect(),
+        unanswered,
+    };
+    Ok(vec![Drawing::new("series", Shown::Course(course))])
+}
+
+/// Warm-up is in the picture.
+fn account_of(rows: &[Row], shown: usize) -> String {
+    let counted = account(&rows.iter(), rows.iter().filter(|row| row.counts()).count());
+    let counted = counted.split(" · ").next().unwrap_or_default().to_owned();
+    let warm = shown.saturating_sub(rows.iter().filter(|row| row.counts()).count());
+    let warm = if warm > 0 { format!(" and {warm} warm-up") } else { String::new() };
+    format!("{counted}{warm} · lines: medians")
+}
+
+/// The horizontal axis: seconds since the first iteration where that is known of all, else their numbers.
+fn times(rows: &[Row]) -> (&'static str, impl Fn(&Row) -> f64) {
+    let known = !rows.is_empty() && rows.iter().all(|row| row.value("at").is_some());
+    let begun = rows.iter().map(|row| row.at).fold(f64::INFINITY, f64::min);
+    let title = if known { "Time since the start, s" } else { ITERATION };
+    (title, move |row: &Row| if known { row.at - begun } else { row.iteration as f64 })
+}
+
+/// From when to when rows of warm-up follow upon one another.
+fn warm_up(rows: &[Row], time: &impl Fn(&Row) -> f64) -> Vec<(f64, f64)> {
+    let mut ranges = Vec::new();
+    let mut begun: Option<f64> = None;
+    for row in rows {
+        match (row.warm_up, begun) {
+            (true, None) => begun = Some(time(row)),
+            (false, Some(from)) => {
+                ranges.push((from, time(row)));
+                begun = None;
+            }
+            _ => {}
+        }
+    }
+    ranges.extend(begun.zip(rows.last().map(time)));
+    ranges
+}

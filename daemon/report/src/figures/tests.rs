@@ -1,0 +1,213 @@
+//! Which figures results have, and what is taken from the rows.
+
+use peernet_logger::stream::ExperimentPlace;
+
+use super::*;
+use crate::figure::{Hatch, UNATTRIBUTED};
+use crate::results::{ModelRecord, Outcome, Placement};
+use written::Shown;
+
+/// Rows 1 to `count`: five are warm-up, the seventh is lost; the values are those of `of`, in ms or bytes.
+fn run(count: u64, of: impl Fn(u64) -> Vec<(&'static str, f64)>) -> Loaded {
+    let row = |number: u64| Row {
+        iteration: number,
+        at: 1e9 + number as f64 / 10.0,
+        episode: (number / 20) as u32,
+        step: 0,
+        warm_up: number <= 5,
+        outcome: if number == 7 { Outcome::Lost } else { Outcome::Ok },
+        reason: None,
+        values: if number == 7 {
+            Vec::new()
+        } else {
+            let si = |name: &str, value: f64| if name.contains('-') { value } else { value / 1e3 };
+            of(number).into_iter().map(|(name, value)| (name.into(), si(name, value))).collect()
+        },
+        upload: None,
+        download: None,
+    };
+    let record =
+        RunRecord { title: "robot → cloud".to_owned(), name: "p".to_owned(), ..RunRecord::default() };
+    Loaded { folder: "results".into(), record, rows: (1..=count).map(row).collect() }
+}
+
+fn remote(count: u64) -> Loaded {
+    run(count, |number| {
+        vec![("sensing", 1.0), ("upload", 10.0 + number as f64 % 3.0), ("inference", 5.0), ("download", 1.0)]
+    })
+}
+
+fn placed(model: &str, kind: &str, inference: f64) -> Loaded {
+    let mut run = run(50, |number| vec![("sensing", 1.0), ("inference", inference + number as f64 % 3.0)]);
+    run.record.model = Some(ModelRecord { name: model.to_owned(), device: None, sha256: None });
+    run.record.placement = Placement { kind: kind.to_owned(), network: None, address: None };
+    let configuration = vec![("model".to_owned(), model.to_owned()), ("where".to_owned(), kind.to_owned())];
+    let place = ExperimentPlace { name: "e".to_owned(), id: "1".to_owned(), configuration, repeat: 0 };
+    run.record.experiment = Some(place);
+    run
+}
+
+fn names(files: &[PathBuf]) -> Vec<String> {
+    files.iter().map(|file| file.file_name().expect("a name").to_string_lossy().into_owned()).collect()
+}
+
+#[test]
+fn a_run_has_the_six_published_histograms() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let run = remote(60);
+    let files = of_run(&run.record, &run.rows, folder.path()).expect("written");
+    let published = HISTOGRAMS.map(|(stem, ..)| [format!("{stem}.png"), format!("{stem}.svg")]).concat();
+    assert_eq!(names(&files), published, "throughputs that were not measured say so");
+    assert!(files.iter().all(|file| file.is_file()));
+    let svg = std::fs::read_to_string(folder.path().join("upload-time.svg")).expect("read");
+    for text in
+        ["Upload time · robot → cloud", "n = 54 · left out: 5 warm-up, 1 without an answer", "median 11.0 ms"]
+    {
+        assert!(svg.contains(text), "{text}: {svg}");
+    }
+    assert!(std::fs::read_to_string(&files[11]).expect("read").contains("no values"));
+}
+
+#[test]
+fn a_run_that_sent_nothing_has_no_figures_of_a_network() {
+    let local = placed("s", "local", 5.0);
+    let drawings = histograms::published(&local.record, &local.rows);
+    let stems: Vec<&str> = drawings.iter().map(|drawing| drawing.stem.as_str()).collect();
+    assert_eq!(stems, ["sensing-time", "inference-time"]);
+}
+
+#[test]
+fn any_column_can_be_a_histogram() {
+    let run = run(60, |number| vec![("gripper-force", number as f64)]);
+    let drawings = histograms::drawings(&run, Some("gripper-force")).expect("there are numbers");
+    let Shown::Histogram(histogram) = &drawings[0].shown else { panic!("a histogram") };
+    let stem = &drawings[0].stem;
+    assert_eq!(
+        (stem.as_str(), histogram.unit.title.as_str()),
+        ("gripper-force-histogram", "Gripper force, as logged")
+    );
+    assert_eq!((histogram.values.len(), histogram.fill.hatch), (54, Hatch::Plain));
+    assert!(histograms::drawings(&run, Some("nonsense")).is_err_and(|reason| reason.contains("nonsense")));
+}
+
+#[test]
+fn stages_add_up_to_the_total() {
+    let with_total = |mut run: Loaded| {
+        for row in run.rows.iter_mut().filter(|row| !row.values.is_empty()) {
+            let sum: f64 = row.values.iter().map(|(_, value)| value).sum();
+            row.values.extend([("total".into(), sum + 2e-3), (UNATTRIBUTED.into(), 2e-3)]);
+        }
+        run
+    };
+    let runs = [with_total(placed("s", "local", 20.0)), with_total(placed("s", "remote", 4.0))];
+    let drawings = stacked::drawings(&runs).expect("there is something");
+    let Shown::Stacked(figure) = &drawings[0].shown else { panic!("bars") };
+    assert_eq!(figure.stages, ["sensing", "inference", UNATTRIBUTED]);
+    assert_eq!(
+        figure.bars.iter().map(|bar| bar.label.as_str()).collect::<Vec<_>>(),
+        ["s, local", "s, remote"]
+    );
+    let sum: f64 = figure.bars[0].means.iter().sum();
+    assert!((sum - 24e-3).abs() < 5e-4 && figure.bars[0].std.is_some_and(|std| std > 0.0), "{figure:?}");
+    assert!(figure.notes[0].contains("model, where") && figure.notes[0].contains("measured total"));
+    let nothing = [run(5, |_| vec![("sensing", 1.0)])];
+    assert!(stacked::drawings(&nothing).is_err_and(|reason| reason.contains("warm-up")));
+}
+
+#[test]
+fn models_are_paired_by_where_they_ran() {
+    let runs = [
+        placed("s", "remote", 4.0),
+        placed("s", "local", 20.0),
+        placed("m", "local", 30.0),
+        placed("m", "remote", 6.0),
+    ];
+    let drawings = paired::drawings(&runs, None).expect("there are pairs");
+    let Shown::Paired(figure) = &drawings[0].shown else { panic!("pairs") };
+    assert_eq!(figure.sides, ["local", "remote"]);
+    assert_eq!(figure.groups.iter().map(|group| group.name.as_str()).collect::<Vec<_>>(), ["s", "m"]);
+    assert_eq!(figure.groups[1].values.iter().map(crate::order::Ordered::len).collect::<Vec<_>>(), [44, 44]);
+    assert!(figure.groups[0].values[0].median() > figure.groups[0].values[1].median());
+    assert!(paired::drawings(&runs[1..3], None).is_err_and(|reason| reason.contains("two places")));
+    assert!(paired::drawings(&runs, Some("ipc")).is_err());
+}
+
+#[test]
+fn payloads_of_several_sizes_are_fitted() {
+    let sized = run(300, |number| {
+        let bytes = [1e3, 1e4, 1e5, 1e6][number as usize % 4];
+        // 0.2 ms and 100 MB/s, a little late at times.
+        let delay = 0.2 + bytes / 1e5 * (1.0 + (number as f64 % 5.0) * 1e-4);
+        vec![("upload-bytes", bytes), ("upload", delay), ("download-bytes", 8.0), ("download", 0.1)]
+    });
+    let drawings = payload::drawings(&[sized]).expect("sizes differ");
+    assert_eq!(
+        drawings.iter().map(|drawing| drawing.stem.as_str()).collect::<Vec<_>>(),
+        ["payload-latency", "payload-throughput"]
+    );
+    let Shown::Scaling(latency) = &drawings[0].shown else { panic!("a fit") };
+    assert_eq!(latency.series.len(), 1, "answers had one size");
+    assert_eq!(
+        latency.series[0].values.iter().map(|value| value.bytes).collect::<Vec<_>>(),
+        [1e3, 1e4, 1e5, 1e6]
+    );
+    let (intercept, slope) = latency.series[0].line.expect("a line");
+    assert!((intercept - 0.2e-3).abs() < 2e-5 && (slope * 1e8 - 1.0).abs() < 0.01, "{intercept} {slope}");
+    assert!(latency.series[0].name.contains(" ± ") && latency.series[0].name.contains("MB/s"), "{latency:?}");
+    assert!(payload::drawings(&[remote(60)]).is_err());
+}
+
+#[test]
+fn lengths_are_tokens_where_there_are_some() {
+    let talking =
+        run(60, |number| vec![("inference_tokens", number as f64), ("inference", number as f64 * 80.0)]);
+    let drawings = length::drawings(&talking, &Columns::default()).expect("there are lengths");
+    let Shown::Lengths(figure) = &drawings[0].shown else { panic!("lengths") };
+    assert_eq!((figure.points.len(), figure.x.title.as_str()), (54, "Inference tokens, as logged"));
+    let constant = run(60, |_| vec![("download-bytes", 96.0), ("inference", 5.0)]);
+    let reason = length::drawings(&constant, &Columns::default()).expect_err("all alike");
+    assert!(reason.contains("--x"), "{reason}");
+    let asked = Columns { x: Some("inference".to_owned()), y: Some("download-bytes".to_owned()) };
+    assert!(length::drawings(&constant, &asked).is_ok(), "what was asked for is drawn");
+}
+
+#[test]
+fn a_series_shows_what_happened_when() {
+    let mut run = remote(60);
+    run.rows.iter_mut().filter(|row| !row.values.is_empty()).for_each(|row| {
+        row.values.push(("total".into(), 20e-3));
+    });
+    let drawings = series::drawings(&run).expect("there is a total");
+    let Shown::Course(course) = &drawings[0].shown else { panic!("a course") };
+    assert_eq!(course.total.values.len(), 59);
+    assert_eq!(
+        course.stages.iter().map(|line| line.name.as_str()).collect::<Vec<_>>(),
+        ["sensing", "upload", "inference", "download"]
+    );
+    let near = |value: f64, wanted: f64| (value - wanted).abs() < 1e-6;
+    assert!(near(course.unanswered[0], 0.6) && course.unanswered.len() == 1, "{course:?}");
+    assert!(near(course.warm_up[0].0, 0.0) && near(course.warm_up[0].1, 0.5));
+    assert!(near(course.episodes[0], 1.9) && course.episodes.len() == 3);
+    assert!(course.notes[0].starts_with("n = 54 and 5 warm-up"), "{:?}", course.notes);
+    run.rows.iter_mut().for_each(|row| row.at = 0.0);
+    let Shown::Course(course) = &series::drawings(&run).expect("there is a total")[0].shown else {
+        panic!("a course")
+    };
+    assert_eq!((course.x.as_str(), course.is_counted, course.unanswered[0]), ("Iteration", true, 7.0));
+    run.rows.iter_mut().for_each(|row| row.outcome = Outcome::Lost);
+    assert!(series::drawings(&run).is_err());
+}
+
+#[test]
+fn an_experiment_has_what_its_data_allow() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let runs = [placed("s", "local", 20.0), placed("s", "remote", 4.0)];
+    let files = of_experiment(&runs, folder.path()).expect("written");
+    assert_eq!(names(&files), ["stacked.png", "stacked.svg", "paired.png", "paired.svg"]);
+    assert_eq!(of_experiment(&[], folder.path()).expect("nothing to write"), Vec::<PathBuf>::new());
+    let missing = folder.path().join("missing");
+    let error = draw(Kind::Stacked, &runs, &Columns::default(), &missing).expect_err("no such folder");
+    assert!(matches!(error, PlotError::Write(_)), "{error}");
+    let error = draw(Kind::Payload, &runs, &Columns::default(), &missing).expect_err("nothing was sent");
+    assert!(error.to_string().starts_with("cannot draw payload: it needs"), "{error}");
+}

@@ -1,0 +1,54 @@
+//! A message one way, and what is known of its delay.
+
+use peernet_clock::{OneWayDelay, Span, Verdict};
+use peernet_logger::{Measure, Name, Tree, stage};
+
+/// A message one way.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Passage {
+    /// Payload, bytes.
+    pub payload_bytes: u64,
+    /// Metadata, bytes.
+    pub logger_bytes: u64,
+    /// What is known of its delay.
+    pub delay: OneWayDelay,
+}
+
+impl Passage {
+    /// Edge to cloud; `None` when it was never sent or never judged.
+    pub fn up(tree: &Tree) -> Option<Self> {
+        Self::of(tree, [stage::UPLOAD, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES])
+    }
+
+    /// Cloud to edge.
+    pub fn down(tree: &Tree) -> Option<Self> {
+        Self::of(tree, [stage::DOWNLOAD, stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES])
+    }
+
+    fn of(tree: &Tree, [transit, payload, metadata]: [Name; 3]) -> Option<Self> {
+        let Measure::Transit(transit) = &tree.find(&[transit.as_str()])?.1.measure else { return None };
+        let value = |name: &str| tree.find(&[name])?.1.measure.value();
+        Some(Self {
+            payload_bytes: value(&payload)? as u64,
+            logger_bytes: value(&metadata)? as u64,
+            delay: transit.delay?,
+        })
+    }
+
+    /// Payload and metadata, bytes.
+    pub fn wire_bytes(&self) -> u64 {
+        self.payload_bytes + self.logger_bytes
+    }
+
+    /// The delay in seconds, where it is known: one near a step or from contradicting sources is not.
+    pub fn seconds(&self) -> Option<f64> {
+        let known = matches!(self.delay.verdict, Verdict::Ok | Verdict::Limited | Verdict::Stale);
+        self.delay.value.filter(|_| known).map(Span::seconds)
+    }
+
+    /// The delay's bounds in seconds.
+    pub fn bounds(&self) -> Option<(f64, f64)> {
+        self.seconds()?;
+        self.delay.bounds.map(|bounds| (bounds.lo.seconds(), bounds.hi.seconds()))
+    }
+}

@@ -1,0 +1,175 @@
+//! The columns of `data.csv`, and where in the tree their numbers stand.
+
+use std::collections::HashMap;
+
+use peernet_logger::{Measure, Node, NodeId, Tree, stage};
+
+use super::Column;
+
+/// What a column holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Holds {
+    /// The iteration's place in the run, or how it ended.
+    Place,
+    /// A node of the tree.
+    Node,
+    /// What is known of a delay beside its value.
+    Delay,
+}
+
+/// How many of the columns are the published ones.
+pub const PUBLISHED: usize = 13;
+
+/// The columns that every file has: the published ones in their order, then ours. Whatever else a run measures stands
+/// behind them.
+pub(super) const FIXED: [(&str, Holds); 47] = [
+    ("iteration", Holds::Place),
+    ("sensing", Holds::Node),
+    ("upload", Holds::Node),
+    ("preprocessing", Holds::Node),
+    ("inference", Holds::Node),
+    ("postprocessing", Holds::Node),
+    ("download", Holds::Node),
+    ("download-bytes", Holds::Node),
+    ("download-logger-bytes", Holds::Node),
+    ("upload-bytes", Holds::Node),
+    ("upload-logger-bytes", Holds::Node),
+    ("upload-throughput", Holds::Node),
+    ("download-throughput", Holds::Node),
+    ("upload-raw", Holds::Delay),
+    ("upload-lo", Holds::Delay),
+    ("upload-hi", Holds::Delay),
+    ("upload-verdict", Holds::Delay),
+    ("upload-source", Holds::Delay),
+    ("download-raw", Holds::Delay),
+    ("download-lo", Holds::Delay),
+    ("download-hi", Holds::Delay),
+    ("download-verdict", Holds::Delay),
+    ("download-source", Holds::Delay),
+    ("upload-throughput-lo", Holds::Node),
+    ("upload-throughput-hi", Holds::Node),
+    ("download-throughput-lo", Holds::Node),
+    ("download-throughput-hi", Holds::Node),
+    ("capture", Holds::Node),
+    ("transform", Holds::Node),
+    ("encode", Holds::Node),
+    ("send-queue", Holds::Node),
+    ("queue", Holds::Node),
+    ("ipc", Holds::Node),
+    ("actuation", Holds::Node),
+    ("skipped-starts", Holds::Node),
+    ("lateness", Holds::Node),
+    ("total", Holds::Node),
+    ("stages-total", Holds::Node),
+    ("unattributed", Holds::Node),
+    ("top-1", Holds::Node),
+    ("top-5", Holds::Node),
+    ("at", Holds::Place),
+    ("episode", Holds::Place),
+    ("step", Holds::Place),
+    ("warm-up", Holds::Place),
+    ("outcome", Holds::Place),
+    ("reason", Holds::Place),
+];
+
+/// The names of the published columns, in their order.
+pub fn published() -> impl Iterator<Item = &'static str> {
+    FIXED[..PUBLISHED].iter().map(|(name, _)| *name)
+}
+
+/// Position of a column that every file has.
+fn fixed(name: &str) -> Option<usize> {
+    FIXED.iter().position(|(fixed, _)| *fixed == name)
+}
+
+/// The name of a column, without a copy where every file has it.
+pub(super) fn column(name: &str) -> Column {
+    fixed(name).map_or_else(|| Column::Owned(name.to_owned()), |at| Column::Borrowed(FIXED[at].0))
+}
+
+/// Every number of a tree under the name of its column: those that every file has first, in its order, then the others
+/// as they were logged.
+///
+/// What lies below a node joins the names with `_`, and a node that has both a value and children gets `_val`: the
+/// published rules. Excepted are the columns that every file has: their names never change, so that `sensing` is
+/// `sensing` whatever lies below it, and its parts are `capture` and `transform`.
+pub(super) fn values(tree: &Tree) -> Vec<(Column, f64)> {
+    let mut found = Found { fixed: [None; FIXED.len()], further: Vec::new(), siblings: HashMap::new() };
+    let mut labels: Vec<Column> = vec![Column::Borrowed(""); tree.nodes().len()];
+    for (id, node) in tree.iter().skip(1) {
+        labels[id.index()] = found.take(tree, id, node, &labels);
+    }
+    let fixed = found.fixed.iter().zip(FIXED);
+    let fixed = fixed.filter_map(|(value, (name, _))| Some((Column::Borrowed(name), (*value)?)));
+    fixed.chain(found.further).collect()
+}
+
+struct Found<'a> {
+    fixed: [Option<f64>; FIXED.len()],
+    further: Vec<(Column, f64)>,
+    /// How often a parent had a child of that name.
+    siblings: HashMap<(NodeId, &'a str), usize>,
+}
+
+impl<'a> Found<'a> {
+    /// Takes a node's value; returns the label that its children's names begin with.
+    fn take(&mut self, tree: &Tree, id: NodeId, node: &'a Node, labels: &[Column]) -> Column {
+        let parent = node.parent.unwrap_or(NodeId::ROOT);
+        let value = node.measure.value().filter(|value| !value.is_nan());
+        if let Some(at) = place(tree, parent, &node.name) {
+            // Of several, the sum, as in `stages-total`.
+            if let Some(value) = value {
+                self.fixed[at] = Some(self.fixed[at].unwrap_or_default() + value);
+            }
+            if let Measure::Throughput(rate) = &node.measure {
+                self.bounds(FIXED[at].0, rate.bounds);
+            }
+            return Column::Borrowed(FIXED[at].0);
+        }
+        let occurrence = self.siblings.entry((parent, node.name.as_str())).or_default();
+        *occurrence += 1;
+        let mut label = match labels[parent.index()].as_ref() {
+            "" => node.name.to_string(),
+            above => format!("{above}_{}", node.name),
+        };
+        if *occurrence > 1 {
+            label = format!("{label}_{occurrence}");
+        }
+        if let Some(value) = value {
+            let name =
+                if tree.children(id).next().is_some() { format!("{label}_val") } else { label.clone() };
+            let name = self.free(name);
+            self.further.push((Column::Owned(name), value));
+        }
+        Column::Owned(label)
+    }
+
+    fn bounds(&mut self, name: &str, bounds: Option<(f64, f64)>) {
+        let Some((lo, hi)) = bounds else { return };
+        for (end, value) in [("lo", lo), ("hi", hi)] {
+            if let Some(at) = fixed(&format!("{name}-{end}")) {
+                self.fixed[at] = Some(value);
+            }
+        }
+    }
+
+    /// The name, or with a number behind it where another column of the row has it.
+    fn free(&self, name: String) -> String {
+        let taken = |name: &str| fixed(name).is_some() || self.further.iter().any(|(other, _)| other == name);
+        if !taken(&name) {
+            return name;
+        }
+        let mut numbered = (2..).map(|number| format!("{name}_{number}"));
+        numbered.find(|name| !taken(name)).unwrap_or(name)
+    }
+}
+
+/// The column that every file has for a node of that name in that place.
+fn place(tree: &Tree, parent: NodeId, name: &str) -> Option<usize> {
+    let below_sensing =
+        tree.get(parent).is_some_and(|node| node.name == stage::SENSING && node.parent == Some(NodeId::ROOT));
+    let part = name == stage::CAPTURE.as_str() || name == stage::TRANSFORM.as_str();
+    let here = if part { below_sensing } else { parent == NodeId::ROOT };
+    let derived = name.ends_with("-throughput-lo") || name.ends_with("-throughput-hi");
+    fixed(name).filter(|at| here && !derived && FIXED[*at].1 == Holds::Node)
+}

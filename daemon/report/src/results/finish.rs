@@ -1,0 +1,73 @@
+//! The last files of a run, and another place for all of them when the folder fails.
+
+use std::path::{Path, PathBuf};
+
+use super::cells::Header;
+use super::folder::{DATA, Finished, RECORD, SUMMARIES};
+use super::{Row, RunRecord, Summary};
+use crate::WriteError;
+use crate::error::write;
+
+pub(super) fn finish(folder: &Path, record: &RunRecord, rows: &[Row]) -> Result<Finished, WriteError> {
+    let trouble = match all(folder, record, rows) {
+        Ok(files) => return Ok(Finished { folder: folder.to_owned(), files, trouble: None }),
+        Err(trouble) => trouble,
+    };
+    let elsewhere = tempfile::Builder::new().prefix("peernet-results-").tempdir();
+    let elsewhere =
+        elsewhere.map_err(|error| also(&trouble, &std::env::temp_dir(), &error.to_string()))?.keep();
+    match all(&elsewhere, record, rows) {
+        Ok(files) => Ok(Finished { folder: elsewhere, files, trouble: Some(trouble) }),
+        Err(error) => Err(also(&trouble, &error.path, &error.reason)),
+    }
+}
+
+/// Neither place could be written.
+fn also(first: &WriteError, path: &Path, reason: &str) -> WriteError {
+    let reason = format!("{}; nor {}: {reason}", first.reason, path.display());
+    WriteError { path: first.path.clone(), reason }
+}
+
+fn all(folder: &Path, record: &RunRecord, rows: &[Row]) -> Result<Vec<PathBuf>, WriteError> {
+    let data = folder.join(DATA);
+    if !is_whole(&data, rows) {
+        replace(&data, rows)?;
+    }
+    let json = folder.join(RECORD);
+    write(&json, &serde_json::to_vec_pretty(record).map_err(WriteError::at(&json))?)?;
+    let summary = Summary::of(rows).about(record);
+    let mut files = vec![data, json];
+    for (name, text) in SUMMARIES.into_iter().zip([summary.markdown(), summary.csv(), summary.latex()]) {
+        let path = folder.join(name);
+        write(&path, text.as_bytes())?;
+        files.push(path);
+    }
+    Ok(files)
+}
+
+/// Whether the file has every row and a column for everything in it.
+fn is_whole(path: &Path, rows: &[Row]) -> bool {
+    let Ok(mut file) = csv::Reader::from_path(path) else { return false };
+    let header = Header::of(rows);
+    let mut expected = rows.iter().map(|row| row.iteration.to_string());
+    file.byte_headers().is_ok_and(|names| names.iter().eq(header.names().map(str::as_bytes)))
+        && file.byte_records().all(|record| {
+            let record = record.ok();
+            record.as_ref().and_then(|record| record.get(0)) == expected.next().as_ref().map(String::as_bytes)
+        })
+        && expected.next().is_none()
+}
+
+/// Writes the file beside the old one first, so that there is always one that is whole.
+fn replace(path: &Path, rows: &[Row]) -> Result<(), WriteError> {
+    let header = Header::of(rows);
+    let mut bytes = Vec::new();
+    header.write(&mut bytes);
+    rows.iter().for_each(|row| header.row(&mut bytes, row));
+    let beside = path.with_extension("csv.new");
+    let written = std::fs::write(&beside, &bytes).and_then(|()| std::fs::rename(&beside, path));
+    written.map_err(WriteError::at(path)).inspect_err(|_| {
+        // It is not there when it could not even be made.
+        let _ = std::fs::remove_file(&beside);
+    })
+}

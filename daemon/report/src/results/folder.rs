@@ -1,0 +1,103 @@
+//! A folder of results.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::{FolderError, Row, RowWriter, RunRecord};
+use crate::WriteError;
+
+/// What to do when the folder holds something.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Overwrite {
+    /// Nothing: it is an error.
+    #[default]
+    Refuse,
+    /// Results in it are replaced; other files stay.
+    Replace,
+    /// A new folder in it is taken: `run-2`, `run-3`, …
+    Subfolder,
+}
+
+/// A folder that results are written to.
+#[derive(Clone, Debug)]
+pub struct ResultFolder {
+    path: PathBuf,
+}
+
+/// Where the results are.
+#[derive(Debug)]
+pub struct Finished {
+    /// The folder: the one that was asked for, or a temporary one when that could not be written.
+    pub folder: PathBuf,
+    /// The files in it.
+    pub files: Vec<PathBuf>,
+    /// Why the folder that was asked for could not be written.
+    pub trouble: Option<WriteError>,
+}
+
+/// Results that were read back.
+#[derive(Clone, Debug)]
+pub struct Loaded {
+    /// Where from.
+    pub folder: PathBuf,
+    /// What the run was.
+    pub record: RunRecord,
+    /// Its iterations, in order.
+    pub rows: Vec<Row>,
+}
+
+impl ResultFolder {
+    /// Makes the folder ready, or another one as `overwrite` says.
+    ///
+    /// # Errors
+    /// When it holds something that may not be replaced, is no folder or cannot be made.
+    pub fn create(dir: &Path, overwrite: Overwrite) -> Result<Self, FolderError> {
+        super::ready::create(dir, overwrite).map(|path| Self { path })
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Begins `data.csv`: its header is written at once.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn writer(&self) -> Result<RowWriter, FolderError> {
+        Ok(RowWriter::begin(self.path.join(DATA))?)
+    }
+
+    /// Writes `run.json` and `summary.{md,csv,tex}`, and `data.csv` where it is not whole. When the folder cannot be
+    /// written, everything goes to a new folder among the system's temporary files.
+    ///
+    /// # Errors
+    /// When the temporary folder cannot be written either.
+    pub fn finish(&self, record: &RunRecord, rows: &[Row]) -> Result<Finished, WriteError> {
+        super::finish::finish(&self.path, record, rows)
+    }
+
+    /// Reads results back: of this program, of older versions, or a published `data.csv` that stands alone. The path
+    /// may also be that of a file of rows.
+    ///
+    /// # Errors
+    /// When there are none or they cannot be read.
+    pub fn open(path: &Path) -> Result<Loaded, FolderError> {
+        super::read::open(path)
+    }
+
+    /// All folders of results in a folder and below, itself included, in the natural order of their names. Links are
+    /// not followed.
+    pub fn find(dir: &Path) -> Vec<PathBuf> {
+        super::ready::find(dir)
+    }
+}
+
+/// The rows.
+pub(super) const DATA: &str = "data.csv";
+/// Everything but the rows.
+pub(super) const RECORD: &str = "run.json";
+/// The summary.
+pub(super) const SUMMARIES: [&str; 3] = ["summary.md", "summary.csv", "summary.tex"];

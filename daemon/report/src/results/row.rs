@@ -1,0 +1,130 @@
+//! One iteration as a row of `data.csv`.
+
+use std::borrow::Cow;
+
+use peernet_clock::Span;
+use peernet_logger::stream;
+use serde::{Deserialize, Serialize};
+
+use super::columns;
+use crate::Passage;
+
+/// The name of a column: free of cost where it is a standard one.
+pub type Column = Cow<'static, str>;
+
+/// One iteration. Seconds, bytes, bits per second.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Row {
+    /// Its number in the run, from 1.
+    pub iteration: u64,
+    /// When it was meant to begin, seconds of the edge's wall clock since the Unix epoch; 0 where nobody wrote it down.
+    pub at: f64,
+    /// Episode, from 0.
+    pub episode: u32,
+    /// Step within the episode, from 0.
+    pub step: u32,
+    /// Kept, but left out of statistics.
+    pub warm_up: bool,
+    /// How it ended.
+    pub outcome: Outcome,
+    /// Why there was no answer, where somebody said so.
+    pub reason: Option<String>,
+    /// Column and value: the published names first, what lies deeper joined with `_`. No value is not a number; a bound
+    /// of a throughput may be infinite.
+    pub values: Vec<(Column, f64)>,
+    /// Edge to cloud; `None` when it was never sent or never judged.
+    pub upload: Option<Passage>,
+    /// Cloud to edge.
+    pub download: Option<Passage>,
+}
+
+/// How an iteration ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Outcome {
+    /// With an answer.
+    Ok,
+    /// The sample or the model failed.
+    Failed,
+    /// The connection broke.
+    Lost,
+    /// The answer did not come in time.
+    Timeout,
+}
+
+impl Outcome {
+    /// Every value, in the order of declaration.
+    pub const ALL: [Self; 4] = [Self::Ok, Self::Failed, Self::Lost, Self::Timeout];
+
+    /// `ok`, `failed`, `lost` or `timeout`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Ok => "ok",
+            Self::Failed => "failed",
+            Self::Lost => "lost",
+            Self::Timeout => "timeout",
+        }
+    }
+
+    /// The value of that name, if there is one.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|outcome| outcome.name() == name)
+    }
+}
+
+impl From<&stream::Outcome> for Outcome {
+    fn from(outcome: &stream::Outcome) -> Self {
+        match outcome {
+            stream::Outcome::Ok => Self::Ok,
+            stream::Outcome::Failed(_) => Self::Failed,
+            stream::Outcome::Lost(_) => Self::Lost,
+            stream::Outcome::Timeout => Self::Timeout,
+        }
+    }
+}
+
+impl Row {
+    /// What an iteration measured.
+    pub fn of(iteration: &stream::Iteration) -> Self {
+        let tree = &iteration.tree;
+        Self {
+            iteration: iteration.number,
+            at: tree.anchors().first().map_or(0.0, |anchor| anchor.wall.unix_nanos() as f64 / 1e9),
+            episode: iteration.episode,
+            step: iteration.step,
+            warm_up: iteration.warm_up,
+            outcome: Outcome::from(&iteration.outcome),
+            reason: iteration.outcome.reason().map(str::to_owned),
+            values: columns::values(tree),
+            upload: Passage::up(tree),
+            download: Passage::down(tree),
+        }
+    }
+
+    /// The number in a column of `data.csv`; `None` where the cell is empty, is text, or there is no such column.
+    pub fn value(&self, column: &str) -> Option<f64> {
+        let bound = |passage: Option<&Passage>, of: fn(&Passage) -> Option<Span>| {
+            passage.and_then(of).map(Span::seconds)
+        };
+        let (up, down) = (self.upload.as_ref(), self.download.as_ref());
+        match column {
+            "iteration" => Some(self.iteration as f64),
+            "at" => Some(self.at).filter(|at| *at != 0.0),
+            "episode" => Some(f64::from(self.episode)),
+            "step" => Some(f64::from(self.step)),
+            "warm-up" => Some(f64::from(u8::from(self.warm_up))),
+            "upload-lo" => bound(up, |way| way.delay.bounds.map(|bounds| bounds.lo)),
+            "upload-hi" => bound(up, |way| way.delay.bounds.map(|bounds| bounds.hi)),
+            "upload-raw" => bound(up, |way| Some(way.delay.raw)),
+            "download-lo" => bound(down, |way| way.delay.bounds.map(|bounds| bounds.lo)),
+            "download-hi" => bound(down, |way| way.delay.bounds.map(|bounds| bounds.hi)),
+            "download-raw" => bound(down, |way| Some(way.delay.raw)),
+            _ => self.values.iter().find(|(name, _)| name == column).map(|(_, value)| *value),
+        }
+    }
+
+    /// Whether statistics rest on it: answered, and no warm-up.
+    pub fn counts(&self) -> bool {
+        self.outcome == Outcome::Ok && !self.warm_up
+    }
+}

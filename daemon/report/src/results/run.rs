@@ -1,0 +1,204 @@
+//! `run.json`: what a run was, whole enough to do it again.
+
+use std::collections::BTreeMap;
+
+use chrono::{DateTime, Utc};
+use peernet_clock::WallTime;
+use peernet_logger::stream::{Condition, ExperimentPlace, Hardware};
+use peernet_logger::{HostId, RunId};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use super::{Outcome, Row};
+use crate::order::Ordered;
+use crate::{Passage, trust};
+
+/// The form that this program writes.
+pub const FORMAT: u32 = 1;
+
+/// Everything about a run but its rows. What is not known is `None` or empty, so that results of other programs and of
+/// other versions can be read.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct RunRecord {
+    /// [`FORMAT`]; 0 where there was no `run.json`.
+    pub format: u32,
+    /// The pipeline's name.
+    pub name: String,
+    /// For people: the title of figures and tables.
+    pub title: String,
+    /// The run's id, as in a store.
+    pub run: Option<RunId>,
+    /// When it began, on the edge's wall clock.
+    pub started: Option<DateTime<Utc>>,
+    /// When it ended.
+    pub ended: Option<DateTime<Utc>>,
+    /// Why it ended: `finished`, `stopped`, or what went wrong.
+    pub reason: String,
+    /// Version of the program that measured.
+    pub version: String,
+    /// The command that was typed.
+    pub command: String,
+    /// Who sensed.
+    pub edge: HostRecord,
+    /// Who served; `None` where nobody did, or nobody was reached.
+    pub cloud: Option<HostRecord>,
+    /// Where it computed.
+    pub placement: Placement,
+    /// The model; `None` where a sensor ran alone.
+    pub model: Option<ModelRecord>,
+    /// Sensor, transforms, load and so on, as pairs for people.
+    pub facts: Vec<(String, String)>,
+    /// The pipeline's table of the configuration.
+    pub pipeline: Value,
+    /// The agent's other tables.
+    pub agent: Value,
+    /// Its place in an experiment, if it belongs to one.
+    pub experiment: Option<ExperimentPlace>,
+    /// Seeds of whatever was random, by what it is for.
+    pub seeds: BTreeMap<String, u64>,
+    /// Which iterations are warm-up, in words.
+    pub warm_up: String,
+    /// How the iterations ended.
+    pub counts: Counts,
+    /// How far the delays can be trusted.
+    pub clocks: Clocks,
+    /// Whether the run can be published; `None` where nobody judged.
+    pub trust: Option<trust::Report>,
+}
+
+impl RunRecord {
+    /// Whether nothing was computed: a sensor alone.
+    pub fn is_sensor_alone(&self) -> bool {
+        self.placement.kind == "none"
+    }
+}
+
+/// A host that took part.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct HostRecord {
+    /// For people.
+    pub name: String,
+    /// Decides.
+    pub id: Option<HostId>,
+    /// Version of its program.
+    pub version: String,
+    /// What it is made of.
+    pub hardware: Option<Hardware>,
+    /// What was found of it before the run.
+    pub conditions: Vec<Condition>,
+}
+
+/// Where a run computed.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Placement {
+    /// `local`, `remote` or `none`.
+    pub kind: String,
+    /// Kind of network, such as `zmq-tcp`, for a remote one.
+    pub network: Option<String>,
+    /// Address of the peer, likewise.
+    pub address: Option<String>,
+}
+
+/// The model of a run.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct ModelRecord {
+    /// Its name in the bank.
+    pub name: String,
+    /// What it ran on.
+    pub device: Option<String>,
+    /// SHA-256 of its file, hexadecimal.
+    pub sha256: Option<String>,
+}
+
+/// How the iterations ended. Warm-up counts apart, whatever its outcome.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Counts {
+    /// Answered: what the statistics rest on.
+    pub ok: u64,
+    /// The sample or the model failed.
+    pub failed: u64,
+    /// The connection broke.
+    pub lost: u64,
+    /// The answer did not come in time.
+    pub timeout: u64,
+    /// Warm-up.
+    pub warm_up: u64,
+    /// Measured, but seen by nobody: this program was too busy to take them.
+    pub unseen: u64,
+}
+
+/// How far the delays of a run can be trusted, warm-up left out.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Clocks {
+    /// Edge to cloud.
+    pub upload: ClockCounts,
+    /// Cloud to edge.
+    pub download: ClockCounts,
+}
+
+/// The verdicts on one direction's delays.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct ClockCounts {
+    /// How many had which verdict.
+    pub verdicts: BTreeMap<String, u64>,
+    /// How many rest on which source.
+    pub sources: BTreeMap<String, u64>,
+    /// Median width of the bounds, seconds; `None` where there are none.
+    pub median_width: Option<f64>,
+}
+
+/// A wall time as it stands in `run.json`.
+pub fn instant(at: WallTime) -> DateTime<Utc> {
+    DateTime::from_timestamp_nanos(at.unix_nanos())
+}
+
+impl Counts {
+    /// Counts rows; `unseen` more iterations are known to have been measured.
+    pub fn of(rows: &[Row], unseen: u64) -> Self {
+        let mut counts = Self { unseen, ..Self::default() };
+        for row in rows {
+            let count = match row.outcome {
+                _ if row.warm_up => &mut counts.warm_up,
+                Outcome::Ok => &mut counts.ok,
+                Outcome::Failed => &mut counts.failed,
+                Outcome::Lost => &mut counts.lost,
+                Outcome::Timeout => &mut counts.timeout,
+            };
+            *count += 1;
+        }
+        counts
+    }
+}
+
+impl Clocks {
+    /// What the rows say.
+    pub fn of(rows: &[Row]) -> Self {
+        let counted = || rows.iter().filter(|row| row.counts());
+        Self {
+            upload: ClockCounts::of(counted().filter_map(|row| row.upload.as_ref())),
+            download: ClockCounts::of(counted().filter_map(|row| row.download.as_ref())),
+        }
+    }
+}
+
+impl ClockCounts {
+    fn of<'a>(passages: impl Iterator<Item = &'a Passage>) -> Self {
+        let mut counts = Self::default();
+        let mut widths: Vec<f64> = Vec::new();
+        for passage in passages {
+            let delay = &passage.delay;
+            *counts.verdicts.entry(delay.verdict.to_string()).or_default() += 1;
+            *counts.sources.entry(delay.source.to_string()).or_default() += 1;
+            widths.extend(delay.bounds.map(|bounds| bounds.width().seconds()));
+        }
+        counts.median_width = widths.into_iter().collect::<Ordered>().median();
+        counts
+    }
+}

@@ -1,0 +1,140 @@
+//! The Tabulated Metrics: what a run's columns come to.
+
+mod render;
+
+pub(crate) use render::Scale;
+
+use std::collections::HashMap;
+
+use peernet_statistics::Moments;
+
+use super::columns::{FIXED, Holds};
+use super::{Clocks, Column, Counts, Row, RunRecord};
+use crate::order::Ordered;
+
+/// Fewest values that a percentile is given of, as everywhere in PEERNet.
+const ENOUGH_FOR_P95: usize = 60;
+const ENOUGH_FOR_P99: usize = 300;
+
+/// What the columns of a run come to, warm-up and iterations without an answer left out.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Summary {
+    /// For people.
+    pub title: String,
+    /// One for each column that has a number in some row that counts, in the order of the file.
+    pub quantities: Vec<Quantity>,
+    /// How the iterations ended.
+    pub counts: Counts,
+    /// How far the delays can be trusted.
+    pub clocks: Clocks,
+}
+
+/// What one column comes to, in the column's unit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Quantity {
+    /// Which column.
+    pub column: Column,
+    /// How many numbers.
+    pub count: u64,
+    /// Their mean.
+    pub mean: f64,
+    /// Sample standard deviation; `None` below two.
+    pub std: Option<f64>,
+    /// The median, as all quantiles by linear interpolation between neighbours (definition 7 of Hyndman and Fan 1996,
+    /// numpy's default).
+    pub median: f64,
+    /// `None` below 60 numbers.
+    pub p95: Option<f64>,
+    /// `None` below 300 numbers.
+    pub p99: Option<f64>,
+    /// The largest.
+    pub max: f64,
+    /// Contain the median of the true values; the upper one may be infinite. `None` where the column has no bounds.
+    pub bounds: Option<(f64, f64)>,
+}
+
+impl Summary {
+    /// What these rows come to.
+    pub fn of(rows: &[Row]) -> Self {
+        let mut columns: Vec<(Column, Vec<f64>)> = Vec::new();
+        let mut places: HashMap<Column, usize> = HashMap::new();
+        for (name, _) in FIXED.iter().filter(|(name, holds)| *holds == Holds::Node && !is_bound(name)) {
+            places.insert(Column::Borrowed(name), columns.len());
+            columns.push((Column::Borrowed(name), Vec::new()));
+        }
+        for (name, value) in rows.iter().filter(|row| row.counts()).flat_map(|row| &row.values) {
+            if is_bound(name) {
+                continue;
+            }
+            let place = places.get(name).copied().unwrap_or(columns.len());
+            if place == columns.len() {
+                places.insert(name.clone(), place);
+                columns.push((name.clone(), Vec::new()));
+            }
+            columns[place].1.push(*value);
+        }
+        let quantity = |(column, values): (Column, Vec<f64>)| {
+            let quantity = Quantity::of(column, values)?;
+            Some(Quantity { bounds: bounds(rows, &quantity.column), ..quantity })
+        };
+        Self {
+            title: String::new(),
+            quantities: columns.into_iter().filter_map(quantity).collect(),
+            counts: Counts::of(rows, 0),
+            clocks: Clocks::of(rows),
+        }
+    }
+
+    /// With the run's title, and what is known of iterations that have no row.
+    #[must_use]
+    pub fn about(mut self, record: &RunRecord) -> Self {
+        self.title.clone_from(&record.title);
+        self.counts.unseen = record.counts.unseen;
+        self
+    }
+
+    /// One column's; `None` where no row that counts has a number in it.
+    pub fn quantity(&self, column: &str) -> Option<&Quantity> {
+        self.quantities.iter().find(|quantity| quantity.column == column)
+    }
+}
+
+/// Whether a column holds ends of another one's intervals.
+fn is_bound(column: &str) -> bool {
+    column.ends_with("-throughput-lo") || column.ends_with("-throughput-hi")
+}
+
+/// The median of the lower ends and that of the upper ends: when each value lies between its ends, so does the median of
+/// the values between these two. `None` unless every value has ends.
+fn bounds(rows: &[Row], column: &str) -> Option<(f64, f64)> {
+    let bounded = ["upload", "download", "upload-throughput", "download-throughput"];
+    bounded.contains(&column).then_some(())?;
+    let counted = || rows.iter().filter(|row| row.counts() && row.value(column).is_some());
+    let end = |end: &str| {
+        let name = format!("{column}-{end}");
+        let ends: Option<Ordered> = counted().map(|row| row.value(&name)).collect::<Option<Ordered>>();
+        ends.and_then(|ends| ends.median())
+    };
+    Some((end("lo")?, end("hi")?))
+}
+
+impl Quantity {
+    /// What these numbers come to; `None` when there are none. What is not finite is left out.
+    pub fn of(column: Column, values: impl IntoIterator<Item = f64>) -> Option<Self> {
+        let mut moments = Moments::default();
+        let values = values.into_iter().filter(|value| value.is_finite());
+        let ordered: Ordered = values.inspect(|value| moments.record(*value)).collect();
+        let enough = |least: usize, p: f64| ordered.quantile(p).filter(|_| ordered.len() >= least);
+        Some(Self {
+            column,
+            count: moments.count,
+            mean: moments.mean,
+            std: moments.std(),
+            median: ordered.median()?,
+            p95: enough(ENOUGH_FOR_P95, 0.95),
+            p99: enough(ENOUGH_FOR_P99, 0.99),
+            max: moments.max,
+            bounds: None,
+        })
+    }
+}

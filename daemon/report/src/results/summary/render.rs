@@ -1,0 +1,207 @@
+//! A summary as tables.
+
+use std::collections::BTreeMap;
+
+use super::{Quantity, Summary};
+use crate::number::{bound_milliseconds, decimals, decimals_within, fixed};
+use crate::results::{ClockCounts, Counts};
+use crate::table::{Table, csv_text};
+
+/// What stands where nothing is known.
+const UNKNOWN: &str = "—";
+/// The Tabulated Metrics of the paper's appendix, then both totals, with the names that they have there.
+const TABULATED: [(&str, &str); 10] = [
+    ("sensing", "Sensing Time"),
+    ("upload-bytes", "Upload Size"),
+    ("upload", "Upload Latency"),
+    ("upload-throughput", "Upload Throughput"),
+    ("inference", "Inference Latency"),
+    ("download-bytes", "Download Size"),
+    ("download", "Download Latency"),
+    ("download-throughput", "Download Throughput"),
+    ("stages-total", "Total (sum of stages)"),
+    ("total", "Total (measured)"),
+];
+/// Columns that every file has and that are times. Of other columns it is not known.
+const TIMES: [&str; 13] = [
+    "sensing",
+    "upload",
+    "preprocessing",
+    "inference",
+    "postprocessing",
+    "download",
+    "capture",
+    "transform",
+    "encode",
+    "send-queue",
+    "queue",
+    "ipc",
+    "actuation",
+];
+
+/// How numbers of a column are shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Scale {
+    Milliseconds,
+    MegabytesPerSecond,
+    Bytes,
+    AsMeasured,
+}
+
+impl Scale {
+    pub(crate) fn of(column: &str) -> Self {
+        let total = ["lateness", "total", "stages-total", "unattributed"].contains(&column);
+        match column {
+            _ if total || TIMES.contains(&column) => Self::Milliseconds,
+            "upload-throughput" | "download-throughput" => Self::MegabytesPerSecond,
+            _ if column.ends_with("-bytes") => Self::Bytes,
+            _ => Self::AsMeasured,
+        }
+    }
+
+    const fn unit(&self) -> &'static str {
+        match self {
+            Self::Milliseconds => "ms",
+            Self::MegabytesPerSecond => "MB/s",
+            Self::Bytes => "B",
+            Self::AsMeasured => "",
+        }
+    }
+
+    /// How the numbers of one row are written, all with as many decimals.
+    fn figure(&self, quantity: &Quantity) -> impl Fn(f64) -> String {
+        let (factor, decimals) = match self {
+            Self::Milliseconds => (1e3, decimals_within(quantity.std)),
+            Self::MegabytesPerSecond => (1.0 / 8e6, decimals(quantity.median / 8e6, 3)),
+            Self::Bytes => (1.0, 0),
+            Self::AsMeasured => (1.0, decimals(quantity.median, 3)),
+        };
+        move |value| if value.is_infinite() { "∞".to_owned() } else { fixed(value * factor, decimals) }
+    }
+}
+
+impl Summary {
+    /// For documents: the table, then what it rests on.
+    pub fn markdown(&self) -> String {
+        let title = if self.title.is_empty() { String::new() } else { format!("# {}\n\n", self.title) };
+        format!("{title}{}\n{}\n", self.table().markdown(), self.sentences())
+    }
+
+    /// For the terminal.
+    pub fn text(&self) -> String {
+        format!("{}\n\n{}", self.table().text(), self.sentences())
+    }
+
+    /// For papers, with booktabs.
+    pub fn latex(&self) -> String {
+        self.table().latex(&[self.title.as_str(), &self.sentences().replace('\n', " ")].join(". "))
+    }
+
+    /// For programs: seconds, bytes, bits per second, every digit.
+    pub fn csv(&self) -> String {
+        let header =
+            ["column", "count", "mean", "std", "median", "median-lo", "median-hi", "p95", "p99", "max"];
+        let cell = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
+        let row = |quantity: &Quantity| {
+            let Quantity { count, mean, std, median, p95, p99, max, bounds, .. } = *quantity;
+            let numbers = [
+                Some(mean),
+                std,
+                Some(median),
+                bounds.map(|b| b.0),
+                bounds.map(|b| b.1),
+                p95,
+                p99,
+                Some(max),
+            ];
+            [quantity.column.to_string(), count.to_string()].into_iter().chain(numbers.map(cell)).collect()
+        };
+        csv_text(&header, &self.quantities.iter().map(row).collect::<Vec<_>>())
+    }
+
+    /// The paper's metrics first, then all else.
+    fn table(&self) -> Table {
+        let named = TABULATED.iter().filter_map(|(column, name)| Some((self.quantity(column)?, *name)));
+        let rest = self
+            .quantities
+            .iter()
+            .filter(|quantity| TABULATED.iter().all(|(name, _)| *name != quantity.column));
+        let rest = rest.map(|quantity| (quantity, quantity.column.as_ref()));
+        let header = ["metric", "unit", "count", "mean ± std", "median", "clock bounds", "p95", "p99", "max"];
+        Table {
+            header: header.map(str::to_owned).to_vec(),
+            labels: 2,
+            rows: named.chain(rest).map(|(quantity, name)| cells(quantity, name)).collect(),
+            marked: Vec::new(),
+        }
+    }
+
+    /// What the table rests on, a line each.
+    fn sentences(&self) -> String {
+        let is_open = |quantity: &Quantity| quantity.bounds.is_some_and(|(lo, hi)| lo < hi);
+        let bounds = self.quantities.iter().any(is_open);
+        let bounds = if bounds { "Clock bounds contain the median of the true values." } else { "" };
+        let parts =
+            [outcomes(&self.counts), clocks(&self.clocks.upload, &self.clocks.download), bounds.to_owned()];
+        parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("\n")
+    }
+}
+
+fn cells(quantity: &Quantity, name: &str) -> Vec<String> {
+    let scale = Scale::of(&quantity.column);
+    let figure = scale.figure(quantity);
+    let known = |value: Option<f64>| value.map_or_else(|| UNKNOWN.to_owned(), &figure);
+    let mean = match quantity.std {
+        Some(std) => format!("{} ± {}", figure(quantity.mean), figure(std)),
+        None => figure(quantity.mean),
+    };
+    let bounds = match quantity.bounds {
+        None => String::new(),
+        Some((lo, hi)) if lo == hi => "exact".to_owned(),
+        Some((lo, hi)) => format!("{} – {}", figure(lo), figure(hi)),
+    };
+    vec![
+        name.to_owned(),
+        scale.unit().to_owned(),
+        fixed(quantity.count as f64, 0),
+        mean,
+        figure(quantity.median),
+        bounds,
+        known(quantity.p95),
+        known(quantity.p99),
+        figure(quantity.max),
+    ]
+}
+
+/// How the iterations ended, in one sentence.
+fn outcomes(counts: &Counts) -> String {
+    let ends = [
+        (counts.failed, "failed"),
+        (counts.lost, "lost"),
+        (counts.timeout, "without an answer in time"),
+        (counts.warm_up, "warm-up, left out"),
+        (counts.unseen, "measured but not recorded"),
+    ];
+    let answered = std::iter::once((counts.ok, "answered"));
+    let ends = answered.chain(ends.into_iter().filter(|(count, _)| *count > 0));
+    let ends: Vec<String> = ends.map(|(count, what)| format!("{} {what}", fixed(count as f64, 0))).collect();
+    format!("Iterations: {}.", ends.join("; "))
+}
+
+/// What the delays were found to be, in one sentence; nothing where there were none.
+fn clocks(up: &ClockCounts, down: &ClockCounts) -> String {
+    let list = |counts: &BTreeMap<String, u64>| {
+        let items = counts.iter().map(|(what, count)| format!("{} {what}", fixed(*count as f64, 0)));
+        items.collect::<Vec<_>>().join(", ")
+    };
+    let way = |name: &str, counts: &ClockCounts| {
+        let sources: Vec<&str> = counts.sources.keys().map(String::as_str).collect();
+        let width = counts.median_width.map(|width| bound_milliseconds(width / 2.0));
+        let width = width.map(|width| if width == "exact" { width } else { format!("{width} ms") });
+        let basis: Vec<&str> = sources.into_iter().chain(width.as_deref()).collect();
+        let known = !counts.verdicts.is_empty();
+        known.then(|| format!("{name} {} ({})", list(&counts.verdicts), basis.join(", ")))
+    };
+    let ways: Vec<String> = [way("upload", up), way("download", down)].into_iter().flatten().collect();
+    if ways.is_empty() { String::new() } else { format!("Clock verdicts: {}.", ways.join("; ")) }
+}

@@ -1,0 +1,60 @@
+//! What the published program wrote.
+
+use super::*;
+
+/// As pandas writes it, with the model's own stages and without a word about warm-up.
+const SAMPLE: &str = "\
+iteration,sensing,upload,preprocessing,inference,postprocessing,download,download-bytes,download-logger-bytes,upload-bytes,upload-logger-bytes,upload-throughput,download-throughput
+1,0.000912,0.018211,0.010112,0.080204,0.010095,0.000377,132.0,555.0,1343220.0,301.0,590200000.0,14600000.0
+2,0.000705,0.017533,0.010101,0.080190,0.010088,0.000371,132.0,555.0,1343220.0,301.0,613000000.0,14810000.0
+3,0.000705,0.017533,0.010101,0.080190,0.010088,-0.002014,132.0,555.0,1343220.0,301.0,613000000.0,
+4,0.000701,0.017501,0.010100,0.080188,0.010086,0.000370,132.0,555.0,1343220.0,301.0,614000000.0,14850000.0
+5,0.000701,0.017501,0.010100,0.080188,0.010086,0.000370,132.0,555.0,1343220.0,301.0,614000000.0,14850000.0
+6,0.000700,0.017500,0.010000,0.080000,0.010000,0.000300,132.0,555.0,1343220.0,301.0,614000000.0,nan
+7,0.000800,0.017600,0.010000,0.080000,0.010000,0.000300,132.0,555.0,1343220.0,301.0,614000000.0,14850000.0
+";
+
+#[test]
+fn a_published_file_that_stands_alone_can_be_read() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let results = folder.path().join("jetson");
+    std::fs::create_dir(&results).expect("made");
+    std::fs::write(results.join("data.csv"), SAMPLE).expect("writable");
+    let loaded = ResultFolder::open(&results).expect("readable");
+    let warm_up: Vec<bool> = loaded.rows.iter().map(|row| row.warm_up).collect();
+    assert_eq!(
+        warm_up,
+        [true, true, true, true, true, false, false],
+        "the published figures drop the first five"
+    );
+    let last = &loaded.rows[6];
+    assert_eq!(
+        (last.iteration, last.outcome, last.value("total"), last.value("at")),
+        (7, Outcome::Ok, None, None)
+    );
+    let sum = last.value("stages-total").expect("the paper's Total");
+    assert!((sum - 0.1187).abs() < 1e-12, "{sum}");
+    assert_eq!(loaded.rows[5].value("download-throughput"), None);
+    assert_eq!((last.upload, last.download), (None, None), "nobody bounded its delays");
+    assert_eq!((loaded.record.name.as_str(), loaded.record.format), ("jetson", 0));
+    assert_eq!(loaded.record.counts, Counts { ok: 2, warm_up: 5, ..Counts::default() });
+    let summary = Summary::of(&loaded.rows);
+    assert_eq!(summary.quantity("sensing").map(|sensing| (sensing.count, sensing.max)), Some((2, 0.0008)));
+}
+
+#[test]
+fn a_record_of_another_version_is_read_as_far_as_it_is_understood() {
+    let folder = tempfile::tempdir().expect("a folder");
+    std::fs::write(folder.path().join("data.csv"), "iteration,inference\n1,0.5\n").expect("writable");
+    std::fs::write(
+        folder.path().join("run.json"),
+        r#"{"format": 9, "title": "x", "edge": {"name": "e"}, "moon": 1}"#,
+    )
+    .expect("writable");
+    let loaded = ResultFolder::open(folder.path()).expect("readable");
+    assert_eq!((loaded.record.title.as_str(), loaded.record.edge.name.as_str()), ("x", "e"));
+    assert!(!loaded.rows[0].warm_up, "whoever writes a run.json flags its rows");
+    std::fs::write(folder.path().join("run.json"), "{").expect("writable");
+    let error = ResultFolder::open(folder.path()).expect_err("broken").to_string();
+    assert!(error.contains("run.json: EOF"), "{error}");
+}

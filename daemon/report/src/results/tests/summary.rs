@@ -1,0 +1,100 @@
+//! What the columns come to.
+
+use super::*;
+
+#[test]
+fn a_quantity_has_the_usual_figures() {
+    // Python: v = [n**1.5 for n in range(1, 301)]; fmean(v), stdev(v), median(v), quantiles(v, n=100,
+    // method="inclusive")[94::4], max(v); numpy's mean, std(ddof=1) and percentile are the same.
+    const PYTHON: [f64; 6] = [
+        2087.128355048523,
+        1564.3296713356758,
+        1846.318185965752,
+        4812.621015329932,
+        5118.664040859593,
+        5196.152422706632,
+    ];
+    let quantity = Quantity::of("x".into(), (1..=300).map(|n| f64::from(n).powf(1.5))).expect("numbers");
+    let close = |value: f64, expected: f64| (value - expected).abs() < 1e-9 * expected;
+    assert!(close(quantity.mean, PYTHON[0]), "{}", quantity.mean);
+    assert!(close(quantity.std.expect("many"), PYTHON[1]), "{:?}", quantity.std);
+    assert!(close(quantity.median, PYTHON[2]), "{}", quantity.median);
+    assert!(close(quantity.p95.expect("many"), PYTHON[3]), "{:?}", quantity.p95);
+    assert!(close(quantity.p99.expect("many"), PYTHON[4]), "{:?}", quantity.p99);
+    assert!(close(quantity.max, PYTHON[5]), "{}", quantity.max);
+}
+
+#[test]
+fn percentiles_need_enough_numbers() {
+    let of = |count: u32| {
+        let quantity = Quantity::of("x".into(), (0..count).map(f64::from)).expect("numbers");
+        (quantity.std.is_some(), quantity.p95.is_some(), quantity.p99.is_some())
+    };
+    assert_eq!(
+        [1, 59, 60, 299, 300].map(of),
+        [
+            (false, false, false),
+            (true, false, false),
+            (true, true, false),
+            (true, true, false),
+            (true, true, true),
+        ]
+    );
+    assert_eq!(Quantity::of("x".into(), [f64::NAN, f64::INFINITY]), None);
+}
+
+#[test]
+fn warm_up_and_what_was_lost_are_left_out() {
+    let summary = Summary::of(&rows(10));
+    let upload = summary.quantity("upload").expect("measured");
+    assert_eq!((upload.count, upload.max), (7, 0.01701));
+    assert_eq!(upload.bounds, Some((0.016997, 0.017017)));
+    assert_eq!(summary.quantity("upload-throughput").expect("measured").bounds, Some((4e8, f64::INFINITY)));
+    assert_eq!(summary.counts, Counts { ok: 7, lost: 1, warm_up: 2, ..Counts::default() });
+}
+
+const TEXT: &str = "\
+metric                 unit  count             mean ± std     median     clock bounds  p95  p99        max
+Sensing Time           ms        7          0.700 ± 0.000      0.700                     —    —      0.700
+Upload Size            B         7            150,000 ± 0    150,000                     —    —    150,000
+Upload Latency         ms        7         17.007 ± 0.003     17.007  16.997 – 17.017    —    —     17.010
+Upload Throughput      MB/s      7                100 ± 0        100           50 – ∞    —    —        100
+Inference Latency      ms        7          3.700 ± 0.000      3.700                     —    —      3.700
+Download Size          B         7                 40 ± 0         40                     —    —         40
+Download Latency       ms        7          0.400 ± 0.000      0.400    0.390 – 0.410    —    —      0.400
+Download Throughput    MB/s      7          0.500 ± 0.000      0.500        0.250 – ∞    —    —      0.500
+Total (sum of stages)  ms        7         21.807 ± 0.003     21.807                     —    —     21.810
+Total (measured)       ms        7         21.832 ± 0.003     21.832                     —    —     21.835
+download-logger-bytes  B         7                130 ± 0        130                     —    —        130
+upload-logger-bytes    B         7                120 ± 0        120                     —    —        120
+capture                ms        7          0.500 ± 0.000      0.500                     —    —      0.500
+transform              ms        7          0.150 ± 0.000      0.150                     —    —      0.150
+unattributed           ms        7          0.025 ± 0.000      0.025                     —    —      0.025
+inference_pre                    7  0.0000300 ± 0.0000000  0.0000300                     —    —  0.0000300
+
+Iterations: 7 answered; 1 lost; 2 warm-up, left out.
+Clock verdicts: upload 7 ok (in-band, ±0.010 ms); download 7 ok (in-band, ±0.010 ms).
+Clock bounds contain the median of the true values.";
+
+#[test]
+fn the_summary_reads_as_the_papers_metrics() {
+    let record = RunRecord { title: "robot_1".to_owned(), ..RunRecord::default() };
+    let summary = Summary::of(&rows(10)).about(&record);
+    assert_eq!(summary.text(), TEXT);
+    let markdown = summary.markdown();
+    assert!(markdown.starts_with("# robot_1\n\n| metric | unit | count | mean ± std |"), "{markdown}");
+    assert!(markdown.contains(
+        "| Upload Latency | ms | 7 | 17.007 ± 0.003 | 17.007 | 16.997 – 17.017 | — | — | 17.010 |"
+    ));
+    let latex = summary.latex();
+    assert!(
+        latex.contains("Upload Latency & ms & 7 & 17.007 $\\pm$ 0.003 & 17.007 & 16.997 -- 17.017 &"),
+        "{latex}"
+    );
+    assert!(latex.contains("\\caption{robot\\_1. Iterations: 7 answered;"), "{latex}");
+    let csv = summary.csv();
+    let mut lines = csv.lines();
+    assert_eq!(lines.next(), Some("column,count,mean,std,median,median-lo,median-hi,p95,p99,max"));
+    let sensing: Vec<&str> = lines.next().expect("sensing").split(',').collect();
+    assert_eq!((sensing[0], sensing[1], sensing[4], sensing[7]), ("sensing", "7", "0.0007", ""));
+}

@@ -1,0 +1,246 @@
+//! A sensor alone: how fast and how evenly it runs, and what it drops.
+
+use peernet_statistics::Moments;
+
+use crate::number::{fixed, milliseconds, significant};
+use crate::order::Ordered;
+use crate::results::{Outcome, Row};
+use crate::table::Table;
+
+/// What a sensor says of its dropped samples stands in a column that ends with this.
+const DROPPED: &str = "dropped-samples";
+/// Fewest periods that a percentile is given of, as everywhere in PEERNet.
+const ENOUGH_FOR_P95: usize = 60;
+const ENOUGH_FOR_P99: usize = 300;
+
+/// What the samples of a run show of their sensor. Seconds, and samples per second.
+///
+/// A sample's moment is when it was ready: the start of its iteration and its `sensing` after that. A period lies between
+/// the moments of two samples that follow each other; warm-up is left out. The jitter of a period is how far it is from
+/// the median period, in either direction.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SensorStudy {
+    /// Samples that the sensor gave.
+    pub samples: u64,
+    /// Iterations in which it gave none: it failed.
+    pub failed: u64,
+    /// Samples per second: one over the mean period.
+    pub rate: f64,
+    /// Mean period.
+    pub period: f64,
+    /// Sample standard deviation of the periods; `None` below two.
+    pub period_std: Option<f64>,
+    /// Median period.
+    pub median: f64,
+    /// Percentiles of the jitter; `None` below 60 and 300 periods.
+    pub jitter_p95: Option<f64>,
+    /// As `jitter_p95`.
+    pub jitter_p99: Option<f64>,
+    /// Median jitter.
+    pub jitter_median: f64,
+    /// The longest time without a sample, failed iterations included.
+    pub longest_gap: f64,
+    /// The iteration that ended it.
+    pub longest_gap_at: u64,
+    /// Median time from asking for a sample to having it.
+    pub sensing: f64,
+    /// Samples that the sensor says it dropped; `None` when it says nothing of that.
+    pub dropped: Option<u64>,
+}
+
+/// A sample: its iteration and its moment.
+#[derive(Clone, Copy, Debug)]
+struct Taken {
+    iteration: u64,
+    at: f64,
+}
+
+impl SensorStudy {
+    /// What these rows show, in whatever order; `None` with fewer than two samples that follow each other.
+    pub fn of(rows: &[Row]) -> Option<Self> {
+        let measured: Vec<&Row> = rows.iter().filter(|row| !row.warm_up).collect();
+        let mut taken: Vec<Taken> = measured.iter().filter_map(|row| taken(row)).collect();
+        taken.sort_unstable_by_key(|taken| taken.iteration);
+        let follow = |pair: &&[Taken]| pair[1].iteration == pair[0].iteration + 1;
+        let length = |pair: &[Taken]| pair[1].at - pair[0].at;
+        let periods: Ordered = taken.windows(2).filter(follow).map(length).collect();
+        let median = periods.median()?;
+        let mut moments = Moments::default();
+        periods.values().iter().for_each(|period| moments.record(*period));
+        let jitter: Ordered = periods.values().iter().map(|period| (period - median).abs()).collect();
+        let gap = taken.windows(2).max_by(|a, b| length(a).total_cmp(&length(b)))?;
+        let sensing: Ordered = measured.iter().filter_map(|row| row.value("sensing")).collect();
+        let enough = |least, p| jitter.quantile(p).filter(|_| jitter.len() >= least);
+        Some(Self {
+            samples: taken.len() as u64,
+            failed: measured.iter().filter(|row| row.outcome != Outcome::Ok).count() as u64,
+            rate: 1.0 / moments.mean,
+            period: moments.mean,
+            period_std: moments.std(),
+            median,
+            jitter_p95: enough(ENOUGH_FOR_P95, 0.95),
+            jitter_p99: enough(ENOUGH_FOR_P99, 0.99),
+            jitter_median: jitter.median()?,
+            longest_gap: length(gap),
+            longest_gap_at: gap[1].iteration,
+            sensing: sensing.median()?,
+            dropped: dropped(&measured),
+        })
+    }
+
+    /// What it comes to, in sentences.
+    pub fn sentences(&self) -> Vec<String> {
+        let mut said = vec![format!(
+            "The sensor ran at {} samples per second: one every {} ms{}, over {} samples.",
+            significant(self.rate),
+            milliseconds(self.period),
+            self.period_std.map_or_else(String::new, |std| format!(" ± {} ms", milliseconds(std))),
+            fixed(self.samples as f64, 0),
+        )];
+        let tail = self.jitter_p99.map(|p99| ("99", p99)).or(self.jitter_p95.map(|p95| ("95", p95)));
+        said.push(match tail {
+            Some((percent, value)) => format!(
+                "Its period was within {} ms of the median ({} ms) for half of the samples, and within {} ms for {percent} %.",
+                milliseconds(self.jitter_median),
+                milliseconds(self.median),
+                milliseconds(value),
+            ),
+            None => format!(
+                "Its period was within {} ms of the median ({} ms) for half of the samples; {ENOUGH_FOR_P95} are needed to \
+                 say more.",
+                milliseconds(self.jitter_median),
+                milliseconds(self.median),
+            ),
+        });
+        said.push(format!(
+            "The longest time without a sample was {} ms, before iteration {}.",
+            milliseconds(self.longest_gap),
+            self.longest_gap_at
+        ));
+        said.push(match self.dropped {
+            None => "It does not number its samples, so whether it dropped any is not known.".to_owned(),
+            Some(0) => "It dropped no sample.".to_owned(),
+            Some(dropped) => {
+                let share = dropped as f64 / (dropped + self.samples) as f64 * 100.0;
+                format!("It dropped {} samples, {} % of all.", fixed(dropped as f64, 0), significant(share))
+            }
+        });
+        if self.failed > 0 {
+            said.push(format!("It failed to give a sample {} times.", fixed(self.failed as f64, 0)));
+        }
+        said
+    }
+
+    /// The sentences, one on a line, and the table.
+    pub fn text(&self) -> String {
+        format!("{}\n\n{}", self.sentences().join("\n"), self.table().text())
+    }
+
+    /// The figures.
+    pub fn table(&self) -> Table {
+        let unknown = || "—".to_owned();
+        let ms = |value: Option<f64>| value.map_or_else(unknown, milliseconds);
+        let count = |value: u64| fixed(value as f64, 0);
+        let rows = [
+            ("samples", count(self.samples), ""),
+            ("rate", significant(self.rate), "/s"),
+            ("period, mean", milliseconds(self.period), "ms"),
+            ("period, std", ms(self.period_std), "ms"),
+            ("period, median", milliseconds(self.median), "ms"),
+            ("jitter, median", milliseconds(self.jitter_median), "ms"),
+            ("jitter, p95", ms(self.jitter_p95), "ms"),
+            ("jitter, p99", ms(self.jitter_p99), "ms"),
+            ("longest gap", milliseconds(self.longest_gap), "ms"),
+            ("sensing, median", milliseconds(self.sensing), "ms"),
+            ("dropped samples", self.dropped.map_or_else(unknown, count), ""),
+            ("failed", count(self.failed), ""),
+        ];
+        Table {
+            header: ["quantity", "value", "unit"].map(str::to_owned).into(),
+            labels: 1,
+            rows: rows.map(|(name, value, unit)| vec![name.to_owned(), value, unit.to_owned()]).into(),
+            marked: Vec::new(),
+        }
+    }
+}
+
+fn taken(row: &Row) -> Option<Taken> {
+    let at = row.value("at").filter(|_| row.outcome == Outcome::Ok)?;
+    // Behind its plan an iteration begins late; without a plan never.
+    let at = at + row.value("lateness").unwrap_or(0.0) + row.value("sensing")?;
+    Some(Taken { iteration: row.iteration, at })
+}
+
+fn dropped(rows: &[&Row]) -> Option<u64> {
+    let told = rows.iter().flat_map(|row| &row.values).filter(|(column, _)| column.ends_with(DROPPED));
+    told.map(|(_, value)| *value).reduce(|sum, value| sum + value).map(|sum| sum.max(0.0).round() as u64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A sample each 20 ms, every fourth one 8 ms late, ready 5 ms after it was asked for.
+    fn rows(count: u64) -> Vec<Row> {
+        let row = |iteration: u64| {
+            let late = if iteration.is_multiple_of(4) { 0.008 } else { 0.0 };
+            Row {
+                iteration,
+                at: 1000.0 + iteration as f64 * 0.02 + late,
+                episode: 0,
+                step: 0,
+                warm_up: iteration <= 3,
+                outcome: Outcome::Ok,
+                reason: None,
+                values: vec![("sensing".into(), 0.005)],
+                upload: None,
+                download: None,
+            }
+        };
+        (1..=count).map(row).collect()
+    }
+
+    fn close(a: f64, b: f64) -> bool {
+        (a - b).abs() < 1e-6
+    }
+
+    #[test]
+    fn rate_period_and_jitter() {
+        let study = SensorStudy::of(&rows(403)).expect("samples");
+        assert_eq!((study.samples, study.failed, study.dropped), (400, 0, None));
+        assert!(close(study.median, 0.02) && (study.rate - 50.0).abs() < 0.1, "{study:?}");
+        assert!(close(study.jitter_median, 0.004) || close(study.jitter_median, 0.0), "{study:?}");
+        assert!(close(study.jitter_p99.expect("enough"), 0.008), "{study:?}");
+        assert!(close(study.longest_gap, 0.028) && close(study.sensing, 0.005));
+        assert!(study.sentences()[0].contains("one every 20"), "{:?}", study.sentences());
+        assert!(study.text().contains("longest gap"), "{}", study.text());
+    }
+
+    #[test]
+    fn a_failed_sample_is_a_gap_and_no_period() {
+        let mut rows = rows(20);
+        rows[9].outcome = Outcome::Failed;
+        let study = SensorStudy::of(&rows).expect("samples");
+        assert_eq!((study.failed, study.samples, study.longest_gap_at), (1, 16, 11));
+        assert!(close(study.longest_gap, 0.04));
+        assert!(study.jitter_p95.is_none(), "too few");
+    }
+
+    #[test]
+    fn dropped_samples_are_added_up_where_the_sensor_numbers_them() {
+        let mut rows = rows(103);
+        for row in &mut rows {
+            let dropped = if row.iteration.is_multiple_of(10) { 3.0 } else { 0.0 };
+            row.values.push(("sensing_capture_dropped-samples".into(), dropped));
+        }
+        let study = SensorStudy::of(&rows).expect("samples");
+        assert_eq!(study.dropped, Some(30));
+        assert!(study.sentences().iter().any(|said| said.contains("30 samples")), "{:?}", study.sentences());
+    }
+
+    #[test]
+    fn fewer_than_two_samples_show_nothing() {
+        assert_eq!(SensorStudy::of(&rows(4)), None);
+        assert_eq!(SensorStudy::of(&[]), None);
+    }
+}

@@ -1,0 +1,50 @@
+//! Tables as Markdown.
+
+use super::Table;
+
+pub(super) fn table(table: &Table) -> String {
+    let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
+    let mut text = line(table.header.iter().map(|cell| escape(cell)).collect());
+    text += &line(
+        (0..table.header.len()).map(|at| if at < table.labels { "---" } else { "---:" }.to_owned()).collect(),
+    );
+    for (row, cells) in table.rows.iter().enumerate() {
+        let bold = table.marked.contains(&row);
+        let cell = |cell: &String| match escape(cell) {
+            cell if bold && !cell.is_empty() => format!("**{cell}**"),
+            cell => cell,
+        };
+        text += &line(cells.iter().map(cell).collect());
+    }
+    text
+}
+
+/// What Markdown would take for something else.
+fn escape(cell: &str) -> String {
+    let mut text = String::with_capacity(cell.len());
+    for char in cell.chars() {
+        match char {
+            '\\' | '|' | '*' | '_' | '`' | '<' | '[' => text.extend(['\\', char]),
+            '\n' | '\r' => text.push(' '),
+            _ => text.push(char),
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cells_cannot_break_the_table() {
+        let table = Table {
+            header: vec!["a|b".to_owned(), "n".to_owned()],
+            labels: 1,
+            rows: vec![vec!["x_y".to_owned(), "1.0".to_owned()], vec!["*\nz".to_owned(), String::new()]],
+            marked: vec![0],
+        };
+        let expected = "| a\\|b | n |\n| --- | ---: |\n| **x\\_y** | **1.0** |\n| \\* z |  |\n";
+        assert_eq!(table.markdown(), expected);
+    }
+}

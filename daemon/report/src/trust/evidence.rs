@@ -1,0 +1,185 @@
+//! What a run is judged by, wherever it comes from.
+
+use std::collections::BTreeMap;
+
+use peernet_clock::Verdict;
+use peernet_logger::stream::Condition;
+use peernet_logger::{Name, stage};
+
+use super::Course;
+use crate::Passage;
+use crate::order::Ordered;
+use crate::results::{Outcome, Row, RunRecord};
+
+/// How the fact of a run begins that says of a host's clock that it was made wrong on purpose.
+const REHEARSAL: &str = "Rehearsal";
+/// Ends of a run that are no trouble.
+const GOOD_ENDS: [&str; 3] = ["", "finished", "stopped"];
+
+/// A row's message in one direction.
+type Way = fn(&Row) -> Option<&Passage>;
+
+/// Everything that a run is judged by. What is not known stays empty.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Evidence {
+    /// What was found of the hosts before it began.
+    pub conditions: Vec<Condition>,
+    /// How the iterations ended.
+    pub counts: Counts,
+    /// What was measured but is not there.
+    pub missing: Vec<Missing>,
+    /// What became of the run where it neither finished nor was stopped.
+    pub broken: Option<String>,
+    /// Whether the clock of a host was made wrong on purpose.
+    pub rehearsed: bool,
+    /// The whole of each iteration; a sensor's alone where nothing else is there. `None` without any.
+    pub total: Option<Course>,
+    /// The stages, by name.
+    pub stages: Vec<(String, Course)>,
+    /// What the totals hold beyond their stages, on average; seconds. Negative where stages overlap.
+    pub unattributed: Option<f64>,
+    /// The judged one-way delays, by stage.
+    pub clocks: Vec<Clocks>,
+}
+
+/// How the iterations of a run ended.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// With an answer, warm-up left out, as all below but `warm_up`.
+    pub ok: u64,
+    /// Sample or model failed.
+    pub failed: u64,
+    /// Will never be answered.
+    pub lost: u64,
+    /// Not answered in time.
+    pub timeout: u64,
+    /// Left out of statistics.
+    pub warm_up: u64,
+}
+
+/// Events that were dropped or never came.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Missing {
+    /// How many; 0 when that is not known.
+    pub count: u64,
+    /// Why.
+    pub reason: String,
+}
+
+/// What is known of the one-way delays of a stage.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Clocks {
+    /// `upload` or `download`.
+    pub stage: String,
+    /// How often each verdict was given.
+    pub verdicts: Vec<(Verdict, u64)>,
+    /// The median delay, seconds.
+    pub delay: Option<f64>,
+    /// The median of half the width of its bounds, seconds.
+    pub half_width: Option<f64>,
+}
+
+impl Evidence {
+    /// What the rows of a run say, and what was found of its hosts before it.
+    pub fn of_rows(rows: &[Row], conditions: &[Condition]) -> Self {
+        let measured: Vec<&Row> = rows.iter().filter(|row| row.counts()).collect();
+        let course = |column: &str| {
+            let values: Vec<f64> = measured.iter().filter_map(|row| row.value(column)).collect();
+            Course::of_values(&values)
+        };
+        let mean = |column: &str| {
+            let values: Vec<f64> = measured.iter().filter_map(|row| row.value(column)).collect();
+            (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+        };
+        let stages = stage::ORDER.into_iter().filter_map(|name| Some((name.to_string(), course(&name)?)));
+        let count = |outcome: Outcome| {
+            rows.iter().filter(|row| !row.warm_up && row.outcome == outcome).count() as u64
+        };
+        let ways: [(Name, Way); 2] =
+            [(stage::UPLOAD, |row| row.upload.as_ref()), (stage::DOWNLOAD, |row| row.download.as_ref())];
+        Self {
+            conditions: conditions.to_vec(),
+            counts: Counts {
+                ok: measured.len() as u64,
+                failed: count(Outcome::Failed),
+                lost: count(Outcome::Lost),
+                timeout: count(Outcome::Timeout),
+                warm_up: rows.iter().filter(|row| row.warm_up).count() as u64,
+            },
+            total: course(&stage::TOTAL).or_else(|| course(&stage::SENSING)),
+            stages: stages.collect(),
+            unattributed: mean(&stage::UNATTRIBUTED),
+            clocks: ways
+                .into_iter()
+                .filter_map(|(name, of)| Clocks::of(name.as_str(), measured.iter().filter_map(|row| of(row))))
+                .collect(),
+            ..Self::default()
+        }
+    }
+
+    /// What the rows of a run say, and its record: conditions of both hosts, how it ended, what was not seen.
+    pub fn of_run(record: &RunRecord, rows: &[Row]) -> Self {
+        let hosts = [Some(&record.edge), record.cloud.as_ref()].into_iter().flatten();
+        let conditions: Vec<Condition> = hosts.flat_map(|host| host.conditions.iter().cloned()).collect();
+        let unseen = Missing {
+            count: record.counts.unseen,
+            reason: "measured, but this program was too busy to take them".to_owned(),
+        };
+        Self {
+            missing: if unseen.count > 0 { vec![unseen] } else { Vec::new() },
+            ..Self::of_rows(rows, &conditions)
+        }
+        .ended(Some(&record.reason))
+        .with_facts(&record.facts)
+    }
+
+    /// With the reason for its end.
+    #[must_use]
+    pub fn ended(self, reason: Option<&str>) -> Self {
+        let broken = reason.filter(|reason| !GOOD_ENDS.contains(reason)).map(str::to_owned);
+        Self { broken, ..self }
+    }
+
+    /// With what the run's description says of rehearsals.
+    #[must_use]
+    pub fn with_facts(self, facts: &[(String, String)]) -> Self {
+        let rehearsed = facts.iter().any(|(fact, _)| {
+            fact == REHEARSAL || fact.strip_prefix(REHEARSAL).is_some_and(|rest| rest.starts_with(" of "))
+        });
+        Self { rehearsed, ..self }
+    }
+}
+
+impl Counts {
+    /// Iterations that should be in the statistics.
+    pub const fn measured(&self) -> u64 {
+        self.ok + self.unanswered()
+    }
+
+    /// Those that are not, because they had no answer.
+    pub const fn unanswered(&self) -> u64 {
+        self.failed + self.lost + self.timeout
+    }
+}
+
+impl Clocks {
+    fn of<'a>(stage: &str, passages: impl Iterator<Item = &'a Passage>) -> Option<Self> {
+        let mut verdicts = BTreeMap::<usize, (Verdict, u64)>::new();
+        let (mut delays, mut half_widths) = (Vec::new(), Vec::new());
+        for passage in passages {
+            let verdict = passage.delay.verdict;
+            let place = Verdict::ALL.iter().position(|known| *known == verdict).unwrap_or(usize::MAX);
+            verdicts.entry(place).or_insert((verdict, 0)).1 += 1;
+            delays.extend(passage.seconds());
+            half_widths.extend(passage.bounds().map(|(lo, hi)| (hi - lo) / 2.0));
+        }
+        let median = |values: Vec<f64>| values.into_iter().collect::<Ordered>().median();
+        let verdicts: Vec<(Verdict, u64)> = verdicts.into_values().collect();
+        (!verdicts.is_empty()).then(|| Self {
+            stage: stage.to_owned(),
+            verdicts,
+            delay: median(delays),
+            half_width: median(half_widths),
+        })
+    }
+}

@@ -1,0 +1,77 @@
+//! How well the one-way delays are known. The total does not depend on it: it is measured on the edge alone.
+
+use peernet_clock::Verdict;
+use peernet_logger::stream::Grade;
+
+use super::{advise, percent, say};
+use crate::number::{bound_milliseconds, milliseconds};
+use crate::trust::{Clocks, Evidence, Sentence};
+
+/// Shares of delays: from here on the delays as a whole are not known …
+const MOSTLY: f64 = 0.5;
+/// … and up to here a few bad ones do not change a median.
+const A_FEW: f64 = 0.01;
+
+pub(super) fn sentences(evidence: &Evidence) -> Vec<Sentence> {
+    evidence.clocks.iter().filter_map(of).collect()
+}
+
+fn of(clocks: &Clocks) -> Option<Sentence> {
+    let stage = &clocks.stage;
+    let about = format!("clocks, {stage}");
+    let all: u64 = clocks.verdicts.iter().map(|(_, count)| count).sum();
+    if all == 0 {
+        return None;
+    }
+    let share = |wanted: &[Verdict]| {
+        let count: u64 = clocks
+            .verdicts
+            .iter()
+            .filter(|(verdict, _)| wanted.contains(verdict))
+            .map(|(_, count)| count)
+            .sum();
+        count as f64 / all as f64
+    };
+    let each: Vec<String> = clocks
+        .verdicts
+        .iter()
+        .filter(|(_, count)| *count > 0)
+        .map(|(verdict, count)| format!("{verdict} {}", percent(*count as f64 / all as f64)))
+        .collect();
+    let known = match (clocks.delay, clocks.half_width) {
+        (Some(delay), Some(0.0)) => {
+            format!("the median of {}\u{202f}ms is exact: both ends read one clock", milliseconds(delay))
+        }
+        (Some(delay), Some(half)) => {
+            format!(
+                "the median of {}\u{202f}ms is known to {}\u{202f}ms",
+                milliseconds(delay),
+                bound_milliseconds(half)
+            )
+        }
+        _ => "no delay has a value".to_owned(),
+    };
+    let text = format!("Of the delays of `{stage}`, {}; {known}.", each.join(", "));
+    let unusable = share(&[Verdict::Unsynchronised, Verdict::Stepped, Verdict::Inconsistent]);
+    let (limited, stale) = (share(&[Verdict::Limited]), share(&[Verdict::Stale]));
+    Some(match () {
+        () if unusable >= MOSTLY => advise(
+            say(&about, Grade::Bad, text),
+            "do not publish upload and download apart: their sum and the total need no clock; `peernet calibrate` tells \
+             what is wrong",
+        ),
+        () if unusable > A_FEW => advise(
+            say(&about, Grade::Doubtful, text),
+            "those without a value are in no statistic of it: say so, or repeat when the clocks are quiet",
+        ),
+        () if limited >= MOSTLY => advise(
+            say(&about, Grade::Doubtful, text),
+            "the interval is wider than half the delay: publish the interval, or upload and download together",
+        ),
+        () if stale > A_FEW => advise(
+            say(&about, Grade::Doubtful, text),
+            "the two clocks were seldom compared: see that the probes' port is open, or exchange samples more often",
+        ),
+        () => say(&about, Grade::Good, text),
+    })
+}

@@ -1,0 +1,34 @@
+//! What was found of the hosts before the run: what is as it should be in one sentence per host, the rest one by one.
+
+use peernet_logger::stream::{Condition, Grade};
+
+use super::{advise, say};
+use crate::trust::Sentence;
+
+pub(super) fn sentences(conditions: &[Condition]) -> Vec<Sentence> {
+    if conditions.is_empty() {
+        return vec![say("hosts", Grade::Unknown, "Nobody looked at the hosts before the run.")];
+    }
+    let mut hosts: Vec<&str> = Vec::new();
+    for condition in conditions {
+        if !hosts.contains(&condition.host.as_str()) {
+            hosts.push(&condition.host);
+        }
+    }
+    let mut all = Vec::new();
+    for host in hosts {
+        let of = |grade| conditions.iter().filter(move |known| known.host == host && known.grade == grade);
+        for condition in of(Grade::Bad).chain(of(Grade::Doubtful)) {
+            let text = format!("On {host}, {}: {}.", condition.about, condition.found);
+            all.push(advise(say(&condition.about, condition.grade, text), condition.advice.as_str()));
+        }
+        for (grade, words) in [(Grade::Unknown, "not known"), (Grade::Good, "as it should be")] {
+            let listed: Vec<String> =
+                of(grade).map(|known| format!("{} ({})", known.about, known.found)).collect();
+            if !listed.is_empty() {
+                all.push(say("hosts", grade, format!("On {host}, {words}: {}.", listed.join("; "))));
+            }
+        }
+    }
+    all
+}

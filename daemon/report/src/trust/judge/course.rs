@@ -1,0 +1,141 @@
+//! Whether the run stayed what it was: trend, beginning, outliers, and what no stage accounts for.
+
+use peernet_logger::stream::Grade;
+
+use super::{advise, ms, percent, say};
+use crate::number::{fixed, significant};
+use crate::trust::trend::chance_of_trend;
+use crate::trust::{Course, Evidence, Sentence};
+
+/// Change of the median between the halves, as a share of the first, that makes one figure for the whole run meaningless.
+const STRONG_DRIFT: f64 = 0.2;
+/// A change that no figure shows.
+const SAME: f64 = 0.000_5;
+/// A trend that chance makes more often than this is none.
+const CHANCE: f64 = 0.05;
+/// What the first iterations may take longer than the rest.
+const COLD: f64 = 0.1;
+/// What outliers may add to the mean.
+const INFLUENCE: f64 = 0.05;
+/// Share of the total that no stage accounts for, and below which it does not matter, seconds.
+const UNEXPLAINED: f64 = 0.05;
+const MOSTLY_UNEXPLAINED: f64 = 0.25;
+const TOO_SHORT_TO_MATTER: f64 = 100e-6;
+
+pub(super) fn sentences(evidence: &Evidence) -> Vec<Sentence> {
+    let Some(total) = &evidence.total else { return Vec::new() };
+    let mut all = vec![steady(total, &evidence.stages), begun(total), outliers(total)];
+    all.extend(evidence.unattributed.map(|seconds| explained(seconds, total)));
+    all
+}
+
+fn steady(total: &Course, stages: &[(String, Course)]) -> Sentence {
+    let about = "stationarity";
+    let known = total.halves.zip(total.change()).zip(chance_of_trend(&total.batches));
+    let Some((((first, second), share), chance)) = known else {
+        let text =
+            "The run is too short to tell whether it drifted: that takes 100 iterations over some time.";
+        return say(about, Grade::Unknown, text);
+    };
+    let size = share.abs();
+    let moved = format!(
+        "The median of the second half is {} {} than that of the first ({} and {})",
+        percent(size),
+        if share < 0.0 { "lower" } else { "higher" },
+        ms(second),
+        ms(first)
+    );
+    if size < SAME {
+        let text = format!("The medians of both halves are the same, {}: it did not drift.", ms(first));
+        return say(about, Grade::Good, text);
+    }
+    let odds = match chance {
+        p if p < 0.001 => "p\u{202f}<\u{202f}0.001".to_owned(),
+        p => format!("p\u{202f}=\u{202f}{}", significant(p)),
+    };
+    if !total.has_moved() {
+        return say(about, Grade::Good, format!("{moved}: it did not drift."));
+    }
+    if chance >= CHANCE {
+        return say(about, Grade::Good, format!("{moved}, which is not more than chance ({odds})."));
+    }
+    let most = stages.iter().filter_map(|(name, course)| Some((name, course.halves?)));
+    let most = most.max_by(|(_, a), (_, b)| (a.1 - a.0).abs().total_cmp(&(b.1 - b.0).abs()));
+    let most = most.map_or_else(String::new, |(name, (first, second))| {
+        format!("; most of it in `{name}` ({} to {})", ms(first), ms(second))
+    });
+    let text = format!("{moved}, more than chance ({odds}){most}.");
+    let advice = "one figure for the whole run hides that: find out what changed (heat, load, network), or measure longer \
+                  and after it has settled";
+    advise(say(about, if size >= STRONG_DRIFT { Grade::Bad } else { Grade::Doubtful }, text), advice)
+}
+
+fn begun(total: &Course) -> Sentence {
+    let about = "warm-up";
+    let Some(begin) = total.beginning.filter(|begin| begin.blocks >= 4) else {
+        let text =
+            "The run is too short to tell whether its warm-up was long enough: that takes 100 iterations.";
+        return say(about, Grade::Unknown, text);
+    };
+    let share = change(begin.rest, begin.median);
+    let compared = format!(
+        "The first {} measured iterations took {} in the median, the rest {}",
+        begin.count,
+        ms(begin.median),
+        ms(begin.rest)
+    );
+    // Among blocks that are all alike, the first is the highest as often as any other.
+    if share > COLD && begin.as_high < CHANCE {
+        let text = format!(
+            "{compared}: {} more, and more than nearly all later ones of that length.",
+            percent(share)
+        );
+        return advise(say(about, Grade::Doubtful, text), "make the warm-up longer, so that it holds them");
+    }
+    say(about, Grade::Good, format!("{compared}: the warm-up was long enough."))
+}
+
+fn outliers(total: &Course) -> Sentence {
+    let about = "outliers";
+    let seen = &total.outliers;
+    if seen.count == 0 {
+        return say(about, Grade::Good, format!("None; the slowest iteration took {}.", ms(seen.max)));
+    }
+    let influence = if total.mean > 0.0 { seen.influence / total.mean } else { 0.0 };
+    let text = format!(
+        "{} of the iterations took longer than {} (median and 3.5 robust deviations); the slowest took {}, {} times the \
+         median. They make {} of the mean.",
+        percent(seen.count as f64 / total.count as f64),
+        ms(seen.limit),
+        ms(seen.max),
+        fixed(if total.median > 0.0 { seen.max / total.median } else { 0.0 }, 1),
+        percent(influence)
+    );
+    if influence < INFLUENCE {
+        return say(about, Grade::Good, text);
+    }
+    let advice =
+        "give median, 95th and 99th percentile beside mean ± std, and look at the slowest iterations";
+    advise(say(about, Grade::Doubtful, text), advice)
+}
+
+fn explained(seconds: f64, total: &Course) -> Sentence {
+    let about = "unattributed";
+    let share = if total.mean > 0.0 { seconds.abs() / total.mean } else { 0.0 };
+    let text = if seconds < 0.0 {
+        format!("The stages add up to {} more than the total: some overlap.", percent(share))
+    } else {
+        format!("{} of the total belongs to no stage ({} on average).", percent(share), ms(seconds))
+    };
+    if share < UNEXPLAINED || seconds.abs() < TOO_SHORT_TO_MATTER {
+        return say(about, Grade::Good, text);
+    }
+    let advice = "publish the measured total, not the sum of the stages; an iteration's waterfall shows where the rest is";
+    let grade = if share >= MOSTLY_UNEXPLAINED { Grade::Bad } else { Grade::Doubtful };
+    advise(say(about, grade, text), advice)
+}
+
+/// From one to the other, as a share of the first.
+fn change(from: f64, to: f64) -> f64 {
+    if from > 0.0 { to / from - 1.0 } else { 0.0 }
+}

@@ -1,0 +1,126 @@
+//! "Can I publish this run?": what was seen before, during and after a run, in plain sentences.
+//!
+//! ```text
+//! rows (peernet-report::results) ──┐
+//! roll-ups of a store ─────────────┴─ Evidence ── Report: a verdict, sentences ── text, JSON, page
+//! ```
+//!
+//! Pure: evidence in, report out. What is looked at, from which threshold on, and whose method it is stands beside each
+//! judgement and in `docs/trust.md`.
+
+mod course;
+mod evidence;
+mod judge;
+#[cfg(test)]
+mod testing;
+#[cfg(test)]
+mod tests;
+mod trend;
+
+pub use course::{Beginning, Course, Outliers};
+pub use evidence::{Clocks, Counts, Evidence, Missing};
+
+use std::cmp::Reverse;
+
+use peernet_logger::stream::Grade;
+use serde::{Deserialize, Serialize};
+
+/// Whether figures of a run can stand in a publication.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Publish {
+    /// As they are.
+    Yes,
+    /// With what the sentences say beside them.
+    WithRemarks,
+    /// Not before something was changed and the run repeated.
+    No,
+}
+
+impl Publish {
+    /// `yes`, `with-remarks`, `no`: as in storage and in the API.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Yes => "yes",
+            Self::WithRemarks => "with-remarks",
+            Self::No => "no",
+        }
+    }
+}
+
+/// One thing that was looked at, and what it means.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Sentence {
+    /// What was looked at, in two or three words.
+    pub about: String,
+    /// What it means for the figures.
+    pub grade: Grade,
+    /// What was found, a plain sentence with figures.
+    pub text: String,
+    /// What to do about it; empty when there is nothing to do.
+    pub advice: String,
+}
+
+/// The answer to "can I publish this run?".
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Report {
+    /// The answer.
+    pub verdict: Publish,
+    /// Why, the most harmful first.
+    pub sentences: Vec<Sentence>,
+}
+
+impl Report {
+    /// Judges a run by what is known of it.
+    pub fn of(evidence: &Evidence) -> Self {
+        let mut sentences = judge::sentences(evidence);
+        // Stable: what is as harmful stays in the order in which it is looked at.
+        sentences.sort_by_key(|sentence| Reverse(sentence.grade));
+        let verdict = match sentences.first().map(|sentence| sentence.grade) {
+            None | Some(Grade::Good | Grade::Unknown) => Publish::Yes,
+            Some(Grade::Doubtful) => Publish::WithRemarks,
+            Some(Grade::Bad) => Publish::No,
+        };
+        Self { verdict, sentences }
+    }
+
+    /// The answer in a sentence, with how much speaks against it.
+    pub fn answer(&self) -> String {
+        let count = |grade| self.sentences.iter().filter(|sentence| sentence.grade == grade).count();
+        let things = |count| format!("{count} thing{}", if count == 1 { "" } else { "s" });
+        match self.verdict {
+            Publish::Yes => "Yes: nothing that was looked at speaks against it.".to_owned(),
+            Publish::WithRemarks => {
+                format!(
+                    "Yes, with remarks: {} to be said beside the figures.",
+                    things(count(Grade::Doubtful))
+                )
+            }
+            Publish::No => {
+                format!("No: {} to be changed first, then repeat the run.", things(count(Grade::Bad)))
+            }
+        }
+    }
+
+    /// As the terminal shows it: the answer, then a line for each sentence, a sign before it and the advice below.
+    pub fn text(&self) -> String {
+        let mut lines = vec![format!("Can this run be published? {}", self.answer()), String::new()];
+        for sentence in &self.sentences {
+            lines.push(format!("  {} {}", sign(sentence.grade), sentence.text));
+            if !sentence.advice.is_empty() {
+                lines.push(format!("    → {}", sentence.advice));
+            }
+        }
+        lines.join("\n")
+    }
+}
+
+/// The sign of a grade; the word that goes with it is the grade's name.
+const fn sign(grade: Grade) -> char {
+    match grade {
+        Grade::Good => '✓',
+        Grade::Unknown => '?',
+        Grade::Doubtful => '!',
+        Grade::Bad => '✗',
+    }
+}

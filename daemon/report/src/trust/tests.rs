@@ -1,0 +1,240 @@
+use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict};
+use peernet_logger::stream::Condition;
+
+use super::testing::Noise;
+use super::*;
+use crate::Passage;
+use crate::results::{Outcome, Row, RunRecord};
+
+/// A row whose total is mostly inference.
+fn row(iteration: u64, seconds: f64) -> Row {
+    let values = [("inference", seconds * 0.99), ("total", seconds), ("unattributed", seconds * 0.01)];
+    Row {
+        iteration,
+        at: iteration as f64,
+        episode: 0,
+        step: 0,
+        warm_up: iteration <= 5,
+        outcome: Outcome::Ok,
+        reason: None,
+        values: values.map(|(name, value)| (name.into(), value)).to_vec(),
+        upload: None,
+        download: None,
+    }
+}
+
+fn rows(totals: impl IntoIterator<Item = f64>) -> Vec<Row> {
+    (1..).zip(totals).map(|(iteration, seconds)| row(iteration, seconds)).collect()
+}
+
+/// 10 ms, give or take a per cent, none slow.
+fn quiet(count: usize) -> Vec<f64> {
+    let mut noise = Noise::new(7);
+    (0..count).map(|_| 0.010 * (1.0 + 0.01 * noise.normal())).collect()
+}
+
+fn governor(grade: Grade) -> Condition {
+    Condition {
+        host: "robot".to_owned(),
+        about: "CPU governor".to_owned(),
+        found: "as it is".to_owned(),
+        grade,
+        advice: if grade > Grade::Unknown { "change it".to_owned() } else { String::new() },
+    }
+}
+
+fn judged(rows: &[Row]) -> Report {
+    Report::of(&Evidence::of_rows(rows, &[governor(Grade::Good)]))
+}
+
+/// The grade and the text of what is said about a subject.
+fn about<'a>(report: &'a Report, subject: &str) -> (Grade, &'a str) {
+    let mut found = report.sentences.iter().filter(|sentence| sentence.about == subject);
+    let sentence = found.next().unwrap_or_else(|| panic!("nothing about {subject}: {report:#?}"));
+    assert!(found.next().is_none(), "more than one about {subject}");
+    (sentence.grade, &sentence.text)
+}
+
+#[test]
+fn a_quiet_run_can_be_published_as_it_is() {
+    let report = judged(&rows(quiet(1005)));
+    assert_eq!(report.verdict, Publish::Yes, "{}", report.text());
+    assert!(report.text().starts_with("Can this run be published? Yes: nothing"), "{}", report.text());
+    assert!(about(&report, "amount").1.contains("1,000 iterations were answered; 5 iterations of warm-up"));
+}
+
+#[test]
+fn a_run_that_gets_slower_says_by_how_much_and_where() {
+    for (rise, grade) in [(0.02, Grade::Good), (0.2, Grade::Doubtful), (0.6, Grade::Bad)] {
+        let totals =
+            quiet(1005).into_iter().enumerate().map(|(at, total)| total * (1.0 + rise * at as f64 / 1005.0));
+        let report = judged(&rows(totals));
+        let (found, text) = about(&report, "stationarity");
+        assert_eq!(found, grade, "{rise}: {text}");
+        assert_eq!(text.contains("most of it in `inference`"), grade > Grade::Good, "{text}");
+        assert!(text.contains("higher"), "{text}");
+    }
+    // A step down in the middle is a drift as well.
+    let totals =
+        quiet(1005).into_iter().enumerate().map(|(at, total)| if at < 500 { total * 1.5 } else { total });
+    let (grade, text) = {
+        let report = judged(&rows(totals));
+        (report.verdict, about(&report, "stationarity").1.to_owned())
+    };
+    assert!(grade == Publish::No && text.contains("33\u{202f}% lower"), "{text}");
+}
+
+/// Latency that wanders slowly about its mean, as with other traffic on a link: the halves differ, the process does not.
+#[test]
+fn autocorrelation_is_not_taken_for_a_drift() {
+    let mut noise = Noise::new(11);
+    let alarms = (0..60)
+        .filter(|_| {
+            let mut level = 0.0;
+            let totals: Vec<f64> = (0..1000)
+                .map(|_| {
+                    level = 0.98 * level + noise.normal();
+                    0.010 * (1.0 + 0.02 * level)
+                })
+                .collect();
+            about(&judged(&rows(totals)), "stationarity").0 > Grade::Good
+        })
+        .count();
+    // A test of the values themselves would call nearly every one of these a drift.
+    assert!(alarms <= 9, "15 % of 60 at most: {alarms}");
+}
+
+#[test]
+fn a_short_run_is_not_judged_where_it_cannot_be() {
+    let report = judged(&rows(quiet(45)));
+    assert_eq!((report.verdict, about(&report, "amount").0), (Publish::WithRemarks, Grade::Doubtful));
+    for subject in ["stationarity", "warm-up"] {
+        assert_eq!(about(&report, subject).0, Grade::Unknown);
+    }
+    let nothing = Report::of(&Evidence::default());
+    assert_eq!(nothing.verdict, Publish::No, "{}", nothing.text());
+}
+
+#[test]
+fn a_cold_beginning_is_told_from_noise() {
+    let cold =
+        quiet(1005).into_iter().enumerate().map(|(at, total)| if at < 30 { total * 1.6 } else { total });
+    let report = judged(&rows(cold));
+    let (grade, text) = about(&report, "warm-up");
+    assert!(grade == Grade::Doubtful && text.contains("The first 20 measured iterations"), "{text}");
+    assert_eq!(about(&judged(&rows(quiet(1005))), "warm-up").0, Grade::Good);
+    // A run whose blocks differ by more than that anyway.
+    let wild = (0..1005).map(|at| if (at / 20) % 3 == 0 { 0.016 } else { 0.010 });
+    assert_eq!(about(&judged(&rows(wild)), "warm-up").0, Grade::Good);
+}
+
+#[test]
+fn outliers_matter_by_what_they_make_of_the_mean() {
+    let with = |every: usize, slow: f64| {
+        let totals = quiet(1005).into_iter().enumerate();
+        judged(&rows(totals.map(|(at, total)| if at % every == 50 { slow } else { total })))
+    };
+    let few = with(400, 0.050);
+    let (grade, text) = about(&few, "outliers");
+    assert!(grade == Grade::Good && text.contains("0.30\u{202f}%"), "{text}");
+    let (grade, text) = {
+        let many = with(60, 0.110);
+        (about(&many, "outliers").0, about(&many, "outliers").1.to_owned())
+    };
+    assert!(
+        grade == Grade::Doubtful && text.contains("the slowest took 110\u{202f}ms, 11.0 times"),
+        "{text}"
+    );
+}
+
+#[test]
+fn iterations_without_an_answer_are_counted_and_weighed() {
+    for (every, grade) in [(1_500, Grade::Good), (200, Grade::Doubtful), (5, Grade::Bad)] {
+        let mut rows = rows(quiet(3005));
+        for row in rows.iter_mut().filter(|row| row.iteration % every == 100 % every && row.iteration > 5) {
+            row.outcome = Outcome::Timeout;
+        }
+        assert_eq!(about(&judged(&rows), "losses").0, grade, "one in {every}");
+    }
+}
+
+#[test]
+fn what_no_stage_accounts_for_is_doubtful_unless_it_is_short() {
+    for (seconds, share, grade) in [
+        (0.010, 0.04, Grade::Good),
+        (0.010, 0.1, Grade::Doubtful),
+        (0.010, 0.4, Grade::Bad),
+        (0.000_2, 0.4, Grade::Good),
+    ] {
+        let mut rows = rows((0..200).map(|_| seconds));
+        rows.iter_mut().for_each(|row| row.values[2].1 = seconds * share);
+        let report = judged(&rows);
+        assert_eq!(about(&report, "unattributed").0, grade, "{}", report.text());
+    }
+}
+
+fn passage(verdict: Verdict) -> Passage {
+    let value = Span::from_millis(6);
+    let half = Span::from_micros(650);
+    let known = verdict != Verdict::Unsynchronised;
+    Passage {
+        payload_bytes: 150_000,
+        logger_bytes: 300,
+        delay: OneWayDelay {
+            raw: value,
+            value: known.then_some(value),
+            bounds: known.then(|| Interval { lo: value - half, hi: value + half }),
+            source: DelaySource::InBand,
+            verdict,
+        },
+    }
+}
+
+#[test]
+fn verdicts_of_delays_are_weighed_per_direction() {
+    for (verdict, every, grade) in [
+        (Verdict::Stale, 1, Grade::Doubtful),
+        (Verdict::Limited, 1, Grade::Doubtful),
+        (Verdict::Limited, 10, Grade::Good),
+        (Verdict::Stepped, 10, Grade::Doubtful),
+        (Verdict::Unsynchronised, 1, Grade::Bad),
+    ] {
+        let mut rows = rows(quiet(300));
+        for row in &mut rows {
+            let verdict = if row.iteration % every == 0 { verdict } else { Verdict::Ok };
+            row.upload = Some(passage(verdict));
+        }
+        let report = judged(&rows);
+        assert_eq!(about(&report, "clocks, upload").0, grade, "{}", report.text());
+    }
+    let mut rows = rows(quiet(300));
+    rows.iter_mut().for_each(|row| row.upload = Some(passage(Verdict::Ok)));
+    let report = judged(&rows);
+    let text = "Of the delays of `upload`, ok 100\u{202f}%; the median of 6.00\u{202f}ms is known to ±0.65\u{202f}ms.";
+    assert_eq!(about(&report, "clocks, upload"), (Grade::Good, text));
+}
+
+#[test]
+fn the_record_adds_what_rows_cannot_know() {
+    let mut record = RunRecord { reason: "the model crashed".to_owned(), ..RunRecord::default() };
+    record.edge.conditions = vec![governor(Grade::Doubtful)];
+    record.counts.unseen = 3;
+    record.facts = vec![("Rehearsal of cloud".to_owned(), "+137 ms".to_owned())];
+    let report = Report::of(&Evidence::of_run(&record, &rows(quiet(1005))));
+    assert_eq!(report.verdict, Publish::No);
+    let grades: Vec<Grade> = report.sentences.iter().map(|sentence| sentence.grade).collect();
+    assert!(grades.is_sorted_by(|a, b| a >= b), "the most harmful first: {grades:?}");
+    assert_eq!(about(&report, "rehearsal").0, Grade::Bad);
+    assert_eq!(about(&report, "missing events").0, Grade::Doubtful);
+    assert_eq!(about(&report, "end").1, "The run broke off: the model crashed.");
+    assert_eq!(about(&report, "CPU governor").1, "On robot, CPU governor: as it is.");
+    assert!(report.text().contains("\n    → change it"), "{}", report.text());
+}
+
+#[test]
+fn a_report_comes_back_as_it_was_written() {
+    let report = judged(&rows(quiet(205)));
+    let json = serde_json::to_string(&report).expect("JSON");
+    assert!(json.starts_with(r#"{"verdict":"yes","sentences":[{"about":"#), "{json}");
+    assert_eq!(serde_json::from_str::<Report>(&json).expect("read back"), report);
+}

@@ -1,0 +1,156 @@
+//! Whether a series goes up or down by more than chance.
+
+use statrs::distribution::{ContinuousCDF, Normal};
+
+use crate::fit::{Point, theil_sen};
+use crate::order::Ordered;
+
+/// Beyond this the number of independent values that would tell as much means nothing.
+const MOST_CORRELATED: f64 = 0.95;
+
+/// The probability that a series without a trend rises or falls as clearly as this one, two-sided: Mann (1945) and
+/// Kendall (1975), with the variance that autocorrelation leaves of it (Yue and Wang 2004, Water Resources Management 18).
+/// `None` with fewer than ten values.
+///
+/// Ranks alone count, so that neither the shape of the distribution nor a straggler matters.
+pub(super) fn chance_of_trend(series: &[f64]) -> Option<f64> {
+    let n = series.len();
+    if n < 10 {
+        return None;
+    }
+    let count = n as f64;
+    let pairs = (0..n).flat_map(|i| (i + 1..n).map(move |j| (i, j)));
+    let score: f64 = pairs.map(|(i, j)| sign(series[j] - series[i])).sum();
+    let ties: f64 = tied(series).into_iter().map(|t| t * (t - 1.0) * (2.0 * t + 5.0)).sum();
+    let variance = (count * (count - 1.0) * (2.0 * count + 5.0) - ties) / 18.0 * inflation(series);
+    if variance <= 0.0 {
+        return Some(1.0);
+    }
+    // Continuity: the score moves in steps of two.
+    let z = (score.abs() - 1.0).max(0.0) / variance.sqrt();
+    Some(2.0 * (1.0 - Normal::standard().cdf(z)))
+}
+
+/// By what autocorrelation of the first order widens the variance of the score, at least 1: values over independent
+/// values that would tell as much (Matalas and Langbein 1962).
+///
+/// A change looks like autocorrelation as well, so it is taken away first: a line, and steps after a quarter, a half and
+/// three quarters; what explains most counts. In simulations series without a trend are called one in 4 % of all cases
+/// when their values are independent, in 9 % at an autocorrelation of 0.5, where the plain test does so in 23 %. The
+/// correction over all lags (Hamed and Rao 1998) does so in 18 %: with so few values it sees little of it.
+fn inflation(series: &[f64]) -> f64 {
+    let n = series.len();
+    let count = n as f64;
+    let points: Vec<Point> = series.iter().enumerate().map(|(at, y)| Point { x: at as f64, y: *y }).collect();
+    let slope = theil_sen(&points).map_or(0.0, |fit| fit.slope.value);
+    let line: Vec<f64> = points.iter().map(|point| point.y - slope * point.x).collect();
+    let steps = [n / 4, n / 2, n - n / 4].map(|at| {
+        let (before, after) = series.split_at(at);
+        [before, after].into_iter().flat_map(about_median).collect::<Vec<f64>>()
+    });
+    let steps = steps.iter().map(|rest| correlation(rest, 6.0));
+    let r = steps.fold(correlation(&line, 4.0), f64::min);
+    1.0 + 2.0 * (r.powf(count + 1.0) - count * r * r + (count - 1.0) * r) / (count * (r - 1.0).powi(2))
+}
+
+fn about_median(part: &[f64]) -> Vec<f64> {
+    let median = part.iter().copied().collect::<Ordered>().median().unwrap_or(0.0);
+    part.iter().map(|value| value - median).collect()
+}
+
+/// The autocorrelation of the ranks at the first lag, 0 to 0.95, without the bias that fitting a change of two parameters
+/// brings: about −(2 + 4 r) / n for a line (van Giersbergen 2005, Economics Letters 89), −(2 + 6 r) / n for two means.
+fn correlation(rest: &[f64], bias: f64) -> f64 {
+    let count = rest.len() as f64;
+    let ranks: Vec<f64> = ranks(rest).into_iter().map(|rank| rank - (count + 1.0) / 2.0).collect();
+    let spread: f64 = ranks.iter().map(|rank| rank.powi(2)).sum();
+    if spread <= 0.0 {
+        return 0.0;
+    }
+    let products: f64 = ranks.windows(2).map(|pair| pair[0] * pair[1]).sum();
+    ((count * products / spread + 2.0) / (count - bias)).clamp(0.0, MOST_CORRELATED)
+}
+
+fn sign(difference: f64) -> f64 {
+    if difference > 0.0 {
+        1.0
+    } else if difference < 0.0 {
+        -1.0
+    } else {
+        0.0
+    }
+}
+
+/// How many share a value, for each value that several share.
+fn tied(series: &[f64]) -> Vec<f64> {
+    let mut sorted = series.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    sorted.chunk_by(|a, b| a == b).filter(|group| group.len() > 1).map(|group| group.len() as f64).collect()
+}
+
+/// Ranks from 1, the mean rank for those that share a value.
+fn ranks(series: &[f64]) -> Vec<f64> {
+    let mut order: Vec<usize> = (0..series.len()).collect();
+    order.sort_unstable_by(|a, b| series[*a].total_cmp(&series[*b]));
+    let mut ranks = vec![0.0; series.len()];
+    let mut before = 0;
+    for group in order.chunk_by(|a, b| series[*a] == series[*b]) {
+        let rank = before as f64 + (group.len() as f64 + 1.0) / 2.0;
+        group.iter().for_each(|at| ranks[*at] = rank);
+        before += group.len();
+    }
+    ranks
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::trust::testing::Noise;
+
+    #[test]
+    fn a_rise_is_certain_and_a_saw_tooth_is_none() {
+        let rise: Vec<f64> = (0..30).map(|n| f64::from(n) + f64::from(n % 3)).collect();
+        let saw: Vec<f64> = (0..30).map(|n| f64::from(n % 5)).collect();
+        assert!(chance_of_trend(&rise).expect("enough") < 1e-6);
+        assert!(chance_of_trend(&saw).expect("enough") > 0.2);
+        assert_eq!(chance_of_trend(&[1.0; 30]), Some(1.0));
+        assert_eq!(chance_of_trend(&rise[..9]), None);
+    }
+
+    #[test]
+    fn a_step_is_a_trend_wherever_it_is() {
+        let mut noise = Noise::new(3);
+        for at in [8, 15, 22] {
+            let series: Vec<f64> =
+                (0..30).map(|n| noise.normal() + if n < at { 0.0 } else { 20.0 }).collect();
+            let chance = chance_of_trend(&series).expect("enough");
+            assert!(chance < 0.05, "after {at}: {chance}");
+        }
+    }
+
+    /// How often a series without a trend is called one at 5 %, in 400 tries.
+    fn false_alarms(correlation: f64, seed: u64) -> usize {
+        let mut noise = Noise::new(seed);
+        (0..400)
+            .filter(|_| {
+                let mut level = 0.0;
+                let series: Vec<f64> = (0..30)
+                    .map(|_| {
+                        level = correlation * level + noise.normal();
+                        level
+                    })
+                    .collect();
+                chance_of_trend(&series).expect("enough") < 0.05
+            })
+            .count()
+    }
+
+    #[test]
+    fn autocorrelation_is_not_taken_for_a_trend() {
+        // 5 % of 400 are 20, with a standard deviation of 4.
+        let independent = false_alarms(0.0, 1);
+        assert!(independent <= 33, "{independent}");
+        let correlated = false_alarms(0.5, 2);
+        assert!(correlated <= 56, "14 % at most: without the correction it is a quarter; {correlated}");
+    }
+}
