@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use peernet_clock::SharedClock;
-use peernet_inference::Bank;
+use peernet_inference::{Bank, LoadError};
 use peernet_logger::stream::{
     Event, HostClock, HostDescription, HostMetrics, IncidentKind, LiveUpdate, PipelineState,
 };
@@ -12,11 +12,13 @@ use peernet_logger::{InvalidName, Slug};
 use peernet_networks::{Address, BindError};
 use peernet_probes::KeyError;
 use tokio::sync::{mpsc, watch};
+use tokio::task::JoinHandle;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
-use crate::check::{Problem, check};
+use crate::check::{Problem, check, remarks};
+use crate::conditions::Places;
 use crate::config::{AgentConfig, HostConfig, PipelineConfig, StartMode};
 use crate::host::{Host, VERSION};
 use crate::identity::{IdentityError, StateLock, host_id};
@@ -25,7 +27,7 @@ use crate::link::{Links, Near, ProbeSettings};
 use crate::live::{Board, Display};
 use crate::outbox::{Outbox, SpoolError, Tap};
 use crate::runs::Runs;
-use crate::serve::{Doors, ReflectorError};
+use crate::serve::{Doors, ReflectorError, Served};
 use crate::tasks::Tasks;
 use crate::{host_clock, pipeline, serve, telemetry};
 
@@ -67,6 +69,7 @@ pub struct Running {
     serves: Option<Address>,
     tasks: Tasks,
     outbox: Option<Outbox>,
+    served: watch::Receiver<Served>,
     tap: Option<Tap>,
     stop_timeout: Duration,
     _state: StateLock,
@@ -77,6 +80,11 @@ impl Agent {
     /// models, the port. Blocks while it reads them.
     pub fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
         check(config, clock)
+    }
+
+    /// What is not wrong, but may surprise, such as a limit that the warm-up uses up.
+    pub fn remarks(config: &AgentConfig) -> Vec<Problem> {
+        remarks(config)
     }
 
     /// Starts the agent: takes its port, begins its pipelines. It runs until `stop` is cancelled; then
@@ -133,7 +141,8 @@ async fn start(
     };
     let probes = ProbeSettings::read(&config.probes, &config.clock)?;
     let links = Links::new(near, &config.clock, probes.clone());
-    let host = Host { id, name, clock, bank, feed, incidents, runs: Runs::default(), own, links };
+    let places = Arc::new(Places::of(&config));
+    let host = Host { id, name, clock, bank, feed, incidents, runs: Runs::default(), own, links, places };
     let doors = Doors::open(&config, &probes, &host).await?;
     let serves = doors.as_ref().map(|doors| doors.address().clone());
 
@@ -152,21 +161,22 @@ async fn start(
     tasks.keep("telemetry", telemetry::run(Arc::clone(&host.clock), figures, tasks.stop()));
     let pipelines = TaskTracker::new();
     let board = start_pipelines(&mut tasks, &pipelines, &config, &host);
+    let (count, served) = watch::channel(Served::default());
     if let Some(doors) = doors {
         // Pipelines may compute on this very host: they finish first.
-        let (told, served) = (tasks.stop(), CancellationToken::new());
-        let serving = serve::run(doors, host.clone(), served.clone());
+        let (told, ended) = (tasks.stop(), CancellationToken::new());
+        let serving = serve::run(doors, host.clone(), count, ended.clone());
         tasks.keep("order of stopping", async move {
             told.cancelled().await;
             pipelines.close();
             pipelines.wait().await;
-            served.cancel();
+            ended.cancel();
         });
         tasks.keep_or_fail("serve", serving);
     }
     let outbox = match (exit, spool, &config.agent.aggregator) {
         (Some(exit), Some(spool), Some(address)) => {
-            let description = describe(&config, &host, serves.as_ref());
+            let description = describe(&host, serves.as_ref());
             let live = (board.clone(), metrics.clone());
             Some(Outbox::start(&config, address.clone(), exit, spool, description, live, &host))
         }
@@ -181,7 +191,7 @@ async fn start(
     }
     tracing::info!(host = %host.name, id = %host.id, "the agent is up");
     let stop_timeout = config.agent.stop_timeout();
-    Ok(Running { host, board, metrics, serves, tasks, outbox, tap, stop_timeout, _state: state })
+    Ok(Running { host, board, metrics, serves, tasks, outbox, served, tap, stop_timeout, _state: state })
 }
 
 impl Running {
@@ -190,9 +200,25 @@ impl Running {
         &self.host.name
     }
 
+    /// What the host tells of itself. Reads its hardware and the folders of models: not for every second.
+    pub fn description(&self) -> HostDescription {
+        describe(&self.host, self.serves.as_ref())
+    }
+
     /// Where peers may ask for models, with the real port.
     pub fn serves(&self) -> Option<&Address> {
         self.serves.as_ref()
+    }
+
+    /// What peers were sent so far.
+    pub fn served(&self) -> watch::Receiver<Served> {
+        self.served.clone()
+    }
+
+    /// Loads one of this host's models now: what is wrong with it shows at once, and its first peer does not wait for it.
+    pub fn load(&self, model: &Slug) -> JoinHandle<Result<(), LoadError>> {
+        let (bank, model) = (Arc::clone(&self.host.bank), model.clone());
+        tokio::task::spawn_blocking(move || bank.load(&model, None).map(drop))
     }
 
     /// Events that did not fit into the tap of [`Agent::start_observed`].
@@ -265,8 +291,12 @@ pub(crate) fn host_name(config: &HostConfig) -> Result<Slug, StartError> {
 }
 
 fn bank(config: &AgentConfig, clock: &SharedClock, incidents: Incidents) -> Bank {
-    let models = config.models.iter().cloned().chain(serve::calibration(config)).collect();
-    Bank::new(models, config.onnxruntime.clone(), Arc::clone(clock)).on_load(move |pool| {
+    let bank = Bank::new(config.models.clone(), config.onnxruntime.clone(), Arc::clone(clock));
+    let bank = match serve::calibration(config) {
+        Some(built_in) => bank.with_built_in(built_in),
+        None => bank,
+    };
+    bank.with_folders(config.bank.clone()).on_load(move |pool| {
         let text =
             format!("loaded {} on {} in {:.2} s", pool.name(), pool.device(), pool.loaded_in().seconds());
         incidents.report(IncidentKind::ModelLoaded, Concerning::default(), text);
@@ -305,7 +335,7 @@ fn start_pipelines(tasks: &mut Tasks, tracker: &TaskTracker, config: &AgentConfi
     Board::new(config.pipelines.iter().map(start).collect())
 }
 
-fn describe(config: &AgentConfig, host: &Host, serves: Option<&Address>) -> HostDescription {
+fn describe(host: &Host, serves: Option<&Address>) -> HostDescription {
     HostDescription {
         id: host.id,
         name: host.name.clone(),
@@ -313,6 +343,6 @@ fn describe(config: &AgentConfig, host: &Host, serves: Option<&Address>) -> Host
         version: VERSION.to_owned(),
         hardware: telemetry::hardware(),
         serves: serves.map(Address::to_string),
-        models: config.models.iter().map(|model| model.name().clone()).collect(),
+        models: host.bank.offered(),
     }
 }

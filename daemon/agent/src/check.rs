@@ -10,6 +10,7 @@ use std::net::TcpListener;
 use std::path::Path;
 use std::sync::Arc;
 
+use peernet_actuators::ActuatorConfig;
 use peernet_clock::SharedClock;
 use peernet_inference::{Bank, LoadError};
 use peernet_logger::Slug;
@@ -91,6 +92,7 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     check_host(&mut report, &config.agent);
     spool::check_spool(&mut report, config);
     let bank = Bank::new(config.models.clone(), config.onnxruntime.clone(), Arc::clone(clock));
+    let bank = bank.with_folders(config.bank.clone());
     for (index, error) in bank.check() {
         let key = match &error {
             LoadError::TooMuch { key, .. } => format!("model[{index}].{key}"),
@@ -98,8 +100,12 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
         };
         report.add(key, error);
     }
+    for (key, error) in bank.check_folders() {
+        report.add(format!("bank.{key}"), error);
+    }
+    let models = bank.offered();
     if let Some(serve) = &config.serve {
-        check_serve(&mut report, serve, &bank.names());
+        check_serve(&mut report, serve, &models);
     }
     time::check_clock(&mut report, &config.clock);
     time::check_probes(&mut report, &config.probes, config.serve.as_ref());
@@ -113,7 +119,22 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
             let text = format!("another pipeline is named {} already; give each its own name", pipeline.name);
             report.add(format!("{at}.name"), text);
         }
-        check_pipeline(&mut report, &at, pipeline, &bank.names());
+        check_pipeline(&mut report, &at, pipeline, &models, clock);
+    }
+    report.0
+}
+
+/// What is not wrong, but may surprise.
+pub(crate) fn remarks(config: &AgentConfig) -> Vec<Problem> {
+    let mut report = Report::default();
+    for (index, pipeline) in config.pipelines.iter().enumerate() {
+        let warm_up = pipeline.warm_up.iterations;
+        if let Some(total) = pipeline.limit.total.filter(|total| total.get() <= warm_up) {
+            let text = format!(
+                "all {total} iterations are warm-up (warm_up.iterations = {warm_up}): there will be rows, but no statistics"
+            );
+            report.add(format!("pipeline[{index}].limit.total"), text);
+        }
     }
     report.0
 }
@@ -129,7 +150,7 @@ fn check_host(report: &mut Report, host: &HostConfig) {
 
 fn check_serve(report: &mut Report, serve: &ServeConfig, models: &[Slug]) {
     if models.is_empty() && !serve.calibration {
-        let text = "there is nothing to serve; add a [[model]], allow calibration, or remove [serve]";
+        let text = "there is nothing to serve; add a [[model]] or a folder with models to [bank], allow calibration, or remove [serve]";
         report.add("serve", text);
     }
     report.settings("serve.session", &serve.session);
@@ -147,11 +168,18 @@ fn check_serve(report: &mut Report, serve: &ServeConfig, models: &[Slug]) {
     }
 }
 
-fn check_pipeline(report: &mut Report, at: &str, pipeline: &PipelineConfig, models: &[Slug]) {
-    report.unless_ok(format!("{at}.sensor"), peernet_sensors::open(&pipeline.sensor));
+fn check_pipeline(
+    report: &mut Report,
+    at: &str,
+    pipeline: &PipelineConfig,
+    models: &[Slug],
+    clock: &SharedClock,
+) {
+    report.unless_ok(format!("{at}.sensor"), peernet_sensors::check(&pipeline.sensor, clock));
     for (index, transform) in pipeline.transforms.iter().enumerate() {
         report.unless_ok(format!("{at}.transforms[{index}]"), transform.build());
     }
+    report.unless_ok(format!("{at}.actuator"), pipeline.actuator.check());
     report.at_most(&format!("{at}.max_in_flight"), pipeline.max_in_flight.get() as u64, MAX_IN_FLIGHT);
     report.at_most(&format!("{at}.timeout_ms"), pipeline.timeout_ms.get(), MAX_TIMEOUT_MS);
     if let PlacementConfig::Remote(remote) = &pipeline.placement {
@@ -179,6 +207,10 @@ fn check_pipeline(report: &mut Report, at: &str, pipeline: &PipelineConfig, mode
         && !(seconds > 0.0 && seconds.is_finite())
     {
         report.add(format!("{at}.limit.duration_s"), format!("{seconds} is not a number of seconds above 0"));
+    }
+    if pipeline.placement == (PlacementConfig::None {}) && pipeline.actuator != (ActuatorConfig::None {}) {
+        report
+            .add(format!("{at}.actuator"), "a sensor alone has no answers to act upon; remove the actuator");
     }
     let warm_up = &pipeline.warm_up;
     if pipeline.episode_steps.is_none() && (warm_up.episodes > 0 || warm_up.steps > 0) {

@@ -8,6 +8,7 @@ use peernet_logger::stream::HostClock;
 use peernet_logger::{HostId, Slug};
 use tokio::sync::watch;
 
+use crate::conditions::Places;
 use crate::incidents::Incidents;
 use crate::link::Links;
 use crate::outbox::Feed;
@@ -26,6 +27,8 @@ pub(crate) struct Host {
     /// What is known of this host's own clock.
     pub(crate) own: watch::Receiver<HostClock>,
     pub(crate) links: Links,
+    /// Where to look what can disturb a run.
+    pub(crate) places: Arc<Places>,
 }
 
 /// The agent's version, as peers and the aggregator are told.

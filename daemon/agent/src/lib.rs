@@ -15,6 +15,7 @@
 
 mod agent;
 mod check;
+pub mod conditions;
 pub mod config;
 mod host;
 mod host_clock;
@@ -37,4 +38,4 @@ pub use check::Problem;
 pub use config::AgentConfig;
 pub use identity::{IdentityError, host_id};
 pub use outbox::SpoolError;
-pub use serve::ReflectorError;
+pub use serve::{ReflectorError, Served};

@@ -18,7 +18,7 @@ pub use rehearsal::{RehearsalConfig, RehearsedDiscipline, RehearsedStepConfig};
 pub use serve::ServeConfig;
 pub use spool::{CompressionMode, SpoolConfig};
 
-use peernet_inference::{ModelConfig, OnnxRuntimeConfig};
+use peernet_inference::{BankConfig, ModelConfig, OnnxRuntimeConfig};
 use serde::{Deserialize, Serialize};
 
 /// The tables of a configuration file that belong to the agent.
@@ -46,6 +46,9 @@ pub struct AgentConfig {
     /// `[[model]]`: the models that this host offers to its own pipelines and, with `[serve]`, to its peers.
     #[serde(default, rename = "model", skip_serializing_if = "Vec::is_empty")]
     pub models: Vec<ModelConfig>,
+    /// `[bank]`: folders of further models, which are offered as well and loaded when they are asked for.
+    #[serde(default)]
+    pub bank: BankConfig,
     /// `[onnxruntime]`: the library that runs models of kind `onnx`.
     #[serde(default)]
     pub onnxruntime: OnnxRuntimeConfig,

@@ -21,8 +21,8 @@ pub struct PipelineConfig {
     /// What is done with each sample before it is sent or computed on, in order. Default: nothing.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub transforms: Vec<TransformConfig>,
-    /// Where it computes: `{ kind = "local", model = "…" }` or
-    /// `{ kind = "remote", peer = "tcp://host:5551", model = "…" }`.
+    /// Where it computes: `{ kind = "local", model = "…" }`,
+    /// `{ kind = "remote", peer = "tcp://host:5551", model = "…" }`, or `{ kind = "none" }` to study the sensor alone.
     pub placement: PlacementConfig,
     /// When iterations begin. Default: `{ mode = "closed" }`.
     #[serde(default)]
@@ -65,6 +65,8 @@ pub enum PlacementConfig {
     },
     /// On a peer, over a network.
     Remote(RemoteConfig),
+    /// Nowhere: the sensor and its transforms alone, without answers. `actuator` does nothing then.
+    None {},
 }
 
 /// `placement = { kind = "remote", … }`
@@ -76,8 +78,9 @@ pub struct RemoteConfig {
     /// Kind of network. Default: `zmq-tcp`.
     #[serde(default = "zmq_tcp")]
     pub network: NetworkKind,
-    /// Name of one of the peer's models.
-    pub model: Slug,
+    /// Name of one of the peer's models. Default: the only one that the peer offers.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub model: Option<Slug>,
     /// The device that the model must run on. Default: whatever the peer has configured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub device: Option<String>,
@@ -87,11 +90,12 @@ pub struct RemoteConfig {
 }
 
 impl PlacementConfig {
-    /// The model's name.
-    pub fn model(&self) -> &Slug {
+    /// The model's name, where there is one.
+    pub fn model(&self) -> Option<&Slug> {
         match self {
-            Self::Local { model } => model,
-            Self::Remote(remote) => &remote.model,
+            Self::Local { model } => Some(model),
+            Self::Remote(remote) => remote.model.as_ref(),
+            Self::None {} => None,
         }
     }
 }
@@ -169,6 +173,10 @@ pub struct Limit {
     /// After this many iterations; those of the warm-up do not count.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<NonZeroU64>,
+    /// After this many iterations, those of the warm-up among them: what the published `--iterations` counts.
+    /// With a warm-up that is as long there are rows, but no statistics.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub total: Option<NonZeroU64>,
     /// So many seconds after the first iteration that is not warm-up.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub duration_s: Option<f64>,

@@ -1,16 +1,16 @@
 //! The state of a pipeline's inner loop and its transitions; waiting is in `drive`.
 
-use peernet_clock::{MonoTime, SharedClock, Span};
+use peernet_clock::{MonoTime, Span, Stamp};
 use peernet_logger::Recorder;
 use peernet_logger::stream::{IncidentKind, Outcome};
 use tokio::sync::oneshot;
 
+use super::accuracy;
 use super::brake::Brake;
 use super::flight::{Landed, Ticket, Waiting};
 use super::iteration;
 use super::line::Line;
 use super::load::Start;
-use super::placement::Computed;
 use super::run::Run;
 use super::sensing::{Sensed, Sensing};
 use crate::host::Host;
@@ -131,17 +131,14 @@ impl<'a> Cycle<'a> {
 
     /// An iteration came back.
     pub(super) fn land(&mut self, landed: Landed) {
-        let Landed { ticket, source, computed: Computed { mut log, result, transport } } = landed;
+        let Landed { ticket, label, mut log, outcome, answer, transport } = landed;
         self.aloft.retain(|other| other.position.number != ticket.position.number);
-        let outcome = match (result, &mut self.line.actuator) {
-            (Ok(answer), Some(actuator)) => {
-                let acted = actuator.act(&source, &answer, &mut log.time(peernet_logger::stage::ACTUATION));
-                acted.map_or_else(|error| Outcome::Failed(error.to_string()), |()| Outcome::Ok)
-            }
-            (Ok(_), None) => Outcome::Ok,
-            (Err(outcome), _) => outcome,
-        };
-        self.finish(ticket, log, outcome, transport);
+        let ended = self.host.clock.stamp();
+        // Judged after the end: what a study of accuracy costs is no latency.
+        if let (Some(answer), Some(label)) = (answer, label) {
+            accuracy::judge(&mut log, &label, &answer);
+        }
+        self.finish(ticket, log, outcome, transport, ended);
     }
 
     /// Gives up what is under way: it is recorded as lost.
@@ -150,7 +147,8 @@ impl<'a> Cycle<'a> {
         for ticket in std::mem::take(&mut self.aloft).into_iter().chain(waiting) {
             // What was measured is with the peer or the model; what remains is that it began.
             let (log, _) = iteration::begin(&self.host.clock, self.host.id, ticket.start.intended);
-            self.finish(ticket, log, Outcome::Lost(reason.to_owned()), None);
+            let ended = self.host.clock.stamp();
+            self.finish(ticket, log, Outcome::Lost(reason.to_owned()), None, ended);
         }
     }
 
@@ -176,7 +174,8 @@ impl<'a> Cycle<'a> {
                 if self.blind == BLIND {
                     self.report_blindness(&reason);
                 }
-                self.finish(ticket, log, Outcome::Failed(reason), None);
+                let ended = self.host.clock.stamp();
+                self.finish(ticket, log, Outcome::Failed(reason), None, ended);
             }
         }
     }
@@ -192,9 +191,14 @@ impl<'a> Cycle<'a> {
         self.host.incidents.report(IncidentKind::PipelineFailed, what, text);
     }
 
-    fn finish(&mut self, ticket: Ticket, log: Recorder, outcome: Outcome, transport: Option<Span>) {
-        let clock: &SharedClock = &self.host.clock;
-        let ended = clock.stamp();
+    fn finish(
+        &mut self,
+        ticket: Ticket,
+        log: Recorder,
+        outcome: Outcome,
+        transport: Option<Span>,
+        ended: Stamp,
+    ) {
         let closed_loop = self.line.schedule.is_closed();
         if closed_loop {
             self.brake.note(&outcome, ended.mono);

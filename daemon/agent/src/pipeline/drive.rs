@@ -32,7 +32,7 @@ pub(super) async fn drive(
     let (mut is_stopping, mut is_gone) = (false, false);
     loop {
         if let Some(ready) = cycle.launch() {
-            flights.push(ready.fly(placement, timeout));
+            flights.push(ready.fly(placement, timeout, cycle.line.actuator.clone()));
         }
         if cycle.begin() {
             // A loop of parts that never wait would keep its thread from all other tasks.

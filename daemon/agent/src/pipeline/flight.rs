@@ -1,11 +1,13 @@
-//! An iteration from the moment its sample is ready to the moment its answer is there.
+//! An iteration from the moment its sample is ready to the moment its answer is acted upon.
 
 use std::time::Duration;
 
-use peernet_clock::MonoTime;
+use peernet_clock::{MonoTime, Span};
+use peernet_logger::stream::Outcome;
 use peernet_logger::{NodeId, Recorder, stage};
 use peernet_sample::Sample;
 
+use super::acting::Acting;
 use super::load::Start;
 use super::placement::{Computed, Placement};
 use super::progress::Position;
@@ -31,9 +33,14 @@ pub(super) struct Waiting {
 /// An iteration whose answer is there, or will never be.
 pub(super) struct Landed {
     pub(super) ticket: Ticket,
-    /// Where the sample came from.
-    pub(super) source: String,
-    pub(super) computed: Computed,
+    /// The right answer, where the data set knows it.
+    pub(super) label: Option<String>,
+    pub(super) log: Recorder,
+    pub(super) outcome: Outcome,
+    /// What was answered and acted upon, where there was an answer.
+    pub(super) answer: Option<Sample>,
+    /// The way there and the way back together, where it is known.
+    pub(super) transport: Option<Span>,
 }
 
 impl Waiting {
@@ -43,12 +50,26 @@ impl Waiting {
         Self { ticket, log, sample, queued }
     }
 
-    /// There is a place.
-    pub(super) async fn fly(mut self, placement: &Placement, timeout: Duration) -> Landed {
+    /// There is a place: computes, and acts upon the answer.
+    pub(super) async fn fly(
+        mut self,
+        placement: &Placement,
+        timeout: Duration,
+        acting: Option<Acting>,
+    ) -> Landed {
         if let Some(queued) = self.queued {
             self.log.stop(queued);
         }
-        let computed = placement.compute(self.log, &self.sample, timeout).await;
-        Landed { ticket: self.ticket, source: self.sample.source, computed }
+        let Computed { log, result, transport } = placement.compute(self.log, &self.sample, timeout).await;
+        let (log, outcome) = match (&result, acting) {
+            (Ok(Some(answer)), Some(acting)) => {
+                let (log, acted) = acting.act(log, &self.sample.source, answer).await;
+                (log, acted.map_or_else(Outcome::Failed, |()| Outcome::Ok))
+            }
+            (Ok(_), _) => (log, Outcome::Ok),
+            (Err(outcome), _) => (log, outcome.clone()),
+        };
+        let answer = result.ok().flatten();
+        Landed { ticket: self.ticket, label: self.sample.label, log, outcome, answer, transport }
     }
 }

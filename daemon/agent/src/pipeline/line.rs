@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use peernet_actuators::{Actuator, ActuatorConfig};
 use peernet_clock::SharedClock;
 use peernet_sensors::{Transform, build_transform};
 
+use super::acting::Acting;
 use super::alarm::Alarm;
 use super::load::Schedule;
 use super::sensing::{Chain, Senses};
@@ -17,8 +17,8 @@ pub(super) struct Line {
     pub(super) config: Arc<PipelineConfig>,
     pub(super) display: Arc<Display>,
     pub(super) senses: Senses,
-    /// `None` when answers are not acted upon: then nothing is recorded either.
-    pub(super) actuator: Option<Box<dyn Actuator>>,
+    /// `None` when answers are not acted upon.
+    pub(super) actuator: Option<Acting>,
     pub(super) schedule: Schedule,
     pub(super) alarm: Alarm,
     /// Sensor, transforms, load and so on, as pairs for people.
@@ -35,7 +35,7 @@ impl Line {
         display: Arc<Display>,
         clock: SharedClock,
     ) -> Result<Self, String> {
-        let sensor = peernet_sensors::open(&config.sensor).map_err(|error| error.to_string())?;
+        let sensor = peernet_sensors::open(&config.sensor, &clock).map_err(|error| error.to_string())?;
         let transforms = config.transforms.iter().map(build_transform).collect::<Result<Vec<_>, _>>();
         let transforms = transforms.map_err(|error| error.to_string())?;
         let mut facts = sensor.facts();
@@ -48,9 +48,8 @@ impl Line {
         }
         let senses = Senses::new(Chain { sensor, transforms }, &config.name)
             .map_err(|error| format!("cannot start a thread for the sensor: {error}"))?;
-        let acts = config.actuator != ActuatorConfig::None {};
         Ok(Self {
-            actuator: acts.then(|| config.actuator.build()),
+            actuator: Acting::new(&config.actuator, &clock)?,
             schedule: Schedule::new(&config.load, config.max_in_flight.get(), clock.mono()),
             alarm: Alarm::new(clock).map_err(|error| format!("cannot have a timer: {error}"))?,
             config,

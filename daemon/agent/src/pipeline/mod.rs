@@ -3,6 +3,8 @@
 //! `load`, `progress` and `brake` decide without I/O; `cycle` is the state of the inner loop and
 //! `drive` its waiting; `runner` is the life around it.
 
+mod accuracy;
+mod acting;
 mod alarm;
 mod brake;
 mod cycle;

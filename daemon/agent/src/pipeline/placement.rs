@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use peernet_clock::Span;
 use peernet_inference::{Done, Job, LoadError, Pool};
-use peernet_logger::stream::{Outcome, Placement as Description, PlacementKind};
+use peernet_logger::stream::{Condition, Outcome, Placement as Description, PlacementKind};
 use peernet_logger::{HostId, Recorder, Slug};
 use peernet_networks::{
     CloseReason, OpenError, PROTOCOL, RequestError, Session, SessionHello, SessionSettings,
@@ -13,22 +13,29 @@ use peernet_networks::{
 use peernet_sample::Sample;
 use tokio::sync::oneshot;
 
+use crate::conditions::{Places, look_soon};
 use crate::config::{PipelineConfig, PlacementConfig, RemoteConfig};
 use crate::host::Host;
 use crate::link::Attached;
 
-/// An open placement: a loaded model or a session with a peer that has one.
+/// An open placement: a loaded model, a session with a peer that has one, or nothing.
 #[derive(Debug)]
 pub(super) enum Placement {
     Local(Arc<Pool>),
-    Remote { session: Session, link: Attached, config: RemoteConfig },
+    Remote {
+        session: Session,
+        link: Attached,
+        config: RemoteConfig,
+    },
+    /// A sensor alone: no sample is answered.
+    None,
 }
 
 /// What became of a sample. The recorder holds everything that was measured on the way.
 pub(super) struct Computed {
     pub(super) log: Recorder,
-    /// The answer, or how the iteration ended without one.
-    pub(super) result: Result<Sample, Outcome>,
+    /// The answer, which a sensor alone does not have, or how the iteration ended without one.
+    pub(super) result: Result<Option<Sample>, Outcome>,
     /// The way there and the way back together, by the hosts' monotonic clocks; `None` unless it came back from
     /// another host.
     pub(super) transport: Option<Span>,
@@ -78,6 +85,7 @@ impl Placement {
                 let link = host.links.attach(&session, remote.network, &remote.peer, &config.name);
                 Ok(Self::Remote { session, link, config: remote.clone() })
             }
+            PlacementConfig::None {} => Ok(Self::None),
         }
     }
 
@@ -88,15 +96,16 @@ impl Placement {
             Self::Remote { session, link, .. } => {
                 let mut exchange = session.request(log, sample, timeout).await;
                 let transport = link.correct(&mut exchange);
-                Computed { log: exchange.log, result: exchange.result.map_err(outcome), transport }
+                Computed { log: exchange.log, result: exchange.result.map(Some).map_err(outcome), transport }
             }
+            Self::None => Computed { log, result: Ok(None), transport: None },
         }
     }
 
     /// Waits until it cannot be used any more, and tells why. A local one always can.
     pub(super) async fn closed(&self) -> CloseReason {
         match self {
-            Self::Local(_) => std::future::pending().await,
+            Self::Local(_) | Self::None => std::future::pending().await,
             Self::Remote { session, .. } => session.closed().await,
         }
     }
@@ -111,7 +120,7 @@ impl Placement {
     /// The peer and its name.
     pub(super) fn peer(&self) -> Option<(HostId, &Slug)> {
         match self {
-            Self::Local(_) => None,
+            Self::Local(_) | Self::None => None,
             Self::Remote { session, .. } => Some((session.accepted().host, &session.accepted().name)),
         }
     }
@@ -127,7 +136,22 @@ impl Placement {
                 }
                 facts
             }
+            Self::None => Vec::new(),
         }
+    }
+
+    /// What is found of this host now, and what the peer told of itself when the session opened. `warm` while a pipeline
+    /// measures: then nothing is waited for.
+    pub(super) async fn conditions(&self, host: &Host, warm: bool) -> Vec<Condition> {
+        let (network, told) = match self {
+            Self::Remote { session, .. } => (true, session.accepted().conditions.as_slice()),
+            Self::Local(_) | Self::None => (false, [].as_slice()),
+        };
+        let looks = if warm { 1 } else { host.places.looks };
+        let places = Places { network, looks, ..Places::clone(&host.places) };
+        let mut found = look_soon(places, host.name.to_string()).await;
+        found.extend_from_slice(told);
+        found
     }
 
     /// For the store and the pages.
@@ -143,9 +167,11 @@ impl Placement {
             },
             Self::Remote { session, config, .. } => Description {
                 peer: Some(session.accepted().name.clone()),
+                model: session.accepted().model.clone(),
                 device: Some(session.accepted().device.clone()),
                 ..remote(config)
             },
+            Self::None => Description::sensor_alone(),
         }
     }
 }
@@ -162,6 +188,7 @@ pub(crate) fn intended(config: &PlacementConfig) -> Description {
             device: None,
         },
         PlacementConfig::Remote(config) => remote(config),
+        PlacementConfig::None {} => Description::sensor_alone(),
     }
 }
 
@@ -171,7 +198,7 @@ fn remote(config: &RemoteConfig) -> Description {
         peer: None,
         network: Some(config.network.name().to_owned()),
         address: Some(config.peer.to_string()),
-        model: config.model.clone(),
+        model: config.model.clone().unwrap_or_else(Slug::any),
         device: config.device.clone(),
     }
 }
@@ -192,7 +219,7 @@ async fn compute_here(pool: &Pool, log: Recorder, sample: &Sample, timeout: Dura
     }
     match tokio::time::timeout(timeout, done).await {
         Ok(Ok(Done { log, result })) => {
-            let result = result.map_err(|error| Outcome::Failed(error.to_string()));
+            let result = result.map(Some).map_err(|error| Outcome::Failed(error.to_string()));
             Computed { log, result, transport: None }
         }
         Ok(Err(_)) => {

@@ -50,11 +50,12 @@ impl Progress {
     /// Whether an iteration that is meant to begin at `intended` is beyond the run's limit.
     pub(crate) fn is_over(&self, intended: MonoTime) -> bool {
         let enough = self.limit.iterations.is_some_and(|limit| self.measured >= limit.get());
+        let all = self.limit.total.is_some_and(|limit| self.given >= limit.get());
         let late = match (self.measuring_since, self.limit.duration_s) {
             (Some(since), Some(seconds)) => intended >= since + Span::from_seconds_f64(seconds),
             _ => false,
         };
-        enough || late
+        enough || all || late
     }
 
     /// Gives the next iteration its place.
@@ -108,6 +109,17 @@ mod tests {
             warm_up.push(progress.place(at(0)).warm_up);
         }
         assert_eq!(warm_up, [true, true, false, false, false]);
+    }
+
+    #[test]
+    fn the_total_counts_the_warm_up_too() {
+        let mut progress =
+            progress("warm_up = { iterations = 2 }\nlimit = { total = 3, iterations = 9 }", false);
+        let mut warm_up = Vec::new();
+        while !progress.is_over(at(0)) {
+            warm_up.push(progress.place(at(0)).warm_up);
+        }
+        assert_eq!(warm_up, [true, true, false]);
     }
 
     #[test]

@@ -1,7 +1,9 @@
 //! One run: its description, its numbers, its events.
 
 use peernet_clock::{MonoTime, Stamp, WallTime};
-use peernet_logger::stream::{Event, Iteration, Outcome, Placement as Description, RunDescription, RunEnded};
+use peernet_logger::stream::{
+    Condition, Event, Iteration, Outcome, Placement as Description, RunDescription, RunEnded,
+};
 use peernet_logger::{RunId, Slug, Tree};
 
 use super::progress::{Position, Progress};
@@ -27,7 +29,7 @@ impl Run {
     pub(super) fn begin(
         config: &PipelineConfig,
         placement: Description,
-        facts: Vec<(String, String)>,
+        (facts, conditions): (Vec<(String, String)>, Vec<Condition>),
         warm: bool,
         host: &Host,
         display: &Display,
@@ -43,7 +45,7 @@ impl Run {
             configuration: configuration(config),
             version: VERSION.to_owned(),
             experiment: config.experiment.clone().map(Box::new),
-            conditions: Vec::new(),
+            conditions,
         };
         host.runs.began(description.clone());
         host.feed.event(Some(&config.name), Some(id), Event::RunStarted(description));

@@ -93,7 +93,10 @@ impl Runner {
             if let Some(other) = run.take_if(|run| !run.is_at(&placement.describe())) {
                 self.end(Some(&other), "the peer changed");
             }
-            let current = run.get_or_insert_with(|| self.begin(&line, &placement, false));
+            let current = match &mut run {
+                Some(run) => run,
+                None => run.insert(self.begin(line.facts(placement.facts()), &placement, false).await),
+            };
             let ended = self.measure(&mut line, current, &placement).await;
             let (reason, result) = match ended {
                 Ended::Disconnected(reason) => {
@@ -132,7 +135,7 @@ impl Runner {
                 return ended;
             }
             run.end("finished", &self.host);
-            *run = self.begin(line, placement, true);
+            *run = self.begin(line.facts(placement.facts()), placement, true).await;
         }
     }
 
@@ -146,12 +149,12 @@ impl Runner {
         reason
     }
 
-    fn begin(&self, line: &Line, placement: &Placement, warm: bool) -> Run {
-        let mut facts = line.facts(placement.facts());
+    async fn begin(&self, mut facts: Vec<(String, String)>, placement: &Placement, warm: bool) -> Run {
         if let Some(rehearsal) = self.host.clock.rehearsal() {
             facts.push(("Rehearsal".to_owned(), rehearsal.to_string()));
         }
-        Run::begin(&self.config, placement.describe(), facts, warm, &self.host, &self.display)
+        let conditions = placement.conditions(&self.host, warm).await;
+        Run::begin(&self.config, placement.describe(), (facts, conditions), warm, &self.host, &self.display)
     }
 
     fn end(&self, run: Option<&Run>, reason: &str) {
@@ -218,7 +221,7 @@ impl Runner {
 
     fn peer_address(&self) -> Option<&Address> {
         match &self.config.placement {
-            PlacementConfig::Local { .. } => None,
+            PlacementConfig::Local { .. } | PlacementConfig::None {} => None,
             PlacementConfig::Remote(remote) => Some(&remote.peer),
         }
     }

@@ -23,6 +23,8 @@ const CALIBRATION: &str = "calibration";
 pub(crate) struct Doors {
     /// Tells this process from others behind the same address, and from those before it.
     pub(super) instance: u64,
+    /// The name of the built-in model, if it is offered.
+    pub(super) built_in: Option<Slug>,
     pub(super) listener: Listener,
     pub(super) reflector: Option<Reflector>,
 }
@@ -43,7 +45,8 @@ impl Doors {
         } else {
             None
         };
-        Ok(Some(Self { instance, listener, reflector }))
+        let built_in = calibration(config).map(|model| model.name().clone());
+        Ok(Some(Self { instance, built_in, listener, reflector }))
     }
 
     /// Where peers may ask for models, with the real port.

@@ -2,18 +2,21 @@
 
 mod doors;
 mod reflector;
+mod served;
 
 pub(crate) use doors::{Doors, calibration};
 pub use reflector::ReflectorError;
+pub use served::Served;
 
 use std::collections::HashMap;
 use std::sync::Arc;
 
 use peernet_inference::{Done, InferenceError, Job, LoadError, Pool};
-use peernet_logger::stream::{HostClock, IncidentKind};
+use peernet_logger::stream::{Condition, HostClock, IncidentKind};
 use peernet_logger::{HostId, Slug};
 use peernet_networks::{
-    Announcer, Failure, Incoming, IncomingRequest, Listener, OpenRequest, SessionAccepted, SessionId,
+    Announcer, Failure, Incoming, IncomingRequest, Listener, MAX_CONDITIONS, OpenRequest, SessionAccepted,
+    SessionId,
 };
 use tokio::sync::watch;
 use tokio::task::JoinSet;
@@ -23,18 +26,24 @@ use self::doors::to_peers;
 use crate::host::{Host, VERSION};
 use crate::incidents::Concerning;
 
-/// Serves until it is told to stop. The error is why a port was lost.
-pub(crate) async fn run(doors: Doors, host: Host, stop: CancellationToken) -> Result<(), String> {
-    let named = Named { probes: doors.probes(), instance: doors.instance };
+/// Serves until it is told to stop, and counts the answers. The error is why a port was lost.
+pub(crate) async fn run(
+    doors: Doors,
+    host: Host,
+    served: watch::Sender<Served>,
+    stop: CancellationToken,
+) -> Result<(), String> {
+    let named = Named { probes: doors.probes(), instance: doors.instance, built_in: doors.built_in.clone() };
+    let server = Server { host: host.clone(), named, served: Arc::new(served), peers: HashMap::new() };
     let announcer = doors.listener.announcer();
-    let announcing = announce(host.own.clone(), announcer, stop.clone());
+    let announcing = announce(host.own, announcer, stop.clone());
     let reflecting = async {
         match doors.reflector {
             Some(reflector) => reflector.run(stop.clone()).await,
             None => Ok(()),
         }
     };
-    let serving = sessions(doors.listener, host, named, stop.clone());
+    let serving = sessions(doors.listener, server, stop.clone());
     let ((), (), ()) = tokio::try_join!(serving, reflecting, announcing)?;
     Ok(())
 }
@@ -53,13 +62,7 @@ async fn announce(
 }
 
 /// Serves sessions until it is told to stop.
-async fn sessions(
-    mut listener: Listener,
-    host: Host,
-    named: Named,
-    stop: CancellationToken,
-) -> Result<(), String> {
-    let mut server = Server { host, named, peers: HashMap::new() };
+async fn sessions(mut listener: Listener, mut server: Server, stop: CancellationToken) -> Result<(), String> {
     // Models that are being loaded for a peer; the listener bounds how many peers there are.
     let mut loading: JoinSet<Loaded> = JoinSet::new();
     let mut stopping = std::pin::pin!(stop.cancelled());
@@ -75,11 +78,8 @@ async fn sessions(
             incoming = listener.next() => match incoming {
                 Some(Incoming::Request(request)) => server.compute(request),
                 Some(Incoming::Open(wish)) => {
-                    let bank = Arc::clone(&server.host.bank);
-                    loading.spawn_blocking(move || {
-                        let pool = bank.load(&wish.hello.model, wish.hello.device.as_deref());
-                        Loaded { wish, pool }
-                    });
+                    let host = server.host.clone();
+                    loading.spawn_blocking(move || prepare(wish, &host));
                 }
                 Some(Incoming::Closed(session)) => server.closed(session),
                 None => return Err(format!("the port at {} was lost", listener.address())),
@@ -90,19 +90,38 @@ async fn sessions(
     Ok(())
 }
 
+/// Gets ready what a peer asks for. Blocks while a model loads.
+fn prepare(wish: OpenRequest, host: &Host) -> Loaded {
+    // First, because a model that loads is a competing load itself.
+    let conditions = conditions(host);
+    let model = wish.hello.model.clone().map_or_else(|| host.bank.only(), Ok);
+    let pool = model.and_then(|model| host.bank.load(&model, wish.hello.device.as_deref()));
+    Loaded { wish, pool, conditions }
+}
+
+/// What a peer is told of this host before a session.
+fn conditions(host: &Host) -> Vec<Condition> {
+    let mut found = crate::conditions::look(&host.places, host.name.as_str());
+    found.truncate(MAX_CONDITIONS);
+    found
+}
+
 /// How a peer finds the one whose clock it must know.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 struct Named {
     /// The port at which probes are answered.
     probes: Option<u16>,
     /// Who answers them.
     instance: u64,
+    /// The model whose answers do not count.
+    built_in: Option<Slug>,
 }
 
 /// A wish for a session whose model has been loaded, or could not be.
 struct Loaded {
     wish: OpenRequest,
     pool: Result<Arc<Pool>, LoadError>,
+    conditions: Vec<Condition>,
 }
 
 /// A peer with a session.
@@ -111,26 +130,31 @@ struct Peer {
     name: Slug,
     pipeline: Slug,
     pool: Arc<Pool>,
+    /// Where its answers are counted, if they are.
+    served: Option<Arc<watch::Sender<Served>>>,
 }
 
 struct Server {
     host: Host,
     named: Named,
+    served: Arc<watch::Sender<Served>>,
     peers: HashMap<SessionId, Peer>,
 }
 
 impl Server {
     /// Accepts or refuses.
-    fn answer(&mut self, Loaded { wish, pool }: Loaded) {
+    fn answer(&mut self, Loaded { wish, pool, conditions }: Loaded) {
         let hello = &wish.hello;
         let (host, name, pipeline) = (hello.host, hello.name.clone(), hello.pipeline.clone());
         match pool {
             Ok(pool) => {
                 let text =
                     format!("{name} opened a session for its pipeline {pipeline} with {}", pool.name());
-                let (session, accepted) = (wish.session, self.accepted(&pool));
+                let (session, accepted) = (wish.session, self.accepted(&pool, conditions));
                 if wish.accept(accepted) {
-                    self.peers.insert(session, Peer { host, name, pipeline, pool });
+                    let counts = self.named.built_in.as_ref() != Some(pool.name());
+                    let served = counts.then(|| Arc::clone(&self.served));
+                    self.peers.insert(session, Peer { host, name, pipeline, pool, served });
                     self.report(IncidentKind::Connected, host, text);
                 }
             }
@@ -143,7 +167,7 @@ impl Server {
         }
     }
 
-    fn accepted(&self, pool: &Pool) -> SessionAccepted {
+    fn accepted(&self, pool: &Pool, conditions: Vec<Condition>) -> SessionAccepted {
         SessionAccepted {
             host: self.host.id,
             name: self.host.name.clone(),
@@ -155,6 +179,7 @@ impl Server {
             host_clock: to_peers(self.host.own.borrow().clone()),
             probes: self.named.probes,
             instance: self.named.instance,
+            conditions,
         }
     }
 
@@ -165,8 +190,13 @@ impl Server {
             reply.send(log, Err(Failure::Failed("the session is not open".to_owned())));
             return;
         };
+        let served = peer.served.clone();
         let reply = Box::new(move |Done { log, result }: Done| {
+            let inference = result.as_ref().ok().and_then(|_| served::inference(log.tree()));
             reply.send(log, result.map_err(|error| failure(&error)));
+            if let Some(served) = served {
+                served.send_modify(|served| served.add(inference));
+            }
         });
         if let Err(refused) = peer.pool.submit(Job { sample, log, received: received.mono, reply }) {
             let Job { log, reply, .. } = *refused.job;

@@ -144,3 +144,25 @@ fn unknown_keys_are_refused_by_name() {
         assert!(error.contains(&format!("`{key}`")), "{error}");
     }
 }
+
+#[test]
+fn a_sensor_alone_has_nothing_to_act_upon_and_a_limit_of_warm_up_alone_is_remarked() {
+    let state = tempfile::tempdir().expect("a folder");
+    let mut alone = config(
+        "[[pipeline]]\nname = 'line'\nsensor = { kind = 'text', length = 10 }\nplacement = { kind = 'none' }\n\
+         limit = { total = 5 }\nactuator = { kind = 'log' }\n\
+         [[pipeline]]\nname = 'more'\nsensor = { kind = 'exec', command = ['./no-such-program'] }\n\
+         placement = { kind = 'none' }\nlimit = { total = 6 }\nactuator = { kind = 'none' }\n",
+    );
+    alone.agent.state_dir = state.path().to_owned();
+    let found = problems(&alone);
+    assert_eq!(found.len(), 2, "{found:#?}");
+    assert!(found[0].starts_with("pipeline[0].actuator: a sensor alone"), "{found:#?}");
+    assert!(
+        found[1].starts_with("pipeline[1].sensor: ") && found[1].contains("no-such-program"),
+        "{found:#?}"
+    );
+    let remarks: Vec<_> = Agent::remarks(&alone).iter().map(ToString::to_string).collect();
+    assert_eq!(remarks.len(), 1, "{remarks:#?}");
+    assert!(remarks[0].starts_with("pipeline[0].limit.total: all 5 iterations are warm-up"), "{remarks:#?}");
+}

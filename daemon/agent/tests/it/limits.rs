@@ -1,6 +1,6 @@
 //! Closed loops on one host: numbers, warm-up, limits, episodes, the tree.
 
-use peernet_logger::stream::{Outcome, PipelineState};
+use peernet_logger::stream::{Outcome, PipelineState, PlacementKind};
 
 use crate::harness::{Aggregator, TestAgent, assert_adds_up, assert_contiguous, value};
 
@@ -118,6 +118,32 @@ async fn a_sensor_that_ends_finishes_the_pipeline() {
         assert_eq!(iteration.outcome, Outcome::Ok);
         assert!(iteration.tree.find(&["sensing", "transform"]).is_some());
     }
+    assert_eq!(seen.ended()[0].reason, "finished");
+    agent.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_sensor_alone_is_measured_for_a_total_of_iterations() {
+    let aggregator = Aggregator::start().await;
+    let tables = "[[pipeline]]\nname = 'line'\nsensor = { kind = 'text', length = 100 }\n\
+                  placement = { kind = 'none' }\nwarm_up = { iterations = 3 }\nlimit = { total = 20 }";
+    let agent = TestAgent::start("edge", Some(&aggregator.address), tables).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    let iterations = seen.iterations();
+    assert_eq!(iterations.len(), 20, "the warm-up counts");
+    assert_eq!(iterations.iter().filter(|iteration| iteration.warm_up).count(), 3);
+    for iteration in &iterations {
+        assert_eq!(iteration.outcome, Outcome::Ok);
+        assert_adds_up(iteration);
+        assert!(iteration.tree.find(&["sensing", "capture"]).is_some());
+        for absent in ["queue", "inference", "upload", "actuation", "top-1"] {
+            assert!(iteration.tree.find(&[absent]).is_none(), "{absent}");
+        }
+    }
+    let placement = &seen.runs()[0].placement;
+    assert_eq!((placement.kind, placement.model.as_str()), (PlacementKind::None, "none"));
+    assert_eq!((&placement.peer, &placement.device), (&None, &None));
+    assert_eq!(agent.pipeline().placement, *placement);
     assert_eq!(seen.ended()[0].reason, "finished");
     agent.stop().await.expect("stops well");
 }

@@ -2,9 +2,11 @@
 
 mod harness;
 
+mod bank;
 mod calibration;
 mod checking;
 mod clocks;
+mod conditions;
 mod limits;
 mod load;
 mod midnight;

@@ -68,6 +68,7 @@ async fn a_panic_fails_its_pipeline_with_the_reason_and_ends_its_run() {
         own,
         feed,
         clock,
+        places: Arc::default(),
     };
     let pipeline = config.pipelines.into_iter().next().expect("one");
     let placement = crate::pipeline::intended(&pipeline.placement);

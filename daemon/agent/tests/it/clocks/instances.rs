@@ -49,7 +49,7 @@ impl Cloud {
 
     fn accept(&self, open: OpenRequest) {
         let identity: &ClockIdentity = self.clock.identity();
-        let model = open.hello.model.clone();
+        let model = open.hello.model.clone().expect("the pipeline names one");
         assert!(open.accept(SessionAccepted {
             host: self.host,
             name: "cloud".parse().expect("a name"),
@@ -61,6 +61,7 @@ impl Cloud {
             host_clock: PeerClock::default(),
             probes: self.probes,
             instance: self.instance,
+            conditions: Vec::new(),
         }));
     }
 

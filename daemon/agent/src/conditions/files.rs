@@ -1,0 +1,40 @@
+//! The kernel's files: one value each, gone when a device goes.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+/// The text of a file without the white space around it; `None` when it cannot be read.
+pub(super) fn text(path: &Path) -> Option<String> {
+    Some(fs::read_to_string(path).ok()?.trim().to_owned())
+}
+
+/// The file's text as what it must be.
+pub(super) fn value<T: FromStr>(path: &Path) -> Option<T> {
+    text(path)?.parse().ok()
+}
+
+/// The entries of a folder whose names begin so, in the order of their names.
+pub(super) fn entries(folder: &Path, prefix: &str) -> Vec<PathBuf> {
+    let Ok(listed) = fs::read_dir(folder) else { return Vec::new() };
+    let named =
+        |path: &PathBuf| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(prefix));
+    let mut paths: Vec<PathBuf> = listed.filter_map(|entry| Some(entry.ok()?.path())).filter(named).collect();
+    paths.sort_unstable();
+    paths
+}
+
+/// `cpu0`, `cpu1` and so on of sysfs: not `cpufreq`, not `cpuidle`.
+pub(super) fn processors(sys: &Path) -> Vec<PathBuf> {
+    let numbered = |path: &PathBuf| {
+        let number = path.file_name().and_then(|name| name.to_str()?.strip_prefix("cpu"));
+        number.is_some_and(|number| !number.is_empty() && number.bytes().all(|digit| digit.is_ascii_digit()))
+    };
+    entries(&sys.join("devices/system/cpu"), "cpu").into_iter().filter(numbered).collect()
+}
+
+/// The value behind `key:` in a file of such lines, in the unit that stands behind it.
+pub(super) fn keyed(text: &str, key: &str) -> Option<u64> {
+    let line = text.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix(':'))?;
+    line.split_ascii_whitespace().next()?.parse().ok()
+}

@@ -1,0 +1,58 @@
+//! How the processor's frequency is chosen.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use peernet_logger::stream::Grade;
+
+use super::files::{processors, text, value};
+use super::{Finding, Places};
+
+const ABOUT: &str = "CPU governor";
+const ADVICE: &str = "set it to `performance` for the measurement: `sudo cpupower frequency-set -g performance` \
+                      (on a Jetson `sudo jetson_clocks`)";
+
+/// The governors of all processors (Linux documentation, admin-guide/pm/cpufreq). One that follows the load makes the
+/// same work take longer after a pause than in a busy loop: latency then depends on the rate.
+pub(super) fn governor(places: &Places) -> Option<Finding> {
+    let mut governors = BTreeMap::<String, u32>::new();
+    let mut fixed = true;
+    for processor in processors(&places.sys) {
+        let folder = processor.join("cpufreq");
+        let Some(governor) = text(&folder.join("scaling_governor")) else { continue };
+        *governors.entry(governor).or_default() += 1;
+        fixed &= is_fixed(&folder);
+    }
+    if governors.is_empty() {
+        return Some(Finding::unknown(
+            ABOUT,
+            "the kernel does not tell how the frequency is chosen (usual in virtual machines)",
+        ));
+    }
+    let steady = governors.keys().all(|governor| governor == "performance");
+    let names = match governors.len() {
+        1 => governors.into_keys().next().unwrap_or_default(),
+        _ => {
+            let each = governors.iter().map(|(governor, count)| format!("{governor} on {count}"));
+            each.collect::<Vec<_>>().join(", ")
+        }
+    };
+    Some(match (steady, fixed) {
+        (true, _) => Finding::good(ABOUT, names),
+        (false, true) => {
+            Finding::good(ABOUT, format!("{names}, with the lowest frequency raised to the highest"))
+        }
+        (false, false) => Finding::worse(
+            ABOUT,
+            Grade::Doubtful,
+            format!("{names}: the frequency follows the load, so latency depends on how busy the host is"),
+            ADVICE,
+        ),
+    })
+}
+
+/// Whether the limits leave one frequency, as `jetson_clocks` does.
+fn is_fixed(folder: &Path) -> bool {
+    let limit = |name: &str| value::<u64>(&folder.join(name));
+    matches!((limit("scaling_min_freq"), limit("scaling_max_freq")), (Some(min), Some(max)) if min == max)
+}

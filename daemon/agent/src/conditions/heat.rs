@@ -1,0 +1,123 @@
+//! Whether the processor is slowed down, or was, because it is too hot or short of power.
+
+use std::path::Path;
+
+use peernet_logger::stream::Grade;
+
+use super::files::{entries, processors, text, value};
+use super::{Finding, Places};
+
+const ABOUT: &str = "thermal throttling";
+const COOL: &str = "cool the host or lower its load, wait, and repeat the run";
+const WATCH: &str = "look whether it is slowed down during the run as well: compare the halves of the run, and see to \
+                     its cooling";
+/// Below a trip point by so many degrees it is near.
+const NEAR_CELSIUS: f64 = 5.0;
+/// Kinds of cooling devices that slow down what computes: x86, Arm, Jetson.
+const SLOWING: [&str; 6] = ["Processor", "cpufreq", "thermal-cpufreq", "gpu", "devfreq", "intel_powerclamp"];
+
+/// Everything that slows the host down now is bad; what did so since it was started is to be watched.
+pub(super) fn throttling(places: &Places) -> Vec<Finding> {
+    let sys = &places.sys;
+    let mut known = false;
+    let mut found = Vec::new();
+    for look in [slowed, hot, undervolted, counted] {
+        if let Some(findings) = look(sys) {
+            known = true;
+            found.extend(findings);
+        }
+    }
+    match (found.is_empty(), known) {
+        (false, _) => found,
+        (true, true) => vec![Finding::good(ABOUT, "none, neither now nor since the host was started")],
+        (true, false) => {
+            vec![Finding::unknown(ABOUT, "the kernel does not tell (usual in virtual machines)")]
+        }
+    }
+}
+
+/// Cooling devices at work (kernel documentation, driver-api/thermal/sysfs-api); a Jetson's alerts are such devices too.
+fn slowed(sys: &Path) -> Option<Vec<Finding>> {
+    let devices = entries(&sys.join("class/thermal"), "cooling_device");
+    let mut known = false;
+    let mut active = Vec::new();
+    for device in devices {
+        let Some(kind) = text(&device.join("type")) else { continue };
+        if !kind.contains("throttle-alert") && !SLOWING.iter().any(|name| kind.starts_with(name)) {
+            continue;
+        }
+        let Some(state) = value::<i64>(&device.join("cur_state")) else { continue };
+        known = true;
+        // The power clamp reports −1 while it is off.
+        if state > 0 && !active.contains(&kind) {
+            active.push(kind);
+        }
+    }
+    let finding = || {
+        let found = format!("the kernel slows the host down now ({})", active.join(", "));
+        Finding::worse(ABOUT, Grade::Bad, found, COOL)
+    };
+    known.then(|| if active.is_empty() { Vec::new() } else { vec![finding()] })
+}
+
+/// Thermal zones at or near a point from which on the kernel slows the host down.
+fn hot(sys: &Path) -> Option<Vec<Finding>> {
+    let mut known = false;
+    let mut found = Vec::new();
+    for zone in entries(&sys.join("class/thermal"), "thermal_zone") {
+        let Some(celsius) = value::<f64>(&zone.join("temp")).map(|millis| millis / 1e3) else { continue };
+        let passive = entries(&zone, "trip_point_").into_iter().filter(|path| {
+            path.to_string_lossy().ends_with("_type") && text(path).as_deref() == Some("passive")
+        });
+        let points = passive.filter_map(|path| {
+            let at = path.to_string_lossy().replace("_type", "_temp");
+            value::<f64>(Path::new(&at)).map(|millis| millis / 1e3).filter(|celsius| *celsius > 0.0)
+        });
+        let Some(point) = points.min_by(f64::total_cmp) else { continue };
+        known = true;
+        let name = text(&zone.join("type")).unwrap_or_else(|| "a sensor".to_owned());
+        let heat = format!("{name} is at {celsius:.0} °C, and from {point:.0} °C on the host is slowed down");
+        if celsius >= point {
+            found.push(Finding::worse(ABOUT, Grade::Bad, heat, COOL));
+        } else if celsius >= point - NEAR_CELSIUS {
+            found.push(Finding::worse(ABOUT, Grade::Doubtful, heat, COOL));
+        }
+    }
+    known.then_some(found)
+}
+
+/// A Raspberry Pi's firmware: bits 0 to 3 are now, 16 to 19 since it was started (documentation of `vcgencmd
+/// get_throttled`).
+fn undervolted(sys: &Path) -> Option<Vec<Finding>> {
+    let bits = text(&sys.join("devices/platform/soc/soc:firmware/get_throttled"))?;
+    let bits = u32::from_str_radix(bits.trim_start_matches("0x"), 16).ok()?;
+    let named = |shift: u32| {
+        let names = ["under-voltage", "frequency capped", "throttled", "soft temperature limit"];
+        let set = names.into_iter().enumerate().filter(|(bit, _)| bits >> shift & 1 << bit != 0);
+        set.map(|(_, name)| name).collect::<Vec<_>>().join(", ")
+    };
+    let (now, before) = (named(0), named(16));
+    Some(if !now.is_empty() {
+        let advice = "use the power supply meant for the board, cool it, and repeat the run";
+        vec![Finding::worse(ABOUT, Grade::Bad, format!("the firmware reports {now} now"), advice)]
+    } else if !before.is_empty() {
+        let found = format!("the firmware reports {before} since the board was started");
+        vec![Finding::worse(ABOUT, Grade::Doubtful, found, WATCH)]
+    } else {
+        Vec::new()
+    })
+}
+
+/// Counters since the start: Intel's per core and package, Tegra's of over-current events.
+fn counted(sys: &Path) -> Option<Vec<Finding>> {
+    let cores = processors(sys).into_iter().map(|processor| processor.join("thermal_throttle"));
+    let counters = cores
+        .flat_map(|folder| ["core_throttle_count", "package_throttle_count"].map(|name| folder.join(name)));
+    let boards = entries(&sys.join("class/hwmon"), "hwmon").into_iter().flat_map(|folder| {
+        entries(&folder, "oc").into_iter().filter(|path| path.to_string_lossy().ends_with("_event_cnt"))
+    });
+    let counts: Vec<u64> = counters.chain(boards).filter_map(|path| value(&path)).collect();
+    let most = counts.into_iter().max()?;
+    let found = || format!("the processor slowed down {most} times since the host was started");
+    Some(if most == 0 { Vec::new() } else { vec![Finding::worse(ABOUT, Grade::Doubtful, found(), WATCH)] })
+}

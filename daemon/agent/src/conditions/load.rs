@@ -1,0 +1,117 @@
+//! Who else wants the processors.
+
+use std::thread;
+use std::time::Duration;
+
+use peernet_logger::stream::Grade;
+
+use super::files::{entries, processors, text};
+use super::{Finding, Places};
+
+const BETWEEN_LOOKS: Duration = Duration::from_millis(8);
+/// Threads of others that want to run, per processor: from here on the run is disturbed now and then …
+const DISTURBED: f64 = 0.25;
+/// … and from here on it has to share every processor.
+const SHARED: f64 = 1.0;
+/// Share of time taken by the host below, since this one was started.
+const STEAL_NOTED: f64 = 0.01;
+const STEAL_BAD: f64 = 0.05;
+
+/// Threads that run or wait for a processor, without those of this process.
+///
+/// The count of the moment (proc_loadavg(5)), a few times, because the usual averages still show what ended a minute
+/// ago: the run before this one.
+pub(super) fn competing(places: &Places) -> Finding {
+    const ABOUT: &str = "competing load";
+    let mut sum = 0;
+    let looks = places.looks.max(1);
+    for nth in 0..looks {
+        if nth > 0 {
+            thread::sleep(BETWEEN_LOOKS);
+        }
+        let Some(running) = runnable(places) else {
+            return Finding::unknown(ABOUT, "the kernel does not tell how many threads want to run");
+        };
+        sum += running.saturating_sub(own(places));
+    }
+    let others = f64::from(sum) / f64::from(looks);
+    let cores = processors(&places.sys).len().max(1) as f64;
+    let pressure = pressure(places).map_or_else(String::new, |percent| {
+        format!("; within the last 10 s something had to wait for a processor {percent:.0} % of the time")
+    });
+    let found = format!("{others:.1} other threads want to run, on {cores:.0} processors{pressure}");
+    let advice = "stop what else runs on this host and repeat the run; `top` names it";
+    match others / cores {
+        share if share >= SHARED => Finding::worse(ABOUT, Grade::Bad, found, advice),
+        share if share >= DISTURBED => Finding::worse(ABOUT, Grade::Doubtful, found, advice),
+        _ => Finding::good(ABOUT, found),
+    }
+}
+
+/// All threads of the host that run or want to.
+fn runnable(places: &Places) -> Option<u32> {
+    let averages = text(&places.proc.join("loadavg"))?;
+    averages.split_ascii_whitespace().nth(3)?.split_once('/')?.0.parse().ok()
+}
+
+/// Those of this process (proc_pid_stat(5): the state is the field behind the name in parentheses).
+fn own(places: &Places) -> u32 {
+    let threads = entries(&places.proc.join("self/task"), "").into_iter();
+    let runs = |path: &std::path::PathBuf| {
+        text(&path.join("stat")).is_some_and(|stat| {
+            stat.rsplit(')').next().is_some_and(|rest| rest.trim_start().starts_with('R'))
+        })
+    };
+    u32::try_from(threads.filter(runs).count()).unwrap_or(u32::MAX)
+}
+
+/// Per cent of the last 10 s in which some thread had to wait (kernel documentation, accounting/psi).
+fn pressure(places: &Places) -> Option<f64> {
+    let pressure = text(&places.proc.join("pressure/cpu"))?;
+    let some = pressure.lines().find_map(|line| line.strip_prefix("some "))?;
+    some.split_ascii_whitespace().find_map(|field| field.strip_prefix("avg10=")?.parse().ok())
+}
+
+/// A container's share of the processors (cgroup v2, `cpu.max`): at its end the kernel stops the process until the next
+/// period, which looks like a slow model.
+pub(super) fn quota(places: &Places) -> Option<Finding> {
+    let own = text(&places.proc.join("self/cgroup"))?;
+    let path = own.lines().find_map(|line| line.strip_prefix("0::"))?.trim_start_matches('/').to_owned();
+    let max = text(&places.sys.join("fs/cgroup").join(path).join("cpu.max"))?;
+    let (quota, period) = max.split_once(' ')?;
+    let (quota, period): (f64, f64) = (quota.parse().ok()?, period.parse().ok()?);
+    (period > 0.0).then(|| {
+        Finding::worse(
+            "CPU quota",
+            Grade::Doubtful,
+            format!(
+                "this process may use {:.2} processors on average and is stopped for the rest of each {:.0} ms",
+                quota / period,
+                period / 1e3
+            ),
+            "run it without a CPU limit",
+        )
+    })
+}
+
+/// What the machine below gave to others (proc_stat(5)); `None` where nothing is below.
+pub(super) fn stolen(places: &Places) -> Option<Finding> {
+    let stat = text(&places.proc.join("stat"))?;
+    let times = stat.lines().find_map(|line| line.strip_prefix("cpu "))?;
+    let times: Vec<u64> = times.split_ascii_whitespace().filter_map(|ticks| ticks.parse().ok()).collect();
+    // Guest time is in user time already.
+    let (steal, all) = (*times.get(7)?, times.iter().take(8).sum::<u64>());
+    (steal > 0 && all > 0).then_some(())?;
+    let share = steal as f64 / all as f64;
+    let found = format!(
+        "{:.1} % of the time since this virtual machine was started its processors were given to others",
+        share * 100.0
+    );
+    let advice = "measure on a machine of its own, or on one with processors reserved";
+    let about = "stolen time";
+    Some(match share {
+        share if share >= STEAL_BAD => Finding::worse(about, Grade::Bad, found, advice),
+        share if share >= STEAL_NOTED => Finding::worse(about, Grade::Doubtful, found, advice),
+        _ => Finding::good(about, found),
+    })
+}

@@ -1,0 +1,29 @@
+//! Whether memory is short.
+
+use peernet_logger::stream::Grade;
+
+use super::files::{keyed, text};
+use super::{Finding, Places};
+
+/// Share of the memory's size that may lie in the swap unnoticed: pages that nobody asks for end there.
+const NOTED: f64 = 0.05;
+
+/// Swap in use; what lies there is read back from the disk when it is needed.
+pub(super) fn swap(places: &Places) -> Option<Finding> {
+    const ABOUT: &str = "swap";
+    let info = text(&places.proc.join("meminfo"))?;
+    let (total, free) = (keyed(&info, "SwapTotal")?, keyed(&info, "SwapFree")?);
+    let memory = keyed(&info, "MemTotal").filter(|kib| *kib > 0)?;
+    if total == 0 {
+        return Some(Finding::good(ABOUT, "none on this host"));
+    }
+    let used = total.saturating_sub(free);
+    let found = format!("{} MiB in use", used / 1024);
+    Some(if used as f64 / memory as f64 >= NOTED {
+        let advice =
+            "free memory: stop other programs, or start anew so that nothing of the run lies in the swap";
+        Finding::worse(ABOUT, Grade::Doubtful, found, advice)
+    } else {
+        Finding::good(ABOUT, found)
+    })
+}

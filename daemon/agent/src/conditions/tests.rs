@@ -1,0 +1,244 @@
+use std::fs;
+use std::path::Path;
+
+use tempfile::TempDir;
+
+use super::*;
+
+/// A system of files, as some board has it.
+struct Board(TempDir);
+
+impl Board {
+    fn new() -> Self {
+        let board = Self(tempfile::tempdir().expect("a folder"));
+        for core in ["sys/devices/system/cpu/cpu0/online", "sys/devices/system/cpu/cpu1/online"] {
+            board.has(core, "1");
+        }
+        board.has("sys/devices/system/cpu/cpufreq/boost", "1");
+        board
+    }
+
+    fn has(&self, path: &str, text: &str) {
+        let path = self.0.path().join(path);
+        fs::create_dir_all(path.parent().expect("a folder")).expect("made");
+        fs::write(path, format!("{text}\n")).expect("written");
+    }
+
+    fn places(&self) -> Places {
+        let at = |name: &str| self.0.path().join(name);
+        Places {
+            sys: at("sys"),
+            proc: at("proc"),
+            folders: Vec::new(),
+            iw: vec![at("iw")],
+            network: true,
+            looks: 1,
+        }
+    }
+
+    /// What is said of a subject.
+    fn about(&self, subject: &str) -> Vec<(Grade, String)> {
+        let found = look(&self.places(), "robot").into_iter().filter(|condition| condition.about == subject);
+        found.map(|condition| (condition.grade, condition.found)).collect()
+    }
+
+    fn only(&self, subject: &str) -> (Grade, String) {
+        let mut all = self.about(subject);
+        assert_eq!(all.len(), 1, "{subject}: {all:?}");
+        all.remove(0)
+    }
+}
+
+#[test]
+fn a_bare_tree_claims_nothing() {
+    let board = Board(tempfile::tempdir().expect("a folder"));
+    let found = look(&board.places(), "robot");
+    assert!(found.iter().all(|condition| condition.grade <= Grade::Unknown), "{found:?}");
+    assert!(found.iter().all(|condition| condition.host == "robot"), "{found:?}");
+    assert!(board.about("Wi-Fi power save").is_empty() && board.about("swap").is_empty());
+}
+
+#[test]
+fn governors_that_follow_the_load_are_named_unless_the_limits_leave_one_frequency() {
+    let board = Board::new();
+    let governor = |core: u32, name: &str| {
+        board.has(&format!("sys/devices/system/cpu/cpu{core}/cpufreq/scaling_governor"), name);
+    };
+    assert_eq!(board.only("CPU governor").0, Grade::Unknown);
+    governor(0, "performance");
+    governor(1, "performance");
+    assert_eq!(board.only("CPU governor"), (Grade::Good, "performance".to_owned()));
+    governor(1, "schedutil");
+    let (grade, found) = board.only("CPU governor");
+    assert_eq!(grade, Grade::Doubtful);
+    assert!(found.starts_with("performance on 1, schedutil on 1"), "{found}");
+    for (core, limit) in
+        [(0, "scaling_min_freq"), (0, "scaling_max_freq"), (1, "scaling_min_freq"), (1, "scaling_max_freq")]
+    {
+        board.has(&format!("sys/devices/system/cpu/cpu{core}/cpufreq/{limit}"), "1510400");
+    }
+    assert_eq!(board.only("CPU governor").0, Grade::Good);
+}
+
+#[test]
+fn a_jetson_that_is_slowed_down_now_says_so() {
+    let board = Board::new();
+    board.has("sys/class/thermal/cooling_device0/type", "cpufreq-cpu0");
+    board.has("sys/class/thermal/cooling_device0/cur_state", "0");
+    board.has("sys/class/thermal/cooling_device1/type", "gpu-throttle-alert");
+    board.has("sys/class/thermal/cooling_device1/cur_state", "0");
+    board.has("sys/class/thermal/cooling_device2/type", "pwm-fan");
+    board.has("sys/class/thermal/cooling_device2/cur_state", "3");
+    assert_eq!(board.only("thermal throttling").0, Grade::Good);
+    board.has("sys/class/thermal/cooling_device1/cur_state", "1");
+    let (grade, found) = board.only("thermal throttling");
+    assert_eq!((grade, found.contains("gpu-throttle-alert")), (Grade::Bad, true), "{found}");
+}
+
+#[test]
+fn a_zone_near_its_passive_trip_point_is_doubtful_and_beyond_it_bad() {
+    let board = Board::new();
+    board.has("sys/class/thermal/thermal_zone0/type", "CPU-therm");
+    board.has("sys/class/thermal/thermal_zone0/trip_point_0_type", "critical");
+    board.has("sys/class/thermal/thermal_zone0/trip_point_0_temp", "105000");
+    board.has("sys/class/thermal/thermal_zone0/trip_point_1_type", "passive");
+    board.has("sys/class/thermal/thermal_zone0/trip_point_1_temp", "85000");
+    for (millis, expected) in [("52000", Grade::Good), ("81500", Grade::Doubtful), ("85000", Grade::Bad)] {
+        board.has("sys/class/thermal/thermal_zone0/temp", millis);
+        assert_eq!(board.only("thermal throttling").0, expected, "{millis}");
+    }
+}
+
+#[test]
+fn a_raspberry_pi_tells_what_is_now_from_what_was() {
+    let board = Board::new();
+    let file = "sys/devices/platform/soc/soc:firmware/get_throttled";
+    for (bits, grade, words) in [
+        ("0", Grade::Good, "none"),
+        ("50000", Grade::Doubtful, "under-voltage, throttled since"),
+        ("50005", Grade::Bad, "under-voltage, throttled now"),
+        ("0x80008", Grade::Bad, "soft temperature limit now"),
+    ] {
+        board.has(file, bits);
+        let (found, text) = board.only("thermal throttling");
+        assert!(found == grade && text.contains(words), "{bits}: {found:?} {text}");
+    }
+}
+
+#[test]
+fn counters_since_the_start_are_doubtful() {
+    let board = Board::new();
+    board.has("sys/devices/system/cpu/cpu0/thermal_throttle/core_throttle_count", "0");
+    board.has("sys/devices/system/cpu/cpu1/thermal_throttle/package_throttle_count", "0");
+    assert_eq!(board.only("thermal throttling").0, Grade::Good);
+    board.has("sys/devices/system/cpu/cpu1/thermal_throttle/package_throttle_count", "17");
+    let (grade, found) = board.only("thermal throttling");
+    assert_eq!((grade, found.contains("17 times")), (Grade::Doubtful, true), "{found}");
+}
+
+#[test]
+fn threads_of_this_process_do_not_compete_with_it() {
+    let board = Board::new();
+    let mine = |id: u32, state: &str| {
+        board.has(&format!("proc/self/task/{id}/stat"), &format!("{id} (peernetd (R) x) {state} 1 1"));
+    };
+    board.has("proc/loadavg", "0.10 0.20 0.30 2/512 4711");
+    mine(1, "R");
+    mine(2, "R");
+    mine(3, "S");
+    assert_eq!(board.only("competing load").0, Grade::Good);
+    board.has("proc/loadavg", "9.00 9.00 9.00 3/512 4711");
+    assert_eq!(board.only("competing load").0, Grade::Doubtful, "one of others on two processors");
+    board.has("proc/loadavg", "0.00 0.00 0.00 4/512 4711");
+    board.has("proc/pressure/cpu", "some avg10=12.60 avg60=1.00 avg300=0.10 total=1\nfull avg10=0.00");
+    let (grade, found) = board.only("competing load");
+    assert_eq!(grade, Grade::Bad, "{found}");
+    assert!(found.contains("2.0 other threads") && found.contains("13 % of the time"), "{found}");
+}
+
+#[test]
+fn what_others_take_of_the_processors_is_named() {
+    let board = Board::new();
+    board.has("proc/stat", "cpu  600 0 300 100 0 0 0 0 0 0");
+    board.has("proc/self/cgroup", "0::/system.slice/docker-1.scope");
+    board.has("sys/fs/cgroup/system.slice/docker-1.scope/cpu.max", "max 100000");
+    assert!(board.about("stolen time").is_empty() && board.about("CPU quota").is_empty());
+    assert!(board.only("machine").1.contains("container (docker)"));
+    board.has("proc/stat", "cpu  600 0 300 80 0 0 0 20 500 0");
+    board.has("sys/fs/cgroup/system.slice/docker-1.scope/cpu.max", "150000 100000");
+    assert_eq!(board.only("stolen time").0, Grade::Doubtful, "2 %");
+    let (grade, found) = board.only("CPU quota");
+    assert_eq!((grade, found.contains("1.50 processors")), (Grade::Doubtful, true), "{found}");
+}
+
+#[test]
+fn swap_counts_against_the_memory_it_stands_for() {
+    let board = Board::new();
+    for (free, expected) in [("1000000", Grade::Good), ("960000", Grade::Good), ("500000", Grade::Doubtful)] {
+        board.has(
+            "proc/meminfo",
+            &format!("MemTotal: 4000000 kB\nSwapTotal:  1000000 kB\nSwapFree: {free} kB"),
+        );
+        assert_eq!(board.only("swap").0, expected, "{free}");
+    }
+}
+
+#[test]
+fn a_disk_is_looked_at_where_the_folder_will_be() {
+    let board = Board::new();
+    let mut places = board.places();
+    places.folders = vec![("results".to_owned(), board.0.path().join("not/yet/there"))];
+    let found = look(&places, "robot");
+    let disk = found.iter().find(|condition| condition.about == "free disk").expect("looked at");
+    assert!(disk.found.contains("GiB for the results"), "{disk:?}");
+    assert!(disk.grade != Grade::Unknown, "{disk:?}");
+}
+
+/// A program that stands for `iw`.
+fn iw(board: &Board, prints: &str) {
+    use std::os::unix::fs::PermissionsExt;
+    let path = board.0.path().join("iw");
+    // Renamed into place: a file that another thread's fork holds open for writing could not be run.
+    let fresh = board.0.path().join("iw.new");
+    fs::write(&fresh, format!("#!/bin/sh\n[ \"$1 $3 $4\" = 'dev get power_save' ] && echo '{prints}'\n"))
+        .expect("written");
+    fs::set_permissions(&fresh, fs::Permissions::from_mode(0o755)).expect("executable");
+    fs::rename(fresh, path).expect("moved");
+}
+
+fn interface(board: &Board, name: &str, kind: Option<&str>, state: &str) {
+    board.has(&format!("sys/class/net/{name}/operstate"), state);
+    if let Some(kind) = kind {
+        fs::create_dir_all(board.0.path().join(Path::new("sys/class/net").join(name).join(kind)))
+            .expect("made");
+    }
+}
+
+#[test]
+fn wireless_interfaces_that_are_up_are_asked() {
+    let board = Board::new();
+    interface(&board, "eth0", None, "up");
+    interface(&board, "wlan1", Some("phy80211"), "down");
+    assert!(board.about("Wi-Fi power save").is_empty());
+    interface(&board, "wlan0", Some("phy80211"), "up");
+    let (grade, found) = board.only("Wi-Fi power save");
+    assert_eq!((grade, found.contains("`iw` is missing")), (Grade::Unknown, true), "{found}");
+    for (prints, expected) in
+        [("Power save: off", Grade::Good), ("Power save: on", Grade::Doubtful), ("?", Grade::Unknown)]
+    {
+        iw(&board, prints);
+        let (grade, found) = board.only("Wi-Fi power save");
+        assert!(grade == expected && found.contains("wlan0"), "{prints}: {grade:?} {found}");
+    }
+    let local = Places { network: false, ..board.places() };
+    assert!(look(&local, "robot").iter().all(|condition| condition.about != "Wi-Fi power save"));
+}
+
+#[tokio::test]
+async fn this_host_is_looked_at() {
+    let found = look_soon(Places::default(), "here".to_owned()).await;
+    for subject in ["CPU governor", "thermal throttling", "competing load", "machine"] {
+        assert!(found.iter().any(|condition| condition.about == subject), "{subject}: {found:?}");
+    }
+    assert!(found.iter().all(|condition| !condition.found.is_empty()), "{found:?}");
+}

@@ -1,0 +1,54 @@
+//! Wi-Fi interfaces that sleep between packets.
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use peernet_logger::stream::Grade;
+
+use super::files::{entries, text};
+use super::{Finding, Places};
+
+const ABOUT: &str = "Wi-Fi power save";
+
+/// Power save of each wireless interface that is up. An interface in power save wakes for every beacon, about 102 ms
+/// apart, and what arrives meanwhile waits at the access point (IEEE 802.11-2020, 11.2).
+///
+/// Only nl80211 tells; `iw` asks it. Where `iw` is missing nothing is claimed.
+pub(super) fn power_save(places: &Places) -> Vec<Finding> {
+    let wireless =
+        |path: &std::path::PathBuf| path.join("phy80211").exists() || path.join("wireless").exists();
+    let up = |path: &std::path::PathBuf| text(&path.join("operstate")).as_deref() == Some("up");
+    let interfaces = entries(&places.sys.join("class/net"), "").into_iter().filter(wireless).filter(up);
+    interfaces.map(|path| of(places, &path)).collect()
+}
+
+fn of(places: &Places, interface: &Path) -> Finding {
+    let name = interface.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    match places.iw.iter().find_map(|iw| ask(iw, &name)).as_deref() {
+        Some("Power save: off") => Finding::good(ABOUT, format!("off on {name}")),
+        Some("Power save: on") => Finding::worse(
+            ABOUT,
+            Grade::Doubtful,
+            format!("on at {name}: what arrives can wait for the next beacon, 0.1 s and more"),
+            format!("switch it off for the measurement: `sudo iw dev {name} set power_save off`"),
+        ),
+        Some(other) => Finding::unknown(ABOUT, format!("`iw` says of {name}: {other}")),
+        None => Finding::unknown(
+            ABOUT,
+            format!("cannot be found out of {name}: the command `iw` is missing or gave no answer"),
+        ),
+    }
+}
+
+/// The line that `iw` prints; `None` when it cannot be run or does not know.
+fn ask(iw: &Path, interface: &str) -> Option<String> {
+    let asked = Command::new(iw)
+        .args(["dev", interface, "get", "power_save"])
+        .stdin(Stdio::null())
+        .stderr(Stdio::null())
+        .output()
+        .ok()
+        .filter(|output| output.status.success())?;
+    let printed = String::from_utf8_lossy(&asked.stdout);
+    printed.lines().next().map(|line| line.trim().to_owned())
+}

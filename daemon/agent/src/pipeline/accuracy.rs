@@ -1,0 +1,104 @@
+//! Whether an answer was right, where the data set knows: accuracy beside latency.
+
+use peernet_logger::{Name, Recorder, Unit};
+use peernet_sample::{MediaType, Sample};
+use serde::Deserialize;
+
+/// 1 where the answer's best class is the sample's label, else 0. The mean over iterations is the top-1 accuracy.
+const TOP_1: Name = Name::from_static("top-1");
+/// 1 where the label is among the answer's five best classes, else 0.
+const TOP_5: Name = Name::from_static("top-5");
+/// How many classes `top-5` looks at.
+const FIVE: usize = 5;
+
+/// What is read of a classifier's answer.
+#[derive(Debug, Deserialize)]
+struct Classification {
+    label: String,
+    /// Best first; without it only `top-1` can be told.
+    top: Option<Vec<Class>>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Class {
+    label: String,
+}
+
+/// Records `top-1` and `top-5` of an answer to a sample whose right answer is `label`; nothing where the answer is
+/// no classification: JSON with `label` and, best first, `top`.
+pub(super) fn judge(log: &mut Recorder, label: &str, answer: &Sample) {
+    let Some(Classification { label: best, top }) = classification(answer) else { return };
+    let first = same(&best, label);
+    log.value(TOP_1, flag(first), Unit::NONE);
+    if let Some(top) = top {
+        let among = first || top.iter().take(FIVE).any(|class| same(&class.label, label));
+        log.value(TOP_5, flag(among), Unit::NONE);
+    }
+}
+
+/// Whether two labels name one class. Folders are often named `Golden_Retriever` for `golden retriever`, so case is
+/// ignored, and hyphens and underscores count as spaces.
+fn same(a: &str, b: &str) -> bool {
+    plain(a).eq(plain(b))
+}
+
+fn plain(label: &str) -> impl Iterator<Item = char> {
+    label.trim().chars().map(|c| if matches!(c, '_' | '-') { ' ' } else { c.to_ascii_lowercase() })
+}
+
+/// An answer that is JSON need not be a classification.
+fn classification(answer: &Sample) -> Option<Classification> {
+    let part = answer.parts.first().filter(|part| part.description.media == MediaType::Json)?;
+    serde_json::from_slice(&part.bytes).ok()
+}
+
+const fn flag(is: bool) -> f64 {
+    if is { 1.0 } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use peernet_clock::{ClockIdentity, ManualClock, WallTime};
+    use peernet_logger::HostId;
+    use peernet_sample::Description;
+
+    use super::*;
+
+    /// `top-1` and `top-5` of an answer, where they are recorded.
+    fn judged(label: &str, answer: &str) -> (Option<f64>, Option<f64>) {
+        let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system"));
+        let mut log = Recorder::begin(Arc::new(clock), HostId::random());
+        let json = Sample::of(Description::unshaped(MediaType::Json), answer.as_bytes().to_vec().into());
+        judge(&mut log, label, &json);
+        let value = |name| log.tree().find(&[name]).and_then(|(_, node)| node.measure.value());
+        (value("top-1"), value("top-5"))
+    }
+
+    #[test]
+    fn the_best_and_the_best_five_are_compared_with_the_label() {
+        let top: Vec<_> =
+            ["a", "b", "c", "d", "e", "f"].map(|l| format!(r#"{{"label":"{l}","score":0.1}}"#)).into();
+        let answer = format!(r#"{{"label":"a","score":0.1,"top":[{}]}}"#, top.join(","));
+        for (label, expected) in [("a", (1.0, 1.0)), ("e", (0.0, 1.0)), ("f", (0.0, 0.0)), ("z", (0.0, 0.0))]
+        {
+            assert_eq!(judged(label, &answer), (Some(expected.0), Some(expected.1)), "{label}");
+        }
+    }
+
+    #[test]
+    fn spelling_of_folders_does_not_matter() {
+        let answer = r#"{"label":"golden retriever","top":[]}"#;
+        assert_eq!(judged("Golden_Retriever", answer), (Some(1.0), Some(1.0)));
+        assert_eq!(judged("golden", answer), (Some(0.0), Some(0.0)));
+    }
+
+    #[test]
+    fn without_a_ranking_only_the_best_is_judged_and_other_answers_not_at_all() {
+        assert_eq!(judged("a", r#"{"label":"a"}"#), (Some(1.0), None));
+        for answer in [r#"{"boxes":[]}"#, "{", "[]", r#"{"label":3}"#] {
+            assert_eq!(judged("a", answer), (None, None), "{answer}");
+        }
+    }
+}

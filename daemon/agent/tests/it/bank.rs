@@ -1,0 +1,126 @@
+//! Models that peers ask for by name, or leave to the host.
+
+use std::path::{Path, PathBuf};
+
+use peernet_logger::stream::{Outcome, PipelineState};
+
+use crate::harness::{Aggregator, TestAgent};
+
+const SERVE: &str = "[serve]\nlisten = 'tcp://127.0.0.1:0'\n";
+const ECHO: &str = "[[model]]\nname = 'echo'\nkind = 'echo'\n";
+
+fn demo() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/quality-control")
+}
+
+/// A folder with the demo model under two names.
+fn folder() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().expect("a folder");
+    for name in ["plates", "plates_2"] {
+        std::fs::create_dir(folder.path().join(name)).expect("made");
+        for file in ["model.onnx", "model.toml"] {
+            let to = folder.path().join(name).join(file);
+            std::os::unix::fs::symlink(demo().join(file), to).expect("linked");
+        }
+    }
+    folder
+}
+
+/// A pipeline that sends three pictures to the cloud, with more keys for its placement.
+fn line(cloud: &TestAgent, placement: &str) -> String {
+    format!(
+        "[[pipeline]]\nname = 'line'\nsensor = {{ kind = 'images', path = {:?} }}\n\
+         placement = {{ kind = 'remote', peer = '{}'{placement} }}\n\
+         warm_up = {{ iterations = 0 }}\nlimit = {{ iterations = 3 }}\n",
+        demo().join("pictures"),
+        cloud.address()
+    )
+}
+
+async fn reason(edge: &TestAgent) -> String {
+    match edge.until_state(|state| matches!(state, PipelineState::Waiting(_))).await {
+        PipelineState::Waiting(reason) => reason,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn who_names_no_model_gets_the_only_one_and_is_told_which() {
+    let aggregator = Aggregator::start().await;
+    let cloud = TestAgent::start("cloud", None, &format!("{SERVE}{ECHO}")).await;
+    let edge = TestAgent::start("edge", Some(&aggregator.address), &line(&cloud, "")).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    assert_eq!(seen.runs()[0].placement.model.as_str(), "echo");
+    assert_eq!(seen.iterations().len(), 3);
+    assert_eq!(cloud.running.served().borrow().answers, 3);
+    let hosts: Vec<&str> =
+        seen.runs()[0].conditions.iter().map(|condition| condition.host.as_str()).collect();
+    assert!(hosts.contains(&"edge") && hosts.contains(&"cloud"), "both were looked at: {hosts:?}");
+    edge.stop().await.expect("stops well");
+
+    // Measuring the link is not serving.
+    let calibrating = line(&cloud, ", model = 'calibration'");
+    let edge = TestAgent::start("edge", Some(&aggregator.address), &calibrating).await;
+    aggregator.until(|seen| seen.ended().len() == 2).await;
+    assert_eq!(cloud.running.served().borrow().answers, 3);
+    edge.stop().await.expect("stops well");
+    cloud.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn who_names_no_model_where_there_are_several_is_told_their_names() {
+    let nap = "[[model]]\nname = 'nap'\nkind = 'sleep'\n";
+    let cloud = TestAgent::start("cloud", None, &format!("{SERVE}{ECHO}{nap}")).await;
+    let edge = TestAgent::start("edge", None, &line(&cloud, "")).await;
+    let reason = reason(&edge).await;
+    assert!(reason.contains("no model was named") && reason.contains("echo, nap;"), "{reason}");
+    edge.stop().await.expect("stops well");
+    cloud.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_peer_gets_a_model_of_the_bank_by_its_name_on_a_device_that_is_allowed() {
+    let aggregator = Aggregator::start().await;
+    let folder = folder();
+    let bank = format!("{SERVE}[bank]\nfolders = [{:?}]\nmost_loaded = 1\n", folder.path());
+    let cloud = TestAgent::start("cloud", None, &bank).await;
+    let wanted = line(&cloud, ", model = 'plates_2', device = 'cpu'");
+    let edge = TestAgent::start("edge", Some(&aggregator.address), &wanted).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    assert_eq!(seen.runs()[0].placement.model.as_str(), "plates_2");
+    assert!(seen.runs()[0].facts.iter().any(|(name, _)| name == peernet_inference::MODEL_HASH));
+    let outcomes: Vec<&Outcome> = seen.iterations().iter().map(|iteration| &iteration.outcome).collect();
+    assert_eq!(outcomes, [&Outcome::Ok; 3]);
+    edge.stop().await.expect("stops well");
+
+    for (placement, told) in [
+        (", model = 'plates', device = 'cuda:0'", "only on cpu"),
+        (", model = 'quality-control'", "this host offers plates, plates_2"),
+    ] {
+        let edge = TestAgent::start("edge", None, &line(&cloud, placement)).await;
+        let reason = reason(&edge).await;
+        assert!(reason.contains(told), "{reason}");
+        edge.stop().await.expect("stops well");
+    }
+    let outside = toml::from_str::<peernet_agent::AgentConfig>(&line(&cloud, ", model = '..'"));
+    let error = outside.expect_err("no name leads out of the folder").to_string();
+    assert!(error.contains("cannot be a name"), "{error}");
+    cloud.stop().await.expect("stops well");
+}
+
+#[test]
+fn a_pipeline_of_the_host_itself_may_use_the_bank() {
+    let folder = folder();
+    let tables = format!(
+        "[bank]\nfolders = [{:?}]\n[[pipeline]]\nname = 'line'\nsensor = {{ kind = 'synthetic', size_bytes = 1 }}\n\
+         placement = {{ kind = 'local', model = 'plates' }}\n",
+        folder.path()
+    );
+    let mut config = crate::harness::config(&tables);
+    config.agent.state_dir = folder.path().to_owned();
+    let problems = peernet_agent::Agent::check(&config, &crate::harness::clock("system"));
+    assert!(problems.is_empty(), "{problems:?}");
+    config.bank.devices = vec!["gpu".to_owned()];
+    let problems = peernet_agent::Agent::check(&config, &crate::harness::clock("system"));
+    assert_eq!(problems.iter().map(|problem| problem.key.as_str()).collect::<Vec<_>>(), ["bank.devices"]);
+}
