@@ -50,6 +50,27 @@ impl Store {
         read::runs::run(&self.readers, number).await
     }
 
+    /// The first runs of an experiment, oldest first; `limit` is 1 to 1,000. None where there is no such experiment.
+    pub async fn runs_of_experiment(&self, id: &str, limit: u32) -> Result<Vec<RunSummary>, StoreError> {
+        read::runs::runs_of_experiment(&self.readers, id, limit).await
+    }
+
+    /// Experiments, the one with the newest run first; `limit` is 1 to 1,000.
+    pub async fn experiments(&self, limit: u32) -> Result<Vec<ExperimentSummary>, StoreError> {
+        read::runs::experiments(&self.readers, limit).await
+    }
+
+    /// Node names over the time of a run, each in at most `most_buckets` summaries; in the order asked for, those
+    /// without samples left out.
+    pub async fn course(
+        &self,
+        run: i64,
+        stages: &[Name],
+        most_buckets: usize,
+    ) -> Result<Vec<StageCourse>, StoreError> {
+        read::statistics::course(&self.readers, run, stages, most_buckets).await
+    }
+
     /// Statistics per node name, in the order of tables.
     pub async fn stages(&self, run: i64) -> Result<Vec<StageStatistics>, StoreError> {
         read::statistics::stages(&self.readers, run).await

@@ -1,7 +1,11 @@
 //! What the store answers: plain data in SI units.
 
+mod experiment;
+
+pub use experiment::{ExperimentSummary, StageCourse};
+
 use peernet_clock::{DelaySource, Verdict, WallTime};
-use peernet_logger::stream::{HostDescription, OutcomeCounts, Placement};
+use peernet_logger::stream::{Condition, ExperimentPlace, HostDescription, OutcomeCounts, Placement};
 use peernet_logger::{HostId, Name, RunId, Slug, Tree};
 use serde::Serialize;
 
@@ -63,6 +67,8 @@ pub struct RunSummary {
     /// Iterations up to and including this number were deleted, because of their age or for want of room; 0 when none
     /// were.
     pub nodes_from: u64,
+    /// Its place in an experiment, if it belongs to one.
+    pub experiment: Option<ExperimentPlace>,
 }
 
 /// A run with all that is known of it.
@@ -77,6 +83,8 @@ pub struct RunDetail {
     pub configuration: String,
     /// Version of the agent.
     pub version: String,
+    /// What was found of the hosts before it began; empty when nobody looked.
+    pub conditions: Vec<Condition>,
     /// What is missing, oldest first, at most 1,000.
     pub gaps: Vec<GapRow>,
 }

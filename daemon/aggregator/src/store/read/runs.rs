@@ -3,12 +3,13 @@
 use peernet_clock::WallTime;
 use peernet_logger::stage;
 use peernet_logger::stream::{OutcomeCounts, Placement, PlacementKind};
+use serde::de::DeserializeOwned;
 use sqlx::FromRow;
 
 use super::{corrupt, count, name, parse, sql, statistics, wall};
 use crate::error::StoreError;
 use crate::store::readers::Readers;
-use crate::store::types::{GapRow, RunDetail, RunFilter, RunSummary};
+use crate::store::types::{ExperimentSummary, GapRow, RunDetail, RunFilter, RunSummary};
 use crate::store::write::{UNKNOWN, placement_word};
 
 const WHAT: &str = "runs";
@@ -40,6 +41,19 @@ struct RunRow {
     version: String,
     pinned: bool,
     nodes_from: i64,
+    experiment: Option<String>,
+    conditions: Option<String>,
+}
+
+#[derive(FromRow)]
+struct ExperimentRow {
+    newest: i64,
+    oldest: i64,
+    name: Option<String>,
+    id: String,
+    runs: i64,
+    open: i64,
+    started_ns: i64,
 }
 
 pub(in crate::store) async fn runs(
@@ -60,8 +74,49 @@ pub(in crate::store) async fn runs(
             .await
     }
     .map_err(readers.failed(WHAT))?;
+    summaries(readers, &rows).await
+}
+
+/// The runs of an experiment, oldest first.
+pub(in crate::store) async fn runs_of_experiment(
+    readers: &Readers,
+    id: &str,
+    limit: u32,
+) -> Result<Vec<RunSummary>, StoreError> {
+    let rows: Vec<RunRow> = sqlx::query_as(sql::RUNS_OF_EXPERIMENT)
+        .bind(id)
+        .bind(limit.clamp(1, 1_000))
+        .fetch_all(&readers.pool)
+        .await
+        .map_err(readers.failed(WHAT))?;
+    summaries(readers, &rows).await
+}
+
+/// Experiments, the one with the newest run first.
+pub(in crate::store) async fn experiments(
+    readers: &Readers,
+    limit: u32,
+) -> Result<Vec<ExperimentSummary>, StoreError> {
+    let rows: Vec<ExperimentRow> = sqlx::query_as(sql::EXPERIMENTS)
+        .bind(limit.clamp(1, 1_000))
+        .fetch_all(&readers.pool)
+        .await
+        .map_err(readers.failed("experiments"))?;
+    let summary = |row: ExperimentRow| ExperimentSummary {
+        id: row.id,
+        name: row.name.unwrap_or_default(),
+        runs: count(row.runs),
+        open: count(row.open),
+        oldest: row.oldest,
+        newest: row.newest,
+        started: wall(row.started_ns),
+    };
+    Ok(rows.into_iter().map(summary).collect())
+}
+
+async fn summaries(readers: &Readers, rows: &[RunRow]) -> Result<Vec<RunSummary>, StoreError> {
     let mut summaries = Vec::with_capacity(rows.len());
-    for row in &rows {
+    for row in rows {
         summaries.push(summary(readers, row).await?);
     }
     Ok(summaries)
@@ -77,6 +132,7 @@ pub(in crate::store) async fn run(readers: &Readers, number: i64) -> Result<Opti
     Ok(Some(RunDetail {
         summary: summary(readers, &row).await?,
         facts: facts(&row)?,
+        conditions: row.conditions.as_deref().map(json).transpose()?.unwrap_or_default(),
         configuration: row.configuration,
         version: row.version,
         gaps: gaps(readers, number).await?,
@@ -97,11 +153,15 @@ pub(in crate::store) async fn gaps(readers: &Readers, run: i64) -> Result<Vec<Ga
 }
 
 fn facts(row: &RunRow) -> Result<Vec<(String, String)>, StoreError> {
-    serde_json::from_str(&row.facts).map_err(|error| corrupt(WHAT, error))
+    json(&row.facts)
+}
+
+fn json<T: DeserializeOwned>(text: &str) -> Result<T, StoreError> {
+    serde_json::from_str(text).map_err(|error| corrupt(WHAT, error))
 }
 
 async fn summary(readers: &Readers, row: &RunRow) -> Result<RunSummary, StoreError> {
-    let kind = [PlacementKind::Local, PlacementKind::Remote]
+    let kind = [PlacementKind::Local, PlacementKind::Remote, PlacementKind::None]
         .into_iter()
         .find(|kind| placement_word(*kind) == row.placement)
         .ok_or_else(|| corrupt(WHAT, format_args!("placement {:?}", row.placement)))?;
@@ -139,5 +199,6 @@ async fn summary(readers: &Readers, row: &RunRow) -> Result<RunSummary, StoreErr
             .any(|(fact, _)| fact == "Rehearsal" || fact.starts_with("Rehearsal of ")),
         pinned: row.pinned,
         nodes_from: count(row.nodes_from),
+        experiment: row.experiment.as_deref().map(json).transpose()?,
     })
 }

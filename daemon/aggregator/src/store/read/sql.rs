@@ -15,7 +15,7 @@ macro_rules! run_columns {
         "SELECT run.number, run.uuid, host.uuid AS host_uuid, host.name AS host_name, pipeline.name AS pipeline, \
          run.placement, run.peer, run.network, run.address, run.model, run.device, run.started_ns, run.ended_ns, \
          run.end_reason, run.last_iteration_ns, run.warm_up, run.ok, run.failed, run.lost, run.timeout, \
-         run.facts, run.configuration, run.version, run.pinned, run.nodes_from \
+         run.facts, run.configuration, run.version, run.pinned, run.nodes_from, run.experiment, run.conditions \
          FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host "
     };
 }
@@ -69,6 +69,15 @@ statements! {
          ORDER BY run.number DESC LIMIT ?2");
     /// ?1 number.
     RUN = concat!(run_columns!(), "WHERE run.number = ?1");
+    /// The first runs of an experiment, oldest first: ?1 its id, ?2 limit.
+    RUNS_OF_EXPERIMENT = concat!(run_columns!(),
+        "WHERE run.experiment IS NOT NULL AND run.experiment ->> 'id' = ?1 ORDER BY run.number LIMIT ?2");
+    /// Experiments, the one with the newest run first: ?1 limit.
+    EXPERIMENTS = "SELECT max(run.number) AS newest, min(run.number) AS oldest, run.experiment ->> 'name' AS name, \
+                   run.experiment ->> 'id' AS id, count(*) AS runs, sum(run.ended_ns IS NULL) AS open, \
+                   min(run.started_ns) AS started_ns \
+                   FROM run WHERE run.experiment IS NOT NULL GROUP BY run.experiment ->> 'id' \
+                   ORDER BY newest DESC LIMIT ?1";
     /// ?1 run.
     GAPS = "SELECT from_ns, to_ns, count, reason FROM gap WHERE run = ?1 ORDER BY from_ns LIMIT 1000";
     /// Summaries of one name over a whole run: ?1 run, ?2 name.

@@ -15,7 +15,7 @@ use crate::figures::{Bound, Figures, rank};
 use crate::store::readers::Readers;
 use crate::store::types::{Histogram, StageStatistics};
 
-pub(in crate::store) use self::series::series;
+pub(in crate::store) use self::series::{course, series};
 
 const WHAT: &str = "statistics";
 /// Above this quantile a histogram only counts, so that one straggler does not squeeze all others into a bin.

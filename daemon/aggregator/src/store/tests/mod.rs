@@ -5,6 +5,7 @@ mod clock_samples;
 #[expect(unreachable_pub, reason = "shared with the integration tests")]
 mod clocks;
 mod ends;
+mod experiments;
 #[path = "../../../tests/it/generate.rs"]
 #[expect(unreachable_pub, reason = "shared with the integration tests and the benchmark")]
 mod generate;

@@ -29,9 +29,10 @@ const EXCEPTIONS: [(&str, &str, &str); 3] = [
 ];
 
 /// Questions that sort, and why that is a small thing.
-const SORTING: [(&str, &str); 6] = [
+const SORTING: [(&str, &str); 7] = [
     ("RUNS_FILTERED", "the runs of the pipelines asked for, without anything of theirs"),
     ("VERDICTS", "at most a handful of rows"),
+    ("EXPERIMENTS", "one row for each experiment; their runs come in the order of an index"),
     ("HOSTS", "all hosts are shown"),
     ("LINKS", "all links are shown"),
     ("CLOCK_WINDOW_ORDER", "windows begin where a clock is stepped"),
@@ -153,6 +154,8 @@ async fn counting_the_slower_ones_and_finding_neighbours_touch_the_index_alone()
             sql::ONE_FASTER,
             "USING COVERING INDEX iteration_by_total (run=? AND warm_up=? AND outcome=? AND (total,number)<(?,?))",
         ),
+        (sql::RUNS_OF_EXPERIMENT, "USING INDEX run_of_experiment (<expr>=?)"),
+        (sql::EXPERIMENTS, "USING INDEX run_of_experiment"),
         (sql::PREVIOUS, "USING PRIMARY KEY (run=? AND number<?)"),
         (sql::NEXT, "USING PRIMARY KEY (run=? AND number>?)"),
         (sql::ITERATIONS_WITHOUT_ANSWER, "USING INDEX iteration_without_answer (run=? AND number>?)"),

@@ -6,6 +6,7 @@ use std::str::FromStr;
 use peernet_clock::WallTime;
 use peernet_logger::stream::{HostDescription, PlacementKind, RunDescription, RunEnded};
 use peernet_logger::{HostId, RunId};
+use serde::Serialize;
 use sqlx::SqliteConnection;
 
 use super::{Refusal, RunName};
@@ -66,7 +67,7 @@ impl Entities {
         now: WallTime,
     ) -> Result<i64, Refusal> {
         let id = self.host(connection, description.id, now).await?;
-        let json = serde_json::to_string(description).map_err(|error| Refusal::Batch(error.to_string()))?;
+        let json = json(description)?;
         sqlx::query("UPDATE host SET name = ?, description = ?, last_seen_ns = ? WHERE id = ?")
             .bind(description.name.as_str())
             .bind(json)
@@ -135,15 +136,18 @@ impl Entities {
             known.check(host, run.run)?;
         }
         let pipeline = pipeline(connection, host, run.pipeline.as_str()).await?;
-        let facts = serde_json::to_string(&run.facts).map_err(|error| Refusal::Batch(error.to_string()))?;
+        let facts = json(&run.facts)?;
+        let experiment = run.experiment.as_ref().map(json).transpose()?;
+        let conditions = (!run.conditions.is_empty()).then(|| json(&run.conditions)).transpose()?;
         let placement = &run.placement;
         let number = sqlx::query_scalar(
             "INSERT INTO run (uuid, pipeline, started_ns, placement, peer, network, address, model, device, facts, \
-             configuration, version) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) \
+             configuration, version, experiment, conditions) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) \
              ON CONFLICT (uuid) DO UPDATE SET pipeline = excluded.pipeline, started_ns = excluded.started_ns, \
              placement = excluded.placement, peer = excluded.peer, network = excluded.network, \
              address = excluded.address, model = excluded.model, device = excluded.device, facts = excluded.facts, \
-             configuration = excluded.configuration, version = excluded.version \
+             configuration = excluded.configuration, version = excluded.version, \
+             experiment = excluded.experiment, conditions = excluded.conditions \
              RETURNING number",
         )
         .bind(run.run.to_string())
@@ -158,6 +162,8 @@ impl Entities {
         .bind(facts)
         .bind(run.configuration.as_str())
         .bind(run.version.as_str())
+        .bind(experiment)
+        .bind(conditions)
         .fetch_one(connection)
         .await?;
         Ok((self.remember(run.run, KnownRun { number, host }), pipeline))
@@ -260,7 +266,12 @@ pub(crate) const fn placement_word(kind: PlacementKind) -> &'static str {
     match kind {
         PlacementKind::Local => "local",
         PlacementKind::Remote => "remote",
+        PlacementKind::None => "none",
     }
+}
+
+fn json<T: Serialize>(value: &T) -> Result<String, Refusal> {
+    serde_json::to_string(value).map_err(|error| Refusal::Batch(error.to_string()))
 }
 
 async fn pipeline(connection: &mut SqliteConnection, host: i64, name: &str) -> Result<i64, Refusal> {

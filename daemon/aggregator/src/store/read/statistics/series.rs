@@ -12,7 +12,7 @@ use super::WHAT;
 use crate::error::StoreError;
 use crate::figures::Figures;
 use crate::store::readers::Readers;
-use crate::store::types::{Series, SeriesPoint, StageSeries};
+use crate::store::types::{Series, SeriesPoint, StageCourse, StageSeries};
 use crate::store::write::rollups::{RollupRow, WIDTHS_S, bucket};
 
 /// Widths that a point may have, each a multiple of a stored one, up to the next one of at most fifteen of them.
@@ -95,8 +95,41 @@ async fn points(
     readers: &Readers,
     run: i64,
     stages: &[Name],
-    (width_s, stored_s): (i64, i64),
+    widths: (i64, i64),
 ) -> Result<Vec<StageSeries>, StoreError> {
+    let lines = lines(readers, run, stages, widths).await?;
+    let series = lines.into_iter().map(|line| StageSeries {
+        points: line.points.iter().filter_map(point).collect(),
+        stage: line.stage,
+        unit: line.unit,
+    });
+    Ok(series.filter(|series| !series.points.is_empty()).collect())
+}
+
+/// As [`series`], with all that is known of each bucket.
+pub(in crate::store) async fn course(
+    readers: &Readers,
+    run: i64,
+    stages: &[Name],
+    most_buckets: usize,
+) -> Result<Vec<StageCourse>, StoreError> {
+    let widths = Stored::of(readers, run).await?.choose(most_buckets);
+    let lines = lines(readers, run, stages, widths).await?;
+    let courses = lines.into_iter().map(|line| StageCourse {
+        buckets: line.points.into_iter().map(|(_, summary)| summary).collect(),
+        stage: line.stage,
+        unit: line.unit,
+    });
+    Ok(courses.filter(|course| !course.buckets.is_empty()).collect())
+}
+
+/// A line for each name, in the order asked for.
+async fn lines(
+    readers: &Readers,
+    run: i64,
+    stages: &[Name],
+    (width_s, stored_s): (i64, i64),
+) -> Result<Vec<Line>, StoreError> {
     let json = |list: Result<String, serde_json::Error>| list.map_err(|error| corrupt(WHAT, error));
     let texts: Vec<&str> = stages.iter().map(|stage| &**stage).collect();
     let names: Vec<(i64, String, String)> = sqlx::query_as(sql::NAMES)
@@ -109,7 +142,7 @@ async fn points(
     let mut of_name = HashMap::<i64, usize>::new();
     for (id, text, unit) in names {
         if let Some(at) = texts.iter().position(|known| *known == text) {
-            lines[at].series.unit = unit;
+            lines[at].unit = unit;
             of_name.insert(id, at);
         }
     }
@@ -125,51 +158,42 @@ async fn points(
             line.add(&row)?;
         }
     }
-    let lines = lines.into_iter().map(Line::end);
-    Ok(lines.filter(|series| !series.points.is_empty()).collect())
+    Ok(lines)
 }
 
-/// The points of one name, from rows by rising time.
+/// A bucket as a page shows it; `None` without samples.
+fn point((begin, summary): &(i64, Summary)) -> Option<SeriesPoint> {
+    Figures::of(summary).map(|figures| SeriesPoint {
+        at: wall(begin.saturating_mul(1_000_000_000)),
+        count: figures.count,
+        mean: figures.mean,
+        p50: figures.p50,
+        p95: figures.p95,
+    })
+}
+
+/// What is known of one name, from rows by rising time.
 struct Line {
-    series: StageSeries,
+    stage: Name,
+    unit: String,
     width_s: i64,
-    /// The point that is being made, and where it begins.
-    open: Option<(i64, Summary)>,
+    /// Begin and contents of each bucket; the last one may grow.
+    points: Vec<(i64, Summary)>,
 }
 
 impl Line {
-    fn of(stage: Name, width_s: i64) -> Self {
-        Self { series: StageSeries { stage, unit: String::new(), points: Vec::new() }, width_s, open: None }
+    const fn of(stage: Name, width_s: i64) -> Self {
+        Self { stage, unit: String::new(), width_s, points: Vec::new() }
     }
 
     fn add(&mut self, row: &RollupRow) -> Result<(), StoreError> {
         let summary = row.summary().map_err(|error| corrupt(WHAT, error))?;
         let begin = bucket(row.bucket_s, self.width_s);
-        match &mut self.open {
+        match self.points.last_mut() {
             Some((open, all)) if *open == begin => all.merge(&summary),
-            _ => {
-                self.close();
-                self.open = Some((begin, summary));
-            }
+            _ => self.points.push((begin, summary)),
         }
         Ok(())
-    }
-
-    fn close(&mut self) {
-        let Some((begin, summary)) = self.open.take() else { return };
-        let point = Figures::of(&summary).map(|figures| SeriesPoint {
-            at: wall(begin.saturating_mul(1_000_000_000)),
-            count: figures.count,
-            mean: figures.mean,
-            p50: figures.p50,
-            p95: figures.p95,
-        });
-        self.series.points.extend(point);
-    }
-
-    fn end(mut self) -> StageSeries {
-        self.close();
-        self.series
     }
 }
 

@@ -1,0 +1,36 @@
+//! Runs that were declared together, and what comparing and judging runs needs.
+
+use peernet_clock::WallTime;
+use peernet_logger::Name;
+use peernet_statistics::Summary;
+use serde::Serialize;
+
+/// An experiment in a list: runs that were declared together.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct ExperimentSummary {
+    /// Random, the same for all runs of one execution.
+    pub id: String,
+    /// The name in its file.
+    pub name: String,
+    /// Runs that began.
+    pub runs: u64,
+    /// Of them those that have not ended.
+    pub open: u64,
+    /// The number of its first run.
+    pub oldest: i64,
+    /// The number of its last run.
+    pub newest: i64,
+    /// When the first began, on its edge's wall clock.
+    pub started: WallTime,
+}
+
+/// One node name over the time of a run, summed up in buckets.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StageCourse {
+    /// The node's name.
+    pub stage: Name,
+    /// Unit of the values.
+    pub unit: String,
+    /// Buckets that have samples, oldest first.
+    pub buckets: Vec<Summary>,
+}
