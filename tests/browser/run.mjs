@@ -25,6 +25,14 @@ async function stored() {
   }
 }
 
+// The newest runs with figures, one of each pipeline: at least two are needed.
+async function latest() {
+  const { runs } = await (await fetch(`${base}/api/v1/runs`)).json();
+  const measured = runs.filter((run, at) => run.total && runs.findIndex((one) => one.pipeline === run.pipeline) === at);
+  assert.ok(measured.length > 1, "two pipelines have measured something");
+  return measured.slice(0, 2).map((run) => run.number);
+}
+
 before(async () => {
   browser = await launch(base);
   const run = await stored();
@@ -42,6 +50,8 @@ before(async () => {
     hosts: "/hosts",
     host: `/hosts/${run.host}`,
     incidents: "/incidents",
+    compare: `/compare?runs=${(await latest()).join(",")}`,
+    compareEmpty: "/compare",
   };
   if (folder) mkdirSync(folder, { recursive: true });
 });
@@ -100,6 +110,39 @@ describe("the way of a person", () => {
     assert.ok(await page.locator("#part-nowtable").isVisible());
     assert.deepEqual(errors, []);
     await close();
+  });
+});
+
+describe("what a run is worth", () => {
+  test("its page says whether it can be published, by word and sign", async () => {
+    const { page, errors, close } = await open(browser, base, pages.run);
+    const trust = page.locator("#trust");
+    assert.match(await trust.innerText(), /Can this run be published\?[\s\S]*(Yes|No)[:,]/);
+    assert.ok((await trust.locator(".chip svg").count()) > 0);
+    await trust.locator("summary").click();
+    assert.match(await trust.innerText(), /iterations were answered|were answered/);
+    const { verdict, answer } = await (await fetch(`${base}/api/v1${pages.run}/trust`)).json();
+    assert.ok(["yes", "with-remarks", "no"].includes(verdict));
+    assert.ok((await trust.innerText()).includes(answer.split(":")[0]));
+    assert.deepEqual(errors, []);
+    await close();
+  });
+
+  test("runs are chosen in their list and stand side by side, with a script and without", async () => {
+    for (const script of [true, false]) {
+      const { page, errors, close } = await open(browser, base, "/runs", { script });
+      const numbers = await latest();
+      for (const number of numbers) await page.locator(`input[name=runs][value="${number}"]`).check();
+      await page.getByRole("button", { name: "Compare chosen" }).click();
+      await page.waitForURL("**/compare?runs=*");
+      assert.equal(await page.locator(".compare tbody tr").count(), numbers.length);
+      assert.equal(await page.locator(".bars svg.stages[role=img]").count() >= numbers.length, true);
+      assert.match(await page.locator("h1").innerText(), /fastest|less than|do not differ/);
+      await page.locator(".compare tbody a").first().click();
+      await page.waitForURL("**/runs/*");
+      assert.deepEqual(errors, []);
+      await close();
+    }
   });
 });
 

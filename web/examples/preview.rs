@@ -89,6 +89,8 @@ async fn produce(address: String, clock: SharedClock, lines: Vec<Line>, backlog:
     if backlog {
         factory.store_gaps(2, 42).await;
     }
+    factory.store_experiment(600, 2).await;
+    factory.store_sizes(2.min(factory.lines.len() - 1), 300, &[30e3, 150e3, 400e3, 800e3]).await;
     factory.store_runs(300, false).await;
     factory.backlog = backlog.then(|| clock.wall());
     let mut ticks = tokio::time::interval(Duration::from_millis(250));

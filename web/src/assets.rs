@@ -42,7 +42,7 @@ static ASSETS: LazyLock<Assets> = LazyLock::new(|| {
         (
             "app.css",
             "text/css; charset=utf-8",
-            css!("tokens", "base", "frame", "parts", "tables", "pictures", "widths"),
+            css!("tokens", "base", "frame", "parts", "tables", "pictures", "compare", "widths"),
         ),
         ("theme.js", SCRIPT, include_bytes!("../assets/js/theme.js")),
         ("app.js", SCRIPT, include_bytes!("../assets/js/app.js")),

@@ -3,12 +3,13 @@
 use peernet_logger::stage;
 
 /// The stages of a stack with what is left over, in the order of every stack, key and table.
-pub(crate) const STACK: [&str; 11] = [
+pub(crate) const STACK: [&str; 12] = [
     "sensing",
     "encode",
     "send-queue",
     "upload",
     "queue",
+    "ipc",
     "preprocessing",
     "inference",
     "postprocessing",
@@ -26,12 +27,15 @@ pub(crate) const NETWORK_AND_REST: &str = "upload + download + unattributed";
 /// From the intended start to the real one: a named part of what is unattributed.
 pub(crate) const LATENESS: &str = "lateness";
 
+/// Values that tell how often a model was right, and how they are shown: means of 0 and 1.
+pub(crate) const ACCURACIES: [(&str, &str); 2] = [("top-1", "Top-1"), ("top-5", "Top-5")];
+
 /// The name of a stage where there is little room.
 pub(crate) fn short(name: &str) -> &str {
     if name == NETWORK { "up + down" } else { name }
 }
 
-/// The entries of the key: waiting looks the same wherever one waits.
+/// The entries of the key: waiting looks the same wherever one waits, and so does making a sample ready to cross a border.
 pub(crate) const KEY: [&str; 10] = [
     "sensing",
     "encode",
@@ -49,6 +53,7 @@ pub(crate) const KEY: [&str; 10] = [
 pub(crate) fn class(name: &str) -> &'static str {
     match name {
         "send-queue" | "queue" => "queue",
+        "ipc" => "encode",
         "capture" => "capture",
         "transform" => "transform",
         NETWORK | NETWORK_AND_REST => "network",

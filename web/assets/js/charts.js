@@ -1,6 +1,6 @@
 // What all charts share: the tokens of app.css, axes, tooltips, gaps and marks. Drawn again when the theme changes.
 const PEER = (() => {
-  const STAGES = ["sensing", "encode", "send-queue", "network", "upload", "queue", "preprocessing", "inference", "postprocessing", "download", "actuation", "unattributed"];
+  const STAGES = ["sensing", "encode", "send-queue", "network", "upload", "queue", "ipc", "preprocessing", "inference", "postprocessing", "download", "actuation", "unattributed"];
   const PALE = new Set(["encode", "queue", "preprocessing", "unattributed"]);
   const drawn = new Set();
   let probe = null;
@@ -12,7 +12,7 @@ const PEER = (() => {
     return getComputedStyle(probe).color;
   }
   const px = (rem) => rem * parseFloat(getComputedStyle(document.documentElement).fontSize);
-  const look = (stage) => (stage === "send-queue" ? "queue" : stage);
+  const look = (stage) => ({ "send-queue": "queue", ipc: "encode" })[stage] ?? stage;
 
   function hatch(ground, line, angle) {
     const canvas = document.createElement("canvas"), ratio = window.devicePixelRatio || 1, size = 6;
@@ -222,5 +222,5 @@ const PEER = (() => {
   document.addEventListener("peer-theme", () => drawn.forEach(redraw));
   document.addEventListener("visibilitychange", () => { if (!document.hidden) drawn.forEach((one) => { if (one.stale) redraw(one); }); });
 
-  return { STAGES, name: (stage) => (stage === "network" ? "upload + download" : stage), css, px, fill, edge, clock, figure, tick, text, timeAxis, valueAxis, tooltip, tip, marks, bucket, steps, draw, redraw, forget, isHovered: (node) => hovered === node };
+  return { STAGES, look, name: (stage) => (stage === "network" ? "upload + download" : stage), css, px, fill, edge, clock, figure, tick, text, timeAxis, valueAxis, tooltip, tip, marks, bucket, steps, draw, redraw, forget, isHovered: (node) => hovered === node };
 })();

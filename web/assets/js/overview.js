@@ -104,7 +104,7 @@
     let highest = 0;
     for (const card of cards) {
       for (const row of bucketed(card, width).rows) {
-        const value = alone ? (row.means[alone] || 0) + (alone === "queue" ? row.means["send-queue"] || 0 : 0) : Math.max(row.total || 0, row.p95 || 0);
+        const value = alone ? PEER.STAGES.filter((stage) => PEER.look(stage) === alone).reduce((sum, stage) => sum + (row.means[stage] || 0), 0) : Math.max(row.total || 0, row.p95 || 0);
         highest = Math.max(highest, value);
       }
     }
@@ -129,7 +129,7 @@
     const main = { left, right, top: PEER.px(2.25), height: PEER.px(below.length > 1 ? 9.25 : 11.5) };
     const tops = below.map((_, index) => main.top + main.height + PEER.px(1.1 + index * 2.25)), low = PEER.px(1.1);
     const plots = [[main.top, main.top + main.height], ...tops.map((top) => [top, top + low])];
-    const shown = alone ? stages.filter((stage) => (stage === "send-queue" ? "queue" : stage) === alone) : stages;
+    const shown = alone ? stages.filter((stage) => PEER.look(stage) === alone) : stages;
     const axes = { min: start, max: end };
     const series = shown.map((stage) => ({
       name: stage, type: "line", stack: "stages", symbol: "none", data: rows.map((row) => [row.at, row.n > 0 ? row.means[stage] : null]),

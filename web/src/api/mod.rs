@@ -1,5 +1,6 @@
 //! The REST API, `/api/v1`: one file per resource, the OpenAPI document generated from them.
 
+mod compare;
 mod export;
 mod health;
 mod hosts;
@@ -14,6 +15,7 @@ mod pipelines;
 pub(crate) mod run;
 mod runs;
 mod schema;
+mod trust;
 
 use axum::Router;
 use axum::routing::get;
@@ -35,11 +37,14 @@ fn described() -> OpenApiRouter<App> {
         .routes(routes!(pipelines::one))
         .routes(routes!(live::stream))
         .routes(routes!(runs::list))
+        .routes(routes!(compare::experiments))
+        .routes(routes!(compare::compare))
         .routes(routes!(run::one))
         .routes(routes!(run::stages))
         .routes(routes!(run::series))
         .routes(routes!(run::histogram))
         .routes(routes!(run::recomputed))
+        .routes(routes!(trust::one))
         .routes(routes!(pin::put, pin::delete))
         .routes(routes!(iterations::list))
         .routes(routes!(iterations::one))

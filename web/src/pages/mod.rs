@@ -1,6 +1,7 @@
 //! The dashboard: one file per page, its template beside it. A page is complete when it arrives; what of it is
 //! live is a block of its template, sent again by the live stream.
 
+pub(crate) mod compare;
 pub(crate) mod error;
 pub(crate) mod host;
 pub(crate) mod hosts;
@@ -39,6 +40,7 @@ pub(crate) fn routes() -> Router<App> {
         .route("/runs", get(runs::show))
         .route("/runs/{run}", get(run::show))
         .route("/runs/{run}/iterations/{iteration}", get(iteration::show))
+        .route("/compare", get(compare::show))
         .route("/links", get(links::show))
         .route("/links/{link}", get(link::show))
         .route("/hosts", get(hosts::show))

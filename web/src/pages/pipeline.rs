@@ -11,7 +11,8 @@ use serde::Deserialize;
 use super::{Page, Update, overview, page, path};
 use crate::api::parameters::Parameters;
 use crate::error::WebError;
-use crate::numbers::{NONE, SPACE, count, duration, length, milliseconds, percent, rate};
+use crate::look;
+use crate::numbers::{NONE, SPACE, count, duration, length, milliseconds, percent, rate, share};
 use crate::state::{App, AppState};
 use crate::svg::Bar;
 use crate::view::chart::ChartCard;
@@ -168,7 +169,12 @@ fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
         }
     };
     let lost = window.lost_fraction.map_or_else(|| NONE.to_owned(), percent);
-    vec![
+    let right = look::ACCURACIES.into_iter().filter_map(|(name, shown)| {
+        let number = share(window.value(name)?.mean);
+        let title = "accuracy: how often the model was right, where samples have labels".to_owned();
+        Some(Stat { name: shown, number, unit: "%", title })
+    });
+    let stats = vec![
         time("Median", |total| Some(total.p50)),
         time("p95", |total| total.p95),
         time("p99", |total| total.p99),
@@ -178,7 +184,8 @@ fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
         Stat { name: "Lost", unit: if lost == NONE { "" } else { "%" }, number: lost, title: String::new() },
         speed("Up", Way::Up),
         speed("Down", Way::Down),
-    ]
+    ];
+    stats.into_iter().chain(right).collect()
 }
 
 fn pipeline_page(

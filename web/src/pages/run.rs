@@ -3,15 +3,17 @@
 use askama::Template;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
-use peernet_aggregator::{IterationFilter, RunDetail};
+use peernet_aggregator::{IterationFilter, RunDetail, StageStatistics};
 use peernet_logger::stage;
+use peernet_logger::stream::ExperimentPlace;
+use peernet_report::trust::Report;
 use serde::Deserialize;
 
 use super::{Page, page, path};
 use crate::api::parameters::Parameters;
 use crate::error::WebError;
 use crate::look;
-use crate::numbers::{NONE, SPACE, count, figure, mean_std_ms, percent, rate};
+use crate::numbers::{NONE, SPACE, count, figure, mean_std_ms, percent, rate, share};
 use crate::state::{App, AppState};
 use crate::svg::{Axis, Bar, DistributionView, HistogramPlot};
 use crate::view::chip::Chip;
@@ -23,7 +25,8 @@ use crate::view::runs::End;
 use crate::view::shell::{Place, Shell};
 use crate::view::stack::Stack;
 use crate::view::stages::{StageRow, TOO_FEW, directions};
-use crate::view::{link, place, rehearsal, runs};
+use crate::view::trust::Trust;
+use crate::view::{link, place, rehearsal, runs, trust};
 use crate::zone::Zone;
 
 /// Bins of a distribution.
@@ -82,6 +85,9 @@ struct Run {
     axis: Axis,
     slowest: Vec<Slow>,
     unanswered: Vec<Unanswered>,
+    trust: Trust,
+    experiment: Option<ExperimentPlace>,
+    accuracies: Vec<(&'static str, String)>,
     configuration: Vec<(String, String)>,
     toml: String,
     data: JsonBlock,
@@ -110,13 +116,14 @@ pub(crate) async fn show(
     let wanted = query.stage.clone().unwrap_or_else(|| stage::TOTAL.to_string());
     let names = [stage::TOTAL];
     let without_answer = IterationFilter { after: 0, limit: UNANSWERED, unsuccessful: true };
-    let (stages, bounds, histogram, series, slowest, unanswered) = tokio::try_join!(
+    let (stages, bounds, histogram, series, slowest, unanswered, courses) = tokio::try_join!(
         store.stages(number),
         store.bounds(number),
         store.histogram(number, &wanted, BINS),
         store.series(number, &names, POINTS),
         store.slowest(number, OUTLIERS),
         store.iterations(number, &without_answer),
+        trust::courses(store, number),
     )?;
     let plot = histogram.map(|histogram| {
         HistogramPlot::new(&histogram, look::class(&wanted), query.view, query.scale == CountScale::Log)
@@ -130,7 +137,8 @@ pub(crate) async fn show(
         slowest: &slowest,
         unanswered: &unanswered,
     };
-    page(&assemble(&app, &stored, distribution)?)
+    let report = trust::report(&run, &stages, &bounds, &courses);
+    page(&assemble(&app, &stored, distribution, &report)?)
 }
 
 impl Distribution {
@@ -169,7 +177,12 @@ fn facts(run: &RunDetail, zone: Zone) -> Vec<String> {
     facts
 }
 
-fn assemble(app: &AppState, stored: &Stored<'_>, distribution: Distribution) -> Result<Run, WebError> {
+fn assemble(
+    app: &AppState,
+    stored: &Stored<'_>,
+    distribution: Distribution,
+    report: &Report,
+) -> Result<Run, WebError> {
     let Stored { run, stages, bounds, series, .. } = stored;
     let summary = &run.summary;
     let stack = Stack::of_run(stages, bounds);
@@ -231,10 +244,22 @@ fn assemble(app: &AppState, stored: &Stored<'_>, distribution: Distribution) -> 
         axis: Axis::milliseconds(&stored.scale(), ""),
         slowest: stored.slow_rows(zone),
         unanswered: stored.unanswered_rows(zone),
+        trust: Trust::from(report),
+        experiment: summary.experiment.clone(),
+        accuracies: accuracies(stages),
         configuration: configuration(run),
         toml: run.configuration.clone(),
         data: stored.data()?,
     })
+}
+
+/// How often the model was right, where samples had labels.
+fn accuracies(stages: &[StageStatistics]) -> Vec<(&'static str, String)> {
+    let known = look::ACCURACIES.into_iter().filter_map(|(name, shown)| {
+        let figures = stages.iter().find(|stage| stage.stage == *name)?.figures;
+        Some((shown, share(figures.mean)))
+    });
+    known.collect()
 }
 
 fn configuration(run: &RunDetail) -> Vec<(String, String)> {

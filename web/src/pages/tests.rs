@@ -1,5 +1,6 @@
 //! Every page that live updates change, in every state that its data may have.
 
+mod compare;
 mod events;
 
 use peernet_clock::{Span, Verdict};
@@ -242,6 +243,32 @@ async fn a_local_pipeline_has_nothing_to_bound() {
     let html = overview_of(&picture(vec![host("cam-1", "Orin")], vec![local]), Vec::new()).await;
     assert!(html.contains("one host: nothing crosses between clocks"), "{html}");
     assert!(html.contains("one host: nothing is sent"), "{html}");
+}
+
+#[tokio::test]
+async fn a_sensor_alone_is_called_so_and_has_no_model() {
+    let mut alone = pipeline("study", 30.0, 1.0, Verdict::Ok, &[]);
+    alone.placement = peernet_logger::stream::Placement::sensor_alone();
+    let html = overview_of(&picture(vec![host("cam-1", "Orin")], vec![alone]), Vec::new()).await;
+    assert!(html.contains("sensor alone") && !html.contains("none on board"), "{html}");
+    assert!(html.contains("one host: nothing is sent"), "{html}");
+}
+
+#[tokio::test]
+async fn accuracy_stands_beside_latency_where_samples_have_labels() {
+    let (app, _folder) = samples::app().await;
+    let mut shown = picture(vec![host("cam-1", "Orin")], vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
+    let html = |shown: &peernet_aggregator::Picture| {
+        let update = pipeline::update(&app, shown, "cam-1/line/10").expect("renders");
+        update.parts.into_iter().map(|(_, html)| html).collect::<String>()
+    };
+    assert!(!html(&shown).contains("accuracy"), "no label, no accuracy");
+    for window in &mut std::sync::Arc::make_mut(&mut shown.pipelines[0]).windows {
+        window.values.push((Name::from("top-1"), figures(0.875, 300)));
+    }
+    let html = html(&shown);
+    check(&html);
+    assert!(html.contains("how often the model was right") && html.contains("87.5"), "{html}");
 }
 
 fn linked(half: Option<f64>, verdict: Verdict) -> peernet_aggregator::Picture {

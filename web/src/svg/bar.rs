@@ -102,6 +102,12 @@ impl Bar {
         Self { class, label, grid: scale.grid(), segments, whiskers: Vec::new(), bounds }
     }
 
+    /// Adds an error bar of `spread` seconds to both sides of the bar's end, which lies at `mean` seconds.
+    pub(crate) fn spread(mut self, mean: f64, spread: f64, scale: &Scale) -> Self {
+        self.bounds.push((scale.at((mean - spread) * 1e3), scale.at((mean + spread) * 1e3)));
+        self
+    }
+
     /// The same without values and error bars in its segments, for bars that are too low for text.
     pub(crate) fn silent(mut self) -> Self {
         for segment in &mut self.segments {

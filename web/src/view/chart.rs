@@ -73,12 +73,13 @@ struct PageData<'a> {
 }
 
 /// The node names whose means a chart draws, with the factor from SI to what it shows.
-const DRAWN: [(&str, f64); 14] = [
+const DRAWN: [(&str, f64); 15] = [
     ("sensing", 1e3),
     ("encode", 1e3),
     ("send-queue", 1e3),
     ("upload", 1e3),
     ("queue", 1e3),
+    ("ipc", 1e3),
     ("preprocessing", 1e3),
     ("inference", 1e3),
     ("postprocessing", 1e3),

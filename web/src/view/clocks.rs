@@ -54,7 +54,7 @@ pub(crate) const fn meaning(verdict: Verdict) -> &'static str {
 impl ClockCell {
     /// The cell for both directions together: the larger bound and the worse verdict.
     pub(crate) fn of(kind: PlacementKind, bounds: &[Bound]) -> Self {
-        if kind == PlacementKind::Local {
+        if kind != PlacementKind::Remote {
             let title = "one host: nothing crosses between clocks";
             return Self { bound: None, chip: None, words: "one host", title };
         }

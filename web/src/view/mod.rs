@@ -5,6 +5,7 @@ pub(crate) mod bytes;
 pub(crate) mod chart;
 pub(crate) mod chip;
 pub(crate) mod clocks;
+pub(crate) mod compare;
 pub(crate) mod cut;
 pub(crate) mod data;
 pub(crate) mod events;
@@ -26,6 +27,7 @@ pub(crate) mod stack;
 pub(crate) mod stages;
 pub(crate) mod storing;
 pub(crate) mod timeline;
+pub(crate) mod trust;
 pub(crate) mod waterfall;
 
 /// `1 link`, `3 links`.

@@ -6,10 +6,13 @@ use peernet_logger::stream::{Placement, PlacementKind};
 
 use crate::numbers::bytes;
 
+/// Said in place of a model and of a way to it.
+const ALONE: &str = "sensor alone";
+
 /// `cam-2 → rack-a` or `cam-1`.
 pub(crate) fn route(host: &str, placement: &Placement) -> String {
     match (placement.kind, &placement.peer, &placement.address) {
-        (PlacementKind::Local, ..) => host.to_owned(),
+        (PlacementKind::Local | PlacementKind::None, ..) => host.to_owned(),
         (PlacementKind::Remote, Some(peer), _) => format!("{host} → {peer}"),
         (PlacementKind::Remote, None, Some(address)) => format!("{host} → {address}"),
         (PlacementKind::Remote, None, None) => format!("{host} → ?"),
@@ -20,6 +23,7 @@ pub(crate) fn route(host: &str, placement: &Placement) -> String {
 pub(crate) fn means(placement: &Placement, window: Option<&Window>) -> String {
     match placement.kind {
         PlacementKind::Local => format!("{} on board", placement.model),
+        PlacementKind::None => ALONE.to_owned(),
         PlacementKind::Remote => {
             let network = placement.network.as_deref().unwrap_or("network unknown");
             match window.and_then(|window| window.value(&stage::UPLOAD_BYTES)) {
@@ -33,6 +37,7 @@ pub(crate) fn means(placement: &Placement, window: Option<&Window>) -> String {
 /// The model with its device: `quality-control, cpu`.
 pub(crate) fn model(placement: &Placement) -> String {
     match &placement.device {
+        _ if placement.kind == PlacementKind::None => ALONE.to_owned(),
         Some(device) => format!("{}, {device}", placement.model),
         None => placement.model.to_string(),
     }

@@ -54,6 +54,8 @@ pub(crate) struct RunLine {
     pub p99: String,
     pub rehearsal: Option<Chip>,
     pub kept: Option<Chip>,
+    /// Name and id of its experiment.
+    pub experiment: Option<(String, String)>,
 }
 
 /// Why iterations are deleted: `after 7 days`.
@@ -138,6 +140,7 @@ impl RunLine {
             p99: quantile(total.and_then(|total| total.p99)),
             rehearsal: run.rehearsed.then_some(rehearsal::CHIP),
             kept: run.pinned.then_some(KEPT),
+            experiment: run.experiment.clone().map(|place| (place.name, place.id)),
         }
     }
 }

@@ -47,7 +47,7 @@ pub(crate) fn obstacle(window: &Window, way: Way) -> Option<&'static str> {
 
 /// The throughput of a direction in MB/s; over a delay that is known within a wide bound, the interval.
 pub(crate) fn cell(kind: PlacementKind, window: &Window, way: Way) -> Cell {
-    if kind == PlacementKind::Local {
+    if kind != PlacementKind::Remote {
         return Cell::none("one host: nothing is sent");
     }
     let value = window.value(way.throughput());

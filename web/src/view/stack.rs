@@ -209,7 +209,7 @@ mod tests {
     proptest! {
         #[test]
         fn the_parts_add_up_to_the_total(
-            means in proptest::collection::vec((0.0f64..0.1, 1u64..100), 10),
+            means in proptest::collection::vec((0.0f64..0.1, 1u64..100), stage::ORDER.len()),
             rest in 0.0f64..0.01,
         ) {
             let sum: f64 = means.iter().map(|(mean, count)| mean * *count as f64 / 100.0).sum();

@@ -10,7 +10,7 @@ use crate::bed::{Bed, ITERATIONS};
 use crate::factory::Line;
 
 /// Every route, with an address that exists when two lines are stored.
-const ROUTES: [(&str, &str); 21] = [
+const ROUTES: [(&str, &str); 24] = [
     ("/api/v1/hosts", "/api/v1/hosts"),
     ("/api/v1/hosts/{host}", "/api/v1/hosts/cam-2"),
     ("/api/v1/links", "/api/v1/links"),
@@ -25,6 +25,9 @@ const ROUTES: [(&str, &str); 21] = [
     ("/api/v1/runs/{run}/series", "/api/v1/runs/2/series?stages=total,upload"),
     ("/api/v1/runs/{run}/histogram", "/api/v1/runs/2/histogram?stage=upload&bins=20"),
     ("/api/v1/runs/{run}/recomputed", "/api/v1/runs/2/recomputed"),
+    ("/api/v1/runs/{run}/trust", "/api/v1/runs/2/trust"),
+    ("/api/v1/compare", "/api/v1/compare?runs=1,2"),
+    ("/api/v1/experiments", "/api/v1/experiments"),
     ("/api/v1/runs/{run}/iterations", "/api/v1/runs/2/iterations?limit=5"),
     ("/api/v1/runs/{run}/iterations/{iteration}", "/api/v1/runs/2/iterations/100"),
     ("/api/v1/runs/{run}/export", "/api/v1/runs/2/export?format=csv"),

@@ -2,6 +2,7 @@
 
 mod api;
 mod bed;
+mod comparing;
 mod factory;
 mod metrics;
 mod pages;

@@ -101,7 +101,7 @@ impl From<stream::OutcomeCounts> for Counts {
 /// Where a pipeline computes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Placement {
-    /// `local` or `remote`.
+    /// `local`, `remote`, or `none` for a sensor alone.
     pub kind: &'static str,
     /// Name of the serving host.
     pub peer: Option<String>,
@@ -117,6 +117,7 @@ impl From<&stream::Placement> for Placement {
         let kind = match placement.kind {
             stream::PlacementKind::Local => "local",
             stream::PlacementKind::Remote => "remote",
+            stream::PlacementKind::None => "none",
         };
         Self {
             kind,

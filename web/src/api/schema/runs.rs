@@ -1,10 +1,11 @@
 //! Stored runs.
 
 use peernet_aggregator as aggregator;
+use peernet_logger::stream;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::{Bound, Counts, Figures, Placement, time};
+use super::{Bound, Condition, Counts, Figures, Placement, time};
 
 /// Runs, newest first.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -44,6 +45,28 @@ pub(crate) struct Run {
     /// Iterations up to and including this number were deleted because of their age or for want of room, their statistics
     /// remain; 0: none.
     pub deleted_through: u64,
+    /// Its place in an experiment; null when it belongs to none.
+    pub experiment: Option<ExperimentPlace>,
+}
+
+/// The place of a run in an experiment.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub(crate) struct ExperimentPlace {
+    pub name: String,
+    /// The same for all runs of one execution.
+    pub id: String,
+    /// What distinguishes this configuration from the others.
+    pub configuration: Vec<Fact>,
+    /// From 0.
+    pub repeat: u32,
+}
+
+impl From<&stream::ExperimentPlace> for ExperimentPlace {
+    fn from(place: &stream::ExperimentPlace) -> Self {
+        let stream::ExperimentPlace { name, id, configuration, repeat } = place.clone();
+        let fact = |(name, value)| Fact { name, value };
+        Self { name, id, configuration: configuration.into_iter().map(fact).collect(), repeat }
+    }
 }
 
 impl From<&aggregator::RunSummary> for Run {
@@ -64,6 +87,7 @@ impl From<&aggregator::RunSummary> for Run {
             rehearsed: run.rehearsed,
             pinned: run.pinned,
             deleted_through: run.nodes_from,
+            experiment: run.experiment.as_ref().map(ExperimentPlace::from),
         }
     }
 }
@@ -79,6 +103,8 @@ pub(crate) struct RunDetail {
     pub configuration: String,
     /// Version of the agent.
     pub version: String,
+    /// What was found of the hosts before it began; empty when nobody looked.
+    pub conditions: Vec<Condition>,
     pub gaps: Vec<Gap>,
 }
 
@@ -113,6 +139,7 @@ impl From<&aggregator::RunDetail> for RunDetail {
             facts: facts.map(|(name, value)| Fact { name: name.clone(), value: value.clone() }).collect(),
             configuration: detail.configuration.clone(),
             version: detail.version.clone(),
+            conditions: detail.conditions.iter().map(Condition::from).collect(),
             gaps: detail.gaps.iter().map(Gap::from).collect(),
         }
     }

@@ -14,10 +14,10 @@ pub(crate) use numbers::Numbers;
 
 use peernet_clock::{ClockIdentity, SharedClock, Span, WallTime};
 use peernet_logger::stream::{
-    Event, Gap, Hardware, HostDescription, HostMetrics, Incident, IncidentKind, Iteration, LiveUpdate,
-    Outcome, PipelineLive, PipelineState, RunDescription, RunEnded,
+    Condition, Event, ExperimentPlace, Gap, Grade, Hardware, HostDescription, HostMetrics, Incident,
+    IncidentKind, Iteration, LiveUpdate, Outcome, PipelineLive, PipelineState, RunDescription, RunEnded,
 };
-use peernet_logger::{HostId, RunId};
+use peernet_logger::{HostId, RunId, stage};
 
 /// The cameras' pipelines and the rack that serves two of them.
 pub(crate) struct Factory {
@@ -81,7 +81,7 @@ impl Factory {
         let mut runs = Vec::new();
         for index in 0..self.lines.len() {
             let run = RunId::random();
-            let events = self.run(index, run, iterations, ended);
+            let events = self.run(index, run, iterations, ended, None);
             self.lines[index].run = Some(run);
             self.agents[index].offer(events);
             self.agents[index].until_stored().await;
@@ -90,7 +90,55 @@ impl Factory {
         runs
     }
 
-    fn run(&mut self, index: usize, run: RunId, iterations: u64, ended: bool) -> Vec<Event> {
+    /// Stores an experiment: a run of each line, `repeats` times.
+    pub(crate) async fn store_experiment(&mut self, iterations: u64, repeats: u32) {
+        let id = RunId::random().to_string();
+        for repeat in 0..repeats {
+            for index in 0..self.lines.len() {
+                let line = &self.lines[index];
+                let place = if line.remote { "cloud" } else { "on board" };
+                let configuration = vec![
+                    ("picture".to_owned(), line.name.to_owned()),
+                    ("where".to_owned(), place.to_owned()),
+                ];
+                let place =
+                    ExperimentPlace { name: "pictures".to_owned(), id: id.clone(), configuration, repeat };
+                let events = self.run(index, RunId::random(), iterations, true, Some(place));
+                self.agents[index].offer(events);
+                self.agents[index].until_stored().await;
+            }
+        }
+    }
+
+    /// Stores an experiment: a run of a line with samples of each size; an upload takes as much longer.
+    pub(crate) async fn store_sizes(&mut self, index: usize, iterations: u64, sizes: &[f64]) {
+        let (id, usual) = (RunId::random().to_string(), self.lines[index].clone());
+        for bytes in sizes {
+            let line = &mut self.lines[index];
+            for (name, mean, _) in &mut line.stages {
+                if *name == stage::UPLOAD {
+                    *mean *= bytes / line.bytes;
+                }
+            }
+            line.bytes = *bytes;
+            let configuration = vec![("size".to_owned(), format!("{} kB", bytes / 1e3))];
+            let place =
+                ExperimentPlace { name: "sizes".to_owned(), id: id.clone(), configuration, repeat: 0 };
+            let events = self.run(index, RunId::random(), iterations, true, Some(place));
+            self.agents[index].offer(events);
+            self.agents[index].until_stored().await;
+        }
+        self.lines[index] = usual;
+    }
+
+    fn run(
+        &mut self,
+        index: usize,
+        run: RunId,
+        iterations: u64,
+        ended: bool,
+        experiment: Option<ExperimentPlace>,
+    ) -> Vec<Event> {
         let (edge, rack) = (self.agents[index].id(), self.rack());
         let line = &self.lines[index];
         let step = Span::from_seconds_f64(1.0 / line.hz);
@@ -104,8 +152,8 @@ impl Factory {
             facts: line.facts(),
             configuration: line.configuration(),
             version: "0.1.0".into(),
-            experiment: None,
-            conditions: Vec::new(),
+            conditions: conditions(line.host, experiment.is_some()),
+            experiment: experiment.map(Box::new),
         })];
         let mut at = started;
         for number in 1..=iterations {
@@ -251,4 +299,26 @@ impl Factory {
         };
         agent.live(update).await;
     }
+}
+
+/// What was found of an edge; in an experiment nobody minded the governor.
+fn conditions(host: &str, careless: bool) -> Vec<Condition> {
+    let found = |about: &str, found: &str, grade, advice: &str| Condition {
+        host: host.to_owned(),
+        about: about.to_owned(),
+        found: found.to_owned(),
+        grade,
+        advice: advice.to_owned(),
+    };
+    let governor = if careless {
+        let advice = "set it to `performance` for the measurement";
+        found("CPU governor", "schedutil: the frequency follows the load", Grade::Doubtful, advice)
+    } else {
+        found("CPU governor", "performance", Grade::Good, "")
+    };
+    vec![
+        governor,
+        found("thermal throttling", "none, neither now nor since the host was started", Grade::Good, ""),
+        found("Wi-Fi power save", "cannot be found out of wlan0: `iw` is missing", Grade::Unknown, ""),
+    ]
 }

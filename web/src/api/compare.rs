@@ -1,0 +1,70 @@
+//! Runs side by side, and experiments.
+
+use axum::Json;
+use axum::extract::State;
+use serde::Deserialize;
+use utoipa::IntoParams;
+
+use super::parameters::{Parameters, bounded};
+use super::schema::{Comparison, Experiment, ExperimentList};
+use crate::error::{ProblemDetails, WebError};
+use crate::pages::compare::courses;
+use crate::state::App;
+use crate::view::compare::{Which, difference, gather};
+
+/// Which runs; either of both.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+pub(crate) struct CompareQuery {
+    /// Numbers of runs, parted by commas, at most 12; each is a configuration of its own.
+    #[allow(dead_code, reason = "describes the parameter")]
+    runs: Option<String>,
+    /// Id of an experiment: all its runs, at most 200; repeats of a configuration are taken together.
+    #[allow(dead_code, reason = "describes the parameter")]
+    experiment: Option<String>,
+}
+
+/// Runs side by side. Means and standard deviations of several runs are exact; of two configurations the differences of
+/// the means are given with a 95 % interval (Welch, from the means of at most 30 stretches of each run).
+#[utoipa::path(get, path = "/api/v1/compare", operation_id = "compareRuns", tag = "runs", params(CompareQuery), responses(
+    (status = 200, body = Comparison),
+    (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
+))]
+pub(crate) async fn compare(
+    State(app): State<App>,
+    Parameters(query): Parameters<Vec<(String, String)>>,
+) -> Result<Json<Comparison>, WebError> {
+    let which = Which::of(&query)?;
+    let which = which.ok_or_else(|| {
+        WebError::BadRequest("query parameter runs: name runs, or an experiment".to_owned())
+    })?;
+    let comparison = gather(app.store(), &which).await?;
+    let differences = match (comparison.configurations.as_slice(), courses(app.store(), &comparison).await?) {
+        ([first, second], Some((a, b))) => difference((first, &a), (second, &b)),
+        _ => Vec::new(),
+    };
+    Ok(Json(Comparison::new(&comparison, &differences)))
+}
+
+/// How many experiments.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields, default)]
+#[into_params(parameter_in = Query)]
+pub(crate) struct ExperimentsQuery {
+    /// At most so many, 1 to 1,000; 50 unless given.
+    limit: Option<u32>,
+}
+
+/// Experiments, the one with the newest run first.
+#[utoipa::path(get, path = "/api/v1/experiments", operation_id = "listExperiments", tag = "runs", params(ExperimentsQuery), responses(
+    (status = 200, body = ExperimentList),
+    (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
+))]
+pub(crate) async fn experiments(
+    State(app): State<App>,
+    Parameters(query): Parameters<ExperimentsQuery>,
+) -> Result<Json<ExperimentList>, WebError> {
+    let limit = bounded("limit", query.limit, 50, 1..=1_000)?;
+    let found = app.store().experiments(limit).await?;
+    Ok(Json(ExperimentList { experiments: found.iter().map(Experiment::from).collect() }))
+}

@@ -1,0 +1,128 @@
+//! Runs side by side, and experiments.
+
+use peernet_aggregator as aggregator;
+use peernet_logger::Name;
+use peernet_report::batches;
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::time;
+use crate::view::compare;
+
+/// Experiments, the one with the newest run first.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub(crate) struct ExperimentList {
+    pub experiments: Vec<Experiment>,
+}
+
+/// Runs that were declared together.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub(crate) struct Experiment {
+    /// The same for all runs of one execution.
+    pub id: String,
+    pub name: String,
+    /// Runs that began.
+    pub runs: u64,
+    /// Of them those that have not ended.
+    pub open: u64,
+    /// Number of its first run.
+    pub oldest: i64,
+    /// Number of its newest run.
+    pub newest: i64,
+    /// When the first began, on its edge's wall clock.
+    pub started: String,
+}
+
+impl From<&aggregator::ExperimentSummary> for Experiment {
+    fn from(known: &aggregator::ExperimentSummary) -> Self {
+        let aggregator::ExperimentSummary { id, name, runs, open, oldest, newest, started } = known.clone();
+        Self { id, name, runs, open, oldest, newest, started: time(started) }
+    }
+}
+
+/// Configurations side by side; successful iterations only, warm-up left out.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Comparison {
+    /// Id of the experiment that was asked for.
+    pub experiment: Option<String>,
+    /// What the configurations differ in.
+    pub axes: Vec<String>,
+    pub configurations: Vec<Configuration>,
+    /// Letter of the configuration with the lowest mean of `total`; null where there is nothing to compare.
+    pub best: Option<String>,
+    /// The second configuration less the first, where there are exactly two.
+    pub differences: Vec<Difference>,
+    /// Whether there were more runs than are compared.
+    pub cut: bool,
+}
+
+/// Runs of one configuration, taken together.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Configuration {
+    /// What the dashboard calls it.
+    pub letter: String,
+    /// Its value on each axis.
+    pub values: Vec<String>,
+    /// Numbers of its runs.
+    pub runs: Vec<i64>,
+    pub stages: Vec<Mean>,
+}
+
+/// Mean and standard deviation of one node name, in its SI unit.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Mean {
+    pub name: String,
+    pub unit: String,
+    pub count: u64,
+    pub mean: f64,
+    /// Sample standard deviation over all iterations; null below two samples.
+    pub std: Option<f64>,
+}
+
+/// A difference of two means, seconds.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Difference {
+    pub name: String,
+    pub value: f64,
+    /// Lower and upper end of the 95 % interval.
+    pub interval: [f64; 2],
+    /// Whether zero lies outside the interval.
+    pub certain: bool,
+}
+
+impl Comparison {
+    pub(crate) fn new(
+        comparison: &compare::Comparison,
+        differences: &[(Name, Option<batches::Difference>, compare::Changed)],
+    ) -> Self {
+        let mean = |stage: &aggregator::StageStatistics| Mean {
+            name: stage.stage.to_string(),
+            unit: stage.unit.clone(),
+            count: stage.figures.count,
+            mean: stage.figures.mean,
+            std: stage.figures.std,
+        };
+        let configuration = |one: &compare::Configuration| Configuration {
+            letter: one.letter.clone(),
+            values: one.values.clone(),
+            runs: one.runs.iter().map(|run| run.number).collect(),
+            stages: one.stages.iter().map(mean).collect(),
+        };
+        let known = differences.iter().filter_map(|(name, found, _)| Some((name, (*found)?)));
+        Self {
+            experiment: comparison.experiment.as_ref().map(|(_, id)| id.clone()),
+            axes: comparison.axes.clone(),
+            configurations: comparison.configurations.iter().map(configuration).collect(),
+            best: comparison.best().map(|at| comparison.configurations[at].letter.clone()),
+            differences: known
+                .map(|(name, found)| Difference {
+                    name: name.to_string(),
+                    value: found.value,
+                    interval: [found.interval.0, found.interval.1],
+                    certain: found.is_certain(),
+                })
+                .collect(),
+            cut: comparison.cut,
+        }
+    }
+}

@@ -1,0 +1,63 @@
+//! Runs side by side, in every state that they may have.
+
+use peernet_logger::stream::PlacementKind::{Local, Remote};
+
+use super::super::compare::rendered;
+use super::check;
+use crate::view::compare::Configuration;
+use crate::view::compare::tests::{comparison, configuration, course};
+use crate::view::samples;
+use crate::view::shell::{Place, Shell};
+
+async fn page_of(configurations: Vec<Configuration>, means: Option<(f64, f64)>) -> String {
+    let (app, _folder) = samples::app().await;
+    let shell = Shell::new(&app, &app.picture(), Place::Runs, "Compare");
+    let courses = means.map(|(a, b)| (vec![course(a, 20)], vec![course(b, 20)]));
+    let html = rendered(shell, &comparison(configurations), courses.as_ref());
+    check(&html);
+    html
+}
+
+#[tokio::test]
+async fn two_configurations_have_a_difference_with_its_interval() {
+    let two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
+    let html = page_of(two, Some((0.0241, 0.0160))).await;
+    assert!(
+        html.contains("<h2 id=\"cd-h\">B less A</h2>") && html.contains("95&#x202f;% interval"),
+        "{html}"
+    );
+    assert!(
+        html.contains("lowest mean</span>") && html.contains("Inference on board and in the cloud"),
+        "{html}"
+    );
+    assert!(html.contains("class=\"halo\""), "the error bar of the total");
+    assert!(!html.contains("Latency against payload"));
+}
+
+#[tokio::test]
+async fn several_configurations_have_a_table_bars_and_a_plot() {
+    let many = (0..8).map(|at| configuration(at, Remote, 1.0 + at as f64 * 0.3, 1e3 * (at + 1) as f64));
+    let html = page_of(many.collect(), None).await;
+    assert_eq!(html.matches("class=\"bar\"").count() - 1, 8);
+    assert!(html.contains("Latency against payload") && html.contains("sizes"), "{html}");
+    assert!(!html.contains("id=\"cd-h\""));
+    assert_eq!(html.matches("<circle class=\"f-upload cut\"").count(), 8);
+}
+
+#[tokio::test]
+async fn accuracies_stand_beside_the_latencies() {
+    let mut one = configuration(0, Local, 1.0, 1e3);
+    let mut top = one.stages[0].clone();
+    (top.stage, top.unit, top.figures.mean) = (peernet_logger::Name::from("top-1"), String::new(), 0.842);
+    one.stages.push(top);
+    let html = page_of(vec![one, configuration(1, Remote, 1.0, 1e3)], None).await;
+    assert!(html.contains(">Top-1</th>") && html.contains(">84.2</td>"), "{html}");
+}
+
+#[tokio::test]
+async fn runs_without_an_iteration_can_be_looked_at() {
+    let mut empty = configuration(0, Remote, 1.0, 1e3);
+    empty.stages.clear();
+    let html = page_of(vec![empty.clone(), Configuration { letter: "B".to_owned(), ..empty }], None).await;
+    assert!(html.contains("No iteration of these runs is stored yet"), "{html}");
+}

@@ -1,0 +1,94 @@
+//! Several runs side by side, from their roll-ups alone.
+
+pub(crate) mod gather;
+mod pictures;
+mod pool;
+mod table;
+#[cfg(test)]
+pub(crate) mod tests;
+
+pub(crate) use gather::{MOST_RUNS, Which, gather};
+pub(crate) use pictures::{Pair, StackRow, pairs, payload, stacks};
+pub(crate) use table::{Changed, Table, difference, title};
+
+use peernet_aggregator::{Bound, Figures, RunSummary, StageStatistics};
+use peernet_logger::stream::PlacementKind;
+
+/// What is compared.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Comparison {
+    /// The experiment that all runs belong to, name and id, where one was asked for.
+    pub experiment: Option<(String, String)>,
+    /// What the configurations differ in.
+    pub axes: Vec<String>,
+    /// In the order in which they first ran, or as they were asked for.
+    pub configurations: Vec<Configuration>,
+    /// Whether there were more runs than are compared.
+    pub cut: bool,
+}
+
+/// Runs of one configuration, taken together.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Configuration {
+    /// `A`, `B` and so on: what pictures call it.
+    pub letter: String,
+    /// Its value on each axis.
+    pub values: Vec<String>,
+    /// Oldest first.
+    pub runs: Vec<RunSummary>,
+    /// Of all its runs together; quantiles are those of a single run, and missing where there are several.
+    pub stages: Vec<StageStatistics>,
+    /// How well the one-way delays are known.
+    pub bounds: Vec<Bound>,
+}
+
+impl Configuration {
+    /// Figures of a node by its name.
+    pub(crate) fn figures(&self, name: &str) -> Option<&Figures> {
+        self.stages.iter().find(|stage| stage.stage == *name).map(|stage| &stage.figures)
+    }
+
+    /// Mean of the total, seconds; of the sensor alone where there is no more.
+    pub(crate) fn total(&self) -> Option<&Figures> {
+        self.figures("total").or_else(|| self.figures("sensing"))
+    }
+
+    fn placement(&self) -> Option<&peernet_logger::stream::Placement> {
+        self.runs.first().map(|run| &run.placement)
+    }
+
+    fn kind(&self) -> Option<PlacementKind> {
+        self.placement().map(|placement| placement.kind)
+    }
+}
+
+impl Comparison {
+    /// The place of the configuration with the lowest mean of the total; `None` where there is nothing to compare.
+    pub(crate) fn best(&self) -> Option<usize> {
+        let measured: Vec<(usize, f64)> = self
+            .configurations
+            .iter()
+            .enumerate()
+            .filter_map(|(at, one)| Some((at, one.total()?.mean)))
+            .collect();
+        let best = measured.iter().min_by(|a, b| a.1.total_cmp(&b.1))?;
+        (measured.len() > 1).then_some(best.0)
+    }
+
+    /// Numbers of all runs.
+    pub(crate) fn runs(&self) -> impl Iterator<Item = &RunSummary> {
+        self.configurations.iter().flat_map(|one| &one.runs)
+    }
+}
+
+/// `A` to `Z`, then `AA`.
+pub(crate) fn letter(mut at: usize) -> String {
+    let mut text = String::new();
+    loop {
+        text.insert(0, char::from(b'A' + (at % 26) as u8));
+        at = match (at / 26).checked_sub(1) {
+            Some(rest) => rest,
+            None => return text,
+        };
+    }
+}

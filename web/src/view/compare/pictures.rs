@@ -1,0 +1,158 @@
+//! Pictures of a comparison: stacks, pairs of local and cloud, latency against payload.
+
+use peernet_logger::stage;
+use peernet_logger::stream::PlacementKind;
+
+use super::{Comparison, Configuration};
+use crate::look;
+use crate::numbers::{NONE, bytes, duration, mean_std_ms};
+use crate::svg::{Axis, Bar, Part, Scale, Scatter, ScatterPoint, ScatterSeries};
+use crate::view::place;
+use crate::view::stack::Stack;
+
+/// A configuration's stages as a bar.
+pub(crate) struct StackRow {
+    pub letter: String,
+    pub name: String,
+    pub bar: Bar,
+    pub total: (String, Option<String>),
+    pub best: bool,
+}
+
+/// One model, on board and in the cloud.
+pub(crate) struct Pair {
+    pub model: String,
+    pub places: Vec<PlaceRow>,
+}
+
+/// Where a model ran.
+pub(crate) struct PlaceRow {
+    pub letter: String,
+    pub name: String,
+    pub inference: (String, Option<String>),
+    pub bar: Bar,
+}
+
+/// The stages of all configurations on one scale, means with the standard deviation of the total.
+pub(crate) fn stacks(comparison: &Comparison) -> (Vec<StackRow>, Axis) {
+    let all = &comparison.configurations;
+    let reach = |one: &Configuration| one.total().map_or(0.0, |total| total.mean + total.std.unwrap_or(0.0));
+    let scale = Scale::fit(all.iter().map(reach).fold(0.0, f64::max) * 1e3, 6);
+    let best = comparison.best();
+    let row = |(at, one): (usize, &Configuration)| {
+        let parts = parts(one);
+        let total = one.total();
+        let label = label(one, &parts);
+        let mut bar = Bar::new("", label, &parts, &scale);
+        if let Some((mean, std)) = total.and_then(|total| Some((total.mean, total.std?))) {
+            bar = bar.spread(mean, std, &scale);
+        }
+        StackRow {
+            letter: one.letter.clone(),
+            name: one
+                .values
+                .iter()
+                .filter(|value| *value != NONE)
+                .map(String::as_str)
+                .collect::<Vec<_>>()
+                .join(", "),
+            total: total.map_or((NONE.to_owned(), None), |total| mean_std_ms(total.mean, total.std)),
+            bar,
+            best: best == Some(at),
+        }
+    };
+    (all.iter().enumerate().map(row).collect(), Axis::milliseconds(&scale, ""))
+}
+
+/// Means of the stages; of a sensor alone its sensing.
+fn parts(one: &Configuration) -> Vec<Part> {
+    let mut parts = Stack::of_run(&one.stages, &one.bounds).parts;
+    if parts.is_empty() {
+        let sensing = one.figures(&stage::SENSING);
+        parts.extend(sensing.map(|figures| Part {
+            name: stage::SENSING.to_string(),
+            seconds: figures.mean,
+            bound: None,
+        }));
+    }
+    // The clocks' bounds stand on the run's page; here the error bar is the standard deviation.
+    parts.iter_mut().for_each(|part| part.bound = None);
+    parts
+}
+
+fn label(one: &Configuration, parts: &[Part]) -> String {
+    let Some(total) = one.total() else { return format!("{}: nothing measured", one.letter) };
+    let stages = parts.iter().map(|part| format!("{} {}", part.name, duration(part.seconds)));
+    let stages = stages.collect::<Vec<_>>().join(", ");
+    format!("{}: mean {} of {} iterations. {stages}.", one.letter, duration(total.mean), total.count)
+}
+
+/// Models that ran both on board and in the cloud, each with its inference alone, all on one scale.
+pub(crate) fn pairs(comparison: &Comparison) -> (Vec<Pair>, Axis) {
+    let mut models: Vec<String> = Vec::new();
+    for placement in comparison.configurations.iter().filter_map(Configuration::placement) {
+        let model = placement.model.to_string();
+        if !models.contains(&model) {
+            models.push(model);
+        }
+    }
+    let of = |model: &str| {
+        let with = comparison.configurations.iter().filter(move |one| {
+            one.placement().is_some_and(|placement| placement.model.as_str() == model)
+                && one.figures(&stage::INFERENCE).is_some()
+        });
+        with.collect::<Vec<_>>()
+    };
+    let both = |model: &String| {
+        let has = |kind| of(model).iter().any(|one| one.kind() == Some(kind));
+        has(PlacementKind::Local) && has(PlacementKind::Remote)
+    };
+    models.retain(both);
+    let measured = models.iter().flat_map(|model| of(model));
+    let reach = measured.filter_map(|one| one.figures(&stage::INFERENCE));
+    let reach = reach.map(|figures| figures.mean + figures.std.unwrap_or(0.0)).fold(0.0, f64::max);
+    let scale = Scale::fit(reach * 1e3, 6);
+    let row = |one: &Configuration| {
+        let figures = one.figures(&stage::INFERENCE)?;
+        let (placement, host) = (one.placement()?, one.runs.first()?.host_name.as_str());
+        let wher = if one.kind() == Some(PlacementKind::Local) { "on board" } else { "cloud" };
+        let name = format!("{wher}, {}", place::route(host, placement));
+        let part = Part { name: stage::INFERENCE.to_string(), seconds: figures.mean, bound: None };
+        let label = format!("{}, {name}: inference {}", one.letter, duration(figures.mean));
+        let bar = Bar::new("thin", label, &[part], &scale).silent();
+        let bar = figures.std.map_or(bar.clone(), |std| bar.spread(figures.mean, std, &scale));
+        let inference = mean_std_ms(figures.mean, figures.std);
+        Some(PlaceRow { letter: one.letter.clone(), name, inference, bar })
+    };
+    let pair = |model: &String| {
+        let mut places = of(model);
+        places.sort_by_key(|one| one.kind() == Some(PlacementKind::Remote));
+        Pair { model: model.clone(), places: places.into_iter().filter_map(row).collect() }
+    };
+    (models.iter().map(pair).collect(), Axis::milliseconds(&scale, ""))
+}
+
+/// Latency against payload, where at least three configurations sent payloads that differ by a tenth or more.
+pub(crate) fn payload(comparison: &Comparison) -> Option<Scatter> {
+    let of = |one: &Configuration| one.figures(&stage::UPLOAD_BYTES).map(|figures| figures.mean);
+    let sizes: Vec<f64> = comparison.configurations.iter().filter_map(of).collect();
+    let (least, most) =
+        sizes.iter().fold((f64::INFINITY, 0.0_f64), |(lo, hi), size| (lo.min(*size), hi.max(*size)));
+    if sizes.len() < 3 || most < least * 1.1 {
+        return None;
+    }
+    let series = [stage::TOTAL, stage::UPLOAD].map(|name| {
+        let points = comparison.configurations.iter().filter_map(|one| {
+            let figures = one.figures(&name)?;
+            Some(ScatterPoint {
+                x: of(one)? / 1e3,
+                y: figures.mean * 1e3,
+                spread: figures.std.map(|std| std * 1e3),
+                name: one.letter.clone(),
+            })
+        });
+        ScatterSeries { look: look::class(&name), name: name.to_string(), points: points.collect() }
+    });
+    let label = format!("Mean latency against payload, {} to {}", bytes(least), bytes(most));
+    Some(Scatter::new(label, "kB sent", "ms", &series))
+}

@@ -1,0 +1,175 @@
+//! Figures per configuration, and the difference of two.
+
+use peernet_aggregator::StageCourse;
+use peernet_logger::{Name, stage};
+use peernet_report::batches::Difference;
+use peernet_report::trust::Course;
+
+use super::{Comparison, Configuration};
+use crate::look;
+use crate::numbers::{NONE, SPACE, bytes, count, duration, mean_std_ms, share, signed_within_ms, times};
+
+/// The columns of the paper's table, and both totals.
+const COLUMNS: [(&str, &str); 6] = [
+    ("sensing", "sensing"),
+    ("upload", "upload"),
+    ("inference", "inference"),
+    ("download", "download"),
+    ("stages-total", "sum of stages"),
+    ("total", "total"),
+];
+
+/// Figures per configuration.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Table {
+    pub header: Header,
+    pub rows: Vec<Row>,
+}
+
+/// The names of the columns.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Header {
+    pub axes: Vec<String>,
+    pub columns: Vec<&'static str>,
+    pub accuracies: Vec<&'static str>,
+    /// Whether something was sent.
+    pub sent: bool,
+}
+
+/// One configuration. Times in ms.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Row {
+    pub letter: String,
+    pub values: Vec<String>,
+    /// Numbers of its runs.
+    pub runs: Vec<i64>,
+    pub iterations: String,
+    /// Mean and standard deviation.
+    pub cells: Vec<(String, Option<String>)>,
+    pub accuracies: Vec<String>,
+    /// Payload sent up on average, with unit.
+    pub sent: String,
+    pub best: bool,
+}
+
+impl Table {
+    pub(crate) fn of(comparison: &Comparison) -> Self {
+        let known = |name: &str| comparison.configurations.iter().any(|one| one.figures(name).is_some());
+        let columns: Vec<_> = COLUMNS.into_iter().filter(|(name, _)| known(name)).collect();
+        let accuracies: Vec<_> = look::ACCURACIES.into_iter().filter(|(name, _)| known(name)).collect();
+        let best = comparison.best();
+        let row = |(at, one): (usize, &Configuration)| Row {
+            letter: one.letter.clone(),
+            values: one.values.clone(),
+            runs: one.runs.iter().map(|run| run.number).collect(),
+            iterations: count(one.total().map_or(0, |total| total.count)),
+            cells: columns
+                .iter()
+                .map(|(name, _)| match one.figures(name) {
+                    Some(figures) => mean_std_ms(figures.mean, figures.std),
+                    None => (NONE.to_owned(), None),
+                })
+                .collect(),
+            accuracies: accuracies
+                .iter()
+                .map(|(name, _)| {
+                    one.figures(name).map_or_else(|| NONE.to_owned(), |figures| share(figures.mean))
+                })
+                .collect(),
+            sent: one
+                .figures(&stage::UPLOAD_BYTES)
+                .map_or_else(|| NONE.to_owned(), |sent| bytes(sent.mean).to_string()),
+            best: best == Some(at),
+        };
+        Self {
+            rows: comparison.configurations.iter().enumerate().map(row).collect(),
+            header: Header {
+                axes: comparison.axes.clone(),
+                columns: columns.into_iter().map(|(_, shown)| shown).collect(),
+                accuracies: accuracies.into_iter().map(|(_, shown)| shown).collect(),
+                sent: known(&stage::UPLOAD_BYTES),
+            },
+        }
+    }
+}
+
+/// A row of the difference of two configurations. Times in ms.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Changed {
+    pub name: String,
+    pub look: &'static str,
+    pub first: String,
+    pub second: String,
+    /// The second less the first, with its interval where there are enough batches.
+    pub difference: String,
+    pub interval: Option<String>,
+    /// Whether it is more than chance; `None` where that cannot be told.
+    pub certain: Option<bool>,
+}
+
+/// The second configuration less the first, stage by stage; courses are those of their runs in order.
+pub(crate) fn difference(
+    first: (&Configuration, &[Vec<StageCourse>]),
+    second: (&Configuration, &[Vec<StageCourse>]),
+) -> Vec<(Name, Option<Difference>, Changed)> {
+    let names = [stage::TOTAL, stage::STAGES_TOTAL].into_iter().chain(stage::ORDER);
+    let rows = names.filter_map(|name| {
+        let (a, b) = (first.0.figures(&name)?, second.0.figures(&name)?);
+        let found = Difference::of_batches(&batches(first.1, &name), &batches(second.1, &name));
+        let found = found.map(|found| found.about(b.mean - a.mean));
+        let value = found.map_or(b.mean - a.mean, |found| found.value);
+        let interval = found.map_or((value, value), |found| found.interval);
+        let changed = Changed {
+            look: look::class(&name),
+            first: mean_std_ms(a.mean, None).0,
+            second: mean_std_ms(b.mean, None).0,
+            difference: signed_within_ms(value, interval),
+            interval: found.map(|found| crate::numbers::shift_ms(found.interval.0, found.interval.1)),
+            certain: found.map(|found| found.is_certain()),
+            name: name.to_string(),
+        };
+        Some((name, found, changed))
+    });
+    rows.collect()
+}
+
+/// Means of the batches of all runs of a configuration.
+fn batches(runs: &[Vec<StageCourse>], name: &Name) -> Vec<f64> {
+    let courses = runs.iter().flatten().filter(|course| course.stage == *name);
+    let courses = courses.filter_map(|course| Course::of_summaries(&course.buckets));
+    courses.flat_map(|course| course.batch_means).collect()
+}
+
+/// What the comparison found, in a sentence.
+pub(crate) fn title(comparison: &Comparison, total: Option<&Difference>) -> String {
+    let all = &comparison.configurations;
+    let Some(best) = comparison.best().map(|at| &all[at]) else {
+        return match all.len() {
+            1 => "One configuration: there is nothing to compare it with yet".to_owned(),
+            _ => "No iteration of these runs is stored yet".to_owned(),
+        };
+    };
+    let mean = |one: &Configuration| one.total().map(|total| total.mean);
+    let fastest = mean(best).unwrap_or_default();
+    if let ([first, second], Some(found)) = (all.as_slice(), total) {
+        if !found.is_certain() {
+            return format!("{} and {} do not differ by more than chance", first.letter, second.letter);
+        }
+        let (slow, less) = if found.value > 0.0 { (second, -found.value) } else { (first, found.value) };
+        let least = found.interval.0.abs().min(found.interval.1.abs());
+        let most = found.interval.0.abs().max(found.interval.1.abs());
+        return format!(
+            "{} takes {} less than {} (95{SPACE}%: {}{SPACE}ms)",
+            best.letter,
+            duration(less.abs()),
+            slow.letter,
+            crate::numbers::interval_ms(least, most)
+        );
+    }
+    let others = all.iter().filter(|one| one.letter != best.letter).filter_map(|one| Some((one, mean(one)?)));
+    let slowest = others.max_by(|a, b| a.1.total_cmp(&b.1));
+    let ratio = slowest.filter(|_| fastest > 0.0).map_or_else(String::new, |(slow, mean)| {
+        format!("; {} takes {} as long", slow.letter, times(mean / fastest))
+    });
+    format!("{} is the fastest of {} in the mean: {}{ratio}", best.letter, all.len(), duration(fastest))
+}

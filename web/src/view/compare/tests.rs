@@ -1,0 +1,163 @@
+use peernet_aggregator::{Bound, Figures};
+use peernet_clock::{Span, Verdict};
+use peernet_logger::stream::{OutcomeCounts, Placement};
+use peernet_logger::{HostId, Name, RunId, stage};
+use peernet_statistics::Summary;
+
+use super::*;
+use crate::view::samples::{self, HOSTILE};
+
+/// A run with figures `scale` times the usual ones.
+pub(crate) fn run(number: i64, kind: PlacementKind) -> RunSummary {
+    RunSummary {
+        number,
+        id: RunId::random(),
+        host: HostId::random(),
+        host_name: samples::slug("cam-1"),
+        pipeline: samples::slug("line"),
+        placement: Placement { ..samples::placement(kind) },
+        started: samples::NOW,
+        ended: Some(samples::NOW + Span::from_seconds(60)),
+        reason: Some("finished".to_owned()),
+        last_iteration: Some(samples::NOW + Span::from_seconds(59)),
+        counts: OutcomeCounts { ok: 300, ..OutcomeCounts::default() },
+        warm_up: 5,
+        total: Some(samples::figures(0.016, 300)),
+        rehearsed: false,
+        pinned: false,
+        nodes_from: 0,
+        experiment: None,
+    }
+}
+
+pub(crate) fn stages(scale: f64, bytes: f64) -> (Vec<StageStatistics>, Vec<Bound>) {
+    let window = samples::window(60, 5.0, scale, Verdict::Ok);
+    let statistics = |(name, figures): &(Name, Figures)| StageStatistics {
+        stage: name.clone(),
+        unit: if name.ends_with("throughput") { "bit/s" } else { "s" }.to_owned(),
+        is_stage: stage::ORDER.contains(name),
+        figures: *figures,
+        share: None,
+        bound: None,
+    };
+    let mut all: Vec<StageStatistics> = window.values.iter().map(statistics).collect();
+    all.push(StageStatistics {
+        stage: stage::UPLOAD_BYTES,
+        unit: "B".to_owned(),
+        is_stage: false,
+        figures: samples::figures(bytes, 300),
+        share: None,
+        bound: None,
+    });
+    (all, window.bounds)
+}
+
+pub(crate) fn configuration(at: usize, kind: PlacementKind, scale: f64, bytes: f64) -> Configuration {
+    let (stages, bounds) = stages(scale, bytes);
+    let values = vec![format!("{} kB", bytes / 1e3), HOSTILE.to_owned()];
+    Configuration { letter: letter(at), values, runs: vec![run(at as i64 + 1, kind)], stages, bounds }
+}
+
+pub(crate) fn comparison(configurations: Vec<Configuration>) -> Comparison {
+    let axes = vec!["size".to_owned(), "where".to_owned()];
+    Comparison { experiment: Some(("sizes".to_owned(), "a".to_owned())), axes, configurations, cut: false }
+}
+
+/// A run's total in buckets: a mean with some waves about it.
+pub(crate) fn course(mean: f64, buckets: usize) -> Vec<peernet_aggregator::StageCourse> {
+    let bucket = |at: usize| {
+        let mut summary = Summary::default();
+        (0..20).for_each(|n| summary.record(mean * (1.0 + 0.01 * ((at * 20 + n) as f64).sin())));
+        summary
+    };
+    let buckets = (0..buckets).map(bucket).collect();
+    vec![peernet_aggregator::StageCourse { stage: stage::TOTAL, unit: "s".to_owned(), buckets }]
+}
+
+#[test]
+fn configurations_have_letters() {
+    let letters: Vec<String> = [0, 1, 25, 26, 51, 52, 701, 702].map(letter).to_vec();
+    assert_eq!(letters, ["A", "B", "Z", "AA", "AZ", "BA", "ZZ", "AAA"]);
+}
+
+#[test]
+fn addresses_name_runs_or_an_experiment() {
+    let of = |pairs: &[(&str, &str)]| {
+        let pairs: Vec<_> = pairs.iter().map(|(a, b)| ((*a).to_owned(), (*b).to_owned())).collect();
+        Which::of(&pairs)
+    };
+    assert_eq!(of(&[]).expect("fine"), None);
+    assert_eq!(of(&[("runs", "3,#5, 3"), ("runs", "7")]).expect("fine"), Some(Which::Runs(vec![3, 5, 7])));
+    assert_eq!(of(&[("experiment", "x")]).expect("fine"), Some(Which::Experiment("x".to_owned())));
+    for wrong in [&[("runs", "3,x")][..], &[("run", "3")], &[("runs", "3"), ("experiment", "x")]] {
+        assert!(of(wrong).is_err(), "{wrong:?}");
+    }
+    let many = (1..=13).map(|n| n.to_string()).collect::<Vec<_>>().join(",");
+    assert!(of(&[("runs", &many)]).is_err());
+}
+
+#[test]
+fn runs_are_pooled_as_if_they_were_one() {
+    let all: Vec<f64> = (0..300).map(|n| 0.01 + f64::from(n % 13) * 1e-3).collect();
+    let of = |values: &[f64]| {
+        let mut summary = Summary::default();
+        values.iter().for_each(|value| summary.record(*value));
+        vec![StageStatistics {
+            stage: stage::TOTAL,
+            unit: "s".to_owned(),
+            is_stage: false,
+            figures: Figures::of(&summary).expect("values"),
+            share: None,
+            bound: None,
+        }]
+    };
+    let (whole, parts) = (of(&all), pool::pooled(&[of(&all[..100]), of(&all[100..])]));
+    let (whole, parts) = (whole[0].figures, parts[0].figures);
+    assert_eq!((whole.count, whole.min, whole.max), (parts.count, parts.min, parts.max));
+    assert!((whole.mean - parts.mean).abs() < 1e-12);
+    assert!((whole.std.expect("many") - parts.std.expect("many")).abs() < 1e-12);
+    assert_eq!((parts.p95, parts.p99), (None, None));
+}
+
+#[test]
+fn the_title_says_which_is_faster_by_how_much() {
+    let two = comparison(vec![
+        configuration(0, PlacementKind::Local, 1.5, 1e3),
+        configuration(1, PlacementKind::Remote, 1.0, 1e3),
+    ]);
+    let (a, b) = (vec![course(0.0241, 20)], vec![course(0.0160, 20)]);
+    let found = difference((&two.configurations[0], &a), (&two.configurations[1], &b));
+    let (name, total, changed) = &found[0];
+    assert_eq!((name, changed.certain), (&stage::TOTAL, Some(true)));
+    let text = title(&two, total.as_ref());
+    assert!(text.starts_with("B takes 8.02") && text.contains("less than A (95\u{202f}%: 8.01"), "{text}");
+    assert_eq!(found[1].2.certain, None, "nothing is known of the course of the stages");
+    let equal = comparison(vec![
+        configuration(0, PlacementKind::Local, 1.5, 1e3),
+        configuration(1, PlacementKind::Remote, 1.5, 1e3),
+    ]);
+    let same = difference((&equal.configurations[0], &a), (&equal.configurations[1], &a));
+    assert_eq!(title(&equal, same[0].1.as_ref()), "A and B do not differ by more than chance");
+
+    let three =
+        comparison((0..3).map(|at| configuration(at, PlacementKind::Remote, 1.0 + at as f64, 1e3)).collect());
+    assert_eq!(
+        title(&three, None),
+        "A is the fastest of 3 in the mean: 16.0\u{202f}ms; C takes 3.0\u{202f}× as long"
+    );
+    assert!(title(&comparison(Vec::new()), None).contains("stored yet"));
+}
+
+#[test]
+fn models_in_both_places_are_paired_and_payloads_plotted() {
+    let mixed = comparison(vec![
+        configuration(0, PlacementKind::Remote, 1.0, 1e3),
+        configuration(1, PlacementKind::Local, 2.0, 1e3),
+        configuration(2, PlacementKind::Remote, 3.0, 1e6),
+    ]);
+    let (pairs, _) = pairs(&mixed);
+    assert_eq!((pairs.len(), pairs[0].places.len(), pairs[0].places[0].letter.as_str()), (1, 3, "B"));
+    assert!(payload(&mixed).is_some());
+    let alike = comparison((0..3).map(|at| configuration(at, PlacementKind::Remote, 1.0, 1e3)).collect());
+    assert!(payload(&alike).is_none() && super::pairs(&alike).0.is_empty());
+}

@@ -1,0 +1,109 @@
+//! Whether a run can be published, and runs side by side, over stored data.
+
+use axum::http::StatusCode;
+
+use crate::bed::Bed;
+use crate::factory::Line;
+
+#[tokio::test]
+async fn a_run_says_whether_it_can_be_published_and_why_not() {
+    let (bed, mut factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+    let trust = bed.get("/api/v1/runs/1/trust").await.json();
+    let about = |subject: &str| {
+        let sentences = trust["sentences"].as_array().expect("sentences");
+        let found = sentences.iter().find(|sentence| sentence["about"] == subject);
+        found.unwrap_or_else(|| panic!("nothing about {subject}: {trust}")).clone()
+    };
+    assert_eq!(about("amount")["grade"], "good", "{trust}");
+    assert_eq!(about("missing events")["grade"], "good", "{trust}");
+    for subject in ["stationarity", "warm-up", "outliers", "unattributed", "hosts"] {
+        assert!(!about(subject)["text"].as_str().expect("text").is_empty(), "{subject}");
+    }
+    let page = bed.get("/runs/1").await;
+    assert!(page.text().contains("Can this run be published?"), "{}", page.text());
+    assert!(page.text().contains("CPU governor (performance)"), "{}", page.text());
+    let upload = bed.get("/api/v1/runs/2/trust").await;
+    assert!(upload.text().contains("Of the delays of `upload`"), "{}", upload.text());
+
+    factory.store_gaps(0, 3).await;
+    let trust = bed.get("/api/v1/runs/1/trust").await.json();
+    assert_eq!(trust["verdict"], "no", "{trust}");
+    let first = &trust["sentences"][0];
+    assert_eq!((&first["about"], &first["grade"]), (&"missing events".into(), &"bad".into()), "{trust}");
+    assert!(bed.get("/runs/1").await.text().contains("2,922 events"));
+    assert_eq!(bed.get("/api/v1/runs/99/trust").await.status, StatusCode::NOT_FOUND);
+}
+
+#[tokio::test]
+async fn an_experiment_is_compared_with_its_repeats_together() {
+    let (bed, mut factory) = Bed::with(vec![Line::local(), Line::full(), Line::resized()]).await;
+    assert_eq!(bed.get("/api/v1/experiments").await.json()["experiments"], serde_json::json!([]));
+    assert!(bed.get("/compare").await.text().contains("No run of an experiment is stored yet"));
+    factory.store_experiment(200, 2).await;
+
+    let listed = bed.get("/api/v1/experiments").await.json();
+    let experiment = &listed["experiments"][0];
+    assert_eq!((&experiment["name"], &experiment["runs"]), (&"pictures".into(), &6.into()), "{listed}");
+    let id = experiment["id"].as_str().expect("an id");
+    let compared = bed.get(&format!("/api/v1/compare?experiment={id}")).await.json();
+    assert_eq!(compared["axes"], serde_json::json!(["picture", "where"]));
+    let configurations = compared["configurations"].as_array().expect("configurations");
+    assert_eq!(configurations.len(), 3, "{compared}");
+    assert!(configurations.iter().all(|one| one["runs"].as_array().expect("runs").len() == 2), "{compared}");
+
+    // Two runs of one configuration are as many iterations as both have.
+    let runs = configurations[0]["runs"].as_array().expect("runs");
+    let mut counts = 0;
+    for run in runs {
+        counts +=
+            bed.get(&format!("/api/v1/runs/{run}")).await.json()["total"]["count"].as_u64().expect("a count");
+    }
+    let total = configurations[0]["stages"].as_array().expect("stages");
+    let total = total.iter().find(|stage| stage["name"] == "total").expect("a total");
+    assert_eq!(total["count"], counts, "{total}");
+
+    let page = bed.get(&format!("/compare?experiment={id}")).await;
+    assert_eq!(page.status, StatusCode::OK, "{}", page.text());
+    assert!(page.text().contains("is the fastest of 3 in the mean: "), "{}", page.text());
+    assert!(page.text().contains("<span>experiment pictures</span>"), "{}", page.text());
+    let run = bed.get(&format!("/runs/{}", runs[0])).await;
+    assert!(run.text().contains(&format!("/compare?experiment={id}")), "{}", run.text());
+    assert!(run.text().contains("On cam-1, CPU governor: schedutil"), "{}", run.text());
+    assert!(bed.get("/runs").await.text().contains(">pictures</a>"));
+    assert!(bed.get("/compare").await.text().contains(">pictures</a>"));
+
+    factory.store_sizes(2, 100, &[30e3, 150e3, 600e3]).await;
+    let listed = bed.get("/api/v1/experiments").await.json();
+    let id = listed["experiments"][0]["id"].as_str().expect("an id");
+    let page = bed.get(&format!("/compare?experiment={id}")).await;
+    assert!(page.text().contains("Latency against payload"), "{}", page.text());
+}
+
+#[tokio::test]
+async fn two_runs_have_a_difference_that_says_whether_it_is_chance() {
+    let (bed, _factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+    let compared = bed.get("/api/v1/compare?runs=1,2").await.json();
+    let total = &compared["differences"][0];
+    assert_eq!((&total["name"], &total["certain"]), (&"total".into(), &true.into()), "{compared}");
+    let [lo, value, hi] = [&total["interval"][0], &total["value"], &total["interval"][1]]
+        .map(|it| it.as_f64().expect("a number"));
+    assert!(lo < value && value < hi, "{total}");
+    // The form of the list of runs repeats the name.
+    let page = bed.get("/compare?runs=1&runs=2").await;
+    assert!(page.text().contains("<h2 id=\"cd-h\">B less A</h2>"), "{}", page.text());
+    let again = bed.get("/api/v1/compare?runs=1,1").await.json();
+    assert_eq!(
+        (&again["best"], again["configurations"].as_array().map(Vec::len)),
+        (&serde_json::Value::Null, Some(1))
+    );
+
+    for (address, status) in [
+        ("/compare?runs=99", StatusCode::NOT_FOUND),
+        ("/compare?experiment=none", StatusCode::NOT_FOUND),
+        ("/compare?runs=x", StatusCode::BAD_REQUEST),
+        ("/compare?run=1", StatusCode::BAD_REQUEST),
+        ("/api/v1/compare", StatusCode::BAD_REQUEST),
+    ] {
+        assert_eq!(bed.get(address).await.status, status, "{address}");
+    }
+}
