@@ -13,10 +13,16 @@ pub enum Exit {
     Usage = 64,
     /// Stored data is damaged, or something else about it is wrong (65).
     Data = 65,
-    /// Something that was needed could not be had: a port, a file, a library (69).
+    /// A file that was named is not there: a data set, a model, a configuration (66).
+    NoInput = 66,
+    /// Something that was needed could not be had: a peer, a port, a library (69).
     Unavailable = 69,
     /// A task died, or stopping took longer than allowed (70).
     Software = 70,
+    /// Results cannot be written (73).
+    Unwritten = 73,
+    /// Some iterations have no answer, or the peer went away in mid-run; the results are written (75).
+    Incomplete = 75,
     /// The configuration is wrong: starting again will not help (78).
     Configuration = 78,
     /// The user ended it early (130, as shells say of Ctrl-C).

@@ -1,8 +1,19 @@
 //! `peernet`: PEERNet's command line.
 
+mod address;
 mod api;
 mod calibrate;
+mod compare;
+mod completions;
+mod foreground;
+mod measure;
+mod models;
+mod plot;
+mod published;
 mod recompute;
+#[cfg(test)]
+mod reference;
+mod run;
 mod status;
 
 use std::process::ExitCode;
@@ -10,15 +21,25 @@ use std::process::ExitCode;
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
 use peernetd::VERSION;
-use peernetd::exit::Exit;
+use peernetd::exit::{Exit, Failure};
 use peernetd::output::complain;
 
-/// PEERNet's command line: asks a running aggregator, measures links.
+/// PEERNet's command line: the published experiments, measured links, a running aggregator's answers.
 #[derive(Debug, Parser)]
-#[command(name = "peernet", version = VERSION, max_term_width = 100)]
-struct Arguments {
+#[command(
+    name = "peernet",
+    version = VERSION,
+    max_term_width = 100,
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true,
+    arg_required_else_help = true
+)]
+struct Line {
     #[command(subcommand)]
-    command: Command,
+    command: Option<Command>,
+    /// As the paper types it: `peernet --server …`, `peernet --client …`.
+    #[command(flatten)]
+    published: Option<published::Arguments>,
 }
 
 #[derive(Debug, Subcommand)]
@@ -27,13 +48,42 @@ enum Command {
     Status(status::Arguments),
     /// Study a link: one-way delay against payload size, both ways, and whether the clocks can be trusted.
     Calibrate(calibrate::Arguments),
+    /// Carry out an experiment: a matrix of runs from one file, with tables and figures at the end.
+    Run(run::Arguments),
+    /// Put runs side by side: the paper's table, and how far differences between two runs are known.
+    Compare(compare::Arguments),
+    /// Draw figures of results, as PNG and SVG.
+    Plot(plot::Arguments),
     /// Compute the one-way delays of a stored run again, with what was learnt of the clocks after it.
     Recompute(recompute::Arguments),
+    /// List, show, check and measure the models on this machine.
+    Models(models::Arguments),
+    /// Print a script that completes commands and options in a shell.
+    Completions(completions::Arguments),
+    /// Execute one run in this process, as `peernet run` does for each of its runs.
+    #[command(hide = true)]
+    Measure(measure::Arguments),
+}
+
+impl Command {
+    fn run(&self) -> Result<(), Failure> {
+        match self {
+            Self::Status(arguments) => status::run(arguments),
+            Self::Calibrate(arguments) => calibrate::run(arguments),
+            Self::Run(arguments) => run::run(arguments),
+            Self::Compare(arguments) => compare::run(arguments),
+            Self::Plot(arguments) => plot::run(arguments),
+            Self::Recompute(arguments) => recompute::run(arguments),
+            Self::Models(arguments) => models::run(arguments),
+            Self::Completions(arguments) => completions::run(arguments),
+            Self::Measure(arguments) => measure::run(arguments),
+        }
+    }
 }
 
 fn main() -> ExitCode {
-    let arguments = match Arguments::try_parse() {
-        Ok(arguments) => arguments,
+    let line = match Line::try_parse() {
+        Ok(line) => line,
         Err(error) => {
             let asked = matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion);
             // Printing fails when nobody listens any more; the exit code still tells.
@@ -41,10 +91,11 @@ fn main() -> ExitCode {
             return if asked { Exit::Ok } else { Exit::Usage }.into();
         }
     };
-    let done = match arguments.command {
-        Command::Status(arguments) => status::run(&arguments),
-        Command::Calibrate(arguments) => calibrate::run(&arguments),
-        Command::Recompute(arguments) => recompute::run(&arguments),
+    let done = match line {
+        Line { command: Some(command), .. } => command.run(),
+        Line { published: Some(published), .. } => published::run(&published),
+        // The parser lets neither through: one of both is required.
+        Line { .. } => Ok(()),
     };
     match done {
         Ok(()) => Exit::Ok,

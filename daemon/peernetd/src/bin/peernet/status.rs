@@ -136,6 +136,7 @@ fn pipeline_row(pipeline: &Pipeline, rehearsed: &Rehearsed) -> Vec<String> {
     let Placement { kind, peer, address, model } = &pipeline.placement;
     let place = match peer.as_ref().or(address.as_ref()) {
         Some(there) => format!("{model} on {there}"),
+        None if kind == "none" => "sensor alone".to_owned(),
         None if kind == "local" => format!("{model} on board"),
         None => model.clone(),
     };

@@ -1,13 +1,11 @@
 //! What `peernet calibrate` can be told.
 
-use std::net::IpAddr;
 use std::num::NonZeroU64;
 use std::path::PathBuf;
 
 use peernet_networks::{Address, NetworkKind};
 
-/// Where agents listen when no port is given.
-const DEFAULT_PORT: u16 = 5551;
+use crate::address::{DEFAULT_PORT, address};
 
 /// What `peernet calibrate` can be told.
 #[derive(Debug, clap::Args)]
@@ -49,18 +47,8 @@ pub(crate) struct Arguments {
     pub(super) quiet: bool,
 }
 
-/// An address, or a host with or without a port.
 fn peer(text: &str) -> Result<Address, String> {
-    let (scheme, rest) = text.split_once("://").unwrap_or(("tcp", text));
-    let rest = match rest.parse() {
-        Ok(IpAddr::V6(ip)) => format!("[{ip}]"),
-        _ => rest.to_owned(),
-    };
-    let has_port = rest.rsplit_once(':').is_some_and(|(_, port)| !port.contains(']'));
-    let port = if has_port { String::new() } else { format!(":{DEFAULT_PORT}") };
-    format!("{scheme}://{rest}{port}")
-        .parse()
-        .map_err(|error: peernet_networks::InvalidAddress| error.problem)
+    address(text, DEFAULT_PORT)
 }
 
 fn repeats(text: &str) -> Result<NonZeroU64, String> {
@@ -102,22 +90,6 @@ fn network(text: &str) -> Result<NetworkKind, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_peer_is_an_address_or_a_host() {
-        for (text, address) in [
-            ("cloud", "tcp://cloud:5551"),
-            ("cloud:6000", "tcp://cloud:6000"),
-            ("10.0.0.2", "tcp://10.0.0.2:5551"),
-            ("tcp://cloud", "tcp://cloud:5551"),
-            ("tcp://cloud:7", "tcp://cloud:7"),
-            ("::1", "tcp://[::1]:5551"),
-            ("[fe80::1]:8", "tcp://[fe80::1]:8"),
-        ] {
-            assert_eq!(peer(text).map(|peer| peer.to_string()).as_deref(), Ok(address));
-        }
-        assert!(peer("udp://cloud").is_err() && peer("a b").is_err() && peer("").is_err());
-    }
 
     #[test]
     fn no_repeat_at_all_is_too_few() {

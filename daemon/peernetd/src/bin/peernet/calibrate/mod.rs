@@ -7,29 +7,21 @@ mod arguments;
 mod folder;
 mod observe;
 mod plan;
-mod progress;
+mod sweep;
 
 pub(crate) use arguments::Arguments;
 
-use std::sync::Arc;
-
 use anyhow::{Context, anyhow};
-use peernet_agent::Agent;
-use peernet_clock::{SharedClock, WallTime};
+use peernet_clock::WallTime;
 use peernet_report::calibration::{Setting, Study};
+use peernetd::VERSION;
 use peernetd::exit::{Exit, Failure};
 use peernetd::output::{complain, say};
-use peernetd::{VERSION, clock};
-use tokio::sync::mpsc;
-use tokio_util::sync::CancellationToken;
 
+use crate::foreground::{Ready, Watched};
 use folder::Folder;
-use observe::{Ended, Observed, observe};
+use observe::{Ended, Watch};
 use plan::Plan;
-use progress::Progress;
-
-/// Events between the agent and this program, which looks at each at once.
-const EVENTS: usize = 4096;
 
 /// Studies the link, prints the study and writes its files.
 ///
@@ -42,23 +34,14 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let state = tempfile::tempdir().context("cannot make a temporary folder").map_err(unavailable)?;
     let config = plan.agent(arguments.config.as_deref(), state.path())?;
 
-    let truth = clock::system(&config.agent.clock_identity).map_err(|error| unavailable(error.into()))?;
-    let clock =
-        clock::rehearsed(&truth, config.rehearsal.as_ref()).map_err(|error| unavailable(error.into()))?;
-    let problems = Agent::check(&config, &clock);
-    if !problems.is_empty() {
-        let problems: Vec<String> = problems.iter().map(ToString::to_string).collect();
-        return Err(Failure::new(Exit::Configuration, anyhow!("{}", problems.join("\n"))));
-    }
-    if let Some(rehearsal) = clock.rehearsal() {
-        complain(format_args!("REHEARSAL: this host's wall clock is made wrong on purpose ({rehearsal})"));
-    }
-    let started = truth.wall();
+    let ready = Ready::new(config)?;
+    let started = ready.truth.wall();
     let folder = Folder::make(arguments, &arguments.peer, started)?;
 
-    let progress = Progress::new(&plan, arguments.quiet, truth.mono());
-    let (edge, observed) = measure(config, &plan, &clock, progress)?;
-    let failed = match &observed.ended {
+    let mut watch = Watch::new(&plan, ready.clock.clone(), arguments.quiet);
+    let Watched { ended, name: edge, missed } = ready.watch(&mut watch)?;
+    let observed = watch.seen;
+    let failed = match &ended {
         Ended::Finished => None,
         Ended::Interrupted => Some(Failure::new(
             Exit::Interrupted,
@@ -66,7 +49,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         )),
         Ended::Unfit(reason) | Ended::Failed(reason) => Some(unavailable(anyhow!("{reason}"))),
     };
-    if observed.samples.is_empty() || matches!(observed.ended, Ended::Unfit(_)) {
+    if observed.samples.is_empty() || matches!(ended, Ended::Unfit(_)) {
         folder.discard();
         return match failed {
             Some(Failure { exit: Exit::Interrupted, .. }) => {
@@ -85,8 +68,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         version: VERSION.to_owned(),
         sizes_bytes: plan.sizes().to_vec(),
         repeats: arguments.repeats.get(),
-        interrupted: observed.ended != Ended::Finished,
-        ended: match &observed.ended {
+        interrupted: ended != Ended::Finished,
+        ended: match &ended {
             Ended::Failed(reason) => Some(reason.clone()),
             _ => None,
         },
@@ -103,34 +86,14 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     })?;
     let names: Vec<_> = written.iter().filter_map(|path| path.file_name()?.to_str()).collect();
     say(format_args!("\n{}: {}", folder.path().display(), names.join(", ")));
-    if observed.missed > 0 {
-        complain(format_args!("{} iterations went by unseen: this machine is too busy", observed.missed));
+    if missed > 0 {
+        complain(format_args!("{missed} iterations went by unseen: this machine is too busy"));
     }
     match failed {
         Some(failure) => Err(failure),
         None if study.verdict.kind.is_result() => Ok(()),
         None => Err(unavailable(anyhow!("the study has no result: {}", study.verdict.sentence))),
     }
-}
-
-/// Runs the agent until the sweep is done or ends otherwise; returns its name and what was seen.
-fn measure(
-    config: peernet_agent::AgentConfig,
-    plan: &Plan,
-    clock: &SharedClock,
-    progress: Progress,
-) -> Result<(String, Observed), Failure> {
-    let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
-    let runtime = tokio::runtime::Builder::new_multi_thread().thread_name("peernet").enable_all().build();
-    let runtime = runtime.context("cannot start the threads of the runtime").map_err(unavailable)?;
-    runtime.block_on(async {
-        let (stop, (tap, events)) = (CancellationToken::new(), mpsc::channel(EVENTS));
-        let running = Agent::start_observed(config, Arc::clone(clock), stop.clone(), tap).await;
-        let running = running.map_err(|error| unavailable(error.into()))?;
-        let edge = running.name().to_string();
-        let observed = observe(running, stop, events, plan, clock, progress).await?;
-        Ok((edge, observed))
-    })
 }
 
 fn rfc3339(at: WallTime) -> String {

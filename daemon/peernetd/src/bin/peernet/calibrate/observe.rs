@@ -1,30 +1,20 @@
 //! Watching the sweep: what the agent measures, until it ends.
 
 use std::collections::BTreeSet;
-use std::time::Duration;
 
 use peernet_agent::Running;
 use peernet_clock::{MonoTime, SharedClock, Span};
-use peernet_logger::stream::{ClockSample, Event, HostClock, IncidentKind, Outcome, PipelineState};
+use peernet_logger::stream::{ClockSample, Event, HostClock, IncidentKind, Outcome};
 use peernet_networks::OpenError;
 use peernet_report::calibration::Sample;
 use peernet_report::number::bytes;
-use peernetd::exit::{Exit, Failure};
-use tokio::signal::unix::{SignalKind, signal};
-use tokio::sync::mpsc;
-use tokio_util::sync::CancellationToken;
 
 use super::plan::Plan;
-use super::progress::Progress;
+use super::sweep::Sweep;
+use crate::foreground::{Cut, Eyes, Patience, waits_for};
 
-/// Between two looks at the clock.
-const LOOK: Duration = Duration::from_millis(250);
-/// How long a peer that went away is waited for.
-const PATIENCE: Span = Span::from_seconds(90);
-/// The same once the time for the sweep is over.
+/// How long a peer that went away is waited for once the time for the sweep is over.
 const AFTER_THE_END: Span = Span::from_seconds(10);
-/// How long it may stay silent before the user is told.
-const SILENCE: Span = Span::from_seconds(3);
 
 /// How the sweep ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -39,30 +29,36 @@ pub(super) enum Ended {
     Failed(String),
 }
 
+impl From<Cut> for Ended {
+    fn from(cut: Cut) -> Self {
+        match cut {
+            Cut::Interrupted => Self::Interrupted,
+            Cut::Deserted => Self::Failed("the agent ended by itself".to_owned()),
+        }
+    }
+}
+
 /// What was seen.
+#[derive(Default)]
 pub(super) struct Observed {
     pub(super) samples: Vec<Sample>,
     pub(super) clocks: Vec<ClockSample>,
     /// The peer, as it calls itself.
     pub(super) cloud: Option<String>,
-    pub(super) ended: Ended,
     /// Whether the clock of either host was made wrong on purpose.
     pub(super) rehearsed: bool,
     /// How often the peer was away and came back with the same clock.
     pub(super) reconnections: u64,
-    /// Events that there was no room for.
-    pub(super) missed: u64,
 }
 
 /// The eyes on the agent.
-struct Watch<'a> {
+pub(super) struct Watch<'a> {
     plan: &'a Plan,
-    clock: &'a SharedClock,
-    progress: Progress,
-    seen: Observed,
+    clock: SharedClock,
+    progress: Sweep,
+    pub(super) seen: Observed,
     began: MonoTime,
-    /// The last sign of the peer.
-    heard: MonoTime,
+    patience: Patience,
     /// The peer was not there, or refused, at the first try.
     turned_away: Option<IncidentKind>,
     /// The sizes of which one payload at least was sent.
@@ -73,70 +69,52 @@ struct Watch<'a> {
     over: bool,
 }
 
-/// Watches until the sweep ends, a signal comes or the peer stays away, then sees the agent to its end.
-///
-/// # Errors
-/// When signals cannot be received or the agent loses a task.
-pub(super) async fn observe(
-    running: Running,
-    stop: CancellationToken,
-    mut events: mpsc::Receiver<Event>,
-    plan: &Plan,
-    clock: &SharedClock,
-    progress: Progress,
-) -> Result<Observed, Failure> {
-    let unavailable = |error: std::io::Error| Failure::new(Exit::Unavailable, error);
-    let mut interrupt = signal(SignalKind::interrupt()).map_err(unavailable)?;
-    let mut terminate = signal(SignalKind::terminate()).map_err(unavailable)?;
-    let mut look = tokio::time::interval(LOOK);
-    let seen = Observed {
-        samples: Vec::new(),
-        clocks: Vec::new(),
-        cloud: None,
-        ended: Ended::Interrupted,
-        rehearsed: false,
-        reconnections: 0,
-        missed: 0,
-    };
-    let mut watch = Watch {
-        plan,
-        clock,
-        progress,
-        seen,
-        began: clock.mono(),
-        heard: clock.mono(),
-        turned_away: None,
-        tried: BTreeSet::new(),
-        cloud_clock: None,
-        over: false,
-    };
-    watch.seen.ended = loop {
-        let ended = tokio::select! {
-            _ = interrupt.recv() => Some(Ended::Interrupted),
-            _ = terminate.recv() => Some(Ended::Interrupted),
-            event = events.recv() => match event {
-                Some(event) => watch.take(event, Some(&running)),
-                None => Some(Ended::Failed("the agent ended by itself".to_owned())),
-            },
-            _ = look.tick() => watch.look(&running),
-        };
-        if let Some(ended) = ended {
-            break ended;
+impl<'a> Watch<'a> {
+    pub(super) fn new(plan: &'a Plan, clock: SharedClock, quiet: bool) -> Self {
+        let now = clock.mono();
+        Self {
+            plan,
+            progress: Sweep::new(plan, quiet, now),
+            clock,
+            seen: Observed::default(),
+            began: now,
+            patience: Patience::new(now),
+            turned_away: None,
+            tried: BTreeSet::new(),
+            cloud_clock: None,
+            over: false,
         }
-    };
-    watch.progress.end();
-    stop.cancel();
-    watch.seen.missed = running.untapped();
-    running.join().await.map_err(|error| Failure::new(Exit::Software, error))?;
-    // What was under way when it ended.
-    while let Ok(event) = events.try_recv() {
-        watch.take(event, None);
     }
-    Ok(watch.seen)
+
+    /// There is a session again. What was measured with another clock is another study.
+    fn came_back(&mut self, clock: Option<HostClock>) -> Option<Ended> {
+        self.patience.heard(self.clock.mono());
+        let before = std::mem::replace(&mut self.cloud_clock, clock);
+        let how = match (&before, &self.cloud_clock) {
+            // A program that was started anew rehearses anew, and counts the steps of its clock anew.
+            (Some(before), Some(now)) if before.rehearsal == now.rehearsal && before.epoch <= now.epoch => {
+                self.seen.reconnections += 1;
+                return None;
+            }
+            (_, Some(HostClock { rehearsal: Some(how), .. })) => {
+                format!("another clock, which is made wrong on purpose ({how})")
+            }
+            (_, Some(_)) => "another clock".to_owned(),
+            // It went again before anybody could look.
+            (_, None) => "a clock of which nothing is known".to_owned(),
+        };
+        self.over = true;
+        let name = self.seen.cloud.as_deref().unwrap_or("the peer");
+        let text = format!(
+            "{name} went away and came back with {how}: the study ends with what was measured before"
+        );
+        Some(Ended::Failed(text))
+    }
 }
 
-impl Watch<'_> {
-    /// Takes an event; says how the sweep ended if it did.
+impl Eyes for Watch<'_> {
+    type Ended = Ended;
+
     fn take(&mut self, event: Event, running: Option<&Running>) -> Option<Ended> {
         if self.over {
             return None;
@@ -147,13 +125,13 @@ impl Watch<'_> {
                 self.seen.rehearsed |= run.facts.iter().any(|(fact, _)| fact.starts_with("Rehearsal"));
                 self.seen.cloud = run.placement.peer.map(|peer| peer.to_string());
                 self.cloud_clock = running.and_then(cloud_clock);
-                self.heard = self.clock.mono();
-                self.progress.begin(self.heard);
+                self.patience.heard(self.clock.mono());
+                self.progress.begin(self.patience.last());
             }
             Event::Iteration(iteration) => {
                 let sample = Sample::new(&iteration, self.plan.payload(iteration.number));
                 if sample.counts() || sample.warm_up {
-                    self.heard = self.clock.mono();
+                    self.patience.heard(self.clock.mono());
                 }
                 let (payload, first) = (sample.payload_bytes, self.tried.insert(sample.payload_bytes));
                 self.seen.samples.push(sample);
@@ -184,38 +162,8 @@ impl Watch<'_> {
         None
     }
 
-    /// There is a session again. What was measured with another clock is another study.
-    fn came_back(&mut self, clock: Option<HostClock>) -> Option<Ended> {
-        self.heard = self.clock.mono();
-        let before = std::mem::replace(&mut self.cloud_clock, clock);
-        let how = match (&before, &self.cloud_clock) {
-            // A program that was started anew rehearses anew, and counts the steps of its clock anew.
-            (Some(before), Some(now)) if before.rehearsal == now.rehearsal && before.epoch <= now.epoch => {
-                self.seen.reconnections += 1;
-                return None;
-            }
-            (_, Some(HostClock { rehearsal: Some(how), .. })) => {
-                format!("another clock, which is made wrong on purpose ({how})")
-            }
-            (_, Some(_)) => "another clock".to_owned(),
-            // It went again before anybody could look.
-            (_, None) => "a clock of which nothing is known".to_owned(),
-        };
-        self.over = true;
-        let name = self.seen.cloud.as_deref().unwrap_or("the peer");
-        let text = format!(
-            "{name} went away and came back with {how}: the study ends with what was measured before"
-        );
-        Some(Ended::Failed(text))
-    }
-
-    /// Shows the progress; says whether to give up.
     fn look(&mut self, running: &Running) -> Option<Ended> {
-        let pipelines = running.live().pipelines;
-        let waits_for = match pipelines.into_iter().next().map(|pipeline| pipeline.state) {
-            Some(PipelineState::Waiting(reason)) => Some(reason),
-            _ => None,
-        };
+        let waits_for = waits_for(running);
         if let (Some(kind), Some(reason)) = (self.turned_away, &waits_for) {
             // There is no configuration here, and the model is a mere echo.
             let reason = reason.strip_suffix(OpenError::LOADING).unwrap_or(reason);
@@ -228,24 +176,18 @@ impl Watch<'_> {
             return Some(Ended::Failed(format!("{reason}{advice}")));
         }
         let now = self.clock.mono();
-        let silent = now - self.heard;
         // Who set an early end does not wait long after it for a peer that is away.
-        let left = self.began + Span::from_seconds_f64(self.plan.seconds) - self.heard;
-        let patience = (left + AFTER_THE_END).clamp(AFTER_THE_END, PATIENCE);
-        let name = self.seen.cloud.as_deref().filter(|_| silent > SILENCE || waits_for.is_some());
-        let trouble = name.map(|name| {
-            let (silent, patience) = (silent.seconds(), patience.seconds());
-            match &waits_for {
-                Some(reason) => {
-                    format!("{name} is away ({reason}); waiting for {silent:.0} s, at most {patience:.0} s")
-                }
-                None => format!("no answer from {name} for {silent:.0} s"),
-            }
-        });
+        let left = self.began + Span::from_seconds_f64(self.plan.seconds) - self.patience.last();
+        let most = (left + AFTER_THE_END).clamp(AFTER_THE_END, Patience::USUAL);
+        let waits_for = waits_for.as_deref();
+        let name = self.seen.cloud.as_deref();
+        let trouble = name.and_then(|name| self.patience.trouble(name, waits_for, now, most));
         self.progress.show(&self.seen.samples, now, trouble);
-        let reason = waits_for.map_or_else(String::new, |reason| format!(": {reason}"));
-        let text = format!("gave up after {:.0} s without an answer{reason}", silent.seconds());
-        (silent > patience).then_some(Ended::Failed(text))
+        self.patience.spent(waits_for, now, most).map(Ended::Failed)
+    }
+
+    fn over(&mut self) {
+        self.progress.end();
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::{Context, bail};
 use peernet_agent::AgentConfig;
 use peernetd::exit::{Exit, Failure};
 use rand::SeedableRng;
@@ -11,6 +11,7 @@ use rand::seq::SliceRandom;
 use serde_json::json;
 
 use super::Arguments;
+use crate::foreground::tables;
 
 /// Rounds in random order before they repeat; enough that size and time have nothing in common.
 const ROUNDS: u64 = 64;
@@ -23,8 +24,6 @@ const OPEN_TIMEOUT_MS: u64 = 10_000;
 /// Largest message unless a payload needs more, and what it has beside the payload. Bytes.
 const MESSAGE_BYTES: u64 = 64 << 20;
 const BESIDE_PAYLOAD: u64 = 1 << 20;
-/// The tables of an agent's configuration that hold here, too.
-const TABLES: [&str; 3] = ["clock", "probes", "rehearsal"];
 
 /// The sweep.
 pub(super) struct Plan {
@@ -101,32 +100,14 @@ impl Plan {
     /// An agent that does this and nothing else; what relates the clocks is taken from a file, if one is named.
     ///
     /// # Errors
-    /// When the file cannot be read or its tables are wrong (78).
+    /// When the file cannot be read (66) or its tables are wrong (78).
     pub(super) fn agent(&self, file: Option<&Path>, state_dir: &Path) -> Result<AgentConfig, Failure> {
-        let wrong = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
-        let mut config = file.map_or_else(|| Ok(AgentConfig::default()), tables).map_err(wrong)?;
+        let mut config = tables(file)?;
         state_dir.clone_into(&mut config.agent.state_dir);
         let pipeline = serde_json::from_value(self.pipeline.clone()).context("cannot set up the sweep");
-        config.pipelines = vec![pipeline.map_err(wrong)?];
+        config.pipelines = vec![pipeline.map_err(|error| Failure::new(Exit::Configuration, error))?];
         Ok(config)
     }
-}
-
-/// The tables of an agent's configuration that hold here, with its name and clock.
-fn tables(file: &Path) -> anyhow::Result<AgentConfig> {
-    let text = std::fs::read_to_string(file)
-        .map_err(|error| anyhow!("cannot read the configuration {}: {error}", file.display()))?;
-    let mut document: toml::Table =
-        text.parse().map_err(|error: toml::de::Error| anyhow!("{}: {}", file.display(), error.message()))?;
-    let agent = document.get("agent").and_then(toml::Value::as_table);
-    let agent: toml::Table = ["name", "clock_identity"]
-        .iter()
-        .filter_map(|key| Some(((*key).to_owned(), agent?.get(*key)?.clone())))
-        .collect();
-    document.retain(|key, _| TABLES.contains(&key));
-    document.insert("agent".to_owned(), toml::Value::Table(agent));
-    serde_path_to_error::deserialize(document)
-        .map_err(|error| anyhow!("{}: {}: {}", file.display(), error.path(), error.inner().message()))
 }
 
 #[cfg(test)]
@@ -172,29 +153,5 @@ mod tests {
             )
             .is_err()
         );
-    }
-
-    #[test]
-    fn what_relates_the_clocks_is_taken_from_a_file_and_nothing_else() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let file = folder.path().join("edge.toml");
-        let text = "[agent]\nname = 'edge'\naggregator = 'tcp://a:1'\n[clock]\nmax_drift_ppm = 150\n\
-                    [rehearsal]\noffset_ms = 1000\n[web]\nlisten = 'x'\n[serve]\n";
-        std::fs::write(&file, text).expect("writable");
-        let config = plan("cloud").expect("default sizes").agent(Some(&file), folder.path()).expect("reads");
-        assert_eq!(
-            (config.clock.max_drift_ppm, config.rehearsal.map(|r| r.offset_ms)),
-            (150.0, Some(1000.0))
-        );
-        assert_eq!(
-            (config.agent.name.map(|name| name.to_string()), config.agent.aggregator),
-            (Some("edge".into()), None)
-        );
-        assert!(config.serve.is_none() && config.pipelines.len() == 1);
-
-        std::fs::write(&file, "[clock]\nmax_drift = 150\n").expect("writable");
-        let error =
-            plan("cloud").expect("default sizes").agent(Some(&file), folder.path()).expect_err("misspelt");
-        assert!(error.exit == Exit::Configuration && error.to_string().contains("max_drift"), "{error}");
     }
 }

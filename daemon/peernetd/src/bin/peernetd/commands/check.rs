@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use peernet_agent::Agent;
+
 use crate::configuration::load;
 use peernetd::exit::Exit;
 use peernetd::output::{complain, say};
@@ -11,7 +13,12 @@ pub(crate) fn check(files: &[PathBuf]) -> Exit {
     let mut exit = Exit::Ok;
     for file in files {
         match load(file) {
-            Ok(_) => say(format_args!("{}: ok", file.display())),
+            Ok(configuration) => {
+                say(format_args!("{}: ok", file.display()));
+                for remark in configuration.agent.iter().flat_map(Agent::remarks) {
+                    say(format_args!("{}: note: {remark}", file.display()));
+                }
+            }
             Err(problems) => {
                 for problem in problems {
                     complain(problem);

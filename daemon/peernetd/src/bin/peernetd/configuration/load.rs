@@ -11,7 +11,7 @@ use peernet_agent::config::{
 };
 use peernet_aggregator::{Aggregator, AggregatorConfig};
 use peernet_clock::{ClockIdentity, SharedClock};
-use peernet_inference::{ModelConfig, OnnxRuntimeConfig};
+use peernet_inference::{BankConfig, ModelConfig, OnnxRuntimeConfig};
 use peernet_web::WebConfig;
 use peernetd::clock;
 use serde::Deserialize;
@@ -44,6 +44,7 @@ struct File {
     serve: Option<ServeConfig>,
     #[serde(default)]
     model: Vec<ModelConfig>,
+    bank: Option<BankConfig>,
     onnxruntime: Option<OnnxRuntimeConfig>,
     #[serde(default)]
     pipeline: Vec<PipelineConfig>,
@@ -165,13 +166,14 @@ fn roles(file: &File) -> Option<(&'static str, &'static str)> {
         || file.probes.is_some()
         || file.rehearsal.is_some()
         || file.serve.is_some()
+        || file.bank.is_some()
         || file.onnxruntime.is_some()
         || !file.model.is_empty()
         || !file.pipeline.is_empty();
     if file.agent.is_none() && for_agent {
         return Some((
             "",
-            "[spool], [clock], [probes], [rehearsal], [serve], [[model]], [onnxruntime] and [[pipeline]] belong to an agent: add a table [agent]",
+            "[spool], [clock], [probes], [rehearsal], [serve], [[model]], [bank], [onnxruntime] and [[pipeline]] belong to an agent: add a table [agent]",
         ));
     }
     if file.aggregator.is_none() && file.web.is_some() {
@@ -196,6 +198,7 @@ impl From<File> for Configuration {
             rehearsal: file.rehearsal,
             serve: file.serve,
             models: file.model,
+            bank: file.bank.unwrap_or_default(),
             onnxruntime: file.onnxruntime.unwrap_or_default(),
             pipelines: file.pipeline,
         });

@@ -1,0 +1,47 @@
+//! Where a peer is, as people write it.
+
+use std::net::IpAddr;
+
+use peernet_networks::Address;
+
+/// Where agents listen when no port is given.
+pub(crate) const DEFAULT_PORT: u16 = 5551;
+
+/// An address, or a host with or without a port.
+///
+/// # Errors
+/// A sentence that says what is wrong with it.
+pub(crate) fn address(text: &str, port: u16) -> Result<Address, String> {
+    let (scheme, rest) = text.split_once("://").unwrap_or(("tcp", text));
+    let rest = match rest.parse() {
+        Ok(IpAddr::V6(ip)) => format!("[{ip}]"),
+        _ => rest.to_owned(),
+    };
+    let has_port = rest.rsplit_once(':').is_some_and(|(_, port)| !port.contains(']'));
+    let port = if has_port { String::new() } else { format!(":{port}") };
+    format!("{scheme}://{rest}{port}")
+        .parse()
+        .map_err(|error: peernet_networks::InvalidAddress| error.problem)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_peer_is_an_address_or_a_host() {
+        let read = |text| address(text, DEFAULT_PORT);
+        for (text, address) in [
+            ("cloud", "tcp://cloud:5551"),
+            ("cloud:6000", "tcp://cloud:6000"),
+            ("10.0.0.2", "tcp://10.0.0.2:5551"),
+            ("tcp://cloud", "tcp://cloud:5551"),
+            ("tcp://cloud:7", "tcp://cloud:7"),
+            ("::1", "tcp://[::1]:5551"),
+            ("[fe80::1]:8", "tcp://[fe80::1]:8"),
+        ] {
+            assert_eq!(read(text).map(|peer| peer.to_string()).as_deref(), Ok(address));
+        }
+        assert!(read("udp://cloud").is_err() && read("a b").is_err() && read("").is_err());
+    }
+}

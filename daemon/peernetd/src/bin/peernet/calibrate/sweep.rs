@@ -1,0 +1,76 @@
+//! How far the sweep is.
+
+use peernet_clock::{Direction, MonoTime};
+use peernet_report::calibration::Sample;
+use peernet_report::number::{bytes, milliseconds};
+use peernet_report::order::Ordered;
+
+use super::plan::Plan;
+use crate::foreground::Progress;
+
+/// Shows how far the sweep is.
+pub(super) struct Sweep {
+    progress: Progress,
+    scale: Scale,
+    began: MonoTime,
+}
+
+/// What there is to do.
+struct Scale {
+    iterations: u64,
+    seconds: f64,
+    extremes: (u64, u64),
+}
+
+impl Sweep {
+    pub(super) fn new(plan: &Plan, quiet: bool, now: MonoTime) -> Self {
+        let sizes = plan.sizes();
+        let extremes =
+            (sizes.first().copied().unwrap_or_default(), sizes.last().copied().unwrap_or_default());
+        let scale = Scale { iterations: plan.all(), seconds: plan.seconds, extremes };
+        Self { progress: Progress::new(quiet, now), scale, began: now }
+    }
+
+    /// The first iteration is under way.
+    pub(super) const fn begin(&mut self, now: MonoTime) {
+        self.began = now;
+    }
+
+    /// Shows the state at `now`, or in its place what it waits for.
+    pub(super) fn show(&mut self, samples: &[Sample], now: MonoTime, trouble: Option<String>) {
+        let (scale, elapsed) = (&self.scale, (now - self.began).seconds());
+        self.progress.show(now, trouble, || scale.describe(samples, elapsed));
+    }
+
+    /// Takes the bar away.
+    pub(super) fn end(&self) {
+        self.progress.end();
+    }
+}
+
+impl Scale {
+    /// In words, and how much of the whole is done.
+    fn describe(&self, samples: &[Sample], elapsed: f64) -> (String, f64) {
+        let done = samples.len() as f64;
+        let share = (done / self.iterations as f64).max(elapsed / self.seconds).clamp(0.0, 1.0);
+        let left = if share > 0.0 { elapsed * (1.0 - share) / share } else { self.seconds };
+        let rate = if elapsed > 0.0 { done / elapsed } else { 0.0 };
+        let (smallest, largest) = self.extremes;
+        let text = format!(
+            "{done} of {}, {rate:.0} /s, upload {} at {}, {} at {}, {left:.0} s left",
+            self.iterations,
+            median(samples, smallest),
+            bytes(smallest as f64),
+            median(samples, largest),
+            bytes(largest as f64),
+        );
+        (text, share)
+    }
+}
+
+/// The median delay of one payload's uploads so far.
+fn median(samples: &[Sample], payload_bytes: u64) -> String {
+    let delays = samples.iter().filter(|sample| sample.payload_bytes == payload_bytes);
+    let delays: Ordered = delays.filter_map(|sample| sample.passage(Direction::Up)?.seconds()).collect();
+    delays.median().map_or_else(|| "—".to_owned(), |median| format!("{} ms", milliseconds(median)))
+}

@@ -1,0 +1,63 @@
+//! The runs that are compared.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::anyhow;
+use peernet_report::results::{FolderError, Loaded, ResultFolder};
+use peernetd::exit::{Exit, Failure};
+
+/// Runs, each once.
+pub(crate) struct Collected {
+    pub(crate) runs: Vec<Loaded>,
+    /// Which of them is the baseline, if one was named.
+    pub(crate) baseline: Option<usize>,
+}
+
+/// Reads all results in the places, in their order. A baseline that is not among them comes first.
+///
+/// # Errors
+/// When a place holds no results (66) or some cannot be read (65).
+pub(crate) fn collect(places: &[PathBuf], baseline: Option<&Path>) -> Result<Collected, Failure> {
+    let mut paths: Vec<PathBuf> = Vec::new();
+    for found in places.iter().map(|place| find(place)) {
+        for path in found? {
+            if !paths.iter().any(|other| is_same(other, &path)) {
+                paths.push(path);
+            }
+        }
+    }
+    let baseline = baseline.map(|path| {
+        paths.iter().position(|other| is_same(other, path)).unwrap_or_else(|| {
+            paths.insert(0, path.to_owned());
+            0
+        })
+    });
+    let runs: Result<Vec<Loaded>, Failure> = paths.iter().map(|path| open(path)).collect();
+    Ok(Collected { runs: runs?, baseline })
+}
+
+fn find(place: &Path) -> Result<Vec<PathBuf>, Failure> {
+    if place.is_file() {
+        // The file of a folder of results is the folder.
+        let folder = place.parent().filter(|_| place.ends_with("data.csv"));
+        return Ok(vec![folder.filter(|folder| *folder != Path::new("")).unwrap_or(place).to_owned()]);
+    }
+    let found = ResultFolder::find(place);
+    if found.is_empty() {
+        let what = if place.is_dir() { "there is no data.csv in it or below" } else { "it is not there" };
+        return Err(Failure::new(Exit::NoInput, anyhow!("no results in {}: {what}", place.display())));
+    }
+    Ok(found)
+}
+
+fn open(path: &Path) -> Result<Loaded, Failure> {
+    ResultFolder::open(path).map_err(|error| match error {
+        FolderError::NoResults(_) => Failure::new(Exit::NoInput, error),
+        _ => Failure::new(Exit::Data, error),
+    })
+}
+
+/// Whether both lead to one place, however they are written.
+fn is_same(a: &Path, b: &Path) -> bool {
+    a == b || a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b)
+}

@@ -1,0 +1,20 @@
+//! Times of waiting.
+
+/// A time of waiting, as people say it.
+pub(crate) fn duration(seconds: f64) -> String {
+    match seconds.round() as u64 {
+        seconds @ ..120 => format!("{seconds} s"),
+        seconds @ ..7200 => format!("{} min", seconds.div_ceil(60)),
+        seconds => format!("{} h {} min", seconds / 3600, seconds % 3600 / 60),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_time_of_waiting_is_told_as_people_do() {
+        assert_eq!([90.4, 7199.0, 7300.0].map(duration), ["90 s", "120 min", "2 h 1 min"]);
+    }
+}

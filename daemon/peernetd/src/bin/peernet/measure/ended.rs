@@ -1,0 +1,126 @@
+//! How a run ended, and what a script is told of it.
+
+use anyhow::anyhow;
+use peernet_report::results::{Outcome, Row};
+use peernetd::exit::{Exit, Failure};
+
+use super::unavailable;
+use crate::foreground::Cut;
+
+/// How a run ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Ended {
+    /// The limit was reached, or there are no more samples.
+    Finished,
+    /// The user ended it.
+    Interrupted,
+    /// The peer, the sensor or the model could not go on; the text says why.
+    Failed(String),
+}
+
+impl From<Cut> for Ended {
+    fn from(cut: Cut) -> Self {
+        match cut {
+            Cut::Interrupted => Self::Interrupted,
+            Cut::Deserted => Self::Failed("the agent ended by itself".to_owned()),
+        }
+    }
+}
+
+impl Ended {
+    /// As it stands in `run.json`.
+    pub(super) fn reason(&self) -> String {
+        match self {
+            Self::Finished => "finished".to_owned(),
+            Self::Interrupted => "stopped".to_owned(),
+            Self::Failed(reason) => reason.clone(),
+        }
+    }
+
+    /// What is told when there is nothing to write.
+    pub(super) fn without_rows(self) -> Failure {
+        match self {
+            Self::Finished => unavailable("nothing was measured: the sensor has no samples"),
+            Self::Interrupted => {
+                Failure::new(Exit::Interrupted, anyhow!("ended before anything was measured"))
+            }
+            Self::Failed(reason) => unavailable(&reason),
+        }
+    }
+
+    /// Why the program is not to end well, although there are results; `unseen` iterations have no row.
+    pub(super) fn failure(&self, rows: &[Row], unseen: u64) -> Option<Failure> {
+        let incomplete = |text: String| Some(Failure::new(Exit::Incomplete, anyhow!("{text}")));
+        match self {
+            Self::Interrupted => Some(Failure::new(
+                Exit::Interrupted,
+                anyhow!("ended early: the results hold what was measured until then"),
+            )),
+            Self::Failed(reason) => {
+                incomplete(format!("{reason}; the results hold what was measured until then"))
+            }
+            Self::Finished if unseen > 0 => incomplete(format!(
+                "{unseen} iterations were measured and have no row: this machine is too busy to take them down"
+            )),
+            Self::Finished => {
+                let mut bad = rows.iter().filter(|row| row.outcome != Outcome::Ok).peekable();
+                let first = bad.peek()?;
+                let reason = first.reason.as_deref().unwrap_or("no answer in time");
+                let text = format!(
+                    "iteration {} {}: {reason}",
+                    first.iteration,
+                    match first.outcome {
+                        Outcome::Timeout => "timed out",
+                        Outcome::Lost => "was lost",
+                        Outcome::Failed | Outcome::Ok => "failed",
+                    }
+                );
+                let (bad, all) = (bad.count(), rows.len());
+                incomplete(format!("{bad} of {all} iterations have no answer; {text}"))
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(iteration: u64, outcome: Outcome) -> Row {
+        Row {
+            iteration,
+            at: 0.0,
+            episode: 0,
+            step: 0,
+            warm_up: false,
+            outcome,
+            reason: (outcome == Outcome::Lost).then(|| "it went away".to_owned()),
+            values: Vec::new(),
+            upload: None,
+            download: None,
+        }
+    }
+
+    #[test]
+    fn a_script_is_told_how_it_went() {
+        let well = [row(1, Outcome::Ok)];
+        assert!(Ended::Finished.failure(&well, 0).is_none());
+        let code = |ended: Ended| ended.failure(&well, 0).map(|failure| failure.exit);
+        assert_eq!(code(Ended::Interrupted), Some(Exit::Interrupted));
+        assert_eq!(code(Ended::Failed("x".into())), Some(Exit::Incomplete));
+
+        let some = [row(1, Outcome::Ok), row(2, Outcome::Lost), row(3, Outcome::Timeout)];
+        let failure = Ended::Finished.failure(&some, 0).expect("two have no answer");
+        let text = "2 of 3 iterations have no answer; iteration 2 was lost: it went away";
+        assert_eq!((failure.exit, failure.to_string().as_str()), (Exit::Incomplete, text));
+
+        let unseen = Ended::Finished.failure(&well, 3).expect("three are missing");
+        assert!(
+            unseen.exit == Exit::Incomplete && unseen.to_string().starts_with("3 iterations"),
+            "{unseen}"
+        );
+
+        assert_eq!(Ended::Failed("x".into()).without_rows().exit, Exit::Unavailable);
+        assert_eq!(Ended::Interrupted.without_rows().exit, Exit::Interrupted);
+    }
+}

@@ -1,0 +1,51 @@
+//! Where the agent of a foreground run keeps what it must remember.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, anyhow};
+use peernet_agent::config::HostConfig;
+use peernetd::exit::{Exit, Failure};
+use tempfile::TempDir;
+
+/// A folder for the agent's state: one that stays where an aggregator is to know the host again, or else one that goes
+/// with the run.
+pub(crate) enum Home {
+    Stays(PathBuf),
+    Goes(TempDir),
+}
+
+impl Home {
+    /// The folder of this agent.
+    ///
+    /// # Errors
+    /// When there is no place for it (69).
+    pub(crate) fn of(agent: &HostConfig) -> Result<Self, Failure> {
+        let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
+        if agent.aggregator.is_none() {
+            let folder = tempfile::Builder::new().prefix("peernet-").tempdir();
+            let folder = folder.context("cannot make a temporary folder; TMPDIR names another place");
+            return folder.map(Self::Goes).map_err(unavailable);
+        }
+        let name = agent.name.as_ref().map_or("unnamed", |name| name.as_str());
+        let absolute = |variable: &str| {
+            let path = std::env::var_os(variable).map(PathBuf::from);
+            path.filter(|path| path.is_absolute())
+        };
+        // The XDG Base Directory Specification, version 0.8: relative paths are to be ignored.
+        let state =
+            absolute("XDG_STATE_HOME").or_else(|| absolute("HOME").map(|home| home.join(".local/state")));
+        let state = state.ok_or_else(|| {
+            unavailable(anyhow!(
+                "there is no place for the host's id, by which an aggregator knows it again; set HOME or XDG_STATE_HOME"
+            ))
+        })?;
+        Ok(Self::Stays(state.join("peernet").join(name)))
+    }
+
+    pub(crate) fn folder(&self) -> &Path {
+        match self {
+            Self::Stays(folder) => folder,
+            Self::Goes(folder) => folder.path(),
+        }
+    }
+}

@@ -1,0 +1,81 @@
+//! The folder of results of a run.
+
+use std::path::{Path, PathBuf};
+
+use peernet_report::results::{Finished, FolderError, ResultFolder, Row, RowWriter, RunRecord};
+use peernetd::exit::{Exit, Failure};
+
+use super::Order;
+
+/// A folder that is there and can be written to before anything is measured.
+pub(super) struct Results {
+    folder: ResultFolder,
+    /// Whether it was made for this run.
+    made: bool,
+}
+
+/// Where the results are.
+pub(super) struct Written {
+    pub(super) folder: PathBuf,
+    pub(super) files: Vec<PathBuf>,
+    /// Why they are not where they were to be, and where they are.
+    pub(super) trouble: Option<String>,
+}
+
+impl Results {
+    /// Makes the folder that the order names.
+    ///
+    /// # Errors
+    /// When it holds results that may not be replaced (64), or cannot be made (73).
+    pub(super) fn begin(order: &Order) -> Result<Self, Failure> {
+        let was_there = order.folder.exists();
+        let folder = ResultFolder::create(&order.folder, order.overwrite).map_err(failure)?;
+        let made = !was_there || folder.path() != order.folder;
+        Ok(Self { folder, made })
+    }
+
+    /// Where it is.
+    pub(super) fn path(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// What takes the rows.
+    ///
+    /// # Errors
+    /// When the file cannot be written (73).
+    pub(super) fn writer(&self) -> Result<RowWriter, Failure> {
+        self.folder.writer().map_err(failure)
+    }
+
+    /// Takes away what was made: there is nothing to keep.
+    pub(super) fn discard(&self) {
+        // A file that stays does no harm.
+        let _ = std::fs::remove_file(self.path().join("data.csv"));
+        if self.made {
+            let _ = std::fs::remove_dir(self.path());
+        }
+    }
+
+    /// Writes everything, elsewhere if it must be.
+    pub(super) fn finish(&self, record: &RunRecord, rows: &[Row]) -> Written {
+        match self.folder.finish(record, rows) {
+            Ok(Finished { folder, files, trouble: None }) => Written { folder, files, trouble: None },
+            Ok(Finished { folder, files, trouble: Some(trouble) }) => {
+                let trouble = format!("{trouble}; all that was measured is in {} instead", folder.display());
+                Written { folder, files, trouble: Some(trouble) }
+            }
+            Err(error) => {
+                let trouble = format!("{error}; data.csv holds what there was room for");
+                Written { folder: self.path().to_owned(), files: Vec::new(), trouble: Some(trouble) }
+            }
+        }
+    }
+}
+
+fn failure(error: FolderError) -> Failure {
+    let exit = match error {
+        FolderError::NotEmpty(_) => Exit::Usage,
+        _ => Exit::Unwritten,
+    };
+    Failure::new(exit, error)
+}

@@ -1,0 +1,226 @@
+//! Taking down what the agent measures, until it ends.
+
+use peernet_agent::Running;
+use peernet_agent::config::{Limit, PipelineConfig, PlacementConfig};
+use peernet_clock::{MonoTime, SharedClock, Span, WallTime};
+use peernet_logger::HostId;
+use peernet_logger::stream::{Event, HostDescription, IncidentKind, PipelineState, RunDescription};
+use peernet_networks::OpenError;
+use peernet_report::results::{Outcome, Row, RowWriter};
+use peernet_statistics::Sketch;
+
+use super::{Ended, Phase, Seen, Watcher};
+use crate::foreground::{Eyes, Patience, waits_for};
+
+/// The eyes on the agent.
+pub(super) struct Taking<'a> {
+    clock: SharedClock,
+    watcher: &'a mut dyn Watcher,
+    patience: Patience,
+    most: Span,
+    limit: Limit,
+    /// Warm-up iterations at the least.
+    warm_up: u64,
+    /// The peer's address, then its name; `None` for a run on board.
+    peer: Option<String>,
+    /// Why the peer did not want at the first try.
+    refused: bool,
+    began: Option<MonoTime>,
+    totals: Sketch,
+    /// What stops it for now.
+    waiting: Option<String>,
+    taken: Taken,
+    writer: RowWriter,
+}
+
+/// What was seen.
+#[derive(Default)]
+pub(super) struct Taken {
+    pub(super) rows: Vec<Row>,
+    /// What was told when the run began.
+    pub(super) description: Option<RunDescription>,
+    /// When it ended, by the edge's wall clock.
+    pub(super) ended: Option<WallTime>,
+    /// Who sensed.
+    pub(super) edge: Option<HostDescription>,
+    /// Who served.
+    pub(super) cloud: Option<HostId>,
+    /// Rows that are not in the file, and why.
+    pub(super) unwritten: Option<String>,
+}
+
+impl<'a> Taking<'a> {
+    pub(super) fn new(
+        pipeline: &PipelineConfig,
+        most: Span,
+        writer: RowWriter,
+        clock: SharedClock,
+        watcher: &'a mut dyn Watcher,
+    ) -> Self {
+        let peer = match &pipeline.placement {
+            PlacementConfig::Remote(remote) => Some(remote.peer.to_string()),
+            PlacementConfig::Local { .. } | PlacementConfig::None {} => None,
+        };
+        Self {
+            patience: Patience::new(clock.mono()),
+            clock,
+            watcher,
+            most,
+            limit: pipeline.limit,
+            warm_up: pipeline.warm_up.iterations,
+            peer,
+            refused: false,
+            began: None,
+            totals: Sketch::default(),
+            waiting: None,
+            taken: Taken::default(),
+            writer,
+        }
+    }
+
+    /// What was seen, all of it in the file where there was room.
+    pub(super) fn finish(self) -> Taken {
+        let mut taken = self.taken;
+        taken.unwritten = self.writer.end().err().map(|error| error.to_string());
+        taken
+    }
+
+    /// Iterations that there will be, where they set the end.
+    fn of(&self) -> Option<u64> {
+        let counted = self.limit.iterations.map(|limit| limit.get().saturating_add(self.warm_up));
+        let total = self.limit.total.map(std::num::NonZero::get);
+        counted.into_iter().chain(total).min()
+    }
+
+    fn is_done(&self) -> bool {
+        self.limit.total.is_some_and(|total| self.taken.rows.len() as u64 >= total.get())
+    }
+
+    fn began(&mut self, run: RunDescription) {
+        let now = self.clock.mono();
+        self.patience.heard(now);
+        self.began.get_or_insert(now);
+        self.watcher.begun(&run.conditions);
+        if let (Some(peer), Some(name)) = (&mut self.peer, &run.placement.peer) {
+            *peer = name.to_string();
+        }
+        self.taken.description = Some(run);
+    }
+
+    fn row(&mut self, row: Row) {
+        // A failure is an answer, too.
+        if matches!(row.outcome, Outcome::Ok | Outcome::Failed) {
+            self.patience.heard(self.clock.mono());
+        }
+        if let Some(total) = row.value("total").or(row.value("sensing")).filter(|_| row.counts()) {
+            self.totals.record(total);
+        }
+        self.writer.write(&row);
+        self.taken.rows.push(row);
+    }
+
+    fn seen(&self, trouble: Option<String>) -> Seen {
+        let (done, of) = (self.taken.rows.len() as u64, self.of());
+        let elapsed = self.began.map_or(0.0, |began| (self.clock.mono() - began).seconds());
+        let rate = if elapsed > 0.0 { done as f64 / elapsed } else { 0.0 };
+        let by_count = of.filter(|_| rate > 0.0).map(|of| of.saturating_sub(done) as f64 / rate);
+        let by_time = self.limit.duration_s.filter(|_| self.began.is_some());
+        let by_time = by_time.map(|seconds| (seconds - elapsed).max(0.0));
+        let phase = match (&trouble, self.began, self.taken.rows.last()) {
+            (_, None, _) => Phase::Starting,
+            (Some(_), ..) => Phase::Waiting,
+            (None, _, None | Some(Row { warm_up: true, .. })) => Phase::WarmUp,
+            _ => Phase::Measuring,
+        };
+        Seen {
+            phase,
+            done,
+            of,
+            rate,
+            p50: self.totals.quantile(0.5),
+            p99: self.totals.quantile(0.99),
+            left_s: by_count.into_iter().chain(by_time).reduce(f64::min),
+            trouble,
+        }
+    }
+}
+
+impl Eyes for Taking<'_> {
+    type Ended = Ended;
+
+    fn take(&mut self, event: Event, running: Option<&Running>) -> Option<Ended> {
+        match event {
+            Event::RunStarted(run) => {
+                self.began(run);
+                self.taken.edge = running.map(Running::description).or(self.taken.edge.take());
+            }
+            Event::Iteration(iteration) => self.row(Row::of(&iteration)),
+            Event::RunEnded(run) => {
+                self.taken.ended = Some(run.ended);
+                return Some(match run.reason.as_str() {
+                    "finished" => Ended::Finished,
+                    "stopped" => Ended::Interrupted,
+                    reason => Ended::Failed(format!("the run ended early: {reason}")),
+                });
+            }
+            Event::Incident(incident) => match incident.kind {
+                // Later ones are told by the end of the run, or passed over.
+                IncidentKind::PipelineFailed if self.taken.description.is_none() => {
+                    return Some(Ended::Failed(incident.text));
+                }
+                IncidentKind::Refused if self.taken.description.is_none() => self.refused = true,
+                IncidentKind::Connected => {
+                    self.taken.cloud = incident.peer.or(self.taken.cloud);
+                    if running.is_some() {
+                        self.patience.heard(self.clock.mono());
+                    }
+                }
+                _ => {}
+            },
+            Event::Clock(_) | Event::Gap(_) => {}
+        }
+        None
+    }
+
+    fn look(&mut self, running: &Running) -> Option<Ended> {
+        self.writer.flush();
+        // The peer may leave with the last answer: there is nothing to come back for.
+        if self.is_done() {
+            return Some(Ended::Finished);
+        }
+        let pipelines = running.live().pipelines;
+        // Its last events are on their way by then, if there was room for them.
+        match pipelines.into_iter().next().map(|one| one.state) {
+            Some(PipelineState::Failed(reason)) => return Some(Ended::Failed(reason)),
+            Some(PipelineState::Finished) => return Some(Ended::Finished),
+            _ => {}
+        }
+        self.waiting = waits_for(running);
+        let reason = self.waiting.as_deref();
+        if let (true, Some(reason)) = (self.refused, reason) {
+            return Some(Ended::Failed(reason.to_owned()));
+        }
+        // There is no configuration here to change.
+        let reason = reason.map(|reason| reason.strip_suffix(OpenError::LOADING).unwrap_or(reason));
+        let full = self.writer.trouble().map(|trouble| format!("{trouble}; the rows are kept in memory"));
+        let Some(peer) = &self.peer else {
+            let seen = self.seen(full);
+            self.watcher.look(&seen);
+            return None;
+        };
+        let now = self.clock.mono();
+        let trouble = match (&self.began, reason) {
+            (None, None) => None,
+            _ => self.patience.trouble(peer, reason, now, self.most),
+        };
+        let spent = self.patience.spent(reason, now, self.most);
+        let seen = self.seen(trouble.or(full));
+        self.watcher.look(&seen);
+        spent.map(Ended::Failed)
+    }
+
+    fn over(&mut self) {
+        let seen = Seen { phase: Phase::Writing, ..self.seen(None) };
+        self.watcher.look(&seen);
+    }
+}

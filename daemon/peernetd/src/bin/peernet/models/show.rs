@@ -1,0 +1,60 @@
+//! `peernet models show`
+
+use peernet_report::number;
+use peernetd::exit::Failure;
+use peernetd::output::say;
+use serde_json::json;
+
+use super::{Wanted, failure, other_file};
+
+/// Labels that are shown of many.
+const LABELS: usize = 8;
+
+/// What `peernet models show` can be told.
+#[derive(Debug, clap::Args)]
+pub(super) struct Arguments {
+    #[command(flatten)]
+    wanted: Wanted,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let found = arguments.wanted.find()?;
+    let hash = found.hash().map_err(failure)?;
+    let (name, folder) = (found.name, found.folder);
+    let card = found.card.map_err(failure)?;
+    let other_file = other_file(&card, &hash);
+    let size = std::fs::metadata(folder.join("model.onnx")).map_or(0, |known| known.len());
+    if arguments.json {
+        say(
+            json!({ "model": name.to_string(), "folder": folder, "bytes": size, "sha256": hash, "card": card }),
+        );
+        return Ok(());
+    }
+    let first: Vec<&str> = card.labels.iter().take(LABELS).map(String::as_str).collect();
+    let more = if card.labels.len() > LABELS { ", …" } else { "" };
+    let mut lines = vec![
+        ("model".to_owned(), name.to_string()),
+        ("folder".to_owned(), folder.display().to_string()),
+        ("name".to_owned(), format!("{} {}", card.name, card.version)),
+        ("what it does".to_owned(), card.description),
+        ("task".to_owned(), card.task),
+        ("input".to_owned(), card.input),
+    ];
+    lines.extend(card.preprocessing.into_iter().map(|step| ("  then".to_owned(), step)));
+    lines.extend([
+        ("output".to_owned(), card.output),
+        ("labels".to_owned(), format!("{}{more}", first.join(", "))),
+        ("model.onnx".to_owned(), number::bytes(size as f64)),
+        ("SHA-256".to_owned(), hash),
+    ]);
+    // Of the hash only what is wrong with it.
+    lines.extend(card.provenance.into_iter().filter(|(key, _)| key != "sha256"));
+    lines.extend(other_file.map(|text| ("but".to_owned(), text)));
+    for (key, value) in lines.iter().filter(|(_, value)| !value.trim().is_empty()) {
+        say(format_args!("{key:<14}{}", value.trim()));
+    }
+    Ok(())
+}

@@ -1,0 +1,129 @@
+//! `peernet plot`: results as figures.
+
+mod places;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::anyhow;
+use clap::ValueEnum;
+use peernet_report::figures::{self, Columns, PlotError};
+use peernet_report::results::Loaded;
+use peernetd::exit::{Exit, Failure};
+use peernetd::output::{complain, say};
+
+use crate::compare::{Collected, collect};
+use places::Places;
+
+/// What `peernet plot` can be told.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Arguments {
+    /// Folders of results; folders that hold some, at any depth, such as an experiment's; or files of rows (data.csv),
+    /// those of the published program as well.
+    #[arg(required = true, value_name = "RUN|DIR")]
+    runs: Vec<PathBuf>,
+    /// Which figures to draw.
+    #[arg(long, value_enum, default_value_t = Kind::All)]
+    kind: Kind,
+    /// The folder that they are written to; with several runs, those of each go to a folder in it. Without it, they stand
+    /// beside the results: a run's in its folder, those of several runs in the folder that was named.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Column of data.csv along the horizontal axis: the length for --kind length (else tokens, or download-bytes); for
+    /// --kind histograms the one column to draw.
+    #[arg(long, value_name = "COLUMN")]
+    x: Option<String>,
+    /// Column of data.csv along the vertical axis, for --kind length and --kind paired: a latency (else inference).
+    #[arg(long, value_name = "COLUMN")]
+    y: Option<String>,
+}
+
+/// Which figures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Kind {
+    /// All for which there is data.
+    All,
+    /// Of each run: the six of the published program, sensing-time to download-throughput.
+    Histograms,
+    /// Of all runs: what the stages add up to, a bar for each configuration.
+    Stacked,
+    /// Of all runs: each model's inference here and there.
+    Paired,
+    /// Of all runs: latency and throughput against payload, with fit and intercept.
+    Payload,
+    /// Of each run: response length against latency.
+    Length,
+    /// Of each run: total and stages over time.
+    Series,
+}
+
+impl Kind {
+    fn drawn(self) -> Vec<figures::Kind> {
+        match self {
+            Self::All => figures::Kind::ALL.to_vec(),
+            Self::Histograms => vec![figures::Kind::Histograms],
+            Self::Stacked => vec![figures::Kind::Stacked],
+            Self::Paired => vec![figures::Kind::Paired],
+            Self::Payload => vec![figures::Kind::Payload],
+            Self::Length => vec![figures::Kind::Length],
+            Self::Series => vec![figures::Kind::Series],
+        }
+    }
+}
+
+/// Draws the figures and says where they are.
+///
+/// # Errors
+/// When there are no results (66), they cannot be read or lack what the kind shows (65), an option has no meaning for the
+/// kind (64), or a file cannot be written (73).
+pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    check(arguments)?;
+    let Collected { runs, .. } = collect(&arguments.runs, None)?;
+    let places = Places::of(&arguments.runs, &runs, arguments.out.as_deref());
+    let columns = Columns { x: arguments.x.clone(), y: arguments.y.clone() };
+    let mut lacking = Vec::new();
+    let mut files = Vec::new();
+    let mut one = |kind: figures::Kind, runs: &[Loaded], folder: &Path| -> Result<(), Failure> {
+        std::fs::create_dir_all(folder).map_err(|error| {
+            Failure::new(Exit::Unwritten, anyhow!("cannot make the folder {}: {error}", folder.display()))
+        })?;
+        match figures::draw(kind, runs, &columns, folder) {
+            Ok(written) => files.extend(written),
+            Err(error @ PlotError::Lacking(..)) => lacking.push((folder.to_owned(), error)),
+            Err(error) => return Err(Failure::new(Exit::Unwritten, error)),
+        }
+        Ok(())
+    };
+    for kind in arguments.kind.drawn() {
+        if kind.is_of_one_run() {
+            for (run, folder) in runs.iter().zip(&places.runs) {
+                one(kind, std::slice::from_ref(run), folder)?;
+            }
+        } else if runs.len() > 1 || arguments.kind != Kind::All || kind == figures::Kind::Payload {
+            one(kind, &runs, &places.together)?;
+        }
+    }
+    // One kind was asked for and is not there: a failure. Of all kinds some never are.
+    if arguments.kind != Kind::All && files.is_empty() {
+        if let Some((_, error)) = lacking.into_iter().next() {
+            return Err(Failure::new(Exit::Data, error));
+        }
+    } else if arguments.kind != Kind::All {
+        lacking.iter().for_each(|(folder, error)| complain(format_args!("{}: {error}", folder.display())));
+    }
+    files.iter().for_each(|file| say(file.display()));
+    Ok(())
+}
+
+/// Whether the options have a meaning together.
+fn check(arguments: &Arguments) -> Result<(), Failure> {
+    let usage = |text: &str| Err(Failure::new(Exit::Usage, anyhow!("{text}")));
+    match arguments.kind {
+        Kind::Length => Ok(()),
+        Kind::Paired if arguments.x.is_none() => Ok(()),
+        Kind::Histograms if arguments.y.is_none() => Ok(()),
+        _ if arguments.x.is_none() && arguments.y.is_none() => Ok(()),
+        _ => usage(
+            "--x is for --kind length and --kind histograms, --y for --kind length and --kind paired: name the kind",
+        ),
+    }
+}

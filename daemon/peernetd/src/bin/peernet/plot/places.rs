@@ -1,0 +1,100 @@
+//! Where figures go.
+
+use std::path::{Path, PathBuf};
+
+use peernet_report::results::Loaded;
+
+/// Folders for the figures.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct Places {
+    /// For those of each run.
+    pub(super) runs: Vec<PathBuf>,
+    /// For those of all runs together.
+    pub(super) together: PathBuf,
+}
+
+impl Places {
+    /// Beside the results, or in the folder that was asked for: then with one folder for each of several runs.
+    pub(super) fn of(named: &[PathBuf], runs: &[Loaded], out: Option<&Path>) -> Self {
+        let folders = || runs.iter().map(|run| run.folder.clone());
+        match (out, named) {
+            (Some(out), _) if runs.len() == 1 => {
+                Self { runs: vec![out.to_owned()], together: out.to_owned() }
+            }
+            (Some(out), _) => Self {
+                runs: names(&folders().collect::<Vec<_>>()).iter().map(|name| out.join(name)).collect(),
+                together: out.to_owned(),
+            },
+            (None, [one]) if one.is_dir() => Self { runs: folders().collect(), together: one.clone() },
+            (None, _) => {
+                // Of several places none is better than where the user is.
+                let together = if runs.len() == 1 { folders().next() } else { None };
+                Self { runs: folders().collect(), together: here(together.unwrap_or_default()) }
+            }
+        }
+    }
+}
+
+fn here(path: PathBuf) -> PathBuf {
+    if path == Path::new("") { PathBuf::from(".") } else { path }
+}
+
+/// Each folder's path without what all have in front, as one name.
+fn names(folders: &[PathBuf]) -> Vec<String> {
+    let parts = |folder: &PathBuf| -> Vec<String> {
+        let parts = folder.components().map(|part| part.as_os_str().to_string_lossy().into_owned());
+        parts.filter(|part| part != "." && part != ".." && part != "/").collect()
+    };
+    let all: Vec<Vec<String>> = folders.iter().map(parts).collect();
+    let shortest = all.iter().map(Vec::len).min().unwrap_or_default();
+    let common = (0..shortest).take_while(|at| all.iter().all(|parts| parts[*at] == all[0][*at])).count();
+    let common = common.min(shortest.saturating_sub(1));
+    let mut names: Vec<String> = Vec::new();
+    for parts in &all {
+        let name = if parts.is_empty() { "run".to_owned() } else { parts[common..].join("-") };
+        let numbered = (2..).map(|number| format!("{name}-{number}"));
+        let free = std::iter::once(name.clone()).chain(numbered).find(|name| !names.contains(name));
+        names.push(free.unwrap_or(name));
+    }
+    names
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_report::results::RunRecord;
+
+    use super::*;
+
+    fn places(named: &[&str], runs: &[&str], out: Option<&str>) -> (Vec<String>, String) {
+        let loaded = |folder: &&str| Loaded {
+            folder: PathBuf::from(*folder),
+            record: RunRecord::default(),
+            rows: Vec::new(),
+        };
+        let named: Vec<PathBuf> = named.iter().map(PathBuf::from).collect();
+        let runs: Vec<Loaded> = runs.iter().map(loaded).collect();
+        let Places { runs, together } = Places::of(&named, &runs, out.map(Path::new));
+        (runs.iter().map(|path| path.display().to_string()).collect(), together.display().to_string())
+    }
+
+    #[test]
+    fn figures_stand_beside_the_results() {
+        let runs = |folders: &[&str]| folders.iter().map(|folder| (*folder).to_owned()).collect::<Vec<_>>();
+        assert_eq!(
+            places(&["/tmp"], &["/tmp/a", "/tmp/b"], None),
+            (runs(&["/tmp/a", "/tmp/b"]), "/tmp".into())
+        );
+        assert_eq!(places(&["x/a", "x/b"], &["x/a", "x/b"], None), (runs(&["x/a", "x/b"]), ".".into()));
+        assert_eq!(places(&["x/a/data.csv"], &["x/a"], None), (runs(&["x/a"]), "x/a".into()));
+    }
+
+    #[test]
+    fn elsewhere_each_of_several_runs_has_a_folder() {
+        let runs = |folders: &[&str]| folders.iter().map(|folder| (*folder).to_owned()).collect::<Vec<_>>();
+        assert_eq!(places(&["x"], &["x/a"], Some("out")), (runs(&["out"]), "out".into()));
+        let several = places(&["x"], &["x/m/a", "x/n/a"], Some("out"));
+        assert_eq!(several, (runs(&["out/m-a", "out/n-a"]), "out".into()));
+        let alike = places(&["p", "q"], &["../a", "./a"], Some("out"));
+        assert_eq!(alike, (runs(&["out/a", "out/a-2"]), "out".into()));
+    }
+}

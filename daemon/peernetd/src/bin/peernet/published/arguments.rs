@@ -1,0 +1,152 @@
+//! The published options, with the published defaults.
+
+use std::num::NonZeroU64;
+use std::path::PathBuf;
+
+use peernet_logger::Slug;
+use peernet_networks::{Address, NetworkKind};
+
+use super::encoding::Encoding;
+use super::sensor::SensorType;
+
+/// The published experiment: one device serves a model, the other senses and measures.
+#[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "Published experiment")]
+pub(crate) struct Arguments {
+    /// Serve a model and end after --iterations answers; what it is without --client.
+    #[arg(long, conflicts_with = "client")]
+    pub(super) server: bool,
+    /// Sense, ask the server, and write the results.
+    #[arg(long)]
+    pub(super) client: bool,
+    /// This device's name in the network configuration.
+    #[arg(long, value_name = "DEVICE")]
+    pub(super) name: Slug,
+    /// Kind of network: zmq-tcp; zmq-udp and ros are not there yet.
+    #[arg(long, default_value = "zmq-tcp", value_parser = network)]
+    pub(super) network: NetworkKind,
+    /// Network configuration, YAML: `devices:` name → host name or IP address, `server:` the name of the one that
+    /// serves, and if it is to be another than 5551, `start_port:`.
+    #[arg(long, value_name = "FILE")]
+    pub(super) network_config: PathBuf,
+    /// How many iterations: rows in the results of a client, answers of a server.
+    #[arg(long, value_name = "N", value_parser = iterations)]
+    pub(super) iterations: NonZeroU64,
+
+    /// What the client senses: `image`, `random string`, `external` (with --sensor-object), `synthetic` (random bytes).
+    #[arg(long, default_value = "image", value_name = "TYPE", value_parser = SensorType::read)]
+    pub(super) sensor_type: SensorType,
+    /// Picture, or folder of pictures, for the sensor `image`.
+    #[arg(long, value_name = "PATH")]
+    pub(super) dataset_loc: Option<PathBuf>,
+    /// A Python object with a method `sample()`, from a module of the current folder, as `module::object`; or a program,
+    /// as `exec:COMMAND`.
+    #[arg(long, value_name = "OBJECT")]
+    pub(super) sensor_object: Option<String>,
+    /// Send Python values that have no form of their own as pickles, and unpickle what comes: a pickle runs code of whoever
+    /// made it. Both ends must say so.
+    #[arg(long)]
+    pub(super) pickle: bool,
+    /// How pictures are sent: `pixels` as published, `file` as it lies on the disk, `jpeg:QUALITY` compressed anew.
+    #[arg(long, default_value = "pixels", value_name = "HOW", value_parser = Encoding::read)]
+    pub(super) encoding: Encoding,
+    /// Characters of each sample of `random string`, bytes of each of `synthetic`.
+    #[arg(long, default_value = "1000", value_name = "N")]
+    pub(super) text_size: usize,
+    /// Folder for the client's results [default: results, or a new folder in it].
+    #[arg(long, value_name = "DIR")]
+    pub(super) result_loc: Option<PathBuf>,
+    /// Replace results that are in the folder already.
+    #[arg(long)]
+    pub(super) overwrite: bool,
+    /// Draw the figures of the paper.
+    #[arg(long)]
+    pub(super) generate_plots: bool,
+    /// Stream the client's run to the dashboard of this aggregator as well: tcp://host:5550.
+    #[arg(long, value_name = "ADDRESS")]
+    pub(super) aggregator: Option<Address>,
+    /// How long a server that is away is waited for, before the run and during it; seconds.
+    #[arg(long, default_value = "90", value_name = "SECONDS", value_parser = seconds)]
+    pub(super) patience: f64,
+
+    /// What the server serves: `dummy` (takes 10 + 80 + 10 ms), `echo`, a name in the model bank, a path with a slash, a
+    /// Python object with a method `infer(x)` as `module::object`, or a program as `exec:COMMAND`.
+    #[arg(long, default_value = "dummy", value_name = "MODEL")]
+    pub(super) model_name: String,
+    /// What the model runs on: `cpu`, `cuda`, `cuda:N`, `tensorrt:N`, `openvino:DEVICE` [default: cuda:0 for a model of
+    /// the bank; others are told what is given here].
+    #[arg(long)]
+    pub(super) device: Option<String>,
+    /// Folder of models that is searched before the others; may be given several times.
+    #[arg(long, value_name = "DIR")]
+    pub(super) models_dir: Vec<PathBuf>,
+
+    /// An agent's configuration whose tables [clock], [probes], [rehearsal] and [onnxruntime] hold here, too.
+    #[arg(long, value_name = "FILE")]
+    pub(super) config: Option<PathBuf>,
+    /// Do not show the progress.
+    #[arg(long)]
+    pub(super) quiet: bool,
+}
+
+fn network(text: &str) -> Result<NetworkKind, String> {
+    let known: Vec<&str> = NetworkKind::ALL.iter().map(|kind| kind.name()).collect();
+    let found = NetworkKind::ALL.iter().find(|kind| kind.name() == text).copied();
+    found.ok_or_else(|| match text {
+        "zmq-udp" | "ros" => format!("{text} is not there yet; use {}", known.join(" or ")),
+        _ => format!("there is {}", known.join(", ")),
+    })
+}
+
+fn iterations(text: &str) -> Result<NonZeroU64, String> {
+    let number = text.parse::<u64>().map_err(|_| "not a whole number".to_owned())?;
+    NonZeroU64::new(number).ok_or_else(|| "nothing would be measured; at least 1".to_owned())
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    let seconds = text.parse::<f64>().map_err(|error| error.to_string())?;
+    if (0.0..=86_400.0).contains(&seconds) { Ok(seconds) } else { Err("from 0 to 86400".to_owned()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+    use crate::Line;
+
+    fn read(line: &str) -> Arguments {
+        let line = Line::try_parse_from(line.split_whitespace()).expect("a published command line");
+        line.published.expect("its options stand on the top level")
+    }
+
+    #[test]
+    fn what_is_not_said_is_as_published() {
+        let read = read("peernet --name a --network-config b.yaml --iterations 7");
+        assert!(!read.client && !read.generate_plots && !read.overwrite && !read.pickle && !read.quiet);
+        assert_eq!((read.network, read.sensor_type), (NetworkKind::ZmqTcp, SensorType::Image));
+        assert_eq!((read.encoding, read.model_name.as_str()), (Encoding::Pixels, "dummy"));
+        assert!(read.result_loc.is_none() && read.device.is_none() && read.dataset_loc.is_none());
+    }
+
+    #[test]
+    fn both_commands_of_the_paper_are_read() {
+        let server = read(
+            "PEERNet --server --name cluster --network zmq-tcp --network-config net_config.yaml \
+             --model-name efficientnet_v2_s --device cuda:6 --iterations 10005",
+        );
+        assert!(server.server && server.device.as_deref() == Some("cuda:6"));
+        let client = read(
+            "PEERNet --client --name jetson-orin --network zmq-tcp --network-config net_config.yaml \
+             --dataset-loc sample-image.JPEG --iterations 10005 --result-loc results --generate-plots",
+        );
+        assert!(client.client && client.generate_plots && client.iterations.get() == 10_005);
+    }
+
+    #[test]
+    fn a_command_needs_none_of_them() {
+        let line = Line::try_parse_from(["peernet", "status"]).expect("a command");
+        assert!(line.command.is_some() && line.published.is_none());
+        assert!(Line::try_parse_from(["peernet", "--client", "status"]).is_err());
+    }
+}

@@ -1,0 +1,41 @@
+//! How far a client is.
+
+use peernet_clock::SharedClock;
+use peernet_logger::stream::{Condition, Grade};
+
+use crate::foreground::Progress;
+use crate::measure::{Phase, Seen, Watcher};
+
+/// Shows a bar, or lines where there is no terminal.
+pub(crate) struct Bar {
+    clock: SharedClock,
+    progress: Progress,
+}
+
+impl Bar {
+    pub(crate) fn new(quiet: bool, clock: SharedClock) -> Self {
+        Self { progress: Progress::new(quiet, clock.mono()), clock }
+    }
+}
+
+impl Watcher for Bar {
+    /// What spoils the figures is said while the run can still be ended and begun anew; the rest is in the report.
+    fn begun(&mut self, conditions: &[Condition]) {
+        for Condition { host, about, found, advice, .. } in
+            conditions.iter().filter(|condition| condition.grade >= Grade::Doubtful)
+        {
+            let advice = if advice.is_empty() { String::new() } else { format!("; {advice}") };
+            self.progress.say(format_args!("on {host}, {about}: {found}{advice}"));
+        }
+    }
+
+    fn look(&mut self, seen: &Seen) {
+        if seen.phase == Phase::Writing {
+            self.progress.end();
+            return;
+        }
+        let share = seen.of.map_or(0.0, |of| seen.done as f64 / of.max(1) as f64);
+        let state = || (seen.to_string(), share);
+        self.progress.show(self.clock.mono(), seen.trouble.clone(), state);
+    }
+}

@@ -1,0 +1,53 @@
+//! How pictures are sent.
+
+use peernet_sensors::TransformConfig;
+
+/// How pictures are sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Encoding {
+    /// Decoded: what the published program sends, which pickles the picture that its sensor opened.
+    Pixels,
+    /// The file as it is.
+    File,
+    /// Compressed anew, at this quality.
+    Jpeg(u8),
+}
+
+impl Encoding {
+    pub(super) fn read(text: &str) -> Result<Self, String> {
+        match (text, text.strip_prefix("jpeg:").map(str::parse)) {
+            ("pixels", _) => Ok(Self::Pixels),
+            ("file", _) => Ok(Self::File),
+            (_, Some(Ok(quality @ 1..=100))) => Ok(Self::Jpeg(quality)),
+            (_, Some(_)) => Err("the quality of a JPEG is a number from 1 to 100".to_owned()),
+            _ => Err("there is pixels, file and jpeg:QUALITY".to_owned()),
+        }
+    }
+
+    /// What is done with each picture.
+    pub(super) fn transforms(self) -> Vec<TransformConfig> {
+        match self {
+            Self::Pixels => vec![TransformConfig::Decode {}],
+            Self::File => Vec::new(),
+            Self::Jpeg(quality) => {
+                let format = peernet_sensors::Format::Jpeg;
+                vec![TransformConfig::Encode { format, quality: Some(quality) }]
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pixels_are_the_published_way() {
+        assert_eq!(Encoding::read("pixels").map(Encoding::transforms), Ok(vec![TransformConfig::Decode {}]));
+        assert_eq!(Encoding::read("file").map(Encoding::transforms), Ok(Vec::new()));
+        assert_eq!(Encoding::read("jpeg:85"), Ok(Encoding::Jpeg(85)));
+        for wrong in ["jpeg", "jpeg:", "jpeg:0", "jpeg:101", "png", ""] {
+            assert!(Encoding::read(wrong).is_err(), "{wrong}");
+        }
+    }
+}

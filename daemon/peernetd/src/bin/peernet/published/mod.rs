@@ -1,0 +1,35 @@
+//! The published commands: `peernet --server …` on the device that serves, `peernet --client …` on the one that senses.
+//!
+//! The same pipeline code as the daemon's, in the foreground, set up by the published options.
+
+mod arguments;
+mod bar;
+mod client;
+mod devices;
+mod encoding;
+mod model;
+mod sensor;
+mod server;
+mod serving;
+
+pub(crate) use arguments::Arguments;
+pub(crate) use devices::addresses;
+
+use peernetd::exit::Failure;
+use peernetd::output::complain;
+
+use devices::Devices;
+
+/// Serves or measures, as the options say.
+///
+/// # Errors
+/// Each kind with its exit code: `docs/cli.md`.
+pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let devices = Devices::read(&arguments.network_config)?;
+    let serves = !arguments.client;
+    devices.check(&arguments.name, serves)?;
+    complain(
+        "plain mode: nothing is encrypted and nobody is asked for a password; use it in networks that you trust",
+    );
+    if serves { server::run(arguments, &devices) } else { client::run(arguments, &devices) }
+}

@@ -1,0 +1,77 @@
+//! What differs between two plans, in words.
+
+use serde_json::Value;
+
+/// Most differences that are told.
+const MOST: usize = 8;
+
+/// One line for each difference: the path, what was there, what is there.
+pub(super) fn differences(before: &Value, now: &Value) -> Vec<String> {
+    let mut found = Vec::new();
+    compare("", before, now, &mut found);
+    let more = found.len().saturating_sub(MOST);
+    found.truncate(MOST);
+    if more > 0 {
+        found.push(format!("and {more} more"));
+    }
+    found
+}
+
+fn compare(path: &str, before: &Value, now: &Value, found: &mut Vec<String>) {
+    match (before, now) {
+        (Value::Object(before), Value::Object(now)) => {
+            let keys = before.keys().chain(now.keys().filter(|key| !before.contains_key(*key)));
+            for key in keys {
+                let inner = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
+                compare(
+                    &inner,
+                    before.get(key).unwrap_or(&Value::Null),
+                    now.get(key).unwrap_or(&Value::Null),
+                    found,
+                );
+            }
+        }
+        (Value::Array(before), Value::Array(now)) if before.len() == now.len() => {
+            for (index, (before, now)) in before.iter().zip(now).enumerate() {
+                compare(&format!("{path}[{index}]"), before, now, found);
+            }
+        }
+        (Value::Array(before), Value::Array(now)) => {
+            found.push(format!("{path}: {} entries before, {} now", before.len(), now.len()));
+        }
+        (before, now) if before == now => {}
+        (before, now) => found.push(format!("{path}: {} before, {} now", told(before), told(now))),
+    }
+}
+
+fn told(value: &Value) -> String {
+    match value {
+        Value::Null => "nothing".to_owned(),
+        value => value.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn differences_are_told_with_their_paths() {
+        let before = json!({ "seed": 1, "runs": [{ "a": 1 }, { "a": 2 }], "axes": [1] });
+        let now = json!({ "seed": 2, "runs": [{ "a": 1 }, { "a": 3, "b": true }], "axes": [1, 2] });
+        assert_eq!(
+            differences(&before, &now),
+            [
+                "axes: 1 entries before, 2 now",
+                "runs[1].a: 2 before, 3 now",
+                "runs[1].b: nothing before, true now",
+                "seed: 1 before, 2 now",
+            ]
+        );
+        assert!(differences(&now, &now).is_empty());
+        let many = |value: usize| json!((0..20).map(|at| json!({ "a": at * value })).collect::<Vec<_>>());
+        assert_eq!(differences(&many(1), &many(2)).last().map(String::as_str), Some("and 11 more"));
+    }
+}

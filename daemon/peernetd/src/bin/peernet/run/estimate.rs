@@ -1,0 +1,106 @@
+//! How long it will take.
+
+use std::num::NonZeroU64;
+
+use peernet_agent::config::PipelineConfig;
+
+/// What a trial showed of a configuration.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Pace {
+    /// One iteration after the other, seconds each.
+    pub(super) iteration_s: f64,
+    /// What a run takes beside its iterations, seconds.
+    pub(super) beside_s: f64,
+}
+
+/// How long a run of each configuration takes, seconds.
+#[derive(Clone, Debug)]
+pub(super) struct Estimates {
+    /// As the trials have it.
+    expected: Vec<Option<f64>>,
+    /// As finished runs have it: their sum and count.
+    measured: Vec<(f64, u32)>,
+}
+
+impl Estimates {
+    /// What is expected of each configuration.
+    pub(super) fn new(expected: Vec<Option<f64>>) -> Self {
+        let measured = vec![(0.0, 0); expected.len()];
+        Self { expected, measured }
+    }
+
+    /// A run of a configuration took so long.
+    pub(super) fn learn(&mut self, configuration: usize, seconds: f64) {
+        if let Some((sum, count)) = self.measured.get_mut(configuration) {
+            *sum += seconds;
+            *count += 1;
+        }
+    }
+
+    /// What a run of a configuration takes: as its own finished runs, else as expected, corrected by how far
+    /// expectations were off so far; `None` while nobody can tell.
+    pub(super) fn of(&self, configuration: usize) -> Option<f64> {
+        let (sum, count) = self.measured.get(configuration).copied().unwrap_or_default();
+        if count > 0 {
+            return Some(sum / f64::from(count));
+        }
+        let pairs = || {
+            let pairs = self.measured.iter().zip(&self.expected);
+            pairs.filter_map(|((sum, count), expected)| Some((*sum, expected.as_ref()? * f64::from(*count))))
+        };
+        let (is, was): (f64, f64) = pairs().fold((0.0, 0.0), |all, one| (all.0 + one.0, all.1 + one.1));
+        let factor = if was > 0.0 { is / was } else { 1.0 };
+        Some(self.expected.get(configuration).copied().flatten()? * factor)
+    }
+}
+
+/// What a run of a pipeline takes at this pace, seconds; `None` where nobody can tell.
+pub(super) fn expected(pipeline: &PipelineConfig, pace: Option<Pace>) -> Option<f64> {
+    let limit = pipeline.limit;
+    let warm_up = pipeline.warm_up.iterations;
+    let counted = limit.iterations.map(|count| count.saturating_add(warm_up));
+    let count = [counted, limit.total].into_iter().flatten().map(NonZeroU64::get).min();
+    let set = pipeline.load.hz().map(f64::recip);
+    let each = match (set, pace) {
+        (Some(set), Some(pace)) => Some(set.max(pace.iteration_s / pipeline.max_in_flight.get() as f64)),
+        (Some(set), None) => Some(set),
+        (None, pace) => pace.map(|pace| pace.iteration_s),
+    };
+    let by_count = count.zip(each).map(|(count, each)| count as f64 * each);
+    let by_time = limit.duration_s.map(|seconds| seconds + warm_up as f64 * each.unwrap_or_default());
+    let measuring = [by_count, by_time].into_iter().flatten().reduce(f64::min)?;
+    Some(measuring + pace.map_or(0.0, |pace| pace.beside_s))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pipeline(more: &str) -> PipelineConfig {
+        toml::from_str(&format!(
+            "name = 'p'\nsensor = {{ kind = 'synthetic', size_bytes = 1 }}\nplacement = {{ kind = 'none' }}\n{more}"
+        ))
+        .expect("a pipeline")
+    }
+
+    #[test]
+    fn a_run_takes_what_its_limit_and_pace_make_of_it() {
+        let pace = Some(Pace { iteration_s: 0.1, beside_s: 2.0 });
+        let closed = pipeline("limit = { total = 100 }");
+        assert_eq!((expected(&closed, pace), expected(&closed, None)), (Some(12.0), None));
+        let counted = pipeline("limit = { iterations = 100 }\nwarm_up = { iterations = 5 }");
+        assert_eq!(expected(&counted, pace), Some(12.5));
+        let rate = pipeline("limit = { total = 100 }\nload = { mode = 'rate', hz = 5.0 }");
+        assert_eq!((expected(&rate, pace), expected(&rate, None)), (Some(22.0), Some(20.0)));
+        let time = pipeline("limit = { total = 1000, duration_s = 3.0 }");
+        assert_eq!(expected(&time, pace), Some(5.5));
+    }
+
+    #[test]
+    fn what_was_measured_corrects_what_was_expected() {
+        let mut estimates = Estimates::new(vec![Some(10.0), Some(20.0), None]);
+        assert_eq!([0, 1, 2].map(|at| estimates.of(at)), [Some(10.0), Some(20.0), None]);
+        estimates.learn(0, 15.0);
+        assert_eq!([0, 1, 2].map(|at| estimates.of(at)), [Some(15.0), Some(30.0), None]);
+    }
+}

@@ -1,0 +1,198 @@
+//! `[[axis]]`: one dimension of the matrix.
+
+use std::collections::BTreeMap;
+
+use serde::Deserialize;
+use toml::Value;
+
+use super::field::Field;
+
+/// Tables that an axis may reach into.
+const TABLES: [&str; 10] = [
+    "experiment",
+    "network",
+    "pipeline",
+    "model",
+    "bank",
+    "agent",
+    "clock",
+    "probes",
+    "rehearsal",
+    "onnxruntime",
+];
+/// What may differ from one configuration to the next in `[experiment]`.
+const OWN: [&str; 7] =
+    ["episodes", "episode_steps", "warm_up", "iterations", "duration_s", "users", "patience_s"];
+
+/// `[[axis]]` as it stands in the file.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct AxisTable {
+    name: String,
+    #[serde(default)]
+    field: Option<String>,
+    #[serde(default)]
+    values: Vec<Value>,
+    #[serde(default)]
+    value: Vec<ValueTable>,
+}
+
+/// `[[axis.value]]`
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ValueTable {
+    label: Value,
+    #[serde(default)]
+    set: BTreeMap<String, Value>,
+}
+
+/// One dimension of the matrix.
+#[derive(Clone, Debug)]
+pub(in crate::run) struct Axis {
+    /// What it is called in tables.
+    pub(in crate::run) name: String,
+    /// What it can be.
+    pub(in crate::run) values: Vec<AxisValue>,
+}
+
+/// One value of an axis.
+#[derive(Clone, Debug)]
+pub(in crate::run) struct AxisValue {
+    /// What it is called in tables.
+    pub(in crate::run) label: String,
+    /// What it makes of the document.
+    pub(super) sets: Vec<(Field, Value)>,
+}
+
+impl Axis {
+    /// Reads an axis.
+    ///
+    /// # Errors
+    /// A sentence that says what is wrong with it.
+    pub(super) fn read(table: AxisTable) -> Result<Self, String> {
+        let AxisTable { name, field, values, value } = table;
+        let values = match (field, values.is_empty(), value.is_empty()) {
+            (Some(field), false, true) => short(&field, values)?,
+            (None, true, false) => value.into_iter().map(long).collect::<Result<_, _>>()?,
+            _ => {
+                return Err(
+                    "give either field = \"…\" and values = […], or [[axis.value]] with label and set"
+                        .to_owned(),
+                );
+            }
+        };
+        let this = Self { name, values };
+        let labels: Vec<&str> = this.values.iter().map(|value| value.label.as_str()).collect();
+        match labels.iter().enumerate().find(|(at, label)| labels[..*at].contains(label)) {
+            Some((_, label)) => {
+                Err(format!("two values are labelled {label}; tables could not tell them apart"))
+            }
+            None => Ok(this),
+        }
+    }
+
+    /// Whether it overwrites what another axis, which comes before it, has set.
+    pub(super) fn overwrites(&self, other: &Self) -> bool {
+        self.fields().any(|field| other.fields().any(|earlier| field.covers(earlier)))
+    }
+
+    fn fields(&self) -> impl Iterator<Item = &Field> {
+        self.values.iter().flat_map(|value| &value.sets).map(|(field, _)| field)
+    }
+
+    /// Its labels, for messages.
+    pub(super) fn listed(&self) -> String {
+        self.values.iter().map(|value| value.label.as_str()).collect::<Vec<_>>().join(", ")
+    }
+}
+
+/// `field` and `values`: one field, labels as the values say.
+fn short(field: &str, values: Vec<Value>) -> Result<Vec<AxisValue>, String> {
+    let field = reach(field)?;
+    let value = |value: Value| {
+        let label = label(&value).ok_or_else(|| {
+            format!("{value} does not say how it is to be called in tables; use [[axis.value]] with a label")
+        })?;
+        Ok(AxisValue { label, sets: vec![(field.clone(), value)] })
+    };
+    values.into_iter().map(value).collect()
+}
+
+/// `[[axis.value]]`: any number of fields.
+fn long(value: ValueTable) -> Result<AxisValue, String> {
+    let label =
+        label(&value.label).ok_or_else(|| "the label must be a text, a number or a truth".to_owned())?;
+    let sets = value.set.into_iter().map(|(field, value)| Ok((reach(&field)?, value)));
+    Ok(AxisValue { label, sets: sets.collect::<Result<_, String>>()? })
+}
+
+/// A field that an axis may change.
+fn reach(text: &str) -> Result<Field, String> {
+    let field = Field::read(text)?;
+    if !TABLES.contains(&field.table()) {
+        return Err(format!(
+            "there is no field {text}: a path begins with {}, such as pipeline.placement.model",
+            TABLES.join(", ")
+        ));
+    }
+    let within = text.strip_prefix("experiment.").map(|rest| rest.split('.').next().unwrap_or(rest));
+    if field.table() == "experiment" && !within.is_some_and(|key| OWN.contains(&key)) {
+        return Err(format!(
+            "{text} is the same for all runs; of [experiment] only {} may differ",
+            OWN.join(", ")
+        ));
+    }
+    Ok(field)
+}
+
+/// How a value is called in tables: itself, if it is a single one.
+pub(super) fn label(value: &Value) -> Option<String> {
+    match value {
+        Value::String(text) => Some(text.clone()),
+        Value::Integer(number) => Some(number.to_string()),
+        Value::Float(number) => Some(number.to_string()),
+        Value::Boolean(true) => Some("yes".to_owned()),
+        Value::Boolean(false) => Some("no".to_owned()),
+        Value::Datetime(_) | Value::Array(_) | Value::Table(_) => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> Result<Axis, String> {
+        Axis::read(toml::from_str(text).expect("it is a table of [[axis]]"))
+    }
+
+    #[test]
+    fn both_forms_are_read() {
+        let short = read("name = 'Size'\nfield = 'pipeline.sensor.size_bytes'\nvalues = [1, 2.5, 'x', true]");
+        let labels = |axis: &Axis| axis.values.iter().map(|value| value.label.clone()).collect::<Vec<_>>();
+        assert_eq!(labels(&short.expect("reads")), ["1", "2.5", "x", "yes"]);
+        let long = read(
+            "name = 'Resize'\n[[value]]\nlabel = false\n[[value]]\nlabel = 'yes'\n\
+             set = { 'pipeline.transforms' = [], 'experiment.users' = 2 }",
+        )
+        .expect("reads");
+        assert_eq!((labels(&long), long.values[1].sets.len()), (vec!["no".into(), "yes".into()], 2));
+        let deeper =
+            read("name = 'Width'\nfield = 'pipeline.transforms[0].width'\nvalues = [1]").expect("reads");
+        assert!(long.overwrites(&deeper) && !deeper.overwrites(&long));
+    }
+
+    #[test]
+    fn what_is_wrong_is_told() {
+        for (text, told) in [
+            ("name = 'a'", "either field"),
+            ("name = 'a'\nfield = 'pipeline.x'\nvalues = [1]\n[[value]]\nlabel = 'b'", "either field"),
+            ("name = 'a'\nfield = 'pipelin.x'\nvalues = [1]", "there is no field pipelin.x"),
+            ("name = 'a'\nfield = 'experiment.seed'\nvalues = [1]", "the same for all runs"),
+            ("name = 'a'\nfield = 'pipeline.load'\nvalues = [{ mode = 'closed' }]", "how it is to be called"),
+            ("name = 'a'\nfield = 'pipeline.x'\nvalues = [1, 1]", "labelled 1"),
+        ] {
+            let error = read(text).expect_err(text);
+            assert!(error.contains(told), "{error}");
+        }
+    }
+}

@@ -1,0 +1,173 @@
+//! One combination as an agent's configuration.
+
+use std::num::NonZeroU32;
+use std::path::PathBuf;
+
+use peernet_agent::AgentConfig;
+use peernet_agent::config::{Limit, WarmUp};
+use peernet_inference::bank::Folders;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use toml::{Table, Value};
+
+use super::experiment::{Experiment, Network, in_words};
+use super::field::Field;
+use super::matrix::Combination;
+use super::{AGENT, File, peers, typed};
+
+/// Keys of a pipeline that the experiment decides, and where they are to be written instead.
+const ELSEWHERE: [(&str, &str); 6] = [
+    ("name", "experiment.name"),
+    ("limit", "experiment.iterations, experiment.duration_s, or experiment.episodes"),
+    ("warm_up", "experiment.warm_up"),
+    ("episode_steps", "experiment.episode_steps"),
+    ("start", "nothing: a run starts when its turn comes"),
+    ("experiment", "nothing: it is filled in"),
+];
+
+/// What is measured in some runs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(in crate::run) struct Configuration {
+    /// Pairs of an axis and a label, in the order of the file.
+    pub(in crate::run) labels: Vec<(String, String)>,
+    /// Edges that ask at once.
+    pub(in crate::run) users: u32,
+    /// The agent with its pipeline.
+    pub(in crate::run) agent: AgentConfig,
+    /// Which iterations are warm-up, in words.
+    pub(in crate::run) warm_up: String,
+    /// How long a peer that is away is waited for; seconds.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(in crate::run) patience_s: Option<f64>,
+    /// What follows from the experiment's seed.
+    pub(in crate::run) seeds: Seeds,
+}
+
+/// Which seeds the file leaves to the experiment.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(in crate::run) struct Seeds {
+    /// That of the sensor.
+    pub(in crate::run) sensor: bool,
+    /// That of random starts.
+    pub(in crate::run) load: bool,
+}
+
+impl File {
+    /// The configuration of a combination.
+    ///
+    /// # Errors
+    /// What is wrong: the key first, and the axis that put it there last.
+    pub(super) fn configuration(
+        &self,
+        combination: &Combination<'_>,
+        models: &[PathBuf],
+    ) -> Result<Configuration, String> {
+        let mut document = self.document.clone();
+        for (axis, value) in combination {
+            for (field, to) in &value.sets {
+                let set = field.set(&mut document, to.clone());
+                set.map_err(|error| format!("axis {} = {}: {error}", axis.name, value.label))?;
+            }
+        }
+        read(document, models)
+            .map(|configuration| Configuration {
+                labels: combination
+                    .iter()
+                    .map(|(axis, value)| (axis.name.clone(), value.label.clone()))
+                    .collect(),
+                ..configuration
+            })
+            .map_err(|problem| blame(&problem, combination))
+    }
+}
+
+fn read(mut document: Table, models: &[PathBuf]) -> Result<Configuration, String> {
+    let table = |document: &mut Table, key: &str| document.remove(key);
+    let experiment = table(&mut document, "experiment").unwrap_or_else(|| Value::Table(Table::new()));
+    let experiment: Experiment = typed(experiment).map_err(|error| format!("experiment.{error}"))?;
+    let network = table(&mut document, "network").map(typed::<Network>).transpose();
+    let network = network.map_err(|error| format!("network.{error}"))?;
+    let Some(Value::Table(mut pipeline)) = table(&mut document, "pipeline") else {
+        return Err("pipeline: there is no table [pipeline]: what is to be measured?".to_owned());
+    };
+    if let Some((key, instead)) = ELSEWHERE.iter().find(|(key, _)| pipeline.contains_key(*key)) {
+        return Err(format!("pipeline.{key}: in an experiment this is decided by {instead}"));
+    }
+    peers::resolve(&mut pipeline, network.as_ref())?;
+    let seeds = Seeds { sensor: lacks_seed(&pipeline, "sensor"), load: lacks_seed(&pipeline, "load") };
+    pipeline.insert("name".to_owned(), Value::String(experiment.name.to_string()));
+    let has_bank = document.contains_key("bank");
+    document.retain(|key, _| AGENT.contains(&key));
+    document.insert("pipeline".to_owned(), Value::Array(vec![Value::Table(pipeline)]));
+    let mut agent: AgentConfig =
+        typed(document).map_err(|error| error.replacen("pipeline[0]", "pipeline", 1))?;
+    if !has_bank {
+        agent.bank.folders = Folders::search(models).places().to_vec();
+    }
+    agent.agent.aggregator = experiment.aggregator.clone().or(agent.agent.aggregator);
+    let (limit, warm_up) =
+        (experiment.limit().map_err(|error| format!("experiment: {error}"))?, experiment.warm_up());
+    for pipeline in &mut agent.pipelines {
+        pipeline.limit = limit;
+        pipeline.warm_up = warm_up;
+        pipeline.episode_steps = experiment.episode_steps;
+    }
+    if is_all(&warm_up, &limit, experiment.episode_steps) {
+        let text = in_words(&warm_up);
+        return Err(format!(
+            "experiment.warm_up: all iterations of a run would be warm-up ({text}), and no statistics"
+        ));
+    }
+    Ok(Configuration {
+        labels: Vec::new(),
+        users: experiment.users.get(),
+        agent,
+        warm_up: in_words(&warm_up),
+        patience_s: experiment.patience_s,
+        seeds,
+    })
+}
+
+/// Whether a run is warm-up from its beginning to its end.
+fn is_all(warm_up: &WarmUp, limit: &Limit, steps: Option<NonZeroU32>) -> bool {
+    let iterations = limit.total.is_some_and(|total| total.get() <= warm_up.iterations);
+    let steps = steps.map(NonZeroU32::get);
+    let every_step = steps.is_some_and(|steps| steps <= warm_up.steps);
+    let episodes = steps.zip(limit.total).is_some_and(|(steps, total)| {
+        total.get() <= u64::from(warm_up.episodes).saturating_mul(steps.into())
+    });
+    iterations || every_step || episodes
+}
+
+/// Whether a table of the pipeline could have a seed and has none.
+fn lacks_seed(pipeline: &Table, key: &str) -> bool {
+    let Some(Value::Table(table)) = pipeline.get(key) else { return false };
+    let mut seeded = table.clone();
+    let lacks = seeded.insert("seed".to_owned(), Value::Integer(1)).is_none();
+    lacks
+        && match key {
+            "sensor" => is::<peernet_sensors::SensorConfig>(seeded),
+            _ => is::<peernet_agent::config::LoadConfig>(seeded),
+        }
+}
+
+fn is<T: DeserializeOwned>(table: Table) -> bool {
+    Value::Table(table).try_into::<T>().is_ok()
+}
+
+/// Names the axes that could have put there what is wrong.
+fn blame(problem: &str, combination: &Combination<'_>) -> String {
+    let key = problem.split(": ").next().unwrap_or_default();
+    let Ok(field) = Field::read(key) else { return problem.to_owned() };
+    let guilty: Vec<String> = combination
+        .iter()
+        .filter(|(_, value)| {
+            value
+                .sets
+                .iter()
+                .any(|(set, _)| set.touches(&field) || problem.contains(&format!("`{}`", set.key())))
+        })
+        .map(|(axis, value)| format!("{} = {}", axis.name, value.label))
+        .collect();
+    if guilty.is_empty() { problem.to_owned() } else { format!("{problem} (with {})", guilty.join(", ")) }
+}

@@ -1,0 +1,161 @@
+//! `[experiment]` and `[network]`
+
+use std::collections::BTreeMap;
+use std::num::{NonZeroU32, NonZeroU64};
+use std::path::PathBuf;
+
+use peernet_agent::config::{Limit, WarmUp};
+use peernet_logger::Slug;
+use peernet_networks::Address;
+use serde::{Deserialize, Serialize};
+use toml::Value;
+
+/// `[experiment]`: how often, in which order, how long.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(in crate::run) struct Experiment {
+    /// Name for people, and of the pipeline on dashboards.
+    pub(in crate::run) name: Slug,
+    /// What order and payloads follow from. Default: 1.
+    #[serde(default = "one_seed")]
+    pub(in crate::run) seed: u64,
+    /// How often each configuration is measured. Default: 1.
+    #[serde(default = "one")]
+    pub(in crate::run) repeats: NonZeroU32,
+    /// Default: `random`.
+    #[serde(default)]
+    pub(in crate::run) order: Order,
+    /// Whether each run draws its figures. Default: true.
+    #[serde(default = "yes")]
+    pub(in crate::run) plots: bool,
+    /// Where the runs are streamed to as well: `tcp://host:port`. Default: nowhere.
+    #[serde(default)]
+    pub(super) aggregator: Option<Address>,
+    /// Combinations that are left out: labels by the names of axes.
+    #[serde(default)]
+    pub(super) exclude: Vec<BTreeMap<String, Value>>,
+    /// Episodes of each run; needs `episode_steps`.
+    #[serde(default)]
+    episodes: Option<NonZeroU32>,
+    /// Iterations of each episode.
+    #[serde(default)]
+    pub(super) episode_steps: Option<NonZeroU32>,
+    /// What is left out of statistics.
+    #[serde(default)]
+    warm_up: Option<WarmUp>,
+    /// Iterations that count.
+    #[serde(default)]
+    iterations: Option<NonZeroU64>,
+    /// Seconds of each run after its warm-up.
+    #[serde(default)]
+    duration_s: Option<f64>,
+    /// Edges that ask at once, each a process of its own. Default: 1.
+    #[serde(default = "one")]
+    pub(in crate::run) users: NonZeroU32,
+    /// How long a peer that is away is waited for; seconds.
+    #[serde(default)]
+    pub(in crate::run) patience_s: Option<f64>,
+}
+
+/// Order of the runs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(in crate::run) enum Order {
+    /// Each repeat of the whole matrix shuffled, as the seed decides: what changes with time hits all configurations.
+    #[default]
+    Random,
+    /// As the file has it.
+    Declared,
+}
+
+/// `[network]`: names for peers.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Network {
+    /// The published file of devices.
+    pub(super) config: PathBuf,
+}
+
+impl Experiment {
+    /// When a run ends.
+    ///
+    /// # Errors
+    /// A sentence that says what is missing or too much.
+    pub(super) fn limit(&self) -> Result<Limit, String> {
+        let episodes = match (self.episodes, self.episode_steps) {
+            (Some(episodes), Some(steps)) => Some(NonZeroU64::from(episodes).saturating_mul(steps.into())),
+            (Some(_), None) => return Err("episodes needs episode_steps: how long is an episode?".to_owned()),
+            (None, _) => None,
+        };
+        let limit = Limit { iterations: self.iterations, total: episodes, duration_s: self.duration_s };
+        if limit.is_none() {
+            return Err(
+                "when does a run end? Give episodes and episode_steps, iterations, or duration_s".to_owned()
+            );
+        }
+        Ok(limit)
+    }
+
+    /// What is left out of statistics: with episodes as in the paper, otherwise the usual five iterations.
+    pub(super) fn warm_up(&self) -> WarmUp {
+        let usual = match self.episodes {
+            Some(_) => WarmUp { iterations: 0, episodes: 1, steps: 1 },
+            None => WarmUp::default(),
+        };
+        self.warm_up.unwrap_or(usual)
+    }
+}
+
+/// The rule in words.
+pub(super) fn in_words(warm_up: &WarmUp) -> String {
+    let count = |number: u64, what: &str| match number {
+        0 => None,
+        1 => Some(format!("the first {what}")),
+        many => Some(format!("the first {many} {what}s")),
+    };
+    let rules = [
+        count(warm_up.iterations, "iteration"),
+        count(warm_up.episodes.into(), "episode"),
+        count(warm_up.steps.into(), "step").map(|steps| format!("{steps} of each episode")),
+    ];
+    let rules: Vec<String> = rules.into_iter().flatten().collect();
+    if rules.is_empty() { "none".to_owned() } else { rules.join(" and ") }
+}
+
+const fn one_seed() -> u64 {
+    1
+}
+
+const fn one() -> NonZeroU32 {
+    NonZeroU32::MIN
+}
+
+const fn yes() -> bool {
+    true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> Experiment {
+        toml::from_str(&format!("name = 'e'\n{text}")).expect("it is a table of [experiment]")
+    }
+
+    #[test]
+    fn episodes_are_left_out_as_in_the_paper() {
+        let paper = read("episodes = 30\nepisode_steps = 30");
+        assert_eq!(paper.limit().expect("there is one").total.map(NonZeroU64::get), Some(900));
+        assert_eq!(in_words(&paper.warm_up()), "the first episode and the first step of each episode");
+        let other = read("iterations = 10\nwarm_up = { iterations = 2 }");
+        assert_eq!(in_words(&other.warm_up()), "the first 2 iterations");
+        assert_eq!(in_words(&read("iterations = 10").warm_up()), "the first 5 iterations");
+    }
+
+    #[test]
+    fn a_run_has_an_end() {
+        assert!(read("").limit().expect_err("endless").contains("when does a run end"));
+        assert!(read("episodes = 3").limit().expect_err("endless").contains("episode_steps"));
+        assert!(read("duration_s = 3.5").limit().is_ok());
+    }
+}

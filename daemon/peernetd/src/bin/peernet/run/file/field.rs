@@ -1,0 +1,154 @@
+//! The path of a field in a document: `pipeline.transforms[0].width`.
+
+use std::fmt;
+
+use toml::{Table, Value};
+
+/// Where a field stands.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Field(Vec<Step>);
+
+/// One step towards it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Step {
+    Key(String),
+    Index(usize),
+}
+
+impl Field {
+    /// Reads a path.
+    ///
+    /// # Errors
+    /// A sentence that says what is wrong with it.
+    pub(super) fn read(text: &str) -> Result<Self, String> {
+        let mut steps = Vec::new();
+        for part in text.split('.') {
+            let (key, indices) = part.split_at(part.find('[').unwrap_or(part.len()));
+            if key.is_empty() {
+                return Err(format!("{text:?} is no path of a field; write it as pipeline.placement.model"));
+            }
+            steps.push(Step::Key(key.to_owned()));
+            for index in indices.split_terminator(']') {
+                let number = index.strip_prefix('[').and_then(|number| number.parse().ok());
+                let number = number.ok_or_else(|| {
+                    format!("{text:?} is no path of a field: {index}] is no place in a list, which are counted from 0")
+                })?;
+                steps.push(Step::Index(number));
+            }
+        }
+        Ok(Self(steps))
+    }
+
+    /// The first key, which is the name of a table.
+    pub(super) fn table(&self) -> &str {
+        match self.0.first() {
+            Some(Step::Key(key)) => key,
+            _ => "",
+        }
+    }
+
+    /// The last key.
+    pub(super) fn key(&self) -> &str {
+        let last = self.0.iter().rev().find_map(|step| match step {
+            Step::Key(key) => Some(key.as_str()),
+            Step::Index(_) => None,
+        });
+        last.unwrap_or_default()
+    }
+
+    /// Whether another path leads to this field, into it, or to what it stands in.
+    pub(super) fn touches(&self, other: &Self) -> bool {
+        self.0.iter().zip(&other.0).all(|(a, b)| a == b)
+    }
+
+    /// Whether setting this field overwrites another, or something that the other stands in.
+    pub(super) fn covers(&self, other: &Self) -> bool {
+        self.0.len() <= other.0.len() && self.touches(other)
+    }
+
+    /// Puts a value there; tables on the way are made.
+    ///
+    /// # Errors
+    /// A sentence that says where the path leads nowhere.
+    pub(super) fn set(&self, document: &mut Table, value: Value) -> Result<(), String> {
+        let Some((Step::Key(first), rest)) = self.0.split_first() else { return Ok(()) };
+        if rest.is_empty() {
+            document.insert(first.clone(), value);
+            return Ok(());
+        }
+        let mut place = document.entry(first.clone()).or_insert_with(|| Value::Table(Table::new()));
+        for (at, step) in rest.iter().enumerate() {
+            let walked = || Self(self.0[..=at].to_vec());
+            place = match (step, place) {
+                (Step::Key(key), Value::Table(table)) => {
+                    table.entry(key.clone()).or_insert_with(|| Value::Table(Table::new()))
+                }
+                (Step::Index(index), Value::Array(list)) => {
+                    let count = list.len();
+                    list.get_mut(*index).ok_or_else(|| {
+                        format!("there is no {self}: {} has {count} entries, counted from 0", walked())
+                    })?
+                }
+                (Step::Key(_), _) => return Err(format!("there is no {self}: {} is no table", walked())),
+                (Step::Index(_), _) => return Err(format!("there is no {self}: {} is no list", walked())),
+            };
+        }
+        *place = value;
+        Ok(())
+    }
+}
+
+impl fmt::Display for Field {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (at, step) in self.0.iter().enumerate() {
+            match step {
+                Step::Key(key) if at == 0 => f.write_str(key)?,
+                Step::Key(key) => write!(f, ".{key}")?,
+                Step::Index(index) => write!(f, "[{index}]")?,
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn set(path: &str, document: &str) -> Result<String, String> {
+        let mut document: Table = document.parse().expect("TOML");
+        Field::read(path)?.set(&mut document, Value::Integer(7))?;
+        Ok(document.to_string().split_whitespace().collect::<Vec<_>>().join(" "))
+    }
+
+    #[test]
+    fn a_value_is_put_where_the_path_leads() {
+        assert_eq!(set("a.b", "a = { c = 1 }").as_deref(), Ok("[a] b = 7 c = 1"));
+        assert_eq!(set("a.b.c", "").as_deref(), Ok("[a.b] c = 7"));
+        assert_eq!(set("a[1].b", "a = [{ b = 1 }, { b = 2 }]").as_deref(), Ok("[[a]] b = 1 [[a]] b = 7"));
+        assert_eq!(set("a[0]", "a = [1, 2]").as_deref(), Ok("a = [7, 2]"));
+    }
+
+    #[test]
+    fn a_path_that_leads_nowhere_is_named() {
+        for (path, document, told) in [
+            ("a..b", "", "no path"),
+            ("a[x]", "", "no place in a list"),
+            ("a[2].b", "a = [1]", "there is no a[2].b: a has 1 entries"),
+            ("a.b.c", "a = { b = 1 }", "a.b is no table"),
+            ("a[0]", "a = { b = 1 }", "a is no list"),
+        ] {
+            let error = set(path, document).expect_err(path);
+            assert!(error.contains(told), "{error}");
+        }
+    }
+
+    #[test]
+    fn fields_touch_when_one_stands_in_the_other() {
+        let field = |text| Field::read(text).expect("a path");
+        assert!(field("a.b").touches(&field("a.b.c")) && field("a.b.c").touches(&field("a.b")));
+        assert!(!field("a.b").touches(&field("a.c")) && !field("a[0]").touches(&field("a[1]")));
+        assert!(field("a.b").covers(&field("a.b.c")) && !field("a.b.c").covers(&field("a.b")));
+        assert_eq!((field("a.b[1]").table(), field("a.b[1]").key()), ("a", "b"));
+    }
+}

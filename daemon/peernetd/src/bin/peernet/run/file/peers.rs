@@ -1,0 +1,36 @@
+//! Peers by their names in the published file of devices.
+
+use toml::{Table, Value};
+
+use super::experiment::Network;
+use crate::published::addresses;
+
+/// Puts the address in the place of a device's name in `pipeline.placement.peer`.
+///
+/// # Errors
+/// A sentence with its key, when there is no such device.
+pub(super) fn resolve(pipeline: &mut Table, network: Option<&Network>) -> Result<(), String> {
+    let placement = pipeline.get_mut("placement").and_then(Value::as_table_mut);
+    let Some(Value::String(peer)) = placement.and_then(|placement| placement.get_mut("peer")) else {
+        return Ok(());
+    };
+    if peer.contains("://") {
+        return Ok(());
+    }
+    let Some(network) = network else {
+        return Err(format!(
+            "pipeline.placement.peer: {peer:?} is no address; write tcp://host:5551, or name the file of the devices: [network] config = \"net_config.yaml\""
+        ));
+    };
+    let devices = addresses(&network.config).map_err(|failure| format!("network.config: {failure}"))?;
+    let address = devices.get(peer.as_str()).ok_or_else(|| {
+        let known: Vec<&str> = devices.keys().map(String::as_str).collect();
+        format!(
+            "pipeline.placement.peer: {} has no device {peer}; there is {}",
+            network.config.display(),
+            known.join(", ")
+        )
+    })?;
+    *peer = address.to_string();
+    Ok(())
+}

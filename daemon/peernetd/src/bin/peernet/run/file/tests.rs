@@ -1,0 +1,195 @@
+use peernet_agent::config::{LoadConfig, PlacementConfig};
+
+use super::*;
+
+const COMMON: &str = "\
+[experiment]
+name = 'e'
+iterations = 10
+
+[pipeline]
+sensor = { kind = 'synthetic', size_bytes = 1000 }
+placement = { kind = 'remote', peer = 'tcp://127.0.0.1:5551', model = 'echo' }
+";
+
+fn configurations(text: &str) -> Result<Vec<Configuration>, String> {
+    let file = File::parse(text, Path::new("e.toml"))?;
+    file.configurations(&[]).map_err(|failure| failure.to_string())
+}
+
+fn read(more: &str) -> Vec<Configuration> {
+    configurations(&format!("{COMMON}{more}")).expect("reads")
+}
+
+fn wrong(more: &str) -> String {
+    configurations(&format!("{COMMON}{more}")).expect_err("something is wrong")
+}
+
+fn labels(configuration: &Configuration) -> String {
+    configuration.labels.iter().map(|(_, label)| label.as_str()).collect::<Vec<_>>().join("/")
+}
+
+#[test]
+fn without_axes_there_is_one_configuration() {
+    let [only] = read("").try_into().expect("one");
+    assert_eq!((only.labels.len(), only.users, only.warm_up.as_str()), (0, 1, "the first 5 iterations"));
+    let pipeline = &only.agent.pipelines[0];
+    assert_eq!((pipeline.name.as_str(), pipeline.limit.iterations.map(u64::from)), ("e", Some(10)));
+}
+
+#[test]
+fn axes_multiply_and_the_last_changes_fastest() {
+    let all = read(
+        "[[axis]]\nname = 'Size'\nfield = 'pipeline.sensor.size_bytes'\nvalues = [1, 2]\n\
+         [[axis]]\nname = 'Load'\n[[axis.value]]\nlabel = 'closed'\n[[axis.value]]\nlabel = '5 Hz'\n\
+         set = { 'pipeline.load' = { mode = 'rate', hz = 5.0 }, 'experiment.users' = 3 }\n",
+    );
+    let told: Vec<String> = all.iter().map(labels).collect();
+    assert_eq!(told, ["1/closed", "1/5 Hz", "2/closed", "2/5 Hz"]);
+    assert_eq!(all.iter().map(|one| one.users).collect::<Vec<_>>(), [1, 3, 1, 3]);
+    assert_eq!(all[0].agent.pipelines[0].load, LoadConfig::Closed {});
+    assert_eq!(all[3].agent.pipelines[0].load, LoadConfig::Rate { hz: 5.0 });
+    assert_ne!(all[0].agent.pipelines[0].sensor, all[2].agent.pipelines[0].sensor);
+}
+
+#[test]
+fn exclusions_leave_out_what_all_their_labels_fit() {
+    let axes = "[[axis]]\nname = 'A'\nfield = 'pipeline.sensor.size_bytes'\nvalues = [1, 2, 3]\n\
+                [[axis]]\nname = 'B'\nfield = 'pipeline.timeout_ms'\nvalues = [10, 20]\n";
+    let with = |exclude: &str| {
+        format!(
+            "{}{axes}",
+            COMMON.replace("iterations = 10", &format!("iterations = 10\nexclude = {exclude}"))
+        )
+    };
+    let left = |exclude: &str| -> Vec<String> {
+        configurations(&with(exclude)).expect("reads").iter().map(labels).collect()
+    };
+    assert_eq!(left("[{ A = 1, B = '20' }]"), ["1/10", "2/10", "2/20", "3/10", "3/20"]);
+    assert_eq!(left("[{ A = [1, 2] }]"), ["3/10", "3/20"]);
+    for (exclude, told) in [
+        ("[{ C = 1 }]", "experiment.exclude[0]: there is no axis C; there is A, B"),
+        ("[{ A = 1 }, { A = 4 }]", "experiment.exclude[1]: A is never 4; there is 1, 2, 3"),
+        ("[{}]", "names no axis"),
+        ("[{ A = [1, 2, 3] }]", "no combination is left"),
+    ] {
+        let error = configurations(&with(exclude)).expect_err(exclude);
+        assert!(error.contains(told), "{error}");
+    }
+}
+
+#[test]
+fn what_is_wrong_is_told_with_file_key_and_axis() {
+    for (more, told) in [
+        ("[serve]\n", "serve: an experiment has no such table"),
+        ("[network]\nconfig = 'x'\nport = 1\n", "e.toml: network.port: unknown field"),
+        (
+            "[[axis]]\nname = 'A'\nfield = 'pipeline.placment.model'\nvalues = ['x']\n",
+            "unknown field `placment`",
+        ),
+        (
+            "[[axis]]\nname = 'A'\nfield = 'pipeline.placement.modle'\nvalues = ['x']\n",
+            "e.toml: pipeline.placement: unknown field `modle`",
+        ),
+        ("[[axis]]\nname = 'A'\nfield = 'pipeline.placement.modle'\nvalues = ['x']\n", "(with A = x)"),
+        (
+            "[[axis]]\nname = 'A'\nfield = 'pipeline.timeout_ms.x'\nvalues = [1]\n",
+            "pipeline.timeout_ms: invalid type: map",
+        ),
+        (
+            "[[axis]]\nname = 'A'\nfield = 'pipeline.limit'\nvalues = ['x']\n",
+            "decided by experiment.iterations",
+        ),
+        (
+            "[[axis]]\nname = 'A'\nfield = 'pipeline.timeout_ms'\nvalues = ['x']\n",
+            "pipeline.timeout_ms: invalid type",
+        ),
+        (
+            "[[axis]]\nname = 'A'\nfield = 'experiment.users'\nvalues = [0]\n",
+            "experiment.users: invalid value",
+        ),
+        ("[[axis]]\nfield = 'pipeline.timeout_ms'\nvalues = [1]\n", "missing field `name`"),
+        ("[[axis]]\nname = 'A'\nfeld = 'x'\n", "axis[0].feld: unknown field"),
+    ] {
+        let error = wrong(more);
+        assert!(error.contains(told), "{told} is not in: {error}");
+    }
+    let placement = "[[axis]]\nname = 'A'\n[[axis.value]]\nlabel = 'x'\n\
+                     set = { 'pipeline.placement' = { kind = 'local', model = 'm' } }\n";
+    let model = "[[axis]]\nname = 'B'\nfield = 'pipeline.placement.model'\nvalues = ['n']\n";
+    assert!(wrong(&format!("{model}{placement}")).contains("A overwrites what B sets"));
+    let [both] = read(&format!("{placement}{model}")).try_into().expect("one");
+    assert_eq!(
+        both.agent.pipelines[0].placement,
+        PlacementConfig::Local { model: "n".parse().expect("a name") }
+    );
+    let error = configurations("[pipeline]\n").expect_err("no experiment");
+    assert!(error.contains("no table [experiment]"), "{error}");
+    let error = configurations("[experiment]\nname = 'e'\niterations = 1\n").expect_err("no pipeline");
+    assert!(error.contains("no table [pipeline]"), "{error}");
+    assert!(configurations("[experiment\n").expect_err("no TOML").contains("line 1"));
+}
+
+#[test]
+fn a_run_of_warm_up_alone_is_refused() {
+    let with = |limits: &str| configurations(&COMMON.replace("iterations = 10", limits));
+    for limits in [
+        "episodes = 1\nepisode_steps = 30",
+        "episodes = 9\nepisode_steps = 1",
+        "episodes = 2\nepisode_steps = 2\nwarm_up = { iterations = 4 }",
+    ] {
+        let error = with(limits).expect_err(limits);
+        assert!(error.contains("experiment.warm_up: all iterations"), "{error}");
+    }
+    assert!(with("episodes = 2\nepisode_steps = 2").is_ok());
+}
+
+#[test]
+fn a_mistake_of_all_combinations_is_told_once() {
+    let error = wrong(
+        "[bank]\nfolder = []\n[[axis]]\nname = 'A'\nfield = 'pipeline.timeout_ms'\nvalues = [1, 2, 3]\n",
+    );
+    assert_eq!(error.lines().count(), 1, "{error}");
+}
+
+#[test]
+fn peers_can_be_devices_of_the_published_file() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let net = folder.path().join("net.yaml");
+    std::fs::write(&net, "devices:\n  cluster: 10.0.0.7\n  edge: 10.0.0.8\nstart_port: 6000\n")
+        .expect("writable");
+    let text =
+        |peer: &str, network: &str| format!("{}{network}", COMMON.replace("tcp://127.0.0.1:5551", peer));
+    let network = format!("[network]\nconfig = '{}'\n", net.display());
+    let found = configurations(&text("cluster", &network)).expect("reads");
+    let PlacementConfig::Remote(remote) = &found[0].agent.pipelines[0].placement else {
+        panic!("it is remote")
+    };
+    assert_eq!(remote.peer.to_string(), "tcp://10.0.0.7:6000");
+    let unknown = configurations(&text("desktop", &network)).expect_err("not there");
+    assert!(unknown.contains("no device desktop; there is cluster, edge"), "{unknown}");
+    let nameless = configurations(&text("desktop", "")).expect_err("no names");
+    assert!(
+        nameless.contains("pipeline.placement.peer") && nameless.contains("[network] config"),
+        "{nameless}"
+    );
+    let missing = configurations(&text("cluster", "[network]\nconfig = '/nowhere'\n")).expect_err("no file");
+    assert!(missing.contains("network.config") && missing.contains("/nowhere"), "{missing}");
+}
+
+#[test]
+fn only_seeds_that_the_file_leaves_open_are_filled_in() {
+    let seeds = |sensor: &str, load: &str| {
+        let text = COMMON.replace("{ kind = 'synthetic', size_bytes = 1000 }", sensor);
+        let text = text.replace("[pipeline]", &format!("[pipeline]\nload = {load}"));
+        let seeds = configurations(&text).expect("reads")[0].seeds;
+        (seeds.sensor, seeds.load)
+    };
+    let (open, closed) = ("{ kind = 'text', length = 3 }", "{ mode = 'closed' }");
+    assert_eq!(seeds(open, closed), (true, false));
+    assert_eq!(
+        seeds("{ kind = 'text', length = 3, seed = 4 }", "{ mode = 'poisson', hz = 1.0 }"),
+        (false, true)
+    );
+    assert_eq!(seeds(open, "{ mode = 'poisson', hz = 1.0, seed = 2 }"), (true, false));
+}

@@ -1,0 +1,258 @@
+//! `peernet run`: an experiment from one file.
+//!
+//! ```text
+//! File ── configurations ── Plan ─┬─ trial        a few iterations of each, before the first run
+//!                                 ├─ Record       experiment.json: how far it is, replaced after every step
+//!                                 ├─ execute      one process per run and user (`peernet measure`)
+//!                                 └─ report       compare.*, users.*, figures
+//! ```
+
+mod arguments;
+mod check;
+mod children;
+mod difference;
+mod estimate;
+mod execute;
+mod file;
+mod folder;
+mod plan;
+mod report;
+mod state;
+mod table;
+mod trial;
+
+pub(crate) use arguments::Arguments;
+
+use std::collections::BTreeSet;
+use std::io::{BufRead, IsTerminal, Write};
+use std::path::PathBuf;
+
+use anyhow::{Context, anyhow};
+use peernet_clock::{ClockIdentity, SharedClock};
+use peernetd::exit::{Exit, Failure};
+use peernetd::output::{complain, say};
+use peernetd::{VERSION, clock};
+
+use crate::foreground::Signals;
+use arguments::Only;
+use children::Exited;
+use estimate::{Estimates, expected};
+use execute::Execution;
+use file::File;
+use folder::Folder;
+use plan::{Plan, Run};
+use state::{Record, Stage};
+use trial::Tried;
+
+/// Where experiments go that nobody gave a place.
+const RESULTS: &str = "results";
+
+/// Carries out an experiment, or goes on with one.
+///
+/// # Errors
+/// When the file is not there (66) or wrong (78), something that it names cannot be had (69), the folder is not its own
+/// (64), results cannot be written (73), some runs failed (75), or the user ended it early (130).
+pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let file = File::read(&arguments.file)?;
+    let configurations = file.configurations(&arguments.models_dir)?;
+    let clock =
+        clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
+    let remarks = check::configurations(&configurations, &clock)?;
+    let path = arguments.result_loc.clone();
+    let path = path.unwrap_or_else(|| PathBuf::from(RESULTS).join(file.experiment.name.as_str()));
+    // A broken record can be begun anew.
+    let before = match folder::load(&path) {
+        Err(_) if arguments.restart => None,
+        loaded => loaded?.filter(|_| !arguments.restart && !arguments.check),
+    };
+    let seed = arguments.seed.or_else(|| before.as_ref().map(|record| record.plan.seed));
+    let plan = Plan::new(&file.experiment, seed, configurations);
+    if let Some(unknown) = Only::unknown(&arguments.only, &plan) {
+        return Err(Failure::new(Exit::Usage, anyhow!("--only: {unknown}")));
+    }
+    if arguments.check {
+        let (runs, configurations) = (plan.runs.len(), plan.configurations.len());
+        remarks.iter().for_each(|remark| complain(format_args!("not on this machine: {remark}")));
+        say(format_args!("{}: {runs} runs of {configurations} configurations", arguments.file.display()));
+        return Ok(());
+    }
+    let record = match before {
+        Some(record) => {
+            folder::unchanged(&record, &plan)?;
+            record
+        }
+        None => Record::new(plan, id(), arguments.file.display().to_string(), VERSION.to_owned()),
+    };
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+    let runtime = runtime
+        .context("cannot start the runtime")
+        .map_err(|error| Failure::new(Exit::Unavailable, error))?;
+    let done = runtime.block_on(carry_out(arguments, record, path, &clock, file.experiment.plots));
+    // A question that nobody answers is not waited for.
+    runtime.shutdown_background();
+    done
+}
+
+async fn carry_out(
+    arguments: &Arguments,
+    mut record: Record,
+    path: PathBuf,
+    clock: &SharedClock,
+    plots: bool,
+) -> Result<(), Failure> {
+    let mut signals = Signals::new().map_err(|error| Failure::new(Exit::Unavailable, error))?;
+    let folder = if arguments.dry_run { None } else { Some(Folder::open(&path)?) };
+    if let Some(folder) = &folder {
+        settle(arguments, folder, &mut record)?;
+    }
+    let to_do = record.to_do(|run| Only::wants(&arguments.only, &record.plan, run));
+    let wanted: BTreeSet<usize> = to_do.iter().map(|run| run.configuration).collect();
+    let tried = match trial::configurations(&record.plan, &wanted, clock, &mut signals, arguments.quiet).await
+    {
+        Ok(tried) => tried,
+        Err(failure) => {
+            discard(folder, &record);
+            return Err(failure);
+        }
+    };
+    let estimates = estimates(&record, &tried);
+    say(table::runs(&record, &estimates));
+    say(format_args!("\n{}; results in {}", table::outlook(&to_do, &record, &estimates), path.display()));
+    for condition in &tried.conditions {
+        let advice =
+            if condition.advice.is_empty() { String::new() } else { format!("; {}", condition.advice) };
+        complain(format_args!("on {}, {}: {}{advice}", condition.host, condition.about, condition.found));
+    }
+    if let Some(failure) = missing(&tried) {
+        discard(folder, &record);
+        return Err(failure);
+    }
+    let Some(folder) = folder else { return Ok(()) };
+    if !to_do.is_empty() && !arguments.yes && !agreed(&mut signals).await {
+        discard(Some(folder), &record);
+        return Err(Failure::new(Exit::Interrupted, anyhow!("not begun")));
+    }
+    folder.save(&record)?;
+    let mut execution =
+        Execution { folder: &folder, record: &mut record, estimates, clock, plots, quiet: arguments.quiet };
+    let interrupted = execution.all(&to_do, &mut signals).await?;
+    let told = report::write(&folder, &record, plots)?;
+    say(format_args!("\n{told}"));
+    say(format_args!("\n{}: {}", path.display(), summary(&record)));
+    verdict(&record, &to_do, interrupted)
+}
+
+/// Brings folder and record together: what was begun anew is removed, what was taken away is to be done again.
+fn settle(arguments: &Arguments, folder: &Folder, record: &mut Record) -> Result<(), Failure> {
+    if arguments.restart {
+        match folder.load() {
+            Ok(Some(old)) => folder.clear(&old)?,
+            Ok(None) => {}
+            // What it names is not known; its runs are replaced one by one.
+            Err(failure) => complain(failure),
+        }
+    }
+    let finished = record.runs().filter(|(_, state)| state.stage == Stage::Finished);
+    let gone =
+        |run: &&Run| !folder.results(&record.plan, run).iter().all(|path| path.join("run.json").is_file());
+    let gone: Vec<Run> = finished.map(|(run, _)| run).filter(gone).cloned().collect();
+    for run in gone {
+        complain(format_args!("the results of run {} are gone; it is done again", run.number));
+        record.forget(&run);
+    }
+    Ok(())
+}
+
+fn estimates(record: &Record, tried: &Tried) -> Estimates {
+    let expected = record.plan.configurations.iter().zip(&tried.paces).map(|(configuration, pace)| {
+        configuration.agent.pipelines.first().and_then(|pipeline| expected(pipeline, *pace))
+    });
+    let mut estimates = Estimates::new(expected.collect());
+    for (run, state) in record.runs().filter(|(_, state)| state.stage == Stage::Finished) {
+        state.seconds.into_iter().for_each(|seconds| estimates.learn(run.configuration, seconds));
+    }
+    estimates
+}
+
+/// Everything that the trials lacked, at once: each reason, and the configurations below.
+fn missing(tried: &Tried) -> Option<Failure> {
+    let (_, first) = tried.missing.first()?;
+    let is_wrong = first.code == Some(i32::from(Exit::Configuration as u8));
+    let exit = if is_wrong { Exit::Configuration } else { Exit::Unavailable };
+    let mut reasons: Vec<&str> = Vec::new();
+    let reason = |exit: &Exited| exit.reason.clone().unwrap_or_else(|| "it said nothing".to_owned());
+    let all: Vec<(String, String)> =
+        tried.missing.iter().map(|(configuration, exit)| (reason(exit), configuration.clone())).collect();
+    for (reason, _) in &all {
+        if !reasons.contains(&reason.as_str()) {
+            reasons.push(reason);
+        }
+    }
+    let lines = reasons.into_iter().flat_map(|reason| {
+        let those = all.iter().filter(move |(other, words)| other == reason && !words.is_empty());
+        std::iter::once(format!("  {reason}")).chain(those.map(|(_, words)| format!("    {words}")))
+    });
+    let (count, of, lines) = (all.len(), tried.paces.len(), lines.collect::<Vec<_>>().join("\n"));
+    Some(Failure::new(
+        exit,
+        anyhow!("{count} of {of} configurations cannot be measured, nothing was begun:\n{lines}"),
+    ))
+}
+
+/// Asks, where somebody can answer.
+async fn agreed(signals: &mut Signals) -> bool {
+    if !std::io::stdin().is_terminal() {
+        return true;
+    }
+    let answer = tokio::task::spawn_blocking(|| {
+        // A question that cannot be written cannot be answered either.
+        let mut errors = std::io::stderr();
+        let _ = write!(errors, "begin? [Y/n] ").and_then(|()| errors.flush());
+        let mut answer = String::new();
+        let read = std::io::stdin().lock().read_line(&mut answer).unwrap_or_default();
+        read > 0 && !answer.trim().to_lowercase().starts_with('n')
+    });
+    tokio::select! {
+        answer = answer => answer.unwrap_or(false),
+        () = signals.next() => false,
+    }
+}
+
+/// An experiment that was not begun leaves no folder behind.
+fn discard(folder: Option<Folder>, record: &Record) {
+    if let Some(folder) = folder.filter(|_| record.states.iter().all(|state| state.attempts == 0)) {
+        folder.discard();
+    }
+}
+
+fn summary(record: &Record) -> String {
+    let stages = [Stage::Finished, Stage::Failed, Stage::Interrupted, Stage::Pending];
+    let counts = stages.map(|stage| (record.count(stage), stage.name()));
+    let told = counts.iter().filter(|(count, _)| *count > 0).map(|(count, name)| format!("{count} {name}"));
+    format!("of {} runs {}", record.plan.runs.len(), told.collect::<Vec<_>>().join(", "))
+}
+
+/// What a script is told.
+fn verdict(record: &Record, done: &[Run], interrupted: bool) -> Result<(), Failure> {
+    if interrupted {
+        let text = "ended early; the same command goes on where it ended";
+        return Err(Failure::new(Exit::Interrupted, anyhow!("{text}")));
+    }
+    let states = || done.iter().filter_map(|run| record.states.get(run.number - 1));
+    let failed = states().filter(|state| state.stage == Stage::Failed).count();
+    let lossy = states().filter(|state| state.stage == Stage::Finished && state.exit != Some(0)).count();
+    let text = match (failed, lossy) {
+        (0, 0) => return Ok(()),
+        (0, lossy) => format!("{} with iterations that have no answer", table::count(lossy)),
+        (failed, _) => format!("{} failed; the same command tries again", table::count(failed)),
+    };
+    Err(Failure::new(Exit::Incomplete, anyhow!("{text}")))
+}
+
+/// A random name for this execution.
+fn id() -> String {
+    format!("{:016x}", rand::random::<u64>())
+}
+
+#[cfg(test)]
+mod tests;

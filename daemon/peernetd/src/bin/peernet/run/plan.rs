@@ -1,0 +1,171 @@
+//! Which runs there are, in which order, and what each is.
+
+use peernet_agent::config::PipelineConfig;
+use peernet_logger::Slug;
+use peernet_logger::stream::ExperimentPlace;
+use rand::SeedableRng;
+use rand::rngs::StdRng;
+use rand::seq::SliceRandom;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use super::file::{Configuration, Experiment, Order};
+
+/// Longest part of a folder's name that a label may be.
+const LONGEST_LABEL: usize = 24;
+/// Longest name of a folder without its number and repeat.
+const LONGEST_NAME: usize = 120;
+/// The name of users' agents where the file has none.
+const USER: &str = "user";
+
+/// The runs in order, and everything that they follow from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Plan {
+    /// The experiment's name.
+    pub(super) name: Slug,
+    /// What order and payloads follow from.
+    pub(super) seed: u64,
+    /// In which order the runs come.
+    pub(super) order: Order,
+    /// How often each configuration is measured.
+    pub(super) repeats: u32,
+    /// What is measured, in the order of the file.
+    pub(super) configurations: Vec<Configuration>,
+    /// The runs, in the order in which they come.
+    pub(super) runs: Vec<Run>,
+}
+
+/// One run.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Run {
+    /// From 1.
+    pub(super) number: usize,
+    /// Which of the configurations, from 0.
+    pub(super) configuration: usize,
+    /// Which repeat of it, from 0.
+    pub(super) repeat: u32,
+    /// Its folder below `runs`.
+    pub(super) folder: String,
+}
+
+impl Plan {
+    /// The plan of an experiment with these configurations.
+    pub(super) fn new(
+        experiment: &Experiment,
+        seed: Option<u64>,
+        configurations: Vec<Configuration>,
+    ) -> Self {
+        let seed = seed.unwrap_or(experiment.seed);
+        let mut random = StdRng::seed_from_u64(seed);
+        let (repeats, count) = (experiment.repeats.get(), configurations.len());
+        let mut order: Vec<(u32, usize)> = Vec::new();
+        for repeat in 0..repeats {
+            let mut block: Vec<usize> = (0..count).collect();
+            if experiment.order == Order::Random {
+                block.shuffle(&mut random);
+            }
+            order.extend(block.into_iter().map(|configuration| (repeat, configuration)));
+        }
+        let width = order.len().to_string().len().max(3);
+        let runs = order.into_iter().enumerate().map(|(at, (repeat, configuration))| {
+            let number = at + 1;
+            let name = name(&configurations[configuration].labels);
+            Run { number, configuration, repeat, folder: format!("{number:0width$}{name}-r{}", repeat + 1) }
+        });
+        Self {
+            name: experiment.name.clone(),
+            seed,
+            order: experiment.order,
+            repeats,
+            runs: runs.collect(),
+            configurations,
+        }
+    }
+
+    /// What a run measures.
+    pub(super) fn configuration(&self, run: &Run) -> &Configuration {
+        &self.configurations[run.configuration]
+    }
+
+    /// The run's pipeline as the agent of a user, from 0, is to run it.
+    pub(super) fn pipeline(&self, run: &Run, user: u32, id: &str) -> Option<PipelineConfig> {
+        let configuration = self.configuration(run);
+        let mut pipeline = configuration.agent.pipelines.first()?.clone();
+        // Repeats and users differ; configurations get the same payloads, so that they compare.
+        let seed = |what: u64| derived(&[self.seed, what, run.repeat.into(), user.into()]);
+        if configuration.seeds.sensor {
+            pipeline.sensor = with_seed(&pipeline.sensor, seed(1));
+        }
+        if configuration.seeds.load {
+            pipeline.load = with_seed(&pipeline.load, seed(2));
+        }
+        pipeline.experiment = Some(ExperimentPlace {
+            name: self.name.to_string(),
+            id: id.to_owned(),
+            configuration: configuration.labels.clone(),
+            repeat: run.repeat,
+        });
+        Some(pipeline)
+    }
+
+    /// The name of a user's agent; `None` where the agent's own is to be taken.
+    pub(super) fn agent_name(&self, run: &Run, user: u32) -> Option<Slug> {
+        let configuration = self.configuration(run);
+        let own = configuration.agent.agent.name.as_ref();
+        if configuration.users == 1 {
+            return own.cloned();
+        }
+        let name = own.map_or(USER, Slug::as_str);
+        format!("{name}-{}", user + 1).parse().ok()
+    }
+
+    /// The run in words: `Where = cloud, Model = S, repeat 2`.
+    pub(super) fn words(&self, run: &Run) -> String {
+        let mut words = in_words(&self.configuration(run).labels);
+        if self.repeats > 1 {
+            let comma = if words.is_empty() { "" } else { ", " };
+            words = format!("{words}{comma}repeat {}", run.repeat + 1);
+        }
+        if words.is_empty() { self.name.to_string() } else { words }
+    }
+}
+
+/// Labels in words: `Where = cloud, Model = S`.
+pub(super) fn in_words(labels: &[(String, String)]) -> String {
+    let pairs = labels.iter().map(|(axis, label)| format!("{axis} = {label}"));
+    pairs.collect::<Vec<_>>().join(", ")
+}
+
+/// The labels as a part of a folder's name, each after a hyphen.
+fn name(labels: &[(String, String)]) -> String {
+    let plain = |char: char| if char.is_ascii_alphanumeric() || "._".contains(char) { char } else { '-' };
+    let label = |label: &String| label.chars().take(LONGEST_LABEL).map(plain).collect::<String>();
+    let mut name: String = labels.iter().map(|(_, text)| format!("-{}", label(text))).collect();
+    name.truncate(LONGEST_NAME);
+    name
+}
+
+/// A seed for one purpose, from what distinguishes it. At most 53 bits, which every JSON program keeps.
+fn derived(parts: &[u64]) -> u64 {
+    parts.iter().fold(0, |state, part| splitmix(state ^ part)) >> 11
+}
+
+/// The finaliser of SplitMix64 (Steele, Lea, Flood 2014): neighbours in, nothing alike out.
+fn splitmix(state: u64) -> u64 {
+    let state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let state = (state ^ (state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let state = (state ^ (state >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    state ^ (state >> 31)
+}
+
+/// The same with this seed; as it was where it takes none.
+fn with_seed<T: Clone + Serialize + serde::de::DeserializeOwned>(config: &T, seed: u64) -> T {
+    let seeded = serde_json::to_value(config).ok().and_then(|mut value| {
+        value.as_object_mut()?.insert("seed".to_owned(), Value::from(seed));
+        serde_json::from_value(value).ok()
+    });
+    seeded.unwrap_or_else(|| config.clone())
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,62 @@
+//! The table of the runs.
+
+use peernet_report::table::Table;
+
+use super::estimate::Estimates;
+use super::plan::Run;
+use super::state::{Record, Stage};
+use crate::foreground::duration;
+
+/// What stands where nobody can tell.
+const UNKNOWN: &str = "?";
+
+/// All runs in their order: what they are, how long they take, how they fare.
+pub(super) fn runs(record: &Record, estimates: &Estimates) -> String {
+    let plan = &record.plan;
+    let axes = plan.configurations.first().map(|configuration| &configuration.labels);
+    let mut header = vec!["run".to_owned()];
+    header.extend(axes.into_iter().flatten().map(|(axis, _)| axis.clone()));
+    // An axis over the users says it already.
+    let told = (0..header.len() - 1).any(|axis| {
+        plan.configurations
+            .iter()
+            .all(|one| one.labels.get(axis).is_some_and(|(_, label)| *label == one.users.to_string()))
+    });
+    let repeated = plan.repeats > 1;
+    header.extend(repeated.then(|| "repeat".to_owned()));
+    let many = !told && plan.configurations.iter().any(|configuration| configuration.users > 1);
+    header.extend(many.then(|| "users".to_owned()));
+    header.push("state".to_owned());
+    let labels = header.len();
+    header.push("time".to_owned());
+    let rows = record.runs().map(|(run, state)| {
+        let configuration = plan.configuration(run);
+        let mut cells = vec![run.number.to_string()];
+        cells.extend(configuration.labels.iter().map(|(_, label)| label.clone()));
+        cells.extend(repeated.then(|| (run.repeat + 1).to_string()));
+        cells.extend(many.then(|| configuration.users.to_string()));
+        cells.push(state.stage.name().to_owned());
+        let is = state.seconds.filter(|_| state.stage == Stage::Finished);
+        let time = is.or_else(|| estimates.of(run.configuration));
+        cells.push(time.map_or_else(|| UNKNOWN.to_owned(), duration));
+        cells
+    });
+    Table { header, labels, rows: rows.collect(), marked: Vec::new() }.text()
+}
+
+/// How many runs there are to do and how long they take.
+pub(super) fn outlook(to_do: &[Run], record: &Record, estimates: &Estimates) -> String {
+    let known: Option<f64> = to_do.iter().map(|run| estimates.of(run.configuration)).sum();
+    let time = known.map_or_else(|| "a time that nobody can tell".to_owned(), duration);
+    let all = record.plan.runs.len();
+    match to_do.len() {
+        0 => "nothing to do: all of it is finished".to_owned(),
+        some if some == all => format!("{}, about {time}", count(all)),
+        some => format!("{some} of {} to do, about {time}", count(all)),
+    }
+}
+
+/// So many runs.
+pub(super) fn count(runs: usize) -> String {
+    format!("{runs} run{}", if runs == 1 { "" } else { "s" })
+}

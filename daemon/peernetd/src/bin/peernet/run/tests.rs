@@ -1,0 +1,152 @@
+use std::path::Path;
+
+use clap::Parser;
+
+use super::state::Ended;
+use super::*;
+
+#[derive(Debug, Parser)]
+struct Line {
+    #[command(flatten)]
+    arguments: Arguments,
+}
+
+const FILE: &str = "\
+[experiment]
+name = 'e'
+order = 'declared'
+iterations = 10
+[pipeline]
+sensor = { kind = 'text', length = 10 }
+placement = { kind = 'none' }
+[[axis]]
+name = 'A'
+field = 'pipeline.timeout_ms'
+values = [1, 2]
+[[axis]]
+name = 'B'
+field = 'pipeline.sensor.length'
+values = [1, 2]
+";
+
+fn plan(folder: &Path, text: &str) -> Plan {
+    let path = folder.join("e.toml");
+    std::fs::write(&path, text).expect("writable");
+    let file = File::read(&path).expect("reads");
+    Plan::new(&file.experiment, None, file.configurations(&[]).expect("reads"))
+}
+
+fn record(folder: &Path) -> Record {
+    Record::new(plan(folder, FILE), "id".to_owned(), "e.toml".to_owned(), "1".to_owned())
+}
+
+fn numbers(runs: &[Run]) -> Vec<usize> {
+    runs.iter().map(|run| run.number).collect()
+}
+
+fn ended(stage: Stage) -> Ended {
+    Ended { stage, exit: Some(if stage == Stage::Finished { 0 } else { 69 }), reason: None, seconds: 1.5 }
+}
+
+#[test]
+fn what_is_not_finished_is_done_again_and_nothing_else() {
+    let temporary = tempfile::tempdir().expect("a folder");
+    let folder = Folder::open(&temporary.path().join("results")).expect("is new");
+    let mut record = record(temporary.path());
+    let runs = record.plan.runs.clone();
+    for (run, stage) in runs.iter().zip([Stage::Finished, Stage::Failed, Stage::Interrupted]) {
+        record.begin(run);
+        record.end(run, ended(stage));
+    }
+    record.begin(&runs[3]);
+    folder.save(&record).expect("writable");
+    // The program is killed here: the fourth is still under way.
+    let mut loaded = folder.load().expect("reads").expect("is there");
+    assert_eq!(loaded, record);
+    assert_eq!(numbers(&loaded.to_do(|_| true)), [2, 3, 4]);
+    loaded.begin(&runs[1]);
+    loaded.end(&runs[1], ended(Stage::Finished));
+    assert_eq!(numbers(&loaded.to_do(|_| true)), [3, 4]);
+    assert_eq!((loaded.states[1].attempts, loaded.states[1].seconds), (2, Some(1.5)));
+    loaded.forget(&runs[0]);
+    assert_eq!(numbers(&loaded.to_do(|_| true)), [1, 3, 4]);
+    assert_eq!(summary(&loaded), "of 4 runs 1 finished, 1 interrupted, 1 to do");
+}
+
+#[test]
+fn a_changed_file_is_refused_with_what_changed() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let record = record(folder.path());
+    assert!(folder::unchanged(&record, &plan(folder.path(), &format!("# a comment\n{FILE}"))).is_ok());
+    let changed = FILE.replace("iterations = 10", "iterations = 11").replace("length = 10", "length = 20");
+    let failure = folder::unchanged(&record, &plan(folder.path(), &changed)).expect_err("has changed");
+    let text = failure.to_string();
+    assert_eq!(failure.exit, Exit::Configuration);
+    assert!(text.contains("limit.iterations: 10 before, 11 now") && text.contains("--restart"), "{text}");
+    // The axis B overwrites the length.
+    assert!(!text.contains("sensor.length"), "{text}");
+}
+
+#[test]
+fn a_folder_belongs_to_one_experiment_and_one_program() {
+    let temporary = tempfile::tempdir().expect("a folder");
+    let path = temporary.path().join("results");
+    let folder = Folder::open(&path).expect("is new");
+    let second = Folder::open(&path).err().expect("the first holds it");
+    assert!(second.exit == Exit::Unavailable && second.to_string().contains("at work"), "{second}");
+    folder.discard();
+    assert!(!path.exists(), "nothing came to be in it");
+
+    std::fs::write(temporary.path().join("notes.txt"), "mine").expect("writable");
+    let foreign = Folder::open(temporary.path()).err().expect("it holds something else");
+    assert!(foreign.exit == Exit::Usage && foreign.to_string().contains("no experiment's"), "{foreign}");
+
+    std::fs::create_dir_all(&path).expect("writable");
+    std::fs::write(path.join("experiment.json"), "{").expect("writable");
+    let damaged = folder::load(&path).expect_err("no JSON");
+    assert!(damaged.exit == Exit::Data && damaged.to_string().contains("--restart"), "{damaged}");
+}
+
+#[test]
+fn wishes_choose_runs() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let record = record(folder.path());
+    let only = |line: &str| {
+        let words = ["run", "e.toml"].into_iter().chain(line.split_whitespace());
+        Line::try_parse_from(words).expect("a command line").arguments.only
+    };
+    let chosen = |line: &str| {
+        let only = only(line);
+        numbers(&record.to_do(|run| Only::wants(&only, &record.plan, run)))
+    };
+    assert_eq!(chosen(""), [1, 2, 3, 4]);
+    assert_eq!(chosen("--only A=1"), [1, 2]);
+    assert_eq!(chosen("--only A=1 --only B=2"), [2]);
+    assert_eq!(chosen("--only A=1 --only A=2 --only B=2"), [2, 4]);
+    assert_eq!(chosen("--only 3 --only 4 --only B=1"), [3]);
+    let unknown = |line: &str| Only::unknown(&only(line), &record.plan);
+    assert_eq!(unknown("--only A=1 --only 4"), None);
+    assert_eq!(unknown("--only B=3").as_deref(), Some("B is never 3; there is 1, 2"));
+    assert_eq!(unknown("--only C=3").as_deref(), Some("there is no axis C"));
+    assert_eq!(unknown("--only 5").as_deref(), Some("there is no run 5; there are 4"));
+    assert!(Line::try_parse_from(["run", "e.toml", "--only", "x"]).is_err());
+}
+
+#[test]
+fn a_script_learns_of_failed_and_incomplete_runs() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut record = record(folder.path());
+    let runs = record.plan.runs.clone();
+    for run in &runs {
+        record.begin(run);
+        record.end(run, ended(Stage::Finished));
+    }
+    assert!(verdict(&record, &runs, false).is_ok());
+    record.end(&runs[1], Ended { exit: Some(75), ..ended(Stage::Finished) });
+    let code = |record: &Record, interrupted| verdict(record, &runs, interrupted).expect_err("not well");
+    assert!(code(&record, false).to_string().contains("1 run with iterations that have no answer"));
+    record.end(&runs[0], ended(Stage::Failed));
+    let failed = code(&record, false);
+    assert!(failed.exit == Exit::Incomplete && failed.to_string().contains("1 run failed"), "{failed}");
+    assert_eq!(code(&record, true).exit, Exit::Interrupted);
+}
