@@ -15,6 +15,7 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
 RELEASE = ROOT / "target/release"
 PEERNETD = RELEASE / "peernetd"
+PEERNET = RELEASE / "peernet"
 BARE_TCP = RELEASE / "bare-tcp"
 
 PR_SET_PDEATHSIG = 1

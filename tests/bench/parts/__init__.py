@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from types import ModuleType
 
-from . import agent, delays, idle, ingest, live, loop, model, node, pages
+from . import agent, delays, idle, ingest, live, loop, model, node, pages, python
 
 # Each has `prepare()`, which builds and checks what it needs, and `measure(quick) -> Section`.
 ALL: dict[str, ModuleType] = {
     "node": node,
     "loop": loop,
+    "python": python,
     "model": model,
     "ingest": ingest,
     "live": live,

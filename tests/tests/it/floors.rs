@@ -6,7 +6,7 @@ use cargo_metadata::{DependencyKind, MetadataCommand};
 
 const FLOORS: [&[&str]; 6] = [
     &["peernet-clock", "peernet-sample", "peernet-statistics"],
-    &["peernet-logger", "peernet-imaging"],
+    &["peernet-logger", "peernet-imaging", "peernet-external"],
     &[
         "peernet-sensors",
         "peernet-networks",

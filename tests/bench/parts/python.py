@@ -1,0 +1,122 @@
+"""Users' Python objects: what the border of their processes costs, and the published commands with them."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from statistics import median
+
+import contenders
+from contenders import Arena, Shape
+from namespaces import CONGESTION_CONTROL, need_root, two_hosts
+from programs import HERE, PEERNET, ROOT, Failure, Program, output
+from quantiles import median_spread, spread
+from report import Section, Table, micros, rate, ratio, size, times
+
+SIZES = (1_000, 150_000, 1_200_000)
+OBJECTS = HERE / "objects"
+BORDER = ["cargo", "bench", "--locked", "--quiet", "--package", "peernet-external", "--bench", "python"]
+# The benchmarks' own, which has numpy.
+PYTHON = f"PEERNET_PYTHON={sys.executable}"
+# Time for the clocks to be related and for the caches; these rows are left out.
+WARM_UP = 200
+NAMES = ("sensing", "capture_capture-ipc", "upload", "ipc", "inference", "download", "total", "unattributed")
+
+RATE_AIM = 1.0
+
+Stages = dict[str, dict[str, float]]
+
+
+def prepare() -> None:
+    need_root()
+    if not PEERNET.exists():
+        raise Failure(f"{PEERNET} is not there: cargo build --release --package peernetd")
+    subprocess.run([*BORDER, "--no-run"], cwd=ROOT, check=True)
+
+
+def measure(quick: bool) -> Section:
+    section = Section("Python objects")
+    _border(section, 200 if quick else 5000)
+    repeats, seconds = (1, 1) if quick else (7, 2)
+    ours: dict[int, list[float]] = {count: [] for count in SIZES}
+    theirs: dict[int, list[float]] = {count: [] for count in SIZES}
+    stages: dict[int, list[Stages]] = {count: [] for count in SIZES}
+    with two_hosts() as (edge, cloud):
+        arena = Arena(edge, cloud, seconds)
+        for repeat in range(repeats):
+            for count in SIZES:
+                published = contenders.published(arena, Shape(count)).rate
+                own, spreads = _commands(arena, count, max(WARM_UP, round(published * seconds)))
+                theirs[count].append(published)
+                ours[count].append(own)
+                stages[count].append(spreads)
+            print(f"  repeat {repeat + 1} of {repeats}", file=sys.stderr, flush=True)
+    section.say(
+        "`peernet --server --model-name echo::Echo` and `peernet --client --sensor-object echo::Source` in two network "
+        f"namespaces (TCP {CONGESTION_CONTROL}): a Python sensor yields bytes, a Python model returns them, results "
+        "are written meanwhile. Beside it the Python program that does the published one's work, where sensor and "
+        f"model are the program itself and no border is crossed. {repeats} repeats of about {seconds} s each, in turn; "
+        "medians over the repeats, ratios taken repeat by repeat."
+    )
+    table = Table("iterations/s", "PEERNet, Python objects", "published", "to published")
+    for count in SIZES:
+        gain = ratio(ours[count], theirs[count])
+        table.row(size(count), rate(median(ours[count])), rate(median(theirs[count])), times(gain))
+        promise = f"iterations/s with Python objects at {size(count)} ≥ {RATE_AIM:g} × the published program's"
+        section.aim(promise, times(gain), gain >= RATE_AIM)
+    section.table(table)
+    table = Table("p50, µs", *(size(count) for count in SIZES))
+    for name in NAMES:
+        cells = []
+        for count in SIZES:
+            spreads = [one[name] for one in stages[count] if name in one]
+            cells.append(micros(median_spread(spreads)["p50"] if spreads else None))
+        table.row(name, *cells)
+    section.table(table)
+    return section
+
+
+def _border(section: Section, rounds: int) -> None:
+    """One object in one process, called over and over, beside `cat` in its place."""
+    command = ["env", PYTHON, *BORDER, "--", "--json", rounds]
+    rows = json.loads(output(command, folder=ROOT, timeout_s=600))
+    section.say(
+        "What a call costs beyond the user's code: there and back to an object that returns what it got, "
+        f"{rounds} rounds, against the same bytes through `cat`."
+    )
+    table = Table("µs", "cat p50", "p99", "bytes p50", "p99", "array p50", "p99")
+    for count in SIZES:
+        found = {row["what"]: row for row in rows if row["bytes"] == count}
+        cells = [micros(found[what][key]) for what in ("cat", "bytes", "array") for key in ("p50_s", "p99_s")]
+        table.row(size(count), *cells)
+    section.table(table)
+
+
+def _commands(arena: Arena, count: int, iterations: int) -> tuple[float, Stages]:
+    """The published commands with Python objects: iterations per second and stages."""
+    with tempfile.TemporaryDirectory(prefix="peernet-bench-") as folder:
+        network = Path(folder, "net_config.yaml")
+        network.write_text(
+            f"devices:\n  edge: {arena.edge.address}\n  cloud: {arena.cloud.address}\nserver: cloud\n"
+        )
+        common = ["--network", "zmq-tcp", "--network-config", network]
+        server = [PEERNET, "--server", "--name", "cloud", *common, "--model-name", "echo::Echo", "--device", "cpu"]
+        # It is stopped when the client has all.
+        server += ["--iterations", 1_000_000_000, "--quiet"]
+        client = [PEERNET, "--client", "--name", "edge", *common, "--sensor-object", "echo::Source", "--quiet"]
+        client += ["--iterations", iterations + WARM_UP, "--result-loc", f"{folder}/results"]
+        environment = ["env", f"BENCH_BYTES={count}", PYTHON]
+        command = arena.cloud.inside([*environment, *server])
+        with Program(command, Path(folder, "server.log"), folder=OBJECTS):
+            output(arena.edge.inside([*environment, *client]), folder=OBJECTS, timeout_s=60 + 20 * arena.seconds)
+        with Path(folder, "results/data.csv").open(newline="") as file:
+            rows = list(csv.DictReader(file))[WARM_UP:]
+    if bad := [row for row in rows if row["outcome"] != "ok"]:
+        raise Failure(f"{len(bad)} iterations of {count} bytes did not go well: {bad[0]['reason']}")
+    taken = float(rows[-1]["at"]) + float(rows[-1]["total"]) - float(rows[0]["at"])
+    spreads = {name: spread(float(row[name]) for row in rows if row[name]) for name in NAMES if rows[0].get(name)}
+    return len(rows) / taken, spreads

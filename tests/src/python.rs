@@ -1,0 +1,20 @@
+//! The Python that tests of users' objects run.
+
+use std::path::PathBuf;
+use std::process::Command;
+
+/// A Python that has numpy and PIL, as users have them.
+///
+/// # Panics
+/// When there is none.
+pub fn python() -> PathBuf {
+    let has_both = |python: &PathBuf| {
+        let run = Command::new(python).args(["-c", "import numpy, PIL"]).output();
+        run.is_ok_and(|output| output.status.success())
+    };
+    let named = std::env::var_os("PEERNET_PYTHON").map(PathBuf::from);
+    let all = named.into_iter().chain(["python3".into(), "/usr/bin/python3".into()]);
+    all.into_iter()
+        .find(has_both)
+        .expect("python3-numpy and python3-pil are installed: deploy/install-tools.sh test")
+}

@@ -1,0 +1,41 @@
+//! The files that are shipped.
+
+use std::path::Path;
+
+use peernet_tests::{Process, program, root};
+
+#[test]
+fn all_of_them_pass_the_check_and_say_how_many_runs_they_make() {
+    for (name, runs) in [
+        ("demo", "10 runs of 5 configurations"),
+        ("efficientnet", "6 runs of 6 configurations"),
+        ("teleoperation", "9 runs of 9 configurations"),
+        ("payload-study", "8 runs of 8 configurations"),
+    ] {
+        let file = root().join("configs/experiments").join(name).with_extension("toml");
+        let arguments = [Path::new("run"), Path::new("--check"), &file];
+        let ended = Process::start(&program("peernet"), &arguments, root(), &[]).ended();
+        assert_eq!(ended.code(), 0, "{}", ended.log);
+        assert!(ended.log.contains(runs), "{}", ended.log);
+    }
+    let shipped = std::fs::read_dir(root().join("configs/experiments")).expect("it is there");
+    let files = shipped.filter(|entry| entry.as_ref().expect("is readable").path().is_file()).count();
+    assert_eq!(files, 4, "each of them stands above");
+}
+
+#[test]
+fn a_file_that_is_not_there_or_wrong_is_told_with_its_name() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let check = |file: &Path| {
+        let ended =
+            Process::start(&program("peernet"), &[Path::new("run"), Path::new("--check"), file], root(), &[])
+                .ended();
+        (ended.code(), ended.log)
+    };
+    let file = folder.path().join("e.toml");
+    let (code, log) = check(&file);
+    assert!(code == 66 && log.contains("e.toml"), "{code}: {log}");
+    std::fs::write(&file, "[experiment]\nname = 'e'\niteration = 5\n[pipeline]\n").expect("writable");
+    let (code, log) = check(&file);
+    assert!(code == 78 && log.contains("e.toml: experiment.iteration: unknown field"), "{code}: {log}");
+}

@@ -1,0 +1,49 @@
+//! Many users of one cloud.
+
+use super::{Lab, column, json};
+
+const USERS: &str = r#"
+[experiment]
+name = "users"
+order = "declared"
+duration_s = 1.5
+
+[agent]
+name = "robot"
+
+[pipeline]
+sensor = { kind = "text", length = 500 }
+placement = { kind = "remote", peer = "tcp://127.0.0.1:{data}", model = "slow" }
+
+[[axis]]
+name = "Users"
+field = "experiment.users"
+values = [1, 3]
+"#;
+
+#[test]
+fn three_users_share_one_cloud_and_it_is_told_how_evenly() {
+    let lab = Lab::new();
+    let ended = lab.run(USERS, &[]).ended();
+    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let folders = lab.folders();
+    assert_eq!(folders, ["001-1-r1", "002-3-r1"]);
+    let users = [1, 2, 3].map(|user| json(&lab.file(&folders[1], &format!("user-{user}/run.json"))));
+    let names = users.each_ref().map(|user| user["edge"]["name"].as_str().expect("a name"));
+    assert_eq!(names, ["robot-1", "robot-2", "robot-3"]);
+    let seeds = users.each_ref().map(|user| user["seeds"]["sensor"].as_u64().expect("a number"));
+    assert!(seeds[0] != seeds[1] && seeds[1] != seeds[2], "each sends its own: {seeds:?}");
+
+    let table = lab.results().join("users.csv");
+    assert_eq!(column(&table, "edges"), ["1", "3"]);
+    let numbers = |name: &str| -> Vec<f64> {
+        column(&table, name).iter().map(|cell| cell.parse().expect("a number")).collect()
+    };
+    let (fairness, latency, rate) = (numbers("fairness"), numbers("total-p50"), numbers("rate"));
+    assert!((fairness[0] - 1.0).abs() < 1e-9 && (1.0 / 3.0..=1.0).contains(&fairness[1]), "{fairness:?}");
+    // One worker, 40 ms each: alone nobody waits, of three one is served and two wait.
+    assert!(latency[0] >= 0.04 && latency[1] > latency[0], "{latency:?}");
+    assert!(rate[1] <= 25.5, "one worker cannot do more: {rate:?}");
+    // Users of one run are one line of the table.
+    assert_eq!(column(&lab.results().join("compare.csv"), "runs"), ["1", "3"]);
+}

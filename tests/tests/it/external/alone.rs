@@ -1,0 +1,54 @@
+//! A sensor alone.
+
+use peernet_tests::Site;
+
+use super::{figures, finished};
+
+const EDGE: &str = r#"
+[agent]
+name = "edge"
+state_dir = "{folder}/edge"
+aggregator = "tcp://127.0.0.1:{events}"
+
+[[pipeline]]
+name = "study"
+sensor = { kind = "exec", command = ["{root}/docs/examples/external/light.sh"] }
+placement = { kind = "none" }
+limit = { total = 50 }
+"#;
+
+#[test]
+fn its_run_shows_well_everywhere_without_a_model() {
+    let site = Site::new();
+    let (_aggregator, api) = site.aggregator();
+    site.write("edge.toml", EDGE);
+    let edge = site.start("edge.toml");
+    let run = finished(&api);
+
+    let detail = api.json(&format!("/api/v1/runs/{run}"));
+    assert_eq!(detail["counts"]["ok"].as_u64(), Some(45), "{detail}");
+    assert_eq!(
+        (&detail["placement"]["kind"], &detail["placement"]["model"]),
+        (&"none".into(), &"none".into())
+    );
+    assert!(detail["placement"]["peer"].is_null(), "{detail}");
+    // The live picture comes on a lane of its own.
+    let kind = api.until("/api/v1/pipelines/edge/study", |pipeline| {
+        pipeline["placement"]["kind"].as_str().map(str::to_owned)
+    });
+    assert_eq!(kind, "none");
+    for name in ["sensing", "capture", "total"] {
+        assert!(figures(&api, run, name).is_some(), "{name} is missing");
+    }
+    assert_eq!(figures(&api, run, "dropped-samples").and_then(|value| value["mean"].as_f64()), Some(0.0));
+    for absent in ["inference", "upload", "top-1"] {
+        assert!(figures(&api, run, absent).is_none(), "{absent}");
+    }
+    for page in ["/", "/runs", "/pipelines", "/pipelines/edge/study", &format!("/runs/{run}"), "/hosts"] {
+        let (status, text) = api.get(page).expect("the dashboard answers");
+        assert_eq!(status, 200, "{page}");
+        assert!(text.contains("sensor alone") || page == "/hosts", "{page} says what it is");
+        assert!(!text.contains("none on board"), "{page}");
+    }
+    assert_eq!(edge.stop().code(), 0);
+}

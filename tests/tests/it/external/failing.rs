@@ -1,0 +1,73 @@
+//! Programs that fail: their iterations do, and nothing else.
+
+use peernet_tests::Site;
+
+use super::finished;
+
+/// A model that prints where it must not, dies and hangs, each once, and then does what it should.
+const MODEL: &str = r#"#!/bin/sh
+step=$(cat step 2> /dev/null || echo 0)
+while read -r word bytes media shape source; do
+    head -c "$bytes" > /dev/null
+    step=$((step + 1))
+    echo "$step" > step
+    case $step in
+    2) echo "Loading weights..." ;;
+    4) echo "out of paper" >&2; exit 9 ;;
+    6) sleep 600 ;;
+    8) echo "error too dark" ;;
+    10) echo "answer 99999999999999" ;;
+    *) echo "answer 2"; printf ok ;;
+    esac
+done
+"#;
+
+const EDGE: &str = r#"
+[agent]
+name = "edge"
+state_dir = "{folder}/edge"
+aggregator = "tcp://127.0.0.1:{events}"
+
+[[model]]
+name = "moody"
+kind = "exec"
+command = "sh moody.sh"
+folder = "{folder}"
+timeout_ms = 500
+
+[[pipeline]]
+name = "line"
+sensor = { kind = "text", length = 20 }
+placement = { kind = "local", model = "moody" }
+timeout_ms = 60000
+warm_up = { iterations = 0 }
+limit = { total = 20 }
+"#;
+
+#[test]
+fn each_failure_is_one_iteration_with_its_reason() {
+    let site = Site::new();
+    let (_aggregator, api) = site.aggregator();
+    site.write("moody.sh", MODEL);
+    site.write("edge.toml", EDGE);
+    let edge = site.start("edge.toml");
+    let run = finished(&api);
+
+    let detail = api.json(&format!("/api/v1/runs/{run}"));
+    let counts = &detail["counts"];
+    assert_eq!((counts["ok"].as_u64(), counts["failed"].as_u64()), (Some(15), Some(5)), "{detail}");
+    for (number, parts) in [
+        (2, ["Loading weights...", "standard error"]),
+        (4, ["exit status 9", "out of paper"]),
+        (6, ["within 500ms", "killed"]),
+        (8, ["the program says", "too dark"]),
+        (10, ["99999999999999", "at most"]),
+    ] {
+        let iteration = api.json(&format!("/api/v1/runs/{run}/iterations/{number}"));
+        let said = iteration["outcome"].to_string() + &iteration["reason"].to_string();
+        for part in parts {
+            assert!(said.contains(part), "{part} is missing in {said}");
+        }
+    }
+    assert_eq!(edge.stop().code(), 0);
+}

@@ -1,0 +1,84 @@
+//! `peernet plot`: figures of results, those of the published program too.
+
+use std::path::Path;
+
+use peernet_tests::{Ended, Process, Site, program};
+
+/// Rows of the published program, one of which took very long.
+fn published(seconds: f64) -> String {
+    let header = "iteration,sensing,upload,inference,download,download-bytes,download-logger-bytes,upload-bytes,\
+                  upload-logger-bytes,upload-throughput,download-throughput\n";
+    let row = |n: u32| {
+        let upload = if n == 90 { 9.0 } else { 0.0175 + f64::from(n % 13) * 1e-4 };
+        format!("{n},0.0007,{upload},{seconds},0.0004,132.0,555.0,1343220.0,301.0,613000000.0,14810000.0\n")
+    };
+    std::iter::once(header.to_owned()).chain((1..=205).map(row)).collect()
+}
+
+fn site() -> Site {
+    let site = Site::new();
+    for (name, seconds) in [("all/small", 0.005), ("all/large", 0.009)] {
+        let folder = site.folder().join(name);
+        std::fs::create_dir_all(&folder).expect("made");
+        std::fs::write(folder.join("data.csv"), published(seconds)).expect("written");
+    }
+    site
+}
+
+fn plot(site: &Site, arguments: &[&str]) -> Ended {
+    Process::start(&program("peernet"), &[&["plot"], arguments].concat(), site.folder(), &[]).ended()
+}
+
+fn read(path: &Path) -> String {
+    std::fs::read_to_string(path).expect("written")
+}
+
+#[test]
+fn the_published_figures_stand_beside_published_results() {
+    let site = site();
+    let done = plot(&site, &["all/small", "--kind", "histograms"]);
+    assert_eq!(done.code(), 0, "{}", done.log);
+    let times = ["sensing-time", "upload-time", "inference-time", "download-time"];
+    for stem in times.into_iter().chain(["upload-throughput", "download-throughput"]) {
+        let png = site.folder().join(format!("all/small/{stem}.png"));
+        assert!(std::fs::read(png).expect("written").starts_with(b"\x89PNG"), "{stem}");
+        assert!(done.log.contains(&format!("{stem}.svg")), "{}", done.log);
+    }
+    let upload = read(&site.folder().join("all/small/upload-time.svg"));
+    assert!(
+        upload.contains("n = 200 · left out: 5 warm-up") && upload.contains("1 beyond 18.7 ms →"),
+        "{upload}"
+    );
+}
+
+#[test]
+fn several_runs_have_figures_of_their_own_and_one_together() {
+    let site = site();
+    let done = plot(&site, &["all", "--out", "figures"]);
+    assert_eq!(done.code(), 0, "{}", done.log);
+    let stacked = read(&site.folder().join("figures/stacked.svg"));
+    assert!(
+        ["small", "large", "inference", "Latency, ms"].iter().all(|text| stacked.contains(text)),
+        "{stacked}"
+    );
+    assert!(site.folder().join("figures/large/series.png").is_file(), "{}", done.log);
+    assert!(!site.folder().join("all/large/series.png").exists(), "elsewhere means elsewhere");
+    assert!(!done.log.contains("payload"), "all messages have one size: {}", done.log);
+}
+
+#[test]
+fn what_cannot_be_drawn_is_said() {
+    let site = site();
+    let cases: [(&[&str], i32, &str); 5] = [
+        (&["all", "--kind", "payload"], 65, "it needs messages over one network"),
+        (&["all", "--kind", "paired"], 65, "two places"),
+        (&["all/small", "--kind", "histograms", "--x", "nonsense"], 65, "the column nonsense"),
+        (&["nowhere"], 66, "no results in nowhere"),
+        (&["all", "--y", "total"], 64, "name the kind"),
+    ];
+    for (arguments, code, text) in cases {
+        let done = plot(&site, arguments);
+        assert_eq!(done.code(), code, "{arguments:?}: {}", done.log);
+        assert!(done.log.contains(text), "{arguments:?}: {}", done.log);
+    }
+}

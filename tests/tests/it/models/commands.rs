@@ -1,0 +1,109 @@
+//! `peernet models …`, as a user types it.
+
+use std::process::{Command, Output};
+
+use peernet_tests::{onnxruntime, program, root};
+use serde_json::Value;
+
+use super::{NAME, exported};
+
+/// Runs `peernet models` from the root of the checkout, where `models/` is.
+fn models(arguments: &[&str]) -> Output {
+    let mut command = Command::new(program("peernet"));
+    command
+        .current_dir(root())
+        .env("ORT_DYLIB_PATH", onnxruntime())
+        .env("PEERNET_MODELS", &exported().models);
+    command.arg("models").args(arguments).output().expect("can be started")
+}
+
+fn said(output: &Output) -> String {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout.clone()).expect("is text")
+}
+
+fn json(output: &Output) -> Value {
+    serde_json::from_str(&said(output)).expect("is JSON")
+}
+
+#[test]
+fn all_folders_are_listed() {
+    let table = said(&models(&["list"]));
+    let line = |name: &str| {
+        table.lines().find(|line| line.starts_with(name)).unwrap_or_else(|| panic!("{table}")).to_owned()
+    };
+    assert!(line(NAME).contains("classification") && line(NAME).contains("random-3"), "{table}");
+    assert!(line("quality-control").contains("models/quality-control"), "{table}");
+    let listed = json(&models(&["list", "--json"]));
+    let names: Vec<&str> =
+        listed.as_array().expect("a list").iter().filter_map(|model| model["model"].as_str()).collect();
+    assert_eq!(names[0], NAME, "the folder of the variable comes before models/");
+}
+
+#[test]
+fn a_model_is_shown_with_the_hash_of_its_file() {
+    let file = root().join("models/quality-control/model.onnx");
+    let sum = Command::new("sha256sum").arg(file).output().expect("is installed");
+    let sum = String::from_utf8(sum.stdout).expect("is text");
+    let hash = sum.split_whitespace().next().expect("a hash");
+    assert!(said(&models(&["show", "quality-control"])).contains(hash));
+    let shown = json(&models(&["show", "models/quality-control", "--json"]));
+    assert_eq!((shown["sha256"].as_str(), shown["card"]["version"].as_str()), (Some(hash), Some("1")));
+}
+
+#[test]
+fn a_model_is_checked_on_its_own_pictures_or_on_zeros_alone() {
+    let checked = said(&models(&["check", "quality-control"]));
+    assert!(checked.contains("run on zeros") && checked.contains("of 30 labels right"), "{checked}");
+    let checked = said(&models(&["check", NAME]));
+    assert!(checked.contains("no test pictures"), "{checked}");
+}
+
+#[test]
+fn a_model_is_measured_stage_by_stage() {
+    let measured = json(&models(&[
+        "bench",
+        "quality-control",
+        "--iterations",
+        "60",
+        "--warm-up",
+        "1",
+        "--json",
+        "--quiet",
+    ]));
+    for stage in ["preprocessing", "inference", "postprocessing", "all"] {
+        let figures = &measured["seconds"][stage];
+        assert_eq!(figures["count"], 60, "{measured}");
+        let [p50, p95] = ["p50", "p95"].map(|key| figures[key].as_f64().expect("enough samples"));
+        assert!(p50 > 0.0 && p95 >= p50, "{figures}");
+        assert!(figures["p99"].is_null(), "60 samples are too few for it");
+    }
+    assert!(measured["memory_bytes"]["with_model"].as_u64() > measured["memory_bytes"]["before"].as_u64());
+}
+
+#[test]
+fn what_cannot_be_done_is_said_with_its_exit_code() {
+    for (arguments, code, told) in [
+        (&["show", "efficientnet_v2_xl"] as &[&str], 66, "there is efficientnet_v2_s, quality-control"),
+        (&["list", "--models-dir", "/nowhere"], 66, "there is no folder /nowhere"),
+        (&["check", "quality-control", "--device", "gpu"], 64, "is not a device"),
+        (&["check", "quality-control", "--device", "cuda:0"], 69, "CUDAExecutionProvider"),
+        (&["check", "quality-control", "--pictures", "/nowhere.jpg"], 66, "/nowhere.jpg"),
+        (&["bench", "quality-control", "--iterations", "0"], 64, "--iterations"),
+    ] {
+        let output = models(arguments);
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {error}");
+        assert!(error.contains(told), "{arguments:?}: {error}");
+    }
+}
+
+#[test]
+fn the_exporting_script_says_what_it_lacks() {
+    // Without the site's packages, as on a machine that has none.
+    let script = root().join("models/export_torchvision.py");
+    let output = Command::new(super::python()).arg("-S").arg(script).arg(NAME).output().expect("starts");
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success());
+    assert!(error.contains("apt-get install python3-torch python3-torchvision python3-onnx"), "{error}");
+}

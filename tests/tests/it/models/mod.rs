@@ -1,0 +1,75 @@
+//! The model bank: models on disk, exported from torchvision, asked for by the command line and by peers.
+
+mod commands;
+mod torchvision;
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::OnceLock;
+
+use peernet_tests::root;
+use serde::Deserialize;
+
+/// A picture and what torchvision says about it.
+#[derive(Debug, Deserialize)]
+struct Reference {
+    file: PathBuf,
+    width: u32,
+    height: u32,
+    /// The file of its pixels, as Pillow decodes them.
+    pixels: PathBuf,
+    logits: Vec<f64>,
+}
+
+/// EfficientNetV2-S with random weights in a folder of models, and its answers.
+#[derive(Debug)]
+struct Exported {
+    models: PathBuf,
+    answers: Vec<Reference>,
+}
+
+const NAME: &str = "efficientnet_v2_s";
+
+/// Exported once for all tests, which takes some seconds.
+fn exported() -> &'static Exported {
+    static EXPORTED: OnceLock<Exported> = OnceLock::new();
+    EXPORTED.get_or_init(|| {
+        let models = fresh_folder();
+        let pictures = ["part-0001.jpg", "part-0028.jpg"];
+        let pictures = pictures.map(|name| root().join("models/quality-control/pictures").join(name));
+        let script = root().join("tests/tests/it/models/reference.py");
+        let output = Command::new(python()).arg(script).arg(&models).args(pictures).output();
+        let output = output.expect("deploy/install-tools.sh installs Python");
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "deploy/install-tools.sh installs what is missing: {said}");
+        let answers = std::fs::read(models.join("answers.json")).expect("the script wrote it");
+        Exported { models, answers: serde_json::from_slice(&answers).expect("the promised keys") }
+    })
+}
+
+/// The folder with that model, for tests of other things.
+pub(crate) fn exported_models() -> &'static Path {
+    &exported().models
+}
+
+/// The system's own Python: the packages of Debian are not found by another one.
+fn python() -> PathBuf {
+    std::env::var_os("PEERNET_PYTHON").map_or_else(|| "/usr/bin/python3".into(), PathBuf::from)
+}
+
+/// A folder for this process; those that processes of the past left behind are removed.
+fn fresh_folder() -> PathBuf {
+    let parent = Path::new(env!("CARGO_TARGET_TMPDIR"));
+    for entry in std::fs::read_dir(parent).expect("cargo makes it") {
+        let entry = entry.expect("is readable");
+        let name = entry.file_name().to_string_lossy().into_owned();
+        if let Some(process) = name.strip_prefix("torchvision-")
+            && !Path::new("/proc").join(process).exists()
+        {
+            std::fs::remove_dir_all(entry.path()).expect("is ours");
+        }
+    }
+    let folder = parent.join(format!("torchvision-{}", std::process::id()));
+    std::fs::create_dir(&folder).expect("is new");
+    folder
+}

@@ -1,0 +1,241 @@
+//! The two commands of the paper, between two machines.
+
+use peernet_tests::Site;
+use serde_json::{Value, json};
+
+use super::{Lab, PUBLISHED, picture};
+use crate::models::exported_models;
+
+const FILES: [&str; 5] = ["data.csv", "run.json", "summary.md", "summary.csv", "summary.tex"];
+
+/// The figures that the published program draws.
+const FIGURES: [&str; 6] = [
+    "sensing-time.png",
+    "upload-time.png",
+    "inference-time.png",
+    "download-time.png",
+    "upload-throughput.png",
+    "download-throughput.png",
+];
+
+#[test]
+fn the_published_commands_work_word_for_word() {
+    let lab = Lab::new();
+    std::fs::copy(picture(), lab.folder().join("sample-image.JPEG")).expect("writable");
+    let server = lab.server(
+        "PEERNet --server --name cluster --network zmq-tcp --network-config net_config.yaml --model-name dummy \
+         --device cuda:6 --iterations 12",
+    );
+    let client = lab.client(
+        "PEERNet --client --name jetson-orin --network zmq-tcp --network-config net_config.yaml \
+         --dataset-loc sample-image.JPEG --iterations 12 --result-loc results --generate-plots",
+    );
+    let (client, server) = (client.ended(), server.ended());
+    assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
+    for log in [&client.log, &server.log] {
+        assert_eq!(log.matches("plain mode").count(), 1, "{log}");
+    }
+    assert!(server.log.contains("all interfaces") && server.log.contains("12 answers"), "{}", server.log);
+    assert!(client.log.contains("Total (sum of stages)"), "{}", client.log);
+
+    let data = lab.data("results");
+    assert_eq!(data.header[..PUBLISHED.len()], PUBLISHED);
+    let numbers: Vec<f64> = (1..=12).map(f64::from).collect();
+    assert_eq!(data.numbers("iteration"), numbers);
+    assert_eq!((data.outcomes("ok"), data.rows.len()), (12, 12));
+    let warm_up = data.column("warm-up");
+    assert_eq!(warm_up.iter().position(|cell| *cell == "0"), Some(5), "{warm_up:?}");
+    // Decoded pixels of three bytes: what pickling the opened picture sends, without the pickle.
+    let pixels = f64::from(1280 * 960 * 3);
+    assert!(data.numbers("upload-bytes").iter().all(|bytes| *bytes == pixels));
+    for (stage, at_least) in [("preprocessing", 0.01), ("inference", 0.08), ("postprocessing", 0.01)] {
+        assert!(data.numbers(stage).iter().all(|seconds| *seconds >= at_least), "{stage}");
+    }
+    let (upload, low, high) = (data.numbers("upload"), data.numbers("upload-lo"), data.numbers("upload-hi"));
+    assert!(upload.iter().zip(low).zip(high).all(|((value, low), high)| low <= *value && *value <= high));
+
+    let record = lab.record("results");
+    assert_eq!(record["reason"], "finished");
+    assert_eq!(
+        (&record["edge"]["name"], &record["cloud"]["name"]),
+        (&"jetson-orin".into(), &"cluster".into())
+    );
+    assert_eq!(record["model"]["name"], "dummy");
+    assert_eq!(record["counts"]["ok"], 7);
+    assert!(
+        record["command"].as_str().is_some_and(|command| command.contains("--dataset-loc sample-image.JPEG"))
+    );
+    assert!(record["pipeline"].is_object() && record["edge"]["hardware"].is_object(), "{record:#}");
+    assert!(record["trust"].is_object(), "{record:#}");
+    let results = lab.folder().join("results");
+    assert!(FILES.iter().chain(&FIGURES).all(|name| results.join(name).is_file()), "{}", client.log);
+    for name in FIGURES {
+        let figure = image::open(results.join(name)).expect("a picture");
+        assert!(figure.width() >= 500 && figure.height() >= 300, "{name}");
+    }
+}
+
+#[test]
+fn a_network_is_measured_with_efficientnet_and_random_weights() {
+    let lab = Lab::new();
+    let models = exported_models().display();
+    let server = lab.server(&format!(
+        "PEERNet --server --name cluster --network-config net_config.yaml --model-name efficientnet_v2_s \
+         --models-dir {models} --device cpu --iterations 50"
+    ));
+    server.wait_for("serving efficientnet_v2_s");
+    let client = lab.client(&format!(
+        "PEERNet --client --name jetson-orin --network-config net_config.yaml --dataset-loc {} --iterations 50 \
+         --result-loc results",
+        picture().display()
+    ));
+    let (client, server) = (client.ended(), server.ended());
+    assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
+    let data = lab.data("results");
+    assert_eq!((data.outcomes("ok"), data.rows.len()), (50, 50));
+    assert_eq!(data.header[..PUBLISHED.len()], PUBLISHED);
+    let record = lab.record("results");
+    assert_eq!(
+        (&record["model"]["name"], &record["model"]["device"]),
+        (&"efficientnet_v2_s".into(), &"cpu".into())
+    );
+    assert_eq!(record["model"]["sha256"].as_str().map(str::len), Some(64), "{record:#}");
+}
+
+#[test]
+fn a_client_may_come_first_and_send_whatever_it_likes() {
+    for (options, bytes) in [
+        ("--sensor-type \"random string\" --text-size 300", Some(300.0)),
+        ("--sensor-type synthetic --text-size 4000", Some(4000.0)),
+        ("--dataset-loc sample-image.JPEG --encoding jpeg:50", None),
+        (
+            "--dataset-loc sample-image.JPEG --encoding file",
+            Some(std::fs::metadata(picture()).expect("is there").len() as f64),
+        ),
+    ] {
+        let lab = Lab::here();
+        std::fs::copy(picture(), lab.folder().join("sample-image.JPEG")).expect("writable");
+        let client = lab.client(&format!(
+            "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 20 {options}"
+        ));
+        client.wait_for("is away");
+        let server = lab.server(
+            "PEERNet --name cluster --network-config net_config.yaml --model-name echo --iterations 20",
+        );
+        let (client, server) = (client.ended(), server.ended());
+        assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
+        let data = lab.data("results");
+        assert_eq!(data.outcomes("ok"), 20, "{options}");
+        if let Some(bytes) = bytes {
+            assert!(data.numbers("upload-bytes").iter().all(|sent| *sent == bytes), "{options}");
+        }
+    }
+}
+
+#[test]
+fn a_run_is_on_a_dashboard_as_well_and_its_host_is_known_again() {
+    let lab = Lab::here();
+    let site = Site::new();
+    let (_aggregator, api) = site.aggregator();
+    for results in ["first", "second"] {
+        let server = lab.server(
+            "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 20",
+        );
+        let client = lab.client(&format!(
+            "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic \
+             --iterations 20 --result-loc {results} --aggregator tcp://127.0.0.1:{}",
+            site.events
+        ));
+        let (client, server) = (client.ended(), server.ended());
+        assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
+    }
+    let runs = api.until("/api/v1/runs", |found| {
+        let runs = found["runs"].as_array()?.clone();
+        (runs.len() == 2 && runs.iter().all(|run| run["ended"].is_string())).then_some(runs)
+    });
+    assert!(runs.iter().all(|run| run["host"] == "jetson-orin"), "{runs:#?}");
+    let ids = ["first", "second"].map(|results| lab.record(results)["edge"]["id"].clone());
+    assert!(ids[0].is_string() && ids[0] == ids[1], "{ids:?}");
+}
+
+#[test]
+fn results_take_the_place_of_others_only_when_they_are_told_to() {
+    let lab = Lab::here();
+    let measure = |iterations: u32, options: &str| {
+        let server = lab.server(&format!(
+            "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations {iterations}"
+        ));
+        let client = lab.client(&format!(
+            "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic \
+             --iterations {iterations} {options}"
+        ));
+        let (client, server) = (client.ended(), server.ended());
+        assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
+    };
+    measure(6, "");
+    measure(7, "");
+    assert_eq!((lab.data("results").rows.len(), lab.data("results/run-2").rows.len()), (6, 7));
+    measure(8, "--result-loc results --overwrite");
+    assert_eq!((lab.data("results").rows.len(), lab.data("results/run-2").rows.len()), (8, 7));
+}
+
+#[test]
+fn what_relates_the_clocks_is_taken_from_a_configuration() {
+    let lab = Lab::here();
+    std::fs::write(lab.folder().join("edge.toml"), "[agent]\n[rehearsal]\noffset_ms = 5000\n")
+        .expect("writable");
+    let server = lab.server(
+        "PEERNet --server --name cluster --network-config net_config.yaml --model-name dummy --iterations 20",
+    );
+    let client = lab.client(
+        "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic \
+         --iterations 20 --result-loc results --config edge.toml",
+    );
+    let (client, server) = (client.ended(), server.ended());
+    assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
+    assert!(client.log.contains("REHEARSAL"), "{}", client.log);
+    let data = lab.data("results");
+    // The raw stamps are five seconds apart; what is told of the delay is not.
+    assert!(data.numbers("upload-raw").iter().all(|raw| *raw < -4.0));
+    let told = data.column("upload").into_iter().filter_map(|cell| cell.parse::<f64>().ok());
+    let told: Vec<f64> = told.collect();
+    assert!(!told.is_empty() && told.iter().all(|delay| (0.0..4.0).contains(delay)), "{told:?}");
+}
+
+#[test]
+fn an_order_is_one_run_in_a_process_of_its_own() {
+    let lab = Lab::here();
+    let order = json!({
+        "agent": {
+            "model": [{ "kind": "echo", "name": "echo" }],
+            "pipeline": [{
+                "name": "on-board",
+                "sensor": { "kind": "synthetic", "size_bytes": 100 },
+                "placement": { "kind": "local", "model": "echo" },
+                "load": { "mode": "rate", "hz": 50.0 },
+                "limit": { "total": 40 },
+            }],
+        },
+        "title": "an echo on board",
+        "folder": lab.folder().join("ordered"),
+        "overwrite": "refuse",
+        "command": "peernet run echo.toml",
+        "warm_up": "the first 5 iterations",
+    });
+    std::fs::write(lab.folder().join("order.json"), order.to_string()).expect("writable");
+    let ended = lab.client("PEERNet measure --order order.json").ended();
+    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let seen: Vec<Value> = ended.log.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
+    assert!(seen.iter().all(|seen| seen["of"] == 40), "{}", ended.log);
+    assert_eq!(seen.last().map(|seen| &seen["phase"]), Some(&"writing".into()), "{}", ended.log);
+    let (data, record) = (lab.data("ordered"), lab.record("ordered"));
+    assert_eq!((data.rows.len(), data.outcomes("ok")), (40, 40));
+    assert_eq!((&record["title"], &record["cloud"]), (&"an echo on board".into(), &Value::Null));
+    assert_eq!((&record["placement"]["kind"], &record["seeds"]["sensor"]), (&"local".into(), &1.into()));
+
+    let again = lab.client("PEERNet measure --order order.json").ended();
+    assert_eq!(again.code(), 64, "{}", again.log);
+    assert_eq!(lab.client("PEERNet measure --order nothing.json").ended().code(), 66);
+    std::fs::write(lab.folder().join("order.json"), "{}").expect("writable");
+    assert_eq!(lab.client("PEERNet measure --order order.json").ended().code(), 78);
+}

@@ -1,0 +1,124 @@
+//! Runs that end early: what was measured is not lost, and the exit code says how it went.
+
+use peernet_tests::{Process, SmallDisk};
+use rustix::process::Signal;
+
+use super::{Lab, picture};
+
+/// A client that measures for a long time.
+fn endless(lab: &Lab, options: &str) -> Process {
+    lab.client(&format!(
+        "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 1000000 --dataset-loc {} \
+         --encoding file {options}",
+        picture().display()
+    ))
+}
+
+fn server(lab: &Lab, iterations: u32) -> Process {
+    lab.server(&format!(
+        "PEERNet --server --name cluster --network-config net_config.yaml --model-name dummy --iterations {iterations}"
+    ))
+}
+
+#[test]
+fn ctrl_c_ends_a_client_early_and_writes_all_results() {
+    let lab = Lab::here();
+    let server = server(&lab, 1_000_000);
+    let client = endless(&lab, "--result-loc results");
+    client.wait_for("of 1000000");
+    client.signal(Signal::INT);
+    let ended = client.ended();
+    assert_eq!(ended.code(), 130, "{}", ended.log);
+    assert!(ended.log.contains("ended early"), "{}", ended.log);
+    let (data, record) = (lab.data("results"), lab.record("results"));
+    assert_eq!(record["reason"], "stopped");
+    let ok = data.outcomes("ok");
+    assert!(ok >= 6 && data.rows.len() - ok <= 1, "{} rows, {ok} with an answer", data.rows.len());
+    assert!(lab.folder().join("results/summary.md").is_file());
+
+    server.signal(Signal::INT);
+    let ended = server.ended();
+    assert_eq!(ended.code(), 130, "{}", ended.log);
+    assert!(ended.log.contains("answers"), "{}", ended.log);
+}
+
+#[test]
+fn a_second_ctrl_c_does_not_wait() {
+    let lab = Lab::here();
+    let _server = lab.server(
+        "PEERNet --server --name cluster --network-config net_config.yaml --model-name \"exec:sleep 600\" \
+         --iterations 9",
+    );
+    let client = endless(&lab, "--result-loc results");
+    client.wait_for("no answer from cluster");
+    client.signal(Signal::INT);
+    client.wait_for("Ctrl-C again");
+    client.signal(Signal::INT);
+    client.wait_for("left alone");
+    let ended = client.ended();
+    assert_eq!(ended.code(), 130, "{}", ended.log);
+    assert!(ended.log.contains("before anything was measured"), "{}", ended.log);
+}
+
+#[test]
+fn a_server_that_goes_away_leaves_rows_and_a_code() {
+    let lab = Lab::here();
+    let server = server(&lab, 1_000_000);
+    let client = endless(&lab, "--result-loc results --patience 2");
+    client.wait_for("of 1000000");
+    let _ = server.kill();
+    client.wait_for("cluster is away");
+    let ended = client.ended();
+    assert_eq!(ended.code(), 75, "{}", ended.log);
+    assert!(ended.log.contains("gave up after 2 s"), "{}", ended.log);
+    let (data, record) = (lab.data("results"), lab.record("results"));
+    assert_eq!((data.outcomes("lost"), data.outcomes("ok") + 1), (1, data.rows.len()));
+    assert!(data.column("reason").last().is_some_and(|reason| !reason.is_empty()));
+    assert_eq!(record["counts"]["lost"], 1);
+}
+
+#[test]
+fn a_server_that_comes_back_is_asked_again() {
+    let lab = Lab::here();
+    let first = server(&lab, 1_000_000);
+    let client = lab.client(&format!(
+        "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 120 --dataset-loc {} \
+         --encoding file --result-loc results",
+        picture().display()
+    ));
+    client.wait_for("of 120");
+    let _ = first.kill();
+    client.wait_for("cluster is away");
+    let _second = server(&lab, 1_000_000);
+    let ended = client.ended();
+    assert_eq!(ended.code(), 75, "{}", ended.log);
+    assert!(ended.log.contains("1 of 120 iterations have no answer"), "{}", ended.log);
+    let data = lab.data("results");
+    assert_eq!((data.rows.len(), data.outcomes("lost")), (120, 1));
+}
+
+#[test]
+fn a_full_disk_loses_nothing_that_was_measured() {
+    let disk = SmallDisk::new(1 << 20);
+    let lab = Lab::here();
+    let _server = server(&lab, 1_000_000);
+    let results = disk.folder().join("results");
+    let client = lab.client(&format!(
+        "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 80 --dataset-loc {} \
+         --encoding file --result-loc {}",
+        picture().display(),
+        results.display()
+    ));
+    client.wait_for("of 80");
+    disk.fill();
+    let ended = client.ended();
+    assert_eq!(ended.code(), 73, "{}", ended.log);
+    assert!(ended.log.contains("Total (sum of stages)"), "{}", ended.log);
+    let said = ended.log.lines().find(|line| line.contains("all that was measured is in"));
+    let said = said.unwrap_or_else(|| panic!("it does not say where the results are: {}", ended.log));
+    let (_, elsewhere) = said.split_once("all that was measured is in ").expect("it was found by this");
+    let elsewhere = elsewhere.trim_end_matches(" instead");
+    let rows = std::fs::read_to_string(format!("{elsewhere}/data.csv")).expect("the results are there");
+    assert_eq!(rows.lines().count(), 81);
+    std::fs::remove_dir_all(elsewhere).expect("they are this test's");
+}

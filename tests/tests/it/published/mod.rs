@@ -1,0 +1,150 @@
+//! The published commands, typed as the paper types them.
+
+mod commands;
+mod ended;
+mod objects;
+mod refused;
+
+use std::path::{Path, PathBuf};
+
+use peernet_tests::network::Host;
+use peernet_tests::{Network, Process, free_port, onnxruntime, program, root};
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// The columns that the published program writes for a model with all three steps, in its order.
+const PUBLISHED: [&str; 13] = [
+    "iteration",
+    "sensing",
+    "upload",
+    "preprocessing",
+    "inference",
+    "postprocessing",
+    "download",
+    "download-bytes",
+    "download-logger-bytes",
+    "upload-bytes",
+    "upload-logger-bytes",
+    "upload-throughput",
+    "download-throughput",
+];
+
+/// Two devices with one network configuration, and the program under its published name.
+struct Lab {
+    folder: TempDir,
+    /// Two machines; without it both are this one.
+    network: Option<Network>,
+}
+
+impl Lab {
+    /// Two machines and a cable.
+    fn new() -> Self {
+        let network = Network::direct();
+        let (edge, cloud) = (network.edge().address.to_string(), network.cloud().address.to_string());
+        Self::with(
+            Some(network),
+            &format!("devices:\n  jetson-orin: {edge}\n  cluster: {cloud}\nserver: cluster\n"),
+        )
+    }
+
+    /// One machine.
+    fn here() -> Self {
+        let devices = "  jetson-orin: 127.0.0.1\n  cluster: 127.0.0.1\n  spare: 127.0.0.1\n";
+        Self::with(None, &format!("devices:\n{devices}server: cluster\nstart_port: {}\n", free_port()))
+    }
+
+    fn with(network: Option<Network>, configuration: &str) -> Self {
+        let folder = tempfile::tempdir().expect("the temporary folder is writable");
+        std::fs::write(folder.path().join("net_config.yaml"), configuration).expect("writable");
+        let published = folder.path().join("PEERNet");
+        std::os::unix::fs::symlink(program("peernet"), published).expect("writable");
+        Self { folder, network }
+    }
+
+    fn folder(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// Types a command on the device that serves.
+    fn server(&self, command: &str) -> Process {
+        self.start(self.network.as_ref().map(Network::cloud), command)
+    }
+
+    /// Types a command on the device that senses.
+    fn client(&self, command: &str) -> Process {
+        self.start(self.network.as_ref().map(Network::edge), command)
+    }
+
+    fn start(&self, host: Option<&Host>, command: &str) -> Process {
+        let mut words = words(command).into_iter();
+        assert_eq!(words.next().as_deref(), Some("PEERNet"), "{command}");
+        let arguments: Vec<String> = words.collect();
+        let (program, folder) = (self.folder().join("PEERNet"), self.folder());
+        let library = onnxruntime().join("libonnxruntime.so").display().to_string();
+        let state = self.folder().join("state").display().to_string();
+        let environment = [
+            ("ORT_DYLIB_PATH", &*library),
+            ("PEERNET_PYTHON", "/usr/bin/python3"),
+            // Nothing is left in the home of whoever tests.
+            ("XDG_STATE_HOME", &*state),
+        ];
+        match host {
+            Some(host) => host.start(&program, &arguments, folder, &environment),
+            None => Process::start(&program, &arguments, folder, &environment),
+        }
+    }
+
+    /// The rows of a file of results, by column, as they stand there.
+    fn data(&self, results: &str) -> Data {
+        let file = csv::Reader::from_path(self.folder().join(results).join("data.csv"));
+        let mut file = file.expect("the results are there");
+        let words = |record: &csv::StringRecord| record.iter().map(str::to_owned).collect();
+        let header = words(file.headers().expect("there is a header"));
+        let rows = file.records().map(|row| words(&row.expect("as many cells as the header")));
+        Data { header, rows: rows.collect() }
+    }
+
+    fn record(&self, results: &str) -> Value {
+        let file = self.folder().join(results).join("run.json");
+        serde_json::from_slice(&std::fs::read(file).expect("it was written")).expect("it is JSON")
+    }
+}
+
+/// A command's words; quotes hold several together.
+fn words(command: &str) -> Vec<String> {
+    let parts = command.split('"').enumerate();
+    parts
+        .flat_map(|(index, part)| match index % 2 {
+            0 => part.split_whitespace().map(str::to_owned).collect(),
+            _ => vec![part.to_owned()],
+        })
+        .collect()
+}
+
+/// A table of results.
+struct Data {
+    header: Vec<String>,
+    rows: Vec<Vec<String>>,
+}
+
+impl Data {
+    fn column(&self, name: &str) -> Vec<&str> {
+        let at = self.header.iter().position(|column| column == name);
+        let at = at.unwrap_or_else(|| panic!("no column {name} in {:?}", self.header));
+        self.rows.iter().map(|row| row[at].as_str()).collect()
+    }
+
+    fn numbers(&self, name: &str) -> Vec<f64> {
+        let number = |cell: &str| cell.parse().unwrap_or_else(|_| panic!("{cell:?} in {name} is no number"));
+        self.column(name).into_iter().map(number).collect()
+    }
+
+    fn outcomes(&self, of: &str) -> usize {
+        self.column("outcome").into_iter().filter(|outcome| *outcome == of).count()
+    }
+}
+
+/// A picture of some size.
+fn picture() -> PathBuf {
+    root().join("models/quality-control/pictures/part-0001.jpg")
+}

@@ -1,0 +1,106 @@
+//! Users' own objects, written for the published program.
+
+use super::{Lab, PUBLISHED};
+
+/// A sensor as the published program takes them: any object with `sample()`.
+const SENSOR: &str = r#"
+import numpy as np
+
+class Camera:
+    def __init__(self):
+        self.taken = 0
+
+    def sample(self):
+        self.taken += 1
+        return np.full((48, 64, 3), self.taken % 256, dtype=np.uint8)
+"#;
+
+/// A model likewise: `infer(x)`, and here the two optional steps.
+const MODEL: &str = r#"
+import numpy as np
+
+class Brightness:
+    def preprocess(self, x):
+        return x.astype(np.float32) / 255
+
+    def infer(self, x):
+        return x.mean(axis=(0, 1))
+
+    def postprocess(self, y):
+        return "bright" if float(y.mean()) > 0.5 else "dark"
+"#;
+
+const FAILING: &str = "
+class Camera:
+    def __init__(self):
+        self.taken = 0
+
+    def sample(self):
+        self.taken += 1
+        if self.taken == 3:
+            raise ValueError('the lens cap is on')
+        return b'x' * 100
+";
+
+#[test]
+fn a_sensor_and_a_model_of_ones_own_are_run_where_the_command_line_names_them() {
+    let lab = Lab::new();
+    std::fs::write(lab.folder().join("my_camera.py"), SENSOR).expect("writable");
+    std::fs::write(lab.folder().join("my_model.py"), MODEL).expect("writable");
+    let server = lab.server(
+        "PEERNet --server --name cluster --network-config net_config.yaml --model-name my_model::Brightness \
+         --iterations 20",
+    );
+    let client = lab.client(
+        "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type external \
+         --sensor-object my_camera::Camera --iterations 20 --result-loc results",
+    );
+    let (client, server) = (client.ended(), server.ended());
+    assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
+    let data = lab.data("results");
+    assert_eq!(data.header[..PUBLISHED.len()], PUBLISHED);
+    assert_eq!((data.outcomes("ok"), data.rows.len()), (20, 20));
+    assert!(data.numbers("upload-bytes").iter().all(|bytes| *bytes >= f64::from(48 * 64 * 3)));
+    // What the border between the processes costs stands apart from the user's code.
+    assert!(data.numbers("ipc").iter().all(|seconds| *seconds > 0.0));
+}
+
+#[test]
+fn an_exception_is_a_failed_iteration() {
+    let lab = Lab::here();
+    std::fs::write(lab.folder().join("my_camera.py"), FAILING).expect("writable");
+    let _server = lab.server(
+        "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 90",
+    );
+    let client = lab.client(
+        "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-object my_camera::Camera \
+         --iterations 20 --result-loc results",
+    );
+    let client = client.ended();
+    assert_eq!(client.code(), 75, "{}", client.log);
+    assert!(
+        client.log.contains("1 of 20 iterations") && client.log.contains("the lens cap is on"),
+        "{}",
+        client.log
+    );
+    let data = lab.data("results");
+    assert_eq!((data.outcomes("ok"), data.outcomes("failed")), (19, 1));
+}
+
+#[test]
+fn programs_are_run_where_the_command_line_names_them() {
+    let lab = Lab::here();
+    let light = peernet_tests::root().join("docs/examples/external/light.sh");
+    let server = lab.server(
+        "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 20",
+    );
+    let client = lab.client(&format!(
+        "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-object exec:{} \
+         --iterations 20 --result-loc results",
+        light.display()
+    ));
+    let (client, server) = (client.ended(), server.ended());
+    assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
+    let sent = lab.data("results").numbers("upload-bytes");
+    assert!(sent.len() == 20 && sent.iter().all(|bytes| *bytes == 3072.0), "{sent:?}");
+}

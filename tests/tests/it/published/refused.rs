@@ -1,0 +1,109 @@
+//! What cannot work is said before anything is measured: what was tried, what to do, and an exit code of its own.
+
+use std::net::TcpListener;
+
+use super::{Lab, picture};
+
+/// Runs a command that must end with this code and say all of this.
+fn refused(lab: &Lab, command: &str, code: i32, said: &[&str]) {
+    let ended = lab.client(command).ended();
+    assert_eq!(ended.code(), code, "{command}\n{}", ended.log);
+    for text in said {
+        assert!(ended.log.contains(text), "{command} does not say {text:?}: {}", ended.log);
+    }
+}
+
+#[test]
+fn a_wrong_command_line_is_refused() {
+    let lab = Lab::here();
+    let client = "PEERNet --client --name jetson-orin --network-config net_config.yaml";
+    refused(&lab, &format!("{client} --iterations 0"), 64, &["at least 1"]);
+    refused(&lab, &format!("{client} --iterations 5 --network ros"), 64, &["not there yet", "zmq-tcp"]);
+    refused(&lab, &format!("{client} --iterations 5 --network zmq-udp"), 64, &["not there yet", "zmq-tcp"]);
+    refused(&lab, &format!("{client} --iterations 5 --network carrier-pigeon"), 64, &["zmq-tcp"]);
+    refused(&lab, &format!("{client} --iterations 5"), 64, &["--dataset-loc"]);
+    refused(&lab, &format!("{client} --iterations 5 --sensor-type external"), 64, &["--sensor-object"]);
+    refused(&lab, &format!("{client} --iterations 5 --sensor-type camera"), 64, &["random string"]);
+    refused(&lab, &format!("{client} --server --iterations 5"), 64, &["--server", "--client"]);
+    refused(&lab, "PEERNet --client --iterations 5", 64, &["--name", "--network-config"]);
+    refused(&lab, "PEERNet", 64, &["Usage"]);
+}
+
+#[test]
+fn a_device_has_its_place_in_the_network_configuration() {
+    let lab = Lab::here();
+    let command = |name: &str, role: &str| {
+        format!(
+            "PEERNet {role} --name {name} --network-config net_config.yaml --iterations 5 --dataset-loc x"
+        )
+    };
+    refused(&lab, &command("jetson", "--client"), 78, &["no device jetson", "cluster, jetson-orin, spare"]);
+    refused(&lab, &command("spare", "--server"), 78, &["cluster serves", "--client"]);
+    refused(&lab, &command("cluster", "--client"), 78, &["--server"]);
+    refused(&lab, "PEERNet --name a --network-config no.yaml --iterations 5", 66, &["no.yaml"]);
+
+    let file = lab.folder().join("net_config.yaml");
+    for (text, said) in [
+        ("devices: {a: 10.0.0.1}\nserver: b\n", "the server b is none of its devices"),
+        ("devices: {a: 10.0.0.1}\n", "does not say who serves"),
+        ("devices: [\n", "net_config.yaml"),
+    ] {
+        std::fs::write(&file, text).expect("writable");
+        refused(&lab, &command("a", "--client"), 78, &[said]);
+    }
+}
+
+#[test]
+fn what_is_not_there_is_named() {
+    let lab = Lab::here();
+    let client = "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 5";
+    let server = "PEERNet --server --name cluster --network-config net_config.yaml --iterations 5";
+    refused(&lab, &format!("{client} --dataset-loc nowhere.jpg"), 66, &["nowhere.jpg"]);
+    std::fs::create_dir(lab.folder().join("empty")).expect("writable");
+    refused(&lab, &format!("{client} --dataset-loc empty"), 66, &["empty"]);
+    refused(
+        &lab,
+        &format!("{server} --model-name efficientnet_v9"),
+        66,
+        &["efficientnet_v9", "export_torchvision.py"],
+    );
+    refused(&lab, &format!("{server} --model-name ./nothing"), 66, &["nothing"]);
+
+    let model = peernet_tests::root().join("models/quality-control");
+    let by_default = format!("{server} --model-name {}", model.display());
+    refused(&lab, &by_default, 69, &["cuda:0", "--device cpu"]);
+    refused(&lab, &format!("{by_default} --device toaster"), 64, &["toaster", "cpu"]);
+}
+
+#[test]
+fn a_port_in_use_and_a_folder_with_results_are_told() {
+    let lab = Lab::here();
+    let configuration = std::fs::read_to_string(lab.folder().join("net_config.yaml")).expect("is there");
+    let port = configuration.lines().find_map(|line| line.strip_prefix("start_port: ")).expect("a port");
+    let _taken = TcpListener::bind(format!("0.0.0.0:{port}")).expect("it is free");
+    let server = "PEERNet --server --name cluster --network-config net_config.yaml --iterations 5";
+    refused(&lab, server, 69, &[port, "start_port", "another program"]);
+
+    let results = lab.folder().join("results");
+    std::fs::create_dir(&results).expect("writable");
+    std::fs::write(results.join("data.csv"), "mine\n").expect("writable");
+    let client = format!(
+        "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 5 --dataset-loc {} \
+         --result-loc results",
+        picture().display()
+    );
+    refused(&lab, &client, 64, &["results", "--overwrite"]);
+    assert_eq!(std::fs::read_to_string(results.join("data.csv")).expect("is there"), "mine\n");
+}
+
+#[test]
+fn a_server_that_never_comes_is_given_up() {
+    let lab = Lab::here();
+    let client = format!(
+        "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 5 --dataset-loc {} \
+         --result-loc results --patience 1",
+        picture().display()
+    );
+    refused(&lab, &client, 69, &["is away", "gave up", "is it running"]);
+    assert!(!lab.folder().join("results").exists(), "nothing was measured: there is nothing to keep");
+}

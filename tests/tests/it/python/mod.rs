@@ -1,0 +1,91 @@
+//! Users' Python objects in real agents: a sensor on the edge, a model on the cloud.
+
+mod two_agents;
+mod worker;
+
+use std::fs;
+
+use peernet_tests::{Site, python};
+
+/// A sensor in the published style: two arrays a sample.
+const RIG: &str = r#"
+import numpy
+
+class Rig:
+    def __init__(self):
+        self.taken = 0
+        print("the rig is up")
+
+    def sample(self):
+        self.taken += 1
+        image = numpy.full((48, 64, 3), self.taken, dtype="uint8")
+        return image, numpy.array([self.taken, 0.5])
+"#;
+
+/// A model in the published style, which cannot stand every tenth sample.
+const FOLLOWER: &str = r#"
+import os
+
+class Follower:
+    def __init__(self):
+        with open("pid", "w") as file:
+            file.write(str(os.getpid()))
+        print("following on", os.environ["PEERNET_DEVICE"])
+
+    def preprocess(self, sample):
+        image, state = sample
+        assert image.shape == (48, 64, 3) and image.dtype == "uint8" and state.dtype == "float64"
+        return image.mean(), state
+
+    def infer(self, sample):
+        brightness, state = sample
+        if state[0] % 10 == 0:
+            raise ValueError("the path is lost at %d" % state[0])
+        return brightness * state[1]
+
+    def postprocess(self, steering):
+        return {"steering": steering}
+"#;
+
+const CLOUD: &str = r#"
+[agent]
+name = "cloud"
+state_dir = "{folder}/cloud"
+aggregator = "tcp://127.0.0.1:{events}"
+
+[serve]
+listen = "tcp://127.0.0.1:{data}"
+
+[[model]]
+name = "follower"
+kind = "python"
+object = "follower::Follower"
+device = "cuda:0"
+python = "{python}"
+"#;
+
+const EDGE: &str = r#"
+[agent]
+name = "edge"
+state_dir = "{folder}/edge"
+aggregator = "tcp://127.0.0.1:{events}"
+
+[[pipeline]]
+name = "drive"
+sensor = { kind = "python", object = "rig::Rig", python = "{python}" }
+placement = { kind = "remote", peer = "tcp://127.0.0.1:{data}", model = "follower" }
+warm_up = { iterations = 0 }
+"#;
+
+/// A site with both modules in its folder, in which the agents are started.
+fn site() -> Site {
+    let site = Site::new();
+    for (name, text) in [("rig.py", RIG), ("follower.py", FOLLOWER)] {
+        fs::write(site.folder().join(name), text).expect("the temporary folder is writable");
+    }
+    site
+}
+
+fn write(site: &Site, name: &str, text: &str) {
+    site.write(name, &text.replace("{python}", &python().display().to_string()));
+}

@@ -1,0 +1,139 @@
+//! Results on a disk that fills up, and `peernet compare` of results of either program.
+
+use std::path::Path;
+
+use peernet_report::results::{Outcome, Overwrite, ResultFolder, Row, RunRecord};
+use peernet_tests::{Ended, Process, Site, SmallDisk, program};
+
+/// Rows of the published program: about so many seconds of sensing and inference.
+fn published(seconds: f64) -> String {
+    let header = "iteration,sensing,upload,inference,download,download-bytes,download-logger-bytes,upload-bytes,\
+                  upload-logger-bytes,upload-throughput,download-throughput\n";
+    let row = |n: u32| {
+        let (sensing, inference) = (seconds * 0.1, seconds + f64::from(n % 7) * 1e-5);
+        format!(
+            "{n},{sensing},0.0175,{inference},0.0004,132.0,555.0,1343220.0,301.0,613000000.0,14810000.0\n"
+        )
+    };
+    std::iter::once(header.to_owned()).chain((1..=205).map(row)).collect()
+}
+
+/// A folder with results of the published program: `small`, and `large` which takes longer.
+fn folders() -> Site {
+    let site = Site::new();
+    for (name, seconds) in [("all/small", 0.005), ("all/large", 0.009)] {
+        let folder = site.folder().join(name);
+        std::fs::create_dir_all(&folder).expect("made");
+        std::fs::write(folder.join("data.csv"), published(seconds)).expect("written");
+    }
+    site
+}
+
+fn compare(site: &Site, arguments: &[&str]) -> Ended {
+    Process::start(&program("peernet"), &[&["compare"], arguments].concat(), site.folder(), &[]).ended()
+}
+
+#[test]
+fn results_of_the_published_program_are_compared() {
+    let site = folders();
+    let done = compare(&site, &["all"]);
+    assert_eq!(done.code(), 0, "{}", done.log);
+    let lines: Vec<&str> = done.log.lines().collect();
+    let find =
+        |beginning: &str| lines.iter().find(|line| line.starts_with(beginning)).copied().unwrap_or_default();
+    assert!(find("run ").contains("inference"), "{}", done.log);
+    assert!(find("small").ends_with(" *") && find("small").contains(" 200 "), "{}", done.log);
+    assert!(find("The smallest mean total (stages)").contains("every other differs"), "{}", done.log);
+    // The differences, because there are two: 4 ms and nothing.
+    assert!(find("A: large. B: small.").len() > 1 && find("inference ").contains("−4.0"), "{}", done.log);
+
+    let file = compare(&site, &["all", "--format", "csv", "--out", "table.csv"]);
+    assert_eq!((file.code(), file.log.trim()), (0, ""));
+    let table = std::fs::read_to_string(site.folder().join("table.csv")).expect("written");
+    assert!(table.starts_with("run,runs,count,unanswered,best,tie,sensing-mean,"), "{table}");
+    assert!(table.contains("\nlarge,1,200,0,0,0,"), "{table}");
+
+    // One way to the same run is as good as another.
+    let baseline =
+        compare(&site, &["all/large/data.csv", "all", "--baseline", "./all/small", "--format", "csv"]);
+    assert_eq!(baseline.code(), 0, "{}", baseline.log);
+    assert_eq!(
+        baseline.log.lines().filter(|line| line.starts_with("small,large,")).count(),
+        5,
+        "{}",
+        baseline.log
+    );
+}
+
+#[test]
+fn what_cannot_be_compared_is_said() {
+    let site = folders();
+    let nothing = compare(&site, &["nowhere"]);
+    assert_eq!(nothing.code(), 66, "{}", nothing.log);
+    assert!(nothing.log.contains("no results in nowhere: it is not there"), "{}", nothing.log);
+    std::fs::write(site.folder().join("all/small/data.csv"), "iteration,sensing\n1,fast\n").expect("written");
+    let broken = compare(&site, &["all"]);
+    assert_eq!(broken.code(), 65, "{}", broken.log);
+    assert!(broken.log.contains("line 2, column sensing: \"fast\" is no number"), "{}", broken.log);
+    let unwritten = compare(&site, &["all/large", "--out", "nowhere/table.txt"]);
+    assert_eq!(unwritten.code(), 73, "{}", unwritten.log);
+}
+
+fn row(iteration: u64) -> Row {
+    Row {
+        iteration,
+        at: iteration as f64,
+        episode: 0,
+        step: 0,
+        warm_up: false,
+        outcome: Outcome::Ok,
+        reason: None,
+        values: vec![("total".into(), iteration as f64 / 1e3)],
+        upload: None,
+        download: None,
+    }
+}
+
+/// The numbers of the rows that stand in a file; all of them are whole.
+fn numbers(path: &Path) -> Vec<u64> {
+    let text = std::fs::read_to_string(path).expect("readable");
+    assert!(text.ends_with('\n'), "the last row is whole");
+    let columns = text.lines().next().map(|header| header.split(',').count());
+    let rows = text.lines().skip(1);
+    rows.map(|row| {
+        assert_eq!(Some(row.split(',').count()), columns);
+        row.split(',').next().and_then(|cell| cell.parse().ok()).expect("a number")
+    })
+    .collect()
+}
+
+#[test]
+fn a_disk_that_fills_up_loses_no_row() {
+    let disk = SmallDisk::new(1 << 20);
+    let folder =
+        ResultFolder::create(&disk.folder().join("results"), Overwrite::Refuse).expect("there is room");
+    let rows: Vec<Row> = (1..=3000).map(row).collect();
+    let mut writer = folder.writer().expect("there is room");
+    let path = writer.path().to_owned();
+    rows[..500].iter().for_each(|row| writer.write(row));
+    disk.fill();
+    rows[500..1500].iter().for_each(|row| writer.write(row));
+    let trouble = writer.trouble().expect("it is full").to_string();
+    assert!(trouble.contains("No space left on device"), "{trouble}");
+    let there = numbers(&path);
+    assert!((500..1500).contains(&there.len()), "a row went on to the last page: {}", there.len());
+
+    disk.free();
+    writer.write(&rows[1500]);
+    assert!(writer.trouble().is_none());
+    assert_eq!(numbers(&path), (1..=1501).collect::<Vec<_>>());
+
+    disk.fill();
+    rows[1501..].iter().for_each(|row| writer.write(row));
+    assert!(writer.end().is_err(), "it is full at the end, too");
+    assert_eq!(numbers(&path)[..1501], (1..=1501).collect::<Vec<_>>());
+    let finished = folder.finish(&RunRecord::default(), &rows).expect("the temporary folder has room");
+    assert!(finished.trouble.is_some() && !finished.folder.starts_with(disk.folder()));
+    assert_eq!(ResultFolder::open(&finished.folder).expect("readable").rows, rows);
+    std::fs::remove_dir_all(finished.folder).expect("it is ours");
+}
