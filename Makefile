@@ -57,6 +57,7 @@ e2e: setup build
 
 configs: setup build
 	@for file in configs/*.toml; do target/debug/peernetd check "$$file"; done
+	@for file in configs/experiments/*.toml; do target/debug/peernet run --check "$$file"; done
 
 units:
 	@deploy/systemd/verify.sh

@@ -37,6 +37,11 @@ vde_switch    vde2              links between them that delay
 wirefilter    vde2              links between them that delay
 tcpdump       tcpdump           captures between them
 faketime      faketime          programs that are shown a false time
+/usr/lib/python3/dist-packages/numpy  python3-numpy  users' Python objects get arrays
+/usr/lib/python3/dist-packages/PIL    python3-pil    users' Python objects get pictures
+/usr/lib/python3/dist-packages/torch        python3-torch        models are exported from torchvision
+/usr/lib/python3/dist-packages/torchvision  python3-torchvision  models are exported from torchvision
+/usr/lib/python3/dist-packages/onnx         python3-onnx         models are exported from torchvision
 unshare       util-linux        throw-away roots for the package test
 sqlite3       sqlite3           people open the store with it, so the tests do
 systemd-analyze  systemd        the units are checked with it

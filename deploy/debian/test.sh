@@ -33,6 +33,7 @@ check_installed() {
     getent group render >/dev/null || fail "no group render: the agent's unit would not start"
     expect_owner /var/lib/peernet/agent "peernet peernet 750"
     expect_owner /var/lib/peernet/aggregator "peernet peernet 750"
+    expect_owner /var/lib/peernet/models "root root 755"
     expect_owner /etc/peernet/keys "root peernet 750"
 
     step "configurations, read as the user that the units have"
