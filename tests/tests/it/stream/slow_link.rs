@@ -20,7 +20,7 @@ fn a_host_behind_fifty_kilobits_stays_live_and_loses_nothing() {
     let plant = Plant::new(|_| Network::direct());
     let host = plant.network.edge();
     host.throttle(HOME, KBIT);
-    let more = format!("{}\nlimit = {{ iterations = {ITERATIONS} }}", rate(HZ));
+    let more = format!("{}\nlimit = {{ total = {ITERATIONS} }}", rate(HZ));
     let model = "[[model]]\nname = \"echo\"\nkind = \"echo\"\n";
     let edge = plant.edge(&format!("{model}{}", echo("line", &more)), &[]);
     let began = Since::now();
