@@ -2,6 +2,7 @@
 
 use std::fmt::Debug;
 use std::sync::OnceLock;
+use std::time::Duration;
 
 use bytes::Bytes;
 use peernet_clock::ClockIdentity;
@@ -13,7 +14,10 @@ use peernet_logger::stream::{
 use tokio::runtime::{Builder, Runtime};
 use zeromq::{Message, Options, Socket, SocketType};
 
-use crate::{Chance, PATIENCE, wall};
+use crate::{Chance, PATIENCE, Since, wall};
+
+/// How long an agent waits before it says hello again.
+const AGAIN: Duration = Duration::from_secs(1);
 
 /// A connection to an aggregator.
 pub struct Stranger {
@@ -67,9 +71,31 @@ impl Stranger {
     /// # Panics
     /// When none comes within [`PATIENCE`].
     pub fn hear(&self) -> ToAgent {
-        let received = runtime().block_on(async { tokio::time::timeout(PATIENCE, self.socket.recv()).await });
-        let message = received.expect("an answer in time").expect("receives");
-        codec::decode(message.part_slice(0).expect("a frame")).expect("a message of the aggregator")
+        self.hear_within(PATIENCE).expect("an answer in time")
+    }
+
+    fn hear_within(&self, patience: Duration) -> Option<ToAgent> {
+        let received = runtime().block_on(async { tokio::time::timeout(patience, self.socket.recv()).await });
+        let message = received.ok()?.expect("receives");
+        Some(codec::decode(message.part_slice(0).expect("a frame")).expect("a message of the aggregator"))
+    }
+
+    /// Says hello until what is answered is what `holds` looks for. As agents do: an aggregator that has no room for an
+    /// answer, or none for what follows from a hello, leaves it unanswered.
+    ///
+    /// # Panics
+    /// When it never is.
+    pub fn greet(&self, hello: &Hello, holds: impl Fn(&ToAgent) -> bool) {
+        let began = Since::now();
+        while began.elapsed() < PATIENCE {
+            self.say(&ToAggregator::Hello(hello.clone()));
+            while let Some(said) = self.hear_within(AGAIN) {
+                if holds(&said) {
+                    return;
+                }
+            }
+        }
+        panic!("{} was not answered as it should be", hello.host.name);
     }
 
     /// Hears until something is said that `holds` looks for.
@@ -133,8 +159,7 @@ impl Introduced {
 
     /// Says hello and waits until it is taken in.
     pub fn enter(&self, stranger: &Stranger) {
-        stranger.say(&ToAggregator::Hello(self.hello.clone()));
-        stranger.hear_until(|said| matches!(said, ToAgent::Welcome { .. }).then_some(()));
+        stranger.greet(&self.hello, |said| matches!(said, ToAgent::Welcome { .. }));
     }
 
     /// The next batch of the stream, with so many events.

@@ -25,8 +25,8 @@ pub use picture::{
 };
 pub use store::lock::{DatabaseLock, LockError};
 pub use store::types::{
-    BOTH_WAYS, Blame, ClockSeries, DelayRow, ExperimentSummary, GapRow, Histogram, HostRow, IncidentRow, IterationDetail,
-    IterationFilter, IterationRow, Judgement, LinkRow, Recomputed, RecomputedStage, RunDetail, RunFilter,
-    RunSummary, Series, SeriesPoint, StageCourse, StageSeries, StageStatistics,
+    BOTH_WAYS, Blame, ClockSeries, DelayRow, ExperimentSummary, GapRow, Histogram, HostRow, IncidentRow,
+    IterationDetail, IterationFilter, IterationRow, Judgement, LinkRow, Recomputed, RecomputedStage,
+    RunDetail, RunFilter, RunSummary, Series, SeriesPoint, StageCourse, StageSeries, StageStatistics,
 };
 pub use store::{Store, maintenance};

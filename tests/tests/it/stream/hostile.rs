@@ -59,7 +59,7 @@ fn frames_that_are_cut_or_flipped_are_refused_and_counted() {
         sent += 1;
     }
     // Whatever was made of them, the batch itself comes through: it may have to be introduced again.
-    stranger.say(&ToAggregator::Hello(host.hello.clone()));
+    host.enter(&stranger);
     stranger.send(&next);
     stranger.hear_ack(2);
 
@@ -71,11 +71,7 @@ fn frames_that_are_cut_or_flipped_are_refused_and_counted() {
         stranger.send(&frame);
         sent += 1;
     }
-    stranger.say(&ToAggregator::Hello(host.hello.clone()));
-    stranger.hear_until(|said| match said {
-        ToAgent::Welcome { stored, .. } => (*stored == 2).then_some(()),
-        _ => None,
-    });
+    stranger.greet(&host.hello, |said| matches!(said, ToAgent::Welcome { stored: 2, .. }));
     until("it is counted", || {
         (counter(&fleet, "peernet_aggregator_damaged_batches_total") > 0).then_some(())
     });
