@@ -146,6 +146,50 @@ pub enum LoadError {
     },
 }
 
+impl LoadError {
+    /// Whether something that was named is not there: a model, its file, a program, a module, a Python.
+    pub const fn is_missing(&self) -> bool {
+        matches!(
+            self,
+            Self::File { .. }
+                | Self::NotFound { .. }
+                | Self::UnknownModel { .. }
+                | Self::Program { error: ExchangeError::Command(_), .. }
+                | Self::Python(
+                    PythonError::NoModule { .. } | PythonError::NoPython(_) | PythonError::Folder(_)
+                )
+        )
+    }
+}
+
+impl LoadError {
+    /// What a peer that asked for the model is told: what it can ask for instead, and nothing of this host's files.
+    pub fn to_peer(&self, model: &str) -> String {
+        match self {
+            Self::NotFound { .. }
+            | Self::Library(_)
+            | Self::Program { .. }
+            | Self::Python(_)
+            | Self::File { .. }
+            | Self::Session { .. }
+            | Self::Thread { .. } => {
+                format!("model {model} cannot be loaded on the serving host; its log and its incidents say why")
+            }
+            Self::NoProvider { device, provider, .. } => {
+                format!("model {model} cannot run on {device}: the serving host's ONNX Runtime has no {provider}")
+            }
+            Self::UnknownModel { .. }
+            | Self::Unnamed { .. }
+            | Self::Changed(_)
+            | Self::BankFull { .. }
+            | Self::Duplicate(_)
+            | Self::TooMuch { .. }
+            | Self::OtherDevice { .. }
+            | Self::NoSuchDevice(_) => self.to_string(),
+        }
+    }
+}
+
 /// Why ONNX Runtime itself is not there.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum LibraryError {

@@ -81,7 +81,9 @@ impl Folders {
         if let Some((name, folder)) = places.find(|(_, folder)| is_model(folder)) {
             return Ok(Found::at(name, folder));
         }
-        let mut known: Vec<String> = self.list().into_iter().map(|found| found.name.to_string()).collect();
+        let names = self.0.iter().flat_map(|place| names(place).unwrap_or_default());
+        let mut known: Vec<String> = names.map(|name| name.to_string()).collect();
+        known.sort();
         let mut seen = HashSet::new();
         known.retain(|name| seen.insert(name.clone()));
         Err(LoadError::NotFound { name: name.to_owned(), looked: self.0.clone(), known })

@@ -8,6 +8,9 @@ use serde::Deserialize;
 
 use crate::LoadError;
 
+/// Longest card: a thousand labels take some ten kilobytes.
+const LONGEST: u64 = 1 << 20;
+
 /// A model's card; a new model needs a card and no code.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -166,11 +169,23 @@ pub(super) enum Activation {
     Sigmoid,
 }
 
+/// The text of a card. A file that never ends or never begins must not hold up who lists a folder of models.
+fn text(file: &Path) -> Result<String, String> {
+    let about = std::fs::metadata(file).map_err(|error| error.to_string())?;
+    if !about.is_file() {
+        return Err("it is not a regular file".to_owned());
+    }
+    if about.len() > LONGEST {
+        return Err(format!("it has {} bytes; a card has at most {LONGEST}", about.len()));
+    }
+    std::fs::read_to_string(file).map_err(|error| error.to_string())
+}
+
 impl Card {
     /// Reads and checks a card.
     pub(super) fn read(file: &Path) -> Result<Self, LoadError> {
         let wrong = |reason: String| LoadError::File { file: file.to_owned(), reason };
-        let text = std::fs::read_to_string(file).map_err(|error| wrong(error.to_string()))?;
+        let text = text(file).map_err(wrong)?;
         Self::parse(&text).map_err(wrong)
     }
 

@@ -183,3 +183,29 @@ fn what_is_wrong_with_the_table_is_named_by_its_key() {
     let bank = Bank::new(Vec::new(), OnnxRuntimeConfig::default(), clock()).with_folders(none);
     assert!(bank.offered().is_empty());
 }
+
+#[test]
+fn a_card_that_is_no_card_holds_up_nobody_and_is_told_to_nobody_else() {
+    let place = tempfile::tempdir().expect("a folder");
+    let folder = |name: &str| {
+        let folder = place.path().join(name);
+        std::fs::create_dir(&folder).expect("writable");
+        folder
+    };
+    std::os::unix::fs::symlink("/dev/zero", folder("endless").join("model.toml")).expect("writable");
+    std::fs::write(folder("long").join("model.toml"), vec![b'#'; 2 << 20]).expect("writable");
+    std::fs::write(folder("secret").join("model.toml"), "root:x:0:0:root").expect("writable");
+
+    let found = Folders::of([place.path().to_owned()]).list();
+    let reasons: Vec<_> =
+        found.iter().map(|found| found.card.as_ref().expect_err("no card").to_string()).collect();
+    assert_eq!(found.len(), 3, "{reasons:?}");
+    for (reason, part) in reasons.iter().zip(["regular file", "at most", "root:x"]) {
+        assert!(reason.contains(part), "{reason}");
+    }
+    for found in &found {
+        let told = found.card.as_ref().expect_err("no card").to_peer(found.name.as_str());
+        assert!(told.contains(found.name.as_str()), "{told}");
+        assert!(!told.contains("root:x") && !told.contains(&*place.path().to_string_lossy()), "{told}");
+    }
+}
