@@ -72,6 +72,21 @@ fn decimals_of(value: f64) -> usize {
     }
 }
 
+/// The decimals at which a number has three significant digits, however small: not more than six.
+fn decimals_significant(value: f64) -> usize {
+    let size = value.abs();
+    if !(1e-6..1.0).contains(&size) {
+        decimals_of(value)
+    } else {
+        (2 - size.log10().floor() as i32).clamp(2, 6) as usize
+    }
+}
+
+/// A stored duration in a list, in ms with three significant digits: `0.126`, `6.31`, `16.1`, `141`.
+pub(crate) fn listed_ms(seconds: f64) -> String {
+    fixed(seconds * 1e3, decimals_significant(seconds * 1e3))
+}
+
 /// A number in a sentence or figure: `0.62`, `6.31`, `16.1`, `141`.
 pub(crate) fn figure(value: f64) -> String {
     fixed(value, decimals_of(value))
@@ -129,10 +144,12 @@ fn decimals_supported(bound: f64, most: usize) -> usize {
     (1 - bound.log10().floor() as i32).clamp(0, most as i32) as usize
 }
 
-/// Mean and deviation in ms, `16.2 ± 1.1`, with the digits that the deviation supports.
+/// Mean and deviation in ms, `16.2 ± 1.1`, with the digits that the deviation supports: of what is shorter than a
+/// millisecond too (`0.126 ± 0.012`), to the nanosecond.
 pub(crate) fn mean_std_ms(mean: f64, std: Option<f64>) -> (String, Option<String>) {
-    let decimals = std.map_or_else(|| decimals_of(mean * 1e3), |std| decimals_supported(std * 1e3, 2));
-    let decimals = decimals.min(decimals_of(mean * 1e3));
+    let supported = std.filter(|std| *std > 0.0).map(|std| decimals_supported(std * 1e3, 6));
+    let decimals = decimals_significant(mean * 1e3);
+    let decimals = supported.map_or(decimals, |supported| supported.min(decimals));
     (fixed(mean * 1e3, decimals), std.map(|std| fixed(std * 1e3, decimals)))
 }
 

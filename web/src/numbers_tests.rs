@@ -47,6 +47,13 @@ fn a_value_has_no_more_digits_than_its_deviation_supports() {
     assert_eq!(mean_std_ms(0.006_34, Some(0.000_91)), ("6.34".into(), Some("0.91".into())));
     assert_eq!(mean_std_ms(0.141_2, Some(0.023)), ("141".into(), Some("23".into())));
     assert_eq!(mean_std_ms(0.004_70, None), ("4.70".into(), None));
+    assert_eq!(mean_std_ms(0.000_126, Some(0.000_012)), ("0.126".into(), Some("0.012".into())));
+    assert_eq!(mean_std_ms(0.000_002_1, Some(0.000_000_4)), ("0.00210".into(), Some("0.00040".into())));
+    assert_eq!(mean_std_ms(0.0, Some(0.0)), ("0.00".into(), Some("0.00".into())));
+    assert_eq!(
+        [0.000_126, 0.006_31, 0.016_1, 0.141_2, 1.242_7].map(listed_ms),
+        ["0.126", "6.31", "16.1", "141", "1,243"]
+    );
     assert_eq!(bound_ms(0.000_65), "±0.65");
     assert_eq!(bound_ms(0.001_3), "±1.3");
     assert_eq!(bound_ms(0.013), "±13");

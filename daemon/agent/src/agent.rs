@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use peernet_clock::SharedClock;
+use peernet_clock::{MonoTime, SharedClock};
 use peernet_inference::{Bank, LoadError};
 use peernet_logger::stream::{
     Event, HostClock, HostDescription, HostMetrics, IncidentKind, LiveUpdate, PipelineState,
@@ -23,7 +23,7 @@ use crate::config::{AgentConfig, HostConfig, PipelineConfig, StartMode};
 use crate::host::{Host, VERSION};
 use crate::identity::{IdentityError, StateLock, host_id};
 use crate::incidents::{Concerning, Incidents};
-use crate::link::{Links, Near, ProbeSettings};
+use crate::link::{Cloud, Links, Near, ProbeSettings};
 use crate::live::{Board, Display};
 use crate::outbox::{Outbox, SpoolError, Tap};
 use crate::runs::Runs;
@@ -213,6 +213,16 @@ impl Running {
     /// What peers were sent so far.
     pub fn served(&self) -> watch::Receiver<Served> {
         self.served.clone()
+    }
+
+    /// Who serves a pipeline, or served it last.
+    pub fn served_by(&self, pipeline: &Slug) -> Option<Cloud> {
+        self.host.links.served_by(pipeline)
+    }
+
+    /// Since when a pipeline waits for its sensor, to be set up or to give a sample; `None` when it does not.
+    pub fn senses_since(&self, pipeline: &Slug) -> Option<MonoTime> {
+        self.board.senses_since(pipeline)
     }
 
     /// Loads one of this host's models now: what is wrong with it shows at once, and its first peer does not wait for it.

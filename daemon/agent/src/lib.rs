@@ -37,5 +37,6 @@ pub use agent::{Agent, Failure, Running, StartError};
 pub use check::Problem;
 pub use config::AgentConfig;
 pub use identity::{IdentityError, host_id};
+pub use link::Cloud;
 pub use outbox::SpoolError;
 pub use serve::{ReflectorError, Served};

@@ -7,3 +7,5 @@
 pub mod exec;
 pub mod process;
 pub mod python;
+
+mod text;

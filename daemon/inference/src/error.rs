@@ -173,10 +173,14 @@ impl LoadError {
             | Self::File { .. }
             | Self::Session { .. }
             | Self::Thread { .. } => {
-                format!("model {model} cannot be loaded on the serving host; its log and its incidents say why")
+                format!(
+                    "model {model} cannot be loaded on the serving host; its log and its incidents say why"
+                )
             }
             Self::NoProvider { device, provider, .. } => {
-                format!("model {model} cannot run on {device}: the serving host's ONNX Runtime has no {provider}")
+                format!(
+                    "model {model} cannot run on {device}: the serving host's ONNX Runtime has no {provider}"
+                )
             }
             Self::UnknownModel { .. }
             | Self::Unnamed { .. }

@@ -17,6 +17,7 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use peernet_clock::{ClockIdentity, SharedClock, Span, SystemClock};
+use peernet_logger::stream::Hardware;
 use peernet_logger::{HostId, Measure, Recorder, Slug};
 use peernet_networks::{
     Address, Incoming, Listener, NetworkKind, PROTOCOL, PeerClock, Session, SessionAccepted, SessionHello,
@@ -184,6 +185,7 @@ async fn serve_session(plan: Plan, tell: std::sync::mpsc::SyncSender<Address>) -
                     probes: None,
                     instance: 1,
                     conditions: Vec::new(),
+                    hardware: Hardware::default(),
                 };
                 open.accept(accepted);
             }

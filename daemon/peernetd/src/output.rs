@@ -2,12 +2,51 @@
 
 use std::fmt::Display;
 use std::io::{self, ErrorKind, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use crate::exit::{Exit, Failure};
+
+/// Whether a part of the result could not be written.
+static UNWRITTEN: AtomicBool = AtomicBool::new(false);
 
 /// A result that the user asked for, on standard output.
 ///
 /// When nobody reads any more, as `head` after its lines, the rest goes nowhere: the exit code still tells how it went.
+/// Any other trouble is told once, and by the exit code ([`end`]).
 pub fn say(text: impl Display) {
-    if let Err(error) = write(&mut io::stdout().lock(), &text) {
+    note(write(&mut io::stdout().lock(), &text));
+}
+
+/// What the command line's parser has to say, to whom it is for: help that was asked for, or what is wrong (64).
+pub fn explain(error: &clap::Error) -> Exit {
+    let printed = error.print().and_then(|()| io::stdout().flush()).or_else(unless_gone);
+    if error.use_stderr() {
+        // There is no third place to say that standard error cannot be written to.
+        return Exit::Usage;
+    }
+    note(printed);
+    end(Ok(()))
+}
+
+/// How the program is to end: as it went, or 73 when all went well but the result could not be written.
+pub fn end(done: Result<(), Failure>) -> Exit {
+    match done {
+        Ok(()) => kept(Exit::Ok),
+        Err(failure) => {
+            complain(&failure);
+            failure.exit
+        }
+    }
+}
+
+/// An end, unless it is a good one and the result could not be written (73).
+pub fn kept(exit: Exit) -> Exit {
+    if exit == Exit::Ok && UNWRITTEN.load(Ordering::Relaxed) { Exit::Unwritten } else { exit }
+}
+
+fn note(written: io::Result<()>) {
+    let Err(error) = written else { return };
+    if !UNWRITTEN.swap(true, Ordering::Relaxed) {
         complain(format_args!("cannot write the result: {error}"));
     }
 }
@@ -21,7 +60,11 @@ pub fn complain(text: impl Display) {
 /// A line; a reader that has gone is no error.
 fn write(stream: &mut impl Write, text: &dyn Display) -> io::Result<()> {
     let written = writeln!(stream, "{text}").and_then(|()| stream.flush());
-    written.or_else(|error| if error.kind() == ErrorKind::BrokenPipe { Ok(()) } else { Err(error) })
+    written.or_else(unless_gone)
+}
+
+fn unless_gone(error: io::Error) -> io::Result<()> {
+    if error.kind() == ErrorKind::BrokenPipe { Ok(()) } else { Err(error) }
 }
 
 #[cfg(test)]

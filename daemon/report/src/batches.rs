@@ -3,7 +3,7 @@
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 /// Fewest batches on each side.
-const FEWEST: usize = 5;
+pub const FEWEST: usize = 5;
 
 /// A difference of two means with its 95 % interval.
 #[derive(Clone, Copy, Debug, PartialEq)]

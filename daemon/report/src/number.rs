@@ -7,8 +7,16 @@ const LEAST_WITHIN: usize = 2;
 const MOST_WITHIN: usize = 3;
 const MINUS: char = '−';
 
-/// A number with a fixed count of decimals: a true minus sign, thousands with commas, no signed zero.
+/// From this on a number is written with its power of ten: its digits say nothing any more.
+const HUGE: f64 = 1e12;
+
+/// A number with a fixed count of decimals: a true minus sign, thousands with commas, no signed zero. From 10¹² on four
+/// significant digits and the power of ten: `−1.234e300`.
 pub fn fixed(value: f64, decimals: usize) -> String {
+    if value.abs() >= HUGE && value.is_finite() {
+        let sign = if value < 0.0 { MINUS.to_string() } else { String::new() };
+        return format!("{sign}{:.3e}", value.abs());
+    }
     let digits = format!("{:.decimals$}", value.abs());
     let (whole, fraction) = digits.split_once('.').map_or((digits.as_str(), None), |(w, f)| (w, Some(f)));
     let mut text = String::new();
@@ -166,6 +174,15 @@ mod tests {
             [100.0, 1_000.0, 1.2e6, 4e6, 26_207.0].map(bytes),
             ["100 B", "1 kB", "1.2 MB", "4 MB", "26.2 kB"]
         );
+    }
+
+    #[test]
+    fn huge_numbers_have_their_power_of_ten() {
+        assert_eq!(
+            [-1e300, 1.23456e12, 1e12 - 1.0].map(|n| fixed(n, 0)),
+            ["−1.000e300", "1.235e12", "999,999,999,999"]
+        );
+        assert_eq!(milliseconds(-1e300), "−1.000e303");
     }
 
     #[test]

@@ -1,7 +1,8 @@
 //! The documents keep their word: examples pass the check, every key is described, links lead somewhere.
 //!
 //! A block of TOML whose first line is a comment with a bare file name, `# edge.toml`, is a complete file that passes
-//! `peernetd check` in the root of the checkout. Any other block of TOML is an excerpt.
+//! `peernetd check` in the root of the checkout. A block with the tables `[experiment]` and `[pipeline]` is an experiment,
+//! which passes `peernet run --check` there. Any other block of TOML is an excerpt.
 
 use std::path::{Path, PathBuf};
 
@@ -96,6 +97,31 @@ fn name(block: &str) -> Option<&str> {
     (name.ends_with(".toml") && !name.contains([' ', '/'])).then_some(name)
 }
 
+/// Whether a block is the whole file of an experiment.
+fn is_experiment(block: &str) -> bool {
+    let tables: Result<toml::Table, _> = toml::from_str(block);
+    tables.is_ok_and(|tables| ["experiment", "pipeline"].iter().all(|name| tables.contains_key(*name)))
+}
+
+#[test]
+fn experiments_in_the_documents_pass_the_check() {
+    let site = Site::new();
+    let mut checked = Vec::new();
+    for document in Document::all() {
+        for (line, block) in document.toml().into_iter().filter(|(_, block)| is_experiment(block)) {
+            let file = site.write("experiment.toml", &block);
+            let arguments = [Path::new("run"), Path::new("--check"), &file];
+            let ended = Process::start(&program("peernet"), &arguments, root(), &[]).ended();
+            assert_eq!(ended.code(), 0, "{}:{line}:\n{}", document.path.display(), ended.log);
+            checked.push(document.path.clone());
+        }
+    }
+    assert!(
+        checked.contains(&PathBuf::from("docs/experiments.md")),
+        "its example is a whole file: {checked:?}"
+    );
+}
+
 #[test]
 fn examples_that_are_complete_files_pass_the_check_and_excerpts_can_be_read() {
     let site = Site::new();
@@ -104,7 +130,7 @@ fn examples_that_are_complete_files_pass_the_check_and_excerpts_can_be_read() {
     for document in Document::all() {
         for (line, block) in document.toml() {
             let at = format!("{}:{line}", document.path.display());
-            let Some(name) = name(&block) else {
+            let Some(name) = name(&block).filter(|_| !is_experiment(&block)) else {
                 if let Err(error) = toml::from_str::<toml::Table>(&block) {
                     wrong.push(format!("{at}: {error}"));
                 }

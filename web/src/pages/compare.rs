@@ -12,8 +12,8 @@ use crate::numbers::NONE;
 use crate::state::App;
 use crate::svg::{Axis, Scatter};
 use crate::view::compare::{
-    Changed, Comparison, MOST_RUNS, Pair, StackRow, Table, Which, difference, gather, pairs, payload, stacks,
-    title,
+    Changed, Comparison, MOST_RUNS, Pair, StackRow, Table, Which, accuracy, difference, gather, pairs,
+    payload, stacks, title, too_short,
 };
 use crate::view::counted;
 use crate::view::shell::{Place, Shell};
@@ -37,7 +37,10 @@ struct Compare {
     pairs_axis: Axis,
     letters: Option<(String, String)>,
     changes: Vec<Changed>,
-    payload: Option<Scatter>,
+    /// Why a difference has no interval.
+    too_short: Option<String>,
+    payload: Option<(Scatter, Vec<String>)>,
+    accuracy: Option<Scatter>,
 }
 
 #[derive(Template)]
@@ -88,6 +91,10 @@ fn assemble(shell: Shell, comparison: &Comparison, courses: Option<&(Courses, Co
         ([first, second], Some((a, b))) => difference((first, a), (second, b)),
         _ => Vec::new(),
     };
+    let too_short = match (comparison.configurations.as_slice(), courses) {
+        ([first, second], Some((a, b))) => too_short((first, a), (second, b), &two),
+        _ => None,
+    };
     let total =
         two.first().filter(|(name, ..)| *name == stage::TOTAL).and_then(|(_, found, _)| found.as_ref());
     let (stacks, axis) = stacks(comparison);
@@ -111,7 +118,9 @@ fn assemble(shell: Shell, comparison: &Comparison, courses: Option<&(Courses, Co
         pairs_axis,
         letters: letters().next().zip(letters().nth(1)).filter(|_| !two.is_empty()),
         changes: two.into_iter().map(|(.., changed)| changed).collect(),
+        too_short,
         payload: payload(comparison),
+        accuracy: accuracy(comparison),
     }
 }
 

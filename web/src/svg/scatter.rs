@@ -1,8 +1,17 @@
-//! Points with error bars over two axes that begin at zero.
+//! Points with error bars and lines through them.
 
 use askama::Template;
 
-use super::{Percent, Ruler, Scale};
+use super::{Horizontal, Percent, Ruler, pen};
+
+/// Points of a line that is drawn: on a logarithmic axis a straight line is a curve.
+const STEPS: u32 = 64;
+/// Room that a letter takes on a narrow plot, percent of its width and height.
+const LETTER: (f64, f64) = (2.4, 7.0);
+/// How far a name stands from the middle of its point.
+const AWAY: (f64, f64) = (2.2, 6.5);
+/// Beside its point, in ems.
+const RIGHT: (&str, &str) = (".7em", ".36em");
 
 /// Points of several series.
 #[derive(Clone, Debug, PartialEq, Template)]
@@ -13,7 +22,9 @@ pub(crate) struct Scatter {
     y_unit: &'static str,
     rows: Vec<(Percent, String)>,
     columns: Vec<(Percent, String)>,
+    lines: Vec<(&'static str, String)>,
     dots: Vec<Dot>,
+    names: Vec<Label>,
     key: Vec<(&'static str, String)>,
 }
 
@@ -27,6 +38,8 @@ pub(crate) struct ScatterSeries {
     /// What they are, in the key.
     pub name: String,
     pub points: Vec<ScatterPoint>,
+    /// Straight lines through them.
+    pub lines: Vec<ScatterLine>,
 }
 
 /// One point.
@@ -40,66 +53,191 @@ pub(crate) struct ScatterPoint {
     pub name: String,
 }
 
+/// A straight line between two values of x.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct ScatterLine {
+    pub intercept: f64,
+    pub slope: f64,
+    pub from: f64,
+    pub to: f64,
+}
+
 #[derive(Clone, Debug, PartialEq)]
 struct Dot {
     look: &'static str,
     x: Percent,
     y: Percent,
     whisker: Option<(Percent, Percent)>,
-    name: String,
+}
+
+/// A name beside its point.
+#[derive(Clone, Debug, PartialEq)]
+struct Label {
+    /// Its point.
+    dot: (Percent, Percent),
+    /// From there, in ems: a wide plot needs no more distance than a narrow one.
+    shift: (&'static str, &'static str),
+    /// Where it then stands on a narrow plot, so that what is free there is free everywhere.
+    x: Percent,
+    y: Percent,
+    anchor: &'static str,
+    text: String,
+}
+
+impl Label {
+    fn overlaps(&self, other: (f64, f64, f64)) -> bool {
+        let (x, y, letters) = other;
+        let width = LETTER.0 * self.text.chars().count() as f64;
+        let left = match self.anchor {
+            "start" => self.x.0,
+            "end" => self.x.0 - width,
+            _ => self.x.0 - width / 2.0,
+        };
+        let half = LETTER.0 * letters / 2.0;
+        left < x + half && x - half < left + width && (self.y.0 - y).abs() < LETTER.1
+    }
+
+    /// Its middle and how many letters it is long.
+    fn place(&self) -> (f64, f64, f64) {
+        let letters = self.text.chars().count() as f64;
+        let half = LETTER.0 * letters / 2.0;
+        let middle = match self.anchor {
+            "start" => self.x.0 + half,
+            "end" => self.x.0 - half,
+            _ => self.x.0,
+        };
+        (middle, self.y.0, letters)
+    }
 }
 
 impl Scatter {
-    /// Draws the series; `label` says in words what they show.
+    /// Draws the series on these axes; `label` says in words what they show.
     pub(crate) fn new(
         label: String,
-        x_unit: &'static str,
-        y_unit: &'static str,
+        (x_unit, across): (&'static str, &Horizontal),
+        (y_unit, up): (&'static str, &Ruler),
         series: &[ScatterSeries],
     ) -> Self {
-        let all = || series.iter().flat_map(|one| &one.points);
-        // Room for the last name.
-        let across = Scale::fit(all().map(|point| point.x).fold(0.0, f64::max) * 1.02, 6);
-        let most = all().map(|point| point.y + point.spread.unwrap_or(0.0)).fold(0.0, f64::max);
-        let up = Ruler::from_zero(most, 5);
-        let height = |value: f64| Percent(up.below(value.max(0.0)) * 100.0);
+        let height = |value: f64| Percent(up.below(value) * 100.0);
         let dots = series.iter().flat_map(|one| one.points.iter().map(|point| (one.look, point)));
         let dots = dots.map(|(look, point)| Dot {
             look,
             x: across.at(point.x),
             y: height(point.y),
             whisker: point.spread.map(|spread| (height(point.y - spread), height(point.y + spread))),
-            name: point.name.clone(),
         });
+        let dots: Vec<Dot> = dots.collect();
+        let texts = series.iter().flat_map(|one| &one.points).map(|point| point.name.as_str());
+        let names = beside(&dots, texts);
+        let line = |line: &ScatterLine| {
+            let points = (0..=STEPS).map(|step| {
+                let x = across.between(line.from, line.to, f64::from(step) / f64::from(STEPS));
+                Some((across.at(x).0 / 100.0, up.below(line.intercept + line.slope * x)))
+            });
+            pen::line(points)
+        };
+        let lines = series.iter().flat_map(|one| one.lines.iter().map(move |it| (one.look, it)));
         Self {
             label,
             x_unit,
             y_unit,
             rows: up.ticks(),
-            columns: across.grid().into_iter().zip(across.labels()).collect(),
-            dots: dots.collect(),
+            columns: across.ticks(),
+            lines: lines.map(|(look, it)| (look, line(it))).collect(),
+            dots,
+            names,
             key: series.iter().map(|one| (one.look, one.name.clone())).collect(),
         }
     }
+}
+
+/// A name at each point where there is room: right, left, above or below; where there is none, it joins the nearest name.
+fn beside<'a>(dots: &[Dot], texts: impl Iterator<Item = &'a str>) -> Vec<Label> {
+    let mut names: Vec<Label> = Vec::new();
+    for (dot, text) in dots.iter().zip(texts) {
+        let at = |dx: f64, dy: f64, anchor, shift| Label {
+            dot: (dot.x, dot.y),
+            shift,
+            x: Percent(dot.x.0 + dx),
+            y: Percent(dot.y.0 + dy),
+            anchor,
+            text: text.to_owned(),
+        };
+        let tries = [
+            at(AWAY.0, 0.0, "start", RIGHT),
+            at(-AWAY.0, 0.0, "end", ("-.7em", ".36em")),
+            at(0.0, -AWAY.1, "middle", ("0", "-.8em")),
+            at(0.0, AWAY.1, "middle", ("0", "1.5em")),
+        ];
+        let free = |label: &Label| {
+            let on_dots = dots.iter().any(|other| label.overlaps((other.x.0, other.y.0, 1.0)));
+            !on_dots && !names.iter().any(|other| label.overlaps(other.place()))
+        };
+        if let Some(label) = tries.into_iter().find(free) {
+            names.push(label);
+            continue;
+        }
+        let far = |label: &Label| (label.x.0 - dot.x.0).hypot(label.y.0 - dot.y.0);
+        match names.iter_mut().min_by(|a, b| far(a).total_cmp(&far(b))) {
+            Some(nearest) => nearest.text = format!("{}, {text}", nearest.text),
+            None => names.push(at(AWAY.0, 0.0, "start", RIGHT)),
+        }
+    }
+    names
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn series(points: &[(f64, f64)], lines: Vec<ScatterLine>) -> ScatterSeries {
+        let point = |(at, (x, y)): (usize, &(f64, f64))| ScatterPoint {
+            x: *x,
+            y: *y,
+            spread: Some(1.0),
+            name: char::from(b'A' + at as u8).to_string(),
+        };
+        let points = points.iter().enumerate().map(point).collect();
+        ScatterSeries { look: "total", name: "total".to_owned(), points, lines }
+    }
+
+    fn plot(points: &[(f64, f64)], lines: Vec<ScatterLine>) -> Scatter {
+        let across = Horizontal::of(points.iter().map(|point| point.0));
+        let up = Ruler::from_zero(10.0, 5);
+        Scatter::new("what".to_owned(), ("kB", &across), ("ms", &up), &[series(points, lines)])
+    }
+
     #[test]
     fn points_lie_where_their_values_are() {
-        let point = |x, y| ScatterPoint { x, y, spread: Some(1.0), name: "A".to_owned() };
-        let series = ScatterSeries {
-            look: "total",
-            name: "total".to_owned(),
-            points: vec![point(0.0, 0.0), point(100.0, 9.0)],
-        };
-        let plot = Scatter::new("what".to_owned(), "kB", "ms", &[series]);
+        let plot = plot(&[(0.0, 0.0), (100.0, 9.0)], Vec::new());
         assert_eq!((plot.dots[0].x, plot.dots[0].y), (Percent(0.0), Percent(100.0)));
         assert_eq!((plot.dots[1].x < Percent(100.0), plot.dots[1].y), (true, Percent(10.0)));
-        assert_eq!(plot.dots[0].whisker.expect("drawn").0, Percent(100.0), "nothing lasts less than nothing");
         let html = plot.to_string();
         assert!(html.contains("role=\"img\"") && html.contains("cx=\"0.000%\""), "{html}");
+    }
+
+    #[test]
+    fn sizes_of_several_powers_of_ten_are_equally_far_apart() {
+        let line = ScatterLine { intercept: 1.0, slope: 0.001, from: 1.0, to: 1_000.0 };
+        let plot = plot(&[(1.0, 1.0), (31.622_776, 2.0), (1_000.0, 3.0)], vec![line]);
+        let x = |at: usize| plot.dots[at].x.0;
+        assert!((x(1) - x(0) - (x(2) - x(1))).abs() < 1e-3, "{:?}", plot.dots);
+        assert_eq!(
+            plot.columns.iter().map(|column| column.1.as_str()).collect::<Vec<_>>(),
+            ["1", "10", "100", "1,000"]
+        );
+        assert!(plot.lines[0].1.matches('L').count() == STEPS as usize, "{:?}", plot.lines);
+    }
+
+    #[test]
+    fn names_do_not_lie_on_each_other() {
+        let near: Vec<(f64, f64)> =
+            (0..12).map(|at| (100.0 + f64::from(at) * 0.2, 5.0 + f64::from(at) * 0.05)).collect();
+        let plot = plot(&near, Vec::new());
+        let shown: usize = plot.names.iter().map(|name| name.text.split(", ").count()).sum();
+        assert_eq!(shown, 12, "{:?}", plot.names);
+        for (at, name) in plot.names.iter().enumerate() {
+            assert!(plot.names[..at].iter().all(|other| !name.overlaps(other.place())), "{:?}", plot.names);
+        }
     }
 }

@@ -2,11 +2,12 @@
 
 use peernet_aggregator::{GapRow, Picture, RetentionConfig, RunSummary};
 use peernet_clock::WallTime;
+use peernet_logger::stream::ExperimentPlace;
 
 use super::chip::{Chip, Tone};
 use super::notes::Note;
 use super::{counted, place, rehearsal};
-use crate::numbers::{NONE, count, length, percent, total_ms};
+use crate::numbers::{NONE, count, length, listed_ms, percent};
 use crate::zone::{Moment, Zone};
 
 /// The chip of a run of which retention deletes nothing.
@@ -37,6 +38,23 @@ impl End {
     }
 }
 
+/// Where in its experiment a run belongs.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Labels {
+    pub name: String,
+    pub id: String,
+    /// `Where = cloud, Resize = yes, repeat 2`.
+    pub text: String,
+}
+
+impl Labels {
+    fn of(place: &ExperimentPlace) -> Self {
+        let labels = place.configuration.iter().map(|(axis, value)| format!("{axis} = {value}"));
+        let labels: Vec<String> = labels.chain([format!("repeat {}", place.repeat + 1)]).collect();
+        Self { name: place.name.clone(), id: place.id.clone(), text: labels.join(", ") }
+    }
+}
+
 /// One run.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct RunLine {
@@ -54,8 +72,7 @@ pub(crate) struct RunLine {
     pub p99: String,
     pub rehearsal: Option<Chip>,
     pub kept: Option<Chip>,
-    /// Name and id of its experiment.
-    pub experiment: Option<(String, String)>,
+    pub experiment: Option<Labels>,
 }
 
 /// Why iterations are deleted: `after 7 days`.
@@ -123,7 +140,7 @@ pub(crate) fn end(run: &RunSummary) -> Option<WallTime> {
 
 impl RunLine {
     pub(crate) fn new(run: &RunSummary, picture: &Picture, zone: Zone) -> Self {
-        let quantile = |value: Option<f64>| value.map_or_else(|| NONE.to_owned(), total_ms);
+        let quantile = |value: Option<f64>| value.map_or_else(|| NONE.to_owned(), listed_ms);
         let total = run.total.as_ref();
         Self {
             number: run.number,
@@ -140,7 +157,7 @@ impl RunLine {
             p99: quantile(total.and_then(|total| total.p99)),
             rehearsal: run.rehearsed.then_some(rehearsal::CHIP),
             kept: run.pinned.then_some(KEPT),
-            experiment: run.experiment.clone().map(|place| (place.name, place.id)),
+            experiment: run.experiment.as_ref().map(Labels::of),
         }
     }
 }
@@ -173,6 +190,19 @@ mod tests {
             ]
         );
         assert!(unrecorded(&[], Zone::Utc).is_empty());
+    }
+
+    #[test]
+    fn a_run_of_an_experiment_shows_its_labels() {
+        let place = |configuration: &[(&str, &str)], repeat| ExperimentPlace {
+            name: "resize".to_owned(),
+            id: "a".to_owned(),
+            configuration: configuration.iter().map(|(a, b)| ((*a).to_owned(), (*b).to_owned())).collect(),
+            repeat,
+        };
+        let labels = Labels::of(&place(&[("Where", "cloud"), ("Resize", "yes")], 1));
+        assert_eq!(labels.text, "Where = cloud, Resize = yes, repeat 2");
+        assert_eq!(Labels::of(&place(&[], 0)).text, "repeat 1");
     }
 
     #[test]

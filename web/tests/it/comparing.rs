@@ -72,11 +72,17 @@ async fn an_experiment_is_compared_with_its_repeats_together() {
     assert!(bed.get("/runs").await.text().contains(">pictures</a>"));
     assert!(bed.get("/compare").await.text().contains(">pictures</a>"));
 
-    factory.store_sizes(2, 100, &[30e3, 150e3, 600e3]).await;
+    factory.store_sizes(2, 100, &[600e3, 30e3, 2_000e3, 150e3]).await;
     let listed = bed.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
     let page = bed.get(&format!("/compare?experiment={id}")).await;
     assert!(page.text().contains("Latency against payload"), "{}", page.text());
+    assert!(page.text().contains("kB sent, logarithmic"), "{}", page.text());
+    let compared = bed.get(&format!("/api/v1/compare?experiment={id}")).await.json();
+    let sizes: Vec<_> =
+        compared["configurations"].as_array().expect("some").iter().map(|one| &one["values"][0]).collect();
+    assert_eq!(sizes, ["30 kB", "150 kB", "600 kB", "2000 kB"], "by value, not by when they ran: {compared}");
+    assert!(bed.get("/runs").await.text().contains("size = 2000 kB, repeat 1"));
 }
 
 #[tokio::test]

@@ -16,6 +16,7 @@ mod thinned;
 mod words;
 
 pub(crate) use probing::ProbeSettings;
+pub use registry::Cloud;
 pub(crate) use registry::{Attached, Links, Near};
 
 #[cfg(test)]

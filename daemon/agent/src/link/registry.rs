@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 
 use futures::FutureExt;
 use peernet_clock::{RelationSettings, SharedClock};
-use peernet_logger::stream::{HostClock, LinkLive};
+use peernet_logger::stream::{Hardware, HostClock, LinkLive};
 use peernet_logger::{HostId, Slug};
 use peernet_networks::{Address, NetworkKind, PeerClock, SessionAccepted};
 use tokio::sync::watch;
@@ -47,11 +47,24 @@ pub(crate) struct Links(Arc<Inner>);
 struct Inner {
     shared: Arc<Shared>,
     open: Mutex<BTreeMap<HostId, Arc<Link>>>,
+    /// The last cloud of each pipeline.
+    served_by: Mutex<BTreeMap<Slug, Cloud>>,
     /// One task per link; it ends with the link's last session.
     tasks: TaskTracker,
     /// Which of them died, and why.
     died: watch::Sender<Option<String>>,
     sessions: AtomicU64,
+}
+
+/// A cloud as it introduced itself.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cloud {
+    /// Decides.
+    pub id: HostId,
+    /// Version of its program.
+    pub version: String,
+    /// What it is made of.
+    pub hardware: Hardware,
 }
 
 /// A session with a cloud, as its link sees it.
@@ -85,6 +98,7 @@ impl Links {
         Self(Arc::new(Inner {
             shared,
             open: Mutex::default(),
+            served_by: Mutex::default(),
             tasks: TaskTracker::new(),
             died: watch::Sender::new(None),
             sessions: AtomicU64::new(0),
@@ -100,6 +114,12 @@ impl Links {
         pipeline: &Slug,
     ) -> Attached {
         let accepted = session.accepted();
+        let cloud = Cloud {
+            id: accepted.host,
+            version: accepted.version.clone(),
+            hardware: accepted.hardware.clone(),
+        };
+        lock(&self.0.served_by).insert(pipeline.clone(), cloud);
         let joining = Session {
             id: self.0.sessions.fetch_add(1, Ordering::Relaxed),
             pipeline: pipeline.clone(),
@@ -126,6 +146,11 @@ impl Links {
         };
         drop(open);
         Attached { link, links: self.clone(), session: id }
+    }
+
+    /// The last cloud of a pipeline, which may be gone.
+    pub(crate) fn served_by(&self, pipeline: &Slug) -> Option<Cloud> {
+        lock(&self.0.served_by).get(pipeline).cloned()
     }
 
     /// All links as they are shown.

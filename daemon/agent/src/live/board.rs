@@ -2,6 +2,7 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use peernet_clock::MonoTime;
 use peernet_logger::stream::{Outcome, PipelineLive, PipelineState, Placement};
 use peernet_logger::{RunId, Slug, Tree};
 
@@ -21,18 +22,30 @@ struct Face {
     run: Option<RunId>,
     placement: Placement,
     ring: Ring,
+    senses_since: Option<MonoTime>,
 }
 
 impl Display {
     /// A pipeline that is starting.
     pub(crate) fn new(pipeline: Slug, load: String, placement: Placement) -> Self {
-        let face = Face { state: PipelineState::Starting, run: None, placement, ring: Ring::default() };
+        let face = Face {
+            state: PipelineState::Starting,
+            run: None,
+            placement,
+            ring: Ring::default(),
+            senses_since: None,
+        };
         Self { pipeline, load, face: Mutex::new(face) }
     }
 
     /// What the pipeline does now.
     pub(crate) fn set_state(&self, state: PipelineState) {
         self.face().state = state;
+    }
+
+    /// Since when the sensor is set up, or asked for a sample on its thread; `None` when it is not.
+    pub(crate) fn set_senses_since(&self, since: Option<MonoTime>) {
+        self.face().senses_since = since;
     }
 
     /// The pipeline began a run.
@@ -87,6 +100,11 @@ impl Board {
     pub(crate) fn look(&self) -> (Vec<PipelineLive>, Receipt) {
         let (pipelines, shown) = self.0.iter().map(|display| display.live()).unzip();
         (pipelines, Receipt(shown))
+    }
+
+    /// Since when a pipeline waits for its sensor, if it does.
+    pub(crate) fn senses_since(&self, pipeline: &Slug) -> Option<MonoTime> {
+        self.0.iter().find(|display| display.pipeline == *pipeline)?.face().senses_since
     }
 
     /// The update of this receipt is on its way: what it held need not be shown again.

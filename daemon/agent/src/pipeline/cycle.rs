@@ -63,6 +63,7 @@ pub(super) struct Cycle<'a> {
 impl<'a> Cycle<'a> {
     pub(super) fn new(line: &'a mut Line, run: &'a mut Run, host: &'a Host) -> Self {
         let (aloft, brake) = (Vec::new(), Brake::default());
+        line.display.set_senses_since(None);
         Self { line, run, host, sensing: None, waiting: None, aloft, ending: None, brake, blind: 0 }
     }
 
@@ -97,7 +98,10 @@ impl<'a> Cycle<'a> {
         let (log, begun) = iteration::begin(clock, self.host.id, start.intended);
         match self.line.senses.begin(log) {
             Sensing::Done(sensed) => self.judge(start, begun, sensed),
-            Sensing::Pending(sample) => self.sensing = Some(Awaited { start, begun, sample }),
+            Sensing::Pending(sample) => {
+                self.sensing = Some(Awaited { start, begun, sample });
+                self.line.display.set_senses_since(Some(begun));
+            }
         }
         true
     }
@@ -125,6 +129,7 @@ impl<'a> Cycle<'a> {
     /// The sensor's thread has answered.
     pub(super) fn sensed(&mut self, sensed: Sensed) {
         if let Some(Awaited { start, begun, .. }) = self.sensing.take() {
+            self.line.display.set_senses_since(None);
             self.judge(start, begun, sensed);
         }
     }

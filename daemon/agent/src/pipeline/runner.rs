@@ -121,9 +121,10 @@ impl Runner {
     async fn assemble(&self) -> Result<Line, String> {
         let (config, display) = (Arc::clone(&self.config), Arc::clone(&self.display));
         let clock = Arc::clone(&self.host.clock);
-        tokio::task::spawn_blocking(move || Line::assemble(config, display, clock))
-            .await
-            .unwrap_or_else(|error| Err(format!("setting up the sensor panicked: {error}")))
+        self.display.set_senses_since(Some(clock.mono()));
+        let assembled = tokio::task::spawn_blocking(move || Line::assemble(config, display, clock)).await;
+        self.display.set_senses_since(None);
+        assembled.unwrap_or_else(|error| Err(format!("setting up the sensor panicked: {error}")))
     }
 
     /// Measures at one placement; midnight begins a new run on the way.

@@ -12,7 +12,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use peernet_inference::{Done, InferenceError, Job, LoadError, Pool};
-use peernet_logger::stream::{Condition, HostClock, IncidentKind};
+use peernet_logger::stream::{Condition, Hardware, HostClock, IncidentKind};
 use peernet_logger::{HostId, Slug};
 use peernet_networks::{
     Announcer, Failure, Incoming, IncomingRequest, Listener, MAX_CONDITIONS, OpenRequest, SessionAccepted,
@@ -25,6 +25,7 @@ use tokio_util::sync::CancellationToken;
 use self::doors::to_peers;
 use crate::host::{Host, VERSION};
 use crate::incidents::Concerning;
+use crate::telemetry;
 
 /// Serves until it is told to stop, and counts the answers. The error is why a port was lost.
 pub(crate) async fn run(
@@ -34,7 +35,8 @@ pub(crate) async fn run(
     stop: CancellationToken,
 ) -> Result<(), String> {
     let named = Named { probes: doors.probes(), instance: doors.instance, built_in: doors.built_in.clone() };
-    let server = Server { host: host.clone(), named, served: Arc::new(served), peers: HashMap::new() };
+    let (served, hardware) = (Arc::new(served), telemetry::hardware());
+    let server = Server { host: host.clone(), named, hardware, served, peers: HashMap::new() };
     let announcer = doors.listener.announcer();
     let announcing = announce(host.own, announcer, stop.clone());
     let reflecting = async {
@@ -137,6 +139,8 @@ struct Peer {
 struct Server {
     host: Host,
     named: Named,
+    /// What this host is made of.
+    hardware: Hardware,
     served: Arc<watch::Sender<Served>>,
     peers: HashMap<SessionId, Peer>,
 }
@@ -161,7 +165,9 @@ impl Server {
             Err(error) => {
                 let reason = error.to_string();
                 let text = format!("refused a session to pipeline {pipeline} of {name}: {reason}");
-                wish.refuse(reason);
+                let asked =
+                    wish.hello.model.as_ref().map_or_else(|| "that is offered".to_owned(), Slug::to_string);
+                wish.refuse(error.to_peer(&asked));
                 self.report(IncidentKind::Refused, host, text);
             }
         }
@@ -180,6 +186,7 @@ impl Server {
             probes: self.named.probes,
             instance: self.named.instance,
             conditions,
+            hardware: self.hardware.clone(),
         }
     }
 

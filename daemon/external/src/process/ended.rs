@@ -9,8 +9,31 @@ use std::process::ExitStatus;
 pub struct Ended {
     /// Exit status or signal; `None` when the system did not tell.
     pub status: Option<ExitStatus>,
+    /// Why this program killed it; `None` when it ended by itself, or another killed it.
+    pub killed: Option<Killed>,
     /// The last lines of its standard error, oldest first.
     pub last_lines: Vec<String>,
+}
+
+/// Why this program killed a process.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Killed {
+    /// It no longer reads what is written to it.
+    ClosedInput,
+    /// Nothing more can be read from it.
+    ClosedOutput,
+    /// It was asked to end and did not.
+    Stayed,
+}
+
+impl Killed {
+    const fn did(self) -> &'static str {
+        match self {
+            Self::ClosedInput => "closed its standard input",
+            Self::ClosedOutput => "closed its standard output",
+            Self::Stayed => "did not end when it was asked to",
+        }
+    }
 }
 
 impl Ended {
@@ -37,7 +60,10 @@ impl Ended {
 
 impl fmt::Display for Ended {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "the process ended with {}", self.in_words())?;
+        match self.killed {
+            Some(killed) => write!(f, "the process {} and was killed", killed.did())?,
+            None => write!(f, "the process ended with {}", self.in_words())?,
+        }
         if !self.last_lines.is_empty() {
             write!(f, "; its last words: {}", self.last_lines.join(" / "))?;
         }

@@ -38,11 +38,11 @@ impl Launch {
         }
     }
 
-    /// The command: three pipes, a process group of its own, and an end when this program ends.
+    /// The command: three pipes, and an end when this program ends.
     pub(super) fn command(&self) -> Command {
         let mut command = Command::new(&self.program);
         command.args(&self.arguments).envs(&self.environment);
-        command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).process_group(0);
+        command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
         if let Some(folder) = &self.folder {
             command.current_dir(folder);
         }

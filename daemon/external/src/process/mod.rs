@@ -2,10 +2,11 @@
 //! output, and what it says on its standard error goes to the log, line by line.
 //!
 //! All calls block the thread that makes them, until a moment the caller gives. A process has a group of its own, which
-//! is ended with it; it also dies with this program, however that ends.
+//! is ended with it, also when it ended by itself, and with this program, however that ends.
 
 mod ended;
 mod error;
+mod group;
 mod launch;
 mod pipe;
 mod restarts;
@@ -13,7 +14,7 @@ mod running;
 mod spawner;
 mod voice;
 
-pub use ended::Ended;
+pub use ended::{Ended, Killed};
 pub use error::ProcessError;
 pub use launch::{Launch, find_program};
 pub use restarts::Restarts;

@@ -10,7 +10,7 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 use rustix::pipe::fcntl_setpipe_size;
 
-use super::ProcessError;
+use super::{Killed, ProcessError};
 
 /// Bytes that a pipe is asked to hold: the most that Linux gives to everybody (`fs.pipe-max-size`).
 const PIPE_BYTES: usize = 1 << 20;
@@ -26,8 +26,8 @@ const MAX_SLICES: usize = 64;
 /// Why a pipe cannot be used any more.
 #[derive(Debug)]
 pub(super) enum Broken {
-    /// The other end is closed.
-    Closed,
+    /// The other end is closed; `None` when that is because the process is gone.
+    Closed(Option<Killed>),
     TimedOut,
     TooLong(usize),
     Failed(io::Error),
@@ -40,13 +40,16 @@ impl From<Errno> for Broken {
 }
 
 impl Broken {
-    /// As what the caller sees; `None` when the process has to be asked how it ended.
-    pub(super) fn known(self) -> Option<ProcessError> {
+    /// As what the caller sees.
+    ///
+    /// # Errors
+    /// Which end is closed, when the process has to be asked how it ended.
+    pub(super) fn known(self) -> Result<ProcessError, Option<Killed>> {
         match self {
-            Self::Closed => None,
-            Self::TimedOut => Some(ProcessError::TimedOut),
-            Self::TooLong(most) => Some(ProcessError::TooLong(most)),
-            Self::Failed(error) => Some(ProcessError::Pipe(error)),
+            Self::Closed(end) => Err(end),
+            Self::TimedOut => Ok(ProcessError::TimedOut),
+            Self::TooLong(most) => Ok(ProcessError::TooLong(most)),
+            Self::Failed(error) => Ok(ProcessError::Pipe(error)),
         }
     }
 }
@@ -82,7 +85,7 @@ impl Wait<'_> {
             poll(&mut watched[..N], Some(&Timespec::default()))?;
         }
         let ready = std::array::from_fn(|at| !watched[at].revents().is_empty());
-        if ready.contains(&true) { Ok(ready) } else { Err(Broken::Closed) }
+        if ready.contains(&true) { Ok(ready) } else { Err(Broken::Closed(None)) }
     }
 
     /// Waits until one of these is ready.
@@ -123,7 +126,7 @@ pub(super) fn write(
             Ok(written) => IoSlice::advance_slices(&mut left, written),
             Err(Errno::INTR) => {}
             Err(Errno::AGAIN) => wait_to_write(fd, answers, wait)?,
-            Err(Errno::PIPE) => return Err(Broken::Closed),
+            Err(Errno::PIPE) => return Err(Broken::Closed(Some(Killed::ClosedInput))),
             Err(error) => return Err(error.into()),
         }
     }
@@ -177,7 +180,7 @@ impl Reader {
     fn read_into(fd: &OwnedFd, into: &mut Vec<u8>, wait: Wait<'_>) -> Result<(), Broken> {
         loop {
             match rustix::io::read(fd, spare_capacity(into)) {
-                Ok(0) => return Err(Broken::Closed),
+                Ok(0) => return Err(Broken::Closed(Some(Killed::ClosedOutput))),
                 Ok(_) => return Ok(()),
                 Err(Errno::INTR) => {}
                 Err(Errno::AGAIN) => drop(wait.ready([(fd, PollFlags::IN)])?),

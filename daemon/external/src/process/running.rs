@@ -2,16 +2,18 @@
 
 use std::io;
 use std::os::fd::{AsFd, OwnedFd};
-use std::process::{Child, ExitStatus};
+use std::os::unix::process::ExitStatusExt;
+use std::process::ExitStatus;
 use std::time::Duration;
 
 use bytes::Bytes;
 use peernet_clock::{MonoTime, SharedClock, Span};
-use rustix::process::{Pid, PidfdFlags, Signal, kill_process_group, pidfd_open};
+use rustix::process::{PidfdFlags, Signal, pidfd_open};
 
+use super::group::Group;
 use super::pipe::{self, Broken, Reader, Wait};
 use super::voice::Listening;
-use super::{Ended, Launch, ProcessError, spawner};
+use super::{Ended, Killed, Launch, ProcessError};
 
 /// How long a process that closed a pipe is given to end by itself, so that it can be said how.
 const DYING: Span = Span::from_millis(1000);
@@ -21,8 +23,7 @@ const LAST_WORDS: Duration = Duration::from_millis(200);
 /// A process, its pipes, and the thread that listens to its standard error. Dropping it kills it and its group.
 #[derive(Debug)]
 pub struct Process {
-    child: Child,
-    group: Option<Pid>,
+    group: Group,
     /// Tells when it is gone; a kernel before 5.3 has none.
     pidfd: Option<OwnedFd>,
     /// `None` once it has been told that nothing more will come.
@@ -31,6 +32,7 @@ pub struct Process {
     voice: Listening,
     clock: SharedClock,
     status: Option<ExitStatus>,
+    killed: Option<Killed>,
 }
 
 impl Process {
@@ -40,38 +42,40 @@ impl Process {
     /// [`ProcessError::Start`] when the program is not there or cannot be run.
     pub fn start(launch: &Launch, clock: &SharedClock) -> Result<Self, ProcessError> {
         let failed = |error| ProcessError::Start { program: launch.describe(), error };
-        let mut child = spawner::spawn(launch.command()).map_err(failed)?;
-        let missing = || failed(io::Error::other("it came without its pipes"));
+        let mut group = Group::start(launch.command()).map_err(failed)?;
+        let pipes = Self::pipes(&mut group, launch).inspect_err(|_| {
+            // It was killed: what its status is tells nothing more.
+            let _ = group.finish();
+        });
+        let (input, output, voice) = pipes.map_err(failed)?;
+        Ok(Self {
+            pidfd: group.pid().and_then(|pid| pidfd_open(pid, PidfdFlags::empty()).ok()),
+            group,
+            input: Some(input),
+            output: Reader::new(output),
+            voice,
+            clock: SharedClock::clone(clock),
+            status: None,
+            killed: None,
+        })
+    }
+
+    /// Its two pipes, and the thread at the third.
+    fn pipes(group: &mut Group, launch: &Launch) -> io::Result<(OwnedFd, OwnedFd, Listening)> {
+        let missing = || io::Error::other("it came without its pipes");
+        let child = group.leader();
         let input = OwnedFd::from(child.stdin.take().ok_or_else(missing)?);
         let output = OwnedFd::from(child.stdout.take().ok_or_else(missing)?);
         let stderr = child.stderr.take().ok_or_else(missing)?;
-        let prepared = pipe::prepare(&input)
-            .and_then(|()| pipe::prepare(&output))
-            .and_then(|()| Listening::begin(stderr, launch.voice, launch.name.clone()));
-        let group = i32::try_from(child.id()).ok().and_then(Pid::from_raw);
-        match prepared {
-            Ok(voice) => Ok(Self {
-                child,
-                pidfd: group.and_then(|pid| pidfd_open(pid, PidfdFlags::empty()).ok()),
-                group,
-                input: Some(input),
-                output: Reader::new(output),
-                voice,
-                clock: SharedClock::clone(clock),
-                status: None,
-            }),
-            Err(error) => {
-                kill(group);
-                // It was killed: what its status is tells nothing more.
-                let _ = child.wait();
-                Err(failed(error))
-            }
-        }
+        pipe::prepare(&input)?;
+        pipe::prepare(&output)?;
+        let voice = Listening::begin(stderr, launch.voice, launch.name.clone())?;
+        Ok((input, output, voice))
     }
 
     /// Its number.
     pub fn pid(&self) -> u32 {
-        self.child.id()
+        self.group.id()
     }
 
     /// Writes all parts to its standard input, without copying them together.
@@ -84,7 +88,7 @@ impl Process {
                 let wait = waiting(&self.clock, self.pidfd.as_ref(), until);
                 pipe::write(input, parts, &mut self.output, wait)
             }
-            None => Err(Broken::Closed),
+            None => Err(Broken::Closed(None)),
         };
         result.map_err(|broken| self.explain(broken))
     }
@@ -123,28 +127,25 @@ impl Process {
         self.input = None;
         let half = Span::from_nanos(grace.nanos() / 2);
         if !self.ends_within(half) {
-            if let Some(group) = self.group {
-                // It may have gone in between.
-                let _ = kill_process_group(group, Signal::TERM);
-            }
+            self.group.terminate();
             self.ends_within(half);
         }
-        self.reap();
+        self.reap(Some(Killed::Stayed));
         self.ended()
     }
 
     /// What a broken pipe means: asks a process that closed it how it ended.
     fn explain(&mut self, broken: Broken) -> ProcessError {
-        broken.known().unwrap_or_else(|| {
+        broken.known().unwrap_or_else(|closed| {
             self.input = None;
             self.ends_within(DYING);
-            self.reap();
+            self.reap(closed);
             ProcessError::Ended(self.ended())
         })
     }
 
     fn ended(&self) -> Ended {
-        Ended { status: self.status, last_lines: self.voice.last_lines(LAST_WORDS) }
+        Ended { status: self.status, killed: self.killed, last_lines: self.voice.last_lines(LAST_WORDS) }
     }
 
     /// Waits for its end without taking its status. Where the kernel cannot tell, it gets no grace.
@@ -153,28 +154,23 @@ impl Process {
         self.status.is_some() || waiting(&self.clock, self.pidfd.as_ref(), until).is_over()
     }
 
-    /// Kills what is left of the group, then takes the status: in this order, because the number is free afterwards.
-    fn reap(&mut self) {
+    /// Kills what is left of it and its group; `why` is told where it was still there.
+    fn reap(&mut self, why: Option<Killed>) {
         if self.status.is_none() {
-            kill(self.group);
-            self.status = self.child.wait().ok();
+            let ended = self.ends_within(Span::ZERO);
+            self.status = self.group.finish();
+            let by_kill = self.status.is_some_and(|status| status.signal() == Some(Signal::KILL.as_raw()));
+            self.killed = why.filter(|_| !ended && by_kill);
         }
     }
 }
 
 impl Drop for Process {
     fn drop(&mut self) {
-        self.reap();
+        self.reap(None);
     }
 }
 
 fn waiting<'a>(clock: &'a SharedClock, pidfd: Option<&'a OwnedFd>, until: MonoTime) -> Wait<'a> {
     Wait { clock, until, process: pidfd.map(AsFd::as_fd) }
-}
-
-fn kill(group: Option<Pid>) {
-    if let Some(group) = group {
-        // It may be gone already.
-        let _ = kill_process_group(group, Signal::KILL);
-    }
 }

@@ -8,6 +8,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
+use crate::text::printable;
+
 /// Longest line in the log, in bytes; a longer one is cut into several.
 const MAX_LINE: usize = 4096;
 /// Lines that are kept for the report of an end.
@@ -68,7 +70,7 @@ fn remember(last: &Mutex<VecDeque<String>>, line: &str) {
     if last.len() == KEPT_LINES {
         last.pop_front();
     }
-    last.push_back(line[..line.floor_char_boundary(KEPT_BYTES)].to_owned());
+    last.push_back(printable(&line[..line.floor_char_boundary(KEPT_BYTES)]));
 }
 
 /// Calls `say` with each line that is not blank.

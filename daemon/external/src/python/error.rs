@@ -12,7 +12,7 @@ pub enum PythonError {
     /// Not the name of an object.
     #[error(
         "{0:?} does not name a Python object: write module::object, such as camera::Camera for the class Camera in \
-         camera.py; the folder goes into folder"
+         camera.py"
     )]
     Name(String),
     /// A value is beyond its upper limit.
@@ -34,7 +34,7 @@ pub enum PythonError {
     /// The module is in none of the places where Python looks.
     #[error(
         "there is no Python module {module}: looked in {} and where {python} has its packages; write {module}.py there, \
-         install it, or name its folder with folder", .folder.display()
+         install it, or start in its folder (a configuration names one with folder = \"…\")", .folder.display()
     )]
     NoModule {
         /// The module.

@@ -4,6 +4,7 @@ use peernet_sample::{Description, Part};
 use serde::{Deserialize, Serialize};
 
 use super::{Images, Role, Stage};
+use crate::text::words;
 
 /// What every frame begins with, so that anything else on the pipe is noticed.
 pub(super) const MARK: [u8; 4] = *b"PN1\n";
@@ -37,9 +38,17 @@ pub(super) enum Reply {
     /// A sensor has no more.
     Over { stages: Vec<(Stage, i64, i64)> },
     /// The user's code raised an exception.
-    Raised { text: String, stages: Vec<(Stage, i64, i64)> },
+    Raised {
+        #[serde(deserialize_with = "words")]
+        text: String,
+        stages: Vec<(Stage, i64, i64)>,
+    },
     /// A value cannot cross.
-    Refused { text: String, stages: Vec<(Stage, i64, i64)> },
+    Refused {
+        #[serde(deserialize_with = "words")]
+        text: String,
+        stages: Vec<(Stage, i64, i64)>,
+    },
 }
 
 /// A part without its bytes.

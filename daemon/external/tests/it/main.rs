@@ -1,3 +1,4 @@
 //! Users' Python objects and programs, run for real.
 
+mod processes;
 mod python;

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use peernet_clock::{ClockIdentity, Discipline, RehearsalDescription};
-use peernet_logger::stream::Condition;
+use peernet_logger::stream::{Condition, Hardware};
 use peernet_logger::{HostId, Slug};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -16,6 +16,10 @@ pub const PROTOCOL: u16 = 4;
 
 /// Most findings about a host that a peer may tell.
 pub const MAX_CONDITIONS: usize = 32;
+/// Most accelerators of a peer that are kept.
+const MAX_GPUS: usize = 16;
+/// Most characters of each of the peer's words about its hardware that are kept.
+const MAX_WORDS: usize = 128;
 
 /// A session, by the random id that the cloud gave it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -82,6 +86,10 @@ pub struct SessionAccepted {
     /// whole message unreadable.
     #[serde(deserialize_with = "few")]
     pub conditions: Vec<Condition>,
+    /// What the cloud is made of. Of what comes over the wire the first 128 characters of each word and 16 accelerators
+    /// are kept.
+    #[serde(deserialize_with = "short")]
+    pub hardware: Hardware,
 }
 
 /// What a cloud tells of its wall clock: when a session opens, and whenever it changes. On the wire a claim whose
@@ -115,6 +123,21 @@ fn few<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Condition>, D::
         advice: printable(advice),
     };
     Ok(conditions.into_iter().map(clean).collect())
+}
+
+/// What a peer says it is made of, which ends up in files and on pages.
+fn short<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Hardware, D::Error> {
+    let Hardware { cpu, cores, memory_bytes, gpus, system, architecture } =
+        Hardware::deserialize(deserializer)?;
+    let short = |text: String| printable(text.chars().take(MAX_WORDS).collect());
+    Ok(Hardware {
+        cpu: short(cpu),
+        cores,
+        memory_bytes,
+        gpus: gpus.into_iter().take(MAX_GPUS).map(short).collect(),
+        system: short(system),
+        architecture: short(architecture),
+    })
 }
 
 /// A peer's claim, from which intervals are computed here: one that ends before it begins is none.

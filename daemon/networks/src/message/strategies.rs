@@ -3,7 +3,7 @@
 use peernet_clock::{
     ClockIdentity, DelaySource, Discipline, Interval, RehearsalDescription, RehearsedStep, Span, WallTime,
 };
-use peernet_logger::stream::{Condition, Grade};
+use peernet_logger::stream::{Condition, Grade, Hardware};
 use peernet_logger::{HostId, Slug};
 use peernet_sample::{Description, ElementType, MediaType, PixelFormat};
 use proptest::prelude::*;
@@ -69,10 +69,11 @@ pub(crate) fn peer_clock() -> impl Strategy<Value = PeerClock> {
 pub(crate) fn accepted() -> impl Strategy<Value = SessionAccepted> {
     let facts = proptest::collection::vec((".{0,12}", ".{0,12}"), 0..4);
     let clocks = (clock(), peer_clock(), any::<(Option<u16>, u64)>());
-    let words = (".{0,12}", ".{0,12}", facts, proptest::collection::vec(condition(), 0..4));
+    let conditions = proptest::collection::vec(condition(), 0..4);
+    let words = (".{0,12}", ".{0,12}", facts, conditions, hardware());
     (host(), slug(), clocks, slug(), words).prop_map(
         |(host, name, (clock, host_clock, (probes, instance)), model, words)| {
-            let (version, device, facts, conditions) = words;
+            let (version, device, facts, conditions, hardware) = words;
             SessionAccepted {
                 host,
                 name,
@@ -85,7 +86,22 @@ pub(crate) fn accepted() -> impl Strategy<Value = SessionAccepted> {
                 probes,
                 instance,
                 conditions,
+                hardware,
             }
+        },
+    )
+}
+
+fn hardware() -> impl Strategy<Value = Hardware> {
+    let gpus = proptest::collection::vec(words(), 0..3);
+    (words(), any::<(u32, u64)>(), gpus, words(), words()).prop_map(
+        |(cpu, (cores, memory_bytes), gpus, system, architecture)| Hardware {
+            cpu,
+            cores,
+            memory_bytes,
+            gpus,
+            system,
+            architecture,
         },
     )
 }

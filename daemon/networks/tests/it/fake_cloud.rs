@@ -45,6 +45,7 @@ impl FakeCloud {
             probes: None,
             instance: 1,
             conditions: Vec::new(),
+            hardware: Box::default(),
         };
         Header::Accepted { protocol, session, accepted, max_message_bytes: 1_000_000, max_in_flight: 8 }
     }

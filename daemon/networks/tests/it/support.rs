@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
+use peernet_logger::stream::Hardware;
 use peernet_logger::{HostId, Recorder};
 use peernet_networks::{
     Address, Exchange, Incoming, IncomingRequest, Listener, NetworkKind, OpenError, OpenRequest, PROTOCOL,
@@ -52,6 +53,7 @@ pub(crate) fn accepted(host: HostId) -> SessionAccepted {
         probes: Some(8620),
         instance: 4,
         conditions: Vec::new(),
+        hardware: Hardware::default(),
     }
 }
 

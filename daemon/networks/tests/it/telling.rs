@@ -1,6 +1,6 @@
 //! What hello and its answer carry beside identities.
 
-use peernet_logger::stream::{Condition, Grade};
+use peernet_logger::stream::{Condition, Grade, Hardware};
 use peernet_networks::{MAX_CONDITIONS, PROTOCOL};
 use zeromq::Options;
 
@@ -61,4 +61,38 @@ async fn what_was_found_of_the_cloud_arrives_few_and_fit_to_print() {
         advice: "set it to performance".into(),
     };
     assert_eq!(session.accepted().conditions, vec![expected; MAX_CONDITIONS]);
+}
+
+#[tokio::test]
+async fn what_the_cloud_is_made_of_arrives_short_and_fit_to_print() {
+    let cloud = FakeCloud::start().await;
+    let address = cloud.address.clone();
+    let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
+    let (to, _) = cloud.hear().await;
+    let Header::Accepted { protocol, session, accepted, max_message_bytes, max_in_flight } =
+        FakeCloud::accepted(Id::from([3; 16]), PROTOCOL)
+    else {
+        panic!("not accepted")
+    };
+    let hardware = wire::Hardware {
+        cpu: "x".repeat(5_000),
+        cores: 64,
+        memory_bytes: 1 << 40,
+        gpus: vec!["a card\u{1b}[2J".into(); 5_000],
+        system: "a system".into(),
+        architecture: "x86_64".into(),
+    };
+    let accepted = wire::Accepted { hardware: Box::new(hardware), ..accepted };
+    let answer = Header::Accepted { protocol, session, accepted, max_message_bytes, max_in_flight };
+    cloud.say(&to, &answer, Vec::new()).await;
+    let session = within(edge).await.expect("no panic").expect("accepted");
+    let expected = Hardware {
+        cpu: "x".repeat(128),
+        cores: 64,
+        memory_bytes: 1 << 40,
+        gpus: vec!["a card [2J".into(); 16],
+        system: "a system".into(),
+        architecture: "x86_64".into(),
+    };
+    assert_eq!(session.accepted().hardware, expected);
 }

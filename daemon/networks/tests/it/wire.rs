@@ -69,6 +69,17 @@ pub(crate) struct Accepted {
     pub(crate) probes: Option<u16>,
     pub(crate) instance: u64,
     pub(crate) conditions: Vec<Condition>,
+    pub(crate) hardware: Box<Hardware>,
+}
+
+#[derive(Clone, Default, Serialize, Deserialize, Debug)]
+pub(crate) struct Hardware {
+    pub(crate) cpu: String,
+    pub(crate) cores: u32,
+    pub(crate) memory_bytes: u64,
+    pub(crate) gpus: Vec<String>,
+    pub(crate) system: String,
+    pub(crate) architecture: String,
 }
 
 #[derive(Clone, Serialize, Deserialize, Debug)]

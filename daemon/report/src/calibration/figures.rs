@@ -2,7 +2,7 @@
 
 use super::Study;
 use super::direction::{DirectionStudy, SizeSummary};
-use crate::figure::{DOWNLOAD, Mark, Scaling, Series, UPLOAD, Unit, Value};
+use crate::figure::{DOWNLOAD, Mark, Parts, Scaling, Series, UPLOAD, Unit, Value};
 use crate::number::{megabytes_per_second, megabytes_per_second_between, milliseconds_with};
 
 /// Delay against size, with the lines that were fitted; `None` when no delay is known.
@@ -23,7 +23,7 @@ pub(super) fn latency(study: &Study) -> Option<Scaling> {
     scaling(
         study,
         unit,
-        "point: median · bar: 5th to 95th percentile · whisker: clock bounds",
+        Parts { point: "median", whisker: "clock bounds", line: "best fit" },
         &value,
         &name,
         &line,
@@ -49,7 +49,7 @@ pub(super) fn throughput(study: &Study) -> Option<Scaling> {
     scaling(
         study,
         unit,
-        "point: size ÷ median delay · whisker: by clock bounds · line: by slope",
+        Parts { point: "size ÷ median delay", whisker: "by clock bounds", line: "by slope" },
         &value,
         &name,
         &line,
@@ -59,12 +59,13 @@ pub(super) fn throughput(study: &Study) -> Option<Scaling> {
 fn scaling(
     study: &Study,
     unit: Unit,
-    note: &'static str,
+    parts: Parts,
     value: &dyn Fn(&SizeSummary) -> Option<Value>,
     name: &dyn Fn(&DirectionStudy) -> Option<String>,
     line: &dyn Fn(&DirectionStudy) -> Option<(f64, f64)>,
 ) -> Option<Scaling> {
     let looks = [(UPLOAD, Mark::Disc), (DOWNLOAD, Mark::Triangle)];
+    let title = format!("{} against size", unit.title.split(',').next().unwrap_or_default());
     let series = study.directions().into_iter().zip(looks).map(|(direction, (colour, mark))| Series {
         name: name(direction).unwrap_or_else(|| direction.name().to_owned()),
         colour,
@@ -72,6 +73,6 @@ fn scaling(
         values: direction.sizes.iter().filter_map(value).collect(),
         line: line(direction),
     });
-    let scaling = Scaling { unit, note, series: series.collect() };
+    let scaling = Scaling { title, unit, parts, notes: Vec::new(), series: series.collect() };
     scaling.series.iter().any(|series| !series.values.is_empty()).then_some(scaling)
 }

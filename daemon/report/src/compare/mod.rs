@@ -5,12 +5,16 @@
 //!                          blocks ── bootstrap ─────┴─ Differences (two lines of it)
 //! ```
 
+mod accuracy;
 mod blocks;
 mod bootstrap;
+mod columns;
 mod configuration;
 mod differences;
+mod doubts;
 mod render;
 
+pub use accuracy::{ACCURACIES, Accuracy};
 pub use bootstrap::{Difference, Statistic, difference};
 pub use differences::{Differences, StageDifference};
 
@@ -25,6 +29,9 @@ pub const LATENCIES: [&str; 6] = ["sensing", "upload", "inference", "download", 
 
 /// The seed where none is given: the same runs give the same figures.
 pub const SEED: u64 = 1;
+
+/// Less than this share of iterations with a known delay is told.
+const NEARLY_ALL: f64 = 0.95;
 
 /// What becomes of repeats of one configuration.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -45,10 +52,16 @@ pub struct Comparison {
     pub lines: Vec<Line>,
     /// The line with the smallest mean of [`by`](Self::by); `None` for a single line, or when none was measured.
     pub best: Option<usize>,
-    /// Lines of which it is not known, with 95 % confidence, that they differ from the best.
+    /// Lines that, with 95 % confidence, cannot be told from the best.
     pub ties: Vec<usize>,
+    /// Lines of which nobody can say whether they differ from the best: they, or the best, have too few iterations.
+    pub untested: Vec<usize>,
     /// What the best is the best of: `total`, or `stages-total` where not all runs have the former.
     pub by: &'static str,
+    /// What else differs among the runs, in sentences.
+    pub rest: Vec<String>,
+    /// What is wrong with the results, in sentences: files that are not whole, numbers that are none.
+    pub doubts: Vec<String>,
 }
 
 /// One configuration.
@@ -56,16 +69,22 @@ pub struct Comparison {
 pub struct Line {
     /// What distinguishes it: as many labels as there are axes.
     pub labels: Vec<String>,
-    /// The runs that are taken together, as numbers of what was given.
+    /// The results that are taken together, as numbers of what was given.
     pub runs: Vec<usize>,
+    /// How many runs they are of: those of edges that were measured at once are of one.
+    pub repeats: usize,
+    /// The most edges that were measured at once.
+    pub edges: usize,
     /// How many iterations count.
     pub count: u64,
     /// How many did not end with an answer, warm-up left out.
     pub unanswered: u64,
     /// The latencies in the order of [`LATENCIES`]; `None` where no iteration that counts has one.
     pub latencies: [Option<Latency>; LATENCIES.len()],
-    /// Every run's values of what the best is found by, in order.
-    deciding: Vec<Vec<f64>>,
+    /// How often it was right, in the order of [`ACCURACIES`]; `None` where nobody knew the right answers.
+    pub accuracies: [Option<Accuracy>; ACCURACIES.len()],
+    /// The values of what the best is found by of every result, in order, and which of the repeats it is of.
+    deciding: Vec<(usize, Vec<f64>)>,
 }
 
 /// A latency of a configuration, seconds.
@@ -87,7 +106,7 @@ impl Comparison {
 
     /// Compares runs. The seed is for what decides ties.
     pub fn with(runs: &[Loaded], repeats: Repeats, seed: u64) -> Self {
-        let mut configurations = Configurations::of(runs);
+        let (mut configurations, rest) = Configurations::and_the_rest(runs);
         if repeats == Repeats::Apart {
             configurations.add_repeats(runs);
         }
@@ -103,7 +122,8 @@ impl Comparison {
             }
         }
         lines.iter_mut().for_each(|line| line.fill(runs, by));
-        let mut this = Self { axes, lines, best: None, ties: Vec::new(), by };
+        let (ties, untested, doubts) = (Vec::new(), Vec::new(), doubts::sentences(runs, &lines));
+        let mut this = Self { axes, lines, best: None, ties, untested, by, rest, doubts };
         this.mark(seed);
         this
     }
@@ -113,26 +133,40 @@ impl Comparison {
             self.lines.iter().enumerate().filter_map(|(at, line)| Some((at, line.latency(self.by)?.mean)));
         let best = means.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(at, _)| at);
         let Some(best) = best.filter(|_| self.lines.len() > 1) else { return };
-        let tied = |at: &usize| {
-            let (best, other) = (&self.lines[best].deciding, &self.lines[*at].deciding);
-            let difference = difference(best, other, Statistic::Mean, seed);
-            // Too few values to tell are no difference either.
-            difference.is_some_and(|difference| difference.is_distinct() != Some(true))
-        };
-        self.ties = (0..self.lines.len()).filter(|at| *at != best).filter(tied).collect();
+        let values =
+            |at: usize| self.lines[at].deciding.iter().map(|(_, values)| values.clone()).collect::<Vec<_>>();
+        let of_best = values(best);
+        for at in (0..self.lines.len()).filter(|at| *at != best) {
+            let Some(difference) = difference(&of_best, &values(at), Statistic::Mean, seed) else { continue };
+            match difference.is_distinct() {
+                Some(true) => {}
+                Some(false) => self.ties.push(at),
+                None => self.untested.push(at),
+            }
+        }
         self.best = Some(best);
     }
 }
 
 impl Line {
     fn new(labels: Vec<String>, run: usize) -> Self {
-        let latencies = [None; LATENCIES.len()];
-        Self { labels, runs: vec![run], count: 0, unanswered: 0, latencies, deciding: Vec::new() }
+        Self {
+            labels,
+            runs: vec![run],
+            repeats: 1,
+            edges: 1,
+            count: 0,
+            unanswered: 0,
+            latencies: [None; LATENCIES.len()],
+            accuracies: [None; ACCURACIES.len()],
+            deciding: Vec::new(),
+        }
     }
 
     fn fill(&mut self, runs: &[Loaded], by: &str) {
         let mut moments = [Moments::default(); LATENCIES.len()];
-        for rows in self.runs.iter().map(|run| &runs[*run].rows) {
+        let mut repeats: Vec<Option<u32>> = Vec::new();
+        for Loaded { record, rows, .. } in self.runs.iter().map(|run| &runs[*run]) {
             for row in rows.iter().filter(|row| row.counts()) {
                 self.count += 1;
                 for (moments, name) in moments.iter_mut().zip(LATENCIES) {
@@ -143,11 +177,27 @@ impl Line {
                 }
             }
             self.unanswered += rows.iter().filter(|row| !row.warm_up && !row.counts()).count() as u64;
-            self.deciding.push(values(rows, by));
+            let repeat = record.experiment.as_ref().map(|place| place.repeat);
+            let known = repeats.iter().position(|other| *other == repeat);
+            let repeat = known.unwrap_or_else(|| {
+                repeats.push(repeat);
+                repeats.len() - 1
+            });
+            self.deciding.push((repeat, values(rows, by)));
         }
+        self.repeats = repeats.len();
+        let of_repeat = |repeat: usize| self.deciding.iter().filter(|(other, _)| *other == repeat).count();
+        self.edges = (0..self.repeats).map(of_repeat).max().unwrap_or(1);
+        self.accuracies =
+            ACCURACIES.map(|column| Accuracy::of(self.runs.iter().map(|run| &runs[*run]), column));
         let latency =
             |moments: Moments| Latency { mean: moments.mean, std: moments.std(), count: moments.count };
         self.latencies = moments.map(|moments| (moments.count > 0).then(|| latency(moments)));
+    }
+
+    /// An accuracy by its name in [`ACCURACIES`].
+    pub fn accuracy(&self, name: &str) -> Option<Accuracy> {
+        ACCURACIES.iter().position(|other| *other == name).and_then(|at| self.accuracies[at])
     }
 
     /// A latency by its name in [`LATENCIES`].

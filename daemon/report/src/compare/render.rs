@@ -1,14 +1,16 @@
 //! Comparisons as tables.
 
 use super::configuration::NOTHING;
-use super::{Comparison, Difference, Differences, LATENCIES, Latency, Line, StageDifference};
+use super::{
+    ACCURACIES, Accuracy, Comparison, Difference, Differences, LATENCIES, Latency, Line, NEARLY_ALL,
+    StageDifference,
+};
 use crate::number::{bound_milliseconds, decimals_within, fixed, milliseconds_between};
-use crate::table::{Table, csv_text};
+use crate::table::{Table, csv_text, in_one_line};
 
 const HEADINGS: [&str; LATENCIES.len()] =
     ["sensing", "upload", "inference", "download", "total (stages)", "total (measured)"];
-/// Less than this share of iterations with a known delay is told.
-const NEARLY_ALL: f64 = 0.95;
+const ACCURACY_HEADINGS: [&str; ACCURACIES.len()] = ["Top-1 (%)", "Top-5 (%)"];
 
 impl Comparison {
     /// For the terminal.
@@ -31,16 +33,25 @@ impl Comparison {
         let mut header: Vec<String> = self.axes.clone();
         header.extend(["runs", "count", "unanswered", "best", "tie"].map(str::to_owned));
         header.extend(LATENCIES.iter().flat_map(|name| [format!("{name}-mean"), format!("{name}-std")]));
+        header.push("edges".to_owned());
+        header
+            .extend(ACCURACIES.iter().flat_map(|name| ["", "-lo", "-hi"].map(|end| format!("{name}{end}"))));
         let row = |(at, line): (usize, &Line)| {
             let flag = |is: bool| u8::from(is).to_string();
             let number = |number: Option<f64>| number.map(|number| number.to_string()).unwrap_or_default();
             let label = |label: &String| if label == NOTHING { String::new() } else { label.clone() };
             let mut cells: Vec<String> = line.labels.iter().map(label).collect();
-            cells
-                .extend([line.runs.len() as u64, line.count, line.unanswered].map(|count| count.to_string()));
-            cells.extend([flag(self.best == Some(at)), flag(self.ties.contains(&at))]);
+            cells.extend([line.repeats as u64, line.count, line.unanswered].map(|count| count.to_string()));
+            let untested = self.untested.contains(&at);
+            let tie = if untested { String::new() } else { flag(self.ties.contains(&at)) };
+            cells.extend([flag(self.best == Some(at)), tie]);
             cells.extend(line.latencies.iter().flat_map(|latency| {
                 [number(latency.map(|latency| latency.mean)), number(latency.and_then(|latency| latency.std))]
+            }));
+            cells.push(line.edges.to_string());
+            cells.extend(line.accuracies.iter().flat_map(|accuracy| {
+                let three = accuracy.map(|Accuracy { share, interval, .. }| [share, interval.0, interval.1]);
+                three.map_or([None; 3], |three| three.map(Some)).map(number)
             }));
             cells
         };
@@ -49,23 +60,31 @@ impl Comparison {
     }
 
     fn table(&self) -> Table {
-        let pooled = self.lines.iter().any(|line| line.runs.len() > 1);
+        let pooled = self.lines.iter().any(|line| line.repeats > 1);
+        let edges = self.lines.iter().any(|line| line.edges > 1);
         let unanswered = self.lines.iter().any(|line| line.unanswered > 0);
         let mut header = self.axes.clone();
         header.extend(pooled.then(|| "runs".to_owned()));
+        header.extend(edges.then(|| "edges".to_owned()));
         header.push("count".to_owned());
         header.extend(unanswered.then(|| "unanswered".to_owned()));
         header.extend(HEADINGS.map(str::to_owned));
+        let right: Vec<usize> = (0..ACCURACIES.len())
+            .filter(|at| self.lines.iter().any(|line| line.accuracies[*at].is_some()))
+            .collect();
+        header.extend(right.iter().map(|at| ACCURACY_HEADINGS[*at].to_owned()));
         let decimals: Vec<usize> = (0..LATENCIES.len()).map(|at| self.decimals(at)).collect();
         let count = |count: u64| fixed(count as f64, 0);
         let row = |line: &Line| {
             let mut cells = line.labels.clone();
-            cells.extend(pooled.then(|| count(line.runs.len() as u64)));
+            cells.extend(pooled.then(|| count(line.repeats as u64)));
+            cells.extend(edges.then(|| count(line.edges as u64)));
             cells.push(count(line.count));
             cells.extend(unanswered.then(|| count(line.unanswered)));
             cells.extend(
                 line.latencies.iter().zip(&decimals).map(|(latency, decimals)| cell(*latency, *decimals)),
             );
+            cells.extend(right.iter().map(|at| share(line.accuracies[*at])));
             cells
         };
         let rows = self.lines.iter().map(row).collect();
@@ -85,7 +104,22 @@ impl Comparison {
              stages, those without a column too; the paper calls it Total."
                 .to_owned(),
         ];
+        if self.lines.iter().any(|line| line.accuracies.iter().any(Option::is_some)) {
+            let text = "Top-1 and Top-5: right answers in %, with the 95 % confidence interval of as many independent samples \
+                        (Wilson).";
+            notes.push(text.to_owned());
+        }
         notes.extend(self.verdict());
+        notes.extend(self.rest.iter().cloned());
+        let edges: Vec<String> = self
+            .lines
+            .iter()
+            .filter(|line| line.edges > 1)
+            .map(|line| format!("{} {} edges", line.name(), line.edges))
+            .collect();
+        if !edges.is_empty() {
+            notes.push(format!("Edges that were measured at once are taken together: {}.", edges.join("; ")));
+        }
         let spread: Vec<String> = self.lines.iter().filter_map(Line::spread).collect();
         if !spread.is_empty() {
             notes.push(format!("Repeats are taken together; their mean totals: {} ms.", spread.join("; ")));
@@ -95,18 +129,30 @@ impl Comparison {
             notes
                 .push(format!("Delays are known of a part of the iterations alone: {}.", unknown.join("; ")));
         }
-        notes
+        notes.extend(self.doubts.iter().cloned());
+        notes.iter().map(|note| in_one_line(note)).collect()
     }
 
     fn verdict(&self) -> Option<String> {
         let best = &self.lines[self.best?];
         let total = if self.by == "total" { "measured" } else { "stages" };
-        let ties: Vec<String> = self.ties.iter().map(|at| self.lines[*at].name()).collect();
-        let ties = if ties.is_empty() {
-            "every other differs from it with 95 % confidence".to_owned()
-        } else {
-            format!("with 95 % confidence it cannot be told from {}", ties.join("; "))
-        };
+        let names =
+            |lines: &[usize]| lines.iter().map(|at| self.lines[*at].name()).collect::<Vec<_>>().join("; ");
+        let others = self.lines.len() - 1;
+        let tested = others - self.untested.len();
+        let mut told = Vec::new();
+        if !self.ties.is_empty() {
+            told.push(format!("with 95 % confidence it cannot be told from {}", names(&self.ties)));
+        } else if tested == others {
+            told.push("every other differs from it with 95 % confidence".to_owned());
+        }
+        if !self.untested.is_empty() {
+            told.push(format!(
+                "too few iterations to tell whether it differs from {}",
+                names(&self.untested)
+            ));
+        }
+        let ties = told.join("; ");
         Some(format!("The smallest mean total ({total}) is that of {}; {ties}.", best.name()))
     }
 }
@@ -121,9 +167,14 @@ impl Line {
 
     /// The smallest and the largest mean of its repeats.
     fn spread(&self) -> Option<String> {
-        (self.runs.len() > 1).then_some(())?;
-        let runs = self.deciding.iter().filter(|run| !run.is_empty());
-        let means: Vec<f64> = runs.map(|run| run.iter().sum::<f64>() / run.len() as f64).collect();
+        (self.repeats > 1).then_some(())?;
+        let values = |repeat: usize| {
+            let of = self.deciding.iter().filter(move |(other, _)| *other == repeat);
+            of.flat_map(|(_, values)| values.iter().copied()).collect::<Vec<f64>>()
+        };
+        let repeats = (0..self.repeats).map(values).filter(|values| !values.is_empty());
+        let means: Vec<f64> =
+            repeats.map(|values| values.iter().sum::<f64>() / values.len() as f64).collect();
         let ends = (means.iter().copied().reduce(f64::min)?, means.iter().copied().reduce(f64::max)?);
         Some(format!("{} {}", self.name(), milliseconds_between(ends)))
     }
@@ -144,6 +195,17 @@ fn cell(latency: Option<Latency>, decimals: usize) -> String {
         Some(Latency { mean, std: None, .. }) => figure(mean),
         Some(Latency { mean, std: Some(std), .. }) => format!("{} ± {}", figure(mean), figure(std)),
     }
+}
+
+/// A share in per cent with its interval.
+fn share(accuracy: Option<Accuracy>) -> String {
+    let percent = |share: f64| fixed(share * 100.0, 1);
+    accuracy.map_or_else(
+        || NOTHING.to_owned(),
+        |Accuracy { share, interval: (lo, hi), .. }| {
+            format!("{} ({} – {})", percent(share), percent(lo), percent(hi))
+        },
+    )
 }
 
 impl Differences {
@@ -198,7 +260,7 @@ impl Differences {
     }
 
     fn heading(&self) -> String {
-        format!("A: {}. B: {}.", self.baseline, self.other)
+        in_one_line(&format!("A: {}. B: {}.", self.baseline, self.other))
     }
 
     fn table(&self) -> Table {

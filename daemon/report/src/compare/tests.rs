@@ -72,13 +72,14 @@ fn the_papers_table_is_what_comes_out() {
     assert_eq!(
         comparison.text(),
         "\
-device  where   network  count  unanswered        sensing          upload       inference       download   total (stages)  total (measured)
-orin    local   —          100           1  0.710 ± 0.001               —  18.550 ± 0.001              —   19.260 ± 0.002    20.260 ± 0.002 *
-cuda:0  remote  lan        100           1  0.760 ± 0.001  17.530 ± 0.001   3.730 ± 0.001  0.370 ± 0.001   22.390 ± 0.004    23.390 ± 0.004
-cuda:0  remote  can        100           1  0.810 ± 0.001  98.280 ± 0.001   3.730 ± 0.001  1.730 ± 0.001  104.550 ± 0.004   105.550 ± 0.004
+device  network  count  unanswered        sensing          upload       inference       download   total (stages)  total (measured)
+orin    —          100           1  0.710 ± 0.001               —  18.550 ± 0.001              —   19.260 ± 0.002    20.260 ± 0.002 *
+cuda:0  lan        100           1  0.760 ± 0.001  17.530 ± 0.001   3.730 ± 0.001  0.370 ± 0.001   22.390 ± 0.004    23.390 ± 0.004
+cuda:0  can        100           1  0.810 ± 0.001  98.280 ± 0.001   3.730 ± 0.001  1.730 ± 0.001  104.550 ± 0.004   105.550 ± 0.004
 
 Latencies: mean ± standard deviation in ms over all iterations that count. Total (stages) is the sum of all stages, those without a column too; the paper calls it Total.
-The smallest mean total (measured) is that of orin, local; every other differs from it with 95 % confidence."
+The smallest mean total (measured) is that of orin; every other differs from it with 95 % confidence.
+Besides, they differ in where: local (orin), remote (cuda:0)."
     );
 }
 
@@ -86,30 +87,18 @@ The smallest mean total (measured) is that of orin, local; every other differs f
 fn every_format_has_every_line() {
     let comparison = Comparison::of(&paper());
     let markdown = comparison.markdown();
-    assert!(
-        markdown.starts_with("| device | where | network | count | unanswered | sensing |"),
-        "{markdown}"
-    );
-    assert!(markdown.contains("| **orin** | **local** | **—** | **100** |"), "{markdown}");
+    assert!(markdown.starts_with("| device | network | count | unanswered | sensing |"), "{markdown}");
+    assert!(markdown.contains("| **orin** | **—** | **100** |"), "{markdown}");
     let latex = comparison.latex();
-    assert!(
-        latex.contains("cuda:0 & remote & can & 100 & 1 & 0.810 $\\pm$ 0.001 & 98.280 $\\pm$ 0.001 &"),
-        "{latex}"
-    );
-    assert!(
-        latex.contains("\\begin{tabular}{lllrrrrrrrr}") && latex.contains("95 \\% confidence"),
-        "{latex}"
-    );
+    assert!(latex.contains("cuda:0 & can & 100 & 1 & 0.810 $\\pm$ 0.001 & 98.280 $\\pm$ 0.001 &"), "{latex}");
+    assert!(latex.contains("\\begin{tabular}{llrrrrrrrr}") && latex.contains("95 \\% confidence"), "{latex}");
     let csv = comparison.csv();
     assert_eq!(csv.lines().count(), 4);
     assert!(
-        csv.starts_with("device,where,network,runs,count,unanswered,best,tie,sensing-mean,sensing-std,"),
+        csv.starts_with("device,network,runs,count,unanswered,best,tie,sensing-mean,sensing-std,"),
         "{csv}"
     );
-    assert!(
-        csv.lines().nth(1).is_some_and(|line| line.starts_with("orin,local,,1,100,1,1,0,0.0007")),
-        "{csv}"
-    );
+    assert!(csv.lines().nth(1).is_some_and(|line| line.starts_with("orin,,1,100,1,1,0,0.0007")), "{csv}");
 }
 
 #[test]
@@ -178,7 +167,7 @@ fn without_a_measured_total_the_stages_decide() {
     let comparison = Comparison::of(&runs);
     assert_eq!((comparison.by, comparison.best), ("stages-total", Some(0)));
     assert!(comparison.lines[0].latency("total").is_none());
-    assert!(comparison.text().contains("The smallest mean total (stages) is that of orin, local;"));
+    assert!(comparison.text().contains("The smallest mean total (stages) is that of orin;"));
 }
 
 #[test]
@@ -210,6 +199,156 @@ fn differences_are_told_stage_by_stage() {
     assert!(csv.lines().nth(2).is_some_and(|line| line.starts_with("lan,can,upload,0.0175")), "{csv}");
     let comparison = Comparison::of(&runs);
     let local = Differences::of_lines(&comparison, &runs, 1, 0, 5);
-    assert_eq!((local.baseline.as_str(), local.other.as_str()), ("cuda:0, remote, lan", "orin, local"));
+    assert_eq!((local.baseline.as_str(), local.other.as_str()), ("cuda:0, lan", "orin"));
     assert!(local.stages.iter().all(|stage| stage.stage != "upload"), "one of them has none");
+}
+
+/// What a published `data.csv` says of itself: its name.
+fn published(file: &str, run: Loaded) -> Loaded {
+    let record = RunRecord { name: file.to_owned(), title: file.to_owned(), ..RunRecord::default() };
+    Loaded { folder: PathBuf::from("results"), record, ..run }
+}
+
+#[test]
+fn runs_of_which_nothing_is_known_are_named_after_their_files() {
+    let stages = [Some(1.0), None, Some(2.0), None];
+    let faster = [Some(1.0), None, Some(1.0), None];
+    let runs = [of("s", "cpu", None, run("mine", stages)), published("theirs", run("x", faster))];
+    let comparison = Comparison::of(&runs);
+    assert_eq!(comparison.axes[0], "run");
+    assert!(comparison.lines.iter().all(|line| line.labels[0] != "—"), "{}", comparison.text());
+    assert_eq!(comparison.lines[1].name(), "theirs");
+    assert!(comparison.text().contains("is that of theirs; every"), "{}", comparison.text());
+    let alone = Comparison::of(&[published("theirs", run("x", stages))]);
+    assert_eq!((alone.axes[0].as_str(), alone.lines[0].name().as_str()), ("run", "theirs"));
+}
+
+#[test]
+fn what_was_not_tested_is_said_to_be_unknown() {
+    let mut runs = paper();
+    runs[1].rows.truncate(30);
+    let comparison = Comparison::of(&runs);
+    assert_eq!((comparison.ties.as_slice(), comparison.untested.as_slice()), ([].as_slice(), [1].as_slice()));
+    let text = comparison.text();
+    assert!(
+        text.contains("is that of orin; too few iterations to tell whether it differs from cuda:0, lan."),
+        "{text}"
+    );
+    assert!(!text.contains("cannot be told") && !text.contains("every other"), "{text}");
+    assert!(comparison.csv().lines().nth(2).is_some_and(|line| line.starts_with("cuda:0,lan,1,24,1,0,,")));
+}
+
+/// An edge of an experiment's run.
+fn edge(name: &str, repeat: u32, folder: &str) -> Loaded {
+    let run = placed(&[], repeat, run(folder, [Some(1.0), Some(2.0), Some(3.0), Some(1.0)]));
+    let edge = HostRecord { name: name.to_owned(), ..HostRecord::default() };
+    Loaded { record: RunRecord { edge, format: 1, ..run.record }, ..run }
+}
+
+#[test]
+fn edges_of_one_run_are_no_repeats() {
+    let mut runs = vec![edge("user-1", 0, "e/runs/1/user-1"), edge("user-2", 0, "e/runs/1/user-2")];
+    let one = Comparison::of(&runs);
+    assert_eq!((one.lines.len(), one.lines[0].repeats, one.lines[0].edges), (1, 1, 2));
+    let text = one.text();
+    assert!(text.contains("edges") && !text.contains("Repeats are"), "{text}");
+    assert!(text.contains("2 edges."), "{text}");
+
+    // Neither are they split beside runs that are none of theirs.
+    runs.extend([edge("user-1", 1, "e/runs/2/user-1"), edge("user-2", 1, "e/runs/2/user-2")]);
+    runs.push(of("s", "cpu", None, run("alone", [Some(1.0), None, Some(2.0), None])));
+    let mixed = Comparison::of(&runs);
+    assert_eq!(
+        mixed.lines.iter().map(|line| line.runs.clone()).collect::<Vec<_>>(),
+        [vec![0, 1, 2, 3], vec![4]]
+    );
+    assert_eq!((mixed.lines[0].repeats, mixed.lines[0].edges), (2, 2));
+    assert!(mixed.lines.iter().all(|line| !line.name().is_empty()), "{}", mixed.text());
+}
+
+#[test]
+fn dissimilar_runs_have_as_few_columns_as_tell_them_apart() {
+    let hash = |digit: &str| ("Model SHA-256".to_owned(), digit.repeat(64));
+    let with = |model: &str, device: &str, network: Option<&str>, facts: [(String, String); 2]| {
+        let run = of(model, device, network, run(model, [Some(1.0), None, Some(2.0), None]));
+        Loaded { record: RunRecord { facts: facts.to_vec(), ..run.record }, ..run }
+    };
+    let library = |folder: &str| ("ONNX Runtime".to_owned(), format!("/opt/{folder}/libonnxruntime.so"));
+    let runs = [
+        with("s", "cpu", None, [hash("a"), library("a")]),
+        with("m", "cuda:0", Some("lan"), [hash("b"), library("b")]),
+        with("l", "cuda:0", Some("lan"), [hash("c"), library("c")]),
+    ];
+    let comparison = Comparison::of(&runs);
+    assert_eq!(comparison.axes, ["model"]);
+    assert_eq!(
+        comparison.rest,
+        [
+            "Besides, they differ in device: cpu (s), cuda:0 (m; l); where: local (s), remote (m; l); network: lan (m; l).",
+            "Their run.json tells what else differs: Model SHA-256, ONNX Runtime.",
+        ]
+    );
+    for text in [comparison.text(), comparison.markdown(), comparison.latex(), comparison.csv()] {
+        assert!(!text.contains("aaaa") && !text.contains("/opt"), "{text}");
+    }
+    // Nothing but a hash tells these apart: their folders' names do.
+    let alike = ["a", "b"].map(|at| {
+        let run = with("s", "cpu", None, [hash(at), library("x")]);
+        let record = RunRecord { format: 1, ..run.record };
+        Loaded { folder: PathBuf::from("results").join(at), record, ..run }
+    });
+    let comparison = Comparison::of(&alike);
+    assert_eq!(
+        (comparison.axes.as_slice(), comparison.lines[1].name().as_str()),
+        (["run".to_owned()].as_slice(), "b")
+    );
+}
+
+#[test]
+fn accuracy_stands_beside_latency() {
+    let mut runs = paper();
+    for row in &mut runs[1].rows {
+        row.values.push(("top-1".into(), if row.iteration % 4 == 0 { 0.0 } else { 1.0 }));
+        row.values.push(("top-5".into(), 1.0));
+    }
+    let comparison = Comparison::of(&runs);
+    let accuracy = comparison.lines[1].accuracy("top-1").expect("known");
+    assert_eq!((accuracy.share, accuracy.count), (0.75, 100));
+    assert_eq!(comparison.lines[0].accuracy("top-1"), None);
+    let text = comparison.text();
+    assert!(text.contains("Top-1 (%)") && text.contains("75.0 (65.7 – 82.5)"), "{text}");
+    assert!(text.contains("100.0 (96.3 – 100.0)") && text.contains("(Wilson)"), "{text}");
+    let csv = comparison.csv();
+    assert!(
+        csv.lines()
+            .next()
+            .is_some_and(|line| line.ends_with(",edges,top-1,top-1-lo,top-1-hi,top-5,top-5-lo,top-5-hi")),
+        "{csv}"
+    );
+    assert!(csv.lines().nth(2).is_some_and(|line| line.contains(",1,0.75,0.65")), "{csv}");
+    assert!(!Comparison::of(&paper()).text().contains("Top-1"), "nobody knew what is right");
+}
+
+#[test]
+fn what_is_wrong_with_the_results_is_told() {
+    let mut broken = run("broken\nline", [Some(1.0), Some(5.0), Some(3.0), Some(1.0)]);
+    assert!(Comparison::of(std::slice::from_ref(&broken)).doubts.is_empty());
+    let value = |row: &mut Row, name: &str, to: Option<f64>| {
+        row.values.retain(|(other, _)| other != name);
+        row.values.extend(to.map(|to| (name.to_owned().into(), to)));
+    };
+    value(&mut broken.rows[20], "upload", None);
+    value(&mut broken.rows[21], "upload", Some(f64::INFINITY));
+    value(&mut broken.rows[22], "sensing", Some(f64::NEG_INFINITY));
+    broken.record.format = 1;
+    broken.record.counts = crate::results::Counts::of(&broken.rows, 0);
+    broken.record.counts.ok += 4;
+    let other = run("other", [Some(1.0), Some(5.0), Some(3.0), Some(1.0)]);
+    let text = Comparison::of(&[broken, other]).text();
+    for told in [
+        "Results are not whole: results/broken line: data.csv has 106 of the 110 iterations that run.json counts.",
+        "sensing of broken line 1 of 100 iterations; upload of broken line 2 of 100 iterations",
+    ] {
+        assert!(text.contains(told), "{told}: {text}");
+    }
 }

@@ -3,6 +3,7 @@
 //! No system font is needed: the PNG's text is drawn with the font in `assets/`, and the SVG's stays text. What differs
 //! by colour differs by mark, dash or hatch as well.
 
+mod accuracy;
 mod course;
 mod histogram;
 mod kit;
@@ -12,12 +13,13 @@ mod scaling;
 mod stacked;
 mod stage;
 
+pub use accuracy::{Accuracy, Score};
 pub use course::{Course, Line};
 pub use histogram::{Bins, Histogram};
 pub use kit::{DOWNLOAD, Drawn, Figure, FigureError, Fill, Hatch, INK, Mark, Paper, UPLOAD, Unit};
 pub use lengths::Lengths;
 pub use paired::{Group, MOST_GROUPS, MOST_SIDES, Paired};
-pub use scaling::{Scaling, Series, Value};
+pub use scaling::{Parts, Scaling, Series, Value};
 pub use stacked::{Bar, Stacked};
 pub use stage::{UNATTRIBUTED, stage_fill};
 

@@ -25,7 +25,12 @@ pub(super) fn drawings(run: &Loaded, columns: &Columns) -> Result<Vec<Drawing>, 
     }
     let (shortest, longest) = points
         .iter()
-        .fold((f64::INFINITY, 0.0_f64), |(lo, hi), (length, _)| (lo.min(*length), hi.max(*length)));
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), (length, _)| (lo.min(*length), hi.max(*length)));
+    if longest <= shortest {
+        return Err(format!(
+            "all answers have the same length: {x} is {shortest} in every iteration; name another column with --x"
+        ));
+    }
     if columns.x.is_none() && longest < VARIED * shortest {
         return Err(format!("all answers have much the same length ({x}); name another column with --x"));
     }

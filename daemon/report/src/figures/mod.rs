@@ -2,12 +2,14 @@
 //!
 //! ```text
 //! Loaded ─┬─ histograms, length, series      of each run
-//!         └─ stacked, paired, payload        of all together
+//!         └─ stacked, accuracy, paired, payload   of all together
 //! ```
 //!
 //! What figures look like is the business of [`crate::figure`].
 
+mod accuracy;
 mod columns;
+mod configured;
 mod histograms;
 mod length;
 mod paired;
@@ -35,6 +37,8 @@ pub enum Kind {
     Length,
     /// What the stages of each configuration add up to.
     Stacked,
+    /// Accuracy of each configuration against its latency.
+    Accuracy,
     /// A model's latency here and there.
     Paired,
     /// Latency and throughput against payload.
@@ -43,8 +47,15 @@ pub enum Kind {
 
 impl Kind {
     /// Every kind: those of single runs first.
-    pub const ALL: [Self; 6] =
-        [Self::Histograms, Self::Series, Self::Length, Self::Stacked, Self::Paired, Self::Payload];
+    pub const ALL: [Self; 7] = [
+        Self::Histograms,
+        Self::Series,
+        Self::Length,
+        Self::Stacked,
+        Self::Accuracy,
+        Self::Paired,
+        Self::Payload,
+    ];
 
     /// As on the command line.
     pub const fn name(self) -> &'static str {
@@ -53,6 +64,7 @@ impl Kind {
             Self::Series => "series",
             Self::Length => "length",
             Self::Stacked => "stacked",
+            Self::Accuracy => "accuracy",
             Self::Paired => "paired",
             Self::Payload => "payload",
         }
@@ -61,6 +73,15 @@ impl Kind {
     /// Whether each run has one of its own.
     pub const fn is_of_one_run(self) -> bool {
         matches!(self, Self::Histograms | Self::Series | Self::Length)
+    }
+
+    /// Whether a figure of these runs is worth drawing without being asked for: what compares configurations needs two.
+    pub fn is_worth_drawing(self, runs: &[Loaded]) -> bool {
+        match self {
+            Self::Stacked | Self::Accuracy => configured::Configured::of(runs).groups.len() > 1,
+            Self::Paired => runs.len() > 1,
+            Self::Histograms | Self::Series | Self::Length | Self::Payload => !runs.is_empty(),
+        }
     }
 }
 
@@ -84,24 +105,29 @@ pub enum PlotError {
     Write(#[from] WriteError),
 }
 
-/// Draws the six published histograms of a run, `sensing-time` to `download-throughput`, as `.png` and `.svg` into a
-/// folder that is there; returns what was written. A run that sent nothing over a network has those of sensing and
-/// inference alone; one of which there are no values at all says so.
+/// Draws the six published histograms of a run, `sensing-time` to `download-throughput`, and its `series` as `.png` and
+/// `.svg` into a folder that is there; returns what was written. A run that sent nothing over a network has histograms of
+/// sensing and inference alone; one of which there are no values at all says so. A run without any total has no
+/// `series`.
 ///
 /// # Errors
 /// When a file cannot be written.
 pub fn of_run(record: &RunRecord, rows: &[Row], folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
-    written::write(&histograms::published(record, rows), folder)
+    let mut drawings = histograms::published(record, rows);
+    // Without a total there is no course of it.
+    drawings.extend(series::drawings(record, rows).unwrap_or_default());
+    written::write(&drawings, folder)
 }
 
-/// Draws what several runs have together, as far as there is something to show: `stacked`, `paired`, `payload-latency`
-/// and `payload-throughput`.
+/// Draws what several runs have together, as far as there is something to show: `stacked` and `accuracy` of several
+/// configurations, `paired`, `payload-latency` and `payload-throughput`.
 ///
 /// # Errors
 /// When a file cannot be written.
 pub fn of_experiment(runs: &[Loaded], folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
     let mut files = Vec::new();
-    for kind in Kind::ALL.into_iter().filter(|kind| !kind.is_of_one_run()) {
+    let kinds = Kind::ALL.into_iter().filter(|kind| !kind.is_of_one_run() && kind.is_worth_drawing(runs));
+    for kind in kinds {
         match draw(kind, runs, &Columns::default(), folder) {
             Ok(written) => files.extend(written),
             Err(PlotError::Write(error)) => return Err(error),
@@ -125,9 +151,10 @@ pub fn draw(
     let first = runs.first().ok_or_else(|| PlotError::Lacking(kind, "there is no run".to_owned()))?;
     let drawings: Result<Vec<Drawing>, String> = match kind {
         Kind::Histograms => histograms::drawings(first, columns.x.as_deref()),
-        Kind::Series => series::drawings(first),
+        Kind::Series => series::drawings(&first.record, &first.rows),
         Kind::Length => length::drawings(first, columns),
         Kind::Stacked => stacked::drawings(runs),
+        Kind::Accuracy => accuracy::drawings(runs),
         Kind::Paired => paired::drawings(runs, columns.y.as_deref()),
         Kind::Payload => payload::drawings(runs),
     };

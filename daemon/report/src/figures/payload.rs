@@ -2,8 +2,10 @@
 
 use std::collections::BTreeMap;
 
+use super::columns::titled;
 use super::written::{Drawing, Shown};
-use crate::figure::{DOWNLOAD, Mark, Scaling, Series, UPLOAD, Unit, Value};
+use crate::compare::Configurations;
+use crate::figure::{DOWNLOAD, Mark, Parts, Scaling, Series, UPLOAD, Unit, Value};
 use crate::fit::{Fit, Point, Weighted, least_squares};
 use crate::number::{megabytes_per_second, milliseconds_with};
 use crate::order::Ordered;
@@ -28,23 +30,38 @@ struct Way {
     fit: Option<Fit>,
 }
 
+/// The messages over one link.
+struct Study {
+    ways: Vec<Way>,
+    /// For the title.
+    whose: String,
+    notes: Vec<String>,
+}
+
 /// Two figures for each pair of hosts and network.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
-    let mut links: Vec<(String, Vec<&Row>)> = Vec::new();
-    for run in runs {
+    // Runs by link, as their places in the list.
+    let mut links: Vec<(String, Vec<usize>)> = Vec::new();
+    for (number, run) in runs.iter().enumerate() {
         let link = link(&run.record);
-        let rows = run.rows.iter().filter(|row| row.counts());
         match links.iter_mut().find(|(other, _)| *other == link) {
-            Some((_, all)) => all.extend(rows),
-            None => links.push((link, rows.collect())),
+            Some((_, all)) => all.push(number),
+            None => links.push((link, vec![number])),
         }
     }
-    let ways = |rows: &Vec<&Row>| -> Vec<Way> {
-        let ways = ["upload", "download"].map(|name| Way::of(name, rows));
+    let ways = |runs_of: &[usize]| -> Vec<Way> {
+        let rows = runs_of.iter().flat_map(|number| &runs[*number].rows).filter(|row| row.counts());
+        let rows: Vec<&Row> = rows.collect();
+        let ways = ["upload", "download"].map(|name| Way::of(name, &rows));
         ways.into_iter().filter(Way::is_varied).collect()
     };
-    let studied: Vec<Vec<Way>> =
-        links.iter().map(|(_, rows)| ways(rows)).filter(|ways| !ways.is_empty()).collect();
+    let configurations = Configurations::of(runs);
+    let studied = links.into_iter().map(|(_, runs_of)| Study {
+        ways: ways(&runs_of),
+        whose: whose(&runs[runs_of[0]].record),
+        notes: pooled(&configurations, &runs_of).into_iter().collect(),
+    });
+    let studied: Vec<Study> = studied.filter(|study| !study.ways.is_empty()).collect();
     if studied.is_empty() {
         return Err(
             "it needs messages over one network of which the largest has twice the size of the smallest at least; see \
@@ -52,11 +69,11 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
                 .to_owned(),
         );
     }
-    let drawings = studied.iter().enumerate().flat_map(|(number, ways)| {
+    let drawings = studied.iter().enumerate().flat_map(|(number, study)| {
         let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };
-        let latency = Drawing::new(format!("payload-latency{suffix}"), Shown::Scaling(latency(ways)));
+        let latency = Drawing::new(format!("payload-latency{suffix}"), Shown::Scaling(latency(study)));
         let throughput =
-            Drawing::new(format!("payload-throughput{suffix}"), Shown::Scaling(throughput(ways)));
+            Drawing::new(format!("payload-throughput{suffix}"), Shown::Scaling(throughput(study)));
         [latency, throughput]
     });
     Ok(drawings.collect())
@@ -67,6 +84,28 @@ fn link(record: &RunRecord) -> String {
     let cloud = record.cloud.as_ref().map_or("", |cloud| &cloud.name);
     let network = record.placement.network.as_deref().unwrap_or_default();
     format!("{}, {cloud}, {network}", record.edge.name)
+}
+
+/// The two hosts of a link, as far as they have names.
+fn whose(record: &RunRecord) -> String {
+    let hosts =
+        [Some(&record.edge), record.cloud.as_ref()].into_iter().flatten().map(|host| host.name.as_str());
+    hosts.filter(|name| !name.is_empty()).collect::<Vec<_>>().join(" → ")
+}
+
+/// That one line goes through the messages of several runs, and in what these differ; `None` for a single run.
+fn pooled(configurations: &Configurations, runs: &[usize]) -> Option<String> {
+    (runs.len() > 1).then_some(())?;
+    let label = |run: usize, axis: usize| &configurations.labels[run][axis];
+    let differing = configurations.axes.iter().enumerate().filter(|(axis, name)| {
+        *name != "run" && runs.iter().any(|run| label(*run, *axis) != label(runs[0], *axis))
+    });
+    let differing: Vec<&str> = differing.map(|(_, name)| name.as_str()).collect();
+    let count = runs.len();
+    Some(match differing.as_slice() {
+        [] => format!("messages of {count} runs, pooled"),
+        axes => format!("messages of {count} runs, pooled, that differ in {}", axes.join(", ")),
+    })
 }
 
 impl Way {
@@ -139,7 +178,7 @@ fn fit(sizes: &[Size]) -> Option<Fit> {
     least_squares(&points?)
 }
 
-fn latency(ways: &[Way]) -> Scaling {
+fn latency(study: &Study) -> Scaling {
     let value = |size: &Size| {
         Some(Value {
             bytes: size.bytes,
@@ -148,7 +187,7 @@ fn latency(ways: &[Way]) -> Scaling {
             bounds: size.bounds.map(|(lo, hi)| (lo, Some(hi))),
         })
     };
-    let series = ways.iter().enumerate().map(|(number, way)| {
+    let series = study.ways.iter().enumerate().map(|(number, way)| {
         let name = way.fit.map_or_else(
             || way.name.to_owned(),
             |fit| {
@@ -162,13 +201,15 @@ fn latency(ways: &[Way]) -> Scaling {
         Series { line, ..way.series(number, name, &value) }
     });
     Scaling {
+        title: titled("One-way delay against payload", &study.whose),
         unit: Unit::milliseconds("One-way delay"),
-        note: "point: median · bar: 5th to 95th percentile · whisker: clock bounds · line: best fit, intercept ± 95 %",
+        parts: Parts { point: "median", whisker: "clock bounds", line: "best fit, intercept ± 95 %" },
+        notes: study.notes.clone(),
         series: series.collect(),
     }
 }
 
-fn throughput(ways: &[Way]) -> Scaling {
+fn throughput(study: &Study) -> Scaling {
     let rate = |bytes: f64, seconds: f64| (seconds > 0.0).then(|| bytes * 8.0 / seconds);
     let value = |size: &Size| {
         let bounds = size.bounds.and_then(|(lo, hi)| Some((rate(size.bytes, hi)?, rate(size.bytes, lo))));
@@ -179,7 +220,7 @@ fn throughput(ways: &[Way]) -> Scaling {
             bounds,
         })
     };
-    let series = ways.iter().enumerate().map(|(number, way)| {
+    let series = study.ways.iter().enumerate().map(|(number, way)| {
         let slope = way.fit.filter(|fit| fit.slope.value > 0.0).map(|fit| 8.0 / fit.slope.value);
         let name = slope.map_or_else(
             || way.name.to_owned(),
@@ -188,8 +229,10 @@ fn throughput(ways: &[Way]) -> Scaling {
         Series { line: slope.map(|rate| (rate, 0.0)), ..way.series(number, name, &value) }
     });
     Scaling {
+        title: titled("Throughput against payload", &study.whose),
         unit: Unit::megabytes_per_second("Throughput"),
-        note: "point: size ÷ median delay · whisker: by clock bounds · line: by slope",
+        parts: Parts { point: "size ÷ median delay", whisker: "by clock bounds", line: "by slope" },
+        notes: study.notes.clone(),
         series: series.collect(),
     }
 }

@@ -5,7 +5,7 @@ use peernet_logger::stage;
 use super::columns::{account, titled};
 use super::written::{Drawing, Shown};
 use crate::figure::{Course, INK, Line, Unit, stage_fill};
-use crate::results::{Loaded, Outcome, Row};
+use crate::results::{Outcome, Row, RunRecord};
 
 /// So many stages are shown beside the total: those that take longest.
 const STAGES: usize = 4;
@@ -13,8 +13,7 @@ const STAGES: usize = 4;
 const ITERATION: &str = "Iteration";
 
 /// Total and stages over time.
-pub(super) fn drawings(run: &Loaded) -> Result<Vec<Drawing>, String> {
-    let rows = run.rows.as_slice();
+pub(super) fn drawings(record: &RunRecord, rows: &[Row]) -> Result<Vec<Drawing>, String> {
     let (x, time) = times(rows);
     let answered = || rows.iter().filter(|row| row.outcome == Outcome::Ok);
     let line = |column: &str, colour| {
@@ -45,7 +44,7 @@ pub(super) fn drawings(run: &Loaded) -> Result<Vec<Drawing>, String> {
     stages.sort_by_key(|(_, place, _)| *place);
     let first = |pair: &[Row]| (pair[0].episode != pair[1].episode).then(|| time(&pair[1]));
     let course = Course {
-        title: titled("Latency over time", &run.record.title),
+        title: titled("Latency over time", &record.title),
         is_counted: x == ITERATION,
         x: x.to_owned(),
         unit: Unit::milliseconds("Latency"),

@@ -3,26 +3,18 @@
 use peernet_logger::stage;
 use peernet_statistics::Moments;
 
+use super::configured::{Configured, counted};
 use super::written::{Drawing, Shown};
-use crate::compare::Configurations;
 use crate::figure::{Bar, Stacked, UNATTRIBUTED, Unit};
 use crate::number::fixed;
-use crate::results::{Loaded, Row};
+use crate::results::Loaded;
 
 /// Most bars that one picture has.
 const MOST: usize = 100;
 
 /// One bar for each configuration; repeats are taken together.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
-    let Configurations { axes, labels } = Configurations::of(runs);
-    let mut lines: Vec<(String, Vec<&Loaded>)> = Vec::new();
-    for (labels, run) in labels.iter().zip(runs) {
-        let label = labels.join(", ");
-        match lines.iter_mut().find(|(other, _)| *other == label) {
-            Some((_, runs)) => runs.push(run),
-            None => lines.push((label, vec![run])),
-        }
-    }
+    let Configured { axes, groups: lines } = Configured::of(runs);
     let all = || lines.iter().flat_map(|(_, runs)| counted(runs));
     if all().next().is_none() {
         return Err("no iteration counts: all are warm-up or without an answer".to_owned());
@@ -54,10 +46,6 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
         notes,
     };
     Ok(vec![Drawing::new("stacked", Shown::Stacked(stacked))])
-}
-
-fn counted<'a>(runs: &[&'a Loaded]) -> impl Iterator<Item = &'a Row> {
-    runs.iter().flat_map(|run| &run.rows).filter(|row| row.counts()).collect::<Vec<_>>().into_iter()
 }
 
 /// `None` for a configuration without an iteration that counts.

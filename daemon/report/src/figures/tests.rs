@@ -57,7 +57,7 @@ fn a_run_has_the_six_published_histograms() {
     let run = remote(60);
     let files = of_run(&run.record, &run.rows, folder.path()).expect("written");
     let published = HISTOGRAMS.map(|(stem, ..)| [format!("{stem}.png"), format!("{stem}.svg")]).concat();
-    assert_eq!(names(&files), published, "throughputs that were not measured say so");
+    assert_eq!(names(&files), published, "throughputs that were not measured say so; there is no total");
     assert!(files.iter().all(|file| file.is_file()));
     let svg = std::fs::read_to_string(folder.path().join("upload-time.svg")).expect("read");
     for text in
@@ -66,6 +66,17 @@ fn a_run_has_the_six_published_histograms() {
         assert!(svg.contains(text), "{text}: {svg}");
     }
     assert!(std::fs::read_to_string(&files[11]).expect("read").contains("no values"));
+    let timed = run_with_total(20.0);
+    let files = of_run(&timed.record, &timed.rows, folder.path()).expect("written");
+    assert_eq!(names(&files)[12..], ["series.png", "series.svg"]);
+}
+
+fn run_with_total(total: f64) -> Loaded {
+    run(100, |number| {
+        // Right in three of four.
+        let right = f64::from(u8::from(number % 4 != 0));
+        vec![("total", total + number as f64 / 100.0), ("sensing", 1.0), ("upload", 1.0), ("top-1", right)]
+    })
 }
 
 #[test]
@@ -115,6 +126,41 @@ fn stages_add_up_to_the_total() {
 }
 
 #[test]
+fn accuracy_stands_against_latency() {
+    let labelled = |model: &str, total: f64| {
+        let place = placed(model, "local", 1.0).record;
+        Loaded { record: place, ..run_with_total(total) }
+    };
+    let drawings = accuracy::drawings(&[labelled("s", 20.0), labelled("m", 80.0), placed("l", "local", 9.0)]);
+    let drawings = drawings.expect("there are labels");
+    let Shown::Accuracy(figure) = &drawings[0].shown else { panic!("points") };
+    assert_eq!(
+        figure
+            .scores
+            .iter()
+            .map(|score| (score.label.as_str(), score.right, score.count))
+            .collect::<Vec<_>>(),
+        [("s, local", 70, 94), ("m, local", 70, 94)]
+    );
+    assert!(
+        (figure.scores[1].median - 80.53e-3).abs() < 1e-4 && figure.scores[1].p95.is_some(),
+        "{figure:?}"
+    );
+    assert_eq!(figure.notes[1], "left out: 1 without labelled samples");
+    assert!(accuracy::drawings(&[placed("l", "local", 9.0)]).is_err_and(|reason| reason.contains("top-1")));
+}
+
+#[test]
+fn one_configuration_is_not_compared_without_being_asked() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut repeat = [placed("s", "local", 20.0), placed("s", "local", 21.0)];
+    repeat[1].record.experiment.as_mut().expect("an experiment").repeat = 1;
+    assert_eq!(of_experiment(&repeat, folder.path()).expect("nothing to write"), Vec::<PathBuf>::new());
+    let asked = draw(Kind::Stacked, &repeat, &Columns::default(), folder.path()).expect("asked for");
+    assert_eq!(names(&asked), ["stacked.png", "stacked.svg"]);
+}
+
+#[test]
 fn models_are_paired_by_where_they_ran() {
     let runs = [
         placed("s", "remote", 4.0),
@@ -140,7 +186,7 @@ fn payloads_of_several_sizes_are_fitted() {
         let delay = 0.2 + bytes / 1e5 * (1.0 + (number as f64 % 5.0) * 1e-4);
         vec![("upload-bytes", bytes), ("upload", delay), ("download-bytes", 8.0), ("download", 0.1)]
     });
-    let drawings = payload::drawings(&[sized]).expect("sizes differ");
+    let drawings = payload::drawings(std::slice::from_ref(&sized)).expect("sizes differ");
     assert_eq!(
         drawings.iter().map(|drawing| drawing.stem.as_str()).collect::<Vec<_>>(),
         ["payload-latency", "payload-throughput"]
@@ -154,7 +200,15 @@ fn payloads_of_several_sizes_are_fitted() {
     let (intercept, slope) = latency.series[0].line.expect("a line");
     assert!((intercept - 0.2e-3).abs() < 2e-5 && (slope * 1e8 - 1.0).abs() < 0.01, "{intercept} {slope}");
     assert!(latency.series[0].name.contains(" ± ") && latency.series[0].name.contains("MB/s"), "{latency:?}");
+    assert!(latency.title.starts_with("One-way delay against payload") && latency.notes.is_empty());
     assert!(payload::drawings(&[remote(60)]).is_err());
+    let named = |name: &str| {
+        let record = placed(name, "remote", 1.0).record;
+        Loaded { record, folder: "results".into(), rows: sized.rows.clone() }
+    };
+    let drawings = payload::drawings(&[named("s"), named("m")]).expect("sizes differ");
+    let Shown::Scaling(throughput) = &drawings[1].shown else { panic!("a fit") };
+    assert_eq!(throughput.notes, ["messages of 2 runs, pooled, that differ in model"]);
 }
 
 #[test]
@@ -167,8 +221,15 @@ fn lengths_are_tokens_where_there_are_some() {
     let constant = run(60, |_| vec![("download-bytes", 96.0), ("inference", 5.0)]);
     let reason = length::drawings(&constant, &Columns::default()).expect_err("all alike");
     assert!(reason.contains("--x"), "{reason}");
-    let asked = Columns { x: Some("inference".to_owned()), y: Some("download-bytes".to_owned()) };
-    assert!(length::drawings(&constant, &asked).is_ok(), "what was asked for is drawn");
+    let close = run(60, |number| vec![("download-bytes", 96.0 + number as f64 % 3.0), ("inference", 5.0)]);
+    assert!(length::drawings(&close, &Columns::default()).is_err());
+    let asked = Columns { x: Some("download-bytes".to_owned()), y: None };
+    assert!(length::drawings(&close, &asked).is_ok(), "what was asked for is drawn");
+    let nothing = run(60, |_| vec![("download-bytes", 0.0), ("inference", 5.0)]);
+    for columns in [Columns::default(), asked] {
+        let reason = length::drawings(&nothing, &columns).expect_err("a column of points");
+        assert!(reason.contains("download-bytes is 0 in every iteration"), "{reason}");
+    }
 }
 
 #[test]
@@ -177,7 +238,7 @@ fn a_series_shows_what_happened_when() {
     run.rows.iter_mut().filter(|row| !row.values.is_empty()).for_each(|row| {
         row.values.push(("total".into(), 20e-3));
     });
-    let drawings = series::drawings(&run).expect("there is a total");
+    let drawings = series::drawings(&run.record, &run.rows).expect("there is a total");
     let Shown::Course(course) = &drawings[0].shown else { panic!("a course") };
     assert_eq!(course.total.values.len(), 59);
     assert_eq!(
@@ -190,12 +251,13 @@ fn a_series_shows_what_happened_when() {
     assert!(near(course.episodes[0], 1.9) && course.episodes.len() == 3);
     assert!(course.notes[0].starts_with("n = 54 and 5 warm-up"), "{:?}", course.notes);
     run.rows.iter_mut().for_each(|row| row.at = 0.0);
-    let Shown::Course(course) = &series::drawings(&run).expect("there is a total")[0].shown else {
+    let Shown::Course(course) = &series::drawings(&run.record, &run.rows).expect("there is a total")[0].shown
+    else {
         panic!("a course")
     };
     assert_eq!((course.x.as_str(), course.is_counted, course.unanswered[0]), ("Iteration", true, 7.0));
     run.rows.iter_mut().for_each(|row| row.outcome = Outcome::Lost);
-    assert!(series::drawings(&run).is_err());
+    assert!(series::drawings(&run.record, &run.rows).is_err());
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::WriteError;
-use crate::figure::{Course, Figure, Histogram, Lengths, Paired, Scaling, Stacked};
+use crate::figure::{Accuracy, Course, Figure, Histogram, Lengths, Paired, Scaling, Stacked};
 
 /// A figure and the name of its files.
 #[derive(Clone, Debug, PartialEq)]
@@ -21,6 +21,7 @@ pub(super) enum Shown {
     Stacked(Stacked),
     Paired(Paired),
     Scaling(Scaling),
+    Accuracy(Accuracy),
 }
 
 impl Drawing {
@@ -36,6 +37,7 @@ impl Drawing {
             Shown::Stacked(figure) => figure.write(folder, &self.stem),
             Shown::Paired(figure) => figure.write(folder, &self.stem),
             Shown::Scaling(figure) => figure.write(folder, &self.stem),
+            Shown::Accuracy(figure) => figure.write(folder, &self.stem),
         }
     }
 }

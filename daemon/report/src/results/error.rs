@@ -13,6 +13,9 @@ pub enum FolderError {
         .0.display()
     )]
     NotEmpty(PathBuf),
+    /// Another program writes its results there.
+    #[error("another peernet is writing its results to {}; wait for it, end it or name another folder", .0.display())]
+    Busy(PathBuf),
     /// It is a file.
     #[error("{} is no folder", .0.display())]
     NoFolder(PathBuf),

@@ -1,10 +1,12 @@
 //! A folder of results.
 
+use std::fs::File;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::{FolderError, Row, RowWriter, RunRecord};
+use super::{Counts, FolderError, Row, RowWriter, RunRecord};
 use crate::WriteError;
 
 /// What to do when the folder holds something.
@@ -20,10 +22,12 @@ pub enum Overwrite {
     Subfolder,
 }
 
-/// A folder that results are written to.
+/// A folder that results are written to, by this program alone for as long as this is there.
 #[derive(Clone, Debug)]
 pub struct ResultFolder {
     path: PathBuf,
+    /// Holds the lock.
+    _lock: Arc<File>,
 }
 
 /// Where the results are.
@@ -48,13 +52,52 @@ pub struct Loaded {
     pub rows: Vec<Row>,
 }
 
+impl Loaded {
+    /// Why the rows are not all that were measured: `data.csv` has others than `run.json` counts, as when it was cut off
+    /// or changed. `None` where they are, or where nothing counts them.
+    pub fn damage(&self) -> Option<String> {
+        let said = self.record.counts;
+        let is = Counts::of(&self.rows, said.unseen);
+        let is_known = self.record.format > 0 && said != Counts::default();
+        let all = |counts: Counts| {
+            let counts = [counts.ok, counts.failed, counts.lost, counts.timeout, counts.warm_up];
+            counts.into_iter().fold(0, u64::saturating_add)
+        };
+        (is_known && is != said).then(|| match (all(is), all(said)) {
+            (rows, measured) if rows == measured => {
+                "data.csv has other outcomes or another warm-up than run.json counts".to_owned()
+            }
+            (rows, measured) => {
+                format!("data.csv has {rows} of the {measured} iterations that run.json counts")
+            }
+        })
+    }
+}
+
 impl ResultFolder {
     /// Makes the folder ready, or another one as `overwrite` says.
     ///
     /// # Errors
-    /// When it holds something that may not be replaced, is no folder or cannot be made.
+    /// Those of [`Self::take`], and when results in it cannot be removed.
     pub fn create(dir: &Path, overwrite: Overwrite) -> Result<Self, FolderError> {
-        super::ready::create(dir, overwrite).map(|path| Self { path })
+        let folder = Self::take(dir, overwrite)?;
+        if overwrite == Overwrite::Replace {
+            super::ready::clear(folder.path())?;
+        }
+        Ok(folder)
+    }
+
+    /// Takes the folder, or another one as `overwrite` says, for this program; what is to be replaced is still there.
+    ///
+    /// # Errors
+    /// When another program writes there, it holds something that may not be replaced, is no folder or cannot be made.
+    pub fn take(dir: &Path, overwrite: Overwrite) -> Result<Self, FolderError> {
+        super::ready::take(dir, overwrite).map(|(path, lock)| Self { path, _lock: Arc::new(lock) })
+    }
+
+    /// Names of the files that [`Overwrite::Replace`] takes away.
+    pub fn replaced() -> impl Iterator<Item = String> {
+        super::ready::replaced()
     }
 
     /// Where it is.
@@ -80,7 +123,7 @@ impl ResultFolder {
     }
 
     /// Reads results back: of this program, of older versions, or a published `data.csv` that stands alone. The path
-    /// may also be that of a file of rows.
+    /// may also be that of a file of rows. A file that was cut off gives the rows that are whole; [`Loaded::damage`] tells.
     ///
     /// # Errors
     /// When there are none or they cannot be read.

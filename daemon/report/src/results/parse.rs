@@ -71,6 +71,7 @@ impl Reading {
             download: None,
         };
         let mut ways = [Way::default(), Way::default()];
+        let mut unknown_stage = false;
         for ((name, holds), cell) in self.columns.iter().zip(record) {
             let (text, cell) = (cell, cell.trim());
             if cell.is_empty() {
@@ -97,7 +98,9 @@ impl Reading {
                 None if number.is_err() => {}
                 _ => {
                     let number = number.map_err(|_| wrong("number"))?;
-                    if !number.is_nan() {
+                    if number.is_nan() {
+                        unknown_stage |= PUBLISHED_STAGES.contains(&name.as_ref());
+                    } else {
                         row.values.push((name.clone(), number));
                     }
                 }
@@ -108,7 +111,8 @@ impl Reading {
         row.download = down.passage(&row, ["download", "download-bytes", "download-logger-bytes"]);
         if self.sums {
             let stages = || PUBLISHED_STAGES.iter().filter_map(|stage| row.value(stage));
-            if stages().next().is_some() {
+            // What a stage took that is not known is missing in the sum as well.
+            if stages().next().is_some() && !unknown_stage {
                 let sum = stages().sum();
                 row.values.push((columns::column("stages-total"), sum));
             }

@@ -1,5 +1,6 @@
 //! Finding folders of results and making them ready.
 
+use std::fs::{File, TryLockError};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
@@ -18,34 +19,56 @@ const FIGURES: [&str; 6] = [
 /// How deep below a folder results are looked for.
 const DEEPEST: usize = 8;
 
-pub(super) fn create(dir: &Path, overwrite: Overwrite) -> Result<PathBuf, FolderError> {
-    let failed = |path: &Path, error: &std::io::Error| FolderError::Make {
-        path: path.to_owned(),
-        reason: error.to_string(),
+/// A folder that this program alone writes to: an open file of it that holds a lock.
+pub(super) type Taken = (PathBuf, File);
+
+/// Finds the folder that `overwrite` allows and takes it for this program; nothing in it is touched.
+pub(super) fn take(dir: &Path, overwrite: Overwrite) -> Result<Taken, FolderError> {
+    let failed = |path: &Path| {
+        let path = path.to_owned();
+        move |error: std::io::Error| FolderError::Make { path, reason: error.to_string() }
     };
-    let empty = match std::fs::read_dir(dir) {
-        Ok(mut entries) => entries.next().is_none(),
-        Err(error) if error.kind() == ErrorKind::NotFound => true,
-        Err(error) if error.kind() == ErrorKind::NotADirectory => {
-            return Err(FolderError::NoFolder(dir.to_owned()));
-        }
-        Err(error) => return Err(failed(dir, &error)),
-    };
-    match overwrite {
-        _ if empty => {}
-        Overwrite::Refuse => return Err(FolderError::NotEmpty(dir.to_owned())),
-        Overwrite::Replace => clear(dir)?,
-        Overwrite::Subfolder => return subfolder(dir).map_err(|error| failed(dir, &error)),
+    if dir.exists() && !dir.is_dir() {
+        return Err(FolderError::NoFolder(dir.to_owned()));
     }
-    std::fs::create_dir_all(dir).map_err(|error| failed(dir, &error))?;
-    Ok(dir.to_owned())
+    std::fs::create_dir_all(dir).map_err(failed(dir))?;
+    let lock = lock(dir);
+    if overwrite == Overwrite::Replace {
+        return Ok((dir.to_owned(), lock?));
+    }
+    let mut entries = std::fs::read_dir(dir).map_err(failed(dir))?;
+    match (entries.next().is_none(), lock, overwrite) {
+        (true, Ok(lock), _) => Ok((dir.to_owned(), lock)),
+        (_, _, Overwrite::Subfolder) => {
+            let path = subfolder(dir).map_err(failed(dir))?;
+            let lock = self::lock(&path)?;
+            Ok((path, lock))
+        }
+        (false, Ok(_), _) => Err(FolderError::NotEmpty(dir.to_owned())),
+        (_, Err(error), _) => Err(error),
+    }
+}
+
+/// Locks a folder itself: nothing is put into it, and the lock is gone with the program, however that ends.
+fn lock(dir: &Path) -> Result<File, FolderError> {
+    let made = |error: std::io::Error| FolderError::Make { path: dir.to_owned(), reason: error.to_string() };
+    let folder = File::open(dir).map_err(made)?;
+    match folder.try_lock() {
+        Err(TryLockError::WouldBlock) => Err(FolderError::Busy(dir.to_owned())),
+        // Not every network's file system can lock a folder: results are worth more there than the caution.
+        Ok(()) | Err(TryLockError::Error(_)) => Ok(folder),
+    }
+}
+
+/// The files that an earlier run may have left.
+pub(super) fn replaced() -> impl Iterator<Item = String> {
+    let figures = FIGURES.iter().flat_map(|stem| ["png", "svg"].map(|kind| format!("{stem}.{kind}")));
+    [DATA, RECORD].into_iter().chain(SUMMARIES).map(str::to_owned).chain(figures)
 }
 
 /// Takes away what an earlier run left.
-fn clear(dir: &Path) -> Result<(), FolderError> {
-    let figures = FIGURES.iter().flat_map(|stem| ["png", "svg"].map(|kind| format!("{stem}.{kind}")));
-    let ours = [DATA, RECORD].into_iter().chain(SUMMARIES).map(str::to_owned).chain(figures);
-    for path in ours.map(|name| dir.join(name)) {
+pub(super) fn clear(dir: &Path) -> Result<(), FolderError> {
+    for path in replaced().map(|name| dir.join(name)) {
         match std::fs::remove_file(&path) {
             Err(error) if error.kind() != ErrorKind::NotFound => {
                 return Err(crate::WriteError::at(&path)(error).into());

@@ -25,7 +25,7 @@ fn escape(cell: &str) -> String {
     for char in cell.chars() {
         match char {
             '\\' | '|' | '*' | '_' | '`' | '<' | '[' => text.extend(['\\', char]),
-            '\n' | '\r' => text.push(' '),
+            _ if char.is_control() => text.push(' '),
             _ => text.push(char),
         }
     }

@@ -1,6 +1,6 @@
 //! Tables for the terminal: columns as wide as their longest cell.
 
-use super::Table;
+use super::{Table, in_one_line};
 
 /// Rows of cells under a header; the first column is text, the others are figures and stand to the right.
 pub fn text(header: &[&str], rows: &[Vec<String>]) -> String {
@@ -24,6 +24,8 @@ pub(super) fn table(table: &Table) -> String {
 }
 
 fn lines(header: &[String], rows: &[Vec<String>], labels: usize) -> String {
+    let plain = |cells: &[String]| cells.iter().map(|cell| in_one_line(cell)).collect::<Vec<_>>();
+    let (header, rows) = (plain(header), rows.iter().map(|row| plain(row)).collect::<Vec<_>>());
     let width = |column: usize| {
         let cells = rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count());
         cells.chain([header[column].chars().count()]).max().unwrap_or_default()
@@ -37,7 +39,7 @@ fn lines(header: &[String], rows: &[Vec<String>], labels: usize) -> String {
             });
             cells.collect::<Vec<_>>().join("  ").trim_end().to_owned()
         };
-    std::iter::once(line(header)).chain(rows.iter().map(|row| line(row))).collect::<Vec<_>>().join("\n")
+    std::iter::once(line(&header)).chain(rows.iter().map(|row| line(row))).collect::<Vec<_>>().join("\n")
 }
 
 #[cfg(test)]
@@ -66,5 +68,11 @@ mod tests {
             table.text(),
             "model   network   total\ns       LAN        9.50 *\nmedium  5G       100.25"
         );
+    }
+
+    #[test]
+    fn cells_cannot_break_the_table() {
+        let rows = [vec!["a\nb\u{1b}[2J".to_owned(), "1".to_owned()]];
+        assert_eq!(text(&["x\ty", "n"], &rows), "x y      n\na b [2J  1");
     }
 }

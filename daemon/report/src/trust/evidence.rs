@@ -6,7 +6,7 @@ use peernet_clock::Verdict;
 use peernet_logger::stream::Condition;
 use peernet_logger::{Name, stage};
 
-use super::Course;
+use super::{Course, Early};
 use crate::Passage;
 use crate::order::Ordered;
 use crate::results::{Outcome, Row, RunRecord};
@@ -30,6 +30,8 @@ pub struct Evidence {
     pub missing: Vec<Missing>,
     /// What became of the run where it neither finished nor was stopped.
     pub broken: Option<String>,
+    /// How far it came, where that is less than was ordered.
+    pub early: Option<Early>,
     /// Whether the clock of a host was made wrong on purpose.
     pub rehearsed: bool,
     /// The whole of each iteration; a sensor's alone where nothing else is there. `None` without any.
@@ -125,9 +127,11 @@ impl Evidence {
             count: record.counts.unseen,
             reason: "measured, but this program was too busy to take them".to_owned(),
         };
+        let rows_say = Self::of_rows(rows, &conditions);
         Self {
             missing: if unseen.count > 0 { vec![unseen] } else { Vec::new() },
-            ..Self::of_rows(rows, &conditions)
+            early: Early::of(record, rows, &rows_say.counts),
+            ..rows_say
         }
         .ended(Some(&record.reason))
         .with_facts(&record.facts)

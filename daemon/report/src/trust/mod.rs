@@ -9,6 +9,7 @@
 //! judgement and in `docs/trust.md`.
 
 mod course;
+mod early;
 mod evidence;
 mod judge;
 #[cfg(test)]
@@ -18,6 +19,7 @@ mod tests;
 mod trend;
 
 pub use course::{Beginning, Course, Outliers};
+pub use early::{Early, Unit};
 pub use evidence::{Clocks, Counts, Evidence, Missing};
 
 use std::cmp::Reverse;
@@ -66,7 +68,7 @@ pub struct Sentence {
 pub struct Report {
     /// The answer.
     pub verdict: Publish,
-    /// Why, the most harmful first.
+    /// Why, the most harmful first; before all others that a run broke off.
     pub sentences: Vec<Sentence>,
 }
 
@@ -75,8 +77,8 @@ impl Report {
     pub fn of(evidence: &Evidence) -> Self {
         let mut sentences = judge::sentences(evidence);
         // Stable: what is as harmful stays in the order in which it is looked at.
-        sentences.sort_by_key(|sentence| Reverse(sentence.grade));
-        let verdict = match sentences.first().map(|sentence| sentence.grade) {
+        sentences.sort_by_key(|sentence| (sentence.about != judge::END, Reverse(sentence.grade)));
+        let verdict = match sentences.iter().map(|sentence| sentence.grade).max() {
             None | Some(Grade::Good | Grade::Unknown) => Publish::Yes,
             Some(Grade::Doubtful) => Publish::WithRemarks,
             Some(Grade::Bad) => Publish::No,

@@ -223,12 +223,65 @@ fn the_record_adds_what_rows_cannot_know() {
     let report = Report::of(&Evidence::of_run(&record, &rows(quiet(1005))));
     assert_eq!(report.verdict, Publish::No);
     let grades: Vec<Grade> = report.sentences.iter().map(|sentence| sentence.grade).collect();
-    assert!(grades.is_sorted_by(|a, b| a >= b), "the most harmful first: {grades:?}");
+    assert_eq!(report.sentences[0].about, "end", "that a run broke off stands before all else");
+    assert!(grades[1..].is_sorted_by(|a, b| a >= b), "then the most harmful first: {grades:?}");
     assert_eq!(about(&report, "rehearsal").0, Grade::Bad);
     assert_eq!(about(&report, "missing events").0, Grade::Doubtful);
     assert_eq!(about(&report, "end").1, "The run broke off: the model crashed.");
     assert_eq!(about(&report, "CPU governor").1, "On robot, CPU governor: as it is.");
     assert!(report.text().contains("\n    → change it"), "{}", report.text());
+}
+
+#[test]
+fn a_run_that_is_not_what_was_ordered_says_so_first() {
+    let judged = |limit: serde_json::Value, reason: &str| {
+        let record = RunRecord {
+            reason: reason.to_owned(),
+            pipeline: serde_json::json!({ "limit": limit }),
+            ..RunRecord::default()
+        };
+        // 5 of warm-up, 200 measured, one each second.
+        let report = Report::of(&Evidence::of_run(&record, &rows(quiet(205))));
+        (report.verdict, report.sentences[0].text.clone())
+    };
+    let iterations = |count: u32| serde_json::json!({ "iterations": count });
+    let total = serde_json::json!({ "total": 205 });
+    for (limit, reason) in [(iterations(200), "finished"), (total, "stopped"), (iterations(150), "stopped")] {
+        let (_, text) = judged(limit, reason);
+        assert!(!text.starts_with("The run"), "{text}");
+    }
+    let cases = [
+        (400, "stopped", Publish::WithRemarks, "The run was interrupted after 200 of 400 iterations."),
+        (401, "stopped", Publish::No, "The run was interrupted after 200 of 401 iterations."),
+        (
+            210,
+            "the server went",
+            Publish::WithRemarks,
+            "The run broke off after 200 of 210 iterations: the server went.",
+        ),
+        (
+            1000,
+            "the server went",
+            Publish::No,
+            "The run broke off after 200 of 1,000 iterations: the server went.",
+        ),
+        (
+            250,
+            "finished",
+            Publish::WithRemarks,
+            "The run came to its end after 200 of 250 iterations: there was nothing more to measure.",
+        ),
+    ];
+    for (ordered, reason, verdict, text) in cases {
+        assert_eq!(judged(iterations(ordered), reason), (verdict, text.to_owned()));
+    }
+    let minute = serde_json::json!({ "duration_s": 600.0 });
+    let (verdict, text) = judged(minute.clone(), "stopped");
+    assert_eq!(
+        (verdict, text.as_str()),
+        (Publish::No, "The run was interrupted after 199.0 of 600\u{202f}s.")
+    );
+    assert!(!judged(minute, "finished").1.starts_with("The run"), "a duration is as long as the run says");
 }
 
 #[test]

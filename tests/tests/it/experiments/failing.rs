@@ -38,6 +38,28 @@ fn everything_that_is_missing_is_told_before_the_first_run() {
         assert!(ended.log.contains(told), "{told} is not in {}", ended.log);
     }
     assert!(!ended.log.contains("begins") && !lab.results().exists(), "{}", ended.log);
+    for told in [
+        "trying 2 of 4: Model = echo, Peer = tcp://127.0.0.1:9\n",
+        "trying 4 of 4: Model = nowhere, Peer = tcp://127.0.0.1:9: left out, tcp://127.0.0.1:9 is away",
+    ] {
+        assert!(ended.log.contains(told), "{told} is not in {}", ended.log);
+    }
+
+    // Alike in a trial, which is of one iteration after the other: all of them are told.
+    let alike = file.split("[[axis]]").next().expect("what is before the axes").to_owned()
+        + "[[axis]]\nname = 'Model'\nfield = 'pipeline.placement.model'\nvalues = ['echo', 'nowhere']\n\
+           [[axis]]\nname = 'Load'\n[[axis.value]]\nlabel = 'closed'\n[[axis.value]]\nlabel = '5 Hz'\n\
+           set = { 'pipeline.load' = { mode = 'rate', hz = 5.0 } }\n";
+    let ended = lab.run(&alike, &[]).ended();
+    assert_eq!(ended.code(), 69, "{}", ended.log);
+    for told in [
+        "trying 2 of 2: Model = nowhere, Load = closed (and 1 configuration like it)",
+        "2 of 4 configurations cannot be measured",
+        "\n    Model = nowhere, Load = closed\n    Model = nowhere, Load = 5 Hz",
+        "unknown",
+    ] {
+        assert!(ended.log.contains(told), "{told} is not in {}", ended.log);
+    }
 
     let ended = lab.run(file, &["--only", "Model=echo", "--only", "1", "--dry-run"]).ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);

@@ -11,6 +11,7 @@ fn all_of_them_pass_the_check_and_say_how_many_runs_they_make() {
         ("efficientnet", "6 runs of 6 configurations"),
         ("teleoperation", "9 runs of 9 configurations"),
         ("payload-study", "8 runs of 8 configurations"),
+        ("sensor-study", "4 runs of 4 configurations"),
     ] {
         let file = root().join("configs/experiments").join(name).with_extension("toml");
         let arguments = [Path::new("run"), Path::new("--check"), &file];
@@ -20,7 +21,31 @@ fn all_of_them_pass_the_check_and_say_how_many_runs_they_make() {
     }
     let shipped = std::fs::read_dir(root().join("configs/experiments")).expect("it is there");
     let files = shipped.filter(|entry| entry.as_ref().expect("is readable").path().is_file()).count();
-    assert_eq!(files, 4, "each of them stands above");
+    assert_eq!(files, 5, "each of them stands above");
+}
+
+#[test]
+fn an_unknown_key_of_the_devices_is_remarked_once() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let write = |name: &str, text: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).expect("writable");
+        path
+    };
+    let devices = write("devices.yaml", "devices:\n  cloud: 127.0.0.1\nserver: cloud\ncolour: red\n");
+    let file = write(
+        "e.toml",
+        &format!(
+            "[experiment]\nname = 'e'\niterations = 5\n[network]\nconfig = '{}'\n[pipeline]\n\
+             sensor = {{ kind = 'text', length = 10 }}\nplacement = {{ kind = 'remote', peer = 'cloud' }}\n\
+             [[axis]]\nname = 'Length'\nfield = 'pipeline.sensor.length'\nvalues = [1, 2, 3]\n",
+            devices.display()
+        ),
+    );
+    let arguments = [Path::new("run"), Path::new("--check"), &file];
+    let ended = Process::start(&program("peernet"), &arguments, root(), &[]).ended();
+    assert_eq!(ended.code(), 0, "{}", ended.log);
+    assert_eq!(ended.log.matches("passing over colour").count(), 1, "{}", ended.log);
 }
 
 #[test]

@@ -44,6 +44,10 @@ fn three_users_share_one_cloud_and_it_is_told_how_evenly() {
     // One worker, 40 ms each: alone nobody waits, of three one is served and two wait.
     assert!(latency[0] >= 0.04 && latency[1] > latency[0], "{latency:?}");
     assert!(rate[1] <= 25.5, "one worker cannot do more: {rate:?}");
-    // Users of one run are one line of the table.
-    assert_eq!(column(&lab.results().join("compare.csv"), "runs"), ["1", "3"]);
+    // Users of one run are one line of the table, and one run.
+    assert_eq!(column(&lab.results().join("compare.csv"), "runs"), ["1", "1"]);
+    let trust =
+        ended.log.lines().find(|line| line.starts_with("Can they be published?")).expect("it is told");
+    let numbers = trust.split_whitespace().filter_map(|word| word.parse::<u32>().ok());
+    assert_eq!(numbers.sum::<u32>(), 2, "two runs, however many edges: {trust}");
 }

@@ -60,6 +60,13 @@ fn the_published_commands_work_word_for_word() {
         (&record["edge"]["name"], &record["cloud"]["name"]),
         (&"jetson-orin".into(), &"cluster".into())
     );
+    assert_eq!(
+        (&record["pipeline"]["name"], &record["name"]),
+        (&"jetson-orin".into(), &"jetson-orin".into())
+    );
+    let cloud = &record["cloud"];
+    assert_eq!(cloud["hardware"], record["edge"]["hardware"], "both are this machine: {record:#}");
+    assert!(cloud["version"].as_str().is_some_and(|version| !version.is_empty()), "{record:#}");
     assert_eq!(record["model"]["name"], "dummy");
     assert_eq!(record["counts"]["ok"], 7);
     assert!(
@@ -148,6 +155,9 @@ fn a_run_is_on_a_dashboard_as_well_and_its_host_is_known_again() {
         ));
         let (client, server) = (client.ended(), server.ended());
         assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
+        let run = lab.record(results)["run"].as_str().expect("it has an id").to_owned();
+        let said = format!("see the run {run} of jetson-orin on the dashboard of tcp://");
+        assert!(client.log.contains(&said), "{}", client.log);
     }
     let runs = api.until("/api/v1/runs", |found| {
         let runs = found["runs"].as_array()?.clone();

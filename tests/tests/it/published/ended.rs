@@ -43,6 +43,37 @@ fn ctrl_c_ends_a_client_early_and_writes_all_results() {
 }
 
 #[test]
+fn a_session_that_ends_ends_a_client_with_all_results() {
+    let lab = Lab::here();
+    let _server = server(&lab, 1_000_000);
+    let client = endless(&lab, "--result-loc results");
+    client.wait_for("of 1000000");
+    // The shell and the system both send it.
+    client.signal(Signal::HUP);
+    client.wait_for("Ctrl-C again");
+    let ended = client.ended();
+    assert_eq!(ended.code(), 130, "{}", ended.log);
+    assert_eq!(lab.record("results")["reason"], "stopped");
+}
+
+#[test]
+fn a_folder_that_is_being_written_is_left_alone() {
+    let lab = Lab::here();
+    let _server = server(&lab, 1_000_000);
+    let first = endless(&lab, "--result-loc results --overwrite");
+    first.wait_for("of 1000000");
+    let second = endless(&lab, "--result-loc results --overwrite").ended();
+    assert_eq!(second.code(), 69, "{}", second.log);
+    assert!(second.log.contains("another peernet is writing"), "{}", second.log);
+    first.signal(Signal::INT);
+    let first = first.ended();
+    assert_eq!(first.code(), 130, "{}", first.log);
+    let (record, warm_up) = (lab.record("results"), 5);
+    let rows = record["counts"]["ok"].as_u64().expect("a number") + warm_up;
+    assert_eq!(rows, lab.data("results").outcomes("ok") as u64);
+}
+
+#[test]
 fn a_second_ctrl_c_does_not_wait() {
     let lab = Lab::here();
     let _server = lab.server(

@@ -42,6 +42,44 @@ class Camera:
         return b'x' * 100
 ";
 
+const HANGING: &str = "
+import time
+
+class Slow:
+    def sample(self):
+        time.sleep(600)
+
+class Stuck:
+    def __init__(self):
+        time.sleep(600)
+
+    def sample(self):
+        return b'x'
+";
+
+#[test]
+fn a_sensor_that_hangs_is_named() {
+    let lab = Lab::here();
+    std::fs::write(lab.folder().join("my_camera.py"), HANGING).expect("writable");
+    let _server = lab.server(
+        "PEERNet --server --name cluster --network-config net_config.yaml --model-name dummy --iterations 9",
+    );
+    for (class, told) in
+        [("Slow", "the sensor gave no sample for"), ("Stuck", "the sensor is not ready after")]
+    {
+        let client = lab.client(&format!(
+            "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type external \
+             --sensor-object my_camera::{class} --iterations 9 --result-loc results"
+        ));
+        client.wait_for(told);
+        client.signal(rustix::process::Signal::INT);
+        client.wait_for("Ctrl-C again");
+        client.signal(rustix::process::Signal::INT);
+        let ended = client.ended();
+        assert_eq!(ended.code(), 130, "{}", ended.log);
+    }
+}
+
 #[test]
 fn a_sensor_and_a_model_of_ones_own_are_run_where_the_command_line_names_them() {
     let lab = Lab::new();
@@ -103,4 +141,38 @@ fn programs_are_run_where_the_command_line_names_them() {
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
     let sent = lab.data("results").numbers("upload-bytes");
     assert!(sent.len() == 20 && sent.iter().all(|bytes| *bytes == 3072.0), "{sent:?}");
+}
+
+#[test]
+fn what_objects_print_is_passed_on_even_quietly() {
+    let lab = Lab::here();
+    let sensor = "
+class Camera:
+    def sample(self):
+        print('the lens is clean')
+        return b'x' * 100
+";
+    std::fs::write(lab.folder().join("my_camera.py"), sensor).expect("writable");
+    let model = "
+import sys
+
+class Echo:
+    def infer(self, x):
+        print('a picture came', file=sys.stderr)
+        return x
+";
+    std::fs::write(lab.folder().join("my_model.py"), model).expect("writable");
+    let server = lab.server(
+        "PEERNet --server --name cluster --network-config net_config.yaml --model-name my_model::Echo \
+         --iterations 8 --quiet",
+    );
+    let client = lab.client(
+        "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-object my_camera::Camera \
+         --iterations 8 --result-loc results --quiet",
+    );
+    let (client, server) = (client.ended(), server.ended());
+    assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
+    let printed = |log: &str, line: &str| log.lines().filter(|said| *said == line).count();
+    assert!(printed(&client.log, "sensor my_camera::Camera: the lens is clean") >= 8, "{}", client.log);
+    assert_eq!(printed(&server.log, "model my_model-Echo: a picture came"), 8, "{}", server.log);
 }

@@ -2,6 +2,8 @@
 
 use std::net::TcpListener;
 
+use peernet_tests::program;
+
 use super::{Lab, picture};
 
 /// Runs a command that must end with this code and say all of this.
@@ -18,6 +20,7 @@ fn a_wrong_command_line_is_refused() {
     let lab = Lab::here();
     let client = "PEERNet --client --name jetson-orin --network-config net_config.yaml";
     refused(&lab, &format!("{client} --iterations 0"), 64, &["at least 1"]);
+    refused(&lab, &format!("{client} --iterations -5"), 64, &["at least 1"]);
     refused(&lab, &format!("{client} --iterations 5 --network ros"), 64, &["not there yet", "zmq-tcp"]);
     refused(&lab, &format!("{client} --iterations 5 --network zmq-udp"), 64, &["not there yet", "zmq-tcp"]);
     refused(&lab, &format!("{client} --iterations 5 --network carrier-pigeon"), 64, &["zmq-tcp"]);
@@ -69,6 +72,14 @@ fn what_is_not_there_is_named() {
     );
     refused(&lab, &format!("{server} --model-name ./nothing"), 66, &["nothing"]);
 
+    let module = ["no Python module no_such", "no_such.py", "start in its folder"];
+    refused(&lab, &format!("{client} --sensor-object no_such::Camera"), 66, &module);
+    refused(&lab, &format!("{server} --model-name no_such::Model"), 66, &module);
+    std::fs::write(lab.folder().join("hollow.py"), "pass\n").expect("writable");
+    let hollow = lab.client(&format!("{server} --model-name hollow::Model")).ended();
+    assert_eq!(hollow.code(), 69, "{}", hollow.log);
+    assert!(hollow.log.contains("Model") && !hollow.log.contains("answers"), "{}", hollow.log);
+
     let model = peernet_tests::root().join("models/quality-control");
     let by_default = format!("{server} --model-name {}", model.display());
     refused(&lab, &by_default, 69, &["cuda:0", "--device cpu"]);
@@ -97,6 +108,18 @@ fn a_port_in_use_and_a_folder_with_results_are_told() {
 }
 
 #[test]
+fn an_answer_that_cannot_be_written_is_no_success() {
+    for arguments in [["models", "list"], ["completions", "bash"], ["run", "--help"]] {
+        let full = std::fs::OpenOptions::new().write(true).open("/dev/full").expect("there is one");
+        let ended = std::process::Command::new(program("peernet")).args(arguments).stdout(full).output();
+        let ended = ended.expect("the program is there");
+        let told = String::from_utf8_lossy(&ended.stderr);
+        assert_eq!(ended.status.code(), Some(73), "{arguments:?}: {told}");
+        assert_eq!(told.matches("cannot write the result").count(), 1, "{told}");
+    }
+}
+
+#[test]
 fn a_server_that_never_comes_is_given_up() {
     let lab = Lab::here();
     let client = format!(
@@ -106,4 +129,21 @@ fn a_server_that_never_comes_is_given_up() {
     );
     refused(&lab, &client, 69, &["is away", "gave up", "is it running"]);
     assert!(!lab.folder().join("results").exists(), "nothing was measured: there is nothing to keep");
+}
+
+#[test]
+fn a_run_that_does_not_begin_replaces_nothing() {
+    let lab = Lab::here();
+    let results = lab.folder().join("results");
+    std::fs::create_dir(&results).expect("writable");
+    for name in ["data.csv", "run.json", "notes.txt"] {
+        std::fs::write(results.join(name), "earlier\n").expect("writable");
+    }
+    let client = "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 5 \
+                  --sensor-type synthetic --result-loc results --overwrite --patience 1";
+    refused(&lab, client, 69, &["is away", "gave up"]);
+    for name in ["data.csv", "run.json", "notes.txt"] {
+        assert_eq!(std::fs::read_to_string(results.join(name)).expect("is there"), "earlier\n");
+    }
+    assert_eq!(std::fs::read_dir(&results).expect("a folder").count(), 3, "nothing else is left");
 }

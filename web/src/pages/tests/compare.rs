@@ -40,6 +40,15 @@ async fn several_configurations_have_a_table_bars_and_a_plot() {
     let html = page_of(many.collect(), None).await;
     assert_eq!(html.matches("class=\"bar\"").count() - 1, 8);
     assert!(html.contains("Latency against payload") && html.contains("sizes"), "{html}");
+    assert!(
+        html.contains("total of A, B, C, D, E, F, G, H: ") && html.contains("more per MB sent"),
+        "{html}"
+    );
+    assert_eq!(
+        html.matches("<path class=\"fit").count(),
+        2,
+        "one through the totals, one through the uploads"
+    );
     assert!(!html.contains("id=\"cd-h\""));
     assert_eq!(html.matches("<circle class=\"f-upload cut\"").count(), 8);
 }
@@ -52,6 +61,34 @@ async fn accuracies_stand_beside_the_latencies() {
     one.stages.push(top);
     let html = page_of(vec![one, configuration(1, Remote, 1.0, 1e3)], None).await;
     assert!(html.contains(">Top-1</th>") && html.contains(">84.2</td>"), "{html}");
+}
+
+#[tokio::test]
+async fn accuracy_is_drawn_against_the_median_of_the_total() {
+    let with = |at: usize, share: f64| {
+        let mut one = configuration(at, Local, 1.0 + at as f64 * 15.0, 1e3);
+        let mut top = one.stages[0].clone();
+        (top.stage, top.unit, top.figures.mean) = (peernet_logger::Name::from("top-1"), String::new(), share);
+        one.stages.push(top);
+        one
+    };
+    let html = page_of(vec![with(0, 0.7), with(1, 0.842)], None).await;
+    assert!(html.contains("Accuracy against latency") && html.contains("B 84.2\u{202f}% at"), "{html}");
+    assert!(html.contains("median total, ms, logarithmic"), "one takes sixteen times as long: {html}");
+    let html = page_of(vec![with(0, 0.7), configuration(1, Local, 2.0, 1e3)], None).await;
+    assert!(!html.contains("Accuracy against latency"), "one point is no plot");
+}
+
+#[tokio::test]
+async fn too_little_for_an_interval_is_said_with_who_has_how_little() {
+    let two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
+    let (app, _folder) = samples::app().await;
+    let shell = Shell::new(&app, &app.picture(), Place::Runs, "Compare");
+    let courses = (vec![course(0.0241, 3)], vec![course(0.0160, 20)]);
+    let html = rendered(shell, &comparison(two), Some(&courses));
+    check(&html);
+    assert!(html.contains("an interval needs 5 stretches on each side"), "{html}");
+    assert!(html.contains("of total, A has 3 and B has 20: A is too short to tell."), "{html}");
 }
 
 #[tokio::test]

@@ -3,7 +3,7 @@
 use peernet_aggregator::{Bound, RunDetail, RunSummary, StageStatistics, Store};
 use peernet_logger::stream::ExperimentPlace;
 
-use super::{Comparison, Configuration, letter, pool};
+use super::{Comparison, Configuration, letter, order, pool};
 use crate::error::WebError;
 use crate::view::place;
 
@@ -105,6 +105,9 @@ pub(crate) async fn gather(store: &Store, which: &Which) -> Result<Comparison, W
                 bounds: vec![bounds],
             }),
         }
+    }
+    if experiment.is_some() {
+        groups.sort_by(|a, b| order::labels(&a.values, &b.values));
     }
     let configurations = groups.into_iter().enumerate().map(|(at, group)| Configuration {
         letter: letter(at),

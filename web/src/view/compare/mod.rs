@@ -1,6 +1,8 @@
 //! Several runs side by side, from their roll-ups alone.
 
 pub(crate) mod gather;
+mod order;
+mod payload;
 mod pictures;
 mod pool;
 mod table;
@@ -8,8 +10,9 @@ mod table;
 pub(crate) mod tests;
 
 pub(crate) use gather::{MOST_RUNS, Which, gather};
-pub(crate) use pictures::{Pair, StackRow, pairs, payload, stacks};
-pub(crate) use table::{Changed, Table, difference, title};
+pub(crate) use payload::{accuracy, payload};
+pub(crate) use pictures::{Pair, StackRow, pairs, stacks};
+pub(crate) use table::{Changed, Table, difference, title, too_short};
 
 use peernet_aggregator::{Bound, Figures, RunSummary, StageStatistics};
 use peernet_logger::stream::PlacementKind;
@@ -21,7 +24,7 @@ pub(crate) struct Comparison {
     pub experiment: Option<(String, String)>,
     /// What the configurations differ in.
     pub axes: Vec<String>,
-    /// In the order in which they first ran, or as they were asked for.
+    /// An experiment's by their labels, axis by axis; runs as they were asked for.
     pub configurations: Vec<Configuration>,
     /// Whether there were more runs than are compared.
     pub cut: bool,

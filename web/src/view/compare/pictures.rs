@@ -1,12 +1,11 @@
-//! Pictures of a comparison: stacks, pairs of local and cloud, latency against payload.
+//! Pictures of a comparison: stacks, pairs of local and cloud.
 
 use peernet_logger::stage;
 use peernet_logger::stream::PlacementKind;
 
 use super::{Comparison, Configuration};
-use crate::look;
-use crate::numbers::{NONE, bytes, duration, mean_std_ms};
-use crate::svg::{Axis, Bar, Part, Scale, Scatter, ScatterPoint, ScatterSeries};
+use crate::numbers::{NONE, duration, mean_std_ms};
+use crate::svg::{Axis, Bar, Part, Scale};
 use crate::view::place;
 use crate::view::stack::Stack;
 
@@ -130,29 +129,4 @@ pub(crate) fn pairs(comparison: &Comparison) -> (Vec<Pair>, Axis) {
         Pair { model: model.clone(), places: places.into_iter().filter_map(row).collect() }
     };
     (models.iter().map(pair).collect(), Axis::milliseconds(&scale, ""))
-}
-
-/// Latency against payload, where at least three configurations sent payloads that differ by a tenth or more.
-pub(crate) fn payload(comparison: &Comparison) -> Option<Scatter> {
-    let of = |one: &Configuration| one.figures(&stage::UPLOAD_BYTES).map(|figures| figures.mean);
-    let sizes: Vec<f64> = comparison.configurations.iter().filter_map(of).collect();
-    let (least, most) =
-        sizes.iter().fold((f64::INFINITY, 0.0_f64), |(lo, hi), size| (lo.min(*size), hi.max(*size)));
-    if sizes.len() < 3 || most < least * 1.1 {
-        return None;
-    }
-    let series = [stage::TOTAL, stage::UPLOAD].map(|name| {
-        let points = comparison.configurations.iter().filter_map(|one| {
-            let figures = one.figures(&name)?;
-            Some(ScatterPoint {
-                x: of(one)? / 1e3,
-                y: figures.mean * 1e3,
-                spread: figures.std.map(|std| std * 1e3),
-                name: one.letter.clone(),
-            })
-        });
-        ScatterSeries { look: look::class(&name), name: name.to_string(), points: points.collect() }
-    });
-    let label = format!("Mean latency against payload, {} to {}", bytes(least), bytes(most));
-    Some(Scatter::new(label, "kB sent", "ms", &series))
 }

@@ -2,7 +2,7 @@
 
 use peernet_aggregator::StageCourse;
 use peernet_logger::{Name, stage};
-use peernet_report::batches::Difference;
+use peernet_report::batches::{Difference, FEWEST};
 use peernet_report::trust::Course;
 
 use super::{Comparison, Configuration};
@@ -138,6 +138,28 @@ fn batches(runs: &[Vec<StageCourse>], name: &Name) -> Vec<f64> {
     let courses = runs.iter().flatten().filter(|course| course.stage == *name);
     let courses = courses.filter_map(|course| Course::of_summaries(&course.buckets));
     courses.flat_map(|course| course.batch_means).collect()
+}
+
+/// Why a difference has no interval: who has how little. `None` where all have one.
+pub(crate) fn too_short(
+    first: (&Configuration, &[Vec<StageCourse>]),
+    second: (&Configuration, &[Vec<StageCourse>]),
+    found: &[(Name, Option<Difference>, Changed)],
+) -> Option<String> {
+    let (name, ..) = found.iter().find(|(_, found, _)| found.is_none())?;
+    let side = |(one, courses): (&Configuration, &[Vec<StageCourse>])| {
+        (batches(courses, name).len(), one.letter.clone())
+    };
+    let ((a, first), (b, second)) = (side(first), side(second));
+    let rest = match (a < FEWEST, b < FEWEST) {
+        (true, true) => "both runs are too short".to_owned(),
+        (true, false) => format!("{first} is too short"),
+        _ => format!("{second} is too short"),
+    };
+    Some(format!(
+        "needs {FEWEST} stretches on each side, each of whole seconds and of at least 10 iterations, because neighbouring \
+         iterations resemble each other; of {name}, {first} has {a} and {second} has {b}: {rest} to tell"
+    ))
 }
 
 /// What the comparison found, in a sentence.

@@ -149,6 +149,25 @@ fn the_title_says_which_is_faster_by_how_much() {
 }
 
 #[test]
+fn what_differs_in_more_than_the_size_has_a_line_of_its_own() {
+    let of = |at: usize, size: f64, load: &str| {
+        let mut one = configuration(at, PlacementKind::Remote, 1.0 + size / 1e6, size);
+        one.values = vec![size.to_string(), load.to_owned()];
+        one
+    };
+    let sizes = [1e3, 1e5, 1e6];
+    let both = sizes.iter().flat_map(|size| ["50 Hz", "closed"].map(|load| (*size, load)));
+    let both = comparison(both.enumerate().map(|(at, (size, load))| of(at, size, load)).collect());
+    let (_, said) = payload(&both).expect("sizes");
+    let begins: Vec<&str> = said.iter().filter_map(|text| text.split(':').next()).collect();
+    assert_eq!(
+        begins,
+        ["total of A, C, E", "total of B, D, F", "upload of A, C, E", "upload of B, D, F"],
+        "{said:?}"
+    );
+}
+
+#[test]
 fn models_in_both_places_are_paired_and_payloads_plotted() {
     let mixed = comparison(vec![
         configuration(0, PlacementKind::Remote, 1.0, 1e3),
@@ -158,6 +177,8 @@ fn models_in_both_places_are_paired_and_payloads_plotted() {
     let (pairs, _) = pairs(&mixed);
     assert_eq!((pairs.len(), pairs[0].places.len(), pairs[0].places[0].letter.as_str()), (1, 3, "B"));
     assert!(payload(&mixed).is_some());
+    let (_, said) = payload(&mixed).expect("sizes");
+    assert!(said.is_empty(), "two sizes make no line: {said:?}");
     let alike = comparison((0..3).map(|at| configuration(at, PlacementKind::Remote, 1.0, 1e3)).collect());
     assert!(payload(&alike).is_none() && super::pairs(&alike).0.is_empty());
 }

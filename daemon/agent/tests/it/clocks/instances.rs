@@ -2,7 +2,7 @@
 
 use peernet_clock::{ClockIdentity, SharedClock};
 use peernet_logger::HostId;
-use peernet_logger::stream::Probing;
+use peernet_logger::stream::{Hardware, Probing};
 use peernet_networks::{
     Incoming, Listener, NetworkKind, OpenRequest, PeerClock, SessionAccepted, SessionSettings,
 };
@@ -62,6 +62,7 @@ impl Cloud {
             probes: self.probes,
             instance: self.instance,
             conditions: Vec::new(),
+            hardware: Hardware::default(),
         }));
     }
 

@@ -90,6 +90,24 @@ fn after_its_end_it_is_started_anew() {
 }
 
 #[test]
+fn one_that_closes_its_output_is_told_so() {
+    let mut program = start(Role::Sensor, "read -r line; exec >&-; sleep 600", PATIENT);
+    let error = program.ask(Request::Next).expect_err("nothing can come").to_string();
+    assert!(error.contains("closed its standard output and was killed") && !error.contains("SIG"), "{error}");
+}
+
+#[test]
+fn what_it_says_does_not_control_a_terminal() {
+    let script =
+        "read -r line; printf 'error \\033[31mred\\n'; read -r line; printf '\\033[31mred\\n' >&2; exit 3";
+    let mut program = start(Role::Sensor, script, PATIENT);
+    for what in ["says", "ended"] {
+        let error = program.ask(Request::Next).expect_err("an error").to_string();
+        assert!(error.contains(what) && error.contains(" [31mred") && !error.contains('\x1b'), "{error:?}");
+    }
+}
+
+#[test]
 fn garbage_is_quoted_and_ends_it() {
     let mut program = start(Role::Model, "read -r line; echo Loading model...; cat", PATIENT);
     let error = program.ask(Request::Sample(&echo())).expect_err("garbage").to_string();

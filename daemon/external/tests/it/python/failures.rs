@@ -49,6 +49,18 @@ fn an_exception_fails_one_call_with_the_users_part_of_the_traceback() {
 }
 
 #[test]
+fn an_exception_does_not_control_a_terminal() {
+    let source = r"
+class Own:
+    def infer(self, x):
+        raise ValueError('\x1b[31mred\x9b4m\r\nand more')
+";
+    let said = failure(&mut Module::new(source, "own::Own").model(), &[]);
+    assert!(said.starts_with("ValueError:  [31mred 4m \nand more\nTraceback"), "{said:?}");
+    assert!(!said.contains(|c: char| c.is_control() && c != '\n'), "{said:?}");
+}
+
+#[test]
 fn a_long_traceback_is_bounded() {
     let source = "
 class Own:

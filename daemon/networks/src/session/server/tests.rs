@@ -3,6 +3,7 @@
 use bytes::Bytes;
 use peernet_clock::ClockIdentity;
 use peernet_logger::HostId;
+use peernet_logger::stream::Hardware;
 use proptest::prelude::*;
 
 use super::*;
@@ -38,6 +39,7 @@ fn accepted() -> SessionAccepted {
         probes: None,
         instance: 1,
         conditions: Vec::new(),
+        hardware: Hardware::default(),
     }
 }
 

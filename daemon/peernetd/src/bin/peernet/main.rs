@@ -18,11 +18,10 @@ mod status;
 
 use std::process::ExitCode;
 
-use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
 use peernetd::VERSION;
-use peernetd::exit::{Exit, Failure};
-use peernetd::output::complain;
+use peernetd::exit::Failure;
+use peernetd::output;
 
 /// PEERNet's command line: the published experiments, measured links, a running aggregator's answers.
 #[derive(Debug, Parser)]
@@ -84,12 +83,7 @@ impl Command {
 fn main() -> ExitCode {
     let line = match Line::try_parse() {
         Ok(line) => line,
-        Err(error) => {
-            let asked = matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion);
-            // Printing fails when nobody listens any more; the exit code still tells.
-            let _ = error.print();
-            return if asked { Exit::Ok } else { Exit::Usage }.into();
-        }
+        Err(error) => return output::explain(&error).into(),
     };
     let done = match line {
         Line { command: Some(command), .. } => command.run(),
@@ -97,12 +91,5 @@ fn main() -> ExitCode {
         // The parser lets neither through: one of both is required.
         Line { .. } => Ok(()),
     };
-    match done {
-        Ok(()) => Exit::Ok,
-        Err(failure) => {
-            complain(&failure);
-            failure.exit
-        }
-    }
-    .into()
+    output::end(done).into()
 }

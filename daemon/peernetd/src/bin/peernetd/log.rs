@@ -1,15 +1,13 @@
-//! The log: standard error, one line an event, in the form that journald understands when it listens.
+//! The log: standard error, one line an event.
 
 use std::io::IsTerminal;
 
+use peernetd::log::{Line, VARIABLE};
 use serde::{Deserialize, Serialize};
+use tracing::Subscriber;
 use tracing_subscriber::filter::EnvFilter;
-use tracing_subscriber::fmt::format::Writer;
-use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields};
 use tracing_subscriber::registry::LookupSpan;
 use tracing_subscriber::util::SubscriberInitExt;
-
-use tracing::{Event, Level, Subscriber};
 
 /// `[log]`
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -25,9 +23,6 @@ impl Default for LogConfig {
         Self { level: "info".to_owned() }
     }
 }
-
-/// The variable that overrides the configured level.
-const VARIABLE: &str = "PEERNET_LOG";
 
 /// A log for the time until the configuration is read.
 pub(crate) fn temporary() -> tracing::subscriber::DefaultGuard {
@@ -65,8 +60,6 @@ pub(crate) fn install(config: &LogConfig) -> anyhow::Result<()> {
 }
 
 fn subscriber(filter: EnvFilter) -> impl Subscriber + Send + Sync + for<'a> LookupSpan<'a> {
-    // journald stamps each line itself and reads a leading <N> as the priority.
-    let journald = std::env::var_os("JOURNAL_STREAM").is_some();
     let terminal = std::io::stderr().is_terminal();
     tracing_subscriber::fmt()
         .with_env_filter(filter)
@@ -74,58 +67,6 @@ fn subscriber(filter: EnvFilter) -> impl Subscriber + Send + Sync + for<'a> Look
         .with_ansi(terminal)
         // It would print them to the same standard error, and panic when nobody reads that any more.
         .log_internal_errors(false)
-        .event_format(Line { journald })
+        .event_format(Line::default())
         .finish()
-}
-
-/// `12:00:00 INFO agent: text key=value`, or with a priority instead of the time under journald.
-struct Line {
-    journald: bool,
-}
-
-impl<S, N> FormatEvent<S, N> for Line
-where
-    S: Subscriber + for<'a> LookupSpan<'a>,
-    N: for<'a> FormatFields<'a> + 'static,
-{
-    fn format_event(
-        &self,
-        context: &FmtContext<'_, S, N>,
-        mut writer: Writer<'_>,
-        event: &Event<'_>,
-    ) -> std::fmt::Result {
-        let level = *event.metadata().level();
-        let room = event.metadata().target().split("::").next().unwrap_or_default();
-        let room = room.strip_prefix("peernet_").unwrap_or(room);
-        if self.journald {
-            write!(writer, "<{}>", priority(level))?;
-        } else {
-            use tracing_subscriber::fmt::time::FormatTime;
-            tracing_subscriber::fmt::time::SystemTime.format_time(&mut writer)?;
-            let (on, off) = if writer.has_ansi_escapes() { (colour(level), "\x1b[0m") } else { ("", "") };
-            write!(writer, " {on}{level:>5}{off} ")?;
-        }
-        write!(writer, "{room}: ")?;
-        context.format_fields(writer.by_ref(), event)?;
-        writeln!(writer)
-    }
-}
-
-/// syslog(3) priorities.
-fn priority(level: Level) -> u8 {
-    match level {
-        Level::ERROR => 3,
-        Level::WARN => 4,
-        Level::INFO => 6,
-        _ => 7,
-    }
-}
-
-fn colour(level: Level) -> &'static str {
-    match level {
-        Level::ERROR => "\x1b[31m",
-        Level::WARN => "\x1b[33m",
-        Level::INFO => "\x1b[32m",
-        _ => "\x1b[2m",
-    }
 }

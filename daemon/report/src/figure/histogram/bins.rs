@@ -5,12 +5,14 @@ use crate::order::Ordered;
 /// Fewest and most bins.
 const FEWEST: usize = 8;
 const MOST: usize = 60;
-/// With fewer values an outlier is as much a part of the picture as any other.
-const ENOUGH_TO_CUT: usize = 20;
-/// Which share of the values always lies within the bins, at each end.
-const KEPT: f64 = 0.995;
-/// An end is cut where that makes the rest so much wider.
+/// Most values that are cut at an end: one in a hundred, or of fewer values three, but never more than one in eight.
+const RARE: usize = 100;
+const FEW: usize = 3;
+const FEW_OF: usize = 8;
+/// What lies within so much more than the width of the rest is not cut.
 const WORTH: f64 = 1.5;
+/// Tukey's far fence: so many interquartile ranges beyond the quartile.
+const FAR: f64 = 3.0;
 
 /// Counted values.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,8 +29,8 @@ pub struct Bins {
 
 impl Bins {
     /// Bins of the width of Freedman and Diaconis (1981), twice the interquartile range over the cube root of the
-    /// count, between 8 and 60 of them. A tail of less than 0.5 % that would squeeze the rest stays outside. `None`
-    /// without a finite value.
+    /// count, between 8 and 60 of them. The outliers of a tail that would squeeze the rest stay outside. `None` without a
+    /// finite value.
     pub fn of(values: &Ordered) -> Option<Self> {
         let finite: Ordered = values.values().iter().copied().filter(|value| value.is_finite()).collect();
         let (lo, hi) = range(&finite)?;
@@ -74,20 +76,27 @@ impl Bins {
     }
 }
 
-/// What a picture of the values shows: all of them, but for a tail of less than 0.5 % that would squeeze the rest.
-/// `None` without values.
-pub(in crate::figure) fn range(values: &Ordered) -> Option<(f64, f64)> {
-    let values = values.values();
+/// What a picture of the values shows: all of them, but for what would squeeze the rest. That is what lies beyond the far
+/// fence of Tukey (*Exploratory Data Analysis*, 1977), three interquartile ranges beyond the quartile, and beyond the range
+/// of all but 1 % (with fewer than 400 values, all but three; with fewer than 24, all but one in eight) by more than
+/// half its width. `None` without values.
+pub(in crate::figure) fn range(all: &Ordered) -> Option<(f64, f64)> {
+    let values = all.values();
     let (lo, hi) = (*values.first()?, *values.last()?);
-    if values.len() < ENOUGH_TO_CUT {
+    let most = (values.len() / RARE).max((values.len() / FEW_OF).min(FEW));
+    // Ranks, not interpolated quantiles: those would be pulled by the very value that is to be cut.
+    let (low, high) = (values[most], values[values.len() - 1 - most]);
+    let width = high - low;
+    // All but a few values equal: there is no width to go by.
+    if most == 0 || width <= 0.0 || !width.is_finite() {
         return Some((lo, hi));
     }
-    // Ranks, not interpolated quantiles: those would be pulled by the very value that is to be cut.
-    let rank = (KEPT * (values.len() - 1) as f64).floor() as usize;
-    let (low, high) = (values[values.len() - 1 - rank], values[rank]);
-    let top = if hi - low > WORTH * (high - low) { high } else { hi };
-    let bottom = if top - lo > WORTH * (top - low) { low } else { lo };
-    Some((bottom, top))
+    let (lower, upper) = (all.quantile(0.25)?, all.quantile(0.75)?);
+    let fence = FAR * (upper - lower);
+    let top = (low + WORTH * width).max(upper + fence);
+    let bottom = (high - WORTH * width).min(lower - fence);
+    let inside = || values.iter().copied().filter(|value| (bottom..=top).contains(value));
+    inside().next().zip(inside().next_back())
 }
 
 #[cfg(test)]
@@ -110,13 +119,33 @@ mod tests {
     #[test]
     fn a_tail_that_would_squeeze_the_rest_is_counted_outside() {
         let tail = bins((0..1000).map(f64::from).chain([1e5, 2e6, -7e5])).expect("there are values");
-        assert_eq!(tail.beyond, (6, 6), "the largest half per cent");
+        assert_eq!(tail.beyond, (1, 2), "no more than what lies apart");
         assert_eq!(tail.beyond.0 + tail.beyond.1 + tail.counts.iter().sum::<u64>(), 1003);
         assert!(tail.from >= 0.0 && tail.to() < 1000.0, "{tail:?}");
         let normal = bins((0..1000).map(|i| (f64::from(i) / 500.0 - 1.0).powi(3))).expect("there are values");
         assert_eq!(normal.beyond, (0, 0), "nothing is cut that can be shown");
         let few = bins([1.0, 1.1, 1.2, 90.0]).expect("there are values");
         assert_eq!((few.beyond, few.counts[0]), ((0, 0), 3));
+    }
+
+    #[test]
+    fn one_stall_does_not_hide_a_short_run() {
+        let run = |count: u32| (0..count).map(|i| 1.3 + f64::from(i) * 0.01);
+        for count in [15, 72, 150] {
+            let stalled = bins(run(count).chain([101.0])).expect("there are values");
+            assert_eq!(stalled.beyond, (0, 1), "{count}");
+            assert!(stalled.to() < 3.0 && stalled.counts.iter().filter(|count| **count > 0).count() >= 4);
+        }
+        let three = bins(run(40).chain([37.0, 92.0, 101.0])).expect("there are values");
+        assert_eq!(three.beyond, (0, 3));
+        let spread = bins((1..=7).map(f64::from).chain([12.0])).expect("there are values");
+        assert_eq!(spread.beyond, (0, 0), "within the far fence");
+        let two_modes = bins((0..50).map(|i| if i % 5 == 0 { 9.0 } else { 1.0 + f64::from(i) / 100.0 }));
+        assert_eq!(
+            two_modes.expect("there are values").beyond,
+            (0, 0),
+            "a fifth of the values is no outlier"
+        );
     }
 
     #[test]

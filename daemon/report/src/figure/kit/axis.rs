@@ -86,11 +86,11 @@ impl Axis {
     }
 
     /// Where the axis is marked, at most so often: round numbers; for a logarithmic one powers of ten, with 2 and 5
-    /// between them where those alone are fewer than three.
+    /// between them where those alone are fewer than three, and where these are, round numbers at even distances.
     pub(in crate::figure) fn ticks(&self, most: u32) -> Vec<Tick> {
         match self.scale {
             Scale::Linear => self.round(most),
-            Scale::Logarithmic => self.powers(),
+            Scale::Logarithmic => self.powers(most),
         }
     }
 
@@ -109,7 +109,7 @@ impl Axis {
         (first..=last).map(tick).collect()
     }
 
-    fn powers(&self) -> Vec<Tick> {
+    fn powers(&self, most: u32) -> Vec<Tick> {
         let (lo, hi) = self.values;
         let decades = (lo.log10().floor() as i32)..=(hi.log10().ceil() as i32);
         let marks = |steps: &'static [f64]| -> Vec<Tick> {
@@ -118,8 +118,8 @@ impl Axis {
             let inside = all.filter(|value| (lo..=hi).contains(value));
             inside.map(|value| Tick { value, text: plain(value) }).collect()
         };
-        let powers = marks(&[1.0]);
-        if powers.len() < 3 { marks(&[1.0, 2.0, 5.0]) } else { powers }
+        let found = [marks(&[1.0]), marks(&[1.0, 2.0, 5.0])].into_iter().find(|marks| marks.len() >= 3);
+        found.unwrap_or_else(|| self.round(most))
     }
 }
 
@@ -149,6 +149,11 @@ mod tests {
         assert_eq!([1.0, 10.0, 1e4, 0.0, 1e9].map(|value| axis.at(value)), [100, 200, 500, 100, 500]);
         assert_eq!(axis.ticks(9).len(), 5);
         assert_eq!(texts(Axis::logarithmic((0.3, 7.0), (500, 0)), 9), ["0.5", "1", "2", "5"]);
+        assert_eq!(
+            texts(Axis::logarithmic((0.029, 0.092), (500, 0)), 5),
+            ["0.04", "0.06", "0.08"],
+            "never one alone"
+        );
     }
 
     #[test]

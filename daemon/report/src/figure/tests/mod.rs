@@ -3,6 +3,7 @@
 mod bars;
 mod over_time;
 mod pairs;
+mod points;
 
 use std::collections::HashMap;
 

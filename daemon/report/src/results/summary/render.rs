@@ -22,8 +22,8 @@ const TABULATED: [(&str, &str); 10] = [
     ("stages-total", "Total (sum of stages)"),
     ("total", "Total (measured)"),
 ];
-/// Columns that every file has and that are times. Of other columns it is not known.
-const TIMES: [&str; 13] = [
+/// Columns that are times, wherever in the tree they are logged. Of other columns it is not known.
+const TIMES: [&str; 14] = [
     "sensing",
     "upload",
     "preprocessing",
@@ -36,8 +36,15 @@ const TIMES: [&str; 13] = [
     "send-queue",
     "queue",
     "ipc",
+    "capture-ipc",
     "actuation",
 ];
+
+/// What columns are called that are not named after their stage.
+const NAMED: [(&str, &str); 2] =
+    [("ipc", "Border to the model's process"), ("capture_capture-ipc", "Border to the sensor's process")];
+/// What is behind the name of a further column that is one's own value, not the sum of its parts.
+const OWN_VALUE: &str = "_val";
 
 /// How numbers of a column are shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,7 +59,7 @@ impl Scale {
     pub(crate) fn of(column: &str) -> Self {
         let total = ["lateness", "total", "stages-total", "unattributed"].contains(&column);
         match column {
-            _ if total || TIMES.contains(&column) => Self::Milliseconds,
+            _ if total || TIMES.contains(&last_part(column)) => Self::Milliseconds,
             "upload-throughput" | "download-throughput" => Self::MegabytesPerSecond,
             _ if column.ends_with("-bytes") => Self::Bytes,
             _ => Self::AsMeasured,
@@ -78,6 +85,14 @@ impl Scale {
         };
         move |value| if value.is_infinite() { "∞".to_owned() } else { fixed(value * factor, decimals) }
     }
+}
+
+/// The name of the node that a column is of: without those above it, and without a number behind it.
+fn last_part(column: &str) -> &str {
+    let column = column.strip_suffix(OWN_VALUE).unwrap_or(column);
+    let number = |last: &str| last.bytes().all(|byte| byte.is_ascii_digit());
+    let column = column.rsplit_once('_').filter(|(_, last)| number(last)).map_or(column, |(front, _)| front);
+    column.rsplit_once('_').map_or(column, |(_, last)| last)
 }
 
 impl Summary {
@@ -126,7 +141,10 @@ impl Summary {
             .quantities
             .iter()
             .filter(|quantity| TABULATED.iter().all(|(name, _)| *name != quantity.column));
-        let rest = rest.map(|quantity| (quantity, quantity.column.as_ref()));
+        let rest = rest.map(|quantity| {
+            let column = quantity.column.as_ref();
+            (quantity, NAMED.iter().find(|(name, _)| *name == column).map_or(column, |(_, words)| words))
+        });
         let header = ["metric", "unit", "count", "mean ± std", "median", "clock bounds", "p95", "p99", "max"];
         Table {
             header: header.map(str::to_owned).to_vec(),

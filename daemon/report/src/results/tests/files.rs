@@ -40,7 +40,7 @@ fn what_is_written_reads_back_as_it_was() {
     assert_eq!(names, ["data.csv", "run.json", "summary.md", "summary.csv", "summary.tex"]);
     let loaded = ResultFolder::open(folder.path()).expect("readable");
     assert_eq!(loaded.rows, rows(10));
-    assert_eq!(loaded.record, record());
+    assert_eq!((loaded.record.clone(), loaded.damage()), (record(), None));
     let by_file = ResultFolder::open(&folder.path().join("data.csv")).expect("readable");
     assert_eq!((by_file.rows, by_file.record), (loaded.rows, loaded.record));
 }
@@ -94,7 +94,16 @@ fn a_file_that_was_cut_off_gives_the_rows_that_are_whole() {
     let path = folder.path().join("data.csv");
     let text = std::fs::read_to_string(&path).expect("text");
     std::fs::write(&path, &text[..text.len() - 3]).expect("writable");
-    assert_eq!(ResultFolder::open(folder.path()).expect("readable").rows, rows(9));
+    let loaded = ResultFolder::open(folder.path()).expect("readable");
+    assert_eq!(loaded.rows, rows(9));
+    let told = loaded.damage().expect("one is missing");
+    assert_eq!(told, "data.csv has 9 of the 10 iterations that run.json counts");
+    let text = text.replace(",lost,", ",timeout,");
+    std::fs::write(&path, &text).expect("writable");
+    let told = ResultFolder::open(folder.path()).expect("readable").damage().expect("another outcome");
+    assert!(told.contains("other outcomes"), "{told}");
+    std::fs::remove_file(folder.path().join("run.json")).expect("it is there");
+    assert_eq!(ResultFolder::open(folder.path()).expect("readable").damage(), None, "nothing counts them");
 }
 
 #[test]
@@ -141,6 +150,21 @@ fn what_is_there_is_replaced_only_when_that_was_asked_for() {
     let file =
         ResultFolder::create(&at.join("notes.txt"), Overwrite::Replace).expect_err("a file").to_string();
     assert!(file.ends_with("notes.txt is no folder"), "{file}");
+}
+
+#[test]
+fn a_folder_is_written_by_one_program_at_a_time() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let first = ResultFolder::create(folder.path(), Overwrite::Replace).expect("it is free");
+    for overwrite in [Overwrite::Replace, Overwrite::Refuse] {
+        let refused = ResultFolder::create(folder.path(), overwrite).expect_err("it is taken").to_string();
+        assert!(refused.contains("another peernet is writing"), "{refused}");
+    }
+    let beside = ResultFolder::create(folder.path(), Overwrite::Subfolder).expect("there is another place");
+    assert_eq!(beside.path(), folder.path().join("run-2"));
+    assert_eq!(std::fs::read_dir(first.path()).expect("a folder").count(), 1, "a lock leaves nothing behind");
+    drop(first);
+    ResultFolder::create(folder.path(), Overwrite::Replace).expect("it is free again");
 }
 
 #[test]

@@ -98,3 +98,21 @@ fn the_summary_reads_as_the_papers_metrics() {
     let sensing: Vec<&str> = lines.next().expect("sensing").split(',').collect();
     assert_eq!((sensing[0], sensing[1], sensing[4], sensing[7]), ("sensing", "7", "0.0007", ""));
 }
+
+#[test]
+fn nodes_of_a_known_stage_are_times_wherever_they_are() {
+    let values =
+        [("ipc", 0.001), ("capture_capture-ipc", 0.002), ("mine_capture-ipc_2", 0.003), ("mine", 4.0)];
+    let mut rows = rows(9).split_off(8);
+    rows[0].values = values.map(|(name, value)| (name.into(), value)).to_vec();
+    let text = Summary::of(&rows).text();
+    let unit = |metric: &str| {
+        let line =
+            text.lines().find(|line| line.starts_with(metric)).unwrap_or_else(|| panic!("{metric}: {text}"));
+        line[metric.len()..].split_whitespace().map(str::to_owned).collect::<Vec<_>>()
+    };
+    assert_eq!(unit("Border to the model's process")[..3], ["ms", "1", "1.00"]);
+    assert_eq!(unit("Border to the sensor's process")[..3], ["ms", "1", "2.00"]);
+    assert_eq!(unit("mine_capture-ipc_2")[..3], ["ms", "1", "3.00"]);
+    assert_eq!(unit("mine ")[..2], ["1", "4.00"], "nobody knows in what");
+}

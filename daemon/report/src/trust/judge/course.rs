@@ -130,7 +130,7 @@ fn explained(seconds: f64, total: &Course) -> Sentence {
     if share < UNEXPLAINED || seconds.abs() < TOO_SHORT_TO_MATTER {
         return say(about, Grade::Good, text);
     }
-    let advice = "publish the measured total, not the sum of the stages; an iteration's waterfall shows where the rest is";
+    let advice = "publish the measured total, not the sum of the stages; the columns of data.csv, and an iteration's waterfall on the dashboard, show where the rest is";
     let grade = if share >= MOSTLY_UNEXPLAINED { Grade::Bad } else { Grade::Doubtful };
     advise(say(about, grade, text), advice)
 }

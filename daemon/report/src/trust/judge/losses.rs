@@ -2,9 +2,9 @@
 
 use peernet_logger::stream::Grade;
 
-use super::{advise, iterations, percent, say};
-use crate::number::fixed;
-use crate::trust::{Counts, Evidence, Missing, Sentence};
+use super::{END, advise, iterations, percent, say};
+use crate::number::{fixed, significant};
+use crate::trust::{Counts, Early, Evidence, Missing, Sentence, Unit};
 
 /// Samples below which no 95th percentile is given anywhere in PEERNet.
 const FEW: u64 = 60;
@@ -13,6 +13,8 @@ const NOTED: f64 = 0.001;
 const MANY: f64 = 0.1;
 /// Share of missing events from which on nobody can tell what the missing ones were like.
 const HOLES: f64 = 0.05;
+/// Share of what was ordered below which a run is another run than the one that was meant.
+const HALF: f64 = 0.5;
 
 pub(super) fn sentences(evidence: &Evidence) -> Vec<Sentence> {
     let Evidence { counts, missing, .. } = evidence;
@@ -21,15 +23,35 @@ pub(super) fn sentences(evidence: &Evidence) -> Vec<Sentence> {
         all.push(answered(counts));
     }
     all.push(whole(counts, missing));
-    if let Some(reason) = &evidence.broken {
-        let sentence = say("end", Grade::Doubtful, format!("The run broke off: {reason}."));
-        all.push(advise(sentence, "repeat it, or say so beside the figures"));
-    }
+    all.extend(end(evidence));
     if evidence.rehearsed {
         let text = "The clock of a host was made wrong on purpose (rehearsal).";
         all.push(advise(say("rehearsal", Grade::Bad, text), "take `[rehearsal]` out of the configuration"));
     }
     all
+}
+
+/// A run that is not what was ordered; nothing about one that is.
+fn end(evidence: &Evidence) -> Option<Sentence> {
+    let how_far = evidence.early.as_ref().map(|Early { came, of, unit, .. }| match unit {
+        Unit::Iterations => format!("after {} of {}", fixed(*came, 0), iterations(*of as u64)),
+        Unit::Seconds => format!("after {} of {}\u{202f}s", fixed(*came, 1), significant(*of)),
+    });
+    let text = match (&evidence.broken, how_far) {
+        (Some(reason), Some(how_far)) => format!("The run broke off {how_far}: {reason}."),
+        (Some(reason), None) => format!("The run broke off: {reason}."),
+        (None, Some(how_far)) if evidence.early.as_ref().is_some_and(|early| early.interrupted) => {
+            format!("The run was interrupted {how_far}.")
+        }
+        (None, Some(how_far)) => {
+            format!("The run came to its end {how_far}: there was nothing more to measure.")
+        }
+        (None, None) => return None,
+    };
+    Some(match &evidence.early {
+        Some(early) if early.share() < HALF => advise(say(END, Grade::Bad, text), "repeat it"),
+        _ => advise(say(END, Grade::Doubtful, text), "repeat it, or say so beside the figures"),
+    })
 }
 
 fn enough(counts: &Counts) -> Sentence {

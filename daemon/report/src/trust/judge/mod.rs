@@ -10,6 +10,9 @@ use peernet_logger::stream::Grade;
 use super::{Evidence, Sentence};
 use crate::number::{fixed, significant};
 
+/// What the sentence is about that says of a run that it broke off.
+pub(super) const END: &str = "end";
+
 /// All sentences, in the order in which they are looked at.
 pub(super) fn sentences(evidence: &Evidence) -> Vec<Sentence> {
     let mut all = Vec::new();

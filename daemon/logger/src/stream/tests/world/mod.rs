@@ -313,7 +313,12 @@ impl World {
                 self.check();
             }
             if self.sending.is_up() && self.sending.is_idle() && self.file().batches.is_empty() {
-                return;
+                // Its welcome may be that of an aggregator which is no more: the live lane shows it.
+                self.live();
+                if self.down.is_empty() {
+                    return;
+                }
+                continue;
             }
             self.pass_to_deadline();
             assert!(self.now < limit, "it never came to rest: {self:#?}");

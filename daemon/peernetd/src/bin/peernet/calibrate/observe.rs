@@ -11,7 +11,7 @@ use peernet_report::number::bytes;
 
 use super::plan::Plan;
 use super::sweep::Sweep;
-use crate::foreground::{Cut, Eyes, Patience, waits_for};
+use crate::foreground::{Cut, Eyes, Patience, Standing};
 
 /// How long a peer that went away is waited for once the time for the sweep is over.
 const AFTER_THE_END: Span = Span::from_seconds(10);
@@ -163,8 +163,9 @@ impl Eyes for Watch<'_> {
     }
 
     fn look(&mut self, running: &Running) -> Option<Ended> {
-        let waits_for = waits_for(running);
-        if let (Some(kind), Some(reason)) = (self.turned_away, &waits_for) {
+        let standing = Standing::of(running);
+        let waits_for = standing.waits_for();
+        if let (Some(kind), Some(reason)) = (self.turned_away, waits_for) {
             // There is no configuration here, and the model is a mere echo.
             let reason = reason.strip_suffix(OpenError::LOADING).unwrap_or(reason);
             let advice = match kind {
@@ -176,10 +177,10 @@ impl Eyes for Watch<'_> {
             return Some(Ended::Failed(format!("{reason}{advice}")));
         }
         let now = self.clock.mono();
+        self.patience.look(&standing, now);
         // Who set an early end does not wait long after it for a peer that is away.
         let left = self.began + Span::from_seconds_f64(self.plan.seconds) - self.patience.last();
         let most = (left + AFTER_THE_END).clamp(AFTER_THE_END, Patience::USUAL);
-        let waits_for = waits_for.as_deref();
         let name = self.seen.cloud.as_deref();
         let trouble = name.and_then(|name| self.patience.trouble(name, waits_for, now, most));
         self.progress.show(&self.seen.samples, now, trouble);

@@ -5,6 +5,9 @@ use std::path::{Path, PathBuf};
 use anyhow::anyhow;
 use peernet_report::results::{FolderError, Loaded, ResultFolder};
 use peernetd::exit::{Exit, Failure};
+use peernetd::output::complain;
+
+use super::order::as_declared;
 
 /// Runs, each once.
 pub(crate) struct Collected {
@@ -13,7 +16,8 @@ pub(crate) struct Collected {
     pub(crate) baseline: Option<usize>,
 }
 
-/// Reads all results in the places, in their order. A baseline that is not among them comes first.
+/// Reads all results in the places, in their order; the runs of an experiment in that of its file. A baseline that is not
+/// among them comes first.
 ///
 /// # Errors
 /// When a place holds no results (66) or some cannot be read (65).
@@ -32,8 +36,16 @@ pub(crate) fn collect(places: &[PathBuf], baseline: Option<&Path>) -> Result<Col
             0
         })
     });
-    let runs: Result<Vec<Loaded>, Failure> = paths.iter().map(|path| open(path)).collect();
-    Ok(Collected { runs: runs?, baseline })
+    let runs = paths.iter().map(|path| open(path)).collect::<Result<Vec<Loaded>, Failure>>()?;
+    for run in &runs {
+        if let Some(damage) = run.damage() {
+            complain(format_args!("{} is not whole: {damage}", run.folder.display()));
+        }
+    }
+    let order = as_declared(&runs);
+    let baseline = baseline.and_then(|baseline| order.iter().position(|run| *run == baseline));
+    let mut runs: Vec<Option<Loaded>> = runs.into_iter().map(Some).collect();
+    Ok(Collected { runs: order.into_iter().filter_map(|run| runs[run].take()).collect(), baseline })
 }
 
 fn find(place: &Path) -> Result<Vec<PathBuf>, Failure> {

@@ -1,6 +1,7 @@
 //! `peernet compare`: runs side by side, as the paper's table.
 
 mod collect;
+mod order;
 
 use std::path::PathBuf;
 

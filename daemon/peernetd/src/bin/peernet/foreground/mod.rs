@@ -3,6 +3,7 @@
 //! Three commands run one: `calibrate` studies a link, `measure` takes a run down, and the published `--server` serves.
 //! They differ in what they look for ([`Eyes`]); starting, signals and stopping are the same.
 
+mod log;
 mod patience;
 mod progress;
 mod signals;
@@ -10,7 +11,8 @@ mod tables;
 mod typed;
 mod waiting;
 
-pub(crate) use patience::{Patience, waits_for};
+pub(crate) use log::listen;
+pub(crate) use patience::{Patience, Standing};
 pub(crate) use progress::Progress;
 pub(crate) use signals::Signals;
 pub(crate) use tables::tables;

@@ -2,6 +2,7 @@
 
 use std::fmt::Display;
 use std::io::IsTerminal;
+use std::sync::{Mutex, PoisonError};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use peernet_clock::{MonoTime, Span};
@@ -11,6 +12,18 @@ use peernetd::output::complain;
 const LINE: Span = Span::from_seconds(5);
 /// Steps of the bar.
 const STEPS: u64 = 1000;
+
+/// The bar on the terminal, for those who write there without knowing of it: the log is one for the whole program.
+static BAR: Mutex<Option<ProgressBar>> = Mutex::new(None);
+
+/// Writes to standard error with the bar out of the way, if there is one.
+pub(super) fn above_the_bar<T>(write: impl FnOnce() -> T) -> T {
+    let bar = BAR.lock().unwrap_or_else(PoisonError::into_inner).clone();
+    match bar {
+        Some(bar) => bar.suspend(write),
+        None => write(),
+    }
+}
 
 /// Shows how far something is on standard error.
 pub(crate) struct Progress {
@@ -35,7 +48,9 @@ impl Progress {
             (false, true) => {
                 let bar = ProgressBar::with_draw_target(Some(STEPS), ProgressDrawTarget::stderr());
                 let style = ProgressStyle::with_template("{wide_bar} {msg}");
-                Shown::Bar(bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar())))
+                let bar = bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+                BAR.lock().unwrap_or_else(PoisonError::into_inner).replace(bar.clone());
+                Shown::Bar(bar)
             }
         };
         Self { shown, said: now, troubled: false }
@@ -77,6 +92,7 @@ impl Progress {
     pub(crate) fn end(&self) {
         if let Shown::Bar(bar) = &self.shown {
             bar.finish_and_clear();
+            BAR.lock().unwrap_or_else(PoisonError::into_inner).take();
         }
     }
 }

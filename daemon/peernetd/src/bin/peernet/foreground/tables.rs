@@ -5,6 +5,7 @@ use std::path::Path;
 use anyhow::anyhow;
 use peernet_agent::AgentConfig;
 use peernetd::exit::{Exit, Failure};
+use peernetd::small_file;
 
 /// The tables that hold here, too.
 const TABLES: [&str; 4] = ["clock", "probes", "rehearsal", "onnxruntime"];
@@ -16,7 +17,7 @@ const TABLES: [&str; 4] = ["clock", "probes", "rehearsal", "onnxruntime"];
 /// When the file cannot be read (66) or its tables are wrong (78).
 pub(crate) fn tables(file: Option<&Path>) -> Result<AgentConfig, Failure> {
     let Some(file) = file else { return Ok(AgentConfig::default()) };
-    let text = std::fs::read_to_string(file)
+    let text = small_file::read(file, small_file::LARGEST)
         .map_err(|error| anyhow!("cannot read the configuration {}: {error}", file.display()))
         .map_err(|error| Failure::new(Exit::NoInput, error))?;
     read(&text, file).map_err(|error| Failure::new(Exit::Configuration, error))

@@ -2,6 +2,10 @@
 
 /// A time of waiting, as people say it.
 pub(crate) fn duration(seconds: f64) -> String {
+    // What would be rounded to nothing.
+    if seconds > 0.0 && seconds < 0.5 {
+        return format!("0.{} s", (seconds * 10.0).round().max(1.0));
+    }
     match seconds.round() as u64 {
         seconds @ ..120 => format!("{seconds} s"),
         seconds @ ..7200 => format!("{} min", seconds.div_ceil(60)),
@@ -16,5 +20,6 @@ mod tests {
     #[test]
     fn a_time_of_waiting_is_told_as_people_do() {
         assert_eq!([90.4, 7199.0, 7300.0].map(duration), ["90 s", "120 min", "2 h 1 min"]);
+        assert_eq!([0.0, 0.003, 0.34, 0.95, 1.4].map(duration), ["0 s", "0.1 s", "0.3 s", "1 s", "1 s"]);
     }
 }

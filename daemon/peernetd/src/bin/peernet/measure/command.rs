@@ -6,9 +6,11 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 use peernetd::exit::{Exit, Failure};
 use peernetd::output::{complain, say};
+use peernetd::small_file;
 use rustix::process::{Signal, set_parent_process_death_signal};
 
 use super::{Order, Seen, Watcher, measure};
+use crate::foreground::listen;
 
 /// What `peernet measure` can be told.
 #[derive(Debug, clap::Args)]
@@ -21,9 +23,10 @@ pub(crate) struct Arguments {
 /// Executes the order; says how far it is in lines of JSON.
 ///
 /// # Errors
-/// Those of [`measure`], and when the order cannot be read (66) or understood (78), or iterations have no answer (75).
+/// Those of [`measure`], and when the order cannot be read (66) or understood (78), `PEERNET_LOG` is no level (78), or iterations have no answer (75).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     end_with_parent();
+    listen()?;
     let text = read(&arguments.order).map_err(|error| Failure::new(Exit::NoInput, error))?;
     let order: Order = serde_json::from_str(&text).map_err(|error| {
         Failure::new(Exit::Configuration, anyhow!("cannot understand the order: {error}"))
@@ -45,7 +48,8 @@ fn read(file: &Path) -> anyhow::Result<String> {
         std::io::stdin().read_to_string(&mut text).context("cannot read the order from standard input")?;
         return Ok(text);
     }
-    std::fs::read_to_string(file).with_context(|| format!("cannot read the order {}", file.display()))
+    small_file::read(file, small_file::LARGEST)
+        .with_context(|| format!("cannot read the order {}", file.display()))
 }
 
 /// Writes what is seen to standard output.

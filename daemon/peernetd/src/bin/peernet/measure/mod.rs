@@ -9,6 +9,7 @@
 //! The published client calls [`measure`] itself; an experiment starts one process for each of its runs
 //! (`peernet measure --order FILE`), so that a crash is one run's.
 
+mod aside;
 mod command;
 mod ended;
 mod home;
@@ -77,7 +78,7 @@ pub(crate) fn measure(order: &Order, watcher: &mut dyn Watcher) -> Result<Measur
     let mut config = order.agent.clone();
     config.agent.state_dir = home.folder().to_owned();
     let ready = Ready::new(config)?;
-    let results = Results::begin(order)?;
+    let mut results = Results::begin(order)?;
     let room = conditions::room("results", results.path(), "");
     let mut taking = Taking::new(pipeline, order.patience(), results.writer()?, ready.clock.clone(), watcher);
     let watched = ready.watch(&mut taking);

@@ -22,9 +22,10 @@ pub(super) fn of(order: &Order, taken: &Taken, ended: &Ended, edge: String, miss
     let placement = description.map(|run| &run.placement);
     let cloud = placement.and_then(|placement| placement.peer.as_ref()).map(|name| HostRecord {
         name: name.to_string(),
-        id: taken.cloud,
+        id: taken.cloud.as_ref().map(|cloud| cloud.id),
+        version: taken.cloud.as_ref().map(|cloud| cloud.version.clone()).unwrap_or_default(),
+        hardware: taken.cloud.as_ref().map(|cloud| cloud.hardware.clone()),
         conditions: conditions.iter().filter(|found| found.host == *name.as_str()).cloned().collect(),
-        ..HostRecord::default()
     });
     let conditions =
         conditions.into_iter().filter(|found| cloud.as_ref().is_none_or(|cloud| found.host != cloud.name));

@@ -2,13 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
-use peernet_report::results::{Finished, FolderError, ResultFolder, Row, RowWriter, RunRecord};
+use peernet_report::results::{Finished, FolderError, Overwrite, ResultFolder, Row, RowWriter, RunRecord};
 use peernetd::exit::{Exit, Failure};
 
 use super::Order;
+use super::aside::Aside;
 
 /// A folder that is there and can be written to before anything is measured.
 pub(super) struct Results {
+    /// The results that are to be replaced. They come back before others may use the folder.
+    earlier: Option<Aside>,
     folder: ResultFolder,
     /// Whether it was made for this run.
     made: bool,
@@ -26,12 +29,14 @@ impl Results {
     /// Makes the folder that the order names.
     ///
     /// # Errors
-    /// When it holds results that may not be replaced (64), or cannot be made (73).
+    /// When it holds results that may not be replaced (64), another program writes there (69), or it cannot be made (73).
     pub(super) fn begin(order: &Order) -> Result<Self, Failure> {
         let was_there = order.folder.exists();
-        let folder = ResultFolder::create(&order.folder, order.overwrite).map_err(failure)?;
+        let folder = ResultFolder::take(&order.folder, order.overwrite).map_err(failure)?;
+        let replaces = was_there && order.overwrite == Overwrite::Replace;
+        let earlier = replaces.then(|| Aside::put(folder.path())).transpose()?;
         let made = !was_there || folder.path() != order.folder;
-        Ok(Self { folder, made })
+        Ok(Self { folder, made, earlier })
     }
 
     /// Where it is.
@@ -47,17 +52,21 @@ impl Results {
         self.folder.writer().map_err(failure)
     }
 
-    /// Takes away what was made: there is nothing to keep.
-    pub(super) fn discard(&self) {
+    /// Takes away what was made: there is nothing to keep. What was to be replaced comes back.
+    pub(super) fn discard(self) {
         // A file that stays does no harm.
         let _ = std::fs::remove_file(self.path().join("data.csv"));
         if self.made {
             let _ = std::fs::remove_dir(self.path());
         }
+        drop(self.earlier);
     }
 
     /// Writes everything, elsewhere if it must be.
-    pub(super) fn finish(&self, record: &RunRecord, rows: &[Row]) -> Written {
+    pub(super) fn finish(&mut self, record: &RunRecord, rows: &[Row]) -> Written {
+        if let Some(earlier) = &mut self.earlier {
+            earlier.remove();
+        }
         match self.folder.finish(record, rows) {
             Ok(Finished { folder, files, trouble: None }) => Written { folder, files, trouble: None },
             Ok(Finished { folder, files, trouble: Some(trouble) }) => {
@@ -75,6 +84,7 @@ impl Results {
 fn failure(error: FolderError) -> Failure {
     let exit = match error {
         FolderError::NotEmpty(_) => Exit::Usage,
+        FolderError::Busy(_) => Exit::Unavailable,
         _ => Exit::Unwritten,
     };
     Failure::new(exit, error)

@@ -1,16 +1,16 @@
 //! Taking down what the agent measures, until it ends.
 
-use peernet_agent::Running;
 use peernet_agent::config::{Limit, PipelineConfig, PlacementConfig};
+use peernet_agent::{Cloud, Running};
 use peernet_clock::{MonoTime, SharedClock, Span, WallTime};
-use peernet_logger::HostId;
+use peernet_logger::Slug;
 use peernet_logger::stream::{Event, HostDescription, IncidentKind, PipelineState, RunDescription};
 use peernet_networks::OpenError;
 use peernet_report::results::{Outcome, Row, RowWriter};
 use peernet_statistics::Sketch;
 
 use super::{Ended, Phase, Seen, Watcher};
-use crate::foreground::{Eyes, Patience, waits_for};
+use crate::foreground::{Eyes, Patience, Standing};
 
 /// The eyes on the agent.
 pub(super) struct Taking<'a> {
@@ -21,14 +21,13 @@ pub(super) struct Taking<'a> {
     limit: Limit,
     /// Warm-up iterations at the least.
     warm_up: u64,
+    pipeline: Slug,
     /// The peer's address, then its name; `None` for a run on board.
     peer: Option<String>,
     /// Why the peer did not want at the first try.
     refused: bool,
     began: Option<MonoTime>,
     totals: Sketch,
-    /// What stops it for now.
-    waiting: Option<String>,
     taken: Taken,
     writer: RowWriter,
 }
@@ -44,7 +43,7 @@ pub(super) struct Taken {
     /// Who sensed.
     pub(super) edge: Option<HostDescription>,
     /// Who served.
-    pub(super) cloud: Option<HostId>,
+    pub(super) cloud: Option<Cloud>,
     /// Rows that are not in the file, and why.
     pub(super) unwritten: Option<String>,
 }
@@ -68,11 +67,11 @@ impl<'a> Taking<'a> {
             most,
             limit: pipeline.limit,
             warm_up: pipeline.warm_up.iterations,
+            pipeline: pipeline.name.clone(),
             peer,
             refused: false,
             began: None,
             totals: Sketch::default(),
-            waiting: None,
             taken: Taken::default(),
             writer,
         }
@@ -105,6 +104,12 @@ impl<'a> Taking<'a> {
             *peer = name.to_string();
         }
         self.taken.description = Some(run);
+    }
+
+    /// Who serves may be another program after it was away.
+    fn meet(&mut self, running: Option<&Running>) {
+        let cloud = running.and_then(|running| running.served_by(&self.pipeline));
+        self.taken.cloud = cloud.or(self.taken.cloud.take());
     }
 
     fn row(&mut self, row: Row) {
@@ -153,6 +158,7 @@ impl Eyes for Taking<'_> {
             Event::RunStarted(run) => {
                 self.began(run);
                 self.taken.edge = running.map(Running::description).or(self.taken.edge.take());
+                self.meet(running);
             }
             Event::Iteration(iteration) => self.row(Row::of(&iteration)),
             Event::RunEnded(run) => {
@@ -170,7 +176,7 @@ impl Eyes for Taking<'_> {
                 }
                 IncidentKind::Refused if self.taken.description.is_none() => self.refused = true,
                 IncidentKind::Connected => {
-                    self.taken.cloud = incident.peer.or(self.taken.cloud);
+                    self.meet(running);
                     if running.is_some() {
                         self.patience.heard(self.clock.mono());
                     }
@@ -195,26 +201,28 @@ impl Eyes for Taking<'_> {
             Some(PipelineState::Finished) => return Some(Ended::Finished),
             _ => {}
         }
-        self.waiting = waits_for(running);
-        let reason = self.waiting.as_deref();
+        let standing = Standing::of(running);
+        let reason = standing.waits_for();
         if let (true, Some(reason)) = (self.refused, reason) {
             return Some(Ended::Failed(reason.to_owned()));
         }
         // There is no configuration here to change.
         let reason = reason.map(|reason| reason.strip_suffix(OpenError::LOADING).unwrap_or(reason));
         let full = self.writer.trouble().map(|trouble| format!("{trouble}; the rows are kept in memory"));
+        let now = self.clock.mono();
+        let slow = standing.slow_sensor(now);
         let Some(peer) = &self.peer else {
-            let seen = self.seen(full);
+            let seen = self.seen(slow.or(full));
             self.watcher.look(&seen);
             return None;
         };
-        let now = self.clock.mono();
+        self.patience.look(&standing, now);
         let trouble = match (&self.began, reason) {
             (None, None) => None,
             _ => self.patience.trouble(peer, reason, now, self.most),
         };
         let spent = self.patience.spent(reason, now, self.most);
-        let seen = self.seen(trouble.or(full));
+        let seen = self.seen(slow.or(trouble).or(full));
         self.watcher.look(&seen);
         spent.map(Ended::Failed)
     }

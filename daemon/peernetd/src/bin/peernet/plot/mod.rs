@@ -46,6 +46,8 @@ enum Kind {
     Histograms,
     /// Of all runs: what the stages add up to, a bar for each configuration.
     Stacked,
+    /// Of all runs: top-1 accuracy of each configuration against its latency.
+    Accuracy,
     /// Of all runs: each model's inference here and there.
     Paired,
     /// Of all runs: latency and throughput against payload, with fit and intercept.
@@ -62,6 +64,7 @@ impl Kind {
             Self::All => figures::Kind::ALL.to_vec(),
             Self::Histograms => vec![figures::Kind::Histograms],
             Self::Stacked => vec![figures::Kind::Stacked],
+            Self::Accuracy => vec![figures::Kind::Accuracy],
             Self::Paired => vec![figures::Kind::Paired],
             Self::Payload => vec![figures::Kind::Payload],
             Self::Length => vec![figures::Kind::Length],
@@ -98,7 +101,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
             for (run, folder) in runs.iter().zip(&places.runs) {
                 one(kind, std::slice::from_ref(run), folder)?;
             }
-        } else if runs.len() > 1 || arguments.kind != Kind::All || kind == figures::Kind::Payload {
+        } else if arguments.kind != Kind::All || kind.is_worth_drawing(&runs) {
             one(kind, &runs, &places.together)?;
         }
     }

@@ -30,7 +30,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "FILE")]
     pub(super) network_config: PathBuf,
     /// How many iterations: rows in the results of a client, answers of a server.
-    #[arg(long, value_name = "N", value_parser = iterations)]
+    #[arg(long, value_name = "N", value_parser = iterations, allow_negative_numbers = true)]
     pub(super) iterations: NonZeroU64,
 
     /// What the client senses: `image`, `random string`, `external` (with --sensor-object), `synthetic` (random bytes).
@@ -51,7 +51,7 @@ pub(crate) struct Arguments {
     #[arg(long, default_value = "pixels", value_name = "HOW", value_parser = Encoding::read)]
     pub(super) encoding: Encoding,
     /// Characters of each sample of `random string`, bytes of each of `synthetic`.
-    #[arg(long, default_value = "1000", value_name = "N")]
+    #[arg(long, default_value = "1000", value_name = "N", allow_negative_numbers = true)]
     pub(super) text_size: usize,
     /// Folder for the client's results [default: results, or a new folder in it].
     #[arg(long, value_name = "DIR")]
@@ -66,7 +66,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "ADDRESS")]
     pub(super) aggregator: Option<Address>,
     /// How long a server that is away is waited for, before the run and during it; seconds.
-    #[arg(long, default_value = "90", value_name = "SECONDS", value_parser = seconds)]
+    #[arg(long, default_value = "90", value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub(super) patience: f64,
 
     /// What the server serves: `dummy` (takes 10 + 80 + 10 ms), `echo`, a name in the model bank, a path with a slash, a
@@ -99,8 +99,11 @@ fn network(text: &str) -> Result<NetworkKind, String> {
 }
 
 fn iterations(text: &str) -> Result<NonZeroU64, String> {
-    let number = text.parse::<u64>().map_err(|_| "not a whole number".to_owned())?;
-    NonZeroU64::new(number).ok_or_else(|| "nothing would be measured; at least 1".to_owned())
+    let number = text.parse::<i128>().map_err(|_| "not a whole number".to_owned())?;
+    if number < 1 {
+        return Err("nothing would be measured; at least 1".to_owned());
+    }
+    u64::try_from(number).ok().and_then(NonZeroU64::new).ok_or_else(|| format!("at most {}", u64::MAX))
 }
 
 fn seconds(text: &str) -> Result<f64, String> {

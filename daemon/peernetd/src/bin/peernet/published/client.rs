@@ -17,8 +17,6 @@ use super::{Arguments, sensor};
 use crate::foreground::{tables, typed};
 use crate::measure::{Measured, Order, measure};
 
-/// The pipeline's name, on dashboards.
-const PIPELINE: &str = "published";
 /// Iterations that the published plots drop.
 const WARM_UP: u64 = 5;
 /// How long to wait for an answer: the largest model on a slow processor takes its time. Milliseconds.
@@ -38,7 +36,7 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
     let clock =
         clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let measured = measure(&order, &mut Bar::new(arguments.quiet, clock))?;
-    tell(&measured);
+    tell(&measured, arguments);
     measured.failure().map_or(Ok(()), Err)
 }
 
@@ -46,7 +44,7 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
 fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
     let (sensor, transforms) = sensor::of(arguments)?;
     let pipeline = json!({
-        "name": PIPELINE,
+        "name": arguments.name,
         "sensor": sensor,
         "transforms": transforms,
         "placement": {
@@ -85,11 +83,14 @@ fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
 }
 
 /// Says what came of it, and where it is.
-fn tell(measured: &Measured) {
+fn tell(measured: &Measured, arguments: &Arguments) {
     say(Summary::of(&measured.rows).text());
     if let Some(trust) = &measured.record.trust {
         say(format_args!("\n{}", trust.text()));
     }
     let files: Vec<_> = measured.files.iter().filter_map(|path| path.file_name()?.to_str()).collect();
     say(format_args!("\n{}: {}", measured.folder.display(), files.join(", ")));
+    if let (Some(aggregator), Some(run)) = (&arguments.aggregator, measured.record.run) {
+        say(format_args!("see the run {run} of {} on the dashboard of {aggregator}", arguments.name));
+    }
 }

@@ -8,6 +8,7 @@ use peernet_logger::Slug;
 use peernet_networks::Address;
 use peernetd::exit::{Exit, Failure};
 use peernetd::output::complain;
+use peernetd::small_file;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
@@ -56,7 +57,7 @@ pub(crate) fn addresses(path: &Path) -> Result<BTreeMap<String, Address>, Failur
 }
 
 fn text(path: &Path) -> Result<String, Failure> {
-    std::fs::read_to_string(path)
+    small_file::read(path, small_file::LARGEST)
         .with_context(|| format!("cannot read the network configuration {}", path.display()))
         .map_err(|error| Failure::new(Exit::NoInput, error))
 }

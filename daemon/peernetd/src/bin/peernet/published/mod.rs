@@ -20,6 +20,8 @@ use peernetd::output::complain;
 
 use devices::Devices;
 
+use crate::foreground::listen;
+
 /// Serves or measures, as the options say.
 ///
 /// # Errors
@@ -31,5 +33,6 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     complain(
         "plain mode: nothing is encrypted and nobody is asked for a password; use it in networks that you trust",
     );
+    listen()?;
     if serves { server::run(arguments, &devices) } else { client::run(arguments, &devices) }
 }

@@ -72,7 +72,7 @@ fn check(config: &ModelConfig, runtime: &OnnxRuntimeConfig, clock: SharedClock) 
 /// What went wrong, with the way out that the published default often needs.
 pub(super) fn failure(error: LoadError) -> Failure {
     let exit = match &error {
-        LoadError::File { .. } | LoadError::NotFound { .. } | LoadError::UnknownModel { .. } => Exit::NoInput,
+        error if error.is_missing() => Exit::NoInput,
         LoadError::NoSuchDevice(_) | LoadError::TooMuch { .. } => Exit::Usage,
         _ => Exit::Unavailable,
     };

@@ -39,7 +39,9 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
         let file = arguments.network_config.display();
         Failure::new(exit, error.context(format!("cannot serve at port {port}, the start_port of {file}")))
     })?;
-    complain(serving.summary());
+    if serving.answered() || matches!(watched.ended, Ended::Answered | Ended::Interrupted) {
+        complain(serving.summary());
+    }
     match watched.ended {
         Ended::Answered => Ok(()),
         Ended::Interrupted => {

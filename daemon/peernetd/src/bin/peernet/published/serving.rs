@@ -76,6 +76,11 @@ impl Serving {
         }
     }
 
+    /// Whether there was an answer.
+    pub(super) const fn answered(&self) -> bool {
+        self.answered > 0
+    }
+
     /// What came of it.
     pub(super) fn summary(&self) -> String {
         let rate = self.rate().map_or_else(String::new, |rate| format!(", {rate:.1} /s"));

@@ -97,7 +97,7 @@ impl Execution<'_> {
             agent.pipelines = plan.pipeline(run, user, &self.record.id).into_iter().collect();
             Order {
                 agent,
-                title: format!("{}: {}", plan.name, plan.words(run)),
+                title: plan.title(run),
                 folder,
                 overwrite: Overwrite::Replace,
                 plots: self.plots,

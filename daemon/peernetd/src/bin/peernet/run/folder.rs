@@ -6,12 +6,16 @@ use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
 use peernetd::exit::{Exit, Failure};
+use peernetd::small_file;
 
 use super::difference::differences;
 use super::plan::{Plan, Run};
 use super::state::{FORMAT, Record};
 
-const RECORD: &str = "experiment.json";
+/// How far an experiment is.
+pub(crate) const RECORD: &str = "experiment.json";
+/// Bytes of the largest record that is read: most runs, each of a configuration of its own, have less.
+pub(crate) const LARGEST_RECORD: u64 = 256 << 20;
 const LOCK: &str = ".lock";
 const RUNS: &str = "runs";
 
@@ -139,14 +143,14 @@ pub(super) fn load(path: &Path) -> Result<Option<Record>, Failure> {
         let text = format!("cannot read {}: {why}; --restart begins anew", path.display());
         Failure::new(Exit::Data, anyhow!("{text}"))
     };
-    let text = match fs::read(&path) {
+    let text = match small_file::read(&path, LARGEST_RECORD) {
         Ok(text) => text,
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
             return Ok(None);
         }
         Err(error) => return Err(damaged(error.to_string())),
     };
-    let record: Record = serde_json::from_slice(&text).map_err(|error| damaged(error.to_string()))?;
+    let record: Record = serde_json::from_str(&text).map_err(|error| damaged(error.to_string()))?;
     if record.format != FORMAT || record.states.len() != record.plan.runs.len() {
         return Err(damaged(format!("its format is {}, this program knows {FORMAT}", record.format)));
     }

@@ -22,6 +22,7 @@ mod table;
 mod trial;
 
 pub(crate) use arguments::Arguments;
+pub(crate) use folder::{LARGEST_RECORD, RECORD};
 
 use std::collections::BTreeSet;
 use std::io::{BufRead, IsTerminal, Write};
@@ -29,6 +30,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, anyhow};
 use peernet_clock::{ClockIdentity, SharedClock};
+use peernet_report::results::ResultFolder;
 use peernetd::exit::{Exit, Failure};
 use peernetd::output::{complain, say};
 use peernetd::{VERSION, clock};
@@ -153,14 +155,27 @@ fn settle(arguments: &Arguments, folder: &Folder, record: &mut Record) -> Result
         }
     }
     let finished = record.runs().filter(|(_, state)| state.stage == Stage::Finished);
-    let gone =
-        |run: &&Run| !folder.results(&record.plan, run).iter().all(|path| path.join("run.json").is_file());
-    let gone: Vec<Run> = finished.map(|(run, _)| run).filter(gone).cloned().collect();
-    for run in gone {
-        complain(format_args!("the results of run {} are gone; it is done again", run.number));
+    let damaged = |(run, _): (&Run, _)| Some((run.clone(), damage(folder, &record.plan, run)?));
+    let damaged: Vec<(Run, String)> = finished.filter_map(damaged).collect();
+    for (run, why) in damaged {
+        complain(format_args!("run {} is done again: {why}", run.number));
         record.forget(&run);
     }
     Ok(())
+}
+
+/// Why a run's results cannot be used: they are gone, cannot be read, or are not whole.
+fn damage(folder: &Folder, plan: &Plan, run: &Run) -> Option<String> {
+    let of_user = |path: &PathBuf| {
+        if !path.join("run.json").is_file() {
+            return Some("its results are gone".to_owned());
+        }
+        match ResultFolder::open(path) {
+            Ok(loaded) => loaded.damage().map(|why| format!("{}: {why}", path.display())),
+            Err(error) => Some(error.to_string()),
+        }
+    };
+    folder.results(plan, run).iter().find_map(of_user)
 }
 
 fn estimates(record: &Record, tried: &Tried) -> Estimates {
@@ -192,7 +207,7 @@ fn missing(tried: &Tried) -> Option<Failure> {
         let those = all.iter().filter(move |(other, words)| other == reason && !words.is_empty());
         std::iter::once(format!("  {reason}")).chain(those.map(|(_, words)| format!("    {words}")))
     });
-    let (count, of, lines) = (all.len(), tried.paces.len(), lines.collect::<Vec<_>>().join("\n"));
+    let (count, of, lines) = (all.len(), tried.wanted, lines.collect::<Vec<_>>().join("\n"));
     Some(Failure::new(
         exit,
         anyhow!("{count} of {of} configurations cannot be measured, nothing was begun:\n{lines}"),

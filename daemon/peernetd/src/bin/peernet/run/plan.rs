@@ -128,6 +128,13 @@ impl Plan {
         }
         if words.is_empty() { self.name.to_string() } else { words }
     }
+
+    /// The run among those of other experiments: `demo: Where = cloud, repeat 2`.
+    pub(super) fn title(&self, run: &Run) -> String {
+        let (name, words) = (self.name.as_str(), self.words(run));
+        // One that has neither axes nor repeats is called after the experiment already.
+        if words == name { words } else { format!("{name}: {words}") }
+    }
 }
 
 /// Labels in words: `Where = cloud, Model = S`.

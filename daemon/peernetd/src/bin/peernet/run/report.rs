@@ -3,8 +3,9 @@
 use std::path::Path;
 
 use anyhow::anyhow;
+use peernet_report::WriteError;
 use peernet_report::compare::Comparison;
-use peernet_report::figures;
+use peernet_report::figures::{self, Columns, Kind, PlotError};
 use peernet_report::results::{Loaded, ResultFolder};
 use peernet_report::sensor_study::SensorStudy;
 use peernet_report::trust::Publish;
@@ -27,8 +28,9 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Str
     }
     // As the file has them, whatever the order in which they came.
     runs.sort_by_key(|run| (run.configuration, run.repeat));
-    let loaded = runs.into_iter().map(|run| load(folder, record, run)).collect::<Result<Vec<_>, _>>()?;
+    let loaded = runs.iter().map(|run| load(folder, record, run)).collect::<Result<Vec<_>, _>>()?;
     let users = Users::of(&loaded);
+    let (studies, trust) = (studies(record, &runs, &loaded), trust(&loaded));
     let all: Vec<Loaded> = loaded.into_iter().flatten().collect();
     let comparison = Comparison::of(&all);
     let forms = [
@@ -39,7 +41,8 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Str
     ];
     save(folder.path(), "compare", &forms)?;
     if plots {
-        figures::of_experiment(&all, folder.path()).map_err(|error| Failure::new(Exit::Unwritten, error))?;
+        figures(&all, comparison.lines.len(), folder.path())
+            .map_err(|error| Failure::new(Exit::Unwritten, error))?;
     }
     let mut told = comparison.text();
     if let Some(users) = users {
@@ -48,29 +51,46 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Str
         save(folder.path(), "users", &forms)?;
         told = format!("{}\n\n{}", told.trim_end(), users.text());
     }
-    for run in all.iter().filter(|run| run.record.is_sensor_alone()) {
-        if let Some(study) = SensorStudy::of(&run.rows) {
-            told = format!("{}\n\n{}: {}", told.trim_end(), labels(run), study.text());
-        }
+    for study in studies {
+        told = format!("{}\n\n{study}", told.trim_end());
     }
-    Ok(format!("{}\n\n{}", told.trim_end(), trust(&all)))
+    Ok(format!("{}\n\n{trust}", told.trim_end()))
 }
 
-/// What distinguishes a run, for a heading.
-fn labels(run: &Loaded) -> String {
-    let place = run.record.experiment.as_ref();
-    let labels = place.into_iter().flat_map(|place| &place.configuration);
-    let labels: Vec<_> = labels.map(|(axis, label)| format!("{axis} = {label}")).collect();
-    if labels.is_empty() { run.record.title.clone() } else { labels.join(", ") }
+/// Draws what the configurations have together. Bars side by side need more than one.
+fn figures(all: &[Loaded], lines: usize, folder: &Path) -> Result<(), WriteError> {
+    if lines > 1 {
+        return figures::of_experiment(all, folder).map(drop);
+    }
+    match figures::draw(Kind::Payload, all, &Columns::default(), folder) {
+        Err(PlotError::Write(error)) => Err(error),
+        Ok(_) | Err(PlotError::Lacking(..)) => Ok(()),
+    }
 }
 
-/// Whether the runs can be published, in a sentence.
-fn trust(runs: &[Loaded]) -> String {
-    let count = |verdict| {
-        runs.iter()
-            .filter(|run| run.record.trust.as_ref().is_some_and(|trust| trust.verdict == verdict))
-            .count()
+/// What sensors alone showed of themselves, each below the name of its run.
+fn studies(record: &Record, runs: &[&Run], loaded: &[Vec<Loaded>]) -> Vec<String> {
+    let edges =
+        runs.iter().zip(loaded).flat_map(|(run, users)| users.iter().map(move |edge| (run, users, edge)));
+    let alone = edges.filter(|(_, _, edge)| edge.record.is_sensor_alone());
+    let study = alone.filter_map(|(run, users, edge)| {
+        let user = if users.len() > 1 { format!(", {}", edge.record.edge.name) } else { String::new() };
+        let study = SensorStudy::of(&edge.rows)?;
+        Some(format!("{}{user}\n{}", record.plan.words(run), study.text().trim_end()))
+    });
+    study.collect()
+}
+
+/// Whether the runs can be published, in a sentence. A run is as good as the worst of its edges.
+fn trust(runs: &[Vec<Loaded>]) -> String {
+    let worst = |edges: &Vec<Loaded>| {
+        let verdicts = edges.iter().map(|edge| edge.record.trust.as_ref().map(|trust| trust.verdict));
+        let known: Option<Vec<Publish>> = verdicts.collect();
+        [Publish::No, Publish::WithRemarks, Publish::Yes]
+            .into_iter()
+            .find(|verdict| known.as_ref().is_some_and(|known| known.contains(verdict)))
     };
+    let count = |verdict| runs.iter().filter(|edges| worst(edges) == Some(verdict)).count();
     let [yes, remarks, no] = [Publish::Yes, Publish::WithRemarks, Publish::No].map(count);
     format!(
         "Can they be published? {yes} yes, {remarks} with remarks, {no} no: trust in each run.json says why."

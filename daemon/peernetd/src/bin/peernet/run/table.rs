@@ -8,7 +8,7 @@ use super::state::{Record, Stage};
 use crate::foreground::duration;
 
 /// What stands where nobody can tell.
-const UNKNOWN: &str = "?";
+const UNKNOWN: &str = "unknown";
 
 /// All runs in their order: what they are, how long they take, how they fare.
 pub(super) fn runs(record: &Record, estimates: &Estimates) -> String {
@@ -46,13 +46,19 @@ pub(super) fn runs(record: &Record, estimates: &Estimates) -> String {
 
 /// How many runs there are to do and how long they take.
 pub(super) fn outlook(to_do: &[Run], record: &Record, estimates: &Estimates) -> String {
-    let known: Option<f64> = to_do.iter().map(|run| estimates.of(run.configuration)).sum();
-    let time = known.map_or_else(|| "a time that nobody can tell".to_owned(), duration);
+    let known: Vec<f64> = to_do.iter().filter_map(|run| estimates.of(run.configuration)).collect();
+    let sum = duration(known.iter().sum());
+    let time = match to_do.len() - known.len() {
+        0 => format!("about {sum}"),
+        unknown if unknown == to_do.len() => "how long they take is not known".to_owned(),
+        1 => format!("about {sum} and one of unknown length"),
+        unknown => format!("about {sum} and {unknown} of unknown length"),
+    };
     let all = record.plan.runs.len();
     match to_do.len() {
         0 => "nothing to do: all of it is finished".to_owned(),
-        some if some == all => format!("{}, about {time}", count(all)),
-        some => format!("{some} of {} to do, about {time}", count(all)),
+        some if some == all => format!("{}, {time}", count(all)),
+        some => format!("{some} of {} to do, {time}", count(all)),
     }
 }
 

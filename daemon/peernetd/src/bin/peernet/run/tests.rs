@@ -29,7 +29,7 @@ field = 'pipeline.sensor.length'
 values = [1, 2]
 ";
 
-fn plan(folder: &Path, text: &str) -> Plan {
+pub(super) fn plan(folder: &Path, text: &str) -> Plan {
     let path = folder.join("e.toml");
     std::fs::write(&path, text).expect("writable");
     let file = File::read(&path).expect("reads");
@@ -71,6 +71,29 @@ fn what_is_not_finished_is_done_again_and_nothing_else() {
     loaded.forget(&runs[0]);
     assert_eq!(numbers(&loaded.to_do(|_| true)), [1, 3, 4]);
     assert_eq!(summary(&loaded), "of 4 runs 1 finished, 1 interrupted, 1 to do");
+}
+
+#[test]
+fn what_is_not_whole_is_done_again() {
+    let temporary = tempfile::tempdir().expect("a folder");
+    let folder = Folder::open(&temporary.path().join("results")).expect("is new");
+    let record = record(temporary.path());
+    let run = &record.plan.runs[0];
+    let told = || damage(&folder, &record.plan, run);
+    assert_eq!(told().as_deref(), Some("its results are gone"));
+    let [path] = folder.results(&record.plan, run).try_into().expect("one user");
+    std::fs::create_dir_all(&path).expect("writable");
+    let data = |text: &str| std::fs::write(path.join("data.csv"), text).expect("writable");
+    std::fs::write(path.join("run.json"), r#"{"format": 1, "counts": {"ok": 2}}"#).expect("writable");
+    assert!(told().is_some_and(|why| why.contains("no data.csv")));
+    data("iteration,sensing,outcome\n1,0.5,ok\n2,0.5,ok\n");
+    assert_eq!(told(), None);
+    data("iteration,sensing,outcome\n1,0.5,ok\n2,0.");
+    assert!(
+        told().is_some_and(|why| why.ends_with("data.csv has 1 of the 2 iterations that run.json counts"))
+    );
+    data("itera");
+    assert!(told().is_some_and(|why| why.contains("cannot read")));
 }
 
 #[test]
@@ -130,6 +153,40 @@ fn wishes_choose_runs() {
     assert_eq!(unknown("--only C=3").as_deref(), Some("there is no axis C"));
     assert_eq!(unknown("--only 5").as_deref(), Some("there is no run 5; there are 4"));
     assert!(Line::try_parse_from(["run", "e.toml", "--only", "x"]).is_err());
+}
+
+#[test]
+fn times_that_nobody_knows_read_well() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let record = record(folder.path());
+    let outlook = |expected: [Option<f64>; 4]| {
+        table::outlook(&record.plan.runs, &record, &Estimates::new(expected.to_vec()))
+    };
+    assert_eq!(outlook([Some(3.0), Some(0.2), Some(5.0), Some(1.0)]), "4 runs, about 9 s");
+    assert_eq!(outlook([None; 4]), "4 runs, how long they take is not known");
+    assert_eq!(
+        outlook([Some(3.0), None, Some(5.0), Some(1.0)]),
+        "4 runs, about 9 s and one of unknown length"
+    );
+    let told = table::runs(&record, &Estimates::new(vec![Some(0.23), None, Some(5.0), None]));
+    let times: Vec<_> = told.lines().skip(1).filter_map(|line| line.split("to do").nth(1)).collect();
+    assert_eq!(
+        times.iter().map(|time| time.trim()).collect::<Vec<_>>(),
+        ["0.2 s", "unknown", "5 s", "unknown"]
+    );
+}
+
+#[test]
+fn a_run_without_axes_and_repeats_is_called_after_its_experiment_once() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let title = |text: &str| {
+        let plan = plan(folder.path(), text);
+        plan.title(&plan.runs[0])
+    };
+    assert_eq!(title(FILE), "e: A = 1, B = 1");
+    let alone = FILE.split("[[axis]]").next().expect("what is before the axes");
+    assert_eq!(title(alone), "e");
+    assert_eq!(title(&alone.replace("name = 'e'", "name = 'e'\nrepeats = 2")), "e: repeat 1");
 }
 
 #[test]

@@ -28,13 +28,21 @@ const PATIENCE_S: f64 = 30.0;
 pub(super) struct Tried {
     /// One for each configuration; `None` where it was not tried or did not work.
     pub(super) paces: Vec<Option<Pace>>,
-    /// What is missing: configurations in words, and why.
+    /// How many configurations were to be tried.
+    pub(super) wanted: usize,
+    /// What is missing: every configuration that cannot be measured, in words, and why.
     pub(super) missing: Vec<(String, Exited)>,
     /// What spoils measurements on a host, each once.
     pub(super) conditions: Vec<Condition>,
 }
 
-/// Tries the configurations at these places, each that is not like another before.
+/// A trial, and the places of all configurations that are alike in it.
+struct Trial {
+    order: Order,
+    configurations: Vec<usize>,
+}
+
+/// Tries the configurations at these places, those that are alike once.
 ///
 /// # Errors
 /// When there is no place for files (69) or the user ended it (130).
@@ -49,32 +57,34 @@ pub(super) async fn configurations(
     let folder = folder
         .context("cannot make a temporary folder; TMPDIR names another place")
         .map_err(|error| Failure::new(Exit::Unavailable, error))?;
-    let mut tried =
-        Tried { paces: vec![None; plan.configurations.len()], missing: Vec::new(), conditions: Vec::new() };
-    let mut before: Vec<(Order, Option<Pace>)> = Vec::new();
+    let mut tried = Tried {
+        paces: vec![None; plan.configurations.len()],
+        wanted: wanted.len(),
+        missing: Vec::new(),
+        conditions: Vec::new(),
+    };
     // Nobody is waited for twice.
     let mut away: Vec<(Address, Exited)> = Vec::new();
+    let trials = trials(plan, wanted);
     let mut progress = Progress::new(quiet, clock.mono());
-    for (done, &index) in wanted.iter().enumerate() {
-        let Some(configuration) = plan.configurations.get(index) else { continue };
-        let order = order(configuration);
-        if let Some((_, pace)) = before.iter().find(|(other, _)| other.agent == order.agent) {
-            tried.paces[index] = *pace;
+    for (done, Trial { order, configurations }) in trials.iter().enumerate() {
+        let words = || configurations.iter().map(|index| words(plan, *index));
+        let state = format!("trying {} of {}: {}", done + 1, trials.len(), alike(words()));
+        let peer = peer(order);
+        if let Some((address, exit)) = away.iter().find(|(other, _)| Some(other) == peer.as_ref()) {
+            if !quiet {
+                progress.say(format_args!("{state}: left out, {address} is away"));
+            }
+            tried.missing.extend(words().map(|words| (words, exit.clone())));
             continue;
         }
-        let peer = peer(&order);
-        if let Some((_, exit)) = away.iter().find(|(other, _)| Some(other) == peer.as_ref()) {
-            tried.missing.push((in_words(&configuration.labels), exit.clone()));
-            continue;
-        }
-        let state = format!("trying {} of {}: {}", done + 1, wanted.len(), in_words(&configuration.labels));
         if !quiet {
             progress.say(&state);
         }
-        let at = folder.path().join(index.to_string());
+        let at = folder.path().join(done.to_string());
         let began = clock.mono();
         let orders = [Order { folder: at.clone(), ..order.clone() }];
-        let share = done as f64 / wanted.len() as f64;
+        let share = done as f64 / trials.len() as f64;
         let mut ended = children::execute(&orders, signals, |seen| {
             let trouble = seen.iter().flatten().find_map(|seen| seen.trouble.clone());
             progress.show(clock.mono(), trouble, || (state.clone(), share));
@@ -89,23 +99,53 @@ pub(super) async fn configurations(
         match ended.exits.pop() {
             Some(exit) if exit.is_well() => {
                 let moments = loaded.iter().flat_map(|loaded| &loaded.rows).map(|row| row.at);
-                tried.paces[index] = pace(&moments.collect::<Vec<_>>(), took);
+                let pace = pace(&moments.collect::<Vec<_>>(), took);
+                configurations.iter().for_each(|index| tried.paces[*index] = pace);
             }
             Some(exit) => {
                 if took >= order.patience_s.unwrap_or(PATIENCE_S) {
                     away.extend(peer.map(|peer| (peer, exit.clone())));
                 }
-                tried.missing.push((in_words(&configuration.labels), exit));
+                tried.missing.extend(words().map(|words| (words, exit.clone())));
             }
             None => {}
         }
         if let Some(loaded) = loaded {
             tell(&loaded.record, &mut tried.conditions);
         }
-        before.push((order, tried.paces[index]));
     }
     progress.end();
     Ok(tried)
+}
+
+/// The trials that differ, in the order of the configurations.
+fn trials(plan: &Plan, wanted: &BTreeSet<usize>) -> Vec<Trial> {
+    let mut trials: Vec<Trial> = Vec::new();
+    let configurations = wanted.iter().filter_map(|index| Some((*index, plan.configurations.get(*index)?)));
+    for (index, configuration) in configurations {
+        let order = order(configuration);
+        match trials.iter_mut().find(|trial| trial.order.agent == order.agent) {
+            Some(trial) => trial.configurations.push(index),
+            None => trials.push(Trial { order, configurations: vec![index] }),
+        }
+    }
+    trials
+}
+
+/// A configuration in words; without axes the experiment's name.
+fn words(plan: &Plan, index: usize) -> String {
+    let words = plan.configurations.get(index).map(|configuration| in_words(&configuration.labels));
+    words.filter(|words| !words.is_empty()).unwrap_or_else(|| plan.name.to_string())
+}
+
+/// Configurations in few words: the first, and how many others are like it.
+fn alike(mut words: impl ExactSizeIterator<Item = String>) -> String {
+    let first = words.next().unwrap_or_default();
+    match words.len() {
+        0 => first,
+        1 => format!("{first} (and 1 configuration like it)"),
+        more => format!("{first} (and {more} configurations like it)"),
+    }
 }
 
 /// Who is asked.
@@ -161,6 +201,48 @@ fn tell(record: &RunRecord, conditions: &mut Vec<Condition>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::run::tests::plan;
+
+    const FILE: &str = "\
+[experiment]
+name = 'e'
+iterations = 10
+[pipeline]
+sensor = { kind = 'text', length = 10 }
+placement = { kind = 'none' }
+[[axis]]
+name = 'Length'
+field = 'pipeline.sensor.length'
+values = [1, 2]
+[[axis]]
+name = 'Rate'
+[[axis.value]]
+label = 'closed'
+[[axis.value]]
+label = '5'
+set = { 'pipeline.load' = { mode = 'rate', hz = 5.0 } }
+[[axis.value]]
+label = '9'
+set = { 'pipeline.load' = { mode = 'rate', hz = 9.0 } }
+";
+
+    #[test]
+    fn configurations_that_are_alike_in_a_trial_share_one_and_all_have_a_name() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let whole = plan(folder.path(), FILE);
+        let places = |wanted: &[usize]| -> Vec<Vec<usize>> {
+            let trials = trials(&whole, &wanted.iter().copied().collect());
+            trials.into_iter().map(|trial| trial.configurations).collect()
+        };
+        assert_eq!(places(&[0, 1, 2, 3, 4, 5]), [[0, 1, 2], [3, 4, 5]]);
+        assert_eq!(places(&[2, 3, 5]), [vec![2], vec![3, 5]]);
+        let told = |indices: &[usize]| alike(indices.iter().map(|index| words(&whole, *index)));
+        assert_eq!(told(&[2]), "Length = 1, Rate = 9");
+        assert_eq!(told(&[3, 5]), "Length = 2, Rate = closed (and 1 configuration like it)");
+        assert_eq!(told(&[0, 1, 2]), "Length = 1, Rate = closed (and 2 configurations like it)");
+        let single = plan(folder.path(), FILE.split("[[axis]]").next().expect("what is before the axes"));
+        assert_eq!(words(&single, 0), "e");
+    }
 
     #[test]
     fn the_pace_is_that_of_the_iterations_after_the_first() {

@@ -1,6 +1,5 @@
 //! Reading the file and checking everything it names.
 
-use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::{fmt, io};
 
@@ -13,7 +12,7 @@ use peernet_aggregator::{Aggregator, AggregatorConfig};
 use peernet_clock::{ClockIdentity, SharedClock};
 use peernet_inference::{BankConfig, ModelConfig, OnnxRuntimeConfig};
 use peernet_web::WebConfig;
-use peernetd::clock;
+use peernetd::{clock, small_file};
 use serde::Deserialize;
 
 use super::Locator;
@@ -88,7 +87,7 @@ impl fmt::Display for Problem {
 /// # Errors
 /// All problems found; more than one where the file could be read.
 pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
-    let text = read_text(path).map_err(|error| vec![unreadable(path, &error)])?;
+    let text = small_file::read(path, LARGEST_FILE).map_err(|error| vec![unreadable(path, &error)])?;
     let file = parse(path, &text)?;
     let found = roles(&file).into_iter().map(|(key, text)| (key.to_owned(), text.to_owned()));
     let configuration = Configuration::from(file);
@@ -111,7 +110,7 @@ pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
 /// # Errors
 /// When it cannot be read or understood.
 pub(super) fn read_unchecked(path: &Path) -> Result<Configuration, Vec<Problem>> {
-    let text = read_text(path).map_err(|error| vec![unreadable(path, &error)])?;
+    let text = small_file::read(path, LARGEST_FILE).map_err(|error| vec![unreadable(path, &error)])?;
     parse(path, &text).map(Configuration::from)
 }
 
@@ -133,18 +132,6 @@ fn parse(path: &Path, text: &str) -> Result<File, Vec<Problem>> {
         }
         vec![Problem { file: path.to_owned(), line, key, text }]
     })
-}
-
-/// The text of a regular file of reasonable size: a device or a recording given by mistake would be read for ever.
-fn read_text(path: &Path) -> io::Result<String> {
-    let mut text = String::new();
-    std::fs::File::open(path)?.take(LARGEST_FILE + 1).read_to_string(&mut text)?;
-    if text.len() as u64 > LARGEST_FILE {
-        return Err(io::Error::other(format!(
-            "it is larger than {LARGEST_FILE} bytes: is this the right file?"
-        )));
-    }
-    Ok(text)
 }
 
 /// The file's content, or the key that could not be read and why.

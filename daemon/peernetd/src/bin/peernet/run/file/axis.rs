@@ -71,7 +71,7 @@ impl Axis {
     /// A sentence that says what is wrong with it.
     pub(super) fn read(table: AxisTable) -> Result<Self, String> {
         let AxisTable { name, field, values, value } = table;
-        let values = match (field, values.is_empty(), value.is_empty()) {
+        let values: Vec<AxisValue> = match (field, values.is_empty(), value.is_empty()) {
             (Some(field), false, true) => short(&field, values)?,
             (None, true, false) => value.into_iter().map(long).collect::<Result<_, _>>()?,
             _ => {
@@ -81,6 +81,15 @@ impl Axis {
                 );
             }
         };
+        if name.contains(char::is_control) {
+            return Err(format!("name: {name:?} holds a control character, which would break tables"));
+        }
+        if let Some(value) = values.iter().find(|value| value.label.contains(char::is_control)) {
+            return Err(format!(
+                "the label {:?} holds a control character, which would break tables; give it another with [[axis.value]]",
+                value.label
+            ));
+        }
         let this = Self { name, values };
         let labels: Vec<&str> = this.values.iter().map(|value| value.label.as_str()).collect();
         match labels.iter().enumerate().find(|(at, label)| labels[..*at].contains(label)) {
@@ -190,6 +199,8 @@ mod tests {
             ("name = 'a'\nfield = 'experiment.seed'\nvalues = [1]", "the same for all runs"),
             ("name = 'a'\nfield = 'pipeline.load'\nvalues = [{ mode = 'closed' }]", "how it is to be called"),
             ("name = 'a'\nfield = 'pipeline.x'\nvalues = [1, 1]", "labelled 1"),
+            ("name = 'a'\nfield = 'pipeline.x'\nvalues = [\"b\\nc\"]", r#"the label "b\nc" holds a control"#),
+            ("name = \"a\\u001b\"\nfield = 'pipeline.x'\nvalues = [1]", "name: "),
         ] {
             let error = read(text).expect_err(text);
             assert!(error.contains(told), "{error}");

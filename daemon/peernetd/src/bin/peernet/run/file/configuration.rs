@@ -61,6 +61,7 @@ impl File {
         &self,
         combination: &Combination<'_>,
         models: &[PathBuf],
+        files: &mut peers::Files,
     ) -> Result<Configuration, String> {
         let mut document = self.document.clone();
         for (axis, value) in combination {
@@ -69,7 +70,7 @@ impl File {
                 set.map_err(|error| format!("axis {} = {}: {error}", axis.name, value.label))?;
             }
         }
-        read(document, models)
+        read(document, models, files)
             .map(|configuration| Configuration {
                 labels: combination
                     .iter()
@@ -81,10 +82,11 @@ impl File {
     }
 }
 
-fn read(mut document: Table, models: &[PathBuf]) -> Result<Configuration, String> {
+fn read(mut document: Table, models: &[PathBuf], files: &mut peers::Files) -> Result<Configuration, String> {
     let table = |document: &mut Table, key: &str| document.remove(key);
     let experiment = table(&mut document, "experiment").unwrap_or_else(|| Value::Table(Table::new()));
     let experiment: Experiment = typed(experiment).map_err(|error| format!("experiment.{error}"))?;
+    experiment.check()?;
     let network = table(&mut document, "network").map(typed::<Network>).transpose();
     let network = network.map_err(|error| format!("network.{error}"))?;
     let Some(Value::Table(mut pipeline)) = table(&mut document, "pipeline") else {
@@ -93,7 +95,7 @@ fn read(mut document: Table, models: &[PathBuf]) -> Result<Configuration, String
     if let Some((key, instead)) = ELSEWHERE.iter().find(|(key, _)| pipeline.contains_key(*key)) {
         return Err(format!("pipeline.{key}: in an experiment this is decided by {instead}"));
     }
-    peers::resolve(&mut pipeline, network.as_ref())?;
+    peers::resolve(&mut pipeline, network.as_ref(), files)?;
     let seeds = Seeds { sensor: lacks_seed(&pipeline, "sensor"), load: lacks_seed(&pipeline, "load") };
     pipeline.insert("name".to_owned(), Value::String(experiment.name.to_string()));
     let has_bank = document.contains_key("bank");

@@ -10,6 +10,14 @@ use peernet_networks::Address;
 use serde::{Deserialize, Serialize};
 use toml::Value;
 
+/// Most edges at once. Each is a process with its own sockets, clock probes and, where it computes itself, model: more of
+/// them on one host measure that host, and not the network or the server.
+const MOST_USERS: u32 = 64;
+/// Seconds of the longest run: a year.
+const LONGEST_RUN_S: f64 = 365.0 * 86_400.0;
+/// Seconds of the longest patience: a day, as for `--patience`.
+const LONGEST_PATIENCE_S: f64 = 86_400.0;
+
 /// `[experiment]`: how often, in which order, how long.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -77,6 +85,33 @@ pub(super) struct Network {
 }
 
 impl Experiment {
+    /// Checks the ranges of its numbers.
+    ///
+    /// # Errors
+    /// A sentence that begins with the key.
+    pub(super) fn check(&self) -> Result<(), String> {
+        let users = self.users.get();
+        if users > MOST_USERS {
+            return Err(format!(
+                "experiment.users: {users} is too many; at most {MOST_USERS} edges, each a process of its own, can ask at once"
+            ));
+        }
+        if let Some(seconds) =
+            self.duration_s.filter(|seconds| !(*seconds > 0.0 && *seconds <= LONGEST_RUN_S))
+        {
+            return Err(format!(
+                "experiment.duration_s: {seconds:?} is not a number of seconds above 0 and up to {LONGEST_RUN_S}"
+            ));
+        }
+        if let Some(seconds) = self.patience_s.filter(|seconds| !(0.0..=LONGEST_PATIENCE_S).contains(seconds))
+        {
+            return Err(format!(
+                "experiment.patience_s: {seconds:?} is not a number of seconds from 0 to {LONGEST_PATIENCE_S}"
+            ));
+        }
+        Ok(())
+    }
+
     /// When a run ends.
     ///
     /// # Errors
@@ -157,5 +192,24 @@ mod tests {
         assert!(read("").limit().expect_err("endless").contains("when does a run end"));
         assert!(read("episodes = 3").limit().expect_err("endless").contains("episode_steps"));
         assert!(read("duration_s = 3.5").limit().is_ok());
+    }
+
+    #[test]
+    fn numbers_have_their_ranges() {
+        for fine in ["users = 64", "duration_s = 0.5", "patience_s = 0", "patience_s = 86400.0"] {
+            assert_eq!(read(fine).check(), Ok(()), "{fine}");
+        }
+        for (wrong, told) in [
+            ("users = 65", "experiment.users: 65 is too many"),
+            ("duration_s = 0.0", "experiment.duration_s: 0.0 is not"),
+            ("duration_s = 1e308", "experiment.duration_s: 1e308 is not"),
+            ("duration_s = nan", "experiment.duration_s: NaN is not"),
+            ("patience_s = -1", "experiment.patience_s: -1.0 is not"),
+            ("patience_s = 1e300", "experiment.patience_s: 1e300 is not"),
+            ("patience_s = inf", "experiment.patience_s: inf is not"),
+        ] {
+            let error = read(wrong).check().expect_err(wrong);
+            assert!(error.starts_with(told), "{error}");
+        }
     }
 }

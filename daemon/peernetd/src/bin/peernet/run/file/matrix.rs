@@ -7,7 +7,7 @@ use toml::Value;
 use super::axis::{Axis, AxisValue, label};
 
 /// Most runs that an experiment may have, so that a slip of the keyboard does not fill the memory.
-const MOST: usize = 10_000;
+pub(super) const MOST: usize = 10_000;
 
 /// One value of each axis, in the order of the axes.
 pub(super) type Combination<'a> = Vec<(&'a Axis, &'a AxisValue)>;

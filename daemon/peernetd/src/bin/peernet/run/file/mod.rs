@@ -18,6 +18,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use peernetd::exit::{Exit, Failure};
+use peernetd::small_file;
 use toml::{Table, Value};
 
 use axis::AxisTable;
@@ -44,7 +45,7 @@ impl File {
     /// # Errors
     /// When it is not there (66) or something is wrong with it (78).
     pub(super) fn read(path: &Path) -> Result<Self, Failure> {
-        let text = std::fs::read_to_string(path)
+        let text = small_file::read(path, small_file::LARGEST)
             .with_context(|| format!("cannot read the experiment {}", path.display()))
             .map_err(|error| Failure::new(Exit::NoInput, error))?;
         Self::parse(&text, path)
@@ -60,10 +61,11 @@ impl File {
         let wrong = |text: String| Failure::new(Exit::Configuration, anyhow!("{text}"));
         let at = |text: String| wrong(format!("{}: {text}", self.path.display()));
         let combinations = matrix::combinations(&self.axes, &self.experiment.exclude).map_err(at)?;
+        self.bounded(combinations.len()).map_err(at)?;
         let mut configurations = Vec::new();
-        let mut problems: Vec<String> = Vec::new();
+        let (mut problems, mut files) = (Vec::<String>::new(), peers::Files::default());
         for combination in combinations {
-            match self.configuration(&combination, models) {
+            match self.configuration(&combination, models, &mut files) {
                 Ok(configuration) => configurations.push(configuration),
                 // The same mistake in every combination is one.
                 Err(problem) if problems.contains(&problem) => {}
@@ -75,6 +77,16 @@ impl File {
         }
         let file = self.path.display();
         Err(wrong(problems.iter().map(|problem| format!("{file}: {problem}")).collect::<Vec<_>>().join("\n")))
+    }
+
+    /// Checks that so many configurations make no more runs than there may be, before any is planned.
+    fn bounded(&self, configurations: usize) -> Result<(), String> {
+        let repeats = self.experiment.repeats.get();
+        let runs = configurations as u64 * u64::from(repeats);
+        if runs <= matrix::MOST as u64 {
+            return Ok(());
+        }
+        Err(format!("experiment.repeats: so many repeats make {runs} runs; there may be {}", matrix::MOST))
     }
 
     fn parse(text: &str, path: &Path) -> Result<Self, String> {

@@ -1,15 +1,34 @@
 //! Peers by their names in the published file of devices.
 
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use peernet_networks::Address;
 use toml::{Table, Value};
 
 use super::experiment::Network;
 use crate::published::addresses;
 
+/// Files of devices, each read once: what is remarked of one is said once, however many combinations there are.
+#[derive(Default)]
+pub(super) struct Files(BTreeMap<PathBuf, Result<BTreeMap<String, Address>, String>>);
+
+impl Files {
+    fn read(&mut self, path: &Path) -> Result<&BTreeMap<String, Address>, String> {
+        let read = || addresses(path).map_err(|failure| format!("network.config: {failure}"));
+        self.0.entry(path.to_owned()).or_insert_with(read).as_ref().map_err(Clone::clone)
+    }
+}
+
 /// Puts the address in the place of a device's name in `pipeline.placement.peer`.
 ///
 /// # Errors
 /// A sentence with its key, when there is no such device.
-pub(super) fn resolve(pipeline: &mut Table, network: Option<&Network>) -> Result<(), String> {
+pub(super) fn resolve(
+    pipeline: &mut Table,
+    network: Option<&Network>,
+    files: &mut Files,
+) -> Result<(), String> {
     let placement = pipeline.get_mut("placement").and_then(Value::as_table_mut);
     let Some(Value::String(peer)) = placement.and_then(|placement| placement.get_mut("peer")) else {
         return Ok(());
@@ -22,7 +41,7 @@ pub(super) fn resolve(pipeline: &mut Table, network: Option<&Network>) -> Result
             "pipeline.placement.peer: {peer:?} is no address; write tcp://host:5551, or name the file of the devices: [network] config = \"net_config.yaml\""
         ));
     };
-    let devices = addresses(&network.config).map_err(|failure| format!("network.config: {failure}"))?;
+    let devices = files.read(&network.config)?;
     let address = devices.get(peer.as_str()).ok_or_else(|| {
         let known: Vec<&str> = devices.keys().map(String::as_str).collect();
         format!(

@@ -193,3 +193,16 @@ fn only_seeds_that_the_file_leaves_open_are_filled_in() {
     );
     assert_eq!(seeds(open, "{ mode = 'poisson', hz = 1.0, seed = 2 }"), (true, false));
 }
+
+#[test]
+fn numbers_beyond_all_measure_are_refused_with_their_key() {
+    let of_experiment = |more: &str| {
+        let text = COMMON.replace("iterations = 10", &format!("iterations = 10\n{more}"));
+        configurations(&text).expect_err(more)
+    };
+    let error = of_experiment("repeats = 4000000000");
+    assert!(error.contains("e.toml: experiment.repeats: so many repeats make 4000000000 runs"), "{error}");
+    assert!(of_experiment("users = 100000").contains("e.toml: experiment.users: 100000"));
+    let error = wrong("[[axis]]\nname = 'P'\nfield = 'experiment.patience_s'\nvalues = [10, -1]\n");
+    assert!(error.contains("experiment.patience_s: -1.0") && error.contains("(with P = -1)"), "{error}");
+}

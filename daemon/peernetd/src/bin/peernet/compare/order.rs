@@ -1,0 +1,119 @@
+//! The order of an experiment's runs.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use peernet_report::results::Loaded;
+use peernetd::small_file;
+use serde::Deserialize;
+
+use crate::run::{LARGEST_RECORD, RECORD};
+
+/// How many folders above its results an experiment's is looked for: `runs`, the run's, a user's.
+const HIGHEST: usize = 4;
+
+/// What is needed of `experiment.json`.
+#[derive(Deserialize)]
+struct Experiment {
+    id: String,
+    plan: Plan,
+}
+
+#[derive(Deserialize)]
+struct Plan {
+    configurations: Vec<Configuration>,
+}
+
+#[derive(Deserialize)]
+struct Configuration {
+    labels: Vec<(String, String)>,
+}
+
+/// The runs as numbers, those of an experiment in the order of its file, as `peernet run` shows them, whatever the order in
+/// which they were measured. They take the places that its runs had; all others stay where they are. An experiment whose
+/// folder is not there, or cannot be read, stays as it is: only the order depends on it.
+pub(super) fn as_declared(runs: &[Loaded]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..runs.len()).collect();
+    let mut executions: HashMap<&str, Vec<usize>> = HashMap::new();
+    for (at, run) in runs.iter().enumerate() {
+        if let Some(place) = &run.record.experiment {
+            executions.entry(&place.id).or_default().push(at);
+        }
+    }
+    for (id, places) in executions {
+        let Some(experiment) = places.iter().find_map(|at| of_folder(&runs[*at].folder, id)) else {
+            continue;
+        };
+        let rank = |at: &usize| {
+            let place = runs[*at].record.experiment.as_ref();
+            let declared = &experiment.plan.configurations;
+            place.map(|place| {
+                let at = declared.iter().position(|one| one.labels == place.configuration);
+                (at.unwrap_or(declared.len()), place.repeat)
+            })
+        };
+        let mut sorted = places.clone();
+        // Stable: the users of one run stay as they are.
+        sorted.sort_by_key(rank);
+        places.into_iter().zip(sorted).for_each(|(place, run)| order[place] = run);
+    }
+    order
+}
+
+/// The execution of that id that a folder of results belongs to.
+fn of_folder(results: &Path, id: &str) -> Option<Experiment> {
+    let folder: PathBuf = results.canonicalize().ok()?;
+    let records = folder.ancestors().skip(1).take(HIGHEST).map(|above| above.join(RECORD));
+    let read = |path: PathBuf| {
+        let text = small_file::read(&path, LARGEST_RECORD).ok()?;
+        serde_json::from_str::<Experiment>(&text).ok()
+    };
+    records.filter_map(read).find(|experiment| experiment.id == id)
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_logger::stream::ExperimentPlace;
+    use peernet_report::results::RunRecord;
+    use serde_json::json;
+
+    use std::fs;
+
+    use super::*;
+
+    #[test]
+    fn runs_come_as_the_file_has_them() {
+        let experiment = tempfile::tempdir().expect("a folder");
+        let labels = |label: &str| vec![("load".to_owned(), label.to_owned())];
+        let configurations: Vec<_> = ["b", "a"].map(|label| json!({ "labels": labels(label) })).to_vec();
+        let record = json!({ "id": "x1", "plan": { "configurations": configurations } });
+        fs::write(experiment.path().join(RECORD), record.to_string()).expect("written");
+        let run = |folder: &str, place: Option<(&str, u32)>| {
+            let folder = experiment.path().join("runs").join(folder);
+            fs::create_dir_all(&folder).expect("made");
+            let place = place.map(|(label, repeat)| ExperimentPlace {
+                name: "x".to_owned(),
+                id: "x1".to_owned(),
+                configuration: labels(label),
+                repeat,
+            });
+            Loaded {
+                folder,
+                record: RunRecord { experiment: place, ..RunRecord::default() },
+                rows: Vec::new(),
+            }
+        };
+        let mut runs = vec![
+            run("1", Some(("a", 0))),
+            run("stranger", None),
+            run("2", Some(("b", 1))),
+            run("3/user-1", Some(("b", 0))),
+            run("3/user-2", Some(("b", 0))),
+        ];
+        assert_eq!(as_declared(&runs), [3, 1, 4, 2, 0]);
+        fs::remove_file(experiment.path().join(RECORD)).expect("removed");
+        assert_eq!(as_declared(&runs), [0, 1, 2, 3, 4], "as they came");
+        runs.clear();
+        assert!(as_declared(&runs).is_empty());
+    }
+}

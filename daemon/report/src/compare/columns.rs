@@ -1,0 +1,124 @@
+//! Which of all that differs among runs becomes a column, and what is said of the rest.
+
+use super::configuration::NOTHING;
+
+/// Most values of what is no column that are listed.
+const MOST_LISTED: usize = 4;
+/// From so many hexadecimal digits on a label is a hash.
+const HASH: usize = 32;
+
+/// Something that differs: its name and the label of each configuration.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Column {
+    pub(super) axis: String,
+    pub(super) labels: Vec<String>,
+}
+
+/// What becomes of columns.
+pub(super) struct Chosen {
+    /// Those that are shown.
+    pub(super) columns: Vec<Column>,
+    /// The others.
+    pub(super) rest: Vec<Column>,
+}
+
+/// Takes a column if it tells apart what those before it do not, or names what they have no label for; never one of hashes or
+/// paths, because folders have names that people gave.
+pub(super) fn choose(all: Vec<Column>) -> Chosen {
+    let Some(configurations) = all.first().map(|column| column.labels.len()) else {
+        return Chosen { columns: all, rest: Vec::new() };
+    };
+    let mut taken = vec![false; all.len()];
+    let chosen = |taken: &[bool]| -> Vec<Column> {
+        all.iter().zip(taken).filter(|(_, taken)| **taken).map(|(column, _)| column.clone()).collect()
+    };
+    for at in 0..all.len() {
+        let before = classes(&chosen(&taken), configurations);
+        taken[at] = !all[at].is_opaque();
+        taken[at] = taken[at] && classes(&chosen(&taken), configurations) > before;
+    }
+    for configuration in 0..configurations {
+        let names = |column: &Column| column.labels[configuration] != NOTHING;
+        if !chosen(&taken).iter().any(names) {
+            let first = all.iter().position(|column| !column.is_opaque() && names(column));
+            first.into_iter().for_each(|at| taken[at] = true);
+        }
+    }
+    let columns = chosen(&taken);
+    let rest = all.into_iter().zip(taken).filter(|(_, taken)| !taken).map(|(column, _)| column).collect();
+    Chosen { columns, rest }
+}
+
+/// Whether no two configurations have the same labels.
+pub(super) fn tell_apart(columns: &[Column], configurations: usize) -> bool {
+    classes(columns, configurations) == configurations
+}
+
+/// How many different rows of labels there are.
+fn classes(columns: &[Column], configurations: usize) -> usize {
+    let row = |at: usize| columns.iter().map(|column| column.labels[at].as_str()).collect::<Vec<_>>();
+    let mut rows: Vec<Vec<&str>> = (0..configurations).map(row).collect();
+    rows.sort_unstable();
+    rows.dedup();
+    rows.len()
+}
+
+/// What differs and is no column, in words.
+pub(super) fn sentences(columns: &[Column], rest: &[Column]) -> Vec<String> {
+    let (mut told, mut named): (Vec<String>, Vec<&str>) = (Vec::new(), Vec::new());
+    for column in rest {
+        match column.told(columns) {
+            Some(text) if !column.is_opaque() => told.push(text),
+            _ => named.push(&column.axis),
+        }
+    }
+    let mut sentences = Vec::new();
+    if !told.is_empty() {
+        sentences.push(format!("Besides, they differ in {}.", told.join("; ")));
+    }
+    if !named.is_empty() {
+        sentences.push(format!("Their run.json tells what else differs: {}.", named.join(", ")));
+    }
+    sentences
+}
+
+impl Column {
+    /// Whether it has hashes or paths, which tell people nothing.
+    fn is_opaque(&self) -> bool {
+        let is_hash = |word: &str| word.len() >= HASH && word.bytes().all(|byte| byte.is_ascii_hexdigit());
+        let is_opaque = |label: &String| label.split(' ').any(|word| word.starts_with('/') || is_hash(word));
+        self.labels.iter().any(is_opaque)
+    }
+
+    /// Each of its labels, and behind it which configurations have it; `None` when that would be long.
+    fn told(&self, columns: &[Column]) -> Option<String> {
+        let mut values: Vec<(&str, Vec<String>)> = Vec::new();
+        // By one column from which it follows, or by all.
+        let by = columns.iter().find(|column| column.decides(self));
+        for (at, label) in self.labels.iter().enumerate().filter(|(_, label)| *label != NOTHING) {
+            let who = match by {
+                Some(column) => column.labels[at].clone(),
+                None => {
+                    let labels = columns.iter().map(|column| column.labels[at].as_str());
+                    labels.filter(|label| *label != NOTHING).collect::<Vec<_>>().join(", ")
+                }
+            };
+            let who = if who == NOTHING { "the others".to_owned() } else { who };
+            match values.iter_mut().find(|(value, _)| value == label) {
+                Some((_, all)) if all.contains(&who) => {}
+                Some((_, all)) => all.push(who),
+                None => values.push((label, vec![who])),
+            }
+        }
+        (values.len() <= MOST_LISTED && values.iter().all(|(_, who)| who.len() <= MOST_LISTED)).then(|| {
+            let told = values.iter().map(|(value, who)| format!("{value} ({})", who.join("; ")));
+            format!("{}: {}", self.axis, told.collect::<Vec<_>>().join(", "))
+        })
+    }
+
+    /// Whether another column's labels follow from this one's.
+    fn decides(&self, other: &Self) -> bool {
+        let pairs = || self.labels.iter().zip(&other.labels);
+        pairs().all(|(label, of)| pairs().all(|(same, other)| same != label || other == of))
+    }
+}

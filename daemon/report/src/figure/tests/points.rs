@@ -1,0 +1,128 @@
+//! Values against size, and accuracy against latency.
+
+use super::*;
+
+fn scaling(line: Option<(f64, f64)>, whisker: Option<f64>) -> Scaling {
+    let value = |bytes: f64| Value {
+        bytes,
+        value: bytes * 1e3,
+        spread: None,
+        bounds: whisker.map(|share| (bytes * 1e3 * (1.0 - share), Some(bytes * 1e3 * (1.0 + share)))),
+    };
+    Scaling {
+        title: "Throughput against payload".to_owned(),
+        unit: Unit { title: "Throughput, bit/s".to_owned(), symbol: "", per_si: 1.0 },
+        parts: Parts { point: "size ÷ median delay", whisker: "by clock bounds", line: "by slope" },
+        notes: Vec::new(),
+        series: vec![Series {
+            name: "upload: 7 MB/s".to_owned(),
+            colour: UPLOAD,
+            mark: Mark::Disc,
+            values: [1e3, 1e4, 1e5].map(value).to_vec(),
+            line,
+        }],
+    }
+}
+
+/// Heights of the series' level lines.
+fn levels(svg: &str) -> Vec<f64> {
+    let lines = Elements::of(svg, "polyline").with("stroke", "#D55E00").with("stroke-width", "5");
+    let points = |line: &HashMap<String, String>| -> Vec<f64> {
+        line["points"].split_whitespace().filter_map(|point| point.split(',').nth(1)?.parse().ok()).collect()
+    };
+    // The first is the key's.
+    lines.0.iter().skip(1).flat_map(points).collect()
+}
+
+#[test]
+fn a_level_line_stands_at_its_height_or_not_at_all() {
+    let figure = scaling(Some((1e9, 0.0)), None);
+    let svg = figure.svg().expect("drawn");
+    let discs = Elements::of(&svg, "circle").numbers("cy");
+    // The key's disc, then a decade each; the line is a decade above the last.
+    let decade = discs[2] - discs[3];
+    let line = levels(&svg);
+    assert!(
+        !line.is_empty() && line.iter().all(|y| (discs[3] - y - decade).abs() < 3.0),
+        "{discs:?} {line:?}"
+    );
+    assert!(has(&svg, "point: size ÷ median delay · line: by slope"), "{:?}", texts(&svg));
+    assert_on_paper(&figure, &svg);
+    let far = scaling(Some((1e11, 0.0)), None).svg().expect("drawn");
+    assert!(levels(&far).is_empty());
+    for text in ["point: size ÷ median delay", "far beyond the axis and not drawn: the line of upload"] {
+        assert!(has(&far, text), "{text}: {:?}", texts(&far));
+    }
+}
+
+#[test]
+fn what_is_not_drawn_is_not_explained() {
+    let has_whisker = |share: f64| {
+        let svg = scaling(None, Some(share)).svg().expect("drawn");
+        texts(&svg).iter().any(|text| text.contains("whisker: by clock bounds"))
+    };
+    assert!(has_whisker(0.2) && !has_whisker(0.0), "one clock has no bounds");
+}
+
+fn score(label: &str, right: u64, count: u64, median: f64) -> Score {
+    Score { label: label.to_owned(), right, count, median, p95: (count >= 60).then_some(median * 1.5) }
+}
+
+fn accuracy(scores: Vec<Score>) -> Accuracy {
+    Accuracy {
+        title: "Accuracy against latency".to_owned(),
+        unit: Unit::milliseconds("Total"),
+        scores,
+        notes: vec!["n = 100 each".to_owned()],
+    }
+}
+
+#[test]
+fn intervals_are_those_of_wilson() {
+    // Brown, Cai and DasGupta (Statistical Science 16, 2001) and R's prop.test without correction.
+    let near = |score: Score, wanted: [f64; 3]| {
+        let found = score.accuracy().expect("there are answers");
+        found.iter().zip(wanted).all(|(found, wanted)| (found - wanted).abs() < 5e-5)
+    };
+    assert!(near(score("", 81, 263, 1.0), [0.2553, 0.3080, 0.3662]));
+    assert!(near(score("", 0, 10, 1.0), [0.0, 0.0, 0.2775]));
+    assert!(near(score("", 10, 10, 1.0), [0.7225, 1.0, 1.0]));
+    assert_eq!(score("", 0, 0, 1.0).accuracy(), None);
+}
+
+#[test]
+fn each_configuration_is_a_labelled_point() {
+    let scores = vec![score("s", 70, 100, 0.02), score("m", 80, 100, 0.04), score("l", 82, 100, 0.041)];
+    let figure = accuracy(scores);
+    let svg = figure.svg().expect("drawn");
+    let (x, y) = (Elements::of(&svg, "circle").numbers("cx"), Elements::of(&svg, "circle").numbers("cy"));
+    assert_eq!(x.len(), 3, "{svg}");
+    assert!(x[0] < x[1] && x[1] < x[2] && y[0] > y[1] && y[1] > y[2], "{x:?} {y:?}");
+    assert!((5.0 * (y[1] - y[2]) - (y[0] - y[1])).abs() < 8.0, "evenly: {y:?}");
+    for text in ["s", "m", "l", "Top-1 accuracy, %", "Total, ms", "Accuracy against latency"] {
+        assert!(has(&svg, text), "{text} in {:?}", texts(&svg));
+    }
+    assert_on_paper(&figure, &svg);
+}
+
+#[test]
+fn odd_scores_are_drawn_too() {
+    let crowd =
+        (0..24).map(|i| score(&format!("configuration {i} with a long name"), 50, 100, 0.02)).collect();
+    let cases = [
+        vec![],
+        vec![score("never", 0, 9, 1e-6)],
+        vec![score("always", 9, 9, 3.0), score("slow", 1, 90, 9e3)],
+        vec![score("none", 0, 0, 1.0), score("no time", 3, 9, f64::NAN)],
+        crowd,
+    ];
+    for scores in cases {
+        let figure = accuracy(scores);
+        let svg = figure.svg().expect("drawn");
+        assert_eq!(
+            has(&svg, "no values"),
+            figure.scores.iter().all(|score| score.count == 0 || score.median.is_nan())
+        );
+        assert_on_paper(&figure, &svg);
+    }
+}

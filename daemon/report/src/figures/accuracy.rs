@@ -1,0 +1,67 @@
+//! How often each configuration's answers are right, and how long they take.
+
+use super::configured::{Configured, counted};
+use super::written::{Drawing, Shown};
+use crate::figure::{Accuracy, Score, Unit};
+use crate::number::fixed;
+use crate::order::Ordered;
+use crate::results::{Loaded, Row};
+
+/// 1 where the best class is the label, else 0.
+const TOP_1: &str = "top-1";
+/// Most points that can be labelled.
+const MOST: usize = 24;
+
+/// One point for each configuration of which answers were told right from wrong; repeats are taken together.
+pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
+    let Configured { axes, groups } = Configured::of(runs);
+    let judged = |row: &&Row| row.value(TOP_1).is_some_and(f64::is_finite);
+    let all = || groups.iter().flat_map(|(_, runs)| counted(runs)).filter(judged);
+    if all().next().is_none() {
+        return Err(format!(
+            "it needs answers to labelled samples, and no iteration that counts has a {TOP_1}"
+        ));
+    }
+    let total = if all().all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
+    let score = |(label, runs): &(String, Vec<&Loaded>)| {
+        let rows: Vec<&Row> = counted(runs).filter(judged).collect();
+        let times: Ordered = rows.iter().filter_map(|row| row.value(total)).collect();
+        Some(Score {
+            label: label.clone(),
+            right: rows.iter().filter(|row| row.value(TOP_1) == Some(1.0)).count() as u64,
+            count: rows.len() as u64,
+            median: times.median()?,
+            p95: times.tails().map(|(_, p95)| p95),
+        })
+    };
+    let mut scores: Vec<Score> = groups.iter().filter_map(score).collect();
+    let (configurations, without) = (scores.len(), groups.len() - scores.len());
+    scores.truncate(MOST);
+    let late = if scores.iter().any(|score| score.p95.is_some()) {
+        "across: to the 95th percentile · "
+    } else {
+        ""
+    };
+    let fewest = scores.iter().map(|score| score.count).min().unwrap_or_default();
+    let most = scores.iter().map(|score| score.count).max().unwrap_or_default();
+    let number = |count: u64| fixed(count as f64, 0);
+    let n = if fewest == most { number(most) } else { format!("{} to {}", number(fewest), number(most)) };
+    let mut notes = vec![format!(
+        "configurations: {} · point: median · {late}upright: 95 % interval (Wilson) · n = {n} each",
+        axes.join(", ")
+    )];
+    if configurations > MOST {
+        notes.push(format!("the first {MOST} of {configurations} configurations"));
+    }
+    if without > 0 {
+        notes.push(format!("left out: {without} without labelled samples"));
+    }
+    let what = if total == "total" { "Total" } else { "Sum of stages" };
+    let accuracy = Accuracy {
+        title: "Accuracy against latency".to_owned(),
+        unit: Unit::milliseconds(what),
+        scores,
+        notes,
+    };
+    Ok(vec![Drawing::new("accuracy", Shown::Accuracy(accuracy))])
+}

@@ -1,0 +1,87 @@
+//! The axis across: linear from zero, or logarithmic where the values span more than a decade.
+
+use super::{Percent, Scale};
+use crate::numbers::fixed;
+
+/// Times the smallest value from which on the axis is logarithmic.
+const DECADE: f64 = 10.0;
+/// Decades from which on only powers of ten have a tick.
+const MANY: f64 = 2.5;
+
+/// Where values lie across.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Horizontal {
+    Linear(Scale),
+    /// From one value to another, both above zero.
+    Logarithmic(f64, f64),
+}
+
+impl Horizontal {
+    /// Holds all values.
+    pub(crate) fn of(values: impl Iterator<Item = f64>) -> Self {
+        let (least, most) = values.fold((f64::INFINITY, 0.0_f64), |(lo, hi), x| (lo.min(x), hi.max(x)));
+        if least > 0.0 && most > least * DECADE && most.is_finite() {
+            // Room for the names at both ends.
+            let room = (most / least).powf(0.06);
+            return Self::Logarithmic(least / room, most * room);
+        }
+        Self::Linear(Scale::fit(most * 1.02, 6))
+    }
+
+    /// Whether equal distances are equal factors.
+    pub(crate) const fn is_logarithmic(&self) -> bool {
+        matches!(self, Self::Logarithmic(..))
+    }
+
+    /// Where a value lies.
+    pub(crate) fn at(&self, value: f64) -> Percent {
+        match self {
+            Self::Linear(scale) => scale.at(value),
+            Self::Logarithmic(lo, hi) => {
+                let share = (value.max(*lo) / lo).ln() / (hi / lo).ln();
+                Percent((share * 100.0).clamp(0.0, 100.0))
+            }
+        }
+    }
+
+    /// The value that lies at this share of the way between two.
+    pub(crate) fn between(&self, from: f64, to: f64, share: f64) -> f64 {
+        if self.is_logarithmic() && from > 0.0 {
+            from * (to / from).powf(share)
+        } else {
+            from + (to - from) * share
+        }
+    }
+
+    /// Positions and labels of the ticks.
+    pub(crate) fn ticks(&self) -> Vec<(Percent, String)> {
+        let (lo, hi) = match self {
+            Self::Linear(scale) => return scale.grid().into_iter().zip(scale.labels()).collect(),
+            Self::Logarithmic(lo, hi) => (*lo, *hi),
+        };
+        let factors: &[f64] = if (hi / lo).log10() > MANY { &[1.0] } else { &[1.0, 2.0, 5.0] };
+        let powers = lo.log10().floor() as i32..=hi.log10().ceil() as i32;
+        let values =
+            powers.flat_map(|power| factors.iter().map(move |factor| (factor * 10f64.powi(power), power)));
+        let held = values.filter(|(value, _)| (lo..=hi).contains(value));
+        held.map(|(value, power)| (self.at(value), fixed(value, (-power).clamp(0, 9) as usize))).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn labels(values: &[f64]) -> Vec<String> {
+        Horizontal::of(values.iter().copied()).ticks().into_iter().map(|(_, text)| text).collect()
+    }
+
+    #[test]
+    fn only_what_spans_a_decade_is_logarithmic() {
+        assert_eq!(labels(&[10.0, 50.0, 100.0]), ["0", "20", "40", "60", "80", "100", "120"]);
+        assert_eq!(labels(&[8.0, 30.0, 100.0]), ["10", "20", "50", "100"]);
+        assert_eq!(labels(&[0.1, 30.0, 1_000.0]), ["0.1", "1", "10", "100", "1,000"]);
+        assert!(!Horizontal::of([0.0, 1e6].into_iter()).is_logarithmic(), "zero has no logarithm");
+        assert!(!Horizontal::of(std::iter::empty()).ticks().is_empty());
+    }
+}

@@ -1,0 +1,102 @@
+//! In which order configurations stand: runs come in a random order, and readers look for a label where it belongs.
+
+use std::cmp::Ordering;
+
+/// Units that labels are written with, and how many of the smallest of their kind they are.
+const UNITS: [(&str, f64); 14] = [
+    ("b", 1.0),
+    ("kb", 1e3),
+    ("mb", 1e6),
+    ("gb", 1e9),
+    ("kib", 1_024.0),
+    ("mib", 1_048_576.0),
+    ("ns", 1e-9),
+    ("µs", 1e-6),
+    ("us", 1e-6),
+    ("ms", 1e-3),
+    ("s", 1.0),
+    ("hz", 1.0),
+    ("khz", 1e3),
+    ("mhz", 1e6),
+];
+
+/// Compares the labels of two configurations, axis by axis: the first axis groups, the next orders within.
+pub(super) fn labels(a: &[String], b: &[String]) -> Ordering {
+    let differ = a.iter().zip(b).map(|(a, b)| label(a, b)).find(|order| order.is_ne());
+    differ.unwrap_or_else(|| a.len().cmp(&b.len()))
+}
+
+/// Numbers come first, by their value with their unit; then words, with the numbers in them by value.
+fn label(a: &str, b: &str) -> Ordering {
+    match (quantity(a), quantity(b)) {
+        (Some(x), Some(y)) => x.total_cmp(&y).then_with(|| a.cmp(b)),
+        (Some(_), None) => Ordering::Less,
+        (None, Some(_)) => Ordering::Greater,
+        (None, None) => words(a).cmp(&words(b)).then_with(|| a.cmp(b)),
+    }
+}
+
+/// The value of `30`, `-1.5`, `1,000`, `1e6`, `30 kB`, `50 Hz`; of `224x224` its first number.
+fn quantity(label: &str) -> Option<f64> {
+    let text = label.trim().replace(',', "");
+    let is_number = |text: &str| text.parse::<f64>().ok().filter(|value| value.is_finite());
+    let ends = (1..=text.len()).rev().filter(|end| text.is_char_boundary(*end));
+    let (value, rest) = ends.into_iter().find_map(|end| Some((is_number(&text[..end])?, &text[end..])))?;
+    let unit = rest.trim().to_lowercase();
+    Some(value * UNITS.iter().find(|(name, _)| *name == unit).map_or(1.0, |(_, times)| *times))
+}
+
+#[derive(PartialEq, Eq, PartialOrd, Ord)]
+enum Piece {
+    Number(u128),
+    Word(String),
+}
+
+/// Words and whole numbers in turn.
+fn words(label: &str) -> Vec<Piece> {
+    let mut pieces: Vec<(bool, String)> = Vec::new();
+    for letter in label.to_lowercase().chars() {
+        let digit = letter.is_ascii_digit();
+        match pieces.last_mut().filter(|(kind, _)| *kind == digit) {
+            Some((_, text)) => text.push(letter),
+            None => pieces.push((digit, letter.to_string())),
+        }
+    }
+    let piece = |(digit, text): (bool, String)| match text.parse() {
+        Ok(number) if digit => Piece::Number(number),
+        _ => Piece::Word(text),
+    };
+    pieces.into_iter().map(piece).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sorted(rows: &[&[&str]]) -> Vec<Vec<String>> {
+        let mut rows: Vec<Vec<String>> =
+            rows.iter().map(|row| row.iter().map(|label| (*label).to_owned()).collect()).collect();
+        rows.sort_by(|a, b| labels(a, b));
+        rows
+    }
+
+    #[test]
+    fn the_first_axis_groups_and_numbers_go_by_value() {
+        let rows = sorted(&[
+            &["1000000", "closed"],
+            &["1000", "closed"],
+            &["100000", "50 Hz"],
+            &["1000", "50 Hz"],
+            &["100000", "closed"],
+        ]);
+        let rows: Vec<String> = rows.iter().map(|row| row.join(" ")).collect();
+        assert_eq!(rows, ["1000 50 Hz", "1000 closed", "100000 50 Hz", "100000 closed", "1000000 closed"]);
+    }
+
+    #[test]
+    fn units_and_numbers_within_words_count() {
+        let rows = sorted(&[&["2 MB"], &["30 kB"], &["800 B"], &["net-10"], &["1,000"], &["net-9"], &["—"]]);
+        assert_eq!(rows.concat(), ["800 B", "1,000", "30 kB", "2 MB", "net-9", "net-10", "—"]);
+        assert_eq!(sorted(&[&["no"], &["-1"], &["0.5"], &["inf"]]).concat(), ["-1", "0.5", "inf", "no"]);
+    }
+}

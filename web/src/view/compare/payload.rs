@@ -1,0 +1,160 @@
+//! Latency against what was sent, and accuracy against latency.
+
+use peernet_logger::{Name, stage};
+use peernet_report::fit::{Fit, Point, Weighted, least_squares};
+
+use super::{Comparison, Configuration};
+use crate::look;
+use crate::numbers::{SPACE, bytes, duration, figure, interval_ms, within_ms};
+use crate::svg::{Horizontal, Ruler, Scatter, ScatterLine, ScatterPoint, ScatterSeries};
+
+/// Sizes within this factor are one size.
+const ALIKE: f64 = 1.1;
+/// Most groups that have lines of their own; with more nobody can tell them apart.
+const MOST_GROUPS: usize = 3;
+/// Name of the values that tell how often the first answer was right.
+const TOP_1: &str = look::ACCURACIES[0].0;
+
+fn sent(one: &Configuration) -> Option<f64> {
+    one.figures(&stage::UPLOAD_BYTES).map(|figures| figures.mean).filter(|size| *size > 0.0)
+}
+
+/// Latency against payload, where at least three configurations sent payloads that differ by a tenth or more, and what
+/// lines through it say.
+pub(crate) fn payload(comparison: &Comparison) -> Option<(Scatter, Vec<String>)> {
+    let all: Vec<(&Configuration, f64)> =
+        comparison.configurations.iter().filter_map(|one| Some((one, sent(one)?))).collect();
+    let sizes = || all.iter().map(|(_, size)| *size);
+    let (least, most) = sizes().fold((f64::INFINITY, 0.0_f64), |(lo, hi), size| (lo.min(size), hi.max(size)));
+    if all.len() < 3 || most < least * ALIKE {
+        return None;
+    }
+    let groups = groups(comparison, &all);
+    let mut said = Vec::new();
+    let series = [stage::TOTAL, stage::UPLOAD].map(|name| {
+        let points = all.iter().filter_map(|(one, size)| {
+            let figures = one.figures(&name)?;
+            Some(ScatterPoint {
+                x: size / 1e3,
+                y: figures.mean * 1e3,
+                spread: figures.std.map(|std| std * 1e3),
+                name: one.letter.clone(),
+            })
+        });
+        let mut lines = Vec::new();
+        for group in &groups {
+            let Some((fit, ends)) = line(group, &name) else { continue };
+            lines.push(ScatterLine {
+                intercept: fit.intercept.value * 1e3,
+                slope: fit.slope.value * 1e6,
+                from: ends.0 / 1e3,
+                to: ends.1 / 1e3,
+            });
+            let letters = group.iter().map(|(one, _)| one.letter.as_str()).collect::<Vec<_>>().join(", ");
+            said.push(sentence(&name, &letters, &fit));
+        }
+        ScatterSeries { look: look::class(&name), name: name.to_string(), points: points.collect(), lines }
+    });
+    let across = Horizontal::of(sizes().map(|size| size / 1e3));
+    let points = || series.iter().flat_map(|one| &one.points);
+    let up = Ruler::from_zero(points().map(|it| it.y + it.spread.unwrap_or(0.0)).fold(0.0, f64::max), 5);
+    let unit = if across.is_logarithmic() { "kB sent, logarithmic" } else { "kB sent" };
+    let label =
+        format!("Mean latency against payload, {} to {}. {}", bytes(least), bytes(most), said.join(" "));
+    Some((Scatter::new(label, (unit, &across), ("ms", &up), &series), said))
+}
+
+type Group<'a> = Vec<(&'a Configuration, f64)>;
+
+/// Configurations that differ in nothing but what sets the size: the axis on which equal labels mean equal sizes. All
+/// together where no axis does or where there would be too many groups.
+fn groups<'a>(comparison: &Comparison, all: &[(&'a Configuration, f64)]) -> Vec<Group<'a>> {
+    let sets_the_size = |axis: &usize| {
+        let label = |one: &Configuration| one.values.get(*axis).cloned();
+        all.iter().all(|(one, size)| {
+            let same = all.iter().filter(|(other, _)| label(other) == label(one));
+            same.into_iter().all(|(_, other)| *other < size * ALIKE && *size < other * ALIKE)
+        })
+    };
+    let Some(axis) = (0..comparison.axes.len()).find(sets_the_size) else { return vec![all.to_vec()] };
+    let others = |one: &Configuration| {
+        let labels = one.values.iter().enumerate().filter(|(at, _)| *at != axis);
+        labels.map(|(_, label)| label.clone()).collect::<Vec<String>>()
+    };
+    let mut groups: Vec<Group<'a>> = Vec::new();
+    for (one, size) in all {
+        match groups.iter_mut().find(|group| others(group[0].0) == others(one)) {
+            Some(group) => group.push((one, *size)),
+            None => groups.push(vec![(one, *size)]),
+        }
+    }
+    if groups.len() > MOST_GROUPS { vec![all.to_vec()] } else { groups }
+}
+
+/// Seconds over bytes where there are three sizes, and the least and the largest of them. Each mean is weighted by how
+/// well it is known.
+fn line(group: &Group<'_>, name: &Name) -> Option<(Fit, (f64, f64))> {
+    let mut sizes: Vec<f64> = Vec::new();
+    for (_, size) in group {
+        if sizes.iter().all(|known| *known > size * ALIKE || *size > known * ALIKE) {
+            sizes.push(*size);
+        }
+    }
+    (sizes.len() >= 3).then_some(())?;
+    let known: Vec<_> = group.iter().filter_map(|(one, size)| Some((*size, one.figures(name)?))).collect();
+    let weights: Option<Vec<f64>> = known
+        .iter()
+        .map(|(_, figures)| {
+            let std = figures.std.filter(|std| *std > 0.0)?;
+            Some(figures.count as f64 / (std * std))
+        })
+        .collect();
+    let weights = weights.unwrap_or_else(|| vec![1.0; known.len()]);
+    let points = known
+        .iter()
+        .zip(weights)
+        .map(|((size, figures), weight)| Weighted { point: Point { x: *size, y: figures.mean }, weight });
+    let fit = least_squares(&points.collect::<Vec<_>>())?;
+    let ends =
+        known.iter().fold((f64::INFINITY, 0.0_f64), |(lo, hi), (size, _)| (lo.min(*size), hi.max(*size)));
+    Some((fit, ends))
+}
+
+/// `total of A, B, C: 0.12 ms (95 %: 0.10 – 0.14) and 0.84 ms (0.80 – 0.88) more per MB.`
+fn sentence(name: &Name, letters: &str, fit: &Fit) -> String {
+    let (base, slope) = (fit.intercept.span(), fit.slope.span());
+    let per_megabyte = (slope.0 * 1e6, slope.1 * 1e6);
+    format!(
+        "{name} of {letters}: {}{SPACE}ms (95{SPACE}%: {}) and {}{SPACE}ms ({}) more per MB sent. Line through {} means, \
+         each weighted by how well it is known.",
+        within_ms(fit.intercept.value, base),
+        interval_ms(base.0, base.1),
+        within_ms(fit.slope.value * 1e6, per_megabyte),
+        interval_ms(per_megabyte.0, per_megabyte.1),
+        fit.points
+    )
+}
+
+/// Share of right first answers against the median of the total, where at least two configurations have both.
+pub(crate) fn accuracy(comparison: &Comparison) -> Option<Scatter> {
+    let point = |one: &Configuration| {
+        Some(ScatterPoint {
+            x: one.total()?.p50 * 1e3,
+            y: one.figures(TOP_1)?.mean * 100.0,
+            spread: None,
+            name: one.letter.clone(),
+        })
+    };
+    let points: Vec<ScatterPoint> = comparison.configurations.iter().filter_map(point).collect();
+    (points.len() >= 2).then_some(())?;
+    let across = Horizontal::of(points.iter().map(|point| point.x));
+    let (lo, hi) = points.iter().fold((100.0_f64, 0.0_f64), |(lo, hi), it| (lo.min(it.y), hi.max(it.y)));
+    let up = Ruler::around((lo - 2.0).max(0.0), (hi + 2.0).min(100.0), 5);
+    let each =
+        points.iter().map(|it| format!("{} {}{SPACE}% at {}", it.name, figure(it.y), duration(it.x / 1e3)));
+    let label =
+        format!("Top-1 accuracy against the median of the total: {}", each.collect::<Vec<_>>().join(", "));
+    let unit = if across.is_logarithmic() { "median total, ms, logarithmic" } else { "median total, ms" };
+    let series = ScatterSeries { look: "inference", name: "Top-1".to_owned(), points, lines: Vec::new() };
+    Some(Scatter::new(label, (unit, &across), ("%", &up), &[series]))
+}
