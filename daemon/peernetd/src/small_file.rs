@@ -15,7 +15,7 @@ pub const LARGEST: u64 = 1 << 20;
 pub fn read(path: &Path, largest: u64) -> io::Result<String> {
     // Before it is opened: to open a pipe that nobody writes to takes for ever.
     if !path.metadata()?.is_file() {
-        return Err(io::Error::other("it is no regular file"));
+        return Err(io::Error::other("it is no regular file: is this the right file?"));
     }
     let mut bytes = Vec::new();
     File::open(path)?.take(largest + 1).read_to_end(&mut bytes)?;
