@@ -84,8 +84,8 @@ async fn poisson_starts_follow_from_the_seed() {
     let mut gaps = Vec::new();
     for _ in 0..2 {
         let aggregator = Aggregator::start().await;
-        let pipeline = "load = { mode = 'poisson', hz = 400.0, seed = 5 }\nmax_in_flight = 64\n\
-                        limit = { iterations = 20 }";
+        let pipeline = "load = { mode = 'poisson', hz = 50.0, seed = 5 }\nmax_in_flight = 64\n\
+                        limit = { iterations = 60 }";
         let tables = sleeper(0, "workers = 1\nqueue = 64", pipeline);
         let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
         let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
@@ -95,6 +95,8 @@ async fn poisson_starts_follow_from_the_seed() {
         gaps.push(starts.windows(2).map(micros).collect::<Vec<_>>());
         agent.stop().await.expect("stops well");
     }
-    let differ = gaps[0].iter().zip(&gaps[1]).filter(|(a, b)| (**a - **b).abs() > 5.0).count();
-    assert_eq!(differ, 0, "{gaps:?}");
+    // Starts that come due while a pipeline is set up are skipped: the later run may begin further on in the plan.
+    let alike = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 5.0);
+    let follows = |a: &[f64], b: &[f64]| (0..=a.len() - 12).any(|skipped| alike(&a[skipped..], b));
+    assert!(follows(&gaps[0], &gaps[1]) || follows(&gaps[1], &gaps[0]), "{gaps:?}");
 }

@@ -26,7 +26,7 @@ async fn what_is_under_way_is_finished_and_handed_over() {
 async fn what_takes_too_long_is_recorded_as_lost() {
     let aggregator = Aggregator::start().await;
     let tables = format!(
-        "[agent]\nstop_timeout_ms = 400\n{}",
+        "[agent]\nstop_timeout_ms = 1000\n{}",
         SLOW.replace("inference_ms = 100", "inference_ms = 1500")
     );
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
@@ -43,7 +43,7 @@ async fn what_takes_too_long_is_recorded_as_lost() {
 async fn a_model_that_computes_for_long_is_not_waited_for() {
     let aggregator = Aggregator::start().await;
     let tables = format!(
-        "[agent]\nstop_timeout_ms = 400\n{}",
+        "[agent]\nstop_timeout_ms = 2000\n{}",
         SLOW.replace("inference_ms = 100", "inference_ms = 86400000")
     );
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
