@@ -78,6 +78,7 @@ fn cat(content: &Bytes, rounds: usize, clock: &SharedClock) -> [f64; 2] {
         arguments: Vec::new(),
         folder: None,
         environment: Default::default(),
+        inherits: None,
     };
     let mut process = Process::start(&launch, clock).expect("cat is there");
     let mut taken = Vec::with_capacity(rounds);

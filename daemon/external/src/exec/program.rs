@@ -61,6 +61,7 @@ impl Program {
             arguments: arguments.into_iter().map(Into::into).collect(),
             folder: config.folder.clone(),
             environment,
+            inherits: None,
         };
         let process = Process::start(&launch, clock).map_err(ExchangeError::Start)?;
         Ok(Self {

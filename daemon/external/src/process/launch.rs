@@ -3,10 +3,13 @@
 use std::collections::BTreeMap;
 use std::env;
 use std::ffi::{OsStr, OsString};
+use std::fs::File;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::Arc;
 
+use rustix::io::{FdFlags, fcntl_setfd};
 use rustix::process::{Signal, getpid, getppid, set_parent_process_death_signal};
 
 use super::Voice;
@@ -26,6 +29,8 @@ pub struct Launch {
     pub folder: Option<PathBuf>,
     /// Environment variables on top of this program's own.
     pub environment: BTreeMap<String, String>,
+    /// A file that it gets open, under the number that it has here.
+    pub inherits: Option<Arc<File>>,
 }
 
 impl Launch {
@@ -47,13 +52,17 @@ impl Launch {
             command.current_dir(folder);
         }
         let parent = getpid();
+        let inherits = self.inherits.clone();
         #[expect(
             unsafe_code,
-            reason = "only between fork and exec can a process be told to die with its parent"
+            reason = "only between fork and exec can a process be told to die with its parent, and what stays open"
         )]
-        // SAFETY: the closure makes two system calls, allocates nothing and takes no lock.
+        // SAFETY: the closure makes three system calls, allocates nothing and takes no lock.
         unsafe {
             command.pre_exec(move || {
+                if let Some(file) = &inherits {
+                    fcntl_setfd(file, FdFlags::empty())?;
+                }
                 set_parent_process_death_signal(Some(Signal::KILL))?;
                 // The parent may have gone before the kernel was told.
                 if getppid() == Some(parent) { Ok(()) } else { Err(rustix::io::Errno::SRCH.into()) }

@@ -15,7 +15,7 @@ use super::{Killed, ProcessError};
 /// Bytes that a pipe is asked to hold: the most that Linux gives to everybody (`fs.pipe-max-size`).
 const PIPE_BYTES: usize = 1 << 20;
 /// Bytes that are read at once where it is not known how many there are.
-const CHUNK: usize = 64 << 10;
+const CHUNK: usize = 8 << 10;
 /// Bytes that are taken in while there is still something to write: as large as any answer.
 const MOST_EARLY: usize = 1 << 30;
 /// Room that is kept once all has been taken.

@@ -98,6 +98,14 @@ pub enum PythonError {
         /// What was wrong.
         reason: String,
     },
+    /// There is no memory to be shared with it.
+    #[error("cannot share memory with the Python process of {object}: {error}")]
+    Memory {
+        /// The object.
+        object: String,
+        /// What the system said.
+        error: std::io::Error,
+    },
     /// Its pipe failed.
     #[error(transparent)]
     Process(ProcessError),

@@ -1,4 +1,7 @@
-//! What is said over the pipes: a mark, the length of a header, the header as JSON, and the bytes of the parts.
+//! What is said over the pipes: a mark, the length of a header, the header as JSON, and the bytes of those parts that
+//! are not in the shared memory.
+
+use std::os::fd::RawFd;
 
 use peernet_sample::{Description, Part};
 use serde::{Deserialize, Serialize};
@@ -21,8 +24,8 @@ pub const PICKLE: &str = "application/x-python-pickle";
 #[derive(Debug, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum Request<'a> {
-    /// Make the object.
-    Start { module: &'a str, path: &'a str, role: Role, pickle: bool, images: Images },
+    /// Make the object. `window` is the number of the inherited file whose memory is shared.
+    Start { module: &'a str, path: &'a str, role: Role, pickle: bool, images: Images, window: RawFd },
     /// Call it with the parts that follow.
     Call { parts: Vec<PartHead> },
 }
@@ -56,11 +59,14 @@ pub(super) enum Reply {
 pub(super) struct PartHead {
     pub(super) description: Description,
     pub(super) length: u64,
+    /// Where they lie in the shared memory; otherwise they follow in the pipe.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) at: Option<u64>,
 }
 
 impl PartHead {
-    pub(super) fn of(part: &Part) -> Self {
-        Self { description: part.description.clone(), length: part.bytes.len() as u64 }
+    pub(super) fn of(part: &Part, at: Option<u64>) -> Self {
+        Self { description: part.description.clone(), length: part.bytes.len() as u64, at }
     }
 }
 

@@ -68,6 +68,7 @@ pub(super) fn launch(
         arguments,
         folder,
         environment,
+        inherits: None,
     })
 }
 

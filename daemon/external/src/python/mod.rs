@@ -11,6 +11,8 @@ mod error;
 mod frame;
 mod interpreter;
 mod object;
+mod window;
+mod worker;
 
 pub use called::{Called, Stage, Times};
 pub use config::{Images, PythonConfig};
@@ -19,4 +21,4 @@ pub use frame::PICKLE;
 pub use object::{About, PythonObject, Role};
 
 /// What the process runs.
-const SOURCE: &str = concat!(include_str!("values.py"), include_str!("worker.py"));
+const SOURCE: &str = concat!(include_str!("values.py"), include_str!("border.py"), include_str!("worker.py"));

@@ -5,10 +5,11 @@ use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_sample::Part;
 use serde::Serialize;
 
-use super::frame::{self, MAX_BYTES, PREFIX, PartHead, Reply, Request};
+use super::frame::{Reply, Request};
 use super::interpreter;
-use super::{Called, PythonConfig, PythonError, SOURCE, Stage, Times};
-use crate::process::{Launch, Process, ProcessError, Restarts};
+use super::worker::{Trouble, Worker};
+use super::{Called, PythonConfig, PythonError, Stage, Times};
+use crate::process::{Launch, ProcessError, Restarts};
 
 /// How long a process that is not needed any more may take to end.
 const GRACE: Span = Span::from_millis(1000);
@@ -40,14 +41,11 @@ pub struct PythonObject {
     launch: Launch,
     clock: SharedClock,
     about: About,
-    process: Option<Process>,
+    worker: Option<Worker>,
     restarts: Restarts,
     /// Why it died last, for who asks while it rests.
     last: String,
 }
-
-/// The reply to a call with the bytes that came with it.
-type Answer = (Reply, Vec<Bytes>);
 
 impl PythonObject {
     /// Checks without running any of the user's code whether an object can be had: its name, folder, Python, and whether
@@ -78,11 +76,11 @@ impl PythonObject {
             launch: interpreter::launch(config, name.to_owned(), device)?,
             clock: SharedClock::clone(clock),
             about: About { python: String::new(), what: String::new() },
-            process: None,
+            worker: None,
             restarts: Restarts::default(),
             last: String::new(),
         };
-        object.process = Some(object.begin()?);
+        object.worker = Some(object.begin()?);
         Ok(object)
     }
 
@@ -95,12 +93,13 @@ impl PythonObject {
     /// process is gone; the process is then started anew by the next call.
     pub fn call(&mut self, parts: &[Part]) -> Called {
         let begun = self.clock.mono();
-        let answer = self.living().and_then(|mut process| {
+        let answer = self.living().and_then(|mut worker| {
             let begun = self.clock.mono();
-            let answer = self.ask(&mut process, parts, begun + milliseconds(self.config.timeout_ms.get()));
+            let until = begun + milliseconds(self.config.timeout_ms.get());
+            let answer = worker.call(parts, until).map_err(|trouble| self.trouble(trouble, "timeout_ms"));
             // Whatever is still in its pipe belongs to nothing any more: only one that answered is kept.
             if answer.is_ok() {
-                self.process = Some(process);
+                self.worker = Some(worker);
                 self.restarts.worked();
             }
             Ok((begun, answer?))
@@ -138,9 +137,9 @@ impl PythonObject {
     }
 
     /// The process, or a new one when the last is gone and has rested enough.
-    fn living(&mut self) -> Result<Process, PythonError> {
-        if let Some(process) = self.process.take() {
-            return Ok(process);
+    fn living(&mut self) -> Result<Worker, PythonError> {
+        if let Some(worker) = self.worker.take() {
+            return Ok(worker);
         }
         if let Some(left) = self.restarts.wait(self.clock.mono()) {
             return Err(PythonError::Resting {
@@ -158,22 +157,21 @@ impl PythonObject {
     }
 
     /// Starts a process and waits until the object is made.
-    fn begin(&mut self) -> Result<Process, PythonError> {
+    fn begin(&mut self) -> Result<Worker, PythonError> {
         let (module, path) = self.config.module_and_path()?;
+        let until = self.clock.mono() + milliseconds(self.config.start_timeout_ms.get());
+        let key = "start_timeout_ms";
+        let mut worker =
+            Worker::start(&self.launch, &self.clock).map_err(|trouble| self.trouble(trouble, key))?;
         let settings = Request::Start {
             module,
             path,
             role: self.role,
             pickle: self.config.pickle,
             images: self.config.images,
+            window: worker.window(),
         };
-        let head = self.encoded(&settings)?;
-        let until = self.clock.mono() + milliseconds(self.config.start_timeout_ms.get());
-        let mut process = Process::start(&self.launch, &self.clock).map_err(PythonError::Process)?;
-        let written = process.write(&[SOURCE.as_bytes(), &head], until);
-        let reply = written
-            .map_err(|error| self.trouble(error, "start_timeout_ms"))
-            .and_then(|()| self.read(&mut process, until, "start_timeout_ms"));
+        let reply = worker.become_object(&settings, until).map_err(|trouble| self.trouble(trouble, key));
         let failed = |reason: String| PythonError::Start {
             object: self.config.object.clone(),
             python: self.launch.program.to_string_lossy().into_owned(),
@@ -182,7 +180,7 @@ impl PythonObject {
         match reply {
             Ok((Reply::Ready { python, what }, _)) => {
                 self.about = About { python, what };
-                Ok(process)
+                Ok(worker)
             }
             Ok((Reply::Raised { text, .. } | Reply::Refused { text, .. }, _)) => Err(failed(text)),
             Ok(_) => Err(failed("it answers before it was asked".to_owned())),
@@ -191,43 +189,18 @@ impl PythonObject {
         }
     }
 
-    fn ask(&self, process: &mut Process, parts: &[Part], until: MonoTime) -> Result<Answer, PythonError> {
-        let head = self.encoded(&Request::Call { parts: parts.iter().map(PartHead::of).collect() })?;
-        let mut chunks: Vec<&[u8]> = vec![&head];
-        chunks.extend(parts.iter().map(|part| &part.bytes[..]));
-        process.write(&chunks, until).map_err(|error| self.trouble(error, "timeout_ms"))?;
-        self.read(process, until, "timeout_ms")
-    }
-
-    fn read(&self, process: &mut Process, until: MonoTime, key: &'static str) -> Result<Answer, PythonError> {
-        let mut take = |length| process.read_exact(length, until).map_err(|error| self.trouble(error, key));
-        let prefix = take(PREFIX)?;
-        let length = frame::header_length(&prefix).map_err(|reason| self.garbled(reason))?;
-        let reply: Reply =
-            serde_json::from_slice(&take(length)?).map_err(|error| self.garbled(error.to_string()))?;
-        let Reply::Value { parts, .. } = &reply else { return Ok((reply, Vec::new())) };
-        let total = parts.iter().try_fold(0_u64, |sum, part| sum.checked_add(part.length));
-        if total.is_none_or(|total| total > MAX_BYTES) {
-            return Err(self.garbled(format!("a value has more than {MAX_BYTES} bytes")));
-        }
-        let bytes = parts.iter().map(|part| take(part.length as usize)).collect::<Result<_, _>>()?;
-        Ok((reply, bytes))
-    }
-
-    fn encoded(&self, request: &Request<'_>) -> Result<Vec<u8>, PythonError> {
-        frame::encode(request).map_err(|error| self.garbled(error.to_string()))
-    }
-
-    fn trouble(&self, error: ProcessError, key: &'static str) -> PythonError {
+    fn trouble(&self, trouble: Trouble, key: &'static str) -> PythonError {
         let object = self.config.object.clone();
-        match error {
-            ProcessError::Ended(ended) => PythonError::Died { object, ended },
-            ProcessError::TimedOut => {
+        match trouble {
+            Trouble::Process(ProcessError::Ended(ended)) => PythonError::Died { object, ended },
+            Trouble::Process(ProcessError::TimedOut) => {
                 let allowed =
                     if key == "timeout_ms" { self.config.timeout_ms } else { self.config.start_timeout_ms };
                 PythonError::TooSlow { object, after: milliseconds(allowed.get()), key }
             }
-            error => PythonError::Process(error),
+            Trouble::Process(error) => PythonError::Process(error),
+            Trouble::Garbled(reason) => self.garbled(reason),
+            Trouble::Memory(error) => PythonError::Memory { object, error },
         }
     }
 
@@ -238,8 +211,8 @@ impl PythonObject {
 
 impl Drop for PythonObject {
     fn drop(&mut self) {
-        if let Some(process) = self.process.take() {
-            let ended = process.end(GRACE);
+        if let Some(worker) = self.worker.take() {
+            let ended = worker.end(GRACE);
             if !ended.well() {
                 tracing::warn!(name = self.launch.name, "at its end, {ended}");
             }

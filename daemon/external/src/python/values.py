@@ -184,19 +184,16 @@ class Decoder:
         self.may_pickle = may_pickle
         self.images = images
 
-    def read(self, source, heads):
-        """The value of the parts whose bytes come next; all are read, whatever is wrong with one."""
+    def read(self, border, heads):
+        """The value of the parts that come next; all are read, whatever is wrong with one."""
         first = heads[0]["description"]["media"] if heads else None
         other = first.get("other") if isinstance(first, dict) else None
         if other == PICKLE:
-            return self.unpickled([read_array(source, head["length"]) for head in heads])
+            return self.unpickled([border.array(head) for head in heads])
         values, refused = [], None
         for head in heads:
-            description, length = head["description"], head["length"]
-            if description["media"] == "tensor":
-                data = read_array(source, length)
-            else:
-                data = read_bytes(source, length)
+            description = head["description"]
+            data = border.array(head) if description["media"] == "tensor" else border.bytes(head)
             try:
                 values.append(self.value(description, data))
             except Exception as error:
@@ -278,17 +275,3 @@ def grown(tree, parts):
     return {key: grown(one, parts) for key, one in tree["dict"]}
 
 
-def read_bytes(source, length):
-    data = source.read(length)
-    if len(data) < length:
-        raise Gone
-    return data
-
-
-def read_array(source, length):
-    """Bytes that may be written to: arrays that a user gets can be worked on in place."""
-    numpy = sys.modules.get("numpy")
-    data = numpy.empty(length, "u1") if numpy is not None else bytearray(length)
-    if source.readinto(data) < length:
-        raise Gone
-    return data

@@ -1,61 +1,11 @@
 # The process around a user's object: reads a call, makes it, writes what it gave.
 import inspect
-import os
 import time
 import traceback
 
-MARK = b"PN1\n"
 METHODS = {"sensor": "sample", "model": "infer"}
 MAX_TEXT = 4000
 now = time.monotonic_ns
-
-
-class Pipes:
-    """The protocol's own two pipes; the user's code has others in their place."""
-
-    def __init__(self):
-        self.source = os.fdopen(os.dup(0), "rb", 1 << 16)
-        self.sink = os.dup(1)
-        # Requests with equal headers follow each other where all samples are alike.
-        self.header, self.request = b"", None
-        nothing = os.open(os.devnull, os.O_RDONLY)
-        os.dup2(nothing, 0)
-        os.close(nothing)
-        # What the user prints goes where their errors go.
-        os.dup2(2, 1)
-        sys.stdout.reconfigure(line_buffering=True, errors="backslashreplace")
-        # A process that the user forks has no business with the pipes.
-        os.register_at_fork(after_in_child=self.forget)
-
-    def forget(self):
-        os.close(self.source.fileno())
-        os.close(self.sink)
-
-    def read(self):
-        """The next request and the number of parts that follow, or None at the end."""
-        prefix = self.source.read(8)
-        if len(prefix) < 8:
-            return None
-        if prefix[:4] != MARK:
-            raise RuntimeError("the request begins with %r" % prefix)
-        header = read_bytes(self.source, int.from_bytes(prefix[4:], "little"))
-        if header != self.header:
-            self.header, self.request = header, json.loads(header)
-        return self.request
-
-    def write(self, kind, body, parts=()):
-        if parts:
-            parts = [(head, memoryview(data)) for head, data in parts]
-            body["parts"] = [{"description": head, "length": data.nbytes} for head, data in parts]
-        header = to_json({kind: body}).encode()
-        chunks = [memoryview(MARK + len(header).to_bytes(4, "little") + header)]
-        chunks += [data.cast("B") for _, data in parts if data.nbytes]
-        while chunks:
-            written = os.writev(self.sink, chunks)
-            while chunks and written >= len(chunks[0]):
-                written -= len(chunks.pop(0))
-            if written:
-                chunks[0] = chunks[0][written:]
 
 
 def found(module, path, method):
@@ -152,43 +102,44 @@ def start(request):
     return role, what, Encoder(settings["pickle"]), Decoder(settings["pickle"], settings["images"])
 
 
-def answer(pipes, request, role, encoder, decoder):
+def answer(border, request, role, encoder, decoder):
     stages = []
     try:
-        value = decoder.read(pipes.source, request["call"]["parts"])
+        value = decoder.read(border, request["call"]["parts"])
         value = role.call(value, stages)
         parts = encoder.parts(value)
     except Gone:
         raise
     except Refused as error:
-        pipes.write("refused", {"text": str(error), "stages": stages})
+        border.write("refused", {"text": str(error), "stages": stages})
     except StopIteration as error:
         if isinstance(role, Sensor):
-            pipes.write("over", {"stages": stages})
+            border.write("over", {"stages": stages})
         else:
-            pipes.write("raised", {"text": text_of(error), "stages": stages})
+            border.write("raised", {"text": text_of(error), "stages": stages})
     except Exception as error:
-        pipes.write("raised", {"text": text_of(error), "stages": stages})
+        border.write("raised", {"text": text_of(error), "stages": stages})
     else:
-        pipes.write("value", {"stages": stages, "parts": []}, parts)
+        border.write("value", {"stages": stages, "parts": []}, parts)
 
 
 def main():
-    pipes = Pipes()
-    request = pipes.read()
+    border = Border()
+    request = border.read()
+    border.share(request["start"]["window"])
     try:
         role, what, encoder, decoder = start(request)
     except Refused as error:
-        return pipes.write("refused", {"text": str(error), "stages": []})
+        return border.write("refused", {"text": str(error), "stages": []})
     except Exception as error:
-        return pipes.write("raised", {"text": text_of(error), "stages": []})
+        return border.write("raised", {"text": text_of(error), "stages": []})
     version = ".".join(str(number) for number in sys.version_info[:3])
-    pipes.write("ready", {"python": version, "what": what})
+    border.write("ready", {"python": version, "what": what})
     while True:
-        request = pipes.read()
+        request = border.read()
         if request is None:
             return None
-        answer(pipes, request, role, encoder, decoder)
+        answer(border, request, role, encoder, decoder)
 
 
 main()

@@ -25,6 +25,7 @@ fn shell(script: &str, clock: &SharedClock) -> Process {
         arguments: vec!["-c".into(), script.into()],
         folder: None,
         environment: [].into(),
+        inherits: None,
     };
     Process::start(&launch, clock).expect("sh is there")
 }

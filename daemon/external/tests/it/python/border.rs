@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use peernet_external::python::{Stage, Times};
-use peernet_sample::{Description, Part};
+use peernet_sample::{Description, ElementType, MediaType, Part};
 
 use super::{Module, bytes, value};
 
@@ -25,6 +25,45 @@ fn payloads_of_any_size_cross_unchanged() {
         let content: Vec<u8> = (0..length).map(|at: u32| (at ^ (at >> 8)) as u8).collect();
         let part = Part { description: Description::bytes(), bytes: content.into() };
         assert_eq!(value(&mut model, std::slice::from_ref(&part)), [part], "{length} bytes");
+    }
+}
+
+#[test]
+fn small_and_large_parts_cross_together_and_answers_outgrow_their_questions() {
+    let source = "
+class Own:
+    def infer(self, x): return [b'small', x * 3, bytearray(4096), x]
+";
+    let mut model = Module::new(source, "own::Own").model();
+    for length in [4095, 4096, 700_000, 10] {
+        let content = vec![length as u8; length];
+        let part = Part { description: Description::bytes(), bytes: content.clone().into() };
+        let answer: Vec<_> = value(&mut model, &[part]).into_iter().map(|part| part.bytes).collect();
+        assert_eq!(answer, [b"small".to_vec(), content.repeat(3), vec![0; 4096], content], "{length} bytes");
+    }
+}
+
+#[test]
+fn what_a_user_keeps_does_not_change_with_the_next_call() {
+    let source = "
+class Own:
+    def __init__(self): self.kept = []
+    def infer(self, x):
+        self.kept.append(x)
+        return [self.kept[0], self.kept[0]]
+";
+    let mut model = Module::new(source, "own::Own").model();
+    let part = |fill: u8| Part {
+        description: Description {
+            media: MediaType::Tensor,
+            shape: vec![50_000],
+            element: Some(ElementType::U8),
+        },
+        bytes: vec![fill; 50_000].into(),
+    };
+    for fill in 1..4 {
+        let answer = value(&mut model, &[part(fill)]);
+        assert!(answer.iter().all(|one| *one == part(1)), "call {fill}");
     }
 }
 

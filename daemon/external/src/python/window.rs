@@ -1,0 +1,175 @@
+//! Memory that this process and the worker both have: what is large crosses in it, copied once on each side, where a
+//! pipe would copy it through the kernel page by page.
+//!
+//! Nobody writes while the other reads: a call is a question and then an answer, and both sides copy out what they got
+//! before they say anything more.
+
+use std::fs::File;
+use std::io;
+use std::ptr;
+use std::sync::Arc;
+
+use bytes::Bytes;
+use memmap2::MmapRaw;
+use peernet_sample::Part;
+use rustix::fs::{FallocateFlags, MemfdFlags, SealFlags, fallocate, fcntl_add_seals, memfd_create};
+use rustix::io::Errno;
+
+/// Parts shorter than this cross in the pipe, with the header: a page.
+const LEAST: usize = 4 << 10;
+/// Every part begins at a multiple of this: a cache line.
+const ALIGNMENT: usize = 64;
+/// Room to begin with.
+const FIRST: usize = 1 << 20;
+/// Memory that is kept from call to call; what one large call took beyond it is given back.
+const MOST_KEPT: u64 = 64 << 20;
+
+/// The memory, as this side has it.
+#[derive(Debug)]
+pub(super) struct Window {
+    file: Arc<File>,
+    map: MmapRaw,
+}
+
+impl Window {
+    /// New memory, which can only grow: a side that reads what it was told is there would otherwise die of the other's
+    /// shortening it.
+    pub(super) fn new() -> io::Result<Self> {
+        let flags = MemfdFlags::CLOEXEC | MemfdFlags::ALLOW_SEALING;
+        let create = |flags| memfd_create(c"peernet-window", flags);
+        let file = match create(flags | MemfdFlags::NOEXEC_SEAL) {
+            // Before Linux 6.3 nobody could ask for it; after it, a system may insist.
+            Err(Errno::INVAL) => create(flags)?,
+            file => file?,
+        };
+        fcntl_add_seals(&file, SealFlags::SHRINK | SealFlags::SEAL)?;
+        let file = File::from(file);
+        file.set_len(FIRST as u64)?;
+        Ok(Self { map: MmapRaw::map_raw(&file)?, file: Arc::new(file) })
+    }
+
+    /// What the other side gets.
+    pub(super) fn file(&self) -> Arc<File> {
+        Arc::clone(&self.file)
+    }
+
+    /// Copies in the parts that are large enough, and says where each begins.
+    pub(super) fn put(&mut self, parts: &[Part]) -> io::Result<Vec<Option<u64>>> {
+        let mut end = 0_usize;
+        let places: Vec<_> = parts
+            .iter()
+            .map(|part| {
+                (part.bytes.len() >= LEAST).then(|| {
+                    let at = end.next_multiple_of(ALIGNMENT);
+                    end = at + part.bytes.len();
+                    at
+                })
+            })
+            .collect();
+        if end > self.map.len() {
+            self.file.set_len(end.next_power_of_two() as u64)?;
+            self.map = MmapRaw::map_raw(&*self.file)?;
+        }
+        for (part, at) in parts.iter().zip(&places) {
+            let Some(at) = *at else { continue };
+            #[expect(unsafe_code, reason = "memory that another process may write to has no slice")]
+            // SAFETY: `at + len <= end <= map.len()`; nobody else here has a pointer into the map.
+            unsafe {
+                ptr::copy_nonoverlapping(
+                    part.bytes.as_ptr(),
+                    self.map.as_mut_ptr().add(at),
+                    part.bytes.len(),
+                );
+            }
+        }
+        Ok(places.into_iter().map(|at| at.map(|at| at as u64)).collect())
+    }
+
+    /// Copies out what lies at a place; `None` when there is no such place.
+    pub(super) fn take(&mut self, at: u64, length: usize) -> io::Result<Option<Bytes>> {
+        let reach = |at: usize| Some((at, at.checked_add(length)?));
+        let Some((at, end)) = usize::try_from(at).ok().and_then(reach) else { return Ok(None) };
+        if end > self.map.len() && end as u64 <= self.file.metadata()?.len() {
+            // The other side made it longer.
+            self.map = MmapRaw::map_raw(&*self.file)?;
+        }
+        if end > self.map.len() {
+            return Ok(None);
+        }
+        let mut bytes: Vec<u8> = Vec::with_capacity(length);
+        #[expect(unsafe_code, reason = "memory that another process may write to has no slice")]
+        // SAFETY: `at + length <= map.len()`, and the file can only grow; any bytes are initialised bytes.
+        unsafe {
+            ptr::copy_nonoverlapping(self.map.as_ptr().add(at), bytes.as_mut_ptr(), length);
+            bytes.set_len(length);
+        }
+        Ok(Some(bytes.into()))
+    }
+
+    /// Gives back what one large call took. Only between calls.
+    pub(super) fn relax(&self) {
+        let length = self.map.len() as u64;
+        if length > MOST_KEPT {
+            let hole = FallocateFlags::PUNCH_HOLE | FallocateFlags::KEEP_SIZE;
+            if let Err(error) = fallocate(&*self.file, hole, MOST_KEPT, length - MOST_KEPT) {
+                tracing::debug!(%error, "shared memory stays in use");
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::{FileExt, MetadataExt};
+
+    use peernet_sample::Description;
+
+    use super::*;
+
+    fn part(length: usize) -> Part {
+        let content: Vec<u8> = (0..length).map(|at| (at % 251) as u8).collect();
+        Part { description: Description::bytes(), bytes: content.into() }
+    }
+
+    #[test]
+    fn large_parts_get_places_of_their_own_and_small_ones_none() {
+        let mut window = Window::new().expect("there is memory");
+        let parts = [part(5000), part(10), part(3 << 20), part(LEAST)];
+        let places = window.put(&parts).expect("there is memory");
+        assert_eq!(places[1], None);
+        for (part, at) in parts.iter().zip(&places) {
+            let Some(at) = *at else { continue };
+            assert_eq!(at % ALIGNMENT as u64, 0);
+            assert_eq!(window.take(at, part.bytes.len()).expect("it is mapped"), Some(part.bytes.clone()));
+        }
+    }
+
+    #[test]
+    fn places_that_are_not_there_are_refused() {
+        let mut window = Window::new().expect("there is memory");
+        for (at, length) in [(0, FIRST + 1), (FIRST as u64, 1), (u64::MAX, 1), (1, usize::MAX)] {
+            assert_eq!(window.take(at, length).expect("nothing is wrong with it"), None, "{length} at {at}");
+        }
+    }
+
+    #[test]
+    fn the_other_side_can_make_it_longer_but_never_shorter() {
+        let mut window = Window::new().expect("there is memory");
+        let theirs = window.file();
+        theirs.set_len(0).expect_err("it is sealed");
+        theirs.set_len(2 * FIRST as u64).expect("it may grow");
+        theirs.write_all_at(b"late", FIRST as u64 + 7).expect("there is room");
+        let taken = window.take(FIRST as u64 + 7, 4).expect("it is mapped");
+        assert_eq!(taken.as_deref(), Some(&b"late"[..]));
+    }
+
+    #[test]
+    fn what_a_large_call_took_is_given_back() {
+        let mut window = Window::new().expect("there is memory");
+        window.put(&[part(2 * MOST_KEPT as usize)]).expect("there is memory");
+        let held = || window.file.metadata().expect("it is open").blocks() * 512;
+        assert!(held() >= 2 * MOST_KEPT);
+        window.relax();
+        assert!(held() <= MOST_KEPT);
+    }
+}

@@ -1,0 +1,108 @@
+//! The process that runs `worker.py`, and how it is spoken with.
+
+use std::io;
+use std::os::fd::{AsRawFd, RawFd};
+
+use bytes::Bytes;
+use peernet_clock::{MonoTime, SharedClock, Span};
+use peernet_sample::Part;
+
+use super::SOURCE;
+use super::frame::{self, MAX_BYTES, PREFIX, PartHead, Reply, Request};
+use super::window::Window;
+use crate::process::{Ended, Launch, Process, ProcessError};
+
+/// The reply to a call with the bytes that came with it.
+pub(super) type Answer = (Reply, Vec<Bytes>);
+
+/// A process and the memory that it shares with this one.
+#[derive(Debug)]
+pub(super) struct Worker {
+    process: Process,
+    window: Window,
+}
+
+/// Why it cannot be spoken with any more.
+#[derive(Debug)]
+pub(super) enum Trouble {
+    Process(ProcessError),
+    Garbled(String),
+    Memory(io::Error),
+}
+
+impl From<ProcessError> for Trouble {
+    fn from(error: ProcessError) -> Self {
+        Self::Process(error)
+    }
+}
+
+impl Worker {
+    /// Starts the process.
+    pub(super) fn start(launch: &Launch, clock: &SharedClock) -> Result<Self, Trouble> {
+        let window = Window::new().map_err(Trouble::Memory)?;
+        let launch = Launch { inherits: Some(window.file()), ..launch.clone() };
+        Ok(Self { process: Process::start(&launch, clock)?, window })
+    }
+
+    /// The number under which it finds the shared memory.
+    pub(super) fn window(&self) -> RawFd {
+        self.window.file().as_raw_fd()
+    }
+
+    /// Hands it its source and what it shall be.
+    pub(super) fn become_object(
+        &mut self,
+        settings: &Request<'_>,
+        until: MonoTime,
+    ) -> Result<Answer, Trouble> {
+        let head = encoded(settings)?;
+        self.process.write(&[SOURCE.as_bytes(), &head], until)?;
+        self.hear(until)
+    }
+
+    /// Calls its object.
+    pub(super) fn call(&mut self, parts: &[Part], until: MonoTime) -> Result<Answer, Trouble> {
+        let places = self.window.put(parts).map_err(Trouble::Memory)?;
+        let heads = parts.iter().zip(&places).map(|(part, at)| PartHead::of(part, *at)).collect();
+        let head = encoded(&Request::Call { parts: heads })?;
+        let mut chunks: Vec<&[u8]> = vec![&head];
+        let piped = parts.iter().zip(&places).filter(|(_, at)| at.is_none());
+        chunks.extend(piped.map(|(part, _)| &part.bytes[..]));
+        self.process.write(&chunks, until)?;
+        let answer = self.hear(until)?;
+        self.window.relax();
+        Ok(answer)
+    }
+
+    /// Ends it.
+    pub(super) fn end(self, grace: Span) -> Ended {
+        self.process.end(grace)
+    }
+
+    fn hear(&mut self, until: MonoTime) -> Result<Answer, Trouble> {
+        let prefix = self.process.read_exact(PREFIX, until)?;
+        let length = frame::header_length(&prefix).map_err(Trouble::Garbled)?;
+        let header = self.process.read_exact(length, until)?;
+        let reply: Reply =
+            serde_json::from_slice(&header).map_err(|error| Trouble::Garbled(error.to_string()))?;
+        let Reply::Value { parts, .. } = &reply else { return Ok((reply, Vec::new())) };
+        let total = parts.iter().try_fold(0_u64, |sum, part| sum.checked_add(part.length));
+        if total.is_none_or(|total| total > MAX_BYTES) {
+            return Err(Trouble::Garbled(format!("a value has more than {MAX_BYTES} bytes")));
+        }
+        let bytes = parts.iter().map(|part| self.take(part, until)).collect::<Result<_, _>>()?;
+        Ok((reply, bytes))
+    }
+
+    /// The bytes of a part, from where they are.
+    fn take(&mut self, part: &PartHead, until: MonoTime) -> Result<Bytes, Trouble> {
+        let length = part.length as usize;
+        let Some(at) = part.at else { return Ok(self.process.read_exact(length, until)?) };
+        let taken = self.window.take(at, length).map_err(Trouble::Memory)?;
+        taken.ok_or_else(|| Trouble::Garbled(format!("{length} bytes at {at} are not in the shared memory")))
+    }
+}
+
+fn encoded(request: &Request<'_>) -> Result<Vec<u8>, Trouble> {
+    frame::encode(request).map_err(|error| Trouble::Garbled(error.to_string()))
+}
