@@ -1,5 +1,8 @@
 //! Statistics of a stream of numbers in bounded memory: moments without cancellation, a mergeable quantile
 //! sketch with a stated error, summaries of both, and a ring of one-second cells for the last minutes.
+//!
+//! All of them merge: what two hosts, seconds or buckets know adds up to what one would have known that was told
+//! everything. [`Moments`] and [`Sketch`] are sent and stored, so that what is read of either is checked first.
 
 mod merge;
 mod moments;
