@@ -1,6 +1,7 @@
 //! What a pipeline does with an answer.
 //!
-//! A new kind is one file here plus one variant of [`ActuatorConfig`].
+//! `none` does nothing, `log` writes answers to the log, `exec` hands them to a program of the user's own. A new kind
+//! is one file here plus one variant of [`ActuatorConfig`].
 
 mod exec;
 mod log;

@@ -3,6 +3,16 @@
 //!
 //! No I/O beyond reading the operating system's clocks. Everything else in the workspace takes time from
 //! here, through a `Clock` it was given, so that every test can control it (`clippy.toml` enforces it).
+//!
+//! From the ground up:
+//!
+//! - `time`: [`WallTime`], [`MonoTime`] and their difference, [`Span`].
+//! - `source`: the [`Clock`] and the system's; `manual`, one that tests move; `rehearsal`, one that is wrong on purpose.
+//! - `steps`: notices that a wall clock was set, runs off, or slept.
+//! - `exchange`: four stamps and the bounds of the offset that follow; `discipline`: what a time daemon claims.
+//! - `band`: what all exchanges together prove, as an interval over time, and the best guess in it.
+//! - `relation`: one pair of hosts: which exchanges count, what the sources come to, how a delay is judged.
+//! - `delay`: the answer, a [`OneWayDelay`] with its interval, its source and its verdict.
 
 mod band;
 mod delay;

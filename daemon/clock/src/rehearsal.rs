@@ -1,8 +1,7 @@
 //! A wall clock that is wrong on purpose, and by how much.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
-
 use std::fmt;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use serde::{Deserialize, Serialize};
 
@@ -283,9 +282,6 @@ mod tests {
         let text = rehearsal.to_string();
         let longest = text.split([' ', ',']).map(str::len).max();
         assert!(longest.is_some_and(|longest| longest <= "+199.9".len()), "{text}");
-        assert!(
-            text.ends_with("step +6 ms after 60 s, step +6.1 ms after 61 s")
-                || text.contains("+6 ms after 60 s,")
-        );
+        assert!(text.contains("step +6 ms after 60 s, step +6.1 ms after 61 s,"), "{text}");
     }
 }

@@ -153,7 +153,6 @@ fn nanos(time: Timespec) -> i64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Span;
 
     #[test]
     fn the_monotonic_clock_never_runs_backwards() {

@@ -48,21 +48,35 @@ pub fn read_part(part: &Part, format: PixelFormat, picture: &mut Picture) -> Res
 }
 
 fn decode_jpeg(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Result<(), ImageError> {
-    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(file), jpeg_options(format));
-    decoder.decode_headers().map_err(|error| jpeg_error(&error))?;
-    let damaged = |reason: &str| ImageError::Damaged { format: "jpeg", reason: reason.to_owned() };
-    let info = decoder.info().ok_or_else(|| damaged("its header gives no size"))?;
-    let (width, height) = (u32::from(info.width), u32::from(info.height));
-    check_size(u64::from(width), u64::from(height))?;
+    let Opened { mut decoder, width, height } = open_jpeg(file, format)?;
     let target = picture.reshape(format, width, height);
     if decoder.output_buffer_size() != Some(target.len()) {
-        return Err(damaged("its colours are of a kind that cannot be converted"));
+        return Err(damaged_jpeg("its colours are of a kind that cannot be converted"));
     }
     decoder.decode_into(target).map_err(|error| jpeg_error(&error))
 }
 
+/// A decoder that has read the header, and the size in it, which is a possible one.
+pub(crate) struct Opened<D> {
+    decoder: D,
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+}
+
+pub(crate) fn open_jpeg(
+    file: &[u8],
+    format: PixelFormat,
+) -> Result<Opened<JpegDecoder<ZCursor<&[u8]>>>, ImageError> {
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(file), jpeg_options(format));
+    decoder.decode_headers().map_err(|error| jpeg_error(&error))?;
+    let info = decoder.info().ok_or_else(|| damaged_jpeg("its header gives no size"))?;
+    let (width, height) = (u32::from(info.width), u32::from(info.height));
+    check_size(u64::from(width), u64::from(height))?;
+    Ok(Opened { decoder, width, height })
+}
+
 /// Strict: a picture whose data end early is an error, not a picture that is grey below.
-pub(crate) fn jpeg_options(format: PixelFormat) -> DecoderOptions {
+fn jpeg_options(format: PixelFormat) -> DecoderOptions {
     let colours = match format {
         PixelFormat::Rgb8 => ColorSpace::RGB,
         PixelFormat::Grey8 => ColorSpace::Luma,
@@ -74,15 +88,17 @@ pub(crate) fn jpeg_options(format: PixelFormat) -> DecoderOptions {
         .jpeg_set_out_colorspace(colours)
 }
 
-pub(crate) fn jpeg_error(error: &DecodeErrors) -> ImageError {
-    ImageError::Damaged { format: "jpeg", reason: tidy(&error.to_string()) }
+fn jpeg_error(error: &DecodeErrors) -> ImageError {
+    damaged_jpeg(&tidy(&error.to_string()))
+}
+
+fn damaged_jpeg(reason: &str) -> ImageError {
+    ImageError::Damaged { format: "jpeg", reason: reason.to_owned() }
 }
 
 /// Bit depths, palettes and transparency are all brought to eight bits per channel.
 fn decode_png(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Result<(), ImageError> {
-    let decoder = png_decoder(file)?;
-    let (width, height) = decoder.dimensions();
-    check_size(u64::from(width), u64::from(height))?;
+    let Opened { decoder, width, height } = open_png(file)?;
     let as_wanted = matches!(
         (decoder.color_type(), format),
         (image::ColorType::Rgb8, PixelFormat::Rgb8) | (image::ColorType::L8, PixelFormat::Grey8)
@@ -96,8 +112,11 @@ fn decode_png(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Result
     Ok(())
 }
 
-pub(crate) fn png_decoder(file: &[u8]) -> Result<PngDecoder<Cursor<&[u8]>>, ImageError> {
-    PngDecoder::new(Cursor::new(file)).map_err(|error| png_error(&error))
+pub(crate) fn open_png(file: &[u8]) -> Result<Opened<PngDecoder<Cursor<&[u8]>>>, ImageError> {
+    let decoder = PngDecoder::new(Cursor::new(file)).map_err(|error| png_error(&error))?;
+    let (width, height) = decoder.dimensions();
+    check_size(u64::from(width), u64::from(height))?;
+    Ok(Opened { decoder, width, height })
 }
 
 fn png_error(error: &image::ImageError) -> ImageError {

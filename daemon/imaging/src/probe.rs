@@ -1,11 +1,9 @@
 //! Format and size of a picture from its header alone.
 
 use peernet_sample::{MediaType, Part, PixelFormat};
-use zune_jpeg::JpegDecoder;
-use zune_jpeg::zune_core::bytestream::ZCursor;
 
 use crate::ImageError;
-use crate::decode::{jpeg_error, jpeg_options, png_decoder};
+use crate::decode::{open_jpeg, open_png};
 use crate::picture::check_length;
 
 /// The most pixels a picture may have: 8192 × 8192, 192 MiB in colour. A file of a few bytes can claim more.
@@ -44,17 +42,12 @@ pub(crate) fn recognise(file: &[u8]) -> Result<MediaType, ImageError> {
 pub fn probe(file: &[u8]) -> Result<Header, ImageError> {
     let media = recognise(file)?;
     let (width, height) = if media == MediaType::Jpeg {
-        let mut decoder = JpegDecoder::new_with_options(ZCursor::new(file), jpeg_options(PixelFormat::Rgb8));
-        decoder.decode_headers().map_err(|error| jpeg_error(&error))?;
-        let info = decoder.info().ok_or_else(|| ImageError::Damaged {
-            format: "jpeg",
-            reason: "its header gives no size".to_owned(),
-        })?;
-        (u32::from(info.width), u32::from(info.height))
+        let opened = open_jpeg(file, PixelFormat::Rgb8)?;
+        (opened.width, opened.height)
     } else {
-        image::ImageDecoder::dimensions(&png_decoder(file)?)
+        let opened = open_png(file)?;
+        (opened.width, opened.height)
     };
-    check_size(u64::from(width), u64::from(height))?;
     Ok(Header { media, width, height })
 }
 

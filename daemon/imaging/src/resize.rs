@@ -89,15 +89,14 @@ impl Resizer {
             PixelFormat::Grey8 => fir::PixelType::U8,
         };
         // Both sizes were checked and both buffers have the length that follows, so that no step can fail.
-        let impossible = |_| ImageError::Size { width: u64::from(width), height: u64::from(height) };
+        let impossible = || ImageError::Size { width: u64::from(width), height: u64::from(height) };
         let from = fir::images::ImageRef::new(picture.width(), picture.height(), picture.pixels(), kind)
-            .map_err(impossible)?;
+            .map_err(|_| impossible())?;
         let pixels = target.reshape(picture.format(), width, height);
-        let mut to = fir::images::Image::from_slice_u8(width, height, pixels, kind).map_err(impossible)?;
+        let mut to =
+            fir::images::Image::from_slice_u8(width, height, pixels, kind).map_err(|_| impossible())?;
         let options = fir::ResizeOptions::new().resize_alg(scaling.into().algorithm()).use_alpha(false);
-        self.0
-            .resize(&from, &mut to, &options)
-            .map_err(|_| ImageError::Size { width: u64::from(width), height: u64::from(height) })
+        self.0.resize(&from, &mut to, &options).map_err(|_| impossible())
     }
 }
 

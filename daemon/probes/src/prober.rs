@@ -113,8 +113,8 @@ impl Prober {
     }
 
     /// Where packet stamps are made: `kernel, send and receive`, `kernel, receive only`, or `program`.
-    pub fn stamps_in_words(&self) -> String {
-        self.socket.stamps_in_words().to_owned()
+    pub fn stamps_in_words(&self) -> &'static str {
+        self.socket.stamps_in_words()
     }
 
     /// Finds out whether the kernel stamps by the clock that the program reads; if not, its stamps are not used. So

@@ -120,8 +120,8 @@ impl Reflector {
     }
 
     /// In words where its packet stamps are made, as [`Prober::stamps_in_words`](crate::Prober::stamps_in_words).
-    pub fn stamps_in_words(&self) -> String {
-        self.socket.stamps_in_words().to_owned()
+    pub fn stamps_in_words(&self) -> &'static str {
+        self.socket.stamps_in_words()
     }
 
     /// Answers until stopped.

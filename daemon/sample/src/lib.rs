@@ -1,6 +1,7 @@
 //! What travels through a pipeline: a sample of typed payload parts, each with a small description.
 //!
-//! Payloads are [`Bytes`]: cloning a sample copies no payload.
+//! Payloads are [`Bytes`]: cloning a sample copies no payload. `description` says what the bytes are; `media` gives
+//! the same in the names that programs of other makers know.
 
 mod description;
 mod media;

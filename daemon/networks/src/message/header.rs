@@ -334,6 +334,22 @@ mod tests {
         assert_eq!(Header::decode(&wire), Ok(goodbye("bye  [2Jthere, 30 °C")));
     }
 
+    proptest! {
+        #[test]
+        fn nor_can_what_a_cloud_says_of_itself(mut accepted in strategies::accepted()) {
+            let evil = || "cpu\u{1b}[2J".to_owned();
+            (accepted.version, accepted.device, accepted.facts) = (evil(), evil(), vec![(evil(), evil())]);
+            let (protocol, session) = (PROTOCOL, SessionId::random());
+            let header = Accepted { protocol, session, accepted, max_message_bytes: 1, max_in_flight: 1 };
+            let wire = Header::Accepted(Box::new(header)).encode().expect("short enough");
+            let Ok(Header::Accepted(read)) = Header::decode(&wire) else { panic!("it is one") };
+            let SessionAccepted { version, device, facts, .. } = read.accepted;
+            for text in [&version, &device, &facts[0].0, &facts[0].1] {
+                prop_assert_eq!(text, "cpu [2J");
+            }
+        }
+    }
+
     #[test]
     fn a_hello_of_a_later_version_is_recognised() {
         #[derive(Serialize)]

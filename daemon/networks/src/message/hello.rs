@@ -55,6 +55,7 @@ pub struct SessionHello {
     /// The model wanted; `None` is the cloud's only one.
     pub model: Option<Slug>,
     /// The device it must run on, such as `cuda:0`; `None` leaves it to the cloud.
+    #[serde(default, deserialize_with = "perhaps_words")]
     pub device: Option<String>,
 }
 
@@ -68,12 +69,15 @@ pub struct SessionAccepted {
     /// The clock that the cloud's stamps come from.
     pub clock: ClockIdentity,
     /// The version of the program that serves, for people.
+    #[serde(deserialize_with = "words")]
     pub version: String,
     /// The model.
     pub model: Slug,
     /// The device it really runs on.
+    #[serde(deserialize_with = "words")]
     pub device: String,
     /// What the model is, in words, for the run's page.
+    #[serde(deserialize_with = "pairs")]
     pub facts: Vec<(String, String)>,
     /// What is known of the cloud's wall clock now; [`Session::peer_clock`](crate::Session::peer_clock) tells later.
     pub host_clock: PeerClock,
@@ -107,6 +111,15 @@ pub struct PeerClock {
     /// How it is made wrong on purpose.
     #[serde(deserialize_with = "finite")]
     pub rehearsal: Option<RehearsalDescription>,
+}
+
+fn perhaps_words<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<String>, D::Error> {
+    Ok(Option::<String>::deserialize(deserializer)?.map(printable))
+}
+
+fn pairs<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<(String, String)>, D::Error> {
+    let pairs: Vec<(String, String)> = Vec::deserialize(deserializer)?;
+    Ok(pairs.into_iter().map(|(name, value)| (printable(name), printable(value))).collect())
 }
 
 /// A peer's findings, which end up on terminals and pages.

@@ -26,7 +26,7 @@ fn clock() -> impl Strategy<Value = ClockIdentity> {
 }
 
 pub(crate) fn hello() -> impl Strategy<Value = SessionHello> {
-    let device = proptest::option::of(".{0,12}");
+    let device = proptest::option::of(words());
     (any::<u16>(), host(), slug(), clock(), slug(), proptest::option::of(slug()), device).prop_map(
         |(protocol, host, name, clock, pipeline, model, device)| SessionHello {
             protocol,
@@ -67,10 +67,10 @@ pub(crate) fn peer_clock() -> impl Strategy<Value = PeerClock> {
 }
 
 pub(crate) fn accepted() -> impl Strategy<Value = SessionAccepted> {
-    let facts = proptest::collection::vec((".{0,12}", ".{0,12}"), 0..4);
+    let facts = proptest::collection::vec((words(), words()), 0..4);
     let clocks = (clock(), peer_clock(), any::<(Option<u16>, u64)>());
     let conditions = proptest::collection::vec(condition(), 0..4);
-    let words = (".{0,12}", ".{0,12}", facts, conditions, hardware());
+    let words = (words(), words(), facts, conditions, hardware());
     (host(), slug(), clocks, slug(), words).prop_map(
         |(host, name, (clock, host_clock, (probes, instance)), model, words)| {
             let (version, device, facts, conditions, hardware) = words;

@@ -1,6 +1,7 @@
 //! Frame 1: the tree on the way up, its growth on the way down, in the logger's own wire form and its limits.
 
 use bytes::Bytes;
+use peernet_logger::limits::MAX_BYTES;
 use peernet_logger::{Growth, Measure, NodeId, Transit, Tree, stage, wire};
 
 use super::Departure;
@@ -33,8 +34,8 @@ pub(crate) fn decode_growth(bytes: &[u8]) -> Result<Growth, String> {
 }
 
 fn sendable(out: Vec<u8>) -> Result<Bytes, String> {
-    if out.len() > wire::MAX_BYTES {
-        return Err(format!("the tree takes {} bytes, more than {}", out.len(), wire::MAX_BYTES));
+    if out.len() > MAX_BYTES {
+        return Err(format!("the tree takes {} bytes, more than {MAX_BYTES}", out.len()));
     }
     Ok(out.into())
 }

@@ -9,18 +9,17 @@ use peernet_sample::Sample;
 use tokio::sync::{Semaphore, SemaphorePermit, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
-use super::client::Client;
-pub use super::client::CloseReason;
+use super::client::{Client, CloseReason};
 use super::exchange::{Arrived, Departed, Exchange, RequestError, Sizes, absorb, result};
-pub use super::open::OpenError;
-use super::open::handshake;
+use super::open::{OpenError, handshake};
 use super::receiving::Receiving;
+use crate::figures::Counters;
 use crate::message::{
     Accepted, Departure, Header, PeerClock, Request, SampleHeader, SessionAccepted, SessionHello, SessionId,
     encode_tree, put_upload,
 };
 use crate::transport::{Dialled, EdgeSender, SendFailure};
-use crate::{Address, NetworkFigures, NetworkKind, SessionSettings, figures::Counters};
+use crate::{Address, NetworkFigures, NetworkKind, SessionSettings};
 
 /// Stands for a timeout that the clock cannot hold.
 const AGES: Duration = Duration::from_secs(10 * 365 * 24 * 3600);

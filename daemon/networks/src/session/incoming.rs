@@ -89,7 +89,7 @@ pub enum Failure {
 pub(crate) struct Ticket {
     pub(crate) session: SessionId,
     pub(crate) request: u64,
-    /// This host's epoch right after the arrival was stamped.
+    /// This host's epoch right before the arrival was stamped.
     pub(crate) arrival_epoch: u32,
 }
 

@@ -16,7 +16,9 @@ mod receiving;
 mod server;
 
 pub use announcer::Announcer;
+pub use client::CloseReason;
 pub use cloud::{BindError, Listener};
-pub use edge::{CloseReason, OpenError, Session};
+pub use edge::Session;
 pub use exchange::{Exchange, RequestError};
 pub use incoming::{Failure, Incoming, IncomingRequest, OpenRequest, Responder};
+pub use open::OpenError;

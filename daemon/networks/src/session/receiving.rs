@@ -29,8 +29,8 @@ impl Shared {
         };
         match heard {
             Heard::Answer(waiter, reply) => {
-                // A request that was given up this very moment.
                 let reply = Arrived { reply, frames, at: arrived, epoch: self.clock.epoch() };
+                // A request that was given up this very moment.
                 if waiter.send(Answer::Reply(Box::new(reply))).is_err() {
                     self.counters.late();
                 }

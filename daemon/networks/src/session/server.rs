@@ -103,7 +103,13 @@ impl Server {
             return Heard::Answer(Self::incompatible(open.hello.protocol));
         }
         let of_connection = self.connections.get(&peer.connection).map_or(0, Vec::len);
-        if self.sessions.len() >= self.max_sessions || of_connection >= SESSIONS_PER_CONNECTION {
+        if of_connection >= SESSIONS_PER_CONNECTION {
+            let reason = format!(
+                "this connection has {SESSIONS_PER_CONNECTION} sessions already; close some or open another connection"
+            );
+            return Heard::Answer(Self::refusal(reason));
+        }
+        if self.sessions.len() >= self.max_sessions {
             let reason = format!(
                 "the cloud holds {} sessions already; close some or raise max_sessions there",
                 self.sessions.len()

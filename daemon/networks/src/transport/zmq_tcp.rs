@@ -4,6 +4,7 @@
 //! only what the kernel does not take at once is left to the connection's own task.
 
 use std::collections::HashSet;
+use std::fmt;
 use std::time::Duration;
 
 use futures::future::BoxFuture;
@@ -270,6 +271,12 @@ impl Router {
     }
 }
 
+/// The listener's socket is gone; who listens learns no more than that.
+fn lost(error: &dyn fmt::Display) -> Option<Arrival> {
+    tracing::warn!(%error, "the listener's socket was closed");
+    None
+}
+
 impl CloudReceiver for Router {
     fn receive(&mut self) -> BoxFuture<'_, Option<Arrival>> {
         Box::pin(async {
@@ -281,14 +288,16 @@ impl CloudReceiver for Router {
                     biased;
                     message = self.socket.recv_from() => return match message {
                         Ok((identity, message)) => Some(self.arrived(&identity, &message)),
-                        Err(_) => None,
+                        Err(error) => lost(&error),
                     },
                     event = self.monitor.recv() => match event {
                         Ok(event) => if let Some(arrival) = self.happened(event) {
                             return Some(arrival);
                         },
-                        Err(MonitorRecvError::Lagged(_)) => self.look_again().await.ok()?,
-                        Err(_) => return None,
+                        Err(MonitorRecvError::Lagged(_)) => if let Err(error) = self.look_again().await {
+                            return lost(&error);
+                        },
+                        Err(error) => return lost(&error),
                     },
                 }
             }

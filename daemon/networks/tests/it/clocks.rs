@@ -12,7 +12,7 @@ use peernet_logger::{Measure, NodeId, Transit};
 use peernet_networks::{Exchange, PeerClock, RequestError};
 
 use crate::hostile::plain_session;
-use crate::support::{Cloud, PATIENCE, accepted, echo, log, open_by, request, sample, settings, within};
+use crate::support::{Cloud, PATIENCE, accepted, echo, log, request, sample, settings, within};
 use crate::wire::Header;
 
 /// The system's clocks, set forward by hand; every setting is a new epoch.
@@ -137,11 +137,7 @@ async fn a_clock_stepped_meanwhile_leaves_nothing_to_learn_from() {
     assert_eq!(exchange.witnessed.expect("answered").cloud_epoch, Some(1));
 
     let clock = Set::new(Span::ZERO);
-    let session = {
-        let edge = tokio::spawn(open_by(cloud.address(), clock.clone()));
-        cloud.next_open().await.accept(accepted(cloud.host));
-        within(edge).await.expect("no panic").expect("accepted")
-    };
+    let session = cloud.session_by(clock.clone()).await;
     for stepped in [true, false] {
         let pending = request(&session, "stepped at the edge", PATIENCE);
         let incoming = cloud.next_request().await;
@@ -167,11 +163,7 @@ async fn a_clock_stepped_right_after_the_first_stamp_at_a_host_leaves_nothing_to
     assert_eq!(exchange.witnessed.expect("answered").cloud_epoch, Some(1));
 
     let clock = Set::new(Span::ZERO);
-    let session = {
-        let edge = tokio::spawn(open_by(cloud.address(), clock.clone()));
-        cloud.next_open().await.accept(accepted(cloud.host));
-        within(edge).await.expect("no panic").expect("accepted")
-    };
+    let session = cloud.session_by(clock.clone()).await;
     clock.slips.store(true, Ordering::SeqCst);
     let exchange = echo(&mut cloud, &session, "stepped at the edge").await;
     assert_eq!((exchange.witnessed, clock.epoch()), (None, 1));

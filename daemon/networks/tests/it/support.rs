@@ -128,6 +128,13 @@ impl Cloud {
         assert!(request.accept(accepted(self.host)));
         (within(edge).await.expect("no panic").expect("accepted"), id)
     }
+
+    /// Opens a session with an edge that reads another clock.
+    pub(crate) async fn session_by(&mut self, clock: SharedClock) -> Session {
+        let edge = tokio::spawn(open_by(self.address(), clock));
+        assert!(self.next_open().await.accept(accepted(self.host)));
+        within(edge).await.expect("no panic").expect("accepted")
+    }
 }
 
 pub(crate) async fn open(
@@ -139,7 +146,7 @@ pub(crate) async fn open(
 }
 
 /// Opens a session as an edge that reads another clock.
-pub(crate) async fn open_by(address: Address, clock: SharedClock) -> Result<Session, OpenError> {
+async fn open_by(address: Address, clock: SharedClock) -> Result<Session, OpenError> {
     within(Session::open(NetworkKind::ZmqTcp, &address, hello(), settings(), clock)).await
 }
 

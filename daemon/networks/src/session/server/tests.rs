@@ -97,6 +97,22 @@ fn a_goodbye_frees_the_place() {
 }
 
 #[test]
+fn one_connection_cannot_take_all_places_and_is_told_which_limit_it_met() {
+    let mut server = Server::new(&SessionSettings::default());
+    for _ in 0..SESSIONS_PER_CONNECTION {
+        opened(&mut server, 1);
+    }
+    let Heard::Answer(Header::Refused(refused)) = server.hear(&peer(1), hello()) else {
+        panic!("one too many")
+    };
+    assert!(
+        refused.reason.contains("this connection") && !refused.reason.contains("max_sessions"),
+        "{refused:?}"
+    );
+    opened(&mut server, 2);
+}
+
+#[test]
 fn the_end_of_a_connection_is_the_end_of_its_sessions_alone() {
     let mut server = server();
     let (a, b, c) = (opened(&mut server, 1), opened(&mut server, 2), opened(&mut server, 1));
