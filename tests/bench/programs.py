@@ -17,6 +17,7 @@ RELEASE = ROOT / "target/release"
 PEERNETD = RELEASE / "peernetd"
 PEERNET = RELEASE / "peernet"
 BARE_TCP = RELEASE / "bare-tcp"
+EVENT_STREAM = RELEASE / "event-stream"
 
 PR_SET_PDEATHSIG = 1
 STOP_TIMEOUT_S = 20.0

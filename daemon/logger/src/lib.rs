@@ -1,9 +1,18 @@
 //! The logger: a tree of typed nodes per iteration, its text, CSV and wire forms, and the messages of the
 //! event stream that carries finished trees from agents to the aggregator.
 //!
-//! No I/O. [`Recorder`] grows a [`Tree`] while an iteration runs; [`stage`] holds the standard names.
+//! No I/O. From the ground up:
+//!
+//! - [`Name`], [`Unit`], [`Measure`]: what a node is called and what it measured; [`stage`]: the standard names.
+//! - [`Tree`]: the nodes of one iteration, across hosts; [`limits`]: how large it may become.
+//! - [`Recorder`]: grows a tree while an iteration runs, through guards that close what they opened, also with
+//!   instruments of a user's own ([`Meter`]).
+//! - [`Stages`]: what the stages of a finished tree add up to.
+//! - [`wire`], `text`, [`csv`]: a tree for machines, for people, and as a row of a table.
+//! - [`stream`]: what agents and the aggregator say to each other, and the state machines of both ends.
 
 pub mod csv;
+#[doc(hidden)]
 pub mod fuzzing;
 mod guard;
 mod host;

@@ -72,21 +72,3 @@ impl<M: Meter + ?Sized> Meter for &mut M {
         (**self).end()
     }
 }
-
-impl<M: Meter + ?Sized> Meter for Box<M> {
-    fn kind(&self) -> Name {
-        (**self).kind()
-    }
-
-    fn unit(&self) -> Unit {
-        (**self).unit()
-    }
-
-    fn begin(&mut self) {
-        (**self).begin();
-    }
-
-    fn end(&mut self) -> f64 {
-        (**self).end()
-    }
-}

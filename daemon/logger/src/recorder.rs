@@ -60,7 +60,7 @@ impl Recorder {
 
     /// Begins an iteration that was meant to begin at `at`, now or earlier.
     pub fn begin_at(clock: SharedClock, host: HostId, at: Stamp) -> Self {
-        let tree = Tree::new(crate::stage::ITERATION, Anchor { host, wall: at.wall });
+        let tree = Tree::new(stage::ITERATION, Anchor { host, wall: at.wall });
         Self::on(clock, tree, HostIndex::EDGE, at.mono, None)
     }
 
@@ -130,11 +130,6 @@ impl Recorder {
     pub fn start(&mut self, name: Name) -> NodeId {
         let now = self.clock.mono();
         self.append_at(name, now, Measure::Timer(None))
-    }
-
-    /// Opens a timer at a moment that has passed.
-    pub fn start_at(&mut self, name: Name, at: MonoTime) -> NodeId {
-        self.append_at(name, at, Measure::Timer(None))
     }
 
     /// Closes a timer now. Closing twice keeps the first end.

@@ -286,12 +286,11 @@ impl Tree {
             return Err(TreeError::TooManyHosts(self.anchors.len()));
         }
         for (index, node) in self.nodes.iter().enumerate().skip(from) {
-            match node.parent {
-                None if index == 0 => {}
-                Some(_) if index == 0 => return Err(TreeError::Orphan(index)),
-                None => return Err(TreeError::Orphan(index)),
-                Some(parent) if parent.index() >= index => return Err(TreeError::Order(index)),
-                Some(_) => {}
+            if node.parent.is_none() != (index == 0) {
+                return Err(TreeError::Orphan(index));
+            }
+            if node.parent.is_some_and(|parent| parent.index() >= index) {
+                return Err(TreeError::Order(index));
             }
             if usize::from(node.host.0) >= self.anchors.len() {
                 return Err(TreeError::UnknownHost(index));

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from types import ModuleType
 
-from . import agent, delays, idle, ingest, live, loop, model, node, pages, python
+from . import agent, delays, idle, ingest, live, loop, model, node, pages, python, stream
 
 # Each has `prepare()`, which builds and checks what it needs, and `measure(quick) -> Section`.
 ALL: dict[str, ModuleType] = {
@@ -13,6 +13,7 @@ ALL: dict[str, ModuleType] = {
     "python": python,
     "model": model,
     "ingest": ingest,
+    "stream": stream,
     "live": live,
     "pages": pages,
     "delays": delays,

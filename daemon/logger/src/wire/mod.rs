@@ -28,7 +28,7 @@ mod writer;
 use peernet_clock::WallTime;
 
 use self::reader::Reader;
-pub use crate::limits::{MAX_ANCHORS, MAX_BYTES, MAX_DEPTH, MAX_NAME_BYTES, MAX_NODES};
+use crate::limits::MAX_BYTES;
 use crate::{Growth, NodeId, Tree, TreeError};
 
 /// Version of the wire form.

@@ -2,6 +2,7 @@ use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict};
 use proptest::prelude::*;
 
 use super::*;
+use crate::limits::{MAX_ANCHORS, MAX_DEPTH, MAX_NAME_BYTES, MAX_NODES};
 use crate::{Anchor, HostId, HostIndex, Measure, Name, Node, Rate, Transit, Unit, stage};
 
 fn name() -> impl Strategy<Value = Name> {

@@ -29,6 +29,9 @@ const LONGEST_QUEUE: Span = Span::from_millis(400);
 /// Some parts, bytes.
 const LEAST_QUEUED: f64 = (4 << 10) as f64;
 
+/// A wait so short says that the way carries far more: the allowance grows faster.
+const NO_QUEUE: Span = Span::from_millis(10);
+
 /// So long, and twice that at most, a rate of delivery counts.
 const REMEMBERED: Span = Span::from_seconds(5);
 
@@ -265,8 +268,9 @@ impl Flow {
             self.allowance = self.allowance.min(less);
         } else {
             // One part less than was allowed does not mean that there is room for no more.
-            let full = (bytes + self.part() as u64) as f64 / took.seconds();
-            let more = fair(full).min(2 * bytes).min(self.most);
+            let full = bytes + self.part() as u64;
+            let doubled = if took <= shortest + NO_QUEUE { 2 * full } else { 2 * bytes };
+            let more = fair(full as f64 / took.seconds()).min(doubled).min(self.most);
             self.allowance = self.allowance.max(more);
         }
         self.slow = self.late >= LATE || self.slow && self.allowance < FAST;

@@ -1,0 +1,99 @@
+//! Fast links: knowing what is on the way does not slow down what goes there.
+
+use super::super::Compression;
+use super::link::{Link, Setting};
+use super::*;
+
+/// Events of 16 KiB, more than any store here takes.
+const EVENTS_PER_S: i64 = 1_500;
+
+fn long(n: i64) -> String {
+    format!("{n:16384}")
+}
+
+/// As agents have it, but for compression.
+fn usual() -> SendingConfig {
+    SendingConfig {
+        window: 32,
+        first_pause: Span::from_seconds(1),
+        compression: Compression::Never,
+        ..SendingConfig::default()
+    }
+}
+
+/// Events that are stored within four seconds, of a connection that has existed for two, out of a backlog.
+fn stored(setting: Setting) -> u64 {
+    let mut link = Link::new(usual(), setting);
+    link.run(4);
+    link.connect();
+    link.run(2);
+    let before = link.stored;
+    link.run(4);
+    assert_eq!((link.repeated, link.hellos), (0, 1), "(batches, greetings) that came again");
+    assert!(link.agent.accounting().waiting > 0, "there was something to send all the time");
+    link.stored - before
+}
+
+#[test]
+fn a_fast_link_carries_what_the_store_takes() {
+    // Bytes a second, one-way delay, what a commit takes, and of each second what the aggregator's host is busy with
+    // something else. The last three in milliseconds.
+    for (bytes_per_s, one_way, commit, deaf) in
+        [(1_250_000_000, 0, 300, 0), (1_250_000_000, 10, 300, 50), (12_500_000, 1, 10, 50)]
+    {
+        let setting = Setting {
+            bytes_per_s,
+            one_way,
+            step: 1,
+            commit,
+            deaf,
+            controlled: true,
+            events_per_s: EVENTS_PER_S,
+            text: long,
+        };
+        let with = stored(setting);
+        let without = stored(Setting { controlled: false, ..setting });
+        let seen = format!(
+            "{bytes_per_s} B/s, {one_way} ms, commits of {commit} ms, {deaf} ms away: {with} events, {without} without \
+             control"
+        );
+        println!("{seen}");
+        // A commit more or less is some percent.
+        assert!(10 * with >= 9 * without, "{seen}");
+    }
+}
+
+/// Milliseconds from the connection until two megabytes are stored.
+fn begun(setting: Setting) -> i64 {
+    let mut link = Link::new(usual(), setting);
+    link.run(1);
+    link.connect();
+    let connected = link.agent.millis;
+    while link.stored < 128 {
+        link.step();
+    }
+    link.agent.millis - connected
+}
+
+#[test]
+fn a_connection_soon_carries_all_that_it_can() {
+    for one_way in [0, 1, 10, 25] {
+        let setting = Setting {
+            bytes_per_s: 1_250_000_000,
+            one_way,
+            step: 1,
+            commit: 1,
+            deaf: 0,
+            controlled: true,
+            events_per_s: EVENTS_PER_S,
+            text: long,
+        };
+        let (with, without) = (begun(setting), begun(Setting { controlled: false, ..setting }));
+        println!("{one_way} ms: after {with} ms, {without} ms without control");
+        // It begins with 4 KiB and doubles: a megabyte after eight round trips.
+        assert!(
+            with <= without + 10 * (2 * one_way + 1),
+            "{one_way} ms: after {with} ms, {without} ms without"
+        );
+    }
+}

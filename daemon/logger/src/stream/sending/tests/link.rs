@@ -1,0 +1,220 @@
+//! An agent, an aggregator and the way between them in simulated time.
+
+use std::collections::VecDeque;
+
+use super::super::super::{Arrival, Greeting, Known, Mark, Receiving, ReceivingConfig};
+use super::*;
+
+/// The length of a live update of one pipeline, compressed by nobody.
+const LIVE_BYTES: usize = 1_500;
+const LIVE_EVERY_MS: i64 = 250;
+
+/// One direction of a link.
+pub(super) struct Way<T> {
+    pub(super) bytes_per_s: i64,
+    delay_ms: i64,
+    /// When the last byte that was handed over will have left, microseconds.
+    pub(super) busy_us: i64,
+    /// How long it was busy.
+    pub(super) used_us: i64,
+    under_way: VecDeque<(i64, T)>,
+}
+
+impl<T> Way<T> {
+    const fn new(bytes_per_s: i64, delay_ms: i64) -> Self {
+        Self { bytes_per_s, delay_ms, busy_us: 0, used_us: 0, under_way: VecDeque::new() }
+    }
+
+    fn send(&mut self, bytes: usize, what: T, now_ms: i64) {
+        let takes = bytes as i64 * 1_000_000 / self.bytes_per_s;
+        self.busy_us = self.busy_us.max(now_ms * 1_000) + takes;
+        self.used_us += takes;
+        self.under_way.push_back((self.busy_us / 1_000 + self.delay_ms, what));
+    }
+
+    fn arrived(&mut self, now_ms: i64) -> Option<T> {
+        let (_, what) = self.under_way.pop_front_if(|(at, _)| *at <= now_ms)?;
+        Some(what)
+    }
+}
+
+pub(super) enum Sent {
+    Frame(Bytes),
+    /// A live update that was made then.
+    Live(i64),
+}
+
+/// What surrounds the two machines; times in milliseconds.
+#[derive(Clone, Copy)]
+pub(super) struct Setting {
+    pub(super) bytes_per_s: i64,
+    pub(super) one_way: i64,
+    /// A step of the simulation, and how often the agent looks after its lanes.
+    pub(super) step: i64,
+    /// How long a commit takes; what comes meanwhile is the next.
+    pub(super) commit: i64,
+    /// Of every second, how long the aggregator hears nothing, because others have its processors.
+    pub(super) deaf: i64,
+    /// Whether the agent knows what is on its way; else all of it counts as arrived.
+    pub(super) controlled: bool,
+    pub(super) events_per_s: i64,
+    /// What an event says.
+    pub(super) text: fn(i64) -> String,
+}
+
+/// An agent, an aggregator, and a link with a speed.
+pub(super) struct Link {
+    pub(super) agent: Agent,
+    pub(super) setting: Setting,
+    pub(super) up: Way<Sent>,
+    receiving: Receiving,
+    down: Way<ToAgent>,
+    /// What waits for the next commit, what is in the one at hand, and when that ends.
+    waiting: Vec<BatchHead>,
+    committing: (Vec<BatchHead>, i64),
+    pub(super) stored: u64,
+    /// When the newest live update that came was made.
+    shown: i64,
+    due: bool,
+    /// How far the live picture was behind, at most, since this was last cleared.
+    pub(super) behind: i64,
+    pub(super) hellos: usize,
+    pub(super) repeated: usize,
+}
+
+impl Link {
+    pub(super) fn new(config: SendingConfig, setting: Setting) -> Self {
+        Self {
+            agent: Agent::new(config),
+            setting,
+            up: Way::new(setting.bytes_per_s, setting.one_way),
+            receiving: Receiving::new(ReceivingConfig {
+                most_window: config.window,
+                ..ReceivingConfig::new("base".parse().expect("a name"))
+            }),
+            down: Way::new(10_000_000, setting.one_way),
+            waiting: Vec::new(),
+            committing: (Vec::new(), 0),
+            stored: 0,
+            shown: 0,
+            due: false,
+            behind: 0,
+            hellos: 0,
+            repeated: 0,
+        }
+    }
+
+    fn offer(&mut self) {
+        let Setting { step, events_per_s, text, .. } = self.setting;
+        let now = self.agent.millis;
+        let (before, after) = ((now - step) * events_per_s / 1_000, now * events_per_s / 1_000);
+        for n in before..after {
+            self.agent.sending.offer(&incident(&text(n)), self.agent.now());
+        }
+        self.agent.sending.tick(self.agent.now());
+    }
+
+    pub(super) fn step(&mut self) {
+        self.agent.millis += self.setting.step;
+        let now = self.agent.millis;
+        self.offer();
+        while let Some(message) = self.down.arrived(now) {
+            self.agent.sending.received(&message, self.agent.now());
+        }
+        self.due |= now % LIVE_EVERY_MS == 0;
+        if self.due && self.agent.sending.may_show() {
+            self.agent.sending.shown(LIVE_BYTES);
+            self.up.send(LIVE_BYTES, Sent::Live(now), now);
+            self.due = false;
+        }
+        self.send();
+        let hears = now % 1_000 >= self.setting.deaf;
+        while hears && let Some(sent) = self.up.arrived(now) {
+            match sent {
+                Sent::Live(made) => self.shown = made,
+                Sent::Frame(frame) => self.take(frame),
+            }
+        }
+        self.commit();
+        self.behind = self.behind.max(now - self.shown);
+    }
+
+    /// Does all that the agent wants.
+    fn send(&mut self) {
+        loop {
+            let mut asked = None;
+            while let Some(action) = self.agent.sending.next(self.agent.now().mono) {
+                let Action::Send(frame) = action else {
+                    self.agent.perform(action);
+                    continue;
+                };
+                match codec::decode(&frame) {
+                    Ok(ToAggregator::Echo { bytes, .. }) if !self.setting.controlled => asked = Some(bytes),
+                    _ => self.up.send(frame.len(), Sent::Frame(frame.into()), self.agent.millis),
+                }
+            }
+            let Some(bytes) = asked else { return };
+            self.agent.sending.received(&ToAgent::Echo { bytes }, self.agent.now());
+        }
+    }
+
+    fn commit(&mut self) {
+        let now = self.agent.millis;
+        if self.committing.1 > now {
+            return;
+        }
+        for head in std::mem::take(&mut self.committing.0) {
+            self.stored += u64::from(head.events);
+            let (_, reply) = self.receiving.stored(head.stream, Mark::from(head)).expect("it listens");
+            self.reply(reply);
+        }
+        if !self.waiting.is_empty() {
+            self.committing = (std::mem::take(&mut self.waiting), now + self.setting.commit);
+        }
+    }
+
+    fn take(&mut self, frame: Bytes) {
+        let now = self.agent.now().mono;
+        let frame = match codec::part(&frame) {
+            Some(part) => match self.receiving.part(&part, now) {
+                Some(whole) => whole,
+                None => return,
+            },
+            None => frame,
+        };
+        if let Some(head) = codec::batch_head(&frame) {
+            codec::batch_body(frame).expect("intact");
+            match self.receiving.batch(&head, true, now) {
+                Arrival::Accept => self.waiting.push(head),
+                _ => self.repeated += 1,
+            }
+            return;
+        }
+        match codec::decode(&frame).expect("a message") {
+            ToAggregator::Hello(hello) => {
+                self.hellos += 1;
+                self.agent.hellos.push(hello.clone());
+                let greeting = self.receiving.hello(&hello, Known::default(), now);
+                let Greeting::Welcome { reply, .. } = greeting else { panic!("{greeting:?}") };
+                self.reply(reply);
+            }
+            ToAggregator::Echo { host, bytes } => {
+                let echo = self.receiving.echo(host, bytes, now);
+                self.reply(echo);
+            }
+            other => panic!("{other:?} was sent"),
+        }
+    }
+
+    fn reply(&mut self, message: ToAgent) {
+        self.down.send(60, message, self.agent.millis);
+    }
+
+    pub(super) fn run(&mut self, seconds: i64) {
+        (0..seconds * 1_000 / self.setting.step).for_each(|_| self.step());
+    }
+
+    pub(super) fn connect(&mut self) {
+        self.agent.sending.connected(self.agent.now().mono);
+    }
+}

@@ -1,0 +1,222 @@
+//! One agent's durable stream and nothing else: a backlog of iterations goes to an aggregator as fast as it is taken,
+//! with or without the control of what may be on the way.
+//!
+//! The state machine, the socket and the aggregator are the real ones. The spool is in memory, and all that travels is
+//! held back at both ends of the way, by half a round trip. Without control the machine's questions for echoes are
+//! answered here, as soon as it has nothing more to send: it always believes that all has arrived.
+//!
+//! `event-stream ADDRESS ITERATIONS ROUND-TRIP-MS on|off`, which prints one JSON object.
+
+#[path = "../../../daemon/aggregator/tests/it/generate.rs"]
+#[expect(unreachable_pub, dead_code, reason = "shared with the aggregator's tests")]
+mod generate;
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use bytes::Bytes;
+use peernet_clock::{Clock, ClockIdentity, Span, SystemClock};
+use peernet_logger::stream::{
+    Action, Chain, Compression, Event, Sending, SendingConfig, SpoolState, SpooledBatch, StreamId, ToAgent,
+    ToAggregator, Totals, Usage, codec,
+};
+use peernet_logger::{HostId, RunId};
+use serde_json::json;
+use tokio::time::{Instant, sleep_until};
+use zeromq::options::WorkloadProfile;
+use zeromq::{Message, Options, Socket, SocketType, TrySendError};
+
+/// As agents have it.
+const WINDOW: u32 = 32;
+const QUEUE: u32 = 8;
+const LOOK: Duration = Duration::from_millis(20);
+
+#[tokio::main]
+async fn main() -> anyhow::Result<()> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let [address, iterations, round_trip, control] = &arguments[..] else {
+        bail!("usage: event-stream ADDRESS ITERATIONS ROUND-TRIP-MS on|off");
+    };
+    let controlled = match control.as_str() {
+        "on" => true,
+        "off" => false,
+        other => bail!("{other:?} is neither on nor off"),
+    };
+    let one_way = Duration::from_secs_f64(round_trip.parse::<f64>()? / 2e3);
+    let mut agent = Agent::new(one_way, controlled)?;
+    agent.fill(iterations.parse()?);
+    let figures = agent.deliver(address).await?;
+    #[expect(clippy::print_stdout, reason = "the result that was asked for")]
+    {
+        println!("{figures}");
+    }
+    Ok(())
+}
+
+/// The sending end, its spool, and what is held back on its way.
+struct Agent {
+    clock: SystemClock,
+    machine: Sending,
+    spool: VecDeque<SpooledBatch>,
+    one_way: Duration,
+    controlled: bool,
+    up: VecDeque<(Instant, Vec<u8>)>,
+    down: VecDeque<(Instant, Bytes)>,
+    /// A question that is to be answered here.
+    asked: Option<u64>,
+    frames: u64,
+    bytes: u64,
+}
+
+impl Agent {
+    fn new(one_way: Duration, controlled: bool) -> anyhow::Result<Self> {
+        let clock = SystemClock::new(ClockIdentity::of_this_machine(ClockIdentity::SYSTEM)?);
+        let config = SendingConfig {
+            window: WINDOW,
+            first_pause: Span::from_seconds(1),
+            memory: Usage { events: u64::MAX / 2, bytes: u64::MAX / 2 },
+            compression: Compression::Never,
+            ..SendingConfig::default()
+        };
+        let spool = SpoolState {
+            stream: StreamId::random(),
+            previous: None,
+            first: 1,
+            oldest: 1,
+            before: Chain::START,
+            newest: (0, Chain::START),
+            since: None,
+            held: Usage::default(),
+            totals: Totals::default(),
+            reached: Vec::new(),
+        };
+        let host = generate::host(HostId::random(), "edge");
+        let machine = Sending::new(config, host, 1, spool);
+        let (spool, up, down) = Default::default();
+        Ok(Self { clock, machine, spool, one_way, controlled, up, down, asked: None, frames: 0, bytes: 0 })
+    }
+
+    /// Measures and spools so many iterations.
+    fn fill(&mut self, iterations: u64) {
+        let (run, edge, cloud) = (RunId::random(), self.machine.host(), HostId::random());
+        let mut numbers = generate::Numbers(1);
+        self.machine.offer(&generate::run_started(run, "line", generate::at(0.0)), self.clock.stamp());
+        for number in 1..=iterations {
+            let at = generate::at(number as f64 * 1e-4);
+            let iteration = generate::iteration_at(run, number, (edge, cloud), at, &mut numbers);
+            self.machine.offer(&Event::Iteration(iteration), self.clock.stamp());
+            self.act();
+        }
+        self.machine.flush(self.clock.wall());
+        self.act();
+    }
+
+    /// What the machine wants next.
+    fn next(&mut self) -> Option<Action> {
+        loop {
+            let action = self.machine.next(self.clock.mono());
+            if action.is_some() {
+                return action;
+            }
+            let bytes = self.asked.take()?;
+            self.machine.received(&ToAgent::Echo { bytes }, self.clock.stamp());
+        }
+    }
+
+    /// Does what the machine wants.
+    fn act(&mut self) {
+        while let Some(action) = self.next() {
+            let now = self.clock.stamp();
+            match action {
+                Action::Send(frame) => self.send(frame),
+                Action::Append { batches, .. } => {
+                    self.spool.extend(batches);
+                    self.machine.appended(now);
+                }
+                Action::Load { from, bytes } => {
+                    let batches = self.load(from, bytes);
+                    self.machine.loaded(batches, now);
+                }
+                Action::Delete { through, .. } => {
+                    while self.spool.pop_front_if(|batch| batch.number <= through).is_some() {}
+                    self.machine.deleted();
+                }
+                // Only where an aggregator knows other batches of this stream.
+                Action::Renew { .. } => self.machine.renewed(now),
+            }
+        }
+    }
+
+    fn send(&mut self, frame: Vec<u8>) {
+        if !self.controlled
+            && let Ok(ToAggregator::Echo { bytes, .. }) = codec::decode(&frame)
+        {
+            self.asked = Some(bytes);
+            return;
+        }
+        self.frames += 1;
+        self.bytes += frame.len() as u64;
+        self.up.push_back((Instant::now() + self.one_way, frame));
+    }
+
+    fn load(&self, from: u64, most: usize) -> Vec<SpooledBatch> {
+        let mut bytes = 0;
+        let wanted = self.spool.iter().skip_while(|batch| batch.number < from).take_while(|batch| {
+            let first = bytes == 0;
+            bytes += batch.body.len();
+            first || bytes <= most
+        });
+        wanted.cloned().collect()
+    }
+
+    /// Sends all; how long that took, from the connection to the last acknowledgement.
+    async fn deliver(&mut self, address: &str) -> anyhow::Result<serde_json::Value> {
+        let options = Options::default().workload_profile(WorkloadProfile::Latency).send_hwm(QUEUE);
+        let socket = Socket::new(SocketType::Dealer, options);
+        socket.connect(address).await.with_context(|| format!("cannot connect to {address}"))?;
+        let began = self.clock.mono();
+        self.machine.connected(began);
+        loop {
+            self.act();
+            if self.machine.is_idle() {
+                break;
+            }
+            let blocked = self.depart(&socket)?;
+            let departs = self.up.front().filter(|_| !blocked).map(|(at, _)| *at);
+            let arrives = self.down.front().map(|(at, _)| *at);
+            let due = departs.into_iter().chain(arrives).min().unwrap_or_else(|| Instant::now() + LOOK);
+            tokio::select! {
+                message = socket.recv() => {
+                    let frame = message.context("the connection failed")?.part_bytes(0).unwrap_or_default();
+                    self.down.push_back((Instant::now() + self.one_way, frame));
+                }
+                () = socket.wait_send_ready(), if blocked => {}
+                () = sleep_until(due) => self.machine.tick(self.clock.stamp()),
+            }
+            while let Some((_, frame)) = self.down.pop_front_if(|(at, _)| *at <= Instant::now()) {
+                let message: ToAgent =
+                    codec::decode(&frame).context("the aggregator's message makes no sense")?;
+                self.machine.received(&message, self.clock.stamp());
+            }
+        }
+        let seconds = (self.clock.mono() - began).seconds();
+        Ok(json!({ "seconds": seconds, "frames": self.frames, "bytes": self.bytes }))
+    }
+
+    /// Hands over what is due; whether there was no room for all of it.
+    fn depart(&mut self, socket: &Socket) -> anyhow::Result<bool> {
+        while let Some((at, frame)) = self.up.pop_front_if(|(at, _)| *at <= Instant::now()) {
+            match socket.try_send(Message::single(frame)) {
+                Ok(()) => {}
+                Err(TrySendError::Full(message)) => {
+                    let frame = message.into_bytes().map(Into::into).unwrap_or_default();
+                    self.up.push_front((at, frame));
+                    return Ok(true);
+                }
+                Err(error) => bail!("the connection failed: {error:?}"),
+            }
+        }
+        Ok(false)
+    }
+}
