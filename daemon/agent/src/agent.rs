@@ -5,12 +5,9 @@ use std::time::Duration;
 
 use peernet_clock::{MonoTime, SharedClock};
 use peernet_inference::{Bank, LoadError};
-use peernet_logger::stream::{
-    Event, HostClock, HostDescription, HostMetrics, IncidentKind, LiveUpdate, PipelineState,
-};
-use peernet_logger::{InvalidName, Slug};
-use peernet_networks::{Address, BindError};
-use peernet_probes::KeyError;
+use peernet_logger::Slug;
+use peernet_logger::stream::{Event, HostDescription, HostMetrics, IncidentKind, LiveUpdate, PipelineState};
+use peernet_networks::Address;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
@@ -19,42 +16,18 @@ use tokio_util::task::TaskTracker;
 
 use crate::check::{Problem, check, remarks};
 use crate::conditions::Places;
-use crate::config::{AgentConfig, HostConfig, PipelineConfig, StartMode};
+use crate::config::{AgentConfig, PipelineConfig, StartMode};
+use crate::error::StartError;
 use crate::host::{Host, VERSION};
-use crate::identity::{IdentityError, StateLock, host_id};
+use crate::identity::{StateLock, host_id};
 use crate::incidents::{Concerning, Incidents};
 use crate::link::{Cloud, Links, Near, ProbeSettings};
 use crate::live::{Board, Display};
-use crate::outbox::{Outbox, SpoolError, Tap};
+use crate::outbox::{Outbox, Tap};
 use crate::runs::Runs;
-use crate::serve::{Doors, ReflectorError, Served};
-use crate::tasks::Tasks;
+use crate::serve::{Doors, Served};
+use crate::tasks::{Failure, Tasks};
 use crate::{host_clock, pipeline, serve, telemetry};
-
-pub use crate::tasks::Failure;
-
-/// Why an agent did not start.
-#[derive(Debug, thiserror::Error)]
-pub enum StartError {
-    /// The machine's own name cannot be used as the agent's.
-    #[error("{0}; set [agent] name")]
-    Name(#[from] InvalidName),
-    /// The host id could not be read or made.
-    #[error(transparent)]
-    Identity(#[from] IdentityError),
-    /// The spool could not be had.
-    #[error(transparent)]
-    Spool(#[from] SpoolError),
-    /// The port for peers could not be had.
-    #[error(transparent)]
-    Bind(#[from] BindError),
-    /// The port for peers' probes could not be had.
-    #[error(transparent)]
-    Reflector(#[from] ReflectorError),
-    /// The key for probes could not be read.
-    #[error("{0}; [probes] key_file names it")]
-    Key(#[from] KeyError),
-}
 
 /// The agent role of a host.
 #[derive(Debug)]
@@ -123,7 +96,7 @@ async fn start(
     stop: CancellationToken,
     tap: Option<Tap>,
 ) -> Result<Running, StartError> {
-    let name = host_name(&config.agent)?;
+    let name = config.agent.host_name()?;
     let state = StateLock::take(&config.agent.state_dir)?;
     let id = host_id(&config.agent.state_dir)?;
     let spool = crate::outbox::open_spool(&config, id, &clock).await?;
@@ -131,7 +104,7 @@ async fn start(
     let feed = feed.tapped(tap.clone());
     let incidents = Incidents::new(Arc::clone(&clock), feed.clone());
     let bank = Arc::new(bank(&config, &clock, incidents.clone()));
-    let (publish, own) = watch::channel(before_the_first_look(&clock));
+    let (publish, own) = watch::channel(host_clock::not_asked_yet(&clock));
     let near = Near {
         name: name.clone(),
         clock: Arc::clone(&clock),
@@ -292,14 +265,6 @@ async fn unload(bank: Arc<Bank>, patience: Duration) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The configured name, or the machine's.
-pub(crate) fn host_name(config: &HostConfig) -> Result<Slug, StartError> {
-    match &config.name {
-        Some(name) => Ok(name.clone()),
-        None => Ok(sysinfo::System::host_name().unwrap_or_default().parse()?),
-    }
-}
-
 fn bank(config: &AgentConfig, clock: &SharedClock, incidents: Incidents) -> Bank {
     let bank = Bank::new(config.models.clone(), config.onnxruntime.clone(), Arc::clone(clock));
     let bank = match serve::calibration(config) {
@@ -311,16 +276,6 @@ fn bank(config: &AgentConfig, clock: &SharedClock, incidents: Incidents) -> Bank
             format!("loaded {} on {} in {:.2} s", pool.name(), pool.device(), pool.loaded_in().seconds());
         incidents.report(IncidentKind::ModelLoaded, Concerning::default(), text);
     })
-}
-
-/// What is known of the host's clock before anybody asked.
-fn before_the_first_look(clock: &SharedClock) -> HostClock {
-    HostClock {
-        discipline: None,
-        text: "not asked yet".to_owned(),
-        epoch: clock.epoch(),
-        rehearsal: clock.rehearsal().cloned(),
-    }
 }
 
 fn start_pipelines(tasks: &mut Tasks, tracker: &TaskTracker, config: &AgentConfig, host: &Host) -> Board {

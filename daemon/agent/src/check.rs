@@ -17,7 +17,6 @@ use peernet_logger::Slug;
 use peernet_networks::SessionSettings;
 use rustix::fs::{Access, access};
 
-use crate::agent::host_name;
 use crate::config::{AgentConfig, HostConfig, PipelineConfig, PlacementConfig, ServeConfig};
 use crate::identity::existing_id;
 
@@ -37,6 +36,8 @@ const MAX_STOP_TIMEOUT_MS: u64 = 60_000;
 const MAX_IN_FLIGHT: u64 = 4096;
 /// Longest wait for an answer: a day.
 const MAX_TIMEOUT_MS: u64 = 24 * 3600 * 1000;
+/// Seconds of the longest run: a year.
+const LONGEST_RUN_S: f64 = 365.0 * 86_400.0;
 
 /// Something wrong with a configuration.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -67,9 +68,7 @@ impl Report {
             self.add(key, error);
         }
     }
-}
 
-impl Report {
     fn at_most(&mut self, key: &str, value: u64, most: u64) {
         if value > most {
             self.add(key, format!("{value} is too much; at most {most}"));
@@ -86,7 +85,7 @@ impl Report {
 /// Checks a configuration. Reads files and tries the port; changes nothing. Blocks.
 pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     let mut report = Report::default();
-    report.unless_ok("agent.name", host_name(&config.agent));
+    report.unless_ok("agent.name", config.agent.host_name());
     report.unless_ok("agent.state_dir", usable(&config.agent.state_dir, "state_dir"));
     report.unless_ok("agent.state_dir", existing_id(&config.agent.state_dir));
     check_host(&mut report, &config.agent);
@@ -204,9 +203,12 @@ fn check_pipeline(
             .add(format!("{at}.load.hz"), format!("{hz} is not a rate above 0 and up to 100000 per second"));
     }
     if let Some(seconds) = pipeline.limit.duration_s
-        && !(seconds > 0.0 && seconds.is_finite())
+        && !(seconds > 0.0 && seconds <= LONGEST_RUN_S)
     {
-        report.add(format!("{at}.limit.duration_s"), format!("{seconds} is not a number of seconds above 0"));
+        report.add(
+            format!("{at}.limit.duration_s"),
+            format!("{seconds:?} is not a number of seconds above 0 and at most {LONGEST_RUN_S}"),
+        );
     }
     if pipeline.placement == (PlacementConfig::None {}) && pipeline.actuator != (ActuatorConfig::None {}) {
         report

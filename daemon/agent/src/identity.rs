@@ -45,31 +45,27 @@ pub enum IdentityError {
 /// When the folder cannot be used or the file is not one of ours.
 pub fn host_id(state_dir: &Path) -> Result<HostId, IdentityError> {
     let path = state_dir.join("host-id");
-    let io = |action, path: &Path| {
-        let path = path.to_owned();
-        move |source| IdentityError::Io { action, path, source }
-    };
     if let Some(id) = existing_id(state_dir)? {
         return Ok(id);
     }
-    fs::create_dir_all(state_dir).map_err(io("make", state_dir))?;
+    fs::create_dir_all(state_dir).map_err(cannot("make", state_dir))?;
     let fresh = HostId::random();
     let draft = state_dir.join(format!("host-id.{fresh}"));
     let written = File::create_new(&draft)
         .and_then(|mut file| writeln!(file, "{fresh}").and_then(|()| file.sync_all()))
-        .map_err(io("write", &draft));
+        .map_err(cannot("write", &draft));
     // Linking, unlike renaming, fails when another process was first.
     let linked = written.and_then(|()| match fs::hard_link(&draft, &path) {
-        Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(io("write", &path)(error)),
+        Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(cannot("write", &path)(error)),
         _ => Ok(()),
     });
-    let removed = fs::remove_file(&draft).map_err(io("remove", &draft));
+    let removed = fs::remove_file(&draft).map_err(cannot("remove", &draft));
     linked?;
     removed?;
-    File::open(state_dir).and_then(|folder| folder.sync_all()).map_err(io("write", state_dir))?;
+    File::open(state_dir).and_then(|folder| folder.sync_all()).map_err(cannot("write", state_dir))?;
     existing_id(state_dir)?.ok_or_else(|| {
         let gone = io::Error::new(io::ErrorKind::NotFound, "it vanished while it was being made");
-        io("read", &path)(gone)
+        cannot("read", &path)(gone)
     })
 }
 
@@ -85,13 +81,9 @@ impl StateLock {
     /// # Errors
     /// When another agent has it, or the file cannot be made.
     pub(crate) fn take(state_dir: &Path) -> Result<Self, IdentityError> {
-        let io = |action, path: &Path| {
-            let path = path.to_owned();
-            move |source| IdentityError::Io { action, path, source }
-        };
-        fs::create_dir_all(state_dir).map_err(io("make", state_dir))?;
+        fs::create_dir_all(state_dir).map_err(cannot("make", state_dir))?;
         let path = state_dir.join("lock");
-        match FileLock::take(&path).map_err(io("lock", &path))? {
+        match FileLock::take(&path).map_err(cannot("lock", &path))? {
             Some(lock) => Ok(Self { _lock: lock }),
             None => Err(IdentityError::InUse(state_dir.to_owned())),
         }
@@ -107,8 +99,14 @@ pub(crate) fn existing_id(state_dir: &Path) -> Result<Option<HostId>, IdentityEr
             IdentityError::NotAnId { path, found }
         }),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        Err(source) => Err(IdentityError::Io { action: "read", path, source }),
+        Err(error) => Err(cannot("read", &path)(error)),
     }
+}
+
+/// Says beside the system's words what was tried, and on what.
+fn cannot(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> IdentityError + use<> {
+    let path = path.to_owned();
+    move |source| IdentityError::Io { action, path, source }
 }
 
 #[cfg(test)]

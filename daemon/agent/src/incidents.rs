@@ -1,10 +1,17 @@
 //! What happens beside the measurements: to the log and to the aggregator in one call.
 
-use peernet_clock::SharedClock;
+use peernet_clock::{SharedClock, Span};
 use peernet_logger::stream::{Event, Incident, IncidentKind};
 use peernet_logger::{HostId, RunId, Slug};
 
 use crate::outbox::Feed;
+
+/// How far a clock was set, without its sign: seconds, but milliseconds below one, where seconds would be nothing but
+/// zeros.
+pub(crate) fn far_in_words(by: Span) -> String {
+    let far = by.abs();
+    if far < Span::from_millis(1) { far.to_string() } else { format!("{:.3} s", far.seconds()) }
+}
 
 /// Reports incidents.
 #[derive(Clone, Debug)]

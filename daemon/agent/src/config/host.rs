@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use peernet_clock::ClockIdentity;
-use peernet_logger::Slug;
+use peernet_logger::{InvalidName, Slug};
 use peernet_networks::Address;
 use serde::{Deserialize, Serialize};
 
@@ -54,10 +54,10 @@ impl Default for HostConfig {
             state_dir: PathBuf::from("/var/lib/peernet/agent"),
             aggregator: None,
             clock_identity: ClockIdentity::SYSTEM.to_owned(),
-            queue_events: at_least_one(50_000),
-            queue_bytes: at_least_one(32 << 20),
-            batch_nodes: at_least_one(8192),
-            batch_bytes: at_least_one(128 << 10),
+            queue_events: const { NonZeroUsize::new(50_000).expect("above 0") },
+            queue_bytes: const { NonZeroUsize::new(32 << 20).expect("above 0") },
+            batch_nodes: const { NonZeroUsize::new(8192).expect("above 0") },
+            batch_bytes: const { NonZeroUsize::new(128 << 10).expect("above 0") },
             batch_delay_ms: 200,
             stop_timeout_ms: 5000,
         }
@@ -65,12 +65,19 @@ impl Default for HostConfig {
 }
 
 impl HostConfig {
+    /// The configured name, or the machine's.
+    ///
+    /// # Errors
+    /// When the machine's own name cannot be an agent's.
+    pub fn host_name(&self) -> Result<Slug, InvalidName> {
+        match &self.name {
+            Some(name) => Ok(name.clone()),
+            None => sysinfo::System::host_name().unwrap_or_default().parse(),
+        }
+    }
+
     /// How long stopping may take.
     pub fn stop_timeout(&self) -> Duration {
         Duration::from_millis(self.stop_timeout_ms)
     }
-}
-
-const fn at_least_one(count: usize) -> NonZeroUsize {
-    NonZeroUsize::MIN.saturating_add(count - 1)
 }

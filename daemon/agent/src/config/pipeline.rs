@@ -212,9 +212,9 @@ pub(super) const fn zmq_tcp() -> NetworkKind {
 }
 
 const fn four() -> NonZeroUsize {
-    NonZeroUsize::MIN.saturating_add(3)
+    const { NonZeroUsize::new(4).expect("above 0") }
 }
 
 const fn five_seconds() -> NonZeroU64 {
-    NonZeroU64::MIN.saturating_add(4999)
+    const { NonZeroU64::new(5000).expect("above 0") }
 }

@@ -42,8 +42,8 @@ impl Default for SpoolConfig {
     fn default() -> Self {
         Self {
             file: None,
-            limit_bytes: NonZeroU64::MIN.saturating_add((1 << 30) - 1),
-            sync_interval_ms: NonZeroU32::MIN.saturating_add(999),
+            limit_bytes: const { NonZeroU64::new(1 << 30).expect("above 0") },
+            sync_interval_ms: const { NonZeroU32::new(1000).expect("above 0") },
             compression: CompressionMode::Auto,
         }
     }

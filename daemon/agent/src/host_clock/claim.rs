@@ -56,8 +56,8 @@ pub(super) fn merge(answers: &[Answer], until: MonoTime) -> Summary {
         answers.map(|answer| answer.text.as_str()).collect::<Vec<_>>().join("; ")
     };
     let narrowest = claims.iter().min_by_key(|(_, error)| error.width());
-    let common = claims.iter().map(|(_, error)| *error);
-    let common = common.reduce(|a, b| Interval { lo: a.lo.max(b.lo), hi: a.hi.min(b.hi) });
+    let common = claims.iter().map(|(_, error)| Some(*error));
+    let common = common.reduce(|a, b| a?.intersection(b?));
     let (Some((narrowest, _)), Some(common)) = (narrowest, common) else {
         let text = match answers {
             [] => "nobody is asked how well the clock is set".to_owned(),
@@ -65,16 +65,16 @@ pub(super) fn merge(answers: &[Answer], until: MonoTime) -> Summary {
         };
         return Summary { text, ..Summary::default() };
     };
-    if common.lo > common.hi {
+    let Some(error) = common else {
         let each: Vec<String> = claims
             .iter()
             .map(|(answer, error)| format!("{}: error {} to {}", answer.text, error.lo, error.hi))
             .collect();
         let text = format!("claims exclude each other, none is used ({})", each.join("; "));
         return Summary { discipline: None, text, contradictory: true };
-    }
+    };
     Summary {
-        discipline: Some(Discipline { source: narrowest.source, error: common }),
+        discipline: Some(Discipline { source: narrowest.source, error }),
         text: words(&mut claims.iter().map(|(answer, _)| *answer)),
         contradictory: false,
     }

@@ -5,31 +5,20 @@ use std::io;
 use peernet_clock::{DelaySource, Interval, MonoTime, Span};
 
 use super::claim::{Answer, Claim, GROWTH_PPM};
-use super::timex;
+use super::timex::{self, Timex};
 
 /// The kernel adds so many microseconds to its bound each second (`MAXFREQ`) until a daemon sets it anew.
 const KERNEL_GROWTH_US: i64 = 500;
-
-/// What `adjtimex` tells of the clock's error.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct KernelState {
-    /// Whether a daemon keeps the clock right (`STA_UNSYNC` is not set).
-    pub(super) synchronised: bool,
-    /// `maxerror`, microseconds.
-    pub(super) max_error_us: i64,
-    /// `esterror`, microseconds.
-    pub(super) estimated_error_us: i64,
-}
 
 /// Asks the kernel.
 pub(super) fn ask(now: MonoTime) -> Answer {
     answer(timex::read(), now)
 }
 
-fn answer(state: io::Result<KernelState>, now: MonoTime) -> Answer {
+fn answer(state: io::Result<Timex>, now: MonoTime) -> Answer {
     let (bound, text) = match state {
         Err(error) => (None, format!("kernel: adjtimex: {error}")),
-        Ok(state) => state.judge(),
+        Ok(state) => judge(state),
     };
     let claim = bound.map(|bound| Claim {
         at: now,
@@ -39,25 +28,24 @@ fn answer(state: io::Result<KernelState>, now: MonoTime) -> Answer {
     Answer { source: DelaySource::Kernel, claim, text }
 }
 
-impl KernelState {
-    /// The bound of the error, and the state in words.
-    fn judge(self) -> (Option<Span>, String) {
-        if !self.synchronised {
-            return (None, "kernel, not synchronised".to_owned());
-        }
-        // chrony, ntpd and ntpd-rs set both figures. Who leaves nothing in `maxerror` but the kernel's own growth
-        // means "synchronised" and states no error.
-        if self.max_error_us % KERNEL_GROWTH_US != 0 {
-            return (Some(Span::from_micros(self.max_error_us)), "kernel, synchronised".to_owned());
-        }
-        if self.estimated_error_us == 0 {
-            // systemd-timesyncd zeroes both, be the error microseconds or tens of milliseconds.
-            return (None, "kernel, synchronised by a daemon that states no error".to_owned());
-        }
-        // phc2sys zeroes `maxerror` alone, at each update, once a second or more often.
-        let bound = self.max_error_us.max(KERNEL_GROWTH_US);
-        (Some(Span::from_micros(bound)), "kernel, synchronised, as by PTP".to_owned())
+/// The bound of the error, and the state in words.
+fn judge(state: Timex) -> (Option<Span>, String) {
+    let Timex { synchronised, max_error_us, estimated_error_us } = state;
+    if !synchronised {
+        return (None, "kernel, not synchronised".to_owned());
     }
+    // chrony, ntpd and ntpd-rs set both figures. Who leaves nothing in `maxerror` but the kernel's own growth
+    // means "synchronised" and states no error.
+    if max_error_us % KERNEL_GROWTH_US != 0 {
+        return (Some(Span::from_micros(max_error_us)), "kernel, synchronised".to_owned());
+    }
+    if estimated_error_us == 0 {
+        // systemd-timesyncd zeroes both, be the error microseconds or tens of milliseconds.
+        return (None, "kernel, synchronised by a daemon that states no error".to_owned());
+    }
+    // phc2sys zeroes `maxerror` alone, at each update, once a second or more often.
+    let bound = max_error_us.max(KERNEL_GROWTH_US);
+    (Some(Span::from_micros(bound)), "kernel, synchronised, as by PTP".to_owned())
 }
 
 #[cfg(test)]
@@ -65,7 +53,7 @@ mod tests {
     use super::*;
 
     fn said(synchronised: bool, max_error_us: i64, estimated_error_us: i64) -> (Option<Span>, String) {
-        let state = KernelState { synchronised, max_error_us, estimated_error_us };
+        let state = Timex { synchronised, max_error_us, estimated_error_us };
         let answer = answer(Ok(state), MonoTime::from_nanos(0));
         (answer.claim.map(|claim| claim.error.hi), answer.text)
     }

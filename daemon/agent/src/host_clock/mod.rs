@@ -32,9 +32,19 @@ use watch::Watchman;
 /// How often the clock is looked at.
 const LOOK: Duration = Duration::from_millis(100);
 
-/// Watches over the clock until it is told to stop. What is known goes to `publish`: a new epoch within a tenth of a
-/// second, with it the end of all claims; claims every `discipline_interval_s`, and once a second where a rehearsal
-/// makes them exact.
+/// What is known of the clock before anybody was asked.
+pub(crate) fn not_asked_yet(clock: &SharedClock) -> HostClock {
+    HostClock {
+        discipline: None,
+        text: "not asked yet".to_owned(),
+        epoch: clock.epoch(),
+        rehearsal: clock.rehearsal().cloned(),
+    }
+}
+
+/// Watches over the clock until it is told to stop. What is known goes to `publish`, which begins with
+/// [`not_asked_yet`]: a new epoch within a tenth of a second, with it the end of all claims; claims every
+/// `discipline_interval_s`, and once a second where a rehearsal makes them exact.
 pub(crate) async fn run(
     config: ClockConfig,
     rehearsal: Option<RehearsalConfig>,
@@ -44,12 +54,6 @@ pub(crate) async fn run(
     stop: CancellationToken,
 ) {
     let mut watchman = Watchman::new(config.max_drift_ppm, clock.clone());
-    publish.send_replace(HostClock {
-        epoch: clock.epoch(),
-        rehearsal: clock.rehearsal().cloned(),
-        text: "not asked yet".to_owned(),
-        discipline: None,
-    });
     let looking = async {
         let mut ticks = interval(LOOK);
         loop {

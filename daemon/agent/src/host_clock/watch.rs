@@ -3,7 +3,7 @@
 use peernet_clock::{Disturbance, MonoTime, SharedClock, Span, Watch};
 use peernet_logger::stream::IncidentKind;
 
-use crate::incidents::{Concerning, Incidents};
+use crate::incidents::{Concerning, Incidents, far_in_words};
 
 /// A clock that runs off goes on doing so: it is told at most so often.
 const SLEW_TOLD_EVERY: Span = Span::from_seconds(60);
@@ -50,11 +50,7 @@ impl Watchman {
         match disturbance {
             Disturbance::Step(by) => {
                 let direction = if by.is_negative() { "back" } else { "forward" };
-                // Under a millisecond the figure would be nothing but zeros.
-                let by = by.abs();
-                let by =
-                    if by < Span::from_millis(1) { by.to_string() } else { format!("{:.3} s", by.seconds()) };
-                Some(format!("this host's wall clock was set {direction} by {by}"))
+                Some(format!("this host's wall clock was set {direction} by {}", far_in_words(by)))
             }
             Disturbance::Slew(ppm) => {
                 let due = self.slew_told.is_none_or(|told| now - told >= SLEW_TOLD_EVERY);

@@ -12,12 +12,13 @@ mod pair;
 mod probing;
 mod registry;
 mod second;
+mod shared;
 mod thinned;
 mod words;
 
-pub(crate) use probing::ProbeSettings;
 pub use registry::Cloud;
-pub(crate) use registry::{Attached, Links, Near};
+pub(crate) use registry::{Attached, Links};
+pub(crate) use shared::{Near, ProbeSettings};
 
 #[cfg(test)]
 pub(crate) use correction::correct;

@@ -1,6 +1,6 @@
 //! This host and a cloud.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use peernet_clock::{ClockIdentity, Direction, MonoTime, OneWayDelay, Relation, Span, Stamp, Witnessed};
 use peernet_logger::stream::{Event, HostClock, IncidentKind, LinkLive, Probing};
@@ -11,7 +11,7 @@ use tokio::sync::watch;
 
 use super::correction::{bits, correct};
 use super::knowledge::{Knowledge, News, Way};
-use super::registry::{Session, Shared};
+use super::shared::{Session, Shared, lock};
 use super::words::restart_in_words;
 use crate::incidents::Concerning;
 
@@ -209,9 +209,4 @@ fn transport(log: &Recorder, up: NodeId, down: NodeId, arrived: Stamp) -> Option
     let waited = log.offset(arrived.mono) - tree.get(up)?.start;
     // The cloud's nodes count from the moment at which the message was there.
     Some(waited - tree.get(down)?.start).filter(|span| !span.is_negative())
-}
-
-pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // A panic under the lock leaves figures that are at worst incomplete.
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -8,14 +8,13 @@ use std::time::Duration;
 
 use peernet_logger::stream::Probing;
 use peernet_networks::PeerClock;
-use peernet_probes::{Key, KeyError, ProbeResult, Prober, ProberConfig, Stamps};
+use peernet_probes::{ProbeResult, Prober, ProberConfig};
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
 use super::answers::Answers;
 use super::pair::Link;
-use super::registry::Session;
-use crate::config::{ClockConfig, ProbesConfig, Timestamps};
+use super::shared::Session;
 
 /// A probe without an answer for so long is lost.
 const TIMEOUT: Duration = Duration::from_secs(2);
@@ -23,39 +22,6 @@ const TIMEOUT: Duration = Duration::from_secs(2);
 const RETRY: Duration = Duration::from_secs(10);
 /// Results that may wait; they are taken at once.
 const RESULTS: usize = 64;
-
-/// How links are probed.
-#[derive(Clone, Debug)]
-pub(crate) struct ProbeSettings {
-    send: bool,
-    pub(super) rate_hz: f64,
-    pub(super) idle_rate_hz: f64,
-    pub(crate) key: Option<Key>,
-    padding_bytes: u16,
-    pub(crate) stamps: Stamps,
-}
-
-impl ProbeSettings {
-    /// What the configuration says; reads the file of the key.
-    ///
-    /// # Errors
-    /// When the key cannot be read.
-    pub(crate) fn read(probes: &ProbesConfig, clock: &ClockConfig) -> Result<Self, KeyError> {
-        let key = probes.key_file.as_deref().map(Key::read).transpose()?;
-        let stamps = match clock.timestamps {
-            Timestamps::Kernel => Stamps::Kernel,
-            Timestamps::User => Stamps::Program,
-        };
-        Ok(Self {
-            send: probes.send,
-            rate_hz: probes.rate_hz,
-            idle_rate_hz: probes.idle_rate_hz,
-            key,
-            padding_bytes: probes.padding_bytes,
-            stamps,
-        })
-    }
-}
 
 /// Looks after a link until its last session is over.
 pub(super) async fn tend(link: Arc<Link>) {
@@ -136,7 +102,7 @@ async fn probe(link: &Link, session: &Session, results: mpsc::Sender<ProbeResult
     loop {
         match open(link, session, port).await {
             Ok((prober, target)) => {
-                let stamps = prober.stamps_in_words();
+                let stamps = prober.stamps_in_words().to_owned();
                 let rate_hz = *link.rate_hz.borrow();
                 link.set_probing(Probing::On { address: format!("udp://{target}"), rate_hz, stamps });
                 prober.run(link.rate_hz.subscribe(), results.clone(), CancellationToken::new()).await;

@@ -6,38 +6,17 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use futures::FutureExt;
-use peernet_clock::{RelationSettings, SharedClock};
-use peernet_logger::stream::{Hardware, HostClock, LinkLive};
+use peernet_logger::stream::{Hardware, LinkLive};
 use peernet_logger::{HostId, Slug};
-use peernet_networks::{Address, NetworkKind, PeerClock, SessionAccepted};
+use peernet_networks::{Address, NetworkKind, SessionAccepted};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
-use super::pair::{Link, lock};
-use super::probing::{self, ProbeSettings};
+use super::pair::Link;
+use super::probing;
+use super::shared::{Near, ProbeSettings, Session, Shared, lock};
 use crate::config::ClockConfig;
-use crate::incidents::Incidents;
-use crate::outbox::Feed;
-
-/// What links need of their host.
-#[derive(Clone, Debug)]
-pub(crate) struct Near {
-    pub(crate) name: Slug,
-    pub(crate) clock: SharedClock,
-    /// What is known of this host's clock.
-    pub(crate) own: watch::Receiver<HostClock>,
-    pub(crate) feed: Feed,
-    pub(crate) incidents: Incidents,
-}
-
-/// What all links have in common.
-#[derive(Debug)]
-pub(super) struct Shared {
-    pub(super) host: Near,
-    pub(super) relation: RelationSettings,
-    pub(super) probes: ProbeSettings,
-}
 
 /// The links by cloud; clones are the same.
 #[derive(Clone, Debug)]
@@ -65,22 +44,6 @@ pub struct Cloud {
     pub version: String,
     /// What it is made of.
     pub hardware: Hardware,
-}
-
-/// A session with a cloud, as its link sees it.
-#[derive(Clone, Debug)]
-pub(super) struct Session {
-    pub(super) id: u64,
-    pub(super) pipeline: Slug,
-    pub(super) network: NetworkKind,
-    /// Where the cloud is found.
-    pub(super) host: String,
-    /// UDP port of its probe reflector.
-    pub(super) probes: Option<u16>,
-    /// The process that serves it.
-    pub(super) instance: u64,
-    /// What it tells of its clock.
-    pub(super) clock: watch::Receiver<PeerClock>,
 }
 
 /// A session's share in a link; the link is over when the last one is dropped.

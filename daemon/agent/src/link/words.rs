@@ -1,9 +1,9 @@
 //! Steps in words for people.
 
-use peernet_clock::Span;
 use peernet_logger::Slug;
 
 use super::knowledge::Restart;
+use crate::incidents::far_in_words;
 
 /// That a clock was stepped, by how much, and whose.
 pub(super) fn restart_in_words(restart: Restart, edge: &Slug, cloud: &Slug) -> String {
@@ -18,10 +18,7 @@ pub(super) fn restart_in_words(restart: Restart, edge: &Slug, cloud: &Slug) -> S
         let own = restart.edge && !restart.cloud;
         let (moved, mover, other) = if own { (-moved, edge, cloud) } else { (moved, cloud, edge) };
         let way = if moved.is_negative() { "back" } else { "forward" };
-        let far = moved.abs();
-        // Under a millisecond the figure would be nothing but zeros.
-        let far =
-            if far < Span::from_millis(1) { far.to_string() } else { format!("{:.3} s", far.seconds()) };
+        let far = far_in_words(moved);
         format!("; the clock of {mover} went {far} {way} against that of {other}")
     });
     let outlook = match restart.beyond_ppm {
@@ -36,6 +33,8 @@ pub(super) fn restart_in_words(restart: Restart, edge: &Slug, cloud: &Slug) -> S
 
 #[cfg(test)]
 mod tests {
+    use peernet_clock::Span;
+
     use super::*;
 
     #[test]

@@ -10,8 +10,8 @@ use peernet_probes::Reflector;
 use uuid::Uuid;
 
 use super::reflector;
-use crate::agent::StartError;
 use crate::config::AgentConfig;
+use crate::error::StartError;
 use crate::host::Host;
 use crate::link::ProbeSettings;
 

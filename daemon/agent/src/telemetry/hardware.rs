@@ -1,5 +1,8 @@
 //! What the host is made of.
 
+use std::fs;
+use std::path::{Path, PathBuf};
+
 use peernet_logger::stream::Hardware;
 use sysinfo::{CpuRefreshKind, MemoryRefreshKind, System};
 
@@ -8,6 +11,7 @@ pub(crate) fn hardware() -> Hardware {
     let mut description = Hardware {
         system: System::long_os_version().unwrap_or_default(),
         architecture: System::cpu_arch(),
+        gpus: gpus(Path::new("/proc")),
         ..Hardware::default()
     };
     if let Ok(mut system) = System::new() {
@@ -20,9 +24,52 @@ pub(crate) fn hardware() -> Hardware {
     description
 }
 
+/// NVIDIA's accelerators by the name that their driver gives them, in the order of the bus; a Jetson, whose accelerator
+/// is part of the board, by that of the board.
+fn gpus(proc: &Path) -> Vec<String> {
+    let listed = fs::read_dir(proc.join("driver/nvidia/gpus")).into_iter().flatten();
+    let mut cards: Vec<PathBuf> = listed.filter_map(|entry| Some(entry.ok()?.path())).collect();
+    cards.sort_unstable();
+    let cards: Vec<String> = cards
+        .iter()
+        .filter_map(|card| {
+            let text = fs::read_to_string(card.join("information")).ok()?;
+            let name = text.lines().find_map(|line| line.strip_prefix("Model:"))?.trim().to_owned();
+            Some(name).filter(|name| !name.is_empty())
+        })
+        .collect();
+    if !cards.is_empty() {
+        return cards;
+    }
+    let board = fs::read_to_string(proc.join("device-tree/model")).unwrap_or_default();
+    // The device tree ends its texts with a zero byte.
+    let board = board.trim_end_matches('\0').trim();
+    if board.contains("Jetson") { vec![board.to_owned()] } else { Vec::new() }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn accelerators_are_named_by_their_driver_or_their_board() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let write = |path: &str, text: &str| {
+            let path = folder.path().join(path);
+            fs::create_dir_all(path.parent().expect("it has one")).expect("writable");
+            fs::write(path, text).expect("writable");
+        };
+        assert!(gpus(folder.path()).is_empty());
+        write("device-tree/model", "Raspberry Pi 5 Model B Rev 1.0\0");
+        assert!(gpus(folder.path()).is_empty());
+        write("device-tree/model", "NVIDIA Jetson AGX Orin Developer Kit\0");
+        assert_eq!(gpus(folder.path()), ["NVIDIA Jetson AGX Orin Developer Kit"]);
+        // As driver 535 writes it.
+        let card = |name: &str| format!("Model: \t\t {name}\nIRQ:   \t\t 177\nGPU UUID: \t GPU-0\n");
+        write("driver/nvidia/gpus/0000:65:00.0/information", &card("NVIDIA A100-PCIE-40GB"));
+        write("driver/nvidia/gpus/0000:17:00.0/information", &card("NVIDIA GeForce RTX 3090"));
+        assert_eq!(gpus(folder.path()), ["NVIDIA GeForce RTX 3090", "NVIDIA A100-PCIE-40GB"]);
+    }
 
     #[test]
     fn this_machine_has_cores_and_memory() {

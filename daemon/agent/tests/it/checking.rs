@@ -49,7 +49,7 @@ fn every_problem_is_found_at_once_with_its_key_and_a_remedy() {
         "pipeline[0].sensor: cannot read /nowhere",
         "pipeline[0].placement.model: no [[model]] is named ecco; there is echo",
         "pipeline[0].load.hz: 0 is not a rate",
-        "pipeline[0].limit.duration_s: -1 is not",
+        "pipeline[0].limit.duration_s: -1.0 is not",
         "pipeline[0].warm_up: ",
         "pipeline[1].name: another pipeline is named line",
     ] {
@@ -69,7 +69,8 @@ fn numbers_that_no_machine_could_serve_are_refused_with_the_limit() {
          [[model]]\nname = 'crowd'\nkind = 'sleep'\nworkers = 1000000\n\
          [[model]]\nname = 'long'\nkind = 'sleep'\nqueue = 1000000000000000\n\
          [[pipeline]]\nname = 'line'\nsensor = { kind = 'synthetic', size_bytes = 1 }\n\
-         placement = { kind = 'local', model = 'echo' }\nmax_in_flight = 1000000000000\ntimeout_ms = 86400001\n",
+         placement = { kind = 'local', model = 'echo' }\nmax_in_flight = 1000000000000\ntimeout_ms = 86400001\n\
+         limit = { duration_s = 1e308 }\n",
     );
     greedy.agent.state_dir = state.path().to_owned();
     let found = problems(&greedy);
@@ -87,12 +88,13 @@ fn numbers_that_no_machine_could_serve_are_refused_with_the_limit() {
         ("model[2].queue", "65536"),
         ("pipeline[0].max_in_flight", "4096"),
         ("pipeline[0].timeout_ms", "86400000"),
+        ("pipeline[0].limit.duration_s", "31536000"),
     ] {
         let limit = format!("at most {most}");
         let says = |problem: &String| problem.starts_with(&format!("{key}: ")) && problem.ends_with(&limit);
         assert!(found.iter().any(says), "{key} {most} in {found:#?}");
     }
-    assert_eq!(found.len(), 13, "{found:#?}");
+    assert_eq!(found.len(), 14, "{found:#?}");
 }
 
 #[test]

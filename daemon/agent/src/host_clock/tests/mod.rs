@@ -11,7 +11,7 @@ use peernet_logger::stream::HostClock;
 use tokio::sync::watch;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
-use super::run;
+use super::{not_asked_yet, run};
 use crate::config::{ClockConfig, HostConfig, RehearsalConfig};
 use crate::incidents::Incidents;
 
@@ -27,7 +27,7 @@ fn watched(
 ) -> (watch::Receiver<HostClock>, DropGuard) {
     let (feed, _) = crate::outbox::entrance(&HostConfig::default(), clock);
     let incidents = Incidents::new(Arc::clone(clock), feed);
-    let (publish, published) = watch::channel(HostClock::default());
+    let (publish, published) = watch::channel(not_asked_yet(clock));
     let stop = CancellationToken::new();
     tokio::spawn(run(config, rehearsal, Arc::clone(clock), incidents, publish, stop.clone()));
     (published, stop.drop_guard())

@@ -143,13 +143,16 @@ impl TestAgent {
         drop(self.running);
     }
 
-    /// The same, and waits until its spool is free.
+    /// The same, and waits until its folder and its spool are free: a child that is being started, such as `chronyc`,
+    /// holds the locks of its parent until it becomes another program.
     pub(crate) async fn crash(self) -> State {
-        let lock = self.state.path().join("spool.sqlite-lock");
+        let locks = ["lock", "spool.sqlite-lock"].map(|name| self.state.path().join(name));
         drop(self.running);
         let free = tokio::task::spawn_blocking(move || {
-            let lock = std::fs::File::open(lock).expect("it had a spool");
-            rustix::fs::flock(&lock, rustix::fs::FlockOperation::LockExclusive).expect("becomes free");
+            for lock in locks {
+                let file = std::fs::File::open(lock).expect("it had a folder and a spool");
+                file.lock().expect("becomes free");
+            }
         });
         tokio::time::timeout(PATIENCE, free).await.expect("ends in time").expect("no panic");
         self.state

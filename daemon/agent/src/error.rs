@@ -1,0 +1,32 @@
+//! Why an agent did not start.
+
+use peernet_logger::InvalidName;
+use peernet_networks::BindError;
+use peernet_probes::KeyError;
+
+use crate::identity::IdentityError;
+use crate::outbox::SpoolError;
+use crate::serve::ReflectorError;
+
+/// Why an agent did not start.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// The machine's own name cannot be used as the agent's.
+    #[error("{0}; set [agent] name")]
+    Name(#[from] InvalidName),
+    /// The host id could not be read or made.
+    #[error(transparent)]
+    Identity(#[from] IdentityError),
+    /// The spool could not be had.
+    #[error(transparent)]
+    Spool(#[from] SpoolError),
+    /// The port for peers could not be had.
+    #[error(transparent)]
+    Bind(#[from] BindError),
+    /// The port for peers' probes could not be had.
+    #[error(transparent)]
+    Reflector(#[from] ReflectorError),
+    /// The key for probes could not be read.
+    #[error("{0}; [probes] key_file names it")]
+    Key(#[from] KeyError),
+}

@@ -1,0 +1,87 @@
+//! What the links of an agent have in common, and the sessions that they stand for.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use peernet_clock::{RelationSettings, SharedClock};
+use peernet_logger::Slug;
+use peernet_logger::stream::HostClock;
+use peernet_networks::{NetworkKind, PeerClock};
+use peernet_probes::{Key, KeyError, Stamps};
+use tokio::sync::watch;
+
+use crate::config::{ClockConfig, ProbesConfig, Timestamps};
+use crate::incidents::Incidents;
+use crate::outbox::Feed;
+
+/// What links need of their host.
+#[derive(Clone, Debug)]
+pub(crate) struct Near {
+    pub(crate) name: Slug,
+    pub(crate) clock: SharedClock,
+    /// What is known of this host's clock.
+    pub(crate) own: watch::Receiver<HostClock>,
+    pub(crate) feed: Feed,
+    pub(crate) incidents: Incidents,
+}
+
+/// What all links have in common.
+#[derive(Debug)]
+pub(super) struct Shared {
+    pub(super) host: Near,
+    pub(super) relation: RelationSettings,
+    pub(super) probes: ProbeSettings,
+}
+
+/// How links are probed.
+#[derive(Clone, Debug)]
+pub(crate) struct ProbeSettings {
+    pub(super) send: bool,
+    pub(super) rate_hz: f64,
+    pub(super) idle_rate_hz: f64,
+    pub(crate) key: Option<Key>,
+    pub(super) padding_bytes: u16,
+    pub(crate) stamps: Stamps,
+}
+
+impl ProbeSettings {
+    /// What the configuration says; reads the file of the key.
+    ///
+    /// # Errors
+    /// When the key cannot be read.
+    pub(crate) fn read(probes: &ProbesConfig, clock: &ClockConfig) -> Result<Self, KeyError> {
+        let key = probes.key_file.as_deref().map(Key::read).transpose()?;
+        let stamps = match clock.timestamps {
+            Timestamps::Kernel => Stamps::Kernel,
+            Timestamps::User => Stamps::Program,
+        };
+        Ok(Self {
+            send: probes.send,
+            rate_hz: probes.rate_hz,
+            idle_rate_hz: probes.idle_rate_hz,
+            key,
+            padding_bytes: probes.padding_bytes,
+            stamps,
+        })
+    }
+}
+
+/// A session with a cloud, as its link sees it.
+#[derive(Clone, Debug)]
+pub(super) struct Session {
+    pub(super) id: u64,
+    pub(super) pipeline: Slug,
+    pub(super) network: NetworkKind,
+    /// Where the cloud is found.
+    pub(super) host: String,
+    /// UDP port of its probe reflector.
+    pub(super) probes: Option<u16>,
+    /// The process that serves it.
+    pub(super) instance: u64,
+    /// What it tells of its clock.
+    pub(super) clock: watch::Receiver<PeerClock>,
+}
+
+pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    // A panic under the lock leaves figures that are at worst incomplete.
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
