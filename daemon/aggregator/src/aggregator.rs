@@ -5,9 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use peernet_clock::{SharedClock, Span};
-use peernet_logger::Slug;
 use peernet_logger::stream::{Receiving, ReceivingConfig};
-use serde::Serialize;
 use tokio::runtime::Handle;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::{Id, JoinError, JoinSet};
@@ -18,6 +16,7 @@ use crate::error::{Failure, Problem, StartError, StoreError};
 use crate::ingest::{self, Desk, Errand, committing, preparing, socket};
 use crate::live::{self, Live, News};
 use crate::picture::Picture;
+use crate::readiness::Readiness;
 use crate::store::lock::DatabaseLock;
 use crate::store::readers::Readers;
 use crate::store::write::{Writer, newest_runs, stored_hosts, unknown_runs};
@@ -31,19 +30,8 @@ const COMMITS: usize = 16;
 const RUNS: u32 = 1_000;
 /// Hosts whose stored counts are known from the start.
 const HOSTS: u32 = 4_096;
-
 /// Errands that wait for the writer.
 const ERRANDS: usize = 16;
-
-/// Whether events are being stored.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Readiness {
-    /// Batches are stored and acknowledged.
-    Ready,
-    /// Batches are not acknowledged, agents keep them; the text says why. Tried again by itself.
-    NotStoring(String),
-}
 
 /// The handle of a running aggregator: cheap to clone.
 #[derive(Clone, Debug)]
@@ -197,14 +185,13 @@ impl Aggregator {
     /// # Errors
     /// When the database cannot be written now.
     pub async fn pin(&self, run: i64, pinned: bool) -> Result<bool, StoreError> {
-        let what = "whether a run is kept";
         let (answer, answered) = oneshot::channel();
         let asked = self.errands.send(Errand::Pin(run, pinned, answer)).await;
         let result = match asked {
             Ok(()) => answered.await.unwrap_or(Err(sqlx::Error::WorkerCrashed)),
             Err(_) => Err(sqlx::Error::WorkerCrashed),
         };
-        result.map_err(|source| StoreError::Database { what, source })
+        result.map_err(|source| StoreError::Write { what: "whether a run is kept", source })
     }
 
     /// How long what is stored is kept.
@@ -297,10 +284,4 @@ fn words(error: JoinError) -> String {
     let Ok(panic) = error.try_into_panic() else { return "cancelled".to_owned() };
     let text = panic.downcast_ref::<String>().map(String::as_str);
     text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic without words").to_owned()
-}
-
-/// The machine's host name, as far as it can be a name.
-pub(crate) fn machine_name() -> Slug {
-    let read = std::fs::read_to_string(Path::new("/proc/sys/kernel/hostname")).unwrap_or_default();
-    read.trim().parse().unwrap_or_else(|_| "aggregator".parse().expect("a name"))
 }

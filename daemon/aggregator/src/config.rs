@@ -11,7 +11,6 @@ use zeromq::Endpoint;
 
 pub use self::retention::RetentionConfig;
 
-use crate::aggregator::machine_name;
 use crate::error::Problem;
 
 /// The `[aggregator]` table.
@@ -64,9 +63,12 @@ impl AggregatorConfig {
         Duration::from_millis(self.question_limit_ms)
     }
 
-    /// The configured name or the machine's.
+    /// The configured name or the machine's, as far as that can be a name.
     pub(crate) fn name(&self) -> Slug {
-        self.name.clone().unwrap_or_else(machine_name)
+        self.name.clone().unwrap_or_else(|| {
+            let machine = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+            machine.trim().parse().unwrap_or_else(|_| "aggregator".parse().expect("letters alone are a name"))
+        })
     }
 
     /// What cannot work, as far as it shows without starting.

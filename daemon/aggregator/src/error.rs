@@ -94,13 +94,23 @@ pub enum Failure {
     },
 }
 
-/// Why a question to the store has no answer.
+/// Why a question to the store has no answer, or a wish was not fulfilled.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// The database refused.
     #[error("cannot read {what} from the database: {source}")]
     Database {
         /// What was asked for.
+        what: &'static str,
+        /// SQLite's own words.
+        source: sqlx::Error,
+    },
+    /// The database refused to take something, or the task that writes is gone.
+    #[error(
+        "cannot write {what} to the database: {source}; the aggregator's log tells whether it stores at all"
+    )]
+    Write {
+        /// What was to be written.
         what: &'static str,
         /// SQLite's own words.
         source: sqlx::Error,

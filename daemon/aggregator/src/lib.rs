@@ -1,9 +1,18 @@
 //! The aggregator: receives the event stream of all agents, stores its durable lane in SQLite, and keeps the
 //! live picture from its live lane alone.
 //!
-//! Three tasks, each the only owner of its state: `ingest` owns the socket and decides who may speak, the
-//! writer owns the database's one writing connection, and `live` owns the picture. Readers get snapshots of
-//! the picture by [`Aggregator::live`] and ask the [`Store`] over connections of their own.
+//! Four tasks, each the only owner of its state:
+//!
+//! ```text
+//! agents ── ingest: socket and desk, who may speak ── preparing: batches to rows ── writer: one transaction a group
+//!              │  ▲                                                                    │
+//!              │  └───────────────────────────────── acknowledgements ─────────────────┤
+//!              └─ live lane ── live picture ◄──────── what is stored now ──────────────┘
+//! ```
+//!
+//! Readers get snapshots of the picture by [`Aggregator::live`] and ask the [`Store`] over connections of their own.
+//! `store/write` is the writer's, `store/read` the readers', `store/retention` what the writer deletes between commits,
+//! `store/maintenance` what an operator does with the file.
 
 mod aggregator;
 mod config;
@@ -13,9 +22,10 @@ mod ingest;
 mod live;
 mod picture;
 mod plausible;
+mod readiness;
 mod store;
 
-pub use aggregator::{Aggregator, Readiness, Running};
+pub use aggregator::{Aggregator, Running};
 pub use config::{AggregatorConfig, RetentionConfig};
 pub use error::{Failure, Problem, StartError, StoreError};
 pub use figures::{Bound, Figures, P95_NEEDS, P99_NEEDS, rank};
@@ -23,10 +33,12 @@ pub use picture::{
     Arrivals, CatchingUp, ClockPoint, HostPicture, LinkPicture, LiveSecond, MetricsPoint, Picture,
     PipelinePicture, RefusedFrames, RefusedHost, Stored, Totals, Window,
 };
+pub use readiness::Readiness;
 pub use store::lock::{DatabaseLock, LockError};
 pub use store::types::{
     BOTH_WAYS, Blame, ClockSeries, DelayRow, ExperimentSummary, GapRow, Histogram, HostRow, IncidentRow,
     IterationDetail, IterationFilter, IterationRow, Judgement, LinkRow, Recomputed, RecomputedStage,
-    RunDetail, RunFilter, RunSummary, Series, SeriesPoint, StageCourse, StageSeries, StageStatistics,
+    RunDetail, RunFilter, RunSummary, Series, SeriesPoint, StageCourse, StageMeans, StageSeries,
+    StageStatistics,
 };
 pub use store::{Store, maintenance};

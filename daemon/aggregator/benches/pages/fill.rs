@@ -5,8 +5,8 @@ use std::path::Path;
 use bytes::Bytes;
 use peernet_clock::{SharedClock, Span};
 use peernet_logger::stream::{
-    BatchHead, Chain, Event, Hello, Incident, IncidentKind, Outcome, PROTOCOL, StreamId, ToAgent,
-    ToAggregator, codec,
+    BatchHead, Chain, Event, ExperimentPlace, Hello, Incident, IncidentKind, Outcome, PROTOCOL, StreamId,
+    ToAgent, ToAggregator, codec,
 };
 use peernet_logger::{HostId, RunId};
 use tokio_util::sync::CancellationToken;
@@ -22,8 +22,9 @@ const ITERATIONS: u64 = 240;
 const HZ: u64 = 100;
 /// Every so manieth iteration has no answer.
 const LOST: u64 = 1_000;
-/// Short runs before the long one, for the lists.
-const RUNS: u64 = 100;
+/// Short runs before the long one, for the lists: an experiment of so many configurations, each twice.
+const RUNS: u32 = 100;
+const CONFIGURATIONS: u32 = RUNS / 2;
 
 /// Ingests about so many nodes into a new database.
 pub(crate) async fn fill(database: &Path, nodes: u64, clock: &SharedClock) {
@@ -31,10 +32,16 @@ pub(crate) async fn fill(database: &Path, nodes: u64, clock: &SharedClock) {
     let running = start(database, clock, stop.clone()).await;
     let address = running.handle.live().borrow().listening.clone();
     let mut agent = Agent::connect(&address).await;
-    for _ in 0..RUNS {
-        agent.run(ITERATIONS * NODES).await;
+    for number in 0..RUNS {
+        let place = ExperimentPlace {
+            name: "grid".to_owned(),
+            id: "1".to_owned(),
+            configuration: vec![("size".to_owned(), format!("{} kB", number % CONFIGURATIONS))],
+            repeat: number / CONFIGURATIONS,
+        };
+        agent.run(ITERATIONS * NODES, Some(place)).await;
     }
-    agent.run(nodes).await;
+    agent.run(nodes, None).await;
     agent.settle().await;
     stop.cancel();
     running.join().await.expect("ends well");
@@ -89,10 +96,13 @@ impl Agent {
     }
 
     /// A run of so many nodes, at its rate on the edge's clock, and what was known of the clocks meanwhile.
-    async fn run(&mut self, nodes: u64) {
+    async fn run(&mut self, nodes: u64, place: Option<ExperimentPlace>) {
         let run = RunId::random();
         let began = self.second;
         let mut events = vec![generate::run_started(run, "line", generate::at(began as f64))];
+        if let Some(Event::RunStarted(description)) = events.first_mut() {
+            description.experiment = place.map(Box::new);
+        }
         for number in 1..=nodes.div_ceil(NODES) {
             let at = generate::at(began as f64) + Span::from_seconds_f64(number as f64 / HZ as f64);
             let mut iteration = generate::iteration_at(run, number, self.hosts, at, &mut self.numbers);

@@ -4,15 +4,22 @@ use std::future::Future;
 
 use peernet_aggregator::{IterationFilter, RunFilter, Store, StoreError};
 use peernet_clock::{SharedClock, Span};
-use peernet_logger::stage;
+use peernet_logger::{Name, stage};
 
 /// How often each is asked.
 const TIMES: usize = 20;
-/// Points of a run's series and of a link's, bins of a histogram, and the slowest iterations, as pages ask for them.
-const POINTS: usize = 300;
+/// Points of a run's series and of a link's, buckets of a run's course, bins of a histogram, and the slowest iterations,
+/// as pages ask for them.
+const POINTS: usize = 240;
 const CLOCK_POINTS: u32 = 360;
-const BINS: usize = 60;
-const SLOWEST: u32 = 10;
+const BUCKETS: usize = 120;
+const BINS: usize = 48;
+const SLOWEST: u32 = 40;
+/// Rows of the run page's table of iterations without an answer.
+const UNANSWERED: u32 = 8;
+/// Most runs that the page of a comparison is asked for one by one, and of an experiment.
+const CHOSEN: u32 = 12;
+const OF_EXPERIMENT: u32 = 200;
 
 /// How long one question took.
 #[derive(Debug)]
@@ -35,10 +42,17 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<Times> {
     let slowest = store.slowest(number, 1_000).await.expect("answers");
     let ranked = slowest.last().expect("there are some").number;
     let [total, upload] = [stage::TOTAL, stage::UPLOAD];
+    let chosen = store.runs(&RunFilter { limit: CHOSEN, ..RunFilter::default() }).await.expect("answers");
+    let experiments = store.experiments(1).await.expect("answers");
+    let experiment = experiments.first().expect("there is an experiment").id.clone();
+    let stages = stage::ORDER;
+    let of_difference: Vec<Name> =
+        [stage::TOTAL, stage::STAGES_TOTAL].into_iter().chain(stages.clone()).collect();
     let names = [stage::TOTAL, stage::SENSING, stage::UPLOAD, stage::INFERENCE, stage::DOWNLOAD];
     let page = |after: u64, unsuccessful: bool| IterationFilter { after, limit: 100, unsuccessful };
     let (first, end_of_list) = (page(0, false), page(last.saturating_sub(100), false));
-    let (lost, later_lost) = (page(0, true), page(last / 2, true));
+    let later_lost = page(last / 2, true);
+    let unanswered = IterationFilter { limit: UNANSWERED, ..page(0, true) };
     let all = RunFilter::default();
     let of_host = RunFilter {
         host: Some(host),
@@ -54,12 +68,46 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<Times> {
                 store.stages(number),
                 store.bounds(number),
                 store.histogram(number, &total, BINS),
-                store.series(number, &names, POINTS),
+                store.series(number, &names[..1], POINTS),
                 store.slowest(number, SLOWEST),
-                store.iterations(number, &lost),
+                store.iterations(number, &unanswered),
+                store.course(number, &names[..1], BUCKETS),
             )
         })
         .await,
+        time("trust report of a run that drifted", clock, async || {
+            tokio::try_join!(
+                store.run(number),
+                store.stages(number),
+                store.bounds(number),
+                store.course(number, &names[..1], BUCKETS),
+                store.course(number, &stages, BUCKETS),
+            )
+        })
+        .await,
+        time("compare page, two runs", clock, async || {
+            for number in [number, number] {
+                compared(store, number).await?;
+                store.means(number, &of_difference, BUCKETS).await?;
+            }
+            Ok(())
+        })
+        .await,
+        time("compare page, twelve runs", clock, async || {
+            for run in &chosen {
+                compared(store, run.number).await?;
+            }
+            Ok(())
+        })
+        .await,
+        time("compare page, experiment", clock, async || {
+            for run in store.runs_of_experiment(&experiment, OF_EXPERIMENT).await? {
+                tokio::try_join!(store.stages(run.number), store.bounds(run.number))?;
+            }
+            Ok(())
+        })
+        .await,
+        time("experiments", clock, || store.experiments(50)).await,
         time("iteration page", clock, async || {
             tokio::try_join!(store.run(number), store.iteration(number, last / 2))
         })
@@ -72,7 +120,7 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<Times> {
         time("iterations, first page", clock, || store.iterations(number, &first)).await,
         time("iterations, last page", clock, || store.iterations(number, &end_of_list)).await,
         time("iterations without answer", clock, || store.iterations(number, &later_lost)).await,
-        time("ten slowest", clock, || store.slowest(number, SLOWEST)).await,
+        time("forty slowest", clock, || store.slowest(number, SLOWEST)).await,
         time("thousand slowest", clock, || store.slowest(number, 1_000)).await,
         time("one iteration", clock, || store.iteration(number, last / 2)).await,
         time("one of the slowest", clock, || store.iteration(number, ranked)).await,
@@ -87,6 +135,11 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<Times> {
         .await,
         time("a link's day", clock, || store.clock_series(edge, cloud, day, end, CLOCK_POINTS)).await,
     ]
+}
+
+/// What the page of a comparison asks of one run.
+async fn compared(store: &Store, number: i64) -> Result<(), StoreError> {
+    tokio::try_join!(store.run(number), store.stages(number), store.bounds(number)).map(|_| ())
 }
 
 async fn time<T, F: Future<Output = Result<T, StoreError>>>(

@@ -8,8 +8,8 @@ use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 
 use super::preparing::Queued;
-use crate::aggregator::Readiness;
 use crate::config::AggregatorConfig;
+use crate::readiness::Readiness;
 use crate::store::retention::Step;
 use crate::store::write::{CommitError, Committed, Work, Writer};
 

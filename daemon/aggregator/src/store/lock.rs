@@ -1,11 +1,8 @@
 //! One writer per database: a second aggregator, or a command that rewrites, is refused while the first is there.
 
-use std::fs::File;
+use std::fs::{File, TryLockError};
 use std::io::{self, Read, Seek, Write};
 use std::path::{Path, PathBuf};
-
-use rustix::fs::{FlockOperation, flock};
-use rustix::io::Errno;
 
 /// Why a database could not be taken.
 #[derive(Debug, thiserror::Error)]
@@ -50,13 +47,13 @@ impl DatabaseLock {
             .write(true)
             .open(&path)
             .map_err(failed)?;
-        match flock(&file, FlockOperation::NonBlockingLockExclusive) {
+        match file.try_lock() {
             Ok(()) => {}
-            Err(Errno::WOULDBLOCK) => {
+            Err(TryLockError::WouldBlock) => {
                 let holder = holder(&mut file);
                 return Err(LockError::Taken { path: database.to_owned(), holder });
             }
-            Err(error) => return Err(failed(error.into())),
+            Err(TryLockError::Error(error)) => return Err(failed(error)),
         }
         // For people alone: who holds the lock is told by the kernel.
         let write = file

@@ -1,15 +1,16 @@
 //! A copy of the database at one moment, made while the aggregator goes on storing.
 
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
-use rustix::fs::{CWD, FlockOperation, RenameFlags, flock, renameat_with};
+use rustix::fs::{CWD, RenameFlags, renameat_with};
 use rustix::io::Errno;
 use sqlx::{ConnectOptions, Connection, SqliteConnection};
 use tokio_util::sync::CancellationToken;
 
 use super::{Contents, free_bytes, reading};
+use crate::store::column::count;
 
 /// Instructions of SQLite's machine between two looks at whether to stop.
 const INSTRUCTIONS: i32 = 10_000;
@@ -123,7 +124,7 @@ impl Backup {
         .fetch_one(&mut connection)
         .await
         .map_err(read)?;
-        let expected = u64::try_from(used).unwrap_or(0);
+        let expected = count(used);
         let target = std::path::absolute(target)
             .map_err(|source| BackupError::Write { path: target.to_owned(), source })?;
         let folder = target.parent().unwrap_or(&target).to_owned();
@@ -187,10 +188,10 @@ impl Partial {
         let failed = |source| BackupError::Write { path: path.clone(), source };
         let options = File::options().create(true).truncate(false).read(true).write(true).open(&path);
         let file = options.map_err(failed)?;
-        match flock(&file, FlockOperation::NonBlockingLockExclusive) {
+        match file.try_lock() {
             Ok(()) => {}
-            Err(Errno::WOULDBLOCK) => return Err(BackupError::UnderWay(path)),
-            Err(error) => return Err(failed(error.into())),
+            Err(TryLockError::WouldBlock) => return Err(BackupError::UnderWay(path)),
+            Err(TryLockError::Error(error)) => return Err(failed(error)),
         }
         // SQLite takes an empty file, and no other.
         file.set_len(0).map_err(failed)?;

@@ -6,10 +6,10 @@ use peernet_clock::{DelaySource, Span, Verdict};
 use peernet_logger::{Name, stage};
 use sqlx::FromRow;
 
-use super::clocks::known;
 use super::comparison::Comparison;
-use super::{corrupt, count, sql, statistics, tree, wall};
+use super::{corrupt, count, known, sql, statistics, tree, wall};
 use crate::error::StoreError;
+use crate::store::column::column;
 use crate::store::readers::Readers;
 use crate::store::types::{DelayRow, IterationDetail, IterationFilter, IterationRow};
 
@@ -80,7 +80,7 @@ pub(in crate::store) async fn iterations(
     let statement = if filter.unsuccessful { sql::ITERATIONS_WITHOUT_ANSWER } else { sql::ITERATIONS };
     let rows: Vec<Row> = sqlx::query_as(statement)
         .bind(run)
-        .bind(i64::try_from(filter.after).unwrap_or(i64::MAX))
+        .bind(column(filter.after))
         .bind(filter.limit.clamp(1, 1_000))
         .fetch_all(&readers.pool)
         .await
@@ -237,8 +237,8 @@ impl Delay {
             value: self.value,
             bounds: self.lo.zip(self.hi),
             raw: Span::from_nanos(self.raw_ns).seconds(),
-            source: known(DelaySource::ALL, self.source)?,
-            verdict: known(Verdict::ALL, self.verdict)?,
+            source: known(WHAT, DelaySource::ALL, self.source)?,
+            verdict: known(WHAT, Verdict::ALL, self.verdict)?,
         })
     }
 }

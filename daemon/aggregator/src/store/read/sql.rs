@@ -92,6 +92,10 @@ statements! {
     ROLLUPS_OVER_TIME = "SELECT run, resolution_s, bucket_s, name, quantity, count, mean, m2, min, max, sketch \
                          FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND quantity = 0 \
                          AND name IN (SELECT value FROM json_each(?3)) ORDER BY bucket_s";
+    /// Counts and sums: ?1 run, ?2 resolution, ?3 list of names, ?4 seconds of a point, a multiple of the resolution.
+    SUMS_OVER_TIME = "SELECT name, bucket_s / ?4 AS point, sum(count), sum(count * mean) \
+                      FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND quantity = 0 \
+                      AND name IN (SELECT value FROM json_each(?3)) GROUP BY point, name ORDER BY point, name";
     /// ?1 run.
     VERDICTS = "SELECT name.text, verdict_count.verdict, verdict_count.count FROM verdict_count \
                 JOIN name ON name.id = verdict_count.name WHERE verdict_count.run = ?1 ORDER BY verdict_count.verdict";

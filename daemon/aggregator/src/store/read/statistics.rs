@@ -1,5 +1,6 @@
 //! Figures of runs, from the roll-ups alone: their cost does not depend on the number of nodes.
 
+mod means;
 mod series;
 
 use std::collections::HashMap;
@@ -15,6 +16,7 @@ use crate::figures::{Bound, Figures, rank};
 use crate::store::readers::Readers;
 use crate::store::types::{Histogram, StageStatistics};
 
+pub(in crate::store) use self::means::means;
 pub(in crate::store) use self::series::{course, series};
 
 const WHAT: &str = "statistics";
@@ -99,7 +101,7 @@ pub(in crate::store) async fn stages(
         }
     }
     let mut bounds = joined(verdicts(readers, run).await?, half_widths);
-    let sum = |known: &Known| known.summary.moments.mean * known.summary.moments.count as f64;
+    let sum = |known: &Known| known.summary.moments.sum();
     let total = values.get(stage::TOTAL.as_str()).map(sum).filter(|total| *total > 0.0);
     let mut statistics: Vec<StageStatistics> = values
         .into_iter()
@@ -137,14 +139,15 @@ pub(in crate::store) async fn bounds(readers: &Readers, run: i64) -> Result<Vec<
 
 fn joined(mut bounds: HashMap<Name, Bound>, half_widths: HashMap<Name, Summary>) -> HashMap<Name, Bound> {
     for (stage, summary) in half_widths {
-        let bound = bounds.entry(stage.clone()).or_insert_with(|| Bound {
-            stage,
-            half_width: None,
-            verdicts: vec![],
-        });
-        bound.half_width = Figures::of(&summary);
+        bound_of(&mut bounds, stage).half_width = Figures::of(&summary);
     }
     bounds
+}
+
+/// The bound of a direction, made when missing.
+fn bound_of(bounds: &mut HashMap<Name, Bound>, stage: Name) -> &mut Bound {
+    let unknown = |stage: &Name| Bound { stage: stage.clone(), half_width: None, verdicts: Vec::new() };
+    bounds.entry(stage).or_insert_with_key(unknown)
 }
 
 async fn verdicts(readers: &Readers, run: i64) -> Result<HashMap<Name, Bound>, StoreError> {
@@ -158,12 +161,7 @@ async fn verdicts(readers: &Readers, run: i64) -> Result<HashMap<Name, Bound>, S
         let stage = Name::from(text);
         let verdict = usize::try_from(number).ok().and_then(|at| Verdict::ALL.get(at).copied());
         let verdict = verdict.ok_or_else(|| corrupt(WHAT, format_args!("verdict {number}")))?;
-        let bound = bounds.entry(stage.clone()).or_insert_with(|| Bound {
-            stage,
-            half_width: None,
-            verdicts: vec![],
-        });
-        bound.verdicts.push((verdict, count(times)));
+        bound_of(&mut bounds, stage).verdicts.push((verdict, count(times)));
     }
     Ok(bounds)
 }

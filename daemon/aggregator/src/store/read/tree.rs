@@ -1,10 +1,10 @@
 //! From rows back to a tree.
 
-use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict, WallTime};
+use peernet_clock::{OneWayDelay, Span, WallTime};
 use peernet_logger::{Anchor, HostIndex, Measure, Name, Node, NodeId, Rate, Slug, Transit, Tree, Unit};
 use sqlx::FromRow;
 
-use super::{corrupt, name, parse, sql, wall};
+use super::{StoredDelay, corrupt, name, parse, sql, wall};
 use crate::error::StoreError;
 use crate::store::readers::Readers;
 
@@ -121,19 +121,7 @@ fn measure(row: &NodeRow, transit: Option<&TransitRow>) -> Result<Measure, Store
 }
 
 fn delay(row: &NodeRow, stamps: &TransitRow) -> Result<Option<OneWayDelay>, StoreError> {
-    let (Some(raw), Some(source), Some(verdict)) = (stamps.raw_ns, stamps.source, stamps.verdict) else {
-        return Ok(None);
-    };
-    let unknown = || corrupt(WHAT, format_args!("node {} has source {source}, verdict {verdict}", row.node));
-    let bounds = row
-        .lo
-        .zip(row.hi)
-        .map(|(lo, hi)| Interval { lo: Span::from_seconds_f64(lo), hi: Span::from_seconds_f64(hi) });
-    Ok(Some(OneWayDelay {
-        raw: Span::from_nanos(raw),
-        value: row.value.map(Span::from_seconds_f64),
-        bounds,
-        source: *DelaySource::ALL.get(usize::from(source)).ok_or_else(unknown)?,
-        verdict: *Verdict::ALL.get(usize::from(verdict)).ok_or_else(unknown)?,
-    }))
+    let TransitRow { raw_ns, source, verdict, .. } = *stamps;
+    let stored = StoredDelay { raw_ns, source, verdict, value: row.value, bounds: row.lo.zip(row.hi) };
+    stored.judged(WHAT)
 }

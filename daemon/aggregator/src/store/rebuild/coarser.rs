@@ -2,7 +2,7 @@
 //! quantile sketches, so the migration leaves a list of runs behind, and this works it off when the file is opened:
 //! before anything is written or read, so that no one else has to know of it.
 
-use sqlx::SqliteConnection;
+use sqlx::{Connection, SqliteConnection};
 
 use crate::store::write::rollups::{RollupRow, Rollups, Scope, bucket};
 
@@ -31,12 +31,10 @@ pub(crate) async fn make_coarser(connection: &mut SqliteConnection) -> Result<()
         let run: Option<i64> =
             sqlx::query_scalar("SELECT min(run) FROM rollup_debt").fetch_one(&mut *connection).await?;
         let Some(run) = run else { break };
-        sqlx::query("BEGIN IMMEDIATE").execute(&mut *connection).await?;
-        if let Err(error) = one_run(connection, run).await {
-            let _rolled_back = sqlx::query("ROLLBACK").execute(&mut *connection).await;
-            return Err(error);
-        }
-        sqlx::query("COMMIT").execute(&mut *connection).await?;
+        // Rolled back when it is dropped.
+        let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
+        one_run(&mut transaction, run).await?;
+        transaction.commit().await?;
         if done % RUNS_TOLD == 0 {
             tracing::info!(done, runs, "making statistics per minute and hour");
         }

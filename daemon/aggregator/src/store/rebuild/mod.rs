@@ -3,7 +3,7 @@
 mod coarser;
 mod nodes;
 
-use sqlx::SqliteConnection;
+use sqlx::{Connection, SqliteConnection};
 
 pub(crate) use self::coarser::make_coarser;
 use crate::store::retention::{Kind, release};
@@ -43,13 +43,10 @@ pub(crate) async fn rebuild(
         let Some(next) = next.filter(|next| run.is_none_or(|run| run == *next)) else {
             return Ok(rebuilt);
         };
-        sqlx::query("BEGIN IMMEDIATE").execute(&mut *connection).await?;
-        if let Err(error) = one_run(connection, next, &mut rebuilt, &mut progress).await {
-            // The error that is told is the first; a connection that cannot roll back is of no further use anyway.
-            let _rolled_back = sqlx::query("ROLLBACK").execute(&mut *connection).await;
-            return Err(error);
-        }
-        sqlx::query("COMMIT").execute(&mut *connection).await?;
+        // Rolled back when it is dropped.
+        let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
+        one_run(&mut transaction, next, &mut rebuilt, &mut progress).await?;
+        transaction.commit().await?;
         rebuilt.runs += 1;
         progress(&rebuilt);
         before = next;

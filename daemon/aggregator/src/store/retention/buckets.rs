@@ -2,7 +2,9 @@
 
 use sqlx::SqliteConnection;
 
-use super::{Deleted, Kind, Rest, runs};
+use super::trimmed::trimmed;
+use super::{Deleted, Kind, Rest};
+use crate::store::column::column;
 
 /// What a row costs, in nodes: it is some times as long.
 const ROW: u64 = 3;
@@ -38,7 +40,7 @@ pub(super) async fn delete(
         Some(first) if first >= end_s => return Ok(Deleted { rows: 0, rest: Rest::Begins(first) }),
         Some(first) => first,
     };
-    let most = i64::try_from((rows / ROW).max(1)).unwrap_or(i64::MAX);
+    let most = column((rows / ROW).max(1));
     let after: Option<i64> = sqlx::query_scalar(AFTER)
         .bind(run)
         .bind(width_s)
@@ -57,7 +59,7 @@ pub(super) async fn delete(
     };
     let gone = sqlx::query(DELETE).bind(run).bind(width_s).bind(through_s.min(end_s));
     let gone = gone.execute(&mut *connection).await?.rows_affected() * ROW;
-    runs::trimmed(connection, Kind::Buckets(width_s), run, through_s).await?;
+    trimmed(connection, Kind::Buckets(width_s), run, through_s).await?;
     let rest = match oldest(connection).await? {
         None => Rest::Nothing,
         Some(first) if first < end_s => Rest::Old,

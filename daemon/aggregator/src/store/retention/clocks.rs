@@ -6,6 +6,7 @@ use peernet_clock::{Span, WallTime};
 use sqlx::SqliteConnection;
 
 use super::due_s;
+use crate::store::column::column;
 
 /// All links are looked through once in so long.
 const ROUND: Span = Span::from_seconds(600);
@@ -135,7 +136,7 @@ impl ClockSamples {
             .bind(link)
             .bind(from_ns)
             .bind(end_ns)
-            .bind(i64::try_from((rows / ROW).max(1)).unwrap_or(i64::MAX))
+            .bind(column((rows / ROW).max(1)))
             .fetch_optional(&mut *connection)
             .await?;
         let through_ns = after.map_or(end_ns, |after| after.max(from_ns.saturating_add(1)));

@@ -11,9 +11,10 @@ mod clocks;
 mod nodes;
 mod runs;
 mod size;
+mod trimmed;
 
 use peernet_clock::{Span, WallTime};
-use sqlx::SqliteConnection;
+use sqlx::{Connection, SqliteConnection};
 
 use self::clocks::ClockSamples;
 pub(crate) use self::runs::{pin, release};
@@ -119,18 +120,11 @@ impl Retention {
             return Ok(Step::Done);
         };
         self.idle = None;
-        sqlx::query("BEGIN IMMEDIATE").execute(&mut *connection).await?;
-        match self.perform(connection, work, now, rows.into()).await {
-            Ok(()) => {
-                sqlx::query("COMMIT").execute(connection).await?;
-                Ok(Step::More)
-            }
-            Err(error) => {
-                // The error that is told is the first; the caller replaces a connection that failed.
-                let _rolled_back = sqlx::query("ROLLBACK").execute(connection).await;
-                Err(error)
-            }
-        }
+        // Rolled back when it is dropped.
+        let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
+        self.perform(&mut transaction, work, now, rows.into()).await?;
+        transaction.commit().await?;
+        Ok(Step::More)
     }
 
     /// The next thing to do.
@@ -206,5 +200,12 @@ fn due_s(now: WallTime, kept_s: i64) -> i64 {
 /// What a step asks: a test looks at the plans.
 #[cfg(test)]
 pub(crate) fn statements() -> Vec<(&'static str, &'static str)> {
-    [&runs::STATEMENTS[..], &nodes::STATEMENTS, &buckets::STATEMENTS, &clocks::STATEMENTS].concat()
+    [
+        &runs::STATEMENTS[..],
+        &nodes::STATEMENTS,
+        &buckets::STATEMENTS,
+        &clocks::STATEMENTS,
+        &trimmed::STATEMENTS,
+    ]
+    .concat()
 }

@@ -2,7 +2,8 @@
 
 use sqlx::SqliteConnection;
 
-use super::{Deleted, Kind, Rest, runs};
+use super::trimmed::trimmed;
+use super::{Deleted, Kind, Rest};
 
 /// Iterations looked at together.
 const PAGE: i64 = 500;
@@ -64,7 +65,7 @@ pub(super) async fn delete(
                 gone += done.execute(&mut *connection).await?.rows_affected();
             }
             let newest_s = now.iter().map(seconds).max().unwrap_or(i64::MIN);
-            runs::trimmed(connection, Kind::Nodes, run, newest_s.saturating_add(1)).await?;
+            trimmed(connection, Kind::Nodes, run, newest_s.saturating_add(1)).await?;
             sqlx::query(NODES_FROM).bind(run).bind(through).execute(&mut *connection).await?;
             per_iteration = (gone / now.len() as u64).max(1);
             deleted += gone;

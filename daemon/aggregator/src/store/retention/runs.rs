@@ -4,6 +4,7 @@ use peernet_clock::WallTime;
 use sqlx::SqliteConnection;
 
 use super::{Deleted, Kind, RUNS, Rest, buckets, nodes};
+use crate::store::column::column;
 
 /// Pins a run, so that nothing of it is deleted, or lets it go: its periods count from now then. False when there is no
 /// such run. What was deleted before stays deleted.
@@ -46,12 +47,9 @@ const SETTLE: &str = "DELETE FROM retained WHERE kind = ?1 AND run = ?2";
 const SETTLED: &str = "UPDATE run SET settled = 1 WHERE number = ?1";
 /// ?1 run.
 const ENDED: &str = "SELECT ended_ns IS NOT NULL FROM run WHERE number = ?1";
-/// ?1 run, ?2 kind, ?3 second.
-const TRIMMED: &str = "INSERT INTO trimmed (run, kind, before_s) VALUES (?1, ?2, ?3) \
-     ON CONFLICT DO UPDATE SET before_s = max(before_s, excluded.before_s)";
 
 #[cfg(test)]
-pub(super) const STATEMENTS: [(&str, &str); 10] = [
+pub(super) const STATEMENTS: [(&str, &str); 9] = [
     ("PIN", PIN),
     ("RELEASE", RELEASE),
     ("ARRIVED", ARRIVED),
@@ -61,7 +59,6 @@ pub(super) const STATEMENTS: [(&str, &str); 10] = [
     ("SETTLE", SETTLE),
     ("SETTLED", SETTLED),
     ("ENDED", ENDED),
-    ("TRIMMED", TRIMMED),
 ];
 
 /// Whether there are runs that were not seen before.
@@ -76,7 +73,7 @@ pub(super) async fn arrive(
     now_s: i64,
     rows: u64,
 ) -> Result<(), sqlx::Error> {
-    let runs = i64::try_from(rows / Kind::ALL.len() as u64).unwrap_or(i64::MAX).max(1);
+    let runs = column(rows / Kind::ALL.len() as u64).max(1);
     for kind in Kind::ALL {
         let some = sqlx::query(ARRIVE).bind(kind.number()).bind(now_s).bind(runs);
         some.execute(&mut *connection).await?;
@@ -152,16 +149,5 @@ async fn remember(
         }
     };
     sqlx::query(LATER).bind(kind.number()).bind(run).bind(look_s).execute(connection).await?;
-    Ok(())
-}
-
-/// Of what began before a second, some of this kind is gone.
-pub(super) async fn trimmed(
-    connection: &mut SqliteConnection,
-    kind: Kind,
-    run: i64,
-    before_s: i64,
-) -> Result<(), sqlx::Error> {
-    sqlx::query(TRIMMED).bind(run).bind(kind.number()).bind(before_s).execute(connection).await?;
     Ok(())
 }

@@ -5,6 +5,7 @@ use sqlx::SqliteConnection;
 
 use super::runs::Trimmed;
 use super::{Kind, runs};
+use crate::store::column::{column, count};
 
 /// What goes, in this order. Hours and whole runs stay.
 const ORDER: [Kind; 4] = [Kind::Nodes, Kind::Buckets(1), Kind::Buckets(10), Kind::Buckets(60)];
@@ -85,7 +86,7 @@ impl SizeLimit {
 /// Bytes that the file uses, free pages left out.
 async fn used_bytes(connection: &mut SqliteConnection) -> Result<u64, sqlx::Error> {
     let bytes: i64 = sqlx::query_scalar(USED).fetch_one(connection).await?;
-    Ok(bytes.unsigned_abs())
+    Ok(count(bytes))
 }
 
 /// For `peernetd doctor`.
@@ -95,7 +96,7 @@ async fn note(connection: &mut SqliteConnection, now: WallTime, rows: u64) -> Re
          ON CONFLICT DO UPDATE SET last_ns = excluded.last_ns, count = count + excluded.count",
     )
     .bind(now.unix_nanos())
-    .bind(i64::try_from(rows).unwrap_or(i64::MAX))
+    .bind(column(rows))
     .execute(connection)
     .await?;
     Ok(())

@@ -86,3 +86,22 @@ async fn a_course_holds_every_sample_in_order_of_time() {
         assert_eq!((max, course.unit.as_str()), (figures.max, "s"));
     }
 }
+
+#[tokio::test]
+async fn means_are_those_of_the_course() {
+    let mut bed = Bed::new().await;
+    bed.run_of(500).await;
+    let asked = [stage::TOTAL, Name::from_static("nothing"), stage::UPLOAD];
+    for most in [1, 7, 20, 1_000] {
+        let courses = bed.store.course(1, &asked, most).await.expect("answers");
+        let means = bed.store.means(1, &asked, most).await.expect("answers");
+        assert_eq!(means.len(), courses.len(), "{means:?}");
+        for (means, course) in means.iter().zip(&courses) {
+            assert_eq!((&means.stage, means.buckets.len()), (&course.stage, course.buckets.len()));
+            for ((count, mean), bucket) in means.buckets.iter().zip(&course.buckets) {
+                let same = (mean - bucket.moments.mean).abs() <= 1e-12 * mean.abs();
+                assert!(*count == bucket.count() && same, "{mean} {:?}", bucket.moments);
+            }
+        }
+    }
+}

@@ -29,7 +29,8 @@ const EXCEPTIONS: [(&str, &str, &str); 3] = [
 ];
 
 /// Questions that sort, and why that is a small thing.
-const SORTING: [(&str, &str); 7] = [
+const SORTING: [(&str, &str); 8] = [
+    ("SUMS_OVER_TIME", "at most a thousand buckets of a few names, without their sketches"),
     ("RUNS_FILTERED", "the runs of the pipelines asked for, without anything of theirs"),
     ("VERDICTS", "at most a handful of rows"),
     ("EXPERIMENTS", "one row for each experiment; their runs come in the order of an index"),

@@ -16,6 +16,10 @@ fn iterations(bed: &Bed, run: RunId, numbers: std::ops::RangeInclusive<u64>) -> 
     numbers.map(|n| Event::Iteration(generate::iteration(run, n, bed.hosts(), &mut random))).collect()
 }
 
+/// How many iterations are in the statistics of whole runs.
+const TOTALS: &str = "SELECT count FROM rollup JOIN name ON name.id = rollup.name \
+     WHERE resolution_s = 0 AND quantity = 0 AND text = 'total'";
+
 #[tokio::test]
 async fn a_batch_that_comes_again_is_stored_once() {
     let mut bed = Bed::new().await;
@@ -40,14 +44,7 @@ async fn a_batch_that_comes_again_is_stored_once() {
     assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 10);
     assert_eq!(bed.count("SELECT ok FROM run").await, 10);
     assert_eq!(bed.count("SELECT nodes FROM host WHERE name = 'edge'").await, 210);
-    assert_eq!(
-        bed.count(
-            "SELECT count FROM rollup JOIN name ON name.id = rollup.name \
-                          WHERE resolution_s = 0 AND quantity = 0 AND text = 'total'"
-        )
-        .await,
-        10
-    );
+    assert_eq!(bed.count(TOTALS).await, 10);
 }
 
 #[tokio::test]
@@ -117,14 +114,7 @@ async fn a_bad_batch_is_put_aside_and_the_others_are_stored() {
         2
     );
     assert_eq!(bed.count("SELECT quarantined FROM host WHERE name = 'edge'").await, 2);
-    assert_eq!(
-        bed.count(
-            "SELECT count FROM rollup JOIN name ON name.id = rollup.name \
-                          WHERE resolution_s = 0 AND quantity = 0 AND text = 'total'"
-        )
-        .await,
-        7
-    );
+    assert_eq!(bed.count(TOTALS).await, 7);
 }
 
 #[tokio::test]

@@ -34,3 +34,12 @@ pub struct StageCourse {
     /// Buckets that have samples, oldest first.
     pub buckets: Vec<Summary>,
 }
+
+/// The means of one node name over the time of a run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StageMeans {
+    /// The node's name.
+    pub stage: Name,
+    /// Samples and their mean in each bucket that has any, oldest first.
+    pub buckets: Vec<(u64, f64)>,
+}

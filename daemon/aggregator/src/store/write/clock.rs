@@ -13,6 +13,7 @@ use super::Refusal;
 use super::entities::Entities;
 use super::prepared::position;
 use crate::plausible;
+use crate::store::column::column;
 
 /// Links kept in memory; beyond, all are forgotten and read again when needed.
 const MOST_LINKS: usize = 10_000;
@@ -116,7 +117,7 @@ fn values(link: i64, sample: &ClockSample) -> Result<SqliteArguments, BoxDynErro
     delay(sample.down, &mut to)?;
     let counts = &sample.exchanges;
     for count in [counts.taken, counts.impossible, counts.outliers, counts.stepped] {
-        to.add(number(count))?;
+        to.add(column(count))?;
     }
     to.add(counts.restarts)?;
     Ok(to)
@@ -141,7 +142,7 @@ fn offset(offset: Option<&Offset>, to: &mut SqliteArguments) -> Result<(), BoxDy
     to.add(offset.and_then(|it| position(Verdict::ALL, it.verdict)))?;
     to.add(offset.and_then(sources).map(|it| serde_json::to_string(&it)).transpose()?)?;
     to.add(offset.and_then(|it| it.skew_ppm))?;
-    to.add(offset.map(|it| number(it.exchanges)))?;
+    to.add(offset.map(|it| column(it.exchanges)))?;
     to.add(offset.and_then(|it| it.age).map(|age| age.nanos()))
 }
 
@@ -163,8 +164,4 @@ fn delay(second: Option<DelaySecond>, to: &mut SqliteArguments) -> Result<(), Bo
     to.add(median.map(|median| median.bounds.hi.nanos()))?;
     to.add(median.and_then(|median| median.bits_per_second))?;
     to.add(second.and_then(|second| position(Verdict::ALL, second.verdict)))
-}
-
-fn number(count: u64) -> i64 {
-    i64::try_from(count).unwrap_or(i64::MAX)
 }

@@ -12,6 +12,7 @@ use super::ends::LEFT;
 use super::insert::Insert;
 use super::prepared::RunPart;
 use crate::picture::Stored;
+use crate::store::column::{column, count};
 
 /// Hosts whose counters are kept in memory; beyond, all are forgotten and read again when needed.
 const MOST_HOSTS: usize = 10_000;
@@ -145,7 +146,7 @@ impl Stored {
     /// From the columns of `host`: events, nodes, gaps, missing, quarantined.
     pub(super) fn of_columns((events, nodes, gaps, missing, quarantined): (i64, i64, i64, i64, i64)) -> Self {
         let [events, nodes, gaps, missing, quarantined] =
-            [events, nodes, gaps, missing, quarantined].map(|count| u64::try_from(count).unwrap_or(0));
+            [events, nodes, gaps, missing, quarantined].map(count);
         Self { events, nodes, gaps, missing, duplicates: 0, quarantined }
     }
 
@@ -166,8 +167,4 @@ async fn total(connection: &mut SqliteConnection, host: i64) -> Result<Stored, s
             .fetch_one(connection)
             .await?;
     Ok(Stored::of_columns(counts))
-}
-
-fn column(count: u64) -> i64 {
-    i64::try_from(count).unwrap_or(i64::MAX)
 }

@@ -261,7 +261,7 @@ impl KnownRun {
     }
 }
 
-/// `local` or `remote`.
+/// As in the column `placement`.
 pub(crate) const fn placement_word(kind: PlacementKind) -> &'static str {
     match kind {
         PlacementKind::Local => "local",

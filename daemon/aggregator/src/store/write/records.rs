@@ -8,8 +8,8 @@ use sqlx::SqliteConnection;
 
 use super::Refusal;
 use super::entities::Entities;
-use super::streams::number;
 use crate::picture::Stored;
+use crate::store::column::column;
 
 /// Quarantined batches that are kept.
 const QUARANTINE_KEEPS: i64 = 1_000;
@@ -58,7 +58,7 @@ pub(super) async fn gap(
     .bind(run)
     .bind(gap.from.unix_nanos())
     .bind(gap.to.unix_nanos())
-    .bind(i64::try_from(gap.count).unwrap_or(i64::MAX))
+    .bind(column(gap.count))
     .bind(gap.reason.as_str())
     .execute(connection)
     .await?;
@@ -124,7 +124,7 @@ pub(super) async fn quarantine(
     )
     .bind(host)
     .bind(head.stream.to_string())
-    .bind(number(head.number))
+    .bind(column(head.number))
     .bind(now.unix_nanos())
     .bind(events.map(|events| events as i64))
     .bind(reason)

@@ -10,6 +10,7 @@ use sqlx::{Arguments, FromRow, SqliteConnection};
 use super::entities::id;
 use super::insert::Insert;
 use super::{Introduction, Refusal, records};
+use crate::store::column::column;
 
 /// What the database knows of streams.
 #[derive(Clone, Debug, Default)]
@@ -120,7 +121,7 @@ impl Moved {
         )
         .bind(came.stream.to_string())
         .bind(host)
-        .bind(number(came.first.saturating_sub(1)))
+        .bind(column(came.first.saturating_sub(1)))
         .bind(came.previous.map(|stream| stream.to_string()))
         .bind(now.unix_nanos())
         .execute(&mut *connection)
@@ -162,7 +163,7 @@ impl Moved {
             .run(connection, &self.marks, |(stream, (host, head)), to| {
                 to.add(stream.to_string())?;
                 to.add(*host)?;
-                to.add(number(head.number))?;
+                to.add(column(head.number))?;
                 to.add(head.chain.as_bytes().as_slice())?;
                 to.add(head.process.cast_signed())?;
                 to.add(now.unix_nanos())?;
@@ -176,11 +177,6 @@ impl Moved {
     pub(super) fn forget(&mut self) {
         self.marks.clear();
     }
-}
-
-/// Numbers of batches stay far below; greetings that claim others are refused.
-pub(super) fn number(of_batch: u64) -> i64 {
-    i64::try_from(of_batch).unwrap_or(i64::MAX)
 }
 
 fn wrong(what: &'static str) -> sqlx::Error {

@@ -4,7 +4,7 @@ use peernet_clock::{Span, WallTime};
 use sqlx::{AssertSqlSafe, SqliteConnection};
 
 use super::report::{OpenRun, Report, TableRows};
-use crate::store::read::count;
+use crate::store::column::count;
 
 /// A host that says nothing for so long is not measuring.
 const SILENT: Span = Span::from_seconds(3_600);

@@ -13,6 +13,7 @@ pub use self::report::{
     Severity, StreamState, TableRows,
 };
 use super::{Contents, free_bytes, reading};
+use crate::store::column::count;
 use crate::store::database::MIGRATIONS;
 
 /// SQLite's codes for a file that is damaged or never was a database (SQLITE_CORRUPT, SQLITE_NOTADB).
@@ -135,7 +136,7 @@ impl Report {
         );
         let answer: Result<i64, _> = answer.fetch_one(connection).await;
         let free = self.or_problem("the file's size", answer);
-        self.file.free_bytes = u64::try_from(free).unwrap_or(0);
+        self.file.free_bytes = count(free);
         self.lengths(database);
         if self.file.disk_free_bytes < LITTLE_ROOM {
             let megabytes = self.file.disk_free_bytes >> 20;

@@ -14,7 +14,7 @@ use sqlx::FromRow;
 
 use self::bucket::Bucket;
 use self::repeats::Repeats;
-use super::{corrupt, count, parse, sql, wall};
+use super::{corrupt, count, known, parse, sql, wall};
 use crate::error::StoreError;
 use crate::picture::ClockPoint;
 use crate::store::readers::Readers;
@@ -221,7 +221,7 @@ impl Row {
         else {
             return Ok(None);
         };
-        let source = known(DelaySource::ALL, source)?;
+        let source = known(WHAT, DelaySource::ALL, source)?;
         let sources = match &self.offset_sources {
             Some(json) => sources(json)?,
             None => vec![(source, bounds)],
@@ -232,7 +232,7 @@ impl Row {
             bounds,
             source,
             sources,
-            verdict: known(Verdict::ALL, verdict)?,
+            verdict: known(WHAT, Verdict::ALL, verdict)?,
             skew_ppm: self.skew_ppm,
             exchanges: count(self.exchanges.unwrap_or(0)),
             age: self.age_ns.map(Span::from_nanos),
@@ -252,12 +252,6 @@ pub(super) fn sources(json: &str) -> Result<Vec<(DelaySource, Interval)>, StoreE
         .collect()
 }
 
-/// The value behind a number of the tables `source` and `verdict`.
-pub(super) fn known<T: Copy>(all: &[T], number: u8) -> Result<T, StoreError> {
-    let value = all.get(usize::from(number)).copied();
-    value.ok_or_else(|| corrupt(WHAT, format_args!("source or verdict {number}")))
-}
-
 fn interval(lo: Option<i64>, hi: Option<i64>) -> Option<Interval> {
     lo.zip(hi).map(|(lo, hi)| Interval { lo: Span::from_nanos(lo), hi: Span::from_nanos(hi) })
 }
@@ -274,5 +268,5 @@ fn delays(
         bounds,
         bits_per_second,
     });
-    Ok(Some(DelaySecond { count, median, verdict: known(Verdict::ALL, verdict)? }))
+    Ok(Some(DelaySecond { count, median, verdict: known(WHAT, Verdict::ALL, verdict)? }))
 }

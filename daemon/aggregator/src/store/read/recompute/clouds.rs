@@ -5,10 +5,11 @@ use std::collections::{BTreeSet, HashMap};
 use peernet_clock::{Relation, WallTime};
 use sqlx::FromRow;
 
-use super::super::{count, sql, wall};
+use super::super::{sql, wall};
 use super::rolling::{Rolling, SPAN};
 use super::windows::{Extent, Timeline};
 use crate::error::StoreError;
+use crate::store::column::count;
 use crate::store::readers::Readers;
 
 const WHAT: &str = "clock samples";

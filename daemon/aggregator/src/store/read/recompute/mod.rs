@@ -9,14 +9,13 @@ mod rolling;
 mod tally;
 mod windows;
 
-use peernet_clock::{DelaySource, Direction, Interval, OneWayDelay, Span, Verdict, WallTime};
+use peernet_clock::{DelaySource, Direction, OneWayDelay, Span, Verdict, WallTime};
 use peernet_logger::stage;
 use sqlx::FromRow;
 
 use self::clouds::Clouds;
 use self::tally::Tally;
-use super::clocks::known;
-use super::{sql, wall};
+use super::{StoredDelay, sql, wall};
 use crate::error::StoreError;
 use crate::store::readers::Readers;
 use crate::store::types::{Recomputed, RecomputedStage};
@@ -193,16 +192,7 @@ fn joined(before: Option<OneWayDelay>, now: OneWayDelay) -> OneWayDelay {
 impl Row {
     /// The delay as stored; `None` where it was never judged.
     fn judged(&self) -> Result<Option<OneWayDelay>, StoreError> {
-        let (Some(raw), Some(source), Some(verdict)) = (self.raw_ns, self.source, self.verdict) else {
-            return Ok(None);
-        };
-        let span = Span::from_seconds_f64;
-        Ok(Some(OneWayDelay {
-            raw: Span::from_nanos(raw),
-            value: self.value.map(span),
-            bounds: self.lo.zip(self.hi).map(|(lo, hi)| Interval { lo: span(lo), hi: span(hi) }),
-            source: known(DelaySource::ALL, source)?,
-            verdict: known(Verdict::ALL, verdict)?,
-        }))
+        let Self { raw_ns, source, verdict, value, .. } = *self;
+        StoredDelay { raw_ns, source, verdict, value, bounds: self.lo.zip(self.hi) }.judged(WHAT)
     }
 }

@@ -8,8 +8,8 @@ use peernet_clock::{
 };
 use sqlx::FromRow;
 
-use super::super::clocks::{known, sources};
-use super::super::{sql, wall};
+use super::super::clocks::sources;
+use super::super::{known, sql, wall};
 use crate::error::StoreError;
 use crate::store::readers::Readers;
 
@@ -170,7 +170,7 @@ impl Row {
         if let Some(json) = &self.offset_sources {
             return Ok(sources(json)?.into_iter().find(|(source, _)| daemons(source)));
         }
-        let source = self.offset_source.map(|number| known(DelaySource::ALL, number)).transpose()?;
+        let source = self.offset_source.map(|number| known(WHAT, DelaySource::ALL, number)).transpose()?;
         let bounds = self.offset_lo_ns.zip(self.offset_hi_ns);
         let interval = |(lo, hi)| Interval { lo: Span::from_nanos(lo), hi: Span::from_nanos(hi) };
         Ok(source.filter(daemons).zip(bounds.map(interval)))

@@ -43,10 +43,10 @@ struct Width {
 }
 
 /// What there is of a run.
-struct Stored([Width; WIDTHS_S.len()]);
+pub(super) struct Stored([Width; WIDTHS_S.len()]);
 
 impl Stored {
-    async fn of(readers: &Readers, run: i64) -> Result<Self, StoreError> {
+    pub(super) async fn of(readers: &Readers, run: i64) -> Result<Self, StoreError> {
         let trimmed: Vec<(i64, i64)> = sqlx::query_as(sql::TRIMMED)
             .bind(run)
             .fetch_all(&readers.pool)
@@ -69,7 +69,7 @@ impl Stored {
     /// The smallest width of which there are few enough points over the whole run, and the stored one that they are made
     /// of: the coarsest that divides it. One that was deleted for a part of the run is passed over, so that a line is
     /// made of one kind all along; hours are taken as far as they reach.
-    fn choose(&self, max_points: usize) -> (i64, i64) {
+    pub(super) fn choose(&self, max_points: usize) -> (i64, i64) {
         let whole = self.0.iter().filter(|width| width.whole).find_map(|width| width.extent);
         let all = || {
             let extents = self.0.iter().filter_map(|width| width.extent);
@@ -130,35 +130,60 @@ async fn lines(
     stages: &[Name],
     (width_s, stored_s): (i64, i64),
 ) -> Result<Vec<Line>, StoreError> {
-    let json = |list: Result<String, serde_json::Error>| list.map_err(|error| corrupt(WHAT, error));
-    let texts: Vec<&str> = stages.iter().map(|stage| &**stage).collect();
-    let names: Vec<(i64, String, String)> = sqlx::query_as(sql::NAMES)
-        .bind(json(serde_json::to_string(&texts))?)
-        .fetch_all(&readers.pool)
-        .await
-        .map_err(readers.failed(WHAT))?;
-    // A name that was used with several kinds is taken together.
-    let mut lines: Vec<Line> = stages.iter().map(|stage| Line::of(stage.clone(), width_s)).collect();
-    let mut of_name = HashMap::<i64, usize>::new();
-    for (id, text, unit) in names {
-        if let Some(at) = texts.iter().position(|known| *known == text) {
-            lines[at].unit = unit;
-            of_name.insert(id, at);
-        }
-    }
-    let ids: Vec<i64> = of_name.keys().copied().collect();
+    let known = Known::of(readers, stages).await?;
+    let line = |(at, stage): (usize, &Name)| Line {
+        stage: stage.clone(),
+        unit: known.units[at].clone(),
+        width_s,
+        points: Vec::new(),
+    };
+    let mut lines: Vec<Line> = stages.iter().enumerate().map(line).collect();
     let mut rows = sqlx::query_as::<_, RollupRow>(sql::ROLLUPS_OVER_TIME)
         .bind(run)
         .bind(stored_s)
-        .bind(json(serde_json::to_string(&ids))?)
+        .bind(known.ids()?)
         .fetch(&readers.pool);
     while let Some(row) = rows.try_next().await.map_err(readers.failed(WHAT))? {
-        let line = of_name.get(&row.name).and_then(|at| lines.get_mut(*at));
+        let line = known.places.get(&row.name).and_then(|at| lines.get_mut(*at));
         if let Some(line) = line {
             line.add(&row)?;
         }
     }
     Ok(lines)
+}
+
+/// How the database calls names.
+pub(super) struct Known {
+    /// Where in the list asked for an id stands. A name that was used with several kinds has several, and is taken
+    /// together.
+    pub(super) places: HashMap<i64, usize>,
+    /// Units, in the order asked for.
+    units: Vec<String>,
+}
+
+impl Known {
+    pub(super) async fn of(readers: &Readers, stages: &[Name]) -> Result<Self, StoreError> {
+        let texts: Vec<&str> = stages.iter().map(|stage| &**stage).collect();
+        let names: Vec<(i64, String, String)> = sqlx::query_as(sql::NAMES)
+            .bind(serde_json::to_string(&texts).map_err(|error| corrupt(WHAT, error))?)
+            .fetch_all(&readers.pool)
+            .await
+            .map_err(readers.failed(WHAT))?;
+        let mut known = Self { places: HashMap::new(), units: vec![String::new(); stages.len()] };
+        for (id, text, unit) in names {
+            if let Some(at) = texts.iter().position(|asked| *asked == text) {
+                known.units[at] = unit;
+                known.places.insert(id, at);
+            }
+        }
+        Ok(known)
+    }
+
+    /// The list of ids, as statements take it.
+    pub(super) fn ids(&self) -> Result<String, StoreError> {
+        let ids: Vec<i64> = self.places.keys().copied().collect();
+        serde_json::to_string(&ids).map_err(|error| corrupt(WHAT, error))
+    }
 }
 
 /// A bucket as a page shows it; `None` without samples.
@@ -182,10 +207,6 @@ struct Line {
 }
 
 impl Line {
-    const fn of(stage: Name, width_s: i64) -> Self {
-        Self { stage, unit: String::new(), width_s, points: Vec::new() }
-    }
-
     fn add(&mut self, row: &RollupRow) -> Result<(), StoreError> {
         let summary = row.summary().map_err(|error| corrupt(WHAT, error))?;
         let begin = bucket(row.bucket_s, self.width_s);

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use peernet_statistics::{Moments, Sketch, Summary};
 use sqlx::SqliteConnection;
 
+use super::packed::Packed;
 use super::table::{self, RollupRow};
 use super::{Added, Series, WHOLE_RUN, WIDTHS_S, bucket};
 
@@ -12,32 +12,6 @@ use super::{Added, Series, WHOLE_RUN, WIDTHS_S, bucket};
 const KEPT: usize = 2;
 /// Bytes of a run beside those of its rows, about.
 const OVERHEAD: usize = 512;
-
-/// A summary in the form in which it is stored, which is far smaller than the one for counting.
-#[derive(Clone, Debug)]
-pub(super) struct Packed {
-    pub(super) moments: Moments,
-    pub(super) sketch: Vec<u8>,
-}
-
-impl Packed {
-    pub(super) fn of(summary: &Summary) -> Self {
-        Self { moments: summary.moments, sketch: summary.sketch.to_bytes() }
-    }
-
-    fn add(&mut self, summary: &Summary) -> Result<(), sqlx::Error> {
-        let mut sketch =
-            Sketch::from_bytes(&self.sketch).map_err(|error| sqlx::Error::Decode(error.into()))?;
-        sketch.merge(&summary.sketch);
-        self.moments.merge(&summary.moments);
-        self.sketch = sketch.to_bytes();
-        Ok(())
-    }
-
-    fn bytes(&self) -> usize {
-        size_of::<(Series, Self)>() + self.sketch.capacity()
-    }
-}
 
 /// One width.
 #[derive(Debug)]

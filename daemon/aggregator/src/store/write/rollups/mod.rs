@@ -6,6 +6,7 @@
 //! into a few large statements, in the order of the table's key.
 
 mod growing;
+mod packed;
 mod table;
 
 use std::collections::HashMap;

@@ -3,7 +3,7 @@
 use peernet_statistics::{Moments, Sketch, Summary};
 use sqlx::{Arguments, FromRow, SqliteConnection};
 
-use super::growing::Packed;
+use super::packed::Packed;
 use super::{Quantity, Series, WHOLE_RUN, WIDTHS_S};
 use crate::store::write::insert::Insert;
 

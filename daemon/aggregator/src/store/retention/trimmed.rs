@@ -1,0 +1,23 @@
+//! The table `trimmed`: up to where what a run had of a kind is gone, for readers and for a rebuild.
+
+use sqlx::SqliteConnection;
+
+use super::Kind;
+
+/// ?1 run, ?2 kind, ?3 second.
+const TRIMMED: &str = "INSERT INTO trimmed (run, kind, before_s) VALUES (?1, ?2, ?3) \
+     ON CONFLICT DO UPDATE SET before_s = max(before_s, excluded.before_s)";
+
+#[cfg(test)]
+pub(super) const STATEMENTS: [(&str, &str); 1] = [("TRIMMED", TRIMMED)];
+
+/// Of what began before a second, some of this kind is gone.
+pub(super) async fn trimmed(
+    connection: &mut SqliteConnection,
+    kind: Kind,
+    run: i64,
+    before_s: i64,
+) -> Result<(), sqlx::Error> {
+    sqlx::query(TRIMMED).bind(run).bind(kind.number()).bind(before_s).execute(connection).await?;
+    Ok(())
+}

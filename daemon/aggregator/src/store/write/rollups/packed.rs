@@ -1,0 +1,33 @@
+//! Summaries that are kept rather than counted with.
+
+use peernet_statistics::{Moments, Sketch, Summary};
+
+use super::Series;
+
+/// A summary in the form in which it is stored, which is far smaller than the one for counting.
+#[derive(Clone, Debug)]
+pub(super) struct Packed {
+    pub(super) moments: Moments,
+    pub(super) sketch: Vec<u8>,
+}
+
+impl Packed {
+    pub(super) fn of(summary: &Summary) -> Self {
+        Self { moments: summary.moments, sketch: summary.sketch.to_bytes() }
+    }
+
+    /// Adds what another one knows.
+    pub(super) fn add(&mut self, summary: &Summary) -> Result<(), sqlx::Error> {
+        let mut sketch =
+            Sketch::from_bytes(&self.sketch).map_err(|error| sqlx::Error::Decode(error.into()))?;
+        sketch.merge(&summary.sketch);
+        self.moments.merge(&summary.moments);
+        self.sketch = sketch.to_bytes();
+        Ok(())
+    }
+
+    /// Bytes of memory that it takes in a bucket, about.
+    pub(super) fn bytes(&self) -> usize {
+        size_of::<(Series, Self)>() + self.sketch.capacity()
+    }
+}
