@@ -9,6 +9,7 @@
 //!
 //! Pure but for writing the files: samples in, study out.
 
+pub mod accuracy;
 pub mod batches;
 pub mod calibration;
 pub mod compare;

@@ -36,6 +36,11 @@ pub fn fixed(value: f64, decimals: usize) -> String {
     text
 }
 
+/// So many of something: `1 iteration`, `2,000 iterations`.
+pub fn counted(count: u64, what: &str) -> String {
+    format!("{} {what}{}", fixed(count as f64, 0), if count == 1 { "" } else { "s" })
+}
+
 /// A number with three significant digits.
 pub fn significant(value: f64) -> String {
     fixed(value, decimals(value, 3))

@@ -4,7 +4,7 @@ use peernet_statistics::Moments;
 
 use crate::number::{fixed, milliseconds, significant};
 use crate::order::Ordered;
-use crate::results::{Outcome, Row};
+use crate::results::{Outcome, RowRef, Rows};
 use crate::table::Table;
 
 /// What a sensor says of its dropped samples stands in a column that ends with this.
@@ -57,9 +57,9 @@ struct Taken {
 
 impl SensorStudy {
     /// What these rows show, in whatever order; `None` with fewer than two samples that follow each other.
-    pub fn of(rows: &[Row]) -> Option<Self> {
-        let measured: Vec<&Row> = rows.iter().filter(|row| !row.warm_up).collect();
-        let mut taken: Vec<Taken> = measured.iter().filter_map(|row| taken(row)).collect();
+    pub fn of(rows: &Rows) -> Option<Self> {
+        let measured = || rows.iter().filter(|row| !row.warm_up());
+        let mut taken: Vec<Taken> = measured().filter_map(taken).collect();
         taken.sort_unstable_by_key(|taken| taken.iteration);
         let follow = |pair: &&[Taken]| pair[1].iteration == pair[0].iteration + 1;
         let length = |pair: &[Taken]| pair[1].at - pair[0].at;
@@ -69,11 +69,11 @@ impl SensorStudy {
         periods.values().iter().for_each(|period| moments.record(*period));
         let jitter: Ordered = periods.values().iter().map(|period| (period - median).abs()).collect();
         let gap = taken.windows(2).max_by(|a, b| length(a).total_cmp(&length(b)))?;
-        let sensing: Ordered = measured.iter().filter_map(|row| row.value("sensing")).collect();
+        let sensing: Ordered = measured().filter_map(|row| row.value("sensing")).collect();
         let enough = |least, p| jitter.quantile(p).filter(|_| jitter.len() >= least);
         Some(Self {
             samples: taken.len() as u64,
-            failed: measured.iter().filter(|row| row.outcome != Outcome::Ok).count() as u64,
+            failed: measured().filter(|row| row.outcome() != Outcome::Ok).count() as u64,
             rate: 1.0 / moments.mean,
             period: moments.mean,
             period_std: moments.std(),
@@ -84,7 +84,7 @@ impl SensorStudy {
             longest_gap: length(gap),
             longest_gap_at: gap[1].iteration,
             sensing: sensing.median()?,
-            dropped: dropped(&measured),
+            dropped: dropped(rows),
         })
     }
 
@@ -164,21 +164,24 @@ impl SensorStudy {
     }
 }
 
-fn taken(row: &Row) -> Option<Taken> {
-    let at = row.value("at").filter(|_| row.outcome == Outcome::Ok)?;
+fn taken(row: RowRef<'_>) -> Option<Taken> {
+    let at = row.value("at").filter(|_| row.outcome() == Outcome::Ok)?;
     // Behind its plan an iteration begins late; without a plan never.
     let at = at + row.value("lateness").unwrap_or(0.0) + row.value("sensing")?;
-    Some(Taken { iteration: row.iteration, at })
+    Some(Taken { iteration: row.iteration(), at })
 }
 
-fn dropped(rows: &[&Row]) -> Option<u64> {
-    let told = rows.iter().flat_map(|row| &row.values).filter(|(column, _)| column.ends_with(DROPPED));
-    told.map(|(_, value)| *value).reduce(|sum, value| sum + value).map(|sum| sum.max(0.0).round() as u64)
+fn dropped(rows: &Rows) -> Option<u64> {
+    let columns = rows.names().iter().filter(|column| column.ends_with(DROPPED));
+    let measured = || rows.iter().filter(|row| !row.warm_up());
+    let told = columns.flat_map(|column| measured().filter_map(move |row| row.value(column)));
+    told.reduce(|sum, value| sum + value).map(|sum| sum.max(0.0).round() as u64)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::results::Row;
 
     /// A sample each 20 ms, every fourth one 8 ms late, ready 5 ms after it was asked for.
     fn rows(count: u64) -> Vec<Row> {
@@ -200,13 +203,17 @@ mod tests {
         (1..=count).map(row).collect()
     }
 
+    fn study(rows: Vec<Row>) -> Option<SensorStudy> {
+        SensorStudy::of(&rows.into_iter().collect())
+    }
+
     fn close(a: f64, b: f64) -> bool {
         (a - b).abs() < 1e-6
     }
 
     #[test]
     fn rate_period_and_jitter() {
-        let study = SensorStudy::of(&rows(403)).expect("samples");
+        let study = study(rows(403)).expect("samples");
         assert_eq!((study.samples, study.failed, study.dropped), (400, 0, None));
         assert!(close(study.median, 0.02) && (study.rate - 50.0).abs() < 0.1, "{study:?}");
         assert!(close(study.jitter_median, 0.004) || close(study.jitter_median, 0.0), "{study:?}");
@@ -220,7 +227,7 @@ mod tests {
     fn a_failed_sample_is_a_gap_and_no_period() {
         let mut rows = rows(20);
         rows[9].outcome = Outcome::Failed;
-        let study = SensorStudy::of(&rows).expect("samples");
+        let study = study(rows).expect("samples");
         assert_eq!((study.failed, study.samples, study.longest_gap_at), (1, 16, 11));
         assert!(close(study.longest_gap, 0.04));
         assert!(study.jitter_p95.is_none(), "too few");
@@ -233,14 +240,14 @@ mod tests {
             let dropped = if row.iteration.is_multiple_of(10) { 3.0 } else { 0.0 };
             row.values.push(("sensing_capture_dropped-samples".into(), dropped));
         }
-        let study = SensorStudy::of(&rows).expect("samples");
+        let study = study(rows).expect("samples");
         assert_eq!(study.dropped, Some(30));
         assert!(study.sentences().iter().any(|said| said.contains("30 samples")), "{:?}", study.sentences());
     }
 
     #[test]
     fn fewer_than_two_samples_show_nothing() {
-        assert_eq!(SensorStudy::of(&rows(4)), None);
-        assert_eq!(SensorStudy::of(&[]), None);
+        assert_eq!(study(rows(4)), None);
+        assert_eq!(study(Vec::new()), None);
     }
 }

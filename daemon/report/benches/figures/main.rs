@@ -34,6 +34,8 @@ fn main() {
     timed("bars of 7 × 500", &of, &|folder| drawn(Kind::Stacked, &teleoperation, folder));
     let payload = [rows::payload()];
     timed("payload of 7 × 200", &folder, &|folder| drawn(Kind::Payload, &payload, folder));
+    let users = rows::users();
+    timed("users, 62 × 200", &folder, &|folder| drawn(Kind::Users, &users, folder));
     let long = [rows::remote("efficientnet_v2_s", "zmq-tcp", 100_000)];
     let of = folder.join("long");
     timed("6 histograms, 100,000", &of, &|folder| {

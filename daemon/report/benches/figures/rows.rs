@@ -1,7 +1,9 @@
 //! Results that look like those of robots: late messages, two clusters of answers, a slow start, losses.
 
 use peernet_logger::stream::ExperimentPlace;
-use peernet_report::results::{Column, HostRecord, Loaded, ModelRecord, Outcome, Placement, Row, RunRecord};
+use peernet_report::results::{
+    Column, HostRecord, Loaded, ModelRecord, Outcome, Placement, Row, Rows, RunRecord,
+};
 
 /// The same numbers every time: SplitMix64.
 pub(crate) struct Dice(u64);
@@ -41,7 +43,7 @@ fn row(number: u64, at: f64, values: Vec<(Column, f64)>) -> Row {
     }
 }
 
-fn loaded(title: &str, rows: Vec<Row>) -> Loaded {
+fn loaded(title: &str, rows: Rows) -> Loaded {
     let record = RunRecord { title: title.to_owned(), name: title.to_owned(), ..RunRecord::default() };
     Loaded { folder: title.replace([' ', ','], "-").into(), record, rows }
 }
@@ -95,7 +97,7 @@ pub(crate) fn remote(model: &str, network: &str, count: u64) -> Loaded {
         }
         all.push(row);
     }
-    let mut run = loaded(&format!("{model} over {network}"), all);
+    let mut run = loaded(&format!("{model} over {network}"), all.into_iter().collect());
     place(&mut run, model, "remote", "cuda:0", Some(network));
     run
 }
@@ -196,4 +198,36 @@ pub(crate) fn payload() -> Loaded {
     let mut run = loaded("payload study", rows.collect());
     place(&mut run, "echo", "remote", "cpu", Some("zmq-tcp"));
     run
+}
+
+/// One model of 40 ms and another of 12 ms with one worker each, asked by up to sixteen edges at once.
+pub(crate) fn users() -> Vec<Loaded> {
+    let mut dice = Dice(11);
+    let mut runs = Vec::new();
+    for (model, service) in [("efficientnet_v2_s", 12e-3), ("efficientnet_v2_l", 40e-3)] {
+        for edges in [1_u32, 2, 4, 8, 16] {
+            for edge in 0..edges {
+                // The first to come are served a little better.
+                let lucky = 1.0 - 0.2 * f64::from(edges - 1 - edge) / f64::from(edges);
+                let mean = 4e-3 + service * f64::from(edges) * lucky;
+                let mut at = 0.0;
+                let rows = (1..=200).map(|number| {
+                    let stages = [("sensing", 1e-3), ("upload", 2e-3), ("queue", dice.late(mean, 0.12))];
+                    let stages = [&stages[..], &[("inference", service), ("download", 4e-4)]].concat();
+                    let values = values(&stages);
+                    at += stages.iter().map(|(_, value)| value).sum::<f64>();
+                    row(number, at, values)
+                });
+                let mut run = loaded(&format!("{model} {edges} {edge}"), rows.collect());
+                place(&mut run, model, "remote", "cuda:6", Some("zmq-tcp"));
+                run.record.edge.name = format!("robot-{edge}");
+                let pair = |axis: &str, label: String| (axis.to_owned(), label);
+                let configuration = vec![pair("model", model.to_owned()), pair("edges", edges.to_string())];
+                let (name, id) = ("users".to_owned(), "1".to_owned());
+                run.record.experiment = Some(ExperimentPlace { name, id, configuration, repeat: 0 });
+                runs.push(run);
+            }
+        }
+    }
+    runs
 }

@@ -255,11 +255,8 @@ fn all_files_are_written_and_say_their_units() {
         ]
     );
     for (name, texts) in [
-        ("latency.svg", ["One-way delay, ms", "Size on the wire, bytes", "1 kB", "clock bounds", "upload:"]),
-        (
-            "throughput.svg",
-            ["Throughput, MB/s", "Size on the wire, bytes", "1 MB", "clock bounds", "download:"],
-        ),
+        ("latency.svg", ["One-way delay, ms", "Size on the wire", "1 kB", "clock bounds", "upload:"]),
+        ("throughput.svg", ["Throughput, MB/s", "Size on the wire", "1 MB", "clock bounds", "download:"]),
     ] {
         let svg = std::fs::read_to_string(folder.path().join(name)).expect("written");
         for text in texts {

@@ -11,6 +11,9 @@ use crate::order::Ordered;
 const RESAMPLES: usize = 2000;
 /// Fewest values of a run that an interval is given of.
 const ENOUGH: usize = 30;
+/// Most pieces of a run: of a longer one, neighbours stay together from the start. So many tell the width of an interval to
+/// 2 %, as its ends are known of so many resamples, and a draw takes the same time however long the run was.
+const PIECES: usize = 2000;
 
 /// What is compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -38,149 +41,129 @@ impl Difference {
     }
 }
 
-/// The difference of a statistic between two groups of runs, each run's values in the order in which they were measured.
+/// Values of runs that are taken together, each run's in the order in which they were measured.
+pub struct Sample {
+    runs: Vec<Vec<f64>>,
+    sorted: Ordered,
+}
+
+impl Sample {
+    /// Of the values of each run.
+    pub fn new(runs: Vec<Vec<f64>>) -> Self {
+        let sorted = runs.iter().flatten().copied().collect();
+        Self { runs, sorted }
+    }
+
+    /// The mean of all values; `None` without any.
+    pub fn mean(&self) -> Option<f64> {
+        let values = self.sorted.values();
+        (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+    }
+
+    /// The median of all values; `None` without any.
+    pub fn median(&self) -> Option<f64> {
+        self.sorted.median()
+    }
+
+    fn is_enough(&self) -> bool {
+        self.runs.iter().all(|run| run.is_empty() || run.len() >= ENOUGH)
+    }
+}
+
+/// The difference of a statistic between two samples.
 ///
 /// Percentiles of the stationary bootstrap (Politis and Romano, JASA 89, 1994): every run is put together anew from
 /// blocks of itself, of random length, as long on average as [`blocks::length`] says. The mean depends on the values
-/// themselves and the median, to first order, only on which side of it they lie; so the blocks of the median are as long
-/// as *that* series asks for. The percentile method is taken because it holds for medians, and because the
-/// acceleration of BCa is computed by leaving out single values, which do not stand alone here.
-pub fn difference(a: &[Vec<f64>], b: &[Vec<f64>], statistic: Statistic, seed: u64) -> Option<Difference> {
+/// themselves and the median, to first order, only on which side of it they lie (Bahadur, *A note on quantiles in large
+/// samples*, Annals of Mathematical Statistics 37, 1966); so the blocks of the median are as long as *that* series asks
+/// for, and the median of a resample is the quantile that is as far from the middle as the resample has more values on
+/// one side. Either way a resample is a sum, which the sums of a run's first values give without a look at the values.
+/// The percentile method is taken because it holds for medians, and because the acceleration of BCa is computed by
+/// leaving out single values, which do not stand alone here.
+pub fn difference(a: &Sample, b: &Sample, statistic: Statistic, seed: u64) -> Option<Difference> {
     resampled(a, b, statistic, seed, RESAMPLES)
 }
 
 fn resampled(
-    a: &[Vec<f64>],
-    b: &[Vec<f64>],
+    a: &Sample,
+    b: &Sample,
     statistic: Statistic,
     seed: u64,
     resamples: usize,
 ) -> Option<Difference> {
     let (first, second) = (Group::new(a, statistic)?, Group::new(b, statistic)?);
     let value = second.value - first.value;
-    let enough = a.iter().chain(b).all(|run| run.is_empty() || run.len() >= ENOUGH);
-    let interval = enough.then(|| {
+    let interval = (a.is_enough() && b.is_enough()).then(|| {
         let mut random = StdRng::seed_from_u64(seed);
-        let mut draws = (first.resampler(), second.resampler());
-        let drawn = (0..resamples).map(|_| draws.1.draw(&mut random) - draws.0.draw(&mut random));
+        let drawn = (0..resamples).map(|_| second.draw(&mut random) - first.draw(&mut random));
         let drawn: Ordered = drawn.collect();
         Some((drawn.quantile(0.025)?, drawn.quantile(0.975)?))
     });
     Some(Difference { value, interval: interval.flatten() })
 }
 
-/// Runs that are taken together.
-struct Group {
+/// A sample in a form that is quickly drawn from.
+struct Group<'a> {
     statistic: Statistic,
-    runs: Vec<Run>,
-    /// All values, smallest first.
-    sorted: Ordered,
+    sorted: &'a Ordered,
     value: f64,
+    runs: Vec<Run>,
 }
 
-/// One run's values in a form that is quickly drawn from.
+/// How far the values of a run lie from what is usual in the group.
 struct Run {
-    /// Sums of the first values: none, one, two, …
+    /// Sums of the first pieces: none, one, two, …
     sums: Vec<f64>,
-    /// Each value's place among all of the group.
-    ranks: Vec<u32>,
+    /// Mean length of a block, in pieces.
     block: f64,
 }
 
-impl Group {
-    fn new(runs: &[Vec<f64>], statistic: Statistic) -> Option<Self> {
-        let sorted: Ordered = runs.iter().flatten().copied().collect();
-        let median = sorted.median()?;
-        let value = match statistic {
-            Statistic::Mean => sorted.values().iter().sum::<f64>() / sorted.len() as f64,
-            Statistic::Median => median,
+impl<'a> Group<'a> {
+    fn new(sample: &'a Sample, statistic: Statistic) -> Option<Self> {
+        let Sample { runs, sorted } = sample;
+        let (mean, median) = (sample.mean()?, sample.median()?);
+        let above = sorted.len() - sorted.values().partition_point(|value| *value <= median);
+        let (value, usual) = match statistic {
+            Statistic::Mean => (mean, mean),
+            Statistic::Median => (median, above as f64 / sorted.len() as f64),
+        };
+        let far = |of: &f64| match statistic {
+            Statistic::Mean => of - usual,
+            Statistic::Median => f64::from(u8::from(*of > median)) - usual,
         };
         let run = |values: &Vec<f64>| {
-            let block = match statistic {
-                Statistic::Mean => blocks::length(values),
-                Statistic::Median => {
-                    let sides: Vec<f64> =
-                        values.iter().map(|value| f64::from(u8::from(*value > median))).collect();
-                    blocks::length(&sides)
-                }
-            };
+            let pieces = values.chunks(values.len().div_ceil(PIECES));
+            let pieces: Vec<f64> = pieces.map(|piece| piece.iter().map(far).sum()).collect();
             let mut sums = vec![0.0];
-            sums.extend(values.iter().scan(0.0, |sum, value| {
-                *sum += value - median;
+            sums.extend(pieces.iter().scan(0.0, |sum, piece| {
+                *sum += piece;
                 Some(*sum)
             }));
-            let rank = |value: &f64| sorted.values().partition_point(|other| other < value) as u32;
-            Run { sums, ranks: values.iter().map(rank).collect(), block }
+            Run { sums, block: blocks::length(&pieces) }
         };
         let runs = runs.iter().filter(|values| !values.is_empty()).map(run).collect();
-        Some(Self { statistic, runs, value, sorted })
+        Some(Self { statistic, sorted, value, runs })
     }
 
-    fn resampler(&self) -> Resampler<'_> {
-        let places = match self.statistic {
-            Statistic::Mean => 0,
-            Statistic::Median => self.sorted.len(),
-        };
-        Resampler { group: self, drawn: vec![0; places] }
-    }
-}
-
-/// Draws the statistic of a group that is put together anew.
-struct Resampler<'a> {
-    group: &'a Group,
-    /// How often each rank was drawn.
-    drawn: Vec<u32>,
-}
-
-impl Resampler<'_> {
-    fn draw(&mut self, random: &mut StdRng) -> f64 {
-        match self.group.statistic {
-            Statistic::Mean => self.mean(random),
-            Statistic::Median => self.median(random),
-        }
-    }
-
-    /// Sums are of distances from the median, so that they do not lose digits.
-    fn mean(&self, random: &mut StdRng) -> f64 {
+    /// The statistic of a group that is put together anew.
+    fn draw(&self, random: &mut StdRng) -> f64 {
         let mut sum = 0.0;
-        for run in &self.group.runs {
+        for run in &self.runs {
             run.blocks(random, |from, to| sum += run.sums[to] - run.sums[from]);
         }
-        let median = self.group.sorted.median().unwrap_or_default();
-        median + sum / self.group.sorted.len() as f64
-    }
-
-    fn median(&mut self, random: &mut StdRng) -> f64 {
-        self.drawn.fill(0);
-        for run in &self.group.runs {
-            run.blocks(random, |from, to| {
-                for rank in &run.ranks[from..to] {
-                    self.drawn[*rank as usize] += 1;
-                }
-            });
+        let far = sum / self.sorted.len() as f64;
+        match self.statistic {
+            Statistic::Mean => self.value + far,
+            Statistic::Median => self.sorted.quantile(0.5 + far).unwrap_or(self.value),
         }
-        let count = self.group.sorted.len();
-        // Both middle ones; the same one where the count is odd.
-        let (below, above) = ((count - 1) / 2, count / 2);
-        let (mut seen, mut lower) = (0_usize, None);
-        for (rank, times) in self.drawn.iter().enumerate() {
-            seen += *times as usize;
-            if lower.is_none() && seen > below {
-                lower = Some(self.group.sorted.values()[rank]);
-            }
-            if let (Some(lower), true) = (lower, seen > above) {
-                return (lower + self.group.sorted.values()[rank]) / 2.0;
-            }
-        }
-        self.group.value
     }
 }
 
 impl Run {
-    /// Blocks from anywhere, as many values in all as the run has. The run is a circle: after its last value comes its
+    /// Blocks from anywhere, as many pieces in all as the run has. The run is a circle: after its last piece comes its
     /// first.
     fn blocks(&self, random: &mut StdRng, mut take: impl FnMut(usize, usize)) {
-        let count = self.ranks.len();
+        let count = self.sums.len() - 1;
         let ends = -1.0 / self.block;
         let mut missing = count;
         while missing > 0 {
@@ -218,11 +201,16 @@ mod tests {
         (0..count).map(next).collect()
     }
 
-    /// How many of 100 intervals contain the true difference of 0.5, in percent.
-    fn coverage(keeps: f64, statistic: Statistic) -> usize {
+    fn sample<const N: usize>(runs: [Vec<f64>; N]) -> Sample {
+        Sample::new(runs.into())
+    }
+
+    /// How many of 100 intervals of runs of so many values contain the true difference of 0.5, in percent.
+    fn coverage(count: usize, keeps: f64, statistic: Statistic) -> usize {
         let contains = |seed: u64| {
-            let (a, b) = (run(keeps, 300, 10.0, 2 * seed), run(keeps, 300, 10.5, 2 * seed + 1));
-            let difference = resampled(&[a], &[b], statistic, seed, 300).expect("values");
+            let [a, b] = [(10.0, 2 * seed), (10.5, 2 * seed + 1)]
+                .map(|(mean, seed)| sample([run(keeps, count, mean, seed)]));
+            let difference = resampled(&a, &b, statistic, seed, 300).expect("values");
             let (lo, hi) = difference.interval.expect("enough");
             lo <= 0.5 && 0.5 <= hi
         };
@@ -232,15 +220,46 @@ mod tests {
     #[test]
     fn intervals_contain_the_truth_as_often_as_they_say() {
         for statistic in [Statistic::Mean, Statistic::Median] {
-            let (independent, dependent) = (coverage(0.0, statistic), coverage(0.6, statistic));
+            let (independent, dependent) = (coverage(300, 0.0, statistic), coverage(300, 0.6, statistic));
             assert!(independent >= 90, "{statistic:?}: {independent} % of independent values");
             assert!(dependent >= 88, "{statistic:?}: {dependent} % of dependent values");
+            let in_pieces = coverage(2 * PIECES + 1, 0.6, statistic);
+            assert!(in_pieces >= 88, "{statistic:?}: {in_pieces} % of values in pieces");
+        }
+    }
+
+    /// Of independent values: 1.96 standard errors, 1 / √n of a mean and 1 / (2 f √n) of a median; the density f of the sum
+    /// of three uniform values is 3 / 8 in the middle.
+    #[test]
+    fn a_long_run_has_the_interval_of_the_textbook() {
+        let [a, b] = [(0.0, 1), (0.5, 2)].map(|(mean, seed)| sample([run(0.0, 50_000, mean, seed)]));
+        let error = (2.0_f64 / 50_000.0).sqrt();
+        for (statistic, wider) in [(Statistic::Mean, 1.0), (Statistic::Median, 4.0 / 3.0)] {
+            let found = difference(&a, &b, statistic, 3).expect("values");
+            let (lo, hi) = found.interval.expect("enough");
+            let expected = 1.96 * error * wider;
+            assert!(
+                ((hi - lo) / 2.0 / expected - 1.0).abs() < 0.1,
+                "{statistic:?}: {lo} {hi}, not ±{expected}"
+            );
+            assert!((lo + hi - 2.0 * found.value).abs() < 0.3 * expected, "{statistic:?}: {lo} {hi}");
         }
     }
 
     #[test]
+    fn the_median_of_values_that_come_often_stays_among_them() {
+        // Every fifth is one more, every fifth one less; the rest is the median itself.
+        let often = |add: f64| {
+            (0..400).map(|n: i32| add + f64::from((n % 5).min(2) - 1).max(-1.0)).collect::<Vec<_>>()
+        };
+        let found =
+            difference(&sample([often(0.0)]), &sample([often(3.0)]), Statistic::Median, 1).expect("values");
+        assert_eq!((found.value, found.interval), (3.0, Some((3.0, 3.0))));
+    }
+
+    #[test]
     fn the_same_seed_gives_the_same_interval() {
-        let (a, b) = ([run(0.3, 100, 1.0, 1)], [run(0.3, 120, 1.2, 2)]);
+        let (a, b) = (sample([run(0.3, 100, 1.0, 1)]), sample([run(0.3, 120, 1.2, 2)]));
         let of = |seed| difference(&a, &b, Statistic::Median, seed);
         assert_eq!(of(7), of(7));
         assert_ne!(of(7), of(8));
@@ -249,17 +268,20 @@ mod tests {
     #[test]
     fn resampled_medians_are_the_usual_ones() {
         // With one value many times, and with an even count, whatever is drawn.
-        let same = difference(&[vec![2.0; 40]], &[vec![3.5; 31]], Statistic::Median, 1).expect("values");
+        let same = difference(&sample([vec![2.0; 40]]), &sample([vec![3.5; 31]]), Statistic::Median, 1)
+            .expect("values");
         assert_eq!((same.value, same.interval), (1.5, Some((1.5, 1.5))));
         assert_eq!(same.is_distinct(), Some(true));
-        let mean = difference(&[vec![2.0; 40]], &[vec![3.5; 31]], Statistic::Mean, 1).expect("values");
+        let mean = difference(&sample([vec![2.0; 40]]), &sample([vec![3.5; 31]]), Statistic::Mean, 1)
+            .expect("values");
         assert_eq!((mean.value, mean.interval), (1.5, Some((1.5, 1.5))));
     }
 
     #[test]
     fn too_few_values_have_a_difference_and_no_interval() {
-        let few = difference(&[vec![1.0; 29]], &[vec![2.0; 300]], Statistic::Mean, 1).expect("values");
+        let few = difference(&sample([vec![1.0; 29]]), &sample([vec![2.0; 300]]), Statistic::Mean, 1)
+            .expect("values");
         assert_eq!((few.value, few.interval, few.is_distinct()), (1.0, None, None));
-        assert_eq!(difference(&[Vec::new()], &[vec![1.0]], Statistic::Mean, 1), None);
+        assert_eq!(difference(&sample([Vec::new()]), &sample([vec![1.0]]), Statistic::Mean, 1), None);
     }
 }

@@ -1,15 +1,16 @@
 //! Two runs, stage by stage.
 
+use std::num::NonZero;
 use std::panic::resume_unwind;
+use std::thread::available_parallelism;
 
 use serde::Serialize;
 
-use super::{Comparison, Difference, Statistic, difference, values};
-use crate::order::Ordered;
-use crate::results::{Loaded, Row};
+use super::{Comparison, Difference, Sample, Statistic, difference, values};
+use crate::results::{Loaded, RowRef};
 
 /// What two lines of a comparison may both have.
-const STAGES: [&str; 15] = [
+pub(super) const STAGES: [&str; 15] = [
     "sensing",
     "encode",
     "send-queue",
@@ -82,13 +83,16 @@ impl Differences {
 
     fn between(baseline: (String, &[&Loaded]), other: (String, &[&Loaded]), seed: u64) -> Self {
         let (a, b) = (baseline.1, other.1);
-        // Thousands of resamples of every stage: side by side.
+        // Side by side, but not all at once: each holds the values of a stage.
+        let share = STAGES.len().div_ceil(available_parallelism().map_or(1, NonZero::get));
+        let of = |stages: &[&str]| {
+            let found = stages.iter().filter_map(|stage| StageDifference::of(stage, a, b, seed));
+            found.collect::<Vec<_>>()
+        };
         let stages = std::thread::scope(|scope| {
-            let of = |stage: &&'static str| {
-                let stage = *stage;
-                scope.spawn(move || StageDifference::of(stage, a, b, seed))
-            };
-            let threads: Vec<_> = STAGES.iter().map(of).collect();
+            let of = &of;
+            let threads: Vec<_> =
+                STAGES.chunks(share).map(|stages| scope.spawn(move || of(stages))).collect();
             let done =
                 threads.into_iter().map(|thread| thread.join().unwrap_or_else(|panic| resume_unwind(panic)));
             done.flatten().collect()
@@ -99,15 +103,12 @@ impl Differences {
 
 impl StageDifference {
     fn of(stage: &str, baseline: &[&Loaded], other: &[&Loaded], seed: u64) -> Option<Self> {
-        let of = |runs: &[&Loaded]| runs.iter().map(|run| values(&run.rows, stage)).collect::<Vec<_>>();
+        let of = |runs: &[&Loaded]| Sample::new(runs.iter().map(|run| values(&run.rows, stage)).collect());
         let (a, b) = (of(baseline), of(other));
-        let pooled = |runs: &[Vec<f64>]| runs.iter().flatten().copied().collect::<Ordered>();
-        let (all_a, all_b) = (pooled(&a), pooled(&b));
-        let mean = |values: &Ordered| values.values().iter().sum::<f64>() / values.len() as f64;
         Some(Self {
             stage: stage.to_owned(),
-            medians: (all_a.median()?, all_b.median()?),
-            means: (mean(&all_a), mean(&all_b)),
+            medians: (a.median()?, b.median()?),
+            means: (a.mean()?, b.mean()?),
             mean: difference(&a, &b, Statistic::Mean, seed)?,
             median: difference(&a, &b, Statistic::Median, seed)?,
             clocks: half_width(baseline, stage).zip(half_width(other, stage)).map(|(a, b)| a + b),
@@ -118,8 +119,9 @@ impl StageDifference {
 /// Half the mean width of a delay's bounds.
 fn half_width(runs: &[&Loaded], stage: &str) -> Option<f64> {
     ["upload", "download"].contains(&stage).then_some(())?;
-    let width = |row: &Row| Some(row.value(&format!("{stage}-hi"))? - row.value(&format!("{stage}-lo"))?);
+    let width =
+        |row: RowRef<'_>| Some(row.value(&format!("{stage}-hi"))? - row.value(&format!("{stage}-lo"))?);
     let rows = runs.iter().flat_map(|run| &run.rows).filter(|row| row.counts());
-    let widths: Vec<f64> = rows.filter_map(width).collect();
-    (!widths.is_empty()).then(|| widths.iter().sum::<f64>() / widths.len() as f64 / 2.0)
+    let (sum, count) = rows.filter_map(width).fold((0.0, 0_u64), |(sum, n), width| (sum + width, n + 1));
+    (count > 0).then(|| sum / count as f64 / 2.0)
 }

@@ -3,8 +3,8 @@
 use peernet_clock::Verdict;
 
 use super::{LATENCIES, Line, NEARLY_ALL};
-use crate::Passage;
-use crate::results::{Loaded, Row};
+use crate::number::counted;
+use crate::results::{Loaded, RowRef};
 
 /// The damage of folders and the numbers that are missing without a reason, in sentences.
 pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
@@ -30,24 +30,24 @@ fn missing(runs: &[Loaded], line: &Line) -> Vec<String> {
         let known = (*latency)?.count as f64 / line.count as f64;
         // Of many delays that are not known another sentence tells.
         (known >= NEARLY_ALL || !["upload", "download"].contains(&name)).then_some(())?;
-        let lacking = rows().filter(|row| is_missing(row, name)).count();
-        let iterations = format!("{lacking} of {} iterations", line.count);
+        let lacking = rows().filter(|row| is_missing(*row, name)).count();
+        let iterations = format!("{lacking} of {}", counted(line.count, "iteration"));
         (lacking > 0).then(|| format!("{name} of {} {iterations}", line.name()))
     };
     LATENCIES.into_iter().zip(&line.latencies).filter_map(told).collect()
 }
 
 /// Whether the number is not there although nothing says why.
-fn is_missing(row: &Row, name: &str) -> bool {
-    let unknown = |way: &Option<Passage>| {
-        let verdict = way.as_ref().map(|way| way.delay.verdict);
+fn is_missing(row: RowRef<'_>, name: &str) -> bool {
+    let [up, down] = row.verdicts();
+    let unknown = |verdict: Option<Verdict>| {
         verdict.is_some_and(|verdict| !matches!(verdict, Verdict::Ok | Verdict::Limited))
     };
     match (row.value(name), name) {
         (Some(value), _) => !value.is_finite(),
-        (None, "upload") => !unknown(&row.upload),
-        (None, "download") => !unknown(&row.download),
-        (None, "stages-total") => !unknown(&row.upload) && !unknown(&row.download),
+        (None, "upload") => !unknown(up),
+        (None, "download") => !unknown(down),
+        (None, "stages-total") => !unknown(up) && !unknown(down),
         (None, _) => true,
     }
 }

@@ -5,7 +5,6 @@
 //!                          blocks ── bootstrap ─────┴─ Differences (two lines of it)
 //! ```
 
-mod accuracy;
 mod blocks;
 mod bootstrap;
 mod columns;
@@ -14,13 +13,13 @@ mod differences;
 mod doubts;
 mod render;
 
-pub use accuracy::{ACCURACIES, Accuracy};
-pub use bootstrap::{Difference, Statistic, difference};
+pub use bootstrap::{Difference, Sample, Statistic, difference};
 pub use differences::{Differences, StageDifference};
 
 use peernet_statistics::Moments;
 
-use crate::results::{Loaded, Row};
+use crate::accuracy::{ACCURACIES, Accuracy};
+use crate::results::{Loaded, Rows};
 pub(crate) use configuration::Configurations;
 
 /// The columns of the paper's table that hold latencies; the last two are the sum of all stages, which the paper calls
@@ -83,8 +82,8 @@ pub struct Line {
     pub latencies: [Option<Latency>; LATENCIES.len()],
     /// How often it was right, in the order of [`ACCURACIES`]; `None` where nobody knew the right answers.
     pub accuracies: [Option<Accuracy>; ACCURACIES.len()],
-    /// The values of what the best is found by of every result, in order, and which of the repeats it is of.
-    deciding: Vec<(usize, Vec<f64>)>,
+    /// What the best is found by, of each repeat.
+    deciding: Vec<Moments>,
 }
 
 /// A latency of a configuration, seconds.
@@ -111,9 +110,8 @@ impl Comparison {
             configurations.add_repeats(runs);
         }
         let Configurations { axes, labels } = configurations;
-        let measured = runs.iter().flat_map(|run| &run.rows).filter(|row| row.counts());
-        let by =
-            if measured.clone().all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
+        let mut measured = runs.iter().flat_map(|run| &run.rows).filter(|row| row.counts());
+        let by = if measured.all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
         let mut lines: Vec<Line> = Vec::new();
         for (number, labels) in labels.into_iter().enumerate() {
             match lines.iter_mut().find(|line| line.labels == labels) {
@@ -124,17 +122,19 @@ impl Comparison {
         lines.iter_mut().for_each(|line| line.fill(runs, by));
         let (ties, untested, doubts) = (Vec::new(), Vec::new(), doubts::sentences(runs, &lines));
         let mut this = Self { axes, lines, best: None, ties, untested, by, rest, doubts };
-        this.mark(seed);
+        this.mark(runs, seed);
         this
     }
 
-    fn mark(&mut self, seed: u64) {
+    fn mark(&mut self, runs: &[Loaded], seed: u64) {
         let means =
             self.lines.iter().enumerate().filter_map(|(at, line)| Some((at, line.latency(self.by)?.mean)));
         let best = means.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(at, _)| at);
         let Some(best) = best.filter(|_| self.lines.len() > 1) else { return };
-        let values =
-            |at: usize| self.lines[at].deciding.iter().map(|(_, values)| values.clone()).collect::<Vec<_>>();
+        let values = |at: usize| {
+            let of_line = self.lines[at].runs.iter().map(|run| values(&runs[*run].rows, self.by));
+            Sample::new(of_line.collect())
+        };
         let of_best = values(best);
         for at in (0..self.lines.len()).filter(|at| *at != best) {
             let Some(difference) = difference(&of_best, &values(at), Statistic::Mean, seed) else { continue };
@@ -164,35 +164,33 @@ impl Line {
     }
 
     fn fill(&mut self, runs: &[Loaded], by: &str) {
-        let mut moments = [Moments::default(); LATENCIES.len()];
-        let mut repeats: Vec<Option<u32>> = Vec::new();
+        // Which repeat each is of, and how many edges each has.
+        let mut repeats: Vec<(Option<u32>, usize)> = Vec::new();
         for Loaded { record, rows, .. } in self.runs.iter().map(|run| &runs[*run]) {
-            for row in rows.iter().filter(|row| row.counts()) {
-                self.count += 1;
-                for (moments, name) in moments.iter_mut().zip(LATENCIES) {
-                    row.value(name)
-                        .filter(|value| value.is_finite())
-                        .into_iter()
-                        .for_each(|v| moments.record(v));
-                }
-            }
-            self.unanswered += rows.iter().filter(|row| !row.warm_up && !row.counts()).count() as u64;
+            self.count += rows.iter().filter(|row| row.counts()).count() as u64;
+            self.unanswered += rows.iter().filter(|row| !row.warm_up() && !row.counts()).count() as u64;
             let repeat = record.experiment.as_ref().map(|place| place.repeat);
-            let known = repeats.iter().position(|other| *other == repeat);
-            let repeat = known.unwrap_or_else(|| {
-                repeats.push(repeat);
+            let known = repeats.iter().position(|(other, _)| *other == repeat);
+            let at = known.unwrap_or_else(|| {
+                repeats.push((repeat, 0));
+                self.deciding.push(Moments::default());
                 repeats.len() - 1
             });
-            self.deciding.push((repeat, values(rows, by)));
+            repeats[at].1 += 1;
+            values(rows, by).iter().for_each(|value| self.deciding[at].record(*value));
         }
         self.repeats = repeats.len();
-        let of_repeat = |repeat: usize| self.deciding.iter().filter(|(other, _)| *other == repeat).count();
-        self.edges = (0..self.repeats).map(of_repeat).max().unwrap_or(1);
-        self.accuracies =
-            ACCURACIES.map(|column| Accuracy::of(self.runs.iter().map(|run| &runs[*run]), column));
-        let latency =
-            |moments: Moments| Latency { mean: moments.mean, std: moments.std(), count: moments.count };
-        self.latencies = moments.map(|moments| (moments.count > 0).then(|| latency(moments)));
+        self.edges = repeats.iter().map(|(_, edges)| *edges).max().unwrap_or(1);
+        let of_line = || self.runs.iter().map(|run| &runs[*run]);
+        let rows = || of_line().flat_map(|run| &run.rows);
+        self.accuracies = ACCURACIES.map(|column| Accuracy::of(rows(), column));
+        self.latencies = LATENCIES.map(|name| {
+            let mut moments = Moments::default();
+            let numbers = of_line().flat_map(|run| run.rows.counted(name));
+            numbers.filter(|number| number.is_finite()).for_each(|number| moments.record(number));
+            let Moments { mean, count, .. } = moments;
+            (count > 0).then(|| Latency { mean, std: moments.std(), count })
+        });
     }
 
     /// An accuracy by its name in [`ACCURACIES`].
@@ -206,10 +204,17 @@ impl Line {
     }
 }
 
-/// A column's numbers in the rows that count, in order.
-fn values(rows: &[Row], column: &str) -> Vec<f64> {
-    let counted = rows.iter().filter(|row| row.counts());
-    counted.filter_map(|row| row.value(column)).filter(|value| value.is_finite()).collect()
+/// A column's finite numbers in the rows that count, in order.
+fn values(rows: &Rows, column: &str) -> Vec<f64> {
+    rows.counted(column).filter(|value| value.is_finite()).collect()
+}
+
+/// Whether a comparison asks for a column: what [`ResultFolder::open_columns`](crate::results::ResultFolder::open_columns)
+/// is to read.
+pub fn is_compared(column: &str) -> bool {
+    let bounds = ["upload-lo", "upload-hi", "download-lo", "download-hi"];
+    let all = differences::STAGES.iter().chain(&LATENCIES).chain(&ACCURACIES).chain(&bounds);
+    all.into_iter().any(|name| *name == column)
 }
 
 #[cfg(test)]

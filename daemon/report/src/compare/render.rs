@@ -1,10 +1,8 @@
 //! Comparisons as tables.
 
 use super::configuration::NOTHING;
-use super::{
-    ACCURACIES, Accuracy, Comparison, Difference, Differences, LATENCIES, Latency, Line, NEARLY_ALL,
-    StageDifference,
-};
+use super::{Comparison, Difference, Differences, LATENCIES, Latency, Line, NEARLY_ALL, StageDifference};
+use crate::accuracy::{ACCURACIES, Accuracy};
 use crate::number::{bound_milliseconds, decimals_within, fixed, milliseconds_between};
 use crate::table::{Table, csv_text, in_one_line};
 
@@ -34,8 +32,11 @@ impl Comparison {
         header.extend(["runs", "count", "unanswered", "best", "tie"].map(str::to_owned));
         header.extend(LATENCIES.iter().flat_map(|name| [format!("{name}-mean"), format!("{name}-std")]));
         header.push("edges".to_owned());
-        header
-            .extend(ACCURACIES.iter().flat_map(|name| ["", "-lo", "-hi"].map(|end| format!("{name}{end}"))));
+        header.extend(
+            ACCURACIES
+                .iter()
+                .flat_map(|name| ["", "-lo", "-hi", "-unscored"].map(|end| format!("{name}{end}"))),
+        );
         let row = |(at, line): (usize, &Line)| {
             let flag = |is: bool| u8::from(is).to_string();
             let number = |number: Option<f64>| number.map(|number| number.to_string()).unwrap_or_default();
@@ -50,8 +51,10 @@ impl Comparison {
             }));
             cells.push(line.edges.to_string());
             cells.extend(line.accuracies.iter().flat_map(|accuracy| {
-                let three = accuracy.map(|Accuracy { share, interval, .. }| [share, interval.0, interval.1]);
-                three.map_or([None; 3], |three| three.map(Some)).map(number)
+                let figures = accuracy.map(|Accuracy { share, interval, unscored, .. }| {
+                    [share, interval.0, interval.1, unscored as f64]
+                });
+                figures.map_or([None; 4], |figures| figures.map(Some)).map(number)
             }));
             cells
         };
@@ -74,7 +77,6 @@ impl Comparison {
             .collect();
         header.extend(right.iter().map(|at| ACCURACY_HEADINGS[*at].to_owned()));
         let decimals: Vec<usize> = (0..LATENCIES.len()).map(|at| self.decimals(at)).collect();
-        let count = |count: u64| fixed(count as f64, 0);
         let row = |line: &Line| {
             let mut cells = line.labels.clone();
             cells.extend(pooled.then(|| count(line.repeats as u64)));
@@ -108,6 +110,13 @@ impl Comparison {
             let text = "Top-1 and Top-5: right answers in %, with the 95 % confidence interval of as many independent samples \
                         (Wilson).";
             notes.push(text.to_owned());
+        }
+        let unscored: Vec<String> = self.lines.iter().flat_map(Line::unscored).collect();
+        if !unscored.is_empty() {
+            notes.push(format!(
+                "Without a valid score, and left out of the accuracy: {} iterations.",
+                unscored.join("; ")
+            ));
         }
         notes.extend(self.verdict());
         notes.extend(self.rest.iter().cloned());
@@ -144,7 +153,8 @@ impl Comparison {
         if !self.ties.is_empty() {
             told.push(format!("with 95 % confidence it cannot be told from {}", names(&self.ties)));
         } else if tested == others {
-            told.push("every other differs from it with 95 % confidence".to_owned());
+            let all = if others == 1 { "the other" } else { "every other" };
+            told.push(format!("{all} differs from it with 95 % confidence"));
         }
         if !self.untested.is_empty() {
             told.push(format!(
@@ -168,15 +178,20 @@ impl Line {
     /// The smallest and the largest mean of its repeats.
     fn spread(&self) -> Option<String> {
         (self.repeats > 1).then_some(())?;
-        let values = |repeat: usize| {
-            let of = self.deciding.iter().filter(move |(other, _)| *other == repeat);
-            of.flat_map(|(_, values)| values.iter().copied()).collect::<Vec<f64>>()
-        };
-        let repeats = (0..self.repeats).map(values).filter(|values| !values.is_empty());
-        let means: Vec<f64> =
-            repeats.map(|values| values.iter().sum::<f64>() / values.len() as f64).collect();
+        let means = self.deciding.iter().filter(|moments| moments.count > 0).map(|moments| moments.mean);
+        let means: Vec<f64> = means.collect();
         let ends = (means.iter().copied().reduce(f64::min)?, means.iter().copied().reduce(f64::max)?);
         Some(format!("{} {}", self.name(), milliseconds_between(ends)))
+    }
+
+    /// Where not every iteration was judged right or wrong, although some were.
+    fn unscored(&self) -> Vec<String> {
+        let part = |(name, accuracy): (&str, &Option<Accuracy>)| {
+            let left_out = (*accuracy)?.unscored;
+            let told = || format!("{name} of {} {} of {}", self.name(), count(left_out), count(self.count));
+            (left_out > 0).then(told)
+        };
+        ACCURACIES.into_iter().zip(&self.accuracies).filter_map(part).collect()
     }
 
     fn unknown(&self) -> Vec<String> {
@@ -186,6 +201,10 @@ impl Line {
         };
         ["upload", "download"].into_iter().filter_map(part).collect()
     }
+}
+
+fn count(count: u64) -> String {
+    fixed(count as f64, 0)
 }
 
 fn cell(latency: Option<Latency>, decimals: usize) -> String {

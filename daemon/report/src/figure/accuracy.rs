@@ -9,7 +9,7 @@ use super::histogram::nothing;
 use super::kit::{
     Axis, Drawn, Figure, Frame, Header, INK, Mark, Paper, SIZE, SMALL, Unit, shorten, style, text, width,
 };
-use crate::order::Z95;
+use crate::accuracy;
 
 /// Half the width of a whisker's cap, pixels.
 const CAP: i32 = 9;
@@ -41,15 +41,11 @@ pub struct Score {
 }
 
 impl Score {
-    /// Share of right answers with its 95 % score interval (Wilson, *Journal of the American Statistical Association* 22,
-    /// 1927): low, share, high, from 0 to 1. `None` without an answer.
-    pub fn accuracy(&self) -> Option<[f64; 3]> {
-        let n = self.count as f64;
-        (self.count > 0).then_some(())?;
-        let (p, z2) = (self.right as f64 / n, Z95 * Z95);
-        let middle = (p + z2 / (2.0 * n)) / (1.0 + z2 / n);
-        let half = Z95 / (1.0 + z2 / n) * (p * (1.0 - p) / n + z2 / (4.0 * n * n)).sqrt();
-        Some([(middle - half).clamp(0.0, p), p, (middle + half).clamp(p, 1.0)])
+    /// Share of right answers with its 95 % interval: low, share, high, from 0 to 1. `None` without an answer.
+    fn accuracy(&self) -> Option<[f64; 3]> {
+        let accuracy::Accuracy { share, interval: (low, high), .. } =
+            accuracy::Accuracy::of_counts(self.right, self.count, 0)?;
+        Some([low, share, high])
     }
 }
 
@@ -91,7 +87,9 @@ impl Accuracy {
             .shown()
             .map(|(score, _)| (score.median * self.unit.per_si, late(score) * self.unit.per_si))
             .reduce(join)?;
-        let shares = ((low - ROOM).max(0.0), (high + ROOM).min(100.0));
+        // So little beyond 100 that it is not marked: points at the end are whole.
+        let edge = (high - low).max(1.0) * 0.04;
+        let shares = ((low - ROOM).max(-edge), (high + ROOM).min(100.0 + edge));
         let y = Frame::below(header, SIZE.1 as i32, |pixels| Axis::linear(shares, pixels));
         let pixels = Frame::beside(&y, SIZE.0 as i32);
         let x = if slow > fast * WIDE {
@@ -138,10 +136,11 @@ impl Spot<'_> {
         [[x - 16, y - 16, self.p95.unwrap_or(x).max(x + 16), y + 16], [x - CAP, top, x + CAP, bottom]]
     }
 
-    /// Where its label may stand, the best first: beside the point and its whisker, farther and farther up and down.
+    /// Where its label may stand, the best first: beside the point, farther and farther up and down, then at the end of its
+    /// whisker.
     fn places(&self, wide: i32) -> impl Iterator<Item = Area> {
         let ((x, y), right) = (self.at, self.p95.unwrap_or(self.at.0).max(self.at.0 + 16));
-        let beside = [right + GAP, x - GAP - wide, x + GAP, x - wide / 2];
+        let beside = [x - GAP - wide, x + GAP, x - wide / 2, right + GAP];
         let aside = [0, -1, 1, -2, 2, -3, 3, -4, 4].map(|step| step * (HALF + 8));
         aside
             .into_iter()

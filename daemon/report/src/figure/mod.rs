@@ -10,6 +10,7 @@ mod kit;
 mod lengths;
 mod paired;
 mod scaling;
+mod sharing;
 mod stacked;
 mod stage;
 
@@ -20,6 +21,7 @@ pub use kit::{DOWNLOAD, Drawn, Figure, FigureError, Fill, Hatch, INK, Mark, Pape
 pub use lengths::Lengths;
 pub use paired::{Group, MOST_GROUPS, MOST_SIDES, Paired};
 pub use scaling::{Parts, Scaling, Series, Value};
+pub use sharing::{MOST_CURVES, Sharing, SharingCurve, SharingPoint};
 pub use stacked::{Bar, Stacked};
 pub use stage::{UNATTRIBUTED, stage_fill};
 

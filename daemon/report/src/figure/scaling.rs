@@ -1,6 +1,6 @@
 //! How something grows with size: logarithmic axes, a point per size with what is known of it, a line per series.
 
-use plotters::element::{DashedPathElement, PathElement, Rectangle};
+use plotters::element::{PathElement, Rectangle};
 use plotters::prelude::DrawingBackend;
 use plotters::style::{Color, RGBColor, ShapeStyle};
 
@@ -164,13 +164,7 @@ impl Scaling {
                 let points = inside.map(|(bytes, value)| (x.at(bytes) + aside, y.at(value)));
                 points.filter(|(at, _)| (left..=right).contains(at)).collect()
             };
-            match series.mark {
-                Mark::Disc => paper.draw(&PathElement::new(line, colour.stroke_width(5)))?,
-                // Two lines that lie on each other are both seen.
-                _ => {
-                    paper.draw(&DashedPathElement::new(line, 22, 16, colour.stroke_width(5)))?;
-                }
-            }
+            series.mark.draw_line(paper, line, colour)?;
         }
         for value in series.values.iter().filter(|value| value.value > 0.0) {
             let at = x.at(value.bytes) + aside;
@@ -198,7 +192,7 @@ impl Scaling {
 
 impl Figure for Scaling {
     fn draw<DB: DrawingBackend>(&self, paper: &Paper<DB>) -> Drawn<DB> {
-        let key = |series: &Series| Key::new(Swatch::Mark(series.colour, series.mark), series.name.clone());
+        let key = |series: &Series| Key::new(Swatch::Curve(series.colour, series.mark), series.name.clone());
         let header = Header {
             title: self.title.clone(),
             keys: self.series.iter().map(key).collect(),
@@ -206,7 +200,7 @@ impl Figure for Scaling {
         };
         let Some(frame) = self.frame(header.draw(paper)?) else { return Ok(()) };
         frame.draw_y(paper, (&self.unit.title, 0))?;
-        frame.draw_x(paper, "Size on the wire, bytes", |tick| bytes(tick.value))?;
+        frame.draw_x(paper, "Size on the wire", |tick| bytes(tick.value))?;
         let middle = self.series.len() as i32 - 1;
         for (index, series) in self.series.iter().enumerate() {
             self.draw_series(paper, &frame, (series, APART * (2 * index as i32 - middle)))?;

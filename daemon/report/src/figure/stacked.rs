@@ -21,6 +21,8 @@ const CLOSE: i32 = 64;
 const MANY: usize = 16;
 /// Most bars that stand upright: their labels stand below.
 const MOST_UPRIGHT: usize = 6;
+/// Height of the words above an upright bar, pixels.
+const WORDS: i32 = SMALL + 20;
 /// Half the width of an error bar's cap.
 const CAP: i32 = 12;
 
@@ -163,8 +165,13 @@ impl Stacked {
     fn draw_upright<DB: DrawingBackend>(&self, paper: &Paper<DB>, top: i32) -> Drawn<DB> {
         let extra = (self.lines() - 1) * TEXT;
         let (wide, high) = paper.dim_in_pixel();
-        let values =
-            Frame::below(top, high as i32 - extra + 40, |pixels| Axis::from_zero(self.range(), pixels));
+        let (low, above) = self.range();
+        // The words above the tallest bar are below the axis' title.
+        let values = Frame::below(top, high as i32 - extra + 40, |(bottom, top)| {
+            let plot = f64::from(bottom - top).max(f64::from(2 * WORDS));
+            let room = (above - low) * f64::from(WORDS) / (plot - f64::from(WORDS));
+            Axis::from_zero((low, above + room), (bottom, top))
+        });
         let pixels = Frame::beside(&values, wide as i32);
         let frame = Frame { x: Axis::linear((0.0, 1.0), pixels), y: values };
         frame.draw_y(paper, (&self.unit.title, 0))?;

@@ -2,20 +2,21 @@
 
 use super::configured::{Configured, counted};
 use super::written::{Drawing, Shown};
+use crate::accuracy::{ACCURACIES, score};
 use crate::figure::{Accuracy, Score, Unit};
 use crate::number::fixed;
 use crate::order::Ordered;
-use crate::results::{Loaded, Row};
+use crate::results::{Loaded, RowRef};
 
-/// 1 where the best class is the label, else 0.
-const TOP_1: &str = "top-1";
+/// Whether the best class is the label.
+const TOP_1: &str = ACCURACIES[0];
 /// Most points that can be labelled.
 const MOST: usize = 24;
 
 /// One point for each configuration of which answers were told right from wrong; repeats are taken together.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
     let Configured { axes, groups } = Configured::of(runs);
-    let judged = |row: &&Row| row.value(TOP_1).is_some_and(f64::is_finite);
+    let judged = |row: &RowRef<'_>| score(*row, TOP_1).is_some();
     let all = || groups.iter().flat_map(|(_, runs)| counted(runs)).filter(judged);
     if all().next().is_none() {
         return Err(format!(
@@ -23,18 +24,18 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
         ));
     }
     let total = if all().all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
-    let score = |(label, runs): &(String, Vec<&Loaded>)| {
-        let rows: Vec<&Row> = counted(runs).filter(judged).collect();
+    let scored = |(label, runs): &(String, Vec<&Loaded>)| {
+        let rows: Vec<RowRef<'_>> = counted(runs).filter(judged).collect();
         let times: Ordered = rows.iter().filter_map(|row| row.value(total)).collect();
         Some(Score {
             label: label.clone(),
-            right: rows.iter().filter(|row| row.value(TOP_1) == Some(1.0)).count() as u64,
+            right: rows.iter().filter(|row| score(**row, TOP_1) == Some(true)).count() as u64,
             count: rows.len() as u64,
             median: times.median()?,
             p95: times.tails().map(|(_, p95)| p95),
         })
     };
-    let mut scores: Vec<Score> = groups.iter().filter_map(score).collect();
+    let mut scores: Vec<Score> = groups.iter().filter_map(scored).collect();
     let (configurations, without) = (scores.len(), groups.len() - scores.len());
     scores.truncate(MOST);
     let late = if scores.iter().any(|score| score.p95.is_some()) {
@@ -55,6 +56,15 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
     }
     if without > 0 {
         notes.push(format!("left out: {without} without labelled samples"));
+    }
+    // Of those with labelled samples.
+    let unscored = |(_, runs): &(String, Vec<&Loaded>)| {
+        let valid = counted(runs).filter(judged).count();
+        if valid > 0 { counted(runs).count() - valid } else { 0 }
+    };
+    let unscored: usize = groups.iter().map(unscored).sum();
+    if unscored > 0 {
+        notes.push(format!("left out: {} iterations without a valid score", fixed(unscored as f64, 0)));
     }
     let what = if total == "total" { "Total" } else { "Sum of stages" };
     let accuracy = Accuracy {

@@ -3,22 +3,28 @@
 use crate::figure::Unit;
 use crate::number::fixed;
 use crate::order::Ordered;
-use crate::results::{Row, Scale};
+use crate::results::{RowRef, Rows, Scale, Units};
 
 /// A column's finite numbers in the rows that count.
-pub(super) fn values(rows: &[Row], column: &str) -> Ordered {
-    let counted = rows.iter().filter(|row| row.counts());
-    counted.filter_map(|row| row.value(column)).filter(|value| value.is_finite()).collect()
+pub(super) fn values(rows: &Rows, column: &str) -> Ordered {
+    rows.counted(column).filter(|value| value.is_finite()).collect()
 }
 
-/// How a column's numbers are shown: a time is in ms, and so on. Of what a run logged itself the unit is not known.
-pub(super) fn unit(column: &str, what: &str) -> Unit {
-    let plain = |title: String, symbol| Unit { title, symbol, per_si: 1.0 };
-    match Scale::of(column) {
+/// How a column's numbers are shown: a time is in ms, and so on; what a run logged itself in the unit that it gave.
+pub(super) fn unit(units: &Units, column: &str, what: &str) -> Unit {
+    let plain = |title: String, symbol: String| Unit { title, symbol: symbol.into(), per_si: 1.0 };
+    if ["iteration", "episode", "step"].contains(&column) {
+        return plain(what.to_owned(), String::new());
+    }
+    let logged = units.of(column);
+    match Scale::of(column, logged) {
         Scale::Milliseconds => Unit::milliseconds(what),
         Scale::MegabytesPerSecond => Unit::megabytes_per_second(what),
-        Scale::Bytes => plain(format!("{}, bytes", what.trim_end_matches(" bytes")), "B"),
-        Scale::AsMeasured => plain(format!("{what}, as logged"), ""),
+        Scale::Bytes => plain(format!("{}, bytes", what.trim_end_matches(" bytes")), "B".to_owned()),
+        Scale::AsMeasured => match logged {
+            Some(unit) => plain(format!("{what}, {unit}"), unit.to_owned()),
+            None => plain(format!("{what}, as logged"), String::new()),
+        },
     }
 }
 
@@ -31,12 +37,12 @@ pub(super) fn heading(column: &str) -> String {
 
 /// What stands in the rows, what is shown of it and what is left out: `n = 10,000 · left out: 5 warm-up, 3 without an
 /// answer`.
-pub(super) fn account<'a>(rows: &(impl Iterator<Item = &'a Row> + Clone), shown: usize) -> String {
-    let count = |of: &dyn Fn(&Row) -> bool| rows.clone().filter(|row| of(row)).count();
-    let counted = count(&Row::counts);
+pub(super) fn account<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone), shown: usize) -> String {
+    let count = |of: &dyn Fn(&RowRef<'_>) -> bool| rows.clone().filter(|row| of(row)).count();
+    let counted = count(&|row| row.counts());
     let left = [
-        (count(&|row| row.warm_up), "warm-up"),
-        (count(&|row| !row.warm_up && !row.counts()), "without an answer"),
+        (count(&|row| row.warm_up()), "warm-up"),
+        (count(&|row| !row.warm_up() && !row.counts()), "without an answer"),
         (counted.saturating_sub(shown), "without a value"),
     ];
     let number = |count: usize| fixed(count as f64, 0);

@@ -1,7 +1,7 @@
 //! Runs by configuration.
 
 use crate::compare::Configurations;
-use crate::results::{Loaded, Row};
+use crate::results::{Loaded, RowRef};
 
 /// Runs of one configuration, its repeats, are taken together.
 pub(super) struct Configured<'a> {
@@ -27,6 +27,6 @@ impl<'a> Configured<'a> {
 }
 
 /// Their rows that count.
-pub(super) fn counted<'a>(runs: &[&'a Loaded]) -> impl Iterator<Item = &'a Row> {
-    runs.iter().flat_map(|run| &run.rows).filter(|row| row.counts()).collect::<Vec<_>>().into_iter()
+pub(super) fn counted<'a>(runs: &[&'a Loaded]) -> impl Iterator<Item = RowRef<'a>> {
+    runs.iter().flat_map(|run| &run.rows).filter(|row| row.counts())
 }

@@ -5,7 +5,7 @@ use super::written::{Drawing, Shown};
 use crate::figure::{Fill, Hatch, Histogram, stage_fill};
 use crate::number::{megabytes_per_second_between, milliseconds_between};
 use crate::order::Ordered;
-use crate::results::{Loaded, Row, RunRecord, Scale};
+use crate::results::{Loaded, Rows, RunRecord, Scale};
 
 /// The published histograms: name of the file, column, what it is.
 pub const HISTOGRAMS: [(&str, &str, &str); 6] = [
@@ -18,7 +18,7 @@ pub const HISTOGRAMS: [(&str, &str, &str); 6] = [
 ];
 
 /// Those of a run that it can have.
-pub(super) fn published(record: &RunRecord, rows: &[Row]) -> Vec<Drawing> {
+pub(super) fn published(record: &RunRecord, rows: &Rows) -> Vec<Drawing> {
     let remote = !matches!(record.placement.kind.as_str(), "local" | "none");
     let drawings = HISTOGRAMS.iter().filter_map(|(stem, column, what)| {
         let histogram = histogram(record, rows, column, what);
@@ -42,7 +42,7 @@ pub(super) fn drawings(run: &Loaded, column: Option<&str>) -> Result<Vec<Drawing
     Ok(vec![Drawing::new(format!("{column}-histogram"), Shown::Histogram(histogram))])
 }
 
-fn histogram(record: &RunRecord, rows: &[Row], column: &str, what: &str) -> Histogram {
+fn histogram(record: &RunRecord, rows: &Rows, column: &str, what: &str) -> Histogram {
     let values = values(rows, column);
     let mut notes = vec![account(&rows.iter(), values.len())];
     notes.extend(clocks(rows, column));
@@ -50,7 +50,7 @@ fn histogram(record: &RunRecord, rows: &[Row], column: &str, what: &str) -> Hist
     let fill = stage_fill(column.trim_end_matches("-throughput"));
     Histogram {
         title: titled(what, &record.title),
-        unit: unit(column, what),
+        unit: unit(&record.units, column, what),
         fill: Fill::dark(fill.colour, Hatch::Plain),
         values,
         notes,
@@ -59,7 +59,7 @@ fn histogram(record: &RunRecord, rows: &[Row], column: &str, what: &str) -> Hist
 
 /// Where the true median lies, as far as the hosts' clocks are known: between the medians of the lower and the upper
 /// bounds. `None` where the column has no bounds, or both ends read one clock.
-fn clocks(rows: &[Row], column: &str) -> Option<String> {
+fn clocks(rows: &Rows, column: &str) -> Option<String> {
     let end = |end: &str| -> Option<f64> {
         let name = format!("{column}-{end}");
         let counted = rows.iter().filter(|row| row.counts() && row.value(column).is_some());
@@ -69,7 +69,7 @@ fn clocks(rows: &[Row], column: &str) -> Option<String> {
         return None;
     }
     let (lo, hi) = (end("lo")?, end("hi")?);
-    let between = match Scale::of(column) {
+    let between = match Scale::of(column, None) {
         Scale::MegabytesPerSecond => {
             format!("{} MB/s", megabytes_per_second_between((lo, Some(hi).filter(|hi| hi.is_finite()))))
         }

@@ -4,7 +4,7 @@ use super::Columns;
 use super::columns::{account, heading, titled, unit};
 use super::written::{Drawing, Shown};
 use crate::figure::Lengths;
-use crate::results::{Loaded, Row};
+use crate::results::{Loaded, RowRef, Rows};
 
 /// Columns that hold the length of an answer, the best first. Those of a run's own end with `tokens`.
 const ANSWER: &str = "download-bytes";
@@ -17,7 +17,7 @@ pub(super) fn drawings(run: &Loaded, columns: &Columns) -> Result<Vec<Drawing>, 
     let x = columns.x.clone().unwrap_or_else(|| length(&run.rows));
     let y = columns.y.clone().unwrap_or_else(|| "inference".to_owned());
     let counted = run.rows.iter().filter(|row| row.counts());
-    let point = |row: &Row| Some((row.value(&x)?, row.value(&y)?));
+    let point = |row: RowRef<'_>| Some((row.value(&x)?, row.value(&y)?));
     let points: Vec<(f64, f64)> =
         counted.filter_map(point).filter(|(x, y)| x.is_finite() && y.is_finite()).collect();
     if points.is_empty() {
@@ -36,17 +36,16 @@ pub(super) fn drawings(run: &Loaded, columns: &Columns) -> Result<Vec<Drawing>, 
     }
     let lengths = Lengths {
         title: titled(&format!("{} against {}", heading(&y), x.replace(['-', '_'], " ")), &run.record.title),
-        x: unit(&x, &heading(&x)),
-        y: unit(&y, &heading(&y)),
+        x: unit(&run.record.units, &x, &heading(&x)),
+        y: unit(&run.record.units, &y, &heading(&y)),
         notes: vec![account(&run.rows.iter(), points.len())],
         points,
     };
     Ok(vec![Drawing::new("length", Shown::Lengths(lengths))])
 }
 
-fn length(rows: &[Row]) -> String {
-    let names =
-        || rows.iter().filter(|row| row.counts()).flat_map(|row| row.values.iter().map(|(name, _)| name));
-    let tokens = names().find(|name| name.ends_with(TOKENS));
+fn length(rows: &Rows) -> String {
+    let is_there = |name: &str| rows.counted(name).next().is_some();
+    let tokens = rows.names().iter().find(|name| name.ends_with(TOKENS) && is_there(name));
     tokens.map_or(ANSWER, |name| name.as_ref()).to_owned()
 }

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! Loaded ─┬─ histograms, length, series      of each run
-//!         └─ stacked, accuracy, paired, payload   of all together
+//!         └─ stacked, accuracy, paired, payload, users   of all together
 //! ```
 //!
 //! What figures look like is the business of [`crate::figure`].
@@ -16,6 +16,7 @@ mod paired;
 mod payload;
 mod series;
 mod stacked;
+mod users;
 mod written;
 
 pub use histograms::HISTOGRAMS;
@@ -23,7 +24,7 @@ pub use histograms::HISTOGRAMS;
 use std::path::{Path, PathBuf};
 
 use crate::WriteError;
-use crate::results::{Loaded, Row, RunRecord};
+use crate::results::{Loaded, Rows, RunRecord};
 use written::Drawing;
 
 /// The figures there are.
@@ -43,11 +44,13 @@ pub enum Kind {
     Paired,
     /// Latency and throughput against payload.
     Payload,
+    /// Latency against the number of edges on one cloud.
+    Users,
 }
 
 impl Kind {
     /// Every kind: those of single runs first.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Histograms,
         Self::Series,
         Self::Length,
@@ -55,6 +58,7 @@ impl Kind {
         Self::Accuracy,
         Self::Paired,
         Self::Payload,
+        Self::Users,
     ];
 
     /// As on the command line.
@@ -67,6 +71,7 @@ impl Kind {
             Self::Accuracy => "accuracy",
             Self::Paired => "paired",
             Self::Payload => "payload",
+            Self::Users => "users",
         }
     }
 
@@ -80,6 +85,7 @@ impl Kind {
         match self {
             Self::Stacked | Self::Accuracy => configured::Configured::of(runs).groups.len() > 1,
             Self::Paired => runs.len() > 1,
+            Self::Users => users::have_curves(runs),
             Self::Histograms | Self::Series | Self::Length | Self::Payload => !runs.is_empty(),
         }
     }
@@ -112,7 +118,7 @@ pub enum PlotError {
 ///
 /// # Errors
 /// When a file cannot be written.
-pub fn of_run(record: &RunRecord, rows: &[Row], folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
+pub fn of_run(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
     let mut drawings = histograms::published(record, rows);
     // Without a total there is no course of it.
     drawings.extend(series::drawings(record, rows).unwrap_or_default());
@@ -120,7 +126,7 @@ pub fn of_run(record: &RunRecord, rows: &[Row], folder: &Path) -> Result<Vec<Pat
 }
 
 /// Draws what several runs have together, as far as there is something to show: `stacked` and `accuracy` of several
-/// configurations, `paired`, `payload-latency` and `payload-throughput`.
+/// configurations, `paired`, `payload-latency` and `payload-throughput`, `users`.
 ///
 /// # Errors
 /// When a file cannot be written.
@@ -157,6 +163,7 @@ pub fn draw(
         Kind::Accuracy => accuracy::drawings(runs),
         Kind::Paired => paired::drawings(runs, columns.y.as_deref()),
         Kind::Payload => payload::drawings(runs),
+        Kind::Users => users::drawings(runs),
     };
     let drawings = drawings.map_err(|reason| PlotError::Lacking(kind, reason))?;
     Ok(written::write(&drawings, folder)?)

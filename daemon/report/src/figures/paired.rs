@@ -34,16 +34,31 @@ pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Draw
         name: name.clone(),
         values: sides.iter().map(|place| of(name, place)).collect(),
     };
-    let groups: Vec<Group> = models.iter().map(group).collect();
-    let rows = shown.iter().flat_map(|run| &run.rows);
+    let mut groups: Vec<Group> = models.iter().map(group).collect();
+    let is_paired = |group: &Group| group.values.iter().filter(|values| !values.is_empty()).count() > 1;
+    let mut notes = Vec::new();
+    // A model in one place shows nothing of places, unless no model ran in two.
+    if groups.iter().any(is_paired) {
+        let (paired, alone): (Vec<Group>, Vec<Group>) = groups.into_iter().partition(is_paired);
+        groups = paired;
+        if !alone.is_empty() {
+            let names: Vec<&str> = alone.iter().map(|group| group.name.as_str()).collect();
+            notes.push(format!("left out, in one place alone: {}", names.join(", ")));
+        }
+    }
+    let rows = shown
+        .iter()
+        .filter(|run| groups.iter().any(|group| group.name == model(&run.record)))
+        .flat_map(|run| &run.rows);
     let count = groups.iter().flat_map(|group| &group.values).map(Ordered::len).sum();
+    notes.insert(0, format!("{} · black: median, bar: middle half", account(&rows, count)));
     let what = heading(column);
     let paired = Paired {
         title: format!("{what} by model"),
-        unit: unit(column, &what),
+        unit: unit(&shown[0].record.units, column, &what),
         sides: names(&sides),
         groups,
-        notes: vec![format!("{} · black: median, bar: middle half", account(&rows, count))],
+        notes,
     };
     Ok(vec![Drawing::new("paired", Shown::Paired(paired))])
 }

@@ -9,7 +9,7 @@ use crate::figure::{DOWNLOAD, Mark, Parts, Scaling, Series, UPLOAD, Unit, Value}
 use crate::fit::{Fit, Point, Weighted, least_squares};
 use crate::number::{megabytes_per_second, milliseconds_with};
 use crate::order::Ordered;
-use crate::results::{Loaded, Row, RunRecord};
+use crate::results::{Loaded, RowRef, RunRecord};
 
 /// More sizes than this are taken together, so that each has enough messages.
 const MOST_SIZES: usize = 24;
@@ -51,7 +51,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
     }
     let ways = |runs_of: &[usize]| -> Vec<Way> {
         let rows = runs_of.iter().flat_map(|number| &runs[*number].rows).filter(|row| row.counts());
-        let rows: Vec<&Row> = rows.collect();
+        let rows: Vec<RowRef<'_>> = rows.collect();
         let ways = ["upload", "download"].map(|name| Way::of(name, &rows));
         ways.into_iter().filter(Way::is_varied).collect()
     };
@@ -115,22 +115,28 @@ impl Way {
         ends.is_some_and(|(smallest, largest)| largest.bytes >= 2.0 * smallest.bytes)
     }
 
-    fn of(name: &'static str, rows: &[&Row]) -> Self {
-        let bytes = |row: &Row| {
+    /// Its line, where larger messages take longer: other things than size decide where they do not, and the intercept of
+    /// such a line means nothing.
+    fn growing(&self) -> Option<Fit> {
+        self.fit.filter(|fit| fit.slope.value > 0.0)
+    }
+
+    fn of(name: &'static str, rows: &[RowRef<'_>]) -> Self {
+        let bytes = |row: &RowRef<'_>| {
             let part = |of: &str| row.value(&format!("{name}-{of}"));
             Some(part("bytes")? + part("logger-bytes").unwrap_or_default())
         };
-        let mut by_payload: BTreeMap<u64, Vec<&Row>> = BTreeMap::new();
+        let mut by_payload: BTreeMap<u64, Vec<RowRef<'_>>> = BTreeMap::new();
         for row in rows.iter().filter(|row| row.value(name).is_some_and(f64::is_finite)) {
             if let Some(payload) = row.value(&format!("{name}-bytes")).filter(|bytes| *bytes > 0.0) {
-                by_payload.entry(payload as u64).or_default().push(row);
+                by_payload.entry(payload as u64).or_default().push(*row);
             }
         }
         let sizes = together(by_payload.into_values().collect()).into_iter().filter_map(|rows| {
-            let of = |value: &dyn Fn(&Row) -> Option<f64>| {
-                rows.iter().filter_map(|row| value(row)).collect::<Ordered>()
+            let of = |value: &dyn Fn(&RowRef<'_>) -> Option<f64>| {
+                rows.iter().filter_map(value).collect::<Ordered>()
             };
-            let end = |end: &str| of(&|row: &Row| row.value(&format!("{name}-{end}"))).median();
+            let end = |end: &str| of(&|row: &RowRef<'_>| row.value(&format!("{name}-{end}"))).median();
             Some(Size {
                 bytes: of(&bytes).median()?,
                 delays: of(&|row| row.value(name)),
@@ -155,12 +161,12 @@ impl Way {
 }
 
 /// Neighbouring sizes as one where there are too many: files of a camera are all of different size.
-fn together(sizes: Vec<Vec<&Row>>) -> Vec<Vec<&Row>> {
+fn together(sizes: Vec<Vec<RowRef<'_>>>) -> Vec<Vec<RowRef<'_>>> {
     if sizes.len() <= MOST_SIZES {
         return sizes;
     }
-    let all: Vec<&Row> = sizes.into_iter().flatten().collect();
-    all.chunks(all.len().div_ceil(MOST_SIZES)).map(<[&Row]>::to_vec).collect()
+    let all: Vec<RowRef<'_>> = sizes.into_iter().flatten().collect();
+    all.chunks(all.len().div_ceil(MOST_SIZES)).map(<[RowRef<'_>]>::to_vec).collect()
 }
 
 /// A line through the medians, each weighted by how well it is known, as in a calibration.
@@ -188,16 +194,15 @@ fn latency(study: &Study) -> Scaling {
         })
     };
     let series = study.ways.iter().enumerate().map(|(number, way)| {
-        let name = way.fit.map_or_else(
-            || way.name.to_owned(),
-            |fit| {
-                let intercept = milliseconds_with(fit.intercept.value, fit.intercept.margin());
-                let rate = (fit.slope.value > 0.0)
-                    .then(|| format!(" + size ÷ {} MB/s", megabytes_per_second(8.0 / fit.slope.value)));
-                format!("{}: {intercept} ms{}", way.name, rate.unwrap_or_default())
-            },
-        );
-        let line = way.fit.map(|fit| (fit.intercept.value, fit.slope.value));
+        let name = match (way.fit, way.growing()) {
+            (_, Some(Fit { intercept, slope, .. })) => {
+                let least = milliseconds_with(intercept.value, intercept.margin());
+                format!("{}: {least} ms + size ÷ {} MB/s", way.name, megabytes_per_second(8.0 / slope.value))
+            }
+            (Some(_), None) => format!("{}: does not grow with size", way.name),
+            (None, None) => way.name.to_owned(),
+        };
+        let line = way.growing().map(|fit| (fit.intercept.value, fit.slope.value));
         Series { line, ..way.series(number, name, &value) }
     });
     Scaling {
@@ -221,7 +226,7 @@ fn throughput(study: &Study) -> Scaling {
         })
     };
     let series = study.ways.iter().enumerate().map(|(number, way)| {
-        let slope = way.fit.filter(|fit| fit.slope.value > 0.0).map(|fit| 8.0 / fit.slope.value);
+        let slope = way.growing().map(|fit| 8.0 / fit.slope.value);
         let name = slope.map_or_else(
             || way.name.to_owned(),
             |rate| format!("{}: {} MB/s", way.name, megabytes_per_second(rate)),

@@ -5,7 +5,7 @@ use peernet_logger::stage;
 use super::columns::{account, titled};
 use super::written::{Drawing, Shown};
 use crate::figure::{Course, INK, Line, Unit, stage_fill};
-use crate::results::{Outcome, Row, RunRecord};
+use crate::results::{Outcome, RowRef, Rows, RunRecord};
 
 /// So many stages are shown beside the total: those that take longest.
 const STAGES: usize = 4;
@@ -13,9 +13,9 @@ const STAGES: usize = 4;
 const ITERATION: &str = "Iteration";
 
 /// Total and stages over time.
-pub(super) fn drawings(record: &RunRecord, rows: &[Row]) -> Result<Vec<Drawing>, String> {
+pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, String> {
     let (x, time) = times(rows);
-    let answered = || rows.iter().filter(|row| row.outcome == Outcome::Ok);
+    let answered = || rows.iter().filter(|row| row.outcome() == Outcome::Ok);
     let line = |column: &str, colour| {
         let values = answered().filter_map(|row| Some((time(row), row.value(column)?)));
         Line {
@@ -26,7 +26,7 @@ pub(super) fn drawings(record: &RunRecord, rows: &[Row]) -> Result<Vec<Drawing>,
     };
     let total = ["total", "stages-total"].map(|column| line(column, INK));
     let total = total.into_iter().find(|line| !line.values.is_empty());
-    let unanswered: Vec<f64> = rows.iter().filter(|row| row.outcome != Outcome::Ok).map(&time).collect();
+    let unanswered: Vec<f64> = rows.iter().filter(|row| row.outcome() != Outcome::Ok).map(&time).collect();
     let Some(total) = total else {
         return Err("no iteration has a total: nothing was answered".to_owned());
     };
@@ -42,7 +42,7 @@ pub(super) fn drawings(record: &RunRecord, rows: &[Row]) -> Result<Vec<Drawing>,
     stages.sort_by(|a, b| b.0.total_cmp(&a.0));
     stages.truncate(STAGES);
     stages.sort_by_key(|(_, place, _)| *place);
-    let first = |pair: &[Row]| (pair[0].episode != pair[1].episode).then(|| time(&pair[1]));
+    let first = |(last, row): (RowRef<'_>, RowRef<'_>)| (last.episode() != row.episode()).then(|| time(row));
     let course = Course {
         title: titled("Latency over time", &record.title),
         is_counted: x == ITERATION,
@@ -52,14 +52,14 @@ pub(super) fn drawings(record: &RunRecord, rows: &[Row]) -> Result<Vec<Drawing>,
         total,
         stages: stages.into_iter().map(|(_, _, line)| line).collect(),
         warm_up: warm_up(rows, &time),
-        episodes: rows.windows(2).filter_map(first).collect(),
+        episodes: rows.iter().zip(rows.iter().skip(1)).filter_map(first).collect(),
         unanswered,
     };
     Ok(vec![Drawing::new("series", Shown::Course(course))])
 }
 
 /// Warm-up is in the picture.
-fn account_of(rows: &[Row], shown: usize) -> String {
+fn account_of(rows: &Rows, shown: usize) -> String {
     let counted = account(&rows.iter(), rows.iter().filter(|row| row.counts()).count());
     let counted = counted.split(" · ").next().unwrap_or_default().to_owned();
     let warm = shown.saturating_sub(rows.iter().filter(|row| row.counts()).count());
@@ -68,19 +68,19 @@ fn account_of(rows: &[Row], shown: usize) -> String {
 }
 
 /// The horizontal axis: seconds since the first iteration where that is known of all, else their numbers.
-fn times(rows: &[Row]) -> (&'static str, impl Fn(&Row) -> f64) {
+fn times(rows: &Rows) -> (&'static str, impl Fn(RowRef<'_>) -> f64) {
     let known = !rows.is_empty() && rows.iter().all(|row| row.value("at").is_some());
-    let begun = rows.iter().map(|row| row.at).fold(f64::INFINITY, f64::min);
+    let begun = rows.iter().map(|row| row.at()).fold(f64::INFINITY, f64::min);
     let title = if known { "Time since the start, s" } else { ITERATION };
-    (title, move |row: &Row| if known { row.at - begun } else { row.iteration as f64 })
+    (title, move |row: RowRef<'_>| if known { row.at() - begun } else { row.iteration() as f64 })
 }
 
 /// From when to when rows of warm-up follow upon one another.
-fn warm_up(rows: &[Row], time: &impl Fn(&Row) -> f64) -> Vec<(f64, f64)> {
+fn warm_up(rows: &Rows, time: &impl Fn(RowRef<'_>) -> f64) -> Vec<(f64, f64)> {
     let mut ranges = Vec::new();
     let mut begun: Option<f64> = None;
     for row in rows {
-        match (row.warm_up, begun) {
+        match (row.warm_up(), begun) {
             (true, None) => begun = Some(time(row)),
             (false, Some(from)) => {
                 ranges.push((from, time(row)));

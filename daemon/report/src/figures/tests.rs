@@ -4,7 +4,7 @@ use peernet_logger::stream::ExperimentPlace;
 
 use super::*;
 use crate::figure::{Hatch, UNATTRIBUTED};
-use crate::results::{ModelRecord, Outcome, Placement};
+use crate::results::{ModelRecord, Outcome, Placement, Row};
 use written::Shown;
 
 /// Rows 1 to `count`: five are warm-up, the seventh is lost; the values are those of `of`, in ms or bytes.
@@ -104,10 +104,12 @@ fn any_column_can_be_a_histogram() {
 #[test]
 fn stages_add_up_to_the_total() {
     let with_total = |mut run: Loaded| {
-        for row in run.rows.iter_mut().filter(|row| !row.values.is_empty()) {
-            let sum: f64 = row.values.iter().map(|(_, value)| value).sum();
-            row.values.extend([("total".into(), sum + 2e-3), (UNATTRIBUTED.into(), 2e-3)]);
-        }
+        run.rows.change(|row| {
+            if !row.values.is_empty() {
+                let sum: f64 = row.values.iter().map(|(_, value)| value).sum();
+                row.values.extend([("total".into(), sum + 2e-3), (UNATTRIBUTED.into(), 2e-3)]);
+            }
+        });
         run
     };
     let runs = [with_total(placed("s", "local", 20.0)), with_total(placed("s", "remote", 4.0))];
@@ -147,6 +149,15 @@ fn accuracy_stands_against_latency() {
         "{figure:?}"
     );
     assert_eq!(figure.notes[1], "left out: 1 without labelled samples");
+    assert_eq!(figure.notes.len(), 2, "{:?}", figure.notes);
+    let mut broken = labelled("s", 20.0);
+    broken.rows.change(|row| {
+        let scores = row.values.iter_mut().filter(|(name, _)| name == "top-1" && row.iteration > 90);
+        scores.for_each(|(_, score)| *score = f64::NAN);
+    });
+    let drawings = accuracy::drawings(&[broken, placed("l", "local", 9.0)]).expect("there are labels");
+    let Shown::Accuracy(figure) = &drawings[0].shown else { panic!("points") };
+    assert_eq!(figure.notes[2], "left out: 10 iterations without a valid score");
     assert!(accuracy::drawings(&[placed("l", "local", 9.0)]).is_err_and(|reason| reason.contains("top-1")));
 }
 
@@ -211,6 +222,64 @@ fn payloads_of_several_sizes_are_fitted() {
     assert_eq!(throughput.notes, ["messages of 2 runs, pooled, that differ in model"]);
 }
 
+/// An edge of a run with so many edges.
+fn shared(model: &str, edges: usize, edge: usize, total: f64) -> Loaded {
+    let mut run = run_with_total(total);
+    run.record.edge.name = format!("robot-{edge}");
+    let configuration = vec![("model".to_owned(), model.to_owned()), ("edges".to_owned(), edges.to_string())];
+    let place = ExperimentPlace { name: "e".to_owned(), id: "1".to_owned(), configuration, repeat: 0 };
+    run.record.experiment = Some(place);
+    run
+}
+
+#[test]
+fn edges_at_once_are_a_curve_for_each_model() {
+    let at_once = |model: &'static str, edges: usize, total: f64| {
+        (0..edges).map(move |edge| shared(model, edges, edge, total + edge as f64)).collect::<Vec<_>>()
+    };
+    let runs = [at_once("s", 2, 40.0), at_once("s", 1, 20.0), at_once("m", 1, 30.0), at_once("m", 3, 90.0)];
+    let drawings = users::drawings(&runs.concat()).expect("there are several edges");
+    assert_eq!(drawings.iter().map(|drawing| drawing.stem.as_str()).collect::<Vec<_>>(), ["users"]);
+    let Shown::Sharing(figure) = &drawings[0].shown else { panic!("curves") };
+    assert_eq!(figure.curves.iter().map(|curve| curve.name.as_str()).collect::<Vec<_>>(), ["s", "m"]);
+    let edges =
+        |curve: usize| figure.curves[curve].points.iter().map(|point| point.edges).collect::<Vec<_>>();
+    assert_eq!((edges(0), edges(1)), (vec![1, 2], vec![1, 3]));
+    let two = &figure.curves[0].points[1];
+    // Both asked equally often; the second waited a millisecond longer.
+    assert_eq!((two.fairness, two.each.len()), (Some(1.0), 2));
+    assert!((two.each[1] - two.each[0] - 1e-3).abs() < 1e-9 && two.p95.is_some(), "{two:?}");
+    assert!(two.each[0] < two.median && two.median < two.each[1], "{two:?}");
+    let folder = tempfile::tempdir().expect("a folder");
+    let files = of_experiment(&runs.concat(), folder.path()).expect("written");
+    assert!(names(&files).ends_with(&["users.png".to_owned(), "users.svg".to_owned()]), "{files:?}");
+    let alone = of_experiment(&runs[0], folder.path()).expect("written");
+    assert!(!names(&alone).contains(&"users.png".to_owned()), "one number of edges is no curve: {alone:?}");
+    assert!(users::drawings(&runs[1]).is_err_and(|reason| reason.contains("experiment.users")));
+}
+
+#[test]
+fn many_curves_are_several_pictures() {
+    let runs =
+        ["a", "b", "c", "d", "e"].map(|model| vec![shared(model, 2, 0, 20.0), shared(model, 2, 1, 20.0)]);
+    let drawings = users::drawings(&runs.concat()).expect("there are several edges");
+    assert_eq!(
+        drawings.iter().map(|drawing| drawing.stem.as_str()).collect::<Vec<_>>(),
+        ["users", "users-2"]
+    );
+}
+
+#[test]
+fn edges_that_never_met_are_told() {
+    let mut apart = [shared("s", 2, 0, 20.0), shared("s", 2, 1, 20.0)];
+    apart[1].rows.change(|row| row.at += 1e6);
+    assert!(users::drawings(&apart).is_err_and(|reason| reason.contains("while all edges")));
+    let met = [shared("m", 2, 0, 20.0), shared("m", 2, 1, 20.0)];
+    let drawings = users::drawings(&[apart, met].concat()).expect("some did");
+    let Shown::Sharing(figure) = &drawings[0].shown else { panic!("curves") };
+    assert_eq!(figure.notes[1], "left out: 1 without such a time");
+}
+
 #[test]
 fn lengths_are_tokens_where_there_are_some() {
     let talking =
@@ -235,8 +304,9 @@ fn lengths_are_tokens_where_there_are_some() {
 #[test]
 fn a_series_shows_what_happened_when() {
     let mut run = remote(60);
-    run.rows.iter_mut().filter(|row| !row.values.is_empty()).for_each(|row| {
-        row.values.push(("total".into(), 20e-3));
+    run.rows.change(|row| {
+        let total = (!row.values.is_empty()).then(|| ("total".into(), 20e-3));
+        row.values.extend(total);
     });
     let drawings = series::drawings(&run.record, &run.rows).expect("there is a total");
     let Shown::Course(course) = &drawings[0].shown else { panic!("a course") };
@@ -250,13 +320,13 @@ fn a_series_shows_what_happened_when() {
     assert!(near(course.warm_up[0].0, 0.0) && near(course.warm_up[0].1, 0.5));
     assert!(near(course.episodes[0], 1.9) && course.episodes.len() == 3);
     assert!(course.notes[0].starts_with("n = 54 and 5 warm-up"), "{:?}", course.notes);
-    run.rows.iter_mut().for_each(|row| row.at = 0.0);
+    run.rows.change(|row| row.at = 0.0);
     let Shown::Course(course) = &series::drawings(&run.record, &run.rows).expect("there is a total")[0].shown
     else {
         panic!("a course")
     };
     assert_eq!((course.x.as_str(), course.is_counted, course.unanswered[0]), ("Iteration", true, 7.0));
-    run.rows.iter_mut().for_each(|row| row.outcome = Outcome::Lost);
+    run.rows.change(|row| row.outcome = Outcome::Lost);
     assert!(series::drawings(&run.record, &run.rows).is_err());
 }
 

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::WriteError;
-use crate::figure::{Accuracy, Course, Figure, Histogram, Lengths, Paired, Scaling, Stacked};
+use crate::figure::{Accuracy, Course, Figure, Histogram, Lengths, Paired, Scaling, Sharing, Stacked};
 
 /// A figure and the name of its files.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,6 +22,7 @@ pub(super) enum Shown {
     Paired(Paired),
     Scaling(Scaling),
     Accuracy(Accuracy),
+    Sharing(Sharing),
 }
 
 impl Drawing {
@@ -38,6 +39,7 @@ impl Drawing {
             Shown::Paired(figure) => figure.write(folder, &self.stem),
             Shown::Scaling(figure) => figure.write(folder, &self.stem),
             Shown::Accuracy(figure) => figure.write(folder, &self.stem),
+            Shown::Sharing(figure) => figure.write(folder, &self.stem),
         }
     }
 }

@@ -5,7 +5,7 @@ use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
 use super::columns::{FIXED, Holds};
-use super::{Column, Row};
+use super::{Column, Row, Rows};
 use crate::Passage;
 
 /// The columns of a file: those that every file has, then what this run has beside them.
@@ -24,10 +24,9 @@ impl Default for Header {
 
 impl Header {
     /// The columns that these rows need.
-    pub(super) fn of(rows: &[Row]) -> Self {
-        let mut header = Self::default();
-        rows.iter().for_each(|row| header.add(row));
-        header
+    pub(super) fn of(rows: &Rows) -> Self {
+        let names = rows.names().to_vec();
+        Self { known: names.iter().cloned().collect(), names }
     }
 
     pub(super) fn names(&self) -> impl Iterator<Item = &str> {

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use peernet_logger::{Measure, Node, NodeId, Tree, stage};
+use peernet_logger::{Measure, Node, NodeId, Tree, Unit, stage};
 
 use super::Column;
 
@@ -94,24 +94,38 @@ pub(super) fn column(name: &str) -> Column {
 /// published rules. Excepted are the columns that every file has: their names never change, so that `sensing` is
 /// `sensing` whatever lies below it, and its parts are `capture` and `transform`.
 pub(super) fn values(tree: &Tree) -> Vec<(Column, f64)> {
-    let mut found = Found { fixed: [None; FIXED.len()], further: Vec::new(), siblings: HashMap::new() };
-    let mut labels: Vec<Column> = vec![Column::Borrowed(""); tree.nodes().len()];
-    for (id, node) in tree.iter().skip(1) {
-        labels[id.index()] = found.take(tree, id, node, &labels);
-    }
-    let fixed = found.fixed.iter().zip(FIXED);
-    let fixed = fixed.filter_map(|(value, (name, _))| Some((Column::Borrowed(name), (*value)?)));
-    fixed.chain(found.further).collect()
+    Found::of(tree).values()
 }
 
-struct Found<'a> {
+/// What is measured in a tree.
+pub(super) struct Found<'a> {
     fixed: [Option<f64>; FIXED.len()],
-    further: Vec<(Column, f64)>,
+    further: Vec<(Column, f64, Unit)>,
     /// How often a parent had a child of that name.
     siblings: HashMap<(NodeId, &'a str), usize>,
 }
 
 impl<'a> Found<'a> {
+    pub(super) fn of(tree: &'a Tree) -> Self {
+        let mut found = Found { fixed: [None; FIXED.len()], further: Vec::new(), siblings: HashMap::new() };
+        let mut labels: Vec<Column> = vec![Column::Borrowed(""); tree.nodes().len()];
+        for (id, node) in tree.iter().skip(1) {
+            labels[id.index()] = found.take(tree, id, node, &labels);
+        }
+        found
+    }
+
+    pub(super) fn values(self) -> Vec<(Column, f64)> {
+        let fixed = self.fixed.iter().zip(FIXED);
+        let fixed = fixed.filter_map(|(value, (name, _))| Some((Column::Borrowed(name), (*value)?)));
+        fixed.chain(self.further.into_iter().map(|(name, value, _)| (name, value))).collect()
+    }
+
+    /// Those of the columns that not every file has.
+    pub(super) fn units(&self) -> impl Iterator<Item = (&str, &Unit)> {
+        self.further.iter().map(|(name, _, unit)| (name.as_ref(), unit))
+    }
+
     /// Takes a node's value; returns the label that its children's names begin with.
     fn take(&mut self, tree: &Tree, id: NodeId, node: &'a Node, labels: &[Column]) -> Column {
         let parent = node.parent.unwrap_or(NodeId::ROOT);
@@ -139,7 +153,7 @@ impl<'a> Found<'a> {
             let name =
                 if tree.children(id).next().is_some() { format!("{label}_val") } else { label.clone() };
             let name = self.free(name);
-            self.further.push((Column::Owned(name), value));
+            self.further.push((Column::Owned(name), value, node.measure.unit()));
         }
         Column::Owned(label)
     }
@@ -155,7 +169,8 @@ impl<'a> Found<'a> {
 
     /// The name, or with a number behind it where another column of the row has it.
     fn free(&self, name: String) -> String {
-        let taken = |name: &str| fixed(name).is_some() || self.further.iter().any(|(other, _)| other == name);
+        let taken =
+            |name: &str| fixed(name).is_some() || self.further.iter().any(|(other, ..)| other == name);
         if !taken(&name) {
             return name;
         }

@@ -1,14 +1,16 @@
 //! The last files of a run, and another place for all of them when the folder fails.
 
+use std::fs::File;
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use super::cells::Header;
 use super::folder::{DATA, Finished, RECORD, SUMMARIES};
-use super::{Row, RunRecord, Summary};
+use super::{RowRef, Rows, RunRecord, Summary};
 use crate::WriteError;
 use crate::error::write;
 
-pub(super) fn finish(folder: &Path, record: &RunRecord, rows: &[Row]) -> Result<Finished, WriteError> {
+pub(super) fn finish(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<Finished, WriteError> {
     let trouble = match all(folder, record, rows) {
         Ok(files) => return Ok(Finished { folder: folder.to_owned(), files, trouble: None }),
         Err(trouble) => trouble,
@@ -28,7 +30,7 @@ fn also(first: &WriteError, path: &Path, reason: &str) -> WriteError {
     WriteError { path: first.path.clone(), reason }
 }
 
-fn all(folder: &Path, record: &RunRecord, rows: &[Row]) -> Result<Vec<PathBuf>, WriteError> {
+fn all(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<Vec<PathBuf>, WriteError> {
     let data = folder.join(DATA);
     if !is_whole(&data, rows) {
         replace(&data, rows)?;
@@ -46,10 +48,10 @@ fn all(folder: &Path, record: &RunRecord, rows: &[Row]) -> Result<Vec<PathBuf>, 
 }
 
 /// Whether the file has every row and a column for everything in it.
-fn is_whole(path: &Path, rows: &[Row]) -> bool {
+fn is_whole(path: &Path, rows: &Rows) -> bool {
     let Ok(mut file) = csv::Reader::from_path(path) else { return false };
     let header = Header::of(rows);
-    let mut expected = rows.iter().map(|row| row.iteration.to_string());
+    let mut expected = rows.iter().map(|row| row.iteration().to_string());
     file.byte_headers().is_ok_and(|names| names.iter().eq(header.names().map(str::as_bytes)))
         && file.byte_records().all(|record| {
             let record = record.ok();
@@ -59,15 +61,25 @@ fn is_whole(path: &Path, rows: &[Row]) -> bool {
 }
 
 /// Writes the file beside the old one first, so that there is always one that is whole.
-fn replace(path: &Path, rows: &[Row]) -> Result<(), WriteError> {
-    let header = Header::of(rows);
-    let mut bytes = Vec::new();
-    header.write(&mut bytes);
-    rows.iter().for_each(|row| header.row(&mut bytes, row));
+fn replace(path: &Path, rows: &Rows) -> Result<(), WriteError> {
     let beside = path.with_extension("csv.new");
-    let written = std::fs::write(&beside, &bytes).and_then(|()| std::fs::rename(&beside, path));
+    let written = put(&beside, rows).and_then(|()| std::fs::rename(&beside, path));
     written.map_err(WriteError::at(path)).inspect_err(|_| {
         // It is not there when it could not even be made.
         let _ = std::fs::remove_file(&beside);
     })
+}
+
+fn put(path: &Path, rows: &Rows) -> std::io::Result<()> {
+    let header = Header::of(rows);
+    let mut out = BufWriter::new(File::create(path)?);
+    let mut bytes = Vec::new();
+    header.write(&mut bytes);
+    for row in rows.iter().map(RowRef::to_row) {
+        header.row(&mut bytes, &row);
+        out.write_all(&bytes)?;
+        bytes.clear();
+    }
+    out.write_all(&bytes)?;
+    out.flush()
 }

@@ -6,8 +6,9 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Counts, FolderError, Row, RowWriter, RunRecord};
+use super::{Counts, FolderError, RowWriter, Rows, RunRecord};
 use crate::WriteError;
+use crate::number::counted;
 
 /// What to do when the folder holds something.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -49,7 +50,7 @@ pub struct Loaded {
     /// What the run was.
     pub record: RunRecord,
     /// Its iterations, in order.
-    pub rows: Vec<Row>,
+    pub rows: Rows,
 }
 
 impl Loaded {
@@ -68,7 +69,8 @@ impl Loaded {
                 "data.csv has other outcomes or another warm-up than run.json counts".to_owned()
             }
             (rows, measured) => {
-                format!("data.csv has {rows} of the {measured} iterations that run.json counts")
+                let measured = counted(measured, "iteration");
+                format!("data.csv has {rows} of the {measured} that run.json counts")
             }
         })
     }
@@ -118,7 +120,7 @@ impl ResultFolder {
     ///
     /// # Errors
     /// When the temporary folder cannot be written either.
-    pub fn finish(&self, record: &RunRecord, rows: &[Row]) -> Result<Finished, WriteError> {
+    pub fn finish(&self, record: &RunRecord, rows: &Rows) -> Result<Finished, WriteError> {
         super::finish::finish(&self.path, record, rows)
     }
 
@@ -128,11 +130,20 @@ impl ResultFolder {
     /// # Errors
     /// When there are none or they cannot be read.
     pub fn open(path: &Path) -> Result<Loaded, FolderError> {
-        super::read::open(path)
+        super::read::open(path, &|_| true)
+    }
+
+    /// Reads results back as [`Self::open`] does, without the numbers of columns that are not wanted: a long run takes as
+    /// much room as what is asked of it.
+    ///
+    /// # Errors
+    /// When there are none or they cannot be read.
+    pub fn open_columns(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, FolderError> {
+        super::read::open(path, wanted)
     }
 
     /// All folders of results in a folder and below, itself included, in the natural order of their names. Links are
-    /// not followed.
+    /// not followed, hidden folders not looked into.
     pub fn find(dir: &Path) -> Vec<PathBuf> {
         super::ready::find(dir)
     }

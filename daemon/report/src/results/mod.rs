@@ -1,9 +1,9 @@
 //! Results of a run: `data.csv`, `run.json`, `summary.{md,csv,tex}`; written while it runs and read back.
 //!
 //! ```text
-//! iteration ── Row ──┬─ RowWriter ── data.csv ──┐
-//!                    └─ Summary ─── summary.*   ├─ ResultFolder::open ── Loaded ── compare, figure
-//! RunRecord ──────────────────────── run.json ──┘
+//! iteration ── Row ──┬─ RowWriter ──────── data.csv ──┐
+//!                    └─ Rows ── Summary ── summary.*  ├─ ResultFolder::open ── Loaded ── compare, figures
+//! RunRecord ────────────────────────────── run.json ──┘
 //! ```
 //!
 //! The format is described in `docs/results.md`.
@@ -17,17 +17,21 @@ mod parse;
 mod read;
 mod ready;
 mod row;
+mod rows;
 mod run;
 mod summary;
+mod units;
 mod writer;
 
 pub use columns::{PUBLISHED, published};
 pub use error::FolderError;
 pub use folder::{Finished, Loaded, Overwrite, ResultFolder};
 pub use row::{Column, Outcome, Row};
+pub use rows::{RowRef, Rows};
 pub use run::{ClockCounts, Clocks, Counts, FORMAT, HostRecord, ModelRecord, Placement, RunRecord, instant};
 pub(crate) use summary::Scale;
 pub use summary::{Quantity, Summary};
+pub use units::Units;
 pub use writer::RowWriter;
 
 #[cfg(test)]

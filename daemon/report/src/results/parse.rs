@@ -1,10 +1,14 @@
 //! Lines of `data.csv` as rows.
 
-use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict};
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::Path;
+
+use peernet_clock::{DelaySource, Verdict};
 
 use super::columns::{self, FIXED, Holds};
-use super::{Column, Outcome, Row};
-use crate::Passage;
+use super::rows::Line;
+use super::{Column, Outcome, Rows};
 
 /// The published stages, whose sum the paper calls Total.
 const PUBLISHED_STAGES: [&str; 6] =
@@ -14,6 +18,8 @@ const PUBLISHED_STAGES: [&str; 6] =
 #[derive(Debug, thiserror::Error)]
 pub(super) enum Malformed {
     #[error("{0}")]
+    Io(#[from] std::io::Error),
+    #[error("{0}")]
     Csv(#[from] csv::Error),
     #[error("no column of it is one of a run's, such as sensing, inference or total")]
     Foreign,
@@ -21,154 +27,162 @@ pub(super) enum Malformed {
     Cell { line: u64, column: String, cell: String, expected: &'static str },
 }
 
-/// The columns of a file that is being read.
+/// A file that is being read, line by line.
 pub(super) struct Reading {
-    columns: Vec<(Column, Option<Holds>)>,
+    columns: Vec<Cells>,
+    /// Whether the sum of the stages is to be added.
     sums: bool,
+    rows: Rows,
+}
+
+/// A column of the file.
+struct Cells {
+    name: Column,
+    holds: Option<Holds>,
+    /// Which of the published stages it is.
+    stage: Option<usize>,
+    /// Where its numbers go; `None` until there is one.
+    place: Option<usize>,
+    wanted: bool,
 }
 
 impl Reading {
-    /// All rows, and whether a column says which of them are warm-up.
+    /// All rows with the columns that are wanted, and whether a column says which of them are warm-up; if none does, so
+    /// many at the beginning are.
     ///
     /// A last line that was cut off, as by a program that was ended while writing, is left out.
-    pub(super) fn of(text: &[u8]) -> Result<(Vec<Row>, bool), Malformed> {
-        let mut reader = csv::ReaderBuilder::new().from_reader(text);
+    pub(super) fn of(
+        path: &Path,
+        warm_up: usize,
+        wanted: &dyn Fn(&str) -> bool,
+    ) -> Result<(Rows, bool), Malformed> {
+        let mut file = File::open(path)?;
+        let ends_with_line = ends_with_line(&mut file)?;
+        let mut reader = csv::Reader::from_reader(file);
         let holds = |name: &str| FIXED.iter().find(|(fixed, _)| *fixed == name).map(|(_, holds)| *holds);
-        let names = reader.headers()?;
-        let columns: Vec<_> =
-            names.iter().map(|name| (columns::column(name.trim()), holds(name.trim()))).collect();
-        let has = |wanted: &str| columns.iter().any(|(name, _)| name == wanted);
-        if !columns.iter().any(|(_, holds)| matches!(holds, Some(Holds::Node))) {
+        let cells = |name: &str| Cells {
+            name: columns::column(name.trim()),
+            holds: holds(name.trim()),
+            stage: PUBLISHED_STAGES.iter().position(|stage| *stage == name.trim()),
+            place: None,
+            wanted: wanted(name.trim()),
+        };
+        let columns: Vec<Cells> = reader.headers()?.iter().map(cells).collect();
+        let has = |wanted: &str| columns.iter().any(|cells| cells.name == wanted);
+        if !columns.iter().any(|cells| matches!(cells.holds, Some(Holds::Node))) {
             return Err(Malformed::Foreign);
         }
         let (flagged, ours, sums) = (has("warm-up"), has("outcome"), !has("stages-total"));
-        let reading = Self { columns, sums };
-        let cut_off = ours && !text.ends_with(b"\n");
-        let mut rows = Vec::new();
+        let mut reading = Self { columns, sums, rows: Rows::default() };
+        let cut_off = ours && !ends_with_line;
         let mut records = reader.into_records().peekable();
         while let Some(record) = records.next() {
             if cut_off && records.peek().is_none() {
                 break;
             }
-            let number = rows.len() as u64 + 1;
-            rows.push(reading.row(number, &record?)?);
+            let is_warm_up = !flagged && reading.rows.len() < warm_up;
+            reading.row(&record?, is_warm_up)?;
         }
-        Ok((rows, flagged))
+        Ok((reading.rows, flagged))
     }
 
-    fn row(&self, number: u64, record: &csv::StringRecord) -> Result<Row, Malformed> {
+    fn row(&mut self, record: &csv::StringRecord, is_warm_up: bool) -> Result<(), Malformed> {
         let line = record.position().map_or(0, csv::Position::line);
-        let mut row = Row {
-            iteration: number,
-            at: 0.0,
-            episode: 0,
-            step: 0,
-            warm_up: false,
-            outcome: Outcome::Ok,
-            reason: None,
-            values: Vec::with_capacity(self.columns.len()),
-            upload: None,
-            download: None,
-        };
-        let mut ways = [Way::default(), Way::default()];
-        let mut unknown_stage = false;
-        for ((name, holds), cell) in self.columns.iter().zip(record) {
-            let (text, cell) = (cell, cell.trim());
-            if cell.is_empty() {
+        let Self { columns, rows, .. } = self;
+        let mut row = rows.begin();
+        row.warm_up = is_warm_up;
+        let mut judged = [(None, None); 2];
+        let mut stages = [None; PUBLISHED_STAGES.len()];
+        for (cells, text) in columns.iter_mut().zip(record) {
+            let cell = text.trim();
+            if cell.is_empty() || cells.is_passed_over() {
                 continue;
             }
             let wrong = |expected| Malformed::Cell {
                 line,
-                column: name.to_string(),
+                column: cells.name.to_string(),
                 cell: cell.to_owned(),
                 expected,
             };
-            let number = cell.parse::<f64>();
-            match holds {
-                Some(Holds::Place) if name == "outcome" => {
-                    row.outcome = Outcome::from_name(cell).ok_or_else(|| wrong("outcome"))?;
-                }
-                Some(Holds::Place) if name == "reason" => row.reason = Some(text.to_owned()),
-                Some(Holds::Place) => place(&mut row, name, number.map_err(|_| wrong("number"))?),
-                Some(Holds::Delay) => {
-                    let way = &mut ways[usize::from(name.starts_with("download"))];
-                    way.take(name, cell).ok_or_else(|| wrong("delay, verdict or source"))?;
-                }
+            if cells.is_text() {
+                let way = &mut judged[usize::from(cells.name.starts_with("download"))];
+                take_text(&mut row, way, &cells.name, text)
+                    .ok_or_else(|| wrong("outcome, verdict or source"))?;
+                continue;
+            }
+            let number = match cell.parse::<f64>() {
+                Ok(number) => number,
                 // A text that somebody put beside the numbers does no harm.
-                None if number.is_err() => {}
-                _ => {
-                    let number = number.map_err(|_| wrong("number"))?;
-                    if number.is_nan() {
-                        unknown_stage |= PUBLISHED_STAGES.contains(&name.as_ref());
-                    } else {
-                        row.values.push((name.clone(), number));
-                    }
+                Err(_) if cells.holds.is_none() => continue,
+                Err(_) => return Err(wrong("number")),
+            };
+            if let Some(stage) = cells.stage {
+                stages[stage] = Some(number);
+            }
+            match cells.name.as_ref() {
+                "warm-up" => row.warm_up = number != 0.0,
+                // Nobody wrote it down.
+                "at" if number == 0.0 => {}
+                _ if cells.wanted && !number.is_nan() => {
+                    let place = *cells.place.get_or_insert_with(|| row.place(rows, &cells.name));
+                    row.numbers[place] = Some(number);
                 }
+                _ => {}
             }
         }
-        let [up, down] = ways;
-        row.upload = up.passage(&row, ["upload", "upload-bytes", "upload-logger-bytes"]);
-        row.download = down.passage(&row, ["download", "download-bytes", "download-logger-bytes"]);
-        if self.sums {
-            let stages = || PUBLISHED_STAGES.iter().filter_map(|stage| row.value(stage));
-            // What a stage took that is not known is missing in the sum as well.
-            if stages().next().is_some() && !unknown_stage {
-                let sum = stages().sum();
-                row.values.push((columns::column("stages-total"), sum));
-            }
+        row.judged = judged.map(|(verdict, source)| verdict.zip(source));
+        let number = rows.len() as f64 + 1.0;
+        let iteration = row.place(rows, &columns::column("iteration"));
+        row.numbers[iteration].get_or_insert(number);
+        // What a stage took that is not known is missing in the sum as well.
+        let sum: Option<f64> = stages.into_iter().flatten().reduce(|sum, stage| sum + stage);
+        if let Some(sum) = sum.filter(|sum| self.sums && !sum.is_nan()) {
+            let place = row.place(rows, &columns::column("stages-total"));
+            row.numbers[place] = Some(sum);
         }
-        Ok(row)
+        rows.end(row);
+        Ok(())
     }
 }
 
-fn place(row: &mut Row, name: &str, number: f64) {
-    match name {
-        "iteration" => row.iteration = number as u64,
-        "at" => row.at = number,
-        "episode" => row.episode = number as u32,
-        "step" => row.step = number as u32,
-        "warm-up" => row.warm_up = number != 0.0,
-        _ => {}
+impl Cells {
+    /// Whether it holds words.
+    fn is_text(&self) -> bool {
+        let words =
+            ["outcome", "reason", "upload-verdict", "upload-source", "download-verdict", "download-source"];
+        self.holds.is_some() && words.contains(&self.name.as_ref())
+    }
+
+    /// What nobody wrote and nobody asks for is not looked at.
+    fn is_passed_over(&self) -> bool {
+        self.holds.is_none() && !self.wanted
     }
 }
 
-/// What is read of one direction's delay.
-#[derive(Default)]
-struct Way {
-    raw: Option<Span>,
-    lo: Option<Span>,
-    hi: Option<Span>,
-    verdict: Option<Verdict>,
-    source: Option<DelaySource>,
+/// Takes what is no number; `None` where it cannot stand there.
+fn take_text(
+    row: &mut Line,
+    way: &mut (Option<Verdict>, Option<DelaySource>),
+    column: &str,
+    text: &str,
+) -> Option<()> {
+    let cell = text.trim();
+    match column.rsplit_once('-').map_or(column, |(_, last)| last) {
+        "outcome" => row.outcome = Some(Outcome::from_name(cell)?),
+        "verdict" => way.0 = Some(Verdict::from_name(cell)?),
+        "source" => way.1 = Some(DelaySource::from_name(cell)?),
+        _ => row.reason = Some(text.to_owned()),
+    }
+    Some(())
 }
 
-impl Way {
-    fn take(&mut self, column: &str, cell: &str) -> Option<()> {
-        let span = || cell.parse().ok().map(Span::from_seconds_f64);
-        match column.rsplit_once('-')?.1 {
-            "raw" => self.raw = Some(span()?),
-            "lo" => self.lo = Some(span()?),
-            "hi" => self.hi = Some(span()?),
-            "verdict" => self.verdict = Some(Verdict::from_name(cell)?),
-            "source" => self.source = Some(DelaySource::from_name(cell)?),
-            _ => return None,
-        }
-        Some(())
+/// Whether its last line is whole. It is read from the beginning afterwards.
+fn ends_with_line(file: &mut File) -> std::io::Result<bool> {
+    let mut last = [0];
+    if file.metadata()?.len() > 0 {
+        file.seek(SeekFrom::End(-1))?;
+        file.read_exact(&mut last)?;
+        file.rewind()?;
     }
-
-    fn passage(self, row: &Row, [value, payload, metadata]: [&str; 3]) -> Option<Passage> {
-        let bounds = self.lo.zip(self.hi).filter(|(lo, hi)| lo <= hi);
-        let delay = OneWayDelay {
-            raw: self.raw?,
-            value: row.value(value).map(Span::from_seconds_f64),
-            bounds: bounds.map(|(lo, hi)| Interval { lo, hi }),
-            source: self.source?,
-            verdict: self.verdict?,
-        };
-        Some(Passage {
-            payload_bytes: row.value(payload)? as u64,
-            logger_bytes: row.value(metadata)? as u64,
-            delay,
-        })
-    }
+    Ok(last == *b"\n")
 }

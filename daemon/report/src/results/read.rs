@@ -4,12 +4,13 @@ use std::path::{Path, PathBuf};
 
 use super::folder::{DATA, RECORD};
 use super::parse::Reading;
-use super::{Clocks, Counts, FolderError, HostRecord, Loaded, Row, RunRecord};
+use super::{Clocks, Counts, FolderError, HostRecord, Loaded, Rows, RunRecord};
+use crate::accuracy::Accuracy;
 
 /// Rows at the beginning that the published figures leave out.
 const PUBLISHED_WARM_UP: usize = 5;
 
-pub(super) fn open(path: &Path) -> Result<Loaded, FolderError> {
+pub(super) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, FolderError> {
     let (folder, data) = if path.is_file() {
         (path.parent().unwrap_or(Path::new("")).to_owned(), path.to_owned())
     } else {
@@ -18,23 +19,25 @@ pub(super) fn open(path: &Path) -> Result<Loaded, FolderError> {
     if !data.is_file() {
         return Err(FolderError::NoResults(folder));
     }
-    let (mut rows, flagged) = rows(&data)?;
-    let json = folder.join(RECORD);
-    let record = match std::fs::read(&json) {
-        Ok(text) => serde_json::from_slice(&text).map_err(failed(&json))?,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-            if !flagged {
-                rows.iter_mut().take(PUBLISHED_WARM_UP).for_each(|row| row.warm_up = true);
-            }
-            alone(path, &rows, flagged)
-        }
-        Err(error) => return Err(failed(&json)(error)),
-    };
+    // It is of these rows, not of whatever else lies in the folder.
+    let record = if data.ends_with(DATA) { record(&folder.join(RECORD))? } else { None };
+    // Whoever writes a record flags its rows.
+    let warm_up = if record.is_none() { PUBLISHED_WARM_UP } else { 0 };
+    let (rows, flagged) = Reading::of(&data, warm_up, wanted).map_err(failed(&data))?;
+    let record = record.unwrap_or_else(|| alone(path, &rows, flagged));
     Ok(Loaded { folder, record, rows })
 }
 
+fn record(path: &Path) -> Result<Option<RunRecord>, FolderError> {
+    match std::fs::read(path) {
+        Ok(text) => Ok(Some(serde_json::from_slice(&text).map_err(failed(path))?)),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(failed(path)(error)),
+    }
+}
+
 /// What can be said of rows that nothing stands beside.
-fn alone(path: &Path, rows: &[Row], flagged: bool) -> RunRecord {
+fn alone(path: &Path, rows: &Rows, flagged: bool) -> RunRecord {
     let name = path.canonicalize().unwrap_or_else(|_| path.to_owned());
     let name = if path.is_file() { name.file_stem() } else { name.file_name() };
     let name = name.unwrap_or_default().to_string_lossy().into_owned();
@@ -50,14 +53,9 @@ fn alone(path: &Path, rows: &[Row], flagged: bool) -> RunRecord {
         warm_up,
         counts: Counts::of(rows, 0),
         clocks: Clocks::of(rows),
+        accuracy: Accuracy::of_each(rows),
         ..RunRecord::default()
     }
-}
-
-/// The rows, and whether they say themselves which are warm-up.
-fn rows(path: &Path) -> Result<(Vec<Row>, bool), FolderError> {
-    let text = std::fs::read(path).map_err(failed(path))?;
-    Reading::of(&text).map_err(failed(path))
 }
 
 fn failed<E: std::fmt::Display>(path: &Path) -> impl Fn(E) -> FolderError {

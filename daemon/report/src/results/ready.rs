@@ -107,6 +107,8 @@ fn look(dir: &Path, levels: usize, found: &mut Vec<PathBuf>) {
     let entries = std::fs::read_dir(dir).into_iter().flatten().filter_map(Result::ok);
     let mut folders: Vec<PathBuf> = entries
         .filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_dir()))
+        // Hidden ones hold what a run has put aside, or what other programs keep.
+        .filter(|entry| !entry.file_name().as_encoded_bytes().starts_with(b"."))
         .map(|entry| entry.path())
         .collect();
     folders.sort_by_cached_key(|path| natural(&path.file_name().unwrap_or_default().to_string_lossy()));

@@ -86,6 +86,10 @@ impl From<&stream::Outcome> for Outcome {
 impl Row {
     /// What an iteration measured.
     pub fn of(iteration: &stream::Iteration) -> Self {
+        Self::with(iteration, columns::values(&iteration.tree))
+    }
+
+    pub(super) fn with(iteration: &stream::Iteration, values: Vec<(Column, f64)>) -> Self {
         let tree = &iteration.tree;
         Self {
             iteration: iteration.number,
@@ -95,7 +99,7 @@ impl Row {
             warm_up: iteration.warm_up,
             outcome: Outcome::from(&iteration.outcome),
             reason: iteration.outcome.reason().map(str::to_owned),
-            values: columns::values(tree),
+            values,
             upload: Passage::up(tree),
             download: Passage::down(tree),
         }

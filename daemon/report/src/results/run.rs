@@ -9,7 +9,8 @@ use peernet_logger::{HostId, RunId};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::{Outcome, Row};
+use super::{Outcome, Rows, Units};
+use crate::accuracy::Accuracy;
 use crate::order::Ordered;
 use crate::{Passage, trust};
 
@@ -63,6 +64,10 @@ pub struct RunRecord {
     pub counts: Counts,
     /// How far the delays can be trusted.
     pub clocks: Clocks,
+    /// How often the model was right, by column: `top-1`, `top-5`; empty where nobody knew.
+    pub accuracy: BTreeMap<String, Accuracy>,
+    /// In what the columns are measured that the run logged beside the standard ones.
+    pub units: Units,
     /// Whether the run can be published; `None` where nobody judged.
     pub trust: Option<trust::Report>,
 }
@@ -161,11 +166,11 @@ pub fn instant(at: WallTime) -> DateTime<Utc> {
 
 impl Counts {
     /// Counts rows; `unseen` more iterations are known to have been measured.
-    pub fn of(rows: &[Row], unseen: u64) -> Self {
+    pub fn of(rows: &Rows, unseen: u64) -> Self {
         let mut counts = Self { unseen, ..Self::default() };
         for row in rows {
-            let count = match row.outcome {
-                _ if row.warm_up => &mut counts.warm_up,
+            let count = match row.outcome() {
+                _ if row.warm_up() => &mut counts.warm_up,
                 Outcome::Ok => &mut counts.ok,
                 Outcome::Failed => &mut counts.failed,
                 Outcome::Lost => &mut counts.lost,
@@ -179,26 +184,32 @@ impl Counts {
 
 impl Clocks {
     /// What the rows say.
-    pub fn of(rows: &[Row]) -> Self {
+    pub fn of(rows: &Rows) -> Self {
         let counted = || rows.iter().filter(|row| row.counts());
         Self {
-            upload: ClockCounts::of(counted().filter_map(|row| row.upload.as_ref())),
-            download: ClockCounts::of(counted().filter_map(|row| row.download.as_ref())),
+            upload: ClockCounts::of(counted().filter_map(|row| row.upload())),
+            download: ClockCounts::of(counted().filter_map(|row| row.download())),
         }
     }
 }
 
 impl ClockCounts {
-    fn of<'a>(passages: impl Iterator<Item = &'a Passage>) -> Self {
-        let mut counts = Self::default();
+    fn of(passages: impl Iterator<Item = Passage>) -> Self {
+        let (mut verdicts, mut sources) = (BTreeMap::new(), BTreeMap::new());
         let mut widths: Vec<f64> = Vec::new();
         for passage in passages {
             let delay = &passage.delay;
-            *counts.verdicts.entry(delay.verdict.to_string()).or_default() += 1;
-            *counts.sources.entry(delay.source.to_string()).or_default() += 1;
+            *verdicts.entry(delay.verdict.name()).or_default() += 1;
+            *sources.entry(delay.source.name()).or_default() += 1;
             widths.extend(delay.bounds.map(|bounds| bounds.width().seconds()));
         }
-        counts.median_width = widths.into_iter().collect::<Ordered>().median();
-        counts
+        let named = |counts: BTreeMap<&str, u64>| {
+            counts.into_iter().map(|(name, count)| (name.to_owned(), count)).collect()
+        };
+        Self {
+            verdicts: named(verdicts),
+            sources: named(sources),
+            median_width: widths.into_iter().collect::<Ordered>().median(),
+        }
     }
 }

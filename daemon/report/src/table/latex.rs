@@ -2,6 +2,47 @@
 
 use super::Table;
 
+/// Letters of which text fonts have none.
+const GREEK: [(char, &str); 34] = [
+    ('α', "alpha"),
+    ('β', "beta"),
+    ('γ', "gamma"),
+    ('δ', "delta"),
+    ('ε', "varepsilon"),
+    ('ζ', "zeta"),
+    ('η', "eta"),
+    ('θ', "theta"),
+    ('ι', "iota"),
+    ('κ', "kappa"),
+    ('λ', "lambda"),
+    ('μ', "mu"),
+    ('ν', "nu"),
+    ('ξ', "xi"),
+    ('π', "pi"),
+    ('ρ', "rho"),
+    ('ς', "varsigma"),
+    ('σ', "sigma"),
+    ('τ', "tau"),
+    ('υ', "upsilon"),
+    ('φ', "varphi"),
+    ('χ', "chi"),
+    ('ψ', "psi"),
+    ('ω', "omega"),
+    ('Γ', "Gamma"),
+    ('Δ', "Delta"),
+    ('Θ', "Theta"),
+    ('Λ', "Lambda"),
+    ('Ξ', "Xi"),
+    ('Π', "Pi"),
+    ('Σ', "Sigma"),
+    ('Φ', "Phi"),
+    ('Ψ', "Psi"),
+    ('Ω', "Omega"),
+];
+
+/// As wide as its columns, or as the page where that is less: names of any length fit.
+const FIT: &str = "\\resizebox{\\ifdim\\width>\\linewidth \\linewidth\\else\\width\\fi}{!}{%";
+
 pub(super) fn table(table: &Table, caption: &str) -> String {
     let columns: String =
         (0..table.header.len()).map(|at| if at < table.labels { 'l' } else { 'r' }).collect();
@@ -15,20 +56,52 @@ pub(super) fn table(table: &Table, caption: &str) -> String {
     let rows = table.rows.iter().enumerate();
     let rows: String = rows.map(|(row, cells)| line(cells, table.marked.contains(&row))).collect();
     let (header, caption) = (line(&table.header, false), escape(caption));
+    let fonts = fonts([&header, &rows, &caption].into_iter().flat_map(|text| text.chars()));
     format!(
-        "% needs \\usepackage{{booktabs}}\n\\begin{{table}}\n\\centering\n\\begin{{tabular}}{{{columns}}}\n\\toprule\n{header}\\midrule\n{rows}\\bottomrule\n\\end{{tabular}}\n\\caption{{{caption}}}\n\\end{{table}}\n"
+        "% needs \\usepackage{{booktabs,graphicx}}\n{fonts}\\begin{{table*}}\n\\centering\n\\setlength{{\\tabcolsep}}{{4pt}}\n{FIT}\n\
+         \\begin{{tabular}}{{{columns}}}\n\\toprule\n{header}\\midrule\n{rows}\\bottomrule\n\\end{{tabular}}}}\n\
+         \\caption{{{caption}}}\n\\end{{table*}}\n"
     )
 }
 
-/// Text as LaTeX sets it, whatever is in it.
+/// What letters ask for beside the packages, a line each; nothing where all are ASCII.
+fn fonts(chars: impl Iterator<Item = char>) -> String {
+    let (mut latin, mut foreign) = (false, Vec::new());
+    for char in chars.filter(|char| !char.is_ascii()) {
+        if is_latin(char) { latin = true } else { foreign.push(char) }
+    }
+    foreign.sort_unstable();
+    foreign.dedup();
+    if foreign.is_empty() {
+        return if latin { "% needs \\usepackage[T1]{fontenc}\n".to_owned() } else { String::new() };
+    }
+    let foreign: String = foreign.into_iter().collect();
+    format!("% needs LuaLaTeX or XeLaTeX, and a font that has {foreign}\n")
+}
+
+/// What pdfLaTeX sets as it stands with fonts in T1: Latin-1 and Latin Extended-A but for a few letters, punctuation.
+const fn is_latin(char: char) -> bool {
+    !matches!(char, 'Ħ' | 'ħ' | 'ĸ' | 'Ŀ' | 'ŀ' | 'ŉ' | 'Ŧ' | 'ŧ') && char <= 'ž'
+        || matches!(char, '‘' | '’' | '‚' | '“' | '”' | '„' | '†' | '‡' | '•' | '…' | '‰' | '€' | '™')
+}
+
+/// Text as LaTeX sets it, whatever is in it: it reads as it is, and cannot be taken for a command, the argument of the
+/// one before it, or a ligature. What is not seen, such as control characters, becomes a blank or is left out.
 pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
+    let mut before = ' ';
     for char in text.chars() {
         match char {
             '&' | '%' | '$' | '#' | '_' | '{' | '}' => out.extend(['\\', char]),
+            // After the end of a row these would be its arguments.
+            '[' | ']' | '*' => out.extend(['{', char, '}']),
+            // Two of them would be one dash, or one quotation mark.
+            '-' | '\'' | ',' | '`' if before == char => out.extend(['{', '}', char]),
+            '`' if matches!(before, '?' | '!') => out.push_str("{}`"),
             '\\' => out.push_str("\\textbackslash{}"),
             '~' => out.push_str("\\textasciitilde{}"),
             '^' => out.push_str("\\textasciicircum{}"),
+            '|' => out.push_str("\\textbar{}"),
             '<' => out.push_str("$<$"),
             '>' => out.push_str("$>$"),
             '±' => out.push_str("$\\pm$"),
@@ -36,19 +109,31 @@ pub fn escape(text: &str) -> String {
             '≥' => out.push_str("$\\geq$"),
             '≤' => out.push_str("$\\leq$"),
             '≈' => out.push_str("$\\approx$"),
+            '≠' => out.push_str("$\\neq$"),
             '→' => out.push_str("$\\rightarrow$"),
+            '←' => out.push_str("$\\leftarrow$"),
             '·' => out.push_str("$\\cdot$"),
             '\u{a0}' => out.push('~'),
-            '\u{202f}' => out.push_str("\\,"),
+            '\u{2009}' | '\u{202f}' => out.push_str("\\,"),
             '∞' => out.push_str("$\\infty$"),
             '×' => out.push_str("$\\times$"),
+            '÷' => out.push_str("$\\div$"),
             'µ' => out.push_str("$\\mu$"),
-            'θ' => out.push_str("$\\theta$"),
             '–' => out.push_str("--"),
             '—' => out.push_str("---"),
-            '\n' | '\r' => out.push(' '),
-            _ => out.push(char),
+            // Marks of direction and breaks, joiners, the byte order mark.
+            '\u{ad}'
+            | '\u{200b}'..='\u{200f}'
+            | '\u{2028}'..='\u{202e}'
+            | '\u{2060}'..='\u{206f}'
+            | '\u{feff}' => {}
+            _ if char.is_control() || char.is_whitespace() => out.push(' '),
+            _ => match GREEK.iter().find(|(letter, _)| *letter == char) {
+                Some((_, name)) => out.extend(["$\\", name, "$"]),
+                None => out.push(char),
+            },
         }
+        before = char;
     }
     out
 }
@@ -65,24 +150,52 @@ mod tests {
         );
         assert_eq!(escape("−1.5 ± 0.2, 1 – 2, —"), "$-$1.5 $\\pm$ 0.2, 1 -- 2, ---");
         assert_eq!(escape("robot → cluster, 5\u{202f}%"), "robot $\\rightarrow$ cluster, 5\\,\\%");
+        assert_eq!(escape("a|b <c> λ=2 ÷ 3"), "a\\textbar{}b $<$c$>$ $\\lambda$=2 $\\div$ 3");
+    }
+
+    #[test]
+    fn nothing_is_an_argument_or_a_ligature() {
+        assert_eq!(escape("[x] *"), "{[}x{]} {*}", "after \\\\ they would be");
+        assert_eq!(escape("a--b --- ''x'' ``y`` ,, ?`"), "a-{}-b -{}-{}- '{}'x'{}' `{}`y`{}` ,{}, ?{}`");
+    }
+
+    #[test]
+    fn what_is_not_seen_is_not_set() {
+        assert_eq!(escape("tab\tnew\nline\r\u{1b}[2J\u{0}\u{7}\u{7f}\u{85}."), "tab new line  {[}2J    .");
+        assert_eq!(
+            escape("\u{feff}zero\u{200b}width\u{202e}\u{2028}, soft\u{ad}hyphen"),
+            "zerowidth, softhyphen"
+        );
+        let all: String = (0..=0x2fff).filter_map(char::from_u32).collect();
+        assert!(!escape(&all).chars().any(char::is_control));
+    }
+
+    fn rows(rows: &[[&str; 2]]) -> Table {
+        Table {
+            header: vec!["model".to_owned(), "ms".to_owned()],
+            labels: 1,
+            rows: rows.iter().map(|row| row.map(str::to_owned).to_vec()).collect(),
+            marked: vec![0],
+        }
     }
 
     #[test]
     fn a_table_is_one_of_booktabs() {
-        let table = Table {
-            header: vec!["model".to_owned(), "ms".to_owned()],
-            labels: 1,
-            rows: vec![
-                vec!["a_1".to_owned(), "1.0 ± 0.1".to_owned()],
-                vec!["b".to_owned(), "2.0".to_owned()],
-            ],
-            marked: vec![0],
-        };
         assert_eq!(
-            table.latex("Two & more"),
-            "% needs \\usepackage{booktabs}\n\\begin{table}\n\\centering\n\\begin{tabular}{lr}\n\\toprule\nmodel & ms \\\\\n\
-             \\midrule\n\\textbf{a\\_1} & \\textbf{1.0 $\\pm$ 0.1} \\\\\nb & 2.0 \\\\\n\\bottomrule\n\\end{tabular}\n\
-             \\caption{Two \\& more}\n\\end{table}\n"
+            rows(&[["a_1", "1.0 ± 0.1"], ["b", "2.0"]]).latex("Two & more"),
+            "% needs \\usepackage{booktabs,graphicx}\n\\begin{table*}\n\\centering\n\\setlength{\\tabcolsep}{4pt}\n\
+             \\resizebox{\\ifdim\\width>\\linewidth \\linewidth\\else\\width\\fi}{!}{%\n\
+             \\begin{tabular}{lr}\n\\toprule\nmodel & ms \\\\\n\\midrule\n\\textbf{a\\_1} & \\textbf{1.0 $\\pm$ 0.1} \\\\\n\
+             b & 2.0 \\\\\n\\bottomrule\n\\end{tabular}}\n\\caption{Two \\& more}\n\\end{table*}\n"
         );
+    }
+
+    #[test]
+    fn letters_that_are_not_in_every_font_are_named() {
+        let second =
+            |name: &str| rows(&[[name, "1"]]).latex("").lines().nth(1).unwrap_or_default().to_owned();
+        assert_eq!(second("5 µm, Ω → 2 × θ"), "\\begin{table*}");
+        assert_eq!(second("Größe é ł «x» đ ½ …"), "% needs \\usepackage[T1]{fontenc}");
+        assert_eq!(second("車車いす é ŧ"), "% needs LuaLaTeX or XeLaTeX, and a font that has ŧいす車");
     }
 }

@@ -72,15 +72,19 @@ pub struct Outliers {
     pub influence: f64,
 }
 
-/// Values in order of time, singly or summed up in buckets.
-trait Flow {
+/// How many values there are at each place, in order of time.
+trait Weights {
     fn len(&self) -> usize;
     fn weight(&self, at: usize) -> u64;
+}
+
+/// Values in order of time, singly or summed up in buckets.
+trait Flow: Weights {
     fn median(&self, range: Range<usize>) -> Option<f64>;
     fn mean(&self, range: Range<usize>) -> Option<f64>;
 }
 
-impl Flow for [f64] {
+impl Weights for [f64] {
     fn len(&self) -> usize {
         <[f64]>::len(self)
     }
@@ -88,7 +92,9 @@ impl Flow for [f64] {
     fn weight(&self, _at: usize) -> u64 {
         1
     }
+}
 
+impl Flow for [f64] {
     fn median(&self, range: Range<usize>) -> Option<f64> {
         self[range].iter().copied().collect::<Ordered>().median()
     }
@@ -99,7 +105,18 @@ impl Flow for [f64] {
     }
 }
 
-impl Flow for [Summary] {
+/// Counts and means of buckets.
+impl Weights for [(u64, f64)] {
+    fn len(&self) -> usize {
+        <[(u64, f64)]>::len(self)
+    }
+
+    fn weight(&self, at: usize) -> u64 {
+        self[at].0
+    }
+}
+
+impl Weights for [Summary] {
     fn len(&self) -> usize {
         <[Summary]>::len(self)
     }
@@ -107,7 +124,9 @@ impl Flow for [Summary] {
     fn weight(&self, at: usize) -> u64 {
         self[at].count()
     }
+}
 
+impl Flow for [Summary] {
     fn median(&self, range: Range<usize>) -> Option<f64> {
         merged(&self[range]).quantile(0.5)
     }
@@ -121,21 +140,26 @@ impl Flow for [Summary] {
 impl Course {
     /// Of values in order of time. `None` without any.
     pub fn of_values(values: &[f64]) -> Option<Self> {
-        let values: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
-        let ordered: Ordered = values.iter().copied().collect();
-        let median = ordered.median()?;
-        let distances: Ordered = values.iter().map(|value| (value - median).abs()).collect();
-        let limit = limit(median, distances.median()?);
-        let beyond = ordered.values().iter().filter(|value| **value > limit);
-        let count = values.len() as u64;
+        let finite = || values.iter().copied().filter(|value| value.is_finite());
+        // Sorted one after the other, so that a long run needs the room of one.
+        let median = finite().collect::<Ordered>().median()?;
+        let deviation = finite().map(|value| (value - median).abs()).collect::<Ordered>().median()?;
+        let limit = limit(median, deviation);
+        let beyond = finite().filter(|value| *value > limit);
+        let count = finite().count() as u64;
         let outliers = Outliers {
             limit,
             count: beyond.clone().count() as u64,
-            max: ordered.values().last().copied()?,
+            max: finite().reduce(f64::max)?,
             influence: beyond.map(|value| value - median).sum::<f64>() / count as f64,
         };
-        let mean = values.iter().sum::<f64>() / count as f64;
-        Some(Self { count, median, mean, outliers, ..Self::over_time(values.as_slice()) })
+        let mean = finite().sum::<f64>() / count as f64;
+        let over_time = if count == values.len() as u64 {
+            Self::over_time(values)
+        } else {
+            Self::over_time(finite().collect::<Vec<f64>>().as_slice())
+        };
+        Some(Self { count, median, mean, outliers, ..over_time })
     }
 
     /// Of the summaries of buckets in order of time, quantiles within 1 %. `None` without any value.
@@ -172,11 +196,11 @@ impl Course {
     }
 
     fn over_time<F: Flow + ?Sized>(flow: &F) -> Self {
-        let count: u64 = (0..flow.len()).map(|at| flow.weight(at)).sum();
+        let count = weight(flow);
         let medians = |ranges: &[Range<usize>]| -> Vec<f64> {
             ranges.iter().filter_map(|range| flow.median(range.clone())).collect()
         };
-        let ranges = parts(flow, (count / LEAST_BATCH).min(MOST_BATCHES));
+        let ranges = batches(flow);
         let (batches, batch_means) =
             (medians(&ranges), ranges.into_iter().filter_map(|range| flow.mean(range)).collect());
         let halves = match medians(&parts(flow, 2)).as_slice() {
@@ -201,9 +225,29 @@ impl Course {
     }
 }
 
+/// The means of the batches of a course, as [`Course::batch_means`], of counts and means of buckets in order of time.
+pub fn batch_means(buckets: &[(u64, f64)]) -> Vec<f64> {
+    let mean = |range: Range<usize>| {
+        let (count, sum) = buckets[range]
+            .iter()
+            .fold((0, 0.0), |(all, sum), (count, mean)| (all + count, sum + mean * *count as f64));
+        (count > 0).then(|| sum / count as f64)
+    };
+    batches(buckets).into_iter().filter_map(mean).collect()
+}
+
+fn weight<W: Weights + ?Sized>(flow: &W) -> u64 {
+    (0..flow.len()).map(|at| flow.weight(at)).sum()
+}
+
+/// At most 30 parts of at least ten values.
+fn batches<W: Weights + ?Sized>(flow: &W) -> Vec<Range<usize>> {
+    parts(flow, (weight(flow) / LEAST_BATCH).min(MOST_BATCHES))
+}
+
 /// Parts of about the same weight, at most so many, none empty: buckets are not divided.
-fn parts<F: Flow + ?Sized>(flow: &F, parts: u64) -> Vec<Range<usize>> {
-    let all: u64 = (0..flow.len()).map(|at| flow.weight(at)).sum();
+fn parts<W: Weights + ?Sized>(flow: &W, parts: u64) -> Vec<Range<usize>> {
+    let all = weight(flow);
     let (mut ranges, mut from, mut sum) = (Vec::new(), 0, 0);
     for at in 0..flow.len() {
         sum += flow.weight(at);
@@ -264,6 +308,11 @@ mod tests {
         assert_eq!((exact.count, stored.count, exact.outliers.max), (1200, 1200, stored.outliers.max));
         assert!(near(exact.median, stored.median) && (exact.mean - stored.mean).abs() < 1e-12);
         assert_eq!(exact.batches.len(), 30);
+        let means: Vec<(u64, f64)> =
+            buckets.iter().map(|bucket| (bucket.count(), bucket.moments.mean)).collect();
+        let of_means = batch_means(&means);
+        assert_eq!(of_means.len(), stored.batch_means.len());
+        assert!(of_means.iter().zip(&stored.batch_means).all(|(a, b)| (a - b).abs() < 1e-12));
         assert!(exact.batches.iter().zip(&stored.batches).all(|(a, b)| near(*a, *b)));
         assert_eq!(exact.outliers.count, stored.outliers.count, "{:?} {:?}", exact.outliers, stored.outliers);
         assert!(near(exact.outliers.influence, stored.outliers.influence));

@@ -1,14 +1,39 @@
 //! Runs that ended before they were to end.
 
-use super::Counts;
-use crate::results::{Row, RunRecord};
+use serde::Deserialize;
 
-/// How far a run came of what was ordered.
+use super::Counts;
+use crate::results::{Rows, RunRecord};
+
+/// What a run was asked for: its pipeline's `limit`. What is not there is no limit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[serde(default)]
+pub struct Limits {
+    /// Iterations, warm-up left out.
+    pub iterations: Option<f64>,
+    /// Iterations with those of the warm-up.
+    pub total: Option<f64>,
+    /// Seconds from the first iteration that is no warm-up.
+    pub duration_s: Option<f64>,
+}
+
+/// What there is of a run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Came {
+    /// Iterations, answered or not, warm-up left out; with those that were measured and not seen.
+    pub measured: u64,
+    /// Iterations of the warm-up.
+    pub warm_up: u64,
+    /// From the first iteration that is no warm-up to the last, seconds.
+    pub seconds: f64,
+}
+
+/// How far a run came of what was limits.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Early {
     /// What came, in the unit of `of`.
     pub came: f64,
-    /// What was ordered.
+    /// What was limits.
     pub of: f64,
     /// What is counted.
     pub unit: Unit,
@@ -25,25 +50,36 @@ pub enum Unit {
     Seconds,
 }
 
+impl Limits {
+    /// Those of a run's record; none where it was written by a program that has other ones.
+    pub(super) fn of_record(record: &RunRecord) -> Self {
+        record.pipeline.get("limit").and_then(|limit| Self::deserialize(limit).ok()).unwrap_or_default()
+    }
+}
+
+impl Came {
+    /// What rows show, with `unseen` iterations that are not among them.
+    pub(super) fn of(rows: &Rows, counts: &Counts, unseen: u64) -> Self {
+        Self { measured: counts.measured() + unseen, warm_up: counts.warm_up, seconds: lasted(rows) }
+    }
+}
+
 impl Early {
-    /// What a run lacks of its pipeline's limit; `None` where it has all, or had no limit.
-    pub(super) fn of(record: &RunRecord, rows: &[Row], counts: &Counts) -> Option<Self> {
-        let limit = |key: &str| record.pipeline.get("limit")?.get(key)?.as_f64();
-        let finished = record.reason == "finished";
-        let interrupted = record.reason == "stopped";
-        let (seconds, measured) = (limit("duration_s"), counts.measured() + record.counts.unseen);
+    /// What a run that ended for `reason` lacks of its order; `None` where it has all, or had no limit.
+    pub fn of(limits: &Limits, came: &Came, reason: &str) -> Option<Self> {
+        let (finished, interrupted) = (reason == "finished", reason == "stopped");
         let orders = [
-            (limit("iterations"), measured as f64, Unit::Iterations),
-            (limit("total"), (measured + counts.warm_up) as f64, Unit::Iterations),
-            (seconds, lasted(rows), Unit::Seconds),
+            (limits.iterations, came.measured as f64, Unit::Iterations),
+            (limits.total, (came.measured + came.warm_up) as f64, Unit::Iterations),
+            (limits.duration_s, came.seconds, Unit::Seconds),
         ];
         // A run with several limits has come as far as the one that it is nearest to.
-        let ordered = orders.into_iter().filter_map(|(of, came, unit)| {
+        let reached = orders.into_iter().filter_map(|(of, came, unit)| {
             of.filter(|of| *of > 0.0).map(|of| Self { came, of, unit, interrupted })
         });
-        let early = ordered.max_by(|a, b| a.share().total_cmp(&b.share()))?;
+        let early = reached.max_by(|a, b| a.share().total_cmp(&b.share()))?;
         // Seconds are never met to the millisecond: of a run with such a limit its own word is taken.
-        let whole = early.share() >= 1.0 || (finished && seconds.is_some());
+        let whole = early.share() >= 1.0 || (finished && limits.duration_s.is_some());
         (!whole).then_some(early)
     }
 
@@ -54,7 +90,7 @@ impl Early {
 }
 
 /// From the first to the last iteration that is no warm-up, seconds.
-fn lasted(rows: &[Row]) -> f64 {
-    let at = || rows.iter().filter(|row| !row.warm_up && row.at > 0.0).map(|row| row.at);
+fn lasted(rows: &Rows) -> f64 {
+    let at = || rows.iter().filter(|row| !row.warm_up() && row.at() > 0.0).map(|row| row.at());
     at().next_back().zip(at().next()).map_or(0.0, |(last, first)| (last - first).max(0.0))
 }

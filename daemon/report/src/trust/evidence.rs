@@ -6,10 +6,11 @@ use peernet_clock::Verdict;
 use peernet_logger::stream::Condition;
 use peernet_logger::{Name, stage};
 
-use super::{Course, Early};
+use super::{Came, Course, Early, Limits};
 use crate::Passage;
+use crate::accuracy::Accuracy;
 use crate::order::Ordered;
-use crate::results::{Outcome, Row, RunRecord};
+use crate::results::{Outcome, RowRef, Rows, RunRecord};
 
 /// How the fact of a run begins that says of a host's clock that it was made wrong on purpose.
 const REHEARSAL: &str = "Rehearsal";
@@ -17,7 +18,7 @@ const REHEARSAL: &str = "Rehearsal";
 const GOOD_ENDS: [&str; 3] = ["", "finished", "stopped"];
 
 /// A row's message in one direction.
-type Way = fn(&Row) -> Option<&Passage>;
+type Way = fn(&RowRef<'_>) -> Option<Passage>;
 
 /// Everything that a run is judged by. What is not known stays empty.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -30,6 +31,8 @@ pub struct Evidence {
     pub missing: Vec<Missing>,
     /// What became of the run where it neither finished nor was stopped.
     pub broken: Option<String>,
+    /// Whether it has no end yet.
+    pub open: bool,
     /// How far it came, where that is less than was ordered.
     pub early: Option<Early>,
     /// Whether the clock of a host was made wrong on purpose.
@@ -42,6 +45,8 @@ pub struct Evidence {
     pub unattributed: Option<f64>,
     /// The judged one-way delays, by stage.
     pub clocks: Vec<Clocks>,
+    /// How often the model was right, by column; empty where nobody knew.
+    pub accuracy: BTreeMap<String, Accuracy>,
 }
 
 /// How the iterations of a run ended.
@@ -83,44 +88,42 @@ pub struct Clocks {
 
 impl Evidence {
     /// What the rows of a run say, and what was found of its hosts before it.
-    pub fn of_rows(rows: &[Row], conditions: &[Condition]) -> Self {
-        let measured: Vec<&Row> = rows.iter().filter(|row| row.counts()).collect();
-        let course = |column: &str| {
-            let values: Vec<f64> = measured.iter().filter_map(|row| row.value(column)).collect();
-            Course::of_values(&values)
-        };
+    pub fn of_rows(rows: &Rows, conditions: &[Condition]) -> Self {
+        let measured = || rows.iter().filter(|row| row.counts());
+        let course = |column: &str| Course::of_values(&rows.counted(column).collect::<Vec<f64>>());
         let mean = |column: &str| {
-            let values: Vec<f64> = measured.iter().filter_map(|row| row.value(column)).collect();
-            (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+            let count = rows.counted(column).count();
+            (count > 0).then(|| rows.counted(column).sum::<f64>() / count as f64)
         };
         let stages = stage::ORDER.into_iter().filter_map(|name| Some((name.to_string(), course(&name)?)));
         let count = |outcome: Outcome| {
-            rows.iter().filter(|row| !row.warm_up && row.outcome == outcome).count() as u64
+            rows.iter().filter(|row| !row.warm_up() && row.outcome() == outcome).count() as u64
         };
         let ways: [(Name, Way); 2] =
-            [(stage::UPLOAD, |row| row.upload.as_ref()), (stage::DOWNLOAD, |row| row.download.as_ref())];
+            [(stage::UPLOAD, |row| row.upload()), (stage::DOWNLOAD, |row| row.download())];
         Self {
             conditions: conditions.to_vec(),
             counts: Counts {
-                ok: measured.len() as u64,
+                ok: measured().count() as u64,
                 failed: count(Outcome::Failed),
                 lost: count(Outcome::Lost),
                 timeout: count(Outcome::Timeout),
-                warm_up: rows.iter().filter(|row| row.warm_up).count() as u64,
+                warm_up: rows.iter().filter(|row| row.warm_up()).count() as u64,
             },
             total: course(&stage::TOTAL).or_else(|| course(&stage::SENSING)),
             stages: stages.collect(),
             unattributed: mean(&stage::UNATTRIBUTED),
             clocks: ways
                 .into_iter()
-                .filter_map(|(name, of)| Clocks::of(name.as_str(), measured.iter().filter_map(|row| of(row))))
+                .filter_map(|(name, of)| Clocks::of(name.as_str(), measured().filter_map(|row| of(&row))))
                 .collect(),
+            accuracy: Accuracy::of_each(rows),
             ..Self::default()
         }
     }
 
     /// What the rows of a run say, and its record: conditions of both hosts, how it ended, what was not seen.
-    pub fn of_run(record: &RunRecord, rows: &[Row]) -> Self {
+    pub fn of_run(record: &RunRecord, rows: &Rows) -> Self {
         let hosts = [Some(&record.edge), record.cloud.as_ref()].into_iter().flatten();
         let conditions: Vec<Condition> = hosts.flat_map(|host| host.conditions.iter().cloned()).collect();
         let unseen = Missing {
@@ -128,9 +131,10 @@ impl Evidence {
             reason: "measured, but this program was too busy to take them".to_owned(),
         };
         let rows_say = Self::of_rows(rows, &conditions);
+        let came = Came::of(rows, &rows_say.counts, record.counts.unseen);
         Self {
             missing: if unseen.count > 0 { vec![unseen] } else { Vec::new() },
-            early: Early::of(record, rows, &rows_say.counts),
+            early: Early::of(&Limits::of_record(record), &came, &record.reason),
             ..rows_say
         }
         .ended(Some(&record.reason))
@@ -167,7 +171,7 @@ impl Counts {
 }
 
 impl Clocks {
-    fn of<'a>(stage: &str, passages: impl Iterator<Item = &'a Passage>) -> Option<Self> {
+    fn of(stage: &str, passages: impl Iterator<Item = Passage>) -> Option<Self> {
         let mut verdicts = BTreeMap::<usize, (Verdict, u64)>::new();
         let (mut delays, mut half_widths) = (Vec::new(), Vec::new());
         for passage in passages {

@@ -18,8 +18,8 @@ mod testing;
 mod tests;
 mod trend;
 
-pub use course::{Beginning, Course, Outliers};
-pub use early::{Early, Unit};
+pub use course::{Beginning, Course, Outliers, batch_means};
+pub use early::{Came, Early, Limits, Unit};
 pub use evidence::{Clocks, Counts, Evidence, Missing};
 
 use std::cmp::Reverse;

@@ -4,7 +4,7 @@ use peernet_logger::stream::Condition;
 use super::testing::Noise;
 use super::*;
 use crate::Passage;
-use crate::results::{Outcome, Row, RunRecord};
+use crate::results::{Outcome, Row, Rows, RunRecord};
 
 /// A row whose total is mostly inference.
 fn row(iteration: u64, seconds: f64) -> Row {
@@ -23,7 +23,7 @@ fn row(iteration: u64, seconds: f64) -> Row {
     }
 }
 
-fn rows(totals: impl IntoIterator<Item = f64>) -> Vec<Row> {
+fn rows(totals: impl IntoIterator<Item = f64>) -> Rows {
     (1..).zip(totals).map(|(iteration, seconds)| row(iteration, seconds)).collect()
 }
 
@@ -43,7 +43,7 @@ fn governor(grade: Grade) -> Condition {
     }
 }
 
-fn judged(rows: &[Row]) -> Report {
+fn judged(rows: &Rows) -> Report {
     Report::of(&Evidence::of_rows(rows, &[governor(Grade::Good)]))
 }
 
@@ -151,9 +151,11 @@ fn outliers_matter_by_what_they_make_of_the_mean() {
 fn iterations_without_an_answer_are_counted_and_weighed() {
     for (every, grade) in [(1_500, Grade::Good), (200, Grade::Doubtful), (5, Grade::Bad)] {
         let mut rows = rows(quiet(3005));
-        for row in rows.iter_mut().filter(|row| row.iteration % every == 100 % every && row.iteration > 5) {
-            row.outcome = Outcome::Timeout;
-        }
+        rows.change(|row| {
+            if row.iteration % every == 100 % every && row.iteration > 5 {
+                row.outcome = Outcome::Timeout;
+            }
+        });
         assert_eq!(about(&judged(&rows), "losses").0, grade, "one in {every}");
     }
 }
@@ -167,27 +169,28 @@ fn what_no_stage_accounts_for_is_doubtful_unless_it_is_short() {
         (0.000_2, 0.4, Grade::Good),
     ] {
         let mut rows = rows((0..200).map(|_| seconds));
-        rows.iter_mut().for_each(|row| row.values[2].1 = seconds * share);
+        rows.change(|row| row.values[2].1 = seconds * share);
         let report = judged(&rows);
         assert_eq!(about(&report, "unattributed").0, grade, "{}", report.text());
     }
 }
 
-fn passage(verdict: Verdict) -> Passage {
+/// Gives a row a message of 6 ms.
+fn send(row: &mut Row, verdict: Verdict) {
     let value = Span::from_millis(6);
     let half = Span::from_micros(650);
     let known = verdict != Verdict::Unsynchronised;
-    Passage {
-        payload_bytes: 150_000,
-        logger_bytes: 300,
-        delay: OneWayDelay {
-            raw: value,
-            value: known.then_some(value),
-            bounds: known.then(|| Interval { lo: value - half, hi: value + half }),
-            source: DelaySource::InBand,
-            verdict,
-        },
-    }
+    let delay = OneWayDelay {
+        raw: value,
+        value: known.then_some(value),
+        bounds: known.then(|| Interval { lo: value - half, hi: value + half }),
+        source: DelaySource::InBand,
+        verdict,
+    };
+    row.upload = Some(Passage { payload_bytes: 150_000, logger_bytes: 300, delay });
+    let upload = known.then(|| ("upload".into(), value.seconds()));
+    let sizes = [("upload-bytes".into(), 150_000.0), ("upload-logger-bytes".into(), 300.0)];
+    row.values.extend(upload.into_iter().chain(sizes));
 }
 
 #[test]
@@ -200,15 +203,12 @@ fn verdicts_of_delays_are_weighed_per_direction() {
         (Verdict::Unsynchronised, 1, Grade::Bad),
     ] {
         let mut rows = rows(quiet(300));
-        for row in &mut rows {
-            let verdict = if row.iteration % every == 0 { verdict } else { Verdict::Ok };
-            row.upload = Some(passage(verdict));
-        }
+        rows.change(|row| send(row, if row.iteration % every == 0 { verdict } else { Verdict::Ok }));
         let report = judged(&rows);
         assert_eq!(about(&report, "clocks, upload").0, grade, "{}", report.text());
     }
     let mut rows = rows(quiet(300));
-    rows.iter_mut().for_each(|row| row.upload = Some(passage(Verdict::Ok)));
+    rows.change(|row| send(row, Verdict::Ok));
     let report = judged(&rows);
     let text = "Of the delays of `upload`, ok 100\u{202f}%; the median of 6.00\u{202f}ms is known to ±0.65\u{202f}ms.";
     assert_eq!(about(&report, "clocks, upload"), (Grade::Good, text));

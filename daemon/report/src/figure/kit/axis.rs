@@ -119,7 +119,10 @@ impl Axis {
             inside.map(|value| Tick { value, text: plain(value) }).collect()
         };
         let found = [marks(&[1.0]), marks(&[1.0, 2.0, 5.0])].into_iter().find(|marks| marks.len() >= 3);
-        found.unwrap_or_else(|| self.round(most))
+        let found = found.unwrap_or_else(|| self.round(most));
+        // Many powers of ten: those between may go, evenly.
+        let apart = found.len().div_ceil(2 * most.max(1) as usize).max(1);
+        found.into_iter().step_by(apart).collect()
     }
 }
 
@@ -154,6 +157,7 @@ mod tests {
             ["0.04", "0.06", "0.08"],
             "never one alone"
         );
+        assert_eq!(texts(Axis::logarithmic((1e-9, 1e9), (500, 0)), 5).len(), 10, "every other power of ten");
     }
 
     #[test]

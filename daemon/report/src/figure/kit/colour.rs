@@ -17,3 +17,10 @@ pub(in crate::figure) const GRID: RGBColor = RGBColor(0xdd, 0xe2, 0xe8);
 pub(in crate::figure) const AXIS: RGBColor = RGBColor(0x8a, 0x94, 0xa3);
 /// What is left out.
 pub(in crate::figure) const SHADE: RGBColor = RGBColor(0xe8, 0xeb, 0xef);
+/// Series side by side (Okabe and Ito).
+pub(in crate::figure) const SERIES: [RGBColor; 4] = [
+    RGBColor(0x00, 0x72, 0xb2),
+    RGBColor(0xd5, 0x5e, 0x00),
+    RGBColor(0x00, 0x9e, 0x73),
+    RGBColor(0xcc, 0x79, 0xa7),
+];

@@ -19,6 +19,14 @@ const BELOW: i32 = 170;
 /// Room above a plot for the title of the vertical axis.
 const ABOVE: i32 = 84;
 
+/// Least distance of the marks of a vertical axis, so that their labels are apart.
+const APART: i32 = 80;
+
+/// Where a vertical axis is marked: a low one less often.
+fn upward(y: &Axis) -> Vec<Tick> {
+    y.ticks(((y.pixels.0 - y.pixels.1) / APART).clamp(1, 5) as u32)
+}
+
 /// The two axes of a plot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::figure) struct Frame {
@@ -34,7 +42,7 @@ impl Frame {
 
     /// From where to where the horizontal axis goes beside a vertical one, on paper of that width.
     pub(in crate::figure) fn beside(y: &Axis, paper: i32) -> (i32, i32) {
-        let widest = y.ticks(5).iter().map(|tick| width(&tick.text, TEXT)).max().unwrap_or_default();
+        let widest = upward(y).iter().map(|tick| width(&tick.text, TEXT)).max().unwrap_or_default();
         (EDGE + widest + GAP, paper - EDGE - 20)
     }
 
@@ -45,7 +53,7 @@ impl Frame {
         (title, free): (&str, i32),
     ) -> Drawn<DB> {
         let (left, right) = self.x.pixels;
-        for tick in self.y.ticks(5) {
+        for tick in upward(&self.y) {
             let at = self.y.at(tick.value);
             paper.draw(&PathElement::new([(left, at), (right, at)], GRID.stroke_width(3)))?;
             let look = style(TEXT, QUIET, HPos::Right, VPos::Center);
@@ -72,25 +80,50 @@ impl Frame {
         title: &str,
         label: impl Fn(&Tick) -> String,
     ) -> Drawn<DB> {
+        let ticks = self.x.ticks(6).into_iter();
+        let ticks: Vec<Tick> = ticks.map(|tick| Tick { text: label(&tick), ..tick }).collect();
+        self.draw_x_at(paper, title, &ticks)
+    }
+
+    /// The same with marks of one's own.
+    pub(in crate::figure) fn draw_x_at<DB: DrawingBackend>(
+        &self,
+        paper: &Paper<DB>,
+        title: &str,
+        ticks: &[Tick],
+    ) -> Drawn<DB> {
+        self.draw_base(paper, ticks)?;
         let ((left, right), bottom) = (self.x.pixels, self.y.pixels.0);
-        paper.draw(&PathElement::new([(left, bottom), (right, bottom)], AXIS.stroke_width(3)))?;
         let edge = paper.dim_in_pixel().0 as i32 - 8;
         let mut taken = 0;
-        for tick in self.x.ticks(6) {
-            let (at, words) = (self.x.at(tick.value), label(&tick));
-            paper.draw(&PathElement::new([(at, bottom), (at, bottom + 12)], AXIS.stroke_width(3)))?;
-            let half = width(&words, TEXT) / 2;
+        for tick in ticks {
+            let half = width(&tick.text, TEXT) / 2;
             // A label at the end stays on the paper, and none lies on its neighbour.
-            let at = at.min(edge - half);
+            let at = self.x.at(tick.value).min(edge - half);
             if at - half < taken {
                 continue;
             }
             taken = at + half + GAP;
-            text(paper, words, (at, bottom + 24), style(TEXT, QUIET, HPos::Center, VPos::Top))?;
+            let look = style(TEXT, QUIET, HPos::Center, VPos::Top);
+            text(paper, tick.text.clone(), (at, bottom + 24), look)?;
         }
         let look = style(TEXT, QUIET, HPos::Center, VPos::Bottom);
         let below = (i32::midpoint(left, right), bottom + BELOW - 24);
         text(paper, title.to_owned(), below, look)
+    }
+
+    /// The line below a plot and its marks, without labels.
+    pub(in crate::figure) fn draw_base<DB: DrawingBackend>(
+        &self,
+        paper: &Paper<DB>,
+        ticks: &[Tick],
+    ) -> Drawn<DB> {
+        let ((left, right), bottom) = (self.x.pixels, self.y.pixels.0);
+        paper.draw(&PathElement::new([(left, bottom), (right, bottom)], AXIS.stroke_width(3)))?;
+        for at in ticks.iter().map(|tick| self.x.at(tick.value)) {
+            paper.draw(&PathElement::new([(at, bottom), (at, bottom + 12)], AXIS.stroke_width(3)))?;
+        }
+        Ok(())
     }
 
     /// A remark above the plot's right end, on the line of the vertical axis' title.

@@ -1,6 +1,6 @@
 //! What stands above a plot: its title, the key, notes.
 
-use plotters::element::{DashedPathElement, PathElement};
+use plotters::element::{DashedPathElement, PathElement, Rectangle};
 use plotters::prelude::DrawingBackend;
 use plotters::style::text_anchor::{HPos, VPos};
 use plotters::style::{Color, RGBColor};
@@ -28,8 +28,12 @@ pub(in crate::figure) enum Swatch {
     Area(Fill),
     /// A line, dashed or not.
     Line(RGBColor, bool),
-    /// A mark on its line.
+    /// A mark on a line.
     Mark(RGBColor, Mark),
+    /// A mark on the line that is its own.
+    Curve(RGBColor, Mark),
+    /// A pale area with a mark in black.
+    Shape(RGBColor, Mark),
 }
 
 /// A sample and what it means.
@@ -122,6 +126,16 @@ fn sample<DB: DrawingBackend>(paper: &Paper<DB>, (x, y): (i32, i32), swatch: Swa
             if mark != Mark::Cross {
                 paper.draw(&PathElement::new(line, colour.stroke_width(5)))?;
             }
+            mark.draw(paper, (x + SAMPLE / 2, y), colour)
+        }
+        Swatch::Shape(colour, mark) => {
+            let area = [(x, y - 22), (x + SAMPLE, y + 22)];
+            paper.draw(&Rectangle::new(area, colour.mix(0.35).filled()))?;
+            paper.draw(&Rectangle::new(area, colour.stroke_width(4)))?;
+            mark.draw(paper, (x + SAMPLE / 2, y), INK)
+        }
+        Swatch::Curve(colour, mark) => {
+            mark.draw_line(paper, line.to_vec(), colour)?;
             mark.draw(paper, (x + SAMPLE / 2, y), colour)
         }
     }

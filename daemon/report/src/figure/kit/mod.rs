@@ -14,13 +14,15 @@ pub use colour::{DOWNLOAD, INK, UPLOAD};
 pub use fill::{Fill, Hatch};
 pub use mark::Mark;
 
-pub(super) use axis::Axis;
+pub(super) use axis::{Axis, Tick};
 pub(super) use canvas::{SIZE, SMALL, TEXT, style};
-pub(super) use colour::{AXIS, GRID, QUIET, SHADE};
+pub(super) use colour::{AXIS, GRID, QUIET, SERIES, SHADE};
 pub(super) use fill::fill;
 pub(super) use frame::Frame;
 pub(super) use header::{Header, Key, Swatch};
 pub(super) use text::{shorten, text, width};
+
+use std::borrow::Cow;
 
 use crate::number::{decimals, fixed};
 
@@ -30,7 +32,7 @@ pub struct Unit {
     /// With the unit: `One-way delay, ms`.
     pub title: String,
     /// The unit alone, for figures in words; empty for a count.
-    pub symbol: &'static str,
+    pub symbol: Cow<'static, str>,
     /// The number shown per SI unit.
     pub per_si: f64,
 }
@@ -38,12 +40,12 @@ pub struct Unit {
 impl Unit {
     /// Seconds, shown as ms.
     pub fn milliseconds(what: &str) -> Self {
-        Self { title: format!("{what}, ms"), symbol: "ms", per_si: 1e3 }
+        Self { title: format!("{what}, ms"), symbol: "ms".into(), per_si: 1e3 }
     }
 
     /// Bits per second, shown as MB/s.
     pub fn megabytes_per_second(what: &str) -> Self {
-        Self { title: format!("{what}, MB/s"), symbol: "MB/s", per_si: 1.0 / 8e6 }
+        Self { title: format!("{what}, MB/s"), symbol: "MB/s".into(), per_si: 1.0 / 8e6 }
     }
 
     /// A value in SI units, in words: `5.66 ms`. With three digits, or as many as tell it from others that are

@@ -7,8 +7,9 @@ use plotters::style::text_anchor::{HPos, VPos};
 
 use super::canvas::{Drawn, Paper, register, style};
 use super::colour::INK;
+use crate::table::in_one_line;
 
-/// Draws text at a point.
+/// Draws text at a point, in one line: an SVG with a control character in it is none.
 pub(in crate::figure) fn text<DB: DrawingBackend>(
     paper: &Paper<DB>,
     words: impl Into<String>,
@@ -18,13 +19,13 @@ pub(in crate::figure) fn text<DB: DrawingBackend>(
     // The middle of a line's height is above the middle of its digits.
     let lower =
         if matches!(style.pos.v_pos, VPos::Center) { (style.font.get_size() / 9.0) as i32 } else { 0 };
-    paper.draw(&Text::new(words.into(), (x, y + lower), style))
+    paper.draw(&Text::new(in_one_line(&words.into()), (x, y + lower), style))
 }
 
 /// Width of text of a height, pixels.
 pub(in crate::figure) fn width(text: &str, height: i32) -> i32 {
     register();
-    let size = style(height, INK, HPos::Left, VPos::Top).font.box_size(text);
+    let size = style(height, INK, HPos::Left, VPos::Top).font.box_size(&in_one_line(text));
     // Without a font nothing is drawn either; a guess keeps the layout whole.
     size.map_or_else(|_| text.chars().count() as i32 * height / 2, |(width, _)| width as i32)
 }

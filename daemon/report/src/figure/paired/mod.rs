@@ -5,12 +5,12 @@ mod density;
 use plotters::element::{PathElement, Polygon, Rectangle};
 use plotters::prelude::DrawingBackend;
 use plotters::style::text_anchor::{HPos, VPos};
-use plotters::style::{Color, RGBColor, WHITE};
+use plotters::style::{Color, WHITE};
 
 use super::histogram::{nothing, range};
 use super::kit::{
-    Axis, Drawn, Figure, Frame, Header, INK, Key, Mark, Paper, QUIET, SIZE, SMALL, Swatch, TEXT, Unit,
-    shorten, style, text, width,
+    Axis, Drawn, Figure, Frame, Header, INK, Key, Mark, Paper, QUIET, SERIES, SIZE, SMALL, Swatch, TEXT,
+    Unit, shorten, style, text, width,
 };
 use crate::number::{fixed, significant};
 use crate::order::Ordered;
@@ -18,16 +18,8 @@ use density::density;
 
 /// Up to how many values each is drawn.
 const MOST_POINTS: usize = 60;
-/// The sides' colours (Okabe and Ito), each with a mark of its own.
-const COLOURS: [RGBColor; 4] = [
-    RGBColor(0x00, 0x72, 0xb2),
-    RGBColor(0xd5, 0x5e, 0x00),
-    RGBColor(0x00, 0x9e, 0x73),
-    RGBColor(0xcc, 0x79, 0xa7),
-];
-
 /// Most sides that can be told apart.
-pub const MOST_SIDES: usize = COLOURS.len();
+pub const MOST_SIDES: usize = SERIES.len();
 /// Most groups that a column has room for.
 pub const MOST_GROUPS: usize = 12;
 
@@ -66,8 +58,8 @@ impl Group {
 
 impl Paired {
     fn header(&self) -> Header {
-        let looks = COLOURS.into_iter().zip(Mark::ALL);
-        let key = |(name, (colour, mark)): (&String, _)| Key::new(Swatch::Mark(colour, mark), name.clone());
+        let looks = SERIES.into_iter().zip(Mark::ALL);
+        let key = |(name, (colour, mark)): (&String, _)| Key::new(Swatch::Shape(colour, mark), name.clone());
         let mut notes = self.notes.clone();
         if self.groups.iter().any(|group| group.ratio().is_some()) {
             notes.push(format!("above a pair: median {} ÷ {}", self.sides[0], self.sides[1]));
@@ -90,7 +82,7 @@ impl Paired {
         frame: &Frame,
         (values, side, middle, half): (&Ordered, usize, i32, i32),
     ) -> Drawn<DB> {
-        let (colour, mark) = (COLOURS[side % MOST_SIDES], Mark::ALL[side % MOST_SIDES]);
+        let (colour, mark) = (SERIES[side % MOST_SIDES], Mark::ALL[side % MOST_SIDES]);
         let y = |value: f64| frame.y.at(value * self.unit.per_si);
         let Some((lo, hi)) = range(values) else { return Ok(()) };
         let hill = density(values, (lo, hi));

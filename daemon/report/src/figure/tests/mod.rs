@@ -4,6 +4,7 @@ mod bars;
 mod over_time;
 mod pairs;
 mod points;
+mod sharing;
 
 use std::collections::HashMap;
 
@@ -82,4 +83,16 @@ fn a_figure_is_as_wide_as_a_column_in_both_files() {
     let missing = folder.path().join("missing");
     let error = figure.write(&missing, "some-time").expect_err("there is no such folder");
     assert!(error.to_string().contains("some-time.png"), "{error}");
+}
+
+#[test]
+fn names_cannot_break_a_file() {
+    let figure = Histogram {
+        title: "a\tb\n<c> & \u{1b}[2J\u{0}\u{7}".to_owned(),
+        ..bars::histogram(millis([1.0, 2.0]))
+    };
+    let svg = figure.svg().expect("drawn");
+    assert!(svg.contains("a b &lt;c&gt; &amp;  [2J"), "{svg}");
+    assert!(!svg.chars().any(|char| char.is_control() && char != '\n'), "{svg}");
+    assert_on_paper(&figure, &svg);
 }

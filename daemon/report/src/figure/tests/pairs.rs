@@ -66,7 +66,7 @@ fn odd_pairs_are_drawn_too() {
 fn lengths(points: Vec<(f64, f64)>) -> Lengths {
     Lengths {
         title: "Inference against tokens".to_owned(),
-        x: Unit { title: "Tokens".to_owned(), symbol: "", per_si: 1.0 },
+        x: Unit { title: "Tokens".to_owned(), symbol: "".into(), per_si: 1.0 },
         y: Unit::milliseconds("Inference"),
         points,
         notes: vec!["n = 3".to_owned()],

@@ -4,12 +4,10 @@ mod render;
 
 pub(crate) use render::Scale;
 
-use std::collections::HashMap;
-
 use peernet_statistics::Moments;
 
 use super::columns::{FIXED, Holds};
-use super::{Clocks, Column, Counts, Row, RunRecord};
+use super::{Clocks, Column, Counts, Rows, RunRecord, Units};
 use crate::order::Ordered;
 
 /// Fewest values that a percentile is given of, as everywhere in PEERNet.
@@ -27,6 +25,8 @@ pub struct Summary {
     pub counts: Counts,
     /// How far the delays can be trusted.
     pub clocks: Clocks,
+    /// In what the columns are measured that the run logged beside the standard ones.
+    pub units: Units,
 }
 
 /// What one column comes to, in the column's unit.
@@ -55,40 +55,28 @@ pub struct Quantity {
 
 impl Summary {
     /// What these rows come to.
-    pub fn of(rows: &[Row]) -> Self {
-        let mut columns: Vec<(Column, Vec<f64>)> = Vec::new();
-        let mut places: HashMap<Column, usize> = HashMap::new();
-        for (name, _) in FIXED.iter().filter(|(name, holds)| *holds == Holds::Node && !is_bound(name)) {
-            places.insert(Column::Borrowed(name), columns.len());
-            columns.push((Column::Borrowed(name), Vec::new()));
-        }
-        for (name, value) in rows.iter().filter(|row| row.counts()).flat_map(|row| &row.values) {
-            if is_bound(name) {
-                continue;
-            }
-            let place = places.get(name).copied().unwrap_or(columns.len());
-            if place == columns.len() {
-                places.insert(name.clone(), place);
-                columns.push((name.clone(), Vec::new()));
-            }
-            columns[place].1.push(*value);
-        }
-        let quantity = |(column, values): (Column, Vec<f64>)| {
-            let quantity = Quantity::of(column, values)?;
-            Some(Quantity { bounds: bounds(rows, &quantity.column), ..quantity })
+    pub fn of(rows: &Rows) -> Self {
+        let measured = rows.names().iter().enumerate().filter(|(place, name)| {
+            FIXED.get(*place).is_none_or(|(_, holds)| *holds == Holds::Node) && !is_bound(name)
+        });
+        let quantity = |(_, name): (usize, &Column)| {
+            let quantity = Quantity::of(name.clone(), rows.counted(name))?;
+            Some(Quantity { bounds: bounds(rows, name), ..quantity })
         };
         Self {
             title: String::new(),
-            quantities: columns.into_iter().filter_map(quantity).collect(),
+            quantities: measured.filter_map(quantity).collect(),
             counts: Counts::of(rows, 0),
             clocks: Clocks::of(rows),
+            units: Units::default(),
         }
     }
 
-    /// With the run's title, and what is known of iterations that have no row.
+    /// With the run's title, the units of its own columns, and what is known of iterations that have no row.
     #[must_use]
     pub fn about(mut self, record: &RunRecord) -> Self {
         self.title.clone_from(&record.title);
+        self.units.clone_from(&record.units);
         self.counts.unseen = record.counts.unseen;
         self
     }
@@ -106,7 +94,7 @@ fn is_bound(column: &str) -> bool {
 
 /// The median of the lower ends and that of the upper ends: when each value lies between its ends, so does the median of
 /// the values between these two. `None` unless every value has ends.
-fn bounds(rows: &[Row], column: &str) -> Option<(f64, f64)> {
+fn bounds(rows: &Rows, column: &str) -> Option<(f64, f64)> {
     let bounded = ["upload", "download", "upload-throughput", "download-throughput"];
     bounded.contains(&column).then_some(())?;
     let counted = || rows.iter().filter(|row| row.counts() && row.value(column).is_some());

@@ -2,9 +2,11 @@
 
 use std::collections::BTreeMap;
 
+use peernet_logger::Unit;
+
 use super::{Quantity, Summary};
 use crate::number::{bound_milliseconds, decimals, decimals_within, fixed};
-use crate::results::{ClockCounts, Counts};
+use crate::results::{ClockCounts, Counts, Units};
 use crate::table::{Table, csv_text};
 
 /// What stands where nothing is known.
@@ -22,7 +24,7 @@ const TABULATED: [(&str, &str); 10] = [
     ("stages-total", "Total (sum of stages)"),
     ("total", "Total (measured)"),
 ];
-/// Columns that are times, wherever in the tree they are logged. Of other columns it is not known.
+/// Columns that are times, wherever in the tree they are logged and whoever wrote the file.
 const TIMES: [&str; 14] = [
     "sensing",
     "upload",
@@ -56,22 +58,27 @@ pub(crate) enum Scale {
 }
 
 impl Scale {
-    pub(crate) fn of(column: &str) -> Self {
+    /// By a standard column's name; for another one by the unit that it was logged with.
+    pub(crate) fn of(column: &str, unit: Option<&str>) -> Self {
         let total = ["lateness", "total", "stages-total", "unattributed"].contains(&column);
+        let logged_in = |known: &Unit| unit == Some(known.symbol());
         match column {
             _ if total || TIMES.contains(&last_part(column)) => Self::Milliseconds,
             "upload-throughput" | "download-throughput" => Self::MegabytesPerSecond,
             _ if column.ends_with("-bytes") => Self::Bytes,
+            _ if logged_in(&Unit::SECONDS) => Self::Milliseconds,
+            _ if logged_in(&Unit::BITS_PER_SECOND) => Self::MegabytesPerSecond,
+            _ if logged_in(&Unit::BYTES) => Self::Bytes,
             _ => Self::AsMeasured,
         }
     }
 
-    const fn unit(&self) -> &'static str {
+    fn unit<'a>(&self, logged: Option<&'a str>) -> &'a str {
         match self {
             Self::Milliseconds => "ms",
             Self::MegabytesPerSecond => "MB/s",
             Self::Bytes => "B",
-            Self::AsMeasured => "",
+            Self::AsMeasured => logged.unwrap_or_default(),
         }
     }
 
@@ -149,7 +156,7 @@ impl Summary {
         Table {
             header: header.map(str::to_owned).to_vec(),
             labels: 2,
-            rows: named.chain(rest).map(|(quantity, name)| cells(quantity, name)).collect(),
+            rows: named.chain(rest).map(|(quantity, name)| cells(quantity, name, &self.units)).collect(),
             marked: Vec::new(),
         }
     }
@@ -165,8 +172,9 @@ impl Summary {
     }
 }
 
-fn cells(quantity: &Quantity, name: &str) -> Vec<String> {
-    let scale = Scale::of(&quantity.column);
+fn cells(quantity: &Quantity, name: &str, units: &Units) -> Vec<String> {
+    let unit = units.of(&quantity.column);
+    let scale = Scale::of(&quantity.column, unit);
     let figure = scale.figure(quantity);
     let known = |value: Option<f64>| value.map_or_else(|| UNKNOWN.to_owned(), &figure);
     let mean = match quantity.std {
@@ -180,7 +188,7 @@ fn cells(quantity: &Quantity, name: &str) -> Vec<String> {
     };
     vec![
         name.to_owned(),
-        scale.unit().to_owned(),
+        scale.unit(unit).to_owned(),
         fixed(quantity.count as f64, 0),
         mean,
         figure(quantity.median),

@@ -5,6 +5,7 @@ use std::path::Path;
 use proptest::prelude::*;
 
 use super::*;
+use crate::accuracy::Accuracy;
 
 fn record() -> RunRecord {
     RunRecord {
@@ -16,8 +17,9 @@ fn record() -> RunRecord {
         model: Some(ModelRecord { name: "s".to_owned(), device: Some("cpu".to_owned()), sha256: None }),
         pipeline: serde_json::json!({"load": {"kind": "closed"}}),
         seeds: [("order".to_owned(), 7)].into(),
-        counts: Counts::of(&rows(10), 3),
-        clocks: Clocks::of(&rows(10)),
+        counts: Counts::of(&kept(&rows(10)), 3),
+        clocks: Clocks::of(&kept(&rows(10))),
+        accuracy: [("top-1".to_owned(), Accuracy::of_counts(8, 9, 1).expect("answers"))].into(),
         trust: Some(crate::trust::Report::of(&crate::trust::Evidence::default())),
         ..RunRecord::default()
     }
@@ -28,7 +30,7 @@ fn write(folder: &Path, rows: &[Row]) -> Finished {
     let mut writer = folder.writer().expect("writable");
     rows.iter().for_each(|row| writer.write(row));
     writer.end().expect("writable");
-    folder.finish(&record(), rows).expect("writable")
+    folder.finish(&record(), &kept(rows)).expect("writable")
 }
 
 #[test]
@@ -39,10 +41,14 @@ fn what_is_written_reads_back_as_it_was() {
     let names: Vec<_> = finished.files.iter().filter_map(|file| file.file_name()?.to_str()).collect();
     assert_eq!(names, ["data.csv", "run.json", "summary.md", "summary.csv", "summary.tex"]);
     let loaded = ResultFolder::open(folder.path()).expect("readable");
-    assert_eq!(loaded.rows, rows(10));
+    assert_eq!(loaded.rows, kept(&rows(10)));
     assert_eq!((loaded.record.clone(), loaded.damage()), (record(), None));
     let by_file = ResultFolder::open(&folder.path().join("data.csv")).expect("readable");
     assert_eq!((by_file.rows, by_file.record), (loaded.rows, loaded.record));
+    let beside = folder.path().join("killed.csv");
+    std::fs::copy(folder.path().join("data.csv"), &beside).expect("writable");
+    let beside = ResultFolder::open(&beside).expect("readable").record;
+    assert_eq!((beside.format, beside.name.as_str()), (0, "killed"), "run.json tells of data.csv alone");
 }
 
 #[test]
@@ -83,8 +89,8 @@ fn columns_that_come_late_reach_the_file() {
     let header = header(writer.path()).expect("a header");
     assert!(header.ends_with("reason,inference_pre,grip,late"), "{header}");
     writer.end().expect("writable");
-    result.finish(&record(), &rows).expect("writable");
-    assert_eq!(ResultFolder::open(folder.path()).expect("readable").rows, rows);
+    result.finish(&record(), &kept(&rows)).expect("writable");
+    assert_eq!(ResultFolder::open(folder.path()).expect("readable").rows, kept(&rows));
 }
 
 #[test]
@@ -95,7 +101,7 @@ fn a_file_that_was_cut_off_gives_the_rows_that_are_whole() {
     let text = std::fs::read_to_string(&path).expect("text");
     std::fs::write(&path, &text[..text.len() - 3]).expect("writable");
     let loaded = ResultFolder::open(folder.path()).expect("readable");
-    assert_eq!(loaded.rows, rows(9));
+    assert_eq!(loaded.rows, kept(&rows(9)));
     let told = loaded.damage().expect("one is missing");
     assert_eq!(told, "data.csv has 9 of the 10 iterations that run.json counts");
     let text = text.replace(",lost,", ",timeout,");
@@ -115,11 +121,11 @@ fn a_folder_that_cannot_be_written_loses_nothing() {
     let mut writer = result.writer().expect("writable");
     rows(10).iter().for_each(|row| writer.write(row));
     writer.end().expect("writable");
-    let finished = result.finish(&record(), &rows(10)).expect("there is another place");
+    let finished = result.finish(&record(), &kept(&rows(10))).expect("there is another place");
     let trouble = finished.trouble.expect("the folder failed").to_string();
     assert!(trouble.contains("run.json") && trouble.contains("No space left"), "{trouble}");
     assert_ne!(finished.folder, folder.path());
-    assert_eq!(ResultFolder::open(&finished.folder).expect("readable").rows, rows(10));
+    assert_eq!(ResultFolder::open(&finished.folder).expect("readable").rows, kept(&rows(10)));
     std::fs::remove_dir_all(finished.folder).expect("it is ours");
 }
 
@@ -170,10 +176,10 @@ fn a_folder_is_written_by_one_program_at_a_time() {
 #[test]
 fn folders_are_found_in_the_order_that_people_expect() {
     let folder = tempfile::tempdir().expect("a folder");
-    for name in ["b/run-10", "b/run-2", "a", "empty"] {
+    for name in ["b/run-10", "b/run-2", "a", "empty", ".hidden"] {
         std::fs::create_dir_all(folder.path().join(name)).expect("made");
     }
-    for name in ["b/run-10", "b/run-2", "a"] {
+    for name in ["b/run-10", "b/run-2", "a", ".hidden"] {
         std::fs::write(folder.path().join(name).join("data.csv"), "").expect("writable");
     }
     let found = ResultFolder::find(folder.path());
@@ -214,6 +220,6 @@ proptest! {
             upload: None, download: None,
         }).collect();
         write(folder.path(), &rows);
-        prop_assert_eq!(ResultFolder::open(folder.path()).expect("readable").rows, rows);
+        prop_assert_eq!(ResultFolder::open(folder.path()).expect("readable").rows, kept(&rows));
     }
 }

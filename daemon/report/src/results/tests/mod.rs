@@ -85,10 +85,15 @@ fn iteration(number: u64, outcome: Ended, tree: Tree) -> Iteration {
 }
 
 /// So many rows, the first two of them warm-up, the sixth lost.
-fn rows(count: u64) -> Vec<Row> {
+pub(super) fn rows(count: u64) -> Vec<Row> {
     let of = |number: u64| match number {
         6 => iteration(number, Ended::Lost("the connection broke, \"reset\"".to_owned()), tree()),
         _ => iteration(number, Ended::Ok, offloaded(17_000 + number as i64, 3_700)),
     };
     (1..=count).map(|number| Row::of(&of(number))).collect()
+}
+
+/// As they are kept.
+fn kept(rows: &[Row]) -> Rows {
+    rows.iter().cloned().collect()
 }

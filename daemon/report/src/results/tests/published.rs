@@ -21,21 +21,21 @@ fn a_published_file_that_stands_alone_can_be_read() {
     std::fs::create_dir(&results).expect("made");
     std::fs::write(results.join("data.csv"), SAMPLE).expect("writable");
     let loaded = ResultFolder::open(&results).expect("readable");
-    let warm_up: Vec<bool> = loaded.rows.iter().map(|row| row.warm_up).collect();
+    let warm_up: Vec<bool> = loaded.rows.iter().map(|row| row.warm_up()).collect();
     assert_eq!(
         warm_up,
         [true, true, true, true, true, false, false],
         "the published figures drop the first five"
     );
-    let last = &loaded.rows[6];
+    let last = loaded.rows.get(6).expect("seven");
     assert_eq!(
-        (last.iteration, last.outcome, last.value("total"), last.value("at")),
+        (last.iteration(), last.outcome(), last.value("total"), last.value("at")),
         (7, Outcome::Ok, None, None)
     );
     let sum = last.value("stages-total").expect("the paper's Total");
     assert!((sum - 0.1187).abs() < 1e-12, "{sum}");
-    assert_eq!(loaded.rows[5].value("download-throughput"), None);
-    assert_eq!((last.upload, last.download), (None, None), "nobody bounded its delays");
+    assert_eq!(loaded.rows.get(5).and_then(|row| row.value("download-throughput")), None);
+    assert_eq!((last.upload(), last.download()), (None, None), "nobody bounded its delays");
     assert_eq!((loaded.record.name.as_str(), loaded.record.format), ("jetson", 0));
     assert_eq!(loaded.record.counts, Counts { ok: 2, warm_up: 5, ..Counts::default() });
     let summary = Summary::of(&loaded.rows);
@@ -53,7 +53,7 @@ fn a_record_of_another_version_is_read_as_far_as_it_is_understood() {
     .expect("writable");
     let loaded = ResultFolder::open(folder.path()).expect("readable");
     assert_eq!((loaded.record.title.as_str(), loaded.record.edge.name.as_str()), ("x", "e"));
-    assert!(!loaded.rows[0].warm_up, "whoever writes a run.json flags its rows");
+    assert!(loaded.rows.get(0).is_some_and(|row| !row.warm_up()), "whoever writes a run.json flags its rows");
     std::fs::write(folder.path().join("run.json"), "{").expect("writable");
     let error = ResultFolder::open(folder.path()).expect_err("broken").to_string();
     assert!(error.contains("run.json: EOF"), "{error}");

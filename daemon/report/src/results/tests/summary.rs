@@ -45,7 +45,7 @@ fn percentiles_need_enough_numbers() {
 
 #[test]
 fn warm_up_and_what_was_lost_are_left_out() {
-    let summary = Summary::of(&rows(10));
+    let summary = Summary::of(&kept(&rows(10)));
     let upload = summary.quantity("upload").expect("measured");
     assert_eq!((upload.count, upload.max), (7, 0.01701));
     assert_eq!(upload.bounds, Some((0.016997, 0.017017)));
@@ -79,7 +79,7 @@ Clock bounds contain the median of the true values.";
 #[test]
 fn the_summary_reads_as_the_papers_metrics() {
     let record = RunRecord { title: "robot_1".to_owned(), ..RunRecord::default() };
-    let summary = Summary::of(&rows(10)).about(&record);
+    let summary = Summary::of(&kept(&rows(10))).about(&record);
     assert_eq!(summary.text(), TEXT);
     let markdown = summary.markdown();
     assert!(markdown.starts_with("# robot_1\n\n| metric | unit | count | mean ± std |"), "{markdown}");
@@ -105,7 +105,7 @@ fn nodes_of_a_known_stage_are_times_wherever_they_are() {
         [("ipc", 0.001), ("capture_capture-ipc", 0.002), ("mine_capture-ipc_2", 0.003), ("mine", 4.0)];
     let mut rows = rows(9).split_off(8);
     rows[0].values = values.map(|(name, value)| (name.into(), value)).to_vec();
-    let text = Summary::of(&rows).text();
+    let text = Summary::of(&kept(&rows)).text();
     let unit = |metric: &str| {
         let line =
             text.lines().find(|line| line.starts_with(metric)).unwrap_or_else(|| panic!("{metric}: {text}"));
@@ -115,4 +115,41 @@ fn nodes_of_a_known_stage_are_times_wherever_they_are() {
     assert_eq!(unit("Border to the sensor's process")[..3], ["ms", "1", "2.00"]);
     assert_eq!(unit("mine_capture-ipc_2")[..3], ["ms", "1", "3.00"]);
     assert_eq!(unit("mine ")[..2], ["1", "4.00"], "nobody knows in what");
+}
+
+#[test]
+fn nodes_of_ones_own_have_the_unit_that_they_were_logged_with() {
+    let logged = |number: u64, mixed: Unit| {
+        let mut tree = offloaded(17_000, 3_700);
+        let value = |value: f64, unit: Unit| Measure::Value(value, unit);
+        add(&mut tree, &[], "grip", timer(250_000));
+        add(&mut tree, &["grip"], "close", timer(100_000));
+        add(&mut tree, &[], "cloud-points", value(1_200.0, Unit::BYTES));
+        add(&mut tree, &[], "camera", value(8e8, Unit::BITS_PER_SECOND));
+        add(&mut tree, &[], "force", value(9.81, Unit::new("N")));
+        add(&mut tree, &[], "tries", value(3.0, Unit::NONE));
+        add(&mut tree, &[], "mixed", value(5.0, mixed));
+        iteration(number, Ended::Ok, tree)
+    };
+    let mut units = Units::default();
+    let iterations = [logged(3, Unit::WATTS), logged(4, Unit::JOULES)];
+    let own: Vec<Row> = iterations.iter().map(|iteration| units.row(iteration)).collect();
+    assert_eq!(own, iterations.each_ref().map(Row::of), "the rows are the same");
+    let record = RunRecord { units, ..RunRecord::default() };
+    let json = serde_json::to_value(&record).expect("JSON");
+    assert_eq!((&json["units"]["grip_val"], &json["units"]["force"]), (&"s".into(), &"N".into()));
+    let text = Summary::of(&kept(&own)).about(&record).text();
+    let line = |metric: &str| {
+        let line =
+            text.lines().find(|line| line.starts_with(metric)).unwrap_or_else(|| panic!("{metric}: {text}"));
+        line.split_whitespace().take(4).map(str::to_owned).collect::<Vec<_>>()
+    };
+    assert_eq!(line("grip_val"), ["grip_val", "ms", "2", "250.000"]);
+    assert_eq!(line("grip_close"), ["grip_close", "ms", "2", "100.000"]);
+    assert_eq!(line("inference_pre"), ["inference_pre", "ms", "2", "0.030"]);
+    assert_eq!(line("cloud-points"), ["cloud-points", "B", "2", "1,200"]);
+    assert_eq!(line("camera"), ["camera", "MB/s", "2", "100"]);
+    assert_eq!(line("force"), ["force", "N", "2", "9.81"]);
+    assert_eq!(line("tries"), ["tries", "2", "3.00", "±"]);
+    assert_eq!(line("mixed"), ["mixed", "2", "5.00", "±"], "watts are not added to joules");
 }

@@ -31,8 +31,15 @@ pub(super) fn sentences(evidence: &Evidence) -> Vec<Sentence> {
     all
 }
 
-/// A run that is not what was ordered; nothing about one that is.
+/// A run that is not, or not yet, what was ordered; nothing about one that is.
 fn end(evidence: &Evidence) -> Option<Sentence> {
+    if evidence.open {
+        return Some(say(
+            END,
+            Grade::Unknown,
+            "The run has no end yet: all this is of what is there so far.",
+        ));
+    }
     let how_far = evidence.early.as_ref().map(|Early { came, of, unit, .. }| match unit {
         Unit::Iterations => format!("after {} of {}", fixed(*came, 0), iterations(*of as u64)),
         Unit::Seconds => format!("after {} of {}\u{202f}s", fixed(*came, 1), significant(*of)),
@@ -58,6 +65,7 @@ fn enough(counts: &Counts) -> Sentence {
     let about = "amount";
     let warm_up = match counts.warm_up {
         0 => "no warm-up was left out".to_owned(),
+        1 => "1 iteration of warm-up is left out".to_owned(),
         n => format!("{} of warm-up are left out", iterations(n)),
     };
     match counts.ok {
@@ -66,8 +74,9 @@ fn enough(counts: &Counts) -> Sentence {
             advise(sentence, "look at why: the run's page lists the reasons, `data.csv` has them as `reason`")
         }
         few @ ..FEW => {
+            let was = if few == 1 { "was" } else { "were" };
             let text =
-                format!("Only {} were answered: too few for a 95th percentile; {warm_up}.", iterations(few));
+                format!("Only {} {was} answered: too few for a 95th percentile; {warm_up}.", iterations(few));
             advise(
                 say(about, Grade::Doubtful, text),
                 format!("measure at least {FEW} iterations, better 1,000"),

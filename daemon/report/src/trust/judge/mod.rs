@@ -1,5 +1,6 @@
 //! One file per thing that is looked at. Each gives sentences; none knows of the others.
 
+mod accuracy;
 mod clocks;
 mod conditions;
 mod course;
@@ -8,7 +9,7 @@ mod losses;
 use peernet_logger::stream::Grade;
 
 use super::{Evidence, Sentence};
-use crate::number::{fixed, significant};
+use crate::number::{counted, fixed, significant};
 
 /// What the sentence is about that says of a run that it broke off.
 pub(super) const END: &str = "end";
@@ -19,6 +20,7 @@ pub(super) fn sentences(evidence: &Evidence) -> Vec<Sentence> {
     all.extend(losses::sentences(evidence));
     all.extend(course::sentences(evidence));
     all.extend(clocks::sentences(evidence));
+    all.extend(accuracy::sentences(&evidence.accuracy));
     all.extend(conditions::sentences(&evidence.conditions));
     all
 }
@@ -51,5 +53,5 @@ fn ms(seconds: f64) -> String {
 
 /// `1 iteration`, `2 iterations`.
 fn iterations(count: u64) -> String {
-    format!("{} iteration{}", fixed(count as f64, 0), if count == 1 { "" } else { "s" })
+    counted(count, "iteration")
 }

@@ -1,0 +1,82 @@
+//! Latency against the number of edges.
+
+use super::*;
+
+fn point(edges: usize, median: f64, fairness: Option<f64>) -> SharingPoint {
+    let each = vec![median * 0.9, median * 1.1];
+    SharingPoint { edges, median, p95: Some(median * 1.5), each, fairness }
+}
+
+fn sharing(curves: Vec<(&str, Vec<SharingPoint>)>) -> Sharing {
+    let curve = |(name, points): (&str, _)| SharingCurve { name: name.to_owned(), points };
+    Sharing {
+        title: "Latency against edges on one cloud".to_owned(),
+        unit: Unit::milliseconds("Total"),
+        curves: curves.into_iter().map(curve).collect(),
+        notes: Vec::new(),
+    }
+}
+
+#[test]
+fn the_axis_is_marked_at_whole_edges_that_were_measured() {
+    let points = [1, 2, 4, 8].map(|edges| point(edges, 0.01 + 0.01 * edges as f64, Some(1.0 / edges as f64)));
+    let figure = sharing(vec![("", points.to_vec())]);
+    let svg = figure.svg().expect("drawn");
+    for text in ["1", "2", "4", "8", "Edges at once", "Total, ms", "0.0", "0.5", "1.0"] {
+        assert!(has(&svg, text), "{text} in {:?}", texts(&svg));
+    }
+    assert!(texts(&svg).iter().any(|text| text.contains("Jain")), "{:?}", texts(&svg));
+    let (x, y) = (Elements::of(&svg, "circle").numbers("cx"), Elements::of(&svg, "circle").numbers("cy"));
+    assert_eq!((x.len(), &x[..4]), (8, &x[4..]), "one below the other");
+    // Doublings are equally far apart, and latencies rise by 10, 20 and 40 ms.
+    assert!(
+        (x[1] - x[0] - (x[2] - x[1])).abs() <= 1.0 && (x[2] - x[1] - (x[3] - x[2])).abs() <= 1.0,
+        "{x:?}"
+    );
+    assert!(((y[0] - y[3]) - 7.0 * (y[0] - y[1])).abs() < 8.0, "{y:?}");
+    // From all in favour of one edge to all alike.
+    assert!(y[4] < y[5] && y[5] < y[6] && y[6] < y[7] && y[4] > y[0], "{y:?}");
+    assert_on_paper(&figure, &svg);
+}
+
+#[test]
+fn curves_differ_by_mark_and_line() {
+    let of = |factor: f64| [1, 2, 3].map(|edges| point(edges, factor * edges as f64, Some(0.9))).to_vec();
+    let figure = sharing(vec![("s", of(0.01)), ("m", of(0.02)), ("l", of(0.03)), ("xl", of(0.04))]);
+    let svg = figure.svg().expect("drawn");
+    assert!(["s", "m", "l", "xl"].iter().all(|name| has(&svg, name)), "{:?}", texts(&svg));
+    // A solid line is one stroke, a dashed one many.
+    let strokes = |colour: &str| {
+        Elements::of(&svg, "polyline").with("stroke", colour).with("stroke-width", "5").0.len()
+    };
+    let [solid, dashed, dotted, long] = ["#0072B2", "#D55E00", "#009E73", "#CC79A7"].map(strokes);
+    assert!(solid < long && long < dashed && dashed < dotted, "{solid} {long} {dashed} {dotted}");
+    assert_on_paper(&figure, &svg);
+}
+
+#[test]
+fn odd_numbers_are_drawn_too() {
+    let unjudged =
+        |edges, median| SharingPoint { p95: None, each: vec![median], ..point(edges, median, None) };
+    let cases = [
+        vec![],
+        vec![("", vec![])],
+        vec![("", vec![unjudged(3, 0.0)])],
+        vec![("", vec![unjudged(1, f64::NAN), unjudged(2, 1e-6), unjudged(64, 1e4)])],
+        vec![(
+            "a configuration with a long name, cuda:0, zmq-tcp, 1280x720",
+            vec![point(1, 0.1, Some(0.0)), point(1000, 9.0, Some(1.0))],
+        )],
+    ];
+    for curves in cases {
+        let figure = sharing(curves);
+        let svg = figure.svg().expect("drawn");
+        let shown =
+            figure.curves.iter().flat_map(|curve| &curve.points).any(|point| point.median.is_finite());
+        assert_eq!(has(&svg, "no values"), !shown, "{:?}", texts(&svg));
+        let judged =
+            figure.curves.iter().flat_map(|curve| &curve.points).any(|point| point.fairness.is_some());
+        assert_eq!(texts(&svg).iter().any(|text| text.contains("Jain")), judged);
+        assert_on_paper(&figure, &svg);
+    }
+}

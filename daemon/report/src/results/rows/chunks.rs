@@ -1,0 +1,64 @@
+//! A list that grows without being moved.
+
+use std::ops::Index;
+
+/// How many stand together.
+const CHUNK: usize = 4096;
+
+/// A list that only grows. Unlike a vector it takes no more room than what is in it, and leaves no holes behind: a run has
+/// dozens of columns, and vectors that grow side by side take twice what they hold.
+#[derive(Clone, Debug)]
+pub(super) struct Chunks<T>(Vec<Vec<T>>);
+
+impl<T> Default for Chunks<T> {
+    fn default() -> Self {
+        Self(Vec::new())
+    }
+}
+
+impl<T> Chunks<T> {
+    pub(super) fn len(&self) -> usize {
+        self.0.last().map_or(0, |last| (self.0.len() - 1) * CHUNK + last.len())
+    }
+
+    pub(super) fn push(&mut self, value: T) {
+        match self.0.last_mut().filter(|last| last.len() < CHUNK) {
+            Some(last) => last.push(value),
+            None => {
+                let mut chunk = Vec::with_capacity(CHUNK);
+                chunk.push(value);
+                self.0.push(chunk);
+            }
+        }
+    }
+}
+
+impl<T> Index<usize> for Chunks<T> {
+    type Output = T;
+
+    fn index(&self, at: usize) -> &T {
+        &self.0[at / CHUNK][at % CHUNK]
+    }
+}
+
+impl<T> FromIterator<T> for Chunks<T> {
+    fn from_iter<I: IntoIterator<Item = T>>(values: I) -> Self {
+        let mut all = Self::default();
+        values.into_iter().for_each(|value| all.push(value));
+        all
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_is_where_it_was_put() {
+        for count in [0, 1, CHUNK, CHUNK + 1, 3 * CHUNK] {
+            let list: Chunks<usize> = (0..count).collect();
+            assert_eq!(list.len(), count);
+            assert!((0..count).all(|at| list[at] == at), "{count}");
+        }
+    }
+}

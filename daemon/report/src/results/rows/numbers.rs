@@ -1,0 +1,180 @@
+//! A column of numbers in as little room as gives each of them back exactly.
+
+use super::chunks::Chunks;
+
+/// What stands in [`Numbers::Parts`] where there is no number.
+const MISSING: i32 = i32::MIN;
+/// Parts of a whole that are tried: whole numbers, and durations, which are counted in nanoseconds.
+const PARTS: [f64; 2] = [1.0, 1e9];
+
+/// Numbers, one for each row, any of which may be missing.
+///
+/// Most columns of a run need no eight bytes for a number: sizes and flags stay the same, iterations count upwards, and
+/// durations of up to two seconds are whole nanoseconds in 32 bits. Which form it is follows from the numbers: each that is
+/// put in is read back at once, and what the form cannot hold moves all of them into the next wider one.
+#[derive(Clone, Debug)]
+pub(super) enum Numbers {
+    /// Each is as much more than the one before, or all of them are missing.
+    Even { first: Option<f64>, step: f64, count: usize },
+    /// Each is a whole number of parts: seconds of nanoseconds.
+    Parts { per: f64, counts: Chunks<i32> },
+    /// As they are; not a number where it is missing.
+    Full(Chunks<f64>),
+}
+
+impl Numbers {
+    /// As many as are given, all of them missing.
+    pub(super) const fn missing(count: usize) -> Self {
+        Self::Even { first: None, step: 0.0, count }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        match self {
+            Self::Even { count, .. } => *count,
+            Self::Parts { counts, .. } => counts.len(),
+            Self::Full(numbers) => numbers.len(),
+        }
+    }
+
+    /// The number of a row that there is; `None` where it is missing.
+    pub(super) fn get(&self, at: usize) -> Option<f64> {
+        match self {
+            Self::Even { first, step, .. } => first.map(|first| first + step * at as f64),
+            Self::Parts { per, counts } => {
+                Some(counts[at]).filter(|count| *count != MISSING).map(|count| f64::from(count) / per)
+            }
+            Self::Full(numbers) => Some(numbers[at]).filter(|number| !number.is_nan()),
+        }
+    }
+
+    /// Puts one behind the others. What is not a number is missing.
+    pub(super) fn push(&mut self, number: Option<f64>) {
+        let number = number.filter(|number| !number.is_nan());
+        if !self.takes(number) {
+            *self = Self::wide_enough((0..self.len()).map(|at| self.get(at)).chain([number]));
+        }
+    }
+
+    /// Puts one behind the others if it comes back as it was; otherwise nothing changes.
+    fn takes(&mut self, number: Option<f64>) -> bool {
+        match self {
+            Self::Even { first, step, count } => {
+                match (*count, *first, number) {
+                    (0, ..) => *first = number,
+                    (1, Some(first), Some(number)) if (number - first).is_finite() => *step = number - first,
+                    _ => {}
+                }
+                let expected = first.map(|first| first + *step * *count as f64);
+                let fits = is_same(expected, number);
+                match (fits, *count) {
+                    (true, _) => *count += 1,
+                    (false, 1) => *step = 0.0,
+                    (false, _) => {}
+                }
+                fits
+            }
+            Self::Parts { per, counts } => {
+                let part = part(number, *per);
+                part.into_iter().for_each(|part| counts.push(part));
+                part.is_some()
+            }
+            Self::Full(numbers) => {
+                numbers.push(number.unwrap_or(f64::NAN));
+                true
+            }
+        }
+    }
+
+    /// The narrowest form with a place for each that holds these.
+    fn wide_enough(numbers: impl Iterator<Item = Option<f64>> + Clone) -> Self {
+        let fits = |per: &f64| numbers.clone().all(|number| part(number, *per).is_some());
+        match PARTS.into_iter().find(fits) {
+            Some(per) => {
+                Self::Parts { per, counts: numbers.filter_map(|number| part(number, per)).collect() }
+            }
+            None => Self::Full(numbers.map(|number| number.unwrap_or(f64::NAN)).collect()),
+        }
+    }
+}
+
+/// So many parts of a whole; `None` where the number is none of them, or there are too many.
+fn part(number: Option<f64>, per: f64) -> Option<i32> {
+    let Some(number) = number else { return Some(MISSING) };
+    // Too many become the most that there are, which are not the same number.
+    let count = (number * per).round() as i32;
+    (count != MISSING && is_same(Some(f64::from(count) / per), Some(number))).then_some(count)
+}
+
+/// To the last bit, so that the sign of a zero counts.
+fn is_same(a: Option<f64>, b: Option<f64>) -> bool {
+    a.map(f64::to_bits) == b.map(f64::to_bits)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn of(numbers: &[Option<f64>]) -> Numbers {
+        let mut column = Numbers::missing(0);
+        numbers.iter().for_each(|number| column.push(*number));
+        column
+    }
+
+    fn bytes(numbers: &[Option<f64>]) -> f64 {
+        let bytes = match of(numbers) {
+            Numbers::Even { .. } => 0,
+            Numbers::Parts { counts, .. } => counts.len() * 4,
+            Numbers::Full(numbers) => numbers.len() * 8,
+        };
+        bytes as f64 / numbers.len() as f64
+    }
+
+    #[test]
+    fn what_is_seen_in_runs_takes_little_room() {
+        let column = |value: fn(u32) -> Option<f64>| bytes(&(1..=300).map(value).collect::<Vec<_>>());
+        assert_eq!(column(|_| None), 0.0);
+        assert_eq!(column(|_| Some(150_528.0)), 0.0, "a size");
+        assert_eq!(column(|n| Some(f64::from(n))), 0.0, "the iteration's own number");
+        assert_eq!(column(|n| (n > 3).then_some(1.0)), 4.0, "a column that comes late");
+        assert_eq!(column(|n| Some(f64::from(n.pow(2)) / 1e9)), 4.0, "durations");
+        assert_eq!(column(|n| Some(1e8 / f64::from(n))), 8.0, "throughputs");
+    }
+
+    #[test]
+    fn a_form_that_is_too_narrow_gives_way_in_the_middle() {
+        let steps: [&[f64]; 4] =
+            [&[2.0, 2.0], &[1.0, -1.0], &[0.25, 1e-9], &[3.0, f64::INFINITY, -0.0, 1e-300]];
+        let mut all = Vec::new();
+        for step in steps {
+            all.extend(step.iter().copied().map(Some));
+            let column = of(&all);
+            assert!((0..all.len()).all(|at| is_same(column.get(at), all[at])), "{all:?}: {column:?}");
+        }
+        assert!(matches!(of(&all[..2]), Numbers::Even { .. }));
+        assert!(matches!(of(&all[..4]), Numbers::Parts { per: 1.0, .. }));
+        assert!(matches!(of(&all[..6]), Numbers::Parts { per: 1e9, .. }));
+        assert!(matches!(of(&all), Numbers::Full(_)));
+    }
+
+    proptest! {
+        #[test]
+        fn every_number_comes_back_to_the_last_bit(
+            numbers in prop::collection::vec(
+                prop::option::of(prop_oneof![
+                    prop::num::f64::NORMAL | prop::num::f64::ZERO | prop::num::f64::SUBNORMAL | prop::num::f64::INFINITE,
+                    (-3_000_000_000_i64..3_000_000_000).prop_map(|nanos| nanos as f64 / 1e9),
+                    (-3_i32..3).prop_map(f64::from),
+                ]),
+                0..40,
+            ),
+        ) {
+            let column = of(&numbers);
+            prop_assert_eq!(column.len(), numbers.len());
+            for (at, number) in numbers.iter().enumerate() {
+                prop_assert!(is_same(column.get(at), *number), "{} of {:?}", at, column);
+            }
+        }
+    }
+}

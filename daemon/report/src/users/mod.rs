@@ -1,0 +1,161 @@
+//! Many users of one cloud at once: latency against their number, and how evenly they are served.
+//!
+//! ```text
+//! Loaded ── together ── of ──┐
+//!                            Users ─┬─ text, Markdown, LaTeX, CSV
+//! roll-ups ── UsersLine::new ┘      └─ curves   latency against the number of edges
+//! ```
+
+mod curves;
+mod together;
+mod written;
+
+pub use curves::Curve;
+
+use crate::order::Ordered;
+use crate::results::Loaded;
+
+/// Fewest values that a percentile is given of, as everywhere in PEERNet.
+const ENOUGH_FOR_P95: usize = 60;
+const ENOUGH_FOR_P99: usize = 300;
+
+/// Jain's index of fairness, (Σx)² / (n Σx²): from 1/n, where one gets everything, to 1, where all get the same (Jain,
+/// Chiu and Hawe 1984, *A Quantitative Measure of Fairness and Discrimination for Resource Allocation in Shared Computer
+/// Systems*, DEC-TR-301). `None` where nobody gets anything.
+pub fn jain(shares: &[f64]) -> Option<f64> {
+    let (sum, squares) = shares.iter().fold((0.0, 0.0), |(sum, squares), x| (sum + x, squares + x * x));
+    (squares > 0.0).then(|| sum * sum / (shares.len() as f64 * squares))
+}
+
+/// How configurations with one or many users fared.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Users {
+    /// Names of the columns that tell the lines apart.
+    pub axes: Vec<String>,
+    /// One for each configuration, in the order in which they came.
+    pub lines: Vec<UsersLine>,
+}
+
+/// One configuration. Seconds, answers per second.
+#[derive(Clone, Debug, PartialEq)]
+pub struct UsersLine {
+    /// What distinguishes it: as many labels as there are axes.
+    pub labels: Vec<String>,
+    /// Edges at once.
+    pub edges: usize,
+    /// Answers per second of all edges together, on average over the repeats; `None` where they never measured at the
+    /// same time.
+    pub rate: Option<f64>,
+    /// [`jain`] of the edges' rates, on average over the repeats.
+    pub fairness: Option<f64>,
+    /// Of each edge in each repeat.
+    pub shares: Vec<Share>,
+    /// The totals of all edges.
+    pub totals: Totals,
+}
+
+/// What one edge got while all were measuring.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Share {
+    /// Answers per second.
+    pub rate: f64,
+    /// Median of its totals, seconds; `None` where none was measured.
+    pub median: Option<f64>,
+}
+
+/// What totals come to, seconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Totals {
+    /// How many.
+    pub count: usize,
+    /// Their mean.
+    pub mean: Option<f64>,
+    /// The median.
+    pub median: Option<f64>,
+    /// `None` below 60.
+    pub p95: Option<f64>,
+    /// `None` below 300.
+    pub p99: Option<f64>,
+}
+
+impl Users {
+    /// What runs show, each edge's by itself; edges that were measured at once are found by their records. `None` where every
+    /// edge was alone.
+    pub fn of(runs: &[Loaded]) -> Option<Self> {
+        let runs = together::runs(runs);
+        runs.iter().any(|edges| edges.len() > 1).then_some(())?;
+        let place = |edges: &[&Loaded]| -> Vec<(String, String)> {
+            let experiment = edges.first().and_then(|edge| edge.record.experiment.as_ref());
+            experiment.map(|place| place.configuration.clone()).unwrap_or_default()
+        };
+        let mut axes: Vec<String> = Vec::new();
+        for (axis, _) in runs.iter().flat_map(|edges| place(edges)) {
+            if !axes.contains(&axis) {
+                axes.push(axis);
+            }
+        }
+        let label = |edges: &[&Loaded], axis: &String| {
+            let found = place(edges).into_iter().find(|(name, _)| name == axis);
+            found.map_or_else(|| written::NOTHING.to_owned(), |(_, label)| label)
+        };
+        let mut groups: Vec<(Vec<String>, Vec<&[&Loaded]>)> = Vec::new();
+        for edges in &runs {
+            let labels: Vec<String> = axes.iter().map(|axis| label(edges, axis)).collect();
+            match groups.iter_mut().find(|(other, group)| *other == labels && group[0].len() == edges.len()) {
+                Some((_, group)) => group.push(edges),
+                None => groups.push((labels, vec![edges])),
+            }
+        }
+        let line = |(labels, group): (Vec<String>, Vec<&[&Loaded]>)| {
+            let shared: Vec<(Vec<Share>, Vec<f64>)> =
+                group.iter().filter_map(|edges| together::shared(edges)).collect();
+            let totals: Ordered = shared.iter().flat_map(|(_, totals)| totals).copied().collect();
+            let repeats: Vec<Vec<Share>> = shared.into_iter().map(|(shares, _)| shares).collect();
+            UsersLine::new(labels, group[0].len(), &repeats, Totals::of(&totals))
+        };
+        Some(Self { axes, lines: groups.into_iter().map(line).collect() })
+    }
+}
+
+impl UsersLine {
+    /// A configuration with so many edges, of what each of them got in each repeat.
+    pub fn new(labels: Vec<String>, edges: usize, repeats: &[Vec<Share>], totals: Totals) -> Self {
+        let rates = |shares: &Vec<Share>| shares.iter().map(|share| share.rate).collect::<Vec<f64>>();
+        let rates: Vec<Vec<f64>> = repeats.iter().map(rates).collect();
+        Self {
+            labels,
+            edges,
+            rate: mean(rates.iter().map(|rates| rates.iter().sum())),
+            fairness: mean(rates.iter().filter_map(|rates| jain(rates))),
+            shares: repeats.concat(),
+            totals,
+        }
+    }
+
+    /// The rates of the edge that got the fewest and of the one that got the most, over all repeats.
+    pub fn extremes(&self) -> Option<(f64, f64)> {
+        let rates = self.shares.iter().map(|share| (share.rate, share.rate));
+        rates.reduce(|(lo, hi), (a, b)| (lo.min(a), hi.max(b)))
+    }
+}
+
+impl Totals {
+    fn of(totals: &Ordered) -> Self {
+        let enough = |least, p| totals.quantile(p).filter(|_| totals.len() >= least);
+        Self {
+            count: totals.len(),
+            mean: mean(totals.values().iter().copied()),
+            median: totals.median(),
+            p95: enough(ENOUGH_FOR_P95, 0.95),
+            p99: enough(ENOUGH_FOR_P99, 0.99),
+        }
+    }
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, count) = values.fold((0.0, 0_u64), |(sum, count), value| (sum + value, count + 1));
+    (count > 0).then(|| sum / count as f64)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,112 @@
+//! What edges that measured at once show.
+
+use peernet_logger::stream::ExperimentPlace;
+
+use super::*;
+use crate::results::{HostRecord, Outcome, Row, RunRecord};
+
+#[test]
+fn the_index_goes_from_one_nth_to_one() {
+    assert_eq!(jain(&[5.0, 5.0, 5.0]), Some(1.0));
+    assert_eq!(jain(&[0.0, 7.0, 0.0, 0.0]), Some(0.25));
+    // The paper's own example: 5, 3, 1, …: (1+1+1+1+0)² / (5 · 4).
+    assert_eq!(jain(&[1.0, 1.0, 1.0, 1.0, 0.0]), Some(0.8));
+    assert_eq!((jain(&[]), jain(&[0.0])), (None, None));
+}
+
+/// An edge that asks `count` times from `from` on, every `each` seconds.
+fn edge(labels: &[(&str, &str)], (name, from): (&str, f64), each: f64, count: u32, total: f64) -> Loaded {
+    let row = |at: u32| Row {
+        iteration: u64::from(at) + 1,
+        at: from + f64::from(at) * each,
+        episode: 0,
+        step: 0,
+        warm_up: false,
+        outcome: Outcome::Ok,
+        reason: None,
+        values: vec![("total".into(), total)],
+        upload: None,
+        download: None,
+    };
+    let configuration = labels.iter().map(|(axis, label)| ((*axis).to_owned(), (*label).to_owned()));
+    let place = ExperimentPlace {
+        name: "e".to_owned(),
+        id: "1".to_owned(),
+        configuration: configuration.collect(),
+        repeat: 0,
+    };
+    let host = HostRecord { name: name.to_owned(), ..HostRecord::default() };
+    let record = RunRecord { experiment: Some(place), edge: host, ..RunRecord::default() };
+    Loaded { folder: "x".into(), record, rows: (0..count).map(row).collect() }
+}
+
+#[test]
+fn only_the_time_in_which_all_measure_counts() {
+    let one = edge(&[("N", "1")], ("a", 0.0), 0.5, 21, 0.25);
+    // The second begins 2 s late and ends with the first; it gets half as much.
+    let [first, second] =
+        [edge(&[("N", "2")], ("a", 0.0), 0.5, 21, 0.5), edge(&[("N", "2")], ("b", 2.0), 1.0, 9, 1.0)];
+    let users = Users::of(&[first.clone(), one.clone(), second]).expect("several edges");
+    assert_eq!((users.axes.as_slice(), users.lines.len()), (["N".to_owned()].as_slice(), 2));
+    let [both, alone] = users.lines.as_slice() else { panic!("two lines") };
+    assert_eq!((alone.edges, alone.rate, alone.fairness), (1, Some(2.0), Some(1.0)));
+    assert_eq!((both.edges, both.rate, both.extremes()), (2, Some(3.0), Some((1.0, 2.0))));
+    assert_eq!(both.fairness, Some(0.9));
+    // 16 of the first and 8 of the second.
+    assert_eq!((both.totals.count, both.totals.median), (24, Some(0.5)));
+    assert_eq!(both.shares.iter().map(|share| share.median).collect::<Vec<_>>(), [Some(0.5), Some(1.0)]);
+    assert!(users.text().contains("0.900"), "{}", users.text());
+    assert!(users.csv().starts_with("N,edges,rate,"), "{}", users.csv());
+    assert_eq!(Users::of(std::slice::from_ref(&one)), None);
+    assert_eq!(Users::of(&[first.clone(), first]), None, "a copy is no further edge");
+}
+
+#[test]
+fn users_who_never_met_have_no_rates() {
+    let users = Users::of(&[edge(&[], ("a", 0.0), 0.5, 5, 0.1), edge(&[], ("b", 100.0), 0.5, 5, 0.1)]);
+    let users = users.expect("several edges");
+    assert_eq!((users.lines[0].edges, users.lines[0].rate, users.lines[0].fairness), (2, None, None));
+    assert!(users.text().contains('—'), "{}", users.text());
+}
+
+#[test]
+fn repeats_are_averaged() {
+    let share = |rate| Share { rate, median: None };
+    let repeats = [vec![share(1.0), share(1.0)], vec![share(4.0), share(0.0)]];
+    let line = UsersLine::new(Vec::new(), 2, &repeats, Totals::default());
+    assert_eq!((line.rate, line.fairness, line.extremes()), (Some(3.0), Some(0.75), Some((0.0, 4.0))));
+}
+
+/// The curves of configurations: name and numbers of edges.
+fn curves(axes: &[&str], lines: &[(&[&str], usize)]) -> Vec<(String, Vec<usize>)> {
+    let owned = |all: &[&str]| all.iter().map(|one| (*one).to_owned()).collect::<Vec<_>>();
+    let line =
+        |(labels, edges): &(&[&str], usize)| UsersLine::new(owned(labels), *edges, &[], Totals::default());
+    let users = Users { axes: owned(axes), lines: lines.iter().map(line).collect() };
+    let points = |curve: &Curve<'_>| curve.points.iter().map(|line| line.edges).collect();
+    users.curves().iter().map(|curve| (curve.name.clone(), points(curve))).collect()
+}
+
+#[test]
+fn what_differs_in_the_number_of_edges_alone_is_one_curve() {
+    let lines: [(&[&str], usize); 5] = [
+        (&["s", "cpu", "8"], 8),
+        (&["s", "cpu", "1"], 1),
+        (&["m", "cpu", "1"], 1),
+        (&["s", "cpu", "2"], 2),
+        (&["m", "cpu", "8"], 8),
+    ];
+    let found = curves(&["model", "device", "edges"], &lines);
+    assert_eq!(found, [("s".to_owned(), vec![1, 2, 8]), ("m".to_owned(), vec![1, 8])]);
+    let worded: [(&[&str], usize); 2] = [(&["4 robots"], 4), (&["16 robots"], 16)];
+    assert_eq!(curves(&["load"], &worded), [(String::new(), vec![4, 16])]);
+    let undeclared: [(&[&str], usize); 2] = [(&[], 1), (&[], 2)];
+    assert_eq!(curves(&[], &undeclared), [(String::new(), vec![1, 2])]);
+}
+
+#[test]
+fn models_are_not_joined_because_each_had_its_own_number_of_edges() {
+    let lines: [(&[&str], usize); 2] = [(&["v2-s"], 1), (&["v2-m"], 2)];
+    let found = curves(&["model"], &lines);
+    assert_eq!(found, [("v2-s".to_owned(), vec![1]), ("v2-m".to_owned(), vec![2])]);
+}

@@ -1,0 +1,44 @@
+//! Edges that measured at once, and what each of them got.
+
+use super::Share;
+use crate::order::Ordered;
+use crate::results::{Loaded, RowRef};
+
+/// The edges of each run, in the order in which they came: those of one repeat of one configuration of an experiment.
+pub(super) fn runs(edges: &[Loaded]) -> Vec<Vec<&Loaded>> {
+    let mut runs: Vec<Vec<&Loaded>> = Vec::new();
+    for edge in edges {
+        let belongs = |run: &&mut Vec<&Loaded>| {
+            let same = edge.record.experiment.is_some() && edge.record.experiment == run[0].record.experiment;
+            // A copy of an edge's results is no further edge.
+            same && run.iter().all(|other| other.record.edge.name != edge.record.edge.name)
+        };
+        match runs.iter_mut().find(belongs) {
+            Some(run) => run.push(edge),
+            None => runs.push(vec![edge]),
+        }
+    }
+    runs
+}
+
+/// Each edge's share and all totals, of the time in which all were measuring; `None` where there is none.
+pub(super) fn shared(edges: &[&Loaded]) -> Option<(Vec<Share>, Vec<f64>)> {
+    let rows: Vec<Vec<RowRef<'_>>> =
+        edges.iter().map(|edge| edge.rows.iter().filter(|row| row.counts()).collect()).collect();
+    let first = |rows: &Vec<RowRef<'_>>| rows.iter().map(|row| row.at()).reduce(f64::min);
+    let last = |rows: &Vec<RowRef<'_>>| rows.iter().map(|row| row.at()).reduce(f64::max);
+    let from = rows.iter().map(first).collect::<Option<Vec<f64>>>()?.into_iter().reduce(f64::max)?;
+    let to = rows.iter().map(last).collect::<Option<Vec<f64>>>()?.into_iter().reduce(f64::min)?;
+    (to > from).then_some(())?;
+    // One interval fewer than there are starts: the window begins with one and ends with one.
+    let within = rows.iter().map(|rows| rows.iter().filter(|row| (from..to).contains(&row.at())));
+    let totals: Vec<(usize, Vec<f64>)> = within
+        .map(|rows| (rows.clone().count(), rows.filter_map(|row| row.value("total")).collect()))
+        .collect();
+    let share = |(count, totals): &(usize, Vec<f64>)| Share {
+        rate: *count as f64 / (to - from),
+        median: totals.iter().copied().collect::<Ordered>().median(),
+    };
+    let shares = totals.iter().map(share).collect();
+    Some((shares, totals.into_iter().flat_map(|(_, totals)| totals).collect()))
+}

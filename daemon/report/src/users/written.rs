@@ -1,0 +1,71 @@
+//! The table of many users.
+
+use super::{Users, UsersLine};
+use crate::number::{fixed, milliseconds, significant};
+use crate::table::{Table, csv_text};
+
+/// What stands where nothing is known.
+pub(super) const NOTHING: &str = "—";
+const NOTE: &str = "Counted while all edges of a run were measuring. Fairness is Jain's index of the edges' rates: 1 when all \
+                    are served alike, 1/n when one of n gets everything.";
+
+impl Users {
+    /// For the terminal.
+    pub fn text(&self) -> String {
+        format!("{}\n\n{NOTE}", self.table().text())
+    }
+
+    /// For documents.
+    pub fn markdown(&self) -> String {
+        format!("{}\n{NOTE}\n", self.table().markdown())
+    }
+
+    /// For papers, with booktabs.
+    pub fn latex(&self) -> String {
+        self.table().latex(NOTE)
+    }
+
+    /// For programs: seconds and answers per second, every digit.
+    pub fn csv(&self) -> String {
+        let mut header: Vec<&str> = self.axes.iter().map(String::as_str).collect();
+        header.extend(["edges", "rate", "rate-least", "rate-most", "fairness", "count"]);
+        header.extend(["total-mean", "total-p50", "total-p95", "total-p99"]);
+        let number = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
+        let row = |line: &UsersLine| {
+            let mut cells = line.labels.clone();
+            let (least, most) = line.extremes().unzip();
+            cells.push(line.edges.to_string());
+            cells.extend([line.rate, least, most, line.fairness].map(number));
+            cells.push(line.totals.count.to_string());
+            cells.extend(latencies(line).map(number));
+            cells
+        };
+        csv_text(&header, &self.lines.iter().map(row).collect::<Vec<_>>())
+    }
+
+    fn table(&self) -> Table {
+        let mut header = self.axes.clone();
+        let labels = header.len();
+        header.extend(["edges", "iterations/s", "per edge", "fairness"].map(str::to_owned));
+        header.extend(["mean ms", "p50 ms", "p95 ms", "p99 ms"].map(|name| format!("total {name}")));
+        let told =
+            |value: Option<f64>, form: fn(f64) -> String| value.map_or_else(|| NOTHING.to_owned(), form);
+        let row = |line: &UsersLine| {
+            let mut cells = line.labels.clone();
+            cells.push(line.edges.to_string());
+            cells.push(told(line.rate, significant));
+            cells.push(line.extremes().map_or_else(
+                || NOTHING.to_owned(),
+                |(least, most)| format!("{} – {}", significant(least), significant(most)),
+            ));
+            cells.push(told(line.fairness, |value| fixed(value, 3)));
+            cells.extend(latencies(line).map(|value| told(value, milliseconds)));
+            cells
+        };
+        Table { header, labels, rows: self.lines.iter().map(row).collect(), marked: Vec::new() }
+    }
+}
+
+fn latencies(line: &UsersLine) -> [Option<f64>; 4] {
+    [line.totals.mean, line.totals.median, line.totals.p95, line.totals.p99]
+}
