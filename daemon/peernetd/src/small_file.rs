@@ -2,20 +2,23 @@
 
 use std::fs::File;
 use std::io::{self, Read};
+use std::os::unix::fs::FileTypeExt;
 use std::path::Path;
 
 /// Bytes of the largest file that people write by hand.
 pub const LARGEST: u64 = 1 << 20;
 
-/// The text of a regular file of at most `largest` bytes: a device, a pipe or a recording given by mistake would be
-/// read, or waited for, without an end.
+/// The text of a regular file or a pipe of at most `largest` bytes: a device, a terminal or a recording given by mistake
+/// would be read, or waited for, without an end. A pipe is `<(…)` or `/dev/stdin` of a shell; it can be read once, and
+/// is waited for until its writer has closed it.
 ///
 /// # Errors
-/// When it cannot be read, is no regular file, is larger, or is no UTF-8.
+/// When it cannot be read, is neither file nor pipe, is larger, or is no UTF-8.
 pub fn read(path: &Path, largest: u64) -> io::Result<String> {
-    // Before it is opened: to open a pipe that nobody writes to takes for ever.
-    if !path.metadata()?.is_file() {
-        return Err(io::Error::other("it is no regular file: is this the right file?"));
+    // Before it is opened: to open some devices does something.
+    let kind = path.metadata()?.file_type();
+    if !kind.is_file() && !kind.is_fifo() {
+        return Err(io::Error::other("it is neither a regular file nor a pipe: is this the right file?"));
     }
     let mut bytes = Vec::new();
     File::open(path)?.take(largest + 1).read_to_end(&mut bytes)?;
@@ -27,22 +30,47 @@ pub fn read(path: &Path, largest: u64) -> io::Result<String> {
 
 #[cfg(test)]
 mod tests {
+    use std::io::Write;
+    use std::os::fd::AsRawFd;
+
     use super::*;
 
+    fn told(path: &Path) -> String {
+        read(path, 3).expect_err("refused").to_string()
+    }
+
     #[test]
-    fn regular_files_of_reasonable_size_are_read_and_nothing_else() {
+    fn regular_files_of_reasonable_size_are_read_and_no_devices() {
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("a.toml");
         std::fs::write(&file, "four").expect("writable");
         assert_eq!(read(&file, 4).expect("fits"), "four");
-        let told = |path: &Path| read(path, 3).expect_err("refused").to_string();
         assert!(told(&file).contains("larger than 3 bytes"), "{}", told(&file));
         for other in [Path::new("/dev/zero"), folder.path()] {
-            assert!(told(other).contains("no regular file"), "{}", told(other));
+            assert!(told(other).contains("neither a regular file nor a pipe"), "{}", told(other));
         }
         let missing = read(&folder.path().join("b"), 3).expect_err("not there");
         assert_eq!(missing.kind(), io::ErrorKind::NotFound);
         std::fs::write(&file, [0xff, 0xfe]).expect("writable");
         assert!(told(&file).contains("no UTF-8"), "{}", told(&file));
+    }
+
+    #[test]
+    fn pipes_are_read_to_their_end_or_their_limit() {
+        let of = |text: &'static [u8], largest: u64| {
+            let (reader, mut writer) = io::pipe().expect("a pipe");
+            let writing = std::thread::spawn(move || writer.write_all(text));
+            let path = format!("/dev/fd/{}", reader.as_raw_fd());
+            let found = read(Path::new(&path), largest);
+            drop(reader);
+            let written = writing.join().expect("no panic");
+            (found, written)
+        };
+        let (found, written) = of(b"four", 4);
+        assert!(found.expect("fits") == "four" && written.is_ok());
+        // A writer without an end is cut off.
+        let (found, written) = of(&[b'x'; 1 << 20], 3);
+        assert!(found.expect_err("refused").to_string().contains("larger than 3 bytes"));
+        assert_eq!(written.map_err(|error| error.kind()), Err(io::ErrorKind::BrokenPipe));
     }
 }

@@ -31,7 +31,8 @@ use peernetd::output;
     max_term_width = 100,
     args_conflicts_with_subcommands = true,
     subcommand_negates_reqs = true,
-    arg_required_else_help = true
+    arg_required_else_help = true,
+    after_help = "To begin: `peernetd run configs/cloud.toml` in one terminal, `peernet run configs/experiments/demo.toml` in another. `peernet COMMAND --help` has the options of a command, docs/cli.md all of them."
 )]
 struct Line {
     #[command(subcommand)]

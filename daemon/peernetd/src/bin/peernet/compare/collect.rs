@@ -16,12 +16,16 @@ pub(crate) struct Collected {
     pub(crate) baseline: Option<usize>,
 }
 
-/// Reads all results in the places, in their order; the runs of an experiment in that of its file. A baseline that is not
-/// among them comes first.
+/// Reads the columns that are wanted of all results in the places, in their order; the runs of an experiment in that of its
+/// file. A baseline that is not among them comes first.
 ///
 /// # Errors
 /// When a place holds no results (66) or some cannot be read (65).
-pub(crate) fn collect(places: &[PathBuf], baseline: Option<&Path>) -> Result<Collected, Failure> {
+pub(crate) fn collect(
+    places: &[PathBuf],
+    baseline: Option<&Path>,
+    wanted: &dyn Fn(&str) -> bool,
+) -> Result<Collected, Failure> {
     let mut paths: Vec<PathBuf> = Vec::new();
     for found in places.iter().map(|place| find(place)) {
         for path in found? {
@@ -36,7 +40,7 @@ pub(crate) fn collect(places: &[PathBuf], baseline: Option<&Path>) -> Result<Col
             0
         })
     });
-    let runs = paths.iter().map(|path| open(path)).collect::<Result<Vec<Loaded>, Failure>>()?;
+    let runs = paths.iter().map(|path| open(path, wanted)).collect::<Result<Vec<Loaded>, Failure>>()?;
     for run in &runs {
         if let Some(damage) = run.damage() {
             complain(format_args!("{} is not whole: {damage}", run.folder.display()));
@@ -62,8 +66,8 @@ fn find(place: &Path) -> Result<Vec<PathBuf>, Failure> {
     Ok(found)
 }
 
-fn open(path: &Path) -> Result<Loaded, Failure> {
-    ResultFolder::open(path).map_err(|error| match error {
+fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, Failure> {
+    ResultFolder::open_columns(path, wanted).map_err(|error| match error {
         FolderError::NoResults(_) => Failure::new(Exit::NoInput, error),
         _ => Failure::new(Exit::Data, error),
     })

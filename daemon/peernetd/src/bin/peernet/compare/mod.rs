@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use anyhow::anyhow;
 use clap::ValueEnum;
-use peernet_report::compare::{Comparison, Differences, Repeats, SEED};
+use peernet_report::compare::{Comparison, Differences, Repeats, SEED, is_compared};
 use peernetd::exit::{Exit, Failure};
 use peernetd::output::say;
 
@@ -56,7 +56,7 @@ enum Format {
 /// # Errors
 /// When there are no results (66), they cannot be read (65), or the file cannot be written (73).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let Collected { runs, baseline } = collect(&arguments.runs, arguments.baseline.as_deref())?;
+    let Collected { runs, baseline } = collect(&arguments.runs, arguments.baseline.as_deref(), &is_compared)?;
     let repeats = if arguments.apart { Repeats::Apart } else { Repeats::Pooled };
     let comparison = Comparison::with(&runs, repeats, arguments.seed);
     let line_of = |run: usize| comparison.lines.iter().position(|line| line.runs.contains(&run));

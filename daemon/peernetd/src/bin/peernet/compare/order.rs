@@ -74,7 +74,7 @@ fn of_folder(results: &Path, id: &str) -> Option<Experiment> {
 #[cfg(test)]
 mod tests {
     use peernet_logger::stream::ExperimentPlace;
-    use peernet_report::results::RunRecord;
+    use peernet_report::results::{Rows, RunRecord};
     use serde_json::json;
 
     use std::fs;
@@ -100,7 +100,7 @@ mod tests {
             Loaded {
                 folder,
                 record: RunRecord { experiment: place, ..RunRecord::default() },
-                rows: Vec::new(),
+                rows: Rows::default(),
             }
         };
         let mut runs = vec![

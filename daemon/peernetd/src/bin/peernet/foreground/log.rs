@@ -1,10 +1,14 @@
 //! What users' own code prints, and with `PEERNET_LOG` the log.
+//!
+//! On a terminal it stands above the progress. A run that is one of an experiment's hands it to the program that shows
+//! the progress: on standard output, each line a text of JSON.
 
 use std::fmt::{self, Write as _};
 use std::io::{self, Write};
 
 use peernetd::exit::{Exit, Failure};
 use peernetd::log::{Line, VARIABLE};
+use peernetd::output::say;
 use tracing::field::{Field, Visit};
 use tracing::{Event, Subscriber};
 use tracing_subscriber::filter::EnvFilter;
@@ -18,11 +22,20 @@ use super::progress::above_the_bar;
 /// Where users' lines come from.
 const USERS: [&str; 2] = ["peernet_external::python", "peernet_external::exec"];
 
-/// Passes on what users' code prints, above the progress; the log itself only as far as `PEERNET_LOG` says.
+/// Who shows the lines.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Shows {
+    /// This program, on standard error.
+    Itself,
+    /// The one that started it and reads its standard output.
+    Parent,
+}
+
+/// Passes on what users' code prints; the log itself only as far as `PEERNET_LOG` says.
 ///
 /// # Errors
 /// When the variable holds no level (78).
-pub(crate) fn listen() -> Result<(), Failure> {
+pub(crate) fn listen(shows: Shows) -> Result<(), Failure> {
     let wrong = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
     let level =
         std::env::var(VARIABLE).unwrap_or_else(|_| format!("off,{}=info,{}=info", USERS[0], USERS[1]));
@@ -31,22 +44,33 @@ pub(crate) fn listen() -> Result<(), Failure> {
             "{level:?} (from {VARIABLE}) is not a log level: {error}; use error, warn, info, debug or trace"
         ))
     })?;
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(|| Above).with_ansi(false);
+    let log =
+        tracing_subscriber::fmt().with_env_filter(filter).with_writer(move || To(shows)).with_ansi(false);
     // It would print them to standard error itself, through the bar.
     let log = log.log_internal_errors(false).event_format(Form { other: Line::default() }).finish();
     log.try_init().map_err(|error| wrong(error.into()))
 }
 
-/// Standard error, above the bar.
-struct Above;
+/// Takes the log, one whole line at a time.
+struct To(Shows);
 
-impl Write for Above {
+impl Write for To {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        above_the_bar(|| io::stderr().lock().write(bytes))
+        match self.0 {
+            Shows::Itself => above_the_bar(|| io::stderr().lock().write(bytes)),
+            Shows::Parent => {
+                let text = String::from_utf8_lossy(bytes);
+                say(serde_json::Value::from(text.trim_end()));
+                Ok(bytes.len())
+            }
+        }
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        io::stderr().lock().flush()
+        match self.0 {
+            Shows::Itself => io::stderr().lock().flush(),
+            Shows::Parent => Ok(()),
+        }
     }
 }
 

@@ -11,7 +11,7 @@ mod tables;
 mod typed;
 mod waiting;
 
-pub(crate) use log::listen;
+pub(crate) use log::{Shows, listen};
 pub(crate) use patience::{Patience, Standing};
 pub(crate) use progress::Progress;
 pub(crate) use signals::Signals;

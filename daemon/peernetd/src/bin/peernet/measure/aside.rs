@@ -1,6 +1,11 @@
 //! Earlier results, while it is not sure yet that there will be others.
+//!
+//! A run can be killed at any moment. So that what it leaves can be told apart, `run.json` is the first file that is moved
+//! aside, the last that comes back, and the last of a new run's that matters: where there is one in the folder, the results
+//! there are whole, and what was put aside is of no use any more.
 
-use std::io::ErrorKind;
+use std::fs::{File, read_dir, rename};
+use std::io::{BufRead, BufReader, ErrorKind};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -8,6 +13,12 @@ use peernet_report::results::ResultFolder;
 use peernetd::exit::{Exit, Failure};
 use peernetd::output::complain;
 use tempfile::TempDir;
+
+/// How folders begin that hold results which were moved out of the way.
+const PREFIX: &str = ".replaced-";
+/// The file that makes results whole.
+const RECORD: &str = "run.json";
+const DATA: &str = "data.csv";
 
 /// Results that were moved out of the way. Dropping it puts them back.
 #[derive(Debug)]
@@ -27,21 +38,55 @@ impl Aside {
         if !ResultFolder::replaced().any(|name| home.join(name).is_file()) {
             return Ok(aside);
         }
-        let unwritten = |error: anyhow::Error| Failure::new(Exit::Unwritten, error);
-        let kept = tempfile::Builder::new().prefix(".replaced-").tempdir_in(home);
+        let kept = tempfile::Builder::new().prefix(PREFIX).tempdir_in(home);
         let kept = kept.with_context(|| format!("cannot write to {}", home.display())).map_err(unwritten)?;
         let kept = aside.kept.insert(kept).path().to_owned();
-        for name in ResultFolder::replaced() {
+        for name in record_first() {
             let from = home.join(&name);
-            match std::fs::rename(&from, kept.join(&name)) {
-                Err(error) if error.kind() != ErrorKind::NotFound => {
-                    let error = anyhow::Error::new(error);
-                    return Err(unwritten(error.context(format!("cannot replace {}", from.display()))));
-                }
-                _ => {}
-            }
+            moved(&from, &kept.join(&name))
+                .with_context(|| format!("cannot replace {}", from.display()))
+                .map_err(unwritten)?;
         }
         Ok(aside)
+    }
+
+    /// Whether a run was killed here that had moved results aside, or is under way.
+    pub(super) fn is_left(home: &Path) -> bool {
+        left(home).next().is_some()
+    }
+
+    /// Puts results back that a killed run had moved aside, or takes them away where it was done but for that. What it had
+    /// measured until then stays beside them. Nobody else may write to the folder meanwhile.
+    ///
+    /// # Errors
+    /// When they cannot be moved (73).
+    pub(super) fn recover(home: &Path) -> Result<(), Failure> {
+        let mut folders: Vec<PathBuf> = left(home).collect();
+        folders.sort_by_key(|folder| !folder.join(RECORD).is_file());
+        let Some(kept) = folders.first() else { return Ok(()) };
+        for other in &folders[1..] {
+            complain(format_args!("results that were put aside are in {} as well", other.display()));
+        }
+        let failed = |error: std::io::Error| {
+            let text = format!("cannot put the results of {} back", kept.display());
+            unwritten(anyhow::Error::new(error).context(text))
+        };
+        if home.join(RECORD).is_file() {
+            std::fs::remove_dir_all(kept).map_err(failed)?;
+            complain(format_args!(
+                "a run was killed that had replaced the results in {}; what was left of the earlier ones is removed",
+                home.display()
+            ));
+            return Ok(());
+        }
+        let measured = if kept.join(DATA).is_file() { keep_measured(home).map_err(failed)? } else { None };
+        put_back(kept, home).and_then(|()| std::fs::remove_dir_all(kept)).map_err(failed)?;
+        let measured = measured.map_or_else(String::new, |name| format!("; what it measured is in {name}"));
+        complain(format_args!(
+            "a run was killed that was to replace the results in {}: they are back{measured}",
+            home.display()
+        ));
+        Ok(())
     }
 
     /// There are others in their place: they are removed.
@@ -62,15 +107,57 @@ impl Drop for Aside {
             let folder = kept.keep();
             return complain(format_args!("the earlier results are in {}", folder.display()));
         }
-        let back = |name: String| match std::fs::rename(kept.path().join(&name), self.home.join(&name)) {
-            Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
-            _ => Ok(()),
-        };
-        if let Err(error) = ResultFolder::replaced().try_for_each(back) {
+        if let Err(error) = put_back(kept.path(), &self.home) {
             let folder = kept.keep();
             complain(format_args!("the earlier results are in {}: {error}", folder.display()));
         }
     }
+}
+
+fn unwritten(error: anyhow::Error) -> Failure {
+    Failure::new(Exit::Unwritten, error)
+}
+
+/// Folders in it with results that were moved aside.
+fn left(home: &Path) -> impl Iterator<Item = PathBuf> {
+    let entries = read_dir(home).into_iter().flatten().filter_map(Result::ok);
+    let is_aside = |name: &std::ffi::OsStr| name.to_string_lossy().starts_with(PREFIX);
+    entries.filter(move |entry| is_aside(&entry.file_name())).map(|entry| entry.path())
+}
+
+/// The names of what is replaced, in the order in which it is moved aside.
+fn record_first() -> Vec<String> {
+    let mut names: Vec<String> = ResultFolder::replaced().collect();
+    names.sort_by_key(|name| name != RECORD);
+    names
+}
+
+fn put_back(kept: &Path, home: &Path) -> std::io::Result<()> {
+    record_first().iter().rev().try_for_each(|name| moved(&kept.join(name), &home.join(name)))
+}
+
+/// Moves a file if it is there.
+fn moved(from: &Path, to: &Path) -> std::io::Result<()> {
+    match rename(from, to) {
+        Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
+}
+
+/// Gives the rows of a killed run another name, if there are any.
+fn keep_measured(home: &Path) -> std::io::Result<Option<String>> {
+    let data = home.join(DATA);
+    let rows = File::open(&data).map(|file| BufReader::new(file).lines().nth(1).is_some());
+    if !rows.unwrap_or(false) {
+        return Ok(None);
+    }
+    let free = |name: &String| !home.join(name).exists();
+    let numbered = (2_u32..).map(|number| format!("killed-{number}.csv"));
+    let name = std::iter::once("killed.csv".to_owned()).chain(numbered).find(free);
+    if let Some(name) = &name {
+        rename(&data, home.join(name))?;
+    }
+    Ok(name)
 }
 
 #[cfg(test)]
@@ -94,5 +181,73 @@ mod tests {
         drop(aside);
         assert_eq!(std::fs::read_to_string(&data).expect("is there"), "later");
         assert_eq!(std::fs::read_dir(home.path()).expect("a folder").count(), 2, "nothing is left over");
+    }
+
+    /// What a run leaves in a folder when it is killed: nobody drops anything.
+    fn killed(home: &Path, measured: &str) {
+        let mut aside = Aside::put(home).expect("moved");
+        let _ = aside.kept.take().map(TempDir::keep);
+        std::fs::write(home.join(DATA), measured).expect("writable");
+    }
+
+    fn names(home: &Path) -> Vec<String> {
+        let mut names: Vec<String> = read_dir(home)
+            .expect("a folder")
+            .map(|entry| entry.expect("readable").file_name().to_string_lossy().into_owned())
+            .collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn what_a_killed_run_had_put_aside_comes_back() {
+        let home = tempfile::tempdir().expect("a folder");
+        let read = |name: &str| std::fs::read_to_string(home.path().join(name)).expect("it is there");
+        for name in [DATA, RECORD] {
+            std::fs::write(home.path().join(name), "earlier").expect("writable");
+        }
+        assert!(!Aside::is_left(home.path()));
+        killed(home.path(), "iteration\n");
+        assert!(Aside::is_left(home.path()));
+        Aside::recover(home.path()).expect("recovered");
+        assert_eq!(
+            (names(home.path()), read(DATA)),
+            (vec![DATA.to_owned(), RECORD.to_owned()], "earlier".to_owned())
+        );
+        for (name, rows) in [("killed.csv", "iteration\n1\n"), ("killed-2.csv", "iteration\n1\n2")] {
+            killed(home.path(), rows);
+            Aside::recover(home.path()).expect("recovered");
+            assert_eq!((read(DATA).as_str(), read(name).as_str()), ("earlier", rows));
+        }
+        assert_eq!(names(home.path()), [DATA, "killed-2.csv", "killed.csv", RECORD]);
+    }
+
+    #[test]
+    fn a_run_that_was_killed_when_it_was_done_has_replaced_them() {
+        let home = tempfile::tempdir().expect("a folder");
+        std::fs::write(home.path().join(DATA), "earlier").expect("writable");
+        killed(home.path(), "later");
+        std::fs::write(home.path().join(RECORD), "later").expect("writable");
+        Aside::recover(home.path()).expect("recovered");
+        assert_eq!(names(home.path()), [DATA, RECORD]);
+        assert_eq!(std::fs::read_to_string(home.path().join(DATA)).expect("there"), "later");
+    }
+
+    #[test]
+    fn a_run_that_was_killed_while_it_moved_them_has_lost_none() {
+        let home = tempfile::tempdir().expect("a folder");
+        for name in [DATA, RECORD, "summary.md"] {
+            std::fs::write(home.path().join(name), name).expect("writable");
+        }
+        let kept = home.path().join(format!("{PREFIX}x"));
+        std::fs::create_dir(&kept).expect("made");
+        for name in record_first().into_iter().take(2) {
+            moved(&home.path().join(&name), &kept.join(&name)).expect("moved");
+            let before = names(home.path());
+            Aside::recover(home.path()).expect("recovered");
+            assert_eq!(names(home.path()), [DATA, RECORD, "summary.md"], "after {name}, of {before:?}");
+            std::fs::create_dir(&kept).expect("made anew");
+            moved(&home.path().join(RECORD), &kept.join(RECORD)).expect("moved");
+        }
     }
 }

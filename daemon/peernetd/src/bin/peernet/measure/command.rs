@@ -10,7 +10,7 @@ use peernetd::small_file;
 use rustix::process::{Signal, set_parent_process_death_signal};
 
 use super::{Order, Seen, Watcher, measure};
-use crate::foreground::listen;
+use crate::foreground::{Shows, listen};
 
 /// What `peernet measure` can be told.
 #[derive(Debug, clap::Args)]
@@ -20,13 +20,13 @@ pub(crate) struct Arguments {
     order: PathBuf,
 }
 
-/// Executes the order; says how far it is in lines of JSON.
+/// Executes the order; says in lines of JSON how far it is, and in texts what users' own code prints.
 ///
 /// # Errors
 /// Those of [`measure`], and when the order cannot be read (66) or understood (78), `PEERNET_LOG` is no level (78), or iterations have no answer (75).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     end_with_parent();
-    listen()?;
+    listen(Shows::Parent)?;
     let text = read(&arguments.order).map_err(|error| Failure::new(Exit::NoInput, error))?;
     let order: Order = serde_json::from_str(&text).map_err(|error| {
         Failure::new(Exit::Configuration, anyhow!("cannot understand the order: {error}"))

@@ -1,7 +1,8 @@
 //! How a run ended, and what a script is told of it.
 
 use anyhow::anyhow;
-use peernet_report::results::{Outcome, Row};
+use peernet_report::number::counted;
+use peernet_report::results::{Outcome, Rows};
 use peernetd::exit::{Exit, Failure};
 
 use super::unavailable;
@@ -49,7 +50,7 @@ impl Ended {
     }
 
     /// Why the program is not to end well, although there are results; `unseen` iterations have no row.
-    pub(super) fn failure(&self, rows: &[Row], unseen: u64) -> Option<Failure> {
+    pub(super) fn failure(&self, rows: &Rows, unseen: u64) -> Option<Failure> {
         let incomplete = |text: String| Some(Failure::new(Exit::Incomplete, anyhow!("{text}")));
         match self {
             Self::Interrupted => Some(Failure::new(
@@ -60,30 +61,38 @@ impl Ended {
                 incomplete(format!("{reason}; the results hold what was measured until then"))
             }
             Self::Finished if unseen > 0 => incomplete(format!(
-                "{unseen} iterations were measured and have no row: this machine is too busy to take them down"
+                "{} measured and {} no row: this machine is too busy to take them down",
+                if unseen == 1 { "1 iteration was".to_owned() } else { format!("{unseen} iterations were") },
+                has(unseen)
             )),
             Self::Finished => {
-                let mut bad = rows.iter().filter(|row| row.outcome != Outcome::Ok).peekable();
+                let mut bad = rows.iter().filter(|row| row.outcome() != Outcome::Ok).peekable();
                 let first = bad.peek()?;
-                let reason = first.reason.as_deref().unwrap_or("no answer in time");
+                let reason = first.reason().unwrap_or("no answer in time");
                 let text = format!(
                     "iteration {} {}: {reason}",
-                    first.iteration,
-                    match first.outcome {
+                    first.iteration(),
+                    match first.outcome() {
                         Outcome::Timeout => "timed out",
                         Outcome::Lost => "was lost",
                         Outcome::Failed | Outcome::Ok => "failed",
                     }
                 );
-                let (bad, all) = (bad.count(), rows.len());
-                incomplete(format!("{bad} of {all} iterations have no answer; {text}"))
+                let (bad, all) = (bad.count() as u64, counted(rows.len() as u64, "iteration"));
+                incomplete(format!("{bad} of {all} {} no answer; {text}", has(bad)))
             }
         }
     }
 }
 
+const fn has(count: u64) -> &'static str {
+    if count == 1 { "has" } else { "have" }
+}
+
 #[cfg(test)]
 mod tests {
+    use peernet_report::results::Row;
+
     use super::*;
 
     fn row(iteration: u64, outcome: Outcome) -> Row {
@@ -103,16 +112,21 @@ mod tests {
 
     #[test]
     fn a_script_is_told_how_it_went() {
-        let well = [row(1, Outcome::Ok)];
+        let well = Rows::from_iter([row(1, Outcome::Ok)]);
         assert!(Ended::Finished.failure(&well, 0).is_none());
         let code = |ended: Ended| ended.failure(&well, 0).map(|failure| failure.exit);
         assert_eq!(code(Ended::Interrupted), Some(Exit::Interrupted));
         assert_eq!(code(Ended::Failed("x".into())), Some(Exit::Incomplete));
 
         let some = [row(1, Outcome::Ok), row(2, Outcome::Lost), row(3, Outcome::Timeout)];
+        let some = Rows::from_iter(some);
         let failure = Ended::Finished.failure(&some, 0).expect("two have no answer");
         let text = "2 of 3 iterations have no answer; iteration 2 was lost: it went away";
         assert_eq!((failure.exit, failure.to_string().as_str()), (Exit::Incomplete, text));
+
+        let lost = Rows::from_iter([row(1, Outcome::Lost)]);
+        let failure = Ended::Finished.failure(&lost, 0).expect("it has none").to_string();
+        assert!(failure.starts_with("1 of 1 iteration has no answer; iteration 1 was lost"), "{failure}");
 
         let unseen = Ended::Finished.failure(&well, 3).expect("three are missing");
         assert!(

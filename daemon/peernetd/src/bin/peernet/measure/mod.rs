@@ -31,7 +31,7 @@ use anyhow::anyhow;
 use peernet_agent::conditions;
 use peernet_logger::stream::Condition;
 use peernet_report::figures;
-use peernet_report::results::{Row, RunRecord};
+use peernet_report::results::{Rows, RunRecord};
 use peernet_report::sensor_study::SensorStudy;
 use peernet_report::trust::{Evidence, Report};
 use peernetd::exit::{Exit, Failure};
@@ -45,7 +45,7 @@ pub(crate) struct Measured {
     /// How it ended.
     pub(crate) ended: Ended,
     /// One per iteration.
-    pub(crate) rows: Vec<Row>,
+    pub(crate) rows: Rows,
     /// Everything else about it.
     pub(crate) record: RunRecord,
     /// The folder of its results: the one that was ordered, or a temporary one when that could not be written.
@@ -114,7 +114,7 @@ pub(crate) fn measure(order: &Order, watcher: &mut dyn Watcher) -> Result<Measur
 }
 
 /// Writes what a sensor alone showed of itself.
-fn study(record: &RunRecord, rows: &[Row], folder: &Path) -> Result<Option<PathBuf>, String> {
+fn study(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Option<PathBuf>, String> {
     if !record.is_sensor_alone() {
         return Ok(None);
     }

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use peernet_agent::AgentConfig;
 use peernet_inference::MODEL_HASH;
 use peernet_logger::stream::{Placement as Told, PlacementKind};
+use peernet_report::accuracy::Accuracy;
 use peernet_report::results::{
     Clocks, Counts, FORMAT, HostRecord, ModelRecord, Placement, RunRecord, instant,
 };
@@ -64,6 +65,8 @@ pub(super) fn of(order: &Order, taken: &Taken, ended: &Ended, edge: String, miss
         warm_up: order.warm_up.clone(),
         counts: Counts::of(&taken.rows, missed),
         clocks: Clocks::of(&taken.rows),
+        accuracy: Accuracy::of_each(&taken.rows),
+        units: taken.units.clone(),
         trust: None,
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use peernet_report::results::{Finished, FolderError, Overwrite, ResultFolder, Row, RowWriter, RunRecord};
+use peernet_report::results::{Finished, FolderError, Overwrite, ResultFolder, RowWriter, Rows, RunRecord};
 use peernetd::exit::{Exit, Failure};
 
 use super::Order;
@@ -31,6 +31,12 @@ impl Results {
     /// # Errors
     /// When it holds results that may not be replaced (64), another program writes there (69), or it cannot be made (73).
     pub(super) fn begin(order: &Order) -> Result<Self, Failure> {
+        // The lock says that no run is under way there; nothing is touched by it.
+        if Aside::is_left(&order.folder)
+            && let Ok(folder) = ResultFolder::take(&order.folder, Overwrite::Replace)
+        {
+            Aside::recover(folder.path())?;
+        }
         let was_there = order.folder.exists();
         let folder = ResultFolder::take(&order.folder, order.overwrite).map_err(failure)?;
         let replaces = was_there && order.overwrite == Overwrite::Replace;
@@ -63,11 +69,12 @@ impl Results {
     }
 
     /// Writes everything, elsewhere if it must be.
-    pub(super) fn finish(&mut self, record: &RunRecord, rows: &[Row]) -> Written {
+    pub(super) fn finish(&mut self, record: &RunRecord, rows: &Rows) -> Written {
+        let finished = self.folder.finish(record, rows);
         if let Some(earlier) = &mut self.earlier {
             earlier.remove();
         }
-        match self.folder.finish(record, rows) {
+        match finished {
             Ok(Finished { folder, files, trouble: None }) => Written { folder, files, trouble: None },
             Ok(Finished { folder, files, trouble: Some(trouble) }) => {
                 let trouble = format!("{trouble}; all that was measured is in {} instead", folder.display());

@@ -39,8 +39,12 @@ impl fmt::Display for Seen {
         if let Some(of) = self.of {
             write!(f, " of {of}")?;
         }
-        let quantile = |value: Option<f64>| value.map_or_else(|| "—".to_owned(), milliseconds);
-        write!(f, ", {:.1} /s, total {} ms (p99 {})", self.rate, quantile(self.p50), quantile(self.p99))?;
+        write!(f, ", {:.1} /s", self.rate)?;
+        // None while it warms up.
+        if let Some(p50) = self.p50 {
+            let p99 = self.p99.map_or_else(|| "—".to_owned(), milliseconds);
+            write!(f, ", total {} ms (p99 {p99})", milliseconds(p50))?;
+        }
         self.left_s.map_or(Ok(()), |left| write!(f, ", {} left", duration(left)))
     }
 }
@@ -87,5 +91,7 @@ mod tests {
             trouble: None,
         };
         assert_eq!(seen.to_string(), "120 of 10005, 9.8 /s, total 101 ms (p99 —), 17 min left");
+        let warming_up = Seen { done: 3, p50: None, ..seen };
+        assert_eq!(warming_up.to_string(), "3 of 10005, 9.8 /s, 17 min left");
     }
 }

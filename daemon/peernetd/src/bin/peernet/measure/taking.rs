@@ -6,7 +6,7 @@ use peernet_clock::{MonoTime, SharedClock, Span, WallTime};
 use peernet_logger::Slug;
 use peernet_logger::stream::{Event, HostDescription, IncidentKind, PipelineState, RunDescription};
 use peernet_networks::OpenError;
-use peernet_report::results::{Outcome, Row, RowWriter};
+use peernet_report::results::{Outcome, Row, RowWriter, Rows, Units};
 use peernet_statistics::Sketch;
 
 use super::{Ended, Phase, Seen, Watcher};
@@ -35,7 +35,9 @@ pub(super) struct Taking<'a> {
 /// What was seen.
 #[derive(Default)]
 pub(super) struct Taken {
-    pub(super) rows: Vec<Row>,
+    pub(super) rows: Rows,
+    /// Of the columns that the run logs itself.
+    pub(super) units: Units,
     /// What was told when the run began.
     pub(super) description: Option<RunDescription>,
     /// When it ended, by the edge's wall clock.
@@ -112,7 +114,7 @@ impl<'a> Taking<'a> {
         self.taken.cloud = cloud.or(self.taken.cloud.take());
     }
 
-    fn row(&mut self, row: Row) {
+    fn row(&mut self, row: &Row) {
         // A failure is an answer, too.
         if matches!(row.outcome, Outcome::Ok | Outcome::Failed) {
             self.patience.heard(self.clock.mono());
@@ -120,7 +122,7 @@ impl<'a> Taking<'a> {
         if let Some(total) = row.value("total").or(row.value("sensing")).filter(|_| row.counts()) {
             self.totals.record(total);
         }
-        self.writer.write(&row);
+        self.writer.write(row);
         self.taken.rows.push(row);
     }
 
@@ -134,7 +136,7 @@ impl<'a> Taking<'a> {
         let phase = match (&trouble, self.began, self.taken.rows.last()) {
             (_, None, _) => Phase::Starting,
             (Some(_), ..) => Phase::Waiting,
-            (None, _, None | Some(Row { warm_up: true, .. })) => Phase::WarmUp,
+            (None, _, last) if last.is_none_or(|row| row.warm_up()) => Phase::WarmUp,
             _ => Phase::Measuring,
         };
         Seen {
@@ -160,7 +162,10 @@ impl Eyes for Taking<'_> {
                 self.taken.edge = running.map(Running::description).or(self.taken.edge.take());
                 self.meet(running);
             }
-            Event::Iteration(iteration) => self.row(Row::of(&iteration)),
+            Event::Iteration(iteration) => {
+                let row = self.taken.units.row(&iteration);
+                self.row(&row);
+            }
             Event::RunEnded(run) => {
                 self.taken.ended = Some(run.ended);
                 return Some(match run.reason.as_str() {

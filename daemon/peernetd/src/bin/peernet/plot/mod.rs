@@ -52,6 +52,8 @@ enum Kind {
     Paired,
     /// Of all runs: latency and throughput against payload, with fit and intercept.
     Payload,
+    /// Of all runs: latency and fairness against the number of edges that share one cloud.
+    Users,
     /// Of each run: response length against latency.
     Length,
     /// Of each run: total and stages over time.
@@ -67,6 +69,7 @@ impl Kind {
             Self::Accuracy => vec![figures::Kind::Accuracy],
             Self::Paired => vec![figures::Kind::Paired],
             Self::Payload => vec![figures::Kind::Payload],
+            Self::Users => vec![figures::Kind::Users],
             Self::Length => vec![figures::Kind::Length],
             Self::Series => vec![figures::Kind::Series],
         }
@@ -80,7 +83,7 @@ impl Kind {
 /// kind (64), or a file cannot be written (73).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     check(arguments)?;
-    let Collected { runs, .. } = collect(&arguments.runs, None)?;
+    let Collected { runs, .. } = collect(&arguments.runs, None, &|_| true)?;
     let places = Places::of(&arguments.runs, &runs, arguments.out.as_deref());
     let columns = Columns { x: arguments.x.clone(), y: arguments.y.clone() };
     let mut lacking = Vec::new();

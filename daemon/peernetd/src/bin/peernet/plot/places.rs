@@ -61,7 +61,7 @@ fn names(folders: &[PathBuf]) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-    use peernet_report::results::RunRecord;
+    use peernet_report::results::{Rows, RunRecord};
 
     use super::*;
 
@@ -69,7 +69,7 @@ mod tests {
         let loaded = |folder: &&str| Loaded {
             folder: PathBuf::from(*folder),
             record: RunRecord::default(),
-            rows: Vec::new(),
+            rows: Rows::default(),
         };
         let named: Vec<PathBuf> = named.iter().map(PathBuf::from).collect();
         let runs: Vec<Loaded> = runs.iter().map(loaded).collect();

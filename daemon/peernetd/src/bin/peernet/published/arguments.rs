@@ -13,7 +13,7 @@ use super::sensor::SensorType;
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Published experiment")]
 pub(crate) struct Arguments {
-    /// Serve a model and end after --iterations answers; what it is without --client.
+    /// Serve a model and end after --iterations answers; the default without --client.
     #[arg(long, conflicts_with = "client")]
     pub(super) server: bool,
     /// Sense, ask the server, and write the results.

@@ -84,7 +84,7 @@ fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
 
 /// Says what came of it, and where it is.
 fn tell(measured: &Measured, arguments: &Arguments) {
-    say(Summary::of(&measured.rows).text());
+    say(Summary::of(&measured.rows).about(&measured.record).text());
     if let Some(trust) = &measured.record.trust {
         say(format_args!("\n{}", trust.text()));
     }

@@ -20,7 +20,7 @@ use peernetd::output::complain;
 
 use devices::Devices;
 
-use crate::foreground::listen;
+use crate::foreground::{Shows, listen};
 
 /// Serves or measures, as the options say.
 ///
@@ -33,6 +33,6 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     complain(
         "plain mode: nothing is encrypted and nobody is asked for a password; use it in networks that you trust",
     );
-    listen()?;
+    listen(Shows::Itself)?;
     if serves { server::run(arguments, &devices) } else { client::run(arguments, &devices) }
 }

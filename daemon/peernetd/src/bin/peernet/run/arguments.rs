@@ -2,15 +2,21 @@
 
 use std::path::PathBuf;
 
+use super::file::Set;
 use super::plan::{Plan, Run};
 
 /// What `peernet run` can be told.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
-    /// The experiment: docs/experiments.md.
+    /// File of the experiment, TOML; docs/experiments.md describes it, configs/experiments has examples. A pipe is read, too:
+    /// `/dev/stdin`.
     #[arg(value_name = "FILE")]
     pub(super) file: PathBuf,
-    /// Folder for the results; one that was begun is gone on with [default: results/NAME].
+    /// Put a value in the place of the file's, such as experiment.iterations=100; may be given several times. What an axis
+    /// sets goes before it.
+    #[arg(long, value_name = "FIELD=VALUE", value_parser = Set::read)]
+    pub(super) set: Vec<Set>,
+    /// Folder for the results; an experiment that was begun there goes on [default: results/NAME].
     #[arg(long, value_name = "DIR")]
     pub(super) result_loc: Option<PathBuf>,
     /// Check the file alone: no peer is asked, no model is loaded, nothing is written.
@@ -19,7 +25,7 @@ pub(crate) struct Arguments {
     /// Try all peers and models, show the runs and how long they will take, and measure nothing.
     #[arg(long)]
     pub(super) dry_run: bool,
-    /// What order and payloads follow from, in the place of the file's.
+    /// What the order of the runs and the payloads follow from, in the place of the file's seed.
     #[arg(long)]
     pub(super) seed: Option<u64>,
     /// Only runs with this label, or the run of this number; may be given several times. Labels of one axis add up, those

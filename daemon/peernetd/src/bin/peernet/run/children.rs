@@ -11,8 +11,9 @@ use futures::StreamExt;
 use futures::stream::FuturesUnordered;
 use peernetd::exit::Exit;
 use rustix::process::{Pid, Signal, kill_process};
-use tokio::io::{AsyncBufReadExt, AsyncRead, AsyncWriteExt, BufReader};
-use tokio::process::Command;
+use serde::Deserialize;
+use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader};
+use tokio::process::{ChildStdout, Command};
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 
@@ -21,8 +22,9 @@ use crate::measure::{Order, Seen};
 
 /// This program, even when its file was replaced in the meantime: all runs are measured by one version.
 const PROGRAM: &str = "/proc/self/exe";
-/// Looks that may wait for the one who shows them; later ones are left out.
-const LOOKS: usize = 64;
+/// What processes told that may wait for the one who shows it. Later looks are left out; later lines hold the process up
+/// that wants to say them, as a slow terminal would.
+const TOLD: usize = 64;
 /// Last lines of a process that are kept.
 const LINES: usize = 20;
 /// How long the rest of what a process said is waited for after its end: its own children may hold the pipe open.
@@ -51,15 +53,38 @@ impl Exited {
     }
 }
 
-/// Executes orders, all at once, and shows what is seen of each. A signal to this program goes to all of them: at the
+/// What there is to show.
+pub(super) enum News<'a> {
+    /// How far each of the processes is, once it has told.
+    Seen(&'a [Option<Seen>]),
+    /// What users' own code printed in the process at this place, or its log.
+    Line(usize, &'a str),
+}
+
+/// A line of a process's standard output.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Told {
+    Seen(Seen),
+    Line(String),
+}
+
+/// Executes orders, all at once, and shows what they tell. A signal to this program goes to all of them: at the
 /// first they end early with their results, at the second they wait for nothing, at the third they are killed.
 pub(super) async fn execute(
     orders: &[Order],
     signals: &mut Signals,
-    mut look: impl FnMut(&[Option<Seen>]),
+    mut show: impl FnMut(News<'_>),
 ) -> Ended {
-    let (to, mut from) = mpsc::channel(LOOKS);
+    let (to, mut from) = mpsc::channel(TOLD);
     let mut seen: Vec<Option<Seen>> = vec![None; orders.len()];
+    let mut take = |index: usize, told: Told| match told {
+        Told::Seen(now) => {
+            seen[index] = Some(now);
+            show(News::Seen(&seen));
+        }
+        Told::Line(line) => show(News::Line(index, &line)),
+    };
     let mut exits: Vec<Option<Exited>> = vec![None; orders.len()];
     let mut pids: Vec<Option<Pid>> = Vec::new();
     let mut waiting = FuturesUnordered::new();
@@ -83,10 +108,7 @@ pub(super) async fn execute(
                 pids[index] = None;
                 exits[index] = Some(exited);
             }
-            Some((index, now)) = from.recv() => {
-                seen[index] = Some(now);
-                look(&seen);
-            }
+            Some((index, told)) = from.recv() => take(index, told),
             () = signals.next() => {
                 signalled += 1;
                 let signal = if signalled > 2 { Signal::KILL } else { Signal::INT };
@@ -96,6 +118,9 @@ pub(super) async fn execute(
                 }
             }
         }
+    }
+    while let Ok((index, told)) = from.try_recv() {
+        take(index, told);
     }
     let gone = || Exited { code: None, reason: None };
     Ended {
@@ -113,7 +138,7 @@ struct Child {
 }
 
 impl Child {
-    async fn start(index: usize, order: &Order, to: mpsc::Sender<(usize, Seen)>) -> anyhow::Result<Self> {
+    async fn start(index: usize, order: &Order, to: mpsc::Sender<(usize, Told)>) -> anyhow::Result<Self> {
         let order = serde_json::to_vec(order).context("cannot write the order down")?;
         let mut process = Command::new(PROGRAM)
             .args(["measure", "--order", "-"])
@@ -133,19 +158,18 @@ impl Child {
         let said = Arc::new(Mutex::new(VecDeque::new()));
         let kept = Arc::clone(&said);
         let readers = [
-            tokio::spawn(lines(output, move |line| {
-                // Looks that nobody has time for are left out, and so is what is no look.
-                if let Ok(seen) = serde_json::from_str(&line) {
-                    let _ = to.try_send((index, seen));
+            tokio::spawn(pass_on(index, output, to)),
+            tokio::spawn(async move {
+                let Some(errors) = errors else { return };
+                let mut lines = BufReader::new(errors).lines();
+                while let Ok(Some(line)) = lines.next_line().await {
+                    let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
+                    kept.push_back(line);
+                    if kept.len() > LINES {
+                        kept.pop_front();
+                    }
                 }
-            })),
-            tokio::spawn(lines(errors, move |line| {
-                let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
-                kept.push_back(line);
-                if kept.len() > LINES {
-                    kept.pop_front();
-                }
-            })),
+            }),
         ];
         let pid = process.id().and_then(|pid| Pid::from_raw(i32::try_from(pid).ok()?));
         Ok(Self { process, pid, said, readers })
@@ -178,10 +202,16 @@ fn reason(status: ExitStatus, last: Option<String>) -> Option<String> {
     }
 }
 
-async fn lines(pipe: Option<impl AsyncRead + Unpin>, mut take: impl FnMut(String)) {
-    let Some(pipe) = pipe else { return };
-    let mut lines = BufReader::new(pipe).lines();
+/// Hands on what the process at this place tells on its standard output.
+async fn pass_on(index: usize, output: Option<ChildStdout>, to: mpsc::Sender<(usize, Told)>) {
+    let Some(output) = output else { return };
+    let mut lines = BufReader::new(output).lines();
     while let Ok(Some(line)) = lines.next_line().await {
-        take(line);
+        // What is neither a look nor a text is nobody's: libraries print to standard output as well.
+        match serde_json::from_str(&line) {
+            Ok(look @ Told::Seen(_)) => drop(to.try_send((index, look))),
+            Ok(text @ Told::Line(_)) => drop(to.send((index, text)).await),
+            Err(_) => {}
+        }
     }
 }

@@ -4,7 +4,7 @@ use peernet_clock::SharedClock;
 use peernet_report::results::{Overwrite, ResultFolder};
 use peernetd::exit::{Exit, Failure};
 
-use super::children::{self, Exited};
+use super::children::{self, Exited, News};
 use super::estimate::Estimates;
 use super::folder::Folder;
 use super::plan::Run;
@@ -60,8 +60,15 @@ impl Execution<'_> {
         if !self.quiet {
             progress.say(format_args!("{name}: begins"));
         }
-        let ended = children::execute(&orders, signals, |seen| {
-            let Some(seen) = together(seen) else { return };
+        let ended = children::execute(&orders, signals, |news| {
+            let seen = match news {
+                News::Line(user, line) if orders.len() > 1 => {
+                    return progress.say(format_args!("user {}: {line}", user + 1));
+                }
+                News::Line(_, line) => return progress.say(line),
+                News::Seen(seen) => together(seen),
+            };
+            let Some(seen) = seen else { return };
             let part = seen.of.map_or(0.0, |of| seen.done as f64 / of.max(1) as f64);
             let left = seen.left_s.zip(later).map(|(now, later)| duration(now + later));
             let left = left.map_or_else(String::new, |left| format!(", {left} left for all"));

@@ -16,6 +16,9 @@ use super::state::{FORMAT, Record};
 pub(crate) const RECORD: &str = "experiment.json";
 /// Bytes of the largest record that is read: most runs, each of a configuration of its own, have less.
 pub(crate) const LARGEST_RECORD: u64 = 256 << 20;
+/// Names of the tables over all runs, and the forms that they are written in.
+const TABLES: [&str; 3] = ["compare", "users", "sensors"];
+const KINDS: [&str; 4] = ["txt", "md", "csv", "tex"];
 const LOCK: &str = ".lock";
 const RUNS: &str = "runs";
 
@@ -104,6 +107,10 @@ impl Folder {
     /// When something cannot be removed (73).
     pub(super) fn clear(&self, record: &Record) -> Result<(), Failure> {
         record.plan.runs.iter().try_for_each(|run| self.remove(run))?;
+        for (table, kind) in TABLES.iter().flat_map(|table| KINDS.map(|kind| (table, kind))) {
+            // Most are not there; those that stay are overwritten in the end.
+            let _ = fs::remove_file(self.path.join(format!("{table}.{kind}")));
+        }
         let path = self.path.join(RECORD);
         fs::remove_file(&path).map_err(|error| cannot_remove(&path, &error))
     }
@@ -167,7 +174,7 @@ pub(super) fn unchanged(record: &Record, plan: &Plan) -> Result<(), Failure> {
     }
     let json = |plan: &Plan| serde_json::to_value(plan).unwrap_or_default();
     let text = format!(
-        "the file has changed since the experiment was begun:\n  {}\ngo on with the old file, begin anew with --restart, which removes the runs, or name another folder with --result-loc",
+        "the experiment has changed since it was begun:\n  {}\ngo on with the old file and options, begin anew with --restart, which removes the runs, or name another folder with --result-loc",
         differences(&json(&record.plan), &json(plan)).join("\n  ")
     );
     Err(Failure::new(Exit::Configuration, anyhow!("{text}")))

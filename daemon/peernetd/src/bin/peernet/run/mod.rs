@@ -4,7 +4,7 @@
 //! File ── configurations ── Plan ─┬─ trial        a few iterations of each, before the first run
 //!                                 ├─ Record       experiment.json: how far it is, replaced after every step
 //!                                 ├─ execute      one process per run and user (`peernet measure`)
-//!                                 └─ report       compare.*, users.*, figures
+//!                                 └─ report       compare.*, users.*, sensors.*, figures
 //! ```
 
 mod arguments;
@@ -17,6 +17,7 @@ mod file;
 mod folder;
 mod plan;
 mod report;
+mod sensors;
 mod state;
 mod table;
 mod trial;
@@ -55,7 +56,7 @@ const RESULTS: &str = "results";
 /// When the file is not there (66) or wrong (78), something that it names cannot be had (69), the folder is not its own
 /// (64), results cannot be written (73), some runs failed (75), or the user ended it early (130).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let file = File::read(&arguments.file)?;
+    let file = File::read(&arguments.file, &arguments.set)?;
     let configurations = file.configurations(&arguments.models_dir)?;
     let clock =
         clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
@@ -73,9 +74,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         return Err(Failure::new(Exit::Usage, anyhow!("--only: {unknown}")));
     }
     if arguments.check {
-        let (runs, configurations) = (plan.runs.len(), plan.configurations.len());
+        let runs = table::count(plan.runs.len(), "run");
+        let configurations = table::count(plan.configurations.len(), "configuration");
         remarks.iter().for_each(|remark| complain(format_args!("not on this machine: {remark}")));
-        say(format_args!("{}: {runs} runs of {configurations} configurations", arguments.file.display()));
+        say(format_args!("{}: {runs} of {configurations}", arguments.file.display()));
         return Ok(());
     }
     let record = match before {
@@ -105,7 +107,7 @@ async fn carry_out(
     let mut signals = Signals::new().map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let folder = if arguments.dry_run { None } else { Some(Folder::open(&path)?) };
     if let Some(folder) = &folder {
-        settle(arguments, folder, &mut record)?;
+        settle(folder, &mut record);
     }
     let to_do = record.to_do(|run| Only::wants(&arguments.only, &record.plan, run));
     let wanted: BTreeSet<usize> = to_do.iter().map(|run| run.configuration).collect();
@@ -134,6 +136,10 @@ async fn carry_out(
         discard(Some(folder), &record);
         return Err(Failure::new(Exit::Interrupted, anyhow!("not begun")));
     }
+    if arguments.restart {
+        // Not before: what cannot be measured again is better kept.
+        clear(&folder)?;
+    }
     folder.save(&record)?;
     let mut execution =
         Execution { folder: &folder, record: &mut record, estimates, clock, plots, quiet: arguments.quiet };
@@ -144,16 +150,19 @@ async fn carry_out(
     verdict(&record, &to_do, interrupted)
 }
 
-/// Brings folder and record together: what was begun anew is removed, what was taken away is to be done again.
-fn settle(arguments: &Arguments, folder: &Folder, record: &mut Record) -> Result<(), Failure> {
-    if arguments.restart {
-        match folder.load() {
-            Ok(Some(old)) => folder.clear(&old)?,
-            Ok(None) => {}
-            // What it names is not known; its runs are replaced one by one.
-            Err(failure) => complain(failure),
-        }
+/// Takes away what is begun anew.
+fn clear(folder: &Folder) -> Result<(), Failure> {
+    match folder.load() {
+        Ok(Some(old)) => return folder.clear(&old),
+        Ok(None) => {}
+        // What it names is not known; its runs are replaced one by one.
+        Err(failure) => complain(failure),
     }
+    Ok(())
+}
+
+/// What was taken away is to be done again.
+fn settle(folder: &Folder, record: &mut Record) {
     let finished = record.runs().filter(|(_, state)| state.stage == Stage::Finished);
     let damaged = |(run, _): (&Run, _)| Some((run.clone(), damage(folder, &record.plan, run)?));
     let damaged: Vec<(Run, String)> = finished.filter_map(damaged).collect();
@@ -161,7 +170,6 @@ fn settle(arguments: &Arguments, folder: &Folder, record: &mut Record) -> Result
         complain(format_args!("run {} is done again: {why}", run.number));
         record.forget(&run);
     }
-    Ok(())
 }
 
 /// Why a run's results cannot be used: they are gone, cannot be read, or are not whole.
@@ -207,11 +215,9 @@ fn missing(tried: &Tried) -> Option<Failure> {
         let those = all.iter().filter(move |(other, words)| other == reason && !words.is_empty());
         std::iter::once(format!("  {reason}")).chain(those.map(|(_, words)| format!("    {words}")))
     });
-    let (count, of, lines) = (all.len(), tried.wanted, lines.collect::<Vec<_>>().join("\n"));
-    Some(Failure::new(
-        exit,
-        anyhow!("{count} of {of} configurations cannot be measured, nothing was begun:\n{lines}"),
-    ))
+    let (count, lines) = (all.len(), lines.collect::<Vec<_>>().join("\n"));
+    let of = table::count(tried.wanted, "configuration");
+    Some(Failure::new(exit, anyhow!("{count} of {of} cannot be measured, nothing was begun:\n{lines}")))
 }
 
 /// Asks, where somebody can answer.
@@ -241,10 +247,12 @@ fn discard(folder: Option<Folder>, record: &Record) {
 }
 
 fn summary(record: &Record) -> String {
-    let stages = [Stage::Finished, Stage::Failed, Stage::Interrupted, Stage::Pending];
-    let counts = stages.map(|stage| (record.count(stage), stage.name()));
-    let told = counts.iter().filter(|(count, _)| *count > 0).map(|(count, name)| format!("{count} {name}"));
-    format!("of {} runs {}", record.plan.runs.len(), told.collect::<Vec<_>>().join(", "))
+    let others = [Stage::Failed, Stage::Interrupted, Stage::Running, Stage::Pending];
+    let others = others.map(|stage| (record.count(stage), stage));
+    let others = others.iter().filter(|(count, _)| *count > 0);
+    let others: Vec<String> = others.map(|(count, stage)| format!(", {count} {}", stage.name())).collect();
+    let runs = table::count(record.plan.runs.len(), "run");
+    format!("{} of {runs} finished{}", record.count(Stage::Finished), others.concat())
 }
 
 /// What a script is told.
@@ -258,8 +266,8 @@ fn verdict(record: &Record, done: &[Run], interrupted: bool) -> Result<(), Failu
     let lossy = states().filter(|state| state.stage == Stage::Finished && state.exit != Some(0)).count();
     let text = match (failed, lossy) {
         (0, 0) => return Ok(()),
-        (0, lossy) => format!("{} with iterations that have no answer", table::count(lossy)),
-        (failed, _) => format!("{} failed; the same command tries again", table::count(failed)),
+        (0, lossy) => format!("{} with iterations that have no answer", table::count(lossy, "run")),
+        (failed, _) => format!("{} failed; the same command tries again", table::count(failed, "run")),
     };
     Err(Failure::new(Exit::Incomplete, anyhow!("{text}")))
 }

@@ -1,20 +1,24 @@
 //! What is made of the runs: the tables of the comparison, those of many users, and the figures.
 
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use anyhow::anyhow;
+use peernet_logger::stream::Grade;
 use peernet_report::WriteError;
 use peernet_report::compare::Comparison;
 use peernet_report::figures::{self, Columns, Kind, PlotError};
 use peernet_report::results::{Loaded, ResultFolder};
-use peernet_report::sensor_study::SensorStudy;
 use peernet_report::trust::Publish;
 use peernet_report::users::Users;
 use peernetd::exit::{Exit, Failure};
 
 use super::folder::Folder;
 use super::plan::Run;
+use super::sensors::Sensors;
 use super::state::{Record, Stage};
+use super::table;
 
 /// Writes everything that compares finished runs, with `plots` also as figures; returns what is to be printed.
 ///
@@ -29,9 +33,9 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Str
     // As the file has them, whatever the order in which they came.
     runs.sort_by_key(|run| (run.configuration, run.repeat));
     let loaded = runs.iter().map(|run| load(folder, record, run)).collect::<Result<Vec<_>, _>>()?;
-    let users = Users::of(&loaded);
-    let (studies, trust) = (studies(record, &runs, &loaded), trust(&loaded));
+    let (sensors, trust) = (Sensors::of(&record.plan, &runs, &loaded), trust(&loaded));
     let all: Vec<Loaded> = loaded.into_iter().flatten().collect();
+    let users = Users::of(&all);
     let comparison = Comparison::of(&all);
     let forms = [
         ("txt", comparison.text()),
@@ -44,17 +48,24 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Str
         figures(&all, comparison.lines.len(), folder.path())
             .map_err(|error| Failure::new(Exit::Unwritten, error))?;
     }
-    let mut told = comparison.text();
+    let mut told = vec![comparison.text()];
     if let Some(users) = users {
         let forms =
             [("txt", users.text()), ("md", users.markdown()), ("csv", users.csv()), ("tex", users.latex())];
         save(folder.path(), "users", &forms)?;
-        told = format!("{}\n\n{}", told.trim_end(), users.text());
+        told.push(users.text());
     }
-    for study in studies {
-        told = format!("{}\n\n{study}", told.trim_end());
+    if let Some(sensors) = sensors {
+        let forms = [("txt", sensors.text()), ("md", sensors.markdown()), ("tex", sensors.latex())];
+        save(folder.path(), "sensors", &forms)?;
+        if sensors.are_all {
+            // Stages beyond the sensor are empty, and the shortest sensing is not the best sensor.
+            told.clear();
+        }
+        told.push(sensors.text());
     }
-    Ok(format!("{}\n\n{trust}", told.trim_end()))
+    told.push(trust);
+    Ok(told.iter().map(|part| part.trim_end()).collect::<Vec<_>>().join("\n\n"))
 }
 
 /// Draws what the configurations have together. Bars side by side need more than one.
@@ -68,33 +79,45 @@ fn figures(all: &[Loaded], lines: usize, folder: &Path) -> Result<(), WriteError
     }
 }
 
-/// What sensors alone showed of themselves, each below the name of its run.
-fn studies(record: &Record, runs: &[&Run], loaded: &[Vec<Loaded>]) -> Vec<String> {
-    let edges =
-        runs.iter().zip(loaded).flat_map(|(run, users)| users.iter().map(move |edge| (run, users, edge)));
-    let alone = edges.filter(|(_, _, edge)| edge.record.is_sensor_alone());
-    let study = alone.filter_map(|(run, users, edge)| {
-        let user = if users.len() > 1 { format!(", {}", edge.record.edge.name) } else { String::new() };
-        let study = SensorStudy::of(&edge.rows)?;
-        Some(format!("{}{user}\n{}", record.plan.words(run), study.text().trim_end()))
-    });
-    study.collect()
-}
-
-/// Whether the runs can be published, in a sentence. A run is as good as the worst of its edges.
+/// Whether the runs can be published, and in how many of them what speaks against it. A run is as good as the worst of
+/// its edges.
 fn trust(runs: &[Vec<Loaded>]) -> String {
     let worst = |edges: &Vec<Loaded>| {
         let verdicts = edges.iter().map(|edge| edge.record.trust.as_ref().map(|trust| trust.verdict));
         let known: Option<Vec<Publish>> = verdicts.collect();
-        [Publish::No, Publish::WithRemarks, Publish::Yes]
-            .into_iter()
-            .find(|verdict| known.as_ref().is_some_and(|known| known.contains(verdict)))
+        known.and_then(|known| known.into_iter().max())
     };
     let count = |verdict| runs.iter().filter(|edges| worst(edges) == Some(verdict)).count();
     let [yes, remarks, no] = [Publish::Yes, Publish::WithRemarks, Publish::No].map(count);
-    format!(
-        "Can they be published? {yes} yes, {remarks} with remarks, {no} no: trust in each run.json says why."
-    )
+    let mut lines =
+        vec![format!("Can they be published? {yes} as they are, {remarks} with remarks, {no} not.")];
+    let (bad, doubtful) = (against(runs, Grade::Bad), against(runs, Grade::Doubtful));
+    for (sign, found) in [("✗", &bad), ("!", &doubtful)] {
+        lines.extend(
+            found.iter().map(|(about, count)| format!("  {sign} {about}: {}", table::count(*count, "run"))),
+        );
+    }
+    if lines.len() > 1 {
+        lines.push("  run.json of each run has the sentences and what to do, under trust".to_owned());
+    }
+    lines.join("\n")
+}
+
+/// What was found to be so bad, and in how many runs: the most frequent first.
+fn against(runs: &[Vec<Loaded>], grade: Grade) -> Vec<(&str, usize)> {
+    let mut found: BTreeMap<&str, usize> = BTreeMap::new();
+    for edges in runs {
+        let sentences =
+            edges.iter().filter_map(|edge| edge.record.trust.as_ref()).flat_map(|trust| &trust.sentences);
+        let about: BTreeSet<&str> = sentences
+            .filter(|sentence| sentence.grade == grade)
+            .map(|sentence| sentence.about.as_str())
+            .collect();
+        about.into_iter().for_each(|about| *found.entry(about).or_default() += 1);
+    }
+    let mut found: Vec<(&str, usize)> = found.into_iter().collect();
+    found.sort_by_key(|(_, count)| Reverse(*count));
+    found
 }
 
 fn load(folder: &Folder, record: &Record, run: &Run) -> Result<Vec<Loaded>, Failure> {

@@ -50,6 +50,7 @@ pub(super) fn outlook(to_do: &[Run], record: &Record, estimates: &Estimates) -> 
     let sum = duration(known.iter().sum());
     let time = match to_do.len() - known.len() {
         0 => format!("about {sum}"),
+        1 if to_do.len() == 1 => "how long it takes is not known".to_owned(),
         unknown if unknown == to_do.len() => "how long they take is not known".to_owned(),
         1 => format!("about {sum} and one of unknown length"),
         unknown => format!("about {sum} and {unknown} of unknown length"),
@@ -57,12 +58,12 @@ pub(super) fn outlook(to_do: &[Run], record: &Record, estimates: &Estimates) -> 
     let all = record.plan.runs.len();
     match to_do.len() {
         0 => "nothing to do: all of it is finished".to_owned(),
-        some if some == all => format!("{}, {time}", count(all)),
-        some => format!("{some} of {} to do, {time}", count(all)),
+        some if some == all => format!("{}, {time}", count(all, "run")),
+        some => format!("{some} of {} to do, {time}", count(all, "run")),
     }
 }
 
-/// So many runs.
-pub(super) fn count(runs: usize) -> String {
-    format!("{runs} run{}", if runs == 1 { "" } else { "s" })
+/// So many of something that is called so in the singular.
+pub(super) fn count(number: usize, what: &str) -> String {
+    format!("{number} {what}{}", if number == 1 { "" } else { "s" })
 }

@@ -32,7 +32,7 @@ values = [1, 2]
 pub(super) fn plan(folder: &Path, text: &str) -> Plan {
     let path = folder.join("e.toml");
     std::fs::write(&path, text).expect("writable");
-    let file = File::read(&path).expect("reads");
+    let file = File::read(&path, &[]).expect("reads");
     Plan::new(&file.experiment, None, file.configurations(&[]).expect("reads"))
 }
 
@@ -70,7 +70,7 @@ fn what_is_not_finished_is_done_again_and_nothing_else() {
     assert_eq!((loaded.states[1].attempts, loaded.states[1].seconds), (2, Some(1.5)));
     loaded.forget(&runs[0]);
     assert_eq!(numbers(&loaded.to_do(|_| true)), [1, 3, 4]);
-    assert_eq!(summary(&loaded), "of 4 runs 1 finished, 1 interrupted, 1 to do");
+    assert_eq!(summary(&loaded), "1 of 4 runs finished, 1 interrupted, 1 cut off, 1 to do");
 }
 
 #[test]
@@ -94,6 +94,23 @@ fn what_is_not_whole_is_done_again() {
     );
     data("itera");
     assert!(told().is_some_and(|why| why.contains("cannot read")));
+}
+
+#[test]
+fn what_is_begun_anew_takes_its_runs_and_tables_away_and_nothing_else() {
+    let temporary = tempfile::tempdir().expect("a folder");
+    let folder = Folder::open(&temporary.path().join("results")).expect("is new");
+    let record = record(temporary.path());
+    folder.save(&record).expect("writable");
+    let [run] = folder.results(&record.plan, &record.plan.runs[0]).try_into().expect("one user");
+    std::fs::create_dir_all(&run).expect("writable");
+    for name in ["compare.txt", "users.csv", "notes.txt"] {
+        std::fs::write(folder.path().join(name), "").expect("writable");
+    }
+    clear(&folder).expect("removable");
+    let is_there = |name: &str| folder.path().join(name).exists();
+    assert!(!run.exists() && !is_there("experiment.json"));
+    assert_eq!(["compare.txt", "users.csv", "notes.txt"].map(is_there), [false, false, true]);
 }
 
 #[test]
@@ -156,6 +173,36 @@ fn wishes_choose_runs() {
 }
 
 #[test]
+fn values_of_the_command_line_take_the_place_of_the_files_but_not_of_the_axes() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("e.toml");
+    std::fs::write(&path, FILE).expect("writable");
+    let read = |sets: &[&str]| {
+        let words = sets.iter().flat_map(|set| ["--set", set]);
+        let line = Line::try_parse_from(["run", "e.toml"].into_iter().chain(words)).expect("a command line");
+        let file = File::read(&path, &line.arguments.set)?;
+        Ok(Plan::new(&file.experiment, None, file.configurations(&[])?))
+    };
+    let refused = |sets: &[&str]| -> Failure { read(sets).expect_err("refused") };
+    let of_the_file: Result<Plan, Failure> = read(&[]);
+    let changed = read(&["experiment.iterations=20", "experiment.repeats=2"]).expect("reads");
+    assert_eq!((of_the_file.expect("reads").runs.len(), changed.runs.len()), (4, 8));
+    let limits = changed.configurations.iter().map(|one| one.agent.pipelines[0].limit.iterations);
+    assert!(limits.flatten().all(|count| count.get() == 20));
+    // Each value of the axis B has a length of its own.
+    let vain = refused(&["pipeline.sensor.length=7"]);
+    assert_eq!(vain.exit, Exit::Usage);
+    assert!(vain.to_string().contains("no effect: the axis B sets it in all runs"), "{vain}");
+    let nowhere = refused(&["pipeline.transforms[0].width=7"]);
+    assert!(nowhere.to_string().starts_with("--set: there is no pipeline.transforms[0].width"), "{nowhere}");
+    let wrong = refused(&["experiment.iterations=0"]);
+    assert!(
+        wrong.exit == Exit::Configuration && wrong.to_string().contains("experiment.iterations"),
+        "{wrong}"
+    );
+}
+
+#[test]
 fn times_that_nobody_knows_read_well() {
     let folder = tempfile::tempdir().expect("a folder");
     let record = record(folder.path());
@@ -168,6 +215,9 @@ fn times_that_nobody_knows_read_well() {
         outlook([Some(3.0), None, Some(5.0), Some(1.0)]),
         "4 runs, about 9 s and one of unknown length"
     );
+    let nothing = Estimates::new(vec![None; 4]);
+    let one = table::outlook(&record.plan.runs[..1], &record, &nothing);
+    assert_eq!(one, "1 of 4 runs to do, how long it takes is not known");
     let told = table::runs(&record, &Estimates::new(vec![Some(0.23), None, Some(5.0), None]));
     let times: Vec<_> = told.lines().skip(1).filter_map(|line| line.split("to do").nth(1)).collect();
     assert_eq!(

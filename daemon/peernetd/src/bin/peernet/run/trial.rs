@@ -12,11 +12,11 @@ use peernet_networks::Address;
 use peernet_report::results::{Overwrite, ResultFolder, RunRecord};
 use peernetd::exit::{Exit, Failure};
 
-use super::children::{self, Exited};
+use super::children::{self, Exited, News};
 use super::estimate::Pace;
 use super::file::Configuration;
 use super::plan::{Plan, in_words};
-use crate::foreground::{Progress, Signals};
+use crate::foreground::{Progress, Signals, duration};
 use crate::measure::Order;
 
 /// Iterations of a trial: the first may be slow, of the others the pace is taken.
@@ -85,9 +85,14 @@ pub(super) async fn configurations(
         let began = clock.mono();
         let orders = [Order { folder: at.clone(), ..order.clone() }];
         let share = done as f64 / trials.len() as f64;
-        let mut ended = children::execute(&orders, signals, |seen| {
-            let trouble = seen.iter().flatten().find_map(|seen| seen.trouble.clone());
-            progress.show(clock.mono(), trouble, || (state.clone(), share));
+        let mut ended = children::execute(&orders, signals, |news| match news {
+            News::Line(_, line) => progress.say(line),
+            News::Seen(seen) => {
+                let (now, trouble) =
+                    (clock.mono(), seen.iter().flatten().find_map(|seen| seen.trouble.clone()));
+                let since = duration((now - began).seconds());
+                progress.show(now, trouble, || (format!("{state}, for {since}"), share));
+            }
         })
         .await;
         if ended.interrupted {
@@ -98,7 +103,7 @@ pub(super) async fn configurations(
         let took = (clock.mono() - began).seconds();
         match ended.exits.pop() {
             Some(exit) if exit.is_well() => {
-                let moments = loaded.iter().flat_map(|loaded| &loaded.rows).map(|row| row.at);
+                let moments = loaded.iter().flat_map(|loaded| &loaded.rows).map(|row| row.at());
                 let pace = pace(&moments.collect::<Vec<_>>(), took);
                 configurations.iter().for_each(|index| tried.paces[*index] = pace);
             }

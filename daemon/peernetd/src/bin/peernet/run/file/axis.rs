@@ -105,6 +105,11 @@ impl Axis {
         self.fields().any(|field| other.fields().any(|earlier| field.covers(earlier)))
     }
 
+    /// Whether it overwrites a field in every run.
+    pub(super) fn always_covers(&self, field: &Field) -> bool {
+        self.values.iter().all(|value| value.sets.iter().any(|(set, _)| set.covers(field)))
+    }
+
     fn fields(&self) -> impl Iterator<Item = &Field> {
         self.values.iter().flat_map(|value| &value.sets).map(|(field, _)| field)
     }

@@ -9,10 +9,12 @@ mod experiment;
 mod field;
 mod matrix;
 mod peers;
+mod set;
 
 pub(super) use axis::Axis;
 pub(super) use configuration::Configuration;
 pub(super) use experiment::{Experiment, Order};
+pub(super) use set::Set;
 
 use std::path::{Path, PathBuf};
 
@@ -40,16 +42,24 @@ pub(super) struct File {
 }
 
 impl File {
-    /// Reads a file.
+    /// Reads a file, and puts these values in the places of its own.
     ///
     /// # Errors
-    /// When it is not there (66) or something is wrong with it (78).
-    pub(super) fn read(path: &Path) -> Result<Self, Failure> {
+    /// When it is not there (66), something is wrong with it (78), or a value has no effect (64).
+    pub(super) fn read(path: &Path, sets: &[Set]) -> Result<Self, Failure> {
         let text = small_file::read(path, small_file::LARGEST)
             .with_context(|| format!("cannot read the experiment {}", path.display()))
             .map_err(|error| Failure::new(Exit::NoInput, error))?;
-        Self::parse(&text, path)
-            .map_err(|error| Failure::new(Exit::Configuration, anyhow!("{}: {error}", path.display())))
+        let at = |error: String| Failure::new(Exit::Configuration, anyhow!("{}: {error}", path.display()));
+        let mut document: Table = text.parse().map_err(|error: toml::de::Error| at(error.to_string()))?;
+        for set in sets {
+            set.apply(&mut document).map_err(|error| Failure::new(Exit::Usage, anyhow!("--set: {error}")))?;
+        }
+        let file = Self::parse(document, path).map_err(at)?;
+        match sets.iter().find_map(|set| set.in_vain(&file.axes)) {
+            Some(problem) => Err(Failure::new(Exit::Usage, anyhow!("--set: {problem}"))),
+            None => Ok(file),
+        }
     }
 
     /// Its configurations: every combination of the axes' values that is not left out, the last axis changing fastest.
@@ -89,8 +99,7 @@ impl File {
         Err(format!("experiment.repeats: so many repeats make {runs} runs; there may be {}", matrix::MOST))
     }
 
-    fn parse(text: &str, path: &Path) -> Result<Self, String> {
-        let mut document: Table = text.parse().map_err(|error: toml::de::Error| error.to_string())?;
+    fn parse(mut document: Table, path: &Path) -> Result<Self, String> {
         if let Some(key) =
             document.keys().find(|key| !OWN.contains(&key.as_str()) && !AGENT.contains(&key.as_str()))
         {

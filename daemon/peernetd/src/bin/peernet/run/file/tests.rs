@@ -13,7 +13,8 @@ placement = { kind = 'remote', peer = 'tcp://127.0.0.1:5551', model = 'echo' }
 ";
 
 fn configurations(text: &str) -> Result<Vec<Configuration>, String> {
-    let file = File::parse(text, Path::new("e.toml"))?;
+    let document = text.parse().map_err(|error: toml::de::Error| error.to_string())?;
+    let file = File::parse(document, Path::new("e.toml"))?;
     file.configurations(&[]).map_err(|failure| failure.to_string())
 }
 

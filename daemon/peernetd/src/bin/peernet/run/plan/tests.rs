@@ -34,7 +34,7 @@ fn plan(text: &str, seed: Option<u64>) -> Plan {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("e.toml");
     std::fs::write(&path, text).expect("writable");
-    let file = File::read(Path::new(&path)).expect("reads");
+    let file = File::read(Path::new(&path), &[]).expect("reads");
     Plan::new(&file.experiment, seed, file.configurations(&[]).expect("reads"))
 }
 

@@ -1,0 +1,75 @@
+//! `--set`: a value in the place of the file's.
+
+use toml::{Table, Value};
+
+use super::axis::Axis;
+use super::field::Field;
+
+/// A field and what it is to be.
+#[derive(Clone, Debug, PartialEq)]
+pub(in crate::run) struct Set {
+    field: Field,
+    value: Value,
+}
+
+impl Set {
+    /// Reads `FIELD=VALUE`; a value that is no TOML is a text, so that shells need no second pair of quotes.
+    ///
+    /// # Errors
+    /// A sentence that says what is wrong with it.
+    pub(in crate::run) fn read(text: &str) -> Result<Self, String> {
+        let (field, value) =
+            text.split_once('=').ok_or("write FIELD=VALUE, such as experiment.iterations=100")?;
+        let field = Field::read(field.trim())?;
+        if field.table() == "axis" {
+            return Err("axes are changed in the file; --only does some of the runs".to_owned());
+        }
+        let value = value.trim();
+        let document = format!("value = {value}").parse::<Table>().ok();
+        // More than one key: the text held a line feed.
+        let read =
+            document.filter(|document| document.len() == 1).and_then(|mut document| document.remove("value"));
+        Ok(Self { field, value: read.unwrap_or_else(|| Value::String(value.to_owned())) })
+    }
+
+    /// Puts the value into the document.
+    ///
+    /// # Errors
+    /// A sentence that says where the path leads nowhere.
+    pub(super) fn apply(&self, document: &mut Table) -> Result<(), String> {
+        self.field.set(document, self.value.clone())
+    }
+
+    /// Why it changes nothing, if it does not: each value of an axis sets the field itself.
+    pub(super) fn in_vain(&self, axes: &[Axis]) -> Option<String> {
+        let axis = axes.iter().find(|axis| axis.always_covers(&self.field))?;
+        let Self { field, .. } = self;
+        Some(format!(
+            "{field} has no effect: the axis {} sets it in all runs; change it in the file",
+            axis.name
+        ))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_toml_or_else_texts() {
+        let value = |text: &str| Set::read(text).expect("reads").value;
+        assert_eq!(value("experiment.iterations=100"), Value::Integer(100));
+        assert_eq!(value("a.b = true"), Value::Boolean(true));
+        assert_eq!(value("a.b=tcp://10.0.0.2:5551"), Value::String("tcp://10.0.0.2:5551".to_owned()));
+        assert_eq!(value("a.b=\"100\""), Value::String("100".to_owned()));
+        assert_eq!(value("bank.devices=[\"cpu\"]"), Value::Array(vec![Value::String("cpu".to_owned())]));
+        assert_eq!(value("a.b="), Value::String(String::new()));
+        assert_eq!(value("a.b=1\nc = 2"), Value::String("1\nc = 2".to_owned()));
+        for (text, told) in
+            [("a.b", "FIELD=VALUE"), ("a..b=1", "no path"), ("axis[0].values=[1]", "in the file")]
+        {
+            let error = Set::read(text).expect_err(text);
+            assert!(error.contains(told), "{error}");
+        }
+    }
+}

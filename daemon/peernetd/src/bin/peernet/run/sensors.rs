@@ -1,0 +1,89 @@
+//! Sensors alone, side by side.
+
+use peernet_report::number::{fixed, milliseconds, significant};
+use peernet_report::results::Loaded;
+use peernet_report::sensor_study::SensorStudy;
+use peernet_report::table::Table;
+
+use super::plan::{Plan, Run};
+
+/// What stands where nothing is known.
+const NOTHING: &str = "—";
+const NOTE: &str = "Milliseconds. Period: from one sample to the next, mean ± standard deviation. Jitter: how far a period \
+                    is from the median period. Sensing: from asking for a sample to having it, the median.";
+const UNNUMBERED: &str = " A sensor that does not number its samples cannot tell which it dropped (—).";
+
+/// A line for each edge that ran a sensor alone.
+pub(super) struct Sensors {
+    table: Table,
+    note: String,
+    /// Whether nothing else ran.
+    pub(super) are_all: bool,
+}
+
+impl Sensors {
+    /// Those among the edges of these runs; `None` without any.
+    pub(super) fn of(plan: &Plan, runs: &[&Run], loaded: &[Vec<Loaded>]) -> Option<Self> {
+        let edges: Vec<(&Run, &Loaded)> =
+            runs.iter().zip(loaded).flat_map(|(run, users)| users.iter().map(|edge| (*run, edge))).collect();
+        let alone: Vec<(&Run, &Loaded, SensorStudy)> = edges
+            .iter()
+            .filter(|(_, edge)| edge.record.is_sensor_alone())
+            .filter_map(|(run, edge)| Some((*run, *edge, SensorStudy::of(&edge.rows)?)))
+            .collect();
+        let (first, ..) = alone.first()?;
+        let (repeated, many) = (plan.repeats > 1, loaded.iter().any(|users| users.len() > 1));
+        let axes = plan.configuration(first).labels.iter().map(|(axis, _)| axis.clone());
+        let mut header: Vec<String> = axes.collect();
+        header.extend(repeated.then(|| "repeat".to_owned()));
+        header.extend(many.then(|| "edge".to_owned()));
+        let labels = header.len();
+        let figures = ["samples", "rate /s", "period", "jitter p50", "jitter p99", "longest gap", "sensing"];
+        header.extend(figures.into_iter().chain(["dropped", "failed"]).map(str::to_owned));
+        let row = |(run, edge, study): &(&Run, &Loaded, SensorStudy)| {
+            let mut cells: Vec<String> =
+                plan.configuration(run).labels.iter().map(|(_, label)| label.clone()).collect();
+            cells.extend(repeated.then(|| (run.repeat + 1).to_string()));
+            cells.extend(many.then(|| edge.record.edge.name.clone()));
+            cells.extend(figures_of(study));
+            cells
+        };
+        let unnumbered = alone.iter().any(|(_, _, study)| study.dropped.is_none());
+        Some(Self {
+            table: Table { header, labels, rows: alone.iter().map(row).collect(), marked: Vec::new() },
+            note: format!("{NOTE}{}", if unnumbered { UNNUMBERED } else { "" }),
+            are_all: alone.len() == edges.len(),
+        })
+    }
+
+    /// For the terminal.
+    pub(super) fn text(&self) -> String {
+        format!("{}\n\n{}", self.table.text().trim_end(), self.note)
+    }
+
+    /// For documents.
+    pub(super) fn markdown(&self) -> String {
+        format!("{}\n{}\n", self.table.markdown(), self.note)
+    }
+
+    /// For papers, with booktabs.
+    pub(super) fn latex(&self) -> String {
+        self.table.latex(&self.note)
+    }
+}
+
+fn figures_of(study: &SensorStudy) -> [String; 9] {
+    let count = |value: u64| fixed(value as f64, 0);
+    let std = study.period_std.map_or_else(String::new, |std| format!(" ± {}", milliseconds(std)));
+    [
+        count(study.samples),
+        significant(study.rate),
+        format!("{}{std}", milliseconds(study.period)),
+        milliseconds(study.jitter_median),
+        study.jitter_p99.map_or_else(|| NOTHING.to_owned(), milliseconds),
+        milliseconds(study.longest_gap),
+        milliseconds(study.sensing),
+        study.dropped.map_or_else(|| NOTHING.to_owned(), count),
+        count(study.failed),
+    ]
+}
