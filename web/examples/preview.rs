@@ -1,6 +1,7 @@
 //! The pages with a factory that never was, for working on them: `cargo run -p peernet-web --example preview`.
 //!
-//! `--late` lets the hosts come after ten seconds, `--empty` shows them before the first host has reported, `--many` with thirty pipelines, `--unrelated` with
+//! `--late` lets the hosts come after ten seconds, `--empty` shows them before the first host has reported, `--many` with thirty pipelines, `--grid` with
+//! experiments of fifty configurations and of many users and with long names, `--unrelated` with
 //! clocks that were never related, `--one-clock` with a camera that reads the rack's, `--rehearsal` with one that is made wrong on purpose,
 //! `--backlog` with an agent that catches up with hours and one whose disk is full, and with a run with gaps. The address is the first free argument, 127.0.0.1:8040 otherwise.
 
@@ -66,10 +67,14 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
                 .collect();
         }
         let pause = Duration::from_secs(if has("--late") { 10 } else { 0 });
-        let backlog = has("--backlog");
+        if has("--grid") {
+            lines[0].name = "quality-control-of-the-welding-seam-with-a-name-of-63-characters";
+            lines[1].host = "camera-above-the-second-conveyor-belt-in-hall-seven-to-the-left";
+        }
+        let (backlog, grid) = (has("--backlog"), has("--grid"));
         tokio::spawn(async move {
             tokio::time::sleep(pause).await;
-            produce(listening, clock, lines, backlog).await;
+            produce(listening, clock, lines, backlog, grid).await;
         });
     }
     tokio::signal::ctrl_c().await?;
@@ -79,7 +84,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-async fn produce(address: String, clock: SharedClock, lines: Vec<Line>, backlog: bool) {
+async fn produce(address: String, clock: SharedClock, lines: Vec<Line>, backlog: bool, grid: bool) {
     let mut factory = Factory::new(&address, clock.clone(), lines).await;
     let many = factory.lines.len() > 5;
     factory.report(clock.wall() - Span::from_seconds(590), clock.wall()).await;
@@ -91,6 +96,10 @@ async fn produce(address: String, clock: SharedClock, lines: Vec<Line>, backlog:
     }
     factory.store_experiment(600, 2).await;
     factory.store_sizes(2.min(factory.lines.len() - 1), 300, &[30e3, 150e3, 400e3, 800e3]).await;
+    if grid {
+        factory.store_grid(100, 50).await;
+        factory.store_users(200, &[1, 2, 3]).await;
+    }
     factory.store_runs(300, false).await;
     factory.backlog = backlog.then(|| clock.wall());
     let mut ticks = tokio::time::interval(Duration::from_millis(250));

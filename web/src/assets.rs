@@ -48,7 +48,7 @@ static ASSETS: LazyLock<Assets> = LazyLock::new(|| {
         ("app.js", SCRIPT, include_bytes!("../assets/js/app.js")),
         ("live.js", SCRIPT, include_bytes!("../assets/js/live.js")),
         ("charts.js", SCRIPT, include_bytes!("../assets/js/charts.js")),
-        ("overview.js", SCRIPT, include_bytes!("../assets/js/overview.js")),
+        ("live-charts.js", SCRIPT, include_bytes!("../assets/js/live-charts.js")),
         ("run.js", SCRIPT, include_bytes!("../assets/js/run.js")),
         ("echarts.min.js", SCRIPT, include_bytes!("../assets/echarts.min.js")),
         ("inter.woff2", "font/woff2", include_bytes!("../assets/inter.woff2")),

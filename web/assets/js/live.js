@@ -61,7 +61,7 @@
     renewing = true;
     try {
       const answer = await fetch(location.href);
-      if (!answer.ok) return;
+      if (!answer.ok) throw new Error(`status ${answer.status}`);
       const page = new DOMParser().parseFromString(await answer.text(), "text/html");
       document.querySelector("main").replaceWith(page.querySelector("main"));
       $("data")?.remove();
@@ -77,6 +77,7 @@
       // A new stream sends every part anew: what came while the page was fetched may be older or newer than it.
       connect();
       tell("peer-renewed");
+    } catch { /* tried again with the next update; that the aggregator is away is said by its stream */
     } finally {
       renewing = false;
     }

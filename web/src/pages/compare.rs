@@ -2,7 +2,7 @@
 
 use askama::Template;
 use axum::extract::State;
-use peernet_aggregator::{ExperimentSummary, StageCourse, Store};
+use peernet_aggregator::{ExperimentSummary, StageMeans, Store};
 use peernet_logger::{Name, stage};
 
 use super::{Page, page};
@@ -10,16 +10,18 @@ use crate::api::parameters::Parameters;
 use crate::error::WebError;
 use crate::numbers::NONE;
 use crate::state::App;
-use crate::svg::{Axis, Scatter};
+use crate::svg::Scatter;
 use crate::view::compare::{
-    Changed, Comparison, MOST_RUNS, Pair, StackRow, Table, Which, accuracy, difference, gather, pairs,
-    payload, stacks, title, too_short,
+    Axes, Changed, Comparison, MOST_RUNS, Pair, StackRow, Table, UsersRow, Which, accuracy, difference,
+    gather, pairs, payload, stacks, title, too_short, users,
 };
 use crate::view::counted;
 use crate::view::shell::{Place, Shell};
 
 /// Experiments that are offered when nothing was chosen.
 const OFFERED: u32 = 50;
+/// Most letters of a label that stays on one line.
+const SHORT: usize = 24;
 /// Most buckets that a run's course is read in.
 const BUCKETS: usize = 120;
 
@@ -28,18 +30,21 @@ const BUCKETS: usize = 120;
 struct Compare {
     shell: Shell,
     title: String,
+    /// What is compared.
+    crumb: String,
     facts: Vec<String>,
     cut: Option<u32>,
     table: Table,
     stacks: Vec<StackRow>,
-    axis: Axis,
+    axes: Axes,
     pairs: Vec<Pair>,
-    pairs_axis: Axis,
+    pairs_axes: Axes,
     letters: Option<(String, String)>,
     changes: Vec<Changed>,
     /// Why a difference has no interval.
     too_short: Option<String>,
     payload: Option<(Scatter, Vec<String>)>,
+    users: Option<(Scatter, Vec<UsersRow>)>,
     accuracy: Option<Scatter>,
 }
 
@@ -56,7 +61,7 @@ pub(crate) async fn show(
     Parameters(query): Parameters<Vec<(String, String)>>,
 ) -> Page {
     let (store, picture) = (app.store(), app.picture());
-    let shell = |title: &str| Shell::new(&app, &picture, Place::Runs, title);
+    let shell = |title: &str| Shell::new(&app, &picture, Place::Compare, title);
     let Some(which) = Which::of(&query)? else {
         let experiments = store.experiments(OFFERED).await?;
         return page(&Empty { shell: shell("Compare"), experiments });
@@ -66,8 +71,8 @@ pub(crate) async fn show(
     page(&assemble(shell("Compare"), &comparison, courses.as_ref()))
 }
 
-/// What each run of a configuration was over time.
-pub(crate) type Courses = Vec<Vec<StageCourse>>;
+/// The means of each run of a configuration over time.
+pub(crate) type Courses = Vec<Vec<StageMeans>>;
 
 /// The courses of both configurations where there are two.
 pub(crate) async fn courses(
@@ -79,7 +84,7 @@ pub(crate) async fn courses(
     let mut both = [Vec::new(), Vec::new()];
     for (one, read) in [first, second].into_iter().zip(&mut both) {
         for run in &one.runs {
-            read.push(store.course(run.number, &names, BUCKETS).await?);
+            read.push(store.means(run.number, &names, BUCKETS).await?);
         }
     }
     let [first, second] = both;
@@ -97,31 +102,43 @@ fn assemble(shell: Shell, comparison: &Comparison, courses: Option<&(Courses, Co
     };
     let total =
         two.first().filter(|(name, ..)| *name == stage::TOTAL).and_then(|(_, found, _)| found.as_ref());
-    let (stacks, axis) = stacks(comparison);
-    let (pairs, pairs_axis) = pairs(comparison);
+    let (stacks, axes) = stacks(comparison);
+    let (pairs, pairs_axes) = pairs(comparison);
     let runs = comparison.runs().count();
     let letters = || comparison.configurations.iter().map(|one| one.letter.clone());
-    let mut facts: Vec<String> =
-        comparison.experiment.iter().map(|(name, _)| format!("experiment {name}")).collect();
+    let crumb = match &comparison.experiment {
+        Some((name, _)) => format!("experiment {name}"),
+        None => counted(runs, "run", "runs"),
+    };
+    let mut facts = common(comparison);
     facts.push(counted(comparison.configurations.len(), "configuration", "configurations"));
     facts.push(counted(runs, "run", "runs"));
     facts.push("successful iterations, warm-up left out".to_owned());
     Compare {
         shell,
         title: title(comparison, total),
+        crumb,
         facts,
         cut: comparison.cut.then_some(MOST_RUNS),
         table: Table::of(comparison),
         stacks,
-        axis,
+        axes,
         pairs,
-        pairs_axis,
+        pairs_axes,
         letters: letters().next().zip(letters().nth(1)).filter(|_| !two.is_empty()),
         changes: two.into_iter().map(|(.., changed)| changed).collect(),
         too_short,
         payload: payload(comparison),
+        users: users(comparison),
         accuracy: accuracy(comparison),
     }
+}
+
+/// What all runs share: their pipeline, where it is one.
+fn common(comparison: &Comparison) -> Vec<String> {
+    let mut pipelines: Vec<String> = comparison.runs().map(|run| run.pipeline.to_string()).collect();
+    pipelines.dedup();
+    if let [_] = pipelines.as_slice() { pipelines } else { Vec::new() }
 }
 
 #[cfg(test)]

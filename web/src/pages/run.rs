@@ -82,6 +82,8 @@ struct Run {
     distribution: Distribution,
     bucket: u32,
     buckets: Vec<Bucket>,
+    /// Whether any bucket has enough samples for a 95th percentile.
+    has_p95: bool,
     axis: Axis,
     slowest: Vec<Slow>,
     unanswered: Vec<Unanswered>,
@@ -241,6 +243,7 @@ fn assemble(
         distribution,
         bucket: series.bucket_s,
         buckets: stored.buckets(zone),
+        has_p95: series.stages.iter().flat_map(|stage| &stage.points).any(|point| point.p95.is_some()),
         axis: Axis::milliseconds(&stored.scale(), ""),
         slowest: stored.slow_rows(zone),
         unanswered: stored.unanswered_rows(zone),

@@ -1,5 +1,6 @@
 //! Every page that live updates change, in every state that its data may have.
 
+mod clocks;
 mod compare;
 mod events;
 
@@ -7,6 +8,7 @@ use peernet_clock::{Span, Verdict};
 use peernet_logger::Name;
 use peernet_logger::stream::{PipelineState, PlacementKind};
 
+use self::clocks::linked;
 use super::*;
 use crate::view::now::{Cell, NowTable};
 use crate::view::samples::{self, HOSTILE, figures, host, incident, picture, pipeline, placement, refused};
@@ -269,85 +271,6 @@ async fn accuracy_stands_beside_latency_where_samples_have_labels() {
     let html = html(&shown);
     check(&html);
     assert!(html.contains("how often the model was right") && html.contains("87.5"), "{html}");
-}
-
-fn linked(half: Option<f64>, verdict: Verdict) -> peernet_aggregator::Picture {
-    let mut shown = picture(vec![host("cam-1", "Orin")], vec![pipeline("line", 30.0, 1.0, verdict, &[])]);
-    shown.links.push(std::sync::Arc::new(samples::link(half, &[])));
-    shown
-}
-
-#[tokio::test]
-async fn a_link_is_shown_whatever_is_known_of_it() {
-    let (app, _folder) = samples::app().await;
-    for (half, word) in [(Some(0.00065), "limited"), (Some(0.00002), "ok"), (None, "unsynchronised")] {
-        for topic in ["cam-1~rack-a/10min/removed", "cam-1~rack-a/10min/measured", "cam-1~rack-a/24h/removed"]
-        {
-            let update = link::update(&app, &linked(half, Verdict::Ok), topic).await.expect("renders");
-            let html: String = update.parts.iter().map(|(_, html)| html.as_str()).collect();
-            check(&html);
-            assert!(html.contains(word), "{topic}: {html}");
-            assert_eq!(update.parts.iter().any(|(id, _)| *id == "chart"), topic.contains("10min"), "{topic}");
-        }
-        let update = links::update(&app, &linked(half, Verdict::Ok)).expect("renders");
-        update.parts.iter().for_each(|(_, html)| check(html));
-        assert!(update.parts[1].1.contains(word) && update.parts[1].1.contains("/links/cam-1~rack-a"));
-    }
-    for wrong in
-        ["cam-1~rack-b/10min/removed", "cam-1/10min/removed", "cam-1~rack-a/1d/removed", "cam-1~rack-a"]
-    {
-        assert!(link::update(&app, &linked(None, Verdict::Ok), wrong).await.is_err(), "{wrong}");
-    }
-}
-
-#[tokio::test]
-async fn a_link_that_is_only_stored_keeps_its_page() {
-    use crate::view::link::Subject;
-    use crate::view::link::course::Course;
-    let (app, _folder) = samples::app().await;
-    let row = peernet_aggregator::LinkRow {
-        edge: peernet_logger::HostId::from_bytes([7; 16]),
-        edge_name: samples::slug("cam-1"),
-        cloud: peernet_logger::HostId::from_bytes([9; 16]),
-        cloud_name: samples::slug("rack-a"),
-        first: samples::NOW,
-        last: samples::NOW,
-    };
-    for points in [Vec::new(), vec![samples::clock_point(samples::NOW, 1, Some(0.00065))]] {
-        let subject = Subject::past(&row);
-        let from = samples::NOW - Span::from_seconds(600);
-        let course =
-            Course::stored(peernet_aggregator::ClockSeries { bucket_s: 1, points }, from, samples::NOW);
-        let shown = picture(Vec::new(), Vec::new());
-        let page = link::link_page(&app, &shown, &subject, &course, None, link::Query::default(), &[]);
-        let html = askama::Template::render(&page).expect("renders");
-        check(&html);
-        assert!(html.contains("cam-1 last told of this link on 19 Nov 2026, 12:01:07"), "{html}");
-        assert!(!html.contains("data-topic") && !html.contains("id=\"pause\""), "nothing of it is live");
-    }
-}
-
-#[tokio::test]
-async fn one_clock_has_no_band_and_says_why_delays_are_exact() {
-    let (app, _folder) = samples::app().await;
-    let mut shown = linked(Some(0.0), Verdict::Ok);
-    std::sync::Arc::make_mut(&mut shown.links[0]).live.same_clock = true;
-    let update = link::update(&app, &shown, "cam-1~rack-a/10min/removed").await.expect("renders");
-    let html: String = update.parts.iter().map(|(_, html)| html.as_str()).collect();
-    check(&html);
-    assert!(html.contains("read one clock: delays between them are exact") && html.contains("same boot id"));
-    assert!(!html.contains("clock offset of"), "{html}");
-}
-
-#[tokio::test]
-async fn verdicts_that_are_not_ok_are_told_with_the_way_to_the_links_page() {
-    let html = overview_of(&linked(Some(0.00065), Verdict::Limited), Vec::new()).await;
-    assert!(html.contains("href=\"/links/cam-1~rack-a\""), "{html}");
-    let (app, _folder) = samples::app().await;
-    let update =
-        pipeline::update(&app, &linked(Some(0.00065), Verdict::Stepped), "cam-1/line/10").expect("renders");
-    let title = &update.parts[0].1;
-    assert!(title.contains("leave these delays out") && title.contains("/links/cam-1~rack-a"), "{title}");
 }
 
 #[tokio::test]

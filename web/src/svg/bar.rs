@@ -36,6 +36,8 @@ pub(crate) struct Bar {
     whiskers: Vec<Whisker>,
     /// Where a one-way delay ends or begins, within its clock bound: from and to.
     bounds: Vec<(Percent, Percent)>,
+    /// An error bar about the end of the whole: from and to.
+    spread: Option<(Percent, Percent)>,
 }
 
 impl askama::filters::HtmlSafe for Bar {}
@@ -99,16 +101,24 @@ impl Bar {
                 value: (width.0 >= VALUE_FITS).then(|| short(milliseconds)),
             });
         }
-        Self { class, label, grid: scale.grid(), segments, whiskers: Vec::new(), bounds }
+        Self { class, label, grid: scale.grid(), segments, whiskers: Vec::new(), bounds, spread: None }
     }
 
-    /// Adds an error bar of `spread` seconds to both sides of the bar's end, which lies at `mean` seconds.
+    /// Adds an error bar of `spread` seconds to both sides of the bar's end, which lies at `mean` seconds. It leaves no
+    /// half of a figure behind: values that it would cross are not written.
     pub(crate) fn spread(mut self, mean: f64, spread: f64, scale: &Scale) -> Self {
-        self.bounds.push((scale.at((mean - spread) * 1e3), scale.at((mean + spread) * 1e3)));
+        let (from, to) = (scale.at((mean - spread) * 1e3), scale.at((mean + spread) * 1e3));
+        for segment in &mut self.segments {
+            let half = if segment.name.is_some() { NAME_FITS } else { VALUE_FITS } / 2.0;
+            if segment.middle.0 + half > from.0 && segment.middle.0 - half < to.0 {
+                (segment.name, segment.value) = (None, None);
+            }
+        }
+        self.spread = Some((from, to));
         self
     }
 
-    /// The same without values and error bars in its segments, for bars that are too low for text.
+    /// The same without values and clock bounds in its segments, for bars that are too low for text.
     pub(crate) fn silent(mut self) -> Self {
         for segment in &mut self.segments {
             (segment.name, segment.value) = (None, None);
@@ -213,6 +223,19 @@ mod tests {
         assert!(close(bar.bounds[1].0, 60.0) && close(bar.bounds[1].1, 80.0), "{:?}", bar.bounds);
         let fine = [bounded("upload", 15.0, 0.01)];
         assert!(Bar::new("", String::new(), &fine, &scale).bounds.is_empty());
+    }
+
+    #[test]
+    fn an_error_bar_crosses_no_figure() {
+        let scale = Scale::fit(30.0, 6);
+        let parts = [part("sensing", 10.0), part("inference", 10.0)];
+        let bar = Bar::new("", String::new(), &parts, &scale);
+        let values = |bar: Bar| bar.segments.iter().map(|one| one.value.is_some()).collect::<Vec<_>>();
+        assert_eq!(values(bar.clone().spread(0.020, 0.001, &scale)), [true, true]);
+        assert_eq!(values(bar.clone().spread(0.020, 0.004, &scale)), [true, false]);
+        let wide = bar.spread(0.020, 0.025, &scale);
+        assert_eq!(wide.spread, Some((Percent(0.0), Percent(100.0))));
+        assert_eq!(values(wide), [false, false]);
     }
 
     #[test]

@@ -28,6 +28,15 @@ impl Horizontal {
         Self::Linear(Scale::fit(most * 1.02, 6))
     }
 
+    /// Holds all of these whole numbers, and names no others.
+    pub(crate) fn of_numbers(values: impl Iterator<Item = f64> + Clone) -> Self {
+        let most = values.clone().fold(0.0, f64::max);
+        match Self::of(values) {
+            Self::Linear(_) => Self::Linear(Scale::fit(most + 0.5, (most as usize + 1).min(6))),
+            logarithmic @ Self::Logarithmic(..) => logarithmic,
+        }
+    }
+
     /// Whether equal distances are equal factors.
     pub(crate) const fn is_logarithmic(&self) -> bool {
         matches!(self, Self::Logarithmic(..))
@@ -83,5 +92,17 @@ mod tests {
         assert_eq!(labels(&[0.1, 30.0, 1_000.0]), ["0.1", "1", "10", "100", "1,000"]);
         assert!(!Horizontal::of([0.0, 1e6].into_iter()).is_logarithmic(), "zero has no logarithm");
         assert!(!Horizontal::of(std::iter::empty()).ticks().is_empty());
+    }
+
+    #[test]
+    fn numbers_have_whole_ticks_beyond_the_largest() {
+        let labels = |most: u32| {
+            let values = (1..=most).map(f64::from);
+            Horizontal::of_numbers(values).ticks().into_iter().map(|(_, text)| text).collect::<Vec<_>>()
+        };
+        assert_eq!(labels(1), ["0", "1", "2"]);
+        assert_eq!(labels(3), ["0", "1", "2", "3", "4"]);
+        assert_eq!(labels(8), ["0", "2", "4", "6", "8", "10"]);
+        assert_eq!(labels(64), ["1", "2", "5", "10", "20", "50"]);
     }
 }

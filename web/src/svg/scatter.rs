@@ -10,6 +10,8 @@ const STEPS: u32 = 64;
 const LETTER: (f64, f64) = (2.4, 7.0);
 /// How far a name stands from the middle of its point.
 const AWAY: (f64, f64) = (2.2, 6.5);
+/// Most names that stand as one; the table has all.
+const MOST_NAMES: usize = 4;
 /// Beside its point, in ems.
 const RIGHT: (&str, &str) = (".7em", ".36em");
 
@@ -81,10 +83,18 @@ struct Label {
     x: Percent,
     y: Percent,
     anchor: &'static str,
+    /// The places of its points in their series, and their names.
+    points: Vec<(usize, String)>,
     text: String,
 }
 
 impl Label {
+    /// Takes in the name of another point.
+    fn join(&mut self, at: usize, name: &str) {
+        self.points.push((at, name.to_owned()));
+        self.text = listed(&self.points);
+    }
+
     fn overlaps(&self, other: (f64, f64, f64)) -> bool {
         let (x, y, letters) = other;
         let width = LETTER.0 * self.text.chars().count() as f64;
@@ -127,8 +137,8 @@ impl Scatter {
             whisker: point.spread.map(|spread| (height(point.y - spread), height(point.y + spread))),
         });
         let dots: Vec<Dot> = dots.collect();
-        let texts = series.iter().flat_map(|one| &one.points).map(|point| point.name.as_str());
-        let names = beside(&dots, texts);
+        let points = series.iter().flat_map(|one| one.points.iter().enumerate());
+        let names = beside(&dots, points.map(|(at, point)| (at, point.name.as_str())));
         let line = |line: &ScatterLine| {
             let points = (0..=STEPS).map(|step| {
                 let x = across.between(line.from, line.to, f64::from(step) / f64::from(STEPS));
@@ -152,15 +162,16 @@ impl Scatter {
 }
 
 /// A name at each point where there is room: right, left, above or below; where there is none, it joins the nearest name.
-fn beside<'a>(dots: &[Dot], texts: impl Iterator<Item = &'a str>) -> Vec<Label> {
+fn beside<'a>(dots: &[Dot], texts: impl Iterator<Item = (usize, &'a str)>) -> Vec<Label> {
     let mut names: Vec<Label> = Vec::new();
-    for (dot, text) in dots.iter().zip(texts) {
+    for (dot, (place, text)) in dots.iter().zip(texts) {
         let at = |dx: f64, dy: f64, anchor, shift| Label {
             dot: (dot.x, dot.y),
             shift,
             x: Percent(dot.x.0 + dx),
             y: Percent(dot.y.0 + dy),
             anchor,
+            points: vec![(place, text.to_owned())],
             text: text.to_owned(),
         };
         let tries = [
@@ -179,11 +190,29 @@ fn beside<'a>(dots: &[Dot], texts: impl Iterator<Item = &'a str>) -> Vec<Label> 
         }
         let far = |label: &Label| (label.x.0 - dot.x.0).hypot(label.y.0 - dot.y.0);
         match names.iter_mut().min_by(|a, b| far(a).total_cmp(&far(b))) {
-            Some(nearest) => nearest.text = format!("{}, {text}", nearest.text),
+            Some(nearest) => nearest.join(place, text),
             None => names.push(at(AWAY.0, 0.0, "start", RIGHT)),
         }
     }
     names
+}
+
+/// `A, C – F, H`: neighbours of three and more from the first to the last, and where there are too many, how many more.
+fn listed(points: &[(usize, String)]) -> String {
+    let mut sorted = points.to_vec();
+    sorted.sort();
+    let mut pieces: Vec<(String, usize)> = Vec::new();
+    for neighbours in sorted.chunk_by(|(a, _), (b, _)| a + 1 == *b) {
+        match neighbours {
+            [(_, first), _, .., (_, last)] => pieces.push((format!("{first} – {last}"), neighbours.len())),
+            few => pieces.extend(few.iter().map(|(_, name)| (name.clone(), 1))),
+        }
+    }
+    let shown: Vec<&str> = pieces.iter().take(MOST_NAMES).map(|(text, _)| text.as_str()).collect();
+    match pieces[shown.len()..].iter().map(|(_, count)| count).sum::<usize>() {
+        0 => shown.join(", "),
+        more => format!("{} and {more} more", shown.join(", ")),
+    }
 }
 
 #[cfg(test)]
@@ -234,10 +263,22 @@ mod tests {
         let near: Vec<(f64, f64)> =
             (0..12).map(|at| (100.0 + f64::from(at) * 0.2, 5.0 + f64::from(at) * 0.05)).collect();
         let plot = plot(&near, Vec::new());
-        let shown: usize = plot.names.iter().map(|name| name.text.split(", ").count()).sum();
+        let shown: usize = plot.names.iter().map(|name| name.points.len()).sum();
         assert_eq!(shown, 12, "{:?}", plot.names);
         for (at, name) in plot.names.iter().enumerate() {
             assert!(plot.names[..at].iter().all(|other| !name.overlaps(other.place())), "{:?}", plot.names);
         }
+    }
+
+    #[test]
+    fn many_names_at_one_place_are_a_few_words() {
+        let of = |places: &[usize]| {
+            let name = |at: &usize| (*at, char::from(b'A' + *at as u8).to_string());
+            listed(&places.iter().map(name).collect::<Vec<_>>())
+        };
+        assert_eq!(of(&[4]), "E");
+        assert_eq!(of(&[1, 0]), "A, B");
+        assert_eq!(of(&[5, 0, 2, 3, 4]), "A, C – F");
+        assert_eq!(of(&[0, 2, 4, 6, 8, 10, 11, 12]), "A, C, E, G and 4 more");
     }
 }

@@ -13,6 +13,7 @@ pub(crate) enum Place {
     Overview,
     Pipelines,
     Runs,
+    Compare,
     Links,
     Hosts,
     Incidents,
@@ -22,10 +23,11 @@ pub(crate) enum Place {
 
 impl Place {
     /// The entries of the navigation: place, name, address, key after `g`.
-    pub(crate) const NAVIGATION: [(Self, &'static str, &'static str, &'static str); 6] = [
+    pub(crate) const NAVIGATION: [(Self, &'static str, &'static str, &'static str); 7] = [
         (Self::Overview, "Overview", "/", "o"),
         (Self::Pipelines, "Pipelines", "/pipelines", "p"),
         (Self::Runs, "Runs", "/runs", "r"),
+        (Self::Compare, "Compare", "/compare", "c"),
         (Self::Links, "Links", "/links", "l"),
         (Self::Hosts, "Hosts", "/hosts", "h"),
         (Self::Incidents, "Incidents", "/incidents", "i"),

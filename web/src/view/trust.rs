@@ -3,7 +3,10 @@
 use peernet_aggregator::{Bound, RunDetail, StageCourse, StageStatistics, Store, StoreError};
 use peernet_logger::stream::Grade;
 use peernet_logger::{Name, stage};
-use peernet_report::trust::{Clocks, Counts, Course, Evidence, Missing, Publish, Report};
+use peernet_report::trust::{
+    Came, Clocks, Counts, Course, Early, Evidence, Limits, Missing, Publish, Report,
+};
+use serde::Deserialize;
 
 use super::chip::{Chip, Tone};
 
@@ -48,7 +51,13 @@ pub(crate) fn report(
     bounds: &[Bound],
     courses: &[StageCourse],
 ) -> Report {
-    let counts = &run.summary.counts;
+    let counts = Counts {
+        ok: run.summary.counts.ok,
+        failed: run.summary.counts.failed,
+        lost: run.summary.counts.lost,
+        timeout: run.summary.counts.timeout,
+        warm_up: run.summary.warm_up,
+    };
     let known = |name: &Name| stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures);
     let mut of: Vec<(String, Course)> = courses
         .iter()
@@ -60,13 +69,9 @@ pub(crate) fn report(
         || of.iter().find(|(name, _)| name == stage::SENSING.as_str()).map(|(_, course)| course.clone());
     let evidence = Evidence {
         conditions: run.conditions.clone(),
-        counts: Counts {
-            ok: counts.ok,
-            failed: counts.failed,
-            lost: counts.lost,
-            timeout: counts.timeout,
-            warm_up: run.summary.warm_up,
-        },
+        counts,
+        open: run.summary.ended.is_none(),
+        early: early(run, &counts),
         missing: run
             .gaps
             .iter()
@@ -87,6 +92,28 @@ pub(crate) fn report(
         ..Evidence::default()
     };
     Report::of(&evidence.ended(run.summary.reason.as_deref()).with_facts(&run.facts))
+}
+
+/// How far a run that has ended came of what its configuration asks for.
+fn early(run: &RunDetail, counts: &Counts) -> Option<Early> {
+    #[derive(Deserialize)]
+    struct Configured {
+        #[serde(default)]
+        limit: Limits,
+    }
+    // Written by the agent itself; one of another version may order in other ways, of which nothing can be said.
+    let Configured { limit } = toml::from_str(&run.configuration).ok()?;
+    let summary = &run.summary;
+    summary.ended?;
+    // Where nobody knows how many are missing, nobody knows how far it came.
+    let unseen = run.gaps.iter().map(|gap| (gap.count > 0).then_some(gap.count)).sum::<Option<u64>>()?;
+    let came = Came {
+        measured: counts.measured() + unseen,
+        warm_up: counts.warm_up,
+        // Of its whole length: the store does not keep when the warm-up ended.
+        seconds: summary.last_iteration.map_or(0.0, |last| (last - summary.started).seconds()),
+    };
+    Early::of(&limit, &came, summary.reason.as_deref().unwrap_or_default())
 }
 
 impl From<&Report> for Trust {
@@ -127,4 +154,72 @@ const fn chip(grade: Grade) -> Chip {
 /// Without the marks that set names and commands apart on a terminal.
 fn plain(text: &str) -> String {
     text.replace('`', "")
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_aggregator::GapRow;
+    use peernet_clock::Span;
+    use peernet_logger::stream::PlacementKind;
+
+    use super::*;
+    use crate::view::compare::tests::run;
+    use crate::view::samples::NOW;
+
+    /// 300 of so many iterations; 59 s of a minute.
+    fn detail(configuration: &str, reason: &str) -> RunDetail {
+        let mut summary = run(1, PlacementKind::Remote);
+        summary.reason = Some(reason.to_owned());
+        RunDetail {
+            summary,
+            facts: Vec::new(),
+            configuration: configuration.to_owned(),
+            version: String::new(),
+            conditions: Vec::new(),
+            gaps: Vec::new(),
+        }
+    }
+
+    fn end(run: &RunDetail) -> Option<(Grade, String)> {
+        let report = report(run, &[], &[], &[]);
+        let found = report.sentences.into_iter().find(|sentence| sentence.about == "end");
+        found.map(|sentence| (sentence.grade, sentence.text))
+    }
+
+    #[test]
+    fn a_run_that_came_less_far_than_its_configuration_asks_for_says_so() {
+        let of = |count: u32| format!("name = \"line\"\nmodel = \"m\"\n\n[limit]\niterations = {count}\n");
+        let said = |grade, text: &str| Some((grade, text.to_owned()));
+        assert_eq!(
+            end(&detail(&of(400), "stopped")),
+            said(Grade::Doubtful, "The run was interrupted after 300 of 400 iterations.")
+        );
+        assert_eq!(
+            end(&detail(&of(1_000), "the server went")),
+            said(Grade::Bad, "The run broke off after 300 of 1,000 iterations: the server went.")
+        );
+        let seconds = "name = \"line\"\n\n[limit]\nduration_s = 80.0\n";
+        assert_eq!(
+            end(&detail(seconds, "stopped")),
+            said(Grade::Doubtful, "The run was interrupted after 59.0 of 80.0\u{202f}s.")
+        );
+        for whole in [&of(300), "name = \"line\"\n", "# cannot be written down: why\n", "= not TOML"] {
+            assert_eq!(end(&detail(whole, "stopped")), None, "{whole}");
+        }
+    }
+
+    #[test]
+    fn what_is_not_known_to_be_missing_is_not_said() {
+        let mut run = detail("[limit]\niterations = 400\n", "stopped");
+        let gap =
+            |count| GapRow { from: NOW, to: NOW + Span::from_seconds(1), count, reason: "full".to_owned() };
+        run.gaps = vec![gap(100)];
+        assert_eq!(end(&run), None, "measured, though not stored");
+        run.gaps = vec![gap(0)];
+        assert_eq!(end(&run), None, "an unknown number");
+        run.gaps.clear();
+        run.summary.ended = None;
+        let open = "The run has no end yet: all this is of what is there so far.";
+        assert_eq!(end(&run), Some((Grade::Unknown, open.to_owned())));
+    }
 }

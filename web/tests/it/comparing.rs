@@ -86,6 +86,24 @@ async fn an_experiment_is_compared_with_its_repeats_together() {
 }
 
 #[tokio::test]
+async fn many_users_are_one_configuration_and_many_configurations_one_page() {
+    let (bed, mut factory) = Bed::with(vec![Line::local(), Line::full(), Line::resized()]).await;
+    factory.store_users(100, &[1, 3]).await;
+    let listed = bed.get("/api/v1/experiments").await.json();
+    let id = listed["experiments"][0]["id"].as_str().expect("an id");
+    let page = bed.get(&format!("/compare?experiment={id}")).await;
+    assert!(page.text().contains("Latency against the number of users"), "{}", page.text());
+    assert!(page.text().contains(">3</td>") && page.text().contains("at 3 users"), "{}", page.text());
+
+    factory.store_grid(30, 50).await;
+    let listed = bed.get("/api/v1/experiments").await.json();
+    let id = listed["experiments"][0]["id"].as_str().expect("an id");
+    let page = bed.get(&format!("/compare?experiment={id}")).await;
+    assert!(page.text().contains("is the fastest of 50 in the mean"), "{}", page.text());
+    assert!(!page.text().contains("number of users"), "each was alone");
+}
+
+#[tokio::test]
 async fn two_runs_have_a_difference_that_says_whether_it_is_chance() {
     let (bed, _factory) = Bed::with(vec![Line::local(), Line::full()]).await;
     let compared = bed.get("/api/v1/compare?runs=1,2").await.json();

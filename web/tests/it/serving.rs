@@ -80,7 +80,7 @@ async fn static_files_are_kept_for_ever_under_the_hash_of_their_contents() {
         "app.js",
         "live.js",
         "charts.js",
-        "overview.js",
+        "live-charts.js",
         "run.js",
         "echarts.min.js",
         "icon.svg",

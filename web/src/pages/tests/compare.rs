@@ -1,5 +1,7 @@
 //! Runs side by side, in every state that they may have.
 
+use peernet_aggregator::RunSummary;
+use peernet_logger::stream::ExperimentPlace;
 use peernet_logger::stream::PlacementKind::{Local, Remote};
 
 use super::super::compare::rendered;
@@ -11,7 +13,7 @@ use crate::view::shell::{Place, Shell};
 
 async fn page_of(configurations: Vec<Configuration>, means: Option<(f64, f64)>) -> String {
     let (app, _folder) = samples::app().await;
-    let shell = Shell::new(&app, &app.picture(), Place::Runs, "Compare");
+    let shell = Shell::new(&app, &app.picture(), Place::Compare, "Compare");
     let courses = means.map(|(a, b)| (vec![course(a, 20)], vec![course(b, 20)]));
     let html = rendered(shell, &comparison(configurations), courses.as_ref());
     check(&html);
@@ -80,10 +82,39 @@ async fn accuracy_is_drawn_against_the_median_of_the_total() {
 }
 
 #[tokio::test]
+async fn users_that_measured_at_once_are_drawn_against_their_number() {
+    let with = |at: usize, users: usize| {
+        let mut one = configuration(at, Remote, 1.0 + users as f64, 1e3);
+        one.values = vec![users.to_string(), "zmq-tcp".to_owned()];
+        let usual = one.runs.remove(0);
+        // Twice, and in the second repeat one of the users is missing.
+        for (repeat, user) in (0..users).map(|user| (0, user)).chain((1..users).map(|user| (1, user))) {
+            let host_name = samples::slug(&format!("user-{}", user + 1));
+            let place = ExperimentPlace {
+                name: "n".to_owned(),
+                id: "a".to_owned(),
+                configuration: Vec::new(),
+                repeat,
+            };
+            one.runs.push(RunSummary { host_name, experiment: Some(place), ..usual.clone() });
+        }
+        one
+    };
+    let html = page_of(vec![with(0, 1), with(1, 2), with(2, 4)], None).await;
+    assert!(html.contains("Latency against the number of users"), "{html}");
+    assert!(html.contains("B: 48.1\u{202f}ms at 2 users, C: 80.2\u{202f}ms at 4 users"), "{html}");
+    // 305 answers of each in a minute.
+    assert!(html.contains(">10.2</td>") && html.contains(">5.08 – 5.08</td>"), "{html}");
+    assert!(html.contains("data-h=\"fairness\">1.000</td>"), "{html}");
+    let html = page_of(vec![with(0, 1), with(1, 1)], None).await;
+    assert!(!html.contains("number of users"), "each was alone");
+}
+
+#[tokio::test]
 async fn too_little_for_an_interval_is_said_with_who_has_how_little() {
     let two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
     let (app, _folder) = samples::app().await;
-    let shell = Shell::new(&app, &app.picture(), Place::Runs, "Compare");
+    let shell = Shell::new(&app, &app.picture(), Place::Compare, "Compare");
     let courses = (vec![course(0.0241, 3)], vec![course(0.0160, 20)]);
     let html = rendered(shell, &comparison(two), Some(&courses));
     check(&html);

@@ -8,11 +8,13 @@ mod pool;
 mod table;
 #[cfg(test)]
 pub(crate) mod tests;
+mod users;
 
 pub(crate) use gather::{MOST_RUNS, Which, gather};
 pub(crate) use payload::{accuracy, payload};
-pub(crate) use pictures::{Pair, StackRow, pairs, stacks};
+pub(crate) use pictures::{Axes, Pair, StackRow, pairs, stacks};
 pub(crate) use table::{Changed, Table, difference, title, too_short};
+pub(crate) use users::{UsersRow, users};
 
 use peernet_aggregator::{Bound, Figures, RunSummary, StageStatistics};
 use peernet_logger::stream::PlacementKind;

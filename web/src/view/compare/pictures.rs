@@ -18,6 +18,18 @@ pub(crate) struct StackRow {
     pub best: bool,
 }
 
+/// The labels of a scale: above all bars, and under each on a phone.
+pub(crate) struct Axes {
+    pub above: Axis,
+    pub under: Axis,
+}
+
+impl Axes {
+    fn of(scale: &Scale) -> Self {
+        Self { above: Axis::milliseconds(scale, ""), under: Axis::milliseconds(scale, "small") }
+    }
+}
+
 /// One model, on board and in the cloud.
 pub(crate) struct Pair {
     pub model: String,
@@ -33,7 +45,7 @@ pub(crate) struct PlaceRow {
 }
 
 /// The stages of all configurations on one scale, means with the standard deviation of the total.
-pub(crate) fn stacks(comparison: &Comparison) -> (Vec<StackRow>, Axis) {
+pub(crate) fn stacks(comparison: &Comparison) -> (Vec<StackRow>, Axes) {
     let all = &comparison.configurations;
     let reach = |one: &Configuration| one.total().map_or(0.0, |total| total.mean + total.std.unwrap_or(0.0));
     let scale = Scale::fit(all.iter().map(reach).fold(0.0, f64::max) * 1e3, 6);
@@ -48,19 +60,23 @@ pub(crate) fn stacks(comparison: &Comparison) -> (Vec<StackRow>, Axis) {
         }
         StackRow {
             letter: one.letter.clone(),
-            name: one
-                .values
-                .iter()
-                .filter(|value| *value != NONE)
-                .map(String::as_str)
-                .collect::<Vec<_>>()
-                .join(", "),
+            name: named(&comparison.axes, one),
             total: total.map_or((NONE.to_owned(), None), |total| mean_std_ms(total.mean, total.std)),
             bar,
             best: best == Some(at),
         }
     };
-    (all.iter().enumerate().map(row).collect(), Axis::milliseconds(&scale, ""))
+    (all.iter().enumerate().map(row).collect(), Axes::of(&scale))
+}
+
+/// What a configuration is in words; a bare number with what it counts.
+fn named(axes: &[String], one: &Configuration) -> String {
+    let known = axes.iter().zip(&one.values).filter(|(_, value)| *value != NONE);
+    let words = known.map(|(axis, value)| match value.parse::<f64>() {
+        Ok(_) => format!("{axis} {value}"),
+        Err(_) => value.clone(),
+    });
+    words.collect::<Vec<_>>().join(", ")
 }
 
 /// Means of the stages; of a sensor alone its sensing.
@@ -87,7 +103,7 @@ fn label(one: &Configuration, parts: &[Part]) -> String {
 }
 
 /// Models that ran both on board and in the cloud, each with its inference alone, all on one scale.
-pub(crate) fn pairs(comparison: &Comparison) -> (Vec<Pair>, Axis) {
+pub(crate) fn pairs(comparison: &Comparison) -> (Vec<Pair>, Axes) {
     let mut models: Vec<String> = Vec::new();
     for placement in comparison.configurations.iter().filter_map(Configuration::placement) {
         let model = placement.model.to_string();
@@ -128,5 +144,5 @@ pub(crate) fn pairs(comparison: &Comparison) -> (Vec<Pair>, Axis) {
         places.sort_by_key(|one| one.kind() == Some(PlacementKind::Remote));
         Pair { model: model.clone(), places: places.into_iter().filter_map(row).collect() }
     };
-    (models.iter().map(pair).collect(), Axis::milliseconds(&scale, ""))
+    (models.iter().map(pair).collect(), Axes::of(&scale))
 }

@@ -1,9 +1,9 @@
 //! Figures per configuration, and the difference of two.
 
-use peernet_aggregator::StageCourse;
+use peernet_aggregator::{Figures, StageMeans};
 use peernet_logger::{Name, stage};
 use peernet_report::batches::{Difference, FEWEST};
-use peernet_report::trust::Course;
+use peernet_report::trust::batch_means;
 
 use super::{Comparison, Configuration};
 use crate::look;
@@ -100,21 +100,44 @@ pub(crate) struct Changed {
     pub look: &'static str,
     pub first: String,
     pub second: String,
-    /// The second less the first, with its interval where there are enough batches.
+    /// The second less the first, with its interval where there are enough batches. Nothing where only one has it.
     pub difference: String,
     pub interval: Option<String>,
     /// Whether it is more than chance; `None` where that cannot be told.
     pub certain: Option<bool>,
 }
 
+impl Changed {
+    /// Of a stage that one of both lacks.
+    fn of_one(name: &Name, first: Option<&Figures>, second: Option<&Figures>) -> Self {
+        let mean = |side: Option<&Figures>| {
+            side.map_or_else(|| NONE.to_owned(), |figures| mean_std_ms(figures.mean, None).0)
+        };
+        Self {
+            look: look::class(name),
+            first: mean(first),
+            second: mean(second),
+            difference: NONE.to_owned(),
+            interval: None,
+            certain: None,
+            name: name.to_string(),
+        }
+    }
+}
+
 /// The second configuration less the first, stage by stage; courses are those of their runs in order.
 pub(crate) fn difference(
-    first: (&Configuration, &[Vec<StageCourse>]),
-    second: (&Configuration, &[Vec<StageCourse>]),
+    first: (&Configuration, &[Vec<StageMeans>]),
+    second: (&Configuration, &[Vec<StageMeans>]),
 ) -> Vec<(Name, Option<Difference>, Changed)> {
     let names = [stage::TOTAL, stage::STAGES_TOTAL].into_iter().chain(stage::ORDER);
     let rows = names.filter_map(|name| {
-        let (a, b) = (first.0.figures(&name)?, second.0.figures(&name)?);
+        let shown = COLUMNS.iter().find(|(known, _)| name == **known).map_or(&*name, |(_, shown)| shown);
+        let (a, b) = match (first.0.figures(&name), second.0.figures(&name)) {
+            (Some(a), Some(b)) => (a, b),
+            (None, None) => return None,
+            (a, b) => return Some((name.clone(), None, Changed::of_one(&name, a, b))),
+        };
         let found = Difference::of_batches(&batches(first.1, &name), &batches(second.1, &name));
         let found = found.map(|found| found.about(b.mean - a.mean));
         let value = found.map_or(b.mean - a.mean, |found| found.value);
@@ -126,7 +149,7 @@ pub(crate) fn difference(
             difference: signed_within_ms(value, interval),
             interval: found.map(|found| crate::numbers::shift_ms(found.interval.0, found.interval.1)),
             certain: found.map(|found| found.is_certain()),
-            name: name.to_string(),
+            name: shown.to_owned(),
         };
         Some((name, found, changed))
     });
@@ -134,20 +157,20 @@ pub(crate) fn difference(
 }
 
 /// Means of the batches of all runs of a configuration.
-fn batches(runs: &[Vec<StageCourse>], name: &Name) -> Vec<f64> {
+fn batches(runs: &[Vec<StageMeans>], name: &Name) -> Vec<f64> {
     let courses = runs.iter().flatten().filter(|course| course.stage == *name);
-    let courses = courses.filter_map(|course| Course::of_summaries(&course.buckets));
-    courses.flat_map(|course| course.batch_means).collect()
+    courses.flat_map(|course| batch_means(&course.buckets)).collect()
 }
 
 /// Why a difference has no interval: who has how little. `None` where all have one.
 pub(crate) fn too_short(
-    first: (&Configuration, &[Vec<StageCourse>]),
-    second: (&Configuration, &[Vec<StageCourse>]),
+    first: (&Configuration, &[Vec<StageMeans>]),
+    second: (&Configuration, &[Vec<StageMeans>]),
     found: &[(Name, Option<Difference>, Changed)],
 ) -> Option<String> {
-    let (name, ..) = found.iter().find(|(_, found, _)| found.is_none())?;
-    let side = |(one, courses): (&Configuration, &[Vec<StageCourse>])| {
+    let (name, ..) =
+        found.iter().find(|(_, found, changed)| found.is_none() && changed.difference != NONE)?;
+    let side = |(one, courses): (&Configuration, &[Vec<StageMeans>])| {
         (batches(courses, name).len(), one.letter.clone())
     };
     let ((a, first), (b, second)) = (side(first), side(second));

@@ -17,7 +17,7 @@ use peernet_logger::stream::{
     Condition, Event, ExperimentPlace, Gap, Grade, Hardware, HostDescription, HostMetrics, Incident,
     IncidentKind, Iteration, LiveUpdate, Outcome, PipelineLive, PipelineState, RunDescription, RunEnded,
 };
-use peernet_logger::{HostId, RunId, stage};
+use peernet_logger::{HostId, Name, RunId, stage};
 
 /// The cameras' pipelines and the rack that serves two of them.
 pub(crate) struct Factory {
@@ -103,9 +103,7 @@ impl Factory {
                 ];
                 let place =
                     ExperimentPlace { name: "pictures".to_owned(), id: id.clone(), configuration, repeat };
-                let events = self.run(index, RunId::random(), iterations, true, Some(place));
-                self.agents[index].offer(events);
-                self.agents[index].until_stored().await;
+                self.store_placed(index, iterations, place).await;
             }
         }
     }
@@ -124,11 +122,59 @@ impl Factory {
             let configuration = vec![("size".to_owned(), format!("{} kB", bytes / 1e3))];
             let place =
                 ExperimentPlace { name: "sizes".to_owned(), id: id.clone(), configuration, repeat: 0 };
-            let events = self.run(index, RunId::random(), iterations, true, Some(place));
-            self.agents[index].offer(events);
-            self.agents[index].until_stored().await;
+            self.store_placed(index, iterations, place).await;
         }
         self.lines[index] = usual;
+    }
+
+    /// Stores an experiment: as many users at once as each number says, the first lines; the more, the longer the queue.
+    pub(crate) async fn store_users(&mut self, iterations: u64, numbers: &[usize]) {
+        let (id, usual) = (RunId::random().to_string(), self.lines.clone());
+        for users in numbers {
+            for (index, known) in usual.iter().enumerate().take(*users) {
+                // All are alike, and wait for one another.
+                let line = Line::resized();
+                let queue = |(name, mean, spread): &(Name, f64, f64)| {
+                    let waits = if *name == stage::QUEUE { 3.5 * (*users as f64 - 1.0) } else { 0.0 };
+                    (name.clone(), mean + waits, *spread)
+                };
+                self.lines[index] = Line {
+                    stages: line.stages.iter().map(queue).collect(),
+                    name: known.name,
+                    host: known.host,
+                    ..line
+                };
+                let configuration = vec![("Users".to_owned(), users.to_string())];
+                let place =
+                    ExperimentPlace { name: "users".to_owned(), id: id.clone(), configuration, repeat: 0 };
+                self.store_placed(index, iterations, place).await;
+            }
+        }
+        self.lines = usual;
+    }
+
+    /// Stores an experiment of many configurations with long labels, a run each.
+    pub(crate) async fn store_grid(&mut self, iterations: u64, configurations: usize) {
+        let id = RunId::random().to_string();
+        for at in 0..configurations {
+            let configuration = vec![
+                (
+                    "Model".to_owned(),
+                    format!("efficientnet_v2_{}-quantised-int8-static", ["s", "m", "l"][at % 3]),
+                ),
+                ("Resize, then crop".to_owned(), format!("{} × {} px", 224 + at * 8, 224 + at * 8)),
+                ("Network".to_owned(), ["zmq-tcp", "zmq-udp", "quic"][at / 3 % 3].to_owned()),
+            ];
+            let name = "every-model-at-every-size-over-every-network".to_owned();
+            let place = ExperimentPlace { name, id: id.clone(), configuration, repeat: 0 };
+            self.store_placed(at % self.lines.len(), iterations, place).await;
+        }
+    }
+
+    async fn store_placed(&mut self, index: usize, iterations: u64, place: ExperimentPlace) {
+        let events = self.run(index, RunId::random(), iterations, true, Some(place));
+        self.agents[index].offer(events);
+        self.agents[index].until_stored().await;
     }
 
     fn run(

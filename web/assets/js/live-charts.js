@@ -1,6 +1,6 @@
 // Live charts of pipelines: stages stacked over the last minutes, the 95th percentile above, throughputs below.
 (() => {
-  const KEPT = 600;
+  const KEPT = 600, RETRY = 2000;
   let cards = [], range = 600, alone = null, paused = false, marks = [], scale = { max: 0, since: 0 }, queued = false;
 
   function begin() {
@@ -180,7 +180,7 @@
       const card = cards.find((other) => other.host === pipeline.host && other.pipeline === pipeline.name);
       if (!card) continue;
       const oldest = pipeline.seconds[0];
-      if (oldest && card.n.length && oldest.at > card.last + 1) catchUp(card);
+      if (card.missed || (oldest && card.n.length && oldest.at > card.last + 1)) catchUp(card);
       pipeline.seconds.forEach((second) => put(card, second));
       const host = detail.hosts.find((other) => other.name === card.host), at = Math.floor(Date.parse(detail.at) / 1000);
       for (const name of ["cpu", "gpu"]) {
@@ -196,10 +196,16 @@
   });
   // Seconds that went by unseen are fetched; those that were never reported stay a gap.
   async function catchUp(card) {
-    const answer = await fetch(`/api/v1/pipelines/${encodeURIComponent(card.host)}/${encodeURIComponent(card.pipeline)}`);
-    if (!answer.ok) return;
-    (await answer.json()).seconds.forEach((second) => put(card, second));
-    refresh();
+    card.missed = true;
+    if (performance.now() - (card.asked ?? -RETRY) < RETRY) return;
+    card.asked = performance.now();
+    try {
+      const answer = await fetch(`/api/v1/pipelines/${encodeURIComponent(card.host)}/${encodeURIComponent(card.pipeline)}`);
+      if (!answer.ok) throw new Error(`status ${answer.status}`);
+      (await answer.json()).seconds.forEach((second) => put(card, second));
+      card.missed = false;
+      refresh();
+    } catch { /* asked again with one of the next seconds */ }
   }
   document.addEventListener("peer-back", () => cards.forEach(catchUp));
   document.addEventListener("peer-updated", ({ detail }) => {

@@ -1,0 +1,53 @@
+// The dashboard that is looked at: a browser, and the address of each of its pages.
+import assert from "node:assert/strict";
+import { after, before } from "node:test";
+import { launch } from "./browser.mjs";
+
+export const base = process.argv[2] || process.env.BASE_URL || "http://127.0.0.1:8040";
+const PATIENCE = 60000;
+
+// Of the tests: known once they run.
+export let browser, pages;
+
+// A finished part of a run is needed: asked for until the store has it.
+async function stored() {
+  const until = Date.now() + PATIENCE;
+  for (;;) {
+    const { runs } = await (await fetch(`${base}/api/v1/runs`)).json();
+    const run = runs.find((one) => one.placement.kind === "remote" && one.total?.count >= 30) || runs.find((one) => one.total?.count >= 30);
+    if (run) return run;
+    assert.ok(Date.now() < until, `no run of ${base} has 30 iterations; is the demo running?`);
+    await new Promise((resolve) => setTimeout(resolve, 500));
+  }
+}
+
+// The newest runs with figures, one of each pipeline: at least two are needed.
+export async function latest() {
+  const { runs } = await (await fetch(`${base}/api/v1/runs`)).json();
+  const measured = runs.filter((run, at) => run.total && runs.findIndex((one) => one.pipeline === run.pipeline) === at);
+  assert.ok(measured.length > 1, "two pipelines have measured something");
+  return measured.slice(0, 2).map((run) => run.number);
+}
+
+before(async () => {
+  browser = await launch(base);
+  const run = await stored();
+  const { iterations } = await (await fetch(`${base}/api/v1/runs/${run.number}/iterations?order=slowest&limit=1`)).json();
+  pages = {
+    overview: "/",
+    pipelines: "/pipelines",
+    pipeline: `/pipelines/${run.host}/${run.pipeline}`,
+    runs: "/runs",
+    run: `/runs/${run.number}`,
+    iteration: `/runs/${run.number}/iterations/${iterations[0].number}`,
+    links: "/links",
+    link: `/links/${run.host}~${run.placement.peer}`,
+    linkMeasured: `/links/${run.host}~${run.placement.peer}?range=1h&offset=measured`,
+    hosts: "/hosts",
+    host: `/hosts/${run.host}`,
+    incidents: "/incidents",
+    compare: `/compare?runs=${(await latest()).join(",")}`,
+    compareEmpty: "/compare",
+  };
+});
+after(() => browser?.close());

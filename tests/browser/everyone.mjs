@@ -1,0 +1,74 @@
+// Keys, and the rules of accessibility on every page.
+import assert from "node:assert/strict";
+import { describe, test } from "node:test";
+import { drawn, moves, open, sideways, violations } from "./browser.mjs";
+import { base, browser, pages } from "./dashboard.mjs";
+
+describe("keys", () => {
+  test("the first tab leads past the navigation, the focus can be seen", async () => {
+    const { page, close } = await open(browser, base, "/");
+    await page.keyboard.press("Tab");
+    assert.equal(await page.evaluate(() => document.activeElement.textContent), "Skip to content");
+    await page.keyboard.press("Enter");
+    assert.equal(await page.evaluate(() => document.activeElement.id), "main");
+    await page.keyboard.press("Tab");
+    const ring = await page.evaluate(() => getComputedStyle(document.activeElement).outlineWidth);
+    assert.equal(ring, "2px");
+    await close();
+  });
+
+  test("g and a letter open pages, t changes the theme, ? lists the keys", async () => {
+    const { page, close } = await open(browser, base, "/");
+    for (const [letter, path] of [["p", "/pipelines"], ["r", "/runs"], ["c", "/compare"], ["l", "/links"], ["h", "/hosts"], ["i", "/incidents"], ["o", "/"]]) {
+      await page.keyboard.press("g");
+      await page.keyboard.press(letter);
+      await page.waitForURL(`${base}${path}`);
+    }
+    await page.keyboard.press("t");
+    assert.equal(await page.evaluate(() => document.documentElement.dataset.theme), "dark");
+    await page.reload();
+    assert.equal(await page.evaluate(() => document.documentElement.dataset.theme), "dark");
+    await page.keyboard.press("?");
+    assert.ok(await page.getByRole("dialog", { name: "Keyboard" }).isVisible());
+    await page.keyboard.press("Escape");
+    assert.ok(!(await page.getByRole("dialog", { name: "Keyboard" }).isVisible()));
+    await close();
+  });
+
+  test("space pauses and resumes, / searches, arrows go from iteration to iteration", async () => {
+    const { page, close } = await open(browser, base, "/");
+    await page.keyboard.press("Space");
+    assert.equal(await page.locator("#livetext").innerText(), "Paused");
+    await page.keyboard.press("Space");
+    await moves(page, "#part-now");
+
+    await page.goto("/runs");
+    await page.keyboard.press("/");
+    await page.keyboard.type("no run is called like this");
+    assert.equal(await page.locator(".runs tbody tr:visible").count(), 0);
+
+    await page.goto(pages.iteration);
+    const next = page.locator("a[rel=next]"), other = (await next.count()) ? next : page.locator("a[rel=prev]");
+    const target = await other.getAttribute("href");
+    await page.keyboard.press((await next.count()) ? "ArrowRight" : "ArrowLeft");
+    await page.waitForURL(`**${target}`);
+    await close();
+  });
+});
+
+describe("for everyone", () => {
+  for (const scheme of ["light", "dark"]) {
+    for (const width of [400, 1440]) {
+      test(`no page breaks a rule of accessibility, scrolls sideways or complains: ${scheme}, ${width} px`, async () => {
+        for (const [name, path] of Object.entries(pages)) {
+          const { page, errors, close } = await open(browser, base, path, { width, scheme });
+          await drawn(page);
+          assert.deepEqual(await violations(page), [], `${name} at ${width} px, ${scheme}`);
+          assert.ok((await sideways(page)) <= 0, `${name} scrolls sideways at ${width} px`);
+          assert.deepEqual(errors, [], name);
+          await close();
+        }
+      });
+    }
+  }
+});

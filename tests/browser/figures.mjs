@@ -1,0 +1,153 @@
+// What a person does to see figures: pages open one another, charts and tables show the same.
+import assert from "node:assert/strict";
+import { describe, test } from "node:test";
+import { drawn, moves, open } from "./browser.mjs";
+import { base, browser, latest, pages } from "./dashboard.mjs";
+
+describe("the way of a person", () => {
+  test("figures move, a run opens, its slowest iteration opens", async () => {
+    const { page, errors, close } = await open(browser, base, "/");
+    await drawn(page);
+    await moves(page, "#part-now");
+    await page.getByRole("navigation", { name: "Pages" }).getByRole("link", { name: "Runs" }).click();
+    await page.waitForURL("**/runs");
+    await page.locator(`a[href="${pages.run}"]`).first().click();
+    await page.waitForURL(`**${pages.run}`);
+    await drawn(page);
+    await page.locator(".slow tbody tr:first-child a").click();
+    await page.waitForURL("**/iterations/*");
+    assert.match(await page.locator("h1").innerText(), /ms|s$/);
+    assert.ok((await page.locator(".wf tbody tr").count()) > 5, "the waterfall has rows");
+    assert.deepEqual(errors, []);
+    await close();
+  });
+
+  test("a row of the stage table shows its distribution without a new page", async () => {
+    const { page, errors, close } = await open(browser, base, pages.run);
+    await page.evaluate(() => { window.same = true; });
+    await page.locator("a.pick", { hasText: "inference" }).click();
+    await page.waitForFunction(() => document.getElementById("di-h").textContent.includes("inference"));
+    await page.locator("#distribution a", { hasText: "Cumulative" }).click();
+    await page.waitForFunction(() => document.querySelector("#distribution .above").textContent.includes("%"));
+    assert.equal(await page.evaluate(() => window.same), true);
+    assert.match(page.url(), /stage=inference/);
+    assert.deepEqual(errors, []);
+    await close();
+  });
+
+  test("a chart flips to its table and back, one stage can be shown alone", async () => {
+    const { page, errors, close } = await open(browser, base, "/");
+    await drawn(page);
+    const card = page.locator(".card").first();
+    await card.getByRole("button", { name: "Table" }).click();
+    assert.ok(await card.locator("table").isVisible());
+    await card.getByRole("button", { name: "Table" }).click();
+    assert.ok(await card.locator(".chart").isVisible());
+    await card.locator(".chart").hover();
+    await page.locator(".tip:visible").waitFor();
+    await moves(page, "#part-now");
+    assert.ok(await page.locator(".tip").first().isVisible(), "an open tooltip stays while figures change");
+    await page.mouse.move(0, 0);
+    const key = page.locator("#key button", { hasText: "inference" });
+    await key.click();
+    assert.equal(await page.locator("#key button[aria-pressed=true]").count(), 1);
+    await key.click();
+    assert.equal(await page.locator("#key button[aria-pressed=false]").count(), 0);
+    await page.getByRole("button", { name: "Table" }).first().click();
+    assert.ok(await page.locator("#part-nowtable").isVisible());
+    assert.deepEqual(errors, []);
+    await close();
+  });
+});
+
+describe("what a run is worth", () => {
+  test("its page says whether it can be published, by word and sign", async () => {
+    const { page, errors, close } = await open(browser, base, pages.run);
+    const trust = page.locator("#trust");
+    assert.match(await trust.innerText(), /Can this run be published\?[\s\S]*(Yes|No)[:,]/);
+    assert.ok((await trust.locator(".chip svg").count()) > 0);
+    await trust.locator("summary").click();
+    assert.match(await trust.innerText(), /iterations were answered|were answered/);
+    const { verdict, answer } = await (await fetch(`${base}/api/v1${pages.run}/trust`)).json();
+    assert.ok(["yes", "with-remarks", "no"].includes(verdict));
+    assert.ok((await trust.innerText()).includes(answer.split(":")[0]));
+    assert.deepEqual(errors, []);
+    await close();
+  });
+
+  test("runs are chosen in their list and stand side by side, with a script and without", async () => {
+    for (const script of [true, false]) {
+      const { page, errors, close } = await open(browser, base, "/runs", { script });
+      const numbers = await latest();
+      for (const number of numbers) await page.locator(`input[name=runs][value="${number}"]`).check();
+      await page.getByRole("button", { name: "Compare chosen" }).click();
+      await page.waitForURL("**/compare?runs=*");
+      assert.equal(await page.locator(".compare tbody tr").count(), numbers.length);
+      assert.equal(await page.locator(".bars svg.stages[role=img]").count() >= numbers.length, true);
+      assert.match(await page.locator("h1").innerText(), /fastest|less than|do not differ/);
+      await page.locator(".compare tbody a").first().click();
+      await page.waitForURL("**/runs/*");
+      assert.deepEqual(errors, []);
+      await close();
+    }
+  });
+});
+
+describe("clocks", () => {
+  test("a link opens from its list, its picture moves and flips to a table with the same numbers", async () => {
+    const { page, errors, close } = await open(browser, base, "/links");
+    await page.locator("#part-list tbody a").first().click();
+    await page.waitForURL("**/links/*~*");
+    await page.locator(".tracks .band").first().waitFor({ state: "attached" });
+    assert.match(await page.locator("h1").innerText(), /±|one clock|never related/);
+    const band = () => page.locator(".tracks .band").first().getAttribute("d");
+    const before = await band();
+    await page.waitForFunction((path) => document.querySelector(".tracks .band")?.getAttribute("d") !== path, before, { timeout: 30000 });
+    await page.getByRole("button", { name: "Table" }).click();
+    assert.ok(await page.locator("#part-table table").isVisible());
+    assert.equal(await page.locator("#part-chart").isVisible(), false);
+    await moves(page, "#part-table");
+    await page.getByRole("button", { name: "Table" }).click();
+    assert.ok(await page.locator("#part-chart .tracks").isVisible());
+    await page.getByRole("link", { name: "as measured" }).click();
+    await page.waitForURL("**offset=measured");
+    assert.ok((await page.locator(".tracks").first().getAttribute("aria-label")).includes("The offset was known to"));
+    assert.deepEqual(errors, []);
+    await close();
+  });
+
+  test("a clock that is made wrong on purpose is said on every page, and delays do not move with it", async () => {
+    for (const [name, path] of Object.entries(pages)) {
+      const { page, close } = await open(browser, base, path);
+      assert.match(await page.locator("#rehearsal").innerText(), /^Rehearsal: edge's clock is made wrong on purpose/, name);
+      await close();
+    }
+    const link = await (await fetch(`${base}/api/v1${pages.link}`)).json();
+    assert.ok(Math.abs(link.now.offset.estimate_s + 1) < 0.1, `the cloud is a second behind: ${link.now.offset.estimate_s}`);
+    assert.ok(link.now.up.median.value_s < 0.5, "an upload on one machine takes no second");
+    const { page, close } = await open(browser, base, pages.runs);
+    assert.ok((await page.locator(".runs tbody tr .chip", { hasText: "rehearsal" }).count()) > 0, "its runs are marked in their list");
+    await close();
+  });
+
+  test("what a one-way delay is worth stays in sight on a phone, and a host with a long name on a screen", async () => {
+    const phone = await open(browser, base, pages.iteration, { width: 400, height: 800 });
+    const box = phone.page.getByRole("group", { name: "One-way delays" });
+    assert.match(await box.innerText(), /low[\s\S]*high[\s\S]*verdict/);
+    assert.ok(await box.evaluate((one) => one.scrollWidth <= one.clientWidth), "no column is hidden to the right");
+    await phone.close();
+
+    for (const [path, table] of [["/", "#part-hosts"], ["/hosts", "#part-list"], ["/hosts", "#part-events .scroll"], ["/incidents", "#incident-list"], [pages.host, "#part-pipelines"]]) {
+      const { page, close } = await open(browser, base, path, { width: 400, height: 800 });
+      const hidden = await page.locator(table).evaluate((one) => one.scrollWidth - one.clientWidth);
+      assert.ok(hidden <= 0, `${table} of ${path} hides ${hidden} px to the right`);
+      await close();
+    }
+
+    const screen = await open(browser, base, "/");
+    const hosts = screen.page.locator("#part-hosts");
+    await hosts.locator("tbody th a").first().evaluate((link) => { link.textContent = "edge-with-a-wrong-clock-and-a-long-name"; });
+    assert.ok(await hosts.evaluate((one) => one.scrollWidth <= one.clientWidth), "no column of the hosts is hidden to the right");
+    await screen.close();
+  });
+});

@@ -1,0 +1,130 @@
+// What the pages say when something is away, and what became of what was measured.
+// With DATABASE=FILE that file is moved away for a moment.
+import assert from "node:assert/strict";
+import { renameSync } from "node:fs";
+import { describe, test } from "node:test";
+import { moves, open, violations } from "./browser.mjs";
+import { base, browser, pages } from "./dashboard.mjs";
+
+const database = process.env.DATABASE;
+
+describe("when things go wrong", () => {
+  test("a lost connection is said, figures stay, and it comes back by itself", async () => {
+    const { page, close } = await open(browser, base, "/");
+    await moves(page, "#part-now");
+    const figure = await page.locator("#part-now .p50").first().innerText();
+    await page.route("**/api/v1/live*", (route) => route.abort());
+    await page.evaluate(() => dispatchEvent(new PageTransitionEvent("pageshow", { persisted: true })));
+    await page.waitForFunction(() => !document.getElementById("banner").hidden);
+    assert.match(await page.locator("#banner").innerText(), /Connection to the aggregator lost at \d\d:\d\d:\d\d/);
+    assert.match(await page.locator("h1").innerText(), /running at \d\d:\d\d:\d\d$/);
+    assert.equal(await page.locator("#livetext").innerText(), "Reconnecting");
+    assert.ok(figure.length > 0 && (await page.locator("#part-now .p50").first().innerText()).length > 0);
+    await page.unroute("**/api/v1/live*");
+    await page.waitForFunction(() => document.getElementById("banner").hidden, null, { timeout: 15000 });
+    await moves(page, "#part-now");
+    assert.doesNotMatch(await page.locator("h1").innerText(), /were running at/);
+    await close();
+  });
+
+  test("a lost connection is said on every page, and no dot stays green", async () => {
+    for (const [name, path] of Object.entries(pages)) {
+      const { page, close } = await open(browser, base, path);
+      await page.waitForFunction(() => document.getElementById("livetext").textContent === "Live");
+      const alive = await page.locator("h1").innerText();
+      await page.route("**/api/v1/live*", (route) => route.abort());
+      await page.evaluate(() => dispatchEvent(new PageTransitionEvent("pageshow", { persisted: true })));
+      await page.locator("#banner", { hasText: "Connection to the aggregator lost at" }).waitFor();
+      const live = (await page.locator("[id^=part-] h1").count()) > 0;
+      assert.equal((await page.locator("h1").innerText()) !== alive, live, `${name}: a live title says of when it is`);
+      const dots = await page.locator("main .dot").evaluateAll((all) => all.map((dot) => getComputedStyle(dot).backgroundColor));
+      assert.deepEqual(dots.filter((colour) => colour !== "rgba(0, 0, 0, 0)"), [], name);
+      await close();
+    }
+  });
+
+  test("without a script the figures and tables are there", async () => {
+    for (const [name, path] of Object.entries(pages)) {
+      const { page, errors, close } = await open(browser, base, path, { script: false });
+      assert.ok((await page.locator("main").innerText()).match(/\d/), `${name} shows figures`);
+      assert.equal(await page.locator(".scripted:visible").count(), 0, `${name} offers nothing that needs a script`);
+      assert.deepEqual(errors, [], name);
+      await close();
+    }
+    const { page, close } = await open(browser, base, "/", { script: false });
+    assert.ok(await page.locator("svg.stages").first().isVisible());
+    assert.ok(await page.locator(".card table").first().isVisible(), "tables stand where charts would");
+    await close();
+  });
+
+  test("what is not there is said on a page of its own", async () => {
+    const context = await browser.newContext({ baseURL: base });
+    const page = await context.newPage();
+    const answer = await page.goto("/runs/999999999");
+    assert.equal(answer.status(), 404);
+    assert.match(await page.locator("main").innerText(), /no run #999999999 is stored/);
+    await context.close();
+  });
+});
+
+describe("events on their way to the database", () => {
+  test("what became of them moves while one looks, and adds up", async () => {
+    const { page, errors, close } = await open(browser, base, pages.host);
+    await moves(page, "#part-accounting");
+    assert.match(await page.locator("#part-accounting").innerText(), /Produced[\s\S]*Spooled[\s\S]*Sent[\s\S]*Acknowledged[\s\S]*Waiting[\s\S]*Dropped[\s\S]*Spool[\s\S]*Storing behind/);
+    const { now } = await (await fetch(`${base}/api/v1${pages.host}`)).json();
+    assert.equal(now.events.produced, now.events.acknowledged + now.events.waiting + now.events.dropped);
+    assert.deepEqual(errors, []);
+    await close();
+  });
+
+  test("a run is kept and let go, and a reload does not change that", async () => {
+    const { page, errors, close } = await open(browser, base, pages.run);
+    const keep = page.locator("#keep"), chip = page.locator("#kept");
+    const pressed = () => keep.getAttribute("aria-pressed");
+    assert.deepEqual([await pressed(), await chip.isVisible()], ["false", false]);
+    await keep.focus();
+    await page.keyboard.press("Enter");
+    await chip.waitFor({ state: "visible" });
+    assert.deepEqual([await pressed(), await page.evaluate(() => document.activeElement.id)], ["true", "keep"]);
+    assert.equal((await keep.innerText()).trim(), "Kept");
+    await page.reload();
+    assert.deepEqual([await pressed(), await chip.isVisible()], ["true", true]);
+    await page.goto("/runs");
+    assert.equal(await page.locator(`tr:has(a[href="${pages.run}"]) .chip`, { hasText: "kept" }).count(), 1);
+    await page.goto(pages.run);
+    await keep.click();
+    await chip.waitFor({ state: "hidden" });
+    await page.reload();
+    assert.deepEqual([await pressed(), await chip.isVisible()], ["false", false]);
+    assert.deepEqual(errors, []);
+
+    await page.route("**/pin", (route) => route.fulfill({ status: 503, contentType: "application/problem+json", body: JSON.stringify({ detail: "the disk is full" }) }));
+    await keep.click();
+    await page.locator("#keep-said", { hasText: "Not changed: the disk is full" }).waitFor();
+    assert.deepEqual([await pressed(), await chip.isVisible()], ["false", false]);
+    await close();
+  });
+
+  if (database) test("that they are not stored is said on every page for as long as it is so", async () => {
+    const { page, errors, close } = await open(browser, base, "/hosts");
+    const notice = page.locator("#storing");
+    assert.equal(await notice.isVisible(), false);
+    renameSync(database, `${database}.away`);
+    try {
+      await notice.waitFor({ state: "visible" });
+      assert.match(await notice.innerText(), /^Cannot store events: .*agents keep them/);
+      assert.equal((await fetch(`${base}/readyz`)).status, 503);
+      const other = await open(browser, base, "/links", { script: false });
+      assert.ok(await other.page.locator("#storing").isVisible(), "without a script as well");
+      assert.deepEqual(await violations(page), []);
+      await other.close();
+    } finally {
+      renameSync(`${database}.away`, database);
+    }
+    await notice.waitFor({ state: "hidden" });
+    assert.equal((await fetch(`${base}/readyz`)).status, 200);
+    assert.deepEqual(errors, []);
+    await close();
+  });
+});

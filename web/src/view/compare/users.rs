@@ -1,0 +1,136 @@
+//! Latency against the number of users that measured at once, and how evenly they were served.
+
+use peernet_aggregator::RunSummary;
+use peernet_logger::stage;
+use peernet_report::users::{Curve, Share, Totals, Users, UsersLine};
+
+use super::{Comparison, Configuration};
+use crate::look;
+use crate::numbers::{NONE, count, duration, mean_std_ms, measured, rate};
+use crate::svg::{Horizontal, Ruler, Scatter, ScatterLine, ScatterPoint, ScatterSeries};
+use crate::view::runs;
+
+/// A configuration with so many users.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct UsersRow {
+    pub letter: String,
+    pub users: String,
+    /// Answers per second of all, and of the user that got the fewest and the most.
+    pub rate: String,
+    pub each: String,
+    /// Jain's index.
+    pub fairness: String,
+    /// Mean and standard deviation of the total, ms.
+    pub total: (String, Option<String>),
+}
+
+/// The picture and its numbers, where several users measured at once and their number differs.
+pub(crate) fn users(comparison: &Comparison) -> Option<(Scatter, Vec<UsersRow>)> {
+    comparison.experiment.as_ref()?;
+    let users =
+        Users { axes: comparison.axes.clone(), lines: comparison.configurations.iter().map(line).collect() };
+    let curves = users.curves();
+    let edges = |line: Option<&&UsersLine>| line.map(|line| line.edges);
+    let differ = |curve: &Curve<'_>| edges(curve.points.first()) != edges(curve.points.last());
+    curves.iter().any(differ).then_some(())?;
+    // Within an experiment the values are what tells configurations apart.
+    let of = |line: &UsersLine| comparison.configurations.iter().find(|one| one.values == line.labels);
+    let curves: Vec<Vec<(&UsersLine, &Configuration)>> = curves
+        .iter()
+        .map(|curve| curve.points.iter().filter_map(|line| Some((*line, of(line)?))).collect())
+        .collect();
+    let rows = curves.iter().flatten().map(|(line, one)| row(line, one));
+    Some((plot(&curves), rows.collect()))
+}
+
+/// What each user of a configuration got. Repeats that lack a user are left out.
+fn line(one: &Configuration) -> UsersLine {
+    let mut repeats: Vec<(u32, Vec<&RunSummary>)> = Vec::new();
+    for run in &one.runs {
+        let repeat = run.experiment.as_ref().map_or(0, |place| place.repeat);
+        match repeats.iter_mut().find(|(known, _)| *known == repeat) {
+            // A run that was begun again stands for the first attempt.
+            Some((_, users)) => match users.iter_mut().find(|known| known.host_name == run.host_name) {
+                Some(known) => *known = run,
+                None => users.push(run),
+            },
+            None => repeats.push((repeat, vec![run])),
+        }
+    }
+    let users = repeats.iter().map(|(_, users)| users.len()).max().unwrap_or_default();
+    let whole = repeats.iter().filter(|(_, runs)| runs.len() == users);
+    let shares = whole.map(|(_, runs)| runs.iter().filter_map(|run| share(run)).collect::<Vec<_>>());
+    let totals = one.total().map_or_else(Totals::default, |total| Totals {
+        count: usize::try_from(total.count).unwrap_or(usize::MAX),
+        mean: Some(total.mean),
+        ..Totals::default()
+    });
+    UsersLine::new(one.values.clone(), users, &shares.collect::<Vec<_>>(), totals)
+}
+
+/// Answers per second over a run's whole length, warm-up and all.
+fn share(run: &RunSummary) -> Option<Share> {
+    let seconds = (runs::end(run)? - run.started).seconds();
+    let answers = (run.counts.ok + run.warm_up) as f64;
+    (seconds > 0.0).then(|| Share { rate: answers / seconds, median: run.total.map(|total| total.p50) })
+}
+
+fn plot(curves: &[Vec<(&UsersLine, &Configuration)>]) -> Scatter {
+    // Who is served by one cloud waits for the others.
+    let series = [stage::TOTAL, stage::QUEUE].map(|name| {
+        let point = |(line, one): &(&UsersLine, &Configuration)| {
+            let figures = one.figures(&name)?;
+            Some(ScatterPoint {
+                x: line.edges as f64,
+                y: figures.mean * 1e3,
+                spread: figures.std.map(|std| std * 1e3),
+                name: one.letter.clone(),
+            })
+        };
+        let points: Vec<Vec<ScatterPoint>> =
+            curves.iter().map(|curve| curve.iter().filter_map(point).collect()).collect();
+        let lines =
+            points.iter().flat_map(|curve| curve.windows(2)).filter_map(|pair| between(&pair[0], &pair[1]));
+        ScatterSeries {
+            look: look::class(&name),
+            name: name.to_string(),
+            lines: lines.collect(),
+            points: points.concat(),
+        }
+    });
+    let series: Vec<ScatterSeries> = series.into_iter().filter(|one| !one.points.is_empty()).collect();
+    let points = || series.iter().flat_map(|one| &one.points);
+    let across = Horizontal::of_numbers(points().map(|point| point.x));
+    let up = Ruler::from_zero(points().map(|it| it.y + it.spread.unwrap_or(0.0)).fold(0.0, f64::max), 5);
+    let said = curves.iter().flatten().filter_map(|(line, one)| {
+        let total = one.total()?;
+        Some(format!("{}: {} at {}", one.letter, duration(total.mean), users_of(line)))
+    });
+    let label = format!("Mean latency against the number of users. {}", said.collect::<Vec<_>>().join(", "));
+    let unit = if across.is_logarithmic() { "users at once, logarithmic" } else { "users at once" };
+    Scatter::new(label, (unit, &across), ("ms", &up), &series)
+}
+
+fn users_of(line: &UsersLine) -> String {
+    crate::view::counted(line.edges, "user", "users")
+}
+
+/// From one number of users to the next.
+fn between(a: &ScatterPoint, b: &ScatterPoint) -> Option<ScatterLine> {
+    let slope = (b.y - a.y) / (b.x - a.x);
+    slope.is_finite().then_some(ScatterLine { intercept: a.y - slope * a.x, slope, from: a.x, to: b.x })
+}
+
+fn row(line: &UsersLine, one: &Configuration) -> UsersRow {
+    let told = |value: Option<f64>, form: fn(f64) -> String| value.map_or_else(|| NONE.to_owned(), form);
+    UsersRow {
+        letter: one.letter.clone(),
+        users: count(line.edges as u64),
+        rate: told(line.rate, rate),
+        each: line
+            .extremes()
+            .map_or_else(|| NONE.to_owned(), |(least, most)| format!("{} – {}", rate(least), rate(most))),
+        fairness: told(line.fairness, |index| measured(index, 3)),
+        total: one.total().map_or((NONE.to_owned(), None), |total| mean_std_ms(total.mean, total.std)),
+    }
+}
