@@ -65,6 +65,11 @@ impl Host {
         thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
     }
 
+    /// Gives an interface one more address, of a network of 254.
+    pub fn also(&self, interface: &str, address: &str) {
+        ip(&["-n", &self.namespace, "address", "add", &format!("{address}/24"), "dev", interface]);
+    }
+
     pub(super) fn set_up(&self, interface: &str, address: Ipv4Addr, prefix: u8) {
         let address = format!("{address}/{prefix}");
         ip(&["-n", &self.namespace, "address", "add", &address, "dev", interface]);

@@ -6,90 +6,9 @@
 
 use std::path::{Path, PathBuf};
 
-use peernet_tests::{Process, Site, onnxruntime, program, root};
+use peernet_tests::{Document, Process, Site, onnxruntime, program, root};
 
 const REFERENCE: &str = "docs/configuration.md";
-
-/// A Markdown file of the checkout.
-struct Document {
-    /// Below the root.
-    path: PathBuf,
-    text: String,
-}
-
-impl Document {
-    fn read(path: impl Into<PathBuf>) -> Self {
-        let path = path.into();
-        let text = std::fs::read_to_string(root().join(&path))
-            .unwrap_or_else(|error| panic!("cannot read {}: {error}", path.display()));
-        Self { path, text }
-    }
-
-    /// The documents for users and contributors.
-    fn all() -> Vec<Self> {
-        let fixed =
-            ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "deploy/README.md", "models/README.md"];
-        let docs = std::fs::read_dir(root().join("docs")).expect("the folder docs is there");
-        let docs = docs.map(|entry| Path::new("docs").join(entry.expect("it can be listed").file_name()));
-        let docs = docs.filter(|path| path.extension().is_some_and(|ending| ending == "md"));
-        fixed.into_iter().map(PathBuf::from).chain(docs).map(Self::read).collect()
-    }
-
-    /// The lines outside fenced blocks, numbered from 1.
-    fn prose(&self) -> impl Iterator<Item = (usize, &str)> {
-        let mut fenced = false;
-        self.text.lines().enumerate().filter_map(move |(index, line)| {
-            let fence = line.trim_start().starts_with("```");
-            fenced ^= fence;
-            (!fenced && !fence).then_some((index + 1, line))
-        })
-    }
-
-    /// The fenced blocks of TOML, with the numbers of their first lines.
-    fn toml(&self) -> Vec<(usize, String)> {
-        let mut blocks = Vec::new();
-        let mut lines = self.text.lines().enumerate();
-        while let Some((index, line)) = lines.next() {
-            let Some(indent) = line.find("```toml") else { continue };
-            let body = lines.by_ref().map(|(_, line)| line.get(indent..).unwrap_or_default());
-            let body: Vec<&str> = body.take_while(|line| !line.starts_with("```")).collect();
-            blocks.push((index + 2, body.join("\n") + "\n"));
-        }
-        blocks
-    }
-
-    /// The targets of links, with the numbers of their lines.
-    fn links(&self) -> impl Iterator<Item = (usize, &str)> {
-        self.prose().flat_map(|(number, line)| {
-            let targets = line.split("](").skip(1).filter_map(|rest| rest.split([')', ' ']).next());
-            targets.map(move |target| (number, target))
-        })
-    }
-
-    /// The name by which a link finds each heading.
-    fn anchors(&self) -> Vec<String> {
-        self.prose().filter(|(_, line)| line.starts_with('#')).map(|(_, line)| anchor(line)).collect()
-    }
-
-    /// The text from a heading to the next one of its kind or above.
-    fn section(&self, name: &str) -> &str {
-        let level = |line: &str| line.chars().take_while(|char| *char == '#').count();
-        let mut headings = self.prose().filter(|(_, line)| line.starts_with('#'));
-        let (from, heading) = headings
-            .find(|(_, line)| anchor(line) == name)
-            .unwrap_or_else(|| panic!("{} has no section {name}", self.path.display()));
-        let next = headings.find(|(_, line)| level(line) <= level(heading));
-        let start = |number: usize| self.text.split_inclusive('\n').take(number - 1).map(str::len).sum();
-        &self.text[start(from)..next.map_or(self.text.len(), |(number, _)| start(number))]
-    }
-}
-
-/// As code hosts make it: lower case, without punctuation, with hyphens for spaces.
-fn anchor(heading: &str) -> String {
-    let text = heading.trim_start_matches('#').trim().to_lowercase();
-    let kept = text.chars().filter(|char| char.is_alphanumeric() || " -_".contains(*char));
-    kept.map(|char| if char == ' ' { '-' } else { char }).collect()
-}
 
 /// The name of a complete file.
 fn name(block: &str) -> Option<&str> {
@@ -108,7 +27,7 @@ fn experiments_in_the_documents_pass_the_check() {
     let site = Site::new();
     let mut checked = Vec::new();
     for document in Document::all() {
-        for (line, block) in document.toml().into_iter().filter(|(_, block)| is_experiment(block)) {
+        for (line, block) in document.fenced("toml").into_iter().filter(|(_, block)| is_experiment(block)) {
             let file = site.write("experiment.toml", &block);
             let arguments = [Path::new("run"), Path::new("--check"), &file];
             let ended = Process::start(&program("peernet"), &arguments, root(), &[]).ended();
@@ -128,7 +47,7 @@ fn examples_that_are_complete_files_pass_the_check_and_excerpts_can_be_read() {
     let _needed = onnxruntime();
     let mut wrong = Vec::new();
     for document in Document::all() {
-        for (line, block) in document.toml() {
+        for (line, block) in document.fenced("toml") {
             let at = format!("{}:{line}", document.path.display());
             let Some(name) = name(&block).filter(|_| !is_experiment(&block)) else {
                 if let Err(error) = toml::from_str::<toml::Table>(&block) {
@@ -148,7 +67,7 @@ fn examples_that_are_complete_files_pass_the_check_and_excerpts_can_be_read() {
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 
-    let reference = Document::read(REFERENCE).toml();
+    let reference = Document::read(REFERENCE).fenced("toml");
     assert!(!reference.is_empty(), "{REFERENCE} has no example");
     for (line, block) in reference {
         assert!(

@@ -7,8 +7,8 @@ fn a_run_that_crashes_is_marked_and_the_others_go_on() {
     let lab = Lab::new();
     let process = lab.run(THREE, &[]);
     process.wait_for("run 2 of 3 (Size = 200): begins");
-    let folders = lab.folders();
-    lab.rows(&folders[1], 3);
+    let folders = lab.results.folders();
+    lab.results.rows(&folders[1], 3);
     children(&process).into_iter().for_each(kill);
     let ended = process.ended();
     assert_eq!(ended.code(), 75, "{}", ended.log);
@@ -18,26 +18,26 @@ fn a_run_that_crashes_is_marked_and_the_others_go_on() {
         ended.log
     );
     assert!(ended.log.contains("1 run failed"), "{}", ended.log);
-    assert_eq!(lab.stages(), ["finished", "failed", "finished"]);
+    assert_eq!(lab.results.stages(), ["finished", "failed", "finished"]);
 
     let ended = lab.run(THREE, &[]).ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);
-    assert_eq!(lab.stages(), ["finished"; 3]);
+    assert_eq!(lab.results.stages(), ["finished"; 3]);
 }
 
 #[test]
 fn everything_that_is_missing_is_told_before_the_first_run() {
     let lab = Lab::new();
     let file = "[experiment]\nname = 'e'\niterations = 5\npatience_s = 1\n[pipeline]\n\
-                sensor = { kind = 'synthetic', size_bytes = 10 }\nplacement = { kind = 'remote', peer = 'tcp://127.0.0.1:{data}' }\n\
+                sensor = { kind = 'synthetic', size_bytes = 10 }\nplacement = { kind = 'remote', peer = '{cloud}' }\n\
                 [[axis]]\nname = 'Model'\nfield = 'pipeline.placement.model'\nvalues = ['echo', 'nowhere']\n\
-                [[axis]]\nname = 'Peer'\nfield = 'pipeline.placement.peer'\nvalues = ['tcp://127.0.0.1:{data}', 'tcp://127.0.0.1:9']\n";
+                [[axis]]\nname = 'Peer'\nfield = 'pipeline.placement.peer'\nvalues = ['{cloud}', 'tcp://127.0.0.1:9']\n";
     let ended = lab.run(file, &[]).ended();
     assert_eq!(ended.code(), 69, "{}", ended.log);
     for told in ["3 of 4 configurations cannot be measured", "no model named nowhere", "connection refused"] {
         assert!(ended.log.contains(told), "{told} is not in {}", ended.log);
     }
-    assert!(!ended.log.contains("begins") && !lab.results().exists(), "{}", ended.log);
+    assert!(!ended.log.contains("begins") && !lab.results.folder.exists(), "{}", ended.log);
     for told in [
         "trying 2 of 4: Model = echo, Peer = tcp://127.0.0.1:9\n",
         "trying 4 of 4: Model = nowhere, Peer = tcp://127.0.0.1:9: left out, tcp://127.0.0.1:9 is away",
@@ -63,5 +63,5 @@ fn everything_that_is_missing_is_told_before_the_first_run() {
 
     let ended = lab.run(file, &["--only", "Model=echo", "--only", "1", "--dry-run"]).ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);
-    assert!(ended.log.contains("1 of 4 runs to do") && !lab.results().exists(), "{}", ended.log);
+    assert!(ended.log.contains("1 of 4 runs to do") && !lab.results.folder.exists(), "{}", ended.log);
 }

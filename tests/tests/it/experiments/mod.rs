@@ -1,16 +1,20 @@
-//! Experiments: a matrix of runs from one file, with a cloud that runs all the time.
+//! Experiments: a matrix of runs from one file on one machine, with a cloud on another.
 
+mod cloud_gone;
 mod failing;
 mod files;
+mod printed;
+mod results;
 mod resumed;
-mod same_seed;
-mod users;
+pub(crate) mod same_seed;
+pub(crate) mod users;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use peernet_tests::{Process, Site, onnxruntime, program, root, until};
+use peernet_tests::{Ended, Network, Process, Site, program, root};
 use rustix::process::{Pid, Signal, kill_process};
-use serde_json::Value;
+
+pub(crate) use results::{Results, column, json};
 
 const CLOUD: &str = r#"
 [agent]
@@ -18,12 +22,7 @@ name = "cloud"
 state_dir = "{folder}/cloud"
 
 [serve]
-listen = "tcp://127.0.0.1:{data}"
-
-[[model]]
-name = "quality-control"
-kind = "onnx"
-path = "{root}/models/quality-control"
+listen = "tcp://0.0.0.0:5551"
 
 [[model]]
 name = "echo"
@@ -47,7 +46,7 @@ warm_up = { iterations = 2 }
 
 [pipeline]
 sensor = { kind = "synthetic" }
-placement = { kind = "remote", peer = "tcp://127.0.0.1:{data}", model = "slow" }
+placement = { kind = "remote", peer = "{cloud}", model = "slow" }
 
 [[axis]]
 name = "Size"
@@ -65,80 +64,56 @@ label = "300"
 set = { "pipeline.sensor.size_bytes" = 300 }
 "#;
 
-/// A cloud, and a folder for experiments.
+/// An edge and a cloud at the two ends of a cable, and a folder for experiments.
 struct Lab {
+    results: Results,
+    cloud: Option<Process>,
     site: Site,
-    _cloud: Process,
+    network: Network,
 }
 
 impl Lab {
     fn new() -> Self {
-        let site = Site::new();
-        site.write("cloud.toml", CLOUD);
-        let cloud = site.start("cloud.toml");
+        let (site, network) = (Site::new(), Network::direct());
+        let mut lab =
+            Self { results: Results::of(site.folder().join("results")), cloud: None, site, network };
+        lab.site.write("cloud.toml", CLOUD);
+        lab.start_cloud();
+        lab
+    }
+
+    fn start_cloud(&mut self) {
+        let arguments = ["run", "cloud.toml"];
+        let cloud = self.network.cloud().start(&program("peernetd"), &arguments, self.site.folder(), &[]);
         cloud.wait_for("ready");
-        Self { site, _cloud: cloud }
+        self.cloud = Some(cloud);
     }
 
-    /// The folder with an experiment's results.
-    fn results(&self) -> PathBuf {
-        self.site.folder().join("results")
+    /// It hangs from now on.
+    fn stop_cloud(&self) {
+        self.cloud.as_ref().expect("it runs").signal(Signal::STOP);
     }
 
-    /// Starts `peernet run` on a text.
+    fn kill_cloud(&mut self) {
+        self.cloud.take().expect("it runs").kill();
+    }
+
+    /// Starts `peernet run` on a text, in which `{cloud}` is where the cloud serves.
     fn run(&self, text: &str, options: &[&str]) -> Process {
-        let file = self.site.write("experiment.toml", text);
-        let results = self.results();
-        let mut arguments = vec![Path::new("run"), &file, Path::new("--result-loc"), &results];
+        let peer = format!("tcp://{}:5551", self.network.cloud().address);
+        let file = self.site.write("experiment.toml", &text.replace("{cloud}", &peer));
+        let mut arguments = vec![Path::new("run"), &file, Path::new("--result-loc"), &self.results.folder];
         arguments.extend(options.iter().map(Path::new));
-        let library = onnxruntime().join("libonnxruntime.so").display().to_string();
-        Process::start(&program("peernet"), &arguments, root(), &[("ORT_DYLIB_PATH", &library)])
-    }
-
-    /// What is written down of the experiment.
-    fn record(&self) -> Value {
-        json(&self.results().join("experiment.json"))
-    }
-
-    /// The folders of the runs, in their order.
-    fn folders(&self) -> Vec<String> {
-        let record = self.record();
-        let runs = record["plan"]["runs"].as_array().expect("a list").iter();
-        runs.map(|run| run["folder"].as_str().expect("a name").to_owned()).collect()
-    }
-
-    /// What became of the runs, in their order.
-    fn stages(&self) -> Vec<String> {
-        let record = self.record();
-        let states = record["states"].as_array().expect("a list").iter();
-        states.map(|state| state["stage"].as_str().expect("a word").to_owned()).collect()
-    }
-
-    /// A run's file.
-    fn file(&self, folder: &str, name: &str) -> PathBuf {
-        self.results().join("runs").join(folder).join(name)
-    }
-
-    /// Waits until so many rows of a run are in its file.
-    fn rows(&self, folder: &str, count: usize) {
-        let path = self.file(folder, "data.csv");
-        until("rows", || {
-            let text = std::fs::read_to_string(&path).ok()?;
-            (text.lines().count() > count).then_some(())
-        });
+        self.network.edge().start(&program("peernet"), &arguments, root(), &[])
     }
 }
 
-/// A column of a run's rows.
-fn column(path: &Path, name: &str) -> Vec<String> {
-    let mut reader = csv::Reader::from_path(path).expect("there are rows");
-    let at =
-        reader.headers().expect("a header").iter().position(|column| column == name).expect("the column");
-    reader.records().map(|row| row.expect("a row")[at].to_owned()).collect()
-}
-
-fn json(path: &Path) -> Value {
-    serde_json::from_slice(&std::fs::read(path).expect("it was written")).expect("it is JSON")
+/// Waits for the end of an experiment, which may take long, as long as its runs do not.
+pub(crate) fn done(experiment: Process, runs: usize) -> Ended {
+    for run in 1..=runs {
+        experiment.wait_for(&format!("run {run} of {runs} ("));
+    }
+    experiment.ended()
 }
 
 /// The processes that a program has started and not waited for.

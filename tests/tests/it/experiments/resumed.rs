@@ -8,17 +8,17 @@ use super::{Lab, THREE, children, column, json};
 /// Waits until the second run is under way.
 fn in_the_second(lab: &Lab, process: &Process) -> Vec<String> {
     process.wait_for("run 2 of 3 (Size = 200): begins");
-    let folders = lab.folders();
-    lab.rows(&folders[1], 3);
+    let folders = lab.results.folders();
+    lab.results.rows(&folders[1], 3);
     folders
 }
 
 /// Everything is there, once.
 fn whole(lab: &Lab, folders: &[String]) {
-    assert_eq!(lab.folders(), folders);
-    assert_eq!(lab.stages(), ["finished"; 3]);
+    assert_eq!(lab.results.folders(), folders);
+    assert_eq!(lab.results.stages(), ["finished"; 3]);
     for (folder, (size, rows)) in folders.iter().zip([("100", 27), ("200", 252), ("300", 27)]) {
-        let data = lab.file(folder, "data.csv");
+        let data = lab.results.file(folder, "data.csv");
         let numbers: Vec<String> = (1..=rows).map(|number: u32| number.to_string()).collect();
         assert_eq!(column(&data, "iteration"), numbers);
         assert!(column(&data, "upload-bytes").iter().all(|bytes| bytes == size));
@@ -33,11 +33,11 @@ fn what_the_user_ended_is_marked_and_done_again_and_what_was_finished_is_not() {
     process.signal(Signal::INT);
     let ended = process.ended();
     assert_eq!(ended.code(), 130, "{}", ended.log);
-    assert!(ended.log.contains("of 3 runs 1 finished, 1 interrupted, 1 to do"), "{}", ended.log);
-    assert_eq!(lab.stages(), ["finished", "interrupted", "pending"]);
-    assert_eq!(json(&lab.file(&folders[1], "run.json"))["reason"], "stopped");
-    let first = json(&lab.file(&folders[0], "run.json"));
-    let id = lab.record()["id"].clone();
+    assert!(ended.log.contains("1 of 3 runs finished, 1 interrupted, 1 to do"), "{}", ended.log);
+    assert_eq!(lab.results.stages(), ["finished", "interrupted", "pending"]);
+    assert_eq!(json(&lab.results.file(&folders[1], "run.json"))["reason"], "stopped");
+    let first = json(&lab.results.file(&folders[0], "run.json"));
+    let id = lab.results.record()["id"].clone();
 
     let changed = lab.run(&THREE.replace("iterations = 25", "iterations = 26"), &[]).ended();
     assert_eq!(changed.code(), 78, "{}", changed.log);
@@ -47,9 +47,9 @@ fn what_the_user_ended_is_marked_and_done_again_and_what_was_finished_is_not() {
     assert_eq!(ended.code(), 0, "{}", ended.log);
     assert!(!ended.log.contains("run 1 of 3 (Size = 100): begins"), "{}", ended.log);
     whole(&lab, &folders);
-    assert_eq!(json(&lab.file(&folders[0], "run.json")), first, "it was not touched");
-    assert_eq!(lab.record()["id"], id);
-    assert_eq!(json(&lab.file(&folders[2], "run.json"))["experiment"]["id"], id);
+    assert_eq!(json(&lab.results.file(&folders[0], "run.json")), first, "it was not touched");
+    assert_eq!(lab.results.record()["id"], id);
+    assert_eq!(json(&lab.results.file(&folders[2], "run.json"))["experiment"]["id"], id);
 
     let again = lab.run(THREE, &[]).ended();
     assert_eq!(again.code(), 0, "{}", again.log);
@@ -68,9 +68,9 @@ fn a_kill_leaves_no_process_behind_and_nothing_half_done() {
         // Nobody waits for it but init, which may take its time.
         stat.map_or(true, |stat| stat.contains(") Z ")).then_some(())
     });
-    assert_eq!(lab.stages(), ["finished", "running", "pending"]);
+    assert_eq!(lab.results.stages(), ["finished", "running", "pending"]);
     let ended = lab.run(THREE, &["--yes"]).ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     whole(&lab, &folders);
-    assert_eq!(lab.record()["states"][1]["attempts"], 2);
+    assert_eq!(lab.results.record()["states"][1]["attempts"], 2);
 }

@@ -1,55 +1,86 @@
-//! The seed decides the order and the payloads.
+//! The seed decides the order and the payloads, whoever else is on the network.
 
-use super::{Lab, column};
-use peernet_tests::root;
+use peernet_tests::{Api, Desk};
 
-/// The demo's file, shortened, with this test's cloud.
-fn demo(lab: &Lab) -> String {
-    let text = std::fs::read_to_string(root().join("configs/experiments/demo.toml")).expect("it is there");
-    let shortened = text
-        .replace("episodes = 4", "episodes = 2")
-        .replace("episode_steps = 25", "episode_steps = 6")
-        .replace("127.0.0.1:5551", &format!("127.0.0.1:{}", lab.site.data));
-    assert_ne!(text, shortened);
-    shortened
-}
+use super::{Results, column, done};
+
+/// What this test types of the documents.
+pub(crate) const COMMANDS: [&str; 2] =
+    ["peernetd run configs/cloud.toml", "peernet run configs/experiments/demo.toml"];
 
 /// The order, and of each run that sends pictures as they are how large they were.
-fn seen(lab: &Lab) -> (Vec<String>, Vec<Vec<String>>) {
-    let mut folders = lab.folders();
+fn seen(results: &Results) -> (Vec<String>, Vec<Vec<String>>) {
+    let mut folders = results.folders();
     let order = folders.clone();
     folders.retain(|folder| folder.contains("-no-") && !folder.contains("local"));
     folders.sort_by_key(|folder| folder[3..].to_owned());
-    let sizes = folders.iter().map(|folder| column(&lab.file(folder, "data.csv"), "upload-bytes"));
+    let sizes = folders.iter().map(|folder| column(&results.file(folder, "data.csv"), "upload-bytes"));
     (order, sizes.collect())
+}
+
+/// How many runs of an experiment the aggregator beside the cloud knows as finished.
+fn stored(desk: &Desk, experiment: &str) -> usize {
+    let experiment = experiment.to_owned();
+    desk.cloud().inside(move || {
+        Api::at(8040).until("/api/v1/runs?limit=100", |found| {
+            let runs = found["runs"].as_array()?;
+            let of_it = runs.iter().filter(|run| run["experiment"]["id"] == *experiment);
+            of_it.clone().all(|run| run["reason"] == "finished").then(|| of_it.count())
+        })
+    })
 }
 
 #[test]
 fn the_demo_twice_with_one_seed_has_one_order_and_the_same_payloads() {
-    let lab = Lab::new();
-    let measure = |options: &[&str]| {
-        let ended = lab.run(&demo(&lab), options).ended();
+    let desk = Desk::new(&COMMANDS);
+    desk.copy("configs/aggregator.toml", &[("127.0.0.1:5550", "0.0.0.0:5550")]);
+    desk.copy("configs/cloud.toml", &[("tcp://127.0.0.1:5551", "tcp://0.0.0.0:5551")]);
+    // Fewer and shorter episodes, and on the dashboard.
+    desk.copy(
+        "configs/experiments/demo.toml",
+        &[
+            ("episodes = 4", "episodes = 2"),
+            ("episode_steps = 25", "episode_steps = 6"),
+            ("[experiment]", "[experiment]\naggregator = \"tcp://10.0.0.2:5550\""),
+        ],
+    );
+    let aggregator = desk.run_on(desk.cloud(), "peernetd run configs/aggregator.toml");
+    let cloud = desk.on_cloud("peernetd run configs/cloud.toml", &[]);
+    cloud.wait_for("ready");
+    let results = Results::of(desk.folder().join("results/demo"));
+    let measure = |options: &str| {
+        let options = format!("demo.toml {options}");
+        let command = "peernet run configs/experiments/demo.toml";
+        let ended = done(desk.on_edge(command, &[("demo.toml", &options)]), 10);
         assert_eq!(ended.code(), 0, "{}", ended.log);
-        (seen(&lab), ended.log)
+        (seen(&results), ended.log)
     };
-    let ((order, sizes), log) = measure(&[]);
+
+    let ((order, sizes), log) = measure("");
     assert_eq!((order.len(), sizes.len()), (10, 4), "{order:?}");
-    assert!(log.contains("total (measured)") && log.contains("of 10 runs 10 finished"), "{log}");
+    assert!(log.contains("total (measured)") && log.contains("10 of 10 runs finished"), "{log}");
     // Configurations get the same pictures; repeats get others.
     assert_eq!((&sizes[0], &sizes[1]), (&sizes[2], &sizes[3]));
     assert_ne!(sizes[0], sizes[1]);
-    for name in ["compare.txt", "compare.md", "compare.csv", "compare.tex"] {
-        assert!(lab.results().join(name).is_file(), "{name}");
+    for name in ["compare.txt", "compare.md", "compare.csv", "compare.tex", "stacked.png", "stacked.svg"] {
+        assert!(results.folder.join(name).is_file(), "{name}");
     }
-    let compared = column(&lab.results().join("compare.csv"), "Where");
+    let compared = column(&results.folder.join("compare.csv"), "Where");
     assert_eq!(compared, ["local", "cloud", "cloud", "echo", "echo"], "in the order of the file");
-    let counted = column(&lab.results().join("compare.csv"), "count");
+    let counted = column(&results.folder.join("compare.csv"), "count");
     // Two repeats of one episode without its first step.
     assert!(counted.iter().all(|count| count == "10"), "{counted:?}");
+    let id = results.record()["id"].as_str().expect("it has one").to_owned();
+    assert_eq!(stored(&desk, &id), 10);
 
-    let again = measure(&["--restart"]).0;
+    let again = measure("--restart").0;
     assert_eq!(again, (order.clone(), sizes.clone()));
-    let (other_order, other_sizes) = measure(&["--restart", "--seed", "2"]).0;
+    let (other_order, other_sizes) = measure("--restart --seed 2").0;
     assert_ne!(other_order, order);
     assert_ne!(other_sizes, sizes);
+    for process in [cloud, aggregator] {
+        let ended = process.stop();
+        assert_eq!(ended.code(), 0, "{}", ended.log);
+    }
+    desk.finish();
 }

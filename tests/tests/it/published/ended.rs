@@ -74,6 +74,36 @@ fn a_folder_that_is_being_written_is_left_alone() {
 }
 
 #[test]
+fn results_that_a_killed_run_was_to_replace_come_back() {
+    let lab = Lab::here();
+    let _server = server(&lab, 1_000_000);
+    let short = || {
+        lab.client(&format!(
+            "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 6 --dataset-loc {} \
+             --encoding file --result-loc results",
+            picture().display()
+        ))
+    };
+    let first = short().ended();
+    assert_eq!(first.code(), 0, "{}", first.log);
+    let killed = endless(&lab, "--result-loc results --overwrite");
+    killed.wait_for("of 1000000");
+    let _ = killed.kill();
+    assert!(!lab.folder().join("results/run.json").exists(), "they are aside");
+    let next = short().ended();
+    assert_eq!(next.code(), 64, "{}", next.log);
+    assert!(next.log.contains("they are back; what it measured is in killed.csv"), "{}", next.log);
+    assert_eq!(
+        (lab.data("results").rows.len(), lab.record("results")["reason"].as_str()),
+        (6, Some("finished"))
+    );
+    let names = std::fs::read_dir(lab.folder().join("results")).expect("a folder");
+    let hidden = names
+        .filter(|name| name.as_ref().is_ok_and(|name| name.file_name().to_string_lossy().starts_with('.')));
+    assert_eq!(hidden.count(), 0);
+}
+
+#[test]
 fn a_second_ctrl_c_does_not_wait() {
     let lab = Lab::here();
     let _server = lab.server(
@@ -123,7 +153,7 @@ fn a_server_that_comes_back_is_asked_again() {
     let _second = server(&lab, 1_000_000);
     let ended = client.ended();
     assert_eq!(ended.code(), 75, "{}", ended.log);
-    assert!(ended.log.contains("1 of 120 iterations have no answer"), "{}", ended.log);
+    assert!(ended.log.contains("1 of 120 iterations has no answer"), "{}", ended.log);
     let data = lab.data("results");
     assert_eq!((data.rows.len(), data.outcomes("lost")), (120, 1));
 }

@@ -1,0 +1,142 @@
+//! The documents: what they show can be taken out of them and tried.
+
+mod commands;
+
+use std::path::{Path, PathBuf};
+
+use crate::root;
+
+/// A Markdown file of the checkout.
+#[derive(Debug)]
+pub struct Document {
+    /// Below the root.
+    pub path: PathBuf,
+    /// All of it.
+    pub text: String,
+}
+
+impl Document {
+    /// Reads a file below the root.
+    ///
+    /// # Panics
+    /// When it cannot be read.
+    pub fn read(path: impl Into<PathBuf>) -> Self {
+        let path = path.into();
+        let text = std::fs::read_to_string(root().join(&path))
+            .unwrap_or_else(|error| panic!("cannot read {}: {error}", path.display()));
+        Self { path, text }
+    }
+
+    /// The documents for users: the README and the folder `docs`.
+    ///
+    /// # Panics
+    /// When they are not there.
+    pub fn for_users() -> Vec<Self> {
+        let docs = std::fs::read_dir(root().join("docs")).expect("the folder docs is there");
+        let docs = docs.map(|entry| Path::new("docs").join(entry.expect("it can be listed").file_name()));
+        let docs = docs.filter(|path| path.extension().is_some_and(|ending| ending == "md"));
+        std::iter::once(PathBuf::from("README.md")).chain(docs).map(Self::read).collect()
+    }
+
+    /// The documents for users and contributors.
+    pub fn all() -> Vec<Self> {
+        let others = ["ARCHITECTURE.md", "CONTRIBUTING.md", "deploy/README.md", "models/README.md"];
+        Self::for_users().into_iter().chain(others.map(Self::read)).collect()
+    }
+
+    /// The lines outside fenced blocks, numbered from 1.
+    pub fn prose(&self) -> impl Iterator<Item = (usize, &str)> {
+        let mut fenced = false;
+        self.text.lines().enumerate().filter_map(move |(index, line)| {
+            let fence = line.trim_start().starts_with("```");
+            fenced ^= fence;
+            (!fenced && !fence).then_some((index + 1, line))
+        })
+    }
+
+    /// The fenced blocks of a language, with the numbers of their first lines.
+    pub fn fenced(&self, language: &str) -> Vec<(usize, String)> {
+        let opening = format!("```{language}");
+        let mut blocks = Vec::new();
+        let mut lines = self.text.lines().enumerate();
+        while let Some((index, line)) = lines.next() {
+            let indent = line.len() - line.trim_start().len();
+            if !line.trim_start().starts_with("```") {
+                continue;
+            }
+            let body = lines.by_ref().map(|(_, line)| line.get(indent..).unwrap_or_default());
+            let body: Vec<&str> = body.take_while(|line| !line.starts_with("```")).collect();
+            if line.trim() == opening {
+                blocks.push((index + 2, body.join("\n") + "\n"));
+            }
+        }
+        blocks
+    }
+
+    /// The blocks of a section that are set off by so many spaces.
+    pub fn indented(&self, section: &str, spaces: usize) -> Vec<String> {
+        let (indent, mut blocks, mut open) = (" ".repeat(spaces), Vec::<String>::new(), false);
+        for line in self.section(section).lines() {
+            match line.strip_prefix(&indent) {
+                Some(line) if open => blocks.last_mut().expect("one is open").extend([line, "\n"]),
+                Some(line) => blocks.push(format!("{line}\n")),
+                None if line.is_empty() && open => blocks.last_mut().expect("one is open").push('\n'),
+                None => {}
+            }
+            open = line.starts_with(&indent) || (open && line.is_empty());
+        }
+        blocks
+    }
+
+    /// The targets of links, with the numbers of their lines.
+    pub fn links(&self) -> impl Iterator<Item = (usize, &str)> {
+        self.prose().flat_map(|(number, line)| {
+            let targets = line.split("](").skip(1).filter_map(|rest| rest.split([')', ' ']).next());
+            targets.map(move |target| (number, target))
+        })
+    }
+
+    /// The name by which a link finds each heading.
+    pub fn anchors(&self) -> Vec<String> {
+        self.prose().filter(|(_, line)| line.starts_with('#')).map(|(_, line)| anchor(line)).collect()
+    }
+
+    /// The text from a heading to the next one of its kind or above.
+    ///
+    /// # Panics
+    /// When there is no such section.
+    pub fn section(&self, name: &str) -> &str {
+        let level = |line: &str| line.chars().take_while(|char| *char == '#').count();
+        let mut headings = self.prose().filter(|(_, line)| line.starts_with('#'));
+        let (from, heading) = headings
+            .find(|(_, line)| anchor(line) == name)
+            .unwrap_or_else(|| panic!("{} has no section {name}", self.path.display()));
+        let next = headings.find(|(_, line)| level(line) <= level(heading));
+        let start = |number: usize| self.text.split_inclusive('\n').take(number - 1).map(str::len).sum();
+        &self.text[start(from)..next.map_or(self.text.len(), |(number, _)| start(number))]
+    }
+}
+
+/// As code hosts make it: lower case, without punctuation, with hyphens for spaces.
+fn anchor(heading: &str) -> String {
+    let text = heading.trim_start_matches('#').trim().to_lowercase();
+    let kept = text.chars().filter(|char| char.is_alphanumeric() || " -_".contains(*char));
+    kept.map(|char| if char == ' ' { '-' } else { char }).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TEXT: &str = "# One\n```toml\na = 1\n```\n1. It:\n\n       b = 2\n\n       c = 3\n\n   Then:\n\n       d = 4\n\
+                        # Two words\n   ```sh\n   # no heading\n   ls\n   ```\n";
+
+    #[test]
+    fn blocks_are_found_in_their_sections() {
+        let document = Document { path: PathBuf::new(), text: TEXT.to_owned() };
+        assert_eq!(document.fenced("toml"), [(3, "a = 1\n".to_owned())]);
+        assert_eq!(document.fenced("sh"), [(16, "# no heading\nls\n".to_owned())]);
+        assert_eq!(document.indented("one", 7), ["b = 2\n\nc = 3\n\n", "d = 4\n"]);
+        assert_eq!(document.anchors(), ["one", "two-words"]);
+    }
+}

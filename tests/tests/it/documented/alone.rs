@@ -1,0 +1,68 @@
+//! Commands of one machine: the study of a sensor, checks, models, completion.
+
+use peernet_tests::{Desk, Document};
+
+use crate::experiments::{Results, column, done};
+
+pub(crate) const COMMANDS: [&str; 8] = [
+    "peernet run configs/experiments/sensor-study.toml",
+    "peernet run --check experiment.toml",
+    "peernet run --check /dev/stdin",
+    "peernet models list",
+    "peernet models show NAME",
+    "peernet models check NAME",
+    "peernet models bench NAME",
+    "peernet completions bash > /etc/bash_completion.d/peernet",
+];
+
+/// An experiment with the slip that the document shows.
+const SLIP: &str = "[experiment]\nname = 'slip'\niterations = 5\n[pipeline]\nsensor = { kind = 'text', length = 10 }\n\
+                    placement = { kind = 'remote', peer = 'tcp://127.0.0.1:5551' }\n[[axis]]\nname = 'Model'\n\
+                    [[axis.value]]\nlabel = 'echo'\nset = { 'pipeline.placement.modle' = 'echo' }\n";
+
+#[test]
+fn a_sensor_a_slip_the_models_and_the_completion() {
+    let desk = Desk::new(&COMMANDS);
+    let typed = |command: &str, changes: &[(&str, &str)]| {
+        let ended = desk.on_edge(command, changes).ended();
+        (ended.code(), ended.log)
+    };
+    let named = |command: &str, more: &str| {
+        let (code, log) = typed(command, &[("NAME", &format!("quality-control{more}"))]);
+        assert_eq!(code, 0, "{command}: {log}");
+        log
+    };
+
+    desk.copy("configs/experiments/sensor-study.toml", &[("duration_s = 12", "iterations = 20")]);
+    let study = done(desk.on_edge("peernet run configs/experiments/sensor-study.toml", &[]), 4);
+    assert_eq!(study.code(), 0, "{}", study.log);
+    let results = Results::of(desk.folder().join("results/sensor-study"));
+    assert_eq!(results.stages(), ["finished"; 4]);
+    for folder in results.folders() {
+        let study = std::fs::read_to_string(results.file(&folder, "sensor.txt")).expect("it was written");
+        assert!(study.contains("samples per second"), "{study}");
+        let data = results.file(&folder, "data.csv");
+        assert!(column(&data, "inference").iter().all(String::is_empty), "nobody computes");
+    }
+
+    desk.write("experiment.toml", SLIP);
+    let (code, log) = typed("peernet run --check experiment.toml", &[]);
+    assert_eq!(code, 78, "{log}");
+    assert!(Document::read("docs/experiments.md").text.contains(log.trim()), "{log}");
+
+    let piped = ("/dev/stdin", "/dev/stdin < experiment.toml");
+    let (code, log) = typed("peernet run --check /dev/stdin", &[piped]);
+    assert!(code == 78 && log.contains("unknown field `modle`"), "{log}");
+
+    let (code, log) = typed("peernet models list", &[]);
+    assert!(code == 0 && log.contains("quality-control"), "{log}");
+    assert!(named("peernet models show NAME", "").contains("SHA-256"));
+    assert!(named("peernet models check NAME", "").contains("of 30 labels right"));
+    assert!(named("peernet models bench NAME", " --iterations 20").contains("inference"));
+
+    let file = ("/etc/bash_completion.d/peernet", "completion.bash");
+    let (code, log) = typed("peernet completions bash > /etc/bash_completion.d/peernet", &[file]);
+    assert_eq!(code, 0, "{log}");
+    assert_eq!(desk.run_on(desk.edge(), "bash -n completion.bash").ended().code(), 0);
+    desk.finish();
+}

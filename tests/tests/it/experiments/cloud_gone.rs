@@ -1,0 +1,64 @@
+//! The cloud's agent dies in mid-experiment.
+
+use peernet_tests::Process;
+
+use super::{Lab, THREE, column, json};
+
+/// The same three runs, which wait two seconds for a cloud that is away.
+fn impatient() -> String {
+    THREE.replace("order =", "patience_s = 2\norder =")
+}
+
+/// Waits until the second run has some rows, and says where they are.
+fn in_the_second(lab: &Lab, process: &Process) -> String {
+    process.wait_for("run 2 of 3 (Size = 200): begins");
+    let second = lab.results.folders()[1].clone();
+    lab.results.rows(&second, 3);
+    second
+}
+
+#[test]
+fn one_that_stays_away_fails_what_is_left_and_the_same_command_does_it_later() {
+    let mut lab = Lab::new();
+    let process = lab.run(&impatient(), &[]);
+    let second = in_the_second(&lab, &process);
+    lab.kill_cloud();
+    let ended = process.ended();
+    assert_eq!(ended.code(), 75, "{}", ended.log);
+    assert!(ended.log.contains("2 runs failed") && ended.log.contains("is away"), "{}", ended.log);
+    assert_eq!(lab.results.stages(), ["finished", "failed", "failed"]);
+    // What it had measured is not lost with the cloud.
+    let answered = column(&lab.results.file(&second, "data.csv"), "outcome");
+    assert!(answered.iter().filter(|outcome| *outcome == "ok").count() >= 3, "{answered:?}");
+    let first = json(&lab.results.file(&lab.results.folders()[0], "run.json"));
+
+    lab.start_cloud();
+    let ended = lab.run(&impatient(), &[]).ended();
+    assert_eq!(ended.code(), 0, "{}", ended.log);
+    assert_eq!(lab.results.stages(), ["finished"; 3]);
+    let answered = column(&lab.results.file(&second, "data.csv"), "outcome");
+    assert_eq!((answered.len(), answered.iter().all(|outcome| outcome == "ok")), (252, true), "{answered:?}");
+    assert_eq!(
+        json(&lab.results.file(&lab.results.folders()[0], "run.json")),
+        first,
+        "it was not done again"
+    );
+}
+
+#[test]
+fn one_that_comes_back_costs_the_iterations_that_it_had_in_hand() {
+    let mut lab = Lab::new();
+    let process = lab.run(THREE, &[]);
+    let second = in_the_second(&lab, &process);
+    // Stopped at first, so that it has an iteration in hand for certain.
+    lab.stop_cloud();
+    process.wait_for("is away");
+    lab.kill_cloud();
+    lab.start_cloud();
+    let ended = process.ended();
+    assert_eq!(ended.code(), 75, "iterations without an answer are told: {}", ended.log);
+    assert_eq!(lab.results.stages(), ["finished"; 3], "{}", ended.log);
+    let outcomes = column(&lab.results.file(&second, "data.csv"), "outcome");
+    let unanswered = outcomes.iter().filter(|outcome| *outcome != "ok").count();
+    assert!((1..outcomes.len() - 3).contains(&unanswered), "{outcomes:?}");
+}

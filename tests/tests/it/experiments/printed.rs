@@ -1,0 +1,45 @@
+//! What users' own code prints while an experiment runs.
+
+use peernet_tests::{Process, Site, program};
+
+const SENSOR: &str = r#"
+class Camera:
+    def __init__(self):
+        self.taken = 0
+
+    def sample(self):
+        self.taken += 1
+        print("frame", self.taken)
+        return b"x"
+
+camera = Camera()
+"#;
+
+const EXPERIMENT: &str = "
+[experiment]
+name = 'printing'
+iterations = 4
+warm_up = { iterations = 0 }
+plots = false
+
+[pipeline]
+sensor = { kind = 'python', object = 'mine::camera' }
+placement = { kind = 'none' }
+";
+
+#[test]
+fn it_is_shown_with_who_said_it_between_the_lines_of_the_progress() {
+    let site = Site::new();
+    site.write("mine.py", SENSOR);
+    site.write("experiment.toml", EXPERIMENT);
+    let arguments = ["run", "experiment.toml", "--result-loc", "results"];
+    let ended = Process::start(&program("peernet"), &arguments, site.folder(), &[]).ended();
+    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let begins = ended.log.find(": begins").expect("the run is told");
+    let finished = ended.log.find(": finished after").expect("its end as well");
+    let run = &ended.log[begins..finished];
+    for frame in 1..=4 {
+        assert!(run.contains(&format!("\nsensor mine::camera: frame {frame}\n")), "{frame}: {}", ended.log);
+    }
+    assert!(ended.log.contains("1 of 1 run finished"), "{}", ended.log);
+}
