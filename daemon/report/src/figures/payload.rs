@@ -38,7 +38,7 @@ struct Study {
     notes: Vec<String>,
 }
 
-/// Two figures for each pair of hosts and network.
+/// Two figures for each pair of hosts and way between them.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
     // Runs by link, as their places in the list.
     let mut links: Vec<(String, Vec<usize>)> = Vec::new();
@@ -79,18 +79,23 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
     Ok(drawings.collect())
 }
 
-/// What carries the messages: runs that share it are one study.
+/// What carries the messages: runs that share it are one study. One host has another address in each network.
 fn link(record: &RunRecord) -> String {
     let cloud = record.cloud.as_ref().map_or("", |cloud| &cloud.name);
-    let network = record.placement.network.as_deref().unwrap_or_default();
-    format!("{}, {cloud}, {network}", record.edge.name)
+    let [network, address] = [&record.placement.network, &record.placement.address]
+        .map(|text| text.as_deref().unwrap_or_default());
+    format!("{}, {cloud}, {network}, {address}", record.edge.name)
 }
 
-/// The two hosts of a link, as far as they have names.
+/// The two hosts of a link, as far as they have names, and the address where the cloud was reached.
 fn whose(record: &RunRecord) -> String {
     let hosts =
         [Some(&record.edge), record.cloud.as_ref()].into_iter().flatten().map(|host| host.name.as_str());
-    hosts.filter(|name| !name.is_empty()).collect::<Vec<_>>().join(" → ")
+    let hosts = hosts.filter(|name| !name.is_empty()).collect::<Vec<_>>().join(" → ");
+    match record.placement.address.as_deref().map(|address| address.trim_start_matches("tcp://")) {
+        Some(address) if !hosts.is_empty() => format!("{hosts} ({address})"),
+        _ => hosts,
+    }
 }
 
 /// That one line goes through the messages of several runs, and in what these differ; `None` for a single run.

@@ -1,6 +1,6 @@
 //! How a run went.
 
-use peernet_logger::stage;
+use peernet_logger::{Name, stage};
 
 use super::columns::{account, titled};
 use super::written::{Drawing, Shown};
@@ -30,18 +30,15 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
     let Some(total) = total else {
         return Err("no iteration has a total: nothing was answered".to_owned());
     };
-    let mut stages: Vec<(f64, usize, Line)> = stage::ORDER
-        .iter()
-        .enumerate()
-        .map(|(place, name)| {
-            let line = line(name, stage_fill(name).colour);
-            (line.values.iter().map(|(_, value)| value).sum(), place, line)
-        })
-        .filter(|(_, _, line)| !line.values.is_empty())
-        .collect();
+    // Summed before any line is made: of a long run the lines of all stages are much more than those shown.
+    let sum =
+        |name: &str| answered().filter_map(|row| row.value(name)).filter(|value| value.is_finite()).sum();
+    let mut stages: Vec<(f64, usize, Name)> =
+        stage::ORDER.into_iter().enumerate().map(|(place, name)| (sum(&name), place, name)).collect();
     stages.sort_by(|a, b| b.0.total_cmp(&a.0));
     stages.truncate(STAGES);
     stages.sort_by_key(|(_, place, _)| *place);
+    let stages = stages.iter().map(|(_, _, name)| line(name, stage_fill(name).colour));
     let first = |(last, row): (RowRef<'_>, RowRef<'_>)| (last.episode() != row.episode()).then(|| time(row));
     let course = Course {
         title: titled("Latency over time", &record.title),
@@ -50,7 +47,7 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
         unit: Unit::milliseconds("Latency"),
         notes: vec![account_of(rows, total.values.len())],
         total,
-        stages: stages.into_iter().map(|(_, _, line)| line).collect(),
+        stages: stages.filter(|line| !line.values.is_empty()).collect(),
         warm_up: warm_up(rows, &time),
         episodes: rows.iter().zip(rows.iter().skip(1)).filter_map(first).collect(),
         unanswered,

@@ -24,7 +24,8 @@ const ENOUGH_FOR_P99: usize = 300;
 /// Systems*, DEC-TR-301). `None` where nobody gets anything.
 pub fn jain(shares: &[f64]) -> Option<f64> {
     let (sum, squares) = shares.iter().fold((0.0, 0.0), |(sum, squares), x| (sum + x, squares + x * x));
-    (squares > 0.0).then(|| sum * sum / (shares.len() as f64 * squares))
+    // Equal shares may be rounded to a little more than 1.
+    (squares > 0.0).then(|| (sum * sum / (shares.len() as f64 * squares)).min(1.0))
 }
 
 /// How configurations with one or many users fared.
