@@ -138,6 +138,8 @@ pub struct HostPicture {
     /// Whether it said hello and has been heard of in the last seconds; after a restart, from its first update on:
     /// until then, what it told is of the process before.
     pub connected: bool,
+    /// Whether it took its leave and had handed over everything: then it is in order that it is not connected.
+    pub left: bool,
     /// When it was last heard of, on the aggregator's wall clock.
     pub last_seen: WallTime,
     /// Its wall clock minus the aggregator's, by the last update: includes that update's way, so it is a hint

@@ -7,7 +7,7 @@ mod board;
 mod cell;
 mod ring;
 
-pub(crate) use board::{Board, Display};
+pub(crate) use board::{Board, Display, Receipt};
 
 use std::time::Duration;
 

@@ -71,6 +71,16 @@ impl Connection {
         }
     }
 
+    /// Hands frames over in their order, each when there is room for it.
+    pub(super) async fn deliver(&self, frames: Vec<Vec<u8>>) {
+        for mut frame in frames {
+            while let Err(back) = self.send(frame) {
+                self.socket.wait_send_ready().await;
+                frame = back;
+            }
+        }
+    }
+
     /// The next message's frames, or why there will be none; nothing when it is `blocked`, and has room again. Dropping
     /// the future loses nothing.
     pub(super) async fn receive(&mut self, blocked: bool) -> Result<Option<Message>, String> {

@@ -47,7 +47,8 @@ impl Reports {
             stored => format!(", which has batches up to {stored}"),
         };
         let lost = if lacks {
-            "; batches that it once acknowledged are gone there: its database is a new one or an old copy"
+            "; it lacks batches that were acknowledged once: another aggregator has them, or its database is a new one or \
+             an old copy"
         } else {
             ""
         };

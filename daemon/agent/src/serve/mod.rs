@@ -200,9 +200,10 @@ impl Server {
         let served = peer.served.clone();
         let reply = Box::new(move |Done { log, result }: Done| {
             let inference = result.as_ref().ok().and_then(|_| served::inference(log.tree()));
+            let is_error = result.is_err();
             reply.send(log, result.map_err(|error| failure(&error)));
             if let Some(served) = served {
-                served.send_modify(|served| served.add(inference));
+                served.send_modify(|served| served.add(is_error, inference));
             }
         });
         if let Err(refused) = peer.pool.submit(Job { sample, log, received: received.mono, reply }) {

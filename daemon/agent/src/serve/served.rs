@@ -8,14 +8,17 @@ use peernet_statistics::Sketch;
 pub struct Served {
     /// Answers, failures among them.
     pub answers: u64,
+    /// Failures.
+    pub errors: u64,
     /// How long the stage `inference` took of those that have it, seconds.
     pub inference: Sketch,
 }
 
 impl Served {
-    /// One more, whose `inference` took so long.
-    pub(super) fn add(&mut self, inference: Option<f64>) {
+    /// One more, a failure or not, whose `inference` took so long.
+    pub(super) fn add(&mut self, is_error: bool, inference: Option<f64>) {
         self.answers += 1;
+        self.errors += u64::from(is_error);
         if let Some(seconds) = inference {
             self.inference.record(seconds);
         }

@@ -17,6 +17,9 @@ async fn what_is_under_way_is_finished_and_handed_over() {
     agent.stop().await.expect("stops well");
     let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
     assert_eq!(seen.goodbyes, [host]);
+    let last = seen.lives.last().expect("it told of itself");
+    assert_eq!(last.pipelines[0].state, peernet_logger::stream::PipelineState::Finished);
+    assert_eq!((last.accounting.waiting, last.accounting.stored), (0, last.accounting.produced));
     assert_eq!(seen.ended()[0].reason, "stopped");
     assert_contiguous(&seen.iterations());
     assert!(seen.iterations().iter().all(|iteration| iteration.outcome == Outcome::Ok));

@@ -174,9 +174,11 @@ impl Desk {
                     );
                 }
                 if let Some(missing) = missing {
-                    tracing::warn!(
+                    // An agent lets go of what was acknowledged only; nothing was lost on the way here.
+                    tracing::info!(
                         host = %name, from = missing.from, through = missing.through,
-                        "batches of this host will never come: its spool no longer holds them"
+                        "batches of this host are not in this database and will not come: they were acknowledged by \
+                         another aggregator, or by this one with another database"
                     );
                 }
                 tracing::info!(host = %name, id = %host, stored = ?known.mark.map(|mark| mark.stored), "a host connected");

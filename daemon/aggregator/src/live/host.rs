@@ -21,16 +21,29 @@ const POINT_EVERY: Span = Span::from_seconds(5);
 /// Points of the metrics' history: ten minutes.
 const POINTS: usize = 120;
 
+/// Whether a host is there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Presence {
+    /// It said hello and tells of itself.
+    Connected,
+    /// It does not, and nobody knows why.
+    Silent,
+    /// It took its leave.
+    Left,
+}
+
 /// One host, its pipelines and its links.
 #[derive(Debug)]
 pub(super) struct Host {
     description: HostDescription,
     /// The number that its process made at its start.
     process: u64,
-    connected: bool,
+    presence: Presence,
     seen: Stamp,
     /// The host's clock at its last update.
     sent: Option<WallTime>,
+    /// The process that sent it.
+    told_by: Option<u64>,
     clock: HostClock,
     metrics: HostMetrics,
     history: VecDeque<Arc<MetricsPoint>>,
@@ -55,9 +68,10 @@ impl Host {
         Self {
             description,
             process,
-            connected: true,
+            presence: Presence::Connected,
             seen: now,
             sent: None,
+            told_by: None,
             clock: HostClock::default(),
             metrics: HostMetrics::default(),
             history: VecDeque::new(),
@@ -85,26 +99,46 @@ impl Host {
         self.description = description;
         self.seen = now;
         if self.process == process {
-            self.connected = true;
+            self.presence = Presence::Connected;
         } else {
             self.process = process;
-            self.goodbye();
+            self.lose();
         }
         self.picture = None;
     }
 
-    /// It takes its leave.
+    /// It takes its leave: what it told of last has ended, whatever it was told to be at.
     pub(super) fn goodbye(&mut self) {
-        self.connected = false;
+        let last = self.sent.filter(|_| self.told_by == Some(self.process));
+        for pipeline in self.pipelines.values_mut() {
+            if Some(pipeline.sent()) == last {
+                pipeline.end();
+            } else {
+                pipeline.away();
+            }
+        }
+        self.presence = Presence::Left;
+        self.picture = None;
+    }
+
+    /// It is gone without a word, unless it had left before.
+    fn lose(&mut self) {
+        if self.presence == Presence::Connected {
+            self.presence = Presence::Silent;
+        }
         self.picture = None;
         self.pipelines.values_mut().for_each(Pipeline::away);
     }
 
+    fn is_connected(&self) -> bool {
+        self.presence == Presence::Connected
+    }
+
     /// Takes over an update, within the limits.
     pub(super) fn update(&mut self, update: LiveUpdate, now: Stamp) {
-        self.connected = true;
+        self.presence = Presence::Connected;
         self.seen = now;
-        self.sent = Some(update.sent);
+        (self.sent, self.told_by) = (Some(update.sent), Some(self.process));
         self.accounting = update.accounting;
         bounds::accounting(&mut self.accounting);
         self.lag.observe(self.behind(), self.accounting.stored, now.mono);
@@ -186,8 +220,8 @@ impl Host {
     /// Lets time pass; whether that changed anything to be seen.
     pub(super) fn age(&mut self, now: Stamp, forget: Span) -> bool {
         let mut changed = false;
-        if self.connected && now.mono - self.seen.mono > CONNECTED_WITHIN {
-            self.goodbye();
+        if self.is_connected() && now.mono - self.seen.mono > CONNECTED_WITHIN {
+            self.lose();
             changed = true;
         }
         let before = (self.pipelines.len(), self.links.len());
@@ -218,12 +252,13 @@ impl Host {
         let picture = Arc::new(HostPicture {
             id: self.description.id,
             description: self.description.clone(),
-            connected: self.connected,
+            connected: self.is_connected(),
+            left: self.presence == Presence::Left && self.accounting.waiting == 0,
             last_seen: self.seen.wall,
             clock_ahead: self.sent.map_or(Span::ZERO, |sent| sent - self.seen.wall),
             behind: self.behind(),
             // A host that is away stores nothing, however fast it did.
-            catching_up: self.lag.catching_up().filter(|_| self.connected),
+            catching_up: self.lag.catching_up().filter(|_| self.is_connected()),
             clock: self.clock.clone(),
             metrics: self.metrics.clone(),
             history: self.history.iter().cloned().collect(),
@@ -251,7 +286,7 @@ impl Host {
 
     /// Its links as they are shown, by the cloud's name.
     pub(super) fn links(&mut self) -> Vec<Arc<LinkPicture>> {
-        let last = self.connected.then_some(self.seen.mono);
+        let last = self.is_connected().then_some(self.seen.mono);
         let mut links: Vec<(&HostId, &mut Link)> = self.links.iter_mut().collect();
         links.sort_by(|(a, x), (b, y)| (x.cloud(), a).cmp(&(y.cloud(), b)));
         let drawn = links

@@ -107,6 +107,19 @@ impl Pipeline {
         ageing
     }
 
+    /// The agent's clock at the last update.
+    pub(super) fn sent(&self) -> WallTime {
+        self.sent
+    }
+
+    /// Its agent stopped, and the pipeline with it.
+    pub(super) fn end(&mut self) {
+        if !matches!(self.state, PipelineState::Finished | PipelineState::Failed(_)) {
+            self.state = PipelineState::Finished;
+            self.picture = None;
+        }
+    }
+
     /// Its host is gone: what was under way may go on there or not.
     pub(super) fn away(&mut self) {
         if !matches!(self.state, PipelineState::Finished | PipelineState::Failed(_)) {

@@ -299,7 +299,7 @@ pub struct IncidentRow {
     pub pipeline: Option<String>,
     /// The number of the run concerned, if one.
     pub run: Option<i64>,
-    /// The other host's name, if one is concerned and known.
+    /// The other host's name, if one is concerned; its id where it never introduced itself here.
     pub peer: Option<String>,
     /// One sentence for people.
     pub text: String,

@@ -56,7 +56,7 @@ pub enum PipelineState {
     Waiting(String),
     /// Measuring.
     Running,
-    /// Reached its limit.
+    /// Reached its limit, or was stopped with its agent.
     Finished,
     /// Could not start or had to stop; the text says why.
     Failed(String),

@@ -3,6 +3,7 @@
 use peernet_logger::stream::{Action, LiveUpdate, ToAggregator, codec};
 
 use super::Sender;
+use crate::live::Receipt;
 use crate::outbox::connection::Connection;
 use crate::outbox::line::Line;
 use crate::outbox::spool::{Done, Order};
@@ -91,19 +92,7 @@ impl Sender {
         if !self.machine.may_show() {
             return;
         }
-        let (pipelines, receipt) = self.board.look();
-        let update = LiveUpdate {
-            host: self.machine.host(),
-            sent: self.clock.wall(),
-            pipelines,
-            links: self.links.live(),
-            clock: self.own.borrow().clone(),
-            metrics: self.metrics.borrow().clone(),
-            accounting: self.count(),
-        };
-        let message = ToAggregator::Live(update);
-        let frame =
-            if self.machine.compresses() { codec::encode_packed(&message) } else { codec::encode(&message) };
+        let (frame, receipt) = self.update();
         let bytes = frame.len();
         self.blocked = connection.send(frame).is_err();
         if !self.blocked {
@@ -111,5 +100,29 @@ impl Sender {
             self.machine.shown(bytes);
             self.board.delivered(&receipt);
         }
+    }
+
+    /// How everything is now.
+    fn update(&self) -> (Vec<u8>, Receipt) {
+        let (pipelines, receipt) = self.board.look();
+        let message = ToAggregator::Live(LiveUpdate {
+            host: self.machine.host(),
+            sent: self.clock.wall(),
+            pipelines,
+            links: self.links.live(),
+            clock: self.own.borrow().clone(),
+            metrics: self.metrics.borrow().clone(),
+            accounting: self.count(),
+        });
+        let frame =
+            if self.machine.compresses() { codec::encode_packed(&message) } else { codec::encode(&message) };
+        (frame, receipt)
+    }
+
+    /// What is said when everything has ended: how it ended, and goodbye. The aggregator hears of this host no more, and
+    /// shows for good what it heard last.
+    pub(super) fn last_words(&mut self) -> Vec<Vec<u8>> {
+        let update = self.machine.is_up().then(|| self.update().0);
+        update.into_iter().chain(self.machine.goodbye()).collect()
     }
 }

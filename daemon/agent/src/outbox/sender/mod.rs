@@ -32,7 +32,7 @@ const LOOK: Duration = Duration::from_millis(20);
 /// How long an aggregator may take to answer the hello; its machine may be busy, but not for this long.
 const WELCOME: Duration = Duration::from_secs(5);
 
-/// How long the goodbye may take to go out.
+/// How long the last words may wait for room, and how long they may take to go out then.
 const LINGER: Duration = Duration::from_millis(250);
 
 /// How long closing the spool may take: what is in it is safe without.
@@ -206,10 +206,9 @@ impl Sender {
             );
         }
         if let Line::Open(connection) = line {
-            if let Some(goodbye) = self.machine.goodbye()
-                && connection.send(goodbye).is_err()
-            {
-                tracing::debug!("the connection had no room for a goodbye");
+            let words = self.last_words();
+            if tokio::time::timeout(LINGER, connection.deliver(words)).await.is_err() {
+                tracing::debug!("the connection had no room for the last words");
             }
             connection.close(LINGER).await;
         }

@@ -154,7 +154,7 @@ statements! {
     NEXT = "SELECT min(number) FROM iteration WHERE run = ?1 AND number > ?2";
     /// ?1 limit, ?2 id of the last of the page before or NULL.
     INCIDENTS = "SELECT incident.id, incident.at_ns, incident.kind, host.uuid AS host, host.name AS host_name, \
-                 incident.pipeline, incident.run, peer.name AS peer, incident.text \
+                 incident.pipeline, incident.run, coalesce(peer.name, peer.uuid) AS peer, incident.text \
                  FROM incident JOIN host ON host.id = incident.host LEFT JOIN host AS peer ON peer.id = incident.peer \
                  WHERE (incident.at_ns, incident.id) < \
                    (coalesce((SELECT at_ns FROM incident WHERE id = ?2), 9223372036854775807), coalesce(?2, 9223372036854775807)) \

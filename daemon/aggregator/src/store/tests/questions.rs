@@ -2,7 +2,7 @@
 
 use peernet_clock::{DelaySource, OneWayDelay, Span, Verdict};
 use peernet_logger::stream::{Event, Incident, IncidentKind, Iteration, Outcome, RunEnded};
-use peernet_logger::{Measure, Name, NodeId, RunId, stage};
+use peernet_logger::{HostId, Measure, Name, NodeId, RunId, stage};
 use peernet_statistics::Summary;
 
 use super::{Bed, generate};
@@ -298,6 +298,7 @@ async fn delays_stand_in_the_rows_of_a_list_and_what_both_ways_took_where_they_a
 #[tokio::test]
 async fn incidents_come_in_the_order_in_which_they_happened() {
     let mut bed = Bed::new().await;
+    let stranger = HostId::random();
     let incident = |seconds: f64, text: &str, peer| {
         Event::Incident(Incident {
             at: generate::at(seconds),
@@ -311,7 +312,7 @@ async fn incidents_come_in_the_order_in_which_they_happened() {
     let work = bed.batch(vec![
         incident(2.0, "second", Some(bed.cloud)),
         incident(3.0, "third", None),
-        incident(1.0, "first, spooled", None),
+        incident(1.0, "first, spooled", Some(stranger)),
     ]);
     bed.commit(&[work]).await;
     let all = bed.store.incidents(10, None).await.expect("answers");
@@ -319,7 +320,8 @@ async fn incidents_come_in_the_order_in_which_they_happened() {
         all.iter().map(|row| row.text.as_str()).collect::<Vec<_>>(),
         ["third", "second", "first, spooled"]
     );
-    assert_eq!(all[1].peer.as_deref(), Some("cloud"));
+    let peers = all.iter().map(|row| row.peer.clone()).collect::<Vec<_>>();
+    assert_eq!(peers, [None, Some("cloud".to_owned()), Some(stranger.to_string())]);
     let page = bed.store.incidents(1, Some(all[0].id)).await.expect("answers");
     assert_eq!(page[0].text, "second");
 }

@@ -84,8 +84,9 @@ pub(super) async fn missing(
     now: WallTime,
 ) -> Result<(), Refusal> {
     let Missing { stream, from, through, .. } = missing;
-    let reason =
-        format!("batches {from} to {through} of stream {stream} never came: the agent no longer holds them");
+    let reason = format!(
+        "batches {from} to {through} of stream {stream} never came: they were acknowledged elsewhere"
+    );
     hole(connection, host, &reason, now).await
 }
 
