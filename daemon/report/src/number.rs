@@ -10,10 +10,17 @@ const MINUS: char = '−';
 /// From this on a number is written with its power of ten: its digits say nothing any more.
 const HUGE: f64 = 1e12;
 
-/// A number with a fixed count of decimals: a true minus sign, thousands with commas, no signed zero. From 10¹² on four
-/// significant digits and the power of ten: `−1.234e300`.
+/// Below this it is as well, where so small a number is told from zero at all.
+const TINY: f64 = 1e-12;
+/// No number has more decimals that say something.
+const MOST_DIGITS: usize = 17;
+
+/// A number with a fixed count of decimals: a true minus sign, thousands with commas, no signed zero. From 10¹² on, and
+/// below 10⁻¹² where the decimals reach that far, four significant digits and the power of ten: `−1.234e300`.
 pub fn fixed(value: f64, decimals: usize) -> String {
-    if value.abs() >= HUGE && value.is_finite() {
+    let decimals = decimals.min(MOST_DIGITS);
+    let is_tiny = value != 0.0 && value.abs() < TINY && decimals == MOST_DIGITS;
+    if (value.abs() >= HUGE && value.is_finite()) || is_tiny {
         let sign = if value < 0.0 { MINUS.to_string() } else { String::new() };
         return format!("{sign}{:.3e}", value.abs());
     }
@@ -112,6 +119,13 @@ pub fn megabytes_per_second(bits_per_second: f64) -> String {
     significant(bits_per_second / 8e6)
 }
 
+/// Bits per second with their margin, as megabytes per second: `943 ± 14`, to the margin's second digit.
+pub fn megabytes_per_second_with(bits_per_second: f64, margin: f64) -> String {
+    let [rate, margin] = [bits_per_second, margin].map(|bits| bits / 8e6);
+    let decimals = decimals(if margin > 0.0 { margin } else { rate }, 2).min(MOST_DECIMALS);
+    format!("{} ± {}", fixed(rate, decimals), fixed(margin, decimals))
+}
+
 /// An interval of bits per second, as megabytes per second; one without an upper end is open.
 pub fn megabytes_per_second_between((lo, hi): (f64, Option<f64>)) -> String {
     match hi {
@@ -172,6 +186,8 @@ mod tests {
             (megabytes_per_second(8e6 * 943.4), error_milliseconds(61.2e-6)),
             ("943".into(), "0.061".into())
         );
+        assert_eq!(megabytes_per_second_with(8e6 * 943.4, 8e6 * 13.6), "943 ± 14");
+        assert_eq!(megabytes_per_second_with(8e6 * 1.234, 8e6 * 0.056), "1.234 ± 0.056");
         assert_eq!(megabytes_per_second_between((8e6 * 930.3, Some(8e6 * 957.1))), "930 – 957");
         assert_eq!(megabytes_per_second_between((8e6, None)), "≥ 1.00");
         assert_eq!(milliseconds_between((-1.201_538, -1.201_350)), "−1,201.538 to −1,201.350");
@@ -186,6 +202,10 @@ mod tests {
         assert_eq!(
             [-1e300, 1.23456e12, 1e12 - 1.0].map(|n| fixed(n, 0)),
             ["−1.000e300", "1.235e12", "999,999,999,999"]
+        );
+        assert_eq!(
+            [-1.23456e-300, 0.0, 1.0].map(|n| fixed(n, 302)),
+            ["−1.235e-300", "0.00000000000000000", "1.00000000000000000"]
         );
         assert_eq!(milliseconds(-1e300), "−1.000e303");
     }

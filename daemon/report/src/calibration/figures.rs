@@ -3,7 +3,10 @@
 use super::Study;
 use super::direction::{DirectionStudy, SizeSummary};
 use crate::figure::{DOWNLOAD, Mark, Parts, Scaling, Series, UPLOAD, Unit, Value};
-use crate::number::{megabytes_per_second, megabytes_per_second_between, milliseconds_with};
+use crate::fit::rate;
+use crate::number::{
+    megabytes_per_second, megabytes_per_second_between, megabytes_per_second_with, milliseconds_with,
+};
 
 /// Delay against size, with the lines that were fitted; `None` when no delay is known.
 pub(super) fn latency(study: &Study) -> Option<Scaling> {
@@ -14,8 +17,13 @@ pub(super) fn latency(study: &Study) -> Option<Scaling> {
     let name = |direction: &DirectionStudy| {
         let fit = direction.main_fit()?;
         let intercept = milliseconds_with(fit.intercept.value, fit.intercept.margin());
-        let rate = megabytes_per_second(direction.throughput?.value);
-        Some(format!("{}: {intercept} ms + size ÷ {rate} MB/s", direction.name()))
+        Some(match rate(fit.slope) {
+            Some((rate, margin)) => {
+                let rate = megabytes_per_second_with(rate, margin);
+                format!("{}: {intercept} ms + size ÷ ({rate}) MB/s", direction.name())
+            }
+            None => format!("{}: intercept {intercept} ms", direction.name()),
+        })
     };
     let line =
         |direction: &DirectionStudy| direction.main_fit().map(|fit| (fit.intercept.value, fit.slope.value));

@@ -124,7 +124,7 @@ impl Comparison {
             .lines
             .iter()
             .filter(|line| line.edges > 1)
-            .map(|line| format!("{} {} edges", line.name(), line.edges))
+            .map(|line| line.told(&format!("{} edges", line.edges)))
             .collect();
         if !edges.is_empty() {
             notes.push(format!("Edges that were measured at once are taken together: {}.", edges.join("; ")));
@@ -175,20 +175,26 @@ impl Line {
         labels.join(", ")
     }
 
+    /// Something that is said of the line, with its name.
+    fn told(&self, text: &str) -> String {
+        let name = self.name();
+        if name.is_empty() { text.to_owned() } else { format!("{name}: {text}") }
+    }
+
     /// The smallest and the largest mean of its repeats.
     fn spread(&self) -> Option<String> {
         (self.repeats > 1).then_some(())?;
         let means = self.deciding.iter().filter(|moments| moments.count > 0).map(|moments| moments.mean);
         let means: Vec<f64> = means.collect();
         let ends = (means.iter().copied().reduce(f64::min)?, means.iter().copied().reduce(f64::max)?);
-        Some(format!("{} {}", self.name(), milliseconds_between(ends)))
+        Some(self.told(&milliseconds_between(ends)))
     }
 
     /// Where not every iteration was judged right or wrong, although some were.
     fn unscored(&self) -> Vec<String> {
         let part = |(name, accuracy): (&str, &Option<Accuracy>)| {
             let left_out = (*accuracy)?.unscored;
-            let told = || format!("{name} of {} {} of {}", self.name(), count(left_out), count(self.count));
+            let told = || format!("{name} of {}: {} of {}", self.name(), count(left_out), count(self.count));
             (left_out > 0).then(told)
         };
         ACCURACIES.into_iter().zip(&self.accuracies).filter_map(part).collect()
@@ -197,7 +203,7 @@ impl Line {
     fn unknown(&self) -> Vec<String> {
         let part = |name: &str| {
             let share = self.latency(name)?.count as f64 / self.count as f64;
-            (share < NEARLY_ALL).then(|| format!("{name} of {} {:.0} %", self.name(), share * 100.0))
+            (share < NEARLY_ALL).then(|| format!("{name} of {}: {:.0} %", self.name(), share * 100.0))
         };
         ["upload", "download"].into_iter().filter_map(part).collect()
     }

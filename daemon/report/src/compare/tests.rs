@@ -124,7 +124,7 @@ fn repeats_are_taken_together_and_others_are_not() {
     assert_eq!((comparison.best, comparison.ties.as_slice()), (Some(1), [].as_slice()));
     let text = comparison.text();
     assert!(
-        text.contains("Repeats are taken together; their mean totals: no, LAN 17.5 – 19.5 ms."),
+        text.contains("Repeats are taken together; their mean totals: no, LAN: 17.5 – 19.5 ms."),
         "{text}"
     );
     let apart = Comparison::with(&runs, Repeats::Apart, 1);
@@ -336,7 +336,7 @@ fn accuracy_stands_beside_latency() {
     runs[1].rows.change(broken);
     let comparison = Comparison::of(&runs);
     let told =
-        format!("left out of the accuracy: top-1 of {} 3 of 100 iterations.", comparison.lines[1].name());
+        format!("left out of the accuracy: top-1 of {}: 3 of 100 iterations.", comparison.lines[1].name());
     assert!(comparison.text().contains(&told), "{told} in {}", comparison.text());
     assert_eq!(comparison.lines[1].accuracy("top-1").map(|top| (top.count, top.unscored)), Some((97, 3)));
 }

@@ -23,7 +23,7 @@ pub use paired::{Group, MOST_GROUPS, MOST_SIDES, Paired};
 pub use scaling::{Parts, Scaling, Series, Value};
 pub use sharing::{MOST_CURVES, Sharing, SharingCurve, SharingPoint};
 pub use stacked::{Bar, Stacked};
-pub use stage::{UNATTRIBUTED, stage_fill};
+pub use stage::{UNATTRIBUTED, stage_fill, stage_line};
 
 #[cfg(test)]
 mod tests;

@@ -1,6 +1,6 @@
 //! How the stages look: the dashboard's colours and a hatch each, so that they differ in grey as well.
 
-use plotters::style::RGBColor;
+use plotters::style::{RGBColor, WHITE};
 
 use super::kit::{DOWNLOAD, Fill, Hatch, UPLOAD};
 
@@ -23,5 +23,48 @@ pub fn stage_fill(name: &str) -> Fill {
         "download" => Fill::dark(DOWNLOAD, Hatch::Falling),
         "actuation" => Fill::dark(rgb(0x0c_5232), Hatch::Level),
         _ => Fill::pale(rgb(0xc4_c9d0), rgb(0x72_7b87), Hatch::Plain),
+    }
+}
+
+/// The colour of a stage's line: it holds on white, where the ground of a pale area would be lost.
+pub fn stage_line(name: &str) -> RGBColor {
+    let fill = stage_fill(name);
+    match name {
+        // Their areas differ in ground and hatch.
+        "send-queue" => RGBColor(0xa0, 0x86, 0x00),
+        "ipc" => RGBColor(0x5c, 0x4c, 0x00),
+        _ if fill.line == WHITE => fill.colour,
+        _ => fill.line,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use peernet_logger::stage;
+
+    use super::*;
+
+    /// Contrast with white (WCAG 2.1, relative luminance).
+    fn contrast(colour: RGBColor) -> f64 {
+        let linear = |part: u8| {
+            let share = f64::from(part) / 255.0;
+            if share <= 0.04045 { share / 12.92 } else { ((share + 0.055) / 1.055).powf(2.4) }
+        };
+        1.05 / (0.2126 * linear(colour.0) + 0.7152 * linear(colour.1) + 0.0722 * linear(colour.2) + 0.05)
+    }
+
+    #[test]
+    fn every_line_holds_on_white() {
+        let order = stage::ORDER;
+        let names: Vec<&str> = order.iter().map(|name| &**name).chain(["a stage of one's own"]).collect();
+        for name in &names {
+            let line = stage_line(name);
+            assert!(contrast(line) >= 3.0, "{name}: {line:?} {}", contrast(line));
+        }
+        let colours: BTreeSet<[u8; 3]> =
+            names.iter().map(|name| stage_line(name)).map(|line| [line.0, line.1, line.2]).collect();
+        assert_eq!(colours.len(), names.len(), "no two alike");
     }
 }

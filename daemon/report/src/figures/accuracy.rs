@@ -1,5 +1,6 @@
 //! How often each configuration's answers are right, and how long they take.
 
+use super::columns::{is_drawable, too_large};
 use super::configured::{Configured, counted};
 use super::written::{Drawing, Shown};
 use crate::accuracy::{ACCURACIES, score};
@@ -10,7 +11,7 @@ use crate::results::{Loaded, RowRef};
 
 /// Whether the best class is the label.
 const TOP_1: &str = ACCURACIES[0];
-/// Most points that can be labelled.
+/// Most points that can be told apart.
 const MOST: usize = 24;
 
 /// One point for each configuration of which answers were told right from wrong; repeats are taken together.
@@ -26,7 +27,8 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
     let total = if all().all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
     let scored = |(label, runs): &(String, Vec<&Loaded>)| {
         let rows: Vec<RowRef<'_>> = counted(runs).filter(judged).collect();
-        let times: Ordered = rows.iter().filter_map(|row| row.value(total)).collect();
+        let times: Ordered =
+            rows.iter().filter_map(|row| row.value(total)).filter(|time| is_drawable(*time)).collect();
         Some(Score {
             label: label.clone(),
             right: rows.iter().filter(|row| score(**row, TOP_1) == Some(true)).count() as u64,
@@ -38,19 +40,11 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
     let mut scores: Vec<Score> = groups.iter().filter_map(scored).collect();
     let (configurations, without) = (scores.len(), groups.len() - scores.len());
     scores.truncate(MOST);
-    let late = if scores.iter().any(|score| score.p95.is_some()) {
-        "across: to the 95th percentile · "
-    } else {
-        ""
-    };
     let fewest = scores.iter().map(|score| score.count).min().unwrap_or_default();
     let most = scores.iter().map(|score| score.count).max().unwrap_or_default();
     let number = |count: u64| fixed(count as f64, 0);
     let n = if fewest == most { number(most) } else { format!("{} to {}", number(fewest), number(most)) };
-    let mut notes = vec![format!(
-        "configurations: {} · point: median · {late}upright: 95 % interval (Wilson) · n = {n} each",
-        axes.join(", ")
-    )];
+    let mut notes = vec![format!("configurations: {} · n = {n} each", axes.join(", "))];
     if configurations > MOST {
         notes.push(format!("the first {MOST} of {configurations} configurations"));
     }
@@ -63,6 +57,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
         if valid > 0 { counted(runs).count() - valid } else { 0 }
     };
     let unscored: usize = groups.iter().map(unscored).sum();
+    notes.extend(too_large(all(), &[total]));
     if unscored > 0 {
         notes.push(format!("left out: {} iterations without a valid score", fixed(unscored as f64, 0)));
     }

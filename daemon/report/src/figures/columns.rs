@@ -5,9 +5,26 @@ use crate::number::fixed;
 use crate::order::Ordered;
 use crate::results::{RowRef, Rows, Scale, Units};
 
-/// A column's finite numbers in the rows that count.
+/// Beyond this nothing was measured: a year is 3·10⁷ s, and the fastest links carry 10¹⁵ bit/s.
+const LARGEST: f64 = 1e18;
+
+/// Whether a number has a place in a figure.
+pub(super) fn is_drawable(value: f64) -> bool {
+    value.abs() <= LARGEST
+}
+
+/// How many numbers of these columns are too large to be drawn, for a note; `None` where none is.
+pub(super) fn too_large<'a>(rows: impl Iterator<Item = RowRef<'a>>, columns: &[&str]) -> Option<String> {
+    let counted = rows.filter(|row| row.counts());
+    let numbers = counted.flat_map(|row| columns.iter().filter_map(move |column| row.value(column)));
+    let count = numbers.filter(|value| value.is_finite() && !is_drawable(*value)).count();
+    (count > 0)
+        .then(|| format!("not drawn, beyond ±10¹⁸: {}", crate::number::counted(count as u64, "number")))
+}
+
+/// A column's numbers that can be drawn, in the rows that count.
 pub(super) fn values(rows: &Rows, column: &str) -> Ordered {
-    rows.counted(column).filter(|value| value.is_finite()).collect()
+    rows.counted(column).filter(|value| is_drawable(*value)).collect()
 }
 
 /// How a column's numbers are shown: a time is in ms, and so on; what a run logged itself in the unit that it gave.
@@ -43,7 +60,7 @@ pub(super) fn account<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone), sho
     let left = [
         (count(&|row| row.warm_up()), "warm-up"),
         (count(&|row| !row.warm_up() && !row.counts()), "without an answer"),
-        (counted.saturating_sub(shown), "without a value"),
+        (counted.saturating_sub(shown), "without a value to draw"),
     ];
     let number = |count: usize| fixed(count as f64, 0);
     let left: Vec<String> = left

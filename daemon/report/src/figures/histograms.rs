@@ -1,6 +1,6 @@
 //! Histograms of a run: the six published ones, or that of any column.
 
-use super::columns::{account, heading, titled, unit, values};
+use super::columns::{account, heading, titled, too_large, unit, values};
 use super::written::{Drawing, Shown};
 use crate::figure::{Fill, Hatch, Histogram, stage_fill};
 use crate::number::{megabytes_per_second_between, milliseconds_between};
@@ -37,7 +37,9 @@ pub(super) fn drawings(run: &Loaded, column: Option<&str>) -> Result<Vec<Drawing
     let Some(column) = column else { return Ok(published(&run.record, &run.rows)) };
     let histogram = histogram(&run.record, &run.rows, column, &heading(column));
     if histogram.values.is_empty() {
-        return Err(format!("no iteration that counts has a number in the column {column}"));
+        return Err(format!(
+            "no iteration that counts has a number that can be drawn in the column {column}"
+        ));
     }
     Ok(vec![Drawing::new(format!("{column}-histogram"), Shown::Histogram(histogram))])
 }
@@ -45,6 +47,7 @@ pub(super) fn drawings(run: &Loaded, column: Option<&str>) -> Result<Vec<Drawing
 fn histogram(record: &RunRecord, rows: &Rows, column: &str, what: &str) -> Histogram {
     let values = values(rows, column);
     let mut notes = vec![account(&rows.iter(), values.len())];
+    notes.extend(too_large(rows.iter(), &[column]));
     notes.extend(clocks(rows, column));
     // Bars stand side by side: a hatch would only blur them.
     let fill = stage_fill(column.trim_end_matches("-throughput"));

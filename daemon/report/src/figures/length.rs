@@ -1,7 +1,7 @@
 //! Response length against latency.
 
 use super::Columns;
-use super::columns::{account, heading, titled, unit};
+use super::columns::{account, heading, is_drawable, titled, too_large, unit};
 use super::written::{Drawing, Shown};
 use crate::figure::Lengths;
 use crate::results::{Loaded, RowRef, Rows};
@@ -19,9 +19,11 @@ pub(super) fn drawings(run: &Loaded, columns: &Columns) -> Result<Vec<Drawing>, 
     let counted = run.rows.iter().filter(|row| row.counts());
     let point = |row: RowRef<'_>| Some((row.value(&x)?, row.value(&y)?));
     let points: Vec<(f64, f64)> =
-        counted.filter_map(point).filter(|(x, y)| x.is_finite() && y.is_finite()).collect();
+        counted.filter_map(point).filter(|(x, y)| is_drawable(*x) && is_drawable(*y)).collect();
     if points.is_empty() {
-        return Err(format!("no iteration that counts has a number in both columns, {x} and {y}"));
+        return Err(format!(
+            "no iteration that counts has a number that can be drawn in both columns, {x} and {y}"
+        ));
     }
     let (shortest, longest) = points
         .iter()
@@ -38,7 +40,9 @@ pub(super) fn drawings(run: &Loaded, columns: &Columns) -> Result<Vec<Drawing>, 
         title: titled(&format!("{} against {}", heading(&y), x.replace(['-', '_'], " ")), &run.record.title),
         x: unit(&run.record.units, &x, &heading(&x)),
         y: unit(&run.record.units, &y, &heading(&y)),
-        notes: vec![account(&run.rows.iter(), points.len())],
+        notes: std::iter::once(account(&run.rows.iter(), points.len()))
+            .chain(too_large(run.rows.iter(), &[x.as_str(), y.as_str()]))
+            .collect(),
         points,
     };
     Ok(vec![Drawing::new("length", Shown::Lengths(lengths))])

@@ -44,7 +44,7 @@ pub enum Kind {
     Paired,
     /// Latency and throughput against payload.
     Payload,
-    /// Latency against the number of edges on one cloud.
+    /// Latency against the number of edges at once.
     Users,
 }
 

@@ -2,17 +2,20 @@
 
 use std::collections::BTreeMap;
 
-use super::columns::titled;
+use super::columns::{is_drawable, titled, too_large};
 use super::written::{Drawing, Shown};
 use crate::compare::Configurations;
 use crate::figure::{DOWNLOAD, Mark, Parts, Scaling, Series, UPLOAD, Unit, Value};
-use crate::fit::{Fit, Point, Weighted, least_squares};
-use crate::number::{megabytes_per_second, milliseconds_with};
+use crate::fit::{Fit, Point, Weighted, least_squares, rate};
+use crate::number::{megabytes_per_second_with, milliseconds_with};
 use crate::order::Ordered;
 use crate::results::{Loaded, RowRef, RunRecord};
 
 /// More sizes than this are taken together, so that each has enough messages.
 const MOST_SIZES: usize = 24;
+/// What the figures are drawn from.
+const SHOWN: [&str; 6] =
+    ["upload", "upload-bytes", "upload-logger-bytes", "download", "download-bytes", "download-logger-bytes"];
 /// No median is known better than a clock is read: a tenth of a microsecond.
 const CLOCK_READ: f64 = 1e-7;
 
@@ -59,7 +62,10 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
     let studied = links.into_iter().map(|(_, runs_of)| Study {
         ways: ways(&runs_of),
         whose: whose(&runs[runs_of[0]].record),
-        notes: pooled(&configurations, &runs_of).into_iter().collect(),
+        notes: pooled(&configurations, &runs_of)
+            .into_iter()
+            .chain(too_large(runs_of.iter().flat_map(|number| &runs[*number].rows), &SHOWN))
+            .collect(),
     });
     let studied: Vec<Study> = studied.filter(|study| !study.ways.is_empty()).collect();
     if studied.is_empty() {
@@ -126,14 +132,21 @@ impl Way {
         self.fit.filter(|fit| fit.slope.value > 0.0)
     }
 
+    /// By its slope, with its margin, bits per second; `None` where the sizes do not tell it.
+    fn rate(&self) -> Option<(f64, f64)> {
+        self.growing().and_then(|fit| rate(fit.slope))
+    }
+
     fn of(name: &'static str, rows: &[RowRef<'_>]) -> Self {
         let bytes = |row: &RowRef<'_>| {
-            let part = |of: &str| row.value(&format!("{name}-{of}"));
+            let part = |of: &str| row.value(&format!("{name}-{of}")).filter(|bytes| is_drawable(*bytes));
             Some(part("bytes")? + part("logger-bytes").unwrap_or_default())
         };
         let mut by_payload: BTreeMap<u64, Vec<RowRef<'_>>> = BTreeMap::new();
-        for row in rows.iter().filter(|row| row.value(name).is_some_and(f64::is_finite)) {
-            if let Some(payload) = row.value(&format!("{name}-bytes")).filter(|bytes| *bytes > 0.0) {
+        for row in rows.iter().filter(|row| row.value(name).is_some_and(is_drawable)) {
+            if let Some(payload) =
+                row.value(&format!("{name}-bytes")).filter(|bytes| *bytes > 0.0 && is_drawable(*bytes))
+            {
                 by_payload.entry(payload as u64).or_default().push(*row);
             }
         }
@@ -162,6 +175,21 @@ impl Way {
             values: self.sizes.iter().filter_map(value).collect(),
             line: None,
         }
+    }
+}
+
+impl Study {
+    /// With of what no rate is given.
+    fn notes(&self) -> Vec<String> {
+        let untold: Vec<&str> = self
+            .ways
+            .iter()
+            .filter(|way| way.growing().is_some() && way.rate().is_none())
+            .map(|way| way.name)
+            .collect();
+        let fast = (!untold.is_empty())
+            .then(|| format!("throughput of {}: too fast to tell from these sizes", untold.join(" and of ")));
+        self.notes.iter().cloned().chain(fast).collect()
     }
 }
 
@@ -200,9 +228,15 @@ fn latency(study: &Study) -> Scaling {
     };
     let series = study.ways.iter().enumerate().map(|(number, way)| {
         let name = match (way.fit, way.growing()) {
-            (_, Some(Fit { intercept, slope, .. })) => {
+            (_, Some(Fit { intercept, .. })) => {
                 let least = milliseconds_with(intercept.value, intercept.margin());
-                format!("{}: {least} ms + size ÷ {} MB/s", way.name, megabytes_per_second(8.0 / slope.value))
+                match way.rate() {
+                    Some((rate, margin)) => {
+                        let rate = megabytes_per_second_with(rate, margin);
+                        format!("{}: {least} ms + size ÷ ({rate}) MB/s", way.name)
+                    }
+                    None => format!("{}: intercept {least} ms", way.name),
+                }
             }
             (Some(_), None) => format!("{}: does not grow with size", way.name),
             (None, None) => way.name.to_owned(),
@@ -213,36 +247,39 @@ fn latency(study: &Study) -> Scaling {
     Scaling {
         title: titled("One-way delay against payload", &study.whose),
         unit: Unit::milliseconds("One-way delay"),
-        parts: Parts { point: "median", whisker: "clock bounds", line: "best fit, intercept ± 95 %" },
-        notes: study.notes.clone(),
+        parts: Parts { point: "median", whisker: "clock bounds", line: "best fit, ±\u{a0}95\u{a0}%" },
+        notes: study.notes(),
         series: series.collect(),
     }
 }
 
 fn throughput(study: &Study) -> Scaling {
-    let rate = |bytes: f64, seconds: f64| (seconds > 0.0).then(|| bytes * 8.0 / seconds);
+    let over = |bytes: f64, seconds: f64| (seconds > 0.0).then(|| bytes * 8.0 / seconds);
     let value = |size: &Size| {
-        let bounds = size.bounds.and_then(|(lo, hi)| Some((rate(size.bytes, hi)?, rate(size.bytes, lo))));
+        let bounds = size.bounds.and_then(|(lo, hi)| Some((over(size.bytes, hi)?, over(size.bytes, lo))));
         Some(Value {
             bytes: size.bytes,
-            value: rate(size.bytes, size.delays.median()?)?,
+            value: over(size.bytes, size.delays.median()?)?,
             spread: None,
             bounds,
         })
     };
     let series = study.ways.iter().enumerate().map(|(number, way)| {
-        let slope = way.growing().map(|fit| 8.0 / fit.slope.value);
-        let name = slope.map_or_else(
+        let name = way.rate().map_or_else(
             || way.name.to_owned(),
-            |rate| format!("{}: {} MB/s", way.name, megabytes_per_second(rate)),
+            |(rate, margin)| format!("{}: {} MB/s", way.name, megabytes_per_second_with(rate, margin)),
         );
-        Series { line: slope.map(|rate| (rate, 0.0)), ..way.series(number, name, &value) }
+        Series { line: way.rate().map(|(rate, _)| (rate, 0.0)), ..way.series(number, name, &value) }
     });
     Scaling {
         title: titled("Throughput against payload", &study.whose),
         unit: Unit::megabytes_per_second("Throughput"),
-        parts: Parts { point: "size ÷ median delay", whisker: "by clock bounds", line: "by slope" },
-        notes: study.notes.clone(),
+        parts: Parts {
+            point: "size ÷ median delay",
+            whisker: "by clock bounds",
+            line: "by slope, ±\u{a0}95\u{a0}%",
+        },
+        notes: study.notes(),
         series: series.collect(),
     }
 }

@@ -2,9 +2,9 @@
 
 use peernet_logger::{Name, stage};
 
-use super::columns::{account, titled};
+use super::columns::{account, is_drawable, titled, too_large};
 use super::written::{Drawing, Shown};
-use crate::figure::{Course, INK, Line, Unit, stage_fill};
+use crate::figure::{Course, INK, Line, Unit, stage_line};
 use crate::results::{Outcome, RowRef, Rows, RunRecord};
 
 /// So many stages are shown beside the total: those that take longest.
@@ -21,31 +21,34 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
         Line {
             name: column.to_owned(),
             colour,
-            values: values.filter(|(_, value)| value.is_finite()).collect(),
+            values: values.filter(|(at, value)| is_drawable(*at) && is_drawable(*value)).collect(),
         }
     };
     let total = ["total", "stages-total"].map(|column| line(column, INK));
     let total = total.into_iter().find(|line| !line.values.is_empty());
-    let unanswered: Vec<f64> = rows.iter().filter(|row| row.outcome() != Outcome::Ok).map(&time).collect();
+    let unanswered = rows.iter().filter(|row| row.outcome() != Outcome::Ok).map(&time);
+    let unanswered = unanswered.filter(|at| is_drawable(*at)).collect();
     let Some(total) = total else {
-        return Err("no iteration has a total: nothing was answered".to_owned());
+        return Err("no iteration was answered with a total that can be drawn".to_owned());
     };
     // Summed before any line is made: of a long run the lines of all stages are much more than those shown.
     let sum =
-        |name: &str| answered().filter_map(|row| row.value(name)).filter(|value| value.is_finite()).sum();
+        |name: &str| answered().filter_map(|row| row.value(name)).filter(|value| is_drawable(*value)).sum();
     let mut stages: Vec<(f64, usize, Name)> =
         stage::ORDER.into_iter().enumerate().map(|(place, name)| (sum(&name), place, name)).collect();
     stages.sort_by(|a, b| b.0.total_cmp(&a.0));
     stages.truncate(STAGES);
     stages.sort_by_key(|(_, place, _)| *place);
-    let stages = stages.iter().map(|(_, _, name)| line(name, stage_fill(name).colour));
+    let stages = stages.iter().map(|(_, _, name)| line(name, stage_line(name)));
     let first = |(last, row): (RowRef<'_>, RowRef<'_>)| (last.episode() != row.episode()).then(|| time(row));
     let course = Course {
         title: titled("Latency over time", &record.title),
         is_counted: x == ITERATION,
         x: x.to_owned(),
         unit: Unit::milliseconds("Latency"),
-        notes: vec![account_of(rows, total.values.len())],
+        notes: std::iter::once(account_of(rows, total.values.len()))
+            .chain(too_large(rows.iter(), &[total.name.as_str()]))
+            .collect(),
         total,
         stages: stages.filter(|line| !line.values.is_empty()).collect(),
         warm_up: warm_up(rows, &time),

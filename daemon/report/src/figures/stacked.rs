@@ -3,6 +3,7 @@
 use peernet_logger::stage;
 use peernet_statistics::Moments;
 
+use super::columns::{is_drawable, too_large};
 use super::configured::{Configured, counted};
 use super::written::{Drawing, Shown};
 use crate::figure::{Bar, Stacked, UNATTRIBUTED, Unit};
@@ -25,7 +26,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
     let order = stage::ORDER;
     let candidates = order.iter().map(peernet_logger::Name::as_str).chain(beyond);
     let stages: Vec<String> = candidates
-        .filter(|stage| all().any(|row| row.value(stage).is_some_and(f64::is_finite)))
+        .filter(|stage| all().any(|row| row.value(stage).is_some_and(is_drawable)))
         .map(str::to_owned)
         .collect();
     let lines_of = lines.len();
@@ -35,6 +36,9 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
         axes.join(", "),
         if total == "total" { "measured total" } else { "sum of stages" }
     )];
+    let columns: Vec<&str> =
+        order.iter().map(peernet_logger::Name::as_str).chain(beyond).chain([total]).collect();
+    notes.extend(too_large(all(), &columns));
     if lines_of > MOST {
         notes.push(format!("the first {MOST} of {} configurations", fixed(lines_of as f64, 0)));
     }
@@ -57,9 +61,9 @@ fn bar(label: &str, runs: &[&Loaded], stages: &[String], total: &str) -> Option<
         count += 1;
         for (sum, stage) in sums.iter_mut().zip(stages) {
             // A stage that did not take place took no time.
-            *sum += row.value(stage).filter(|value| value.is_finite()).unwrap_or_default();
+            *sum += row.value(stage).filter(|value| is_drawable(*value)).unwrap_or_default();
         }
-        if let Some(value) = row.value(total).filter(|value| value.is_finite()) {
+        if let Some(value) = row.value(total).filter(|value| is_drawable(*value)) {
             totals.record(value);
         }
     }

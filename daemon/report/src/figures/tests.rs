@@ -1,5 +1,7 @@
 //! Which figures results have, and what is taken from the rows.
 
+mod extremes;
+
 use peernet_logger::stream::ExperimentPlace;
 
 use super::*;
@@ -211,6 +213,11 @@ fn payloads_of_several_sizes_are_fitted() {
     let (intercept, slope) = latency.series[0].line.expect("a line");
     assert!((intercept - 0.2e-3).abs() < 2e-5 && (slope * 1e8 - 1.0).abs() < 0.01, "{intercept} {slope}");
     assert!(latency.series[0].name.contains(" ± ") && latency.series[0].name.contains("MB/s"), "{latency:?}");
+    assert!(latency.series[0].name.contains("size ÷ (99.98"), "{latency:?}");
+    let Shown::Scaling(throughput) = &drawings[1].shown else { panic!("a fit") };
+    assert!(
+        throughput.series[0].name.starts_with("upload: 99.98") && throughput.series[0].name.contains(" ± ")
+    );
     assert!(latency.title.starts_with("One-way delay against payload") && latency.notes.is_empty());
     assert!(payload::drawings(&[remote(60)]).is_err());
     let named = |name: &str| {
@@ -220,6 +227,26 @@ fn payloads_of_several_sizes_are_fitted() {
     let drawings = payload::drawings(&[named("s"), named("m")]).expect("sizes differ");
     let Shown::Scaling(throughput) = &drawings[1].shown else { panic!("a fit") };
     assert_eq!(throughput.notes, ["messages of 2 runs, pooled, that differ in model"]);
+}
+
+#[test]
+fn a_rate_that_sizes_cannot_tell_is_not_given() {
+    let noisy = run(300, |number| {
+        let place = number as usize % 4;
+        // Larger messages take a little longer, but less regularly than that.
+        let (bytes, delay) = ([1e3, 2e3, 3e3, 4e3][place], [0.100, 0.104, 0.099, 0.104][place]);
+        vec![("upload-bytes", bytes), ("upload", delay)]
+    });
+    let drawings = payload::drawings(&[noisy]).expect("sizes differ");
+    let [Shown::Scaling(latency), Shown::Scaling(throughput)] = [&drawings[0].shown, &drawings[1].shown]
+    else {
+        panic!("fits")
+    };
+    assert!(latency.series[0].name.starts_with("upload: intercept 0."), "{latency:?}");
+    assert_eq!((throughput.series[0].name.as_str(), throughput.series[0].line), ("upload", None));
+    for figure in [latency, throughput] {
+        assert_eq!(figure.notes, ["throughput of upload: too fast to tell from these sizes"]);
+    }
 }
 
 /// An edge of a run with so many edges.

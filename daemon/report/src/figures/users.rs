@@ -1,5 +1,6 @@
-//! Latency against the number of edges on one cloud.
+//! Latency against the number of edges at once.
 
+use super::columns::is_drawable;
 use super::written::{Drawing, Shown};
 use crate::figure::{MOST_CURVES, Sharing, SharingCurve, SharingPoint, Unit};
 use crate::results::Loaded;
@@ -15,9 +16,11 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
     let users = Users::of(runs)
         .ok_or("it needs runs of an experiment with several edges at once: set experiment.users")?;
     let (told, without): (Vec<&UsersLine>, Vec<&UsersLine>) =
-        users.lines.iter().partition(|line| line.totals.median.is_some());
+        users.lines.iter().partition(|line| line.totals.median.is_some_and(is_drawable));
     if told.is_empty() {
-        return Err("no total was measured while all edges of a run were measuring".to_owned());
+        return Err(
+            "no total that can be drawn was measured while all edges of a run were measuring".to_owned()
+        );
     }
     let mut notes = vec!["counted while all edges of a run were measuring".to_owned()];
     if !without.is_empty() {
@@ -27,7 +30,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
     let pictures = curves.chunks(MOST_CURVES).enumerate().map(|(number, curves)| {
         let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };
         let sharing = Sharing {
-            title: "Latency against edges on one cloud".to_owned(),
+            title: "Latency against edges at once".to_owned(),
             unit: Unit::milliseconds("Total"),
             curves: curves.iter().map(curve).collect(),
             notes: notes.clone(),
@@ -41,9 +44,14 @@ fn curve(curve: &Curve<'_>) -> SharingCurve {
     let point = |line: &&UsersLine| {
         Some(SharingPoint {
             edges: line.edges,
-            median: line.totals.median?,
-            p95: line.totals.p95,
-            each: line.shares.iter().filter_map(|share| share.median).collect(),
+            median: line.totals.median.filter(|median| is_drawable(*median))?,
+            p95: line.totals.p95.filter(|p95| is_drawable(*p95)),
+            each: line
+                .shares
+                .iter()
+                .filter_map(|share| share.median)
+                .filter(|median| is_drawable(*median))
+                .collect(),
             fairness: line.fairness,
         })
     };

@@ -71,6 +71,17 @@ impl Fit {
     }
 }
 
+/// An interval of a rate that is wider than this share of it does not tell the rate.
+const TELLING: f64 = 0.5;
+
+/// Bits per second of a slope in seconds per byte, and the margin of its 95 % interval; `None` where the interval reaches
+/// zero or is wider than half the rate.
+pub(crate) fn rate(slope: Estimate) -> Option<(f64, f64)> {
+    let (flat, steep) = slope.interval.filter(|(flat, _)| *flat > 0.0)?;
+    let [rate, low, high] = [slope.value, steep, flat].map(|slope| 8.0 / slope);
+    (high - low <= TELLING * rate).then(|| (rate, (high - rate).max(rate - low)))
+}
+
 /// Whether there is a line to fit: three points, two places, all of them numbers.
 fn fits(points: impl IntoIterator<Item = Point>) -> bool {
     let points: Vec<Point> = points.into_iter().collect();

@@ -176,3 +176,14 @@ proptest! {
         prop_assert!((fit.slope.value - 2.0).abs() < 1e-6 && (fit.intercept.value - 5.0).abs() < 1e-6, "{fit:?}");
     }
 }
+
+#[test]
+fn a_rate_is_told_where_its_interval_is_narrow() {
+    let slope = |value: f64, interval| Estimate { value, standard_error: None, interval };
+    // 10 ns per byte are 800 Mbit/s.
+    let (value, margin) = rate(slope(1e-8, Some((0.8e-8, 1.2e-8)))).expect("known well enough");
+    assert!((value - 8e8).abs() < 1.0 && (margin - 2e8).abs() < 1.0, "{value} {margin}");
+    for interval in [None, Some((0.0, 2e-8)), Some((-1e-9, 2.1e-8)), Some((0.7e-8, 1.3e-8))] {
+        assert_eq!(rate(slope(1e-8, interval)), None, "{interval:?}");
+    }
+}

@@ -20,7 +20,11 @@ pub(super) fn finish(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<F
         elsewhere.map_err(|error| also(&trouble, &std::env::temp_dir(), &error.to_string()))?.keep();
     match all(&elsewhere, record, rows) {
         Ok(files) => Ok(Finished { folder: elsewhere, files, trouble: Some(trouble) }),
-        Err(error) => Err(also(&trouble, &error.path, &error.reason)),
+        Err(error) => {
+            // Nothing of use is there unless all rows are: then it stays.
+            let _ = std::fs::remove_dir(&elsewhere);
+            Err(also(&trouble, &error.path, &error.reason))
+        }
     }
 }
 

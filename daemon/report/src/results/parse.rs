@@ -112,6 +112,10 @@ impl Reading {
             }
             let number = match cell.parse::<f64>() {
                 Ok(number) => number,
+                // As a dashboard's CSV has it.
+                Err(_) if cells.name.as_ref() == "warm-up" && ["true", "false"].contains(&cell) => {
+                    f64::from(u8::from(cell == "true"))
+                }
                 // A text that somebody put beside the numbers does no harm.
                 Err(_) if cells.holds.is_none() => continue,
                 Err(_) => return Err(wrong("number")),
@@ -123,7 +127,7 @@ impl Reading {
                 "warm-up" => row.warm_up = number != 0.0,
                 // Nobody wrote it down.
                 "at" if number == 0.0 => {}
-                _ if cells.wanted && !number.is_nan() => {
+                _ if cells.wanted && cells.may_be(number) => {
                     let place = *cells.place.get_or_insert_with(|| row.place(rows, &cells.name));
                     row.numbers[place] = Some(number);
                 }
@@ -136,7 +140,7 @@ impl Reading {
         row.numbers[iteration].get_or_insert(number);
         // What a stage took that is not known is missing in the sum as well.
         let sum: Option<f64> = stages.into_iter().flatten().reduce(|sum, stage| sum + stage);
-        if let Some(sum) = sum.filter(|sum| self.sums && !sum.is_nan()) {
+        if let Some(sum) = sum.filter(|sum| self.sums && sum.is_finite()) {
             let place = row.place(rows, &columns::column("stages-total"));
             row.numbers[place] = Some(sum);
         }
@@ -151,6 +155,11 @@ impl Cells {
         let words =
             ["outcome", "reason", "upload-verdict", "upload-source", "download-verdict", "download-source"];
         self.holds.is_some() && words.contains(&self.name.as_ref())
+    }
+
+    /// Whether the number tells something: upper bounds alone may be open.
+    fn may_be(&self, number: f64) -> bool {
+        number.is_finite() || (number == f64::INFINITY && self.name.ends_with("-hi"))
     }
 
     /// What nobody wrote and nobody asks for is not looked at.

@@ -29,7 +29,11 @@ pub(super) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded,
 }
 
 fn record(path: &Path) -> Result<Option<RunRecord>, FolderError> {
-    match std::fs::read(path) {
+    let read = || match path.metadata()? {
+        about if about.is_file() => std::fs::read(path),
+        _ => Err(std::io::Error::other("it is not a regular file")),
+    };
+    match read() {
         Ok(text) => Ok(Some(serde_json::from_slice(&text).map_err(failed(path))?)),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
         Err(error) => Err(failed(path)(error)),

@@ -1,7 +1,7 @@
 //! `data.csv` while it grows.
 
 use std::fs::{File, OpenOptions};
-use std::io::{Seek, SeekFrom, Write};
+use std::io::{ErrorKind, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use super::Row;
@@ -107,15 +107,16 @@ impl RowWriter {
 
     fn put(&mut self) -> std::io::Result<()> {
         self.mend()?;
-        if let Err(error) = self.file.write_all(&self.waiting) {
+        let (written, outcome) = write_on(&mut self.file, &self.waiting);
+        let whole = whole_rows(&self.waiting[..written]);
+        self.whole += whole as u64;
+        self.waiting.drain(..whole);
+        if outcome.is_err() {
             self.torn = true;
             // What a second error says is not what went wrong; it is tried again before the next writing.
             let _ = self.mend();
-            return Err(error);
         }
-        self.whole += self.waiting.len() as u64;
-        self.waiting.clear();
-        Ok(())
+        outcome
     }
 
     /// Takes away the part of a row that a failed writing may have left. Shortening works on a full disk, too.
@@ -158,6 +159,33 @@ impl RowWriter {
     }
 }
 
+/// Writes as `write_all` does, but tells how many bytes there was room for.
+fn write_on(out: &mut impl Write, bytes: &[u8]) -> (usize, std::io::Result<()>) {
+    let mut written = 0;
+    while written < bytes.len() {
+        match out.write(&bytes[written..]) {
+            Ok(0) => return (written, Err(ErrorKind::WriteZero.into())),
+            Ok(count) => written += count,
+            Err(error) if error.kind() == ErrorKind::Interrupted => {}
+            Err(error) => return (written, Err(error)),
+        }
+    }
+    (written, Ok(()))
+}
+
+/// How many of the bytes are whole rows. A line feed within quotes ends none.
+fn whole_rows(bytes: &[u8]) -> usize {
+    let (mut quoted, mut end) = (false, 0);
+    for (at, byte) in bytes.iter().enumerate() {
+        match byte {
+            b'"' => quoted = !quoted,
+            b'\n' if !quoted => end = at + 1,
+            _ => {}
+        }
+    }
+    end
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::Outcome;
@@ -198,6 +226,18 @@ mod tests {
         let text = std::fs::read_to_string(path).expect("text");
         let numbers: Vec<_> = text.lines().skip(1).filter_map(|line| line.split(',').next()).collect();
         assert_eq!(numbers, ["1", "2", "3", "4"]);
+    }
+
+    #[test]
+    fn the_rows_that_there_was_room_for_are_whole() {
+        let rows = b"1,ok\n2,\"a \"\"b\"\"\nc\"\n3,ok\n";
+        let kept = [4, 5, 14, rows.len() - 6, rows.len() - 1, rows.len()].map(|room| {
+            let mut room = vec![0; room];
+            let (written, outcome) = write_on(&mut room.as_mut_slice(), rows);
+            assert_eq!((written, outcome.is_ok()), (room.len(), room.len() == rows.len()));
+            whole_rows(&rows[..written])
+        });
+        assert_eq!(kept, [0, 5, 5, 5, rows.len() - 5, rows.len()]);
     }
 
     #[test]

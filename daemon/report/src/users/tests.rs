@@ -52,6 +52,7 @@ fn only_the_time_in_which_all_measure_counts() {
     assert_eq!((alone.edges, alone.rate, alone.fairness), (1, Some(2.0), Some(1.0)));
     assert_eq!((both.edges, both.rate, both.extremes()), (2, Some(3.0), Some((1.0, 2.0))));
     assert_eq!(both.fairness, Some(0.9));
+    assert_eq!(alone.totals.count, 21, "an edge alone: all of them, as in the table");
     // 16 of the first and 8 of the second.
     assert_eq!((both.totals.count, both.totals.median), (24, Some(0.5)));
     assert_eq!(both.shares.iter().map(|share| share.median).collect::<Vec<_>>(), [Some(0.5), Some(1.0)]);

@@ -21,7 +21,8 @@ pub(super) fn runs(edges: &[Loaded]) -> Vec<Vec<&Loaded>> {
     runs
 }
 
-/// Each edge's share and all totals, of the time in which all were measuring; `None` where there is none.
+/// Each edge's share and all totals, of the time in which all were measuring; `None` where there is none. An edge alone was
+/// measuring all the time: all its totals count.
 pub(super) fn shared(edges: &[&Loaded]) -> Option<(Vec<Share>, Vec<f64>)> {
     let rows: Vec<Vec<RowRef<'_>>> =
         edges.iter().map(|edge| edge.rows.iter().filter(|row| row.counts()).collect()).collect();
@@ -30,11 +31,14 @@ pub(super) fn shared(edges: &[&Loaded]) -> Option<(Vec<Share>, Vec<f64>)> {
     let from = rows.iter().map(first).collect::<Option<Vec<f64>>>()?.into_iter().reduce(f64::max)?;
     let to = rows.iter().map(last).collect::<Option<Vec<f64>>>()?.into_iter().reduce(f64::min)?;
     (to > from).then_some(())?;
+    let is_alone = edges.len() == 1;
     // One interval fewer than there are starts: the window begins with one and ends with one.
-    let within = rows.iter().map(|rows| rows.iter().filter(|row| (from..to).contains(&row.at())));
-    let totals: Vec<(usize, Vec<f64>)> = within
-        .map(|rows| (rows.clone().count(), rows.filter_map(|row| row.value("total")).collect()))
-        .collect();
+    let within = |row: &RowRef<'_>| (from..to).contains(&row.at());
+    let of = |rows: &Vec<RowRef<'_>>| {
+        let totals = rows.iter().filter(|row| is_alone || within(row)).filter_map(|row| row.value("total"));
+        (rows.iter().filter(|row| within(row)).count(), totals.collect())
+    };
+    let totals: Vec<(usize, Vec<f64>)> = rows.iter().map(of).collect();
     let share = |(count, totals): &(usize, Vec<f64>)| Share {
         rate: *count as f64 / (to - from),
         median: totals.iter().copied().collect::<Ordered>().median(),

@@ -2,6 +2,10 @@
 
 use crate::number::{fixed, significant};
 
+/// What ends of axes are held within, and what counts as zero.
+const MOST: f64 = 1e150;
+const LEAST: f64 = 1e-150;
+
 /// How values are spread along an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Scale {
@@ -30,13 +34,15 @@ pub(in crate::figure) struct Tick {
 
 impl Axis {
     /// An even axis. One value alone is given room on both sides.
-    pub(in crate::figure) fn linear((lo, hi): (f64, f64), pixels: (i32, i32)) -> Self {
+    pub(in crate::figure) fn linear(values: (f64, f64), pixels: (i32, i32)) -> Self {
+        let (lo, hi) = held(values);
         let values = if hi > lo { (lo, hi) } else { room_around(lo) };
         Self { values, pixels, scale: Scale::Linear, least: 0.0 }
     }
 
     /// An even axis from zero, or from the smallest value where that is negative, with a little room beyond the values.
-    pub(in crate::figure) fn from_zero((lo, hi): (f64, f64), pixels: (i32, i32)) -> Self {
+    pub(in crate::figure) fn from_zero(values: (f64, f64), pixels: (i32, i32)) -> Self {
+        let (lo, hi) = held(values);
         let (lo, hi) = (lo.min(0.0), hi.max(0.0));
         let room = (hi - lo) * 0.04;
         let values = if hi > lo {
@@ -49,6 +55,9 @@ impl Axis {
 
     /// A logarithmic axis for values above 0.
     pub(in crate::figure) fn logarithmic(values: (f64, f64), pixels: (i32, i32)) -> Self {
+        let (lo, hi) = held(values);
+        let lo = lo.max(LEAST);
+        let values = if hi > lo { (lo, hi) } else { room_around(lo) };
         Self { values, pixels, scale: Scale::Logarithmic, least: 0.0 }
     }
 
@@ -66,6 +75,14 @@ impl Axis {
             Scale::Logarithmic => (value / lo).ln() / (hi / lo).ln(),
         };
         self.pixels.0 + (share * f64::from(self.pixels.1 - self.pixels.0)).round() as i32
+    }
+
+    /// Its title, with what is not evident from its marks alone.
+    pub(in crate::figure) fn titled(&self, title: &str) -> String {
+        match self.scale {
+            Scale::Linear => title.to_owned(),
+            Scale::Logarithmic => format!("{title} (log scale)"),
+        }
     }
 
     /// Whether a value lies on the axis.
@@ -126,6 +143,12 @@ impl Axis {
     }
 }
 
+/// A range of numbers whose differences and ratios are numbers as well, so that whatever goes along it comes to an end.
+fn held((lo, hi): (f64, f64)) -> (f64, f64) {
+    let one = |value: f64| if value.abs() >= LEAST { value.clamp(-MOST, MOST) } else { 0.0 };
+    (one(lo), one(hi))
+}
+
 /// A range with one value in its middle.
 fn room_around(value: f64) -> (f64, f64) {
     let half = if value == 0.0 { 0.5 } else { value.abs() * 0.1 };
@@ -158,6 +181,20 @@ mod tests {
             "never one alone"
         );
         assert_eq!(texts(Axis::logarithmic((1e-9, 1e9), (500, 0)), 5).len(), 10, "every other power of ten");
+    }
+
+    #[test]
+    fn an_axis_ends_whatever_its_values() {
+        let odd =
+            [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, f64::MAX, -1e308, 1e17, 0.0, 5e-324, 1e-308, 7.0];
+        for values in odd.into_iter().flat_map(|lo| odd.map(|hi| (lo, hi))) {
+            for make in [Axis::linear, Axis::from_zero, Axis::logarithmic] {
+                let axis = make(values, (500, 0));
+                assert!(axis.ticks(6).len() <= 13, "{values:?}");
+                assert!(odd.iter().all(|value| (0..=500).contains(&axis.at(*value))), "{values:?}");
+                assert!(axis.along(9).all(f64::is_finite), "{values:?}");
+            }
+        }
     }
 
     #[test]

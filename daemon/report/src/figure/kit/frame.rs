@@ -60,7 +60,7 @@ impl Frame {
             text(paper, tick.text, (left - GAP, at), look)?;
         }
         let look = style(TEXT, QUIET, HPos::Left, VPos::Bottom);
-        text(paper, title.to_owned(), (EDGE, self.y.pixels.1 - 20 - free), look)
+        text(paper, self.y.titled(title), (EDGE, self.y.pixels.1 - 20 - free), look)
     }
 
     /// The horizontal axis' marks through all of the plot.
@@ -109,7 +109,7 @@ impl Frame {
         }
         let look = style(TEXT, QUIET, HPos::Center, VPos::Bottom);
         let below = (i32::midpoint(left, right), bottom + BELOW - 24);
-        text(paper, title.to_owned(), below, look)
+        text(paper, self.x.titled(title), below, look)
     }
 
     /// The line below a plot and its marks, without labels.

@@ -18,6 +18,8 @@ const LINE: i32 = 70;
 const NOTE: i32 = 56;
 /// Width of a sample of what a key explains.
 const SAMPLE: i32 = 90;
+/// The same of a line of long dashes: a gap on each side of the mark.
+const LONG: i32 = 150;
 /// From a sample to its words, and from those to the next sample.
 const GAP: i32 = 22;
 
@@ -34,6 +36,12 @@ pub(in crate::figure) enum Swatch {
     Curve(RGBColor, Mark),
     /// A pale area with a mark in black.
     Shape(RGBColor, Mark),
+}
+
+impl Swatch {
+    fn width(self) -> i32 {
+        if matches!(self, Self::Curve(_, Mark::Diamond)) { LONG } else { SAMPLE }
+    }
 }
 
 /// A sample and what it means.
@@ -73,7 +81,7 @@ impl Header {
         let (mut x, mut line) = (EDGE, 0);
         let mut places = Vec::new();
         for key in &self.keys {
-            let wide = SAMPLE + GAP + width(&key.text, TEXT);
+            let wide = key.swatch.width() + GAP + width(&key.text, TEXT);
             if x > EDGE && x + wide > paper - EDGE {
                 (x, line) = (EDGE, line + 1);
             }
@@ -100,7 +108,7 @@ impl Header {
         for (key, (x, line)) in self.keys.iter().zip(&places) {
             let at = y + LINE * line + LINE / 2;
             sample(paper, (*x, at), key.swatch)?;
-            let from = x + SAMPLE + GAP;
+            let from = x + key.swatch.width() + GAP;
             let words = shorten(&key.text, TEXT, wide - from - EDGE / 2);
             text(paper, words, (from, at), style(TEXT, INK, HPos::Left, VPos::Center))?;
         }
@@ -115,9 +123,10 @@ impl Header {
 }
 
 fn sample<DB: DrawingBackend>(paper: &Paper<DB>, (x, y): (i32, i32), swatch: Swatch) -> Drawn<DB> {
-    let line = [(x, y), (x + SAMPLE, y)];
+    let wide = swatch.width();
+    let line = [(x, y), (x + wide, y)];
     match swatch {
-        Swatch::Area(area) => fill(paper, [(x, y - 22), (x + SAMPLE, y + 22)], area),
+        Swatch::Area(area) => fill(paper, [(x, y - 22), (x + wide, y + 22)], area),
         Swatch::Line(colour, false) => paper.draw(&PathElement::new(line, colour.stroke_width(6))),
         Swatch::Line(colour, true) => {
             paper.draw(&DashedPathElement::new(line, 22, 12, colour.stroke_width(6)))
@@ -126,17 +135,17 @@ fn sample<DB: DrawingBackend>(paper: &Paper<DB>, (x, y): (i32, i32), swatch: Swa
             if mark != Mark::Cross {
                 paper.draw(&PathElement::new(line, colour.stroke_width(5)))?;
             }
-            mark.draw(paper, (x + SAMPLE / 2, y), colour)
+            mark.draw(paper, (x + wide / 2, y), colour)
         }
         Swatch::Shape(colour, mark) => {
-            let area = [(x, y - 22), (x + SAMPLE, y + 22)];
+            let area = [(x, y - 22), (x + wide, y + 22)];
             paper.draw(&Rectangle::new(area, colour.mix(0.35).filled()))?;
             paper.draw(&Rectangle::new(area, colour.stroke_width(4)))?;
-            mark.draw(paper, (x + SAMPLE / 2, y), INK)
+            mark.draw(paper, (x + wide / 2, y), INK)
         }
         Swatch::Curve(colour, mark) => {
             mark.draw_line(paper, line.to_vec(), colour)?;
-            mark.draw(paper, (x + SAMPLE / 2, y), colour)
+            mark.draw(paper, (x + wide / 2, y), colour)
         }
     }
 }

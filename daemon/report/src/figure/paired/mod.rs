@@ -18,6 +18,8 @@ use density::density;
 
 /// Up to how many values each is drawn.
 const MOST_POINTS: usize = 60;
+/// Room for single points above the axis' range, below what is written there.
+const NEAR: f64 = 1.05;
 /// Most sides that can be told apart.
 pub const MOST_SIDES: usize = SERIES.len();
 /// Most groups that a column has room for.
@@ -64,8 +66,8 @@ impl Paired {
         if self.groups.iter().any(|group| group.ratio().is_some()) {
             notes.push(format!("above a pair: median {} ÷ {}", self.sides[0], self.sides[1]));
         }
-        if self.groups.iter().flat_map(|group| &group.values).any(|values| beyond(values) > 0) {
-            notes.push("+ above a shape: so many values are larger than it shows".to_owned());
+        if self.groups.iter().flat_map(|group| &group.values).any(|values| self.beyond(values) > 0) {
+            notes.push("+ above: so many values are larger than shown".to_owned());
         }
         Header { title: self.title.clone(), keys: self.sides.iter().zip(looks).map(key).collect(), notes }
     }
@@ -74,6 +76,22 @@ impl Paired {
     fn shown(&self) -> Option<(f64, f64)> {
         let all = self.groups.iter().flat_map(|group| &group.values).filter_map(range);
         all.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).filter(|(lo, hi)| lo.is_finite() && hi.is_finite())
+    }
+
+    /// The largest value that is shown of some: single points as far as the axis goes, shapes without their tails.
+    fn highest(&self, values: &Ordered) -> Option<f64> {
+        let (_, hi) = range(values)?;
+        if values.len() > MOST_POINTS {
+            return Some(hi);
+        }
+        let (_, most) = self.shown()?;
+        values.values().iter().rev().copied().find(|value| *value <= most * NEAR)
+    }
+
+    /// How many values are above what is shown of them.
+    fn beyond(&self, values: &Ordered) -> usize {
+        let count = |highest| values.values().iter().filter(|value| **value > highest).count();
+        self.highest(values).map_or(0, count)
     }
 
     fn draw_one<DB: DrawingBackend>(
@@ -85,6 +103,7 @@ impl Paired {
         let (colour, mark) = (SERIES[side % MOST_SIDES], Mark::ALL[side % MOST_SIDES]);
         let y = |value: f64| frame.y.at(value * self.unit.per_si);
         let Some((lo, hi)) = range(values) else { return Ok(()) };
+        let highest = self.highest(values);
         let hill = density(values, (lo, hi));
         let wide = |dense: f64| (f64::from(half) * dense).round() as i32;
         let right = hill.iter().map(|(value, dense)| (middle + wide(*dense), y(*value)));
@@ -95,7 +114,8 @@ impl Paired {
             outline.extend(outline.first().copied());
             paper.draw(&PathElement::new(outline, colour.stroke_width(4)))?;
         } else {
-            for (number, value) in values.values().iter().enumerate() {
+            let shown = values.values().iter().filter(|value| highest.is_some_and(|most| **value <= most));
+            for (number, value) in shown.enumerate() {
                 // Spread evenly to the sides, so that each is seen; the same every time.
                 let aside = (number as f64 * 0.618_034).fract() - 0.5;
                 let at = (middle + (aside * f64::from(half)) as i32, y(*value));
@@ -116,19 +136,15 @@ impl Paired {
             let at = (middle, y(median));
             mark.draw(paper, at, INK)?;
         }
-        let above = beyond(values);
-        if above > 0 {
+        let above = self.beyond(values);
+        if let Some(highest) = highest.filter(|_| above > 0) {
             let look = style(SMALL, QUIET, HPos::Center, VPos::Bottom);
-            let at = (middle, y(hi) - 10);
+            // Clear of the highest point.
+            let at = (middle, y(highest) - 20);
             text(paper, format!("+{}", fixed(above as f64, 0)), at, look)?;
         }
         Ok(())
     }
-}
-
-/// How many values are above what is shown of them.
-fn beyond(values: &Ordered) -> usize {
-    range(values).map_or(0, |(_, hi)| values.values().iter().filter(|value| **value > hi).count())
 }
 
 impl Figure for Paired {

@@ -44,7 +44,27 @@ fn what_leaves_a_shape_is_counted() {
     let late = hill(20.0, 400).values().iter().copied().chain([90.0]).collect();
     let svg = paired(vec![vec![hill(50.0, 400), late]]).svg().expect("drawn");
     assert!(has(&svg, "+1"), "{:?}", texts(&svg));
-    assert!(has(&svg, "+ above a shape: so many values are larger than it shows"), "{:?}", texts(&svg));
+    assert!(has(&svg, "+ above: so many values are larger than shown"), "{:?}", texts(&svg));
+}
+
+/// Height of a text.
+fn height(svg: &str, wanted: &str) -> f64 {
+    let element = svg.split("<text ").find(|element| element.contains(&format!("\n{wanted}\n")));
+    let y = element.and_then(|element| element.split(" y=\"").nth(1)?.split('"').next());
+    y.and_then(|y| y.parse().ok()).expect("the text")
+}
+
+#[test]
+fn points_that_have_room_are_drawn_and_no_count_lies_on_one() {
+    let late = |extra: f64| hill(20.0, 30).values().iter().copied().chain([extra / 1e3]).collect::<Ordered>();
+    let figure = paired(vec![vec![late(40.0), hill(60.0, 30)], vec![late(90.0), hill(50.0, 30)]]);
+    let svg = figure.svg().expect("drawn");
+    assert!(has(&svg, "+1") && !has(&svg, "+2"), "the one at 40 ms has room: {:?}", texts(&svg));
+    // The key's two marks aside: the points of the first sides and two medians.
+    let discs = Elements::of(&svg, "circle").with("fill", "#0072B2").numbers("cy");
+    assert_eq!(discs.len(), 31 + 30, "{discs:?}");
+    let second = discs[31..].iter().copied().fold(f64::INFINITY, f64::min);
+    assert!(height(&svg, "+1") <= second - 12.0, "{} {second}", height(&svg, "+1"));
 }
 
 #[test]

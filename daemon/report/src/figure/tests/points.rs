@@ -78,18 +78,59 @@ fn accuracy(scores: Vec<Score>) -> Accuracy {
 }
 
 #[test]
-fn each_configuration_is_a_labelled_point() {
-    let scores = vec![score("s", 70, 100, 0.02), score("m", 80, 100, 0.04), score("l", 82, 100, 0.041)];
+fn each_configuration_is_a_numbered_point_with_its_figures_below() {
+    let scores = vec![score("s", 70, 100, 0.02), score("m", 80, 100, 0.04), score("l", 90, 100, 0.041)];
     let figure = accuracy(scores);
     let svg = figure.svg().expect("drawn");
-    let (x, y) = (Elements::of(&svg, "circle").numbers("cx"), Elements::of(&svg, "circle").numbers("cy"));
+    let discs = Elements::of(&svg, "circle").with("fill", "#0B4796");
+    let (x, y) = (discs.numbers("cx"), discs.numbers("cy"));
     assert_eq!(x.len(), 3, "{svg}");
     assert!(x[0] < x[1] && x[1] < x[2] && y[0] > y[1] && y[1] > y[2], "{x:?} {y:?}");
-    assert!((5.0 * (y[1] - y[2]) - (y[0] - y[1])).abs() < 8.0, "evenly: {y:?}");
+    assert!(((y[1] - y[2]) - (y[0] - y[1])).abs() < 4.0, "evenly: {y:?}");
     for text in ["s", "m", "l", "Top-1 accuracy, %", "Total, ms", "Accuracy against latency"] {
         assert!(has(&svg, text), "{text} in {:?}", texts(&svg));
     }
+    // Name, accuracy, median, 95th percentile.
+    let texts = texts(&svg);
+    assert!(texts.windows(5).any(|line| line == ["2", "m", "80.0", "40.0", "60.0"]), "{texts:?}");
+    let count = |number: &str| texts.iter().filter(|text| *text == number).count();
+    assert_eq!(["1", "2", "3"].map(count), [2, 2, 2], "at the point and in the key: {texts:?}");
+    assert!(texts.iter().any(|text| text.contains("across: to the 95th percentile")), "{texts:?}");
     assert_on_paper(&figure, &svg);
+}
+
+#[test]
+fn whiskers_that_would_lie_on_one_another_are_left_out() {
+    let figure =
+        accuracy(vec![score("a", 100, 100, 0.02), score("b", 100, 100, 0.025), score("c", 99, 100, 0.1)]);
+    let svg = figure.svg().expect("drawn");
+    assert!(!texts(&svg).iter().any(|text| text.contains("across")), "{:?}", texts(&svg));
+    assert!(has(&svg, "p95, ms") && has(&svg, "37.5"), "the key has them: {:?}", texts(&svg));
+    let discs = Elements::of(&svg, "circle").with("fill", "#0B4796").numbers("cy");
+    assert_eq!(discs[0], discs[1], "points stay where they are");
+    let apart = accuracy(vec![score("a", 100, 100, 0.02), score("b", 100, 100, 0.04)]).svg().expect("drawn");
+    assert!(texts(&apart).iter().any(|text| text.contains("across")), "{:?}", texts(&apart));
+}
+
+#[test]
+fn numbers_of_points_in_one_place_lie_apart() {
+    let figure = accuracy((0..9).map(|_| score("x", 100, 100, 0.02)).collect());
+    let svg = figure.svg().expect("drawn");
+    let of = |attribute: &str| {
+        let texts = svg.split("<text ").skip(1).filter(|text| {
+            let words = text.split('>').nth(1).and_then(|text| text.split('<').next()).unwrap_or_default();
+            words.trim().parse::<u32>().is_ok_and(|number| (1..=9).contains(&number))
+        });
+        let value =
+            |text: &str| text.split(&format!("{attribute}=\"")).nth(1)?.split('"').next()?.parse().ok();
+        texts.filter_map(value).collect::<Vec<f64>>()
+    };
+    let places: Vec<(f64, f64)> = of("x").into_iter().zip(of("y")).take(9).collect();
+    assert_eq!(places.len(), 9, "{svg}");
+    for (number, (x, y)) in places.iter().enumerate() {
+        let far = |(a, b): &(f64, f64)| (a - x).abs() >= 20.0 || (b - y).abs() >= 40.0;
+        assert!(places[number + 1..].iter().all(far), "{places:?}");
+    }
 }
 
 #[test]

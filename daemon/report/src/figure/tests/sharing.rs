@@ -10,7 +10,7 @@ fn point(edges: usize, median: f64, fairness: Option<f64>) -> SharingPoint {
 fn sharing(curves: Vec<(&str, Vec<SharingPoint>)>) -> Sharing {
     let curve = |(name, points): (&str, _)| SharingCurve { name: name.to_owned(), points };
     Sharing {
-        title: "Latency against edges on one cloud".to_owned(),
+        title: "Latency against edges at once".to_owned(),
         unit: Unit::milliseconds("Total"),
         curves: curves.into_iter().map(curve).collect(),
         notes: Vec::new(),
@@ -22,7 +22,7 @@ fn the_axis_is_marked_at_whole_edges_that_were_measured() {
     let points = [1, 2, 4, 8].map(|edges| point(edges, 0.01 + 0.01 * edges as f64, Some(1.0 / edges as f64)));
     let figure = sharing(vec![("", points.to_vec())]);
     let svg = figure.svg().expect("drawn");
-    for text in ["1", "2", "4", "8", "Edges at once", "Total, ms", "0.0", "0.5", "1.0"] {
+    for text in ["1", "2", "4", "8", "Edges at once (log scale)", "Total, ms", "0.0", "0.5", "1.0"] {
         assert!(has(&svg, text), "{text} in {:?}", texts(&svg));
     }
     assert!(texts(&svg).iter().any(|text| text.contains("Jain")), "{:?}", texts(&svg));

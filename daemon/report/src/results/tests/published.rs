@@ -43,6 +43,39 @@ fn a_published_file_that_stands_alone_can_be_read() {
 }
 
 #[test]
+fn what_a_dashboard_exported_can_be_read() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("run-7.csv");
+    let text = "iteration,episode,step,warm-up,outcome,reason,started,total,sensing,upload,upload-lo,upload-hi\n\
+                1,1,1,true,ok,,2026-11-20T22:41:07.123456789Z,0.5,0.1,0.2,0.19,0.21\n\
+                2,1,2,false,ok,,2026-11-20T22:41:08.123456789Z,0.4,0.1,0.2,0.19,0.21\n";
+    std::fs::write(&path, text).expect("writable");
+    let loaded = ResultFolder::open(&path).expect("readable");
+    let rows: Vec<_> = loaded.rows.iter().map(|row| (row.warm_up(), row.value("total"))).collect();
+    assert_eq!(rows, [(true, Some(0.5)), (false, Some(0.4))]);
+    std::fs::write(&path, text.replace("true", "maybe")).expect("writable");
+    let error = ResultFolder::open(&path).expect_err("neither").to_string();
+    assert!(error.contains("line 2, column warm-up: \"maybe\" is no number"), "{error}");
+}
+
+#[test]
+fn an_infinite_number_is_not_known_but_for_an_open_bound() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("data.csv");
+    let text = "sensing,upload,upload-bytes,grip,upload-throughput-lo,upload-throughput-hi\n\
+                inf,1.5,inf,-inf,-inf,inf\n0.5,1.5,1e308,nan,2,-inf\n";
+    std::fs::write(&path, text).expect("writable");
+    let rows = ResultFolder::open(&path).expect("readable").rows;
+    let cells = |column: &str| rows.iter().map(|row| row.value(column)).collect::<Vec<_>>();
+    assert_eq!(cells("sensing"), [None, Some(0.5)]);
+    assert_eq!(cells("upload-bytes"), [None, Some(1e308)]);
+    assert_eq!(cells("grip"), [None, None]);
+    assert_eq!(cells("upload-throughput-lo"), [None, Some(2.0)]);
+    assert_eq!(cells("upload-throughput-hi"), [Some(f64::INFINITY), None]);
+    assert_eq!(cells("stages-total"), [None, Some(2.0)], "a sum of what is not known is not known");
+}
+
+#[test]
 fn a_record_of_another_version_is_read_as_far_as_it_is_understood() {
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::write(folder.path().join("data.csv"), "iteration,inference\n1,0.5\n").expect("writable");
