@@ -1,4 +1,4 @@
-//! Small text files that the command line names.
+//! Small text files: those that the command line names, and those that are found in folders.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -20,6 +20,22 @@ pub fn read(path: &Path, largest: u64) -> io::Result<String> {
     if !kind.is_file() && !kind.is_fifo() {
         return Err(io::Error::other("it is neither a regular file nor a pipe: is this the right file?"));
     }
+    text(path, largest)
+}
+
+/// The text of a regular file that was found in a folder, of at most `largest` bytes. Nobody has promised to write into a
+/// pipe there.
+///
+/// # Errors
+/// When it cannot be read, is no regular file, is larger, or is no UTF-8.
+pub fn read_found(path: &Path, largest: u64) -> io::Result<String> {
+    if !path.metadata()?.is_file() {
+        return Err(io::Error::other("it is not a regular file"));
+    }
+    text(path, largest)
+}
+
+fn text(path: &Path, largest: u64) -> io::Result<String> {
     let mut bytes = Vec::new();
     File::open(path)?.take(largest + 1).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > largest {
@@ -32,6 +48,8 @@ pub fn read(path: &Path, largest: u64) -> io::Result<String> {
 mod tests {
     use std::io::Write;
     use std::os::fd::AsRawFd;
+
+    use rustix::fs::{CWD, FileType, Mode, mknodat};
 
     use super::*;
 
@@ -53,6 +71,18 @@ mod tests {
         assert_eq!(missing.kind(), io::ErrorKind::NotFound);
         std::fs::write(&file, [0xff, 0xfe]).expect("writable");
         assert!(told(&file).contains("no UTF-8"), "{}", told(&file));
+    }
+
+    #[test]
+    fn a_pipe_that_is_found_is_not_waited_for() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (file, pipe) = (folder.path().join("file"), folder.path().join("pipe"));
+        std::fs::write(&file, "four").expect("writable");
+        mknodat(CWD, &pipe, FileType::Fifo, Mode::RUSR, 0).expect("a pipe");
+        assert_eq!(read_found(&file, 4).expect("fits"), "four");
+        for other in [pipe.as_path(), folder.path()] {
+            assert!(read_found(other, 4).expect_err("refused").to_string().contains("not a regular file"));
+        }
     }
 
     #[test]

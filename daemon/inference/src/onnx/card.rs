@@ -1,11 +1,13 @@
 //! The card of a model, `model.toml`: how a picture becomes its input, and its output an answer.
 
 use std::fmt;
+use std::io::{self, Read};
 use std::path::Path;
 
 use peernet_imaging::Filter;
 use serde::Deserialize;
 
+use super::regular;
 use crate::LoadError;
 
 /// Longest card: a thousand labels take some ten kilobytes.
@@ -169,23 +171,22 @@ pub(super) enum Activation {
     Sigmoid,
 }
 
-/// The text of a card. A file that never ends or never begins must not hold up who lists a folder of models.
-fn text(file: &Path) -> Result<String, String> {
-    let about = std::fs::metadata(file).map_err(|error| error.to_string())?;
-    if !about.is_file() {
-        return Err("it is not a regular file".to_owned());
+fn text(file: &Path) -> io::Result<String> {
+    let mut file = regular::open(file)?;
+    let length = file.metadata()?.len();
+    if length > LONGEST {
+        return Err(io::Error::other(format!("it has {length} bytes; a card has at most {LONGEST}")));
     }
-    if about.len() > LONGEST {
-        return Err(format!("it has {} bytes; a card has at most {LONGEST}", about.len()));
-    }
-    std::fs::read_to_string(file).map_err(|error| error.to_string())
+    let mut text = String::new();
+    file.read_to_string(&mut text)?;
+    Ok(text)
 }
 
 impl Card {
     /// Reads and checks a card.
     pub(super) fn read(file: &Path) -> Result<Self, LoadError> {
         let wrong = |reason: String| LoadError::File { file: file.to_owned(), reason };
-        let text = text(file).map_err(wrong)?;
+        let text = text(file).map_err(|error| wrong(error.to_string()))?;
         Self::parse(&text).map_err(wrong)
     }
 

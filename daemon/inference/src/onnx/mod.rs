@@ -9,6 +9,7 @@ mod classify;
 mod device;
 mod library;
 mod preprocess;
+mod regular;
 mod search;
 mod session;
 mod shared;
@@ -90,7 +91,7 @@ impl Onnx {
         let device: Device = config.device.parse()?;
         let card = Card::read(&config.path.join(CARD))?;
         let file = config.path.join(MODEL);
-        if let Err(error) = std::fs::File::open(&file) {
+        if let Err(error) = regular::open(&file) {
             return Err(LoadError::File { file, reason: error.to_string() });
         }
         let runtime = Runtime::get(runtime)?;

@@ -1,6 +1,5 @@
 //! What a model on disk is, without loading it.
 
-use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
@@ -8,7 +7,7 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use super::card::{Activation, Card, Centre, Resize, Rounding};
-use super::{CARD, MODEL};
+use super::{CARD, MODEL, regular};
 use crate::LoadError;
 
 /// A model's card in words.
@@ -41,7 +40,7 @@ pub struct CardSummary {
 pub(crate) fn summarise(folder: &Path) -> Result<CardSummary, LoadError> {
     let card = Card::read(&folder.join(CARD))?;
     let file = folder.join(MODEL);
-    match File::open(&file) {
+    match regular::open(&file) {
         Ok(_) => Ok(card.summary()),
         Err(error) => Err(LoadError::File { file, reason: error.to_string() }),
     }
@@ -57,7 +56,7 @@ pub(crate) fn hash(folder: &Path) -> Result<String, LoadError> {
 }
 
 fn sha256(file: &Path) -> io::Result<String> {
-    let mut file = File::open(file)?;
+    let mut file = regular::open(file)?;
     let mut hasher = Sha256::new();
     let mut buffer = vec![0; 1 << 20];
     loop {
@@ -127,7 +126,9 @@ fn plain(value: &toml::Value) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::card::tests::changed;
+    use rustix::fs::{CWD, FileType, Mode, mknodat};
+
+    use super::super::card::tests::{SMALL, changed};
     use super::*;
 
     #[test]
@@ -149,6 +150,21 @@ mod tests {
             ]
         );
         assert_eq!(summary.output, "2 classes, softmax, best 5 listed");
+    }
+
+    #[test]
+    fn a_pipe_in_a_models_place_is_refused_and_not_waited_for() {
+        let folder = tempfile::tempdir().expect("a folder");
+        std::fs::write(folder.path().join(CARD), SMALL).expect("written");
+        let model = folder.path().join(MODEL);
+        mknodat(CWD, &model, FileType::Fifo, Mode::RUSR, 0).expect("a pipe");
+        for error in [summarise(folder.path()).map(drop), hash(folder.path()).map(drop)] {
+            let error = error.expect_err("refused").to_string();
+            assert!(error.contains("model.onnx") && error.contains("not a regular file"), "{error}");
+        }
+        std::fs::remove_file(&model).expect("removed");
+        std::fs::write(&model, "abc").expect("written");
+        assert!(summarise(folder.path()).is_ok());
     }
 
     #[test]

@@ -1,10 +1,12 @@
 //! The right answers of a folder of pictures.
 
 use std::collections::HashMap;
+use std::io;
 use std::path::Path;
 
 use serde::Deserialize;
 
+use super::folder::is_file;
 use crate::SensorError;
 
 /// The file of labels in a folder of pictures: comma-separated, with the columns `file` and `label`.
@@ -25,6 +27,9 @@ struct Row {
 /// When a file is there and cannot be used, or the given one is not there.
 pub(super) fn read(folder: &Path, given: Option<&Path>) -> Result<Option<Labels>, SensorError> {
     let file = given.map_or_else(|| folder.join(FILE), Path::to_owned);
+    if given.is_none() && file.exists() && !is_file(&file) {
+        return Err(SensorError::Read { path: file, error: io::Error::other("it is not a regular file") });
+    }
     let text = match std::fs::read_to_string(&file) {
         Ok(text) => text,
         Err(error) if given.is_none() && error.kind() == std::io::ErrorKind::NotFound => return Ok(None),

@@ -75,11 +75,11 @@ struct VerdictCount {
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let path = format!("/api/v1/runs/{}/recomputed", arguments.run);
     if arguments.json {
-        let answer: Value = arguments.api.get(&path)?;
+        let answer: Value = arguments.api.compute(&path)?;
         say(format_args!("{answer:#}"));
         return Ok(());
     }
-    let recomputed: Recomputed = arguments.api.get(&path)?;
+    let recomputed: Recomputed = arguments.api.compute(&path)?;
     let run: Run = arguments.api.get(&format!("/api/v1/runs/{}", arguments.run))?;
     say(describe(arguments.run, &recomputed));
     if let Some(rehearsal) = rehearsal(&run.facts) {

@@ -2,6 +2,7 @@
 
 mod rehearsed;
 
+use chrono::{DateTime, SecondsFormat};
 use peernet_report::table::text;
 use peernetd::exit::Failure;
 use peernetd::output::say;
@@ -159,7 +160,7 @@ fn pipeline_row(pipeline: &Pipeline, rehearsed: &Rehearsed) -> Vec<String> {
 fn host_row(host: &Host, rehearsed: &Rehearsed) -> Vec<String> {
     let state = match (&host.connected, &host.last_seen) {
         (true, _) => "connected".to_owned(),
-        (false, Some(seen)) => format!("last seen {seen}"),
+        (false, Some(seen)) => format!("last seen {}", to_the_second(seen)),
         (false, None) => "never seen".to_owned(),
     };
     let now = host.now.as_ref();
@@ -170,6 +171,12 @@ fn host_row(host: &Host, rehearsed: &Rehearsed) -> Vec<String> {
         known(now.map(|now| now.events.waiting.to_string())),
         known(now.map(|now| now.events.dropped.to_string())),
     ]
+}
+
+/// A moment without fractions of a second; as it came where it is none.
+fn to_the_second(moment: &str) -> String {
+    let read = DateTime::parse_from_rfc3339(moment);
+    read.map_or_else(|_| moment.to_owned(), |read| read.to_rfc3339_opts(SecondsFormat::Secs, true))
 }
 
 fn milliseconds(seconds: Option<f64>) -> String {
@@ -190,6 +197,11 @@ mod tests {
 
     use super::rehearsed::Link;
     use super::*;
+
+    #[test]
+    fn nobody_needs_the_nanosecond_at_which_a_host_was_seen() {
+        assert_eq!(to_the_second("2026-11-20T22:41:07.123456789Z"), "2026-11-20T22:41:07Z");
+    }
 
     #[test]
     fn what_a_rehearsed_clock_touches_is_marked() {

@@ -1,6 +1,6 @@
 //! The life of the process: parts started in order, watched, and stopped in reverse order.
 //!
-//! One signal (SIGTERM, SIGINT) asks the parts to finish what they have begun; a second one, or the deadline,
+//! One signal (SIGTERM, SIGINT) asks the parts to finish what they have begun; a second wish to end, or the deadline,
 //! ends the process at once with an exit code that says so. A part that ends by itself is an error: a daemon
 //! that has lost one of its tasks must not look healthy.
 
@@ -18,6 +18,7 @@ use tokio_util::sync::CancellationToken;
 use tracing::{debug, error, info, warn};
 
 use peernetd::exit::{Exit, in_one_line};
+use peernetd::wish::Wishes;
 
 /// `[lifecycle]`
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -55,13 +56,19 @@ pub(crate) struct Lifecycle {
 struct Signals {
     terminate: Signal,
     interrupt: Signal,
+    wishes: Wishes,
 }
 
 impl Signals {
     async fn next(&mut self) -> &'static str {
-        tokio::select! {
-            _ = self.terminate.recv() => "SIGTERM",
-            _ = self.interrupt.recv() => "SIGINT",
+        loop {
+            let (kind, name) = tokio::select! {
+                _ = self.terminate.recv() => (SignalKind::terminate(), "SIGTERM"),
+                _ = self.interrupt.recv() => (SignalKind::interrupt(), "SIGINT"),
+            };
+            if self.wishes.is_another(kind, Instant::now()) {
+                return name;
+            }
         }
     }
 }
@@ -77,6 +84,7 @@ impl Lifecycle {
             signals: Signals {
                 terminate: signal(SignalKind::terminate())?,
                 interrupt: signal(SignalKind::interrupt())?,
+                wishes: Wishes::default(),
             },
             deadline: Duration::from_secs(config.shutdown_deadline_s),
         })

@@ -27,7 +27,7 @@ pub(crate) fn collect(
     wanted: &dyn Fn(&str) -> bool,
 ) -> Result<Collected, Failure> {
     let mut paths: Vec<PathBuf> = Vec::new();
-    for found in places.iter().map(|place| find(place)) {
+    for found in distinct(places).iter().map(|place| find(place)) {
         for path in found? {
             if !paths.iter().any(|other| is_same(other, &path)) {
                 paths.push(path);
@@ -50,6 +50,17 @@ pub(crate) fn collect(
     let baseline = baseline.and_then(|baseline| order.iter().position(|run| *run == baseline));
     let mut runs: Vec<Option<Loaded>> = runs.into_iter().map(Some).collect();
     Ok(Collected { runs: order.into_iter().filter_map(|run| runs[run].take()).collect(), baseline })
+}
+
+/// The places, each once.
+pub(crate) fn distinct(places: &[PathBuf]) -> Vec<PathBuf> {
+    let mut once: Vec<PathBuf> = Vec::new();
+    for place in places {
+        if !once.iter().any(|other| is_same(other, place)) {
+            once.push(place.clone());
+        }
+    }
+    once
 }
 
 fn find(place: &Path) -> Result<Vec<PathBuf>, Failure> {
@@ -76,4 +87,21 @@ fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, Failure> {
 /// Whether both lead to one place, however they are written.
 fn is_same(a: &Path, b: &Path) -> bool {
     a == b || a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_place_that_is_named_twice_counts_once() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let run = folder.path().join("run");
+        std::fs::create_dir(&run).expect("made");
+        let again = folder.path().join("run/../run");
+        assert_eq!(
+            distinct(&[run.clone(), again, folder.path().to_owned()]),
+            [run, folder.path().to_owned()]
+        );
+    }
 }

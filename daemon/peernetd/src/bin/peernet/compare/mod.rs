@@ -11,7 +11,7 @@ use peernet_report::compare::{Comparison, Differences, Repeats, SEED, is_compare
 use peernetd::exit::{Exit, Failure};
 use peernetd::output::say;
 
-pub(crate) use collect::{Collected, collect};
+pub(crate) use collect::{Collected, collect, distinct};
 
 /// What `peernet compare` can be told.
 #[derive(Debug, clap::Args)]

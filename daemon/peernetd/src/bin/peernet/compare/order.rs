@@ -65,7 +65,7 @@ fn of_folder(results: &Path, id: &str) -> Option<Experiment> {
     let folder: PathBuf = results.canonicalize().ok()?;
     let records = folder.ancestors().skip(1).take(HIGHEST).map(|above| above.join(RECORD));
     let read = |path: PathBuf| {
-        let text = small_file::read(&path, LARGEST_RECORD).ok()?;
+        let text = small_file::read_found(&path, LARGEST_RECORD).ok()?;
         serde_json::from_str::<Experiment>(&text).ok()
     };
     records.filter_map(read).find(|experiment| experiment.id == id)

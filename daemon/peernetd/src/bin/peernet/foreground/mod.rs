@@ -3,6 +3,7 @@
 //! Three commands run one: `calibrate` studies a link, `measure` takes a run down, and the published `--server` serves.
 //! They differ in what they look for ([`Eyes`]); starting, signals and stopping are the same.
 
+mod dashboard;
 mod log;
 mod patience;
 mod progress;
@@ -11,6 +12,7 @@ mod tables;
 mod typed;
 mod waiting;
 
+pub(crate) use dashboard::dashboard;
 pub(crate) use log::{Shows, listen};
 pub(crate) use patience::{Patience, Standing};
 pub(crate) use progress::Progress;

@@ -2,7 +2,9 @@
 
 use std::io;
 
+use peernetd::wish::Wishes;
 use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::time::Instant;
 
 /// Ctrl-C, what service managers send, and the end of the terminal's session.
 pub(crate) struct Signals {
@@ -11,6 +13,7 @@ pub(crate) struct Signals {
     /// `None` when it is not listened to: it was switched off, as `nohup` does, or has come. A shell and the system both
     /// send it when a session ends, which is one wish to end and not two.
     hang_up: Option<Signal>,
+    wishes: Wishes,
 }
 
 impl Signals {
@@ -21,15 +24,24 @@ impl Signals {
             interrupt: signal(SignalKind::interrupt())?,
             terminate: signal(SignalKind::terminate())?,
             hang_up,
+            wishes: Wishes::default(),
         })
     }
 
-    /// Waits for the next of them.
+    /// Waits for the next wish to end.
     pub(crate) async fn next(&mut self) {
-        tokio::select! {
-            _ = self.interrupt.recv() => {}
-            _ = self.terminate.recv() => {}
-            () = hung_up(&mut self.hang_up) => self.hang_up = None,
+        loop {
+            let kind = tokio::select! {
+                _ = self.interrupt.recv() => SignalKind::interrupt(),
+                _ = self.terminate.recv() => SignalKind::terminate(),
+                () = hung_up(&mut self.hang_up) => {
+                    self.hang_up = None;
+                    SignalKind::hangup()
+                }
+            };
+            if self.wishes.is_another(kind, Instant::now()) {
+                return;
+            }
         }
     }
 }

@@ -100,11 +100,15 @@ pub(crate) fn measure(order: &Order, watcher: &mut dyn Watcher) -> Result<Measur
     record.edge.conditions.push(Condition { host: record.edge.name.clone(), ..room });
     record.trust = Some(Report::of(&Evidence::of_run(&record, &taken.rows)));
     let Written { folder, mut files, mut trouble } = results.finish(&record, &taken.rows);
+    let is_written = !files.is_empty();
     match study(&record, &taken.rows, &folder) {
         Ok(written) => files.extend(written),
         Err(error) => trouble = trouble.or(Some(error)),
     }
-    if order.plots {
+    if order.plots && !is_written {
+        // They would take the room that rows did not get.
+        trouble = trouble.map(|trouble| format!("{trouble}; no figure is drawn"));
+    } else if order.plots {
         match figures::of_run(&record, &taken.rows, &folder) {
             Ok(drawn) => files.extend(drawn),
             Err(error) => trouble = trouble.or(Some(format!("not all figures are drawn: {error}"))),

@@ -4,7 +4,7 @@ use std::num::NonZeroU64;
 use std::path::PathBuf;
 
 use peernet_logger::Tree;
-use peernet_report::number::{bytes, milliseconds};
+use peernet_report::number::{bytes, counted, milliseconds};
 use peernet_report::order::Ordered;
 use peernet_report::table::text;
 use peernetd::exit::{Exit, Failure};
@@ -118,8 +118,9 @@ fn quantile(values: &Ordered, (_, p, fewest): (&str, f64, usize)) -> Option<f64>
 fn show(name: &str, arguments: &Arguments, measured: &Measured) {
     let threads = arguments.options.intra_threads;
     say(format_args!(
-        "{name} on {}, {threads} thread(s) within an operator, one sample at a time",
-        measured.device
+        "{name} on {}, {} within an operator, one sample at a time",
+        measured.device,
+        counted(threads.get() as u64, "thread")
     ));
     say(format_args!(
         "{} samples after {} of warm-up: {}",

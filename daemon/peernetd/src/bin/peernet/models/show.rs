@@ -51,10 +51,18 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         ("SHA-256".to_owned(), hash),
     ]);
     // Of the hash only what is wrong with it.
-    lines.extend(card.provenance.into_iter().filter(|(key, _)| key != "sha256"));
+    lines.extend(card.provenance.into_iter().filter(|(key, _)| key != "sha256").map(explained));
     lines.extend(other_file.map(|text| ("but".to_owned(), text)));
     for (key, value) in lines.iter().filter(|(_, value)| !value.trim().is_empty()) {
         say(format_args!("{key:<14}{}", value.trim()));
     }
     Ok(())
+}
+
+/// Says what the card's accuracy is of.
+fn explained((key, value): (String, String)) -> (String, String) {
+    if key != "accuracy" {
+        return (key, value);
+    }
+    (key, format!("{value} of samples kept out of training are answered rightly, by the card's account"))
 }

@@ -11,7 +11,7 @@ use peernet_report::results::Loaded;
 use peernetd::exit::{Exit, Failure};
 use peernetd::output::{complain, say};
 
-use crate::compare::{Collected, collect};
+use crate::compare::{Collected, collect, distinct};
 use places::Places;
 
 /// What `peernet plot` can be told.
@@ -83,8 +83,9 @@ impl Kind {
 /// kind (64), or a file cannot be written (73).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     check(arguments)?;
-    let Collected { runs, .. } = collect(&arguments.runs, None, &|_| true)?;
-    let places = Places::of(&arguments.runs, &runs, arguments.out.as_deref());
+    let named = distinct(&arguments.runs);
+    let Collected { runs, .. } = collect(&named, None, &|_| true)?;
+    let places = Places::of(&named, &runs, arguments.out.as_deref());
     let columns = Columns { x: arguments.x.clone(), y: arguments.y.clone() };
     let mut lacking = Vec::new();
     let mut files = Vec::new();

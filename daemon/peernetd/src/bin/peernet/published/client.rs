@@ -14,7 +14,7 @@ use serde_json::json;
 use super::bar::Bar;
 use super::devices::Devices;
 use super::{Arguments, sensor};
-use crate::foreground::{tables, typed};
+use crate::foreground::{dashboard, tables, typed};
 use crate::measure::{Measured, Order, measure};
 
 /// Iterations that the published plots drop.
@@ -90,7 +90,8 @@ fn tell(measured: &Measured, arguments: &Arguments) {
     }
     let files: Vec<_> = measured.files.iter().filter_map(|path| path.file_name()?.to_str()).collect();
     say(format_args!("\n{}: {}", measured.folder.display(), files.join(", ")));
-    if let (Some(aggregator), Some(run)) = (&arguments.aggregator, measured.record.run) {
-        say(format_args!("see the run {run} of {} on the dashboard of {aggregator}", arguments.name));
+    if let Some(aggregator) = &arguments.aggregator {
+        let name = &arguments.name;
+        say(format_args!("see host {name}, pipeline {name}, on {}", dashboard(aggregator)));
     }
 }

@@ -41,6 +41,8 @@ pub(super) struct Serving {
     model: Slug,
     wanted: u64,
     answered: u64,
+    /// How many of them said that there is none.
+    errors: u64,
     clock: SharedClock,
     progress: Progress,
     /// When the first answer was seen, and how many there were by then.
@@ -66,6 +68,7 @@ impl Serving {
             model,
             wanted: arguments.iterations.get(),
             answered: 0,
+            errors: 0,
             progress: Progress::new(arguments.quiet, clock.mono()),
             clock,
             first: None,
@@ -84,7 +87,16 @@ impl Serving {
     /// What came of it.
     pub(super) fn summary(&self) -> String {
         let rate = self.rate().map_or_else(String::new, |rate| format!(", {rate:.1} /s"));
-        format!("{} answers{rate}{}", self.answered, self.inference())
+        format!("{} answers{}{rate}{}", self.answered, self.failed(), self.inference())
+    }
+
+    /// How many of the answers are errors, if any.
+    fn failed(&self) -> String {
+        match self.errors {
+            0 => String::new(),
+            1 => ", 1 of them an error".to_owned(),
+            many => format!(", {many} of them errors"),
+        }
     }
 
     /// Answers per second, from the first to the last.
@@ -139,7 +151,8 @@ impl Serving {
                     1 => "1 session".to_owned(),
                     many => format!("{many} sessions"),
                 };
-                format!("{answered} of {} answers, {clients}{rate}{}", self.wanted, self.inference())
+                let (wanted, failed) = (self.wanted, self.failed());
+                format!("{answered} of {wanted} answers{failed}, {clients}{rate}{}", self.inference())
             }
         };
         (text, share)
@@ -168,12 +181,13 @@ impl Eyes for Serving {
         if let Some(ended) = self.load(running) {
             return Some(ended);
         }
-        let (answered, p50, p99) = {
+        let (answered, errors, p50, p99) = {
             let served = running.served();
             let served = served.borrow();
-            (served.answers, served.inference.quantile(0.5), served.inference.quantile(0.99))
+            (served.answers, served.errors, served.inference.quantile(0.5), served.inference.quantile(0.99))
         };
         self.inference = p50.zip(p99);
+        self.errors = errors;
         let now = self.clock.mono();
         if answered > self.answered {
             self.answered = answered;

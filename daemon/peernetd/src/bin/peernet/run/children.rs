@@ -10,13 +10,15 @@ use anyhow::Context;
 use futures::StreamExt;
 use futures::stream::FuturesUnordered;
 use peernetd::exit::Exit;
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::{Pid, Signal, kill_process, kill_process_group};
 use serde::Deserialize;
 use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader};
 use tokio::process::{ChildStdout, Command};
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
+use tokio::time::Instant;
 
+use super::ending::Ending;
 use crate::foreground::Signals;
 use crate::measure::{Order, Seen};
 
@@ -59,6 +61,8 @@ pub(super) enum News<'a> {
     Seen(&'a [Option<Seen>]),
     /// What users' own code printed in the process at this place, or its log.
     Line(usize, &'a str),
+    /// How long the processes that were asked to end still may take.
+    Ending(&'a str),
 }
 
 /// A line of a process's standard output.
@@ -70,7 +74,8 @@ enum Told {
 }
 
 /// Executes orders, all at once, and shows what they tell. A signal to this program goes to all of them: at the
-/// first they end early with their results, at the second they wait for nothing, at the third they are killed.
+/// first they end early with their results, at the second they wait for nothing, at the third, or when they took too
+/// long, they are killed with what they started.
 pub(super) async fn execute(
     orders: &[Order],
     signals: &mut Signals,
@@ -78,7 +83,7 @@ pub(super) async fn execute(
 ) -> Ended {
     let (to, mut from) = mpsc::channel(TOLD);
     let mut seen: Vec<Option<Seen>> = vec![None; orders.len()];
-    let mut take = |index: usize, told: Told| match told {
+    let mut take = |index: usize, told: Told, show: &mut dyn FnMut(News<'_>)| match told {
         Told::Seen(now) => {
             seen[index] = Some(now);
             show(News::Seen(&seen));
@@ -100,7 +105,7 @@ pub(super) async fn execute(
             }
         }
     }
-    let mut signalled = 0_u32;
+    let mut ending = Ending::default();
     loop {
         tokio::select! {
             ended = waiting.next() => {
@@ -108,24 +113,34 @@ pub(super) async fn execute(
                 pids[index] = None;
                 exits[index] = Some(exited);
             }
-            Some((index, told)) = from.recv() => take(index, told),
+            Some((index, told)) = from.recv() => take(index, told, &mut show),
             () = signals.next() => {
-                signalled += 1;
-                let signal = if signalled > 2 { Signal::KILL } else { Signal::INT };
-                for pid in pids.iter().flatten() {
-                    // One that has just ended needs none.
-                    let _ = kill_process(*pid, signal);
-                }
+                let (signal, told) = ending.wish(Instant::now());
+                show(News::Ending(&told));
+                send(&pids, signal);
+            }
+            () = ending.over() => {
+                show(News::Ending("what did not end in time is killed"));
+                send(&pids, ending.kill());
             }
         }
     }
     while let Ok((index, told)) = from.try_recv() {
-        take(index, told);
+        take(index, told, &mut show);
     }
     let gone = || Exited { code: None, reason: None };
     Ended {
         exits: exits.into_iter().map(|exit| exit.unwrap_or_else(gone)).collect(),
-        interrupted: signalled > 0,
+        interrupted: ending.is_wanted(),
+    }
+}
+
+/// Signals the processes; a kill goes to all that they started as well.
+fn send(processes: &[Option<Pid>], signal: Signal) {
+    let each = if signal == Signal::KILL { kill_process_group } else { kill_process };
+    for pid in processes.iter().flatten() {
+        // One that has just ended needs none.
+        let _ = each(*pid, signal);
     }
 }
 

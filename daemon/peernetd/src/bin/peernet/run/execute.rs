@@ -65,7 +65,7 @@ impl Execution<'_> {
                 News::Line(user, line) if orders.len() > 1 => {
                     return progress.say(format_args!("user {}: {line}", user + 1));
                 }
-                News::Line(_, line) => return progress.say(line),
+                News::Line(_, line) | News::Ending(line) => return progress.say(line),
                 News::Seen(seen) => together(seen),
             };
             let Some(seen) = seen else { return };

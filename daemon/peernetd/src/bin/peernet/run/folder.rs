@@ -36,11 +36,12 @@ impl Folder {
     /// When another program uses it (69), it holds something else (64) or cannot be made (73).
     pub(super) fn open(path: &Path) -> Result<Self, Failure> {
         let unwritten = |error: std::io::Error| {
+            let error = dangling(path).unwrap_or_else(|| error.to_string());
             Failure::new(Exit::Unwritten, anyhow!("cannot make the folder {}: {error}", path.display()))
         };
         let entries = fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
         let foreign = entries.map(|entry| entry.file_name()).any(|name| name != LOCK && name != RUNS);
-        if foreign && !path.join(RECORD).is_file() {
+        if foreign && !path.join(RECORD).exists() {
             let text = format!(
                 "{} holds files, but no {RECORD}: it is no experiment's folder; name another with --result-loc",
                 path.display()
@@ -150,7 +151,7 @@ pub(super) fn load(path: &Path) -> Result<Option<Record>, Failure> {
         let text = format!("cannot read {}: {why}; --restart begins anew", path.display());
         Failure::new(Exit::Data, anyhow!("{text}"))
     };
-    let text = match small_file::read(&path, LARGEST_RECORD) {
+    let text = match small_file::read_found(&path, LARGEST_RECORD) {
         Ok(text) => text,
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
             return Ok(None);
@@ -178,6 +179,13 @@ pub(super) fn unchanged(record: &Record, plan: &Plan) -> Result<(), Failure> {
         differences(&json(&record.plan), &json(plan)).join("\n  ")
     );
     Err(Failure::new(Exit::Configuration, anyhow!("{text}")))
+}
+
+/// A link on the path that leads nowhere, in words: no folder can be made in its place.
+fn dangling(path: &Path) -> Option<String> {
+    let link = path.ancestors().find(|part| part.is_symlink() && !part.exists())?;
+    let to = link.read_link().ok()?;
+    Some(format!("{} is a link to {}, which is not there", link.display(), to.display()))
 }
 
 fn cannot_remove(path: &Path, error: &std::io::Error) -> Failure {

@@ -11,13 +11,16 @@ mod arguments;
 mod check;
 mod children;
 mod difference;
+mod ending;
 mod estimate;
 mod execute;
 mod file;
 mod folder;
+mod homes;
 mod plan;
 mod report;
 mod sensors;
+mod short;
 mod state;
 mod table;
 mod trial;
@@ -31,19 +34,22 @@ use std::path::PathBuf;
 
 use anyhow::{Context, anyhow};
 use peernet_clock::{ClockIdentity, SharedClock};
+use peernet_networks::Address;
 use peernet_report::results::ResultFolder;
 use peernetd::exit::{Exit, Failure};
 use peernetd::output::{complain, say};
 use peernetd::{VERSION, clock};
 
-use crate::foreground::Signals;
+use crate::foreground::{Signals, dashboard};
 use arguments::Only;
 use children::Exited;
 use estimate::{Estimates, expected};
 use execute::Execution;
 use file::File;
 use folder::Folder;
+use homes::Homes;
 use plan::{Plan, Run};
+use short::short;
 use state::{Record, Stage};
 use trial::Tried;
 
@@ -56,11 +62,11 @@ const RESULTS: &str = "results";
 /// When the file is not there (66) or wrong (78), something that it names cannot be had (69), the folder is not its own
 /// (64), results cannot be written (73), some runs failed (75), or the user ended it early (130).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let file = File::read(&arguments.file, &arguments.set)?;
-    let configurations = file.configurations(&arguments.models_dir)?;
+    let file = File::read(&arguments.file, &arguments.set).map_err(short)?;
+    let configurations = file.configurations(&arguments.models_dir).map_err(short)?;
     let clock =
         clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
-    let remarks = check::configurations(&configurations, &clock)?;
+    let remarks = check::configurations(&configurations, &clock).map_err(short)?;
     let path = arguments.result_loc.clone();
     let path = path.unwrap_or_else(|| PathBuf::from(RESULTS).join(file.experiment.name.as_str()));
     // A broken record can be begun anew.
@@ -110,6 +116,13 @@ async fn carry_out(
         settle(folder, &mut record);
     }
     let to_do = record.to_do(|run| Only::wants(&arguments.only, &record.plan, run));
+    let _homes = match folder.as_ref().map(|_| Homes::take(&record.plan, &to_do)).transpose() {
+        Ok(homes) => homes,
+        Err(failure) => {
+            discard(folder, &record);
+            return Err(failure);
+        }
+    };
     let wanted: BTreeSet<usize> = to_do.iter().map(|run| run.configuration).collect();
     let tried = match trial::configurations(&record.plan, &wanted, clock, &mut signals, arguments.quiet).await
     {
@@ -147,6 +160,9 @@ async fn carry_out(
     let told = report::write(&folder, &record, plots)?;
     say(format_args!("\n{told}"));
     say(format_args!("\n{}: {}", path.display(), summary(&record)));
+    for aggregator in aggregators(&record.plan) {
+        say(format_args!("see the runs of experiment {} on {}", record.plan.name, dashboard(aggregator)));
+    }
     verdict(&record, &to_do, interrupted)
 }
 
@@ -244,6 +260,17 @@ fn discard(folder: Option<Folder>, record: &Record) {
     if let Some(folder) = folder.filter(|_| record.states.iter().all(|state| state.attempts == 0)) {
         folder.discard();
     }
+}
+
+/// Where the runs were streamed to.
+fn aggregators(plan: &Plan) -> Vec<&Address> {
+    let mut each = Vec::new();
+    for aggregator in plan.configurations.iter().filter_map(|one| one.agent.agent.aggregator.as_ref()) {
+        if !each.contains(&aggregator) {
+            each.push(aggregator);
+        }
+    }
+    each
 }
 
 fn summary(record: &Record) -> String {

@@ -15,8 +15,6 @@ use super::file::{Configuration, Experiment, Order};
 const LONGEST_LABEL: usize = 24;
 /// Longest name of a folder without its number and repeat.
 const LONGEST_NAME: usize = 120;
-/// The name of users' agents where the file has none.
-const USER: &str = "user";
 
 /// The runs in order, and everything that they follow from.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -108,14 +106,15 @@ impl Plan {
         Some(pipeline)
     }
 
-    /// The name of a user's agent; `None` where the agent's own is to be taken.
+    /// The name of a user's agent, numbered where there are several; `None` where there is none in the file and a single
+    /// agent is to take the machine's.
     pub(super) fn agent_name(&self, run: &Run, user: u32) -> Option<Slug> {
         let configuration = self.configuration(run);
-        let own = configuration.agent.agent.name.as_ref();
+        let agent = &configuration.agent.agent;
         if configuration.users == 1 {
-            return own.cloned();
+            return agent.name.clone();
         }
-        let name = own.map_or(USER, Slug::as_str);
+        let name = agent.host_name().ok()?;
         format!("{name}-{}", user + 1).parse().ok()
     }
 

@@ -145,6 +145,12 @@ fn a_folder_belongs_to_one_experiment_and_one_program() {
     std::fs::write(path.join("experiment.json"), "{").expect("writable");
     let damaged = folder::load(&path).expect_err("no JSON");
     assert!(damaged.exit == Exit::Data && damaged.to_string().contains("--restart"), "{damaged}");
+
+    let link = temporary.path().join("link");
+    std::os::unix::fs::symlink("nowhere", &link).expect("writable");
+    let nowhere = Folder::open(&link).err().expect("leads nowhere");
+    let told = "is a link to nowhere, which is not there";
+    assert!(nowhere.exit == Exit::Unwritten && nowhere.to_string().ends_with(told), "{nowhere}");
 }
 
 #[test]

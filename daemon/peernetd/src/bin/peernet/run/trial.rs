@@ -86,7 +86,7 @@ pub(super) async fn configurations(
         let orders = [Order { folder: at.clone(), ..order.clone() }];
         let share = done as f64 / trials.len() as f64;
         let mut ended = children::execute(&orders, signals, |news| match news {
-            News::Line(_, line) => progress.say(line),
+            News::Line(_, line) | News::Ending(line) => progress.say(line),
             News::Seen(seen) => {
                 let (now, trouble) =
                     (clock.mono(), seen.iter().flatten().find_map(|seen| seen.trouble.clone()));

@@ -1,5 +1,7 @@
 //! `--set`: a value in the place of the file's.
 
+use std::num::IntErrorKind;
+
 use toml::{Table, Value};
 
 use super::axis::Axis;
@@ -26,6 +28,13 @@ impl Set {
         }
         let value = value.trim();
         let document = format!("value = {value}").parse::<Table>().ok();
+        if document.is_none() && is_beyond(value) {
+            return Err(format!(
+                "the number is too large; the largest is {}, the smallest {}",
+                i64::MAX,
+                i64::MIN
+            ));
+        }
         // More than one key: the text held a line feed.
         let read =
             document.filter(|document| document.len() == 1).and_then(|mut document| document.remove("value"));
@@ -51,6 +60,12 @@ impl Set {
     }
 }
 
+/// Whether it is a whole number that TOML has no room for: as a text it would be a riddle.
+fn is_beyond(value: &str) -> bool {
+    let read = value.replace('_', "").parse::<i64>();
+    read.is_err_and(|error| matches!(error.kind(), IntErrorKind::PosOverflow | IntErrorKind::NegOverflow))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -63,11 +78,17 @@ mod tests {
         assert_eq!(value("a.b=tcp://10.0.0.2:5551"), Value::String("tcp://10.0.0.2:5551".to_owned()));
         assert_eq!(value("a.b=\"100\""), Value::String("100".to_owned()));
         assert_eq!(value("bank.devices=[\"cpu\"]"), Value::Array(vec![Value::String("cpu".to_owned())]));
+        assert_eq!(value("a.b=9223372036854775807"), Value::Integer(i64::MAX));
+        assert_eq!(value("a.b='18446744073709551615'"), Value::String("18446744073709551615".to_owned()));
         assert_eq!(value("a.b="), Value::String(String::new()));
         assert_eq!(value("a.b=1\nc = 2"), Value::String("1\nc = 2".to_owned()));
-        for (text, told) in
-            [("a.b", "FIELD=VALUE"), ("a..b=1", "no path"), ("axis[0].values=[1]", "in the file")]
-        {
+        for (text, told) in [
+            ("a.b", "FIELD=VALUE"),
+            ("a..b=1", "no path"),
+            ("axis[0].values=[1]", "in the file"),
+            ("a.b=18446744073709551615", "too large; the largest is 9223372036854775807"),
+            ("a.b=-99_999_999_999_999_999_999", "too large"),
+        ] {
             let error = Set::read(text).expect_err(text);
             assert!(error.contains(told), "{error}");
         }

@@ -115,3 +115,13 @@ fn a_run_knows_its_place() {
     let alone = plan.runs.iter().find(|run| run.configuration == 2).expect("there is one");
     assert_eq!(plan.agent_name(alone, 0).map(|name| name.to_string()), Some("robot".to_owned()));
 }
+
+#[test]
+fn users_are_numbered_after_the_machine_where_the_file_has_no_name() {
+    let plan = plan(&FILE.replace("name = 'robot'", ""), None);
+    let run = |configuration| plan.runs.iter().find(|run| run.configuration == configuration).expect("it is");
+    let machine = plan.configurations[0].agent.agent.host_name().expect("the machine has a name");
+    let name = |configuration, user| plan.agent_name(run(configuration), user).map(|name| name.to_string());
+    assert_eq!(name(3, 1), Some(format!("{machine}-2")));
+    assert_eq!(name(2, 0), None, "a single one takes the machine's");
+}

@@ -1,0 +1,97 @@
+//! How long processes that were asked to end may take: one that is suspended hears of nothing but its end.
+
+use std::time::Duration;
+
+use rustix::process::Signal;
+use tokio::time::Instant;
+
+use crate::foreground::duration;
+
+/// After the first wish: what is under way is waited for, and the results are written.
+const ORDERLY: Duration = Duration::from_secs(60);
+/// After the second: the results alone are written.
+const HASTY: Duration = Duration::from_secs(10);
+
+/// The user's wishes to end, and what follows from them.
+#[derive(Debug, Default)]
+pub(super) struct Ending {
+    wishes: u32,
+    until: Option<Instant>,
+}
+
+impl Ending {
+    /// Takes a wish: what the processes are to be sent, and what the user is to know.
+    pub(super) fn wish(&mut self, now: Instant) -> (Signal, String) {
+        self.wishes += 1;
+        let mut within = |time: Duration| {
+            let until = self.until.map_or(now + time, |until| until.min(now + time));
+            self.until = Some(until);
+            duration((until - now).as_secs_f64())
+        };
+        // Of another kind each, so that a process cannot take the second for the first.
+        match self.wishes {
+            1 => (
+                Signal::INT,
+                format!(
+                    "ending; what is under way may take {} until it is killed, Ctrl-C again does not wait for it",
+                    within(ORDERLY)
+                ),
+            ),
+            2 => (
+                Signal::TERM,
+                format!(
+                    "what was under way is left alone; what does not end within {} is killed, Ctrl-C again kills it now",
+                    within(HASTY)
+                ),
+            ),
+            _ => (self.kill(), "what was under way is killed".to_owned()),
+        }
+    }
+
+    /// Waits until the time is over; for ever where there is none.
+    pub(super) async fn over(&self) {
+        match self.until {
+            Some(until) => tokio::time::sleep_until(until).await,
+            None => std::future::pending().await,
+        }
+    }
+
+    /// What ends even a process that is suspended.
+    pub(super) const fn kill(&mut self) -> Signal {
+        self.until = None;
+        Signal::KILL
+    }
+
+    /// Whether the user wanted the end.
+    pub(super) const fn is_wanted(&self) -> bool {
+        self.wishes > 0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_wish_leaves_less_time() {
+        let (mut ending, began) = (Ending::default(), Instant::now());
+        let at = |seconds: u64| began + Duration::from_secs(seconds);
+        assert!(!ending.is_wanted());
+        let (signal, told) = ending.wish(at(0));
+        assert!(signal == Signal::INT && told.contains("60 s"), "{told}");
+        assert_eq!((ending.is_wanted(), ending.until), (true, Some(at(60))));
+        let (signal, told) = ending.wish(at(53));
+        assert!(signal == Signal::TERM && told.contains("within 7 s"), "not more than was promised: {told}");
+        assert_eq!(ending.until, Some(at(60)));
+        assert_eq!(ending.wish(at(54)).0, Signal::KILL);
+        assert_eq!(ending.until, None);
+    }
+
+    #[test]
+    fn a_second_wish_does_not_wait_for_long() {
+        let (mut ending, began) = (Ending::default(), Instant::now());
+        ending.wish(began);
+        ending.wish(began + Duration::from_secs(1));
+        assert_eq!(ending.until, Some(began + Duration::from_secs(11)));
+    }
+}
