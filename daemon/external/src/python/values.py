@@ -99,6 +99,8 @@ class Encoder:
 
     def array(self, value):
         numpy = sys.modules["numpy"]
+        if isinstance(value, numpy.ma.MaskedArray) and numpy.ma.is_masked(value):
+            raise Refused("a masked array does not cross, because its mask would be lost; fill it, or " + OR_PICKLE)
         element = ELEMENTS.get(value.dtype.str[1:])
         if element is None:
             raise Refused("an array of type %s does not cross; convert it, or %s" % (value.dtype, OR_PICKLE))

@@ -80,6 +80,19 @@ fn a_value_that_cannot_cross_fails_one_call() {
 }
 
 #[test]
+fn what_an_array_masks_does_not_become_a_value() {
+    let source = "
+import numpy
+class Own:
+    def infer(self, x): return numpy.ma.masked_array([1, 2], [x == b'masked', False])
+";
+    let mut model = Module::new(source, "own::Own").model();
+    let said = failure(&mut model, &[bytes(b"masked")]);
+    assert!(said.contains("masked array does not cross"), "{said}");
+    assert_eq!(value(&mut model, &[bytes(b"plain")])[0].description.shape, [2]);
+}
+
+#[test]
 fn what_is_printed_does_not_disturb() {
     let mut model = module().model();
     assert_eq!(value(&mut model, &[bytes(b"loud")])[0].bytes, "loud");
