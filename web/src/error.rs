@@ -174,7 +174,18 @@ pub(crate) async fn dress(State(app): State<App>, request: Request, next: Next) 
 
 /// The answer for an address that is not there.
 pub(crate) async fn no_such_page(request: Request) -> WebError {
-    WebError::NotFound(format!("there is nothing at {}", request.uri().path()))
+    let path = request.uri().path();
+    // Who has an edge and a cloud at hand writes them as a folder and a file.
+    let link = path
+        .strip_prefix("/api/v1")
+        .unwrap_or(path)
+        .strip_prefix("/links/")
+        .and_then(|it| it.split_once('/'));
+    let hint = link.map_or_else(String::new, |(edge, rest)| {
+        let cloud = rest.split('/').next().unwrap_or_default();
+        format!("; a link is named EDGE~CLOUD, {edge}~{cloud} perhaps")
+    });
+    WebError::NotFound(format!("there is nothing at {path}{hint}"))
 }
 
 impl ProblemDetails {

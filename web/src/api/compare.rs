@@ -52,7 +52,8 @@ pub(crate) async fn compare(
 #[into_params(parameter_in = Query)]
 pub(crate) struct ExperimentsQuery {
     /// At most so many, 1 to 1,000; 50 unless given.
-    limit: Option<u32>,
+    #[param(value_type = Option<u32>)]
+    limit: Option<String>,
 }
 
 /// Experiments, the one with the newest run first.
@@ -64,7 +65,7 @@ pub(crate) async fn experiments(
     State(app): State<App>,
     Parameters(query): Parameters<ExperimentsQuery>,
 ) -> Result<Json<ExperimentList>, WebError> {
-    let limit = bounded("limit", query.limit, 50, 1..=1_000)?;
+    let limit = bounded("limit", query.limit.as_deref(), 50, 1..=1_000)?;
     let found = app.store().experiments(limit).await?;
     Ok(Json(ExperimentList { experiments: found.iter().map(Experiment::from).collect() }))
 }

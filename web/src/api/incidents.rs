@@ -11,12 +11,13 @@ use crate::error::{ProblemDetails, WebError};
 use crate::state::App;
 
 /// Which incidents.
-#[derive(Clone, Copy, Debug, Default, Deserialize, IntoParams)]
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
 pub(crate) struct Query {
     /// At most so many, 1 to 1,000; 100 unless given.
-    limit: Option<u32>,
+    #[param(value_type = Option<u32>)]
+    limit: Option<String>,
     /// Only incidents before this id: `next` of the page before.
     before: Option<i64>,
 }
@@ -30,7 +31,7 @@ pub(crate) async fn list(
     State(app): State<App>,
     Parameters(query): Parameters<Query>,
 ) -> Result<Json<IncidentList>, WebError> {
-    let limit = bounded("limit", query.limit, 100, 1..=1_000)?;
+    let limit = bounded("limit", query.limit.as_deref(), 100, 1..=1_000)?;
     let rows = app.store().incidents(limit, query.before).await?;
     let next = rows.last().filter(|_| rows.len() == limit as usize).map(|row| row.id);
     Ok(Json(IncidentList { incidents: rows.iter().map(Incident::from).collect(), next }))

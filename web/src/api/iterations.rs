@@ -32,7 +32,8 @@ pub(crate) struct Query {
     /// Only iterations of greater number: `next` of the page before.
     after: Option<u64>,
     /// At most so many, 1 to 1,000; 100 unless given.
-    limit: Option<u32>,
+    #[param(value_type = Option<u32>)]
+    limit: Option<String>,
     /// Only iterations without an answer: failed, lost, timeout.
     unsuccessful: bool,
     /// `number` unless given; `slowest` takes neither `after` nor `unsuccessful`.
@@ -50,7 +51,7 @@ pub(crate) async fn list(
     Parameters(query): Parameters<Query>,
 ) -> Result<Json<IterationList>, WebError> {
     let number = path(number)?;
-    let limit = bounded("limit", query.limit, 100, 1..=1_000)?;
+    let limit = bounded("limit", query.limit.as_deref(), 100, 1..=1_000)?;
     let run = app.store().run(number).await?.ok_or_else(|| no_run(number))?;
     if query.order == Order::Slowest {
         if query.after.is_some() || query.unsuccessful {

@@ -51,7 +51,8 @@ pub(crate) struct ClockQuery {
     /// End; the newest sample unless given.
     to: Option<String>,
     /// At most so many buckets, 1 to 2,000; 600 unless given.
-    points: Option<u32>,
+    #[param(value_type = Option<u32>)]
+    points: Option<String>,
 }
 
 /// What was known of a link's clocks over time, and what the network did.
@@ -68,7 +69,7 @@ pub(crate) async fn clock(
     Parameters(query): Parameters<ClockQuery>,
 ) -> Result<Json<LinkSeries>, WebError> {
     let wanted = path(link)?;
-    let points = bounded("points", query.points, 600, 1..=2_000)?;
+    let points = bounded("points", query.points.as_deref(), 600, 1..=2_000)?;
     let ((edge, cloud), end) = identify(&app, &wanted).await?;
     let to = query.to.as_deref().map(|text| moment("to", text)).transpose()?.unwrap_or(end);
     let from = query.from.as_deref().map(|text| moment("from", text)).transpose()?;

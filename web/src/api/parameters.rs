@@ -5,11 +5,16 @@ use axum::extract::{FromRequestParts, Path, Query};
 use axum::http::request::Parts;
 use chrono::DateTime;
 use peernet_clock::WallTime;
-use peernet_logger::Slug;
+use peernet_logger::{Name, Slug};
 use serde::de::DeserializeOwned;
+use std::fmt::Display;
 use std::ops::RangeInclusive;
+use std::str::FromStr;
 
 use crate::error::WebError;
+
+/// Most names of nodes that one question may hold.
+const MOST_NAMES: usize = 20;
 
 /// The query of an address.
 #[derive(Clone, Copy, Debug)]
@@ -24,6 +29,8 @@ impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for Parameters<T> 
             Err(rejection) => {
                 let text = rejection.body_text();
                 let text = text.strip_prefix("Failed to deserialize query string: ").unwrap_or(&text);
+                // What the standard library says of a letter in a number.
+                let text = text.replace("invalid digit found in string", "give a whole number");
                 Err(WebError::BadRequest(format!("query parameter {text}")))
             }
         }
@@ -31,18 +38,30 @@ impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for Parameters<T> 
 }
 
 /// A number within its limits, or its default.
-pub(crate) fn bounded<N: PartialOrd + std::fmt::Display>(
+pub(crate) fn bounded<N: PartialOrd + Display + FromStr>(
     name: &str,
-    value: Option<N>,
+    value: Option<&str>,
     default: N,
     range: RangeInclusive<N>,
 ) -> Result<N, WebError> {
-    let value = value.unwrap_or(default);
-    if range.contains(&value) {
-        return Ok(value);
+    let Some(text) = value else { return Ok(default) };
+    let number = text.parse().ok().filter(|number| range.contains(number));
+    number.ok_or_else(|| {
+        let (from, to) = range.into_inner();
+        WebError::BadRequest(format!(
+            "query parameter {name}: {text:?} is not a whole number from {from} to {to}"
+        ))
+    })
+}
+
+/// Names of nodes, parted by commas: at least one and at most [`MOST_NAMES`].
+pub(crate) fn names(parameter: &str, text: &str) -> Result<Vec<Name>, WebError> {
+    let names: Vec<Name> = text.split(',').filter(|name| !name.is_empty()).map(Name::from).collect();
+    if names.is_empty() || names.len() > MOST_NAMES {
+        let text = format!("query parameter {parameter}: give 1 to {MOST_NAMES} names, parted by commas");
+        return Err(WebError::BadRequest(text));
     }
-    let (from, to) = range.into_inner();
-    Err(WebError::BadRequest(format!("query parameter {name}: {value} is outside {from} to {to}")))
+    Ok(names)
 }
 
 /// A name of a host or pipeline.

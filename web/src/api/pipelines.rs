@@ -3,21 +3,90 @@
 use axum::Json;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
+use peernet_aggregator::PipelinePicture;
+use peernet_logger::Name;
+use serde::Deserialize;
+use utoipa::IntoParams;
 
-use super::parameters::path;
+use super::parameters::{Parameters, names, path};
 use super::schema::{Pipeline, PipelineList};
 use crate::error::{ProblemDetails, WebError};
 use crate::state::App;
 
+/// Lengths of the windows, seconds.
+const WINDOWS: [&str; 3] = ["1", "10", "60"];
+/// Seconds of one pipeline where no window is chosen.
+const HISTORY: usize = 600;
+
+/// What of a pipeline is wanted; all of it where nothing is said.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields, default)]
+#[into_params(parameter_in = Query)]
+pub(crate) struct Query {
+    /// Only this window: 1, 10 or 60 seconds; of `seconds` then at most as many.
+    #[param(value_type = Option<u32>)]
+    window: Option<String>,
+    /// Only nodes of these names, parted by commas, at most 20: `total,upload`. A name that nobody measured has no values.
+    stage: Option<String>,
+}
+
+/// A [`Query`] that makes sense.
+struct Part {
+    window: Option<u32>,
+    names: Option<Vec<Name>>,
+}
+
+impl Part {
+    fn of(query: &Query) -> Result<Self, WebError> {
+        let window = |text: &String| {
+            let known = WINDOWS.contains(&text.as_str()).then(|| text.parse().ok()).flatten();
+            known.ok_or_else(|| {
+                WebError::BadRequest(format!("query parameter window: {text:?} is not one of 1, 10 and 60"))
+            })
+        };
+        let window = query.window.as_ref().map(window).transpose()?;
+        Ok(Self { window, names: query.stage.as_deref().map(|text| names("stage", text)).transpose()? })
+    }
+
+    /// The pipeline with at most so many seconds, and what is wanted of it.
+    fn take(&self, picture: &PipelinePicture, seconds: usize) -> Pipeline {
+        let seconds = self.window.map_or(seconds, |window| seconds.min(window as usize));
+        let mut taken = Pipeline::new(picture, seconds);
+        taken.windows.retain(|window| self.window.is_none_or(|wanted| window.seconds == wanted));
+        let Some(names) = &self.names else { return taken };
+        let wanted = |name: &str| names.iter().any(|known| known == name);
+        for window in &mut taken.windows {
+            window.values.retain(|value| wanted(&value.name));
+            window.bounds.retain(|bound| wanted(&bound.stage));
+        }
+        for second in &mut taken.seconds {
+            second.means.retain(|name, _| wanted(name));
+        }
+        taken
+    }
+}
+
 /// Every pipeline that reported, with its figures over 1, 10 and 60 seconds.
-#[utoipa::path(get, path = "/api/v1/pipelines", operation_id = "listPipelines", tag = "pipelines", responses((status = 200, body = PipelineList)))]
-pub(crate) async fn list(State(app): State<App>) -> Json<PipelineList> {
-    Json(PipelineList::new(&app.picture()))
+#[utoipa::path(get, path = "/api/v1/pipelines", operation_id = "listPipelines", tag = "pipelines", params(Query), responses(
+    (status = 200, body = PipelineList),
+    (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
+))]
+pub(crate) async fn list(
+    State(app): State<App>,
+    Parameters(query): Parameters<Query>,
+) -> Result<Json<PipelineList>, WebError> {
+    let part = Part::of(&query)?;
+    let taken = |one: &PipelinePicture| part.take(one, PipelineList::SECONDS);
+    Ok(Json(PipelineList::of(&app.picture(), taken)))
 }
 
 /// One pipeline with its last 600 seconds.
 #[utoipa::path(get, path = "/api/v1/pipelines/{host}/{pipeline}", operation_id = "getPipeline", tag = "pipelines",
-    params(("host" = String, Path, description = "name of the host it senses on"), ("pipeline" = String, Path, description = "its name there")),
+    params(
+        ("host" = String, Path, description = "name of the host it senses on"),
+        ("pipeline" = String, Path, description = "its name there"),
+        Query,
+    ),
     responses(
         (status = 200, body = Pipeline),
         (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
@@ -26,12 +95,13 @@ pub(crate) async fn list(State(app): State<App>) -> Json<PipelineList> {
 pub(crate) async fn one(
     State(app): State<App>,
     names: Result<Path<(String, String)>, PathRejection>,
+    Parameters(query): Parameters<Query>,
 ) -> Result<Json<Pipeline>, WebError> {
-    let (host, name) = path(names)?;
+    let ((host, name), part) = (path(names)?, Part::of(&query)?);
     let picture = app.picture();
     let found =
         picture.pipelines.iter().find(|one| one.host_name.as_str() == host && one.pipeline.as_str() == name);
     found
-        .map(|one| Json(Pipeline::new(one, 600)))
+        .map(|one| Json(part.take(one, HISTORY)))
         .ok_or_else(|| WebError::NotFound(format!("no pipeline {name} of host {host} has reported")))
 }

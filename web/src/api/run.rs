@@ -4,11 +4,11 @@ use axum::Json;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use peernet_aggregator::RunSummary;
-use peernet_logger::{Name, stage};
+use peernet_logger::stage;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use super::parameters::{Parameters, bounded, path};
+use super::parameters::{Parameters, bounded, names, path};
 use super::schema::{Bound, Histogram, Recomputed, RunDetail, Series, Stage, StageList};
 use crate::error::{ProblemDetails, WebError};
 use crate::state::{App, AppState};
@@ -75,7 +75,8 @@ pub(crate) struct SeriesQuery {
     /// Node names, parted by commas; `total` unless given, at most 20.
     stages: Option<String>,
     /// At most so many buckets, 1 to 2,000; 300 unless given.
-    points: Option<usize>,
+    #[param(value_type = Option<u32>)]
+    points: Option<String>,
 }
 
 /// Node names over the time of the run.
@@ -89,16 +90,8 @@ pub(crate) async fn series(
     Parameters(query): Parameters<SeriesQuery>,
 ) -> Result<Json<Series>, WebError> {
     let number = path(number)?;
-    let points = bounded("points", query.points, 300, 1..=2_000)?;
-    let names: Vec<Name> = match &query.stages {
-        None => vec![stage::TOTAL],
-        Some(text) => text.split(',').filter(|name| !name.is_empty()).map(Name::from).collect(),
-    };
-    if names.is_empty() || names.len() > 20 {
-        return Err(WebError::BadRequest(
-            "query parameter stages: give 1 to 20 names, parted by commas".to_owned(),
-        ));
-    }
+    let points = bounded("points", query.points.as_deref(), 300, 1..=2_000)?;
+    let names = query.stages.map_or_else(|| Ok(vec![stage::TOTAL]), |text| names("stages", &text))?;
     must_exist(&app, number).await?;
     Ok(Json(Series::from(&app.store().series(number, &names, points).await?)))
 }
@@ -111,7 +104,8 @@ pub(crate) struct HistogramQuery {
     /// A node name; `total` unless given.
     stage: Option<String>,
     /// At most so many bins, 1 to 500; 50 unless given.
-    bins: Option<usize>,
+    #[param(value_type = Option<u32>)]
+    bins: Option<String>,
 }
 
 /// The distribution of one node name.
@@ -125,7 +119,7 @@ pub(crate) async fn histogram(
     Parameters(query): Parameters<HistogramQuery>,
 ) -> Result<Json<Histogram>, WebError> {
     let number = path(number)?;
-    let bins = bounded("bins", query.bins, 50, 1..=500)?;
+    let bins = bounded("bins", query.bins.as_deref(), 50, 1..=500)?;
     let name = query.stage.unwrap_or_else(|| stage::TOTAL.to_string());
     must_exist(&app, number).await?;
     let found = app.store().histogram(number, &name, bins).await?;

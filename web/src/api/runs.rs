@@ -21,7 +21,8 @@ pub(crate) struct Query {
     /// Only runs of the edge host of this name.
     host: Option<String>,
     /// At most so many, 1 to 1,000; 50 unless given.
-    limit: Option<u32>,
+    #[param(value_type = Option<u32>)]
+    limit: Option<String>,
     /// Only runs before this number: `next` of the page before.
     before: Option<i64>,
 }
@@ -35,7 +36,7 @@ pub(crate) async fn list(
     State(app): State<App>,
     Parameters(query): Parameters<Query>,
 ) -> Result<Json<RunList>, WebError> {
-    let limit = bounded("limit", query.limit, 50, 1..=1_000)?;
+    let limit = bounded("limit", query.limit.as_deref(), 50, 1..=1_000)?;
     let pipeline = query.pipeline.as_deref().map(|name| slug("pipeline", name)).transpose()?;
     let host = match query.host {
         None => None,

@@ -13,7 +13,7 @@ use crate::state::App;
 use crate::svg::Scatter;
 use crate::view::compare::{
     Axes, Changed, Comparison, MOST_RUNS, Pair, StackRow, Table, UsersRow, Which, accuracy, difference,
-    gather, pairs, payload, stacks, title, too_short, users,
+    gather, open, pairs, payload, stacks, title, too_short, users,
 };
 use crate::view::counted;
 use crate::view::shell::{Place, Shell};
@@ -110,7 +110,7 @@ fn assemble(shell: Shell, comparison: &Comparison, courses: Option<&(Courses, Co
         Some((name, _)) => format!("experiment {name}"),
         None => counted(runs, "run", "runs"),
     };
-    let mut facts = common(comparison);
+    let mut facts: Vec<String> = open(comparison, total).into_iter().chain(common(comparison)).collect();
     facts.push(counted(comparison.configurations.len(), "configuration", "configurations"));
     facts.push(counted(runs, "run", "runs"));
     facts.push("successful iterations, warm-up left out".to_owned());

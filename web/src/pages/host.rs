@@ -135,6 +135,9 @@ fn host_page(app: &AppState, picture: &Picture, host: &HostPicture) -> Host {
     let serving =
         picture.pipelines.iter().filter(|one| one.placement.peer.as_ref() == Some(&description.name));
     let title = match (host.connected, mine.len(), serving.count()) {
+        (false, ..) if host.left => {
+            format!("{name} took its leave at {}", app.zone.moment(host.last_seen).clock())
+        }
         (false, ..) => format!("{name} has not reported since {}", app.zone.moment(host.last_seen).clock()),
         (true, 0, 0) => format!("{name} is connected and idle"),
         (true, own, 0) => format!("{name} runs {own} pipeline{}", if own == 1 { "" } else { "s" }),

@@ -26,7 +26,7 @@ use crate::view::shell::{Place, Shell};
 use crate::view::stack::Stack;
 use crate::view::stages::{StageRow, TOO_FEW, directions};
 use crate::view::trust::Trust;
-use crate::view::{link, place, rehearsal, runs, trust};
+use crate::view::{accuracy, link, place, rehearsal, runs, trust};
 use crate::zone::Zone;
 
 /// Bins of a distribution.
@@ -89,7 +89,8 @@ struct Run {
     unanswered: Vec<Unanswered>,
     trust: Trust,
     experiment: Option<ExperimentPlace>,
-    accuracies: Vec<(&'static str, String)>,
+    /// Column, share and its interval, percent.
+    accuracies: Vec<(&'static str, String, Option<String>)>,
     configuration: Vec<(String, String)>,
     toml: String,
     data: JsonBlock,
@@ -257,10 +258,10 @@ fn assemble(
 }
 
 /// How often the model was right, where samples had labels.
-fn accuracies(stages: &[StageStatistics]) -> Vec<(&'static str, String)> {
+fn accuracies(stages: &[StageStatistics]) -> Vec<(&'static str, String, Option<String>)> {
     let known = look::ACCURACIES.into_iter().filter_map(|(name, shown)| {
         let figures = stages.iter().find(|stage| stage.stage == *name)?.figures;
-        Some((shown, share(figures.mean)))
+        Some((shown, share(figures.mean), accuracy::interval(&figures)))
     });
     known.collect()
 }

@@ -229,6 +229,24 @@ async fn what_wants_to_be_looked_at_comes_worst_first() {
 }
 
 #[tokio::test]
+async fn a_host_that_took_its_leave_is_nothing_to_look_at() {
+    let mut left = host("cam-1", "Orin");
+    (left.connected, left.left) = (false, true);
+    let mut ended = pipeline("line", 0.0, 1.0, Verdict::Ok, &[]);
+    ended.state = PipelineState::Finished;
+    let shown = picture(vec![left], vec![ended]);
+    let html = overview_of(&shown, Vec::new()).await;
+    assert!(!html.contains("to look at") && !html.contains("has not reported"), "{html}");
+    let (app, _folder) = samples::app().await;
+    let hosts: String =
+        hosts::update(&app, &shown).expect("renders").parts.into_iter().map(|(_, html)| html).collect();
+    assert!(hosts.contains("dot quiet") && !hosts.contains("dot bad"), "{hosts}");
+    let one = host::update(&app, &shown, "cam-1").expect("renders");
+    let one: String = one.parts.into_iter().map(|(_, html)| html).collect();
+    assert!(one.contains("cam-1 took its leave at 12:01:07"), "{one}");
+}
+
+#[tokio::test]
 async fn a_store_that_fails_breaks_its_panel_alone() {
     let (app, _folder) = samples::app().await;
     let shown = picture(Vec::new(), vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);

@@ -72,6 +72,16 @@ struct Dot {
     whisker: Option<(Percent, Percent)>,
 }
 
+impl Dot {
+    /// Points along its error bar.
+    fn whole_whisker(&self) -> impl Iterator<Item = (f64, f64)> {
+        let ends = self.whisker.into_iter().map(|(low, high)| (low.0, high.0));
+        ends.flat_map(move |(low, high)| {
+            (0..=STEPS).map(move |step| (self.x.0, low + (high - low) * f64::from(step) / f64::from(STEPS)))
+        })
+    }
+}
+
 /// A name beside its point.
 #[derive(Clone, Debug, PartialEq)]
 struct Label {
@@ -107,6 +117,12 @@ impl Label {
         left < x + half && x - half < left + width && (self.y.0 - y).abs() < LETTER.1
     }
 
+    /// Whether something that is drawn there runs through it.
+    fn is_crossed(&self, (x, y): (f64, f64)) -> bool {
+        let (middle, height, letters) = self.place();
+        (middle - x).abs() < LETTER.0 * letters / 2.0 && (height - y).abs() < LETTER.1 / 2.0
+    }
+
     /// Its middle and how many letters it is long.
     fn place(&self) -> (f64, f64, f64) {
         let letters = self.text.chars().count() as f64;
@@ -138,22 +154,29 @@ impl Scatter {
         });
         let dots: Vec<Dot> = dots.collect();
         let points = series.iter().flat_map(|one| one.points.iter().enumerate());
-        let names = beside(&dots, points.map(|(at, point)| (at, point.name.as_str())));
-        let line = |line: &ScatterLine| {
-            let points = (0..=STEPS).map(|step| {
-                let x = across.between(line.from, line.to, f64::from(step) / f64::from(STEPS));
-                Some((across.at(x).0 / 100.0, up.below(line.intercept + line.slope * x)))
+        let course = |line: &ScatterLine| -> Vec<(f64, f64)> {
+            let steps = (0..=STEPS).map(|step| f64::from(step) / f64::from(STEPS));
+            let points = steps.map(|step| {
+                let x = across.between(line.from, line.to, step);
+                (across.at(x).0 / 100.0, up.below(line.intercept + line.slope * x))
             });
-            pen::line(points)
+            points.collect()
         };
         let lines = series.iter().flat_map(|one| one.lines.iter().map(move |it| (one.look, it)));
+        let lines: Vec<_> = lines.map(|(look, it)| (look, course(it))).collect();
+        let drawn = lines.iter().flat_map(|(_, course)| course).map(|(x, y)| (x * 100.0, y * 100.0));
+        let drawn: Vec<(f64, f64)> = drawn.chain(dots.iter().flat_map(Dot::whole_whisker)).collect();
+        let names = beside(&dots, &drawn, points.map(|(at, point)| (at, point.name.as_str())));
         Self {
             label,
             x_unit,
             y_unit,
             rows: up.ticks(),
             columns: across.ticks(),
-            lines: lines.map(|(look, it)| (look, line(it))).collect(),
+            lines: lines
+                .into_iter()
+                .map(|(look, course)| (look, pen::line(course.into_iter().map(Some))))
+                .collect(),
             dots,
             names,
             key: series.iter().map(|one| (one.look, one.name.clone())).collect(),
@@ -161,8 +184,13 @@ impl Scatter {
     }
 }
 
-/// A name at each point where there is room: right, left, above or below; where there is none, it joins the nearest name.
-fn beside<'a>(dots: &[Dot], texts: impl Iterator<Item = (usize, &'a str)>) -> Vec<Label> {
+/// A name at each point where there is room: right, left, above, below or askew, where nothing that is drawn runs through
+/// it if there is such a place; where there is no room, it joins the nearest name.
+fn beside<'a>(
+    dots: &[Dot],
+    drawn: &[(f64, f64)],
+    texts: impl Iterator<Item = (usize, &'a str)>,
+) -> Vec<Label> {
     let mut names: Vec<Label> = Vec::new();
     for (dot, (place, text)) in dots.iter().zip(texts) {
         let at = |dx: f64, dy: f64, anchor, shift| Label {
@@ -179,12 +207,18 @@ fn beside<'a>(dots: &[Dot], texts: impl Iterator<Item = (usize, &'a str)>) -> Ve
             at(-AWAY.0, 0.0, "end", ("-.7em", ".36em")),
             at(0.0, -AWAY.1, "middle", ("0", "-.8em")),
             at(0.0, AWAY.1, "middle", ("0", "1.5em")),
+            at(AWAY.0, -AWAY.1, "start", (".6em", "-.8em")),
+            at(AWAY.0, AWAY.1, "start", (".6em", "1.5em")),
+            at(-AWAY.0, -AWAY.1, "end", ("-.6em", "-.8em")),
+            at(-AWAY.0, AWAY.1, "end", ("-.6em", "1.5em")),
         ];
         let free = |label: &Label| {
             let on_dots = dots.iter().any(|other| label.overlaps((other.x.0, other.y.0, 1.0)));
             !on_dots && !names.iter().any(|other| label.overlaps(other.place()))
         };
-        if let Some(label) = tries.into_iter().find(free) {
+        let is_clear = |label: &&Label| free(label) && !drawn.iter().any(|at| label.is_crossed(*at));
+        if let Some(label) = tries.iter().find(is_clear).or_else(|| tries.iter().find(|label| free(label))) {
+            let label = label.clone();
             names.push(label);
             continue;
         }
@@ -267,6 +301,18 @@ mod tests {
         assert_eq!(shown, 12, "{:?}", plot.names);
         for (at, name) in plot.names.iter().enumerate() {
             assert!(plot.names[..at].iter().all(|other| !name.overlaps(other.place())), "{:?}", plot.names);
+        }
+    }
+
+    #[test]
+    fn no_line_runs_through_a_name_where_there_is_room_beside_it() {
+        let level = |from, to| ScatterLine { intercept: 5.0, slope: 0.0, from, to };
+        let plot = plot(&[(10.0, 5.0), (50.0, 5.0), (90.0, 5.0)], vec![level(10.0, 50.0), level(50.0, 90.0)]);
+        assert_eq!(plot.names.len(), 3, "{:?}", plot.names);
+        for name in &plot.names {
+            let along = (0..=1_000).map(|at| (f64::from(at) / 10.0, plot.dots[1].y.0));
+            let on_line = along.filter(|(x, _)| (plot.dots[0].x.0..plot.dots[2].x.0).contains(x));
+            assert!(on_line.into_iter().all(|at| !name.is_crossed(at)), "{name:?}");
         }
     }
 

@@ -90,7 +90,7 @@ fn host_notes(host: &HostPicture, zone: Zone) -> Vec<Note> {
     let note =
         |chip, text| Note { chip, subject: name.clone(), href: format!("/hosts/{name}"), text, link: None };
     let mut notes = Vec::new();
-    if !host.connected {
+    if !host.connected && !host.left {
         let seen = zone.moment(host.last_seen).clock();
         notes.push(note(Chip::new(Tone::Warn, "gap", "away"), format!("has not reported since {seen}.")));
     }

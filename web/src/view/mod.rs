@@ -1,5 +1,6 @@
 //! What several pages say the same way.
 
+pub(crate) mod accuracy;
 pub(crate) mod awaited;
 pub(crate) mod bytes;
 pub(crate) mod chart;

@@ -157,6 +157,7 @@ pub(crate) fn host(name: &str, kind: &str) -> HostPicture {
             models: Vec::new(),
         },
         connected: true,
+        left: false,
         last_seen: NOW,
         clock_ahead: Span::from_millis(3),
         behind: None,

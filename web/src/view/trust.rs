@@ -3,11 +3,13 @@
 use peernet_aggregator::{Bound, RunDetail, StageCourse, StageStatistics, Store, StoreError};
 use peernet_logger::stream::Grade;
 use peernet_logger::{Name, stage};
+use peernet_report::accuracy::ACCURACIES;
 use peernet_report::trust::{
     Came, Clocks, Counts, Course, Early, Evidence, Limits, Missing, Publish, Report,
 };
 use serde::Deserialize;
 
+use super::accuracy;
 use super::chip::{Chip, Tone};
 
 /// Most buckets that a run's course is read in.
@@ -23,7 +25,7 @@ pub(crate) struct Trust {
     pub rest: Vec<Line>,
 }
 
-/// One sentence.
+/// One sentence; names and commands stand between backticks.
 pub(crate) struct Line {
     pub chip: Chip,
     pub text: String,
@@ -89,6 +91,13 @@ pub(crate) fn report(
             })
             .collect(),
         stages: of,
+        accuracy: ACCURACIES
+            .into_iter()
+            .filter_map(|name| {
+                let scores = stages.iter().find(|stage| stage.stage == *name)?.figures;
+                Some((name.to_owned(), accuracy::of(&scores, counts.ok)?))
+            })
+            .collect(),
         ..Evidence::default()
     };
     Report::of(&evidence.ended(run.summary.reason.as_deref()).with_facts(&run.facts))
@@ -123,8 +132,8 @@ impl From<&Report> for Trust {
         let lines = |sentences: Vec<&peernet_report::trust::Sentence>| {
             let line = |sentence: &peernet_report::trust::Sentence| Line {
                 chip: chip(sentence.grade),
-                text: plain(&sentence.text),
-                advice: plain(&sentence.advice),
+                text: sentence.text.clone(),
+                advice: sentence.advice.clone(),
             };
             sentences.into_iter().map(line).collect()
         };
@@ -151,11 +160,6 @@ const fn chip(grade: Grade) -> Chip {
     }
 }
 
-/// Without the marks that set names and commands apart on a terminal.
-fn plain(text: &str) -> String {
-    text.replace('`', "")
-}
-
 #[cfg(test)]
 mod tests {
     use peernet_aggregator::GapRow;
@@ -163,7 +167,7 @@ mod tests {
     use peernet_logger::stream::PlacementKind;
 
     use super::*;
-    use crate::view::compare::tests::run;
+    use crate::view::compare::tests::{run, stages};
     use crate::view::samples::NOW;
 
     /// 300 of so many iterations; 59 s of a minute.
@@ -206,6 +210,24 @@ mod tests {
         for whole in [&of(300), "name = \"line\"\n", "# cannot be written down: why\n", "= not TOML"] {
             assert_eq!(end(&detail(whole, "stopped")), None, "{whole}");
         }
+    }
+
+    #[test]
+    fn answers_without_a_score_are_told() {
+        let run = detail("", "finished");
+        let ok = run.summary.counts.ok;
+        let (mut stages, _) = stages(1.0, 1e3);
+        let mut top = stages[0].clone();
+        (top.stage, top.figures.count, top.figures.mean) = (Name::from("top-1"), ok - 12, 0.75);
+        stages.push(top);
+        let said = |stages: &[StageStatistics]| {
+            let report = report(&run, stages, &[], &[]);
+            report.sentences.into_iter().find(|sentence| sentence.text.contains("top-1"))
+        };
+        let text = said(&stages).expect("a sentence").text;
+        assert!(text.contains("12"), "{text}");
+        stages.last_mut().expect("top-1").figures.count = ok;
+        assert!(said(&stages).is_none(), "all were scored");
     }
 
     #[test]

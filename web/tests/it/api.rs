@@ -125,6 +125,34 @@ async fn live_and_stored_figures_are_served() {
 }
 
 #[tokio::test]
+async fn a_controller_asks_for_one_window_and_a_few_stages() {
+    let (bed, _factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+    let all = bed.get("/api/v1/pipelines").await;
+    let few = bed.get("/api/v1/pipelines?window=10&stage=total,upload").await;
+    assert!(few.text().len() * 4 < all.text().len(), "{} of {}", few.text().len(), all.text().len());
+    let one = bed.get("/api/v1/pipelines/cam-2/offload-full?window=10&stage=total,upload").await.json();
+    for pipeline in [&few.json()["pipelines"][1], &one] {
+        let windows = pipeline["windows"].as_array().expect("windows");
+        assert_eq!((windows.len(), &windows[0]["seconds"]), (1, &json!(10)), "{pipeline}");
+        let names = |list: &Value, key: &str| -> HashSet<String> {
+            list.as_array()
+                .expect("a list")
+                .iter()
+                .map(|one| one[key].as_str().expect("a name").to_owned())
+                .collect()
+        };
+        let asked = HashSet::from(["total".to_owned(), "upload".to_owned()]);
+        assert_eq!(names(&windows[0]["values"], "name"), asked, "{pipeline}");
+        assert_eq!(names(&windows[0]["bounds"], "stage"), HashSet::from(["upload".to_owned()]), "{pipeline}");
+        let seconds = pipeline["seconds"].as_array().expect("seconds");
+        assert!((1..=10).contains(&seconds.len()), "{pipeline}");
+        assert!(seconds.iter().all(|second| second["means"].get("inference").is_none()), "{pipeline}");
+    }
+    let nobody = bed.get("/api/v1/pipelines?window=60&stage=no-such-stage").await.json();
+    assert_eq!(nobody["pipelines"][1]["windows"][0]["values"], json!([]), "{nobody}");
+}
+
+#[tokio::test]
 async fn lists_are_paged_without_loss_or_repetition() {
     let (bed, mut factory) = Bed::with(vec![Line::local()]).await;
     for _ in 0..4 {
@@ -240,7 +268,12 @@ async fn problems_have_the_standard_form_and_name_the_parameter() {
     let (bed, _factory) = Bed::with(vec![Line::local()]).await;
     for (address, status, word) in [
         ("/api/v1/runs?limit=0", 400, "limit"),
-        ("/api/v1/runs?limit=many", 400, "limit"),
+        ("/api/v1/runs?limit=many", 400, "limit: \"many\" is not a whole number from 1 to 1000"),
+        ("/api/v1/runs?before=x", 400, "before: give a whole number"),
+        ("/api/v1/pipelines?window=5", 400, "window: \"5\" is not one of 1, 10 and 60"),
+        ("/api/v1/pipelines?stage=", 400, "stage: give 1 to 20 names"),
+        ("/api/v1/pipelines/cam-1/nothing?window=x", 400, "window"),
+        ("/api/v1/pipelines?stages=total", 400, "stages"),
         ("/api/v1/runs?lmit=3", 400, "lmit"),
         ("/api/v1/runs?pipeline=a/b", 400, "pipeline"),
         ("/api/v1/runs?host=nobody", 400, "nobody"),
@@ -322,6 +355,7 @@ async fn links_and_clocks_are_served() {
 
     for (address, status, word) in [
         ("/api/v1/links/cam-3", 404, "EDGE~CLOUD"),
+        ("/api/v1/links/cam-3/rack-a", 404, "EDGE~CLOUD, cam-3~rack-a perhaps"),
         ("/api/v1/links/cam-3~nobody/clock", 404, "nobody"),
         ("/api/v1/links/cam-3~rack-a/clock?from=yesterday", 400, "from"),
         ("/api/v1/links/cam-3~rack-a/clock?points=0", 400, "points"),

@@ -39,6 +39,9 @@ async fn an_experiment_is_compared_with_its_repeats_together() {
     let (bed, mut factory) = Bed::with(vec![Line::local(), Line::full(), Line::resized()]).await;
     assert_eq!(bed.get("/api/v1/experiments").await.json()["experiments"], serde_json::json!([]));
     assert!(bed.get("/compare").await.text().contains("No run of an experiment is stored yet"));
+    assert!(
+        bed.get("/compare").await.text().contains("in its table <span class=\"mono\">[experiment]</span>")
+    );
     factory.store_experiment(200, 2).await;
 
     let listed = bed.get("/api/v1/experiments").await.json();
@@ -64,7 +67,7 @@ async fn an_experiment_is_compared_with_its_repeats_together() {
 
     let page = bed.get(&format!("/compare?experiment={id}")).await;
     assert_eq!(page.status, StatusCode::OK, "{}", page.text());
-    assert!(page.text().contains("is the fastest of 3 in the mean: "), "{}", page.text());
+    assert!(page.text().contains("has the smallest mean of 3, "), "{}", page.text());
     assert!(page.text().contains("<span>experiment pictures</span>"), "{}", page.text());
     let run = bed.get(&format!("/runs/{}", runs[0])).await;
     assert!(run.text().contains(&format!("/compare?experiment={id}")), "{}", run.text());
@@ -99,7 +102,7 @@ async fn many_users_are_one_configuration_and_many_configurations_one_page() {
     let listed = bed.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
     let page = bed.get(&format!("/compare?experiment={id}")).await;
-    assert!(page.text().contains("is the fastest of 50 in the mean"), "{}", page.text());
+    assert!(page.text().contains("has the smallest mean of 50, "), "{}", page.text());
     assert!(!page.text().contains("number of users"), "each was alone");
 }
 

@@ -3,6 +3,7 @@
 mod api;
 mod bed;
 mod comparing;
+mod controllers;
 mod factory;
 mod metrics;
 mod pages;

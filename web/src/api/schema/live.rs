@@ -125,7 +125,12 @@ impl PipelineList {
     pub(crate) const SECONDS: usize = 5;
 
     pub(crate) fn new(picture: &Picture) -> Self {
-        let pipelines = picture.pipelines.iter().map(|one| Pipeline::new(one, Self::SECONDS));
+        Self::of(picture, |one| Pipeline::new(one, Self::SECONDS))
+    }
+
+    /// Every pipeline, as far as it is taken.
+    pub(crate) fn of(picture: &Picture, taken: impl Fn(&PipelinePicture) -> Pipeline) -> Self {
+        let pipelines = picture.pipelines.iter().map(|one| taken(one));
         Self { at: time(picture.at), pipelines: pipelines.collect() }
     }
 }

@@ -62,7 +62,7 @@ async fn accuracies_stand_beside_the_latencies() {
     (top.stage, top.unit, top.figures.mean) = (peernet_logger::Name::from("top-1"), String::new(), 0.842);
     one.stages.push(top);
     let html = page_of(vec![one, configuration(1, Remote, 1.0, 1e3)], None).await;
-    assert!(html.contains(">Top-1</th>") && html.contains(">84.2</td>"), "{html}");
+    assert!(html.contains(">Top-1</th>") && html.contains(">84.2 <span class=\"pm\">("), "{html}");
 }
 
 #[tokio::test]

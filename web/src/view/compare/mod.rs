@@ -13,7 +13,7 @@ mod users;
 pub(crate) use gather::{MOST_RUNS, Which, gather};
 pub(crate) use payload::{accuracy, payload};
 pub(crate) use pictures::{Axes, Pair, StackRow, pairs, stacks};
-pub(crate) use table::{Changed, Table, difference, title, too_short};
+pub(crate) use table::{Changed, Table, difference, open, title, too_short};
 pub(crate) use users::{UsersRow, users};
 
 use peernet_aggregator::{Bound, Figures, RunSummary, StageStatistics};

@@ -1,13 +1,17 @@
 //! Pictures of a comparison: stacks, pairs of local and cloud.
 
 use peernet_logger::stage;
-use peernet_logger::stream::PlacementKind;
+use peernet_logger::stream::{Placement, PlacementKind};
+use std::slice;
 
-use super::{Comparison, Configuration};
+use super::{Comparison, Configuration, order};
 use crate::numbers::{NONE, duration, mean_std_ms};
 use crate::svg::{Axis, Bar, Part, Scale};
 use crate::view::place;
 use crate::view::stack::Stack;
+
+/// Most hosts of one configuration that are named.
+const MOST_HOSTS: usize = 4;
 
 /// A configuration's stages as a bar.
 pub(crate) struct StackRow {
@@ -102,6 +106,28 @@ fn label(one: &Configuration, parts: &[Part]) -> String {
     format!("{}: mean {} of {} iterations. {stages}.", one.letter, duration(total.mean), total.count)
 }
 
+/// Where all runs that are taken together went: `user-1, user-2 → rack-a`.
+fn routes(one: &Configuration) -> String {
+    let mut ways: Vec<(&Placement, Vec<String>)> = Vec::new();
+    for run in &one.runs {
+        let (placement, host) = (&run.placement, run.host_name.to_string());
+        let same = |known: &Placement| place::route("", known) == place::route("", placement);
+        match ways.iter_mut().find(|(known, _)| same(known)) {
+            Some((_, hosts)) if hosts.contains(&host) => {}
+            Some((_, hosts)) => hosts.push(host),
+            None => ways.push((placement, vec![host])),
+        }
+    }
+    let route = |(placement, mut hosts): (&Placement, Vec<String>)| {
+        hosts.sort_by(|a, b| order::labels(slice::from_ref(a), slice::from_ref(b)));
+        let more = hosts.len().saturating_sub(MOST_HOSTS);
+        hosts.truncate(MOST_HOSTS);
+        let rest = if more > 0 { format!(" and {more} more") } else { String::new() };
+        place::route(&format!("{}{rest}", hosts.join(", ")), placement)
+    };
+    ways.into_iter().map(route).collect::<Vec<_>>().join("; ")
+}
+
 /// Models that ran both on board and in the cloud, each with its inference alone, all on one scale.
 pub(crate) fn pairs(comparison: &Comparison) -> (Vec<Pair>, Axes) {
     let mut models: Vec<String> = Vec::new();
@@ -129,9 +155,8 @@ pub(crate) fn pairs(comparison: &Comparison) -> (Vec<Pair>, Axes) {
     let scale = Scale::fit(reach * 1e3, 6);
     let row = |one: &Configuration| {
         let figures = one.figures(&stage::INFERENCE)?;
-        let (placement, host) = (one.placement()?, one.runs.first()?.host_name.as_str());
         let wher = if one.kind() == Some(PlacementKind::Local) { "on board" } else { "cloud" };
-        let name = format!("{wher}, {}", place::route(host, placement));
+        let name = format!("{wher}, {}", routes(one));
         let part = Part { name: stage::INFERENCE.to_string(), seconds: figures.mean, bound: None };
         let label = format!("{}, {name}: inference {}", one.letter, duration(figures.mean));
         let bar = Bar::new("thin", label, &[part], &scale).silent();

@@ -8,6 +8,7 @@ use peernet_report::trust::batch_means;
 use super::{Comparison, Configuration};
 use crate::look;
 use crate::numbers::{NONE, SPACE, bytes, count, duration, mean_std_ms, share, signed_within_ms, times};
+use crate::view::accuracy;
 
 /// The columns of the paper's table, and both totals.
 const COLUMNS: [(&str, &str); 6] = [
@@ -18,6 +19,9 @@ const COLUMNS: [(&str, &str); 6] = [
     ("stages-total", "sum of stages"),
     ("total", "total"),
 ];
+
+/// A mean that is less than this times the smallest is about as large.
+const ALIKE: f64 = 1.05;
 
 /// Figures per configuration.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,7 +50,8 @@ pub(crate) struct Row {
     pub iterations: String,
     /// Mean and standard deviation.
     pub cells: Vec<(String, Option<String>)>,
-    pub accuracies: Vec<String>,
+    /// Share of right answers and its interval, percent.
+    pub accuracies: Vec<(String, Option<String>)>,
     /// Payload sent up on average, with unit.
     pub sent: String,
     pub best: bool,
@@ -73,7 +78,8 @@ impl Table {
             accuracies: accuracies
                 .iter()
                 .map(|(name, _)| {
-                    one.figures(name).map_or_else(|| NONE.to_owned(), |figures| share(figures.mean))
+                    let shown = |figures: &Figures| (share(figures.mean), accuracy::interval(figures));
+                    one.figures(name).map_or_else(|| (NONE.to_owned(), None), shown)
                 })
                 .collect(),
             sent: one
@@ -211,10 +217,26 @@ pub(crate) fn title(comparison: &Comparison, total: Option<&Difference>) -> Stri
             crate::numbers::interval_ms(least, most)
         );
     }
+    if all.len() == 2 {
+        return format!("{} has the smaller mean, {}", best.letter, duration(fastest));
+    }
     let others = all.iter().filter(|one| one.letter != best.letter).filter_map(|one| Some((one, mean(one)?)));
     let slowest = others.max_by(|a, b| a.1.total_cmp(&b.1));
-    let ratio = slowest.filter(|_| fastest > 0.0).map_or_else(String::new, |(slow, mean)| {
-        format!("; {} takes {} as long", slow.letter, times(mean / fastest))
-    });
-    format!("{} is the fastest of {} in the mean: {}{ratio}", best.letter, all.len(), duration(fastest))
+    let ratio =
+        slowest.filter(|(_, mean)| *mean >= fastest * ALIKE).map_or_else(String::new, |(slow, mean)| {
+            format!("; that of {} is {} as large", slow.letter, times(mean / fastest))
+        });
+    format!("{} has the smallest mean of {}, {}{ratio}", best.letter, all.len(), duration(fastest))
+}
+
+/// What the title leaves open: means alone do not tell who is fastest. `None` where it is told, or there is nothing to tell.
+pub(crate) fn open(comparison: &Comparison, total: Option<&Difference>) -> Option<String> {
+    let best = &comparison.configurations[comparison.best()?].letter;
+    match comparison.configurations.len() {
+        2 if total.is_some() => None,
+        2 => Some(format!("whether {best} is the faster cannot be told from so little")),
+        _ => Some(format!(
+            "whether {best} is the fastest cannot be told from means alone: peernet compare says"
+        )),
+    }
 }

@@ -143,8 +143,21 @@ fn the_title_says_which_is_faster_by_how_much() {
         comparison((0..3).map(|at| configuration(at, PlacementKind::Remote, 1.0 + at as f64, 1e3)).collect());
     assert_eq!(
         title(&three, None),
-        "A is the fastest of 3 in the mean: 16.0\u{202f}ms; C takes 3.0\u{202f}× as long"
+        "A has the smallest mean of 3, 16.0\u{202f}ms; that of C is 3.0\u{202f}× as large"
     );
+    let left = open(&three, None).expect("means do not tell");
+    assert!(left.contains("whether A is the fastest cannot be told"), "{left}");
+    let near = [1.0, 1.01, 1.02].into_iter().enumerate();
+    let near =
+        comparison(near.map(|(at, scale)| configuration(at, PlacementKind::Remote, scale, 1e3)).collect());
+    assert_eq!(
+        title(&near, None),
+        "A has the smallest mean of 3, 16.0\u{202f}ms",
+        "1.0 × as large is no news"
+    );
+    assert_eq!(open(&two, total.as_ref()), None, "the interval tells");
+    assert_eq!(title(&two, None), "B has the smaller mean, 16.0\u{202f}ms");
+    assert!(open(&two, None).expect("too short").contains("cannot be told from so little"));
     assert!(title(&comparison(Vec::new()), None).contains("stored yet"));
 }
 
@@ -177,6 +190,18 @@ fn models_in_both_places_are_paired_and_payloads_plotted() {
     let (pairs, _) = pairs(&mixed);
     assert_eq!((pairs.len(), pairs[0].places.len(), pairs[0].places[0].letter.as_str()), (1, 3, "B"));
     assert!(payload(&mixed).is_some());
+    let mut many = configuration(1, PlacementKind::Remote, 1.0, 1e3);
+    let run = many.runs.remove(0);
+    for user in [10, 2, 1, 2] {
+        many.runs.push(RunSummary { host_name: samples::slug(&format!("user-{user}")), ..run.clone() });
+    }
+    let users = comparison(vec![configuration(0, PlacementKind::Local, 1.0, 1e3), many]);
+    let (together, _) = super::pairs(&users);
+    assert!(
+        together[0].places[1].name.starts_with("cloud, user-1, user-2, user-10 → "),
+        "{}",
+        together[0].places[1].name
+    );
     let (_, said) = payload(&mixed).expect("sizes");
     assert!(said.is_empty(), "two sizes make no line: {said:?}");
     let alike = comparison((0..3).map(|at| configuration(at, PlacementKind::Remote, 1.0, 1e3)).collect());

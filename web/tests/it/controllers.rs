@@ -1,0 +1,69 @@
+//! The example of docs/controllers.md decides by what the API answers.
+
+use std::io::Write;
+use std::process::{Command, Stdio};
+
+use serde_json::{Value, json};
+
+use crate::bed::Bed;
+use crate::factory::Line;
+
+/// Reads lines of an answer and two pipelines each, and decides.
+const DRIVER: &str = r#"
+import json, sys
+for line in sys.stdin:
+    answer, LOCAL, CLOUD = json.loads(line)
+    LOCAL, CLOUD = tuple(LOCAL), tuple(CLOUD)
+    print(decide(answer))
+ASK = "http://127.0.0.1:1/"
+print(decide(ask()))
+"#;
+
+#[tokio::test]
+async fn the_example_of_the_documents_decides_by_what_is_known() {
+    let (bed, _factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+    let mut answer = bed.get("/api/v1/pipelines?window=10&stage=total").await.json();
+    for pipeline in answer["pipelines"].as_array_mut().expect("pipelines") {
+        // However long this machine took to come here.
+        pipeline["state"] = json!("running");
+    }
+    let name = |at: usize| json!([answer["pipelines"][at]["host"], answer["pipelines"][at]["name"]]);
+    let (local, cloud) = (name(0), name(1));
+    let with = |change: &dyn Fn(&mut Value)| {
+        let mut changed = answer.clone();
+        let window = &mut changed["pipelines"][1]["windows"][0];
+        (window["values"][0]["p95"], window["lost_fraction"]) = (json!(0.001), json!(0.0));
+        change(&mut changed["pipelines"][1]);
+        changed
+    };
+    let asked = [
+        (with(&|_| {}), "cloud"),
+        (with(&|pipeline| pipeline["windows"][0]["values"][0]["p95"] = json!(9.0)), "local"),
+        (with(&|pipeline| pipeline["state"] = json!("away")), "local"),
+        (with(&|pipeline| pipeline["windows"][0]["values"] = json!([])), "local"),
+        (with(&|pipeline| pipeline["windows"][0]["values"][0]["p95"] = Value::Null), "local"),
+        (with(&|pipeline| pipeline["windows"][0]["lost_fraction"] = json!(0.5)), "local"),
+        (with(&|pipeline| pipeline["windows"][0]["lost_fraction"] = Value::Null), "local"),
+        (json!({ "pipelines": [] }), "local"),
+    ];
+
+    let page = include_str!("../../../docs/controllers.md");
+    let (_, rest) = page.split_once("```python\n").expect("an example");
+    let (example, _) = rest.split_once("```").expect("its end");
+    let example = example.replace("__main__", "not run here");
+    let mut python = Command::new("python3")
+        .args(["-c", &format!("{example}{DRIVER}")])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("python3 starts");
+    let mut input = python.stdin.take().expect("its input");
+    for (answer, _) in &asked {
+        writeln!(input, "{}", json!([answer, local, cloud])).expect("it reads");
+    }
+    drop(input);
+    let output = python.wait_with_output().expect("it ends");
+    let decided = String::from_utf8(output.stdout).expect("text");
+    let wanted: Vec<&str> = asked.iter().map(|(_, wanted)| *wanted).chain(["local"]).collect();
+    assert_eq!(decided.lines().collect::<Vec<_>>(), wanted, "the last one: nobody answers");
+}
