@@ -108,6 +108,23 @@ fn numbers(path: &Path) -> Vec<u64> {
 }
 
 #[test]
+fn a_disk_that_is_too_small_has_the_rows_that_fit() {
+    const SIZE: u64 = 200 << 10;
+    let disk = SmallDisk::new(SIZE);
+    let folder =
+        ResultFolder::create(&disk.folder().join("results"), Overwrite::Refuse).expect("there is room");
+    let mut writer = folder.writer().expect("there is room");
+    let path = writer.path().to_owned();
+    // All in one second: they are written together.
+    (1..=9000).for_each(|number| writer.write(&Row { at: 0.5, ..row(number) }));
+    assert!(writer.end().is_err(), "there is no room for all");
+    let there = numbers(&path);
+    assert_eq!(there, (1..=there.len() as u64).collect::<Vec<_>>());
+    let bytes = std::fs::metadata(&path).expect("it is there").len();
+    assert!(bytes > SIZE / 2, "{bytes} bytes in {} rows", there.len());
+}
+
+#[test]
 fn a_disk_that_fills_up_loses_no_row() {
     let disk = SmallDisk::new(1 << 20);
     let folder =

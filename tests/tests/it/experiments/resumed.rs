@@ -1,7 +1,7 @@
 //! An experiment that was cut off goes on where it ended.
 
 use peernet_tests::{Process, until};
-use rustix::process::Signal;
+use rustix::process::{Signal, kill_process};
 
 use super::{Lab, THREE, children, column, json};
 
@@ -54,6 +54,24 @@ fn what_the_user_ended_is_marked_and_done_again_and_what_was_finished_is_not() {
     let again = lab.run(THREE, &[]).ended();
     assert_eq!(again.code(), 0, "{}", again.log);
     assert!(again.log.contains("nothing to do") && !again.log.contains("begins"), "{}", again.log);
+}
+
+/// It hears no wish to end, and would be waited for without an end.
+#[test]
+fn a_run_that_is_suspended_is_killed_and_marked_as_interrupted() {
+    let lab = Lab::new();
+    let process = lab.run(THREE, &[]);
+    in_the_second(&lab, &process);
+    let [child] = children(&process).try_into().expect("one run is under way");
+    kill_process(child, Signal::STOP).expect("it runs");
+    process.signal(Signal::INT);
+    process.wait_for("may take 60 s until it is killed");
+    process.signal(Signal::TERM);
+    process.wait_for("what does not end within 10 s is killed");
+    let ended = process.ended();
+    assert_eq!(ended.code(), 130, "{}", ended.log);
+    assert!(ended.log.contains("what did not end in time is killed"), "{}", ended.log);
+    assert_eq!(lab.results.stages(), ["finished", "interrupted", "pending"]);
 }
 
 #[test]

@@ -155,15 +155,25 @@ fn a_run_is_on_a_dashboard_as_well_and_its_host_is_known_again() {
         ));
         let (client, server) = (client.ended(), server.ended());
         assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
-        let run = lab.record(results)["run"].as_str().expect("it has an id").to_owned();
-        let said = format!("see the run {run} of jetson-orin on the dashboard of tcp://");
-        assert!(client.log.contains(&said), "{}", client.log);
+        let said = "see host jetson-orin, pipeline jetson-orin, on the dashboard of the aggregator at 127.0.0.1 \
+                    (usually http://127.0.0.1:8040)";
+        assert!(client.log.contains(said), "{}", client.log);
     }
     let runs = api.until("/api/v1/runs", |found| {
         let runs = found["runs"].as_array()?.clone();
         (runs.len() == 2 && runs.iter().all(|run| run["ended"].is_string())).then_some(runs)
     });
     assert!(runs.iter().all(|run| run["host"] == "jetson-orin"), "{runs:#?}");
+    // Whoever looks afterwards sees a run that ended well and a host with which all is well.
+    let line = api.until("/api/v1/pipelines/jetson-orin/jetson-orin", |line| {
+        let over = ["finished", "failed", "away"].contains(&line["state"].as_str()?);
+        over.then(|| line["state"].clone())
+    });
+    assert_eq!(line, "finished");
+    let waiting = api.until("/api/v1/hosts/jetson-orin", |host| {
+        (host["connected"] == false).then(|| host["now"]["events"]["waiting"].clone())
+    });
+    assert_eq!(waiting, 0);
     let ids = ["first", "second"].map(|results| lab.record(results)["edge"]["id"].clone());
     assert!(ids[0].is_string() && ids[0] == ids[1], "{ids:?}");
 }

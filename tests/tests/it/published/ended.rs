@@ -1,6 +1,6 @@
 //! Runs that end early: what was measured is not lost, and the exit code says how it went.
 
-use peernet_tests::{Process, SmallDisk};
+use peernet_tests::{Process, SmallDisk, program};
 use rustix::process::Signal;
 
 use super::{Lab, picture};
@@ -104,7 +104,7 @@ fn results_that_a_killed_run_was_to_replace_come_back() {
 }
 
 #[test]
-fn a_second_ctrl_c_does_not_wait() {
+fn a_second_signal_does_not_wait() {
     let lab = Lab::here();
     let _server = lab.server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name \"exec:sleep 600\" \
@@ -114,7 +114,8 @@ fn a_second_ctrl_c_does_not_wait() {
     client.wait_for("no answer from cluster");
     client.signal(Signal::INT);
     client.wait_for("Ctrl-C again");
-    client.signal(Signal::INT);
+    // Another SIGINT so soon would be the same wish.
+    client.signal(Signal::TERM);
     client.wait_for("left alone");
     let ended = client.ended();
     assert_eq!(ended.code(), 130, "{}", ended.log);
@@ -182,4 +183,30 @@ fn a_full_disk_loses_nothing_that_was_measured() {
     let rows = std::fs::read_to_string(format!("{elsewhere}/data.csv")).expect("the results are there");
     assert_eq!(rows.lines().count(), 81);
     std::fs::remove_dir_all(elsewhere).expect("they are this test's");
+}
+
+#[test]
+fn without_room_anywhere_the_rows_that_fit_are_kept() {
+    let (disk, other) = (SmallDisk::new(200 << 10), SmallDisk::new(64 << 10));
+    let lab = Lab::here();
+    // One that answers at once: most rows are written together.
+    let _server = lab.server(
+        "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 1000000",
+    );
+    let (results, sample) = (disk.folder().join("results"), picture().display().to_string());
+    let (results, temporary) = (results.display().to_string(), other.folder().display().to_string());
+    let words =
+        "--client --name jetson-orin --network-config net_config.yaml --iterations 1500 --encoding file";
+    let options = ["--generate-plots", "--dataset-loc", &sample, "--result-loc", &results];
+    let words: Vec<&str> = words.split(' ').chain(options).collect();
+    let client = Process::start(&program("peernet"), &words, lab.folder(), &[("TMPDIR", &temporary)]);
+    let ended = client.ended();
+    assert_eq!(ended.code(), 73, "{}", ended.log);
+    let told = "data.csv holds what there was room for; no figure is drawn";
+    assert!(ended.log.contains(told), "{}", ended.log);
+    let rows = lab.data(&results).rows;
+    assert!(rows.len() > 100 && rows.len() < 1500, "{} rows", rows.len());
+    let left = std::fs::read_dir(other.folder()).expect("it is a folder").count();
+    assert_eq!(left, 0, "nothing is left where nothing could be written");
+    assert_eq!(std::fs::read_dir(&results).expect("it is a folder").count(), 1, "data.csv alone");
 }

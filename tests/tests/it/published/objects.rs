@@ -42,6 +42,18 @@ class Camera:
         return b'x' * 100
 ";
 
+const REFUSING: &str = "
+class Odd:
+    def __init__(self):
+        self.asked = 0
+
+    def infer(self, x):
+        self.asked += 1
+        if self.asked % 2 == 0:
+            raise ValueError('not this one')
+        return 'well'
+";
+
 const HANGING: &str = "
 import time
 
@@ -74,7 +86,8 @@ fn a_sensor_that_hangs_is_named() {
         client.wait_for(told);
         client.signal(rustix::process::Signal::INT);
         client.wait_for("Ctrl-C again");
-        client.signal(rustix::process::Signal::INT);
+        // Another SIGINT so soon would be the same wish.
+        client.signal(rustix::process::Signal::TERM);
         let ended = client.ended();
         assert_eq!(ended.code(), 130, "{}", ended.log);
     }
@@ -123,6 +136,23 @@ fn an_exception_is_a_failed_iteration() {
     );
     let data = lab.data("results");
     assert_eq!((data.outcomes("ok"), data.outcomes("failed")), (19, 1));
+}
+
+#[test]
+fn a_server_says_how_many_of_its_answers_are_errors() {
+    let lab = Lab::here();
+    std::fs::write(lab.folder().join("my_model.py"), REFUSING).expect("writable");
+    let server = lab.server(
+        "PEERNet --server --name cluster --network-config net_config.yaml --model-name my_model::Odd --iterations 10",
+    );
+    let client = lab.client(
+        "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic --iterations 10 \
+         --result-loc results",
+    );
+    let (client, server) = (client.ended(), server.ended());
+    assert_eq!((client.code(), server.code()), (75, 0), "{}\n{}", client.log, server.log);
+    assert!(server.log.contains("10 answers, 5 of them errors"), "{}", server.log);
+    assert_eq!(lab.data("results").outcomes("failed"), 5);
 }
 
 #[test]
