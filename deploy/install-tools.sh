@@ -44,6 +44,7 @@ faketime      faketime          programs that are shown a false time
 /usr/lib/python3/dist-packages/onnx         python3-onnx         models are exported from torchvision
 unshare       util-linux        throw-away roots for the package test
 sqlite3       sqlite3           people open the store with it, so the tests do
+curl          curl              the documents ask the REST API with it, so the tests do
 systemd-analyze  systemd        the units are checked with it
 dpkg-deb      dpkg              the Debian package
 dpkg-shlibdeps   dpkg-dev       the Debian package
