@@ -21,7 +21,7 @@ export PEERNET_FIGURES="$rows"
 [ $# -gt 0 ] || set -- stream::
 cd "$root"
 passed=0
-${CARGO:-cargo} test --release --locked --package peernet-tests --test it -- --test-threads 1 "$@" || passed=$?
+${CARGO:-cargo} test --release --locked --package peernet-tests --test it -- --include-ignored --test-threads 1 "$@" || passed=$?
 
 cpu=$(sed -n 's/^model name[[:space:]]*: //p' /proc/cpuinfo | head -1)
 {
