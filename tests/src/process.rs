@@ -212,6 +212,7 @@ pub fn until<T>(what: &str, mut question: impl FnMut() -> Option<T>) -> T {
 pub fn until_grown(what: &str, enough: u64, mut figure: impl FnMut() -> Option<u64>) {
     let mut before = None;
     while before < Some(enough) {
-        before = Some(until(what, || figure().filter(|now| Some(*now) > before)));
+        let next = format!("{what}: more of {enough} than {}", before.unwrap_or(0));
+        before = Some(until(&next, || figure().filter(|now| Some(*now) > before)));
     }
 }

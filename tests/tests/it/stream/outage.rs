@@ -17,7 +17,6 @@ const DAY_S: f64 = 86_400.0;
 const USUAL_LAG_MS: u64 = 5_000;
 
 #[test]
-#[ignore = "at the end of the whole suite its spool stops growing, alone it passes, and why is not known yet: run it by name, or make soak"]
 fn an_aggregator_that_was_away_for_a_day_gets_everything_in_order_while_the_picture_is_live() {
     let _turn = turn();
     let iterations = setting("PEERNET_OUTAGE_ITERATIONS", 30_000);
@@ -33,8 +32,9 @@ fn an_aggregator_that_was_away_for_a_day_gets_everything_in_order_while_the_pict
     fleet.account(0, "it is there", |_| true);
     fleet.aggregator.kill();
     let agent = &fleet.agents[0];
+    // The other pipeline never comes that far.
     until_grown("the day's iterations are in the spool", iterations, || {
-        agent.spooled_now().iter().filter(|line| line.count > 20).map(|line| line.last).max()
+        agent.spooled_now().iter().map(|line| line.last).max()
     });
 
     fleet.aggregator_returns();
