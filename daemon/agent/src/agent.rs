@@ -18,7 +18,7 @@ use crate::check::{Problem, check, remarks};
 use crate::conditions::Places;
 use crate::config::{AgentConfig, PipelineConfig, StartMode};
 use crate::error::StartError;
-use crate::host::{Host, VERSION};
+use crate::host::Host;
 use crate::identity::{StateLock, host_id};
 use crate::incidents::{Concerning, Incidents};
 use crate::link::{Cloud, Links, Near, ProbeSettings};
@@ -60,18 +60,19 @@ impl Agent {
         remarks(config)
     }
 
-    /// Starts the agent: takes its port, begins its pipelines. It runs until `stop` is cancelled; then
-    /// [`Running::join`] sees it to its end.
+    /// Starts the agent of a program of this version, for people: takes its port, begins its pipelines. It runs until
+    /// `stop` is cancelled; then [`Running::join`] sees it to its end.
     ///
     /// # Errors
     /// When the host has no identity or the port cannot be had. A pipeline that cannot start is no error: it
     /// is reported, and the others run.
     pub async fn start(
         config: AgentConfig,
+        version: &'static str,
         clock: SharedClock,
         stop: CancellationToken,
     ) -> Result<Running, StartError> {
-        start(config, clock, stop, None).await
+        start(config, version, clock, stop, None).await
     }
 
     /// As [`start`](Self::start), for a program that runs an agent in the foreground: each event also goes to `tap`,
@@ -82,16 +83,18 @@ impl Agent {
     /// Those of [`start`](Self::start).
     pub async fn start_observed(
         config: AgentConfig,
+        version: &'static str,
         clock: SharedClock,
         stop: CancellationToken,
         tap: mpsc::Sender<Event>,
     ) -> Result<Running, StartError> {
-        start(config, clock, stop, Some(Tap::new(tap))).await
+        start(config, version, clock, stop, Some(Tap::new(tap))).await
     }
 }
 
 async fn start(
     config: AgentConfig,
+    version: &'static str,
     clock: SharedClock,
     stop: CancellationToken,
     tap: Option<Tap>,
@@ -115,7 +118,8 @@ async fn start(
     let probes = ProbeSettings::read(&config.probes, &config.clock)?;
     let links = Links::new(near, &config.clock, probes.clone());
     let places = Arc::new(Places::of(&config));
-    let host = Host { id, name, clock, bank, feed, incidents, runs: Runs::default(), own, links, places };
+    let host =
+        Host { id, name, version, clock, bank, feed, incidents, runs: Runs::default(), own, links, places };
     let doors = Doors::open(&config, &probes, &host).await?;
     let serves = doors.as_ref().map(|doors| doors.address().clone());
 
@@ -250,7 +254,8 @@ impl Running {
             }
         };
         let (stored, unloaded) = tokio::join!(stored, unload(Arc::clone(&host.bank), deadline - now));
-        ended.and(stored).and(unloaded)
+        // That the outbox ended is a failure of the tasks, too; it alone says why. Theirs is in the log.
+        stored.and(ended).and(unloaded)
     }
 }
 
@@ -305,7 +310,7 @@ fn describe(host: &Host, serves: Option<&Address>) -> HostDescription {
         id: host.id,
         name: host.name.clone(),
         clock: host.clock.identity().clone(),
-        version: VERSION.to_owned(),
+        version: host.version.to_owned(),
         hardware: telemetry::hardware(),
         serves: serves.map(Address::to_string),
         models: host.bank.offered(),

@@ -197,10 +197,12 @@ fn check_pipeline(
         report.add(format!("{at}.placement.model"), format!("no [[model]] is named {model}; {known}"));
     }
     if let Some(hz) = pipeline.load.hz()
-        && !(hz > 0.0 && hz <= 100_000.0)
+        && !(hz * LONGEST_RUN_S >= 1.0 && hz <= 100_000.0)
     {
-        report
-            .add(format!("{at}.load.hz"), format!("{hz} is not a rate above 0 and up to 100000 per second"));
+        report.add(
+            format!("{at}.load.hz"),
+            format!("{hz:?} is not a rate of at least one start a year and at most 100000 per second"),
+        );
     }
     if let Some(seconds) = pipeline.limit.duration_s
         && !(seconds > 0.0 && seconds <= LONGEST_RUN_S)

@@ -19,6 +19,8 @@ use crate::runs::Runs;
 pub(crate) struct Host {
     pub(crate) id: HostId,
     pub(crate) name: Slug,
+    /// The program's version, as peers and the aggregator are told.
+    pub(crate) version: &'static str,
     pub(crate) clock: SharedClock,
     pub(crate) bank: Arc<Bank>,
     pub(crate) feed: Feed,
@@ -30,6 +32,3 @@ pub(crate) struct Host {
     /// Where to look what can disturb a run.
     pub(crate) places: Arc<Places>,
 }
-
-/// The agent's version, as peers and the aggregator are told.
-pub(crate) const VERSION: &str = env!("CARGO_PKG_VERSION");

@@ -101,6 +101,14 @@ pub const IPC: Name = Name::from_static("ipc");
 /// The same of a sensor, below `capture`. It has a name of its own because summaries go by name.
 pub const CAPTURE_IPC: Name = Name::from_static("capture-ipc");
 
+/// Cloud or edge: a sample's wait for a model's worker that was started anew, because the last one had died. No stage:
+/// it belongs to the death before it, and is part of `unattributed`. Spelt out on the wire.
+pub const RESTART: Name = Name::from_static("restart");
+/// The same of a sensor, below `capture` and part of it.
+pub const CAPTURE_RESTART: Name = Name::from_static("capture-restart");
+/// The same of an actuator, below `actuation` and part of it.
+pub const ACTUATION_RESTART: Name = Name::from_static("actuation-restart");
+
 /// The stages that add up to `stages-total`, in the order of every stack, key and table.
 pub const ORDER: [Name; 11] = [
     SENSING,

@@ -19,3 +19,6 @@ pub use windows::Windows;
 /// Largest count that is taken from elsewhere: every integer up to it is an exact `f64`, and thousands of such
 /// counts can be added up in 64 bits.
 const MAX_COUNT: u64 = 1 << 53;
+
+/// Largest number of either sign that counts: the squared deviations of [`MAX_COUNT`] such numbers can be added up.
+const LARGEST: f64 = 1e140;

@@ -24,7 +24,8 @@ pub struct Moments {
 }
 
 impl Moments {
-    /// Adds a number. Not-a-number and infinities are the caller's to keep out.
+    /// Adds a number. What is not finite, or as good as infinite, is the caller's to keep out
+    /// ([`Summary::takes`](crate::Summary::takes)).
     #[inline]
     pub fn record(&mut self, value: f64) {
         if self.count == 0 {
@@ -88,8 +89,9 @@ impl TryFrom<Received> for Moments {
 
     fn try_from(received: Received) -> Result<Self, &'static str> {
         let Received { count, mean, m2, min, max } = received;
-        let finite = [mean, m2, min, max].iter().all(|number| number.is_finite());
-        if finite && m2 >= 0.0 && min <= max && count <= crate::MAX_COUNT {
+        let reasonable = [mean, min, max].iter().all(|number| number.abs() <= crate::LARGEST);
+        let squares = m2.is_finite() && m2 >= 0.0;
+        if reasonable && squares && min <= max && count <= crate::MAX_COUNT {
             Ok(Self { count, mean, m2, min, max })
         } else {
             Err("moments that no numbers have")

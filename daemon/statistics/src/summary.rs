@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Merge, Moments, Sketch};
+use crate::{LARGEST, Merge, Moments, Sketch};
 
 /// All that is kept of a quantity, whatever the number of samples.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -14,10 +14,17 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// Adds a number; what is not finite is left out.
+    /// Whether a number counts: it must be finite, and small enough that squares can be added up. Some drivers give the
+    /// largest number there is for "nothing there".
+    #[inline]
+    pub fn takes(value: f64) -> bool {
+        value.abs() <= LARGEST
+    }
+
+    /// Adds a number; one that does not count is left out.
     #[inline]
     pub fn record(&mut self, value: f64) {
-        if value.is_finite() {
+        if Self::takes(value) {
             self.moments.record(value);
             self.sketch.record(value);
         }
@@ -77,10 +84,21 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_finite_is_left_out_of_both_halves() {
+    fn what_is_beyond_all_reason_is_left_out_of_both_halves() {
         let mut summary = Summary::default();
-        [f64::NAN, f64::INFINITY, 1.0].iter().for_each(|value| summary.record(*value));
+        let beyond = [f64::NAN, f64::INFINITY, f64::MAX, -f64::MAX, 1.001 * LARGEST];
+        beyond.iter().for_each(|value| summary.record(*value));
+        summary.record(1.0);
         assert_eq!((summary.count(), summary.sketch.count()), (1, 1));
+    }
+
+    #[test]
+    fn the_largest_numbers_have_moments_that_are_read_again() {
+        let mut summary = Summary::default();
+        [LARGEST, -LARGEST, 1.0].iter().for_each(|value| summary.record(*value));
+        (0..20).for_each(|_| summary.merge(&summary.clone()));
+        let wire = rmp_serde::to_vec(&summary).expect("serialises");
+        assert_eq!(rmp_serde::from_slice::<Summary>(&wire).expect("reads back"), summary);
     }
 
     #[test]

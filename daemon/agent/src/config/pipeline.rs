@@ -108,12 +108,12 @@ pub enum LoadConfig {
     Closed {},
     /// At a fixed rate, whether or not earlier ones are done. Latency counts from the intended start.
     Rate {
-        /// Starts per second, above 0 and at most 100,000.
+        /// Starts per second: at least one a year, at most 100,000.
         hz: f64,
     },
     /// At random moments: exponentially distributed gaps, as of many independent askers.
     Poisson {
-        /// Starts per second on average, above 0 and at most 100,000.
+        /// Starts per second on average: at least one a year, at most 100,000.
         hz: f64,
         /// Equal seeds give equal gaps. Default: 0.
         #[serde(default)]

@@ -1,7 +1,8 @@
 //! Whether an answer was right, where the data set knows: accuracy beside latency.
 
+use peernet_inference::UNKNOWN_LABEL;
 use peernet_logger::{Name, Recorder, Unit};
-use peernet_sample::{MediaType, Sample};
+use peernet_sample::{MediaType, Sample, plain_label};
 use serde::Deserialize;
 
 /// 1 where the answer's best class is the sample's label, else 0. The mean over iterations is the top-1 accuracy.
@@ -25,25 +26,21 @@ struct Class {
 }
 
 /// Records `top-1` and `top-5` of an answer to a sample whose right answer is `label`; nothing where the answer is
-/// no classification: JSON with `label` and, best first, `top`.
+/// no classification, JSON with `label` and, best first, `top`, or the model said that the label is none of its classes:
+/// what cannot be right is no measurement.
 pub(super) fn judge(log: &mut Recorder, label: &str, answer: &Sample) {
+    if log.tree().find(&[UNKNOWN_LABEL.as_str()]).is_some() {
+        return;
+    }
     let Some(Classification { label: best, top }) = classification(answer) else { return };
-    let first = same(&best, label);
+    let label = plain_label(label);
+    let same = |class: &str| plain_label(class) == label;
+    let first = same(&best);
     log.value(TOP_1, flag(first), Unit::NONE);
     if let Some(top) = top {
-        let among = first || top.iter().take(FIVE).any(|class| same(&class.label, label));
+        let among = first || top.iter().take(FIVE).any(|class| same(&class.label));
         log.value(TOP_5, flag(among), Unit::NONE);
     }
-}
-
-/// Whether two labels name one class. Folders are often named `Golden_Retriever` for `golden retriever`, so case is
-/// ignored, and hyphens and underscores count as spaces.
-fn same(a: &str, b: &str) -> bool {
-    plain(a).eq(plain(b))
-}
-
-fn plain(label: &str) -> impl Iterator<Item = char> {
-    label.trim().chars().map(|c| if matches!(c, '_' | '-') { ' ' } else { c.to_ascii_lowercase() })
 }
 
 /// An answer that is JSON need not be a classification.
@@ -72,6 +69,20 @@ mod tests {
         let mut log = Recorder::begin(Arc::new(clock), HostId::random());
         let json = Sample::of(Description::unshaped(MediaType::Json), answer.as_bytes().to_vec().into());
         judge(&mut log, label, &json);
+        scores(&log)
+    }
+
+    #[test]
+    fn a_label_that_the_model_does_not_know_is_not_scored() {
+        let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system"));
+        let mut log = Recorder::begin(Arc::new(clock), HostId::random());
+        log.value(UNKNOWN_LABEL, 1.0, Unit::NONE);
+        let json = Sample::of(Description::unshaped(MediaType::Json), r#"{"label":"a","top":[]}"#.into());
+        judge(&mut log, "tench", &json);
+        assert_eq!(scores(&log), (None, None));
+    }
+
+    fn scores(log: &Recorder) -> (Option<f64>, Option<f64>) {
         let value = |name| log.tree().find(&[name]).and_then(|(_, node)| node.measure.value());
         (value("top-1"), value("top-5"))
     }

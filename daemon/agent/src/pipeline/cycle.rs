@@ -38,8 +38,8 @@ pub(super) enum Ended {
 
 /// A sample that the sensor's thread is asked for.
 pub(super) struct Awaited {
-    start: Start,
-    begun: MonoTime,
+    pub(super) start: Start,
+    pub(super) begun: MonoTime,
     pub(super) sample: oneshot::Receiver<Sensed>,
 }
 
@@ -51,7 +51,6 @@ pub(super) struct Cycle<'a> {
     pub(super) line: &'a mut Line,
     run: &'a mut Run,
     host: &'a Host,
-    pub(super) sensing: Option<Awaited>,
     waiting: Option<Waiting>,
     aloft: Vec<Ticket>,
     ending: Option<Ended>,
@@ -63,8 +62,25 @@ pub(super) struct Cycle<'a> {
 impl<'a> Cycle<'a> {
     pub(super) fn new(line: &'a mut Line, run: &'a mut Run, host: &'a Host) -> Self {
         let (aloft, brake) = (Vec::new(), Brake::default());
-        line.display.set_senses_since(None);
-        Self { line, run, host, sensing: None, waiting: None, aloft, ending: None, brake, blind: 0 }
+        let mut cycle = Self { line, run, host, waiting: None, aloft, ending: None, brake, blind: 0 };
+        cycle.take_up();
+        cycle
+    }
+
+    /// A sample that was asked for before the connection was lost is waited for on. One that came meanwhile came when
+    /// there was nobody to send it to; now it is old.
+    fn take_up(&mut self) {
+        let came = self.line.sensing.as_mut().and_then(|awaited| awaited.sample.try_recv().ok());
+        let since = self.line.sensing.as_ref().filter(|_| came.is_none()).map(|awaited| awaited.begun);
+        self.line.display.set_senses_since(since);
+        let Some(Sensed { log, sample }) = came else { return };
+        let Some(Awaited { start, begun, .. }) = self.line.sensing.take() else { return };
+        if !matches!(sample, Ok(Some(_))) {
+            return self.judge(start, begun, Sensed { log, sample });
+        }
+        let ticket = Ticket { position: self.run.place(start.intended), start, begun };
+        let reason = "there was no connection when the sample was there".to_owned();
+        self.finish(ticket, log, Outcome::Lost(reason), None, self.host.clock.stamp());
     }
 
     /// The sample that may be sent now: there is one, and a place for it.
@@ -99,7 +115,7 @@ impl<'a> Cycle<'a> {
         match self.line.senses.begin(log) {
             Sensing::Done(sensed) => self.judge(start, begun, sensed),
             Sensing::Pending(sample) => {
-                self.sensing = Some(Awaited { start, begun, sample });
+                self.line.sensing = Some(Awaited { start, begun, sample });
                 self.line.display.set_senses_since(Some(begun));
             }
         }
@@ -122,16 +138,25 @@ impl<'a> Cycle<'a> {
 
     /// Why the loop is over, once everything that had begun is done.
     pub(super) fn ended(&self) -> Option<Ended> {
-        let done = self.sensing.is_none() && self.waiting.is_none() && self.aloft.is_empty();
-        self.ending.clone().filter(|_| done)
+        let ending = self.ending.clone()?;
+        // A sensor may take its time: the connection is sought again meanwhile.
+        let sensed = self.line.sensing.is_none() || matches!(ending, Ended::Disconnected(_));
+        (sensed && self.waiting.is_none() && self.aloft.is_empty()).then_some(ending)
     }
 
     /// The sensor's thread has answered.
     pub(super) fn sensed(&mut self, sensed: Sensed) {
-        if let Some(Awaited { start, begun, .. }) = self.sensing.take() {
+        if let Some(Awaited { start, begun, .. }) = self.line.sensing.take() {
             self.line.display.set_senses_since(None);
             self.judge(start, begun, sensed);
         }
+    }
+
+    /// The sensor's thread will never answer.
+    pub(super) fn sensor_died(&mut self) {
+        self.line.sensing = None;
+        self.line.display.set_senses_since(None);
+        self.end(Ended::Broken("the sensor's thread has died; the log says why".to_owned()));
     }
 
     /// An iteration came back.
@@ -158,7 +183,7 @@ impl<'a> Cycle<'a> {
     }
 
     fn may_begin(&self) -> bool {
-        let idle = self.ending.is_none() && self.sensing.is_none() && self.waiting.is_none();
+        let idle = self.ending.is_none() && self.line.sensing.is_none() && self.waiting.is_none();
         idle && (self.aloft.is_empty() || !self.line.schedule.is_closed())
     }
 

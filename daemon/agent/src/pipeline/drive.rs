@@ -43,7 +43,7 @@ pub(super) async fn drive(
             return ended;
         }
         let alarm_at = cycle.wakes_at();
-        let sensing = cycle.sensing.as_mut().map(|sensing| &mut sensing.sample);
+        let sensing = cycle.line.sensing.as_mut().map(|sensing| &mut sensing.sample);
         let alarm = &mut cycle.line.alarm;
         tokio::select! {
             biased;
@@ -59,7 +59,7 @@ pub(super) async fn drive(
             Some(landed) = flights.next() => cycle.land(landed),
             Some(sensed) = maybe(sensing) => match sensed {
                 Ok(sensed) => cycle.sensed(sensed),
-                Err(_) => cycle.end(Ended::Broken("the sensor's thread has died; the log says why".to_owned())),
+                Err(_) => cycle.sensor_died(),
             },
             Some(rung) = maybe(alarm_at.map(|at| Box::pin(alarm.until(at)))) => {
                 if let Err(error) = rung {

@@ -20,27 +20,29 @@ pub(super) fn begin(clock: &SharedClock, host: HostId, intended: MonoTime) -> (R
     (Recorder::begin_at(SharedClock::clone(clock), host, at), now.mono)
 }
 
-/// Closes the tree of an iteration that ended at `ended`: adds what is computed over the whole. `transport` is the
-/// time of both ways together, where it is known.
+/// Closes the tree of an iteration that ended at `ended`: adds what is computed over the whole, for which even a tree
+/// that a sensor or a model filled has room. `transport` is the time of both ways together, where it is known.
 pub(super) fn close(
-    mut log: Recorder,
+    log: Recorder,
     ticket: &Ticket,
     ended: MonoTime,
     closed_loop: bool,
     transport: Option<Span>,
 ) -> Tree {
     let intended = ticket.start.intended;
-    if !closed_loop {
-        log.timed(LATENESS, intended, ticket.begun);
-    }
-    if ticket.start.skipped > 0 {
-        log.value(SKIPPED_STARTS, ticket.start.skipped as f64, Unit::NONE);
-    }
     let total = ended - intended;
-    log.timed(stage::TOTAL, intended, ended);
     let mut tree = log.finish();
-    if let Some(stages) = stages_total(&tree, transport.filter(|transport| *transport <= total)) {
-        let mut add = |name, start, span| tree.add(NodeId::ROOT, name, start, Measure::Timer(Some(span)));
+    let stages = stages_total(&tree, transport.filter(|transport| *transport <= total));
+    if ticket.start.skipped > 0 {
+        let skipped = Measure::Value(ticket.start.skipped as f64, Unit::NONE);
+        tree.add(NodeId::ROOT, SKIPPED_STARTS, total, skipped);
+    }
+    let mut add = |name, start, span| tree.add(NodeId::ROOT, name, start, Measure::Timer(Some(span)));
+    if !closed_loop {
+        add(LATENESS, Span::ZERO, ticket.begun - intended);
+    }
+    add(stage::TOTAL, Span::ZERO, total);
+    if let Some(stages) = stages {
         add(stage::STAGES_TOTAL, Span::ZERO, stages);
         add(stage::UNATTRIBUTED, stages, total - stages);
     }
@@ -130,6 +132,22 @@ mod tests {
         assert_eq!(millis(&tree, "unattributed"), Some(4.0));
         assert_eq!(millis(&tree, "lateness"), Some(3.0));
         assert_eq!(tree.find(&["skipped-starts"]).and_then(|(_, node)| node.measure.value()), Some(7.0));
+    }
+
+    #[test]
+    fn a_tree_without_room_for_more_still_gets_its_totals() {
+        let clock: SharedClock =
+            Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system")));
+        let intended = clock.mono();
+        let (mut log, begun) = begin(&clock, HostId::random(), intended);
+        while log.value("chatter".into(), 1.0, Unit::NONE) != NodeId::NOWHERE {}
+        let position = Position { number: 1, episode: 0, step: 0, warm_up: false };
+        let ticket = Ticket { position, start: Start { intended, skipped: 7 }, begun };
+        let tree = close(log, &ticket, intended + STEP, false, None);
+        for (name, expected) in [("total", 1.0), ("unattributed", 1.0), ("lateness", 0.0)] {
+            assert_eq!(millis(&tree, name), Some(expected), "{name}");
+        }
+        assert!(tree.find(&["skipped-starts"]).is_some() && tree.find(&["skipped-nodes"]).is_some());
     }
 
     #[test]

@@ -7,6 +7,7 @@ use peernet_sensors::{Transform, build_transform};
 
 use super::acting::Acting;
 use super::alarm::Alarm;
+use super::cycle::Awaited;
 use super::load::Schedule;
 use super::sensing::{Chain, Senses};
 use crate::config::PipelineConfig;
@@ -17,6 +18,8 @@ pub(super) struct Line {
     pub(super) config: Arc<PipelineConfig>,
     pub(super) display: Arc<Display>,
     pub(super) senses: Senses,
+    /// The sample that the sensor is asked for. It may outlive a connection: nobody can take the question back.
+    pub(super) sensing: Option<Awaited>,
     /// `None` when answers are not acted upon.
     pub(super) actuator: Option<Acting>,
     pub(super) schedule: Schedule,
@@ -55,6 +58,7 @@ impl Line {
             config,
             display,
             senses,
+            sensing: None,
             facts,
         })
     }

@@ -110,10 +110,12 @@ impl Placement {
         }
     }
 
-    /// Takes leave of the peer.
-    pub(super) async fn close(&self) {
-        if let Self::Remote { session, .. } = self {
-            session.close().await;
+    /// Takes leave of the peer; after the end of a run that was to have `ordered` iterations, with this word.
+    pub(super) async fn close(&self, ordered: Option<u64>) {
+        match (self, ordered) {
+            (Self::Remote { session, .. }, Some(ordered)) => session.close_after(ordered).await,
+            (Self::Remote { session, .. }, None) => session.close().await,
+            (Self::Local(_) | Self::None, _) => {}
         }
     }
 

@@ -1,6 +1,6 @@
 //! Numbers, episodes, warm-up and limits of a run. No I/O.
 
-use std::num::NonZeroU32;
+use std::num::{NonZeroU32, NonZeroU64};
 
 use peernet_clock::{MonoTime, Span};
 
@@ -56,6 +56,18 @@ impl Progress {
             _ => false,
         };
         enough || all || late
+    }
+
+    /// Iterations so far.
+    pub(crate) const fn given(&self) -> u64 {
+        self.given
+    }
+
+    /// How many there are if nothing but a number of iterations ends the run; those so far where none is set.
+    pub(crate) fn ordered(&self) -> u64 {
+        let left = self.limit.iterations.map(|limit| limit.get().saturating_sub(self.measured));
+        let counted = left.map(|left| left.saturating_add(self.given));
+        counted.into_iter().chain(self.limit.total.map(NonZeroU64::get)).min().unwrap_or(self.given)
     }
 
     /// Gives the next iteration its place.
@@ -120,6 +132,20 @@ mod tests {
             warm_up.push(progress.place(at(0)).warm_up);
         }
         assert_eq!(warm_up, [true, true, false]);
+    }
+
+    #[test]
+    fn what_was_ordered_is_known_before_it_is_done() {
+        let ordered = |keys: &str| {
+            let mut progress = progress(keys, false);
+            for _ in 0..7 {
+                progress.place(at(0));
+            }
+            progress.ordered()
+        };
+        assert_eq!(ordered("warm_up = { iterations = 2 }\nlimit = { iterations = 30 }"), 32);
+        assert_eq!(ordered("warm_up = { iterations = 2 }\nlimit = { iterations = 30, total = 20 }"), 20);
+        assert_eq!(ordered("limit = { duration_s = 9.0 }"), 7);
     }
 
     #[test]

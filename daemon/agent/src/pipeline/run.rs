@@ -6,9 +6,10 @@ use peernet_logger::stream::{
 };
 use peernet_logger::{RunId, Slug, Tree};
 
+use super::cycle::Ended;
 use super::progress::{Position, Progress};
 use crate::config::PipelineConfig;
-use crate::host::{Host, VERSION};
+use crate::host::Host;
 use crate::live::Display;
 
 const SECONDS_PER_DAY: i64 = 86_400;
@@ -43,7 +44,7 @@ impl Run {
             placement: placement.clone(),
             facts,
             configuration: configuration(config),
-            version: VERSION.to_owned(),
+            version: host.version.to_owned(),
             experiment: config.experiment.clone().map(Box::new),
             conditions,
         };
@@ -81,6 +82,15 @@ impl Run {
     /// Gives the next iteration its place.
     pub(super) fn place(&mut self, intended: MonoTime) -> Position {
         self.progress.place(intended)
+    }
+
+    /// How many iterations it was to have, once that is settled: one that was stopped or lost its peer may go on.
+    pub(super) fn ordered(&self, ended: &Ended) -> Option<u64> {
+        match ended {
+            Ended::Limit | Ended::Midnight => Some(self.progress.given()),
+            Ended::NoMoreSamples | Ended::Broken(_) => Some(self.progress.ordered()),
+            Ended::Stopped | Ended::Disconnected(_) => None,
+        }
     }
 
     /// Hands a finished iteration to the live statistics and to the outbox.

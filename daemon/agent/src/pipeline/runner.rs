@@ -98,6 +98,7 @@ impl Runner {
                 None => run.insert(self.begin(line.facts(placement.facts()), &placement, false).await),
             };
             let ended = self.measure(&mut line, current, &placement).await;
+            let ordered = current.ordered(&ended);
             let (reason, result) = match ended {
                 Ended::Disconnected(reason) => {
                     self.disconnected(&placement, current.id(), reason);
@@ -112,7 +113,7 @@ impl Runner {
                 let (pipeline, starts) = (&self.config.name, line.schedule.untold());
                 tracing::warn!(%pipeline, starts, "the last starts before the end were skipped");
             }
-            placement.close().await;
+            placement.close(ordered).await;
             return result;
         }
     }

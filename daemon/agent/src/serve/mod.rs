@@ -1,5 +1,6 @@
 //! The serving side: sessions of peers that want this host's models.
 
+mod asked;
 mod doors;
 mod reflector;
 mod served;
@@ -10,6 +11,7 @@ pub use served::Served;
 
 use std::collections::HashMap;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use peernet_inference::{Done, InferenceError, Job, LoadError, Pool};
 use peernet_logger::stream::{Condition, Hardware, HostClock, IncidentKind};
@@ -22,8 +24,9 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
+use self::asked::Asked;
 use self::doors::to_peers;
-use crate::host::{Host, VERSION};
+use crate::host::Host;
 use crate::incidents::Concerning;
 use crate::telemetry;
 
@@ -36,7 +39,14 @@ pub(crate) async fn run(
 ) -> Result<(), String> {
     let named = Named { probes: doors.probes(), instance: doors.instance, built_in: doors.built_in.clone() };
     let (served, hardware) = (Arc::new(served), telemetry::hardware());
-    let server = Server { host: host.clone(), named, hardware, served, peers: HashMap::new() };
+    let server = Server {
+        host: host.clone(),
+        named,
+        hardware,
+        served,
+        peers: HashMap::new(),
+        asked: Asked::default(),
+    };
     let announcer = doors.listener.announcer();
     let announcing = announce(host.own, announcer, stop.clone());
     let reflecting = async {
@@ -83,7 +93,9 @@ async fn sessions(mut listener: Listener, mut server: Server, stop: Cancellation
                     let host = server.host.clone();
                     loading.spawn_blocking(move || prepare(wish, &host));
                 }
-                Some(Incoming::Closed(session)) => server.closed(session),
+                Some(Incoming::Closed { session, said_goodbye, ordered }) => {
+                    server.closed(session, said_goodbye, ordered);
+                }
                 None => return Err(format!("the port at {} was lost", listener.address())),
             },
         }
@@ -132,8 +144,8 @@ struct Peer {
     name: Slug,
     pipeline: Slug,
     pool: Arc<Pool>,
-    /// Where its answers are counted, if they are.
-    served: Option<Arc<watch::Sender<Served>>>,
+    /// Where its requests and their answers are counted, if they are.
+    counted: Option<(Arc<AtomicU64>, Arc<watch::Sender<Served>>)>,
 }
 
 struct Server {
@@ -143,6 +155,7 @@ struct Server {
     hardware: Hardware,
     served: Arc<watch::Sender<Served>>,
     peers: HashMap<SessionId, Peer>,
+    asked: Asked,
 }
 
 impl Server {
@@ -157,8 +170,9 @@ impl Server {
                 let (session, accepted) = (wish.session, self.accepted(&pool, conditions));
                 if wish.accept(accepted) {
                     let counts = self.named.built_in.as_ref() != Some(pool.name());
-                    let served = counts.then(|| Arc::clone(&self.served));
-                    self.peers.insert(session, Peer { host, name, pipeline, pool, served });
+                    let counted = counts.then(|| (self.asked.by(host, &pipeline), Arc::clone(&self.served)));
+                    self.peers.insert(session, Peer { host, name, pipeline, pool, counted });
+                    self.served.send_modify(|served| served.sessions = self.peers.len());
                     self.report(IncidentKind::Connected, host, text);
                 }
             }
@@ -178,7 +192,7 @@ impl Server {
             host: self.host.id,
             name: self.host.name.clone(),
             clock: self.host.clock.identity().clone(),
-            version: VERSION.to_owned(),
+            version: self.host.version.to_owned(),
             model: pool.name().clone(),
             device: pool.device(),
             facts: pool.facts(),
@@ -197,7 +211,10 @@ impl Server {
             reply.send(log, Err(Failure::Failed("the session is not open".to_owned())));
             return;
         };
-        let served = peer.served.clone();
+        let served = peer.counted.as_ref().map(|(asked, served)| {
+            asked.fetch_add(1, Ordering::Relaxed);
+            Arc::clone(served)
+        });
         let reply = Box::new(move |Done { log, result }: Done| {
             let inference = result.as_ref().ok().and_then(|_| served::inference(log.tree()));
             let is_error = result.is_err();
@@ -212,13 +229,22 @@ impl Server {
         }
     }
 
-    fn closed(&mut self, session: SessionId) {
+    /// A session is over. That its peer took its leave is no incident: every session ends once.
+    fn closed(&mut self, session: SessionId, said_goodbye: bool, ordered: Option<u64>) {
         // A session that was never accepted has nothing to take leave of.
-        if let Some(Peer { host, name, pipeline, .. }) = self.peers.remove(&session) {
-            let text = format!("the session of {name} for its pipeline {pipeline} is over");
-            // An edge that lost its cloud says so itself; seen from here every session ends once.
-            let what = Concerning { peer: Some(host), ..Concerning::default() };
-            self.host.incidents.note(IncidentKind::Disconnected, what, text);
+        let Some(Peer { host, name, pipeline, counted, .. }) = self.peers.remove(&session) else { return };
+        let is_farewell = said_goodbye && counted.is_some();
+        let missed = if is_farewell { self.asked.missed(host, &pipeline, ordered) } else { 0 };
+        self.served.send_modify(|served| {
+            served.sessions = self.peers.len();
+            served.missed = served.missed.saturating_add(missed);
+        });
+        if said_goodbye {
+            tracing::info!("the session of {name} for its pipeline {pipeline} is over");
+        } else {
+            let text =
+                format!("lost {name}: the session for its pipeline {pipeline} ended without a goodbye");
+            self.report(IncidentKind::Disconnected, host, text);
         }
     }
 

@@ -3,13 +3,18 @@
 use peernet_logger::{Tree, stage};
 use peernet_statistics::Sketch;
 
-/// What peers were sent since the agent started. Answers of the built-in model `calibration` do not count.
+/// Who is served, and what peers were sent since the agent started. Answers of the built-in model `calibration` do not
+/// count.
 #[derive(Clone, Debug, Default)]
 pub struct Served {
+    /// Sessions that are open.
+    pub sessions: usize,
     /// Answers, failures among them.
     pub answers: u64,
     /// Failures.
     pub errors: u64,
+    /// Iterations that runs were to have which are over, and that never came here: their edge said so.
+    pub missed: u64,
     /// How long the stage `inference` took of those that have it, seconds.
     pub inference: Sketch,
 }

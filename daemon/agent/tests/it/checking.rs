@@ -34,7 +34,7 @@ fn every_problem_is_found_at_once_with_its_key_and_a_remedy() {
         "[serve]\nlisten = 'tcp://192.0.2.1:5551'\nsession = { max_in_flight = 0 }\n\
          [[model]]\nname = 'echo'\nkind = 'echo'\n[[model]]\nname = 'echo'\nkind = 'echo'\n\
          [[pipeline]]\nname = 'line'\nsensor = { kind = 'images', path = '/nowhere' }\n\
-         placement = { kind = 'local', model = 'ecco' }\nload = { mode = 'rate', hz = 0.0 }\n\
+         placement = { kind = 'local', model = 'ecco' }\nload = { mode = 'rate', hz = 1e-300 }\n\
          warm_up = { steps = 1 }\nlimit = { duration_s = -1.0 }\n\
          [[pipeline]]\nname = 'line'\nsensor = { kind = 'synthetic', size_bytes = 1 }\n\
          placement = { kind = 'local', model = 'echo' }\n",
@@ -48,7 +48,7 @@ fn every_problem_is_found_at_once_with_its_key_and_a_remedy() {
         "serve.session.max_in_flight: 0 must be between",
         "pipeline[0].sensor: cannot read /nowhere",
         "pipeline[0].placement.model: no [[model]] is named ecco; there is echo",
-        "pipeline[0].load.hz: 0 is not a rate",
+        "pipeline[0].load.hz: 1e-300 is not a rate",
         "pipeline[0].limit.duration_s: -1.0 is not",
         "pipeline[0].warm_up: ",
         "pipeline[1].name: another pipeline is named line",

@@ -80,6 +80,40 @@ async fn a_cloud_that_dies_loses_what_is_in_flight_and_the_run_goes_on_when_it_i
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_cloud_that_goes_while_the_sensor_waits_costs_no_sample_when_it_is_back_in_time() {
+    let (aggregator, port) = (Aggregator::start().await, free_port());
+    let folder = tempfile::tempdir().expect("a folder");
+    let gate = folder.path().join("gate");
+    let made = std::process::Command::new("mkfifo").arg(&gate).status();
+    assert!(made.expect("is there").success());
+    // Each sample waits until the gate is opened once.
+    let script = format!("while read -r next; do cat {} > /dev/null; echo answer 0; done", gate.display());
+    let open = || {
+        let gate = gate.clone();
+        tokio::task::spawn_blocking(move || std::fs::write(gate, "go").expect("a reader"))
+    };
+    let tables = format!(
+        "[[pipeline]]\nname = 'line'\nsensor = {{ kind = 'exec', command = '{script}', timeout_ms = 600000 }}\n\
+         placement = {{ kind = 'remote', peer = 'tcp://127.0.0.1:{port}', model = 'slow' }}\n\
+         warm_up = {{ iterations = 0 }}\nlimit = {{ iterations = 2 }}\n"
+    );
+    let first = TestAgent::start("cloud", None, &cloud(port)).await;
+    let edge = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
+    open().await.expect("opens");
+    aggregator.until(|seen| seen.iterations().len() == 1).await;
+    first.kill();
+    edge.until_state(is_waiting).await;
+    let second = TestAgent::start("cloud", None, &cloud(port)).await;
+    edge.until_state(|state| *state == PipelineState::Running).await;
+    open().await.expect("opens");
+    let seen = aggregator.until(|seen| seen.iterations().len() == 2).await;
+    assert!(seen.iterations().iter().all(|it| it.outcome == Outcome::Ok), "{:?}", seen.iterations());
+    assert_eq!(seen.runs().len(), 1, "the same run");
+    edge.stop().await.expect("stops well");
+    second.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_unknown_model_is_refused_with_the_list_of_those_there_are() {
     let (aggregator, port) = (Aggregator::start().await, free_port());
     let cloud = TestAgent::start("cloud", Some(&aggregator.address), &cloud(port)).await;
@@ -102,5 +136,39 @@ async fn a_device_that_the_model_does_not_run_on_is_refused_with_the_one_it_does
     let PipelineState::Waiting(reason) = edge.until_state(is_waiting).await else { unreachable!() };
     assert!(reason.contains("cuda:0") && reason.contains("only on cpu"), "{reason}");
     edge.stop().await.expect("stops well");
+    cloud.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_edge_that_takes_its_leave_is_no_incident_and_one_that_is_lost_is() {
+    let (aggregator, port) = (Aggregator::start().await, free_port());
+    let cloud = TestAgent::start("cloud", Some(&aggregator.address), &cloud(port)).await;
+    let mut served = cloud.running.served();
+    let limited = format!("{}limit = {{ iterations = 5 }}\n", edge(port, "slow"));
+    let first = TestAgent::start("first", None, &limited).await;
+    served.wait_for(|served| served.answers >= 5 && served.sessions == 0).await.expect("serves");
+    first.stop().await.expect("stops well");
+
+    // Its runtime goes with all its sockets, without a goodbye.
+    let (end, ended) = std::sync::mpsc::sync_channel::<()>(1);
+    let second = std::thread::spawn(move || {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+        let agent = runtime.block_on(async {
+            let agent = TestAgent::start("second", None, &edge(port, "slow")).await;
+            agent.until_state(|state| *state == PipelineState::Running).await;
+            agent
+        });
+        ended.recv().expect("told to end");
+        runtime.shutdown_background();
+        agent.kill();
+    });
+    served.wait_for(|served| served.sessions == 1).await.expect("serves");
+    end.send(()).expect("waits");
+    let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Disconnected).is_empty()).await;
+    let lost: Vec<&str> =
+        seen.incidents(IncidentKind::Disconnected).iter().map(|it| it.text.as_str()).collect();
+    assert!(matches!(lost[..], [text] if text.starts_with("lost second: ")), "{lost:?}");
+    assert_eq!(served.borrow().sessions, 0);
+    second.join().expect("no panic");
     cloud.stop().await.expect("stops well");
 }

@@ -4,7 +4,7 @@ use peernet_clock::{DelaySource, Verdict};
 use peernet_logger::Measure;
 use peernet_logger::stream::{IncidentKind, Iteration, Outcome, PlacementKind};
 
-use crate::harness::{Aggregator, TestAgent, assert_adds_up, assert_contiguous, value};
+use crate::harness::{Aggregator, TestAgent, VERSION, assert_adds_up, assert_contiguous, value};
 
 const CLOUD: &str = "[serve]\nlisten = 'tcp://127.0.0.1:0'\n\
     [[model]]\nname = 'echo'\nkind = 'echo'\n\
@@ -56,6 +56,8 @@ async fn on_one_clock_every_way_is_exact() {
         assert_eq!(iteration.tree.anchors().len(), 2, "both hosts are in the tree");
     }
     let run = seen.runs()[0];
+    let served_by = edge.running.served_by(&run.pipeline).expect("it was served");
+    assert_eq!((run.version.as_str(), served_by.version.as_str()), (VERSION, VERSION));
     assert_eq!(run.placement.kind, PlacementKind::Remote);
     assert_eq!(run.placement.peer.as_ref().map(peernet_logger::Slug::as_str), Some("cloud"));
     assert_eq!(

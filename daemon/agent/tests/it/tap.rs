@@ -7,7 +7,7 @@ use peernet_logger::stream::{Event, PipelineState};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
-use crate::harness::{clock, config};
+use crate::harness::{VERSION, clock, config};
 
 const LINE: &str = "[[model]]\nname = 'echo'\nkind = 'echo'\n\
     [[pipeline]]\nname = 'line'\nsensor = { kind = 'synthetic', size_bytes = 10 }\n\
@@ -24,7 +24,7 @@ async fn a_program_sees_every_event_without_an_aggregator_and_what_it_missed_is_
         let stop = CancellationToken::new();
         let (tap, mut events) = mpsc::channel(room);
         let running =
-            Agent::start_observed(config, clock("system"), stop.clone(), tap).await.expect("starts");
+            Agent::start_observed(config, VERSION, clock("system"), stop.clone(), tap).await.expect("starts");
         while running.live().pipelines[0].state != PipelineState::Finished {
             tokio::time::sleep(std::time::Duration::from_millis(5)).await;
         }

@@ -2,7 +2,7 @@
 
 use peernet_logger::stream::{IncidentKind, Outcome, PipelineState};
 
-use crate::harness::{Aggregator, TestAgent, assert_contiguous};
+use crate::harness::{Aggregator, PATIENCE, TestAgent, assert_contiguous};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_broken_picture_fails_its_iteration_and_the_run_goes_on() {
@@ -33,6 +33,41 @@ async fn a_broken_picture_fails_its_iteration_and_the_run_goes_on() {
     }
     assert_eq!(seen.iterations().len(), 8);
     agent.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_cloud_is_told_of_iterations_that_never_came_once_their_run_is_over() {
+    let folder = tempfile::tempdir().expect("a folder");
+    image::RgbImage::new(8, 6).save(folder.path().join("a.png")).expect("written");
+    std::fs::write(folder.path().join("b.png"), b"not a picture").expect("written");
+    let serve = "[serve]\nlisten = 'tcp://127.0.0.1:0'\n[[model]]\nname = 'echo'\nkind = 'echo'\n";
+    let cloud = TestAgent::start("cloud", None, serve).await;
+    let tables = |limit: &str| {
+        format!(
+            "[[pipeline]]\nname = 'line'\nplacement = {{ kind = 'remote', peer = '{}' }}\n\
+             sensor = {{ kind = 'images', path = '{}' }}\n\
+             transforms = [{{ kind = 'resize', width = 4, height = 3 }}]\nlimit = {limit}",
+            cloud.address(),
+            folder.path().display()
+        )
+    };
+    let edge = TestAgent::start("edge", None, &tables("{ total = 20 }")).await;
+    let mut served = cloud.running.served();
+    let served = served.wait_for(|served| served.answers + served.missed >= 20);
+    let served =
+        tokio::time::timeout(PATIENCE, served).await.expect("it is told").expect("it serves").clone();
+    assert_eq!((served.answers, served.missed), (10, 10));
+    edge.stop().await.expect("stops well");
+
+    // One that is stopped may come back for the rest.
+    let edge = TestAgent::start("edge", None, &tables("{ total = 1000000 }")).await;
+    edge.until(|_| cloud.running.served().borrow().answers > 15).await;
+    edge.stop().await.expect("stops well");
+    let mut served = cloud.running.served();
+    let left = served.wait_for(|served| served.sessions == 0);
+    let left = tokio::time::timeout(PATIENCE, left).await.expect("it leaves").expect("it serves").missed;
+    assert_eq!(left, 10);
+    cloud.stop().await.expect("stops well");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

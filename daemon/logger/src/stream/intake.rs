@@ -283,6 +283,12 @@ impl Intake {
         Totals { produced, dropped, gaps, told, reached }
     }
 
+    /// What is in the batch under construction and so many more events are lost.
+    pub(super) fn give_up(&mut self, more: u64) {
+        self.totals.dropped += u64::from(self.open.events) + more;
+        self.open = OpenBatch::default();
+    }
+
     /// Everything that was counted.
     pub(super) const fn counted(&self) -> Totals {
         self.totals

@@ -166,6 +166,10 @@ pub(crate) struct Goodbye {
     pub(crate) session: SessionId,
     #[serde(deserialize_with = "words")]
     pub(crate) reason: String,
+    /// Edge, once the run that the session was for is over: how many iterations it was to have. Older versions say
+    /// nothing of it and pass it over.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) ordered: Option<u64>,
 }
 
 impl Header {
@@ -316,8 +320,11 @@ mod tests {
             label: None,
         };
         assert_eq!(SampleHeader::of(&many), Err(HeaderError::TooManyParts(MAX_PARTS + 1)));
-        let goodbye =
-            super::super::Goodbye { session: SessionId::random(), reason: "x".repeat(MAX_HEADER_BYTES) };
+        let goodbye = super::super::Goodbye {
+            session: SessionId::random(),
+            reason: "x".repeat(MAX_HEADER_BYTES),
+            ordered: None,
+        };
         assert!(matches!(Header::Goodbye(goodbye).encode(), Err(HeaderError::TooLong(_))));
         let oversize = vec![0xc0; MAX_HEADER_BYTES + 1];
         assert_eq!(Header::decode(&oversize), Err(HeaderError::Oversize(MAX_HEADER_BYTES + 1)));
@@ -328,8 +335,9 @@ mod tests {
     #[test]
     fn a_peers_words_cannot_drive_a_terminal() {
         let session = SessionId::random();
-        let goodbye =
-            |reason: &str| Header::Goodbye(super::super::Goodbye { session, reason: reason.to_owned() });
+        let goodbye = |reason: &str| {
+            Header::Goodbye(super::super::Goodbye { session, reason: reason.to_owned(), ordered: None })
+        };
         let wire = goodbye("bye\n\u{1b}[2Jthere, 30 °C").encode().expect("short enough");
         assert_eq!(Header::decode(&wire), Ok(goodbye("bye  [2Jthere, 30 °C")));
     }

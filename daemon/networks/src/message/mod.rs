@@ -8,7 +8,7 @@
 //! | reply | cloud | session, number, departure, outcome | growth of the tree | payload parts, untouched |
 //! | clock | cloud | session, what is known of the cloud's clock | | |
 //! | unknown-session | cloud | session, number | | |
-//! | goodbye | either | session, reason | | |
+//! | goodbye | either | session, reason; an edge whose run is over: how many iterations that was to have | | |
 //!
 //! The tree is encoded before the departure is stamped, and the header after: the transit node itself is not in
 //! either tree, the receiver puts it there from the header. `tests/it/wire.rs` writes the form down a second time.

@@ -169,11 +169,11 @@ pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> 
         proptest::option::of(departure()),
         outcome(),
         (hello(), accepted(), peer_clock()),
-        (kind, words(), any::<u64>()),
+        (kind, words(), any::<u64>(), any::<Option<u64>>()),
     )
         .prop_flat_map(
             |((session, request, departure), sample, returned, outcome, (hello, accepted, clock), rest)| {
-                let (kind, reason, max_message_bytes) = rest;
+                let (kind, reason, max_message_bytes, ordered) = rest;
                 let (protocol, arrival_epoch) = (hello.protocol, clock.epoch);
                 prop_oneof![
                     1 => Just(Header::Open(Box::new(Open { hello, max_message_bytes }))),
@@ -189,7 +189,7 @@ pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> 
                     4 => Just(Header::Reply(Reply { session, request, departure: returned, arrival_epoch, outcome })),
                     1 => Just(Header::Clock(Box::new(ClockNews { session, clock }))),
                     1 => Just(Header::UnknownSession(UnknownSession { session, request })),
-                    1 => Just(Header::Goodbye(Goodbye { session, reason })),
+                    1 => Just(Header::Goodbye(Goodbye { session, reason, ordered })),
                 ]
             },
         )

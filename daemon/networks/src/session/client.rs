@@ -182,7 +182,7 @@ mod tests {
         assert_eq!(over, Heard::Over(CloseReason::UnknownSession, vec!['a']));
         assert_eq!(client.end(CloseReason::Broken("later".into())), Vec::<char>::new());
         assert_eq!(client.begin('b'), Err(CloseReason::UnknownSession));
-        let other = Goodbye { session: SessionId::random(), reason: String::new() };
+        let other = Goodbye { session: SessionId::random(), reason: String::new(), ordered: None };
         assert!(matches!(client.hear(Header::Goodbye(other)), Heard::Malformed(_)));
     }
 

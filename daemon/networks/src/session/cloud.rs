@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 use std::net::SocketAddr;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use bytes::Bytes;
@@ -71,6 +72,8 @@ pub(crate) struct Shared {
     host: HostId,
     counters: Counters,
     complaints: Mutex<Complaints>,
+    /// Answers that are being sent: their requests are no longer in flight.
+    sending: AtomicUsize,
     answered: Notify,
 }
 
@@ -101,6 +104,7 @@ impl Listener {
             host,
             counters: Counters::default(),
             complaints: Mutex::default(),
+            sending: AtomicUsize::new(0),
             answered: Notify::new(),
         });
         let closed = VecDeque::new();
@@ -126,7 +130,7 @@ impl Listener {
     pub async fn next(&mut self) -> Option<Incoming> {
         loop {
             if let Some(session) = self.closed.pop_front() {
-                return Some(Incoming::Closed(session));
+                return Some(Incoming::Closed { session, said_goodbye: false, ordered: None });
             }
             match self.receiver.receive().await? {
                 Arrival::Message(peer, frames) => {
@@ -192,7 +196,7 @@ fn heard(shared: &Arc<Shared>, peer: &Peer, frames: Frames, received: (Stamp, u3
             shared.tell(peer, &header);
             None
         }
-        Heard::Closed(session) => Some(Incoming::Closed(session)),
+        Heard::Closed(session, ordered) => Some(Incoming::Closed { session, said_goodbye: true, ordered }),
         Heard::Malformed(problem) => {
             shared.malformed(peer.address, problem);
             None
@@ -271,8 +275,11 @@ impl Shared {
 
     /// Sends an answer with what `log` grew here; both are absent when no model was asked.
     pub(crate) fn answer(&self, ticket: Ticket, log: Option<Recorder>, result: Result<Sample, Failure>) {
+        // Before the request is out of flight: closing must find one of the two, or it says goodbye before the answer.
+        self.sending.fetch_add(1, Ordering::SeqCst);
         let route = self.machine().finish(ticket.session, ticket.request);
         let sent = route.is_some_and(|route| self.send_answer(&route, ticket, log, result));
+        self.sending.fetch_sub(1, Ordering::SeqCst);
         if !sent {
             self.counters.lost(1);
         }
@@ -344,7 +351,7 @@ impl Shared {
     }
 
     async fn drained(&self) {
-        while self.machine().in_flight() > 0 {
+        while self.machine().in_flight() > 0 || self.sending.load(Ordering::SeqCst) > 0 {
             self.answered.notified().await;
         }
     }

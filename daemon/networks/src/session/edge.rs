@@ -1,6 +1,6 @@
 //! The edge's driver: a session over a transport.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
 use peernet_clock::SharedClock;
@@ -63,6 +63,8 @@ pub(crate) struct Shared {
     max_message_bytes: u64,
     pub(crate) over: watch::Sender<Option<CloseReason>>,
     pub(crate) peer_clock: watch::Sender<PeerClock>,
+    /// How many iterations the run was to have, once it is over.
+    pub(crate) ordered: OnceLock<u64>,
 }
 
 /// What a request waits for.
@@ -101,6 +103,7 @@ impl Session {
             max_message_bytes: accepted.max_message_bytes.min(settings.max_message_bytes),
             over: watch::Sender::new(None),
             peer_clock: watch::Sender::new(accepted.accepted.host_clock.clone()),
+            ordered: OnceLock::new(),
         });
         let (stop, stopped) = (CancellationToken::new(), CancellationToken::new());
         let task = Receiving { shared: shared.clone(), stop: stop.clone(), stopped: stopped.clone() };
@@ -197,6 +200,13 @@ impl Session {
     pub async fn close(&self) {
         self.inner.stop.cancel();
         self.inner.stopped.cancelled().await;
+    }
+
+    /// [Closes](Self::close) and tells that the run is over which was to have `ordered` iterations, so that nobody waits
+    /// there for those that never came.
+    pub async fn close_after(&self, ordered: u64) {
+        self.inner.shared.ordered.get_or_init(|| ordered);
+        self.close().await;
     }
 }
 

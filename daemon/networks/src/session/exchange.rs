@@ -86,10 +86,12 @@ impl Sizes {
         self.logger + self.payload
     }
 
-    /// Records both as values.
+    /// Adds both as values to the edge's tree, in which there is room for them however full it is.
     pub(crate) fn record(self, log: &mut Recorder, payload: Name, logger: Name) {
-        log.value(payload, self.payload as f64, Unit::BYTES);
-        log.value(logger, self.logger as f64, Unit::BYTES);
+        let start = log.offset(log.clock().mono());
+        for (name, bytes) in [(payload, self.payload), (logger, self.logger)] {
+            log.tree_mut().add(NodeId::ROOT, name, start, Measure::Value(bytes as f64, Unit::BYTES));
+        }
     }
 }
 

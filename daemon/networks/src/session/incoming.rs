@@ -16,9 +16,15 @@ pub enum Incoming {
     Open(OpenRequest),
     /// An edge wants an answer.
     Request(IncomingRequest),
-    /// A session is over: the edge said goodbye or its connection is gone. Also comes for a session that was
-    /// asked for and not answered yet.
-    Closed(SessionId),
+    /// A session is over. Also comes for a session that was asked for and not answered yet.
+    Closed {
+        /// Which.
+        session: SessionId,
+        /// Whether the edge said goodbye; else its connection is gone.
+        said_goodbye: bool,
+        /// How many iterations the edge's run was to have, where the session ended with that run.
+        ordered: Option<u64>,
+    },
 }
 
 /// An edge's wish for a session. Dropping it unanswered refuses it.

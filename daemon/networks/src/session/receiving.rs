@@ -113,7 +113,11 @@ impl Receiving {
     }
 
     fn say_goodbye(&self) {
-        let goodbye = Goodbye { session: self.shared.session, reason: "the edge closed the session".into() };
+        let goodbye = Goodbye {
+            session: self.shared.session,
+            reason: "the edge closed the session".into(),
+            ordered: self.shared.ordered.get().copied(),
+        };
         let sent = Header::Goodbye(goodbye)
             .encode()
             .map_err(|error| error.to_string())

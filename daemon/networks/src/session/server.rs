@@ -42,8 +42,8 @@ pub(crate) enum Heard {
     Request(Request),
     /// Nothing to do but to answer this.
     Answer(Header),
-    /// The edge ended its session.
-    Closed(SessionId),
+    /// The edge ended its session; with its run, if it tells how many iterations that was to have.
+    Closed(SessionId, Option<u64>),
     /// Makes no sense.
     Malformed(&'static str),
 }
@@ -78,7 +78,7 @@ impl Server {
                     return Heard::Malformed("a goodbye to no session");
                 }
                 self.forget(goodbye.session);
-                Heard::Closed(goodbye.session)
+                Heard::Closed(goodbye.session, goodbye.ordered)
             }
             Header::Accepted(_)
             | Header::Refused(_)
@@ -223,7 +223,7 @@ impl Server {
         self.connections.clear();
         let farewell = |session, entry: Entry| {
             let header = if entry.accepted {
-                Header::Goodbye(Goodbye { session, reason: reason.to_owned() })
+                Header::Goodbye(Goodbye { session, reason: reason.to_owned(), ordered: None })
             } else {
                 Self::refusal(reason.to_owned())
             };

@@ -54,7 +54,7 @@ async fn every_request_of_a_crowd_gets_its_own_answer() {
                         });
                     }
                 }
-                Incoming::Closed(_) => {}
+                Incoming::Closed { .. } => {}
             }
         }
     });

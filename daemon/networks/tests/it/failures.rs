@@ -69,7 +69,7 @@ async fn a_vanished_edge_closes_its_sessions() {
     let request = cloud.next_open().await;
     let id = request.session;
     request.accept(accepted(cloud.host));
-    assert_eq!(cloud.next_closed().await, id);
+    assert_eq!(cloud.next_closed().await, (id, false));
     edge.join().expect("no panic");
 }
 

@@ -57,7 +57,12 @@ impl FakeCloud {
         assert!(matches!(header, Header::Open { .. }));
         let id = Id::from([3; 16]);
         // Nonsense before the answer is passed over.
-        self.say(&to, &Header::Goodbye { session: id.clone(), reason: String::new() }, Vec::new()).await;
+        self.say(
+            &to,
+            &Header::Goodbye { session: id.clone(), reason: String::new(), ordered: None },
+            Vec::new(),
+        )
+        .await;
         self.say(&to, &Self::accepted(id.clone(), PROTOCOL), Vec::new()).await;
         (within(edge).await.expect("no panic").expect("accepted"), to, id)
     }

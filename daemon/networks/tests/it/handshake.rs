@@ -24,7 +24,7 @@ async fn an_accepted_session_tells_both_sides_who_the_other_is() {
 
     within(session.close()).await;
     assert_eq!(within(session.closed()).await, CloseReason::Local);
-    assert_eq!(cloud.next_closed().await, id);
+    assert_eq!(cloud.next_closed().await, (id, true));
 }
 
 #[tokio::test]
@@ -35,7 +35,7 @@ async fn dropping_the_last_clone_closes_the_session() {
     drop(session);
     echo(&mut cloud, &clone, "still open").await;
     drop(clone);
-    assert_eq!(cloud.next_closed().await, id);
+    assert_eq!(cloud.next_closed().await, (id, true));
 }
 
 #[tokio::test]
@@ -97,7 +97,7 @@ async fn a_cloud_that_does_not_answer_times_out() {
     let unanswered = cloud.next_open().await;
     let error = within(edge).await.expect("no panic").expect_err("no answer");
     assert_eq!(error, OpenError::TimedOut { address: cloud.address(), waited_ms: 200 });
-    assert_eq!(cloud.next_closed().await, unanswered.session);
+    assert_eq!(cloud.next_closed().await.0, unanswered.session);
     assert!(!unanswered.accept(accepted(cloud.host)), "the edge is gone");
 }
 

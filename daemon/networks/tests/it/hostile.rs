@@ -43,7 +43,7 @@ async fn malformed_after(cloud: &mut Cloud, expected: u64) {
     within(async {
         while cloud.listener.figures().malformed < expected {
             tokio::select! {
-                incoming = cloud.listener.next() => assert!(matches!(incoming, Some(Incoming::Closed(_)))),
+                incoming = cloud.listener.next() => assert!(matches!(incoming, Some(Incoming::Closed { .. }))),
                 () = tokio::task::yield_now() => {}
             }
         }
@@ -103,7 +103,7 @@ async fn frames_that_are_no_message_are_dropped_and_counted() {
         Header::Refused { protocol: 1, kind: "refused".into(), reason: "me too".into() },
         Header::Reply(session.clone(), 0, None, 0, Outcome::Failed("no".into())),
         Header::Clock { session: session.clone(), clock: wire::host_clock(1) },
-        Header::Goodbye { session: Id::from([9; 16]), reason: "whose?".into() },
+        Header::Goodbye { session: Id::from([9; 16]), reason: "whose?".into(), ordered: None },
     ];
     for header in &out_of_place {
         plain.say(header, Vec::new()).await;

@@ -3,11 +3,28 @@
 use std::time::Duration;
 
 use peernet_clock::Span;
-use peernet_logger::{HostIndex, Measure, NodeId, stage};
+use peernet_logger::{HostIndex, Measure, NodeId, Unit, stage};
 use peernet_networks::{Failure, RequestError, SessionSettings};
 use peernet_sample::{Description, Part, Sample};
 
 use crate::support::{Cloud, PATIENCE, echo, log, request, sample, settings, text, within};
+
+#[tokio::test]
+async fn a_tree_that_a_sensor_filled_still_gets_its_transits_and_sizes() {
+    let mut cloud = Cloud::start().await;
+    let (session, _) = cloud.session(settings()).await;
+    let mut full = log();
+    while full.value("chatter".into(), 1.0, Unit::NONE) != NodeId::NOWHERE {}
+    let pending = tokio::spawn(async move { session.request(full, &sample("hello"), PATIENCE).await });
+    let incoming = cloud.next_request().await;
+    incoming.reply.send(incoming.log, Ok(sample("answer")));
+    let exchange = within(pending).await.expect("no panic");
+    assert_eq!(exchange.result.as_ref().map(text), Ok("answer"));
+    let tree = exchange.log.tree();
+    for name in [stage::UPLOAD, stage::DOWNLOAD, stage::UPLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES] {
+        assert!(tree.find(&[name.as_str()]).is_some(), "{name}");
+    }
+}
 
 #[tokio::test]
 async fn the_tree_comes_back_with_both_hosts_and_both_transits() {

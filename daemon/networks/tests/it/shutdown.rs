@@ -1,8 +1,70 @@
 //! A listener that closes in good order.
 
-use peernet_networks::{CloseReason, RequestError, SessionSettings};
+use std::sync::{Arc, Mutex, mpsc};
+use std::thread;
+use std::time::Duration;
 
-use crate::support::{Cloud, PATIENCE, request, settings, text, within};
+use peernet_clock::{Clock, ClockIdentity, MonoTime, SharedClock, WallTime};
+use peernet_networks::{CloseReason, RequestError, SessionSettings};
+use tokio::sync::oneshot;
+
+use crate::support::{Cloud, PATIENCE, clock, request, settings, text, within};
+
+/// The thread that a [`Gate`] holds up.
+const HELD: &str = "held";
+
+/// A clock at which one thread is held up once: it says that it is there, and waits for leave.
+#[derive(Debug)]
+struct Gate {
+    clock: SharedClock,
+    closed: Mutex<Option<(oneshot::Sender<()>, mpsc::Receiver<()>)>>,
+}
+
+impl Clock for Gate {
+    fn wall(&self) -> WallTime {
+        if thread::current().name() == Some(HELD)
+            && let Some((arrived, leave)) = self.closed.lock().expect("no panic").take()
+        {
+            arrived.send(()).expect("waited for");
+            leave.recv().expect("given leave");
+        }
+        self.clock.wall()
+    }
+
+    fn mono(&self) -> MonoTime {
+        self.clock.mono()
+    }
+
+    fn identity(&self) -> &ClockIdentity {
+        self.clock.identity()
+    }
+}
+
+#[tokio::test]
+async fn closing_waits_for_the_answer_that_is_just_being_sent() {
+    let ((arrived, at_gate), (leave, left)) = (oneshot::channel(), mpsc::sync_channel(1));
+    let gate = Gate { clock: clock(), closed: Mutex::new(Some((arrived, left))) };
+    let mut cloud = Cloud::start_by(Arc::new(gate)).await;
+    let (session, _) = cloud.session(settings()).await;
+    let pending = [request(&session, "one", PATIENCE), request(&session, "other", PATIENCE)];
+    let (slow, quick) = (cloud.next_request().await, cloud.next_request().await);
+    // Its request is answered, but the answer has not left yet.
+    let held = thread::Builder::new().name(HELD.to_owned());
+    let held = held.spawn(move || slow.reply.send(slow.log, Ok(slow.sample))).expect("a thread");
+    within(at_gate).await.expect("it comes to the gate");
+    let close = tokio::spawn(cloud.listener.close());
+    quick.reply.send(quick.log, Ok(quick.sample));
+    let early = tokio::time::timeout(Duration::from_millis(100), session.closed()).await;
+    assert!(early.is_err(), "goodbye came before the answer: {early:?}");
+    leave.send(()).expect("waited for");
+    for pending in pending {
+        let exchange = within(pending).await.expect("no panic");
+        assert!(exchange.result.is_ok(), "{:?}", exchange.result);
+    }
+    assert_eq!(within(session.closed()).await, CloseReason::Goodbye("the cloud shuts down".into()));
+    within(close).await.expect("no panic");
+    held.join().expect("no panic");
+}
 
 #[tokio::test]
 async fn closing_waits_for_answers_and_says_goodbye() {

@@ -112,9 +112,10 @@ impl Cloud {
         }
     }
 
-    pub(crate) async fn next_closed(&mut self) -> SessionId {
+    /// The next session that ends, and whether its edge said goodbye.
+    pub(crate) async fn next_closed(&mut self) -> (SessionId, bool) {
         match self.next().await {
-            Incoming::Closed(session) => session,
+            Incoming::Closed { session, said_goodbye, .. } => (session, said_goodbye),
             other => panic!("expected the end of a session, not {other:?}"),
         }
     }

@@ -9,14 +9,38 @@ use crate::support::within;
 #[derive(Serialize, Deserialize, Debug)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Header {
-    Open { hello: Hello, max_message_bytes: u64 },
-    Accepted { protocol: u16, session: Id, accepted: Accepted, max_message_bytes: u64, max_in_flight: u32 },
-    Refused { protocol: u16, kind: String, reason: String },
+    Open {
+        hello: Hello,
+        max_message_bytes: u64,
+    },
+    Accepted {
+        protocol: u16,
+        session: Id,
+        accepted: Accepted,
+        max_message_bytes: u64,
+        max_in_flight: u32,
+    },
+    Refused {
+        protocol: u16,
+        kind: String,
+        reason: String,
+    },
     Request(Id, u64, Departure, (Vec<Description>, String, Option<String>)),
     Reply(Id, u64, Option<Departure>, u32, Outcome),
-    Clock { session: Id, clock: HostClock },
-    UnknownSession { session: Id, request: u64 },
-    Goodbye { session: Id, reason: String },
+    Clock {
+        session: Id,
+        clock: HostClock,
+    },
+    UnknownSession {
+        session: Id,
+        request: u64,
+    },
+    Goodbye {
+        session: Id,
+        reason: String,
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        ordered: Option<u64>,
+    },
 }
 
 /// Wall clock, offset on the monotonic clock, epoch.

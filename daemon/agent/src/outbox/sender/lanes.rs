@@ -1,6 +1,7 @@
 //! The two lanes: events on their way through the machine, the spool and the connection; live figures beside them.
 
-use peernet_logger::stream::{Action, LiveUpdate, ToAggregator, codec};
+use peernet_clock::Stamp;
+use peernet_logger::stream::{Action, Event, LiveUpdate, ToAggregator, codec};
 
 use super::Sender;
 use crate::live::Receipt;
@@ -9,16 +10,22 @@ use crate::outbox::line::Line;
 use crate::outbox::spool::{Done, Order};
 
 impl Sender {
-    /// Empties the feed.
+    /// Empties the feed, and lets time pass for the machine.
     pub(super) fn take(&mut self) {
         let now = self.clock.stamp();
         while let Ok(event) = self.exit.queue.try_recv() {
-            self.machine.offer(&event, now);
+            self.offer(&event, now);
         }
         for gap in self.exit.overflow.take_gaps() {
             self.machine.lost(&gap, now);
         }
         self.machine.tick(now);
+    }
+
+    /// An event came out of the feed.
+    pub(super) fn offer(&mut self, event: &Event, now: Stamp) {
+        self.fed = now.mono;
+        self.machine.offer(event, now);
     }
 
     /// Does what the machine wants.

@@ -1,6 +1,7 @@
 //! The outbox task: between the feed, the sending end of the event stream, the spool, and the connection.
 
 mod account;
+mod giving_up;
 mod hearing;
 mod lanes;
 
@@ -8,7 +9,7 @@ use std::collections::VecDeque;
 use std::pin::pin;
 use std::time::Duration;
 
-use peernet_clock::SharedClock;
+use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_logger::stream::{Accounting, HostClock, HostMetrics, Sending};
 use peernet_networks::Address;
 use tokio::sync::{oneshot, watch};
@@ -25,9 +26,12 @@ use crate::live::{self, Board};
 use crate::pauses::Pauses;
 use crate::runs::Runs;
 
-/// How often the feed is emptied. Looking is cheaper than being woken for each event, above all for the
-/// pipeline that would have to do the waking.
+/// How often the feed is emptied while events come. Looking is cheaper than being woken for each event, above all for
+/// the pipeline that would have to do the waking.
 const LOOK: Duration = Duration::from_millis(20);
+
+/// Without an event for so long, the next one wakes the task, and looks cost nothing until then.
+const QUIET: Span = Span::from_millis(500);
 
 /// How long an aggregator may take to answer the hello; its machine may be busy, but not for this long.
 const WELCOME: Duration = Duration::from_secs(5);
@@ -52,6 +56,8 @@ pub(super) struct Sender {
     links: Links,
     own: watch::Receiver<HostClock>,
     reports: Reports,
+    /// When the feed last held an event.
+    fed: MonoTime,
     /// Frames that the connection had no room for: a window of batches at most.
     held: VecDeque<Vec<u8>>,
     /// A live update is due.
@@ -74,7 +80,7 @@ impl Sender {
     ) -> Self {
         let (clock, runs) = (SharedClock::clone(&host.clock), host.runs.clone());
         let (links, own) = (host.links.clone(), host.own.clone());
-        let (held, due, blocked, away) = (VecDeque::new(), false, false, false);
+        let (fed, held, due, blocked, away) = (clock.mono(), VecDeque::new(), false, false, false);
         Self {
             machine,
             spool,
@@ -87,6 +93,7 @@ impl Sender {
             links,
             own,
             reports,
+            fed,
             held,
             due,
             blocked,
@@ -118,13 +125,17 @@ impl Sender {
         let mut line = Line::dial(&address, Duration::ZERO);
         loop {
             let blocked = self.due && self.blocked || !self.held.is_empty();
+            let quiet = self.clock.mono() - self.fed >= QUIET;
             tokio::select! {
                 biased;
                 deadline = &mut stopping, if farewell.is_none() => {
                     farewell = Some(Farewell::begin(Instant::now(), deadline, self.machine.accounting().stored));
                     self.take();
                 }
-                _ = shows.tick() => self.due = true,
+                _ = shows.tick() => {
+                    self.due = true;
+                    self.take();
+                }
                 done = self.spool.done() => {
                     self.spooled(done.ok_or("the spool's task ended")?);
                 }
@@ -162,7 +173,11 @@ impl Sender {
                     self.reports.mute(&address);
                     line = Line::dial(&address, pauses.grow());
                 }
-                _ = looks.tick() => self.take(),
+                _ = looks.tick(), if !quiet => self.take(),
+                Some(event) = self.exit.queue.recv(), if quiet => {
+                    self.offer(&event, self.clock.stamp());
+                    self.take();
+                }
                 () = &mut alarm, if farewell.is_some() => {}
             }
             if farewell.is_some() {
@@ -191,17 +206,12 @@ impl Sender {
     }
 
     async fn leave(mut self, line: Line) {
+        let closed = Instant::now() + CLOSING;
+        self.give_up(closed).await;
         let account = self.count();
-        let lost = account.produced.saturating_sub(account.dropped + account.spooled);
-        if !self.machine.is_spooled() {
-            tracing::warn!(
-                events = lost,
-                "stopped before these events were in the spool or stored: they are lost"
-            );
-        }
         if account.waiting > 0 {
             tracing::info!(
-                events = account.waiting - lost,
+                events = account.waiting,
                 "stopped; what waits in the spool goes out after the next start"
             );
         }
@@ -213,7 +223,7 @@ impl Sender {
             connection.close(LINGER).await;
         }
         self.publish();
-        match tokio::time::timeout(CLOSING, self.spool.close()).await {
+        match tokio::time::timeout_at(closed, self.spool.close()).await {
             Ok(Ok(())) => {}
             Ok(Err(reason)) => tracing::warn!("{reason}"),
             Err(_) => tracing::warn!("not waited for: the spool's disk takes long to close it"),

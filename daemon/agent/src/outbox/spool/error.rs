@@ -7,8 +7,10 @@ use peernet_logger::HostId;
 use sqlx::migrate::MigrateError;
 
 /// Primary result codes of SQLite (sqlite.org/rescode.html).
+const IO: i32 = 10;
 const CORRUPT: i32 = 11;
 const FULL: i32 = 13;
+const CANNOT_OPEN: i32 = 14;
 const NOT_A_DATABASE: i32 = 26;
 
 /// Why a spool cannot be used at the start.
@@ -92,6 +94,16 @@ impl SpoolError {
             _ => false,
         }
     }
+
+    /// Whether more room may help. SQLite is not always clear about it: where the index of the log has no place, it
+    /// speaks of the file or of its input and output.
+    pub(super) fn may_lack_room(&self) -> bool {
+        matches!(
+            self,
+            Self::Open { source, .. } | Self::Migrate { source: MigrateError::Execute(source), .. }
+                if matches!(code(source), Some(FULL | IO | CANNOT_OPEN))
+        )
+    }
 }
 
 /// Why something could not be done with a spool that is open.
@@ -138,6 +150,11 @@ impl Trouble {
             _ => Self::Failed { action, path, source },
         }
     }
+}
+
+/// Whether SQLite says that the disk is full.
+pub(super) fn is_full(error: &sqlx::Error) -> bool {
+    code(error) == Some(FULL)
 }
 
 /// Whether SQLite says that the file itself is broken.

@@ -10,12 +10,14 @@ use bytes::Bytes;
 use peernet_clock::WallTime;
 use peernet_logger::stream::{Chain, SpooledBatch, StreamId, Totals};
 use sqlx::{Connection, SqliteConnection};
+use tokio::task::JoinHandle;
 
 use super::aside::beside;
 use super::error::Trouble;
 use super::open::chain;
 use super::reserve::Reserve;
 use super::statements::{checkpoint, delete, give_all_back, insert, vacuum};
+use super::sync::ended;
 use crate::lock::FileLock;
 
 /// A spool file that is open, of one stream of one host.
@@ -56,7 +58,7 @@ impl SpoolFile {
     }
 
     /// Writes batches and what is counted up to the last of them: all or nothing. Without batches it is on the medium
-    /// afterwards.
+    /// afterwards, and a full disk need not stand in its way: how much was lost must not be lost as well.
     pub(in crate::outbox) async fn append(
         &mut self,
         batches: &[SpooledBatch],
@@ -64,14 +66,20 @@ impl SpoolFile {
     ) -> Result<(), Trouble> {
         const ACTION: &str = "append to";
         self.in_place()?;
-        if !self.reserve.take() {
+        if !self.reserve.take() && !batches.is_empty() {
             return Err(Trouble::Full { action: ACTION, path: self.path.clone() });
         }
-        let written = insert(&mut self.connection, batches, totals).await;
-        self.end(ACTION, written).await?;
+        match self.try_to_append(ACTION, batches, totals).await {
+            Err(Trouble::Full { .. }) if batches.is_empty() && self.reserve.release() => {
+                let appended = self.append_on_full_disk(ACTION, totals).await;
+                self.reserve.take();
+                appended?;
+            }
+            appended => appended?,
+        }
         if batches.is_empty() {
             // What is sent next may be stored over there: a power cut must not make the file forget who sent it.
-            self.log().sync().map_err(|error| self.trouble(ACTION)(sqlx::Error::Io(error)))?;
+            self.sync(ACTION).await?;
         }
         Ok(())
     }
@@ -145,7 +153,7 @@ impl SpoolFile {
         renewed.map_err(self.trouble(ACTION))?;
         self.in_place()?;
         // A power cut must not bring the old stream back: what was stored in the new one would be sent once more.
-        self.log().sync().map_err(|error| self.trouble(ACTION)(sqlx::Error::Io(error)))
+        self.sync(ACTION).await
     }
 
     /// Gives the disk what a backlog needed, some at a time.
@@ -176,6 +184,22 @@ impl SpoolFile {
     #[cfg(test)]
     pub(super) fn connection(&mut self) -> &mut SqliteConnection {
         &mut self.connection
+    }
+
+    async fn try_to_append(
+        &mut self,
+        action: &'static str,
+        batches: &[SpooledBatch],
+        totals: Totals,
+    ) -> Result<(), Trouble> {
+        let written = insert(&mut self.connection, batches, totals).await;
+        self.end(action, written).await
+    }
+
+    /// Empties the log first: what is counted again and again then takes no more of the disk each time.
+    async fn append_on_full_disk(&mut self, action: &'static str, totals: Totals) -> Result<(), Trouble> {
+        checkpoint(&mut self.connection).await.map_err(self.trouble(action))?;
+        self.try_to_append(action, &[], totals).await
     }
 
     async fn try_to_delete(&mut self, through: u64, chain: Chain) -> Result<(), Trouble> {
@@ -237,6 +261,12 @@ impl SpoolFile {
         format!("batch {number} in the spool {} {what}; it cannot be sent", self.path.display())
     }
 
+    /// Waits until the log is on the medium.
+    async fn sync(&mut self, action: &'static str) -> Result<(), Trouble> {
+        let synced = ended(&mut self.log().sync()).await;
+        synced.map_err(|error| self.trouble(action)(sqlx::Error::Io(error)))
+    }
+
     /// Commits what went well, and undoes what did not.
     async fn end(&mut self, action: &'static str, result: Result<(), sqlx::Error>) -> Result<(), Trouble> {
         let ended = match result {
@@ -281,17 +311,18 @@ enum Rot {
 pub(in crate::outbox) struct Log(PathBuf);
 
 impl Log {
-    /// Puts on the disk what is in the log; blocks.
+    /// Puts on the disk what is in the log, on a thread that may block: a memory card takes seconds now and then.
     ///
     /// The file is opened for it: SQLite does not lock the log, so that closing it again takes no lock away. (The
     /// spool's own file must never be opened beside SQLite: closing that would.)
-    pub(in crate::outbox) fn sync(&self) -> io::Result<()> {
-        match File::open(&self.0) {
+    pub(super) fn sync(&self) -> JoinHandle<io::Result<()>> {
+        let path = self.0.clone();
+        tokio::task::spawn_blocking(move || match File::open(path) {
             Ok(log) => log.sync_data(),
             // There is none before the first transaction.
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
             Err(error) => Err(error),
-        }
+        })
     }
 }
 

@@ -12,6 +12,7 @@ use sqlx::sqlite::{SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, Sq
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, FromRow, SqliteConnection};
 
 use super::aside::{beside, condemned, put_aside};
+use super::error::is_full;
 use super::file::SpoolFile;
 use super::look::{APPLICATION_ID, Look};
 use super::reserve::Reserve;
@@ -66,14 +67,13 @@ impl OpenSpool {
         {
             return Err(SpoolError::NotASpool { path: path.to_owned(), objection });
         }
-        // On a full disk even opening may need it.
         let mut reserve = Reserve::new(beside(path, "-reserve"));
         let mut aside = None;
-        let opened = match connect(path, host).await {
+        let opened = match connect_in_any_room(path, host, &mut reserve).await {
             Err(error) if error.is_damage() => {
                 let put = put_aside(path, error.to_string(), clock.wall());
                 aside = Some(put.map_err(io("put aside the damaged spool", path))?);
-                connect(path, host).await
+                connect_in_any_room(path, host, &mut reserve).await
             }
             opened => opened,
         };
@@ -101,6 +101,18 @@ fn settings(path: &Path) -> SqliteConnectOptions {
         .pragma("wal_autocheckpoint", LOG_PAGES)
         .busy_timeout(BUSY)
         .disable_statement_logging()
+}
+
+/// On a full disk even opening may need the reserve.
+async fn connect_in_any_room(
+    path: &Path,
+    host: HostId,
+    reserve: &mut Reserve,
+) -> Result<(SqliteConnection, SpoolState), SpoolError> {
+    match connect(path, host).await {
+        Err(error) if error.may_lack_room() && reserve.release() => connect(path, host).await,
+        opened => opened,
+    }
 }
 
 async fn connect(path: &Path, host: HostId) -> Result<(SqliteConnection, SpoolState), SpoolError> {
@@ -135,6 +147,7 @@ async fn prepare(
             let known = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
             SpoolError::NewerSchema { path: path.to_owned(), found, known }
         }
+        MigrateError::Execute(source) if is_full(&source) => cannot_open(source),
         source => SpoolError::Migrate { path: path.to_owned(), source },
     })?;
     let row = stream(connection, host).await.map_err(cannot_open)?;

@@ -1,10 +1,12 @@
 //! Room on the disk that is kept for deleting.
 //!
 //! SQLite writes before it deletes: into the log, and from there into the file. A spool that filled its disk could
-//! never be emptied. So a file beside it holds some room, which is given free for a deletion and taken again after it.
+//! never be emptied, nor say how much did not fit. So a file beside it holds some room, which is given free for a deletion
+//! or such a count, and taken again after it. It stays when the process ends: on a full disk the next one needs it.
 
 use std::fs::{self, File};
 use std::io;
+use std::os::unix::fs::MetadataExt;
 use std::path::PathBuf;
 
 use rustix::fs::{FallocateFlags, fallocate};
@@ -12,34 +14,31 @@ use rustix::io::Errno;
 
 /// What the log may hold when the disk becomes full (256 pages and the largest transaction), and what deleting adds.
 const BYTES: u64 = 6 << 20;
+/// On a disk that has less, it is taken in such steps.
+const STEP: u64 = 128 << 10;
+/// Unit of the blocks that the system counts (POSIX leaves it open; Linux's is this one).
+const BLOCK: u64 = 512;
 
 /// The room.
 #[derive(Debug)]
 pub(super) struct Reserve {
     file: PathBuf,
-    state: State,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum State {
-    Held,
-    /// To be taken again before anything else is written.
-    Free,
+    /// Bytes that it holds; below [`BYTES`] nothing but deletions and counts may be written before there is more.
+    held: u64,
     /// The file system cannot hold room.
-    Impossible,
+    impossible: bool,
 }
 
 impl Reserve {
-    /// Gives free what an earlier process held.
+    /// Goes on with what an earlier process held.
     pub(super) fn new(file: PathBuf) -> Self {
-        let mut reserve = Self { file, state: State::Held };
-        reserve.release();
-        reserve
+        let held = fs::metadata(&file).map_or(0, |held| BYTES.min(held.blocks() * BLOCK));
+        Self { file, held, impossible: false }
     }
 
     /// Gives the room free; returns whether there was any.
     pub(super) fn release(&mut self) -> bool {
-        if self.state != State::Held {
+        if self.held == 0 {
             return false;
         }
         match fs::remove_file(&self.file) {
@@ -48,36 +47,44 @@ impl Reserve {
                 false
             }
             _ => {
-                self.state = State::Free;
+                self.held = 0;
                 true
             }
         }
     }
 
-    /// Takes the room; returns whether the disk has it, if it can be held at all.
+    /// Takes the room, or what there is of it; returns whether it is whole, if it can be held at all.
     pub(super) fn take(&mut self) -> bool {
-        if self.state == State::Free {
-            self.state = match self.allocate() {
-                Ok(()) => State::Held,
-                Err(Errno::OPNOTSUPP) => State::Impossible,
-                Err(error) => {
-                    tracing::debug!(%error, "the spool's reserve {} cannot be had", self.file.display());
-                    State::Free
-                }
-            };
-            // What was allocated of it before the disk was full is not kept from the others.
-            if self.state != State::Held
-                && let Err(error) = fs::remove_file(&self.file)
-            {
-                tracing::debug!(%error, "no reserve to remove");
+        if self.impossible || self.held == BYTES {
+            return true;
+        }
+        match self.allocate() {
+            Ok(()) => {}
+            Err(Errno::OPNOTSUPP) => self.impossible = true,
+            Err(error) => {
+                tracing::debug!(%error, held = self.held, "the disk lacks room for the spool's reserve {}", self.file.display());
             }
         }
-        self.state != State::Free
+        if self.held == 0
+            && let Err(error) = fs::remove_file(&self.file)
+        {
+            tracing::debug!(%error, "no reserve to remove");
+        }
+        self.impossible || self.held == BYTES
     }
 
-    fn allocate(&self) -> Result<(), Errno> {
-        let file =
-            File::create(&self.file).map_err(|error| Errno::from_io_error(&error).unwrap_or(Errno::IO))?;
-        fallocate(&file, FallocateFlags::empty(), 0, BYTES)
+    fn allocate(&mut self) -> Result<(), Errno> {
+        let file = File::options().create(true).truncate(false).write(true).open(&self.file);
+        let file = file.map_err(|error| Errno::from_io_error(&error).unwrap_or(Errno::IO))?;
+        let none = FallocateFlags::empty();
+        if fallocate(&file, none, 0, BYTES).is_err() {
+            while self.held < BYTES {
+                let step = STEP.min(BYTES - self.held);
+                fallocate(&file, none, self.held, step)?;
+                self.held += step;
+            }
+        }
+        self.held = BYTES;
+        Ok(())
     }
 }

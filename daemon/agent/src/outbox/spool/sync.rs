@@ -29,8 +29,7 @@ impl Syncing {
     pub(super) fn begin(&mut self) {
         if self.dirty && self.running.is_none() {
             self.dirty = false;
-            let log = self.log.clone();
-            self.running = Some(tokio::task::spawn_blocking(move || log.sync()));
+            self.running = Some(self.log.sync());
         }
     }
 
@@ -43,7 +42,7 @@ impl Syncing {
     /// Dropping the future loses nothing.
     pub(super) async fn ended(&mut self) -> io::Result<()> {
         let Some(running) = &mut self.running else { return Ok(()) };
-        let synced = running.await.unwrap_or_else(|died| Err(io::Error::other(died)));
+        let synced = ended(running).await;
         self.running = None;
         self.dirty |= synced.is_err();
         synced
@@ -55,4 +54,9 @@ impl Syncing {
         self.begin();
         self.ended().await
     }
+}
+
+/// How a sync ended.
+pub(super) async fn ended(sync: &mut JoinHandle<io::Result<()>>) -> io::Result<()> {
+    sync.await.unwrap_or_else(|died| Err(io::Error::other(died)))
 }

@@ -1,24 +1,41 @@
-//! A pipeline whose task panics.
+//! Pipelines of which a part panics.
 
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
 
 use peernet_clock::{Clock, ClockIdentity, MonoTime, SharedClock, SystemClock, WallTime};
 use peernet_inference::Bank;
 use peernet_logger::HostId;
-use peernet_logger::stream::{Event, HostClock};
-use tokio::sync::watch;
+use peernet_logger::stream::{Event, HostClock, Outcome};
+use peernet_sample::{Description, Sample};
+use tokio::sync::{oneshot, watch};
 
+use super::super::cycle::{Awaited, Cycle};
+use super::super::iteration;
+use super::super::load::Start;
+use super::super::sensing::Sensed;
 use super::*;
 use crate::config::{AgentConfig, HostConfig};
 use crate::incidents::Incidents;
 use crate::link::{Links, Near, ProbeSettings};
+use crate::outbox::Exit;
 use crate::runs::Runs;
 
-/// A clock that breaks once, when it is told to.
+const PIPELINE: &str = "line";
+
+/// A clock that breaks once, when it is told to, for who reads it.
 #[derive(Debug)]
 struct Fragile {
     clock: SystemClock,
     broken: AtomicBool,
+    reader: Reader,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Reader {
+    Any,
+    /// The thread of the sensor, which is named after the pipeline.
+    Sensor,
 }
 
 impl Clock for Fragile {
@@ -27,7 +44,8 @@ impl Clock for Fragile {
     }
 
     fn mono(&self) -> MonoTime {
-        assert!(!self.broken.swap(false, Ordering::Relaxed), "as planned");
+        let read = self.reader == Reader::Any || thread::current().name() == Some(PIPELINE);
+        assert!(!(read && self.broken.swap(false, Ordering::Relaxed)), "as planned");
         self.clock.mono()
     }
 
@@ -36,18 +54,16 @@ impl Clock for Fragile {
     }
 }
 
-#[tokio::test]
-async fn a_panic_fails_its_pipeline_with_the_reason_and_ends_its_run() {
-    let system = SystemClock::new(ClockIdentity::new("boot", "system"));
-    let fragile = Arc::new(Fragile { clock: system, broken: AtomicBool::new(false) });
-    let clock: SharedClock = Arc::<Fragile>::clone(&fragile);
-    let tables = "[[model]]\nname = 'echo'\nkind = 'echo'\n\
-        [[pipeline]]\nname = 'line'\nsensor = { kind = 'synthetic', size_bytes = 1 }\n\
-        placement = { kind = 'local', model = 'echo' }\nload = { mode = 'rate', hz = 100.0 }";
-    let config: AgentConfig = toml::from_str(tables).expect("reads");
+/// A host with one pipeline, and where its events come out.
+fn host(sensor: &str, clock: SharedClock) -> (Host, Arc<PipelineConfig>, Arc<Display>, Exit) {
+    let tables = format!(
+        "[[model]]\nname = 'echo'\nkind = 'echo'\n\
+         [[pipeline]]\nname = '{PIPELINE}'\nsensor = {sensor}\n\
+         placement = {{ kind = 'local', model = 'echo' }}\nload = {{ mode = 'rate', hz = 100.0 }}"
+    );
+    let config: AgentConfig = toml::from_str(&tables).expect("reads");
     let aggregator = Some("tcp://127.0.0.1:1".parse().expect("an address"));
     let (feed, exit) = crate::outbox::entrance(&HostConfig { aggregator, ..HostConfig::default() }, &clock);
-    let mut exit = exit.expect("there is an aggregator");
     let incidents = Incidents::new(Arc::clone(&clock), feed.clone());
     let (_own, own) = watch::channel(HostClock::default());
     let near = Near {
@@ -61,6 +77,7 @@ async fn a_panic_fails_its_pipeline_with_the_reason_and_ends_its_run() {
     let host = Host {
         id: HostId::random(),
         name: near.name.clone(),
+        version: "0.0.0",
         bank: Arc::new(Bank::new(config.models, config.onnxruntime, Arc::clone(&clock))),
         incidents,
         runs: Runs::default(),
@@ -70,11 +87,20 @@ async fn a_panic_fails_its_pipeline_with_the_reason_and_ends_its_run() {
         clock,
         places: Arc::default(),
     };
-    let pipeline = config.pipelines.into_iter().next().expect("one");
+    let pipeline = Arc::new(config.pipelines.into_iter().next().expect("one"));
     let placement = crate::pipeline::intended(&pipeline.placement);
     let display = Arc::new(Display::new(pipeline.name.clone(), pipeline.load.describe(), placement));
-    let running =
-        run(Arc::new(pipeline), Arc::clone(&display), host, CancellationToken::new(), Duration::from_secs(1));
+    (host, pipeline, display, exit.expect("there is an aggregator"))
+}
+
+/// Runs a pipeline until the clock breaks for one who reads it. Returns why the run ended, which is what is shown and
+/// reported, too.
+async fn broken(sensor: &str, reader: Reader) -> String {
+    let system = SystemClock::new(ClockIdentity::new("boot", "system"));
+    let fragile = Arc::new(Fragile { clock: system, broken: AtomicBool::new(false), reader });
+    let clock: SharedClock = Arc::<Fragile>::clone(&fragile);
+    let (host, pipeline, display, mut exit) = host(sensor, clock);
+    let running = run(pipeline, Arc::clone(&display), host, CancellationToken::new(), Duration::from_secs(1));
     let running = tokio::spawn(running);
     let mut started = None;
     while let Some(event) = exit.next().await {
@@ -85,7 +111,7 @@ async fn a_panic_fails_its_pipeline_with_the_reason_and_ends_its_run() {
         }
     }
     fragile.broken.store(true, Ordering::Relaxed);
-    running.await.expect("the panic ends in the pipeline");
+    running.await.expect("the panic ends nothing but the pipeline");
 
     let (mut ended, mut incident) = (None, None);
     while ended.is_none() || incident.is_none() {
@@ -97,8 +123,46 @@ async fn a_panic_fails_its_pipeline_with_the_reason_and_ends_its_run() {
     }
     let ended = ended.expect("seen");
     assert_eq!(Some(ended.run), started);
-    assert!(ended.reason.contains("as planned"), "{}", ended.reason);
-    assert!(incident.expect("seen").text.contains("as planned"));
+    assert_eq!(incident.expect("seen").text, ended.reason);
     let (shown, _) = crate::live::Board::new(vec![display]).look();
-    assert!(matches!(&shown[0].state, PipelineState::Failed(reason) if reason.contains("panicked")));
+    assert_eq!(shown[0].state, PipelineState::Failed(ended.reason.clone()));
+    ended.reason
+}
+
+#[tokio::test]
+async fn a_panic_fails_its_pipeline_with_the_reason_and_ends_its_run() {
+    let reason = broken("{ kind = 'synthetic', size_bytes = 1 }", Reader::Any).await;
+    assert!(reason.contains("panicked: as planned"), "{reason}");
+}
+
+#[tokio::test]
+async fn a_sensor_whose_thread_dies_ends_its_pipeline_and_is_named() {
+    let reason = broken("{ kind = 'text', length = 5000 }", Reader::Sensor).await;
+    assert!(reason.contains("the sensor's thread has died"), "{reason}");
+}
+
+#[tokio::test]
+async fn a_sample_that_came_while_nobody_was_there_is_lost_and_said_to_be() {
+    let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
+    let sensor = "{ kind = 'synthetic', size_bytes = 1 }";
+    let (host, pipeline, display, mut exit) = host(sensor, Arc::clone(&clock));
+    let mut line =
+        Line::assemble(Arc::clone(&pipeline), Arc::clone(&display), Arc::clone(&clock)).expect("sound");
+    let description = crate::pipeline::intended(&pipeline.placement);
+    let mut run = Run::begin(&pipeline, description, (Vec::new(), Vec::new()), false, &host, &display);
+
+    let start = Start { intended: clock.mono(), skipped: 0 };
+    let (log, begun) = iteration::begin(&clock, host.id, start.intended);
+    let (tell, sample) = oneshot::channel();
+    let came = Sample::of(Description::bytes(), "x".into());
+    assert!(tell.send(Sensed { log, sample: Ok(Some(came)) }).is_ok(), "before the connection is back");
+    line.sensing = Some(Awaited { start, begun, sample });
+    drop(Cycle::new(&mut line, &mut run, &host));
+    assert!(line.sensing.is_none());
+    let outcome = loop {
+        if let Event::Iteration(iteration) = exit.next().await.expect("it is recorded") {
+            break iteration.outcome;
+        }
+    };
+    assert!(matches!(&outcome, Outcome::Lost(reason) if reason.contains("no connection")), "{outcome:?}");
 }

@@ -10,7 +10,7 @@ use peernet_logger::stream::Probing;
 use tokio_util::sync::CancellationToken;
 
 use super::{CLOUD, FIRST, WAYS, assert_holds, delay, line};
-use crate::harness::{Aggregator, TestAgent, clock, config};
+use crate::harness::{Aggregator, TestAgent, VERSION, clock, config};
 
 const LOAD: &str = "load = { mode = 'rate', hz = 50.0 }\nmax_in_flight = 4\nlimit = { iterations = 60 }";
 
@@ -111,7 +111,7 @@ async fn a_port_for_probes_that_is_taken_is_an_error_only_if_it_was_asked_for() 
     let mut insisting = config(&format!("{CLOUD}[probes]\nport = {port}\n"));
     insisting.agent.name = Some("cloud".parse().expect("a name"));
     insisting.agent.state_dir = state.path().to_owned();
-    let started = Agent::start(insisting, clock("cloud"), CancellationToken::new()).await;
+    let started = Agent::start(insisting, VERSION, clock("cloud"), CancellationToken::new()).await;
     let error = match started {
         Err(error @ StartError::Reflector(_)) => error.to_string(),
         Err(other) => panic!("{other}"),

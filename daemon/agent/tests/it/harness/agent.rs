@@ -10,7 +10,7 @@ use peernet_logger::stream::{LiveUpdate, PipelineLive, PipelineState};
 use tempfile::TempDir;
 use tokio_util::sync::CancellationToken;
 
-use super::PATIENCE;
+use super::{PATIENCE, VERSION};
 
 /// An agent and what it needs.
 pub(crate) struct TestAgent {
@@ -84,7 +84,7 @@ impl TestAgent {
         config.agent.state_dir = state.path().to_owned();
         config.agent.aggregator = aggregator.map(|address| address.parse().expect("an address"));
         let stop = CancellationToken::new();
-        let running = Agent::start(config, clock, stop.clone()).await?;
+        let running = Agent::start(config, VERSION, clock, stop.clone()).await?;
         Ok(Self { running, stop, state })
     }
 

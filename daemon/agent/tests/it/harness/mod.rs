@@ -13,8 +13,10 @@ use std::time::Duration;
 use peernet_logger::Tree;
 use peernet_logger::stream::Iteration;
 
+/// What the agents of tests say of the program that they belong to.
+pub(crate) const VERSION: &str = "1.2.3 (a commit)";
 /// How long anything may take before a test gives up: no test waits this long unless something is broken.
-const PATIENCE: Duration = Duration::from_secs(60);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
 
 /// The value of a node directly below the root.
 pub(crate) fn value(tree: &Tree, name: &str) -> Option<f64> {

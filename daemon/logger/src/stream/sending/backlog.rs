@@ -34,6 +34,8 @@ pub(super) struct Backlog {
     spooled: (u64, Chain),
     pending: VecDeque<Pending>,
     pending_usage: Usage,
+    /// What was counted up to the newest that is in the file or stored over there.
+    settled: Totals,
     newest: (u64, Chain),
     held: Usage,
     /// The newest that was ever sent by this process.
@@ -77,6 +79,7 @@ impl Backlog {
             spooled: newest,
             pending: VecDeque::new(),
             pending_usage: Usage::default(),
+            settled: spool.totals,
             newest,
             held: if newest.0 < oldest { Usage::default() } else { spool.held },
             sent: 0,
@@ -131,6 +134,21 @@ impl Backlog {
         self.pending_usage
     }
 
+    /// What was counted up to the newest that is in the file or stored over there.
+    pub(super) const fn settled(&self) -> Totals {
+        self.settled
+    }
+
+    /// What is in memory only is lost. Returns how many events that are.
+    pub(super) fn give_up(&mut self) -> u64 {
+        let lost = std::mem::take(&mut self.pending_usage);
+        for Pending { batch, .. } in self.pending.drain(..).filter(|one| one.batch.number <= self.sent) {
+            self.sent_events = self.sent_events.saturating_sub(u64::from(batch.events));
+        }
+        self.held = self.held - lost;
+        lost.events
+    }
+
     /// What is in the file only.
     pub(super) fn filed(&self) -> Usage {
         self.held - self.ready_usage - self.pending_usage
@@ -183,6 +201,7 @@ impl Backlog {
         self.passed(through, chain);
         while let Some(pending) = self.pending.pop_front_if(|pending| pending.batch.number <= through) {
             let (batch, usage) = (pending.batch.clone(), pending.batch.usage());
+            self.settled = pending.totals;
             self.pending_usage = self.pending_usage - usage;
             bytes += usage.bytes;
             let fits = self.ready_usage.bytes + usage.bytes <= self.budget;
@@ -276,6 +295,7 @@ impl Backlog {
         while let Some(pending) = self.pending.pop_front_if(|pending| pending.batch.number <= through) {
             self.pending_usage = self.pending_usage - pending.batch.usage();
             self.held = self.held - pending.batch.usage();
+            self.settled = pending.totals;
             if pending.batch.number <= writing {
                 freed.writing_bytes += pending.batch.usage().bytes;
             }

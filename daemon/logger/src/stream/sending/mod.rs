@@ -152,6 +152,20 @@ impl Sending {
         self.closing = true;
     }
 
+    /// Whether a write to the spool is under way that may make something safe.
+    pub fn is_appending(&self) -> bool {
+        self.spooling.is_appending()
+    }
+
+    /// The end of a process that could not make everything safe: what is in memory only counts as dropped. The spool is
+    /// to keep these totals, so that the next process tells how much is missing. Of what was sent and not acknowledged
+    /// nobody knows whether it is stored: it counts as well.
+    pub fn give_up(&mut self) -> Totals {
+        let lost = self.backlog.give_up();
+        self.intake.give_up(lost);
+        self.safe_totals()
+    }
+
     /// The frame that says goodbye; `None` when nobody knows us, so that a refused copy cannot say it in our name.
     pub fn goodbye(&mut self) -> Option<Vec<u8>> {
         let known = self.is_up();
@@ -221,6 +235,14 @@ impl Sending {
     /// The host, to be described anew when the connection is next opened.
     pub const fn describe(&mut self) -> &mut HostDescription {
         &mut self.host
+    }
+
+    /// What was counted, without what is in memory only: true also when that is lost.
+    fn safe_totals(&self) -> Totals {
+        let Totals { produced, dropped, .. } = self.intake.counted();
+        let Totals { gaps, told, .. } = self.backlog.settled();
+        let only_here = self.intake.usage().events + self.backlog.pending().events;
+        Totals { produced: produced - only_here, dropped, gaps, told, reached: self.spooling.written.reached }
     }
 
     /// Numbers what was cut.

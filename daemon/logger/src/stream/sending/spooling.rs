@@ -38,6 +38,8 @@ pub(super) struct Spooling {
     trouble: Option<(Kind, String)>,
     /// Whether the last attempt to append failed.
     degraded: bool,
+    /// Batches were refused: how much was dropped is written down by itself before they are tried again.
+    refused: bool,
     /// When something was last to be written.
     begun: MonoTime,
 }
@@ -90,6 +92,7 @@ impl Spooling {
             renew: Job::default(),
             trouble: None,
             degraded: false,
+            refused: false,
             begun: MonoTime::default(),
         }
     }
@@ -100,6 +103,10 @@ impl Spooling {
 
     pub(super) const fn fails_to_write(&self) -> bool {
         self.degraded
+    }
+
+    pub(super) const fn is_appending(&self) -> bool {
+        self.append.is_under_way()
     }
 
     /// The newest batch that is being written; 0 when none is.
@@ -131,7 +138,6 @@ impl Sending {
     /// The batches of the last [`Action::Append`] are in the spool.
     pub fn appended(&mut self, now: Stamp) -> Option<Notice> {
         let appending = self.spooling.append.end()?;
-        self.spooling.degraded = false;
         let reached = appending.totals.reached.or(self.spooling.written.reached);
         self.spooling.written = Totals { reached, ..appending.totals };
         if let Some((last, chain)) = appending.last {
@@ -139,7 +145,11 @@ impl Sending {
             self.spooling.bytes += appending.bytes;
             self.spooling.undeleted.0 += appending.freed;
         }
-        self.recovered(Kind::Append);
+        // That there was room for a few numbers says nothing of the batches that wait for it.
+        if appending.last.is_some() || !self.spooling.degraded || self.backlog.pending().events == 0 {
+            self.spooling.degraded = false;
+            self.recovered(Kind::Append);
+        }
         let room = self.room();
         self.intake.report_losses(&room, now);
         self.number();
@@ -148,7 +158,7 @@ impl Sending {
 
     /// They are not, none of them.
     pub fn append_failed(&mut self, reason: String, now: Stamp) -> Option<Notice> {
-        self.spooling.append.end()?;
+        self.spooling.refused = self.spooling.append.end()?.last.is_some();
         self.spooling.append.fail(now.mono, self.config.spool_pause);
         self.spooling.degraded = true;
         self.failed(Kind::Append, reason)
@@ -295,7 +305,7 @@ impl Sending {
         let (batches, totals) = self.to_append(now)?;
         let last = batches.last().map(|batch| (batch.number, batch.chain));
         let bytes = batches.iter().map(|batch| batch.body.len() as u64).sum();
-        self.spooling.begun = now;
+        (self.spooling.begun, self.spooling.refused) = (now, false);
         self.spooling.append.begin(Appending { last, bytes, freed: 0, totals });
         Some(Action::Append { batches, totals })
     }
@@ -306,8 +316,12 @@ impl Sending {
         if self.met && !self.is_marked() {
             return Some((Vec::new(), Totals { reached: self.reaches(spooled), ..written }));
         }
+        let safe = self.safe_totals();
+        if self.spooling.refused && safe.dropped != written.dropped {
+            return Some((Vec::new(), safe));
+        }
         let Some((batches, totals)) = self.backlog.to_append(MOST_APPENDED, MOST_APPENDED_BYTES) else {
-            let totals = Totals { reached: written.reached, ..self.intake.totals() };
+            let totals = safe;
             let due = self.closing || self.losses_due().is_some_and(|due| now >= due);
             return (due && totals != written).then(|| (Vec::new(), totals));
         };

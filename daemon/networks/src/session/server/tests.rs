@@ -90,9 +90,9 @@ fn a_goodbye_frees_the_place() {
     let mut server = server();
     let sessions: Vec<_> = (0..3).map(|connection| opened(&mut server, connection)).collect();
     assert!(matches!(server.hear(&peer(9), hello()), Heard::Answer(Header::Refused(_))));
-    let bye = |session| Header::Goodbye(Goodbye { session, reason: String::new() });
+    let bye = |session| Header::Goodbye(Goodbye { session, reason: String::new(), ordered: Some(9) });
     assert!(matches!(server.hear(&peer(1), bye(sessions[0])), Heard::Malformed(_)), "not its own");
-    assert_eq!(server.hear(&peer(0), bye(sessions[0])), Heard::Closed(sessions[0]));
+    assert_eq!(server.hear(&peer(0), bye(sessions[0])), Heard::Closed(sessions[0], Some(9)));
     opened(&mut server, 9);
 }
 
@@ -203,7 +203,7 @@ proptest! {
                         Heard::Request(request) => {
                             prop_assert!(in_flight.insert((request.session, request.request)));
                         }
-                        Heard::Closed(session) => in_flight.retain(|(of, _)| *of != session),
+                        Heard::Closed(session, _) => in_flight.retain(|(of, _)| *of != session),
                         Heard::Answer(_) | Heard::Malformed(_) => {}
                     }
                 }

@@ -1,6 +1,7 @@
 //! Disks that are full, and files that go away.
 
 use std::fs;
+use std::os::unix::fs::MetadataExt;
 
 use peernet_logger::stream::Chain;
 
@@ -33,6 +34,24 @@ async fn a_full_disk_refuses_all_or_nothing_and_takes_again_what_there_is_room_f
     drop(file.close().await);
     let (_, state) = place.sound().await;
     assert_eq!((state.oldest, state.newest.0, state.totals), (3, 6, totals(18)));
+}
+
+#[tokio::test]
+async fn the_room_for_deleting_outlives_the_process_whose_successor_may_find_none() {
+    let place = Place::new();
+    let reserve = || {
+        let held = fs::metadata(place.folder.path().join("spool.sqlite-reserve"));
+        // Where the file system cannot hold room there is none.
+        held.ok().map(|held| (held.ino(), held.blocks()))
+    };
+    let (file, _) = place.sound().await;
+    let held = reserve();
+    drop(file);
+    assert_eq!(reserve(), held);
+    let (file, _) = place.sound().await;
+    assert_eq!(reserve(), held, "given free and taken again: another program may have been faster");
+    file.close().await.expect("closes");
+    assert_eq!(reserve(), held);
 }
 
 #[tokio::test]

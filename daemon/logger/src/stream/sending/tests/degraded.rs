@@ -140,3 +140,62 @@ fn what_a_full_disk_and_a_full_memory_cannot_hold_is_dropped_and_counted() {
     let is = agent.accounting();
     assert_eq!((is.produced, is.stored, is.dropped), (21, 7, 14));
 }
+
+/// The events missing in the gaps of what is in the file.
+fn told(file: &File) -> u64 {
+    let gap = |event: &Event| match event {
+        Event::Gap(gap) => gap.count,
+        _ => 0,
+    };
+    let batches = file.batches.values();
+    batches.flat_map(|one| codec::events(&one.body, one.events).expect("readable")).map(|one| gap(&one)).sum()
+}
+
+#[test]
+fn what_a_full_disk_cannot_hold_is_counted_there_while_it_goes_on() {
+    let memory = Usage { events: 6, bytes: 1 << 20 };
+    let mut agent = Agent::new(SendingConfig { memory, ..config() });
+    agent.cut(2);
+    agent.full = true;
+    agent.offer(20);
+    agent.pass(1_000);
+    agent.pass(1_000);
+    let is = agent.accounting();
+    assert_eq!((is.waiting, is.dropped, agent.file.totals.dropped), (8, 14, 14));
+    assert!(is.trouble.is_some(), "a count that fits is no recovery");
+    let failed = agent.notices.iter().filter(|notice| matches!(notice, Notice::SpoolFailed(_))).count();
+    assert_eq!((failed, agent.notices.len()), (1, 1), "{:?}", agent.notices);
+    // Killed: of what was in memory nobody knows, of what was dropped before the file does.
+    let mut agent = agent.restart();
+    agent.cut(1);
+    let is = agent.accounting();
+    assert_eq!((is.produced, is.waiting, is.dropped, told(&agent.file)), (18, 4, 14, 14));
+}
+
+#[test]
+fn what_only_memory_holds_at_the_end_is_counted_and_told_after_the_next_start() {
+    let memory = Usage { events: 6, bytes: 1 << 20 };
+    let mut agent = Agent::new(SendingConfig { memory, ..config() });
+    agent.cut(2);
+    // One loss is told in a gap that is safe, the next in one that is not.
+    agent.broken = true;
+    agent.offer(8);
+    agent.broken = false;
+    (0..2).for_each(|_| agent.pass(1_000));
+    assert_eq!(told(&agent.file), 2);
+    agent.full = true;
+    agent.offer(8);
+    agent.sending.flush(agent.now().wall);
+    agent.settle();
+    assert!(!agent.sending.is_spooled() && !agent.sending.is_appending());
+    let before = agent.accounting();
+    let totals = agent.sending.give_up();
+    agent.perform(Action::Append { batches: Vec::new(), totals });
+    assert!(agent.sending.is_spooled());
+    let is = agent.accounting();
+    assert_eq!((is.produced, is.waiting), (before.produced, agent.file.state().held.events), "{is:?}");
+    assert_eq!(is.dropped, before.produced - is.waiting, "{is:?}");
+    let mut agent = agent.restart();
+    agent.cut(1);
+    assert_eq!((agent.accounting().dropped, told(&agent.file)), (is.dropped, is.dropped));
+}

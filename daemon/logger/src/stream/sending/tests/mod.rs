@@ -140,6 +140,8 @@ struct Agent {
     millis: i64,
     /// The spool fails.
     broken: bool,
+    /// It takes no batches.
+    full: bool,
     sent: Vec<BatchHead>,
     /// What came of a batch in parts.
     parts: Vec<u8>,
@@ -167,7 +169,20 @@ impl Agent {
         };
         let sending = Sending::new(config, description, file.processes, file.state());
         let (sent, parts, hellos, notices, actions) = Default::default();
-        Self { config, host, file, sending, millis: 0, broken: false, sent, parts, hellos, notices, actions }
+        Self {
+            config,
+            host,
+            file,
+            sending,
+            millis: 0,
+            broken: false,
+            full: false,
+            sent,
+            parts,
+            hellos,
+            notices,
+            actions,
+        }
     }
 
     /// An agent that is connected and welcomed.
@@ -238,7 +253,9 @@ impl Agent {
     fn perform(&mut self, action: Action) {
         let (now, why) = (self.now(), "the disk is full".to_owned());
         let notice = match action {
-            Action::Append { .. } if self.broken => self.sending.append_failed(why, now),
+            Action::Append { batches, .. } if self.broken || self.full && !batches.is_empty() => {
+                self.sending.append_failed(why, now)
+            }
             Action::Load { .. } if self.broken => self.sending.load_failed(why, now),
             Action::Delete { .. } if self.broken => self.sending.delete_failed(why, now),
             Action::Renew { .. } if self.broken => self.sending.renew_failed(why, now),

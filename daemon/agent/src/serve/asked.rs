@@ -1,0 +1,54 @@
+//! How many requests of a run came here. After a lost connection a run goes on in another session.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use peernet_logger::{HostId, Slug};
+
+/// So many runs whose edge vanished are remembered for when it comes back.
+const MOST: usize = 256;
+
+/// Requests of each pipeline's present run.
+#[derive(Debug, Default)]
+pub(super) struct Asked(HashMap<(HostId, Slug), Arc<AtomicU64>>);
+
+impl Asked {
+    /// What counts the requests of a new session.
+    pub(super) fn by(&mut self, host: HostId, pipeline: &Slug) -> Arc<AtomicU64> {
+        if self.0.len() >= MOST {
+            self.0.retain(|_, count| Arc::strong_count(count) > 1);
+        }
+        Arc::clone(self.0.entry((host, pipeline.clone())).or_default())
+    }
+
+    /// An edge said goodbye: how many of the iterations that its run was to have never came, if the run is over.
+    pub(super) fn missed(&mut self, host: HostId, pipeline: &Slug, ordered: Option<u64>) -> u64 {
+        let came = self.0.remove(&(host, pipeline.clone())).map_or(0, |count| count.load(Ordering::Relaxed));
+        ordered.map_or(0, |ordered| ordered.saturating_sub(came))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_run_of_two_sessions_is_counted_as_one_and_those_of_vanished_edges_are_forgotten_in_the_end() {
+        let (mut asked, host, line) = (Asked::default(), HostId::random(), "line".parse().expect("a name"));
+        for _ in 0..2 {
+            asked.by(host, &line).fetch_add(20, Ordering::Relaxed);
+        }
+        assert_eq!((asked.missed(host, &line, Some(41)), asked.missed(host, &line, Some(9))), (1, 9));
+        asked.by(host, &line).fetch_add(5, Ordering::Relaxed);
+        assert_eq!(asked.missed(host, &line, None), 0, "it was stopped");
+        assert_eq!(asked.missed(host, &line, Some(5)), 5, "and begins anew");
+        let open = asked.by(host, &line);
+        open.fetch_add(3, Ordering::Relaxed);
+        for _ in 0..2 * MOST {
+            asked.by(HostId::random(), &line);
+        }
+        assert!(asked.0.len() <= MOST);
+        assert_eq!(asked.missed(host, &line, Some(4)), 1);
+    }
+}
