@@ -38,7 +38,7 @@ pub use store::lock::{DatabaseLock, LockError};
 pub use store::types::{
     BOTH_WAYS, Blame, ClockSeries, DelayRow, ExperimentSummary, GapRow, Histogram, HostRow, IncidentRow,
     IterationDetail, IterationFilter, IterationRow, Judgement, LinkRow, Recomputed, RecomputedStage,
-    RunDetail, RunFilter, RunSummary, Series, SeriesPoint, StageCourse, StageMeans, StageSeries,
-    StageStatistics,
+    RunDetail, RunFilter, RunStatistics, RunSummary, Series, SeriesPoint, StageCourse, StageMeans,
+    StageSeries, StageStatistics,
 };
 pub use store::{Store, maintenance};

@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use peernet_clock::{Offset, Span, WallTime};
+use peernet_clock::{Offset, Span, Verdict, WallTime};
 use peernet_logger::stream::{
     Accounting, DelaySecond, HostClock, HostDescription, HostMetrics, LinkLive, OutcomeCounts, PipelineState,
     Placement, ProbeCounts, RoundTrip,
@@ -255,6 +255,8 @@ pub struct LiveSecond {
     /// 95th percentile of `total` within the second, seconds; `None` when no iteration succeeded. Of few
     /// samples: for a line over time, not for a table.
     pub total_p95: Option<f64>,
+    /// How many delays of a direction deserve which verdict.
+    pub verdicts: Vec<(Name, Verdict, u64)>,
 }
 
 impl Window {

@@ -65,8 +65,7 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<Times> {
         time("run page", clock, async || {
             tokio::try_join!(
                 store.run(number),
-                store.stages(number),
-                store.bounds(number),
+                store.statistics_of(number),
                 store.histogram(number, &total, BINS),
                 store.series(number, &names[..1], POINTS),
                 store.slowest(number, SLOWEST),
@@ -78,8 +77,7 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<Times> {
         time("trust report of a run that drifted", clock, async || {
             tokio::try_join!(
                 store.run(number),
-                store.stages(number),
-                store.bounds(number),
+                store.statistics_of(number),
                 store.course(number, &names[..1], BUCKETS),
                 store.course(number, &stages, BUCKETS),
             )
@@ -87,24 +85,24 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<Times> {
         .await,
         time("compare page, two runs", clock, async || {
             for number in [number, number] {
-                compared(store, number).await?;
+                store.run(number).await?;
                 store.means(number, &of_difference, BUCKETS).await?;
             }
-            Ok(())
+            store.statistics(&[number, number]).await
         })
         .await,
         time("compare page, twelve runs", clock, async || {
             for run in &chosen {
-                compared(store, run.number).await?;
+                store.run(run.number).await?;
             }
-            Ok(())
+            let numbers: Vec<i64> = chosen.iter().map(|run| run.number).collect();
+            store.statistics(&numbers).await
         })
         .await,
         time("compare page, experiment", clock, async || {
-            for run in store.runs_of_experiment(&experiment, OF_EXPERIMENT).await? {
-                tokio::try_join!(store.stages(run.number), store.bounds(run.number))?;
-            }
-            Ok(())
+            let runs = store.runs_of_experiment(&experiment, OF_EXPERIMENT).await?;
+            let numbers: Vec<i64> = runs.iter().map(|run| run.number).collect();
+            store.statistics(&numbers).await
         })
         .await,
         time("experiments", clock, || store.experiments(50)).await,
@@ -113,7 +111,7 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<Times> {
         })
         .await,
         time("run", clock, || store.run(number)).await,
-        time("stages", clock, || store.stages(number)).await,
+        time("stages", clock, || store.statistics_of(number)).await,
         time("histogram", clock, || store.histogram(number, &upload, BINS)).await,
         time("series of one name", clock, || store.series(number, &names[..1], POINTS)).await,
         time("series of five names", clock, || store.series(number, &names, POINTS)).await,
@@ -135,11 +133,6 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<Times> {
         .await,
         time("a link's day", clock, || store.clock_series(edge, cloud, day, end, CLOCK_POINTS)).await,
     ]
-}
-
-/// What the page of a comparison asks of one run.
-async fn compared(store: &Store, number: i64) -> Result<(), StoreError> {
-    tokio::try_join!(store.run(number), store.stages(number), store.bounds(number)).map(|_| ())
 }
 
 async fn time<T, F: Future<Output = Result<T, StoreError>>>(

@@ -47,7 +47,7 @@ impl Cell {
             .collect();
         means.sort_by(|(a, _), (b, _)| rank(a).cmp(&rank(b)));
         let total_p95 = total.and_then(|(_, summary)| summary.quantile(0.95));
-        LiveSecond { at, counts: self.counts, means, total_p95 }
+        LiveSecond { at, counts: self.counts, means, total_p95, verdicts: self.verdicts.clone() }
     }
 
     /// The figures of a window of `seconds` complete seconds that covers `covered_s`.

@@ -217,6 +217,11 @@ impl Host {
         of_run.for_each(Pipeline::redraw);
     }
 
+    /// The current or last runs of its pipelines.
+    pub(super) fn runs(&self) -> impl Iterator<Item = RunId> {
+        self.pipelines.values().filter_map(Pipeline::run)
+    }
+
     /// Lets time pass; whether that changed anything to be seen.
     pub(super) fn age(&mut self, now: Stamp, forget: Span) -> bool {
         let mut changed = false;

@@ -14,7 +14,7 @@ pub(crate) mod task;
 #[cfg(test)]
 mod tests;
 
-use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::collections::{BTreeMap, HashMap, HashSet, VecDeque};
 use std::sync::Arc;
 
 use peernet_clock::{Span, Stamp, WallTime};
@@ -105,7 +105,7 @@ impl Live {
             News::Refused(refused) => self.refuse(refused, now),
             News::Run(run, number) => {
                 if self.numbers.len() >= MOST_RUNS {
-                    self.numbers.clear();
+                    self.forget_numbers();
                 }
                 self.numbers.insert(run, number);
                 self.hosts.values_mut().for_each(|host| host.number(run));
@@ -129,6 +129,15 @@ impl Live {
             News::Stored(host, stored, newest) => return self.store(host, stored, newest),
         }
         true
+    }
+
+    /// Forgets the numbers of runs that nobody sees; all of them if those that are left are too many.
+    fn forget_numbers(&mut self) {
+        let shown: HashSet<RunId> = self.hosts.values().flat_map(Host::runs).collect();
+        self.numbers.retain(|run, _| shown.contains(run));
+        if self.numbers.len() > MOST_RUNS / 2 {
+            self.numbers.clear();
+        }
     }
 
     fn store(&mut self, id: HostId, stored: Stored, newest: Option<WallTime>) -> bool {

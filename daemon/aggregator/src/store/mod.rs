@@ -15,10 +15,10 @@ pub(crate) mod types;
 pub(crate) mod write;
 
 use peernet_clock::WallTime;
+use peernet_logger::stream::Iteration;
 use peernet_logger::{HostId, Name};
 
 use crate::error::StoreError;
-use crate::figures::Bound;
 use readers::Readers;
 use types::*;
 
@@ -82,15 +82,14 @@ impl Store {
         read::statistics::means(&self.readers, run, stages, most_buckets).await
     }
 
-    /// Statistics per node name, in the order of tables.
-    pub async fn stages(&self, run: i64) -> Result<Vec<StageStatistics>, StoreError> {
-        read::statistics::stages(&self.readers, run).await
+    /// What is known of whole runs, in the order asked for; empty of one that is not stored.
+    pub async fn statistics(&self, runs: &[i64]) -> Result<Vec<RunStatistics>, StoreError> {
+        read::statistics::statistics(&self.readers, runs).await
     }
 
-    /// How well the one-way delays of a run are known: `upload`, `download`. Also where no delay had a value, so that
-    /// there are no statistics of it.
-    pub async fn bounds(&self, run: i64) -> Result<Vec<Bound>, StoreError> {
-        read::statistics::bounds(&self.readers, run).await
+    /// As [`Store::statistics`], of one run.
+    pub async fn statistics_of(&self, run: i64) -> Result<RunStatistics, StoreError> {
+        Ok(self.statistics(&[run]).await?.pop().unwrap_or_default())
     }
 
     /// The distribution of one node name over at most `bins` bins (1 to 500).
@@ -126,6 +125,26 @@ impl Store {
     /// One iteration with its tree.
     pub async fn iteration(&self, run: i64, number: u64) -> Result<Option<IterationDetail>, StoreError> {
         read::iterations::iteration(&self.readers, run, number).await
+    }
+
+    /// The next iterations after a number, as the agent sent them, by rising number, and the last number that was
+    /// looked at. `None` behind the last iteration.
+    pub async fn whole(
+        &self,
+        run: &RunSummary,
+        after: u64,
+    ) -> Result<Option<(u64, Vec<Iteration>)>, StoreError> {
+        read::whole::whole(&self.readers, run, after).await
+    }
+
+    /// As [`Store::whole`], of a few thousand iterations the first of each shape of tree: they have all columns that a
+    /// table of the run needs.
+    pub async fn shapes(
+        &self,
+        run: &RunSummary,
+        after: u64,
+    ) -> Result<Option<(u64, Vec<Iteration>)>, StoreError> {
+        read::whole::shapes(&self.readers, run, after).await
     }
 
     /// Incidents, newest first; `before` is the id of the last of the page before.

@@ -2,7 +2,7 @@
 
 mod experiment;
 
-pub use experiment::{ExperimentSummary, StageCourse, StageMeans};
+pub use experiment::{ExperimentSummary, RunStatistics, StageCourse, StageMeans};
 
 use peernet_clock::{DelaySource, Verdict, WallTime};
 use peernet_logger::stream::{Condition, ExperimentPlace, HostDescription, OutcomeCounts, Placement};

@@ -139,7 +139,7 @@ async fn a_restart_in_the_middle_loses_nothing_and_stores_nothing_twice() {
     assert_eq!(bed.count("SELECT count(*) FROM node").await, 2_000 * 21);
     assert_eq!(bed.count("SELECT ok FROM run").await, 2_000);
     assert_eq!(bed.count("SELECT count(*) FROM gap").await, 0);
-    let stages = bed.aggregator().store().stages(1).await.expect("answers");
+    let stages = bed.aggregator().store().statistics_of(1).await.expect("answers").stages;
     let total = stages.iter().find(|known| known.stage == "total").expect("measured");
     assert_eq!(total.figures.count, 2_000);
     bed.stop().await;

@@ -26,7 +26,8 @@ async fn the_file_alone_is_whole_after_a_clean_stop() {
     let handle = bed.aggregator().clone();
     let store = handle.store();
     let (filter, stages) = (RunFilter::default(), ["total".into()]);
-    let (listed, _, _) = tokio::join!(store.runs(&filter), store.stages(1), store.series(1, &stages, 100));
+    let (listed, _, _) =
+        tokio::join!(store.runs(&filter), store.statistics_of(1), store.series(1, &stages, 100));
     assert_eq!(listed.expect("answers").len(), 1);
     let log = bed.database.with_file_name("peernet.sqlite-wal");
     assert!(std::fs::metadata(&log).is_ok_and(|log| log.len() > 0), "it is written while it runs");

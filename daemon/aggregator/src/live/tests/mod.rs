@@ -15,7 +15,7 @@ use peernet_logger::{HostId, Name, RunId, Slug, stage};
 use peernet_statistics::Summary;
 use proptest::prelude::*;
 
-use super::{Live, MOST_NAMES, MOST_PIPELINES, News};
+use super::{Live, MOST_NAMES, MOST_PIPELINES, MOST_RUNS, News};
 use crate::picture::{Picture, RefusedFrames, RefusedHost, Stored};
 
 const START: i64 = 1_750_000_000;
@@ -287,10 +287,17 @@ fn a_run_gets_its_number_when_the_store_knows_it() {
     let run = RunId::random();
     let mut line = pipeline("line", vec![]);
     line.run = Some(run);
-    bed.live.take(update(bed.host, wall(0.1), vec![line]), now(0.1));
+    bed.live.take(update(bed.host, wall(0.1), vec![line.clone()]), now(0.1));
     assert_eq!(bed.picture(0.1).pipelines[0].run_number, None);
     bed.live.take(News::Run(run, 412), now(0.2));
     assert_eq!(bed.picture(0.2).pipelines[0].run_number, Some(412));
+    // Numbers of other runs come and go; the one that is shown stays.
+    for number in 0..MOST_RUNS as i64 {
+        bed.live.take(News::Run(RunId::random(), number), now(0.3));
+    }
+    bed.live.take(update(bed.host, wall(0.4), vec![line]), now(0.4));
+    assert_eq!(bed.picture(0.4).pipelines[0].run_number, Some(412));
+    assert!(bed.live.numbers.len() <= MOST_RUNS);
 }
 
 #[test]

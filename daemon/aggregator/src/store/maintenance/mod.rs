@@ -28,7 +28,10 @@ fn reading(path: &Path) -> SqliteConnectOptions {
 }
 
 /// Bytes that this user may still write to the disk of a file or folder.
-fn free_bytes(path: &Path) -> std::io::Result<u64> {
+///
+/// # Errors
+/// When it cannot be told: there is no such file, or the user may not look there.
+pub fn free_bytes(path: &Path) -> std::io::Result<u64> {
     let disk = rustix::fs::statvfs(path)?;
     Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
 }

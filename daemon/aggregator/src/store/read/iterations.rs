@@ -21,12 +21,12 @@ const RANKED: i64 = 1_000;
 
 #[derive(FromRow)]
 pub(super) struct Row {
-    number: i64,
-    episode: u32,
-    step: u32,
-    warm_up: bool,
-    outcome: u8,
-    reason: Option<String>,
+    pub(super) number: i64,
+    pub(super) episode: u32,
+    pub(super) step: u32,
+    pub(super) warm_up: bool,
+    pub(super) outcome: u8,
+    pub(super) reason: Option<String>,
     pub(super) started_ns: i64,
     total: Option<f64>,
 }
@@ -101,7 +101,8 @@ pub(in crate::store) async fn iteration(
         .await
         .map_err(readers.failed(WHAT))?;
     let Some(row) = row else { return Ok(None) };
-    let (tree, hosts) = tree::tree(readers, run, number, wall(row.started_ns)).await?;
+    let trees = tree::trees(readers, run, &[(number, wall(row.started_ns))]).await?;
+    let Some((tree, hosts)) = trees.into_iter().flatten().next() else { return Ok(None) };
     let comparison = Comparison(statistics::figures(readers, run).await?);
     let place = match row.total {
         Some(total) if row.outcome == 0 && !row.warm_up => place(readers, run, (total, number)).await?,

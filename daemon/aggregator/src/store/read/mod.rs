@@ -10,6 +10,7 @@ pub(super) mod runs;
 pub(crate) mod sql;
 pub(super) mod statistics;
 pub(super) mod tree;
+pub(super) mod whole;
 
 use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict, WallTime};
 use peernet_logger::Slug;

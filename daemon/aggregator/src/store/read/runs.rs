@@ -115,11 +115,9 @@ pub(in crate::store) async fn experiments(
 }
 
 async fn summaries(readers: &Readers, rows: &[RunRow]) -> Result<Vec<RunSummary>, StoreError> {
-    let mut summaries = Vec::with_capacity(rows.len());
-    for row in rows {
-        summaries.push(summary(readers, row).await?);
-    }
-    Ok(summaries)
+    let numbers: Vec<i64> = rows.iter().map(|row| row.number).collect();
+    let totals = statistics::whole_runs(readers, &numbers, &stage::TOTAL).await?;
+    rows.iter().map(|row| summary(row, totals.get(&row.number))).collect()
 }
 
 pub(in crate::store) async fn run(readers: &Readers, number: i64) -> Result<Option<RunDetail>, StoreError> {
@@ -129,8 +127,9 @@ pub(in crate::store) async fn run(readers: &Readers, number: i64) -> Result<Opti
         .await
         .map_err(readers.failed(WHAT))?;
     let Some(row) = row else { return Ok(None) };
+    let totals = statistics::whole_runs(readers, &[number], &stage::TOTAL).await?;
     Ok(Some(RunDetail {
-        summary: summary(readers, &row).await?,
+        summary: summary(&row, totals.get(&number))?,
         facts: facts(&row)?,
         conditions: row.conditions.as_deref().map(json).transpose()?.unwrap_or_default(),
         configuration: row.configuration,
@@ -160,7 +159,7 @@ fn json<T: DeserializeOwned>(text: &str) -> Result<T, StoreError> {
     serde_json::from_str(text).map_err(|error| corrupt(WHAT, error))
 }
 
-async fn summary(readers: &Readers, row: &RunRow) -> Result<RunSummary, StoreError> {
+fn summary(row: &RunRow, total: Option<&statistics::Known>) -> Result<RunSummary, StoreError> {
     let kind = [PlacementKind::Local, PlacementKind::Remote, PlacementKind::None]
         .into_iter()
         .find(|kind| placement_word(*kind) == row.placement)
@@ -190,9 +189,7 @@ async fn summary(readers: &Readers, row: &RunRow) -> Result<RunSummary, StoreErr
             timeout: count(row.timeout),
         },
         warm_up: count(row.warm_up),
-        total: statistics::whole_run(readers, row.number, &stage::TOTAL)
-            .await?
-            .and_then(|known| known.figures()),
+        total: total.and_then(statistics::Known::figures),
         // Of the edge itself, and of each cloud by its name.
         rehearsed: facts(row)?
             .iter()

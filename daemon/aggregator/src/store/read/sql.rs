@@ -22,7 +22,7 @@ macro_rules! run_columns {
 
 macro_rules! rollup_columns {
     () => {
-        "SELECT name.text, name.unit, rollup.name, rollup.quantity, rollup.bucket_s, rollup.count, rollup.mean, \
+        "SELECT rollup.run, name.text, name.unit, rollup.name, rollup.quantity, rollup.bucket_s, rollup.count, rollup.mean, \
          rollup.m2, rollup.min, rollup.max, rollup.sketch \
          FROM rollup JOIN name ON name.id = rollup.name "
     };
@@ -80,12 +80,13 @@ statements! {
                    ORDER BY newest DESC LIMIT ?1";
     /// ?1 run.
     GAPS = "SELECT from_ns, to_ns, count, reason FROM gap WHERE run = ?1 ORDER BY from_ns LIMIT 1000";
-    /// Summaries of one name over a whole run: ?1 run, ?2 name.
-    ROLLUP_OF_NAME = concat!(rollup_columns!(),
-        "WHERE rollup.run = ?1 AND rollup.resolution_s = 0 AND rollup.bucket_s = 0 AND rollup.quantity = 0 \
+    /// Summaries of one name over whole runs: ?1 the runs, a JSON array, ?2 name.
+    ROLLUPS_OF_NAME = concat!(rollup_columns!(),
+        "WHERE rollup.run IN (SELECT value FROM json_each(?1)) AND rollup.resolution_s = 0 AND rollup.bucket_s = 0 AND rollup.quantity = 0 \
          AND rollup.name IN (SELECT id FROM name WHERE text = ?2)");
-    /// Summaries of all names over a whole run: ?1 run.
-    ROLLUPS = concat!(rollup_columns!(), "WHERE rollup.run = ?1 AND rollup.resolution_s = 0");
+    /// Summaries of all names over whole runs: ?1 the runs, a JSON array.
+    ROLLUPS = concat!(rollup_columns!(),
+        "WHERE rollup.run IN (SELECT value FROM json_each(?1)) AND rollup.resolution_s = 0");
     /// The rows of some names: ?1 their texts, a JSON array.
     NAMES = "SELECT id, text, unit FROM name WHERE text IN (SELECT value FROM json_each(?1))";
     /// Summaries of some names over time: ?1 run, ?2 resolution, ?3 the names' ids, a JSON array.
@@ -96,9 +97,10 @@ statements! {
     SUMS_OVER_TIME = "SELECT name, bucket_s / ?4 AS point, sum(count), sum(count * mean) \
                       FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND quantity = 0 \
                       AND name IN (SELECT value FROM json_each(?3)) GROUP BY point, name ORDER BY point, name";
-    /// ?1 run.
-    VERDICTS = "SELECT name.text, verdict_count.verdict, verdict_count.count FROM verdict_count \
-                JOIN name ON name.id = verdict_count.name WHERE verdict_count.run = ?1 ORDER BY verdict_count.verdict";
+    /// ?1 the runs, a JSON array.
+    VERDICTS = "SELECT verdict_count.run, name.text, verdict_count.verdict, verdict_count.count FROM verdict_count \
+                JOIN name ON name.id = verdict_count.name \
+                WHERE verdict_count.run IN (SELECT value FROM json_each(?1)) ORDER BY verdict_count.verdict";
     /// First and last bucket: ?1 run, ?2 resolution.
     EXTENT = "SELECT (SELECT min(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = ?2), \
               (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = ?2)";
@@ -126,19 +128,33 @@ statements! {
               WHERE transit.run = ?1 AND transit.iteration IN (SELECT value FROM json_each(?2)) \
               AND transit.raw_ns IS NOT NULL AND transit.source IS NOT NULL AND transit.verdict IS NOT NULL \
               ORDER BY transit.iteration, transit.node";
-    /// ?1 run, ?2 number.
-    NODES = "SELECT node.node, node.parent, node.host, node.start_ns, node.value, node.lo, node.hi, \
-             name.text, name.kind, name.custom, name.unit FROM node JOIN name ON name.id = node.name \
-             WHERE node.run = ?1 AND node.iteration = ?2 ORDER BY node.node";
-    /// ?1 run, ?2 number.
-    TRANSITS = "SELECT node, sent_ns, received_ns, raw_ns, source, verdict FROM transit \
-                WHERE run = ?1 AND iteration = ?2 ORDER BY node";
+    /// ?1 run, ?2 their numbers, a JSON array.
+    ITERATIONS_OF = concat!(iteration_columns!(),
+        "WHERE run = ?1 AND number IN (SELECT value FROM json_each(?2)) ORDER BY number");
+    /// The last of the iterations that follow: ?1 run, ?2 after, ?3 how many.
+    LAST_OF_NEXT = "SELECT max(number) FROM (SELECT number FROM iteration WHERE run = ?1 AND number > ?2 \
+                    ORDER BY number LIMIT ?3)";
+    /// The first iteration of each shape of tree: ?1 run, ?2 after, ?3 through.
+    SHAPES = "SELECT min(iteration) AS first FROM (SELECT iteration, \
+              group_concat(name || '<' || parent || iif(value IS NULL, '?', '')) AS shape \
+              FROM node WHERE run = ?1 AND iteration > ?2 AND iteration <= ?3 GROUP BY iteration) \
+              GROUP BY shape ORDER BY first";
+    /// For the trees of some iterations: ?1 run, ?2 their numbers, a JSON array.
+    NODES = "SELECT node.iteration, node.node, node.parent, node.host, node.start_ns, node.value, node.lo, node.hi, \
+             name.text, name.kind, name.custom, name.unit FROM node CROSS JOIN name ON name.id = node.name \
+             WHERE node.run = ?1 AND node.iteration IN (SELECT value FROM json_each(?2)) \
+             ORDER BY node.iteration, node.node";
+    /// As `NODES`.
+    TRANSITS = "SELECT iteration, node, sent_ns, received_ns, raw_ns, source, verdict FROM transit \
+                WHERE run = ?1 AND iteration IN (SELECT value FROM json_each(?2)) ORDER BY iteration, node";
     /// The host that senses: ?1 run.
     EDGE = "SELECT host.uuid, host.name FROM run JOIN pipeline ON pipeline.id = run.pipeline \
             JOIN host ON host.id = pipeline.host WHERE run.number = ?1";
-    /// ?1 run, ?2 number.
-    ANCHORS = "SELECT host.uuid, host.name, anchor.wall_ns FROM anchor JOIN host ON host.id = anchor.host \
-               WHERE anchor.run = ?1 AND anchor.iteration = ?2 ORDER BY anchor.position";
+    /// As `NODES`.
+    ANCHORS = "SELECT anchor.iteration, host.uuid, host.name, anchor.wall_ns FROM anchor \
+               CROSS JOIN host ON host.id = anchor.host \
+               WHERE anchor.run = ?1 AND anchor.iteration IN (SELECT value FROM json_each(?2)) \
+               ORDER BY anchor.iteration, anchor.position";
     /// How many are slower, as far as a thousand: ?1 run, ?2 total.
     SLOWER = "SELECT count(*) FROM (SELECT 1 FROM iteration WHERE run = ?1 AND warm_up = 0 AND outcome = 0 \
               AND total IS NOT NULL AND total > ?2 LIMIT 1000)";

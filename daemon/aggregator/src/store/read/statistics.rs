@@ -1,22 +1,23 @@
 //! Figures of runs, from the roll-ups alone: their cost does not depend on the number of nodes.
 
 mod means;
+mod runs;
 mod series;
 
 use std::collections::HashMap;
 
-use peernet_clock::Verdict;
-use peernet_logger::{Name, stage};
+use peernet_logger::Name;
 use peernet_statistics::{Moments, Sketch, Summary};
 use sqlx::FromRow;
 
 use super::{corrupt, count, sql};
 use crate::error::StoreError;
-use crate::figures::{Bound, Figures, rank};
+use crate::figures::Figures;
 use crate::store::readers::Readers;
-use crate::store::types::{Histogram, StageStatistics};
+use crate::store::types::Histogram;
 
 pub(in crate::store) use self::means::means;
+pub(in crate::store) use self::runs::statistics;
 pub(in crate::store) use self::series::{course, series};
 
 const WHAT: &str = "statistics";
@@ -27,6 +28,7 @@ const AXIS_MARGIN: f64 = 0.1;
 
 #[derive(FromRow)]
 struct RollupRow {
+    run: i64,
     text: String,
     unit: String,
     quantity: i64,
@@ -59,111 +61,30 @@ impl RollupRow {
     }
 }
 
-/// One name over a whole run. A name that was used with several kinds is taken together.
-pub(super) async fn whole_run(readers: &Readers, run: i64, name: &str) -> Result<Option<Known>, StoreError> {
-    let rows: Vec<RollupRow> = sqlx::query_as(sql::ROLLUP_OF_NAME)
-        .bind(run)
+/// One name over whole runs, by run. A name that was used with several kinds is taken together.
+pub(super) async fn whole_runs(
+    readers: &Readers,
+    runs: &[i64],
+    name: &str,
+) -> Result<HashMap<i64, Known>, StoreError> {
+    let rows: Vec<RollupRow> = sqlx::query_as(sql::ROLLUPS_OF_NAME)
+        .bind(list(runs)?)
         .bind(name)
         .fetch_all(&readers.pool)
         .await
         .map_err(readers.failed(WHAT))?;
-    let mut known: Option<Known> = None;
+    let mut found = HashMap::<i64, Known>::new();
     for row in rows {
         let summary = row.summary()?;
-        match &mut known {
-            Some(known) => known.summary.merge(&summary),
-            None => known = Some(Known { unit: row.unit, summary }),
-        }
+        let fresh = || Known { unit: row.unit, summary: Summary::default() };
+        found.entry(row.run).or_insert_with(fresh).summary.merge(&summary);
     }
-    Ok(known)
+    Ok(found)
 }
 
-pub(in crate::store) async fn stages(
-    readers: &Readers,
-    run: i64,
-) -> Result<Vec<StageStatistics>, StoreError> {
-    let rows: Vec<RollupRow> = sqlx::query_as(sql::ROLLUPS)
-        .bind(run)
-        .fetch_all(&readers.pool)
-        .await
-        .map_err(readers.failed(WHAT))?;
-    let mut values = HashMap::<Name, Known>::new();
-    let mut half_widths = HashMap::<Name, Summary>::new();
-    for row in rows {
-        let summary = row.summary()?;
-        let name = Name::from(row.text);
-        if row.quantity == 0 {
-            let known =
-                values.entry(name).or_insert_with(|| Known { unit: row.unit, summary: Summary::default() });
-            known.summary.merge(&summary);
-        } else {
-            half_widths.entry(name).or_default().merge(&summary);
-        }
-    }
-    let mut bounds = joined(verdicts(readers, run).await?, half_widths);
-    let sum = |known: &Known| known.summary.moments.sum();
-    let total = values.get(stage::TOTAL.as_str()).map(sum).filter(|total| *total > 0.0);
-    let mut statistics: Vec<StageStatistics> = values
-        .into_iter()
-        .filter_map(|(stage, known)| {
-            Some(StageStatistics {
-                is_stage: stage::ORDER.contains(&stage),
-                figures: known.figures()?,
-                share: total.filter(|_| known.unit == "s").map(|total| sum(&known) / total),
-                bound: bounds.remove(&stage),
-                unit: known.unit,
-                stage,
-            })
-        })
-        .collect();
-    statistics.sort_by(|a, b| rank(&a.stage).cmp(&rank(&b.stage)));
-    Ok(statistics)
-}
-
-/// The one-way delays of a run, those included of which no value is known.
-pub(in crate::store) async fn bounds(readers: &Readers, run: i64) -> Result<Vec<Bound>, StoreError> {
-    let rows: Vec<RollupRow> = sqlx::query_as(sql::ROLLUPS)
-        .bind(run)
-        .fetch_all(&readers.pool)
-        .await
-        .map_err(readers.failed(WHAT))?;
-    let mut half_widths = HashMap::<Name, Summary>::new();
-    for row in rows.into_iter().filter(|row| row.quantity != 0) {
-        let summary = row.summary()?;
-        half_widths.entry(Name::from(row.text)).or_default().merge(&summary);
-    }
-    let mut bounds: Vec<Bound> = joined(verdicts(readers, run).await?, half_widths).into_values().collect();
-    bounds.sort_by(|a, b| rank(&a.stage).cmp(&rank(&b.stage)));
-    Ok(bounds)
-}
-
-fn joined(mut bounds: HashMap<Name, Bound>, half_widths: HashMap<Name, Summary>) -> HashMap<Name, Bound> {
-    for (stage, summary) in half_widths {
-        bound_of(&mut bounds, stage).half_width = Figures::of(&summary);
-    }
-    bounds
-}
-
-/// The bound of a direction, made when missing.
-fn bound_of(bounds: &mut HashMap<Name, Bound>, stage: Name) -> &mut Bound {
-    let unknown = |stage: &Name| Bound { stage: stage.clone(), half_width: None, verdicts: Vec::new() };
-    bounds.entry(stage).or_insert_with_key(unknown)
-}
-
-async fn verdicts(readers: &Readers, run: i64) -> Result<HashMap<Name, Bound>, StoreError> {
-    let rows: Vec<(String, i64, i64)> = sqlx::query_as(sql::VERDICTS)
-        .bind(run)
-        .fetch_all(&readers.pool)
-        .await
-        .map_err(readers.failed(WHAT))?;
-    let mut bounds = HashMap::<Name, Bound>::new();
-    for (text, number, times) in rows {
-        let stage = Name::from(text);
-        let verdict = usize::try_from(number).ok().and_then(|at| Verdict::ALL.get(at).copied());
-        let verdict = verdict.ok_or_else(|| corrupt(WHAT, format_args!("verdict {number}")))?;
-        bound_of(&mut bounds, stage).verdicts.push((verdict, count(times)));
-    }
-    Ok(bounds)
+/// Numbers as statements take them: a JSON array.
+fn list(numbers: &[i64]) -> Result<String, StoreError> {
+    serde_json::to_string(numbers).map_err(|error| corrupt(WHAT, error))
 }
 
 pub(in crate::store) async fn histogram(
@@ -172,7 +93,7 @@ pub(in crate::store) async fn histogram(
     stage: &str,
     bins: usize,
 ) -> Result<Option<Histogram>, StoreError> {
-    let Some(known) = whole_run(readers, run, stage).await? else { return Ok(None) };
+    let Some(known) = whole_runs(readers, &[run], stage).await?.remove(&run) else { return Ok(None) };
     let Some(figures) = known.figures() else { return Ok(None) };
     let bins = bins.clamp(1, 500);
     let low = figures.min;
@@ -200,5 +121,6 @@ pub(in crate::store) async fn histogram(
 
 /// Figures of all names of a run, in the order of tables.
 pub(super) async fn figures(readers: &Readers, run: i64) -> Result<Vec<(Name, Figures)>, StoreError> {
-    Ok(stages(readers, run).await?.into_iter().map(|known| (known.stage, known.figures)).collect())
+    let found = statistics(readers, &[run]).await?;
+    Ok(found.into_iter().flat_map(|run| run.stages).map(|known| (known.stage, known.figures)).collect())
 }

@@ -12,6 +12,7 @@ const WHAT: &str = "an iteration's tree";
 
 #[derive(FromRow)]
 struct NodeRow {
+    iteration: i64,
     node: u32,
     parent: Option<u32>,
     host: u8,
@@ -27,6 +28,7 @@ struct NodeRow {
 
 #[derive(FromRow)]
 struct TransitRow {
+    iteration: i64,
     node: u32,
     sent_ns: i64,
     received_ns: Option<i64>,
@@ -35,26 +37,81 @@ struct TransitRow {
     verdict: Option<u8>,
 }
 
-/// The tree of an iteration as it was sent, and the names of its hosts.
-pub(super) async fn tree(
+#[derive(FromRow)]
+struct AnchorRow {
+    iteration: i64,
+    uuid: String,
+    name: Option<String>,
+    wall_ns: i64,
+}
+
+/// A tree, and the names of its anchors' hosts.
+pub(super) type Stored = (Tree, Vec<Option<Slug>>);
+
+/// Trees of iterations as they were sent, and the names of their hosts; each iteration by its number and begin, in
+/// rising order. `None` of one that is deleted meanwhile.
+pub(super) async fn trees(
     readers: &Readers,
     run: i64,
-    iteration: i64,
-    started: WallTime,
-) -> Result<(Tree, Vec<Option<Slug>>), StoreError> {
-    let (anchors, hosts) = anchors(readers, run, iteration, started).await?;
-    let nodes: Vec<NodeRow> = sqlx::query_as(sql::NODES)
+    iterations: &[(i64, WallTime)],
+) -> Result<Vec<Option<Stored>>, StoreError> {
+    let numbers: Vec<i64> = iterations.iter().map(|(number, _)| *number).collect();
+    let numbers = serde_json::to_string(&numbers).map_err(|error| corrupt(WHAT, error))?;
+    let edge: (String, Option<String>) =
+        sqlx::query_as(sql::EDGE).bind(run).fetch_one(&readers.pool).await.map_err(readers.failed(WHAT))?;
+    let anchors: Vec<AnchorRow> = sqlx::query_as(sql::ANCHORS)
         .bind(run)
-        .bind(iteration)
+        .bind(&numbers)
         .fetch_all(&readers.pool)
         .await
         .map_err(readers.failed(WHAT))?;
     let transits: Vec<TransitRow> = sqlx::query_as(sql::TRANSITS)
         .bind(run)
-        .bind(iteration)
+        .bind(&numbers)
         .fetch_all(&readers.pool)
         .await
         .map_err(readers.failed(WHAT))?;
+    // Last: where retention was faster, an iteration has no nodes, but never nodes without their stamps.
+    let nodes: Vec<NodeRow> = sqlx::query_as(sql::NODES)
+        .bind(run)
+        .bind(&numbers)
+        .fetch_all(&readers.pool)
+        .await
+        .map_err(readers.failed(WHAT))?;
+    let (mut anchors, mut nodes, mut transits) = (&anchors[..], &nodes[..], &transits[..]);
+    let mut trees = Vec::with_capacity(iterations.len());
+    for (number, started) in iterations {
+        let (others, nodes, transits) = (
+            take(&mut anchors, |row| row.iteration == *number),
+            take(&mut nodes, |row| row.iteration == *number),
+            take(&mut transits, |row| row.iteration == *number),
+        );
+        let is_there = !nodes.is_empty();
+        trees.push(is_there.then(|| tree(&edge, *started, others, nodes, transits)).transpose()?);
+    }
+    Ok(trees)
+}
+
+/// The rows at the begin that are meant.
+fn take<'a, T>(rows: &mut &'a [T], is_meant: impl Fn(&T) -> bool) -> &'a [T] {
+    let (taken, rest) = rows.split_at(rows.iter().take_while(|row| is_meant(row)).count());
+    *rows = rest;
+    taken
+}
+
+fn tree(
+    edge: &(String, Option<String>),
+    started: WallTime,
+    others: &[AnchorRow],
+    nodes: &[NodeRow],
+    transits: &[TransitRow],
+) -> Result<Stored, StoreError> {
+    let mut anchors = vec![Anchor { host: parse(WHAT, &edge.0)?, wall: started }];
+    let mut hosts = vec![name(WHAT, edge.1.as_deref())?];
+    for other in others {
+        anchors.push(Anchor { host: parse(WHAT, &other.uuid)?, wall: wall(other.wall_ns) });
+        hosts.push(name(WHAT, other.name.as_deref())?);
+    }
     let mut nodes_again = Vec::with_capacity(nodes.len());
     for row in nodes {
         let transit = transits.iter().find(|transit| transit.node == row.node);
@@ -63,34 +120,11 @@ pub(super) async fn tree(
             name: row.text.as_str().into(),
             host: HostIndex(row.host),
             start: Span::from_nanos(row.start_ns),
-            measure: measure(&row, transit)?,
+            measure: measure(row, transit)?,
         });
     }
     let tree = Tree::from_parts(anchors, nodes_again).map_err(|error| corrupt(WHAT, error))?;
     Ok((tree, hosts))
-}
-
-async fn anchors(
-    readers: &Readers,
-    run: i64,
-    iteration: i64,
-    started: WallTime,
-) -> Result<(Vec<Anchor>, Vec<Option<Slug>>), StoreError> {
-    let edge: (String, Option<String>) =
-        sqlx::query_as(sql::EDGE).bind(run).fetch_one(&readers.pool).await.map_err(readers.failed(WHAT))?;
-    let others: Vec<(String, Option<String>, i64)> = sqlx::query_as(sql::ANCHORS)
-        .bind(run)
-        .bind(iteration)
-        .fetch_all(&readers.pool)
-        .await
-        .map_err(readers.failed(WHAT))?;
-    let mut anchors = vec![Anchor { host: parse(WHAT, &edge.0)?, wall: started }];
-    let mut hosts = vec![name(WHAT, edge.1.as_deref())?];
-    for (uuid, text, wall_ns) in others {
-        anchors.push(Anchor { host: parse(WHAT, &uuid)?, wall: wall(wall_ns) });
-        hosts.push(name(WHAT, text.as_deref())?);
-    }
-    Ok((anchors, hosts))
 }
 
 /// What was measured. Seconds go back to nanoseconds without loss for durations up to 17 days.

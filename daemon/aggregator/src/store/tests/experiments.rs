@@ -77,7 +77,7 @@ async fn a_course_holds_every_sample_in_order_of_time() {
     let asked = [stage::TOTAL, Name::from_static("nothing"), stage::UPLOAD];
     let courses = bed.store.course(1, &asked, 20).await.expect("answers");
     assert_eq!(courses.iter().map(|it| it.stage.as_str()).collect::<Vec<_>>(), ["total", "upload"]);
-    let whole = bed.store.stages(1).await.expect("answers");
+    let whole = bed.store.statistics_of(1).await.expect("answers").stages;
     for course in courses {
         assert!((5..=20).contains(&course.buckets.len()), "{}", course.buckets.len());
         let figures = whole.iter().find(|known| known.stage == course.stage).expect("known").figures;

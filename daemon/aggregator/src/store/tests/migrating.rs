@@ -77,7 +77,7 @@ async fn answers(bed: &Bed) -> String {
     format!(
         "{:?}\n{:?}\n{:?}\n{:?}\n{:?}\n{:?}\n{series:?}",
         store.run(1).await.expect("answers").expect("exists"),
-        store.stages(1).await.expect("answers"),
+        store.statistics_of(1).await.expect("answers").stages,
         store.histogram(1, "upload", 20).await.expect("answers"),
         store.iterations(1, &IterationFilter::default()).await.expect("answers"),
         store.iteration(1, 17).await.expect("answers").expect("exists"),
@@ -96,11 +96,13 @@ async fn reopen(bed: &mut Bed, path: &Path) -> SqliteConnection {
 async fn a_database_without_experiments_goes_on_as_it_was() {
     let mut bed = Bed::new().await;
     bed.run_of(200).await;
-    let expected = (bed.store.run(1).await.expect("answers"), bed.store.stages(1).await.expect("answers"));
+    let expected =
+        (bed.store.run(1).await.expect("answers"), bed.store.statistics_of(1).await.expect("answers").stages);
     let grown = table(&mut bed.other().await).await;
     let path = as_of_version(&bed, 5).await;
     let mut connection = reopen(&mut bed, &path).await;
-    let found = (bed.store.run(1).await.expect("answers"), bed.store.stages(1).await.expect("answers"));
+    let found =
+        (bed.store.run(1).await.expect("answers"), bed.store.statistics_of(1).await.expect("answers").stages);
     assert_eq!(found, expected);
     assert_same(&table(&mut connection).await, &grown);
     bed.run_of(20).await;

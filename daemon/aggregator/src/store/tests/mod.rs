@@ -19,6 +19,7 @@ mod recomputing;
 mod retention;
 mod rollups;
 mod simulation;
+mod whole;
 mod writing;
 
 use std::path::PathBuf;

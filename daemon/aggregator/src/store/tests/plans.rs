@@ -22,14 +22,16 @@ const LARGE: [(&str, &[&str]); 7] = [
 ];
 
 /// Questions that look up less on purpose, with what stands in for it.
-const EXCEPTIONS: [(&str, &str, &str); 3] = [
+const EXCEPTIONS: [(&str, &str, &str); 4] = [
+    ("SHAPES", "node", "the nodes of a few thousand iterations, from one number to another"),
     ("RUN_EXTENT", "iteration", "the first and the last row of the run, LIMIT 1"),
     ("RUN_DELAYS", "transit", "goes on behind the last row of the page before, LIMIT"),
     ("LINKS", "clock_sample", "min and max of a key: one row each"),
 ];
 
 /// Questions that sort, and why that is a small thing.
-const SORTING: [(&str, &str); 8] = [
+const SORTING: [(&str, &str); 9] = [
+    ("SHAPES", "one row for each of a few thousand iterations"),
     ("SUMS_OVER_TIME", "at most a thousand buckets of a few names, without their sketches"),
     ("RUNS_FILTERED", "the runs of the pipelines asked for, without anything of theirs"),
     ("VERDICTS", "at most a handful of rows"),

@@ -7,7 +7,7 @@ use peernet_statistics::Summary;
 
 use super::{Bed, generate};
 use crate::figures::Figures;
-use crate::store::types::{IterationFilter, RunFilter};
+use crate::store::types::{IterationFilter, RunFilter, RunStatistics};
 
 /// The values of one name in the iterations of [`Bed::run_of`].
 fn values(bed: &Bed, run: RunId, iterations: u64, name: &str) -> Vec<f64> {
@@ -26,7 +26,7 @@ fn close(a: f64, b: f64) -> bool {
 async fn a_runs_statistics_are_those_of_its_iterations() {
     let mut bed = Bed::new().await;
     let run = bed.run_of(400).await;
-    let stages = bed.store.stages(1).await.expect("answers");
+    let stages = bed.store.statistics_of(1).await.expect("answers").stages;
     for (name, statistics) in stages.iter().map(|known| (&known.stage, known)) {
         let Some(exact) = Some(values(&bed, run, 400, name)).filter(|values| !values.is_empty()) else {
             continue;
@@ -53,9 +53,33 @@ async fn a_runs_statistics_are_those_of_its_iterations() {
     let bound = upload.bound.as_ref().expect("judged");
     assert!(close(bound.half_width.expect("bounded").mean, 40e-6));
     assert_eq!(bound.verdicts, [(peernet_clock::Verdict::Limited, 400)]);
-    assert!(bed.store.bounds(1).await.expect("answers").contains(bound));
+    assert!(bed.store.statistics_of(1).await.expect("answers").bounds.contains(bound));
     let of_total: f64 = stages.iter().filter(|known| known.is_stage).filter_map(|known| known.share).sum();
     assert!(close(of_total, 1.0), "{of_total}");
+}
+
+#[tokio::test]
+async fn runs_asked_for_together_are_what_each_is_alone() {
+    let mut bed = Bed::new().await;
+    for iterations in [40, 30, 20] {
+        bed.run_of(iterations).await;
+    }
+    let together = bed.store.statistics(&[3, 9, 1, 2, 1]).await.expect("answers");
+    let mut alone = Vec::new();
+    for run in [3, 9, 1, 2, 1] {
+        alone.push(bed.store.statistics_of(run).await.expect("answers"));
+    }
+    assert_eq!(together, alone);
+    let total = |known: &RunStatistics| {
+        known.stages.iter().find(|stage| stage.stage == stage::TOTAL).map(|total| total.figures.count)
+    };
+    let counts: Vec<Option<u64>> = together.iter().map(total).collect();
+    assert_eq!(counts, [Some(20), None, Some(40), Some(30), Some(40)]);
+    assert!(together[0].bounds.iter().any(|bound| bound.half_width.is_some() && !bound.verdicts.is_empty()));
+    assert_eq!(together[1], RunStatistics::default(), "there is no such run");
+    let listed = bed.store.runs(&RunFilter::default()).await.expect("answers");
+    let totals: Vec<Option<u64>> = listed.iter().map(|run| run.total.map(|total| total.count)).collect();
+    assert_eq!(totals, [Some(20), Some(30), Some(40)], "each has its own total");
 }
 
 #[tokio::test]
@@ -133,7 +157,7 @@ async fn the_slowest_come_first_and_name_their_culprit() {
     let slowest = bed.store.slowest(1, 10).await.expect("answers");
     let numbers: Vec<u64> = slowest.iter().map(|row| row.number).collect();
     assert_eq!(numbers, totals.iter().take(10).map(|(_, number)| *number).collect::<Vec<_>>());
-    let stages = bed.store.stages(1).await.expect("answers");
+    let stages = bed.store.statistics_of(1).await.expect("answers").stages;
     let median =
         |name: &Name| stages.iter().find(|known| known.stage == *name).map(|known| known.figures.p50);
     for row in &slowest {

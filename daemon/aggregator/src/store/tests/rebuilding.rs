@@ -1,7 +1,8 @@
 //! Roll-ups made from the nodes are those that grew with them.
 
-use peernet_logger::RunId;
+use peernet_clock::Span;
 use peernet_logger::stream::{Event, Iteration, Outcome};
+use peernet_logger::{Measure, NodeId, RunId, Unit, stage};
 use sqlx::Connection;
 
 use super::generate::{self, Numbers};
@@ -101,4 +102,65 @@ async fn one_run_is_rebuilt_alone_and_an_unknown_one_not_at_all() {
     assert_same(&table(&mut connection).await, &second);
     let rebuilt = rebuild(&mut connection, Some(3), |_| {}).await.expect("looks");
     assert_eq!(rebuilt, Rebuilt::default());
+}
+
+#[tokio::test]
+async fn readings_beyond_all_reason_are_stored_and_spoil_no_statistics() {
+    let mut bed = Bed::new().await;
+    let (run, mut numbers) = (RunId::random(), Numbers(3));
+    let work = bed.batch(vec![generate::run_started(run, "line", NOW)]);
+    bed.commit(&[work]).await;
+    // What drivers give for "nothing there", among readings.
+    for (at, range) in [f64::MAX, 1.0, -f64::MAX, f64::INFINITY, 3.0].into_iter().enumerate() {
+        let mut iteration = generate::iteration(run, at as u64 + 1, bed.hosts(), &mut numbers);
+        iteration.tree.add(NodeId::ROOT, "range".into(), Span::ZERO, Measure::Value(range, Unit::new("m")));
+        let work = bed.batch(vec![Event::Iteration(iteration)]);
+        let committed = bed.commit(&[work]).await;
+        assert!(committed.quarantined.is_empty(), "{range}: {:?}", committed.quarantined);
+    }
+    let known = bed.store.statistics_of(1).await.expect("answers").stages;
+    let range = known.iter().find(|known| known.stage == *"range").expect("known");
+    assert_eq!((range.figures.count, range.figures.mean, range.figures.max), (2, 2.0, 3.0));
+
+    let mut connection = bed.other().await;
+    let grown = table(&mut connection).await;
+    rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
+    assert_same(&grown, &table(&mut connection).await);
+}
+
+/// A version before counted readings as good as infinite in.
+#[tokio::test]
+async fn statistics_that_were_spoilt_hold_nothing_up_and_are_healed() {
+    let mut bed = Bed::new().await;
+    let run = bed.run_of(60).await;
+    let mut connection = bed.other().await;
+    sqlx::query("UPDATE rollup SET mean = ?1, m2 = ?2, min = ?3, max = ?1 WHERE quantity = 0")
+        .bind(f64::MAX)
+        .bind(f64::INFINITY)
+        .bind(-f64::MAX)
+        .execute(&mut connection)
+        .await
+        .expect("spoils");
+    bed.writer = super::open(&bed.path).await;
+    let mut numbers = Numbers(9);
+    for number in 61..=70 {
+        let iterations = (0..10).map(|at| {
+            Event::Iteration(generate::iteration(run, number * 10 + at, bed.hosts(), &mut numbers))
+        });
+        let work = bed.batch(iterations.collect());
+        let committed = bed.commit(&[work]).await;
+        assert!(committed.quarantined.is_empty(), "{number}: {:?}", committed.quarantined);
+    }
+    let stages = bed.store.statistics_of(1).await.expect("answers").stages;
+    assert!(stages.iter().any(|known| known.figures.max > 1e140), "still spoilt");
+
+    rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
+    let stages = bed.store.statistics_of(1).await.expect("answers").stages;
+    let total = stages.iter().find(|known| known.stage == stage::TOTAL).expect("known").figures;
+    assert_eq!(total.count, 160);
+    for known in stages {
+        let figures = known.figures;
+        let all = [Some(figures.mean), figures.std, Some(figures.min), Some(figures.p50), Some(figures.max)];
+        assert!(all.iter().flatten().all(|number| number.abs() < 1e140), "{}: {figures:?}", known.stage);
+    }
 }

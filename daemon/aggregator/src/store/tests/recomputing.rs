@@ -46,7 +46,7 @@ async fn simulate(
 async fn recompute(bed: &Bed) -> Recomputed {
     let recomputed = bed.store.recompute(1).await.expect("answers").expect("exists");
     // What it says of before is what statistics say.
-    let stages = bed.store.stages(1).await.expect("answers");
+    let stages = bed.store.statistics_of(1).await.expect("answers").stages;
     for RecomputedStage { stage, before, .. } in &recomputed.stages {
         let stored = stages.iter().find(|known| known.stage == *stage).expect("has statistics");
         let bound = stored.bound.as_ref().expect("judged");

@@ -77,7 +77,7 @@ async fn each_kind_goes_in_its_time_and_pinned_runs_stay() {
     let (bed, _) = two_runs().await;
     let mut connection = bed.other().await;
     let before = table(&mut connection).await;
-    let stages = bed.store.stages(1).await.expect("answers");
+    let stages = bed.store.statistics_of(1).await.expect("answers").stages;
     let mut retention = Retention::new(short());
     // They arrive on the day on which they begin, and nothing goes for a day.
     work_off(&mut retention, &mut connection, day(0.0)).await;
@@ -114,7 +114,7 @@ async fn each_kind_goes_in_its_time_and_pinned_runs_stay() {
     assert_eq!(bed.count("SELECT count(*) FROM trimmed WHERE run = 2").await, 0);
 
     // What is told of the run is what was told of it before, in wider points.
-    assert_eq!(bed.store.stages(1).await.expect("answers"), stages);
+    assert_eq!(bed.store.statistics_of(1).await.expect("answers").stages, stages);
     let filter = IterationFilter::default();
     let listed = bed.store.iterations(1, &filter).await.expect("answers");
     assert_eq!(i64::try_from(listed[0].number).expect("small"), first);
@@ -184,13 +184,13 @@ async fn what_arrives_late_is_kept_for_its_period_and_goes_then() {
     assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 1").await, 11 * 21);
     assert_eq!(bed.count("SELECT ok FROM run WHERE number = 1").await, 299);
     assert!(bed.store.iteration(1, 305).await.expect("answers").is_some());
-    let whole = bed.store.stages(1).await.expect("answers");
+    let whole = bed.store.statistics_of(1).await.expect("answers").stages;
     let series = bed.store.series(1, &[stage::TOTAL], 6_000).await.expect("answers");
     assert_eq!(series.bucket_s, 3_600);
     assert_eq!(series.stages[0].points.iter().map(|point| point.count).sum::<u64>(), 299);
     let rebuilt = rebuild(&mut connection, Some(1), |_| {}).await.expect("rebuilds");
     assert_eq!(rebuilt.in_part, 1);
-    assert_eq!(bed.store.stages(1).await.expect("answers"), whole);
+    assert_eq!(bed.store.statistics_of(1).await.expect("answers").stages, whole);
     work_off(&mut retention, &mut connection, day(108.0)).await;
     assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 1").await, 0);
     assert_eq!(bed.count("SELECT nodes_from FROM run WHERE number = 1").await, 310);

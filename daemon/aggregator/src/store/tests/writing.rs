@@ -62,7 +62,7 @@ async fn rollups_grow_over_commits_and_restarts_as_over_one() {
             bed.writer = open(&bed.path).await;
         }
     }
-    let stages = bed.store.stages(1).await.expect("answers");
+    let stages = bed.store.statistics_of(1).await.expect("answers").stages;
     let mut one = Bed::new().await;
     (one.edge, one.cloud) = bed.hosts();
     let mut events = vec![generate::run_started(run, "line", NOW)];
@@ -71,7 +71,7 @@ async fn rollups_grow_over_commits_and_restarts_as_over_one() {
     }
     let work = one.batch(events);
     one.commit(&[work]).await;
-    let at_once = one.store.stages(1).await.expect("answers");
+    let at_once = one.store.statistics_of(1).await.expect("answers").stages;
     assert_eq!(stages.len(), at_once.len());
     for (a, b) in stages.iter().zip(&at_once) {
         assert_eq!(

@@ -5,6 +5,9 @@ use peernet_logger::Name;
 use peernet_statistics::Summary;
 use serde::Serialize;
 
+use super::StageStatistics;
+use crate::figures::Bound;
+
 /// An experiment in a list: runs that were declared together.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct ExperimentSummary {
@@ -22,6 +25,16 @@ pub struct ExperimentSummary {
     pub newest: i64,
     /// When the first began, on its edge's wall clock.
     pub started: WallTime,
+}
+
+/// What is known of a whole run.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RunStatistics {
+    /// Of each node name, in the order of tables.
+    pub stages: Vec<StageStatistics>,
+    /// How well the one-way delays are known: `upload`, `download`. Also where no delay had a value, so that there are
+    /// no statistics of it.
+    pub bounds: Vec<Bound>,
 }
 
 /// One node name over the time of a run, summed up in buckets.

@@ -29,9 +29,9 @@ pub(super) struct Summaries {
 }
 
 impl Summaries {
-    /// Adds a number of an iteration that began in `second_s`; what is not finite is left out.
+    /// Adds a number of an iteration that began in `second_s`; one that does not count is left out.
     pub(super) fn record(&mut self, run: u32, name: u32, quantity: Quantity, second_s: i64, value: f64) {
-        if !value.is_finite() {
+        if !Summary::takes(value) {
             return;
         }
         if self.last.len() <= name as usize {

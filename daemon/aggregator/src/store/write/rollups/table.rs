@@ -30,6 +30,10 @@ impl RollupRow {
         packed: Packed,
     ) -> Self {
         let Moments { count, mean, m2, min, max } = packed.moments;
+        // A version before took in numbers as good as infinite. The table takes no NaN, and what comes now must not be
+        // refused for them: such a row stays without bound until a rebuild.
+        let known = |number: f64| if number.is_nan() { f64::INFINITY } else { number };
+        let (mean, m2) = (known(mean), known(m2));
         Self {
             run,
             resolution_s,
