@@ -2,7 +2,7 @@
 
 use peernet_clock::SharedClock;
 use peernet_external::exec::{ExchangeError, ExecConfig, Program, Request, Role};
-use peernet_logger::{Name, Recorder, Unit};
+use peernet_logger::{Name, Recorder, Unit, stage};
 use peernet_sample::Sample;
 
 use crate::{Actuator, ActuatorError};
@@ -31,6 +31,9 @@ impl Actuator for Exec {
     fn act(&mut self, source: &str, answer: &Sample, log: &mut Recorder) -> Result<(), ActuatorError> {
         let request = Request::Answer { answer, source };
         let exchange = self.program.ask(request).map_err(|error| failed(&self.command, &error))?;
+        if let Some((from, to)) = exchange.restart() {
+            log.timed(stage::ACTUATION_RESTART, from, to);
+        }
         for (name, span) in &exchange.notes.stages {
             log.timed(Name::from(name.as_str()), exchange.began, exchange.began + *span);
         }
@@ -80,6 +83,24 @@ mod tests {
         assert!(error.contains("too close"), "{error}");
         let written = std::fs::read_to_string(&file).expect("was written");
         assert_eq!(written, "answer text/plain door: left\nanswer text/plain wall: left\n");
+    }
+
+    #[test]
+    fn the_wait_for_a_program_that_was_started_anew_is_told() {
+        let script = "sleep 0.3; while read -r word bytes rest; do \
+                      case $(head -c \"$bytes\") in die) exit 4;; esac; echo done; done";
+        let config = ActuatorConfig::Exec(ExecConfig::of(CommandLine::Shell(script.to_owned())));
+        let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
+        let mut actuator = config.build(&clock).expect("sh is there");
+        for (answer, acts, restarted) in
+            [("go", true, false), ("die", false, false), ("go", true, true), ("go", true, false)]
+        {
+            let mut log = Recorder::begin(SharedClock::clone(&clock), HostId::random());
+            let answer = Sample::of(Description::unshaped(MediaType::Text), answer.into());
+            assert_eq!(actuator.act("door", &answer, &mut log).is_ok(), acts);
+            let waited = log.tree().find(&["actuation-restart"]).and_then(|(_, node)| node.measure.value());
+            assert_eq!(waited.is_some_and(|seconds| seconds >= 0.3), restarted, "{waited:?}");
+        }
     }
 
     #[test]

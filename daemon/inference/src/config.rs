@@ -141,27 +141,19 @@ impl ModelConfig {
     pub fn check_limits(&self) -> Result<(), LoadError> {
         let given: &[(&'static str, usize, usize)] = match self {
             Self::Onnx(config) => &[
-                ("workers", config.workers.get(), MAX_WORKERS),
-                ("queue", config.queue.get(), MAX_QUEUE),
                 ("intra_threads", config.intra_threads.get(), MAX_THREADS),
                 ("inter_threads", config.inter_threads.get(), MAX_THREADS),
             ],
-            Self::Exec(config) => {
-                &[("workers", config.workers.get(), MAX_WORKERS), ("queue", config.queue.get(), MAX_QUEUE)]
-            }
-            Self::Python(config) => {
-                &[("workers", config.workers.get(), MAX_WORKERS), ("queue", config.queue.get(), MAX_QUEUE)]
-            }
             Self::Echo(config) => &[("answer_bytes", config.answer_bytes.unwrap_or(0), MAX_ANSWER_BYTES)],
+            Self::Exec(_) | Self::Python(_) => &[],
             Self::Sleep(config) => &[
                 ("preprocessing_ms", config.preprocessing_ms as usize, MAX_STAGE_MS),
                 ("inference_ms", config.inference_ms as usize, MAX_STAGE_MS),
                 ("postprocessing_ms", config.postprocessing_ms as usize, MAX_STAGE_MS),
-                ("workers", config.workers.get(), MAX_WORKERS),
-                ("queue", config.queue.get(), MAX_QUEUE),
             ],
         };
-        match given.iter().find(|(_, value, most)| value > most) {
+        let of_all = [("workers", self.workers(), MAX_WORKERS), ("queue", self.queue(), MAX_QUEUE)];
+        match of_all.iter().chain(given).find(|(_, value, most)| value > most) {
             Some(&(key, value, most)) => {
                 Err(LoadError::TooMuch { key, value: value as u64, most: most as u64 })
             }
@@ -192,15 +184,16 @@ impl ModelConfig {
     }
 }
 
-fn cpu() -> String {
+/// The defaults of keys that several kinds have.
+pub(crate) fn cpu() -> String {
     "cpu".to_owned()
 }
 
-const fn one() -> NonZeroUsize {
+pub(crate) const fn one() -> NonZeroUsize {
     NonZeroUsize::MIN
 }
 
-const fn sixteen() -> NonZeroUsize {
+pub(crate) const fn sixteen() -> NonZeroUsize {
     NonZeroUsize::MIN.saturating_add(15)
 }
 
@@ -248,6 +241,7 @@ mod tests {
             ("'onnx'\npath = 'x'", "inter_threads", 1024),
             ("'echo'", "answer_bytes", 1 << 30),
             ("'python'\nobject = 'a::b'", "workers", 256),
+            ("'exec'\ncommand = 'x'", "queue", 65_536),
             ("'sleep'", "workers", 256),
             ("'sleep'", "queue", 65_536),
             ("'sleep'", "inference_ms", 86_400_000),

@@ -163,6 +163,11 @@ impl LoadError {
 }
 
 impl LoadError {
+    /// Whether what was named cannot be the name of anything.
+    pub const fn is_misnamed(&self) -> bool {
+        matches!(self, Self::Python(PythonError::Name(_)))
+    }
+
     /// What a peer that asked for the model is told: what it can ask for instead, and nothing of this host's files.
     pub fn to_peer(&self, model: &str) -> String {
         match self {

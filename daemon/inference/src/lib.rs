@@ -16,6 +16,7 @@ mod onnx;
 mod pool;
 mod python;
 mod queue;
+mod scratch;
 mod sleep;
 mod thread;
 
@@ -24,9 +25,10 @@ pub use config::{EchoConfig, ModelConfig, OnnxConfig, OnnxRuntimeConfig, SleepCo
 pub use error::{InferenceError, LibraryError, LoadError};
 pub use exec::ExecModelConfig;
 pub use job::{Done, Job, Refused};
-pub use onnx::{CardSummary, MODEL_HASH};
+pub use onnx::{CardSummary, MODEL_HASH, UNKNOWN_LABEL};
 pub use pool::Pool;
 pub use python::PythonModelConfig;
+pub use scratch::Scratch;
 
 use peernet_logger::Recorder;
 use peernet_sample::Sample;

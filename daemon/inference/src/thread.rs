@@ -41,10 +41,15 @@ impl Station {
     fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
         let mut worker = match self.worker.take() {
             Some(worker) => worker,
-            None => self.model.worker().map_err(|error| InferenceError::Failed {
-                model: self.name.to_string(),
-                reason: format!("its worker could not be rebuilt after a panic: {error}"),
-            })?,
+            None => {
+                let from = self.clock.mono();
+                let worker = self.model.worker().map_err(|error| InferenceError::Failed {
+                    model: self.name.to_string(),
+                    reason: format!("its worker could not be rebuilt after a panic: {error}"),
+                })?;
+                log.timed(stage::RESTART, from, self.clock.mono());
+                worker
+            }
         };
         // The recorder's open nodes close as the panic unwinds, so it stays usable; the worker is thrown away.
         match catch_unwind(AssertUnwindSafe(|| worker.infer(sample, log))) {

@@ -4,9 +4,11 @@
 //! the same in the names that programs of other makers know.
 
 mod description;
+mod label;
 mod media;
 
 pub use description::{Description, ElementType, MediaType, PixelFormat};
+pub use label::{examples, plain_label};
 
 use bytes::Bytes;
 

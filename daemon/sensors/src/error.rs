@@ -57,3 +57,10 @@ pub enum SensorError {
         error: ImageError,
     },
 }
+
+impl SensorError {
+    /// Whether what was named cannot be the name of anything.
+    pub const fn is_misnamed(&self) -> bool {
+        matches!(self, Self::Python(PythonError::Name(_)))
+    }
+}

@@ -9,13 +9,13 @@ use std::path::{Path, PathBuf};
 use peernet_clock::Span;
 use serde::{Deserialize, Serialize};
 
-use crate::process::find_program;
+use crate::process::{MAX_TIMEOUT_MS, find_program, impossible_variable};
 
 /// A command: a line for the shell, or a program with its arguments.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum CommandLine {
-    /// Run by `sh -c`.
+    /// Run by `sh -c`, and in the place of that shell where it is one program and its arguments.
     Shell(String),
     /// Run as it is: the program first, looked up on the path unless it contains a slash.
     Words(Vec<String>),
@@ -39,9 +39,6 @@ pub struct ExecConfig {
     pub env: BTreeMap<String, String>,
 }
 
-/// Longest wait for a reply: a day. Milliseconds.
-const MAX_TIMEOUT_MS: u64 = 24 * 3600 * 1000;
-
 impl ExecConfig {
     /// A program with the defaults.
     pub fn of(command: CommandLine) -> Self {
@@ -64,51 +61,67 @@ impl ExecConfig {
         if let Some(folder) = self.folder.as_ref().filter(|folder| !folder.is_dir()) {
             return Err(format!("{} is not a folder to run it in", folder.display()));
         }
-        if let Some(key) = self.env.keys().find(|key| key.is_empty() || key.contains(['=', '\0'])) {
-            return Err(format!("{key:?} cannot be the name of an environment variable"));
+        if let Some(name) = impossible_variable(&self.env) {
+            return Err(format!("{name:?} cannot be given to it as an environment variable"));
         }
         match &self.command {
             CommandLine::Shell(line) if line.trim().is_empty() => {
                 Err("an empty command runs nothing".to_owned())
             }
-            CommandLine::Shell(_) => Ok(()),
+            CommandLine::Shell(line) => match only_program(line) {
+                // Without a slash it may be a command of the shell's own.
+                Some(program) if program.contains('/') => self.find(program),
+                _ => Ok(()),
+            },
             CommandLine::Words(words) => match words.first() {
                 None => Err("an empty command runs nothing".to_owned()),
                 Some(program) if words.iter().any(|word| word.contains('\0')) => {
                     Err(format!("the command of {program:?} contains a zero byte"))
                 }
-                Some(program) if program.contains('/') => {
-                    let path = self.folder.as_deref().unwrap_or(Path::new("")).join(program);
-                    if path.is_file() {
-                        Ok(())
-                    } else {
-                        Err(format!("there is no program {}", path.display()))
-                    }
-                }
-                Some(program) => match find_program(OsStr::new(program)) {
-                    Some(_) => Ok(()),
-                    None => Err(format!("there is no program {program} in the folders of PATH")),
-                },
+                Some(program) => self.find(program),
             },
         }
     }
-}
 
-const fn ten_seconds() -> NonZeroU64 {
-    NonZeroU64::MIN.saturating_add(9999)
-}
+    /// Whether a program is there.
+    fn find(&self, program: &str) -> Result<(), String> {
+        if program.contains('/') {
+            let path = self.folder.as_deref().unwrap_or(Path::new("")).join(program);
+            let there = path.is_file().then_some(());
+            return there.ok_or_else(|| format!("there is no program {}", path.display()));
+        }
+        let found = find_program(OsStr::new(program)).map(drop);
+        found.ok_or_else(|| format!("there is no program {program} in the folders of PATH"))
+    }
 
-impl CommandLine {
     /// The program and its arguments, as the system is asked for them.
-    pub fn words(&self) -> (String, Vec<String>) {
-        match self {
-            Self::Shell(line) => ("sh".to_owned(), vec!["-c".to_owned(), line.clone()]),
-            Self::Words(words) => {
+    pub(super) fn words(&self) -> (String, Vec<String>) {
+        match &self.command {
+            CommandLine::Shell(line) => {
+                // A shell that waited for its only program would keep the pipes open when the program closes them, and
+                // make an exit status of the signal that kills it.
+                let alone = only_program(line).is_some_and(|program| self.find(program).is_ok());
+                let line = if alone { format!("exec {line}") } else { line.clone() };
+                ("sh".to_owned(), vec!["-c".to_owned(), line])
+            }
+            CommandLine::Words(words) => {
                 let mut words = words.iter().cloned();
                 (words.next().unwrap_or_default(), words.collect())
             }
         }
     }
+}
+
+/// The program of a line that is one program and its arguments; `None` where that cannot be told by looking.
+fn only_program(line: &str) -> Option<&str> {
+    let program = line.split_ascii_whitespace().next()?;
+    let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"_-+./".contains(&byte);
+    let more = [';', '&', '|', '\n', '(', ')', '{', '}', '`', '\0'];
+    (program.bytes().all(is_plain) && !line.contains(more)).then_some(program)
+}
+
+const fn ten_seconds() -> NonZeroU64 {
+    NonZeroU64::MIN.saturating_add(9999)
 }
 
 impl fmt::Display for CommandLine {
@@ -131,11 +144,30 @@ mod tests {
     #[test]
     fn a_command_is_a_line_for_the_shell_or_a_list_of_words() {
         let words = read("command = ['cat', '-u']").expect("reads");
-        assert_eq!(words.command.words(), ("cat".to_owned(), vec!["-u".to_owned()]));
+        assert_eq!(words.words(), ("cat".to_owned(), vec!["-u".to_owned()]));
         assert_eq!((words.check(), words.timeout()), (Ok(()), Span::from_seconds(10)));
         let line = read("command = 'while read x; do :; done'\ntimeout_ms = 5").expect("reads");
-        assert_eq!(line.command.words().1, ["-c", "while read x; do :; done"]);
+        assert_eq!(line.words().1, ["-c", "while read x; do :; done"]);
         assert!(read("comand = 'x'").is_err() && read("command = 3").is_err());
+    }
+
+    #[test]
+    fn a_line_that_is_one_program_takes_the_place_of_its_shell() {
+        for (line, alone) in [
+            ("cat -u", true),
+            ("  cat \"$HOME\" 2> /dev/null", true),
+            ("/bin/cat", true),
+            ("cat | cat", false),
+            ("cat & wait", false),
+            ("cd x && cat", false),
+            ("LANG=C cat", false),
+            ("shift 1", false),
+            (". /etc/profile", false),
+            ("~/own", false),
+        ] {
+            let expected = if alone { format!("exec {line}") } else { line.to_owned() };
+            assert_eq!(ExecConfig::of(CommandLine::Shell(line.to_owned())).words().1[1], expected);
+        }
     }
 
     #[test]
@@ -145,6 +177,7 @@ mod tests {
             ("command = []", "empty"),
             ("command = ['no-such-program-anywhere']", "PATH"),
             ("command = ['./no/such/program']", "./no/such/program"),
+            ("command = './no/such/program --fast'", "no program ./no/such/program"),
             ("command = 'x'\nfolder = '/no/such/folder'", "/no/such/folder"),
             ("command = 'x'\nenv = { 'a=b' = 'c' }", "a=b"),
             ("command = 'x'\ntimeout_ms = 86400001", "86400000"),

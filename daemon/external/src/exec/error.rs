@@ -50,7 +50,8 @@ pub enum FramingError {
     TooManyParts,
     /// A name that is not the program's to use.
     #[error(
-        "it reported {0:?}, which is not its to measure; use another name, or as a model preprocessing, inference, postprocessing"
+        "it reported {0:?}, which is not its to measure; use another name, or as a model the stages preprocessing, inference, \
+         postprocessing"
     )]
     Name(String),
     /// A framing that this program does not know.
@@ -84,12 +85,23 @@ pub enum ExchangeError {
     Unasked(String),
     /// It took longer than it may.
     #[error(
-        "it gave no whole reply within {0:?}; it is killed and started anew (timeout_ms sets how long it may take)"
+        "it gave no whole reply within {after:?}{last_words}; it is killed and started anew (timeout_ms sets how long it \
+         may take)"
     )]
-    TooSlow(Duration),
+    TooSlow {
+        /// How long it had.
+        after: Duration,
+        /// The last lines of its standard error, in words; may be empty.
+        last_words: String,
+    },
     /// It failed several times in a row, and is not started again at once.
-    #[error("it failed again and again; it is started anew in {0:.1?}")]
-    Pausing(Duration),
+    #[error("it failed again and again; it is started anew in {left:.1?}; the last time {last}")]
+    Pausing {
+        /// How long it is left alone.
+        left: Duration,
+        /// Why it failed last.
+        last: String,
+    },
     /// Its stages take longer than it took.
     #[error(
         "the stages that it reported add up to {stages:?}, but it replied within {whole:?}; report seconds"

@@ -21,6 +21,8 @@ pub struct Program {
     clock: SharedClock,
     process: Option<Process>,
     restarts: Restarts,
+    /// Why it failed last, for who asks while it is left alone.
+    last: String,
     /// A sensor that has no more samples is not asked again.
     over: bool,
 }
@@ -28,6 +30,8 @@ pub struct Program {
 /// A request and its reply.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Exchange {
+    /// When the program began to be started anew for this request, because it had failed before.
+    pub restarted: Option<MonoTime>,
     /// When the request began to be written.
     pub began: MonoTime,
     /// When the reply was whole.
@@ -50,7 +54,7 @@ impl Program {
         clock: &SharedClock,
     ) -> Result<Self, ExchangeError> {
         config.check().map_err(ExchangeError::Command)?;
-        let (program, arguments) = config.command.words();
+        let (program, arguments) = config.words();
         let mut environment = config.env.clone();
         environment.insert("PEERNET_EXEC".to_owned(), VERSION.to_string());
         environment.insert("PEERNET_ROLE".to_owned(), role.word().to_owned());
@@ -71,6 +75,7 @@ impl Program {
             clock: SharedClock::clone(clock),
             process: Some(process),
             restarts: Restarts::default(),
+            last: String::new(),
             over: false,
         })
     }
@@ -83,8 +88,10 @@ impl Program {
     pub fn ask(&mut self, request: Request<'_>) -> Result<Exchange, ExchangeError> {
         if self.over {
             let now = self.clock.mono();
-            return Ok(Exchange { began: now, ended: now, notes: Notes::default(), said: Said::End });
+            let notes = Notes::default();
+            return Ok(Exchange { restarted: None, began: now, ended: now, notes, said: Said::End });
         }
+        let restarted = self.process.is_none().then(|| self.clock.mono());
         let mut process = match self.process.take() {
             Some(process) => process,
             None => self.start_anew()?,
@@ -99,32 +106,38 @@ impl Program {
                 self.over = said == Said::End;
                 match said {
                     Said::Error(text) => Err(ExchangeError::Refused(text)),
-                    said => Ok(Exchange { began, ended, notes, said }),
+                    said => Ok(Exchange { restarted, began, ended, notes, said }),
                 }
             }
             Err(error) => {
                 // Killed before the pause begins: what it still does is not to disturb the next.
-                drop(process);
-                self.restarts.died(self.clock.mono());
-                Err(match error {
-                    ExchangeError::Process(ProcessError::TimedOut) => {
-                        ExchangeError::TooSlow(self.timeout.to_duration())
+                let error = match error {
+                    ExchangeError::Process(ProcessError::TimedOut) => ExchangeError::TooSlow {
+                        after: self.timeout.to_duration(),
+                        last_words: process.kill().last_words(),
+                    },
+                    error => {
+                        drop(process);
+                        error
                     }
-                    error => error,
-                })
+                };
+                Err(self.failed(error))
             }
         }
     }
 
     fn start_anew(&mut self) -> Result<Process, ExchangeError> {
         if let Some(left) = self.restarts.wait(self.clock.mono()) {
-            return Err(ExchangeError::Pausing(left.to_duration()));
+            return Err(ExchangeError::Pausing { left: left.to_duration(), last: self.last.clone() });
         }
         tracing::info!(name = self.launch.name, "starting the program anew");
-        Process::start(&self.launch, &self.clock).map_err(|error| {
-            self.restarts.died(self.clock.mono());
-            ExchangeError::Start(error)
-        })
+        Process::start(&self.launch, &self.clock).map_err(|error| self.failed(ExchangeError::Start(error)))
+    }
+
+    fn failed(&mut self, error: ExchangeError) -> ExchangeError {
+        self.restarts.died(self.clock.mono());
+        self.last = error.to_string();
+        error
     }
 }
 
@@ -145,8 +158,7 @@ fn exchange(
 ) -> Result<Reply, ExchangeError> {
     // What was written before it was asked would be taken for the reply, and every reply after it be the wrong one.
     if process.has_more() {
-        let line = process.read_line(MAX_LINE, until)?;
-        return Err(ExchangeError::Unasked(shown(&String::from_utf8_lossy(&line))));
+        return Err(ExchangeError::Unasked(shown(&process.glimpse())));
     }
     let pieces = request.pieces();
     let slices: Vec<&[u8]> = pieces.iter().map(Bytes::as_ref).collect();

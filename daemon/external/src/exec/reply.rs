@@ -10,7 +10,7 @@ use super::{MAX_BYTES, MAX_LINES, MAX_PARTS, Role, VERSION, shape};
 use crate::text::printable;
 
 /// Names that have a meaning of their own in every tree.
-const OURS: [&str; 26] = [
+const OURS: [&str; 31] = [
     "iteration",
     "sensing",
     "capture",
@@ -26,6 +26,9 @@ const OURS: [&str; 26] = [
     "unattributed",
     "ipc",
     "capture-ipc",
+    "restart",
+    "capture-restart",
+    "actuation-restart",
     "upload-bytes",
     "upload-logger-bytes",
     "download-bytes",
@@ -33,12 +36,14 @@ const OURS: [&str; 26] = [
     "upload-throughput",
     "download-throughput",
     "skipped-nodes",
+    "skipped-starts",
     "lateness",
     "dropped-samples",
     "top-1",
     "top-5",
+    "unknown-label",
 ];
-/// The stages of a model; nobody else has them.
+/// The stages of a model; nobody else has them, and nothing but a time goes by these names.
 const OF_A_MODEL: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
 
 /// What a program said of one request.
@@ -131,11 +136,11 @@ impl Assembler {
             }
             ("stage", role) => {
                 let (name, span) = stage(rest).ok_or_else(|| wrong(STAGE))?;
-                notes.stages.push((free(name, role)?, span));
+                notes.stages.push((free(name, role == Role::Model)?, span));
             }
-            ("value", role) => {
+            ("value", _) => {
                 let (name, number, unit) = value(rest).ok_or_else(|| wrong(VALUE))?;
-                notes.values.push((free(name, role)?, number, unit.to_owned()));
+                notes.values.push((free(name, false)?, number, unit.to_owned()));
             }
             ("error", _) => return Ok(self.whole(Said::Error(printable(rest)))),
             ("sequence", Role::Sensor) => {
@@ -209,8 +214,8 @@ const VALUE: &str = "value NAME NUMBER [UNIT]";
 const ANSWER: &str = "answer BYTES [MEDIA-TYPE [SHAPE]] (a shape such as 480x640x3:u8)";
 
 /// A name that is the program's to use.
-fn free(name: &str, role: Role) -> Result<String, FramingError> {
-    let taken = OURS.contains(&name) || role != Role::Model && OF_A_MODEL.contains(&name);
+fn free(name: &str, or_of_a_model: bool) -> Result<String, FramingError> {
+    let taken = OURS.contains(&name) || !or_of_a_model && OF_A_MODEL.contains(&name);
     if taken { Err(FramingError::Name(name.to_owned())) } else { Ok(name.to_owned()) }
 }
 

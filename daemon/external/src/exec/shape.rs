@@ -2,12 +2,41 @@
 
 use peernet_sample::{Description, ElementType, MediaType};
 
-const ELEMENTS: [(&str, ElementType, u64); 4] = [
-    ("u8", ElementType::U8, 1),
-    ("f32", ElementType::F32, 4),
-    ("f64", ElementType::F64, 8),
-    ("i64", ElementType::I64, 8),
+const ELEMENTS: [ElementType; 14] = [
+    ElementType::U8,
+    ElementType::F32,
+    ElementType::F64,
+    ElementType::I64,
+    ElementType::Bool,
+    ElementType::I8,
+    ElementType::U16,
+    ElementType::I16,
+    ElementType::U32,
+    ElementType::I32,
+    ElementType::U64,
+    ElementType::F16,
+    ElementType::C64,
+    ElementType::C128,
 ];
+
+const fn name(element: ElementType) -> &'static str {
+    match element {
+        ElementType::U8 => "u8",
+        ElementType::F32 => "f32",
+        ElementType::F64 => "f64",
+        ElementType::I64 => "i64",
+        ElementType::Bool => "bool",
+        ElementType::I8 => "i8",
+        ElementType::U16 => "u16",
+        ElementType::I16 => "i16",
+        ElementType::U32 => "u32",
+        ElementType::I32 => "i32",
+        ElementType::U64 => "u64",
+        ElementType::F16 => "f16",
+        ElementType::C64 => "c64",
+        ElementType::C128 => "c128",
+    }
+}
 
 /// Stands for no shape, and for an empty source.
 pub(super) const NOTHING: &str = "-";
@@ -19,8 +48,7 @@ const MAX_DIMENSIONS: usize = 16;
 pub(super) fn write(description: &Description) -> String {
     let Some(element) = description.element else { return NOTHING.to_owned() };
     let lengths: Vec<_> = description.shape.iter().map(u32::to_string).collect();
-    let name = ELEMENTS.iter().find(|(_, known, _)| *known == element).map_or("u8", |(name, ..)| name);
-    format!("{}:{name}", lengths.join("x"))
+    format!("{}:{}", lengths.join("x"), name(element))
 }
 
 /// The description of a part, and the bytes that it must have; `None` for what is not a shape.
@@ -29,7 +57,7 @@ pub(super) fn read(media: MediaType, shape: &str) -> Option<(Description, Option
         return Some((Description::unshaped(media), None));
     }
     let (lengths, element) = shape.split_once(':')?;
-    let &(_, element, size) = ELEMENTS.iter().find(|(name, ..)| *name == element)?;
+    let element = ELEMENTS.into_iter().find(|known| name(*known) == element)?;
     // No dimension at all is a single number.
     let shape = match lengths {
         "" => Vec::new(),
@@ -38,8 +66,9 @@ pub(super) fn read(media: MediaType, shape: &str) -> Option<(Description, Option
     if shape.len() > MAX_DIMENSIONS {
         return None;
     }
-    let bytes = shape.iter().try_fold(size, |bytes, length| bytes.checked_mul(u64::from(*length)))?;
-    Some((Description { media, shape, element: Some(element) }, Some(bytes)))
+    let description = Description { media, shape, element: Some(element) };
+    let bytes = description.shaped_bytes()?;
+    Some((description, Some(bytes)))
 }
 
 #[cfg(test)]
@@ -51,6 +80,11 @@ mod tests {
         let (description, bytes) = read(MediaType::Tensor, "1x3x2:f32").expect("a shape");
         assert_eq!((description.shape.as_slice(), bytes), ([1, 3, 2].as_slice(), Some(24)));
         assert_eq!(write(&description), "1x3x2:f32");
+        for element in ELEMENTS {
+            let shape = format!("2x3:{}", name(element));
+            let (description, bytes) = read(MediaType::Tensor, &shape).expect("a shape");
+            assert_eq!((write(&description), bytes), (shape, Some(6 * element.bytes())));
+        }
         assert_eq!(read(MediaType::Bytes, "-"), Some((Description::bytes(), None)));
         assert_eq!(read(MediaType::Tensor, ":f64").map(|(_, bytes)| bytes), Some(Some(8)));
         for wrong in ["", "3", "3:u9", "x:u8", "-1:u8", "3x:u8", "4294967295x4294967295x9:u8"] {

@@ -8,6 +8,8 @@ use super::{Exchange, ExchangeError};
 const STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
 /// What the way to the program and back costs.
 const IPC: &str = "ipc";
+/// The same of the first reply after it was started anew, with its coming up.
+const RESTART: &str = "restart";
 /// How far rounded stages may add up to more than the whole.
 const ROUNDING: Span = Span::from_millis(1);
 
@@ -28,30 +30,46 @@ impl Exchange {
         self.ended - self.began
     }
 
+    /// What a restart holds of it: from starting the program to its reply. A program does not say when it is ready, so
+    /// that what of this was its coming up is not known.
+    pub fn restart(&self) -> Option<(MonoTime, MonoTime)> {
+        self.restarted.map(|from| (from, self.ended))
+    }
+
     /// The stages of a model. Without any of its own, all from request to reply is `inference`. With
     /// `preprocessing`, `inference` or `postprocessing` these have the durations that the program told, one after
     /// the other from the request on, and what remains is `ipc`. Stages of other names begin with the request and add to
     /// nothing.
     ///
+    /// After a restart only what the program told is a stage: it stands at the end, and all before it is `restart`.
+    ///
     /// # Errors
     /// [`ExchangeError::Stages`] when the stages add up to more than there was.
     pub fn stages(&self) -> Result<Vec<Timed>, ExchangeError> {
         let timed = |name: &str, from, to| Timed { name: name.to_owned(), from, to };
-        let (mut stages, mut at) = (Vec::new(), self.began);
+        let is_stage = |name: &String| STAGES.contains(&name.as_str());
+        let own = self.notes.stages.iter().filter(|(name, _)| is_stage(name));
+        let told: Span = own.map(|(_, span)| *span).sum();
+        if told > self.whole() + ROUNDING {
+            let (stages, whole) = (told.to_duration(), self.whole().to_duration());
+            return Err(ExchangeError::Stages { stages, whole });
+        }
+        let begins = match self.restarted {
+            Some(from) => from + (self.ended - from - told).max(Span::ZERO),
+            None => self.began,
+        };
+        let (mut stages, mut at) = (Vec::new(), begins);
         for (name, span) in &self.notes.stages {
-            if STAGES.contains(&name.as_str()) {
+            if is_stage(name) {
                 stages.push(timed(name, at, at + *span));
                 at = at + *span;
             } else {
                 stages.push(timed(name, self.began, self.began + *span));
             }
         }
-        let told = at - self.began;
-        if told > self.whole() + ROUNDING {
-            let (stages, whole) = (told.to_duration(), self.whole().to_duration());
-            return Err(ExchangeError::Stages { stages, whole });
-        }
-        if told == Span::ZERO && !stages.iter().any(|stage| STAGES.contains(&stage.name.as_str())) {
+        if let Some(from) = self.restarted {
+            stages.push(timed(RESTART, from, begins));
+        } else if !stages.iter().any(|stage| is_stage(&stage.name)) {
             stages.push(timed("inference", self.began, self.ended));
         } else {
             stages.push(timed(IPC, at.min(self.ended), self.ended));
@@ -67,10 +85,16 @@ mod tests {
 
     /// Stages of a program that told these milliseconds and replied after ten.
     fn stages(told: &[(&str, i64)]) -> Result<Vec<(String, i64, i64)>, ExchangeError> {
+        after(None, told)
+    }
+
+    /// The same of one that was started anew so many milliseconds before the request.
+    fn after(restart: Option<i64>, told: &[(&str, i64)]) -> Result<Vec<(String, i64, i64)>, ExchangeError> {
         let stages = told.iter().map(|(name, ms)| ((*name).to_owned(), Span::from_millis(*ms))).collect();
         let (began, ended) = (MonoTime::from_nanos(0), MonoTime::from_nanos(10_000_000));
-        let exchange =
-            Exchange { began, ended, notes: Notes { stages, ..Notes::default() }, said: Said::Done };
+        let restarted = restart.map(|before| MonoTime::from_nanos(-before * 1_000_000));
+        let notes = Notes { stages, ..Notes::default() };
+        let exchange = Exchange { restarted, began, ended, notes, said: Said::Done };
         let millis = |at: MonoTime| at.nanos() / 1_000_000;
         Ok(exchange
             .stages()?
@@ -90,6 +114,15 @@ mod tests {
     fn a_silent_program_is_all_inference() {
         assert_eq!(stages(&[]).expect("adds up"), [("inference".to_owned(), 0, 10)]);
         assert_eq!(stages(&[("warm", 3)]).expect("adds up")[1], ("inference".to_owned(), 0, 10));
+    }
+
+    #[test]
+    fn after_a_restart_only_what_was_told_is_a_stage() {
+        let told = after(Some(2), &[("inference", 3), ("postprocessing", 1)]).expect("adds up");
+        let expected = [("inference", 6, 9), ("postprocessing", 9, 10), ("restart", -2, 6)];
+        assert_eq!(told, expected.map(|(name, from, to)| (name.to_owned(), from, to)));
+        assert_eq!(after(Some(2), &[]).expect("adds up"), [("restart".to_owned(), -2, 10)]);
+        assert!(after(Some(90_000), &[("inference", 11_500)]).is_err(), "it replied within 10 ms");
     }
 
     #[test]

@@ -72,6 +72,14 @@ impl Launch {
     }
 }
 
+/// The name of a variable that no process can be given.
+pub(crate) fn impossible_variable(environment: &BTreeMap<String, String>) -> Option<&str> {
+    let impossible = |(name, value): &(&String, &String)| {
+        name.is_empty() || name.contains(['=', '\0']) || value.contains('\0')
+    };
+    environment.iter().find(impossible).map(|(name, _)| name.as_str())
+}
+
 /// The file of a program: itself when it is a path, otherwise the first of that name in the folders of `PATH`.
 pub fn find_program(name: &OsStr) -> Option<PathBuf> {
     if Path::new(name).components().count() > 1 {

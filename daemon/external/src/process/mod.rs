@@ -14,9 +14,13 @@ mod running;
 mod spawner;
 mod voice;
 
-pub use ended::{Ended, Killed};
+pub use ended::{Ended, Fault};
 pub use error::ProcessError;
+pub(crate) use launch::impossible_variable;
 pub use launch::{Launch, find_program};
 pub use restarts::Restarts;
 pub use running::Process;
 pub use voice::Voice;
+
+/// Longest wait for a process: a day. Milliseconds.
+pub(crate) const MAX_TIMEOUT_MS: u64 = 24 * 3600 * 1000;

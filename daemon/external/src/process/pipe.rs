@@ -10,7 +10,7 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 use rustix::pipe::fcntl_setpipe_size;
 
-use super::{Killed, ProcessError};
+use super::{Fault, ProcessError};
 
 /// Bytes that a pipe is asked to hold: the most that Linux gives to everybody (`fs.pipe-max-size`).
 const PIPE_BYTES: usize = 1 << 20;
@@ -27,7 +27,7 @@ const MAX_SLICES: usize = 64;
 #[derive(Debug)]
 pub(super) enum Broken {
     /// The other end is closed; `None` when that is because the process is gone.
-    Closed(Option<Killed>),
+    Closed(Option<Fault>),
     TimedOut,
     TooLong(usize),
     Failed(io::Error),
@@ -44,7 +44,7 @@ impl Broken {
     ///
     /// # Errors
     /// Which end is closed, when the process has to be asked how it ended.
-    pub(super) fn known(self) -> Result<ProcessError, Option<Killed>> {
+    pub(super) fn known(self) -> Result<ProcessError, Option<Fault>> {
         match self {
             Self::Closed(end) => Err(end),
             Self::TimedOut => Ok(ProcessError::TimedOut),
@@ -126,7 +126,7 @@ pub(super) fn write(
             Ok(written) => IoSlice::advance_slices(&mut left, written),
             Err(Errno::INTR) => {}
             Err(Errno::AGAIN) => wait_to_write(fd, answers, wait)?,
-            Err(Errno::PIPE) => return Err(Broken::Closed(Some(Killed::ClosedInput))),
+            Err(Errno::PIPE) => return Err(Broken::Closed(Some(Fault::ClosedInput))),
             Err(error) => return Err(error.into()),
         }
     }
@@ -180,7 +180,7 @@ impl Reader {
     fn read_into(fd: &OwnedFd, into: &mut Vec<u8>, wait: Wait<'_>) -> Result<(), Broken> {
         loop {
             match rustix::io::read(fd, spare_capacity(into)) {
-                Ok(0) => return Err(Broken::Closed(Some(Killed::ClosedOutput))),
+                Ok(0) => return Err(Broken::Closed(Some(Fault::ClosedOutput))),
                 Ok(_) => return Ok(()),
                 Err(Errno::INTR) => {}
                 Err(Errno::AGAIN) => drop(wait.ready([(fd, PollFlags::IN)])?),
@@ -202,6 +202,15 @@ impl Reader {
             self.buffer.reserve(CHUNK);
         }
         Self::read_into(&self.fd, &mut self.buffer, wait)
+    }
+
+    /// What has been written of the next line, without waiting for more.
+    pub(super) fn glimpse(&mut self, wait: Wait<'_>) -> &[u8] {
+        if self.waiting().is_empty() {
+            // Nothing there is nothing to be shown, and whoever reads next is told why.
+            let _ = self.read_more(wait);
+        }
+        self.waiting().split(|byte| *byte == b'\n').next().unwrap_or_default()
     }
 
     /// Exactly `length` bytes.

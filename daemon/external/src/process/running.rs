@@ -13,9 +13,11 @@ use rustix::process::{PidfdFlags, Signal, pidfd_open};
 use super::group::Group;
 use super::pipe::{self, Broken, Reader, Wait};
 use super::voice::Listening;
-use super::{Ended, Killed, Launch, ProcessError};
+use super::{Ended, Fault, Launch, ProcessError};
 
-/// How long a process that closed a pipe is given to end by itself, so that it can be said how.
+/// How long before its end a process that ends by itself has closed its pipes, at most.
+const GOING: Span = Span::from_millis(200);
+/// How long one that closed a pipe and goes on is given to end by itself, so that it can be said how.
 const DYING: Span = Span::from_millis(1000);
 /// How long its last words are waited for once it is gone.
 const LAST_WORDS: Duration = Duration::from_millis(200);
@@ -32,7 +34,9 @@ pub struct Process {
     voice: Listening,
     clock: SharedClock,
     status: Option<ExitStatus>,
-    killed: Option<Killed>,
+    fault: Option<Fault>,
+    killed: bool,
+    asked: bool,
 }
 
 impl Process {
@@ -56,7 +60,9 @@ impl Process {
             voice,
             clock: SharedClock::clone(clock),
             status: None,
-            killed: None,
+            fault: None,
+            killed: false,
+            asked: false,
         })
     }
 
@@ -73,11 +79,6 @@ impl Process {
         Ok((input, output, voice))
     }
 
-    /// Its number.
-    pub fn pid(&self) -> u32 {
-        self.group.id()
-    }
-
     /// Writes all parts to its standard input, without copying them together.
     ///
     /// # Errors
@@ -91,11 +92,6 @@ impl Process {
             None => Err(Broken::Closed(None)),
         };
         result.map_err(|broken| self.explain(broken))
-    }
-
-    /// Closes its standard input: tells it that nothing more will come.
-    pub fn close_input(&mut self) {
-        self.input = None;
     }
 
     /// Exactly `length` bytes from its standard output.
@@ -121,31 +117,49 @@ impl Process {
         self.output.holds_something()
     }
 
+    /// What it has written of its next line, as far as it is there: for messages.
+    pub fn glimpse(&mut self) -> String {
+        let wait = waiting(&self.clock, self.pidfd.as_ref(), self.clock.mono());
+        String::from_utf8_lossy(self.output.glimpse(wait)).into_owned()
+    }
+
+    /// Kills it and its group.
+    pub fn kill(mut self) -> Ended {
+        self.reap(None);
+        self.ended()
+    }
+
     /// Ends it: closes its input, asks after half the grace (SIGTERM) and kills it with its group when that is over.
     /// Blocks no longer than that.
     pub fn end(mut self, grace: Span) -> Ended {
         self.input = None;
         let half = Span::from_nanos(grace.nanos() / 2);
         if !self.ends_within(half) {
+            self.asked = true;
             self.group.terminate();
             self.ends_within(half);
         }
-        self.reap(Some(Killed::Stayed));
+        self.reap(Some(Fault::Stayed));
         self.ended()
     }
 
     /// What a broken pipe means: asks a process that closed it how it ended.
     fn explain(&mut self, broken: Broken) -> ProcessError {
-        broken.known().unwrap_or_else(|closed| {
+        broken.known().unwrap_or_else(|fault| {
+            // One that ends closes its pipes as well: that is worth telling only of one that goes on.
+            let goes_on = !self.ends_within(GOING);
             self.input = None;
-            self.ends_within(DYING);
-            self.reap(closed);
+            if goes_on {
+                self.ends_within(DYING);
+            }
+            self.reap(fault.filter(|_| goes_on));
             ProcessError::Ended(self.ended())
         })
     }
 
     fn ended(&self) -> Ended {
-        Ended { status: self.status, killed: self.killed, last_lines: self.voice.last_lines(LAST_WORDS) }
+        let last_lines = self.voice.last_lines(LAST_WORDS);
+        Ended { status: self.status, fault: self.fault, killed: self.killed, asked: self.asked, last_lines }
     }
 
     /// Waits for its end without taking its status. Where the kernel cannot tell, it gets no grace.
@@ -154,13 +168,14 @@ impl Process {
         self.status.is_some() || waiting(&self.clock, self.pidfd.as_ref(), until).is_over()
     }
 
-    /// Kills what is left of it and its group; `why` is told where it was still there.
-    fn reap(&mut self, why: Option<Killed>) {
+    /// Kills what is left of it and its group; `fault` is what it did before.
+    fn reap(&mut self, fault: Option<Fault>) {
         if self.status.is_none() {
             let ended = self.ends_within(Span::ZERO);
             self.status = self.group.finish();
             let by_kill = self.status.is_some_and(|status| status.signal() == Some(Signal::KILL.as_raw()));
-            self.killed = why.filter(|_| !ended && by_kill);
+            self.killed = !ended && by_kill;
+            self.fault = fault.filter(|fault| self.killed || *fault != Fault::Stayed);
         }
     }
 }

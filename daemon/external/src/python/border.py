@@ -56,8 +56,8 @@ class Border:
     def array(self, head):
         """The content of a part that may be written to: arrays that a user gets can be worked on in place."""
         length = head["length"]
-        numpy = sys.modules.get("numpy")
-        data = numpy.empty(length, "u1") if numpy is not None else bytearray(length)
+        empty = getattr(sys.modules.get("numpy"), "empty", None)
+        data = bytearray(length) if empty is None else empty(length, "u1")
         if head.get("at") is not None:
             memoryview(data)[:] = self.window.view(head["at"], length)
         elif self.source.readinto(data) < length:
@@ -70,23 +70,35 @@ class Border:
             raise Gone
         return data
 
-    def write(self, kind, body, parts=()):
+    def write(self, kind, body):
+        self.send(self.frame(kind, body))
+
+    def frame(self, kind, body, parts=()):
+        """What is to be sent; large parts are in the shared memory by then."""
         piped = []
         if parts:
+            parts = [(description, memoryview(data)) for description, data in parts]
+            length = sum(data.nbytes for _, data in parts)
+            if length > MAX_BYTES:
+                raise Refused("a value has %d bytes; at most %d cross" % (length, MAX_BYTES))
             body["parts"] = heads = []
             end = 0
             for description, data in parts:
-                data = memoryview(data)
                 head = {"description": description, "length": data.nbytes}
                 heads.append(head)
                 if data.nbytes >= LEAST:
                     head["at"] = -(-end // ALIGNMENT) * ALIGNMENT
                     end = head["at"] + data.nbytes
-                    self.window.put(head["at"], data.cast("B"))
+                    try:
+                        self.window.put(head["at"], data.cast("B"))
+                    except (MemoryError, OSError) as error:
+                        raise Refused("there is no memory for a value of %d bytes: %s" % (length, error)) from None
                 elif data.nbytes:
                     piped.append(data.cast("B"))
         header = to_json({kind: body}).encode()
-        chunks = [memoryview(MARK + len(header).to_bytes(4, "little") + header)] + piped
+        return [memoryview(MARK + len(header).to_bytes(4, "little") + header)] + piped
+
+    def send(self, chunks):
         while chunks:
             written = os.writev(self.sink, chunks)
             while chunks and written >= len(chunks[0]):
@@ -107,9 +119,10 @@ class Window:
     def reach(self, end):
         """The memory, mapped up to there."""
         if len(self.map) < end:
-            if os.fstat(self.file).st_size < end:
-                os.ftruncate(self.file, 1 << (end - 1).bit_length())
-            self.map = mmap.mmap(self.file, 0)
+            length = 1 << (end - 1).bit_length()
+            if os.fstat(self.file).st_size < length:
+                os.ftruncate(self.file, length)
+            self.map = mmap.mmap(self.file, length)
         return self.map
 
     def bytes(self, at, length):

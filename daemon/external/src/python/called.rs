@@ -31,6 +31,8 @@ pub enum Stage {
 /// The user's code on our monotonic clock, and what the process border cost around it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Times {
+    /// When starting a new process for this call began, where the last one had died; it was ready at `begun`.
+    pub restarted: Option<MonoTime>,
     /// When the call was begun.
     pub begun: MonoTime,
     /// When its result was there.
@@ -57,7 +59,7 @@ impl Times {
                 (stage, from_here, next)
             }
         };
-        Self { begun, ended, stages: stamps.iter().map(place).collect() }
+        Self { restarted: None, begun, ended, stages: stamps.iter().map(place).collect() }
     }
 
     /// What is not the user's code: both ways over the border, and both conversions.

@@ -7,9 +7,7 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 use super::PythonError;
-
-/// Longest wait for anything: a day. Milliseconds.
-const MAX_TIMEOUT_MS: u64 = 24 * 3600 * 1000;
+use crate::process::{MAX_TIMEOUT_MS, impossible_variable};
 
 /// `{ kind = "python", … }`
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -81,8 +79,11 @@ impl PythonConfig {
         Err(PythonError::Name(self.object.clone()))
     }
 
-    /// Checks the numbers against their upper limits.
-    pub(super) fn check_limits(&self) -> Result<(), PythonError> {
+    /// Checks the numbers against their upper limits, and the names of variables.
+    pub(super) fn check(&self) -> Result<(), PythonError> {
+        if let Some(name) = impossible_variable(&self.env) {
+            return Err(PythonError::Variable(name.to_owned()));
+        }
         for (key, value) in [("timeout_ms", self.timeout_ms), ("start_timeout_ms", self.start_timeout_ms)] {
             if value.get() > MAX_TIMEOUT_MS {
                 return Err(PythonError::TooMuch { key, value: value.get(), most: MAX_TIMEOUT_MS });
@@ -135,7 +136,15 @@ mod tests {
         let read = |text: &str| toml::from_str::<PythonConfig>(text);
         assert_eq!(read("object = 'a::b'").expect("reads"), PythonConfig::of("a::b"));
         assert!(read("object = 'a::b'\npikle = true").is_err());
-        let long = read("object = 'a::b'\ntimeout_ms = 86400001").expect("reads");
-        assert!(long.check_limits().is_err_and(|error| error.to_string().contains("86400000")));
+        for (text, part) in [
+            ("timeout_ms = 86400001", "86400000"),
+            ("env = { 'a=b' = 'c' }", "\"a=b\""),
+            ("env = { '' = 'c' }", "\"\""),
+            ("env = { a = \"b\\u0000\" }", "\"a\""),
+        ] {
+            let config = read(&format!("object = 'a::b'\n{text}")).expect("reads");
+            let error = config.check().expect_err(text).to_string();
+            assert!(error.contains(part), "{error}");
+        }
     }
 }

@@ -25,6 +25,9 @@ pub enum PythonError {
         /// The limit.
         most: u64,
     },
+    /// Not what a process can be given as a variable of its environment.
+    #[error("{0:?} cannot be given to it as an environment variable")]
+    Variable(String),
     /// The folder is not there.
     #[error("{} is not a folder; name the one that holds the module", .0.display())]
     Folder(PathBuf),
@@ -69,14 +72,17 @@ pub enum PythonError {
         ended: Ended,
     },
     /// A call took too long, and the process was killed.
-    #[error("{object} did not answer within {} s and was killed; it is started anew; raise {key} when it needs longer", .after.seconds())]
+    #[error(
+        "{object} did not answer within {} s and was killed{last_words}; it is started anew; raise timeout_ms when it \
+         needs longer", .after.seconds()
+    )]
     TooSlow {
         /// The object.
         object: String,
         /// How long it had.
         after: Span,
-        /// The key that says so.
-        key: &'static str,
+        /// The last lines that it printed, in words; may be empty.
+        last_words: String,
     },
     /// It died and will be started anew a little later.
     #[error("{object} is started anew in {:.1} s, because it keeps dying: {last}", .left.seconds())]

@@ -78,7 +78,7 @@ pub(super) fn launch(
 /// # Errors
 /// The first of these.
 pub(super) fn check(config: &PythonConfig, clock: &SharedClock) -> Result<(), PythonError> {
-    config.check_limits()?;
+    config.check()?;
     let (module, _) = config.module_and_path()?;
     let launch = launch(config, config.object.clone(), None)?;
     let place = launch.folder.clone().unwrap_or_default();

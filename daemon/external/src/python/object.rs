@@ -92,32 +92,39 @@ impl PythonObject {
     /// Calls the object with a value: `sample()` takes none. Blocks until it has answered, its time is over, or its
     /// process is gone; the process is then started anew by the next call.
     pub fn call(&mut self, parts: &[Part]) -> Called {
-        let begun = self.clock.mono();
+        let asked = self.clock.mono();
+        let restarted = self.worker.is_none().then_some(asked);
         let answer = self.living().and_then(|mut worker| {
             let begun = self.clock.mono();
             let until = begun + milliseconds(self.config.timeout_ms.get());
-            let answer = worker.call(parts, until).map_err(|trouble| self.trouble(trouble, "timeout_ms"));
-            // Whatever is still in its pipe belongs to nothing any more: only one that answered is kept.
-            if answer.is_ok() {
-                self.worker = Some(worker);
-                self.restarts.worked();
+            match worker.call(parts, until) {
+                // Whatever else is in its pipe would belong to nothing: only one that answered is kept.
+                Ok(answer) => {
+                    self.worker = Some(worker);
+                    self.restarts.worked();
+                    Ok((begun, answer))
+                }
+                Err(trouble) => Err(self.trouble(trouble, worker)),
             }
-            Ok((begun, answer?))
         });
         let ended = self.clock.mono();
         match answer {
-            Ok((begun, (reply, bytes))) => self.called(reply, bytes, begun, ended),
+            Ok((begun, (reply, bytes))) => {
+                let mut called = self.called(reply, bytes, begun, ended);
+                called.times.restarted = restarted;
+                called
+            }
             Err(error) => {
                 if !matches!(error, PythonError::Resting { .. }) {
                     self.restarts.died(ended);
                     self.last = error.to_string();
                 }
-                Called { result: Err(error), times: Times::new(begun, ended, &[]) }
+                Called { result: Err(error), times: Times::new(asked, ended, &[]) }
             }
         }
     }
 
-    fn called(&self, reply: Reply, bytes: Vec<Bytes>, begun: MonoTime, ended: MonoTime) -> Called {
+    fn called(&mut self, reply: Reply, bytes: Vec<Bytes>, begun: MonoTime, ended: MonoTime) -> Called {
         let called =
             |result, stages: &[(Stage, i64, i64)]| Called { result, times: Times::new(begun, ended, stages) };
         match reply {
@@ -131,6 +138,7 @@ impl PythonObject {
             Reply::Raised { text, stages } => called(Err(PythonError::Raised(text)), &stages),
             Reply::Refused { text, stages } => called(Err(PythonError::Value(text)), &stages),
             Reply::Ready { .. } => {
+                self.worker = None;
                 called(Err(self.garbled("it says twice that it is ready".to_owned())), &[])
             }
         }
@@ -159,10 +167,10 @@ impl PythonObject {
     /// Starts a process and waits until the object is made.
     fn begin(&mut self) -> Result<Worker, PythonError> {
         let (module, path) = self.config.module_and_path()?;
-        let until = self.clock.mono() + milliseconds(self.config.start_timeout_ms.get());
-        let key = "start_timeout_ms";
-        let mut worker =
-            Worker::start(&self.launch, &self.clock).map_err(|trouble| self.trouble(trouble, key))?;
+        let allowed = milliseconds(self.config.start_timeout_ms.get());
+        let until = self.clock.mono() + allowed;
+        let mut worker = Worker::start(&self.launch, &self.clock)
+            .map_err(|trouble| self.not_started(trouble.to_string()))?;
         let settings = Request::Start {
             module,
             path,
@@ -171,33 +179,39 @@ impl PythonObject {
             images: self.config.images,
             window: worker.window(),
         };
-        let reply = worker.become_object(&settings, until).map_err(|trouble| self.trouble(trouble, key));
-        let failed = |reason: String| PythonError::Start {
-            object: self.config.object.clone(),
-            python: self.launch.program.to_string_lossy().into_owned(),
-            reason,
-        };
-        match reply {
+        match worker.become_object(&settings, until) {
             Ok((Reply::Ready { python, what }, _)) => {
                 self.about = About { python, what };
                 Ok(worker)
             }
-            Ok((Reply::Raised { text, .. } | Reply::Refused { text, .. }, _)) => Err(failed(text)),
-            Ok(_) => Err(failed("it answers before it was asked".to_owned())),
-            Err(PythonError::Died { ended, .. }) => Err(failed(ended.to_string())),
-            Err(error) => Err(error),
+            Ok((Reply::Raised { text, .. } | Reply::Refused { text, .. }, _)) => Err(self.not_started(text)),
+            Ok(_) => Err(self.not_started("it answers before it was asked".to_owned())),
+            Err(Trouble::Process(ProcessError::TimedOut)) => {
+                let (allowed, last_words) = (allowed.seconds(), worker.kill().last_words());
+                Err(self.not_started(format!(
+                    "it was not ready within {allowed} s and was killed{last_words}; raise start_timeout_ms when it needs \
+                     longer"
+                )))
+            }
+            Err(trouble) => Err(self.not_started(trouble.to_string())),
         }
     }
 
-    fn trouble(&self, trouble: Trouble, key: &'static str) -> PythonError {
+    fn not_started(&self, reason: String) -> PythonError {
+        let python = self.launch.program.to_string_lossy().into_owned();
+        PythonError::Start { object: self.config.object.clone(), python, reason }
+    }
+
+    /// Why a call failed, and its process goes.
+    fn trouble(&self, trouble: Trouble, worker: Worker) -> PythonError {
         let object = self.config.object.clone();
         match trouble {
             Trouble::Process(ProcessError::Ended(ended)) => PythonError::Died { object, ended },
-            Trouble::Process(ProcessError::TimedOut) => {
-                let allowed =
-                    if key == "timeout_ms" { self.config.timeout_ms } else { self.config.start_timeout_ms };
-                PythonError::TooSlow { object, after: milliseconds(allowed.get()), key }
-            }
+            Trouble::Process(ProcessError::TimedOut) => PythonError::TooSlow {
+                object,
+                after: milliseconds(self.config.timeout_ms.get()),
+                last_words: worker.kill().last_words(),
+            },
             Trouble::Process(error) => PythonError::Process(error),
             Trouble::Garbled(reason) => self.garbled(reason),
             Trouble::Memory(error) => PythonError::Memory { object, error },
@@ -213,7 +227,7 @@ impl Drop for PythonObject {
     fn drop(&mut self) {
         if let Some(worker) = self.worker.take() {
             let ended = worker.end(GRACE);
-            if !ended.well() {
+            if !ended.as_asked() {
                 tracing::warn!(name = self.launch.name, "at its end, {ended}");
             }
         }

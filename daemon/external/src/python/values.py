@@ -12,6 +12,10 @@ TREE = "application/x-python-tree"
 OR_PICKLE = "say pickle = true on both ends"
 # A message takes 64 parts; the first may be the tree or the pickle.
 MAX_LEAVES = 63
+# Of all parts of a value together: 1 GiB.
+MAX_BYTES = 1 << 30
+# Of one dimension of an array.
+MAX_LENGTH = (1 << 32) - 1
 
 DTYPES = {
     "bool": "?", "u8": "u1", "i8": "i1", "u16": "<u2", "i16": "<i2", "f16": "<f2", "u32": "<u4", "i32": "<i4",
@@ -22,7 +26,7 @@ ELEMENTS = {
     "f4": "f32", "u8": "u64", "i8": "i64", "f8": "f64", "c8": "c64", "c16": "c128",
 }
 # Modes of PIL whose pixels are numbers of other types.
-NUMBERS = {"I;16": "u16", "I": "i32", "F": "f32"}
+NUMBERS = {"I;16": "u16", "I;16L": "u16", "I;16B": "u16", "I": "i32", "F": "f32"}
 PIXELS = {"RGB": ("rgb8", 3), "L": ("grey8", 1)}
 
 
@@ -36,6 +40,11 @@ class Refused(Exception):
 
 class Gone(Exception):
     """The other end of the pipe is closed."""
+
+
+def is_a(value, module, kind):
+    """Whether it is of that class. The module may not be there, or be imported by another thread just now."""
+    return isinstance(value, getattr(sys.modules.get(module), kind, ()))
 
 
 def part(media, data, shape=(), element=None):
@@ -76,26 +85,31 @@ class Encoder:
             return self.bytes
         if isinstance(value, str):
             return self.text
-        numpy = sys.modules.get("numpy")
-        if numpy is not None and isinstance(value, numpy.ndarray):
-            lossless = type(value) is numpy.ndarray and value.dtype.str[1:] in ELEMENTS
+        if is_a(value, "numpy", "ndarray"):
+            lossless = type(value) is sys.modules["numpy"].ndarray and value.dtype.str[1:] in ELEMENTS
             return self.array if lossless or not self.may_pickle else None
-        image = sys.modules.get("PIL.Image")
-        if image is not None and isinstance(value, image.Image):
+        if is_a(value, "PIL.Image", "Image"):
             return self.picture if value.mode in PIXELS or not self.may_pickle else None
-        torch = sys.modules.get("torch")
-        if torch is not None and isinstance(value, torch.Tensor) and not self.may_pickle:
-            return self.tensor
-        return None
+        return self.tensor if is_a(value, "torch", "Tensor") and not self.may_pickle else None
 
     def bytes(self, value):
-        return part("bytes", value if memoryview(value).c_contiguous else value.tobytes())
+        view = memoryview(value)
+        # A view may be one of numbers, have several dimensions, or gaps.
+        is_bytes = view.format in ("B", "b", "c") and view.ndim == 1 and view.contiguous
+        return part("bytes", value if is_bytes else view.tobytes())
 
     def text(self, value):
-        return part("text", value.encode())
+        try:
+            return part("text", value.encode())
+        except UnicodeEncodeError as error:
+            raise Refused("a text that is not Unicode does not cross (%s); encode it" % error.reason) from None
 
     def tensor(self, value):
-        return self.array(value.detach().cpu().numpy())
+        try:
+            return self.array(value.detach().cpu().numpy())
+        except (RuntimeError, TypeError) as error:
+            text = "a tensor of type %s does not cross (%s); convert it, or %s"
+            raise Refused(text % (value.dtype, error, OR_PICKLE)) from None
 
     def array(self, value):
         numpy = sys.modules["numpy"]
@@ -104,15 +118,24 @@ class Encoder:
         element = ELEMENTS.get(value.dtype.str[1:])
         if element is None:
             raise Refused("an array of type %s does not cross; convert it, or %s" % (value.dtype, OR_PICKLE))
+        if any(length > MAX_LENGTH for length in value.shape):
+            raise Refused("an array of shape %s does not cross; at most %d in each" % (value.shape, MAX_LENGTH))
         value = numpy.ascontiguousarray(value, dtype=DTYPES[element]).reshape(value.shape)
         data = value.reshape(-1).view(numpy.uint8).data if value.size else b""
         return part("tensor", data, value.shape, element)
 
     def picture(self, value):
         if value.mode in NUMBERS:
-            return part("tensor", value.tobytes(), (value.height, value.width), NUMBERS[value.mode])
+            data = value.tobytes()
+            if value.mode == "I;16B":
+                high_first, data = data, bytearray(data)
+                data[::2], data[1::2] = high_first[1::2], high_first[::2]
+            return part("tensor", data, (value.height, value.width), NUMBERS[value.mode])
         if value.mode not in PIXELS:
-            value = value.convert("L" if value.mode in ("1", "LA", "La") else "RGB")
+            try:
+                value = value.convert("L" if value.mode in ("1", "LA") else "RGB")
+            except ValueError as error:
+                raise Refused("a picture of mode %s does not cross (%s); convert it" % (value.mode, error)) from None
         name, channels = PIXELS[value.mode]
         return part({"pixels": name}, value.tobytes(), (value.height, value.width, channels), "u8")
 
@@ -154,9 +177,11 @@ class Encoder:
             items = [self.tree(one, leaves, depth + 1) for one in value.values()]
             is_json = all(isinstance(key, str) for key in keys) and all(plain for _, plain in items)
             return {"dict": [[key, item] for key, (item, _) in zip(keys, items)]}, is_json
-        numpy = sys.modules.get("numpy")
-        if numpy is not None and isinstance(value, numpy.generic):
-            return self.tree(value.item(), leaves, depth)
+        if is_a(value, "numpy", "generic") and value.dtype.kind in "biuf":
+            number = value.item()
+            # Of one that Python has no type for it is a numpy scalar again.
+            if isinstance(number, (bool, int, float)):
+                return self.tree(number, leaves, depth)
         kind = type(value)
         raise Refused(
             "a %s.%s does not cross; return bytes, text, numbers, arrays, pictures, lists or dictionaries of them, or %s"
@@ -190,19 +215,25 @@ class Decoder:
         """The value of the parts that come next; all are read, whatever is wrong with one."""
         first = heads[0]["description"]["media"] if heads else None
         other = first.get("other") if isinstance(first, dict) else None
-        if other == PICKLE:
-            return self.unpickled([border.array(head) for head in heads])
         values, refused = [], None
         for head in heads:
             description = head["description"]
-            data = border.array(head) if description["media"] == "tensor" else border.bytes(head)
             try:
-                values.append(self.value(description, data))
+                if other == PICKLE:
+                    values.append(border.array(head))
+                elif description["media"] == "tensor":
+                    values.append(self.array(description, border.array(head)))
+                else:
+                    values.append(self.value(description, border.bytes(head)))
+            except Gone:
+                raise
             except Exception as error:
                 # The other parts still have to be read.
                 refused = refused or error
         if refused is not None:
             raise Refused(str(refused) or type(refused).__name__)
+        if other == PICKLE:
+            return self.unpickled(values)
         if other == TREE:
             try:
                 return grown(json.loads(values[0]), values)
@@ -216,8 +247,6 @@ class Decoder:
             return data.decode()
         if media == "json":
             return json.loads(data)
-        if media == "tensor":
-            return self.array(description, data)
         if isinstance(media, dict) and "pixels" in media:
             return self.pixels(description, data)
         if media in ("jpeg", "png") and self.images == "pil":
@@ -236,6 +265,8 @@ class Decoder:
         height, width, channels = description["shape"]
         if self.images == "pil":
             mode = "RGB" if channels == 3 else "L"
+            if not data:
+                return pil().new(mode, (width, height))
             return pil().frombuffer(mode, (width, height), data, "raw", mode, 0, 1)
         if self.images == "numpy":
             numpy = imported("numpy", "a picture", "python3-numpy", " or say images = 'bytes'")
@@ -248,7 +279,11 @@ class Decoder:
                 "a pickled object arrived and is not unpickled, because that runs code of whoever sent it; "
                 "where you trust them, say pickle = true here as well"
             )
-        return pickle.loads(parts[0], buffers=parts[1:])
+        try:
+            return pickle.loads(parts[0], buffers=parts[1:])
+        except Exception as error:
+            text = "a pickled object arrived that cannot be unpickled: %s: %s"
+            raise Refused(text % (type(error).__name__, error)) from None
 
 
 def pil():

@@ -67,7 +67,10 @@ impl Window {
             })
             .collect();
         if end > self.map.len() {
-            self.file.set_len(end.next_power_of_two() as u64)?;
+            // The other side may have made it longer for an answer that then did not come.
+            if (end as u64) > self.file.metadata()?.len() {
+                self.file.set_len(end.next_power_of_two() as u64)?;
+            }
             self.map = MmapRaw::map_raw(&*self.file)?;
         }
         for (part, at) in parts.iter().zip(&places) {
@@ -161,6 +164,8 @@ mod tests {
         theirs.write_all_at(b"late", FIRST as u64 + 7).expect("there is room");
         let taken = window.take(FIRST as u64 + 7, 4).expect("it is mapped");
         assert_eq!(taken.as_deref(), Some(&b"late"[..]));
+        theirs.set_len(16 * FIRST as u64).expect("it may grow");
+        window.put(&[part(3 * FIRST)]).expect("it is there already");
     }
 
     #[test]

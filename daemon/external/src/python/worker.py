@@ -5,6 +5,8 @@ import traceback
 
 METHODS = {"sensor": "sample", "model": "infer"}
 MAX_TEXT = 4000
+# What users say to end the process, and so do; everything else that they raise fails one call.
+ENDS = (SystemExit, KeyboardInterrupt)
 now = time.monotonic_ns
 
 
@@ -35,9 +37,16 @@ def kind_of(thing):
 
 def finished():
     """Waits until what was given to a GPU is computed, so that it counts where it was caused."""
-    torch = sys.modules.get("torch")
-    if torch is not None and torch.cuda.is_initialized():
-        torch.cuda.synchronize()
+    # Another thread may be importing it just now.
+    cuda = getattr(sys.modules.get("torch"), "cuda", None)
+    if hasattr(cuda, "is_initialized") and cuda.is_initialized():
+        cuda.synchronize()
+
+
+def pictures(value):
+    """The pictures that a value is or holds."""
+    held = value.values() if isinstance(value, dict) else value if isinstance(value, (list, tuple)) else (value,)
+    return [one for one in held if is_a(one, "PIL.Image", "Image")] if len(held) <= MAX_LEAVES else []
 
 
 class Sensor:
@@ -49,9 +58,8 @@ class Sensor:
         try:
             value = self.thing.sample()
             # PIL opens files lazily; decoding them is part of having a sample.
-            image = sys.modules.get("PIL.Image")
-            if image is not None and isinstance(value, image.Image):
-                value.load()
+            for picture in pictures(value):
+                picture.load()
             finished()
         finally:
             stages.append(("sample", begun, now()))
@@ -81,10 +89,17 @@ def text_of(error):
         trace = trace.tb_next
     line = "".join(traceback.format_exception_only(type(error), error)).strip()
     if trace is None and error.__cause__ is None and error.__context__ is None:
-        return line[:MAX_TEXT]
+        return line
     lines = "".join(traceback.format_exception(type(error), error, trace)).strip()
-    text = line[: MAX_TEXT // 4] + "\n" + lines
-    return text if len(text) <= MAX_TEXT else text[: MAX_TEXT // 2] + "\n  …\n" + text[-MAX_TEXT // 2 :]
+    return line[: MAX_TEXT // 4] + "\n" + lines
+
+
+def fail(border, kind, text, stages):
+    # Half a character cannot be written, whoever put it into a message.
+    text = text.encode("utf-8", "backslashreplace").decode()
+    if len(text) > MAX_TEXT:
+        text = text[: MAX_TEXT // 2] + "\n  …\n" + text[-MAX_TEXT // 2 :]
+    border.write(kind, {"text": text, "stages": stages})
 
 
 def start(request):
@@ -107,20 +122,18 @@ def answer(border, request, role, encoder, decoder):
     try:
         value = decoder.read(border, request["call"]["parts"])
         value = role.call(value, stages)
-        parts = encoder.parts(value)
-    except Gone:
+        frame = border.frame("value", {"stages": stages, "parts": []}, encoder.parts(value))
+    except (Gone, *ENDS):
         raise
     except Refused as error:
-        border.write("refused", {"text": str(error), "stages": stages})
-    except StopIteration as error:
-        if isinstance(role, Sensor):
+        fail(border, "refused", str(error), stages)
+    except BaseException as error:
+        if isinstance(error, StopIteration) and isinstance(role, Sensor):
             border.write("over", {"stages": stages})
         else:
-            border.write("raised", {"text": text_of(error), "stages": stages})
-    except Exception as error:
-        border.write("raised", {"text": text_of(error), "stages": stages})
+            fail(border, "raised", text_of(error), stages)
     else:
-        border.write("value", {"stages": stages, "parts": []}, parts)
+        border.send(frame)
 
 
 def main():
@@ -129,10 +142,12 @@ def main():
     border.share(request["start"]["window"])
     try:
         role, what, encoder, decoder = start(request)
+    except ENDS:
+        raise
     except Refused as error:
-        return border.write("refused", {"text": str(error), "stages": []})
-    except Exception as error:
-        return border.write("raised", {"text": text_of(error), "stages": []})
+        return fail(border, "refused", str(error), [])
+    except BaseException as error:
+        return fail(border, "raised", text_of(error), [])
     version = ".".join(str(number) for number in sys.version_info[:3])
     border.write("ready", {"python": version, "what": what})
     while True:

@@ -23,17 +23,14 @@ pub(super) struct Worker {
 }
 
 /// Why it cannot be spoken with any more.
-#[derive(Debug)]
+#[derive(Debug, thiserror::Error)]
 pub(super) enum Trouble {
-    Process(ProcessError),
+    #[error(transparent)]
+    Process(#[from] ProcessError),
+    #[error("its process does not speak as agreed: {0}")]
     Garbled(String),
+    #[error("cannot share memory with its process: {0}")]
     Memory(io::Error),
-}
-
-impl From<ProcessError> for Trouble {
-    fn from(error: ProcessError) -> Self {
-        Self::Process(error)
-    }
 }
 
 impl Worker {
@@ -72,6 +69,11 @@ impl Worker {
         let answer = self.hear(until)?;
         self.window.relax();
         Ok(answer)
+    }
+
+    /// Kills it.
+    pub(super) fn kill(self) -> Ended {
+        self.process.kill()
     }
 
     /// Ends it.

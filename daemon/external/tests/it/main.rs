@@ -1,4 +1,5 @@
 //! Users' Python objects and programs, run for real.
 
+mod examples;
 mod processes;
 mod python;

@@ -73,6 +73,23 @@ fn a_process_that_ends_when_told_to_leaves_nothing() {
     assert!(left.ends());
 }
 
+#[test]
+fn the_end_by_the_signal_that_asked_for_it_is_no_fault() {
+    let clock = clock();
+    for (script, is_as_asked) in [
+        ("echo here; exec sleep 600", true),
+        ("trap 'exit 143' TERM; echo here; while :; do sleep 0.01; done", true),
+        ("trap 'exit 3' TERM; echo here; while :; do sleep 0.01; done", false),
+        // Before it was asked.
+        ("echo here; kill -TERM $$", false),
+    ] {
+        let mut process = shell(script, &clock);
+        line(&mut process, &clock).expect("it has begun");
+        let ended = process.end(Span::from_seconds(4));
+        assert_eq!(ended.as_asked(), is_as_asked, "{script}: {ended:?}");
+    }
+}
+
 /// The host is this test program once more, so that it can end without the test.
 fn ends_with_its_host(end: impl FnOnce(&mut std::process::Child)) {
     let this = std::env::current_exe().expect("a test has a file");

@@ -8,9 +8,12 @@ use peernet_external::exec::{CommandLine, ExecConfig};
 use peernet_logger::Slug;
 use serde::{Deserialize, Serialize};
 
+use crate::config::{cpu, one, sixteen};
+
 /// `kind = "exec"`: a program of the user's own, one process for each worker.
 ///
-/// The keys beside `name`, `device`, `workers` and `queue` are those of an exec sensor ([`ExecConfig`]).
+/// The keys beside `name`, `device`, `workers` and `queue` are those of an exec sensor ([`ExecConfig`]). They stand here
+/// once more because serde, flattening one table into another, no longer tells which keys there are when one is misspelt.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ExecModelConfig {
@@ -39,20 +42,6 @@ pub struct ExecModelConfig {
 }
 
 impl ExecModelConfig {
-    /// A program on a device; every other key at its default.
-    pub fn new(name: Slug, command: CommandLine, device: &str) -> Self {
-        Self {
-            name,
-            command,
-            device: device.to_owned(),
-            workers: one(),
-            queue: sixteen(),
-            timeout_ms: None,
-            folder: None,
-            env: BTreeMap::new(),
-        }
-    }
-
     /// What is asked of the process.
     pub(super) fn process(&self) -> ExecConfig {
         let default = ExecConfig::of(self.command.clone());
@@ -61,16 +50,4 @@ impl ExecModelConfig {
         let timeout_ms = self.timeout_ms.unwrap_or(default.timeout_ms);
         ExecConfig { timeout_ms, folder: self.folder.clone(), env, ..default }
     }
-}
-
-fn cpu() -> String {
-    "cpu".to_owned()
-}
-
-const fn one() -> NonZeroUsize {
-    NonZeroUsize::MIN
-}
-
-const fn sixteen() -> NonZeroUsize {
-    NonZeroUsize::MIN.saturating_add(15)
 }

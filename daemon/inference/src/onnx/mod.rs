@@ -19,10 +19,12 @@ mod worker;
 pub use summary::CardSummary;
 pub(crate) use summary::{hash, summarise};
 
+use std::collections::HashSet;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use peernet_logger::Slug;
+use peernet_logger::{Name, Slug};
+use peernet_sample::{examples, plain_label};
 
 use crate::litter::Litter;
 use crate::{LoadError, Model, OnnxConfig, OnnxRuntimeConfig, Worker};
@@ -40,6 +42,12 @@ pub(crate) const CARD: &str = "model.toml";
 
 /// The name of the fact that tells which file a model is: its SHA-256 in hexadecimal.
 pub const MODEL_HASH: &str = "Model SHA-256";
+
+/// The name of the fact that tells how many classes a model has, and some of their names.
+const CLASSES: &str = "Classes";
+
+/// 1 where a sample's label is no class of the model, beside the stages: no answer could be right.
+pub const UNKNOWN_LABEL: Name = Name::from_static("unknown-label");
 
 /// Whether this is the name of a device.
 ///
@@ -63,6 +71,8 @@ struct Plan {
     name: Slug,
     file: PathBuf,
     card: Card,
+    /// The card's labels in the form in which they are compared.
+    classes: HashSet<String>,
     device: Device,
     workers: usize,
     intra_threads: usize,
@@ -99,6 +109,7 @@ impl Onnx {
         let plan = Plan {
             name: config.name.clone(),
             file,
+            classes: card.output.labels.iter().map(|label| plain_label(label)).collect(),
             card,
             device,
             workers: config.workers.get(),
@@ -126,10 +137,16 @@ impl Model for Onnx {
             (MODEL_HASH, self.hash.clone()),
             ("Task", card.description.clone()),
             ("Input", card.summary().input),
+            (CLASSES, classes(&card.output.labels)),
             ("Device", device.to_string()),
             ("Threads per worker", format!("{intra_threads} within operators, {inter_threads} across")),
             ("ONNX Runtime", self.runtime.library().display().to_string()),
         ];
         facts.map(|(name, value)| (name.to_owned(), value)).into()
     }
+}
+
+/// How many there are, and the first of them.
+fn classes(labels: &[String]) -> String {
+    format!("{}: {}", labels.len(), examples(labels.iter().map(String::as_str)))
 }

@@ -9,20 +9,19 @@ use std::path::PathBuf;
 
 use ort::logging::LogLevel;
 use ort::session::builder::GraphOptimizationLevel;
-use tempfile::TempDir;
 
 use super::device::Device;
 use super::library::Runtime;
 use super::{MODEL, Plan, session};
-use crate::LoadError;
 use crate::litter::Litter;
+use crate::{LoadError, Scratch};
 
 /// Initialisers below this many bytes stay in the model itself.
 const SMALLEST: &str = "1024";
 
 /// An optimised model on disk; gone when this is dropped.
 pub(super) struct Shared {
-    folder: TempDir,
+    folder: Scratch,
     litter: Litter,
 }
 
@@ -43,10 +42,8 @@ impl Shared {
         if plan.workers < 2 || plan.device != Device::Cpu {
             return Ok(None);
         }
-        let parent = std::env::temp_dir();
-        let folder = tempfile::Builder::new().prefix("peernet-model-").tempdir_in(&parent);
-        let folder = folder.map_err(|error| LoadError::File {
-            file: parent,
+        let folder = Scratch::new("model").map_err(|error| LoadError::File {
+            file: std::env::temp_dir(),
             reason: format!(
                 "{error}; several workers share a model through a temporary folder: set TMPDIR or workers = 1"
             ),

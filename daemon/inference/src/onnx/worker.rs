@@ -5,13 +5,13 @@ use std::sync::Arc;
 use bytes::Bytes;
 use ort::session::Session;
 use ort::value::TensorRef;
-use peernet_logger::{Recorder, stage};
-use peernet_sample::{Description, MediaType, Sample};
+use peernet_logger::{Recorder, Unit, stage};
+use peernet_sample::{Description, MediaType, Sample, plain_label};
 
-use super::Plan;
 use super::card::Card;
 use super::classify::classify;
 use super::preprocess::Preprocessor;
+use super::{Plan, UNKNOWN_LABEL};
 use crate::{InferenceError, LoadError, Worker};
 
 pub(super) struct OnnxWorker {
@@ -76,9 +76,14 @@ impl Worker for OnnxWorker {
             let _stage = log.time(stage::INFERENCE);
             self.run().map_err(|reason| failed(&self.plan, reason))?;
         }
-        let _stage = log.time(stage::POSTPROCESSING);
-        let json = classify(&self.plan.card.output, &mut self.numbers)
-            .map_err(|reason| failed(&self.plan, reason))?;
+        let json = {
+            let _stage = log.time(stage::POSTPROCESSING);
+            classify(&self.plan.card.output, &mut self.numbers)
+                .map_err(|reason| failed(&self.plan, reason))?
+        };
+        if sample.label.as_ref().is_some_and(|label| !self.plan.classes.contains(&plain_label(label))) {
+            log.value(UNKNOWN_LABEL, 1.0, Unit::NONE);
+        }
         Ok(Sample::of(Description::unshaped(MediaType::Json), Bytes::from(json)))
     }
 }

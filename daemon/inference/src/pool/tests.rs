@@ -146,7 +146,10 @@ fn a_panic_fails_one_sample_and_no_more() {
     assert_eq!(done.result, Err(InferenceError::Panicked { model: "told".to_owned(), message }));
     let tree = done.log.finish();
     assert!(!tree.find(&["inference"]).expect("was begun").1.measure.is_open());
-    assert_eq!(run(&pool, "good").result, Ok(sample("good")));
+    let done = run(&pool, "good");
+    assert_eq!(done.result, Ok(sample("good")));
+    assert!(done.log.finish().find(&["restart"]).is_some(), "its worker was built anew");
+    assert!(run(&pool, "good").log.finish().find(&["restart"]).is_none());
 }
 
 #[test]

@@ -8,9 +8,12 @@ use peernet_external::python::{Images, PythonConfig};
 use peernet_logger::Slug;
 use serde::{Deserialize, Serialize};
 
+use crate::config::{cpu, one, sixteen};
+
 /// `kind = "python"`: a Python object of the user's own, each worker in a process of its own.
 ///
-/// The keys beside `name`, `device`, `workers` and `queue` are those of a Python sensor ([`PythonConfig`]).
+/// The keys beside `name`, `device`, `workers` and `queue` are those of a Python sensor ([`PythonConfig`]). They stand here
+/// once more because serde, flattening one table into another, no longer tells which keys there are when one is misspelt.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PythonModelConfig {
@@ -51,24 +54,6 @@ pub struct PythonModelConfig {
 }
 
 impl PythonModelConfig {
-    /// An object on a device; every other key at its default.
-    pub fn new(name: Slug, object: &str, device: &str) -> Self {
-        Self {
-            name,
-            object: object.to_owned(),
-            device: device.to_owned(),
-            workers: one(),
-            queue: sixteen(),
-            folder: None,
-            python: None,
-            env: BTreeMap::new(),
-            pickle: false,
-            images: Images::default(),
-            timeout_ms: None,
-            start_timeout_ms: None,
-        }
-    }
-
     /// What is asked of the process.
     pub(super) fn process(&self) -> PythonConfig {
         let default = PythonConfig::of(&self.object);
@@ -83,16 +68,4 @@ impl PythonModelConfig {
             ..default
         }
     }
-}
-
-fn cpu() -> String {
-    "cpu".to_owned()
-}
-
-const fn one() -> NonZeroUsize {
-    NonZeroUsize::MIN
-}
-
-const fn sixteen() -> NonZeroUsize {
-    NonZeroUsize::MIN.saturating_add(15)
 }

@@ -71,7 +71,11 @@ impl Worker for PythonWorker {
     fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
         let called = self.object.call(&sample.parts);
         let begun = called.times.begun;
+        if let Some(from) = called.times.restarted {
+            log.timed(stage::RESTART, from, begun);
+        }
         log.timed(stage::IPC, begun, begun + called.times.border());
+        let has_inferred = called.times.stages.iter().any(|(own, ..)| *own == Stage::Infer);
         for (own, from, to) in called.times.stages {
             let name = match own {
                 Stage::Preprocess => stage::PREPROCESSING,
@@ -83,6 +87,8 @@ impl Worker for PythonWorker {
         }
         let failed = |reason| InferenceError::Failed { model: self.model.clone(), reason };
         let parts = called.result.map_err(|error| match error {
+            // It took the sample.
+            PythonError::Value(reason) if has_inferred => failed(format!("its answer: {reason}")),
             PythonError::Value(reason) => {
                 let (model, sample) = (self.model.clone(), sample.source.clone());
                 InferenceError::Input { model, sample, reason }

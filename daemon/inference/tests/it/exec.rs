@@ -47,6 +47,33 @@ fn a_silent_program_is_all_inference_and_one_that_tells_leaves_the_way_to_it() {
 }
 
 #[test]
+fn the_first_answer_of_a_program_that_was_started_anew_is_its_restart() {
+    let script = r#"
+sleep 0.3
+while read -r word bytes media shape source; do
+    case $(head -c "$bytes") in
+    die) exit 4 ;;
+    stages) echo stage inference 0.0000001 ;;
+    esac
+    echo answer 0
+done
+"#;
+    let config = format!("name = 'p'\nkind = 'exec'\ncommand = {}", toml::Value::from(script));
+    let bank = bank(&[&config]);
+    let pool = loaded(&bank, "p");
+    for (sample, inference) in [("plain", None), ("stages", Some(1e-7))] {
+        assert!(run(&pool, text("die")).result.is_err());
+        let done = run(&pool, text(sample));
+        assert!(done.result.is_ok());
+        let tree = done.log.finish();
+        let value = |name: &str| tree.find(&[name]).and_then(|(_, node)| node.measure.value());
+        assert!(value("restart").is_some_and(|seconds| seconds >= 0.3), "{sample}: {:?}", value("restart"));
+        assert_eq!((value("inference"), value("ipc")), (inference, None), "{sample}");
+        assert!(run(&pool, text(sample)).log.finish().find(&["restart"]).is_none());
+    }
+}
+
+#[test]
 fn a_program_that_tells_more_time_than_there_was_fails_the_sample_alone() {
     let bank = bank(&[&model("")]);
     let pool = loaded(&bank, "p");

@@ -6,6 +6,7 @@ mod bank;
 mod exec;
 mod folders;
 mod process;
+mod python;
 mod refusals;
 mod samples;
 mod workers;

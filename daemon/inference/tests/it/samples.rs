@@ -23,6 +23,23 @@ fn an_answer_ranks_all_labels_and_its_stages_are_recorded() {
 }
 
 #[test]
+fn a_label_that_is_no_class_of_the_model_is_marked() {
+    let bank = bank(&[&quality_control("")]);
+    let pool = loaded(&bank, "qc");
+    let (file, _) = pictures("pictures").swap_remove(0);
+    for (label, expected) in
+        [(None, None), (Some("Hole_Missing"), None), (Some("tench"), Some(1.0)), (Some("3"), Some(1.0))]
+    {
+        let sample = Sample { label: label.map(str::to_owned), ..jpeg(file.clone()) };
+        let tree = run(&pool, sample).log.finish();
+        let found = tree.find(&["unknown-label"]).and_then(|(_, node)| node.measure.value());
+        assert_eq!(found, expected, "{label:?}");
+    }
+    let classes = ("Classes".to_owned(), "4: good, scratched, dented, hole missing".to_owned());
+    assert!(pool.facts().contains(&classes), "{:?}", pool.facts());
+}
+
+#[test]
 fn decoded_pixels_are_taken_as_well() {
     let bank = bank(&[&quality_control("")]);
     let pool = loaded(&bank, "qc");

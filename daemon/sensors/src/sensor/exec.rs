@@ -2,7 +2,7 @@
 
 use peernet_clock::{MonoTime, SharedClock};
 use peernet_external::exec::{ExchangeError, ExecConfig, Notes, Program, Request, Role, Said};
-use peernet_logger::{Name, Recorder, Unit};
+use peernet_logger::{Name, Recorder, Unit, stage};
 use peernet_sample::Sample;
 
 use crate::{Sensor, SensorError};
@@ -57,7 +57,11 @@ impl Exec {
 impl Sensor for Exec {
     fn sample(&mut self, log: &mut Recorder) -> Result<Option<Sample>, SensorError> {
         let exchange = self.program.ask(Request::Next).map_err(|error| self.failed(error))?;
+        let restart = exchange.restart();
         let Said::Parts(parts) = exchange.said else { return Ok(None) };
+        if let Some((from, to)) = restart {
+            log.timed(stage::CAPTURE_RESTART, from, to);
+        }
         self.note(&exchange.notes, log, exchange.began);
         let Notes { source, label, .. } = exchange.notes;
         Ok(Some(Sample { parts, source: source.unwrap_or_default(), label }))

@@ -1,11 +1,12 @@
 //! `images`: pictures from files, as they are.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use bytes::Bytes;
 use peernet_logger::Recorder;
-use peernet_sample::{Description, MediaType, Sample};
+use peernet_sample::{Description, MediaType, Sample, examples};
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
@@ -57,6 +58,14 @@ impl Images {
             self.pictures.shuffle(random);
         }
     }
+
+    /// How many pictures have one, and some of those there are: `100 of 100: dented, good`.
+    fn labels(&self) -> String {
+        let all: Vec<&str> = self.pictures.iter().filter_map(|picture| picture.label.as_deref()).collect();
+        let of = format!("{} of {}", all.len(), self.pictures.len());
+        let different: BTreeSet<&str> = all.into_iter().collect();
+        if different.is_empty() { of } else { format!("{of}: {}", examples(different)) }
+    }
 }
 
 impl Sensor for Images {
@@ -83,9 +92,8 @@ impl Sensor for Images {
         let count = self.pictures.len();
         let order = if self.shuffle.is_some() { "shuffled" } else { "by name" };
         let times = if self.repeat { "repeated" } else { "once" };
-        let labelled = self.pictures.iter().filter(|picture| picture.label.is_some()).count();
         let images = format!("{count} images of {}, {order}, {times}", self.path.display());
-        vec![("Sensor".to_owned(), images), ("Labels".to_owned(), format!("{labelled} of {count}"))]
+        vec![("Sensor".to_owned(), images), ("Labels".to_owned(), self.labels())]
     }
 }
 

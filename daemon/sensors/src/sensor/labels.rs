@@ -21,10 +21,11 @@ struct Row {
     label: String,
 }
 
-/// Reads the labels of `folder`, from the `given` file or its own; `None` when neither is there to be read.
+/// Reads the labels of `folder`, from the `given` file or its own; `None` when neither is there to be read. A picture
+/// without a label is as good as one that is not listed.
 ///
 /// # Errors
-/// When a file is there and cannot be used, or the given one is not there.
+/// When a file is there and cannot be used or holds no label, or the given one is not there.
 pub(super) fn read(folder: &Path, given: Option<&Path>) -> Result<Option<Labels>, SensorError> {
     let file = given.map_or_else(|| folder.join(FILE), Path::to_owned);
     if given.is_none() && file.exists() && !is_file(&file) {
@@ -41,11 +42,19 @@ pub(super) fn read(folder: &Path, given: Option<&Path>) -> Result<Option<Labels>
         let Row { file, label } = row.map_err(|error| {
             wrong(format!("{error}; expected a first line `file,label` and one line per picture"))
         })?;
+        if label.is_empty() {
+            continue;
+        }
         if let Some(other) = labels.insert(file.clone(), label.clone())
             && other != label
         {
             return Err(wrong(format!("{file} is labelled both {other} and {label}")));
         }
+    }
+    if labels.is_empty() {
+        return Err(wrong(
+            "it holds no label, so that no answer could be scored: write a first line `file,label` and one line per picture, or remove it".to_owned(),
+        ));
     }
     Ok(Some(labels))
 }

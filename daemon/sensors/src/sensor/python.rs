@@ -26,6 +26,9 @@ impl Sensor for Python {
     fn sample(&mut self, log: &mut Recorder) -> Result<Option<Sample>, SensorError> {
         let called = self.object.call(&[]);
         let begun = called.times.begun;
+        if let Some(from) = called.times.restarted {
+            log.timed(stage::CAPTURE_RESTART, from, begun);
+        }
         log.timed(stage::CAPTURE_IPC, begun, begun + called.times.border());
         let Some(parts) = called.result? else { return Ok(None) };
         Ok(Some(Sample { parts, source: self.name.clone(), label: None }))

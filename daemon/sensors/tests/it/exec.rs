@@ -1,16 +1,10 @@
-use std::sync::Arc;
-
-use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
 use peernet_external::exec::{CommandLine, ExecConfig};
-use peernet_logger::{HostId, Recorder};
 use peernet_sensors::{SensorConfig, check, open};
+
+use super::{real_clock, recorder};
 
 fn config(command: &str) -> SensorConfig {
     SensorConfig::Exec(ExecConfig::of(CommandLine::Shell(command.to_owned())))
-}
-
-fn clock() -> SharedClock {
-    Arc::new(SystemClock::new(ClockIdentity::new("boot", "clock")))
 }
 
 #[test]
@@ -19,18 +13,19 @@ fn samples_labels_and_drops_come_from_the_program() {
     let script = "for n in 5 6 9 1; do read -r next; \
                   printf 'sequence %d\\nlabel cat %d\\nsource n%d\\nvalue gain 2 dB\\nanswer 2 text/plain\\n%02d' $n $n $n $n; \
                   done; read -r next; echo end; cat";
-    let mut sensor = open(&config(script), &clock()).expect("sh is there");
+    let mut sensor = open(&config(script), &real_clock()).expect("sh is there");
     assert!(sensor.blocks());
     assert!(sensor.facts()[0].1.contains("for n in"));
     for (number, dropped) in [(5, 0.0), (6, 0.0), (9, 2.0), (1, 0.0)] {
-        let mut log = Recorder::begin(clock(), HostId::random());
+        let mut log = recorder();
         let sample = sensor.sample(&mut log).expect("gives one").expect("goes on");
         assert_eq!((sample.source, sample.label), (format!("n{number}"), Some(format!("cat {number}"))));
         assert_eq!(sample.parts[0].bytes, format!("{number:02}"));
         let value = |name| log.tree().find(&[name]).and_then(|(_, node)| node.measure.value());
         assert_eq!((value("dropped-samples"), value("gain")), (Some(dropped), Some(2.0)));
+        assert_eq!(value("capture-restart"), None);
     }
-    let mut log = Recorder::begin(clock(), HostId::random());
+    let mut log = recorder();
     assert!(sensor.sample(&mut log).expect("says so").is_none(), "there are no more");
 }
 
@@ -40,20 +35,21 @@ fn a_failure_names_the_program_and_the_next_sample_is_another_try() {
     let mark = folder.path().join("mark");
     let script =
         format!("if [ -e {0} ]; then read -r x; echo answer 0; cat; fi; touch {0}; exit 7", mark.display());
-    let mut sensor = open(&config(&script), &clock()).expect("sh is there");
-    let mut log = Recorder::begin(clock(), HostId::random());
+    let mut sensor = open(&config(&script), &real_clock()).expect("sh is there");
+    let mut log = recorder();
     let error = sensor.sample(&mut log).expect_err("it ends").to_string();
     assert!(error.contains("exit status 7") && error.contains("the program if [ -e"), "{error}");
     assert!(sensor.sample(&mut log).expect("the second one stays").is_some());
+    assert!(log.tree().find(&["capture-restart"]).is_some(), "which had to come up");
 }
 
 #[test]
 fn a_check_runs_nothing() {
     let folder = tempfile::tempdir().expect("can be made");
     let mark = folder.path().join("mark");
-    check(&config(&format!("touch {}", mark.display())), &clock()).expect("is well formed");
+    check(&config(&format!("touch {}", mark.display())), &real_clock()).expect("is well formed");
     assert!(!mark.exists());
     let missing = ExecConfig::of(CommandLine::Words(vec!["./no-such-program".to_owned()]));
-    let error = check(&SensorConfig::Exec(missing), &clock()).expect_err("is not there").to_string();
+    let error = check(&SensorConfig::Exec(missing), &real_clock()).expect_err("is not there").to_string();
     assert!(error.contains("./no-such-program"), "{error}");
 }

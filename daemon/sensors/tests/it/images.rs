@@ -53,6 +53,11 @@ fn labels_come_from_the_file_of_labels_or_from_folders() {
     let labels = [(); 2].map(|()| next(sensor.as_mut()).expect("reads").expect("there").label);
     assert_eq!(labels, [Some("good".to_owned()), Some("dented".to_owned())]);
 
+    let half = folder(&[("a.jpg", ""), ("b.jpg", ""), ("labels.csv", "file,label\na.jpg,\nb.jpg,good\n")]);
+    let mut sensor = images(half.path(), Order::Name, 1, false).expect("opens");
+    let labels = [(); 2].map(|()| next(sensor.as_mut()).expect("reads").expect("there").label);
+    assert_eq!(labels, [None, Some("good".to_owned())], "an empty one is none");
+
     let sorted = folder(&[("good/a.jpg", ""), ("dented/b.jpg", ""), ("c.jpg", "")]);
     let mut sensor = images(sorted.path(), Order::Name, 1, false).expect("opens");
     let found: Vec<_> = (0..3)
@@ -61,6 +66,9 @@ fn labels_come_from_the_file_of_labels_or_from_folders() {
         .collect();
     let expected = [("c.jpg", None), ("dented/b.jpg", Some("dented")), ("good/a.jpg", Some("good"))];
     assert_eq!(found, expected.map(|(source, label)| (source.to_owned(), label.map(str::to_owned))));
+
+    let told = ("Labels".to_owned(), "2 of 3: dented, good".to_owned());
+    assert!(sensor.facts().contains(&told), "{:?}", sensor.facts());
 
     let mut single = images(&listed.path().join("a.jpg"), Order::Name, 1, false).expect("opens");
     assert_eq!(next(single.as_mut()).expect("reads").expect("there").label.as_deref(), Some("good"));
@@ -95,6 +103,9 @@ fn what_cannot_be_opened_is_named() {
         ("file,label\nb.jpg,good\n", "b.jpg"),
         ("name,class\na.jpg,good\n", "file,label"),
         ("file,label\na.jpg,good\na.jpg,dented\n", "both good and dented"),
+        ("", "holds no label"),
+        ("file,label\n", "holds no label"),
+        ("file,label\na.jpg,\n", "holds no label"),
     ] {
         let folder = folder(&[("a.jpg", ""), ("labels.csv", labels)]);
         let error = refused(folder.path());

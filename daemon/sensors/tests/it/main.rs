@@ -2,19 +2,25 @@
 
 mod exec;
 mod images;
+mod python;
 mod synthetic;
 mod text;
 mod transforms;
 
 use std::sync::Arc;
 
-use peernet_clock::{ClockIdentity, ManualClock, SharedClock, WallTime};
+use peernet_clock::{ClockIdentity, ManualClock, SharedClock, SystemClock, WallTime};
 use peernet_logger::{HostId, Recorder};
 use peernet_sample::Sample;
 use peernet_sensors::{Sensor, SensorError};
 
 fn clock() -> SharedClock {
     Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "clock")))
+}
+
+/// For processes, which are waited for.
+fn real_clock() -> SharedClock {
+    Arc::new(SystemClock::new(ClockIdentity::new("boot", "clock")))
 }
 
 fn recorder() -> Recorder {

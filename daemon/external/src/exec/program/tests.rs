@@ -1,6 +1,7 @@
 //! Real programs: most of them a few lines of shell.
 
 use std::num::NonZeroU64;
+use std::os::unix::fs::PermissionsExt;
 use std::sync::Arc;
 
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
@@ -89,11 +90,85 @@ fn after_its_end_it_is_started_anew() {
     assert!(program.ask(Request::Next).is_ok(), "the second one knows what to do");
 }
 
+/// A program and a request for each role.
+fn of_each_role<T>(script: &str, mut ask: impl FnMut(Program, Request<'_>) -> T) -> [T; 3] {
+    let sample = echo();
+    let requests = [
+        (Role::Sensor, Request::Next),
+        (Role::Model, Request::Sample(&sample)),
+        (Role::Actuator, Request::Answer { answer: &sample, source: "x" }),
+    ];
+    requests.map(|(role, request)| ask(start(role, script, PATIENT), request))
+}
+
+/// What is said of the first request in each role.
+fn failures(script: &str) -> [String; 3] {
+    of_each_role(script, |mut program, request| {
+        program.ask(request).expect_err("nothing can come").to_string()
+    })
+}
+
 #[test]
 fn one_that_closes_its_output_is_told_so() {
-    let mut program = start(Role::Sensor, "read -r line; exec >&-; sleep 600", PATIENT);
-    let error = program.ask(Request::Next).expect_err("nothing can come").to_string();
-    assert!(error.contains("closed its standard output and was killed") && !error.contains("SIG"), "{error}");
+    for error in failures("read -r line; echo enough >&2; exec >&-; sleep 600") {
+        assert!(
+            error.contains("closed its standard output and was killed; its last words: enough"),
+            "{error}"
+        );
+        assert!(!error.contains("SIG"), "{error}");
+    }
+    for error in failures("read -r line; exec >&-; cat > /dev/null; exit 3") {
+        assert!(error.contains("closed its standard output and ended with exit status 3"), "{error}");
+    }
+    // Part of a reply was there.
+    for error in failures("read -r line; printf 'value x'; exit 3") {
+        assert!(error.contains("the process ended with exit status 3"), "{error}");
+    }
+}
+
+#[test]
+fn the_shell_of_a_single_program_hides_nothing_of_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let program = folder.path().join("program");
+    let line = format!("{} --flag \"a word\"", program.display());
+    for (script, part) in [
+        ("read -r line; exec >&-; sleep 600", "closed its standard output and was killed"),
+        ("read -r line; kill -SEGV $$", "ended with signal 11 (SIGSEGV)"),
+    ] {
+        std::fs::write(&program, format!("#!/bin/sh\n{script}\n")).expect("can be written");
+        std::fs::set_permissions(&program, PermissionsExt::from_mode(0o755)).expect("can be set");
+        for error in failures(&line) {
+            assert!(error.contains(part), "{error}");
+        }
+        let several = format!("{line}; exit $?");
+        if part.contains("signal") {
+            for error in failures(&several) {
+                assert!(error.contains("exit status 139 (from a shell: signal 11, SIGSEGV)"), "{error}");
+            }
+        }
+    }
+}
+
+#[test]
+fn one_that_is_too_slow_is_shown_with_its_last_words() {
+    let script = "echo 'out of paper' >&2; read -r line; \
+                  case $PEERNET_ROLE in actuator) echo done;; *) echo answer 0;; esac; sleep 600";
+    let errors = of_each_role(script, |mut program, request| {
+        program.ask(request).expect("the first is answered");
+        program.timeout = Span::from_millis(100);
+        program.ask(request).expect_err("it sleeps").to_string()
+    });
+    for error in errors {
+        assert!(error.contains("no whole reply within 100ms; its last words: out of paper"), "{error}");
+    }
+}
+
+#[test]
+fn a_prompt_without_an_end_of_line_is_shown_at_once() {
+    let mut program = start(Role::Sensor, "read -r line; printf 'answer 0\\nReady> '; sleep 600", PATIENT);
+    program.ask(Request::Next).expect("replies");
+    let error = program.ask(Request::Next).expect_err("it was not asked").to_string();
+    assert!(error.contains("it wrote \"Ready> \" before it was asked"), "{error}");
 }
 
 #[test]
@@ -138,9 +213,11 @@ fn a_huge_length_is_refused_before_memory_is_taken() {
 fn one_that_hangs_is_killed_and_one_that_dies_again_and_again_is_left_alone_for_a_while() {
     let mut program = start(Role::Sensor, "sleep 600", 50);
     let error = program.ask(Request::Next).expect_err("it hangs");
-    assert!(matches!(error, ExchangeError::TooSlow(_)), "{error}");
+    assert!(matches!(error, ExchangeError::TooSlow { .. }), "{error}");
     let mut errors = (0..6).map(|_| program.ask(Request::Next).expect_err("it hangs"));
-    assert!(errors.any(|error| matches!(error, ExchangeError::Pausing(_))));
+    let pausing =
+        errors.find(|error| matches!(error, ExchangeError::Pausing { .. })).expect("it is left alone");
+    assert!(pausing.to_string().contains("no whole reply within 50ms"), "{pausing}");
 }
 
 #[test]

@@ -108,6 +108,8 @@ fn what_is_wrong_is_shown_with_the_right_form() {
         ("stage inference NaN\n", "stage NAME SECONDS"),
         ("stage Upper 1\n", "stage NAME SECONDS"),
         ("stage upload 1\n", "not its to measure"),
+        ("value inference 3 bar\n", "not its to measure"),
+        ("value skipped-starts 1\n", "not its to measure"),
         ("value x inf\n", "value NAME NUMBER"),
         ("version 2\n", "version 2"),
         ("version x\n", "version NUMBER"),

@@ -69,14 +69,40 @@ class Own:
 
 #[test]
 fn stages_lie_within_the_call_and_the_rest_is_the_border() {
-    let Times { begun, ended, stages } = Module::new(ECHO, "own::Own").model().call(&[bytes(b"x")]).times;
+    let Times { begun, ended, stages, restarted } =
+        Module::new(ECHO, "own::Own").model().call(&[bytes(b"x")]).times;
     assert_eq!(
         stages.iter().map(|one| one.0).collect::<Vec<_>>(),
         [Stage::Preprocess, Stage::Infer, Stage::Postprocess]
     );
+    assert_eq!(restarted, None);
     let moments: Vec<_> =
         [begun].into_iter().chain(stages.iter().flat_map(|one| [one.1, one.2])).chain([ended]).collect();
     assert!(moments.is_sorted(), "the clock of the worker is ours: {moments:?}");
+}
+
+#[test]
+fn pictures_are_decoded_in_the_sensors_own_time() {
+    let source = "
+import time, PIL.Image
+def slow():
+    picture = PIL.Image.new('RGB', (2, 1))
+    load = picture.load
+    picture.load = lambda: (time.sleep(0.1), load())
+    return picture
+class One:
+    def sample(self): return slow()
+class Two:
+    def sample(self): return [slow(), slow()]
+class Named:
+    def sample(self): return {'left': slow(), 'right': slow()}
+";
+    for (object, seconds) in [("own::One", 0.1), ("own::Two", 0.2), ("own::Named", 0.2)] {
+        let called = Module::new(source, object).sensor().call(&[]);
+        called.result.expect("pictures cross");
+        let (_, from, to) = called.times.stages[0];
+        assert!((to - from).seconds() >= seconds, "{object}: {:?}", to - from);
+    }
 }
 
 #[test]

@@ -93,6 +93,21 @@ class Own:
 }
 
 #[test]
+fn a_module_that_is_being_imported_does_not_disturb() {
+    let source = "
+import sys, types
+class Own:
+    def infer(self, x):
+        for name in ('numpy', 'PIL.Image', 'torch'): sys.modules[name] = types.ModuleType(name)
+        return [x, 3]
+";
+    let mut model = Module::new(source, "own::Own").model();
+    for _ in 0..2 {
+        assert!(model.call(&[bytes(b"on")]).result.expect("lists cross").is_some());
+    }
+}
+
+#[test]
 fn what_is_printed_does_not_disturb() {
     let mut model = module().model();
     assert_eq!(value(&mut model, &[bytes(b"loud")])[0].bytes, "loud");

@@ -1,9 +1,11 @@
 //! Objects in real Python processes.
 
 mod border;
+mod deaths;
 mod failures;
 mod hostile;
 mod refusals;
+mod table;
 mod values;
 
 use std::fs;

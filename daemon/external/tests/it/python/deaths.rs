@@ -1,0 +1,220 @@
+//! Processes that die, hang or spoil what they say: one call fails with a clear reason, and the next finds another
+//! process.
+
+use std::fs;
+use std::num::NonZeroU64;
+use std::path::Path;
+use std::process::Command;
+use std::thread;
+use std::time::Duration;
+
+use peernet_external::python::{PythonObject, Role};
+use peernet_sample::{Description, Part};
+use rustix::fs::{CWD, FileType, Mode, mknodat};
+use rustix::process::{Pid, Signal, kill_process};
+
+use super::{Module, bytes, failure, value};
+
+const MODEL: &str = "
+import os, sys, time
+class Own:
+    def preprocess(self, x):
+        if x == b'early':
+            sys.exit('not with me')
+        return x
+    def infer(self, x):
+        if x == b'wait':
+            open('waits', 'w').close()
+            time.sleep(600)
+        if x == b'interrupt':
+            raise KeyboardInterrupt
+        if x == b'child':
+            if os.fork() == 0:
+                return b'of the child'
+            os.wait()
+        if x == b'spoil':
+            for number in range(3, 20):
+                try: os.write(number, b'garbage of mine')
+                except OSError: pass
+        if x == b'speak':
+            import subprocess
+            sys.stdout.buffer.write(b'\\xff\\n')
+            subprocess.run(['sh', '-c', 'echo aloud; cat'])
+        if x == b'unusual':
+            raise type('Unusual', (BaseException,), {})('but caught')
+        if x == b'half':
+            raise ValueError('half \\udcff a character')
+        return str(os.getpid())
+";
+
+fn number(model: &mut PythonObject) -> i32 {
+    let answer = value(model, &[bytes(b"on")]);
+    String::from_utf8(answer[0].bytes.to_vec()).expect("a number").parse().expect("a number")
+}
+
+fn kill(number: i32) {
+    kill_process(Pid::from_raw(number).expect("not 0"), Signal::KILL).expect("it runs");
+}
+
+#[test]
+fn one_that_is_killed_in_a_call_or_between_calls_is_told_of_and_replaced() {
+    let module = Module::new(MODEL, "own::Own");
+    let (mut model, mut other) = (module.model(), module.model());
+    let first = number(&mut model);
+    let waits = module.folder.path().join("waits");
+    mknodat(CWD, &waits, FileType::Fifo, Mode::RWXU, 0).expect("a pipe");
+    let killer = thread::spawn(move || {
+        fs::read(waits).expect("it opens it as well");
+        kill(first);
+    });
+    let said = failure(&mut model, &[bytes(b"wait")]);
+    killer.join().expect("it was there to be killed");
+    assert!(said.contains("signal 9 (SIGKILL") && said.contains("started anew"), "{said}");
+
+    // Two at once, between calls.
+    let numbers = [number(&mut model), number(&mut other)];
+    assert_ne!(numbers[0], first);
+    numbers.into_iter().for_each(kill);
+    for model in [&mut model, &mut other] {
+        assert!(failure(model, &[bytes(b"on")]).contains("signal 9 (SIGKILL"));
+        assert!(!numbers.contains(&number(model)));
+    }
+}
+
+#[test]
+fn what_ends_the_process_says_so_and_what_does_not_fails_one_call() {
+    let module = Module::new(MODEL, "own::Own");
+    let mut model = module.model();
+    for (input, parts) in [
+        (&b"early"[..], ["exit status 1", "not with me"]),
+        (b"interrupt", ["SIGINT", "KeyboardInterrupt"]),
+        (b"spoil", ["does not speak as agreed", "garbage"]),
+    ] {
+        let before = number(&mut model);
+        let said = failure(&mut model, &[bytes(input)]);
+        assert!(parts.iter().all(|part| said.contains(part)), "{said}");
+        assert_ne!(number(&mut model), before);
+    }
+    let before = number(&mut model);
+    for (input, part) in [(&b"unusual"[..], "Unusual: but caught"), (b"half", r"half \udcff a character")] {
+        let said = failure(&mut model, &[bytes(input)]);
+        assert!(said.contains(part) && said.contains("in infer"), "{said}");
+    }
+    for input in [&b"child"[..], b"speak"] {
+        assert_eq!(value(&mut model, &[bytes(input)])[0].bytes, before.to_string());
+    }
+    assert_eq!(number(&mut model), before);
+}
+
+#[test]
+fn one_that_does_not_come_up_says_why() {
+    for (source, part) in [
+        ("import os\nos.kill(os.getpid(), 9)", "signal 9 (SIGKILL"),
+        ("class Own:\n    def __init__(self): raise SystemExit('no camera')", "no camera"),
+        ("class Own:\n    def __init__(self): raise KeyboardInterrupt", "SIGINT"),
+        ("class Own:\n    def __init__(self): raise BaseException('rare')", "BaseException: rare"),
+    ] {
+        let said = Module::new(source, "own::Own").refusal(Role::Model);
+        assert!(said.contains("cannot start own::Own") && said.contains(part), "{said}");
+    }
+    let source = "import sys, time\nprint('looking for the arm', file=sys.stderr)\ntime.sleep(600)";
+    let mut module = Module::new(source, "own::Own");
+    module.config.start_timeout_ms = NonZeroU64::new(1500).expect("above 0");
+    let said = module.refusal(Role::Model);
+    for part in ["cannot start own::Own", "not ready within 1.5 s", "looking for the arm", "start_timeout_ms"]
+    {
+        assert!(said.contains(part), "{said}");
+    }
+}
+
+#[test]
+fn one_that_does_not_come_up_again_is_tried_later() {
+    let source = "
+import os
+class Own:
+    def __init__(self):
+        if os.path.exists('once'):
+            raise RuntimeError('the camera is in use')
+        open('once', 'w').close()
+    def infer(self, x): os._exit(4) if x == b'exit' else None
+";
+    let module = Module::new(source, "own::Own");
+    let mut model = module.model();
+    assert!(failure(&mut model, &[bytes(b"exit")]).contains("exit status 4"));
+    assert!(failure(&mut model, &[bytes(b"on")]).contains("the camera is in use"));
+    let resting = failure(&mut model, &[bytes(b"on")]);
+    assert!(resting.contains("keeps dying") && resting.contains("the camera is in use"), "{resting}");
+}
+
+#[test]
+fn memory_that_is_not_there_fails_one_call() {
+    let source = "
+import resource
+class Own:
+    def __init__(self):
+        now = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (now + (64 << 20), resource.RLIM_INFINITY))
+    def infer(self, x):
+        if x == b'much': return bytearray(256 << 20)
+        if x == b'answer': return [b'abcd' * (12 << 20)] * 2
+        return str(len(x))
+";
+    let mut model = Module::new(source, "own::Own").model();
+    assert!(failure(&mut model, &[bytes(b"much")]).contains("MemoryError"));
+    let said = failure(&mut model, &[bytes(b"answer")]);
+    assert!(said.contains("no memory for a value of 100663296 bytes"), "{said}");
+    let more = Part { description: Description::bytes(), bytes: vec![7; 3 << 20].into() };
+    assert_eq!(value(&mut model, &[more])[0].bytes, "3145728", "the same memory is used on");
+    let much = Part { description: Description::bytes(), bytes: vec![7; 128 << 20].into() };
+    let said = failure(&mut model, &[much, bytes(b"and a part in the pipe")]);
+    assert!(!said.contains("process"), "it is alive: {said}");
+    assert_eq!(value(&mut model, &[bytes(b"four")])[0].bytes, "4");
+}
+
+#[test]
+fn nothing_is_left_of_those_that_died() {
+    let this = std::env::current_exe().expect("a test has a file");
+    let test = "python::deaths::counts_what_is_left";
+    let output = Command::new(this).args(["--exact", test, "--ignored", "--nocapture"]).output();
+    let output = output.expect("it starts");
+    let said =
+        String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && said.contains("1 passed"), "{said}");
+}
+
+#[test]
+#[ignore = "in a process of its own, whose files and threads are nobody else's: the test above starts it"]
+fn counts_what_is_left() {
+    let count = |folder: &str| fs::read_dir(folder).expect("is Linux").count();
+    let module = Module::new(MODEL, "own::Own");
+    let mut model = module.model();
+    let die = |model: &mut PythonObject| {
+        let own = number(model);
+        failure(model, &[bytes(b"early")]);
+        kill(number(model));
+        failure(model, &[bytes(b"on")]);
+        assert!(number(model) != own && !Path::new(&format!("/proc/{own}")).exists());
+    };
+    die(&mut model);
+    let before = (count("/proc/self/fd"), children());
+    for _ in 0..5 {
+        die(&mut model);
+    }
+    // The thread at the standard error of the last one may need a moment on a busy machine, and tells nobody of its end.
+    let now = || (count("/proc/self/fd"), children());
+    for _ in 0..600 {
+        if now() != before {
+            thread::sleep(Duration::from_millis(100));
+        }
+    }
+    assert_eq!(now(), before, "files and processes");
+    drop(model);
+    assert_eq!(children(), 0);
+}
+
+/// Processes that this one started and that are still there, dead ones included.
+fn children() -> usize {
+    let threads = fs::read_dir("/proc/self/task").expect("is Linux");
+    let of_thread = |task: fs::DirEntry| fs::read_to_string(task.path().join("children")).unwrap_or_default();
+    threads.flatten().map(|task| of_thread(task).split_whitespace().count()).sum()
+}

@@ -1,0 +1,98 @@
+//! Python objects as models.
+
+use std::fs;
+
+use peernet_inference::{InferenceError, LoadError};
+use peernet_sample::{Description, MediaType, Sample};
+
+use super::{bank, loaded, run, slug};
+
+const MODEL: &str = "
+import os
+class Net:
+    def preprocess(self, x):
+        if not x: raise ValueError('nothing to see')
+        return x.upper()
+    def infer(self, x): return {1, 2} if x == 'SET' else x
+    def postprocess(self, y): return [y, os.environ['PEERNET_DEVICE'], os.environ['COLOUR']]
+";
+
+/// The object of the module `net` with more lines of configuration.
+fn model(folder: &tempfile::TempDir, object: &str, more: &str) -> String {
+    fs::write(folder.path().join("net.py"), MODEL).expect("can be written");
+    format!("name = 'p'\nkind = 'python'\nobject = '{object}'\nfolder = {:?}\n{more}", folder.path())
+}
+
+fn text(text: &'static str) -> Sample {
+    Sample::of(Description::unshaped(MediaType::Text), text.into())
+}
+
+#[test]
+fn each_step_is_a_stage_and_the_rest_is_the_way_to_the_process() {
+    let folder = tempfile::tempdir().expect("can be made");
+    let config = model(&folder, "net::Net", "device = 'cuda:3'\nenv = { COLOUR = 'red' }\nworkers = 2");
+    let bank = bank(&[&config]);
+    assert!(bank.check().is_empty(), "{:?}", bank.check());
+    let pool = loaded(&bank, "p");
+    assert_eq!((pool.device(), pool.workers()), ("cuda:3".to_owned(), 2));
+    assert!(pool.facts()[0].1.starts_with("the Python class net::Net, Python 3."), "{:?}", pool.facts());
+    let done = run(&pool, text("cat"));
+    assert_eq!(done.result.expect("answers").parts[0].bytes, r#"["CAT","cuda:3","red"]"#);
+    let tree = done.log.finish();
+    for stage in ["queue", "preprocessing", "inference", "postprocessing", "ipc"] {
+        assert!(tree.find(&[stage]).is_some_and(|(_, node)| node.measure.value().is_some()), "{stage}");
+    }
+}
+
+#[test]
+fn what_it_raises_and_what_cannot_cross_fail_one_sample() {
+    let folder = tempfile::tempdir().expect("can be made");
+    let bank = bank(&[&model(&folder, "net::Net", "env = { COLOUR = 'red' }")]);
+    let pool = loaded(&bank, "p");
+    let done = run(&pool, text(""));
+    let error = done.result.expect_err("raises");
+    let said = error.to_string();
+    assert!(matches!(error, InferenceError::Failed { .. }), "{said}");
+    assert!(said.contains("ValueError: nothing to see") && said.contains("net.py"), "{said}");
+    assert!(done.log.finish().find(&["inference"]).is_none(), "it never began");
+    let error = run(&pool, text("set")).result.expect_err("a set does not cross");
+    assert!(matches!(error, InferenceError::Failed { .. }), "{error}");
+    assert!(error.to_string().contains("its answer: a builtins.set does not cross"), "{error}");
+    assert!(run(&pool, text("cat")).result.is_ok());
+}
+
+#[test]
+fn the_wait_for_a_worker_that_was_started_anew_is_told() {
+    let source = "
+import os, time
+time.sleep(0.3)
+class Net:
+    def infer(self, x): return os._exit(4) if x == 'die' else x
+";
+    let folder = tempfile::tempdir().expect("can be made");
+    fs::write(folder.path().join("own.py"), source).expect("can be written");
+    let bank = bank(&[&model(&folder, "own::Net", "")]);
+    let pool = loaded(&bank, "p");
+    let restart = |sample: &'static str| {
+        let done = run(&pool, text(sample));
+        let tree = done.log.finish();
+        let value = |name: &str| tree.find(&[name]).and_then(|(_, node)| node.measure.value());
+        (done.result.is_ok(), value("restart"), value("ipc").is_some())
+    };
+    assert_eq!([restart("cat"), restart("die")], [(true, None, true), (false, None, true)]);
+    let (answered, waited, _) = restart("cat");
+    assert!(answered && waited.is_some_and(|seconds| seconds >= 0.3), "{waited:?}");
+    assert_eq!(restart("cat"), (true, None, true));
+}
+
+#[test]
+fn what_is_not_there_is_found_by_a_check_or_by_loading() {
+    let folder = tempfile::tempdir().expect("can be made");
+    let missing = bank(&[&model(&folder, "nowhere::Net", "")]);
+    let checked = missing.check();
+    assert!(matches!(checked.as_slice(), [(0, LoadError::Python(_))]) && checked[0].1.is_missing());
+    let without = bank(&[&model(&folder, "net::Camera", "")]);
+    assert!(without.check().is_empty(), "a check runs nothing");
+    let error = without.load(&slug("p"), None).expect_err("has none").to_string();
+    assert!(error.contains("net has no Camera") && error.contains("Net"), "{error}");
+}

@@ -1,0 +1,49 @@
+//! Right answers as words, as data sets and models write them.
+
+/// How many words are enough to show what all are like.
+const EXAMPLES: usize = 5;
+/// Most characters of one that is shown.
+const LONGEST: usize = 40;
+
+/// What of a label counts: two that are alike in this name one class. Folders are often named `Golden_Retriever` for
+/// `golden retriever`, so case is ignored, and hyphens and underscores count as spaces.
+pub fn plain_label(label: &str) -> String {
+    label.trim().chars().map(|c| if matches!(c, '_' | '-') { ' ' } else { c.to_ascii_lowercase() }).collect()
+}
+
+/// The first few of some words, for people: `tench, goldfish, …`.
+pub fn examples<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
+    let mut words = words.into_iter();
+    let mut shown: Vec<String> = words.by_ref().take(EXAMPLES).map(shorten).collect();
+    shown.extend(words.next().map(|_| "…".to_owned()));
+    shown.join(", ")
+}
+
+fn shorten(word: &str) -> String {
+    let plain = word.chars().map(|c| if c.is_control() { ' ' } else { c });
+    if word.chars().count() <= LONGEST {
+        return plain.collect();
+    }
+    plain.take(LONGEST - 1).chain(['…']).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spelling_of_folders_does_not_matter() {
+        assert_eq!(plain_label(" Golden_Retriever"), plain_label("golden retriever"));
+        assert_ne!(plain_label("golden"), plain_label("golden retriever"));
+    }
+
+    #[test]
+    fn a_few_words_stand_for_many() {
+        assert_eq!(examples(["a", "b"]), "a, b");
+        assert_eq!(examples(["a", "b", "c", "d", "e"]), "a, b, c, d, e");
+        assert_eq!(examples(["a", "b", "c", "d", "e", "f"]), "a, b, c, d, e, …");
+        let long = examples([&*"ä".repeat(41)]);
+        assert_eq!(long, format!("{}…", "ä".repeat(39)));
+        assert_eq!((examples([]), examples(["a\nb"])), (String::new(), "a b".to_owned()));
+    }
+}

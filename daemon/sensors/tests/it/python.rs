@@ -1,0 +1,64 @@
+use std::fs;
+
+use peernet_external::python::PythonConfig;
+use peernet_sensors::{SensorConfig, check, open};
+
+use super::{real_clock, recorder};
+
+const SENSOR: &str = "
+class Own:
+    def __init__(self): self.left = 3
+    def sample(self):
+        self.left -= 1
+        if self.left == 1: raise OSError('no signal')
+        if self.left == 0: raise StopIteration
+        return b'one'
+";
+
+#[test]
+fn samples_come_from_the_object_until_it_stops() {
+    let folder = tempfile::tempdir().expect("can be made");
+    fs::write(folder.path().join("own.py"), SENSOR).expect("can be written");
+    let of = |object: &str| {
+        let folder = Some(folder.path().to_owned());
+        SensorConfig::Python(PythonConfig { folder, ..PythonConfig::of(object) })
+    };
+    check(&of("own::Own"), &real_clock()).expect("is there");
+    let missing = check(&of("nowhere::Own"), &real_clock()).expect_err("is not there").to_string();
+    assert!(missing.contains("nowhere.py"), "{missing}");
+
+    let mut sensor = open(&of("own::Own"), &real_clock()).expect("is there");
+    assert!(sensor.blocks() && sensor.facts()[0].1.starts_with("the Python class own::Own"));
+    let mut log = recorder();
+    let sample = sensor.sample(&mut log).expect("gives one").expect("goes on");
+    assert_eq!((&sample.parts[0].bytes[..], sample.source.as_str()), (&b"one"[..], "own::Own"));
+    assert!(log.tree().find(&["capture-ipc"]).is_some());
+    let error = sensor.sample(&mut recorder()).expect_err("raises").to_string();
+    assert!(error.contains("no signal") && error.contains("own.py"), "{error}");
+    assert!(sensor.sample(&mut recorder()).expect("says so").is_none(), "there are no more");
+}
+
+#[test]
+fn the_wait_for_a_process_that_was_started_anew_is_told() {
+    let source = "
+import os, time
+time.sleep(0.3)
+class Own:
+    def __init__(self): self.taken = 0
+    def sample(self):
+        self.taken += 1
+        return b'one' if self.taken < 3 else os._exit(4)
+";
+    let folder = tempfile::tempdir().expect("can be made");
+    fs::write(folder.path().join("own.py"), source).expect("can be written");
+    let folder = Some(folder.path().to_owned());
+    let config = SensorConfig::Python(PythonConfig { folder, ..PythonConfig::of("own::Own") });
+    let mut sensor = open(&config, &real_clock()).expect("is there");
+    // Each process gives two and dies.
+    for (restarted, gives) in [(false, true), (false, true), (false, false), (true, true), (false, true)] {
+        let mut log = recorder();
+        assert_eq!(sensor.sample(&mut log).is_ok(), gives);
+        let waited = log.tree().find(&["capture-restart"]).and_then(|(_, node)| node.measure.value());
+        assert_eq!(waited.is_some_and(|seconds| seconds >= 0.3), restarted, "{waited:?}");
+    }
+}
