@@ -1,7 +1,9 @@
 //! Order statistics: what is said of delays, whose distribution has a long tail.
 
-/// Fewest values that a quantile this near the end needs (p5, p95), as everywhere in PEERNet.
-const ENOUGH_FOR_TAILS: usize = 60;
+/// Fewest values that p5 and p95 are given of, everywhere in PEERNet.
+pub const ENOUGH_FOR_P95: usize = 60;
+/// Fewest values that p99 is given of.
+pub const ENOUGH_FOR_P99: usize = 300;
 
 /// The normal quantile of a 95 % interval.
 pub(crate) const Z95: f64 = 1.959_963_984_540_054;
@@ -51,8 +53,17 @@ impl Ordered {
 
     /// The 5th and the 95th percentile; `None` with fewer than 60 values.
     pub fn tails(&self) -> Option<(f64, f64)> {
-        (self.0.len() >= ENOUGH_FOR_TAILS).then_some(())?;
-        Some((self.quantile(0.05)?, self.quantile(0.95)?))
+        Some((self.quantile(0.05)?, self.p95()?))
+    }
+
+    /// The 95th percentile; `None` with fewer than 60 values.
+    pub fn p95(&self) -> Option<f64> {
+        self.quantile(0.95).filter(|_| self.0.len() >= ENOUGH_FOR_P95)
+    }
+
+    /// The 99th percentile; `None` with fewer than 300 values.
+    pub fn p99(&self) -> Option<f64> {
+        self.quantile(0.99).filter(|_| self.0.len() >= ENOUGH_FOR_P99)
     }
 
     /// The standard error of the median, from the order statistics that bound it with 95 % confidence (McKean and

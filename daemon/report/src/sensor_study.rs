@@ -2,16 +2,13 @@
 
 use peernet_statistics::Moments;
 
-use crate::number::{fixed, milliseconds, significant};
-use crate::order::Ordered;
+use crate::number::{counted, fixed, milliseconds, significant};
+use crate::order::{ENOUGH_FOR_P95, Ordered};
 use crate::results::{Outcome, RowRef, Rows};
 use crate::table::Table;
 
 /// What a sensor says of its dropped samples stands in a column that ends with this.
 const DROPPED: &str = "dropped-samples";
-/// Fewest periods that a percentile is given of, as everywhere in PEERNet.
-const ENOUGH_FOR_P95: usize = 60;
-const ENOUGH_FOR_P99: usize = 300;
 
 /// What the samples of a run show of their sensor. Seconds, and samples per second.
 ///
@@ -70,7 +67,6 @@ impl SensorStudy {
         let jitter: Ordered = periods.values().iter().map(|period| (period - median).abs()).collect();
         let gap = taken.windows(2).max_by(|a, b| length(a).total_cmp(&length(b)))?;
         let sensing: Ordered = measured().filter_map(|row| row.value("sensing")).collect();
-        let enough = |least, p| jitter.quantile(p).filter(|_| jitter.len() >= least);
         Some(Self {
             samples: taken.len() as u64,
             failed: measured().filter(|row| row.outcome() != Outcome::Ok).count() as u64,
@@ -78,8 +74,8 @@ impl SensorStudy {
             period: moments.mean,
             period_std: moments.std(),
             median,
-            jitter_p95: enough(ENOUGH_FOR_P95, 0.95),
-            jitter_p99: enough(ENOUGH_FOR_P99, 0.99),
+            jitter_p95: jitter.p95(),
+            jitter_p99: jitter.p99(),
             jitter_median: jitter.median()?,
             longest_gap: length(gap),
             longest_gap_at: gap[1].iteration,
@@ -91,11 +87,11 @@ impl SensorStudy {
     /// What it comes to, in sentences.
     pub fn sentences(&self) -> Vec<String> {
         let mut said = vec![format!(
-            "The sensor ran at {} samples per second: one every {} ms{}, over {} samples.",
+            "The sensor ran at {} samples per second: one every {} ms{}, over {}.",
             significant(self.rate),
             milliseconds(self.period),
             self.period_std.map_or_else(String::new, |std| format!(" ± {} ms", milliseconds(std))),
-            fixed(self.samples as f64, 0),
+            counted(self.samples, "sample"),
         )];
         let tail = self.jitter_p99.map(|p99| ("99", p99)).or(self.jitter_p95.map(|p95| ("95", p95)));
         said.push(match tail {
@@ -122,11 +118,11 @@ impl SensorStudy {
             Some(0) => "It dropped no sample.".to_owned(),
             Some(dropped) => {
                 let share = dropped as f64 / (dropped + self.samples) as f64 * 100.0;
-                format!("It dropped {} samples, {} % of all.", fixed(dropped as f64, 0), significant(share))
+                format!("It dropped {}, {} % of all.", counted(dropped, "sample"), significant(share))
             }
         });
         if self.failed > 0 {
-            said.push(format!("It failed to give a sample {} times.", fixed(self.failed as f64, 0)));
+            said.push(format!("It failed to give a sample {}.", counted(self.failed, "time")));
         }
         said
     }

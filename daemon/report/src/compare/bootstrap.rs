@@ -35,6 +35,16 @@ pub struct Difference {
 }
 
 impl Difference {
+    /// Half the width of the interval.
+    pub(super) fn margin(self) -> Option<f64> {
+        self.interval.map(|(lo, hi)| (hi - lo) / 2.0)
+    }
+
+    /// The value, then the interval's ends.
+    pub(super) fn ends(self) -> [Option<f64>; 3] {
+        [Some(self.value), self.interval.map(|ends| ends.0), self.interval.map(|ends| ends.1)]
+    }
+
     /// Whether the interval leaves out zero; `None` where there is no interval.
     pub fn is_distinct(&self) -> Option<bool> {
         self.interval.map(|(lo, hi)| lo > 0.0 || hi < 0.0)

@@ -6,7 +6,7 @@ use crate::results::{Loaded, RunRecord};
 /// What stands where a run has nothing of the kind.
 pub(super) const NOTHING: &str = "—";
 /// Facts that follow from a run's model or data set, which stand there already.
-const IMPLIED: [&str; 5] = ["model", "device", "task", "input", "labels"];
+const IMPLIED: [&str; 6] = ["model", "device", "task", "input", "labels", "classes"];
 /// Most labels of one group that are written side by side.
 const MOST_TOGETHER: usize = 3;
 

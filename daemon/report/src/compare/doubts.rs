@@ -1,17 +1,26 @@
 //! What is wrong with the results that are compared.
 
 use peernet_clock::Verdict;
+use peernet_statistics::Summary;
 
 use super::{LATENCIES, Line, NEARLY_ALL};
-use crate::number::counted;
+use crate::number::{counted, fixed};
 use crate::results::{Loaded, RowRef};
 
-/// The damage of folders and the numbers that are missing without a reason, in sentences.
+/// Starts that were skipped, the damage of folders and the numbers that are missing without a reason, in sentences.
 pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
     let damaged: Vec<String> =
         runs.iter().filter_map(|run| Some(format!("{}: {}", run.folder.display(), run.damage()?))).collect();
     let missing: Vec<String> = lines.iter().flat_map(|line| missing(runs, line)).collect();
     let mut told = Vec::new();
+    let skipped: Vec<String> = lines.iter().filter_map(skipped).collect();
+    if !skipped.is_empty() {
+        told.push(format!(
+            "Starts were skipped, because the pipeline was too far behind; these latencies are not those of the rate that \
+             was ordered: {}.",
+            skipped.join("; ")
+        ));
+    }
     if !damaged.is_empty() {
         told.push(format!("Results are not whole: {}.", damaged.join("; ")));
     }
@@ -22,6 +31,13 @@ pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
         ));
     }
     told
+}
+
+fn skipped(line: &Line) -> Option<String> {
+    let (starts, percent) = (&line.starts, fixed(line.starts.skipped_share() * 100.0, 1));
+    let told =
+        format!("{} of {} ({percent} %)", fixed(starts.skipped as f64, 0), counted(starts.all(), "start"));
+    (starts.skipped > 0).then(|| line.told(&told))
 }
 
 fn missing(runs: &[Loaded], line: &Line) -> Vec<String> {
@@ -44,10 +60,31 @@ fn is_missing(row: RowRef<'_>, name: &str) -> bool {
         verdict.is_some_and(|verdict| !matches!(verdict, Verdict::Ok | Verdict::Limited))
     };
     match (row.value(name), name) {
-        (Some(value), _) => !value.is_finite(),
+        (Some(value), _) => !Summary::takes(value),
         (None, "upload") => !unknown(up),
         (None, "download") => !unknown(down),
         (None, "stages-total") => !unknown(up) && !unknown(down),
         (None, _) => true,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::paper;
+    use crate::compare::{Comparison, is_compared};
+
+    #[test]
+    fn starts_that_were_skipped_stand_below_the_table() {
+        let mut runs = paper();
+        runs[1].rows.change(|row| {
+            row.values.push(("skipped-starts".into(), if row.iteration == 50 { 101.0 } else { 0.0 }));
+        });
+        let text = Comparison::of(&runs).text();
+        assert!(
+            text.contains(" of the rate that was ordered: cuda:0, lan: 101 of 202 starts (50.0 %)."),
+            "{text}"
+        );
+        assert!(!Comparison::of(&paper()).text().contains("skipped"));
+        assert!(is_compared("skipped-starts"), "else it is not read");
     }
 }

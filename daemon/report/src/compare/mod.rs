@@ -2,9 +2,11 @@
 //!
 //! ```text
 //! Loaded, Loaded, … ── configuration ── Comparison ─┬─ text, Markdown, CSV, LaTeX
-//!                          blocks ── bootstrap ─────┴─ Differences (two lines of it)
+//!                          blocks ── bootstrap ─────┼─ Differences (two lines of it)
+//!                                                   └─ the best against the others (three lines and more)
 //! ```
 
+mod best;
 mod blocks;
 mod bootstrap;
 mod columns;
@@ -16,11 +18,13 @@ mod render;
 pub use bootstrap::{Difference, Sample, Statistic, difference};
 pub use differences::{Differences, StageDifference};
 
-use peernet_statistics::Moments;
+use peernet_statistics::{Moments, Summary};
 
-use crate::accuracy::{ACCURACIES, Accuracy};
-use crate::results::{Loaded, Rows};
+use crate::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLabels};
+use crate::results::{Loaded, Rows, SKIPPED_STARTS};
+use crate::trust::Starts;
 pub(crate) use configuration::Configurations;
+use configuration::NOTHING;
 
 /// The columns of the paper's table that hold latencies; the last two are the sum of all stages, which the paper calls
 /// Total, and the measured total.
@@ -78,10 +82,17 @@ pub struct Line {
     pub count: u64,
     /// How many did not end with an answer, warm-up left out.
     pub unanswered: u64,
+    /// What became of the starts that an open loop ordered; the rate is not asked for.
+    pub starts: Starts,
     /// The latencies in the order of [`LATENCIES`]; `None` where no iteration that counts has one.
     pub latencies: [Option<Latency>; LATENCIES.len()],
     /// How often it was right, in the order of [`ACCURACIES`]; `None` where nobody knew the right answers.
     pub accuracies: [Option<Accuracy>; ACCURACIES.len()],
+    /// Samples that are neither right nor wrong, because their label is no class of the model.
+    pub unknown_labels: Option<UnknownLabels>,
+    /// How much larger its mean of [`by`](Comparison::by) is than the best's; `None` of the best itself, or where there is
+    /// no mean.
+    pub beyond_best: Option<Difference>,
     /// What the best is found by, of each repeat.
     deciding: Vec<Moments>,
 }
@@ -125,27 +136,6 @@ impl Comparison {
         this.mark(runs, seed);
         this
     }
-
-    fn mark(&mut self, runs: &[Loaded], seed: u64) {
-        let means =
-            self.lines.iter().enumerate().filter_map(|(at, line)| Some((at, line.latency(self.by)?.mean)));
-        let best = means.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(at, _)| at);
-        let Some(best) = best.filter(|_| self.lines.len() > 1) else { return };
-        let values = |at: usize| {
-            let of_line = self.lines[at].runs.iter().map(|run| values(&runs[*run].rows, self.by));
-            Sample::new(of_line.collect())
-        };
-        let of_best = values(best);
-        for at in (0..self.lines.len()).filter(|at| *at != best) {
-            let Some(difference) = difference(&of_best, &values(at), Statistic::Mean, seed) else { continue };
-            match difference.is_distinct() {
-                Some(true) => {}
-                Some(false) => self.ties.push(at),
-                None => self.untested.push(at),
-            }
-        }
-        self.best = Some(best);
-    }
 }
 
 impl Line {
@@ -157,8 +147,11 @@ impl Line {
             edges: 1,
             count: 0,
             unanswered: 0,
+            starts: Starts::default(),
             latencies: [None; LATENCIES.len()],
             accuracies: [None; ACCURACIES.len()],
+            unknown_labels: None,
+            beyond_best: None,
             deciding: Vec::new(),
         }
     }
@@ -169,6 +162,9 @@ impl Line {
         for Loaded { record, rows, .. } in self.runs.iter().map(|run| &runs[*run]) {
             self.count += rows.iter().filter(|row| row.counts()).count() as u64;
             self.unanswered += rows.iter().filter(|row| !row.warm_up() && !row.counts()).count() as u64;
+            let starts = Starts::of_rows(rows);
+            self.starts.kept += starts.kept;
+            self.starts.skipped += starts.skipped;
             let repeat = record.experiment.as_ref().map(|place| place.repeat);
             let known = repeats.iter().position(|(other, _)| *other == repeat);
             let at = known.unwrap_or_else(|| {
@@ -184,10 +180,11 @@ impl Line {
         let of_line = || self.runs.iter().map(|run| &runs[*run]);
         let rows = || of_line().flat_map(|run| &run.rows);
         self.accuracies = ACCURACIES.map(|column| Accuracy::of(rows(), column));
+        self.unknown_labels = UnknownLabels::of_runs(of_line());
         self.latencies = LATENCIES.map(|name| {
             let mut moments = Moments::default();
             let numbers = of_line().flat_map(|run| run.rows.counted(name));
-            numbers.filter(|number| number.is_finite()).for_each(|number| moments.record(number));
+            numbers.filter(|number| Summary::takes(*number)).for_each(|number| moments.record(number));
             let Moments { mean, count, .. } = moments;
             (count > 0).then(|| Latency { mean, std: moments.std(), count })
         });
@@ -206,7 +203,7 @@ impl Line {
 
 /// A column's finite numbers in the rows that count, in order.
 fn values(rows: &Rows, column: &str) -> Vec<f64> {
-    rows.counted(column).filter(|value| value.is_finite()).collect()
+    rows.counted(column).filter(|value| Summary::takes(*value)).collect()
 }
 
 /// Whether a comparison asks for a column: what [`ResultFolder::open_columns`](crate::results::ResultFolder::open_columns)
@@ -214,7 +211,7 @@ fn values(rows: &Rows, column: &str) -> Vec<f64> {
 pub fn is_compared(column: &str) -> bool {
     let bounds = ["upload-lo", "upload-hi", "download-lo", "download-hi"];
     let all = differences::STAGES.iter().chain(&LATENCIES).chain(&ACCURACIES).chain(&bounds);
-    all.into_iter().any(|name| *name == column)
+    all.chain(&[UNKNOWN_LABEL, SKIPPED_STARTS]).any(|name| *name == column)
 }
 
 #[cfg(test)]

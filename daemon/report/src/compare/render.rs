@@ -1,13 +1,19 @@
 //! Comparisons as tables.
 
-use super::configuration::NOTHING;
-use super::{Comparison, Difference, Differences, LATENCIES, Latency, Line, NEARLY_ALL, StageDifference};
+use super::{
+    Comparison, Difference, Differences, LATENCIES, Latency, Line, NEARLY_ALL, NOTHING, StageDifference,
+};
 use crate::accuracy::{ACCURACIES, Accuracy};
 use crate::number::{bound_milliseconds, decimals_within, fixed, milliseconds_between};
-use crate::table::{Table, csv_text, in_one_line};
+use crate::table::{Captioned, Table, csv_text, in_one_line};
 
 const HEADINGS: [&str; LATENCIES.len()] =
     ["sensing", "upload", "inference", "download", "total (stages)", "total (measured)"];
+/// Of an interval.
+pub(super) const WHAT_IT_SAYS: &str = "The interval says how far the difference would vary if the same minutes were measured again \
+     (stationary bootstrap, percentiles).";
+pub(super) const WHAT_IT_DOES_NOT: &str =
+    "What changes from day to day is not in it: only repeats show that.";
 const ACCURACY_HEADINGS: [&str; ACCURACIES.len()] = ["Top-1 (%)", "Top-5 (%)"];
 
 impl Comparison {
@@ -37,6 +43,7 @@ impl Comparison {
                 .iter()
                 .flat_map(|name| ["", "-lo", "-hi", "-unscored"].map(|end| format!("{name}{end}"))),
         );
+        header.extend(["", "-lo", "-hi"].map(|end| format!("beyond-best{end}")));
         let row = |(at, line): (usize, &Line)| {
             let flag = |is: bool| u8::from(is).to_string();
             let number = |number: Option<f64>| number.map(|number| number.to_string()).unwrap_or_default();
@@ -56,6 +63,7 @@ impl Comparison {
                 });
                 figures.map_or([None; 4], |figures| figures.map(Some)).map(number)
             }));
+            cells.extend(line.beyond_best.map_or([None; 3], Difference::ends).map(number));
             cells
         };
         let rows: Vec<Vec<String>> = self.lines.iter().enumerate().map(row).collect();
@@ -118,6 +126,7 @@ impl Comparison {
                 unscored.join("; ")
             ));
         }
+        notes.extend(self.unknown_labels());
         notes.extend(self.verdict());
         notes.extend(self.rest.iter().cloned());
         let edges: Vec<String> = self
@@ -142,9 +151,24 @@ impl Comparison {
         notes.iter().map(|note| in_one_line(note)).collect()
     }
 
+    /// Which lines have labels that are no classes of the model: a sentence for each pair of vocabularies.
+    fn unknown_labels(&self) -> Vec<String> {
+        let mut reasons: Vec<(String, Vec<String>)> = Vec::new();
+        for line in &self.lines {
+            let Some(unknown) = &line.unknown_labels else { continue };
+            let told = line.told(&format!("{} of {}", count(unknown.count), count(line.count)));
+            match reasons.iter_mut().find(|(reason, _)| *reason == unknown.reason()) {
+                Some((_, lines)) => lines.push(told),
+                None => reasons.push((unknown.reason(), vec![told])),
+            }
+        }
+        let sentence =
+            |(reason, lines): (String, Vec<String>)| format!("Not scored, {reason}: {}.", lines.join("; "));
+        reasons.into_iter().map(sentence).collect()
+    }
+
     fn verdict(&self) -> Option<String> {
         let best = &self.lines[self.best?];
-        let total = if self.by == "total" { "measured" } else { "stages" };
         let names =
             |lines: &[usize]| lines.iter().map(|at| self.lines[*at].name()).collect::<Vec<_>>().join("; ");
         let others = self.lines.len() - 1;
@@ -163,7 +187,12 @@ impl Comparison {
             ));
         }
         let ties = told.join("; ");
-        Some(format!("The smallest mean total ({total}) is that of {}; {ties}.", best.name()))
+        Some(format!("The smallest mean total ({}) is that of {}; {ties}.", self.total(), best.name()))
+    }
+
+    /// Which of the totals the best is found by.
+    pub(super) fn total(&self) -> &'static str {
+        if self.by == "total" { "measured" } else { "stages" }
     }
 }
 
@@ -176,7 +205,7 @@ impl Line {
     }
 
     /// Something that is said of the line, with its name.
-    fn told(&self, text: &str) -> String {
+    pub(super) fn told(&self, text: &str) -> String {
         let name = self.name();
         if name.is_empty() { text.to_owned() } else { format!("{name}: {text}") }
     }
@@ -190,10 +219,11 @@ impl Line {
         Some(self.told(&milliseconds_between(ends)))
     }
 
-    /// Where not every iteration was judged right or wrong, although some were.
+    /// Where not every iteration was judged right or wrong, although some were, for another reason than its label.
     fn unscored(&self) -> Vec<String> {
+        let foreign = self.unknown_labels.as_ref().map_or(0, |unknown| unknown.count);
         let part = |(name, accuracy): (&str, &Option<Accuracy>)| {
-            let left_out = (*accuracy)?.unscored;
+            let left_out = (*accuracy)?.unscored.saturating_sub(foreign);
             let told = || format!("{name} of {}: {} of {}", self.name(), count(left_out), count(self.count));
             (left_out > 0).then(told)
         };
@@ -214,7 +244,7 @@ fn count(count: u64) -> String {
 }
 
 fn cell(latency: Option<Latency>, decimals: usize) -> String {
-    let figure = |seconds: f64| fixed(seconds * 1e3, decimals);
+    let figure = |seconds: f64| in_milliseconds(seconds, decimals);
     match latency {
         None => NOTHING.to_owned(),
         Some(Latency { mean, std: None, .. }) => figure(mean),
@@ -234,19 +264,9 @@ fn share(accuracy: Option<Accuracy>) -> String {
 }
 
 impl Differences {
-    /// For the terminal.
-    pub fn text(&self) -> String {
-        format!("{}\n\n{}\n\n{}", self.heading(), self.table().text(), self.notes())
-    }
-
-    /// For documents.
-    pub fn markdown(&self) -> String {
-        format!("{}\n\n{}\n{}\n", self.heading(), self.table().markdown(), self.notes())
-    }
-
-    /// For papers, with booktabs.
-    pub fn latex(&self) -> String {
-        self.table().latex(&format!("{} {}", self.heading(), self.notes()))
+    /// For people.
+    pub fn captioned(&self) -> Captioned {
+        Captioned { heading: self.heading(), table: self.table(), notes: self.notes() }
     }
 
     /// For programs: seconds, every digit; one row for each pair and stage.
@@ -274,9 +294,7 @@ impl Differences {
 
     fn csv_row(&self, stage: &StageDifference) -> Vec<String> {
         let number = |number: Option<f64>| number.map(|number| number.to_string()).unwrap_or_default();
-        let three = |of: Difference| {
-            [Some(of.value), of.interval.map(|ends| ends.0), of.interval.map(|ends| ends.1)].map(number)
-        };
+        let three = |of: Difference| of.ends().map(number);
         let two = |of: (f64, f64)| [of.0.to_string(), of.1.to_string()];
         let names = [self.baseline.clone(), self.other.clone(), stage.stage.clone()].into_iter();
         let means = two(stage.means).into_iter().chain(three(stage.mean));
@@ -315,34 +333,38 @@ impl Differences {
         } else {
             ""
         };
-        format!(
-            "In ms. The interval says how far the difference would vary if the same minutes were measured again \
-             (stationary bootstrap, percentiles).{clocks} What changes from day to day is not in it: only repeats \
-             show that."
-        )
+        format!("In ms. {WHAT_IT_SAYS}{clocks} {WHAT_IT_DOES_NOT}")
     }
 }
 
 fn row(stage: &StageDifference) -> Vec<String> {
-    let margin = |difference: &Difference| difference.interval.map(|(lo, hi)| (hi - lo) / 2.0);
-    let three = |of: (f64, f64), difference: &Difference| {
-        let decimals = decimals_within(margin(difference));
-        let figure = |seconds: f64| fixed(seconds * 1e3, decimals);
-        let interval = difference.interval.map_or_else(
-            || NOTHING.to_owned(),
-            |(lo, hi)| format!("{} to {}", signed(lo, decimals), signed(hi, decimals)),
-        );
-        [figure(of.0), figure(of.1), signed(difference.value, decimals), interval]
+    let four = |of: (f64, f64), difference: Difference| {
+        let decimals = decimals_within(difference.margin());
+        let figure = |seconds: f64| in_milliseconds(seconds, decimals);
+        let [difference, interval] = with_interval(difference, decimals);
+        [figure(of.0), figure(of.1), difference, interval]
     };
-    let [means, medians] = [three(stage.means, &stage.mean), three(stage.medians, &stage.median)];
+    let [means, medians] = [four(stage.means, stage.mean), four(stage.medians, stage.median)];
     let name = std::iter::once(stage.stage.clone());
     let clocks = stage.clocks.map(bound_milliseconds).unwrap_or_default();
     name.chain(means).chain(medians).chain([clocks]).collect()
 }
 
+/// Milliseconds.
+pub(super) fn in_milliseconds(seconds: f64, decimals: usize) -> String {
+    fixed(seconds * 1e3, decimals)
+}
+
+/// A difference and its interval in milliseconds.
+pub(super) fn with_interval(difference: Difference, decimals: usize) -> [String; 2] {
+    let figure = |seconds: f64| signed(seconds, decimals);
+    let interval = difference.interval.map(|(lo, hi)| format!("{} to {}", figure(lo), figure(hi)));
+    [figure(difference.value), interval.unwrap_or_else(|| NOTHING.to_owned())]
+}
+
 /// Milliseconds with a sign on either side of zero.
 fn signed(seconds: f64, decimals: usize) -> String {
-    let text = fixed(seconds * 1e3, decimals);
+    let text = in_milliseconds(seconds, decimals);
     let is_zero = !text.bytes().any(|digit| (b'1'..=b'9').contains(&digit));
     if seconds > 0.0 && !is_zero { format!("+{text}") } else { text }
 }

@@ -58,7 +58,7 @@ fn placed(pairs: &[(&str, &str)], repeat: u32, run: Loaded) -> Loaded {
 }
 
 /// The first lines of the paper's table.
-fn paper() -> Vec<Loaded> {
+pub(super) fn paper() -> Vec<Loaded> {
     vec![
         of("policy", "orin", None, run("local", [Some(0.71), None, Some(18.55), None])),
         of("policy", "cuda:0", Some("lan"), run("lan", [Some(0.76), Some(17.53), Some(3.73), Some(0.37)])),
@@ -191,7 +191,7 @@ fn differences_are_told_stage_by_stage() {
     assert!((upload.mean.value - 0.08075).abs() < 1e-9, "{upload:?}");
     assert_eq!((upload.mean.is_distinct(), upload.median.is_distinct()), (Some(true), Some(true)));
     assert_eq!(differences.stages[2].mean.is_distinct(), Some(false), "inference is the same");
-    let text = differences.text();
+    let text = differences.captioned().text();
     assert!(text.starts_with("A: lan. B: can.\n\nstage"), "{text}");
     assert!(text.contains("+80.750"), "{text}");
     assert_eq!(differences, Differences::of(&runs[1], &runs[2], 5), "the same seed");
@@ -321,7 +321,8 @@ fn accuracy_stands_beside_latency() {
     let csv = comparison.csv();
     assert!(
         csv.lines().next().is_some_and(|line| line.ends_with(
-            ",edges,top-1,top-1-lo,top-1-hi,top-1-unscored,top-5,top-5-lo,top-5-hi,top-5-unscored"
+            ",edges,top-1,top-1-lo,top-1-hi,top-1-unscored,top-5,top-5-lo,top-5-hi,top-5-unscored,\
+             beyond-best,beyond-best-lo,beyond-best-hi"
         )),
         "{csv}"
     );
@@ -339,6 +340,24 @@ fn accuracy_stands_beside_latency() {
         format!("left out of the accuracy: top-1 of {}: 3 of 100 iterations.", comparison.lines[1].name());
     assert!(comparison.text().contains(&told), "{told} in {}", comparison.text());
     assert_eq!(comparison.lines[1].accuracy("top-1").map(|top| (top.count, top.unscored)), Some((97, 3)));
+}
+
+#[test]
+fn labels_that_are_no_classes_of_the_model_are_told_and_not_scored() {
+    let mut runs = paper();
+    for run in &mut runs[..2] {
+        run.rows.change(|row| row.values.push(("unknown-label".into(), 1.0)));
+        run.record.facts.push(("Classes".to_owned(), "4: good, dented".to_owned()));
+    }
+    let comparison = Comparison::of(&runs);
+    let names = [0, 1].map(|at: usize| format!("{}: 100 of 100", comparison.lines[at].name()));
+    let told = format!(
+        "Not scored, because the label is no class of the model (the model knows good, dented): {}.",
+        names.join("; ")
+    );
+    assert!(comparison.text().contains(&told), "{told} in {}", comparison.text());
+    assert!(!comparison.text().contains("Top-1"), "nothing was scored");
+    assert!(is_compared("unknown-label"));
 }
 
 #[test]

@@ -8,7 +8,7 @@ use plotters::style::{Color, WHITE};
 use super::histogram::nothing;
 use super::kit::{
     Axis, Drawn, Figure, Frame, Header, INK, Key, Paper, SIZE, SMALL, Swatch, TEXT, Unit, fill, shorten,
-    style, text, width,
+    style, text, text_on_ground, width,
 };
 use super::stage::stage_fill;
 use crate::number::fixed;
@@ -48,7 +48,9 @@ pub struct Bar {
     pub label: String,
     /// The mean of each stage. Where clocks were not corrected it may be negative.
     pub means: Vec<f64>,
-    /// Standard deviation of the sum; `None` where it is not known.
+    /// Mean of the total, which the parts add up to as far as all of them are known.
+    pub total: f64,
+    /// Standard deviation of the total; `None` where it is not known.
     pub std: Option<f64>,
 }
 
@@ -73,24 +75,20 @@ impl Places {
 }
 
 impl Bar {
-    fn sum(&self) -> f64 {
-        self.means.iter().sum()
-    }
-
     /// From where to where it reaches, its error bar included.
     fn range(&self) -> (f64, f64) {
         let part = |of: fn(f64) -> bool| self.means.iter().filter(|mean| of(**mean)).sum::<f64>();
         let (below, above) = (part(|mean| mean < 0.0), part(|mean| mean > 0.0));
-        (below, above.max(self.sum() + self.std.unwrap_or_default()))
+        (below.min(self.total), above.max(self.total + self.std.unwrap_or_default()))
     }
 
     /// `22.4 ± 2.1`
     fn words(&self, unit: &Unit) -> String {
-        let decimals = crate::number::decimals(self.sum() * unit.per_si, 3).min(3);
-        let sum = fixed(self.sum() * unit.per_si, decimals);
+        let decimals = crate::number::decimals(self.total * unit.per_si, 3).min(3);
+        let total = fixed(self.total * unit.per_si, decimals);
         match self.std {
-            Some(std) => format!("{sum} ± {}", fixed(std * unit.per_si, decimals)),
-            None => sum,
+            Some(std) => format!("{total} ± {}", fixed(std * unit.per_si, decimals)),
+            None => total,
         }
     }
 }
@@ -144,11 +142,11 @@ impl Stacked {
             // Parts are parted, so that neighbours of one grey do not run together.
             paper.draw(&Rectangle::new(area, WHITE.stroke_width(2)))?;
         }
-        let sum = bar.sum();
-        let mut end = sum.max(above);
+        let total = bar.total;
+        let mut end = total.max(above);
         if let Some(std) = bar.std.filter(|std| *std > 0.0) {
-            let (lo, hi) = (shown(sum - std), shown(sum + std));
-            end = end.max(sum + std);
+            let (lo, hi) = (shown(total - std), shown(total + std));
+            end = end.max(total + std);
             for (colour, wide) in [(WHITE, 13), (INK, 5)] {
                 let style = colour.stroke_width(wide);
                 let stem = [places.point(lo, middle), places.point(hi, middle)];
@@ -181,7 +179,7 @@ impl Stacked {
             let middle = pixels.0 + step * number as i32 + step / 2;
             let (x, y) = self.draw_bar(paper, &places, (bar, middle, (step * 3 / 10).min(140)))?;
             let look = style(SMALL, INK, HPos::Center, VPos::Bottom);
-            text(paper, bar.words(&self.unit), (x, y - 14), look)?;
+            text_on_ground(paper, &bar.words(&self.unit), (x, y - 14), look)?;
             for (line, words) in bar.label.split(", ").enumerate() {
                 let at = (middle, values.pixels.0 + 24 + TEXT * line as i32);
                 let look = style(TEXT, INK, HPos::Center, VPos::Top);
@@ -212,7 +210,7 @@ impl Stacked {
             text(paper, label, (40, middle), look)?;
             let (x, y) = self.draw_bar(paper, &places, (bar, middle, row * 3 / 10))?;
             let look = style(SMALL, INK, HPos::Left, VPos::Center);
-            text(paper, bar.words(&self.unit), (x + 18, y), look)?;
+            text_on_ground(paper, &bar.words(&self.unit), (x + 18, y), look)?;
         }
         frame.draw_x(paper, &self.unit.title, |tick| tick.text.clone())
     }

@@ -22,6 +22,8 @@ pub fn stage_fill(name: &str) -> Fill {
         "postprocessing" => Fill::dark(rgb(0x73_77cc), Hatch::Cross),
         "download" => Fill::dark(DOWNLOAD, Hatch::Falling),
         "actuation" => Fill::dark(rgb(0x0c_5232), Hatch::Level),
+        // A part of what is unattributed.
+        "lateness" => Fill::pale(rgb(0xa9_b0ba), rgb(0x4a_525c), Hatch::Cross),
         _ => Fill::pale(rgb(0xc4_c9d0), rgb(0x72_7b87), Hatch::Plain),
     }
 }

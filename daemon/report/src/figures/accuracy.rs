@@ -1,11 +1,11 @@
 //! How often each configuration's answers are right, and how long they take.
 
-use super::columns::{is_drawable, too_large};
+use super::columns::{is_drawable, left_out, too_large};
 use super::configured::{Configured, counted};
 use super::written::{Drawing, Shown};
-use crate::accuracy::{ACCURACIES, score};
+use crate::accuracy::{ACCURACIES, UnknownLabels, score};
 use crate::figure::{Accuracy, Score, Unit};
-use crate::number::fixed;
+use crate::number::{self, fixed};
 use crate::order::Ordered;
 use crate::results::{Loaded, RowRef};
 
@@ -20,8 +20,11 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
     let judged = |row: &RowRef<'_>| score(*row, TOP_1).is_some();
     let all = || groups.iter().flat_map(|(_, runs)| counted(runs)).filter(judged);
     if all().next().is_none() {
+        let why = UnknownLabels::of_runs(runs).map_or_else(String::new, |unknown| {
+            format!("; {} cannot have one, {}", number::counted(unknown.count, "iteration"), unknown.reason())
+        });
         return Err(format!(
-            "it needs answers to labelled samples, and no iteration that counts has a {TOP_1}"
+            "it needs answers to labelled samples, and no iteration that counts has a {TOP_1}{why}"
         ));
     }
     let total = if all().all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
@@ -34,7 +37,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
             right: rows.iter().filter(|row| score(**row, TOP_1) == Some(true)).count() as u64,
             count: rows.len() as u64,
             median: times.median()?,
-            p95: times.tails().map(|(_, p95)| p95),
+            p95: times.p95(),
         })
     };
     let mut scores: Vec<Score> = groups.iter().filter_map(scored).collect();
@@ -45,21 +48,30 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
     let number = |count: u64| fixed(count as f64, 0);
     let n = if fewest == most { number(most) } else { format!("{} to {}", number(fewest), number(most)) };
     let mut notes = vec![format!("configurations: {} · n = {n} each", axes.join(", "))];
+    notes.extend(left_out(&runs.iter().flat_map(|run| &run.rows)));
     if configurations > MOST {
         notes.push(format!("the first {MOST} of {configurations} configurations"));
     }
     if without > 0 {
-        notes.push(format!("left out: {without} without labelled samples"));
+        let configurations = number::counted(without as u64, "configuration");
+        notes.push(format!("left out: {configurations} without scored samples"));
     }
-    // Of those with labelled samples.
+    // Of those with scored samples, and for another reason than the label.
     let unscored = |(_, runs): &(String, Vec<&Loaded>)| {
         let valid = counted(runs).filter(judged).count();
-        if valid > 0 { counted(runs).count() - valid } else { 0 }
+        let foreign = UnknownLabels::of_runs(runs.iter().copied()).map_or(0, |unknown| unknown.count);
+        let others = (counted(runs).count() - valid) as u64;
+        if valid > 0 { others.saturating_sub(foreign) } else { 0 }
     };
-    let unscored: usize = groups.iter().map(unscored).sum();
+    let unscored: u64 = groups.iter().map(unscored).sum();
     notes.extend(too_large(all(), &[total]));
     if unscored > 0 {
-        notes.push(format!("left out: {} iterations without a valid score", fixed(unscored as f64, 0)));
+        let iterations = number::counted(unscored, "iteration");
+        notes.push(format!("left out: {iterations} without a valid score"));
+    }
+    if let Some(unknown) = UnknownLabels::of_runs(runs) {
+        let iterations = number::counted(unknown.count, "iteration");
+        notes.push(format!("left out: {iterations}, {}", unknown.reason()));
     }
     let what = if total == "total" { "Total" } else { "Sum of stages" };
     let accuracy = Accuracy {

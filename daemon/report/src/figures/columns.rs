@@ -55,21 +55,40 @@ pub(super) fn heading(column: &str) -> String {
 /// What stands in the rows, what is shown of it and what is left out: `n = 10,000 · left out: 5 warm-up, 3 without an
 /// answer`.
 pub(super) fn account<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone), shown: usize) -> String {
+    let n = format!("n = {}", fixed(shown as f64, 0));
+    not_shown(rows, shown).map_or(n.clone(), |left| format!("{n} · {left}"))
+}
+
+/// The second half of that, where the counts stand elsewhere; `None` where nothing is left out.
+pub(super) fn not_shown<'a>(
+    rows: &(impl Iterator<Item = RowRef<'a>> + Clone),
+    shown: usize,
+) -> Option<String> {
+    let counted = rows.clone().filter(|row| row.counts()).count();
+    let undrawn = (counted.saturating_sub(shown), "without a value to draw");
+    listed(uncounted(rows).into_iter().chain([undrawn]))
+}
+
+/// What of the rows no figure shows: `left out: 5 warm-up, 3 without an answer`; `None` where there is nothing of it.
+pub(super) fn left_out<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone)) -> Option<String> {
+    listed(uncounted(rows))
+}
+
+fn uncounted<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone)) -> [(usize, &'static str); 2] {
     let count = |of: &dyn Fn(&RowRef<'_>) -> bool| rows.clone().filter(|row| of(row)).count();
-    let counted = count(&|row| row.counts());
-    let left = [
+    [
         (count(&|row| row.warm_up()), "warm-up"),
         (count(&|row| !row.warm_up() && !row.counts()), "without an answer"),
-        (counted.saturating_sub(shown), "without a value to draw"),
-    ];
-    let number = |count: usize| fixed(count as f64, 0);
+    ]
+}
+
+fn listed(left: impl IntoIterator<Item = (usize, &'static str)>) -> Option<String> {
     let left: Vec<String> = left
         .into_iter()
         .filter(|(count, _)| *count > 0)
-        .map(|(count, what)| format!("{} {what}", number(count)))
+        .map(|(count, what)| format!("{} {what}", fixed(count as f64, 0)))
         .collect();
-    let shown = format!("n = {}", number(shown));
-    if left.is_empty() { shown } else { format!("{shown} · left out: {}", left.join(", ")) }
+    (!left.is_empty()).then(|| format!("left out: {}", left.join(", ")))
 }
 
 /// A title and, behind it, whose it is.

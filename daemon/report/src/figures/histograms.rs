@@ -3,7 +3,7 @@
 use super::columns::{account, heading, titled, too_large, unit, values};
 use super::written::{Drawing, Shown};
 use crate::figure::{Fill, Hatch, Histogram, stage_fill};
-use crate::number::{megabytes_per_second_between, milliseconds_between};
+use crate::number::{fixed, megabytes_per_second_between, milliseconds_between};
 use crate::order::Ordered;
 use crate::results::{Loaded, Rows, RunRecord, Scale};
 
@@ -49,6 +49,7 @@ fn histogram(record: &RunRecord, rows: &Rows, column: &str, what: &str) -> Histo
     let mut notes = vec![account(&rows.iter(), values.len())];
     notes.extend(too_large(rows.iter(), &[column]));
     notes.extend(clocks(rows, column));
+    notes.extend(impossible(column, &values));
     // Bars stand side by side: a hatch would only blur them.
     let fill = stage_fill(column.trim_end_matches("-throughput"));
     Histogram {
@@ -58,6 +59,13 @@ fn histogram(record: &RunRecord, rows: &Rows, column: &str, what: &str) -> Histo
         values,
         notes,
     }
+}
+
+/// How many delays are below zero, which none is: clocks that are not related make them, as in results of other programs.
+fn impossible(column: &str, values: &Ordered) -> Option<String> {
+    let count = values.values().partition_point(|value| *value < 0.0) as u64;
+    let is_delay = ["upload", "download"].contains(&column);
+    (is_delay && count > 0).then(|| format!("below zero, by the clocks' error: {}", fixed(count as f64, 0)))
 }
 
 /// Where the true median lies, as far as the hosts' clocks are known: between the medians of the lower and the upper

@@ -10,6 +10,7 @@
 mod accuracy;
 mod columns;
 mod configured;
+mod files;
 mod histograms;
 mod length;
 mod paired;
@@ -19,6 +20,7 @@ mod stacked;
 mod users;
 mod written;
 
+pub use files::files_in;
 pub use histograms::HISTOGRAMS;
 
 use std::path::{Path, PathBuf};

@@ -1,6 +1,6 @@
 //! A model's latency on the robot and in the cloud.
 
-use super::columns::{account, heading, unit, values};
+use super::columns::{heading, not_shown, unit, values};
 use super::written::{Drawing, Shown};
 use crate::figure::{Group, MOST_GROUPS, MOST_SIDES, Paired};
 use crate::order::Ordered;
@@ -51,7 +51,8 @@ pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Draw
         .filter(|run| groups.iter().any(|group| group.name == model(&run.record)))
         .flat_map(|run| &run.rows);
     let count = groups.iter().flat_map(|group| &group.values).map(Ordered::len).sum();
-    notes.insert(0, format!("{} · black: median, bar: middle half", account(&rows, count)));
+    let left_out = not_shown(&rows, count).map(|left_out| format!("{left_out} · "));
+    notes.insert(0, format!("{}black: median, bar: middle half", left_out.unwrap_or_default()));
     let what = heading(column);
     let paired = Paired {
         title: format!("{what} by model"),

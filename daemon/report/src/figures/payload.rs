@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::columns::{is_drawable, titled, too_large};
+use super::columns::{is_drawable, left_out, titled, too_large};
 use super::written::{Drawing, Shown};
 use crate::compare::Configurations;
 use crate::figure::{DOWNLOAD, Mark, Parts, Scaling, Series, UPLOAD, Unit, Value};
@@ -59,13 +59,14 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
         ways.into_iter().filter(Way::is_varied).collect()
     };
     let configurations = Configurations::of(runs);
-    let studied = links.into_iter().map(|(_, runs_of)| Study {
-        ways: ways(&runs_of),
-        whose: whose(&runs[runs_of[0]].record),
-        notes: pooled(&configurations, &runs_of)
-            .into_iter()
-            .chain(too_large(runs_of.iter().flat_map(|number| &runs[*number].rows), &SHOWN))
-            .collect(),
+    let studied = links.into_iter().map(|(_, runs_of)| {
+        let rows = runs_of.iter().flat_map(|number| &runs[*number].rows);
+        let notes = [pooled(&configurations, &runs_of), left_out(&rows), too_large(rows, &SHOWN)];
+        Study {
+            ways: ways(&runs_of),
+            whose: whose(&runs[runs_of[0]].record),
+            notes: notes.into_iter().flatten().collect(),
+        }
     });
     let studied: Vec<Study> = studied.filter(|study| !study.ways.is_empty()).collect();
     if studied.is_empty() {

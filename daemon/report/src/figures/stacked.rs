@@ -3,12 +3,12 @@
 use peernet_logger::stage;
 use peernet_statistics::Moments;
 
-use super::columns::{is_drawable, too_large};
+use super::columns::{account, is_drawable, too_large};
 use super::configured::{Configured, counted};
 use super::written::{Drawing, Shown};
 use crate::figure::{Bar, Stacked, UNATTRIBUTED, Unit};
-use crate::number::fixed;
-use crate::results::Loaded;
+use crate::number::{self, fixed};
+use crate::results::{LATENESS, Loaded, RowRef};
 
 /// Most bars that one picture has.
 const MOST: usize = 100;
@@ -22,23 +22,36 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
     }
     // Where one configuration has no measured total, all are the sums of their stages.
     let total = if all().all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
-    let beyond = (total == "total").then_some(UNATTRIBUTED);
+    // Lateness is the part of it that is measured; behind it stands the rest.
+    let beyond: &[&str] = if total == "total" { &[LATENESS, UNATTRIBUTED] } else { &[] };
     let order = stage::ORDER;
-    let candidates = order.iter().map(peernet_logger::Name::as_str).chain(beyond);
+    let candidates = order.iter().map(peernet_logger::Name::as_str).chain(beyond.iter().copied());
     let stages: Vec<String> = candidates
         .filter(|stage| all().any(|row| row.value(stage).is_some_and(is_drawable)))
         .map(str::to_owned)
         .collect();
-    let lines_of = lines.len();
-    let bars = lines.iter().filter_map(|(label, runs)| bar(label, runs, &stages, total)).take(MOST).collect();
+    let mut bars: Vec<Bar> =
+        lines.iter().filter_map(|(label, runs)| bar(label, runs, &stages, total)).collect();
+    let (lines_of, without) = (bars.len(), lines.len() - bars.len());
+    bars.truncate(MOST);
     let mut notes = vec![format!(
         "configurations: {} · parts: means · whisker and figures: mean ± standard deviation of the {}",
         axes.join(", "),
         if total == "total" { "measured total" } else { "sum of stages" }
     )];
+    let rows = runs.iter().flat_map(|run| &run.rows);
+    notes.push(account(&rows, all().count()));
     let columns: Vec<&str> =
-        order.iter().map(peernet_logger::Name::as_str).chain(beyond).chain([total]).collect();
+        order.iter().map(peernet_logger::Name::as_str).chain(beyond.iter().copied()).chain([total]).collect();
     notes.extend(too_large(all(), &columns));
+    if stages.iter().any(|stage| *stage == LATENESS) {
+        notes.push("lateness: from the ordered start to the real one · unattributed: without it".to_owned());
+    }
+    if without > 0 {
+        let configurations = number::counted(without as u64, "configuration");
+        notes.push(format!("left out: {configurations} without an iteration that counts"));
+    }
+    notes.extend(unknown(&all));
     if lines_of > MOST {
         notes.push(format!("the first {MOST} of {} configurations", fixed(lines_of as f64, 0)));
     }
@@ -52,21 +65,51 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
     Ok(vec![Drawing::new("stacked", Shown::Stacked(stacked))])
 }
 
+/// Whether the delay of a message that was sent is not known, or what depends on it: no measurement, and not 0 either.
+fn is_unknown(row: RowRef<'_>, stage: &str) -> bool {
+    let [up, down] = row.verdicts();
+    let measured = match stage {
+        "upload" => up.is_some(),
+        "download" => down.is_some(),
+        _ => stage == UNATTRIBUTED,
+    };
+    measured && row.value(stage).is_none()
+}
+
+/// How many delays are not known, for a note.
+fn unknown<'a, I: Iterator<Item = RowRef<'a>>>(all: &impl Fn() -> I) -> Option<String> {
+    let of = |stage: &str| {
+        let count = all().filter(|row| is_unknown(*row, stage)).count();
+        (count > 0).then(|| format!("{} of {stage}", fixed(count as f64, 0)))
+    };
+    let told: Vec<String> = ["upload", "download"].into_iter().filter_map(of).collect();
+    (!told.is_empty()).then(|| format!("left out of the means: unknown delays, {}", told.join(", ")))
+}
+
+/// How long a part of the bar is.
+fn length(row: RowRef<'_>, part: &str) -> Option<f64> {
+    let late = if part == UNATTRIBUTED { row.value(LATENESS).unwrap_or_default() } else { 0.0 };
+    Some(row.value(part)? - late)
+}
+
 /// `None` for a configuration without an iteration that counts.
 fn bar(label: &str, runs: &[&Loaded], stages: &[String], total: &str) -> Option<Bar> {
-    let mut sums = vec![0.0; stages.len()];
+    let mut parts = vec![Moments::default(); stages.len()];
     let mut totals = Moments::default();
     let mut count = 0_u64;
     for row in counted(runs) {
         count += 1;
-        for (sum, stage) in sums.iter_mut().zip(stages) {
-            // A stage that did not take place took no time.
-            *sum += row.value(stage).filter(|value| is_drawable(*value)).unwrap_or_default();
+        for (part, stage) in parts.iter_mut().zip(stages) {
+            if !is_unknown(row, stage) {
+                // A stage that did not take place took no time.
+                part.record(length(row, stage).filter(|value| is_drawable(*value)).unwrap_or_default());
+            }
         }
         if let Some(value) = row.value(total).filter(|value| is_drawable(*value)) {
             totals.record(value);
         }
     }
-    let means = sums.into_iter().map(|sum| sum / count as f64).collect();
-    (count > 0).then(|| Bar { label: label.to_owned(), means, std: totals.std() })
+    let means: Vec<f64> = parts.into_iter().map(|part| part.mean).collect();
+    let total = if totals.count > 0 { totals.mean } else { means.iter().sum() };
+    (count > 0).then(|| Bar { label: label.to_owned(), means, total, std: totals.std() })
 }

@@ -1,6 +1,7 @@
 //! Which figures results have, and what is taken from the rows.
 
 mod extremes;
+mod holes;
 
 use peernet_logger::stream::ExperimentPlace;
 
@@ -125,8 +126,28 @@ fn stages_add_up_to_the_total() {
     let sum: f64 = figure.bars[0].means.iter().sum();
     assert!((sum - 24e-3).abs() < 5e-4 && figure.bars[0].std.is_some_and(|std| std > 0.0), "{figure:?}");
     assert!(figure.notes[0].contains("model, where") && figure.notes[0].contains("measured total"));
+    assert_eq!(figure.notes[1..], ["n = 88 · left out: 10 warm-up, 2 without an answer"]);
     let nothing = [run(5, |_| vec![("sensing", 1.0)])];
     assert!(stacked::drawings(&nothing).is_err_and(|reason| reason.contains("warm-up")));
+}
+
+#[test]
+fn lateness_is_a_part_of_its_own_before_the_rest() {
+    let mut run = placed("s", "local", 20.0);
+    run.rows.change(|row| {
+        if !row.values.is_empty() {
+            let sum: f64 = row.values.iter().map(|(_, value)| value).sum();
+            row.values.extend([("total".into(), sum + 9e-3), (UNATTRIBUTED.into(), 9e-3)]);
+            row.values.push(("lateness".into(), 7e-3));
+        }
+    });
+    let drawings = stacked::drawings(&[run]).expect("there is something");
+    let Shown::Stacked(figure) = &drawings[0].shown else { panic!("bars") };
+    assert_eq!(figure.stages[2..], ["lateness", UNATTRIBUTED]);
+    let bar = &figure.bars[0];
+    assert!((bar.means[2] - 7e-3).abs() < 1e-9 && (bar.means[3] - 2e-3).abs() < 1e-9, "{bar:?}");
+    assert!((bar.means.iter().sum::<f64>() - bar.total).abs() < 1e-9, "{bar:?}");
+    assert!(figure.notes.iter().any(|note| note.starts_with("lateness: ")), "{:?}", figure.notes);
 }
 
 #[test]
@@ -150,8 +171,9 @@ fn accuracy_stands_against_latency() {
         (figure.scores[1].median - 80.53e-3).abs() < 1e-4 && figure.scores[1].p95.is_some(),
         "{figure:?}"
     );
-    assert_eq!(figure.notes[1], "left out: 1 without labelled samples");
-    assert_eq!(figure.notes.len(), 2, "{:?}", figure.notes);
+    let told =
+        ["left out: 15 warm-up, 3 without an answer", "left out: 1 configuration without scored samples"];
+    assert_eq!(figure.notes[1..], told);
     let mut broken = labelled("s", 20.0);
     broken.rows.change(|row| {
         let scores = row.values.iter_mut().filter(|(name, _)| name == "top-1" && row.iteration > 90);
@@ -159,7 +181,7 @@ fn accuracy_stands_against_latency() {
     });
     let drawings = accuracy::drawings(&[broken, placed("l", "local", 9.0)]).expect("there are labels");
     let Shown::Accuracy(figure) = &drawings[0].shown else { panic!("points") };
-    assert_eq!(figure.notes[2], "left out: 10 iterations without a valid score");
+    assert_eq!(figure.notes[3], "left out: 10 iterations without a valid score");
     assert!(accuracy::drawings(&[placed("l", "local", 9.0)]).is_err_and(|reason| reason.contains("top-1")));
 }
 
@@ -218,7 +240,8 @@ fn payloads_of_several_sizes_are_fitted() {
     assert!(
         throughput.series[0].name.starts_with("upload: 99.98") && throughput.series[0].name.contains(" ± ")
     );
-    assert!(latency.title.starts_with("One-way delay against payload") && latency.notes.is_empty());
+    assert!(latency.title.starts_with("One-way delay against payload"));
+    assert_eq!(latency.notes, ["left out: 5 warm-up, 1 without an answer"]);
     assert!(payload::drawings(&[remote(60)]).is_err());
     let named = |name: &str| {
         let record = placed(name, "remote", 1.0).record;
@@ -226,7 +249,9 @@ fn payloads_of_several_sizes_are_fitted() {
     };
     let drawings = payload::drawings(&[named("s"), named("m")]).expect("sizes differ");
     let Shown::Scaling(throughput) = &drawings[1].shown else { panic!("a fit") };
-    assert_eq!(throughput.notes, ["messages of 2 runs, pooled, that differ in model"]);
+    let told =
+        ["messages of 2 runs, pooled, that differ in model", "left out: 10 warm-up, 2 without an answer"];
+    assert_eq!(throughput.notes, told);
 }
 
 #[test]
@@ -245,7 +270,7 @@ fn a_rate_that_sizes_cannot_tell_is_not_given() {
     assert!(latency.series[0].name.starts_with("upload: intercept 0."), "{latency:?}");
     assert_eq!((throughput.series[0].name.as_str(), throughput.series[0].line), ("upload", None));
     for figure in [latency, throughput] {
-        assert_eq!(figure.notes, ["throughput of upload: too fast to tell from these sizes"]);
+        assert_eq!(figure.notes[1..], ["throughput of upload: too fast to tell from these sizes"]);
     }
 }
 
@@ -304,7 +329,7 @@ fn edges_that_never_met_are_told() {
     let met = [shared("m", 2, 0, 20.0), shared("m", 2, 1, 20.0)];
     let drawings = users::drawings(&[apart, met].concat()).expect("some did");
     let Shown::Sharing(figure) = &drawings[0].shown else { panic!("curves") };
-    assert_eq!(figure.notes[1], "left out: 1 without such a time");
+    assert_eq!(figure.notes[2], "left out: 1 without such a time");
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Latency against the number of edges at once.
 
-use super::columns::is_drawable;
+use super::columns::{is_drawable, left_out};
 use super::written::{Drawing, Shown};
 use crate::figure::{MOST_CURVES, Sharing, SharingCurve, SharingPoint, Unit};
 use crate::results::Loaded;
@@ -23,6 +23,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
         );
     }
     let mut notes = vec!["counted while all edges of a run were measuring".to_owned()];
+    notes.extend(left_out(&runs.iter().flat_map(|run| &run.rows)));
     if !without.is_empty() {
         notes.push(format!("left out: {} without such a time", without.len()));
     }

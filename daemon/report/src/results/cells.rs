@@ -8,9 +8,9 @@ use super::columns::{FIXED, Holds};
 use super::{Column, Row, Rows};
 use crate::Passage;
 
-/// The columns of a file: those that every file has, then what this run has beside them.
+/// The columns of a `data.csv`: those that every file has, then what this run has beside them.
 #[derive(Clone, Debug)]
-pub(super) struct Header {
+pub struct Header {
     names: Vec<Column>,
     known: HashSet<Column>,
 }
@@ -39,7 +39,7 @@ impl Header {
     }
 
     /// Puts the row's columns that are not here behind the others.
-    pub(super) fn add(&mut self, row: &Row) {
+    pub fn add(&mut self, row: &Row) {
         for (name, _) in &row.values {
             if self.known.insert(name.clone()) {
                 self.names.push(name.clone());
@@ -52,12 +52,12 @@ impl Header {
     }
 
     /// Appends the line with the names.
-    pub(super) fn write(&self, out: &mut Vec<u8>) {
+    pub fn write(&self, out: &mut Vec<u8>) {
         line(out, self.names());
     }
 
-    /// Appends a row's line.
-    pub(super) fn row(&self, out: &mut Vec<u8>, row: &Row) {
+    /// Appends a row's line; what has no column is left out.
+    pub fn row(&self, out: &mut Vec<u8>, row: &Row) {
         let fixed = FIXED.iter().map(|(name, holds)| match holds {
             Holds::Place => place(row, name),
             Holds::Delay => delay(row, name),

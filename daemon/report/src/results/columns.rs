@@ -6,6 +6,11 @@ use peernet_logger::{Measure, Node, NodeId, Tree, Unit, stage};
 
 use super::Column;
 
+/// Starts of an open loop that were skipped before an iteration, because the pipeline was too far behind.
+pub const SKIPPED_STARTS: &str = "skipped-starts";
+/// From the start that was ordered to the real one, in an open loop: a part of `unattributed`.
+pub const LATENESS: &str = "lateness";
+
 /// What a column holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Holds {
@@ -57,8 +62,8 @@ pub(super) const FIXED: [(&str, Holds); 47] = [
     ("queue", Holds::Node),
     ("ipc", Holds::Node),
     ("actuation", Holds::Node),
-    ("skipped-starts", Holds::Node),
-    ("lateness", Holds::Node),
+    (SKIPPED_STARTS, Holds::Node),
+    (LATENESS, Holds::Node),
     ("total", Holds::Node),
     ("stages-total", Holds::Node),
     ("unattributed", Holds::Node),

@@ -97,9 +97,9 @@ impl ResultFolder {
         super::ready::take(dir, overwrite).map(|(path, lock)| Self { path, _lock: Arc::new(lock) })
     }
 
-    /// Names of the files that [`Overwrite::Replace`] takes away.
-    pub fn replaced() -> impl Iterator<Item = String> {
-        super::ready::replaced()
+    /// Names of the files that [`Overwrite::Replace`] takes away from a folder, whether they are there or not.
+    pub fn replaced(dir: &Path) -> impl Iterator<Item = String> {
+        super::ready::replaced(dir)
     }
 
     /// Where it is.

@@ -23,7 +23,8 @@ mod summary;
 mod units;
 mod writer;
 
-pub use columns::{PUBLISHED, published};
+pub use cells::Header;
+pub use columns::{LATENESS, PUBLISHED, SKIPPED_STARTS, published};
 pub use error::FolderError;
 pub use folder::{Finished, Loaded, Overwrite, ResultFolder};
 pub use row::{Column, Outcome, Row};

@@ -112,7 +112,7 @@ impl Reading {
             }
             let number = match cell.parse::<f64>() {
                 Ok(number) => number,
-                // As a dashboard's CSV has it.
+                // As the CSV of earlier dashboards has it.
                 Err(_) if cells.name.as_ref() == "warm-up" && ["true", "false"].contains(&cell) => {
                     f64::from(u8::from(cell == "true"))
                 }

@@ -6,16 +6,8 @@ use std::path::{Path, PathBuf};
 
 use super::folder::{DATA, RECORD, SUMMARIES};
 use super::{FolderError, Overwrite};
+use crate::figures;
 
-/// Figures of a run, which would show what is there no longer.
-const FIGURES: [&str; 6] = [
-    "sensing-time",
-    "upload-time",
-    "inference-time",
-    "download-time",
-    "upload-throughput",
-    "download-throughput",
-];
 /// How deep below a folder results are looked for.
 const DEEPEST: usize = 8;
 
@@ -60,15 +52,16 @@ fn lock(dir: &Path) -> Result<File, FolderError> {
     }
 }
 
-/// The files that an earlier run may have left.
-pub(super) fn replaced() -> impl Iterator<Item = String> {
-    let figures = FIGURES.iter().flat_map(|stem| ["png", "svg"].map(|kind| format!("{stem}.{kind}")));
-    [DATA, RECORD].into_iter().chain(SUMMARIES).map(str::to_owned).chain(figures)
+/// The files that an earlier run may have left in a folder: its results, and figures of any kind, which would show what
+/// is there no longer.
+pub(super) fn replaced(dir: &Path) -> impl Iterator<Item = String> {
+    let results = [DATA, RECORD].into_iter().chain(SUMMARIES).map(str::to_owned);
+    results.chain(figures::files_in(dir))
 }
 
 /// Takes away what an earlier run left.
 pub(super) fn clear(dir: &Path) -> Result<(), FolderError> {
-    for path in replaced().map(|name| dir.join(name)) {
+    for path in replaced(dir).map(|name| dir.join(name)) {
         match std::fs::remove_file(&path) {
             Err(error) if error.kind() != ErrorKind::NotFound => {
                 return Err(crate::WriteError::at(&path)(error).into());

@@ -43,3 +43,28 @@ impl Table {
         latex::table(self, caption)
     }
 }
+
+/// A table between what it is and what it means.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Captioned {
+    pub(crate) heading: String,
+    pub(crate) table: Table,
+    pub(crate) notes: String,
+}
+
+impl Captioned {
+    /// For the terminal.
+    pub fn text(&self) -> String {
+        format!("{}\n\n{}\n\n{}", self.heading, self.table.text(), self.notes)
+    }
+
+    /// For documents.
+    pub fn markdown(&self) -> String {
+        format!("{}\n\n{}\n{}\n", self.heading, self.table.markdown(), self.notes)
+    }
+
+    /// For papers, with booktabs.
+    pub fn latex(&self) -> String {
+        self.table.latex(&format!("{} {}", self.heading, self.notes))
+    }
+}

@@ -28,12 +28,12 @@ pub struct Came {
     pub seconds: f64,
 }
 
-/// How far a run came of what was limits.
+/// How far a run came of what was ordered.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Early {
     /// What came, in the unit of `of`.
     pub came: f64,
-    /// What was limits.
+    /// What was ordered.
     pub of: f64,
     /// What is counted.
     pub unit: Unit,

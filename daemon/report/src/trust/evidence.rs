@@ -6,11 +6,11 @@ use peernet_clock::Verdict;
 use peernet_logger::stream::Condition;
 use peernet_logger::{Name, stage};
 
-use super::{Came, Course, Early, Limits};
+use super::{Came, Course, Early, Limits, Load, Restarts, Starts};
 use crate::Passage;
-use crate::accuracy::Accuracy;
+use crate::accuracy::{Accuracy, UnknownLabels};
 use crate::order::Ordered;
-use crate::results::{Outcome, RowRef, Rows, RunRecord};
+use crate::results::{LATENESS, Outcome, RowRef, Rows, RunRecord};
 
 /// How the fact of a run begins that says of a host's clock that it was made wrong on purpose.
 const REHEARSAL: &str = "Rehearsal";
@@ -27,6 +27,8 @@ pub struct Evidence {
     pub conditions: Vec<Condition>,
     /// How the iterations ended.
     pub counts: Counts,
+    /// What became of the starts that an open loop ordered.
+    pub starts: Starts,
     /// What was measured but is not there.
     pub missing: Vec<Missing>,
     /// What became of the run where it neither finished nor was stopped.
@@ -43,10 +45,16 @@ pub struct Evidence {
     pub stages: Vec<(String, Course)>,
     /// What the totals hold beyond their stages, on average; seconds. Negative where stages overlap.
     pub unattributed: Option<f64>,
+    /// What of that is known to be lateness, on average; seconds. `None` in a closed loop.
+    pub lateness: Option<f64>,
+    /// Processes that were started anew while iterations waited for them.
+    pub restarts: Vec<Restarts>,
     /// The judged one-way delays, by stage.
     pub clocks: Vec<Clocks>,
     /// How often the model was right, by column; empty where nobody knew.
     pub accuracy: BTreeMap<String, Accuracy>,
+    /// Samples that are neither, because their label is no class of the model.
+    pub unknown_labels: Option<UnknownLabels>,
 }
 
 /// How the iterations of a run ended.
@@ -91,9 +99,12 @@ impl Evidence {
     pub fn of_rows(rows: &Rows, conditions: &[Condition]) -> Self {
         let measured = || rows.iter().filter(|row| row.counts());
         let course = |column: &str| Course::of_values(&rows.counted(column).collect::<Vec<f64>>());
+        // Both of the same iterations: where a delay is not known neither is what is unattributed.
+        let explained = || measured().filter(|row| row.value(&stage::UNATTRIBUTED).is_some());
         let mean = |column: &str| {
-            let count = rows.counted(column).count();
-            (count > 0).then(|| rows.counted(column).sum::<f64>() / count as f64)
+            let values = || explained().filter_map(|row| row.value(column));
+            let count = values().count();
+            (count > 0).then(|| values().sum::<f64>() / count as f64)
         };
         let stages = stage::ORDER.into_iter().filter_map(|name| Some((name.to_string(), course(&name)?)));
         let count = |outcome: Outcome| {
@@ -110,14 +121,18 @@ impl Evidence {
                 timeout: count(Outcome::Timeout),
                 warm_up: rows.iter().filter(|row| row.warm_up()).count() as u64,
             },
+            starts: Starts::of_rows(rows),
             total: course(&stage::TOTAL).or_else(|| course(&stage::SENSING)),
             stages: stages.collect(),
             unattributed: mean(&stage::UNATTRIBUTED),
+            lateness: mean(LATENESS),
+            restarts: Restarts::of_rows(rows),
             clocks: ways
                 .into_iter()
                 .filter_map(|(name, of)| Clocks::of(name.as_str(), measured().filter_map(|row| of(&row))))
                 .collect(),
             accuracy: Accuracy::of_each(rows),
+            unknown_labels: UnknownLabels::of(rows, &[]),
             ..Self::default()
         }
     }
@@ -133,6 +148,7 @@ impl Evidence {
         let rows_say = Self::of_rows(rows, &conditions);
         let came = Came::of(rows, &rows_say.counts, record.counts.unseen);
         Self {
+            starts: Starts { hz: Load::of_record(record).hz, ..rows_say.starts },
             missing: if unseen.count > 0 { vec![unseen] } else { Vec::new() },
             early: Early::of(&Limits::of_record(record), &came, &record.reason),
             ..rows_say
@@ -148,13 +164,14 @@ impl Evidence {
         Self { broken, ..self }
     }
 
-    /// With what the run's description says of rehearsals.
+    /// With what the run's description says of rehearsals, labels and classes.
     #[must_use]
     pub fn with_facts(self, facts: &[(String, String)]) -> Self {
         let rehearsed = facts.iter().any(|(fact, _)| {
             fact == REHEARSAL || fact.strip_prefix(REHEARSAL).is_some_and(|rest| rest.starts_with(" of "))
         });
-        Self { rehearsed, ..self }
+        let unknown_labels = self.unknown_labels.and_then(|unknown| UnknownLabels::new(unknown.count, facts));
+        Self { rehearsed, unknown_labels, ..self }
     }
 }
 

@@ -12,6 +12,8 @@ mod course;
 mod early;
 mod evidence;
 mod judge;
+mod load;
+mod restarts;
 #[cfg(test)]
 mod testing;
 #[cfg(test)]
@@ -21,6 +23,8 @@ mod trend;
 pub use course::{Beginning, Course, Outliers, batch_means};
 pub use early::{Came, Early, Limits, Unit};
 pub use evidence::{Clocks, Counts, Evidence, Missing};
+pub use load::{Load, Starts};
+pub use restarts::Restarts;
 
 use std::cmp::Reverse;
 

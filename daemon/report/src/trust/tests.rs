@@ -175,6 +175,93 @@ fn what_no_stage_accounts_for_is_doubtful_unless_it_is_short() {
     }
 }
 
+#[test]
+fn iterations_that_waited_for_a_new_process_are_named_and_weighed() {
+    let judged = |column: &str, every: u64, seconds: f64| {
+        let mut rows = rows(quiet(1005));
+        rows.change(|row| {
+            if row.iteration % every == 9 {
+                row.values.push((column.to_owned().into(), seconds));
+                row.values[1].1 += seconds;
+            }
+        });
+        judged(&rows)
+    };
+    let slow = judged("restart", 2_000, 2.0);
+    let text = "The model's process was started anew in 1 iteration (number 9), which waited 2,000\u{202f}ms for it: \
+                17\u{202f}% of all totals.";
+    assert_eq!(about(&slow, "restarts"), (Grade::Doubtful, text));
+    let quick = judged("capture_capture-restart", 100, 0.001);
+    let (grade, text) = about(&quick, "restarts");
+    assert!(
+        grade == Grade::Good && text.contains("sensor's") && text.contains("109, 209, 309, 409, …)"),
+        "{text}"
+    );
+    assert!(about(&judged("actuation_actuation-restart", 900, 0.1), "restarts").1.contains("The actuator's"));
+    let none = judged("ipc", 2, 0.001);
+    assert!(none.sentences.iter().all(|sentence| sentence.about != "restarts"));
+}
+
+#[test]
+fn lateness_is_told_apart_from_what_nothing_accounts_for() {
+    for (lateness, grade) in [(0.085, Grade::Good), (0.070, Grade::Doubtful), (0.020, Grade::Bad)] {
+        let mut rows = rows((0..200).map(|_| 0.2));
+        rows.change(|row| {
+            row.values[2].1 = 0.086;
+            row.values.push(("lateness".into(), lateness));
+        });
+        let report = judged(&rows);
+        assert_eq!(about(&report, "unattributed").0, grade, "{}", report.text());
+        assert_eq!(about(&report, "lateness").0, Grade::Good);
+        if grade == Grade::Good {
+            let text =
+                "0.50\u{202f}% of the total belongs to no stage, lateness aside (1.00\u{202f}ms on average).";
+            assert_eq!(about(&report, "unattributed").1, text);
+            let text = "Iterations began 85.0\u{202f}ms after the ordered start on average: this lateness is 43\u{202f}% of the total.";
+            assert_eq!(about(&report, "lateness").1, text);
+        }
+    }
+    assert!(judged(&rows(quiet(200))).sentences.iter().all(|sentence| sentence.about != "lateness"));
+}
+
+#[test]
+fn starts_that_were_skipped_are_told_and_weighed() {
+    let judged = |load: serde_json::Value, skipped: u64| {
+        let record = RunRecord { pipeline: serde_json::json!({ "load": load }), ..RunRecord::default() };
+        let mut rows = rows(quiet(1005));
+        // In the warm-up, before an answer and before none.
+        rows.change(|row| match row.iteration {
+            3 => row.values.push(("skipped-starts".into(), 70.0)),
+            10 => row.values.push(("skipped-starts".into(), skipped as f64 - 1.0)),
+            20 => {
+                row.outcome = Outcome::Lost;
+                row.values.push(("skipped-starts".into(), 1.0));
+            }
+            _ => {}
+        });
+        let report = Report::of(&Evidence::of_run(&record, &rows));
+        let found = report.sentences.iter().find(|sentence| sentence.about == "skipped starts");
+        found.map(|sentence| (sentence.grade, sentence.text.clone()))
+    };
+    let rate = serde_json::json!({ "mode": "rate", "hz": 40 });
+    let poisson = serde_json::json!({ "mode": "poisson", "hz": 40.0, "seed": 7 });
+    for load in [&rate, &poisson] {
+        let text = "1,041 of 2,041 starts (51\u{202f}%) were skipped, because the pipeline was too far behind: \
+                    40.0\u{202f}Hz were ordered, 19.6\u{202f}Hz kept. The latency is that of a system at its limit.";
+        assert_eq!(judged(load.clone(), 1041), Some((Grade::Bad, text.to_owned())));
+    }
+    let (grade, text) = judged(rate.clone(), 20).expect("told");
+    assert!(grade == Grade::Doubtful && text.starts_with("20 of 1,020 starts (2.0\u{202f}%)"), "{text}");
+    let (grade, text) = judged(rate.clone(), 1).expect("told");
+    assert!(grade == Grade::Good && text.starts_with("1 of 1,001 starts (0.10\u{202f}%) was"), "{text}");
+    let (_, text) = judged(serde_json::json!(null), 1041).expect("told");
+    assert!(text.contains("too far behind. The latency"), "{text}");
+    let kept = RunRecord { pipeline: serde_json::json!({ "load": rate }), ..RunRecord::default() };
+    let report = Report::of(&Evidence::of_run(&kept, &rows(quiet(205))));
+    let text = "No start was skipped: 40.0\u{202f}Hz were ordered and kept.";
+    assert_eq!(about(&report, "skipped starts"), (Grade::Good, text));
+}
+
 /// Gives a row a message of 6 ms.
 fn send(row: &mut Row, verdict: Verdict) {
     let value = Span::from_millis(6);

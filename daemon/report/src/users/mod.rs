@@ -15,10 +15,6 @@ pub use curves::Curve;
 use crate::order::Ordered;
 use crate::results::Loaded;
 
-/// Fewest values that a percentile is given of, as everywhere in PEERNet.
-const ENOUGH_FOR_P95: usize = 60;
-const ENOUGH_FOR_P99: usize = 300;
-
 /// Jain's index of fairness, (Σx)² / (n Σx²): from 1/n, where one gets everything, to 1, where all get the same (Jain,
 /// Chiu and Hawe 1984, *A Quantitative Measure of Fairness and Discrimination for Resource Allocation in Shared Computer
 /// Systems*, DEC-TR-301). `None` where nobody gets anything.
@@ -142,13 +138,12 @@ impl UsersLine {
 
 impl Totals {
     fn of(totals: &Ordered) -> Self {
-        let enough = |least, p| totals.quantile(p).filter(|_| totals.len() >= least);
         Self {
             count: totals.len(),
             mean: mean(totals.values().iter().copied()),
             median: totals.median(),
-            p95: enough(ENOUGH_FOR_P95, 0.95),
-            p99: enough(ENOUGH_FOR_P99, 0.99),
+            p95: totals.p95(),
+            p99: totals.p99(),
         }
     }
 }

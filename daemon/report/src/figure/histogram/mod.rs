@@ -17,9 +17,6 @@ use super::kit::{
 use crate::number::fixed;
 use crate::order::Ordered;
 
-/// Fewest values that a 95th percentile is given of, as everywhere in PEERNet.
-const ENOUGH_FOR_P95: usize = 60;
-
 /// A histogram with its median and 95th percentile.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Histogram {
@@ -36,13 +33,18 @@ pub struct Histogram {
 }
 
 impl Histogram {
+    /// What has a line of its own: its name, where it is, whether the line is dashed.
+    fn lines(&self) -> impl Iterator<Item = (&'static str, f64, bool)> {
+        let lines = [("median", self.values.median(), false), ("p95", self.values.p95(), true)];
+        lines.into_iter().filter_map(|(name, value, dashed)| Some((name, value?, dashed)))
+    }
+
     fn keys(&self) -> Vec<Key> {
         let spread = range(&self.values).map_or(0.0, |(lo, hi)| hi - lo);
-        let key = |dashed: bool, name: &str, p: f64, least: usize| {
-            let value = self.values.quantile(p).filter(|_| self.values.len() >= least)?;
-            Some(Key::new(Swatch::Line(INK, dashed), format!("{name} {}", self.unit.words(value, spread))))
+        let key = |(name, value, dashed)| {
+            Key::new(Swatch::Line(INK, dashed), format!("{name} {}", self.unit.words(value, spread)))
         };
-        [key(false, "median", 0.5, 1), key(true, "p95", 0.95, ENOUGH_FOR_P95)].into_iter().flatten().collect()
+        self.lines().map(key).collect()
     }
 
     /// What lies outside: `← 3 below 1.2 ms · 12 beyond 23.2 ms →`.
@@ -91,9 +93,7 @@ impl Figure for Histogram {
             fill(paper, [(x(from) + 1, height), ((x(to) - 2).max(x(from) + 3), bottom)], self.fill)?;
         }
         frame.draw_x(paper, &self.unit.title, |tick| tick.text.clone())?;
-        for (dashed, p, least) in [(false, 0.5, 1), (true, 0.95, ENOUGH_FOR_P95)] {
-            let value = self.values.quantile(p).filter(|_| self.values.len() >= least);
-            let Some(value) = value.filter(|value| frame.x.has(value * self.unit.per_si)) else { continue };
+        for (_, value, dashed) in self.lines().filter(|(_, value, _)| frame.x.has(value * self.unit.per_si)) {
             let line = [(x(value), bottom), (x(value), frame.y.pixels.1)];
             // A light rim parts the line from the bars behind it.
             paper.draw(&PathElement::new(line, plotters::style::WHITE.mix(0.6).stroke_width(12)))?;

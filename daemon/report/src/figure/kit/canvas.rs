@@ -17,6 +17,12 @@ use crate::error::write;
 /// Pixels; [`PER_INCH`] to the inch at the 3.5 inches of a column.
 pub(in crate::figure) const SIZE: (u32, u32) = (1680, 1260);
 const PER_INCH: f64 = 480.0;
+/// Bytes of a PNG's signature and header (W3C, *Portable Network Graphics*, 5.2 and 11.2.1): what tells the size of its pixels
+/// stands behind them.
+const HEADER: usize = 8 + 25;
+/// The chunk `pHYs` (ibid., 11.3.4.3): [`PER_INCH`] as 18,898 to the metre, and the checksum. Programs that set papers put
+/// a picture without it at the resolution of a screen.
+const DENSITY: [u8; 21] = *b"\0\0\0\x09pHYs\0\0\x49\xd2\0\0\x49\xd2\x01\xa8\x45\x8a\xf8";
 /// Height of text, ascenders to descenders, pixels: type of 7 points at the width of a column.
 pub(in crate::figure) const TEXT: i32 = 57;
 /// Height of notes, pixels: type of 6 points.
@@ -90,6 +96,7 @@ pub trait Figure {
         PngEncoder::new_with_quality(&mut png, CompressionType::Default, FilterType::NoFilter)
             .write_image(&pixels, width, height, ExtendedColorType::Rgb8)
             .map_err(WriteError::at(&files[0]))?;
+        png.splice(HEADER..HEADER, DENSITY);
         write(&files[0], &png)?;
         let svg = self.svg().map_err(WriteError::at(&files[1]))?;
         write(&files[1], svg.as_bytes())?;

@@ -1,13 +1,16 @@
 //! How wide text is, and making it fit.
 
-use plotters::element::Text;
+use plotters::element::{Rectangle, Text};
 use plotters::prelude::DrawingBackend;
-use plotters::style::TextStyle;
 use plotters::style::text_anchor::{HPos, VPos};
+use plotters::style::{Color, TextStyle, WHITE};
 
 use super::canvas::{Drawn, Paper, register, style};
 use super::colour::INK;
 use crate::table::in_one_line;
+
+/// Ground on both sides of text, pixels.
+const AROUND: i32 = 8;
 
 /// Draws text at a point, in one line: an SVG with a control character in it is none.
 pub(in crate::figure) fn text<DB: DrawingBackend>(
@@ -20,6 +23,30 @@ pub(in crate::figure) fn text<DB: DrawingBackend>(
     let lower =
         if matches!(style.pos.v_pos, VPos::Center) { (style.font.get_size() / 9.0) as i32 } else { 0 };
     paper.draw(&Text::new(in_one_line(&words.into()), (x, y + lower), style))
+}
+
+/// Draws text as [`text`] does, on ground of the paper's colour: what is below it, such as a grid, does not cross it.
+pub(in crate::figure) fn text_on_ground<DB: DrawingBackend>(
+    paper: &Paper<DB>,
+    words: &str,
+    (x, y): (i32, i32),
+    style: TextStyle<'static>,
+) -> Drawn<DB> {
+    let high = style.font.get_size() as i32;
+    let wide = width(words, high);
+    let left = match style.pos.h_pos {
+        HPos::Left => x,
+        HPos::Center => x - wide / 2,
+        HPos::Right => x - wide,
+    };
+    let top = match style.pos.v_pos {
+        VPos::Top => y,
+        VPos::Center => y - high / 2,
+        VPos::Bottom => y - high,
+    };
+    let ground = [(left - AROUND, top), (left + wide + AROUND, top + high)];
+    paper.draw(&Rectangle::new(ground, WHITE.filled()))?;
+    text(paper, words, (x, y), style)
 }
 
 /// Width of text of a height, pixels.

@@ -2,10 +2,13 @@
 
 use crate::order::Ordered;
 
-/// Heights that a picture has.
-const STEPS: usize = 96;
+/// Places for each width of the kernel, so that no hill falls between two of them.
+const PER_WIDTH: f64 = 4.0;
+/// Least and most places.
+const FEWEST: usize = 24;
+const MOST: usize = 768;
 /// Values are counted into so many cells first, so that it does not matter how many there are.
-const CELLS: usize = 768;
+const CELLS: usize = MOST;
 
 /// Places between `lo` and `hi` and how dense the values are there, the densest place being 1: a Gaussian kernel of
 /// Silverman's width, 0.9 · min(s, IQR / 1.34) · n^−1/5 (*Density Estimation*, 1986, equation 3.31). Empty where all
@@ -17,9 +20,10 @@ pub(super) fn density(values: &Ordered, (lo, hi): (f64, f64)) -> Vec<(f64, f64)>
     let cell = (hi - lo) / CELLS as f64;
     let mut cells = [0_u32; CELLS];
     finite().for_each(|value| cells[(((value - lo) / cell) as usize).min(CELLS - 1)] += 1);
-    let at = |step: usize| lo + (hi - lo) * step as f64 / STEPS as f64;
     // Narrower than a cell would fall between the cells.
     let width = width.max(cell);
+    let steps = ((PER_WIDTH * (hi - lo) / width).ceil() as usize).clamp(FEWEST, MOST);
+    let at = |step: usize| lo + (hi - lo) * step as f64 / steps as f64;
     let dense = |place: f64| -> f64 {
         let parts = cells.iter().enumerate().filter(|(_, count)| **count > 0).map(|(number, count)| {
             let away = (place - lo - cell * (number as f64 + 0.5)) / width;
@@ -27,7 +31,7 @@ pub(super) fn density(values: &Ordered, (lo, hi): (f64, f64)) -> Vec<(f64, f64)>
         });
         parts.sum()
     };
-    let heights: Vec<f64> = (0..=STEPS).map(|step| dense(at(step))).collect();
+    let heights: Vec<f64> = (0..=steps).map(|step| dense(at(step))).collect();
     let highest = heights.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
     heights.into_iter().enumerate().map(|(step, height)| (at(step), height / highest)).collect()
 }
@@ -56,6 +60,15 @@ mod tests {
             close.expect("places").1
         };
         assert!(near(1.0) > 0.9 && near(5.0) > 0.9 && near(3.0) < 0.3, "{density:?}");
+    }
+
+    #[test]
+    fn a_narrow_hill_far_from_a_tail_is_seen() {
+        // 0.4 of a unit wide, on 40 units.
+        let hill = (0..150).map(|i| 2.0 + 0.4 * (f64::from(i) + 0.5) / 150.0);
+        let density = density(&hill.chain([30.0, 41.0]).collect(), (2.0, 41.0));
+        let on_it = density.iter().filter(|(place, dense)| (2.0..=2.4).contains(place) && *dense > 0.5);
+        assert!(on_it.count() >= 6, "{density:?}");
     }
 
     #[test]

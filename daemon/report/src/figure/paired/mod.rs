@@ -1,8 +1,9 @@
 //! One quantity here and there: the same model on the robot and in the cloud, side by side.
 
 mod density;
+mod violin;
 
-use plotters::element::{PathElement, Polygon, Rectangle};
+use plotters::element::Rectangle;
 use plotters::prelude::DrawingBackend;
 use plotters::style::text_anchor::{HPos, VPos};
 use plotters::style::{Color, WHITE};
@@ -63,6 +64,14 @@ impl Paired {
         let looks = SERIES.into_iter().zip(Mark::ALL);
         let key = |(name, (colour, mark)): (&String, _)| Key::new(Swatch::Shape(colour, mark), name.clone());
         let mut notes = self.notes.clone();
+        if !self.has_room_for_counts() {
+            let counts = || self.groups.iter().flat_map(|group| &group.values).map(Ordered::len);
+            let ends = counts().filter(|count| *count > 0).min().zip(counts().max());
+            notes.extend(ends.map(|(least, most)| {
+                let [least, most] = [least, most].map(|count| fixed(count as f64, 0));
+                if least == most { format!("n = {most} each") } else { format!("n = {least} to {most} each") }
+            }));
+        }
         if self.groups.iter().any(|group| group.ratio().is_some()) {
             notes.push(format!("above a pair: median {} ÷ {}", self.sides[0], self.sides[1]));
         }
@@ -70,6 +79,14 @@ impl Paired {
             notes.push("+ above: so many values are larger than shown".to_owned());
         }
         Header { title: self.title.clone(), keys: self.sides.iter().zip(looks).map(key).collect(), notes }
+    }
+
+    /// Whether the count of each distribution has room below it.
+    fn has_room_for_counts(&self) -> bool {
+        let sides = self.groups.iter().map(|group| group.values.len()).max().unwrap_or(1);
+        let room = (SIZE.0 as i32 - 260) * 9 / 10 / (self.groups.len() * sides).max(1) as i32 - 12;
+        let all = self.groups.iter().flat_map(|group| &group.values);
+        all.into_iter().all(|values| width(&counted(values), SMALL) <= room)
     }
 
     /// What the axis holds: every distribution but for tails that would squeeze the rest.
@@ -106,13 +123,16 @@ impl Paired {
         let highest = self.highest(values);
         let hill = density(values, (lo, hi));
         let wide = |dense: f64| (f64::from(half) * dense).round() as i32;
-        let right = hill.iter().map(|(value, dense)| (middle + wide(*dense), y(*value)));
-        let left = hill.iter().rev().map(|(value, dense)| (middle - wide(*dense), y(*value)));
-        let mut outline: Vec<(i32, i32)> = right.chain(left).collect();
-        if outline.len() > 2 && values.len() > MOST_POINTS {
-            paper.draw(&Polygon::new(outline.clone(), colour.mix(0.35).filled()))?;
-            outline.extend(outline.first().copied());
-            paper.draw(&PathElement::new(outline, colour.stroke_width(4)))?;
+        let mut places: Vec<(i32, i32)> =
+            hill.iter().map(|(value, dense)| (y(*value), wide(*dense))).collect();
+        // Several places of one row of pixels are its widest one.
+        places.dedup_by(|next, kept| {
+            let same = next.0 == kept.0;
+            kept.1 = if same { kept.1.max(next.1) } else { kept.1 };
+            same
+        });
+        if places.len() > 1 && values.len() > MOST_POINTS {
+            violin::draw(paper, &places, middle, colour)?;
         } else {
             let shown = values.values().iter().filter(|value| highest.is_some_and(|most| **value <= most));
             for (number, value) in shown.enumerate() {
@@ -147,12 +167,18 @@ impl Paired {
     }
 }
 
+/// `n = 1,200`
+fn counted(values: &Ordered) -> String {
+    format!("n = {}", fixed(values.len() as f64, 0))
+}
+
 impl Figure for Paired {
     fn draw<DB: DrawingBackend>(&self, paper: &Paper<DB>) -> Drawn<DB> {
         let top = self.header().draw(paper)?;
         let Some((lo, hi)) = self.shown() else { return nothing(paper, top) };
         let range = (lo * self.unit.per_si, hi * self.unit.per_si * 1.12);
-        let y = Frame::below(top, SIZE.1 as i32 + 70, |pixels| Axis::from_zero(range, pixels));
+        let counts = if self.has_room_for_counts() { SMALL + 6 } else { 0 };
+        let y = Frame::below(top, SIZE.1 as i32 + 70 - counts, |pixels| Axis::from_zero(range, pixels));
         let pixels = Frame::beside(&y, SIZE.0 as i32);
         let frame = Frame { x: Axis::linear((0.0, 1.0), pixels), y };
         frame.draw_y(paper, (&self.unit.title, 0))?;
@@ -165,8 +191,12 @@ impl Figure for Paired {
             for (side, values) in group.values.iter().enumerate() {
                 let middle = left + step / 20 + lane * side as i32 + lane / 2;
                 self.draw_one(paper, &frame, (values, side, middle, (lane * 2 / 5).min(130)))?;
+                if counts > 0 && !values.is_empty() {
+                    let look = style(SMALL, QUIET, HPos::Center, VPos::Top);
+                    text(paper, counted(values), (middle, y.pixels.0 + 18), look)?;
+                }
             }
-            let at = (left + step / 2, y.pixels.0 + 24);
+            let at = (left + step / 2, y.pixels.0 + 24 + counts);
             let name = shorten(&group.name, height, step - 12);
             text(paper, name, at, style(height, INK, HPos::Center, VPos::Top))?;
             if let Some(ratio) = group.ratio() {

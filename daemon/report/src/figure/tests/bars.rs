@@ -75,6 +75,7 @@ fn stacked(bars: Vec<(&str, [f64; 3], Option<f64>)>) -> Stacked {
     let bar = |(label, means, std): (&str, [f64; 3], Option<f64>)| Bar {
         label: label.to_owned(),
         means: means.map(|mean| mean / 1e3).to_vec(),
+        total: means.iter().sum::<f64>() / 1e3,
         std: std.map(|std| std / 1e3),
     };
     Stacked {
@@ -91,6 +92,26 @@ fn areas(svg: &str, stage: &str) -> Elements {
     let mut areas = Elements::of(svg, "rect").with("fill", &colour(stage_fill(stage)));
     areas.0.remove(0);
     areas
+}
+
+#[test]
+fn no_grid_runs_through_the_figures_of_a_bar() {
+    let long = "a long label that is not to stand below a bar";
+    for label in ["a", long] {
+        let svg = stacked(vec![(label, [10.0, 40.0, 50.0], Some(5.0))]).svg().expect("drawn");
+        let words = svg.split("<text ").find(|text| text.contains("±")).expect("figures");
+        let place = |name: &str| -> f64 {
+            let value = words.split(&format!("{name}=\"")).nth(1).and_then(|rest| rest.split('"').next());
+            value.and_then(|value| value.parse().ok()).expect("a number")
+        };
+        let (x, y) = (place("x"), place("y"));
+        let ground = Elements::of(&svg, "rect").with("fill", "#FFFFFF");
+        let sides = |at: &str, size: &str| ground.numbers(at).into_iter().zip(ground.numbers(size));
+        let under = sides("x", "width").zip(sides("y", "height")).filter(|((left, wide), (top, high))| {
+            (*left..=left + wide).contains(&x) && (top - 1.0..=top + high + 1.0).contains(&y) && *wide < 600.0
+        });
+        assert_eq!(under.count(), 1, "{svg}");
+    }
 }
 
 #[test]

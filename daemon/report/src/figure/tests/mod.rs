@@ -75,6 +75,11 @@ fn a_figure_is_as_wide_as_a_column_in_both_files() {
     let folder = tempfile::tempdir().expect("a folder");
     let figure = bars::histogram(millis((0..100).map(f64::from)));
     let [png, svg] = figure.write(folder.path(), "some-time").expect("written");
+    let bytes = std::fs::read(&png).expect("is there");
+    let density = bytes.windows(4).position(|name| name == b"pHYs").expect("says how large its pixels are");
+    let metre = |at: usize| u32::from_be_bytes(bytes[at..at + 4].try_into().expect("four"));
+    let per_inch = [4, 8].map(|at| (f64::from(metre(density + at)) * 0.0254).round());
+    assert_eq!((per_inch, bytes[density + 12]), ([480.0; 2], 1), "to the metre");
     let picture = image::open(&png).expect("a picture");
     assert_eq!((picture.width(), picture.height()), figure.size());
     let svg = std::fs::read_to_string(svg).expect("read");

@@ -40,6 +40,34 @@ fn many_values_are_a_shape_and_few_are_points() {
 }
 
 #[test]
+fn a_shape_is_whole_however_narrow_its_hills_are() {
+    // A hill of 0.4 ms, another one, and a few values up to far above.
+    let hill = |from: f64, n: u32| (0..n).map(move |i| from + 0.4 * (f64::from(i) + 0.5) / f64::from(n));
+    let far: Ordered =
+        millis(hill(2.0, 150).chain(hill(9.0, 60)).chain([20.0, 30.0, 40.0, 40.1, 40.2, 41.0]));
+    let figure = paired(vec![vec![far]]);
+    let pixels = figure.pixels().expect("drawn");
+    let (width, height) = figure.size();
+    let row = width as usize * 3;
+    let blue = |row: &[u8]| row.chunks_exact(3).any(|pixel| pixel == [0x00, 0x72, 0xb2]);
+    // Below the key, whose sample has the colour as well.
+    let rows: Vec<usize> = (380..height as usize).filter(|y| blue(&pixels[y * row..(y + 1) * row])).collect();
+    let (first, last) = (rows[0], rows[rows.len() - 1]);
+    assert!(last - first > 400, "{first} {last}");
+    assert_eq!(rows.len(), last - first + 1, "a row without the shape");
+}
+
+#[test]
+fn each_distribution_has_its_count() {
+    let svg = paired(vec![vec![hill(50.0, 400), hill(20.0, 9)]]).svg().expect("drawn");
+    assert!(has(&svg, "n = 400") && has(&svg, "n = 9"), "{:?}", texts(&svg));
+    let many = paired(vec![vec![hill(50.0, 400), hill(20.0, 9)]; 12]);
+    let svg = many.svg().expect("drawn");
+    assert!(has(&svg, "n = 9 to 400 each") && !has(&svg, "n = 9"), "{:?}", texts(&svg));
+    assert_on_paper(&many, &svg);
+}
+
+#[test]
 fn what_leaves_a_shape_is_counted() {
     let late = hill(20.0, 400).values().iter().copied().chain([90.0]).collect();
     let svg = paired(vec![vec![hill(50.0, 400), late]]).svg().expect("drawn");

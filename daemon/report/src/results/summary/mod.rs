@@ -4,15 +4,13 @@ mod render;
 
 pub(crate) use render::Scale;
 
-use peernet_statistics::Moments;
+use peernet_statistics::{self as statistics, Moments};
 
 use super::columns::{FIXED, Holds};
 use super::{Clocks, Column, Counts, Rows, RunRecord, Units};
+use crate::accuracy::UnknownLabels;
 use crate::order::Ordered;
-
-/// Fewest values that a percentile is given of, as everywhere in PEERNet.
-const ENOUGH_FOR_P95: usize = 60;
-const ENOUGH_FOR_P99: usize = 300;
+use crate::trust::Starts;
 
 /// What the columns of a run come to, warm-up and iterations without an answer left out.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,8 +21,12 @@ pub struct Summary {
     pub quantities: Vec<Quantity>,
     /// How the iterations ended.
     pub counts: Counts,
+    /// What became of the starts that an open loop ordered.
+    pub starts: Starts,
     /// How far the delays can be trusted.
     pub clocks: Clocks,
+    /// Samples that are neither right nor wrong, because their label is no class of the model.
+    pub unknown_labels: Option<UnknownLabels>,
     /// In what the columns are measured that the run logged beside the standard ones.
     pub units: Units,
 }
@@ -67,17 +69,22 @@ impl Summary {
             title: String::new(),
             quantities: measured.filter_map(quantity).collect(),
             counts: Counts::of(rows, 0),
+            starts: Starts::of_rows(rows),
             clocks: Clocks::of(rows),
+            unknown_labels: UnknownLabels::of(rows, &[]),
             units: Units::default(),
         }
     }
 
-    /// With the run's title, the units of its own columns, and what is known of iterations that have no row.
+    /// With the run's title, the units of its own columns, the words of its labels and classes, and what is known of
+    /// iterations that have no row.
     #[must_use]
     pub fn about(mut self, record: &RunRecord) -> Self {
         self.title.clone_from(&record.title);
         self.units.clone_from(&record.units);
         self.counts.unseen = record.counts.unseen;
+        self.unknown_labels =
+            self.unknown_labels.and_then(|unknown| UnknownLabels::new(unknown.count, &record.facts));
         self
     }
 
@@ -107,20 +114,19 @@ fn bounds(rows: &Rows, column: &str) -> Option<(f64, f64)> {
 }
 
 impl Quantity {
-    /// What these numbers come to; `None` when there are none. What is not finite is left out.
+    /// What these numbers come to; `None` when there are none. What is not finite, or as good as infinite, is left out.
     pub fn of(column: Column, values: impl IntoIterator<Item = f64>) -> Option<Self> {
         let mut moments = Moments::default();
-        let values = values.into_iter().filter(|value| value.is_finite());
+        let values = values.into_iter().filter(|value| statistics::Summary::takes(*value));
         let ordered: Ordered = values.inspect(|value| moments.record(*value)).collect();
-        let enough = |least: usize, p: f64| ordered.quantile(p).filter(|_| ordered.len() >= least);
         Some(Self {
             column,
             count: moments.count,
             mean: moments.mean,
             std: moments.std(),
             median: ordered.median()?,
-            p95: enough(ENOUGH_FOR_P95, 0.95),
-            p99: enough(ENOUGH_FOR_P99, 0.99),
+            p95: ordered.p95(),
+            p99: ordered.p99(),
             max: moments.max,
             bounds: None,
         })

@@ -5,9 +5,11 @@ use std::collections::BTreeMap;
 use peernet_logger::Unit;
 
 use super::{Quantity, Summary};
-use crate::number::{bound_milliseconds, decimals, decimals_within, fixed};
-use crate::results::{ClockCounts, Counts, Units};
+use crate::accuracy::{ACCURACIES, UNKNOWN_LABEL};
+use crate::number::{bound_milliseconds, counted, decimals, decimals_within, fixed};
+use crate::results::{ClockCounts, Counts, SKIPPED_STARTS, Units};
 use crate::table::{Table, csv_text};
+use crate::trust::Starts;
 
 /// What stands where nothing is known.
 const UNKNOWN: &str = "—";
@@ -25,7 +27,7 @@ const TABULATED: [(&str, &str); 10] = [
     ("total", "Total (measured)"),
 ];
 /// Columns that are times, wherever in the tree they are logged and whoever wrote the file.
-const TIMES: [&str; 14] = [
+const TIMES: [&str; 17] = [
     "sensing",
     "upload",
     "preprocessing",
@@ -39,12 +41,20 @@ const TIMES: [&str; 14] = [
     "queue",
     "ipc",
     "capture-ipc",
+    "restart",
+    "capture-restart",
+    "actuation-restart",
     "actuation",
 ];
 
 /// What columns are called that are not named after their stage.
-const NAMED: [(&str, &str); 2] =
-    [("ipc", "Border to the model's process"), ("capture_capture-ipc", "Border to the sensor's process")];
+const NAMED: [(&str, &str); 5] = [
+    ("ipc", "Border to the model's process"),
+    ("capture_capture-ipc", "Border to the sensor's process"),
+    ("restart", "Restart of the model's process"),
+    ("capture_capture-restart", "Restart of the sensor's process"),
+    ("actuation_actuation-restart", "Restart of the actuator's process"),
+];
 /// What is behind the name of a further column that is one's own value, not the sum of its parts.
 const OWN_VALUE: &str = "_val";
 
@@ -147,7 +157,9 @@ impl Summary {
         let rest = self
             .quantities
             .iter()
-            .filter(|quantity| TABULATED.iter().all(|(name, _)| *name != quantity.column));
+            .filter(|quantity| TABULATED.iter().all(|(name, _)| *name != quantity.column))
+            // Sentences tell them.
+            .filter(|quantity| ![UNKNOWN_LABEL, SKIPPED_STARTS].contains(&quantity.column.as_ref()));
         let rest = rest.map(|quantity| {
             let column = quantity.column.as_ref();
             (quantity, NAMED.iter().find(|(name, _)| *name == column).map_or(column, |(_, words)| words))
@@ -166,8 +178,14 @@ impl Summary {
         let is_open = |quantity: &Quantity| quantity.bounds.is_some_and(|(lo, hi)| lo < hi);
         let bounds = self.quantities.iter().any(is_open);
         let bounds = if bounds { "Clock bounds contain the median of the true values." } else { "" };
-        let parts =
-            [outcomes(&self.counts), clocks(&self.clocks.upload, &self.clocks.download), bounds.to_owned()];
+        let unknown = self.unknown_labels.as_ref().map(|unknown| unknown.sentence(self.counts.ok));
+        let parts = [
+            outcomes(&self.counts),
+            starts(&self.starts),
+            clocks(&self.clocks.upload, &self.clocks.download),
+            bounds.to_owned(),
+            unknown.unwrap_or_default(),
+        ];
         parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("\n")
     }
 }
@@ -176,7 +194,9 @@ fn cells(quantity: &Quantity, name: &str, units: &Units) -> Vec<String> {
     let unit = units.of(&quantity.column);
     let scale = Scale::of(&quantity.column, unit);
     let figure = scale.figure(quantity);
-    let known = |value: Option<f64>| value.map_or_else(|| UNKNOWN.to_owned(), &figure);
+    // Of what is right or wrong the mean is the share, and a quantile says nothing.
+    let is_share = ACCURACIES.contains(&quantity.column.as_ref());
+    let known = |value: Option<f64>| value.filter(|_| !is_share).map_or_else(|| UNKNOWN.to_owned(), &figure);
     let mean = match quantity.std {
         Some(std) => format!("{} ± {}", figure(quantity.mean), figure(std)),
         None => figure(quantity.mean),
@@ -191,11 +211,11 @@ fn cells(quantity: &Quantity, name: &str, units: &Units) -> Vec<String> {
         scale.unit(unit).to_owned(),
         fixed(quantity.count as f64, 0),
         mean,
-        figure(quantity.median),
+        known(Some(quantity.median)),
         bounds,
         known(quantity.p95),
         known(quantity.p99),
-        figure(quantity.max),
+        known(Some(quantity.max)),
     ]
 }
 
@@ -212,6 +232,19 @@ fn outcomes(counts: &Counts) -> String {
     let ends = answered.chain(ends.into_iter().filter(|(count, _)| *count > 0));
     let ends: Vec<String> = ends.map(|(count, what)| format!("{} {what}", fixed(count as f64, 0))).collect();
     format!("Iterations: {}.", ends.join("; "))
+}
+
+/// How many ordered starts did not take place; nothing where all did.
+fn starts(starts: &Starts) -> String {
+    if starts.skipped == 0 {
+        return String::new();
+    }
+    let percent = fixed(starts.skipped_share() * 100.0, 1);
+    format!(
+        "Skipped: {} of {} ({percent} %).",
+        fixed(starts.skipped as f64, 0),
+        counted(starts.all(), "start")
+    )
 }
 
 /// What the delays were found to be, in one sentence; nothing where there were none.

@@ -142,7 +142,7 @@ fn a_full_disk_at_the_start_is_told_at_the_start() {
 fn what_is_there_is_replaced_only_when_that_was_asked_for() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = folder.path();
-    for name in ["data.csv", "sensing-time.png", "notes.txt"] {
+    for name in ["data.csv", "sensing-time.png", "series.svg", "stacked.svg", "notes.txt"] {
         std::fs::write(at.join(name), "x").expect("writable");
     }
     let refused = ResultFolder::create(at, Overwrite::Refuse).expect_err("it holds something").to_string();
@@ -151,8 +151,8 @@ fn what_is_there_is_replaced_only_when_that_was_asked_for() {
         [2, 3].map(|_| ResultFolder::create(at, Overwrite::Subfolder).expect("made").path().to_owned());
     assert_eq!(subfolders, [at.join("run-2"), at.join("run-3")]);
     ResultFolder::create(at, Overwrite::Replace).expect("it may");
-    let left = ["data.csv", "sensing-time.png", "notes.txt", "run-2"].map(|name| at.join(name).exists());
-    assert_eq!(left, [false, false, true, true]);
+    let left = ["data.csv", "sensing-time.png", "series.svg", "stacked.svg", "notes.txt", "run-2"];
+    assert_eq!(left.map(|name| at.join(name).exists()), [false, false, false, false, true, true]);
     let file =
         ResultFolder::create(&at.join("notes.txt"), Overwrite::Replace).expect_err("a file").to_string();
     assert!(file.ends_with("notes.txt is no folder"), "{file}");

@@ -25,6 +25,46 @@ fn a_quantity_has_the_usual_figures() {
 }
 
 #[test]
+fn numbers_beyond_all_reason_spoil_no_mean() {
+    let values = [1.0, f64::MAX, -f64::MAX, f64::INFINITY, f64::NAN, 3.0];
+    let quantity = Quantity::of("x".into(), values).expect("numbers");
+    assert_eq!((quantity.count, quantity.mean, quantity.max), (2, 2.0, 3.0));
+    assert!(quantity.std.is_some_and(f64::is_finite), "{quantity:?}");
+}
+
+#[test]
+fn labels_that_are_no_classes_of_the_model_are_told() {
+    let mut rows = kept(&rows(20));
+    rows.change(|row| row.values.push(("unknown-label".into(), 1.0)));
+    let facts = vec![("Classes".to_owned(), "4: good, dented".to_owned())];
+    let summary = Summary::of(&rows).about(&RunRecord { facts, ..RunRecord::default() });
+    let (text, ok) = (summary.text(), summary.counts.ok);
+    let told = format!(
+        "Not scored: {ok} of {}, because the label is no class of the model (the model knows good, dented).",
+        crate::number::counted(ok, "iteration")
+    );
+    assert!(text.contains(&told) && !text.contains("unknown-label"), "{text}");
+}
+
+#[test]
+fn counts_are_sums_and_shares() {
+    let mut rows = kept(&rows(20));
+    rows.change(|row| {
+        let right = f64::from(u8::from(row.iteration % 4 != 0));
+        row.values.extend([("top-1".into(), right), ("skipped-starts".into(), 2.0)]);
+    });
+    let summary = Summary::of(&rows);
+    let text = summary.text();
+    let starts = summary.starts;
+    assert!(starts.kept > summary.counts.ok && starts.skipped == 2 * starts.kept, "{starts:?}");
+    let told = format!("Skipped: {} of {} starts (66.7 %).", starts.skipped, starts.all());
+    assert!(text.contains(&told) && !text.contains("skipped-starts"), "{text}");
+    let line = text.lines().find(|line| line.starts_with("top-1")).expect("a line");
+    assert_eq!(line.matches('—').count(), 4, "no quantile: {line}");
+    assert!(summary.csv().contains("\nskipped-starts,"), "for programs");
+}
+
+#[test]
 fn percentiles_need_enough_numbers() {
     let of = |count: u32| {
         let quantity = Quantity::of("x".into(), (0..count).map(f64::from)).expect("numbers");

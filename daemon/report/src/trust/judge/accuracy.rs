@@ -1,49 +1,80 @@
 //! Whether every answer was judged right or wrong, where some were.
 
-use std::collections::BTreeMap;
-
 use peernet_logger::stream::Grade;
 
 use super::{advise, iterations, percent, say};
 use crate::accuracy::Accuracy;
 use crate::number::fixed;
-use crate::trust::Sentence;
+use crate::trust::{Evidence, Sentence};
 
 /// A sentence where an accuracy is not that of all iterations; accuracies that lack as many share one.
-pub(super) fn sentences(accuracy: &BTreeMap<String, Accuracy>) -> Vec<Sentence> {
-    let mut partial: Vec<(Vec<&str>, &Accuracy)> = Vec::new();
-    for (name, accuracy) in accuracy.iter().filter(|(_, accuracy)| accuracy.unscored > 0) {
-        match partial.iter_mut().find(|(_, other)| other.unscored == accuracy.unscored) {
-            Some((names, _)) => names.push(name),
-            None => partial.push((vec![name], accuracy)),
+pub(super) fn sentences(evidence: &Evidence) -> Vec<Sentence> {
+    let foreign = evidence.unknown_labels.as_ref().map_or(0, |unknown| unknown.count);
+    // Name, how many lack a score for another reason than their label, of how many.
+    let lacking = |accuracy: &Accuracy| accuracy.unscored.saturating_sub(foreign);
+    let mut partial: Vec<(Vec<&str>, u64, u64)> = Vec::new();
+    for (name, accuracy) in evidence.accuracy.iter().filter(|(_, accuracy)| lacking(accuracy) > 0) {
+        match partial.iter_mut().find(|(_, other, _)| *other == lacking(accuracy)) {
+            Some((names, ..)) => names.push(name),
+            None => partial.push((vec![name], lacking(accuracy), accuracy.count + accuracy.unscored)),
         }
     }
-    let sentence = |(names, Accuracy { count, unscored, .. }): (Vec<&str>, &Accuracy)| {
-        let all = count + unscored;
+    let sentence = |(names, lacking, all): (Vec<&str>, u64, u64)| {
         let text = format!(
             "{} of {} ({}) have no valid score for {}: the accuracy is that of the others.",
-            fixed(*unscored as f64, 0),
+            fixed(lacking as f64, 0),
             iterations(all),
-            percent(*unscored as f64 / all as f64),
+            percent(lacking as f64 / all as f64),
             names.join(" and ")
         );
         let advice =
             "see that each sample has a label and each answer names a class, or say so beside the accuracy";
         advise(say("accuracy", Grade::Doubtful, text), advice)
     };
-    partial.into_iter().map(sentence).collect()
+    unknown(evidence).into_iter().chain(partial.into_iter().map(sentence)).collect()
+}
+
+/// What cannot be scored for its label. Where nothing was scored no accuracy is given, and nothing is wrong with the rest.
+fn unknown(evidence: &Evidence) -> Option<Sentence> {
+    let unknown = evidence.unknown_labels.as_ref()?;
+    let grade = if evidence.accuracy.is_empty() { Grade::Unknown } else { Grade::Doubtful };
+    let advice = "name the folders, or the labels in the file of labels, as the model's card names its classes; \
+                  numbers of classes are not translated";
+    Some(advise(say("accuracy", grade, unknown.sentence(evidence.counts.ok)), advice))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::accuracy::UnknownLabels;
+    use crate::trust::Counts;
 
-    fn told(unscored: [u64; 2]) -> Vec<String> {
+    fn graded(unscored: [u64; 2], foreign: u64) -> Vec<(Grade, String)> {
         let of =
             |unscored: u64| Accuracy::of_counts(80, 100 - unscored, unscored).expect("there are answers");
         let both = [("top-1", of(unscored[0])), ("top-5", of(unscored[1]))];
-        let sentences = sentences(&both.map(|(name, of)| (name.to_owned(), of)).into());
-        sentences.into_iter().map(|sentence| sentence.text).collect()
+        let evidence = Evidence {
+            counts: Counts { ok: 100, ..Counts::default() },
+            accuracy: both.map(|(name, of)| (name.to_owned(), of)).into(),
+            unknown_labels: UnknownLabels::new(foreign, &[]),
+            ..Evidence::default()
+        };
+        sentences(&evidence).into_iter().map(|sentence| (sentence.grade, sentence.text)).collect()
+    }
+
+    fn told(unscored: [u64; 2]) -> Vec<String> {
+        graded(unscored, 0).into_iter().map(|(_, text)| text).collect()
+    }
+
+    #[test]
+    fn a_label_that_the_model_does_not_know_is_a_reason_of_its_own() {
+        let text = "Not scored: 3 of 100 iterations, because the label is no class of the model.".to_owned();
+        assert_eq!(graded([3, 3], 3), [(Grade::Doubtful, text.clone())]);
+        let both = graded([5, 5], 3);
+        assert!(both.len() == 2 && both[0].1 == text && both[1].1.starts_with("2 of 100"), "{both:?}");
+        let none = Evidence { unknown_labels: UnknownLabels::new(7, &[]), ..Evidence::default() };
+        let sentences = sentences(&none);
+        assert_eq!((sentences.len(), sentences[0].grade), (1, Grade::Unknown), "no accuracy is given");
     }
 
     #[test]

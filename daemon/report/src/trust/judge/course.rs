@@ -25,7 +25,8 @@ const TOO_SHORT_TO_MATTER: f64 = 100e-6;
 pub(super) fn sentences(evidence: &Evidence) -> Vec<Sentence> {
     let Some(total) = &evidence.total else { return Vec::new() };
     let mut all = vec![steady(total, &evidence.stages), begun(total), outliers(total)];
-    all.extend(evidence.unattributed.map(|seconds| explained(seconds, total)));
+    all.extend(evidence.unattributed.map(|seconds| explained(seconds, evidence.lateness, total)));
+    all.extend(evidence.lateness.map(|seconds| late(seconds, total)));
     all
 }
 
@@ -119,13 +120,16 @@ fn outliers(total: &Course) -> Sentence {
     advise(say(about, Grade::Doubtful, text), advice)
 }
 
-fn explained(seconds: f64, total: &Course) -> Sentence {
+/// Lateness is measured, although it is no stage: what is left is what nothing accounts for.
+fn explained(unattributed: f64, lateness: Option<f64>, total: &Course) -> Sentence {
     let about = "unattributed";
+    let seconds = unattributed - lateness.unwrap_or_default();
+    let beside = if lateness.is_some() { ", lateness aside" } else { "" };
     let share = if total.mean > 0.0 { seconds.abs() / total.mean } else { 0.0 };
     let text = if seconds < 0.0 {
-        format!("The stages add up to {} more than the total: some overlap.", percent(share))
+        format!("The stages add up to {} more than the total{beside}: some overlap.", percent(share))
     } else {
-        format!("{} of the total belongs to no stage ({} on average).", percent(share), ms(seconds))
+        format!("{} of the total belongs to no stage{beside} ({} on average).", percent(share), ms(seconds))
     };
     if share < UNEXPLAINED || seconds.abs() < TOO_SHORT_TO_MATTER {
         return say(about, Grade::Good, text);
@@ -133,6 +137,17 @@ fn explained(seconds: f64, total: &Course) -> Sentence {
     let advice = "publish the measured total, not the sum of the stages; the columns of data.csv, and an iteration's waterfall on the dashboard, show where the rest is";
     let grade = if share >= MOSTLY_UNEXPLAINED { Grade::Bad } else { Grade::Doubtful };
     advise(say(about, grade, text), advice)
+}
+
+/// What waiting for earlier iterations adds: it counts, and nothing is wrong with it.
+fn late(seconds: f64, total: &Course) -> Sentence {
+    let share = if total.mean > 0.0 { seconds / total.mean } else { 0.0 };
+    let text = format!(
+        "Iterations began {} after the ordered start on average: this lateness is {} of the total.",
+        ms(seconds),
+        percent(share)
+    );
+    say("lateness", Grade::Good, text)
 }
 
 /// From one to the other, as a share of the first.

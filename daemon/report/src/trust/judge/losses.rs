@@ -3,12 +3,13 @@
 use peernet_logger::stream::Grade;
 
 use super::{END, advise, iterations, percent, say};
-use crate::number::{fixed, significant};
-use crate::trust::{Counts, Early, Evidence, Missing, Sentence, Unit};
+use crate::number::{counted, fixed, significant};
+use crate::trust::{Counts, Early, Evidence, Missing, Sentence, Starts, Unit};
 
 /// Samples below which no 95th percentile is given anywhere in PEERNet.
 const FEW: u64 = 60;
-/// Shares of iterations without an answer that are mentioned, and that make the latency of the others a half truth.
+/// Shares of iterations without an answer, and of starts that were skipped, that are mentioned, and that make the latency
+/// of the others a half truth.
 const NOTED: f64 = 0.001;
 const MANY: f64 = 0.1;
 /// Share of missing events from which on nobody can tell what the missing ones were like.
@@ -21,6 +22,7 @@ pub(super) fn sentences(evidence: &Evidence) -> Vec<Sentence> {
     let mut all = vec![enough(counts)];
     if counts.measured() > 0 {
         all.push(answered(counts));
+        all.extend(kept(&evidence.starts));
     }
     all.push(whole(counts, missing));
     all.extend(end(evidence));
@@ -112,6 +114,36 @@ fn answered(counts: &Counts) -> Sentence {
         share if share > NOTED => advise(say(about, Grade::Doubtful, text), advice),
         _ => say(about, Grade::Good, text),
     }
+}
+
+/// Nothing about a closed loop.
+fn kept(starts: &Starts) -> Option<Sentence> {
+    let about = "skipped starts";
+    let ordered = starts.hz.map(significant);
+    if starts.skipped == 0 {
+        let text = ordered.map(|hz| format!("No start was skipped: {hz}\u{202f}Hz were ordered and kept."));
+        return text.map(|text| say(about, Grade::Good, text));
+    }
+    let share = starts.skipped_share();
+    let rates = ordered.zip(starts.kept_hz()).map_or_else(String::new, |(hz, kept)| {
+        format!(": {hz}\u{202f}Hz were ordered, {}\u{202f}Hz kept", significant(kept))
+    });
+    let text = format!(
+        "{} of {} ({}) {} skipped, because the pipeline was too far behind{rates}.",
+        fixed(starts.skipped as f64, 0),
+        counted(starts.all(), "start"),
+        percent(share),
+        if starts.skipped == 1 { "was" } else { "were" }
+    );
+    let advice = "give the rate that was kept beside the latency, or order less";
+    Some(match share {
+        share if share > MANY => {
+            let text = format!("{text} The latency is that of a system at its limit.");
+            advise(say(about, Grade::Bad, text), advice)
+        }
+        share if share > NOTED => advise(say(about, Grade::Doubtful, text), advice),
+        _ => say(about, Grade::Good, text),
+    })
 }
 
 fn whole(counts: &Counts, missing: &[Missing]) -> Sentence {

@@ -5,6 +5,7 @@ mod clocks;
 mod conditions;
 mod course;
 mod losses;
+mod restarts;
 
 use peernet_logger::stream::Grade;
 
@@ -19,8 +20,9 @@ pub(super) fn sentences(evidence: &Evidence) -> Vec<Sentence> {
     let mut all = Vec::new();
     all.extend(losses::sentences(evidence));
     all.extend(course::sentences(evidence));
+    all.extend(restarts::sentences(evidence));
     all.extend(clocks::sentences(evidence));
-    all.extend(accuracy::sentences(&evidence.accuracy));
+    all.extend(accuracy::sentences(evidence));
     all.extend(conditions::sentences(&evidence.conditions));
     all
 }

@@ -1,5 +1,9 @@
 //! How often a model was right.
 
+mod unknown;
+
+pub use unknown::{UNKNOWN_LABEL, UnknownLabels};
+
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
@@ -19,8 +23,8 @@ pub struct Accuracy {
     pub interval: (f64, f64),
     /// Of how many iterations.
     pub count: u64,
-    /// How many more iterations count, but have no score that is 0 or 1: no label was known, the answer named no class,
-    /// or the score is no number.
+    /// How many more iterations count, but have no score that is 0 or 1: no label was known, it is [no class of the
+    /// model](UnknownLabels), the answer named no class, or the score is no number.
     pub unscored: u64,
 }
 

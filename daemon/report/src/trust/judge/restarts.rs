@@ -1,0 +1,45 @@
+//! Whether successful iterations waited for a process that had died before them.
+
+use peernet_logger::stream::Grade;
+
+use super::{advise, iterations, ms, percent, say};
+use crate::number::fixed;
+use crate::trust::{Evidence, Restarts, Sentence};
+
+/// What restarts may hold of all totals together: as outliers may of the mean.
+const INFLUENCE: f64 = 0.05;
+/// So many iterations are named.
+const NAMED: usize = 5;
+
+/// A sentence for each process that was started anew; none where none was.
+pub(super) fn sentences(evidence: &Evidence) -> Vec<Sentence> {
+    let all = evidence.total.as_ref().map_or(0.0, |total| total.mean * evidence.counts.ok as f64);
+    let of = |restarts: &Restarts| {
+        let share = if all > 0.0 { restarts.seconds / all } else { 0.0 };
+        let text = format!(
+            "The {}'s process was started anew in {}{}, which waited {} for it: {} of all totals.",
+            restarts.whose,
+            iterations(restarts.count),
+            named(&restarts.iterations),
+            ms(restarts.seconds),
+            percent(share)
+        );
+        let advice = "leave these iterations out (in data.csv a column whose name ends in `restart` has a number), or give the \
+                      median; the failed one before each says what the process died of";
+        let grade = if share < INFLUENCE { Grade::Good } else { Grade::Doubtful };
+        advise(say("restarts", grade, text), advice)
+    };
+    evidence.restarts.iter().map(of).collect()
+}
+
+/// ` (numbers 9, 14)`; nothing where they are not known.
+fn named(numbers: &[u64]) -> String {
+    if numbers.is_empty() {
+        return String::new();
+    }
+    let mut named: Vec<String> = numbers.iter().take(NAMED).map(|number| fixed(*number as f64, 0)).collect();
+    if numbers.len() > NAMED {
+        named.push("…".to_owned());
+    }
+    format!(" (number{} {})", if numbers.len() == 1 { "" } else { "s" }, named.join(", "))
+}

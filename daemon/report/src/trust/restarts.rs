@@ -1,0 +1,37 @@
+//! What starting worker processes anew held of a run's iterations.
+
+use peernet_logger::{Name, stage};
+
+use crate::results::Rows;
+
+/// Iterations that waited for a process that was started anew.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Restarts {
+    /// Whose process: `model`, `sensor`, `actuator`.
+    pub whose: &'static str,
+    /// How many of the iterations that statistics are of.
+    pub count: u64,
+    /// What it held of them, together.
+    pub seconds: f64,
+    /// Their numbers; empty where they are not known.
+    pub iterations: Vec<u64>,
+}
+
+impl Restarts {
+    /// Whose process, the node that holds the time, and its column in `data.csv`.
+    pub const NODES: [(&'static str, Name, &'static str); 3] = [
+        ("sensor", stage::CAPTURE_RESTART, "capture_capture-restart"),
+        ("model", stage::RESTART, "restart"),
+        ("actuator", stage::ACTUATION_RESTART, "actuation_actuation-restart"),
+    ];
+
+    pub(super) fn of_rows(rows: &Rows) -> Vec<Self> {
+        let of = |(whose, _, column): (_, Name, &str)| {
+            let waited = || rows.iter().filter(|row| row.counts() && row.value(column).is_some());
+            let iterations: Vec<u64> = waited().map(|row| row.iteration()).collect();
+            let (count, seconds) = (iterations.len() as u64, rows.counted(column).sum());
+            (count > 0).then_some(Self { whose, count, seconds, iterations })
+        };
+        Self::NODES.into_iter().filter_map(of).collect()
+    }
+}
