@@ -1,10 +1,11 @@
-//! What the programs `peernetd` and `peernet` share: clocks, exit codes, the terminal, the log's form, what is a wish to
-//! end, the version.
+//! What the programs `peernetd` and `peernet` share: clocks, exit codes, the terminal and what it is told of long texts,
+//! the log's form, what is a wish to end, the version.
 
 pub mod clock;
 pub mod exit;
 pub mod log;
 pub mod output;
+pub mod short;
 pub mod small_file;
 pub mod wish;
 

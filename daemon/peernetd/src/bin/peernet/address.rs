@@ -1,6 +1,6 @@
 //! Where a peer is, as people write it.
 
-use std::net::IpAddr;
+use std::net::{IpAddr, Ipv6Addr};
 
 use peernet_networks::Address;
 
@@ -13,6 +13,14 @@ pub(crate) const DEFAULT_PORT: u16 = 5551;
 /// A sentence that says what is wrong with it.
 pub(crate) fn address(text: &str, port: u16) -> Result<Address, String> {
     let (scheme, rest) = text.split_once("://").unwrap_or(("tcp", text));
+    let is_zoned =
+        rest.split_once('%').is_some_and(|(ip, _)| ip.trim_start_matches('[').parse::<Ipv6Addr>().is_ok());
+    if is_zoned {
+        return Err(
+            "a zone such as %eth0 cannot be given; take an address that is not link-local, or a name"
+                .to_owned(),
+        );
+    }
     let rest = match rest.parse() {
         Ok(IpAddr::V6(ip)) => format!("[{ip}]"),
         _ => rest.to_owned(),
@@ -41,6 +49,9 @@ mod tests {
             ("[fe80::1]:8", "tcp://[fe80::1]:8"),
         ] {
             assert_eq!(read(text).map(|peer| peer.to_string()).as_deref(), Ok(address));
+        }
+        for zoned in ["fe80::1%lo", "[fe80::1%lo]:8", "tcp://fe80::1%eth0"] {
+            assert!(read(zoned).is_err_and(|problem| problem.starts_with("a zone")), "{zoned}");
         }
         assert!(read("udp://cloud").is_err() && read("a b").is_err() && read("").is_err());
     }

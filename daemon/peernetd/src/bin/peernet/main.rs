@@ -8,6 +8,7 @@ mod completions;
 mod foreground;
 mod measure;
 mod models;
+mod network;
 mod plot;
 mod published;
 mod recompute;
@@ -44,7 +45,8 @@ struct Line {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Show what runs where and how it fares: the last ten seconds of every pipeline, and the hosts.
+    /// Show what runs where and how it fares: the last ten seconds of every pipeline, with quantiles of the total and means
+    /// of the stages, and the hosts.
     Status(status::Arguments),
     /// Study a link: one-way delay against payload size, both ways, and whether the clocks can be trusted.
     Calibrate(calibrate::Arguments),
@@ -84,7 +86,7 @@ impl Command {
 fn main() -> ExitCode {
     let line = match Line::try_parse() {
         Ok(line) => line,
-        Err(error) => return output::explain(&error).into(),
+        Err(error) => return output::explain(error).into(),
     };
     let done = match line {
         Line { command: Some(command), .. } => command.run(),

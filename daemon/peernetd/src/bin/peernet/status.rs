@@ -111,6 +111,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
             "download ms",
         ];
         say(text(&header, &pipelines.iter().map(|one| pipeline_row(one, &rehearsed)).collect::<Vec<_>>()));
+        say(format_args!(
+            "the last {WINDOW_S} s; p50 and p95 are quantiles of the total, the stages are means"
+        ));
         // Below the table: a reason is a sentence and would tear the columns apart.
         for pipeline in &pipelines {
             if let Some(reason) = &pipeline.reason {

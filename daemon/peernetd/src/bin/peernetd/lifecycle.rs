@@ -24,8 +24,24 @@ use peernetd::wish::Wishes;
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct LifecycleConfig {
-    /// How long stopping may take before the process ends without waiting further; seconds.
+    /// How long stopping may take before the process ends without waiting further; seconds, up to a day.
     pub(crate) shutdown_deadline_s: u64,
+}
+
+impl LifecycleConfig {
+    /// A day.
+    const LONGEST_S: u64 = 86_400;
+
+    /// Whether the deadline is one.
+    ///
+    /// # Errors
+    /// What is possible.
+    pub(crate) fn check(&self) -> Result<(), String> {
+        match self.shutdown_deadline_s {
+            ..=Self::LONGEST_S => Ok(()),
+            seconds => Err(format!("{seconds} s is too long; at most {} s, a day", Self::LONGEST_S)),
+        }
+    }
 }
 
 impl Default for LifecycleConfig {

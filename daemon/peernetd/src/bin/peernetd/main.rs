@@ -17,7 +17,7 @@ use peernetd::output;
 fn main() -> ExitCode {
     let arguments = match Arguments::try_parse() {
         Ok(arguments) => arguments,
-        Err(error) => return output::explain(&error).into(),
+        Err(error) => return output::explain(error).into(),
     };
     let exit = match arguments.command {
         Command::Run { config } => commands::run(&config),

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use peernet_networks::{Address, NetworkKind};
 
 use crate::address::{DEFAULT_PORT, address};
+use crate::network::network;
 
 /// What `peernet calibrate` can be told.
 #[derive(Debug, clap::Args)]
@@ -79,12 +80,6 @@ fn size(text: &str) -> Result<u64, String> {
 fn seconds(text: &str) -> Result<f64, String> {
     let seconds = text.parse::<f64>().map_err(|error| error.to_string())?;
     if (1.0..=86_400.0).contains(&seconds) { Ok(seconds) } else { Err("from 1 to 86400".to_owned()) }
-}
-
-fn network(text: &str) -> Result<NetworkKind, String> {
-    let known: Vec<&str> = NetworkKind::ALL.iter().map(|kind| kind.name()).collect();
-    let found = NetworkKind::ALL.iter().find(|kind| kind.name() == text);
-    found.copied().ok_or_else(|| format!("there is {}", known.join(", ")))
 }
 
 #[cfg(test)]

@@ -19,7 +19,7 @@ impl Folder {
     /// The folder that was asked for, or one named after peer and time.
     ///
     /// # Errors
-    /// When it holds something already (64) or cannot be made (69).
+    /// When it holds something already (64) or cannot be made (73).
     pub(super) fn make(arguments: &Arguments, peer: &Address, at: WallTime) -> Result<Self, Failure> {
         let path = arguments.result_loc.clone().unwrap_or_else(|| default(peer, at));
         let entries = std::fs::read_dir(&path);
@@ -33,7 +33,7 @@ impl Folder {
         }
         let made_or_there = std::fs::create_dir_all(&path);
         made_or_there.map_err(|error| {
-            Failure::new(Exit::Unavailable, anyhow!("cannot make the folder {}: {error}", path.display()))
+            Failure::new(Exit::Unwritten, anyhow!("cannot make the folder {}: {error}", path.display()))
         })?;
         Ok(Self { path, made })
     }

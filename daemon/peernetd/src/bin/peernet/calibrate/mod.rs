@@ -13,25 +13,29 @@ pub(crate) use arguments::Arguments;
 
 use anyhow::{Context, anyhow};
 use peernet_clock::WallTime;
+use peernet_inference::Scratch;
 use peernet_report::calibration::{Setting, Study};
 use peernetd::VERSION;
 use peernetd::exit::{Exit, Failure};
 use peernetd::output::{complain, say};
 
-use crate::foreground::{Ready, Watched};
+use crate::foreground::{Ended, Ready, Shows, Watched, listen};
 use folder::Folder;
-use observe::{Ended, Watch};
+use observe::{Unfit, Watch};
 use plan::Plan;
 
 /// Studies the link, prints the study and writes its files.
 ///
 /// # Errors
 /// When the peer cannot be reached or does not take part (69), the study has no result (69), the configuration is wrong
-/// (78), the results cannot be written, or the user ended it early (130).
+/// (78), the results cannot be written (73), or the user ended it early (130).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
+    listen(Shows::Itself)?;
     let plan = Plan::new(arguments).map_err(|error| Failure::new(Exit::Usage, error))?;
-    let state = tempfile::tempdir().context("cannot make a temporary folder").map_err(unavailable)?;
+    let state = Scratch::new("agent")
+        .context("cannot make a temporary folder; TMPDIR names another place")
+        .map_err(unavailable)?;
     let config = plan.agent(arguments.config.as_deref(), state.path())?;
 
     let ready = Ready::new(config)?;
@@ -47,9 +51,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
             Exit::Interrupted,
             anyhow!("ended early: what was measured until then is above"),
         )),
-        Ended::Unfit(reason) | Ended::Failed(reason) => Some(unavailable(anyhow!("{reason}"))),
+        Ended::Own(Unfit(reason)) | Ended::Failed(reason) => Some(unavailable(anyhow!("{reason}"))),
     };
-    if observed.samples.is_empty() || matches!(ended, Ended::Unfit(_)) {
+    if observed.samples.is_empty() || matches!(ended, Ended::Own(_)) {
         folder.discard();
         return match failed {
             Some(Failure { exit: Exit::Interrupted, .. }) => {
@@ -80,9 +84,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     // Said first: a disk that is full must not take the result away.
     say(study.text());
     let written = study.write(folder.path()).map_err(|error| {
-        unavailable(
-            anyhow::Error::from(error).context("the result is above, but not all of its files are written"),
-        )
+        let told = "the result is above, but not all of its files are written";
+        Failure::new(Exit::Unwritten, anyhow::Error::from(error).context(told))
     })?;
     let names: Vec<_> = written.iter().filter_map(|path| path.file_name()?.to_str()).collect();
     say(format_args!("\n{}: {}", folder.path().display(), names.join(", ")));

@@ -11,32 +11,14 @@ use peernet_report::number::bytes;
 
 use super::plan::Plan;
 use super::sweep::Sweep;
-use crate::foreground::{Cut, Eyes, Patience, Standing};
+use crate::foreground::{Ended, Eyes, Patience, Standing};
 
 /// How long a peer that went away is waited for once the time for the sweep is over.
 const AFTER_THE_END: Span = Span::from_seconds(10);
 
-/// How the sweep ended.
+/// The peer cannot answer a payload of one of the sizes; the text says which and why.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Ended {
-    /// All was sent, or the time was over.
-    Finished,
-    /// The user ended it.
-    Interrupted,
-    /// The peer cannot answer a payload of one of the sizes; the text says which and why.
-    Unfit(String),
-    /// The peer or the agent could not go on; the text says why.
-    Failed(String),
-}
-
-impl From<Cut> for Ended {
-    fn from(cut: Cut) -> Self {
-        match cut {
-            Cut::Interrupted => Self::Interrupted,
-            Cut::Deserted => Self::Failed("the agent ended by itself".to_owned()),
-        }
-    }
-}
+pub(super) struct Unfit(pub(super) String);
 
 /// What was seen.
 #[derive(Default)]
@@ -87,7 +69,7 @@ impl<'a> Watch<'a> {
     }
 
     /// There is a session again. What was measured with another clock is another study.
-    fn came_back(&mut self, clock: Option<HostClock>) -> Option<Ended> {
+    fn came_back(&mut self, clock: Option<HostClock>) -> Option<Ended<Unfit>> {
         self.patience.heard(self.clock.mono());
         let before = std::mem::replace(&mut self.cloud_clock, clock);
         let how = match (&before, &self.cloud_clock) {
@@ -113,9 +95,9 @@ impl<'a> Watch<'a> {
 }
 
 impl Eyes for Watch<'_> {
-    type Ended = Ended;
+    type Own = Unfit;
 
-    fn take(&mut self, event: Event, running: Option<&Running>) -> Option<Ended> {
+    fn take(&mut self, event: Event, running: Option<&Running>) -> Option<Ended<Unfit>> {
         if self.over {
             return None;
         }
@@ -137,7 +119,7 @@ impl Eyes for Watch<'_> {
                 self.seen.samples.push(sample);
                 // What a peer cannot do the first time it will not do later either.
                 if let (true, Outcome::Failed(reason)) = (first, &iteration.outcome) {
-                    return Some(Ended::Unfit(unfit(payload, reason)));
+                    return Some(Ended::Own(Unfit(unfit(payload, reason))));
                 }
             }
             Event::Clock(second) => self.seen.clocks.push(*second),
@@ -162,7 +144,7 @@ impl Eyes for Watch<'_> {
         None
     }
 
-    fn look(&mut self, running: &Running) -> Option<Ended> {
+    fn look(&mut self, running: &Running) -> Option<Ended<Unfit>> {
         let standing = Standing::of(running);
         let waits_for = standing.waits_for();
         if let (Some(kind), Some(reason)) = (self.turned_away, waits_for) {

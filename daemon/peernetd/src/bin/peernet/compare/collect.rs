@@ -8,6 +8,7 @@ use peernetd::exit::{Exit, Failure};
 use peernetd::output::complain;
 
 use super::order::as_declared;
+use crate::measure::put_aside;
 
 /// Runs, each once.
 pub(crate) struct Collected {
@@ -44,6 +45,13 @@ pub(crate) fn collect(
     for run in &runs {
         if let Some(damage) = run.damage() {
             complain(format_args!("{} is not whole: {damage}", run.folder.display()));
+        }
+        if let Some(kept) = put_aside(&run.folder) {
+            complain(format_args!(
+                "{} is not whole: a run is under way there or was killed; the earlier results are in {} and come back with the next run there, if it was killed",
+                run.folder.display(),
+                kept.display()
+            ));
         }
     }
     let order = as_declared(&runs);

@@ -8,6 +8,8 @@ use std::path::PathBuf;
 use anyhow::anyhow;
 use clap::ValueEnum;
 use peernet_report::compare::{Comparison, Differences, Repeats, SEED, is_compared};
+use peernet_report::results::Loaded;
+use peernet_report::table::Captioned;
 use peernetd::exit::{Exit, Failure};
 use peernetd::output::say;
 
@@ -51,7 +53,7 @@ enum Format {
     Latex,
 }
 
-/// Prints the table, and the differences where there are two lines or a baseline.
+/// Prints the table, and the differences: of two lines or from a baseline stage by stage, else from the best line.
 ///
 /// # Errors
 /// When there are no results (66), they cannot be read (65), or the file cannot be written (73).
@@ -62,20 +64,16 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let line_of = |run: usize| comparison.lines.iter().position(|line| line.runs.contains(&run));
     let first = match baseline {
         Some(run) => line_of(run),
-        None => (comparison.lines.len() == 2).then_some(0),
+        None => first_of_two(&comparison),
     };
-    let others = |first: usize| (0..comparison.lines.len()).filter(move |line| *line != first);
-    let differences: Vec<Differences> = first
-        .into_iter()
-        .flat_map(|first| others(first).map(move |other| (first, other)))
-        .map(|(first, other)| Differences::of_lines(&comparison, &runs, first, other, arguments.seed))
-        .collect();
+    let differences = differences(&comparison, &runs, first, arguments.seed);
+    let tables = below(&comparison, &differences);
     let text = match arguments.format {
         Format::Csv if baseline.is_some() => Differences::csv(&differences),
         Format::Csv => comparison.csv(),
-        Format::Text => joined(comparison.text(), differences.iter().map(Differences::text)),
-        Format::Markdown => joined(comparison.markdown(), differences.iter().map(Differences::markdown)),
-        Format::Latex => joined(comparison.latex(), differences.iter().map(Differences::latex)),
+        Format::Text => joined(comparison.text(), tables.iter().map(Captioned::text)),
+        Format::Markdown => joined(comparison.markdown(), tables.iter().map(Captioned::markdown)),
+        Format::Latex => joined(comparison.latex(), tables.iter().map(Captioned::latex)),
     };
     let text = text.trim_end();
     let Some(path) = &arguments.out else {
@@ -86,7 +84,36 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         .map_err(|error| Failure::new(Exit::Unwritten, anyhow!("cannot write {}: {error}", path.display())))
 }
 
-fn joined(first: String, others: impl Iterator<Item = String>) -> String {
+/// The line that the other one is compared with where nobody said which.
+pub(crate) fn first_of_two(comparison: &Comparison) -> Option<usize> {
+    (comparison.lines.len() == 2).then_some(0)
+}
+
+/// Each other line against the first, stage by stage.
+pub(crate) fn differences(
+    comparison: &Comparison,
+    runs: &[Loaded],
+    first: Option<usize>,
+    seed: u64,
+) -> Vec<Differences> {
+    let others = |first: usize| (0..comparison.lines.len()).filter(move |line| *line != first);
+    first
+        .into_iter()
+        .flat_map(|first| others(first).map(move |other| (first, other)))
+        .map(|(first, other)| Differences::of_lines(comparison, runs, first, other, seed))
+        .collect()
+}
+
+/// The tables that stand below the paper's: these differences, or, without them, those from the best line.
+pub(crate) fn below(comparison: &Comparison, differences: &[Differences]) -> Vec<Captioned> {
+    if differences.is_empty() {
+        return comparison.against_best().into_iter().collect();
+    }
+    differences.iter().map(Differences::captioned).collect()
+}
+
+/// Tables in one text.
+pub(crate) fn joined(first: String, others: impl Iterator<Item = String>) -> String {
     std::iter::once(first)
         .chain(others)
         .map(|text| text.trim_end().to_owned())

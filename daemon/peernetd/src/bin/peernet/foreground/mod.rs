@@ -4,18 +4,24 @@
 //! They differ in what they look for ([`Eyes`]); starting, signals and stopping are the same.
 
 mod dashboard;
+mod ended;
+mod latency;
 mod log;
 mod patience;
 mod progress;
+mod remark;
 mod signals;
 mod tables;
 mod typed;
 mod waiting;
 
 pub(crate) use dashboard::dashboard;
+pub(crate) use ended::Ended;
+pub(crate) use latency::{p99, told};
 pub(crate) use log::{Shows, listen};
 pub(crate) use patience::{Patience, Standing};
 pub(crate) use progress::Progress;
+pub(crate) use remark::remark;
 pub(crate) use signals::Signals;
 pub(crate) use tables::tables;
 pub(crate) use typed::typed;
@@ -25,12 +31,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, anyhow};
-use peernet_agent::{Agent, AgentConfig, Running};
+use peernet_agent::{Agent, AgentConfig, IdentityError, Running, StartError};
 use peernet_clock::SharedClock;
 use peernet_logger::stream::Event;
-use peernetd::clock;
 use peernetd::exit::{Exit, Failure};
 use peernetd::output::complain;
+use peernetd::{VERSION, clock};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
@@ -41,26 +47,17 @@ const LOOK: Duration = Duration::from_millis(250);
 
 /// Looks at an agent in the foreground.
 pub(crate) trait Eyes {
-    /// How it can end.
-    type Ended: From<Cut>;
+    /// How it can end beside what [`Ended`] names.
+    type Own;
 
     /// Takes an event; says how it ended if it did. Without `running` the end was decided before.
-    fn take(&mut self, event: Event, running: Option<&Running>) -> Option<Self::Ended>;
+    fn take(&mut self, event: Event, running: Option<&Running>) -> Option<Ended<Self::Own>>;
 
     /// Looks at the agent, several times a second and after every answer to a peer; says whether it is over.
-    fn look(&mut self, running: &Running) -> Option<Self::Ended>;
+    fn look(&mut self, running: &Running) -> Option<Ended<Self::Own>>;
 
     /// It is over; what is under way is still waited for.
     fn over(&mut self) {}
-}
-
-/// An end that is not the eyes' own finding.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Cut {
-    /// The user ended it.
-    Interrupted,
-    /// The agent ended by itself.
-    Deserted,
 }
 
 /// A checked configuration and the clock that it runs by.
@@ -73,8 +70,8 @@ pub(crate) struct Ready {
 }
 
 /// What came of it.
-pub(crate) struct Watched<T> {
-    pub(crate) ended: T,
+pub(crate) struct Watched<Own> {
+    pub(crate) ended: Ended<Own>,
     /// The agent's name.
     pub(crate) name: String,
     /// Events that there was no room for.
@@ -108,7 +105,7 @@ impl Ready {
     ///
     /// # Errors
     /// When the agent cannot start (69) or loses a task (70).
-    pub(crate) fn watch<E: Eyes>(self, eyes: &mut E) -> Result<Watched<E::Ended>, Failure> {
+    pub(crate) fn watch<E: Eyes>(self, eyes: &mut E) -> Result<Watched<E::Own>, Failure> {
         let runtime = tokio::runtime::Builder::new_multi_thread().thread_name("peernet").enable_all().build();
         let runtime = runtime
             .context("cannot start the threads of the runtime")
@@ -120,15 +117,26 @@ impl Ready {
     }
 }
 
+/// Why the agent did not start, for those who have no `[agent] state_dir` to change.
+fn not_started(error: StartError) -> anyhow::Error {
+    match error {
+        StartError::Identity(IdentityError::InUse(folder)) => anyhow!(
+            "another peernet is at work as the host that keeps its id in {}; wait for it or end it, or take another name",
+            folder.display()
+        ),
+        error => error.into(),
+    }
+}
+
 async fn watch<E: Eyes>(
     config: AgentConfig,
     clock: &SharedClock,
     eyes: &mut E,
-) -> Result<Watched<E::Ended>, Failure> {
+) -> Result<Watched<E::Own>, Failure> {
     let mut signals = Signals::new().map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let (stop, (tap, mut events)) = (CancellationToken::new(), mpsc::channel(EVENTS));
-    let running = Agent::start_observed(config, Arc::clone(clock), stop.clone(), tap).await;
-    let running = running.map_err(|error| Failure::new(Exit::Unavailable, error))?;
+    let running = Agent::start_observed(config, VERSION, Arc::clone(clock), stop.clone(), tap).await;
+    let running = running.map_err(|error| Failure::new(Exit::Unavailable, not_started(error)))?;
     let name = running.name().to_string();
     let mut served = running.served();
     let mut look = tokio::time::interval(LOOK);
@@ -137,11 +145,11 @@ async fn watch<E: Eyes>(
         let ended = tokio::select! {
             () = signals.next() => {
                 is_interrupted = true;
-                Some(Cut::Interrupted.into())
+                Some(Ended::Interrupted)
             }
             event = events.recv() => match event {
                 Some(event) => eyes.take(event, Some(&running)),
-                None => Some(Cut::Deserted.into()),
+                None => Some(Ended::Failed("the agent ended by itself".to_owned())),
             },
             Ok(()) = served.changed() => eyes.look(&running),
             _ = look.tick() => eyes.look(&running),

@@ -6,6 +6,8 @@ use peernet_logger::stream::PipelineState;
 
 /// How long it may stay silent before the user is told.
 const SILENCE: Span = Span::from_seconds(3);
+/// Why a peer is away that has not been heard of at all: nobody has refused either.
+const UNKNOWN: &str = "neither a refusal nor a word of PEERNet's protocol has come back until then; check the address, and what listens there";
 
 /// What a pipeline does at the moment.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -114,8 +116,8 @@ impl Patience {
     /// Why the peer is given up, if it is.
     pub(crate) fn spent(&self, waits_for: Option<&str>, now: MonoTime, most: Span) -> Option<String> {
         let away = now - self.there;
-        let reason = waits_for.map_or_else(String::new, |reason| format!(": {reason}"));
-        let text = || format!("gave up after {:.0} s without an answer{reason}", away.seconds());
+        let reason = waits_for.unwrap_or(UNKNOWN);
+        let text = || format!("gave up after {:.0} s without an answer: {reason}", away.seconds());
         (away > most).then(text)
     }
 }
@@ -160,6 +162,10 @@ mod tests {
         let preparing = Standing::Preparing(at(0));
         assert_eq!(preparing.slow_sensor(at(9)).as_deref(), Some("the sensor is not ready after 9 s"));
         patience.look(&Standing::Away(None), at(64));
-        assert!(patience.spent(None, at(64), most).is_some_and(|text| text.contains("after 4 s")));
+        assert!(
+            patience
+                .spent(None, at(64), most)
+                .is_some_and(|text| text.contains("after 4 s without an answer: neither a refusal"))
+        );
     }
 }

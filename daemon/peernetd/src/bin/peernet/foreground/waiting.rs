@@ -1,5 +1,11 @@
 //! Times of waiting.
 
+const DAY: u64 = 86_400;
+/// From here on nobody counts hours.
+const FEW_DAYS: u64 = 10 * DAY;
+/// From here on nobody counts days.
+const FEW_YEARS: u64 = 3 * 365 * DAY;
+
 /// A time of waiting, as people say it.
 pub(crate) fn duration(seconds: f64) -> String {
     // What would be rounded to nothing.
@@ -9,7 +15,9 @@ pub(crate) fn duration(seconds: f64) -> String {
     match seconds.round() as u64 {
         seconds @ ..120 => format!("{seconds} s"),
         seconds @ ..7200 => format!("{} min", seconds.div_ceil(60)),
-        seconds => format!("{} h {} min", seconds / 3600, seconds % 3600 / 60),
+        seconds @ ..FEW_DAYS => format!("{} h {} min", seconds / 3600, seconds % 3600 / 60),
+        seconds @ ..FEW_YEARS => format!("{} days", seconds / DAY),
+        seconds => format!("{} years", seconds / (365 * DAY)),
     }
 }
 
@@ -20,6 +28,11 @@ mod tests {
     #[test]
     fn a_time_of_waiting_is_told_as_people_do() {
         assert_eq!([90.4, 7199.0, 7300.0].map(duration), ["90 s", "120 min", "2 h 1 min"]);
+        let day = 86_400.0;
+        assert_eq!(
+            [9.0 * day, 10.5 * day, 400.0 * day, 4000.0 * day].map(duration),
+            ["216 h 0 min", "10 days", "400 days", "10 years"]
+        );
         assert_eq!([0.0, 0.003, 0.34, 0.95, 1.4].map(duration), ["0 s", "0.1 s", "0.3 s", "1 s", "1 s"]);
     }
 }

@@ -6,27 +6,7 @@ use peernet_report::results::{Outcome, Rows};
 use peernetd::exit::{Exit, Failure};
 
 use super::unavailable;
-use crate::foreground::Cut;
-
-/// How a run ended.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum Ended {
-    /// The limit was reached, or there are no more samples.
-    Finished,
-    /// The user ended it.
-    Interrupted,
-    /// The peer, the sensor or the model could not go on; the text says why.
-    Failed(String),
-}
-
-impl From<Cut> for Ended {
-    fn from(cut: Cut) -> Self {
-        match cut {
-            Cut::Interrupted => Self::Interrupted,
-            Cut::Deserted => Self::Failed("the agent ended by itself".to_owned()),
-        }
-    }
-}
+use crate::foreground::Ended;
 
 impl Ended {
     /// As it stands in `run.json`.
@@ -35,6 +15,7 @@ impl Ended {
             Self::Finished => "finished".to_owned(),
             Self::Interrupted => "stopped".to_owned(),
             Self::Failed(reason) => reason.clone(),
+            Self::Own(never) => match *never {},
         }
     }
 
@@ -68,7 +49,7 @@ impl Ended {
             Self::Finished => {
                 let mut bad = rows.iter().filter(|row| row.outcome() != Outcome::Ok).peekable();
                 let first = bad.peek()?;
-                let reason = first.reason().unwrap_or("no answer in time");
+                let reason = first.reason().map_or("no answer in time", once);
                 let text = format!(
                     "iteration {} {}: {reason}",
                     first.iteration(),
@@ -81,8 +62,15 @@ impl Ended {
                 let (bad, all) = (bad.count() as u64, counted(rows.len() as u64, "iteration"));
                 incomplete(format!("{bad} of {all} {} no answer; {text}", has(bad)))
             }
+            Self::Own(never) => match *never {},
         }
     }
+}
+
+/// A traceback ends with the exception that it begins with here.
+fn once(reason: &str) -> &str {
+    let exception = reason.lines().next().unwrap_or_default();
+    reason.strip_suffix(exception).map(str::trim_end).filter(|rest| !rest.is_empty()).unwrap_or(reason)
 }
 
 const fn has(count: u64) -> &'static str {
@@ -108,6 +96,15 @@ mod tests {
             upload: None,
             download: None,
         }
+    }
+
+    #[test]
+    fn an_exception_is_told_once() {
+        assert_eq!(once("E: dark\nTraceback:\n  line 7\nE: dark\n".trim()), "E: dark\nTraceback:\n  line 7");
+        assert_eq!(
+            ["it went away", "", "E: a\nTraceback:\n …"].map(once),
+            ["it went away", "", "E: a\nTraceback:\n …"]
+        );
     }
 
     #[test]

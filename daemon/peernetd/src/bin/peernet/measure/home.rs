@@ -3,15 +3,18 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
+use peernet_agent::AgentConfig;
 use peernet_agent::config::HostConfig;
+use peernet_inference::Scratch;
 use peernetd::exit::{Exit, Failure};
-use tempfile::TempDir;
+
+use super::spools;
 
 /// A folder for the agent's state: one that stays where an aggregator is to know the host again, or else one that goes
 /// with the run.
 pub(crate) enum Home {
     Stays(PathBuf),
-    Goes(TempDir),
+    Goes(Scratch),
 }
 
 impl Home {
@@ -22,7 +25,7 @@ impl Home {
     pub(crate) fn of(agent: &HostConfig) -> Result<Self, Failure> {
         let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
         if agent.aggregator.is_none() {
-            let folder = tempfile::Builder::new().prefix("peernet-").tempdir();
+            let folder = Scratch::new("agent");
             let folder = folder.context("cannot make a temporary folder; TMPDIR names another place");
             return folder.map(Self::Goes).map_err(unavailable);
         }
@@ -40,6 +43,23 @@ impl Home {
             ))
         })?;
         Ok(Self::Stays(state.join("peernet").join(name)))
+    }
+
+    /// Lets an agent keep its state here.
+    ///
+    /// # Errors
+    /// When the spool of an older version cannot be taken over (69).
+    pub(crate) fn house(&self, config: &mut AgentConfig) -> Result<(), Failure> {
+        self.folder().clone_into(&mut config.agent.state_dir);
+        if let (Self::Stays(folder), Some(aggregator), None) =
+            (self, &config.agent.aggregator, &config.spool.file)
+        {
+            let spool = spools::of(folder, aggregator)
+                .with_context(|| format!("cannot take over the spool in {}", folder.display()))
+                .map_err(|error| Failure::new(Exit::Unavailable, error))?;
+            config.spool.file = Some(spool);
+        }
+        Ok(())
     }
 
     pub(crate) fn folder(&self) -> &Path {

@@ -17,13 +17,15 @@ mod order;
 mod record;
 mod results;
 mod seen;
+mod spools;
 mod taking;
 
+pub(crate) use aside::put_aside;
 pub(crate) use command::{Arguments, run};
-pub(crate) use ended::Ended;
 pub(crate) use home::Home;
 pub(crate) use order::Order;
 pub(crate) use seen::{Phase, Seen, Watcher};
+pub(crate) use spools::{OF_AGENT, undelivered};
 
 use std::path::{Path, PathBuf};
 
@@ -36,7 +38,7 @@ use peernet_report::sensor_study::SensorStudy;
 use peernet_report::trust::{Evidence, Report};
 use peernetd::exit::{Exit, Failure};
 
-use crate::foreground::{Ready, Watched};
+use crate::foreground::{Ended, Ready, Watched};
 use results::{Results, Written};
 use taking::Taking;
 
@@ -76,7 +78,7 @@ pub(crate) fn measure(order: &Order, watcher: &mut dyn Watcher) -> Result<Measur
     let pipeline = order.pipeline()?;
     let home = Home::of(&order.agent.agent)?;
     let mut config = order.agent.clone();
-    config.agent.state_dir = home.folder().to_owned();
+    home.house(&mut config)?;
     let ready = Ready::new(config)?;
     let mut results = Results::begin(order)?;
     let room = conditions::room("results", results.path(), "");
@@ -101,8 +103,9 @@ pub(crate) fn measure(order: &Order, watcher: &mut dyn Watcher) -> Result<Measur
     record.trust = Some(Report::of(&Evidence::of_run(&record, &taken.rows)));
     let Written { folder, mut files, mut trouble } = results.finish(&record, &taken.rows);
     let is_written = !files.is_empty();
-    match study(&record, &taken.rows, &folder) {
-        Ok(written) => files.extend(written),
+    // Where the rows found no room, the folder may hold earlier results again.
+    match is_written.then(|| study(&record, &taken.rows, &folder)).transpose() {
+        Ok(written) => files.extend(written.flatten()),
         Err(error) => trouble = trouble.or(Some(error)),
     }
     if order.plots && !is_written {

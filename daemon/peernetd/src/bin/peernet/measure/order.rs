@@ -21,6 +21,7 @@ pub(crate) struct Order {
     /// For people: the title of figures and tables.
     pub(crate) title: String,
     /// Where the results go.
+    #[serde(with = "any_path")]
     pub(crate) folder: PathBuf,
     /// What becomes of results that are there already.
     pub(crate) overwrite: Overwrite,
@@ -53,5 +54,55 @@ impl Order {
     /// How long a peer that is away is waited for.
     pub(super) fn patience(&self) -> Span {
         self.patience_s.map_or(Patience::USUAL, Span::from_seconds_f64)
+    }
+}
+
+/// A path as text, or as its bytes where it is none: JSON has only text, and Linux takes any bytes.
+mod any_path {
+    use std::ffi::OsString;
+    use std::path::{Path, PathBuf};
+
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum Written {
+        Text(String),
+        Bytes(OsString),
+    }
+
+    pub(super) fn serialize<S: Serializer>(path: &Path, to: S) -> Result<S::Ok, S::Error> {
+        match path.to_str() {
+            Some(text) => text.serialize(to),
+            None => path.as_os_str().serialize(to),
+        }
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<PathBuf, D::Error> {
+        Ok(match Written::deserialize(from)? {
+            Written::Text(text) => text.into(),
+            Written::Bytes(bytes) => bytes.into(),
+        })
+    }
+
+    #[cfg(test)]
+    mod tests {
+        use std::os::unix::ffi::OsStringExt;
+
+        use super::*;
+
+        #[derive(Debug, PartialEq, Serialize, serde::Deserialize)]
+        struct Holder(#[serde(with = "super")] PathBuf);
+
+        #[test]
+        fn any_path_is_understood_by_the_process_that_measures() {
+            for bytes in [&b"results/a"[..], b"res\xff\xfe"] {
+                let path = Holder(OsString::from_vec(bytes.to_vec()).into());
+                let text = serde_json::to_string(&path).expect("can be written");
+                assert_eq!(serde_json::from_str::<Holder>(&text).expect("is understood"), path, "{text}");
+            }
+            let text = Holder("results/a".into());
+            assert_eq!(serde_json::to_string(&text).expect("can be written"), "\"results/a\"");
+        }
     }
 }

@@ -12,8 +12,9 @@ use peernet_report::results::{
 use peernetd::VERSION;
 use serde_json::{Map, Value};
 
+use super::Order;
 use super::taking::Taken;
-use super::{Ended, Order};
+use crate::foreground::Ended;
 
 /// The record of a run that has rows.
 pub(super) fn of(order: &Order, taken: &Taken, ended: &Ended, edge: String, missed: u64) -> RunRecord {

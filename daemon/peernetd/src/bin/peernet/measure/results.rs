@@ -70,18 +70,25 @@ impl Results {
 
     /// Writes everything, elsewhere if it must be.
     pub(super) fn finish(&mut self, record: &RunRecord, rows: &Rows) -> Written {
-        let finished = self.folder.finish(record, rows);
-        if let Some(earlier) = &mut self.earlier {
-            earlier.remove();
-        }
-        match finished {
-            Ok(Finished { folder, files, trouble: None }) => Written { folder, files, trouble: None },
+        let mut earlier = self.earlier.take();
+        match self.folder.finish(record, rows) {
+            Ok(Finished { folder, files, trouble: None }) => {
+                if let Some(earlier) = &mut earlier {
+                    earlier.remove();
+                }
+                Written { folder, files, trouble: None }
+            }
             Ok(Finished { folder, files, trouble: Some(trouble) }) => {
-                let trouble = format!("{trouble}; all that was measured is in {} instead", folder.display());
+                let back = earlier.map_or_else(String::new, Aside::give_back);
+                let trouble =
+                    format!("{trouble}; all that was measured is in {} instead{back}", folder.display());
                 Written { folder, files, trouble: Some(trouble) }
             }
             Err(error) => {
-                let trouble = format!("{error}; data.csv holds what there was room for");
+                let rows = earlier.as_ref().and_then(Aside::keep_rows);
+                let back = earlier.map_or_else(String::new, Aside::give_back);
+                let rows = rows.as_deref().unwrap_or("data.csv");
+                let trouble = format!("{error}; {rows} holds what there was room for{back}");
                 Written { folder: self.path().to_owned(), files: Vec::new(), trouble: Some(trouble) }
             }
         }

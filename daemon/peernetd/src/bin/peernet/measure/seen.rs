@@ -3,10 +3,9 @@
 use std::fmt;
 
 use peernet_logger::stream::Condition;
-use peernet_report::number::milliseconds;
 use serde::{Deserialize, Serialize};
 
-use crate::foreground::duration;
+use crate::foreground::{duration, told};
 
 /// How far a run is.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -21,7 +20,7 @@ pub(crate) struct Seen {
     pub(crate) rate: f64,
     /// Median of the total so far, seconds.
     pub(crate) p50: Option<f64>,
-    /// Its 99th percentile.
+    /// Its 99th percentile, once there are values enough for it.
     pub(crate) p99: Option<f64>,
     /// How long it will take still, seconds; `None` while nobody can tell.
     pub(crate) left_s: Option<f64>,
@@ -30,7 +29,7 @@ pub(crate) struct Seen {
 }
 
 impl fmt::Display for Seen {
-    /// In words: `120 of 10005, 9.8 /s, total 101 ms (p99 104), 17 min left`.
+    /// In words: `120 of 10005, 9.8 /s, total p50 101 ms, p99 104 ms, 17 min left`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.phase == Phase::Starting {
             return f.write_str("starting");
@@ -42,8 +41,7 @@ impl fmt::Display for Seen {
         write!(f, ", {:.1} /s", self.rate)?;
         // None while it warms up.
         if let Some(p50) = self.p50 {
-            let p99 = self.p99.map_or_else(|| "—".to_owned(), milliseconds);
-            write!(f, ", total {} ms (p99 {p99})", milliseconds(p50))?;
+            write!(f, ", total {}", told(p50, self.p99))?;
         }
         self.left_s.map_or(Ok(()), |left| write!(f, ", {} left", duration(left)))
     }
@@ -90,7 +88,7 @@ mod tests {
             left_s: Some(1007.6),
             trouble: None,
         };
-        assert_eq!(seen.to_string(), "120 of 10005, 9.8 /s, total 101 ms (p99 —), 17 min left");
+        assert_eq!(seen.to_string(), "120 of 10005, 9.8 /s, total p50 101 ms, 17 min left");
         let warming_up = Seen { done: 3, p50: None, ..seen };
         assert_eq!(warming_up.to_string(), "3 of 10005, 9.8 /s, 17 min left");
     }

@@ -1,5 +1,7 @@
 //! Taking down what the agent measures, until it ends.
 
+use std::convert::Infallible;
+
 use peernet_agent::config::{Limit, PipelineConfig, PlacementConfig};
 use peernet_agent::{Cloud, Running};
 use peernet_clock::{MonoTime, SharedClock, Span, WallTime};
@@ -9,8 +11,8 @@ use peernet_networks::OpenError;
 use peernet_report::results::{Outcome, Row, RowWriter, Rows, Units};
 use peernet_statistics::Sketch;
 
-use super::{Ended, Phase, Seen, Watcher};
-use crate::foreground::{Eyes, Patience, Standing};
+use super::{Phase, Seen, Watcher};
+use crate::foreground::{Ended, Eyes, Patience, Standing, p99};
 
 /// The eyes on the agent.
 pub(super) struct Taking<'a> {
@@ -145,7 +147,7 @@ impl<'a> Taking<'a> {
             of,
             rate,
             p50: self.totals.quantile(0.5),
-            p99: self.totals.quantile(0.99),
+            p99: p99(&self.totals),
             left_s: by_count.into_iter().chain(by_time).reduce(f64::min),
             trouble,
         }
@@ -153,7 +155,7 @@ impl<'a> Taking<'a> {
 }
 
 impl Eyes for Taking<'_> {
-    type Ended = Ended;
+    type Own = Infallible;
 
     fn take(&mut self, event: Event, running: Option<&Running>) -> Option<Ended> {
         match event {

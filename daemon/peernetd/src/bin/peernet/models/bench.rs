@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use peernet_logger::Tree;
 use peernet_report::number::{bytes, counted, milliseconds};
-use peernet_report::order::Ordered;
+use peernet_report::order::{ENOUGH_FOR_P95, ENOUGH_FOR_P99, Ordered};
 use peernet_report::table::text;
 use peernetd::exit::{Exit, Failure};
 use peernetd::output::say;
@@ -19,7 +19,8 @@ use crate::foreground::Progress;
 /// The stages of a model, in their order.
 const STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
 /// The quantiles that are told, with the fewest samples that each needs.
-const QUANTILES: [(&str, f64, usize); 3] = [("p50", 0.5, 1), ("p95", 0.95, 60), ("p99", 0.99, 300)];
+const QUANTILES: [(&str, f64, usize); 3] =
+    [("p50", 0.5, 1), ("p95", 0.95, ENOUGH_FOR_P95), ("p99", 0.99, ENOUGH_FOR_P99)];
 
 /// What `peernet models bench` can be told.
 #[derive(Debug, clap::Args)]

@@ -1,10 +1,11 @@
 //! `peernet models check`
 
+use std::collections::HashSet;
 use std::path::PathBuf;
 
 use anyhow::anyhow;
-use peernet_report::number::fixed;
-use peernet_sample::Sample;
+use peernet_report::number::{counted, fixed};
+use peernet_sample::{Sample, plain_label};
 use peernetd::exit::{Exit, Failure};
 use peernetd::output::{complain, say};
 use serde::Deserialize;
@@ -39,7 +40,8 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     {
         complain(text);
     }
-    let labels = found.card.as_ref().map(|card| card.labels.clone()).unwrap_or_default();
+    let classes = found.card.as_ref().map(|card| card.labels.as_slice()).unwrap_or_default();
+    let classes: HashSet<String> = classes.iter().map(|class| plain_label(class)).collect();
     let running = Running::load(&found, &arguments.options)?;
     let pool = running.pool();
     say(format_args!(
@@ -51,8 +53,9 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         say("no test pictures: none in its folder `pictures`, none named with --pictures");
         return Ok(());
     };
-    let (mut right, mut labelled, mut failed) = (0, 0, 0);
-    let alone = input.samples.len() == 1;
+    let (mut right, mut labelled, mut foreign, mut failed) = (0, 0, 0, 0);
+    let all = input.samples.len() as u64;
+    let alone = all == 1;
     for sample in input.samples {
         let (source, label) = (sample.source.clone(), sample.label.clone());
         let answer =
@@ -63,10 +66,14 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
                 failed += 1;
             }
             Ok(answer) => {
-                // Labels that the model does not know belong to another one's pictures.
-                if let Some(label) = label.filter(|label| labels.contains(label)) {
-                    labelled += 1;
-                    right += usize::from(label == answer.label);
+                match label.map(|label| plain_label(&label)) {
+                    Some(label) if classes.contains(&label) => {
+                        labelled += 1;
+                        right += usize::from(label == plain_label(&answer.label));
+                    }
+                    // No answer could be right.
+                    Some(_) => foreign += 1,
+                    None => {}
                 }
                 if alone {
                     say(format_args!("{source}: {} ({})", answer.label, fixed(answer.score, 3)));
@@ -75,9 +82,16 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
     }
     let accuracy = if labelled > 0 { format!("; {right} of {labelled} labels right") } else { String::new() };
-    say(format_args!("answered {}{accuracy}", input.what));
+    let unknown = match foreign {
+        0 => String::new(),
+        1 => "; 1 label is no class of the model".to_owned(),
+        foreign => format!("; {foreign} labels are no classes of the model"),
+    };
+    let of = if failed > 0 { format!("{} of ", all - failed) } else { String::new() };
+    say(format_args!("answered {of}{}{accuracy}{unknown}", input.what));
     if failed > 0 {
-        let error = anyhow!("{failed} pictures were not answered; the lines above say why");
+        let were = if failed == 1 { "was" } else { "were" };
+        let error = anyhow!("{} {were} not answered; the lines above say why", counted(failed, "picture"));
         return Err(Failure::new(Exit::Unavailable, error));
     }
     Ok(())

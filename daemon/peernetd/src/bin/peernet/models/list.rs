@@ -4,6 +4,7 @@ use peernet_inference::bank::Found;
 use peernet_report::table::text;
 use peernetd::exit::Failure;
 use peernetd::output::{complain, say};
+use peernetd::short::plain;
 use serde_json::{Value, json};
 
 use super::Places;
@@ -48,7 +49,9 @@ fn row(found: &Found) -> Vec<String> {
     };
     let size = size(found).map(|bytes| peernet_report::number::bytes(bytes as f64)).unwrap_or_default();
     let folder = found.folder.display().to_string();
-    vec![found.name.to_string(), task, input, size, version, folder, wrong(found).unwrap_or_default()]
+    let cells =
+        [found.name.to_string(), task, input, size, version, folder, wrong(found).unwrap_or_default()];
+    cells.map(|cell| plain(&cell).into_owned()).to_vec()
 }
 
 /// What keeps the model from being used.
@@ -69,7 +72,7 @@ fn size(found: &Found) -> Option<u64> {
 fn object(found: &Found) -> Value {
     json!({
         "model": found.name.to_string(),
-        "folder": found.folder,
+        "folder": found.folder.display().to_string(),
         "bytes": size(found),
         "card": found.card.as_ref().ok(),
         "wrong": wrong(found),

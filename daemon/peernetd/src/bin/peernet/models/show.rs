@@ -3,6 +3,7 @@
 use peernet_report::number;
 use peernetd::exit::Failure;
 use peernetd::output::say;
+use peernetd::short::plain;
 use serde_json::json;
 
 use super::{Wanted, failure, other_file};
@@ -29,7 +30,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let size = std::fs::metadata(folder.join("model.onnx")).map_or(0, |known| known.len());
     if arguments.json {
         say(
-            json!({ "model": name.to_string(), "folder": folder, "bytes": size, "sha256": hash, "card": card }),
+            json!({ "model": name.to_string(), "folder": folder.display().to_string(), "bytes": size, "sha256": hash, "card": card }),
         );
         return Ok(());
     }
@@ -37,7 +38,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let more = if card.labels.len() > LABELS { ", …" } else { "" };
     let mut lines = vec![
         ("model".to_owned(), name.to_string()),
-        ("folder".to_owned(), folder.display().to_string()),
+        ("folder".to_owned(), plain(&folder.display().to_string()).into_owned()),
         ("name".to_owned(), format!("{} {}", card.name, card.version)),
         ("what it does".to_owned(), card.description),
         ("task".to_owned(), card.task),
@@ -54,7 +55,8 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     lines.extend(card.provenance.into_iter().filter(|(key, _)| key != "sha256").map(explained));
     lines.extend(other_file.map(|text| ("but".to_owned(), text)));
     for (key, value) in lines.iter().filter(|(_, value)| !value.trim().is_empty()) {
-        say(format_args!("{key:<14}{}", value.trim()));
+        let value = value.lines().map(str::trim).collect::<Vec<_>>().join(" ");
+        say(format_args!("{:<14}{}", plain(key), plain(value.trim())));
     }
     Ok(())
 }

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::anyhow;
 use clap::ValueEnum;
 use peernet_report::figures::{self, Columns, PlotError};
+use peernet_report::number::counted;
 use peernet_report::results::Loaded;
 use peernetd::exit::{Exit, Failure};
 use peernetd::output::{complain, say};
@@ -111,14 +112,31 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     // One kind was asked for and is not there: a failure. Of all kinds some never are.
     if arguments.kind != Kind::All && files.is_empty() {
-        if let Some((_, error)) = lacking.into_iter().next() {
-            return Err(Failure::new(Exit::Data, error));
+        if let Some(reasons) = reasons(&lacking) {
+            return Err(Failure::new(Exit::Data, anyhow!("{reasons}")));
         }
     } else if arguments.kind != Kind::All {
         lacking.iter().for_each(|(folder, error)| complain(format_args!("{}: {error}", folder.display())));
     }
     files.iter().for_each(|file| say(file.display()));
     Ok(())
+}
+
+/// Why nothing was drawn: of several runs each reason once, with how many have it. `None` where there is none.
+fn reasons(lacking: &[(PathBuf, PlotError)]) -> Option<String> {
+    let mut reasons: Vec<(String, usize)> = Vec::new();
+    for (_, error) in lacking {
+        let reason = error.to_string();
+        match reasons.iter_mut().find(|(known, _)| *known == reason) {
+            Some((_, count)) => *count += 1,
+            None => reasons.push((reason, 1)),
+        }
+    }
+    if let [(reason, _)] = reasons.as_slice() {
+        return Some(reason.clone());
+    }
+    let told = reasons.iter().map(|(reason, count)| format!("{}: {reason}", counted(*count as u64, "run")));
+    (!reasons.is_empty()).then(|| told.collect::<Vec<_>>().join("; "))
 }
 
 /// Whether the options have a meaning together.
@@ -132,5 +150,24 @@ fn check(arguments: &Arguments) -> Result<(), Failure> {
         _ => usage(
             "--x is for --kind length and --kind histograms, --y for --kind length and --kind paired: name the kind",
         ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_several_runs_each_reason_is_told() {
+        let lacking = |reasons: &[&str]| -> Vec<(PathBuf, PlotError)> {
+            let error = |reason: &&str| PlotError::Lacking(figures::Kind::Length, (*reason).to_owned());
+            reasons.iter().map(|reason| (PathBuf::new(), error(reason))).collect()
+        };
+        assert_eq!(reasons(&[]), None);
+        assert_eq!(reasons(&lacking(&["no n", "no n"])).as_deref(), Some("cannot draw length: no n"));
+        assert_eq!(
+            reasons(&lacking(&["no n", "one length", "one length"])).as_deref(),
+            Some("1 run: cannot draw length: no n; 2 runs: cannot draw length: one length")
+        );
     }
 }

@@ -8,6 +8,7 @@ use peernet_networks::{Address, NetworkKind};
 
 use super::encoding::Encoding;
 use super::sensor::SensorType;
+use crate::network::network;
 
 /// The published experiment: one device serves a model, the other senses and measures.
 #[derive(Clone, Debug, clap::Args)]
@@ -87,15 +88,6 @@ pub(crate) struct Arguments {
     /// Do not show the progress.
     #[arg(long)]
     pub(super) quiet: bool,
-}
-
-fn network(text: &str) -> Result<NetworkKind, String> {
-    let known: Vec<&str> = NetworkKind::ALL.iter().map(|kind| kind.name()).collect();
-    let found = NetworkKind::ALL.iter().find(|kind| kind.name() == text).copied();
-    found.ok_or_else(|| match text {
-        "zmq-udp" | "ros" => format!("{text} is not there yet; use {}", known.join(" or ")),
-        _ => format!("there is {}", known.join(", ")),
-    })
 }
 
 fn iterations(text: &str) -> Result<NonZeroU64, String> {

@@ -3,7 +3,7 @@
 use peernet_clock::SharedClock;
 use peernet_logger::stream::{Condition, Grade};
 
-use crate::foreground::Progress;
+use crate::foreground::{Progress, remark};
 use crate::measure::{Phase, Seen, Watcher};
 
 /// Shows a bar, or lines where there is no terminal.
@@ -21,11 +21,8 @@ impl Bar {
 impl Watcher for Bar {
     /// What spoils the figures is said while the run can still be ended and begun anew; the rest is in the report.
     fn begun(&mut self, conditions: &[Condition]) {
-        for Condition { host, about, found, advice, .. } in
-            conditions.iter().filter(|condition| condition.grade >= Grade::Doubtful)
-        {
-            let advice = if advice.is_empty() { String::new() } else { format!("; {advice}") };
-            self.progress.say(format_args!("on {host}, {about}: {found}{advice}"));
+        for condition in conditions.iter().filter(|condition| condition.grade >= Grade::Doubtful) {
+            self.progress.say(remark(condition));
         }
     }
 

@@ -3,19 +3,20 @@
 use std::path::PathBuf;
 
 use anyhow::Context;
-use peernet_agent::config::PipelineConfig;
+use peernet_agent::config::{HostConfig, PipelineConfig};
 use peernet_clock::ClockIdentity;
 use peernet_report::results::{Overwrite, Summary};
 use peernetd::clock;
 use peernetd::exit::{Exit, Failure};
-use peernetd::output::say;
+use peernetd::output::{complain, say};
+use peernetd::short::plain;
 use serde_json::json;
 
 use super::bar::Bar;
 use super::devices::Devices;
 use super::{Arguments, sensor};
 use crate::foreground::{dashboard, tables, typed};
-use crate::measure::{Measured, Order, measure};
+use crate::measure::{Home, Measured, Order, measure, undelivered};
 
 /// Iterations that the published plots drop.
 const WARM_UP: u64 = 5;
@@ -37,6 +38,9 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
         clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let measured = measure(&order, &mut Bar::new(arguments.quiet, clock))?;
     tell(&measured, arguments);
+    if order.agent.agent.aggregator.is_some() {
+        tell_undelivered(&order.agent.agent)?;
+    }
     measured.failure().map_or(Ok(()), Err)
 }
 
@@ -89,9 +93,21 @@ fn tell(measured: &Measured, arguments: &Arguments) {
         say(format_args!("\n{}", trust.text()));
     }
     let files: Vec<_> = measured.files.iter().filter_map(|path| path.file_name()?.to_str()).collect();
-    say(format_args!("\n{}: {}", measured.folder.display(), files.join(", ")));
+    let folder = measured.folder.display().to_string();
+    say(format_args!("\n{}: {}", plain(&folder), files.join(", ")));
     if let Some(aggregator) = &arguments.aggregator {
         let name = &arguments.name;
         say(format_args!("see host {name}, pipeline {name}, on {}", dashboard(aggregator)));
     }
+}
+
+/// Says what an aggregator has not taken, of this run or of others.
+fn tell_undelivered(agent: &HostConfig) -> Result<(), Failure> {
+    let home = Home::of(agent)?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+    let runtime = runtime
+        .context("cannot start the runtime")
+        .map_err(|error| Failure::new(Exit::Unavailable, error))?;
+    runtime.block_on(undelivered(home.folder())).into_iter().for_each(complain);
+    Ok(())
 }

@@ -39,8 +39,14 @@ impl File {
 
     /// Where the device `name` listens, which is said to be `at`.
     fn address(&self, name: &str, at: &str) -> Result<Address, String> {
-        address(at, self.start_port.unwrap_or(DEFAULT_PORT))
-            .map_err(|problem| format!("{at:?} is no address of the device {name}: {problem}"))
+        let address = address(at, self.start_port.unwrap_or(DEFAULT_PORT))
+            .map_err(|problem| format!("{at:?} is no address of the device {name}: {problem}"))?;
+        if address.port() == 0 {
+            return Err(format!(
+                "the device {name} has port 0, at which nobody could ask it: give start_port a number from 1"
+            ));
+        }
+        Ok(address)
     }
 }
 

@@ -15,7 +15,8 @@ mod serving;
 pub(crate) use arguments::Arguments;
 pub(crate) use devices::addresses;
 
-use peernetd::exit::Failure;
+use anyhow::anyhow;
+use peernetd::exit::{Exit, Failure};
 use peernetd::output::complain;
 
 use devices::Devices;
@@ -35,4 +36,14 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     );
     listen(Shows::Itself)?;
     if serves { server::run(arguments, &devices) } else { client::run(arguments, &devices) }
+}
+
+/// The command of `exec:COMMAND`; `None` of what is not written so.
+fn program(wanted: &str) -> Result<Option<&str>, Failure> {
+    match wanted.strip_prefix("exec:") {
+        Some(command) if command.trim().is_empty() => {
+            Err(Failure::new(Exit::Usage, anyhow!("{wanted:?} names no program: write exec:COMMAND")))
+        }
+        command => Ok(command),
+    }
 }

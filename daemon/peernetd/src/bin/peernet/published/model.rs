@@ -38,7 +38,7 @@ fn configuration(arguments: &Arguments) -> Result<ModelConfig, Failure> {
     }
     let device = device(given.unwrap_or(DEVICE));
     // A user's own program or object is run because this very command line names it.
-    let mut external = match wanted.strip_prefix("exec:") {
+    let mut external = match super::program(wanted)? {
         Some(command) => json!({ "kind": "exec", "name": slug(command), "command": command }),
         None if wanted.contains("::") => json!({
             "kind": "python", "name": slug(wanted), "object": wanted, "pickle": arguments.pickle,
@@ -73,6 +73,7 @@ fn check(config: &ModelConfig, runtime: &OnnxRuntimeConfig, clock: SharedClock) 
 pub(super) fn failure(error: LoadError) -> Failure {
     let exit = match &error {
         error if error.is_missing() => Exit::NoInput,
+        error if error.is_misnamed() => Exit::Usage,
         LoadError::NoSuchDevice(_) | LoadError::TooMuch { .. } => Exit::Usage,
         _ => Exit::Unavailable,
     };

@@ -2,7 +2,7 @@
 
 use anyhow::anyhow;
 use peernet_clock::ClockIdentity;
-use peernet_sensors::{SensorConfig, TransformConfig};
+use peernet_sensors::{SensorConfig, SensorError, TransformConfig};
 use peernetd::clock;
 use peernetd::exit::{Exit, Failure};
 use serde_json::{Value, json};
@@ -51,6 +51,10 @@ pub(super) fn of(arguments: &Arguments) -> Result<(SensorConfig, Vec<TransformCo
             let path = arguments.dataset_loc.as_deref().ok_or_else(|| {
                 missing("the sensor image needs --dataset-loc: a picture or a folder of pictures")
             })?;
+            let path = path.to_str().ok_or_else(|| {
+                let path = path.display();
+                missing(&format!("--dataset-loc {path}: run.json cannot hold a name that is not UTF-8; rename it, or name a link to it"))
+            })?;
             (read(json!({ "kind": "images", "path": path }))?, arguments.encoding.transforms())
         }
         SensorType::Synthetic => (read(json!({ "kind": "synthetic", "size_bytes": size }))?, Vec::new()),
@@ -69,13 +73,17 @@ pub(super) fn of(arguments: &Arguments) -> Result<(SensorConfig, Vec<TransformCo
 fn checked(config: SensorConfig) -> Result<SensorConfig, Failure> {
     let clock =
         clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
-    peernet_sensors::check(&config, &clock).map_err(|error| Failure::new(Exit::NoInput, error))?;
+    peernet_sensors::check(&config, &clock).map_err(|error| {
+        let is_typed = error.is_misnamed() || matches!(error, SensorError::Config(_));
+        let exit = if is_typed { Exit::Usage } else { Exit::NoInput };
+        Failure::new(exit, error)
+    })?;
     Ok(config)
 }
 
 /// A user's own object or program, which is to be run because this very command line names it.
 fn external(object: &str, pickle: bool) -> Result<SensorConfig, Failure> {
-    let config = match object.strip_prefix("exec:") {
+    let config = match super::program(object)? {
         Some(command) => json!({ "kind": "exec", "command": command }),
         None => json!({ "kind": "python", "object": object, "pickle": pickle }),
     };
@@ -84,4 +92,32 @@ fn external(object: &str, pickle: bool) -> Result<SensorConfig, Failure> {
 
 fn read(config: Value) -> Result<SensorConfig, Failure> {
     serde_json::from_value(config).map_err(|error| Failure::new(Exit::Usage, error))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::ffi::OsString;
+    use std::os::unix::ffi::OsStringExt;
+
+    use clap::Parser;
+
+    use super::*;
+    use crate::Line;
+
+    #[test]
+    fn what_cannot_be_a_sensor_by_its_options_alone_is_a_wrong_command_line() {
+        let refused = |words: [OsString; 2]| {
+            let line = "peernet --client --name a --network-config b.yaml --iterations 7 --sensor-type";
+            let kind = if words[0] == "--text-size" { "random string" } else { "image" };
+            let words = line.split(' ').map(OsString::from).chain([kind.into()]).chain(words);
+            let line = Line::try_parse_from(words).expect("a published command line");
+            let failure = of(&line.published.expect("its options")).expect_err("refused");
+            (failure.exit, failure.to_string())
+        };
+        let (exit, told) = refused(["--dataset-loc".into(), OsString::from_vec(b"pic\xff".to_vec())]);
+        assert!(exit == Exit::Usage && told.contains("not UTF-8"), "{told}");
+        let (exit, told) = refused(["--text-size".into(), "99999999999999".into()]);
+        assert!(exit == Exit::Usage && told.contains("lower its length"), "{told}");
+        assert_eq!(refused(["--dataset-loc".into(), "nowhere".into()]).0, Exit::NoInput);
+    }
 }

@@ -9,15 +9,16 @@ use peernetd::exit::{Exit, Failure};
 use peernetd::output::complain;
 
 use super::devices::Devices;
-use super::serving::{Ended, Serving};
+use super::serving::Serving;
 use super::{Arguments, model};
-use crate::foreground::{Ready, tables};
+use crate::foreground::{Ended, Ready, tables};
 use crate::measure::Home;
 
-/// Serves until there were so many answers, or Ctrl-C.
+/// Serves until there were so many answers or no more will be asked for, or Ctrl-C.
 ///
 /// # Errors
-/// When the model is not there (66), cannot run (69), or the port is taken (69); when the user ended it early (130).
+/// When the model is not there (66), cannot run (69), or the port is taken (69); when clients have ended their runs and
+/// not asked for all (75); when the user ended it early (130).
 pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failure> {
     let mut config = tables(arguments.config.as_deref())?;
     let model = model::of(arguments, &config.onnxruntime)?;
@@ -31,7 +32,7 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
     config.bank.folders.clear();
     config.models = vec![model];
     let home = Home::of(&config.agent)?;
-    home.folder().clone_into(&mut config.agent.state_dir);
+    home.house(&mut config)?;
     let ready = Ready::new(config)?;
     let mut serving = Serving::new(name, arguments, ready.clock.clone());
     let port = devices.address.port();
@@ -39,15 +40,18 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
         let file = arguments.network_config.display();
         Failure::new(exit, error.context(format!("cannot serve at port {port}, the start_port of {file}")))
     })?;
-    if serving.answered() || matches!(watched.ended, Ended::Answered | Ended::Interrupted) {
+    if serving.answered() || matches!(watched.ended, Ended::Finished | Ended::Interrupted) {
         complain(serving.summary());
     }
     match watched.ended {
-        Ended::Answered => Ok(()),
+        Ended::Finished => match serving.shortfall() {
+            None => Ok(()),
+            Some(text) => Err(Failure::new(Exit::Incomplete, anyhow!("{text}"))),
+        },
         Ended::Interrupted => {
             Err(Failure::new(Exit::Interrupted, anyhow!("ended before all answers were given")))
         }
-        Ended::Model(error) => Err(model::failure(error)),
+        Ended::Own(error) => Err(model::failure(error)),
         Ended::Failed(reason) => Err(Failure::new(Exit::Software, anyhow!("{reason}"))),
     }
 }

@@ -1,40 +1,16 @@
 //! Watching a server: who is there, how many answers there were.
 
-use std::collections::BTreeMap;
-
 use futures::FutureExt;
 use peernet_agent::Running;
 use peernet_clock::{MonoTime, SharedClock};
 use peernet_inference::LoadError;
-use peernet_logger::stream::{Event, IncidentKind};
-use peernet_logger::{HostId, Slug};
-use peernet_report::number::milliseconds;
+use peernet_logger::Slug;
+use peernet_logger::stream::Event;
+use peernet_report::number::counted;
 use tokio::task::JoinHandle;
 
 use super::Arguments;
-use crate::foreground::{Cut, Eyes, Progress};
-
-/// How serving ended.
-#[derive(Debug)]
-pub(super) enum Ended {
-    /// All answers were given.
-    Answered,
-    /// The user ended it.
-    Interrupted,
-    /// The model cannot be had.
-    Model(LoadError),
-    /// The agent could not go on; the text says why.
-    Failed(String),
-}
-
-impl From<Cut> for Ended {
-    fn from(cut: Cut) -> Self {
-        match cut {
-            Cut::Interrupted => Self::Interrupted,
-            Cut::Deserted => Self::Failed("the agent ended by itself".to_owned()),
-        }
-    }
-}
+use crate::foreground::{Ended, Eyes, Progress, p99, told};
 
 /// The eyes on the agent.
 pub(super) struct Serving {
@@ -48,10 +24,11 @@ pub(super) struct Serving {
     /// When the first answer was seen, and how many there were by then.
     first: Option<(MonoTime, u64)>,
     last: Option<MonoTime>,
-    /// Median and 99th percentile of `inference`, seconds.
-    inference: Option<(f64, f64)>,
-    /// Sessions by peer.
-    sessions: BTreeMap<HostId, u32>,
+    /// How many iterations of runs that are over never came here.
+    missed: u64,
+    /// How long `inference` took.
+    inference: String,
+    sessions: usize,
     loading: Loading,
 }
 
@@ -73,8 +50,9 @@ impl Serving {
             clock,
             first: None,
             last: None,
-            inference: None,
-            sessions: BTreeMap::new(),
+            missed: 0,
+            inference: String::new(),
+            sessions: 0,
             loading: Loading::NotBegun,
         }
     }
@@ -87,7 +65,16 @@ impl Serving {
     /// What came of it.
     pub(super) fn summary(&self) -> String {
         let rate = self.rate().map_or_else(String::new, |rate| format!(", {rate:.1} /s"));
-        format!("{} answers{}{rate}{}", self.answered, self.failed(), self.inference())
+        let answers = counted(self.answered, "answer");
+        format!("{answers}{}{}{rate}{}", self.failed(), self.without(), self.inference)
+    }
+
+    /// Why there were not all answers although there will be no more, if so.
+    pub(super) fn shortfall(&self) -> Option<String> {
+        let short = self.wanted.saturating_sub(self.answered);
+        let said = "the clients' results say why";
+        (short > 0)
+            .then(|| format!("{short} of {} never came here: {said}", counted(self.wanted, "iteration")))
     }
 
     /// How many of the answers are errors, if any.
@@ -99,6 +86,14 @@ impl Serving {
         }
     }
 
+    /// How many iterations clients have ended without asking, if any.
+    fn without(&self) -> String {
+        match self.missed {
+            0 => String::new(),
+            missed => format!(", {} never came here", counted(missed, "iteration")),
+        }
+    }
+
     /// Answers per second, from the first to the last.
     fn rate(&self) -> Option<f64> {
         let ((from, before), to) = (self.first?, self.last?);
@@ -106,13 +101,8 @@ impl Serving {
         (seconds > 0.0).then(|| (self.answered - before) as f64 / seconds)
     }
 
-    fn inference(&self) -> String {
-        let told = |(p50, p99)| format!(", inference {} ms (p99 {})", milliseconds(p50), milliseconds(p99));
-        self.inference.map_or_else(String::new, told)
-    }
-
     /// Brings the model into memory before anybody asks: what is wrong with it shows at once, and nobody waits for it.
-    fn load(&mut self, running: &Running) -> Option<Ended> {
+    fn load(&mut self, running: &Running) -> Option<Ended<LoadError>> {
         match &mut self.loading {
             Loading::NotBegun => {
                 self.loading = Loading::UnderWay(running.load(&self.model));
@@ -130,7 +120,7 @@ impl Serving {
                         ));
                         None
                     }
-                    Ok(Err(error)) => Some(Ended::Model(error)),
+                    Ok(Err(error)) => Some(Ended::Own(error)),
                     Err(_) => Some(Ended::Failed("loading the model panicked".to_owned())),
                 }
             }
@@ -140,8 +130,7 @@ impl Serving {
 
     fn describe(&self) -> (String, f64) {
         let share = self.answered as f64 / self.wanted as f64;
-        let sessions: u32 = self.sessions.values().sum();
-        let text = match (&self.loading, sessions, self.answered) {
+        let text = match (&self.loading, self.sessions, self.answered) {
             (Loading::NotBegun | Loading::UnderWay(_), ..) => format!("loading {}", self.model),
             (Loading::Done, 0, 0) => "waiting for a client".to_owned(),
             (Loading::Done, sessions, answered) => {
@@ -151,8 +140,9 @@ impl Serving {
                     1 => "1 session".to_owned(),
                     many => format!("{many} sessions"),
                 };
-                let (wanted, failed) = (self.wanted, self.failed());
-                format!("{answered} of {wanted} answers{failed}, {clients}{rate}{}", self.inference())
+                let (wanted, failed, without) = (self.wanted, self.failed(), self.without());
+                let inference = &self.inference;
+                format!("{answered} of {wanted} answers{failed}{without}, {clients}{rate}{inference}")
             }
         };
         (text, share)
@@ -160,43 +150,30 @@ impl Serving {
 }
 
 impl Eyes for Serving {
-    type Ended = Ended;
+    /// The model cannot be had.
+    type Own = LoadError;
 
-    fn take(&mut self, event: Event, _running: Option<&Running>) -> Option<Ended> {
-        let Event::Incident(incident) = event else { return None };
-        let peer = incident.peer?;
-        match incident.kind {
-            IncidentKind::Connected => *self.sessions.entry(peer).or_default() += 1,
-            IncidentKind::Disconnected => {
-                if let Some(sessions) = self.sessions.get_mut(&peer) {
-                    *sessions = sessions.saturating_sub(1);
-                }
-            }
-            _ => return None,
-        }
+    fn take(&mut self, _event: Event, _running: Option<&Running>) -> Option<Ended<LoadError>> {
         None
     }
 
-    fn look(&mut self, running: &Running) -> Option<Ended> {
+    fn look(&mut self, running: &Running) -> Option<Ended<LoadError>> {
         if let Some(ended) = self.load(running) {
             return Some(ended);
         }
-        let (answered, errors, p50, p99) = {
-            let served = running.served();
-            let served = served.borrow();
-            (served.answers, served.errors, served.inference.quantile(0.5), served.inference.quantile(0.99))
-        };
-        self.inference = p50.zip(p99);
-        self.errors = errors;
+        let served = running.served().borrow().clone();
+        let inference = served.inference.quantile(0.5).map(|p50| told(p50, p99(&served.inference)));
+        self.inference = inference.map_or_else(String::new, |told| format!(", inference {told}"));
+        (self.sessions, self.errors, self.missed) = (served.sessions, served.errors, served.missed);
         let now = self.clock.mono();
-        if answered > self.answered {
-            self.answered = answered;
-            self.first.get_or_insert((now, answered));
+        if served.answers > self.answered {
+            self.answered = served.answers;
+            self.first.get_or_insert((now, served.answers));
             self.last = Some(now);
         }
         let state = self.describe();
         self.progress.show(now, None, || state);
-        (answered >= self.wanted).then_some(Ended::Answered)
+        (self.answered.saturating_add(self.missed) >= self.wanted).then_some(Ended::Finished)
     }
 
     fn over(&mut self) {

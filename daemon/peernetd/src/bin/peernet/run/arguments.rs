@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use peernetd::short::value;
+
 use super::file::Set;
 use super::plan::{Plan, Run};
 
@@ -99,9 +101,9 @@ impl Only {
                     }
                 }
                 match known.as_slice() {
-                    [] => Some(format!("there is no axis {axis}")),
+                    [] => Some(format!("there is no axis {}", value(axis))),
                     known if known.contains(&label.as_str()) => None,
-                    known => Some(format!("{axis} is never {label}; there is {}", known.join(", "))),
+                    known => Some(format!("{axis} is never {}; there is {}", value(label), known.join(", "))),
                 }
             }
         })

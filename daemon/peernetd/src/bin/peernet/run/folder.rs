@@ -1,10 +1,12 @@
 //! The folder of an experiment: `experiment.json`, and the runs below it.
 
+use std::ffi::OsStr;
 use std::fs::{self, File, TryLockError};
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
+use peernet_report::figures;
 use peernetd::exit::{Exit, Failure};
 use peernetd::small_file;
 
@@ -20,6 +22,8 @@ pub(crate) const LARGEST_RECORD: u64 = 256 << 20;
 const TABLES: [&str; 3] = ["compare", "users", "sensors"];
 const KINDS: [&str; 4] = ["txt", "md", "csv", "tex"];
 const LOCK: &str = ".lock";
+/// How a record begins its name until it is whole. A program that is killed meanwhile leaves it behind.
+const DRAFT: &str = ".experiment-";
 const RUNS: &str = "runs";
 
 /// A folder that this program alone writes to.
@@ -40,7 +44,8 @@ impl Folder {
             Failure::new(Exit::Unwritten, anyhow!("cannot make the folder {}: {error}", path.display()))
         };
         let entries = fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
-        let foreign = entries.map(|entry| entry.file_name()).any(|name| name != LOCK && name != RUNS);
+        let is_own = |name: &OsStr| name == LOCK || name == RUNS || is_draft(name);
+        let foreign = entries.map(|entry| entry.file_name()).any(|name| !is_own(&name));
         if foreign && !path.join(RECORD).exists() {
             let text = format!(
                 "{} holds files, but no {RECORD}: it is no experiment's folder; name another with --result-loc",
@@ -51,7 +56,10 @@ impl Folder {
         fs::create_dir_all(path.join(RUNS)).map_err(unwritten)?;
         let lock = File::create(path.join(LOCK)).map_err(unwritten)?;
         match lock.try_lock() {
-            Ok(()) => Ok(Self { path: path.to_owned(), _lock: lock }),
+            Ok(()) => {
+                drafts(path).for_each(|draft| drop(fs::remove_file(draft)));
+                Ok(Self { path: path.to_owned(), _lock: lock })
+            }
             Err(TryLockError::WouldBlock) => {
                 let text =
                     format!("another peernet run is at work in {}; wait for it or end it", path.display());
@@ -90,7 +98,7 @@ impl Folder {
     pub(super) fn save(&self, record: &Record) -> Result<(), Failure> {
         let path = self.path.join(RECORD);
         let write = || {
-            let mut file = tempfile::NamedTempFile::new_in(&self.path)?;
+            let mut file = tempfile::Builder::new().prefix(DRAFT).tempfile_in(&self.path)?;
             serde_json::to_writer_pretty(&mut file, record)?;
             writeln!(file)?;
             file.as_file().sync_all()?;
@@ -102,16 +110,29 @@ impl Folder {
         })
     }
 
-    /// Takes away all runs and what was made of them.
+    /// Takes away the tables and figures that were made of runs together.
+    ///
+    /// # Errors
+    /// When something cannot be removed (73).
+    pub(super) fn clear_made(&self) -> Result<(), Failure> {
+        let tables = TABLES.iter().flat_map(|table| KINDS.map(|kind| format!("{table}.{kind}")));
+        for path in tables.chain(figures::files_in(&self.path)).map(|name| self.path.join(name)) {
+            match fs::remove_file(&path) {
+                Err(error) if error.kind() != ErrorKind::NotFound => {
+                    return Err(cannot_remove(&path, &error));
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// Takes away all runs and the record.
     ///
     /// # Errors
     /// When something cannot be removed (73).
     pub(super) fn clear(&self, record: &Record) -> Result<(), Failure> {
         record.plan.runs.iter().try_for_each(|run| self.remove(run))?;
-        for (table, kind) in TABLES.iter().flat_map(|table| KINDS.map(|kind| (table, kind))) {
-            // Most are not there; those that stay are overwritten in the end.
-            let _ = fs::remove_file(self.path.join(format!("{table}.{kind}")));
-        }
         let path = self.path.join(RECORD);
         fs::remove_file(&path).map_err(|error| cannot_remove(&path, &error))
     }
@@ -141,6 +162,16 @@ impl Folder {
     }
 }
 
+fn is_draft(name: &OsStr) -> bool {
+    name.to_string_lossy().starts_with(DRAFT)
+}
+
+/// What programs that were killed left of records that were not whole yet.
+fn drafts(path: &Path) -> impl Iterator<Item = PathBuf> {
+    let entries = fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
+    entries.filter(|entry| is_draft(&entry.file_name())).map(|entry| entry.path())
+}
+
 /// What a folder knows of an experiment, if it is one's.
 ///
 /// # Errors
@@ -159,8 +190,11 @@ pub(super) fn load(path: &Path) -> Result<Option<Record>, Failure> {
         Err(error) => return Err(damaged(error.to_string())),
     };
     let record: Record = serde_json::from_str(&text).map_err(|error| damaged(error.to_string()))?;
-    if record.format != FORMAT || record.states.len() != record.plan.runs.len() {
+    if record.format != FORMAT {
         return Err(damaged(format!("its format is {}, this program knows {FORMAT}", record.format)));
+    }
+    if !record.is_sound() {
+        return Err(damaged("it names runs or configurations that it does not have".to_owned()));
     }
     Ok(Some(record))
 }

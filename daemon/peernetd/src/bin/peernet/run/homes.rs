@@ -12,12 +12,10 @@ use anyhow::anyhow;
 use peernetd::exit::{Exit, Failure};
 
 use super::plan::{Plan, Run};
-use crate::measure::Home;
+use crate::measure::{Home, OF_AGENT, undelivered};
 
 /// Held by an experiment.
 const LOCK: &str = "experiment.lock";
-/// Held by an agent while it runs.
-const OF_AGENT: &str = "lock";
 
 /// Folders that no other experiment uses; let go when this is dropped.
 #[derive(Debug)]
@@ -31,19 +29,7 @@ impl Homes {
     /// # Errors
     /// When another experiment or agent uses one of them, or one cannot be had (69).
     pub(super) fn take(plan: &Plan, runs: &[Run]) -> Result<Self, Failure> {
-        let mut folders = BTreeSet::new();
-        for run in runs {
-            let configuration = plan.configuration(run);
-            if configuration.agent.agent.aggregator.is_none() {
-                continue;
-            }
-            for user in 0..configuration.users {
-                let mut agent = configuration.agent.agent.clone();
-                agent.name = plan.agent_name(run, user);
-                folders.insert(Home::of(&agent)?.folder().to_owned());
-            }
-        }
-        Self::lock(&folders)
+        Self::lock(&folders(plan, runs)?)
     }
 
     fn lock(folders: &BTreeSet<PathBuf>) -> Result<Self, Failure> {
@@ -64,6 +50,34 @@ impl Homes {
         });
         Ok(Self { _locks: locks.collect::<Result<_, _>>()? })
     }
+}
+
+fn folders(plan: &Plan, runs: &[Run]) -> Result<BTreeSet<PathBuf>, Failure> {
+    let mut folders = BTreeSet::new();
+    for run in runs {
+        let configuration = plan.configuration(run);
+        if configuration.agent.agent.aggregator.is_none() {
+            continue;
+        }
+        for user in 0..configuration.users {
+            let mut agent = configuration.agent.agent.clone();
+            agent.name = plan.agent_name(run, user);
+            folders.insert(Home::of(&agent)?.folder().to_owned());
+        }
+    }
+    Ok(folders)
+}
+
+/// What the aggregators of a plan have not taken from its hosts, in sentences. No run is under way.
+///
+/// # Errors
+/// When there is no place for the hosts (69).
+pub(super) async fn untaken(plan: &Plan) -> Result<Vec<String>, Failure> {
+    let mut told = Vec::new();
+    for folder in folders(plan, &plan.runs)? {
+        told.extend(undelivered(&folder).await);
+    }
+    Ok(told)
 }
 
 fn free(lock: &File, folder: &Path, path: &Path) -> Result<(), Failure> {

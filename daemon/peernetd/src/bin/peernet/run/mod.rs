@@ -7,6 +7,7 @@
 //!                                 └─ report       compare.*, users.*, sensors.*, figures
 //! ```
 
+mod again;
 mod arguments;
 mod check;
 mod children;
@@ -17,10 +18,10 @@ mod execute;
 mod file;
 mod folder;
 mod homes;
+mod origin;
 mod plan;
 mod report;
 mod sensors;
-mod short;
 mod state;
 mod table;
 mod trial;
@@ -35,21 +36,22 @@ use std::path::PathBuf;
 use anyhow::{Context, anyhow};
 use peernet_clock::{ClockIdentity, SharedClock};
 use peernet_networks::Address;
-use peernet_report::results::ResultFolder;
 use peernetd::exit::{Exit, Failure};
 use peernetd::output::{complain, say};
+use peernetd::short::plain;
 use peernetd::{VERSION, clock};
 
-use crate::foreground::{Signals, dashboard};
+use crate::foreground::{Signals, dashboard, remark};
+use again::settle;
 use arguments::Only;
 use children::Exited;
 use estimate::{Estimates, expected};
 use execute::Execution;
 use file::File;
 use folder::Folder;
-use homes::Homes;
+use homes::{Homes, untaken};
+use origin::origin_of_missing;
 use plan::{Plan, Run};
-use short::short;
 use state::{Record, Stage};
 use trial::Tried;
 
@@ -62,18 +64,15 @@ const RESULTS: &str = "results";
 /// When the file is not there (66) or wrong (78), something that it names cannot be had (69), the folder is not its own
 /// (64), results cannot be written (73), some runs failed (75), or the user ended it early (130).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let file = File::read(&arguments.file, &arguments.set).map_err(short)?;
-    let configurations = file.configurations(&arguments.models_dir).map_err(short)?;
+    let file = File::read(&arguments.file, &arguments.set)?;
+    let configurations = file.configurations(&arguments.models_dir)?;
     let clock =
         clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
-    let remarks = check::configurations(&configurations, &clock).map_err(short)?;
+    let remarks = check::configurations(&configurations, &clock)?;
     let path = arguments.result_loc.clone();
     let path = path.unwrap_or_else(|| PathBuf::from(RESULTS).join(file.experiment.name.as_str()));
-    // A broken record can be begun anew.
-    let before = match folder::load(&path) {
-        Err(_) if arguments.restart => None,
-        loaded => loaded?.filter(|_| !arguments.restart && !arguments.check),
-    };
+    // A broken record can be begun anew, and is nothing against the file.
+    let before = if arguments.restart || arguments.check { None } else { folder::load(&path)? };
     let seed = arguments.seed.or_else(|| before.as_ref().map(|record| record.plan.seed));
     let plan = Plan::new(&file.experiment, seed, configurations);
     if let Some(unknown) = Only::unknown(&arguments.only, &plan) {
@@ -83,6 +82,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         let runs = table::count(plan.runs.len(), "run");
         let configurations = table::count(plan.configurations.len(), "configuration");
         remarks.iter().for_each(|remark| complain(format_args!("not on this machine: {remark}")));
+        origin_of_missing(remarks.iter().map(String::as_str)).iter().for_each(complain);
         say(format_args!("{}: {runs} of {configurations}", arguments.file.display()));
         return Ok(());
     }
@@ -134,11 +134,11 @@ async fn carry_out(
     };
     let estimates = estimates(&record, &tried);
     say(table::runs(&record, &estimates));
-    say(format_args!("\n{}; results in {}", table::outlook(&to_do, &record, &estimates), path.display()));
+    let place = path.display().to_string();
+    let place = plain(&place);
+    say(format_args!("\n{}; results in {place}", table::outlook(&to_do, &record, &estimates)));
     for condition in &tried.conditions {
-        let advice =
-            if condition.advice.is_empty() { String::new() } else { format!("; {}", condition.advice) };
-        complain(format_args!("on {}, {}: {}{advice}", condition.host, condition.about, condition.found));
+        complain(remark(condition));
     }
     if let Some(failure) = missing(&tried) {
         discard(folder, &record);
@@ -159,15 +159,17 @@ async fn carry_out(
     let interrupted = execution.all(&to_do, &mut signals).await?;
     let told = report::write(&folder, &record, plots)?;
     say(format_args!("\n{told}"));
-    say(format_args!("\n{}: {}", path.display(), summary(&record)));
+    say(format_args!("\n{place}: {}", summary(&record)));
     for aggregator in aggregators(&record.plan) {
         say(format_args!("see the runs of experiment {} on {}", record.plan.name, dashboard(aggregator)));
     }
+    untaken(&record.plan).await?.into_iter().for_each(complain);
     verdict(&record, &to_do, interrupted)
 }
 
 /// Takes away what is begun anew.
 fn clear(folder: &Folder) -> Result<(), Failure> {
+    folder.clear_made()?;
     match folder.load() {
         Ok(Some(old)) => return folder.clear(&old),
         Ok(None) => {}
@@ -175,31 +177,6 @@ fn clear(folder: &Folder) -> Result<(), Failure> {
         Err(failure) => complain(failure),
     }
     Ok(())
-}
-
-/// What was taken away is to be done again.
-fn settle(folder: &Folder, record: &mut Record) {
-    let finished = record.runs().filter(|(_, state)| state.stage == Stage::Finished);
-    let damaged = |(run, _): (&Run, _)| Some((run.clone(), damage(folder, &record.plan, run)?));
-    let damaged: Vec<(Run, String)> = finished.filter_map(damaged).collect();
-    for (run, why) in damaged {
-        complain(format_args!("run {} is done again: {why}", run.number));
-        record.forget(&run);
-    }
-}
-
-/// Why a run's results cannot be used: they are gone, cannot be read, or are not whole.
-fn damage(folder: &Folder, plan: &Plan, run: &Run) -> Option<String> {
-    let of_user = |path: &PathBuf| {
-        if !path.join("run.json").is_file() {
-            return Some("its results are gone".to_owned());
-        }
-        match ResultFolder::open(path) {
-            Ok(loaded) => loaded.damage().map(|why| format!("{}: {why}", path.display())),
-            Err(error) => Some(error.to_string()),
-        }
-    };
-    folder.results(plan, run).iter().find_map(of_user)
 }
 
 fn estimates(record: &Record, tried: &Tried) -> Estimates {
@@ -227,11 +204,12 @@ fn missing(tried: &Tried) -> Option<Failure> {
             reasons.push(reason);
         }
     }
+    let origin = origin_of_missing(reasons.iter().copied());
     let lines = reasons.into_iter().flat_map(|reason| {
         let those = all.iter().filter(move |(other, words)| other == reason && !words.is_empty());
         std::iter::once(format!("  {reason}")).chain(those.map(|(_, words)| format!("    {words}")))
     });
-    let (count, lines) = (all.len(), lines.collect::<Vec<_>>().join("\n"));
+    let (count, lines) = (all.len(), lines.chain(origin).collect::<Vec<_>>().join("\n"));
     let of = table::count(tried.wanted, "configuration");
     Some(Failure::new(exit, anyhow!("{count} of {of} cannot be measured, nothing was begun:\n{lines}")))
 }

@@ -97,13 +97,18 @@ impl Plan {
         if configuration.seeds.load {
             pipeline.load = with_seed(&pipeline.load, seed(2));
         }
-        pipeline.experiment = Some(ExperimentPlace {
+        pipeline.experiment = Some(self.place(run, id));
+        Some(pipeline)
+    }
+
+    /// The run's place in an execution of the experiment.
+    pub(super) fn place(&self, run: &Run, id: &str) -> ExperimentPlace {
+        ExperimentPlace {
             name: self.name.to_string(),
             id: id.to_owned(),
-            configuration: configuration.labels.clone(),
+            configuration: self.configuration(run).labels.clone(),
             repeat: run.repeat,
-        });
-        Some(pipeline)
+        }
     }
 
     /// The name of a user's agent, numbered where there are several; `None` where there is none in the file and a single

@@ -7,9 +7,10 @@ use std::path::Path;
 use anyhow::anyhow;
 use peernet_logger::stream::Grade;
 use peernet_report::WriteError;
-use peernet_report::compare::Comparison;
+use peernet_report::compare::{Comparison, SEED};
 use peernet_report::figures::{self, Columns, Kind, PlotError};
 use peernet_report::results::{Loaded, ResultFolder};
+use peernet_report::table::Captioned;
 use peernet_report::trust::Publish;
 use peernet_report::users::Users;
 use peernetd::exit::{Exit, Failure};
@@ -19,6 +20,7 @@ use super::plan::Run;
 use super::sensors::Sensors;
 use super::state::{Record, Stage};
 use super::table;
+use crate::compare::{below, differences, first_of_two, joined};
 
 /// Writes everything that compares finished runs, with `plots` also as figures; returns what is to be printed.
 ///
@@ -37,11 +39,14 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Str
     let all: Vec<Loaded> = loaded.into_iter().flatten().collect();
     let users = Users::of(&all);
     let comparison = Comparison::of(&all);
+    // As `peernet compare` gives them.
+    let differences = differences(&comparison, &all, first_of_two(&comparison), SEED);
+    let tables = below(&comparison, &differences);
     let forms = [
-        ("txt", comparison.text()),
-        ("md", comparison.markdown()),
+        ("txt", joined(comparison.text(), tables.iter().map(Captioned::text))),
+        ("md", joined(comparison.markdown(), tables.iter().map(Captioned::markdown))),
         ("csv", comparison.csv()),
-        ("tex", comparison.latex()),
+        ("tex", joined(comparison.latex(), tables.iter().map(Captioned::latex))),
     ];
     save(folder.path(), "compare", &forms)?;
     if plots {

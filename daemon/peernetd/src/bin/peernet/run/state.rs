@@ -1,5 +1,7 @@
 //! How far an experiment is: what `experiment.json` holds.
 
+use std::path::{Component, Path};
+
 use peernet_logger::Slug;
 use serde::{Deserialize, Serialize};
 
@@ -93,6 +95,19 @@ impl Record {
         Self { format: FORMAT, name: plan.name.clone(), id, file, version, states, plan }
     }
 
+    /// Whether each run has its state, its configuration and a folder of its own: what is removed for it is no other.
+    pub(super) fn is_sound(&self) -> bool {
+        let Plan { runs, configurations, .. } = &self.plan;
+        let is_plain = |folder: &str| {
+            let mut parts = Path::new(folder).components();
+            matches!((parts.next(), parts.next()), (Some(Component::Normal(_)), None))
+        };
+        let is_sound = |(at, run): (usize, &Run)| {
+            run.number == at + 1 && run.configuration < configurations.len() && is_plain(&run.folder)
+        };
+        self.states.len() == runs.len() && runs.iter().enumerate().all(is_sound)
+    }
+
     /// The runs with their states, in order.
     pub(super) fn runs(&self) -> impl Iterator<Item = (&Run, &State)> {
         self.plan.runs.iter().zip(&self.states)
@@ -112,7 +127,11 @@ impl Record {
     /// A run begins.
     pub(super) fn begin(&mut self, run: &Run) {
         if let Some(state) = self.state(run) {
-            *state = State { stage: Stage::Running, attempts: state.attempts + 1, ..State::default() };
+            *state = State {
+                stage: Stage::Running,
+                attempts: state.attempts.saturating_add(1),
+                ..State::default()
+            };
         }
     }
 

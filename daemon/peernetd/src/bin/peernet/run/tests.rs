@@ -1,7 +1,9 @@
 use std::path::Path;
 
 use clap::Parser;
+use serde_json::{Value, json};
 
+use super::again::damage;
 use super::state::Ended;
 use super::*;
 
@@ -79,15 +81,36 @@ fn what_is_not_whole_is_done_again() {
     let folder = Folder::open(&temporary.path().join("results")).expect("is new");
     let record = record(temporary.path());
     let run = &record.plan.runs[0];
-    let told = || damage(&folder, &record.plan, run);
+    let told = || damage(&folder, &record, run);
     assert_eq!(told().as_deref(), Some("its results are gone"));
     let [path] = folder.results(&record.plan, run).try_into().expect("one user");
     std::fs::create_dir_all(&path).expect("writable");
     let data = |text: &str| std::fs::write(path.join("data.csv"), text).expect("writable");
-    std::fs::write(path.join("run.json"), r#"{"format": 1, "counts": {"ok": 2}}"#).expect("writable");
+    let whole = json!({
+        "format": 1, "reason": "finished", "counts": { "ok": 2 }, "experiment": record.plan.place(run, &record.id),
+    });
+    let says = |text: &Value| {
+        std::fs::write(path.join("run.json"), text.to_string()).expect("writable");
+    };
+    says(&whole);
     assert!(told().is_some_and(|why| why.contains("no data.csv")));
     data("iteration,sensing,outcome\n1,0.5,ok\n2,0.5,ok\n");
     assert_eq!(told(), None);
+    says(&json!({ "format": 1 }));
+    assert!(told().is_some_and(|why| why.ends_with("does not say that the run was finished")));
+    let another = record.plan.place(&record.plan.runs[1], &record.id);
+    for (key, value, why) in [
+        ("reason", json!("the peer went away"), "does not say that the run was finished"),
+        ("counts", json!({}), "counts no iterations"),
+        ("experiment", json!(null), "is that of another run"),
+        ("experiment", json!(another), "is that of another run"),
+    ] {
+        let mut other = whole.clone();
+        other[key] = value;
+        says(&other);
+        assert!(told().is_some_and(|told| told.ends_with(why)), "{other}: {:?}", told());
+    }
+    says(&whole);
     data("iteration,sensing,outcome\n1,0.5,ok\n2,0.");
     assert!(
         told().is_some_and(|why| why.ends_with("data.csv has 1 of the 2 iterations that run.json counts"))
@@ -97,20 +120,46 @@ fn what_is_not_whole_is_done_again() {
 }
 
 #[test]
-fn what_is_begun_anew_takes_its_runs_and_tables_away_and_nothing_else() {
+fn what_is_begun_anew_takes_its_runs_tables_and_figures_away_and_nothing_else() {
     let temporary = tempfile::tempdir().expect("a folder");
     let folder = Folder::open(&temporary.path().join("results")).expect("is new");
     let record = record(temporary.path());
     folder.save(&record).expect("writable");
     let [run] = folder.results(&record.plan, &record.plan.runs[0]).try_into().expect("one user");
     std::fs::create_dir_all(&run).expect("writable");
-    for name in ["compare.txt", "users.csv", "notes.txt"] {
+    let names =
+        ["compare.txt", "users.csv", "stacked.png", "payload-latency-2.svg", "notes.txt", "photo.png"];
+    for name in names {
         std::fs::write(folder.path().join(name), "").expect("writable");
     }
     clear(&folder).expect("removable");
     let is_there = |name: &str| folder.path().join(name).exists();
     assert!(!run.exists() && !is_there("experiment.json"));
-    assert_eq!(["compare.txt", "users.csv", "notes.txt"].map(is_there), [false, false, true]);
+    assert_eq!(names.map(is_there), [false, false, false, false, true, true]);
+}
+
+#[test]
+fn a_record_that_contradicts_itself_is_refused_before_anything_is_removed() {
+    let temporary = tempfile::tempdir().expect("a folder");
+    let folder = Folder::open(&temporary.path().join("results")).expect("is new");
+    let whole = record(temporary.path());
+    let mine = temporary.path().join("mine");
+    std::fs::create_dir(&mine).expect("writable");
+    for change in [
+        |record: &mut Record| record.plan.runs[1].folder = "../../mine".to_owned(),
+        |record: &mut Record| record.plan.runs[1].folder = ".".to_owned(),
+        |record: &mut Record| record.plan.runs[1].configuration = 4,
+        |record: &mut Record| record.plan.runs[1].number = 7,
+        |record: &mut Record| drop(record.states.pop()),
+    ] {
+        let mut other = whole.clone();
+        change(&mut other);
+        folder.save(&other).expect("writable");
+        let failure = folder.load().expect_err("it contradicts itself");
+        assert!(failure.exit == Exit::Data && failure.to_string().contains("--restart"), "{failure}");
+        clear(&folder).expect("its runs are replaced one by one");
+        assert!(mine.exists());
+    }
 }
 
 #[test]
@@ -134,6 +183,10 @@ fn a_folder_belongs_to_one_experiment_and_one_program() {
     let folder = Folder::open(&path).expect("is new");
     let second = Folder::open(&path).err().expect("the first holds it");
     assert!(second.exit == Exit::Unavailable && second.to_string().contains("at work"), "{second}");
+    drop(folder);
+    // Killed when it was about to write its first record.
+    std::fs::write(path.join(".experiment-x1"), "{").expect("writable");
+    let folder = Folder::open(&path).expect("it is an experiment's");
     folder.discard();
     assert!(!path.exists(), "nothing came to be in it");
 
@@ -151,6 +204,22 @@ fn a_folder_belongs_to_one_experiment_and_one_program() {
     let nowhere = Folder::open(&link).err().expect("leads nowhere");
     let told = "is a link to nowhere, which is not there";
     assert!(nowhere.exit == Exit::Unwritten && nowhere.to_string().ends_with(told), "{nowhere}");
+}
+
+#[test]
+fn a_check_of_the_file_is_none_of_what_was_measured() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (file, results) = (folder.path().join("e.toml"), folder.path().join("results"));
+    std::fs::write(&file, FILE).expect("writable");
+    std::fs::create_dir(&results).expect("writable");
+    std::fs::write(results.join(RECORD), "{").expect("writable");
+    let words = ["run".as_ref(), file.as_os_str(), "--result-loc".as_ref(), results.as_os_str()];
+    let line = |more: &str| {
+        let words = words.into_iter().chain([more.as_ref()]);
+        run(&Line::try_parse_from(words).expect("a command line").arguments)
+    };
+    line("--check").expect("nothing is wrong with the file");
+    assert_eq!(line("--dry-run").expect_err("the record is damaged").exit, Exit::Data);
 }
 
 #[test]

@@ -7,6 +7,7 @@ use anyhow::{Context, anyhow};
 use peernet_actuators::ActuatorConfig;
 use peernet_agent::config::{Limit, LoadConfig, PlacementConfig, WarmUp};
 use peernet_clock::SharedClock;
+use peernet_inference::Scratch;
 use peernet_logger::stream::{Condition, Grade};
 use peernet_networks::Address;
 use peernet_report::results::{Overwrite, ResultFolder, RunRecord};
@@ -53,8 +54,7 @@ pub(super) async fn configurations(
     signals: &mut Signals,
     quiet: bool,
 ) -> Result<Tried, Failure> {
-    let folder = tempfile::Builder::new().prefix("peernet-trial-").tempdir();
-    let folder = folder
+    let folder = Scratch::new("trial")
         .context("cannot make a temporary folder; TMPDIR names another place")
         .map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let mut tried = Tried {

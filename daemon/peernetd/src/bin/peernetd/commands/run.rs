@@ -92,7 +92,7 @@ async fn live(configuration: Configuration) -> Result<Exit, Failure> {
         }
         lifecycle
             .start("agent", async |stop| {
-                let running = Agent::start(config, agent_clock, stop).await?;
+                let running = Agent::start(config, VERSION, agent_clock, stop).await?;
                 Ok(running.join().map_err(anyhow::Error::new).boxed())
             })
             .await

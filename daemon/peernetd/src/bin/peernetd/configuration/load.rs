@@ -216,6 +216,9 @@ impl Configuration {
         if let Err(error) = self.log.check() {
             problems.push(("log.level".to_owned(), error));
         }
+        if let Err(error) = self.lifecycle.check() {
+            problems.push(("lifecycle.shutdown_deadline_s".to_owned(), error));
+        }
         let (deadline_s, agent_ms) = (
             self.lifecycle.shutdown_deadline_s,
             self.agent.as_ref().map(|config| config.agent.stop_timeout_ms),
@@ -282,6 +285,12 @@ mod tests {
         let folder = tempfile::tempdir().expect("there is room for a temporary folder");
         let text = said(&format!("[agent]\nname = 'a'\nstate_dir = {:?}\n[spool]\n", folder.path()));
         assert!(text.contains(":4: spool: ") && text.contains("[agent] aggregator"), "{text}");
+    }
+
+    #[test]
+    fn a_deadline_that_no_clock_can_reach_is_refused() {
+        let text = said("[lifecycle]\nshutdown_deadline_s = 9223372036854775807\n[aggregator]\n");
+        assert!(text.contains(":2: lifecycle.shutdown_deadline_s: ") && text.contains("a day"), "{text}");
     }
 
     #[test]

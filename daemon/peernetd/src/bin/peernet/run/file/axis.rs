@@ -24,6 +24,9 @@ const TABLES: [&str; 10] = [
 const OWN: [&str; 7] =
     ["episodes", "episode_steps", "warm_up", "iterations", "duration_s", "users", "patience_s"];
 
+/// Columns that tables over all runs have beside the axes and the latencies.
+const COLUMNS: [&str; 6] = ["runs", "count", "unanswered", "best", "tie", "edges"];
+
 /// `[[axis]]` as it stands in the file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -83,6 +86,9 @@ impl Axis {
         };
         if name.contains(char::is_control) {
             return Err(format!("name: {name:?} holds a control character, which would break tables"));
+        }
+        if COLUMNS.contains(&name.as_str()) {
+            return Err(format!("name: compare.csv has a column {name} of its own; call it another way"));
         }
         if let Some(value) = values.iter().find(|value| value.label.contains(char::is_control)) {
             return Err(format!(

@@ -107,6 +107,12 @@ fn read(mut document: Table, models: &[PathBuf], files: &mut peers::Files) -> Re
         agent.bank.folders = Folders::search(models).places().to_vec();
     }
     agent.agent.aggregator = experiment.aggregator.clone().or(agent.agent.aggregator);
+    if experiment.users.get() > 1 && agent.spool.file.is_some() {
+        return Err(
+            "experiment.users: several edges need a spool each, and have one when [spool] file is left out"
+                .to_owned(),
+        );
+    }
     let (limit, warm_up) =
         (experiment.limit().map_err(|error| format!("experiment: {error}"))?, experiment.warm_up());
     for pipeline in &mut agent.pipelines {

@@ -24,14 +24,15 @@ impl Field {
         let mut steps = Vec::new();
         for part in text.split('.') {
             let (key, indices) = part.split_at(part.find('[').unwrap_or(part.len()));
-            if key.is_empty() {
+            if key.is_empty() || key.contains(char::is_control) {
                 return Err(format!("{text:?} is no path of a field; write it as pipeline.placement.model"));
             }
             steps.push(Step::Key(key.to_owned()));
             for index in indices.split_terminator(']') {
                 let number = index.strip_prefix('[').and_then(|number| number.parse().ok());
                 let number = number.ok_or_else(|| {
-                    format!("{text:?} is no path of a field: {index}] is no place in a list, which are counted from 0")
+                    let place = format!("{index}]");
+                    format!("{text:?} is no path of a field: {place:?} is no place in a list, which are counted from 0")
                 })?;
                 steps.push(Step::Index(number));
             }
@@ -133,6 +134,7 @@ mod tests {
     fn a_path_that_leads_nowhere_is_named() {
         for (path, document, told) in [
             ("a..b", "", "no path"),
+            ("a\nb", "", "no path"),
             ("a[x]", "", "no place in a list"),
             ("a[2].b", "a = [1]", "there is no a[2].b: a has 1 entries"),
             ("a.b.c", "a = { b = 1 }", "a.b is no table"),

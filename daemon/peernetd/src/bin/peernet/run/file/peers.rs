@@ -8,6 +8,7 @@ use toml::{Table, Value};
 
 use super::experiment::Network;
 use crate::published::addresses;
+use crate::run::origin::origin;
 
 /// Files of devices, each read once: what is remarked of one is said once, however many combinations there are.
 #[derive(Default)]
@@ -15,7 +16,12 @@ pub(super) struct Files(BTreeMap<PathBuf, Result<BTreeMap<String, Address>, Stri
 
 impl Files {
     fn read(&mut self, path: &Path) -> Result<&BTreeMap<String, Address>, String> {
-        let read = || addresses(path).map_err(|failure| format!("network.config: {failure}"));
+        let read = || {
+            addresses(path).map_err(|failure| match path.is_relative() && !path.exists() {
+                true => format!("network.config: {failure}; {}", origin()),
+                false => format!("network.config: {failure}"),
+            })
+        };
         self.0.entry(path.to_owned()).or_insert_with(read).as_ref().map_err(Clone::clone)
     }
 }

@@ -109,8 +109,16 @@ fn what_is_wrong_is_told_with_file_key_and_axis() {
             "[[axis]]\nname = 'A'\nfield = 'experiment.users'\nvalues = [0]\n",
             "experiment.users: invalid value",
         ),
+        (
+            "[spool]\nfile = 's'\n[[axis]]\nname = 'A'\nfield = 'experiment.users'\nvalues = [1, 2]\n",
+            "experiment.users: several edges need a spool each, and have one when [spool] file is left out (with A = 2)",
+        ),
         ("[[axis]]\nfield = 'pipeline.timeout_ms'\nvalues = [1]\n", "missing field `name`"),
         ("[[axis]]\nname = 'A'\nfeld = 'x'\n", "axis[0].feld: unknown field"),
+        (
+            "[[axis]]\nname = 'count'\nfield = 'pipeline.timeout_ms'\nvalues = [1]\n",
+            "compare.csv has a column count of its own",
+        ),
     ] {
         let error = wrong(more);
         assert!(error.contains(told), "{told} is not in: {error}");
@@ -176,6 +184,11 @@ fn peers_can_be_devices_of_the_published_file() {
     );
     let missing = configurations(&text("cluster", "[network]\nconfig = '/nowhere'\n")).expect_err("no file");
     assert!(missing.contains("network.config") && missing.contains("/nowhere"), "{missing}");
+    assert!(!missing.contains("relative paths"), "{missing}");
+    let elsewhere =
+        configurations(&text("cluster", "[network]\nconfig = 'no/such.yaml'\n")).expect_err("no file");
+    let here = std::env::current_dir().expect("a folder").display().to_string();
+    assert!(elsewhere.contains("no/such.yaml") && elsewhere.contains(&here), "{elsewhere}");
 }
 
 #[test]

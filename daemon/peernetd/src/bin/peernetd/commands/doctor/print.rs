@@ -102,7 +102,12 @@ fn database(report: &Report, now: WallTime) {
 }
 
 fn spool(report: &SpoolReport, now: WallTime) {
-    say(format_args!("spool {}\n  {}", report.spool.display(), size(report.file_bytes)));
+    say(format_args!(
+        "spool {}\n  {}; room on the disk {}",
+        report.spool.display(),
+        size(report.file_bytes),
+        size(report.disk_free_bytes)
+    ));
     if report.stream.is_empty() {
         return say("");
     }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use futures::TryStreamExt;
-use peernet_aggregator::maintenance::{Contents, Finding, Severity};
+use peernet_aggregator::maintenance::{Contents, Finding, Severity, free_bytes};
 use peernet_logger::stream::Chain;
 use serde::Serialize;
 use sqlx::sqlite::SqliteConnectOptions;
@@ -13,9 +13,15 @@ use sqlx::{ConnectOptions, Connection, SqliteConnection};
 
 /// How long another program that locks the file is waited for.
 const BUSY: Duration = Duration::from_secs(10);
+/// A disk with less room is as good as full.
+const LITTLE_ROOM: u64 = 16 << 20;
 /// What to do about a damaged spool.
 const RENEW: &str = "stop the agent, keep a copy of the file with its -wal, remove it and start the agent again: it \
                      makes a new one, and the aggregator records what was lost as a gap";
+
+/// What to do about a disk without room.
+const MAKE_ROOM: &str = "make room: what is measured while the aggregator is away and does not fit into the agent's \
+                         memory is lost, and counted";
 
 /// The state of a spool.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -38,6 +44,8 @@ pub(super) struct SpoolReport {
     pub(super) bytes: u64,
     /// Size of the file and its log.
     pub(super) file_bytes: u64,
+    /// Room that is left on its disk, beside what the agent holds there for deleting.
+    pub(super) disk_free_bytes: u64,
     /// Events that were handed in since the file was made.
     pub(super) produced: i64,
     /// Of those, dropped for want of room.
@@ -77,6 +85,7 @@ pub(super) async fn examine(path: &Path) -> anyhow::Result<SpoolReport> {
     let mut log = path.as_os_str().to_owned();
     log.push("-wal");
     report.file_bytes = length(path) + length(Path::new(&log));
+    report.room(path);
     let options = SqliteConnectOptions::new()
         .filename(path)
         .read_only(true)
@@ -94,7 +103,7 @@ pub(super) async fn examine(path: &Path) -> anyhow::Result<SpoolReport> {
             sqlx::query_scalar("PRAGMA quick_check(100)").fetch_all(&mut connection).await?;
         let damages: Vec<String> = said.into_iter().filter(|line| line != "ok").collect();
         if let Some(first) = damages.first() {
-            report.problem(format!("the spool is damaged in {} places, the first: {first}", damages.len()));
+            report.damaged(format!("the spool is damaged in {} places, the first: {first}", damages.len()));
         }
         report.batches(&mut connection).await?;
         connection.close().await
@@ -102,7 +111,11 @@ pub(super) async fn examine(path: &Path) -> anyhow::Result<SpoolReport> {
     match read.await {
         Ok(()) => {}
         Err(sqlx::Error::Database(error)) if matches!(error.code().as_deref(), Some("11" | "26")) => {
-            report.problem(format!("the spool is damaged, or none: {error}"));
+            report.damaged(format!("the spool is damaged, or none: {error}"));
+        }
+        // SQLite needs some room even to read.
+        Err(error) if report.disk_free_bytes < LITTLE_ROOM => {
+            report.problem(format!("the spool cannot be read: {error}"), MAKE_ROOM);
         }
         Err(error) => return Err(error).with_context(|| format!("cannot read the spool {}", path.display())),
     }
@@ -121,11 +134,27 @@ impl SpoolReport {
             }
         };
         let what = format!("it is {what} and not an agent's spool");
+        self.problem(what, advice);
+    }
+
+    fn room(&mut self, path: &Path) {
+        match free_bytes(path) {
+            Ok(bytes) => {
+                self.disk_free_bytes = bytes;
+                if bytes < LITTLE_ROOM {
+                    self.problem(format!("its disk has only {} KiB of room", bytes >> 10), MAKE_ROOM);
+                }
+            }
+            Err(error) => self.problem(format!("cannot tell how full its disk is: {error}"), "look at `df`"),
+        }
+    }
+
+    fn problem(&mut self, what: String, advice: &str) {
         self.findings.push(Finding { severity: Severity::Problem, what, advice: advice.to_owned() });
     }
 
-    fn problem(&mut self, what: String) {
-        self.findings.push(Finding { severity: Severity::Problem, what, advice: RENEW.to_owned() });
+    fn damaged(&mut self, what: String) {
+        self.problem(what, RENEW);
     }
 
     async fn batches(&mut self, connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
@@ -134,7 +163,7 @@ impl SpoolReport {
                 .fetch_optional(&mut *connection)
                 .await?;
         let Some(stream) = stream else {
-            self.problem("the spool has no stream".to_owned());
+            self.damaged("the spool has no stream".to_owned());
             return Ok(());
         };
         (self.host, self.stream) = (stream.host, stream.uuid);
@@ -168,13 +197,13 @@ impl SpoolReport {
         }
         drop(rows);
         if let Some(first) = wrong.first() {
-            self.problem(format!(
+            self.damaged(format!(
                 "{} batches are not what was spooled, the first is number {first}",
                 wrong.len()
             ));
         }
         if let Some(first) = holes.first() {
-            self.problem(format!("batches are missing before number {first}"));
+            self.damaged(format!("batches are missing before number {first}"));
         }
         if self.dropped > 0 {
             self.findings.push(Finding {

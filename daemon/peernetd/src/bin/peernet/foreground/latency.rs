@@ -1,0 +1,31 @@
+//! The middle and the tail of a latency while it is being measured.
+
+use peernet_report::number::milliseconds;
+use peernet_report::order::ENOUGH_FOR_P99;
+use peernet_statistics::Sketch;
+
+/// The 99th percentile, once there are values enough for it.
+pub(crate) fn p99(latency: &Sketch) -> Option<f64> {
+    latency.quantile(0.99).filter(|_| latency.count() >= ENOUGH_FOR_P99 as u64)
+}
+
+/// In words: `p50 101 ms, p99 104 ms`. Both in seconds.
+pub(crate) fn told(p50: f64, p99: Option<f64>) -> String {
+    let p99 = p99.map_or_else(String::new, |p99| format!(", p99 {} ms", milliseconds(p99)));
+    format!("p50 {} ms{p99}", milliseconds(p50))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tail_needs_values_enough() {
+        let mut latency = Sketch::default();
+        (1..ENOUGH_FOR_P99).for_each(|_| latency.record(0.1));
+        assert_eq!(p99(&latency), None);
+        latency.record(0.1);
+        assert!(p99(&latency).is_some_and(|p99| (p99 - 0.1).abs() < 0.001));
+        assert_eq!([told(0.1012, None), told(0.1012, Some(0.104))], ["p50 101 ms", "p50 101 ms, p99 104 ms"]);
+    }
+}

@@ -1,0 +1,76 @@
+//! Texts that hold a value of the user's, which may have thousands of characters and lines.
+
+use std::borrow::Cow;
+
+/// Characters of the longest line that is told whole.
+const LINE: usize = 600;
+/// Characters of the longest value of a command line that is told whole.
+const VALUE: usize = 200;
+
+/// A text with the middle of its overlong lines left out.
+pub fn lines(text: &str) -> Cow<'_, str> {
+    if text.lines().all(|line| line.len() <= LINE) {
+        return Cow::Borrowed(text);
+    }
+    let lines: Vec<Cow<'_, str>> = text.lines().map(|line| cut(line, LINE)).collect();
+    Cow::Owned(lines.join("\n"))
+}
+
+/// A value of a command line, in one line, without its middle when it is overlong.
+pub fn value(text: &str) -> Cow<'_, str> {
+    match plain(text) {
+        Cow::Borrowed(text) => cut(text, VALUE),
+        Cow::Owned(text) => Cow::Owned(cut(&text, VALUE).into_owned()),
+    }
+}
+
+/// A text that somebody else may have written, in one line: what would move a terminal's cursor is escaped.
+pub fn plain(text: &str) -> Cow<'_, str> {
+    if !text.contains(char::is_control) {
+        return Cow::Borrowed(text);
+    }
+    let escaped = |char: char| match char.is_control() {
+        true => char.escape_debug().to_string(),
+        false => char.to_string(),
+    };
+    Cow::Owned(text.chars().map(escaped).collect())
+}
+
+/// What it is about stands in front, what was expected at its end.
+fn cut(text: &str, most: usize) -> Cow<'_, str> {
+    let all = text.chars().count();
+    if all <= most {
+        return Cow::Borrowed(text);
+    }
+    let (front, back) = (most / 2, most / 3);
+    let first: String = text.chars().take(front).collect();
+    let last: String = text.chars().skip(all - back).collect();
+    Cow::Owned(format!("{first} […{} characters…] {last}", all - front - back))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_middle_of_an_overlong_line_is_left_out() {
+        assert_eq!(lines("one\ntwo\n"), "one\ntwo\n");
+        let text = format!("e.toml: \"{}\", expected u64\nthe second line", "ü".repeat(5000));
+        let long = lines(&text);
+        assert!(
+            long.starts_with("e.toml: \"üü") && long.ends_with(", expected u64\nthe second line"),
+            "{long}"
+        );
+        assert!(long.chars().count() < LINE && long.contains(" characters…]"), "{long}");
+    }
+
+    #[test]
+    fn a_value_is_told_in_one_line() {
+        assert_eq!(value("random string"), "random string");
+        assert_eq!(value("a = 1\nb\t\u{1b}[31m"), "a = 1\\nb\\t\\u{1b}[31m");
+        let long = "x = 1\n".repeat(1000);
+        let told = value(&long);
+        assert!(told.starts_with("x = 1\\nx = 1") && told.ends_with("x = 1\\n"), "{told}");
+        assert!(told.chars().count() <= VALUE && !told.contains('\n'), "{told}");
+    }
+}
