@@ -1,7 +1,7 @@
 //! The pages with a factory that never was, for working on them: `cargo run -p peernet-web --example preview`.
 //!
 //! `--late` lets the hosts come after ten seconds, `--empty` shows them before the first host has reported, `--many` with thirty pipelines, `--grid` with
-//! experiments of fifty configurations and of many users and with long names, `--unrelated` with
+//! experiments of fifty configurations, of many users and with a run that was done again, and with long names, `--unrelated` with
 //! clocks that were never related, `--one-clock` with a camera that reads the rack's, `--rehearsal` with one that is made wrong on purpose,
 //! `--backlog` with an agent that catches up with hours and one whose disk is full, and with a run with gaps. The address is the first free argument, 127.0.0.1:8040 otherwise.
 
@@ -98,6 +98,7 @@ async fn produce(address: String, clock: SharedClock, lines: Vec<Line>, backlog:
     factory.store_sizes(2.min(factory.lines.len() - 1), 300, &[30e3, 150e3, 400e3, 800e3]).await;
     if grid {
         factory.store_grid(100, 50).await;
+        factory.store_attempts(200, &["stopped", "finished"]).await;
         factory.store_users(200, &[1, 2, 3]).await;
     }
     factory.store_runs(300, false).await;

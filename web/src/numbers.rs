@@ -78,7 +78,8 @@ fn decimals_significant(value: f64) -> usize {
     if !(1e-6..1.0).contains(&size) {
         decimals_of(value)
     } else {
-        (2 - size.log10().floor() as i32).clamp(2, 6) as usize
+        // What is rounded to the next power of ten has that one's digits.
+        (2 - (size / 0.999_5).log10().floor() as i32).clamp(2, 6) as usize
     }
 }
 

@@ -3,6 +3,12 @@ use proptest::prelude::*;
 use super::*;
 
 #[test]
+fn what_rounds_to_a_power_of_ten_has_three_digits_too() {
+    let shown = [0.099_99, 0.009_996, 0.999_6, 0.099_94].map(|value| listed_ms(value / 1e3));
+    assert_eq!(shown, ["0.100", "0.0100", "1.00", "0.0999"]);
+}
+
+#[test]
 fn durations_have_three_significant_digits_and_at_most_two_decimals() {
     let cases = [
         (0.000_62, "0.62\u{202f}ms"),

@@ -14,6 +14,17 @@
     tell("peer-theme");
   }
   system.addEventListener("change", () => tell("peer-theme"));
+  // Paper is light.
+  let worn;
+  addEventListener("beforeprint", () => {
+    worn = root.dataset.theme;
+    root.dataset.theme = "light";
+    tell("peer-theme", "print");
+  });
+  addEventListener("afterprint", () => {
+    if (worn) root.dataset.theme = worn; else delete root.dataset.theme;
+    tell("peer-theme");
+  });
 
   // --- menu of the phone
   function toggleMenu() {
@@ -138,15 +149,16 @@
   document.addEventListener("input", (event) => { if (event.target.id === "search") filter(); });
   document.addEventListener("peer-updated", filter);
 
-  // --- keys
+  // --- keys; one that has nothing to do on a page stays the browser's: the space bar scrolls
   let afterG = 0;
+  const press = (selector) => { const found = find(selector); return found && (() => found.click()); };
   const keys = {
-    t: switchTheme,
-    "?": () => find("#keyhelp").showModal(),
-    "/": () => (find("#search") || find(".nav a")).focus(),
-    " ": () => { if (find("#pause")) tell("peer-toggle-pause"); },
-    ArrowLeft: () => find("a[rel=prev]")?.click(),
-    ArrowRight: () => find("a[rel=next]")?.click(),
+    t: () => switchTheme,
+    "?": () => () => find("#keyhelp").showModal(),
+    "/": () => () => (find("#search") || find(".nav a")).focus(),
+    " ": (event) => !event.shiftKey && press("#pause"),
+    ArrowLeft: () => press("a[rel=prev]"),
+    ArrowRight: () => press("a[rel=next]"),
   };
   document.addEventListener("keydown", (event) => {
     const target = event.target;
@@ -160,7 +172,7 @@
       if (link) { event.preventDefault(); location.href = link.href; return; }
     }
     if (event.key === "g") { afterG = event.timeStamp; return; }
-    const action = keys[event.key];
+    const action = keys[event.key]?.(event);
     if (action) { event.preventDefault(); action(); }
   });
 })();

@@ -194,8 +194,8 @@ const PEER = (() => {
       if (one.seen && one.stale) redraw(one);
     }
   });
-  function redraw(one) {
-    one.stale = !one.seen || document.hidden;
+  function redraw(one, unseen = false) {
+    one.stale = !unseen && (!one.seen || document.hidden);
     if (one.stale || !one.node.clientWidth) { one.stale = true; return; }
     const option = { animation: false, ...one.make(one.chart) };
     // Merged where only figures changed: an open tooltip then stays and follows them.
@@ -219,7 +219,7 @@ const PEER = (() => {
   function forget() {
     for (const one of drawn) if (!one.node.isConnected) { one.chart.dispose(); drawn.delete(one); }
   }
-  document.addEventListener("peer-theme", () => drawn.forEach(redraw));
+  document.addEventListener("peer-theme", ({ detail }) => drawn.forEach((one) => redraw(one, detail === "print")));
   document.addEventListener("visibilitychange", () => { if (!document.hidden) drawn.forEach((one) => { if (one.stale) redraw(one); }); });
 
   return { STAGES, look, name: (stage) => (stage === "network" ? "upload + download" : stage), css, px, fill, edge, clock, figure, tick, text, timeAxis, valueAxis, tooltip, tip, marks, bucket, steps, draw, redraw, forget, isHovered: (node) => hovered === node };

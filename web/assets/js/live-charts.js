@@ -1,6 +1,8 @@
 // Live charts of pipelines: stages stacked over the last minutes, the 95th percentile above, throughputs below.
 (() => {
   const KEPT = 600, RETRY = 2000;
+  // Seconds between two figures of a host, which come every five, that mean that it was away.
+  const SILENT = 15;
   let cards = [], range = 600, alone = null, paused = false, marks = [], scale = { max: 0, since: 0 }, queued = false;
 
   function begin() {
@@ -113,13 +115,40 @@
     return { max: scale.max, interval: scale.interval };
   }
 
+  // Of a host that was away nothing is known: the line stops.
+  function parted(list) {
+    const points = [];
+    list.forEach(([at, value], index) => {
+      if (index > 0 && at - list[index - 1][0] > SILENT) points.push([list[index - 1][0] * 1e3 + 1, null]);
+      points.push([at * 1e3, value]);
+    });
+    return points;
+  }
+
+  // A point between nothing and nothing is no line: it is drawn as a dot.
+  function dotted(points) {
+    const isNone = (point) => point?.[1] == null;
+    return points.map((point, index) => (!isNone(point) && isNone(points[index - 1]) && isNone(points[index + 1]) ? { value: point, symbol: "circle", symbolSize: PEER.px(0.3125) } : point));
+  }
+
+  // Means of one bucket between buckets with none: an area as wide as the bucket.
+  function areas(rows, stage, size) {
+    const points = [];
+    rows.forEach((row, index) => {
+      const value = row.n > 0 ? row.means[stage] : null;
+      if (row.n > 0 && !(rows[index - 1]?.n > 0) && !(rows[index + 1]?.n > 0)) points.push([row.at - size * 500, value], [row.at + size * 499, value]);
+      else points.push([row.at, value]);
+    });
+    return points;
+  }
+
   function strips(card, rows) {
     const points = (key) => rows.map((row) => [row.at, row[key] ?? null]);
     if (card.remote) {
       const strip = (key, color, why) => (why ? { name: `${key}: ${why}`, color, points: [], known: false } : { name: `${key}, MB/s`, color, points: points(key), known: true });
       return [strip("up", "--s-upload", card.obstacles[0]), strip("down", "--s-download", card.obstacles[1])];
     }
-    const host = (list, name) => ({ name: list.length ? `${name} of ${card.host}, %` : `${name} of ${card.host}: not readable`, color: "--ink-2", points: list.map(([at, value]) => [at * 1e3, value]), known: list.length > 0, max: 100 });
+    const host = (list, name) => ({ name: list.length ? `${name} of ${card.host}, %` : `${name} of ${card.host}: not readable`, color: "--ink-2", points: parted(list), known: list.length > 0, max: 100 });
     return [host(card.cpu, "CPU"), host(card.gpu, "GPU")].filter((strip, index) => index === 0 || strip.known);
   }
 
@@ -132,11 +161,11 @@
     const shown = alone ? stages.filter((stage) => PEER.look(stage) === alone) : stages;
     const axes = { min: start, max: end };
     const series = shown.map((stage) => ({
-      name: stage, type: "line", stack: "stages", symbol: "none", data: rows.map((row) => [row.at, row.n > 0 ? row.means[stage] : null]),
+      name: stage, type: "line", stack: "stages", symbol: "none", data: areas(rows, stage, size),
       lineStyle: { width: 0 }, areaStyle: { color: PEER.fill(stage), opacity: 1 }, emphasis: { disabled: true }, z: 2,
     }));
-    if (!alone) series.push({ name: "p95", type: "line", symbol: "none", data: rows.map((row) => [row.at, row.p95]), lineStyle: { width: 1.25, color: PEER.css("--ink") }, itemStyle: { color: PEER.css("--ink") }, emphasis: { disabled: true }, z: 5 });
-    below.forEach((strip, index) => series.push({ name: `strip ${index} ${strip.known}`, type: "line", symbol: "none", xAxisIndex: index + 1, yAxisIndex: index + 1, data: strip.points, lineStyle: { width: 1.25, color: PEER.css(strip.color) }, emphasis: { disabled: true }, z: 3 }));
+    if (!alone) series.push({ name: "p95", type: "line", symbol: "none", data: dotted(rows.map((row) => [row.at, row.p95])), lineStyle: { width: 1.25, color: PEER.css("--ink") }, itemStyle: { color: PEER.css("--ink") }, emphasis: { disabled: true }, z: 5 });
+    below.forEach((strip, index) => series.push({ name: `strip ${index} ${strip.known}`, type: "line", symbol: "none", xAxisIndex: index + 1, yAxisIndex: index + 1, data: dotted(strip.points), lineStyle: { width: 1.25, color: PEER.css(strip.color) }, itemStyle: { color: PEER.css(strip.color) }, emphasis: { disabled: true }, z: 3 }));
     const mine = marks.filter((mark) => mark.host === card.host && (!mark.pipeline || mark.pipeline === card.pipeline) && mark.at >= start);
     series.push(PEER.marks(mine, gaps(card), plots));
     const ends = shared(width);
@@ -185,7 +214,7 @@
       const host = detail.hosts.find((other) => other.name === card.host), at = Math.floor(Date.parse(detail.at) / 1000);
       for (const name of ["cpu", "gpu"]) {
         const list = card[name];
-        if (card.remote || !host || host[name] == null || (list.length && at - list[list.length - 1][0] < 5)) continue;
+        if (card.remote || !host?.connected || host[name] == null || (list.length && at - list[list.length - 1][0] < 5)) continue;
         list.push([at, host[name] * 100]);
         if (list.length > KEPT / 5) list.shift();
       }

@@ -19,7 +19,8 @@ pub(crate) struct CompareQuery {
     /// Numbers of runs, parted by commas, at most 12; each is a configuration of its own.
     #[allow(dead_code, reason = "describes the parameter")]
     runs: Option<String>,
-    /// Id of an experiment: all its runs, at most 200; repeats of a configuration are taken together.
+    /// Id of an experiment: all its runs that were finished or go on, each once, at most 200; repeats of a configuration
+    /// are taken together.
     #[allow(dead_code, reason = "describes the parameter")]
     experiment: Option<String>,
 }

@@ -60,10 +60,10 @@ pub(crate) async fn stages(
 ) -> Result<Json<StageList>, WebError> {
     let number = path(number)?;
     must_exist(&app, number).await?;
-    let (stages, bounds) = tokio::try_join!(app.store().stages(number), app.store().bounds(number))?;
+    let known = app.store().statistics_of(number).await?;
     Ok(Json(StageList {
-        stages: stages.iter().map(Stage::from).collect(),
-        bounds: bounds.iter().map(Bound::from).collect(),
+        stages: known.stages.iter().map(Stage::from).collect(),
+        bounds: known.bounds.iter().map(Bound::from).collect(),
     }))
 }
 

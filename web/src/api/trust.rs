@@ -23,7 +23,6 @@ pub(crate) async fn one(
     let number = path(number)?;
     let store = app.store();
     let run = store.run(number).await?.ok_or_else(|| no_run(number))?;
-    let (stages, bounds, courses) =
-        tokio::try_join!(store.stages(number), store.bounds(number), trust::courses(store, number))?;
-    Ok(Json(Trust::from(&trust::report(&run, &stages, &bounds, &courses))))
+    let (known, courses) = tokio::try_join!(store.statistics_of(number), trust::courses(store, number))?;
+    Ok(Json(Trust::from(&trust::report(&run, &known, &courses))))
 }

@@ -2,6 +2,8 @@
 
 use askama::Template;
 use axum::extract::State;
+use axum::http::HeaderMap;
+use axum::http::header::HOST;
 use peernet_aggregator::{ExperimentSummary, StageMeans, Store};
 use peernet_logger::{Name, stage};
 
@@ -12,8 +14,8 @@ use crate::numbers::NONE;
 use crate::state::App;
 use crate::svg::Scatter;
 use crate::view::compare::{
-    Axes, Changed, Comparison, MOST_RUNS, Pair, StackRow, Table, UsersRow, Which, accuracy, difference,
-    gather, open, pairs, payload, stacks, title, too_short, users,
+    Axes, Changed, Comparison, LeftOut, MOST_RUNS, Pair, StackRow, Table, UsersRow, Which, accuracy,
+    commands, difference, gather, open, pairs, payload, stacks, title, too_short, unknown_labels, users,
 };
 use crate::view::counted;
 use crate::view::shell::{Place, Shell};
@@ -22,6 +24,8 @@ use crate::view::shell::{Place, Shell};
 const OFFERED: u32 = 50;
 /// Most letters of a label that stays on one line.
 const SHORT: usize = 24;
+/// Most runs that are left out and named.
+const LISTED: usize = 8;
 /// Most buckets that a run's course is read in.
 const BUCKETS: usize = 120;
 
@@ -34,7 +38,10 @@ struct Compare {
     crumb: String,
     facts: Vec<String>,
     cut: Option<u32>,
+    left_out: Vec<LeftOut>,
     table: Table,
+    /// Of samples without a score.
+    unknown: Vec<String>,
     stacks: Vec<StackRow>,
     axes: Axes,
     pairs: Vec<Pair>,
@@ -46,6 +53,8 @@ struct Compare {
     payload: Option<(Scatter, Vec<String>)>,
     users: Option<(Scatter, Vec<UsersRow>)>,
     accuracy: Option<Scatter>,
+    /// What asks of every iteration.
+    commands: Option<String>,
 }
 
 #[derive(Template)]
@@ -58,6 +67,7 @@ struct Empty {
 /// `GET /compare`.
 pub(crate) async fn show(
     State(app): State<App>,
+    headers: HeaderMap,
     Parameters(query): Parameters<Vec<(String, String)>>,
 ) -> Page {
     let (store, picture) = (app.store(), app.picture());
@@ -68,7 +78,8 @@ pub(crate) async fn show(
     };
     let comparison = gather(store, &which).await?;
     let courses = courses(store, &comparison).await?;
-    page(&assemble(shell("Compare"), &comparison, courses.as_ref()))
+    let host = headers.get(HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
+    page(&assemble(shell("Compare"), &comparison, courses.as_ref(), host))
 }
 
 /// The means of each run of a configuration over time.
@@ -91,7 +102,12 @@ pub(crate) async fn courses(
     Ok(Some((first, second)))
 }
 
-fn assemble(shell: Shell, comparison: &Comparison, courses: Option<&(Courses, Courses)>) -> Compare {
+fn assemble(
+    shell: Shell,
+    comparison: &Comparison,
+    courses: Option<&(Courses, Courses)>,
+    host: &str,
+) -> Compare {
     let two = match (comparison.configurations.as_slice(), courses) {
         ([first, second], Some((a, b))) => difference((first, a), (second, b)),
         _ => Vec::new(),
@@ -115,12 +131,14 @@ fn assemble(shell: Shell, comparison: &Comparison, courses: Option<&(Courses, Co
     facts.push(counted(runs, "run", "runs"));
     facts.push("successful iterations, warm-up left out".to_owned());
     Compare {
-        shell,
+        shell: Shell { title: format!("Compare {crumb}"), ..shell },
         title: title(comparison, total),
         crumb,
         facts,
         cut: comparison.cut.then_some(MOST_RUNS),
+        left_out: comparison.left_out.clone(),
         table: Table::of(comparison),
+        unknown: unknown_labels(comparison),
         stacks,
         axes,
         pairs,
@@ -131,6 +149,7 @@ fn assemble(shell: Shell, comparison: &Comparison, courses: Option<&(Courses, Co
         payload: payload(comparison),
         users: users(comparison),
         accuracy: accuracy(comparison),
+        commands: commands(comparison, host),
     }
 }
 
@@ -147,5 +166,5 @@ pub(super) fn rendered(
     comparison: &Comparison,
     courses: Option<&(Courses, Courses)>,
 ) -> String {
-    assemble(shell, comparison, courses).render().expect("renders")
+    assemble(shell, comparison, courses, "localhost:8040").render().expect("renders")
 }

@@ -29,9 +29,9 @@ struct Hosts {
     events: Vec<EventLine>,
     /// Said where not all of them are shown.
     cut: Option<String>,
-    /// Hosts that were turned away lately.
     /// Said of hosts that are known from before, while none reports.
     known: Option<String>,
+    /// Hosts that were turned away lately.
     refused: Vec<RefusedLine>,
     /// Hosts that are stored but not in the live picture: name and last sign of life.
     past: Vec<(String, Moment)>,
@@ -61,7 +61,7 @@ fn hosts(app: &AppState, picture: &Picture, stored: &[HostRow]) -> Hosts {
     let title = match picture.hosts.len() {
         0 if picture.absent > 0 => awaited::WAITING.to_owned(),
         0 => "No host has reported yet".to_owned(),
-        1 if connected == 1 => "1 host, connected".to_owned(),
+        1 => format!("1 host, {}connected", if connected == 1 { "" } else { "not " }),
         all if all == connected => format!("{all} hosts, all connected"),
         all => format!("{connected} of {all} hosts are connected"),
     };

@@ -128,7 +128,12 @@ fn assemble(app: &AppState, stored: &RunDetail, detail: &IterationDetail) -> Ite
     let cloud = timeline.visit().and_then(|_| hosts.get(1).cloned());
     let neighbour = |number: Option<u64>| number.map(|number| (number, count(number)));
     Iteration {
-        shell: Shell::new(app, &picture, Place::Runs, format!("Iteration {}", count(row.number))),
+        shell: Shell::new(
+            app,
+            &picture,
+            Place::Runs,
+            format!("Iteration {} of {}", count(row.number), place::run_name(run)),
+        ),
         run: run.number,
         run_name: place::run_name(run),
         label: count(row.number),

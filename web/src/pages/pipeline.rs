@@ -211,7 +211,7 @@ fn pipeline_page(
     let cloud = placement.peer.as_ref().map_or("", Slug::as_str);
     let rehearsed = Rehearsed::of(picture).concerns(&[&host, cloud]);
     Ok(PipelinePage {
-        shell: Shell::new(app, picture, Place::Pipelines, pipeline.pipeline.as_str())
+        shell: Shell::new(app, picture, Place::Pipelines, format!("{} on {host}", pipeline.pipeline))
             .live(format!("{TOPIC}/{host}/{}/{seconds}", pipeline.pipeline)),
         title: title(pipeline, &stack),
         chip: state_chip(&pipeline.state),

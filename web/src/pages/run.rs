@@ -3,7 +3,7 @@
 use askama::Template;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
-use peernet_aggregator::{IterationFilter, RunDetail, StageStatistics};
+use peernet_aggregator::{IterationFilter, RunDetail, RunStatistics, StageStatistics};
 use peernet_logger::stage;
 use peernet_logger::stream::ExperimentPlace;
 use peernet_report::trust::Report;
@@ -74,6 +74,8 @@ struct Run {
     stats: Vec<(&'static str, String, &'static str)>,
     iterations: (String, String),
     lost: (String, String),
+    /// Starts that were skipped, and their share, where there are any.
+    skipped: Option<(String, String)>,
     clock: ClockCell,
     directions: Vec<(String, Chip)>,
     bar: Bar,
@@ -119,9 +121,8 @@ pub(crate) async fn show(
     let wanted = query.stage.clone().unwrap_or_else(|| stage::TOTAL.to_string());
     let names = [stage::TOTAL];
     let without_answer = IterationFilter { after: 0, limit: UNANSWERED, unsuccessful: true };
-    let (stages, bounds, histogram, series, slowest, unanswered, courses) = tokio::try_join!(
-        store.stages(number),
-        store.bounds(number),
+    let (known, histogram, series, slowest, unanswered, courses) = tokio::try_join!(
+        store.statistics_of(number),
         store.histogram(number, &wanted, BINS),
         store.series(number, &names, POINTS),
         store.slowest(number, OUTLIERS),
@@ -132,15 +133,9 @@ pub(crate) async fn show(
         HistogramPlot::new(&histogram, look::class(&wanted), query.view, query.scale == CountScale::Log)
     });
     let distribution = Distribution::new(wanted, plot, &query);
-    let stored = Stored {
-        run: &run,
-        stages: &stages,
-        bounds: &bounds,
-        series: &series,
-        slowest: &slowest,
-        unanswered: &unanswered,
-    };
-    let report = trust::report(&run, &stages, &bounds, &courses);
+    let stored =
+        Stored { run: &run, known: &known, series: &series, slowest: &slowest, unanswered: &unanswered };
+    let report = trust::report(&run, &known, &courses);
     page(&assemble(&app, &stored, distribution, &report)?)
 }
 
@@ -161,6 +156,12 @@ impl Distribution {
             plot,
         }
     }
+}
+
+/// How many starts were skipped and what share of all that came due.
+fn skipped(kept: u64, skipped: u64) -> Option<(String, String)> {
+    let share = skipped as f64 / (kept + skipped).max(1) as f64;
+    (skipped > 0).then(|| (count(skipped), format!("{}{SPACE}% of those that came due", percent(share))))
 }
 
 fn facts(run: &RunDetail, zone: Zone) -> Vec<String> {
@@ -186,7 +187,7 @@ fn assemble(
     distribution: Distribution,
     report: &Report,
 ) -> Result<Run, WebError> {
-    let Stored { run, stages, bounds, series, .. } = stored;
+    let Stored { run, known: RunStatistics { stages, bounds }, series, .. } = stored;
     let summary = &run.summary;
     let stack = Stack::of_run(stages, bounds);
     let total = summary.total.as_ref();
@@ -236,6 +237,7 @@ fn assemble(
             runs::lost_share(summary)
                 .map_or_else(|| NONE.to_owned(), |share| format!("{}{SPACE}%", percent(share))),
         ),
+        skipped: skipped(summary.counts.total(), trust::skipped(stored.known)),
         clock: ClockCell::of(summary.placement.kind, bounds),
         directions: directions(bounds),
         bar: stack.whole("big"),
@@ -272,4 +274,16 @@ fn configuration(run: &RunDetail) -> Vec<(String, String)> {
     pairs.extend(run.summary.placement.peer.iter().map(|peer| ("Cloud".to_owned(), peer.to_string())));
     pairs.push(("Version".to_owned(), format!("agent {}", run.version)));
     pairs
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn skipped_starts_are_a_sum_and_a_share() {
+        assert_eq!(skipped(155, 0), None);
+        let said = skipped(155, 161).expect("there are some");
+        assert_eq!(said, ("161".to_owned(), "51\u{202f}% of those that came due".to_owned()));
+    }
 }

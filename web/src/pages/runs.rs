@@ -50,15 +50,18 @@ pub(crate) async fn show(State(app): State<App>, Parameters(query): Parameters<Q
     });
     let newest = found.first().map_or(0, |run| run.number).unsigned_abs();
     let title = match (found.is_empty(), &query.pipeline, query.before) {
-        (true, ..) => "No run is stored yet".to_owned(),
+        (true, None, None) => "No run is stored yet".to_owned(),
+        (true, Some(name), None) => format!("No run of {name} is stored"),
+        (true, _, Some(_)) => "No older run is stored".to_owned(),
         (_, Some(name), _) => format!("Runs of {name}"),
         (_, None, Some(before)) => format!("Runs before #{before}"),
         (_, None, None) if newest == 1 => "1 run".to_owned(),
         (_, None, None) => format!("{} runs", count(newest)),
     };
+    let window = query.pipeline.as_ref().map_or_else(|| "Runs".to_owned(), |name| format!("Runs of {name}"));
     let picture = app.picture();
     page(&Runs {
-        shell: Shell::new(&app, &picture, Place::Runs, "Runs"),
+        shell: Shell::new(&app, &picture, Place::Runs, window),
         title,
         paged: query.before.is_some(),
         pipeline: query.pipeline,

@@ -144,7 +144,8 @@ fn vertical(largest: f64, log: bool) -> (Vec<(Percent, String)>, Height) {
         });
         return (rows.collect(), Box::new(height));
     }
-    let scale = Scale::fit(largest, 4);
+    // At least so many that each step is a whole one.
+    let scale = Scale::fit(largest.max(4.0), 4);
     let rows = scale.grid().into_iter().map(|at| Percent(100.0 - at.0)).zip(scale.labels()).collect();
     (rows, Box::new(move |count| scale.at(count)))
 }
@@ -205,6 +206,15 @@ mod tests {
         assert_eq!(plot.bars.len(), 3);
         let html = plot.to_string();
         assert!(html.contains("Distribution of total: median 16.1\u{202f}ms, p95 17.6\u{202f}ms"), "{html}");
+    }
+
+    #[test]
+    fn few_samples_are_counted_in_whole_steps() {
+        let mut few = histogram();
+        (few.counts, few.beyond) = (vec![1, 0, 0], 0);
+        let plot = HistogramPlot::new(&few, "total", DistributionView::Histogram, false);
+        let labels: Vec<&str> = plot.rows.iter().map(|(_, label)| label.as_str()).collect();
+        assert_eq!(labels, ["0", "1", "2", "3", "4"]);
     }
 
     #[test]

@@ -6,8 +6,9 @@ use super::{Horizontal, Percent, Ruler, pen};
 
 /// Points of a line that is drawn: on a logarithmic axis a straight line is a curve.
 const STEPS: u32 = 64;
-/// Room that a letter takes on a narrow plot, percent of its width and height.
-const LETTER: (f64, f64) = (2.4, 7.0);
+/// Room that a letter takes on a narrow plot, percent of its width and height: less than a name above or below its point
+/// is away from it.
+const LETTER: (f64, f64) = (2.4, 6.0);
 /// How far a name stands from the middle of its point.
 const AWAY: (f64, f64) = (2.2, 6.5);
 /// Most names that stand as one; the table has all.
@@ -49,10 +50,17 @@ pub(crate) struct ScatterSeries {
 pub(crate) struct ScatterPoint {
     pub x: f64,
     pub y: f64,
-    /// Half the length of its error bar.
-    pub spread: Option<f64>,
+    /// Lower and upper end of its error bar.
+    pub ends: Option<(f64, f64)>,
     /// Stands beside it.
     pub name: String,
+}
+
+impl ScatterPoint {
+    /// How far it and its error bar reach.
+    pub(crate) fn top(&self) -> f64 {
+        self.ends.map_or(self.y, |(_, high)| high)
+    }
 }
 
 /// A straight line between two values of x.
@@ -150,7 +158,7 @@ impl Scatter {
             look,
             x: across.at(point.x),
             y: height(point.y),
-            whisker: point.spread.map(|spread| (height(point.y - spread), height(point.y + spread))),
+            whisker: point.ends.map(|(low, high)| (height(low), height(high))),
         });
         let dots: Vec<Dot> = dots.collect();
         let points = series.iter().flat_map(|one| one.points.iter().enumerate());
@@ -257,7 +265,7 @@ mod tests {
         let point = |(at, (x, y)): (usize, &(f64, f64))| ScatterPoint {
             x: *x,
             y: *y,
-            spread: Some(1.0),
+            ends: Some((*y - 1.0, *y + 1.0)),
             name: char::from(b'A' + at as u8).to_string(),
         };
         let points = points.iter().enumerate().map(point).collect();
@@ -302,6 +310,14 @@ mod tests {
         for (at, name) in plot.names.iter().enumerate() {
             assert!(plot.names[..at].iter().all(|other| !name.overlaps(other.place())), "{:?}", plot.names);
         }
+    }
+
+    #[test]
+    fn a_point_between_neighbours_at_its_height_has_its_own_name_above_or_below() {
+        let heights = [(0.0, 5.0), (50.0, 5.0), (57.7, 5.0), (60.7, 5.0), (100.0, 5.0)];
+        let plot = plot(&heights, Vec::new());
+        let names: Vec<&str> = plot.names.iter().map(|name| name.text.as_str()).collect();
+        assert_eq!(names, ["A", "B", "C", "D", "E"], "{:?}", plot.names);
     }
 
     #[test]

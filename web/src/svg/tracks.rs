@@ -55,6 +55,20 @@ pub(crate) struct Segment {
     pub text: Option<String>,
 }
 
+impl Segment {
+    /// What a text takes of the narrowest plot on a desk, percent; on a phone it takes twice as much.
+    pub(crate) fn room(text: &str) -> f64 {
+        const LETTER: f64 = 1.05;
+        const MARGIN: f64 = 2.0;
+        MARGIN + LETTER * text.chars().count() as f64
+    }
+
+    /// Whether there is no room for its text on a phone.
+    fn is_short(&self) -> bool {
+        self.text.as_deref().is_some_and(|text| self.width.0 < 2.0 * Self::room(text))
+    }
+}
+
 /// One quantity, or several on one scale.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Track {
@@ -80,6 +94,11 @@ impl Track {
     /// A track on that scale.
     pub(crate) fn new(title: String, ruler: &Ruler) -> Self {
         Self { title, note: String::new(), class: "", ticks: ruler.ticks(), curves: Vec::new(), beyond: None }
+    }
+
+    /// The ticks, where there is something to read off: an axis of nothing would be made up.
+    fn scale(&self) -> &[(Percent, String)] {
+        if self.curves.is_empty() { &[] } else { &self.ticks }
     }
 
     /// Adds a path; one without points is left out.

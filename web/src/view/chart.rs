@@ -141,9 +141,7 @@ impl ChartData {
             n: vec![None; length],
             means: BTreeMap::new(),
             p95: vec![Short(None); length],
-            obstacles: pipeline
-                .window(60)
-                .map_or([None; 2], |window| [Way::Up, Way::Down].map(|way| speed::obstacle(window, way))),
+            obstacles: [Way::Up, Way::Down].map(|way| speed::obstacle_in(series, way)),
             cpu: Vec::new(),
             gpu: Vec::new(),
             host,

@@ -22,8 +22,13 @@ pub(crate) struct ClockCell {
 
 /// The verdict that most of one direction's delays deserve: any that is worse than `ok` in a twentieth of them.
 pub(crate) fn verdict(bound: &Bound) -> Option<Verdict> {
-    let total: u64 = bound.verdicts.iter().map(|(_, count)| count).sum();
-    let frequent = bound.verdicts.iter().filter(|(_, count)| *count > 0 && count * 20 >= total);
+    prevailing(&bound.verdicts)
+}
+
+/// The same of verdicts with how many delays deserve them.
+pub(crate) fn prevailing(verdicts: &[(Verdict, u64)]) -> Option<Verdict> {
+    let total: u64 = verdicts.iter().map(|(_, count)| count).sum();
+    let frequent = verdicts.iter().filter(|(_, count)| *count > 0 && count * 20 >= total);
     frequent.map(|(verdict, _)| *verdict).max_by_key(|verdict| severity(*verdict))
 }
 

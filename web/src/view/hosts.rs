@@ -63,15 +63,30 @@ impl RefusedLine {
 
 /// The points of the sparklines: ten minutes at five seconds.
 const POINTS: usize = 120;
+const POINT_EVERY_S: f64 = 5.0;
+/// Between two points: the host was away.
+const SILENT: Span = Span::from_seconds(15);
 
 fn history(
     points: &[std::sync::Arc<MetricsPoint>],
     of: impl Fn(&HostMetrics) -> Option<f64>,
 ) -> Vec<Option<f64>> {
     // Younger than ten minutes: the line begins at the right, where it will end up.
-    let known = points.iter().rev().take(POINTS).rev().map(|point| of(&point.metrics));
-    let missing = POINTS.saturating_sub(points.len());
-    std::iter::repeat_n(None, missing).chain(known).collect()
+    let mut newest_first = Vec::with_capacity(POINTS);
+    let mut later = None;
+    for point in points.iter().rev() {
+        // Where nothing was heard of the host the line stops.
+        let silent = later.map_or(Span::ZERO, |later| later - point.at);
+        if silent > SILENT {
+            let missing = ((silent.seconds() / POINT_EVERY_S) as usize).saturating_sub(1);
+            newest_first.resize((newest_first.len() + missing).min(POINTS), None);
+        }
+        newest_first.push(of(&point.metrics));
+        later = Some(point.at);
+    }
+    newest_first.resize(POINTS, None);
+    newest_first.reverse();
+    newest_first
 }
 
 fn percent(share: Option<f64>) -> String {
@@ -155,7 +170,10 @@ impl HostLine {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
+    use crate::view::samples::NOW;
 
     #[test]
     fn names_of_hardware_lose_their_noise() {
@@ -163,6 +181,23 @@ mod tests {
         assert_eq!(hardware_name(&cpu), "Intel Core i5-1135G7 @ 2.40GHz");
         let gpu = Hardware { gpus: vec!["NVIDIA GeForce RTX 3090".into()], ..cpu };
         assert_eq!(hardware_name(&gpu), "GeForce RTX 3090");
+    }
+
+    #[test]
+    fn the_line_of_a_host_that_was_away_stops() {
+        let at = |seconds: i64, cpu| {
+            let metrics = HostMetrics { cpu: Some(cpu), ..HostMetrics::default() };
+            Arc::new(MetricsPoint { at: NOW + Span::from_seconds(seconds), metrics })
+        };
+        let of = |points: &[Arc<MetricsPoint>]| history(points, |metrics| metrics.cpu);
+        let known = of(&[at(0, 0.1), at(5, 0.2), at(65, 0.3), at(70, 0.4)]);
+        assert_eq!(known.len(), POINTS);
+        let last = &known[POINTS - 16..];
+        assert_eq!(last[..3], [None, Some(0.1), Some(0.2)]);
+        assert!(last[3..14].iter().all(Option::is_none), "{last:?}");
+        assert_eq!(last[14..], [Some(0.3), Some(0.4)]);
+        let known = of(&[at(0, 0.1), at(6_000, 0.3)]);
+        assert_eq!((known.len(), known.iter().flatten().count()), (POINTS, 1), "longer ago than is shown");
     }
 
     #[test]

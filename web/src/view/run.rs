@@ -1,7 +1,9 @@
 //! What the page of a run shows of the store's answers.
 
-use peernet_aggregator::{Bound, IterationRow, RunDetail, Series, StageStatistics};
+use peernet_aggregator::{IterationRow, RunDetail, RunStatistics, Series, StageStatistics};
 use peernet_clock::Verdict;
+use peernet_report::accuracy::{ACCURACIES, UNKNOWN_LABEL};
+use peernet_report::results::SKIPPED_STARTS;
 use serde::Serialize;
 
 use super::clocks;
@@ -19,8 +21,7 @@ const SLOWEST: usize = 8;
 /// What the store says about a run.
 pub(crate) struct Stored<'a> {
     pub run: &'a RunDetail,
-    pub stages: &'a [StageStatistics],
-    pub bounds: &'a [Bound],
+    pub known: &'a RunStatistics,
     pub series: &'a Series,
     pub slowest: &'a [IterationRow],
     /// The first iterations without an answer.
@@ -108,7 +109,10 @@ impl Stored<'_> {
 
     /// What was measured beside durations.
     pub(crate) fn others(&self) -> Vec<Other> {
-        let beside = self.stages.iter().filter(|stage| stage.unit != "s");
+        // What is counted is told above, as a share or a sum: quantiles of counts say little.
+        let counts = [SKIPPED_STARTS, UNKNOWN_LABEL].into_iter().chain(ACCURACIES);
+        let counted = |stage: &StageStatistics| counts.clone().any(|name| stage.stage == *name);
+        let beside = self.known.stages.iter().filter(|stage| stage.unit != "s" && !counted(stage));
         let shown = beside.map(|stage| {
             let (unit, factor) = shown_in(&stage.unit);
             let figures = &stage.figures;
@@ -125,10 +129,14 @@ impl Stored<'_> {
     /// What stands for a throughput whose delay is not known as a figure: its interval, or a dash.
     fn uncertain_speed(&self, stage: &StageStatistics) -> Option<String> {
         let way = [Way::Up, Way::Down].into_iter().find(|way| stage.stage == *way.throughput())?;
-        let bound = self.bounds.iter().find(|bound| bound.stage == *way.delay())?;
+        let bound = self.known.bounds.iter().find(|bound| bound.stage == *way.delay())?;
         let verdict = clocks::verdict(bound).filter(|verdict| *verdict != Verdict::Ok)?;
-        let delay =
-            self.stages.iter().find(|other| other.stage == *way.delay()).map(|other| other.figures.mean);
+        let delay = self
+            .known
+            .stages
+            .iter()
+            .find(|other| other.stage == *way.delay())
+            .map(|other| other.figures.mean);
         let half = bound.half_width.filter(|_| verdict == Verdict::Limited).map(|width| width.p50);
         Some(speed::interval(stage.figures.mean, delay, half).unwrap_or_else(|| NONE.to_owned()))
     }

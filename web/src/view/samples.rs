@@ -121,7 +121,14 @@ pub(crate) fn pipeline(name: &str, hz: f64, scale: f64, verdict: Verdict, gaps: 
     let series = series.map(|at| {
         let means = MEANS.iter().map(|(name, mean)| (Name::from(*name), mean * scale)).collect();
         let counts = OutcomeCounts { ok: hz as u64, ..OutcomeCounts::default() };
-        Arc::new(LiveSecond { at, counts, means, total_p95: Some(0.018 * scale) })
+        let verdicts = [stage::UPLOAD, stage::DOWNLOAD].map(|stage| (stage, verdict, counts.ok));
+        Arc::new(LiveSecond {
+            at,
+            counts,
+            means,
+            total_p95: Some(0.018 * scale),
+            verdicts: verdicts.to_vec(),
+        })
     });
     PipelinePicture {
         host: host_id(),

@@ -1,12 +1,16 @@
 //! Throughputs of the two directions, as far as their delays are known.
 
-use peernet_aggregator::Window;
+use std::sync::Arc;
+
+use peernet_aggregator::{LiveSecond, Window};
 use peernet_clock::Verdict;
 use peernet_logger::stream::PlacementKind;
 
 use super::clocks;
 use super::now::Cell;
 use crate::numbers::throughput;
+
+const MINUTE_S: i64 = 60;
 
 /// A direction of the network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,11 +40,28 @@ impl Way {
 /// Why there is no single figure for a direction; `None` when there is one.
 pub(crate) fn obstacle(window: &Window, way: Way) -> Option<&'static str> {
     let bound = window.bounds.iter().find(|bound| bound.stage == *way.delay());
-    match bound.and_then(clocks::verdict) {
+    told(bound.and_then(clocks::verdict), window.counts.ok)
+}
+
+/// The same for a chart of these seconds: by the last minute in which something was measured, however long ago that is.
+pub(crate) fn obstacle_in(series: &[Arc<LiveSecond>], way: Way) -> Option<&'static str> {
+    let last = series.iter().rfind(|second| second.counts.ok > 0).map(|second| second.at);
+    let minute = || series.iter().filter(|second| last.is_some_and(|last| second.at > last - MINUTE_S));
+    let given = |verdict: &Verdict| {
+        let of_way = minute().flat_map(|second| &second.verdicts);
+        let of_way = of_way.filter(|(stage, known, _)| *stage == *way.delay() && known == verdict);
+        (*verdict, of_way.map(|(.., count)| count).sum())
+    };
+    let verdicts: Vec<(Verdict, u64)> = Verdict::ALL.iter().map(given).collect();
+    told(clocks::prevailing(&verdicts), minute().map(|second| second.counts.ok).sum())
+}
+
+fn told(verdict: Option<Verdict>, ok: u64) -> Option<&'static str> {
+    match verdict {
         Some(Verdict::Ok) => None,
         Some(Verdict::Limited) => Some("known only within its clock bound"),
         Some(_) => Some("the clocks do not tell this direction's delay"),
-        None if window.counts.ok == 0 => Some("no successful iteration in this time"),
+        None if ok == 0 => Some("no successful iteration in this time"),
         None => Some("nothing was sent in this direction"),
     }
 }
@@ -79,6 +100,20 @@ pub(crate) fn interval(rate: f64, delay: Option<f64>, half: Option<f64>) -> Opti
 mod tests {
     use super::*;
     use crate::view::samples;
+
+    #[test]
+    fn a_chart_of_a_run_that_is_over_still_knows_its_directions() {
+        let of = |hz, verdict| {
+            let mut line = samples::pipeline("line", hz, 1.0, verdict, &[]);
+            // Nothing was measured for a minute.
+            line.windows = [1, 10, 60].map(|seconds| samples::window(seconds, 0.0, 1.0, verdict));
+            [Way::Up, Way::Down].map(|way| obstacle_in(&line.series, way))
+        };
+        assert_eq!(of(5.0, Verdict::Ok), [None; 2]);
+        assert_eq!(of(5.0, Verdict::Limited), [Some("known only within its clock bound"); 2]);
+        assert_eq!(of(0.0, Verdict::Ok), [Some("no successful iteration in this time"); 2]);
+        assert_eq!(obstacle_in(&[], Way::Up), Some("no successful iteration in this time"));
+    }
 
     #[test]
     fn a_throughput_over_a_limited_delay_is_an_interval() {

@@ -1,11 +1,12 @@
 //! "Can I publish this run?", from what the store knows of it.
 
-use peernet_aggregator::{Bound, RunDetail, StageCourse, StageStatistics, Store, StoreError};
+use peernet_aggregator::{RunDetail, RunStatistics, StageCourse, Store, StoreError};
 use peernet_logger::stream::Grade;
 use peernet_logger::{Name, stage};
-use peernet_report::accuracy::ACCURACIES;
+use peernet_report::accuracy::{ACCURACIES, UNKNOWN_LABEL, UnknownLabels};
+use peernet_report::results::{LATENESS, SKIPPED_STARTS};
 use peernet_report::trust::{
-    Came, Clocks, Counts, Course, Early, Evidence, Limits, Missing, Publish, Report,
+    Came, Clocks, Counts, Course, Early, Evidence, Limits, Load, Missing, Publish, Report, Restarts, Starts,
 };
 use serde::Deserialize;
 
@@ -47,12 +48,8 @@ pub(crate) async fn courses(store: &Store, run: i64) -> Result<Vec<StageCourse>,
 }
 
 /// Judges a stored run.
-pub(crate) fn report(
-    run: &RunDetail,
-    stages: &[StageStatistics],
-    bounds: &[Bound],
-    courses: &[StageCourse],
-) -> Report {
+pub(crate) fn report(run: &RunDetail, known: &RunStatistics, courses: &[StageCourse]) -> Report {
+    let RunStatistics { stages, bounds } = known;
     let counts = Counts {
         ok: run.summary.counts.ok,
         failed: run.summary.counts.failed,
@@ -60,33 +57,45 @@ pub(crate) fn report(
         timeout: run.summary.counts.timeout,
         warm_up: run.summary.warm_up,
     };
-    let known = |name: &Name| stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures);
+    let figures = |name: &Name| stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures);
     let mut of: Vec<(String, Course)> = courses
         .iter()
-        .filter_map(|known| Some((known.stage.to_string(), Course::of_summaries(&known.buckets)?)))
+        .filter_map(|course| Some((course.stage.to_string(), Course::of_summaries(&course.buckets)?)))
         .collect();
     let at = of.iter().position(|(name, _)| name == stage::TOTAL.as_str());
     let total = at.map(|at| of.remove(at).1);
     let sensing =
         || of.iter().find(|(name, _)| name == stage::SENSING.as_str()).map(|(_, course)| course.clone());
+    // Written by the agent itself; one of another version may order in other ways, of which nothing can be said.
+    let configured: Option<Configured> = toml::from_str(&run.configuration).ok();
     let evidence = Evidence {
         conditions: run.conditions.clone(),
         counts,
         open: run.summary.ended.is_none(),
-        early: early(run, &counts),
+        early: configured.and_then(|configured| early(run, &counts, configured.limit)),
+        starts: starts(known, counts.measured(), configured),
         missing: run
             .gaps
             .iter()
             .map(|gap| Missing { count: gap.count, reason: gap.reason.clone() })
             .collect(),
         total: total.or_else(sensing),
-        unattributed: known(&stage::UNATTRIBUTED).map(|figures| figures.mean),
+        unattributed: figures(&stage::UNATTRIBUTED).map(|figures| figures.mean),
+        lateness: figures(&Name::from_static(LATENESS)).map(|figures| figures.mean),
+        restarts: Restarts::NODES
+            .into_iter()
+            .filter_map(|(whose, name, _)| {
+                let figures = figures(&name)?;
+                let seconds = figures.mean * figures.count as f64;
+                Some(Restarts { whose, count: figures.count, seconds, iterations: Vec::new() })
+            })
+            .collect(),
         clocks: bounds
             .iter()
             .map(|bound| Clocks {
                 stage: bound.stage.to_string(),
                 verdicts: bound.verdicts.clone(),
-                delay: known(&bound.stage).map(|figures| figures.p50),
+                delay: figures(&bound.stage).map(|figures| figures.p50),
                 half_width: bound.half_width.map(|width| width.p50),
             })
             .collect(),
@@ -98,20 +107,37 @@ pub(crate) fn report(
                 Some((name.to_owned(), accuracy::of(&scores, counts.ok)?))
             })
             .collect(),
+        unknown_labels: stages
+            .iter()
+            .find(|stage| stage.stage == *UNKNOWN_LABEL)
+            .and_then(|stage| UnknownLabels::new(stage.figures.count, &run.facts)),
         ..Evidence::default()
     };
     Report::of(&evidence.ended(run.summary.reason.as_deref()).with_facts(&run.facts))
 }
 
+/// What a run's configuration asks for.
+#[derive(Clone, Copy, Deserialize)]
+struct Configured {
+    #[serde(default)]
+    limit: Limits,
+    #[serde(default)]
+    load: Load,
+}
+
+/// What became of the starts that were ordered.
+fn starts(known: &RunStatistics, kept: u64, configured: Option<Configured>) -> Starts {
+    Starts { hz: configured.and_then(|configured| configured.load.hz), kept, skipped: skipped(known) }
+}
+
+/// Starts that were skipped before answered iterations: the statistics are of those.
+pub(crate) fn skipped(known: &RunStatistics) -> u64 {
+    let of = known.stages.iter().find(|stage| stage.stage == *SKIPPED_STARTS);
+    of.map_or(0, |of| (of.figures.mean * of.figures.count as f64).round() as u64)
+}
+
 /// How far a run that has ended came of what its configuration asks for.
-fn early(run: &RunDetail, counts: &Counts) -> Option<Early> {
-    #[derive(Deserialize)]
-    struct Configured {
-        #[serde(default)]
-        limit: Limits,
-    }
-    // Written by the agent itself; one of another version may order in other ways, of which nothing can be said.
-    let Configured { limit } = toml::from_str(&run.configuration).ok()?;
+fn early(run: &RunDetail, counts: &Counts, limit: Limits) -> Option<Early> {
     let summary = &run.summary;
     summary.ended?;
     // Where nobody knows how many are missing, nobody knows how far it came.
@@ -185,7 +211,7 @@ mod tests {
     }
 
     fn end(run: &RunDetail) -> Option<(Grade, String)> {
-        let report = report(run, &[], &[], &[]);
+        let report = report(run, &RunStatistics::default(), &[]);
         let found = report.sentences.into_iter().find(|sentence| sentence.about == "end");
         found.map(|sentence| (sentence.grade, sentence.text))
     }
@@ -220,14 +246,63 @@ mod tests {
         let mut top = stages[0].clone();
         (top.stage, top.figures.count, top.figures.mean) = (Name::from("top-1"), ok - 12, 0.75);
         stages.push(top);
-        let said = |stages: &[StageStatistics]| {
-            let report = report(&run, stages, &[], &[]);
+        let mut known = RunStatistics { stages, bounds: Vec::new() };
+        let said = |known: &RunStatistics| {
+            let report = report(&run, known, &[]);
             report.sentences.into_iter().find(|sentence| sentence.text.contains("top-1"))
         };
-        let text = said(&stages).expect("a sentence").text;
+        let text = said(&known).expect("a sentence").text;
         assert!(text.contains("12"), "{text}");
-        stages.last_mut().expect("top-1").figures.count = ok;
-        assert!(said(&stages).is_none(), "all were scored");
+        known.stages.last_mut().expect("top-1").figures.count = ok;
+        assert!(said(&known).is_none(), "all were scored");
+    }
+
+    #[test]
+    fn a_process_that_was_started_anew_is_told() {
+        let (mut stages, _) = stages(1.0, 1e3);
+        let mut restart = stages[0].clone();
+        (restart.stage, restart.figures.count, restart.figures.mean) = (stage::RESTART, 2, 0.5);
+        stages.push(restart);
+        let report = report(&detail("", "finished"), &RunStatistics { stages, bounds: Vec::new() }, &[]);
+        let said = report.sentences.iter().find(|sentence| sentence.about == "restarts").expect("said");
+        assert!(
+            said.text.contains("The model's process was started anew in 2 iterations, which waited 1,000"),
+            "{said:?}"
+        );
+    }
+
+    #[test]
+    fn labels_that_are_no_classes_of_the_model_are_told() {
+        let mut run = detail("", "finished");
+        run.facts.push(("Classes".to_owned(), "4: good, dented".to_owned()));
+        let (mut stages, _) = stages(1.0, 1e3);
+        let mut unknown = stages[0].clone();
+        (unknown.stage, unknown.figures.count) = (Name::from(UNKNOWN_LABEL), 12);
+        stages.push(unknown);
+        let report = report(&run, &RunStatistics { stages, bounds: Vec::new() }, &[]);
+        let said = report.sentences.iter().find(|sentence| sentence.about == "accuracy").expect("said");
+        assert!(said.text.starts_with("Not scored: 12 of") && said.text.contains("good, dented"), "{said:?}");
+    }
+
+    #[test]
+    fn starts_that_were_skipped_are_told_with_the_ordered_rate() {
+        let run = detail("name = \"line\"\n\n[load]\nmode = \"rate\"\nhz = 40\n", "finished");
+        let (mut stages, _) = stages(1.0, 1e3);
+        let mut skipped = stages[0].clone();
+        (skipped.stage, skipped.figures.count, skipped.figures.mean) = (SKIPPED_STARTS.into(), 100, 3.0);
+        stages.push(skipped);
+        let said = |stages| {
+            let report = report(&run, &RunStatistics { stages, bounds: Vec::new() }, &[]);
+            let found = report.sentences.into_iter().find(|sentence| sentence.about == "skipped starts");
+            found.map(|sentence| (sentence.grade, sentence.text)).expect("said")
+        };
+        let (grade, text) = said(stages);
+        let rates = "40.0\u{202f}Hz were ordered, 20.0\u{202f}Hz kept";
+        assert!(
+            grade == Grade::Bad && text.starts_with("300 of 600 starts") && text.contains(rates),
+            "{text}"
+        );
+        assert_eq!(said(Vec::new()).0, Grade::Good);
     }
 
     #[test]

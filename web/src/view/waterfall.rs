@@ -62,14 +62,14 @@ pub(crate) fn rows(
     // Of an iteration that took as long as usual nothing stands out.
     let unusual = detail.row.factor.is_some_and(|factor| factor >= 1.05);
     let blamed = detail.row.blame.as_ref().filter(|_| unusual).map(|blame| blame.stage.as_str());
-    let mut rows: Vec<Row> = timeline
-        .nodes
-        .iter()
-        .map(|node| {
-            let strong = blamed == Some(node.name.as_str());
-            Row::of(node, hosts, strong, WaterfallRow::new(node, timeline, scale, strong))
-        })
-        .collect();
+    let row = |node: &Placed| {
+        let strong = blamed == Some(node.name.as_str());
+        Row::of(node, hosts, strong, WaterfallRow::new(node, timeline, scale, strong))
+    };
+    let is_late = |node: &&Placed| node.depth == 0 && node.name == *look::LATENESS;
+    let mut rows: Vec<Row> = timeline.nodes.iter().filter(|node| !is_late(node)).map(row).collect();
+    // A part of what is unattributed: beside it the column would add up to more than the total.
+    let late = timeline.nodes.iter().find(is_late).map(|node| Row { depth: 1, ..row(node) });
 
     let figures = |name: &str| {
         detail.run_figures.iter().find(|(known, _)| known == name).map(|(_, figures)| figures.p50)
@@ -91,6 +91,7 @@ pub(crate) fn rows(
             row.strong = blamed == Some("unattributed");
             rows.push(row);
         }
+        rows.extend(late);
         let mut whole = Row::sum("total", edge, total, figures("total"), WaterfallRow::total(total, scale));
         whole.class = "total";
         rows.push(whole);
@@ -259,7 +260,7 @@ pub(crate) fn footnote(timeline: &Timeline, cloud: &str) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use peernet_clock::{DelaySource, OneWayDelay, Span, WallTime};
-    use peernet_logger::{Measure, NodeId, Transit, stage};
+    use peernet_logger::{Measure, Name, NodeId, Transit, stage};
 
     use super::*;
     use crate::view::samples;
@@ -301,6 +302,19 @@ mod tests {
         let rows = shown(&detail);
         assert!(rows.contains(&(look::NETWORK_AND_REST.to_owned(), "1,197.80".to_owned())), "{rows:?}");
         assert!(rows.iter().all(|(name, _)| name != "unattributed"), "{rows:?}");
+    }
+
+    #[test]
+    fn lateness_stands_below_what_it_is_a_part_of() {
+        let mut detail = samples::iteration();
+        let late = Measure::Timer(Some(Span::from_micros(500)));
+        detail.tree.add(NodeId::ROOT, Name::from(look::LATENESS), Span::ZERO, late);
+        let timeline = Timeline::of(&detail);
+        let rows = rows(&detail, &timeline, &["cam-1".to_owned()], &Scale::fit(100.0, 6));
+        let end: Vec<(&str, u8)> =
+            rows[rows.len() - 3..].iter().map(|row| (row.name.as_str(), row.depth)).collect();
+        assert_eq!(end, [("unattributed", 0), ("lateness", 1), ("total", 0)]);
+        assert_eq!(rows.iter().filter(|row| row.name == look::LATENESS).count(), 1);
     }
 
     #[test]

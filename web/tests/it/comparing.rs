@@ -118,6 +118,8 @@ async fn two_runs_have_a_difference_that_says_whether_it_is_chance() {
     // The form of the list of runs repeats the name.
     let page = bed.get("/compare?runs=1&runs=2").await;
     assert!(page.text().contains("<h2 id=\"cd-h\">B less A</h2>"), "{}", page.text());
+    assert!(page.text().contains("http://127.0.0.1:8040/api/v1/runs/{1,2}/export"), "{}", page.text());
+    assert!(page.text().contains("peernet compare run-1.csv run-2.csv"), "{}", page.text());
     let again = bed.get("/api/v1/compare?runs=1,1").await.json();
     assert_eq!(
         (&again["best"], again["configurations"].as_array().map(Vec::len)),
@@ -133,4 +135,35 @@ async fn two_runs_have_a_difference_that_says_whether_it_is_chance() {
     ] {
         assert_eq!(bed.get(address).await.status, status, "{address}");
     }
+}
+
+#[tokio::test]
+async fn a_run_that_was_interrupted_and_done_again_counts_once() {
+    let (bed, mut factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+    factory.store_attempts(100, &["stopped", "finished"]).await;
+    let listed = bed.get("/api/v1/experiments").await.json();
+    let (id, first) =
+        (listed["experiments"][0]["id"].as_str().expect("an id"), &listed["experiments"][0]["oldest"]);
+    let first = first.as_i64().expect("a number");
+    let compared = bed.get(&format!("/api/v1/compare?experiment={id}")).await.json();
+    let configurations = compared["configurations"].as_array().expect("configurations");
+    assert_eq!(configurations.len(), 1, "{compared}");
+    assert_eq!(configurations[0]["runs"], serde_json::json!([first + 1]), "{compared}");
+    assert_eq!(compared["left_out"], serde_json::json!([{ "run": first, "why": "stopped" }]));
+    let page = bed.get(&format!("/compare?experiment={id}")).await;
+    let expected = format!("<a href=\"/runs/{first}\">#{first}</a> (stopped)</span>");
+    assert!(page.text().contains(&expected), "{}", page.text());
+    assert!(page.text().contains("<span>1 run</span>"), "{}", page.text());
+
+    // Asked for by its number it is compared like any other.
+    let named = bed.get(&format!("/api/v1/compare?runs={first},{}", first + 1)).await.json();
+    assert_eq!(named["configurations"].as_array().map(Vec::len), Some(2), "{named}");
+    assert_eq!(named["left_out"], serde_json::json!([]));
+
+    factory.store_attempts(50, &["stopped"]).await;
+    let listed = bed.get("/api/v1/experiments").await.json();
+    let id = listed["experiments"][0]["id"].as_str().expect("an id");
+    let page = bed.get(&format!("/compare?experiment={id}")).await;
+    assert_eq!(page.status, StatusCode::OK, "{}", page.text());
+    assert!(page.text().contains("No run of this experiment was finished yet"), "{}", page.text());
 }

@@ -17,6 +17,8 @@ async fn every_page_is_there_and_complete_without_a_script() {
         ("/pipelines/cam-2/offload-full?window=60", "over the last 60"),
         ("/runs", "#3"),
         ("/runs?pipeline=local", "Runs of local"),
+        ("/runs?pipeline=nobody", "No run of nobody is stored"),
+        ("/runs?before=1", "No older run is stored"),
         ("/runs/3", "Slowest iterations"),
         ("/runs/3?stage=upload&view=cumulative&scale=log", "Distribution of upload"),
         (&slowest, "× the run&#39;s median: "),
@@ -141,6 +143,7 @@ async fn links_of_all_kinds_are_told_apart() {
     for (path, text) in [
         ("/links", "3 links: 1 can be trusted, 1 known only as intervals in part, 1 cannot be trusted"),
         ("/links/cam-4~rack-a", "the two clocks were never related, so one-way delays are not known"),
+        ("/links/cam-4~rack-a", ">nothing known in this time</text>"),
         ("/links/cam-5~rack-a", "cam-5 and rack-a read one clock: delays between them are exact"),
         (
             "/links/cam-3~rack-a",

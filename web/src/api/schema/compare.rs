@@ -52,8 +52,19 @@ pub(crate) struct Comparison {
     pub best: Option<String>,
     /// The second configuration less the first, where there are exactly two.
     pub differences: Vec<Difference>,
+    /// Runs of the experiment that are not compared: those that were not finished, and those that were done again.
+    pub left_out: Vec<LeftOut>,
     /// Whether there were more runs than are compared.
     pub cut: bool,
+}
+
+/// A run that is not compared.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub(crate) struct LeftOut {
+    /// Its number.
+    pub run: i64,
+    /// How it ended, or as which one it was done again.
+    pub why: String,
 }
 
 /// Runs of one configuration, taken together.
@@ -108,6 +119,7 @@ impl Comparison {
             runs: one.runs.iter().map(|run| run.number).collect(),
             stages: one.stages.iter().map(mean).collect(),
         };
+        let left_out = |one: &compare::LeftOut| LeftOut { run: one.run, why: one.why.clone() };
         let known = differences.iter().filter_map(|(name, found, _)| Some((name, (*found)?)));
         Self {
             experiment: comparison.experiment.as_ref().map(|(_, id)| id.clone()),
@@ -122,6 +134,7 @@ impl Comparison {
                     certain: found.is_certain(),
                 })
                 .collect(),
+            left_out: comparison.left_out.iter().map(left_out).collect(),
             cut: comparison.cut,
         }
     }

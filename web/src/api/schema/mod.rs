@@ -20,7 +20,7 @@ pub(crate) use clock::{HostClock, Recomputed};
 pub(crate) use compare::{Comparison, Experiment, ExperimentList};
 pub(crate) use figures::{Bound, Counts, Figures, NodeFigures, Placement};
 pub(crate) use hosts::{Host, HostList, Incident, IncidentList, RefusedHost};
-pub(crate) use iterations::{Iteration, IterationList, IterationSummary, StageDelay};
+pub(crate) use iterations::{Iteration, IterationList, IterationSummary};
 pub(crate) use links::{Link, LinkList, LinkSeries};
 pub(crate) use live::{PictureEvent, Pipeline, PipelineList, StatusEvent};
 pub(crate) use runs::{Histogram, Run, RunDetail, RunList, Series, Stage, StageList};

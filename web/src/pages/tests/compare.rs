@@ -77,6 +77,8 @@ async fn accuracy_is_drawn_against_the_median_of_the_total() {
     let html = page_of(vec![with(0, 0.7), with(1, 0.842)], None).await;
     assert!(html.contains("Accuracy against latency") && html.contains("B 84.2\u{202f}% at"), "{html}");
     assert!(html.contains("median total, ms, logarithmic"), "one takes sixteen times as long: {html}");
+    let panel = html.split("Accuracy against latency").nth(1).expect("a panel");
+    assert_eq!(panel.matches("class=\"whisk\"").count(), 2, "each with its interval: {panel}");
     let html = page_of(vec![with(0, 0.7), configuration(1, Local, 2.0, 1e3)], None).await;
     assert!(!html.contains("Accuracy against latency"), "one point is no plot");
 }
@@ -127,5 +129,5 @@ async fn runs_without_an_iteration_can_be_looked_at() {
     let mut empty = configuration(0, Remote, 1.0, 1e3);
     empty.stages.clear();
     let html = page_of(vec![empty.clone(), Configuration { letter: "B".to_owned(), ..empty }], None).await;
-    assert!(html.contains("No iteration of these runs is stored yet"), "{html}");
+    assert!(html.contains("No successful iteration of these runs is stored yet"), "{html}");
 }

@@ -1,9 +1,9 @@
 //! Which runs are compared, and what they differ in.
 
-use peernet_aggregator::{Bound, RunDetail, RunSummary, StageStatistics, Store};
+use peernet_aggregator::{Bound, RunDetail, RunStatistics, RunSummary, StageStatistics, Store};
 use peernet_logger::stream::ExperimentPlace;
 
-use super::{Comparison, Configuration, letter, order, pool};
+use super::{Comparison, Configuration, done, letter, order, pool};
 use crate::error::WebError;
 use crate::view::place;
 
@@ -17,7 +17,7 @@ pub(crate) const MOST_RUNS: u32 = 200;
 pub(crate) enum Which {
     /// These runs, each for itself.
     Runs(Vec<i64>),
-    /// All runs of an experiment, repeats together.
+    /// All runs of an experiment that count, repeats together.
     Experiment(String),
 }
 
@@ -56,19 +56,19 @@ impl Which {
     }
 }
 
-/// Reads what is to be compared: three questions a run, all to roll-ups.
+/// Reads what is to be compared: the figures of all runs at once, from their roll-ups.
 ///
 /// # Errors
 /// When a run or the experiment is not stored, or the store cannot be read.
 pub(crate) async fn gather(store: &Store, which: &Which) -> Result<Comparison, WebError> {
-    let (experiment, details, cut) = match which {
+    let (experiment, details, left_out, cut) = match which {
         Which::Runs(numbers) => {
             let mut details = Vec::with_capacity(numbers.len());
             for number in numbers {
                 let run = store.run(*number).await?;
                 details.push(run.ok_or_else(|| WebError::NotFound(format!("no run #{number} is stored")))?);
             }
-            (None, details, false)
+            (None, details, Vec::new(), false)
         }
         Which::Experiment(id) => {
             let mut runs = store.runs_of_experiment(id, MOST_RUNS + 1).await?;
@@ -78,19 +78,19 @@ pub(crate) async fn gather(store: &Store, which: &Which) -> Result<Comparison, W
             let Some(first) = first else {
                 return Err(WebError::NotFound(format!("no run of an experiment {id} is stored")));
             };
+            let (runs, left_out) = done::parted(runs);
             // Of an experiment the summary says all.
             let details = runs.into_iter().map(bare).collect();
-            (Some((first.name, first.id)), details, cut)
+            (Some((first.name, first.id)), details, left_out, cut)
         }
     };
-    let mut stages = Vec::with_capacity(details.len());
-    for detail in &details {
-        let number = detail.summary.number;
-        stages.push(tokio::try_join!(store.stages(number), store.bounds(number))?);
-    }
+    let numbers: Vec<i64> = details.iter().map(|detail| detail.summary.number).collect();
+    let statistics = store.statistics(&numbers).await?;
     let (axes, values) = if experiment.is_some() { of_experiment(&details) } else { of_runs(&details) };
     let mut groups: Vec<Group> = Vec::new();
-    for ((detail, (stages, bounds)), values) in details.into_iter().zip(stages).zip(values) {
+    for ((detail, RunStatistics { stages, bounds }), values) in
+        details.into_iter().zip(statistics).zip(values)
+    {
         let known = groups.iter_mut().find(|group| experiment.is_some() && group.values == values);
         match known {
             Some(group) => {
@@ -116,7 +116,7 @@ pub(crate) async fn gather(store: &Store, which: &Which) -> Result<Comparison, W
         bounds: pool::bounds(&group.bounds),
         runs: group.runs,
     });
-    Ok(Comparison { experiment, axes, configurations: configurations.collect(), cut })
+    Ok(Comparison { experiment, axes, configurations: configurations.collect(), left_out, cut })
 }
 
 struct Group {

@@ -1,5 +1,7 @@
 //! Several runs side by side, from their roll-ups alone.
 
+mod ask;
+mod done;
 pub(crate) mod gather;
 mod order;
 mod payload;
@@ -10,6 +12,7 @@ mod table;
 pub(crate) mod tests;
 mod users;
 
+pub(crate) use ask::{commands, unknown_labels};
 pub(crate) use gather::{MOST_RUNS, Which, gather};
 pub(crate) use payload::{accuracy, payload};
 pub(crate) use pictures::{Axes, Pair, StackRow, pairs, stacks};
@@ -28,8 +31,19 @@ pub(crate) struct Comparison {
     pub axes: Vec<String>,
     /// An experiment's by their labels, axis by axis; runs as they were asked for.
     pub configurations: Vec<Configuration>,
+    /// Runs of the experiment that do not count, oldest first.
+    pub left_out: Vec<LeftOut>,
     /// Whether there were more runs than are compared.
     pub cut: bool,
+}
+
+/// A run that is not compared.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct LeftOut {
+    /// Its number.
+    pub run: i64,
+    /// How it ended, or as which one it was done again.
+    pub why: String,
 }
 
 /// Runs of one configuration, taken together.

@@ -7,6 +7,7 @@ use super::{Comparison, Configuration};
 use crate::look;
 use crate::numbers::{SPACE, bytes, duration, figure, interval_ms, within_ms};
 use crate::svg::{Horizontal, Ruler, Scatter, ScatterLine, ScatterPoint, ScatterSeries};
+use crate::view::accuracy;
 
 /// Sizes within this factor are one size.
 const ALIKE: f64 = 1.1;
@@ -37,7 +38,7 @@ pub(crate) fn payload(comparison: &Comparison) -> Option<(Scatter, Vec<String>)>
             Some(ScatterPoint {
                 x: size / 1e3,
                 y: figures.mean * 1e3,
-                spread: figures.std.map(|std| std * 1e3),
+                ends: figures.std.map(|std| ((figures.mean - std) * 1e3, (figures.mean + std) * 1e3)),
                 name: one.letter.clone(),
             })
         });
@@ -57,7 +58,7 @@ pub(crate) fn payload(comparison: &Comparison) -> Option<(Scatter, Vec<String>)>
     });
     let across = Horizontal::of(sizes().map(|size| size / 1e3));
     let points = || series.iter().flat_map(|one| &one.points);
-    let up = Ruler::from_zero(points().map(|it| it.y + it.spread.unwrap_or(0.0)).fold(0.0, f64::max), 5);
+    let up = Ruler::from_zero(points().map(ScatterPoint::top).fold(0.0, f64::max), 5);
     let unit = if across.is_logarithmic() { "kB sent, logarithmic" } else { "kB sent" };
     let label =
         format!("Mean latency against payload, {} to {}. {}", bytes(least), bytes(most), said.join(" "));
@@ -138,17 +139,21 @@ fn sentence(name: &Name, letters: &str, fit: &Fit) -> String {
 /// Share of right first answers against the median of the total, where at least two configurations have both.
 pub(crate) fn accuracy(comparison: &Comparison) -> Option<Scatter> {
     let point = |one: &Configuration| {
+        let scores = one.figures(TOP_1)?;
+        let known = accuracy::of(scores, scores.count);
         Some(ScatterPoint {
             x: one.total()?.p50 * 1e3,
-            y: one.figures(TOP_1)?.mean * 100.0,
-            spread: None,
+            y: scores.mean * 100.0,
+            ends: known.map(|known| (known.interval.0 * 100.0, known.interval.1 * 100.0)),
             name: one.letter.clone(),
         })
     };
     let points: Vec<ScatterPoint> = comparison.configurations.iter().filter_map(point).collect();
     (points.len() >= 2).then_some(())?;
     let across = Horizontal::of(points.iter().map(|point| point.x));
-    let (lo, hi) = points.iter().fold((100.0_f64, 0.0_f64), |(lo, hi), it| (lo.min(it.y), hi.max(it.y)));
+    let low = |it: &ScatterPoint| it.ends.map_or(it.y, |(low, _)| low);
+    let (lo, hi) =
+        points.iter().fold((100.0_f64, 0.0_f64), |(lo, hi), it| (lo.min(low(it)), hi.max(it.top())));
     let up = Ruler::around((lo - 2.0).max(0.0), (hi + 2.0).min(100.0), 5);
     let each =
         points.iter().map(|it| format!("{} {}{SPACE}% at {}", it.name, figure(it.y), duration(it.x / 1e3)));

@@ -194,10 +194,15 @@ pub(crate) fn too_short(
 /// What the comparison found, in a sentence.
 pub(crate) fn title(comparison: &Comparison, total: Option<&Difference>) -> String {
     let all = &comparison.configurations;
+    let measured: Vec<&Configuration> = all.iter().filter(|one| one.total().is_some()).collect();
     let Some(best) = comparison.best().map(|at| &all[at]) else {
-        return match all.len() {
-            1 => "One configuration: there is nothing to compare it with yet".to_owned(),
-            _ => "No iteration of these runs is stored yet".to_owned(),
+        return match (all.len(), measured.as_slice()) {
+            (0, _) => "No run of this experiment was finished yet".to_owned(),
+            (1, _) => "One configuration: there is nothing to compare it with yet".to_owned(),
+            (_, [only]) => {
+                format!("Only {} has measured anything: there is nothing to compare it with", only.letter)
+            }
+            _ => "No successful iteration of these runs is stored yet".to_owned(),
         };
     };
     let mean = |one: &Configuration| one.total().map(|total| total.mean);
@@ -226,7 +231,13 @@ pub(crate) fn title(comparison: &Comparison, total: Option<&Difference>) -> Stri
         slowest.filter(|(_, mean)| *mean >= fastest * ALIKE).map_or_else(String::new, |(slow, mean)| {
             format!("; that of {} is {} as large", slow.letter, times(mean / fastest))
         });
-    format!("{} has the smallest mean of {}, {}{ratio}", best.letter, all.len(), duration(fastest))
+    let among = if measured.len() < all.len() { " measured ones" } else { "" };
+    format!(
+        "{} has the smallest mean of {}{among}, {}{ratio}",
+        best.letter,
+        measured.len(),
+        duration(fastest)
+    )
 }
 
 /// What the title leaves open: means alone do not tell who is fastest. `None` where it is told, or there is nothing to tell.
@@ -235,8 +246,12 @@ pub(crate) fn open(comparison: &Comparison, total: Option<&Difference>) -> Optio
     match comparison.configurations.len() {
         2 if total.is_some() => None,
         2 => Some(format!("whether {best} is the faster cannot be told from so little")),
-        _ => Some(format!(
-            "whether {best} is the fastest cannot be told from means alone: peernet compare says"
-        )),
+        _ => {
+            let whom =
+                if comparison.experiment.is_some() { "about the folder of results" } else { "as below" };
+            Some(format!(
+                "whether {best} is the fastest cannot be told from means alone: ask peernet compare {whom}"
+            ))
+        }
     }
 }

@@ -60,7 +60,8 @@ pub(crate) fn configuration(at: usize, kind: PlacementKind, scale: f64, bytes: f
 
 pub(crate) fn comparison(configurations: Vec<Configuration>) -> Comparison {
     let axes = vec!["size".to_owned(), "where".to_owned()];
-    Comparison { experiment: Some(("sizes".to_owned(), "a".to_owned())), axes, configurations, cut: false }
+    let experiment = Some(("sizes".to_owned(), "a".to_owned()));
+    Comparison { experiment, axes, configurations, left_out: Vec::new(), cut: false }
 }
 
 /// A run's total in buckets: a mean with some waves about it.
@@ -147,6 +148,9 @@ fn the_title_says_which_is_faster_by_how_much() {
     );
     let left = open(&three, None).expect("means do not tell");
     assert!(left.contains("whether A is the fastest cannot be told"), "{left}");
+    assert!(left.ends_with("ask peernet compare about the folder of results"), "{left}");
+    let left = open(&Comparison { experiment: None, ..three }, None).expect("nor do runs");
+    assert!(left.ends_with("ask peernet compare as below"), "{left}");
     let near = [1.0, 1.01, 1.02].into_iter().enumerate();
     let near =
         comparison(near.map(|(at, scale)| configuration(at, PlacementKind::Remote, scale, 1e3)).collect());
@@ -158,7 +162,20 @@ fn the_title_says_which_is_faster_by_how_much() {
     assert_eq!(open(&two, total.as_ref()), None, "the interval tells");
     assert_eq!(title(&two, None), "B has the smaller mean, 16.0\u{202f}ms");
     assert!(open(&two, None).expect("too short").contains("cannot be told from so little"));
-    assert!(title(&comparison(Vec::new()), None).contains("stored yet"));
+    assert!(title(&comparison(Vec::new()), None).contains("was finished yet"));
+}
+
+#[test]
+fn the_title_counts_only_what_was_measured() {
+    let without = |failed: &[usize]| {
+        let mut all: Vec<Configuration> =
+            (0..3).map(|at| configuration(at, PlacementKind::Remote, 1.0, 1e3)).collect();
+        failed.iter().for_each(|at| all[*at].stages.clear());
+        title(&comparison(all), None)
+    };
+    assert_eq!(without(&[0]), "B has the smallest mean of 2 measured ones, 16.0\u{202f}ms");
+    assert_eq!(without(&[0, 2]), "Only B has measured anything: there is nothing to compare it with");
+    assert_eq!(without(&[0, 1, 2]), "No successful iteration of these runs is stored yet");
 }
 
 #[test]

@@ -83,7 +83,7 @@ fn plot(curves: &[Vec<(&UsersLine, &Configuration)>]) -> Scatter {
             Some(ScatterPoint {
                 x: line.edges as f64,
                 y: figures.mean * 1e3,
-                spread: figures.std.map(|std| std * 1e3),
+                ends: figures.std.map(|std| ((figures.mean - std) * 1e3, (figures.mean + std) * 1e3)),
                 name: one.letter.clone(),
             })
         };
@@ -101,7 +101,7 @@ fn plot(curves: &[Vec<(&UsersLine, &Configuration)>]) -> Scatter {
     let series: Vec<ScatterSeries> = series.into_iter().filter(|one| !one.points.is_empty()).collect();
     let points = || series.iter().flat_map(|one| &one.points);
     let across = Horizontal::of_numbers(points().map(|point| point.x));
-    let up = Ruler::from_zero(points().map(|it| it.y + it.spread.unwrap_or(0.0)).fold(0.0, f64::max), 5);
+    let up = Ruler::from_zero(points().map(ScatterPoint::top).fold(0.0, f64::max), 5);
     let said = curves.iter().flatten().filter_map(|(line, one)| {
         let total = one.total()?;
         Some(format!("{}: {} at {}", one.letter, duration(total.mean), users_of(line)))

@@ -37,8 +37,6 @@ impl OffsetView {
 
 /// Whiskers over the whole width.
 const WHISKERS: f64 = 60.0;
-/// A segment as wide as this holds its text.
-const TEXT_FITS: f64 = 14.0;
 /// A gap as wide as this has its reason above it.
 const REASON_FITS: f64 = 8.0;
 /// Signs closer to each other than this would overlap.
@@ -177,7 +175,7 @@ fn strip(plan: &Plan<'_>, way: Way) -> Strip {
     }
     let segments = segments.into_iter().map(|(from, to, verdict)| {
         let (x, width) = (percent(from), Percent((to.min(1.0) - from) * 100.0));
-        let text = (width.0 >= TEXT_FITS).then(|| format!("{} {verdict}", way.delay()));
+        let text = Some(format!("{} {verdict}", way.delay())).filter(|text| width.0 >= Segment::room(text));
         Segment { x, width, tone: Chip::verdict(verdict).tone.class(), text }
     });
     Strip { segments: segments.collect() }

@@ -171,6 +171,24 @@ impl Factory {
         }
     }
 
+    /// Stores an experiment of one run on the first line, begun as often as there are reasons for its end.
+    pub(crate) async fn store_attempts(&mut self, iterations: u64, reasons: &[&str]) {
+        let id = RunId::random().to_string();
+        for reason in reasons {
+            let configuration = vec![("rate".to_owned(), "20 Hz".to_owned())];
+            let place =
+                ExperimentPlace { name: "rates".to_owned(), id: id.clone(), configuration, repeat: 0 };
+            let mut events = self.run(0, RunId::random(), iterations, true, Some(place));
+            for event in &mut events {
+                if let Event::RunEnded(ended) = event {
+                    ended.reason = (*reason).to_owned();
+                }
+            }
+            self.agents[0].offer(events);
+            self.agents[0].until_stored().await;
+        }
+    }
+
     async fn store_placed(&mut self, index: usize, iterations: u64, place: ExperimentPlace) {
         let events = self.run(index, RunId::random(), iterations, true, Some(place));
         self.agents[index].offer(events);

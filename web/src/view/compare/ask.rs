@@ -1,0 +1,69 @@
+//! What the means of stored runs leave open: samples without a score, and how to ask of every iteration.
+
+use peernet_report::accuracy::{UNKNOWN_LABEL, UnknownLabels};
+
+use super::Comparison;
+
+/// Where a dashboard is when a request does not say it in plain letters.
+const USUAL: &str = "127.0.0.1:8040";
+
+/// A sentence for each configuration with samples whose label is no class of its model.
+pub(crate) fn unknown_labels(comparison: &Comparison) -> Vec<String> {
+    let of = comparison.configurations.iter().filter_map(|one| {
+        let unknown = UnknownLabels::new(one.figures(UNKNOWN_LABEL)?.count, &[])?;
+        let all = one.runs.iter().map(|run| run.counts.ok).sum();
+        Some(format!("{}. {}", one.letter, unknown.sentence(all)))
+    });
+    of.collect()
+}
+
+/// Commands that fetch the runs from this dashboard, which the browser reaches as `host`, and compare them by all their
+/// iterations. `None` of an experiment, which has results of its own, and where there is nothing to compare.
+pub(crate) fn commands(comparison: &Comparison, host: &str) -> Option<String> {
+    let runs: Vec<String> = comparison.runs().map(|run| run.number.to_string()).collect();
+    (comparison.experiment.is_none() && runs.len() > 1).then_some(())?;
+    let is_plain = |char: char| char.is_ascii_alphanumeric() || ".:[]-_".contains(char);
+    let host = Some(host).filter(|host| !host.is_empty() && host.chars().all(is_plain)).unwrap_or(USUAL);
+    let files: Vec<String> = runs.iter().map(|run| format!("run-{run}.csv")).collect();
+    Some(format!(
+        "curl -sSf \"http://{host}/api/v1/runs/{{{}}}/export\" -o \"run-#1.csv\"\npeernet compare {}",
+        runs.join(","),
+        files.join(" ")
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_logger::Name;
+    use peernet_logger::stream::PlacementKind::Local;
+
+    use super::super::tests::{comparison, configuration};
+    use super::*;
+
+    #[test]
+    fn runs_are_fetched_and_compared_by_two_commands() {
+        let mut two = comparison((0..2).map(|at| configuration(at, Local, 1.0, 1e3)).collect());
+        assert_eq!(commands(&two, "localhost:8040"), None, "an experiment has its folder");
+        two.experiment = None;
+        let plain = "curl -sSf \"http://localhost:8040/api/v1/runs/{1,2}/export\" -o \"run-#1.csv\"\n\
+                     peernet compare run-1.csv run-2.csv";
+        assert_eq!(commands(&two, "localhost:8040").as_deref(), Some(plain));
+        for odd in ["", "$(reboot)", "a\"b", "a b"] {
+            let text = commands(&two, odd).expect("two runs");
+            assert!(text.contains("http://127.0.0.1:8040/") && !text.contains("reboot"), "{text}");
+        }
+        two.configurations.truncate(1);
+        assert_eq!(commands(&two, "localhost:8040"), None);
+    }
+
+    #[test]
+    fn labels_that_the_model_does_not_know_are_counted() {
+        let mut one = configuration(1, Local, 1.0, 1e3);
+        let mut unknown = one.stages[0].clone();
+        (unknown.stage, unknown.figures.mean, unknown.figures.count) = (Name::from(UNKNOWN_LABEL), 1.0, 12);
+        one.stages.push(unknown);
+        let told = unknown_labels(&comparison(vec![configuration(0, Local, 1.0, 1e3), one]));
+        let text = "B. Not scored: 12 of 300 iterations, because the label is no class of the model.";
+        assert_eq!(told, [text]);
+    }
+}
