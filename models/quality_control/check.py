@@ -1,8 +1,8 @@
 """Runs model.onnx on labelled folders with ONNX Runtime; prints accuracy, confusion matrix, latency.
 
-    check.py ../quality-control                     pictures/ and held-out/ of the model's folder
-    check.py ../quality-control FOLDER …            other folders with a labels.csv
-    check.py ../quality-control --first-to 320      as a sender would that downsizes first
+    check.py models/quality-control                     pictures/ and held-out/ of the model's folder
+    check.py models/quality-control FOLDER …            other folders with a labels.csv
+    check.py models/quality-control --first-to 320      as a sender would that downsizes first
 
 The preprocessing is read from the card, so this also checks the card.
 """

@@ -1,6 +1,6 @@
 """Draws the training set, trains the network once, writes model.onnx and its card.
 
-    train.py ../quality-control
+    train.py models/quality-control
 
 Takes about 25 minutes on two cores. Nothing is downloaded.
 """
@@ -116,14 +116,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Trains the quality-control model.")
     parser.add_argument("out", type=Path, help="the model's folder")
     parser.add_argument("--scenes", type=int, default=SCENES)
+    parser.add_argument("--validation-scenes", type=int, default=VALIDATION_SCENES)
     parser.add_argument("--epochs", type=int, default=EPOCHS)
     parser.add_argument("--workers", type=int, default=2, help="processes that draw")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     start = time.monotonic()
     seen = dataset.load(TRAINING_SEEDS, options.scenes, options.workers)
-    unseen = dataset.load(VALIDATION_SEEDS, VALIDATION_SCENES, options.workers)
-    print(f"drew {options.scenes + VALIDATION_SCENES} scenes in {time.monotonic() - start:.0f} s", flush=True)
+    unseen = dataset.load(VALIDATION_SEEDS, options.validation_scenes, options.workers)
+    drawn = options.scenes + options.validation_scenes
+    print(f"drew {drawn} scenes in {time.monotonic() - start:.0f} s", flush=True)
     network = train(seen, unseen, options.epochs)
     export(network, options.out / "model.onnx")
     card.write(options.out, SEED, TRAINING_SEEDS, options.scenes)

@@ -56,6 +56,52 @@ describe("keys", () => {
   });
 });
 
+describe("keys that have nothing to do", () => {
+  test("the space bar scrolls where there is nothing to pause", async () => {
+    const { page, close } = await open(browser, base, pages.run, { height: 400 });
+    assert.equal(await page.locator("#pause").count(), 0);
+    await page.keyboard.press("Space");
+    await page.waitForFunction(() => scrollY > 100);
+    await close();
+  });
+});
+
+describe("windows and paper", () => {
+  test("every page has a title of its own", async () => {
+    const titles = new Map();
+    for (const [name, path] of Object.entries(pages)) {
+      if (name === "linkMeasured") continue;
+      const { page, close } = await open(browser, base, path);
+      const title = await page.title();
+      assert.ok(!titles.has(title), `${name} is called as ${titles.get(title)} is: ${title}`);
+      titles.set(title, name);
+      await close();
+    }
+  });
+
+  test("a dark page prints in light, with nothing cut off", async () => {
+    for (const path of ["/", pages.run, pages.compare]) {
+      const { page, close } = await open(browser, base, path, { scheme: "dark" });
+      await drawn(page);
+      const ink = () => page.evaluate(() => getComputedStyle(document.body).color);
+      const dark = await ink();
+      await page.emulateMedia({ media: "print", colorScheme: "dark" });
+      await page.setViewportSize({ width: 718, height: 1000 });
+      await page.evaluate(() => dispatchEvent(new Event("beforeprint")));
+      assert.notEqual(await ink(), dark);
+      assert.equal(await page.locator(".top").isVisible(), false);
+      const wider = await page.evaluate(() => Array.from(document.querySelectorAll("canvas"), (one) => one.getBoundingClientRect().right - one.closest(".panel").getBoundingClientRect().right));
+      assert.ok(wider.every((over) => over <= 0), `${path}: charts leave their panels by ${wider} px`);
+      const clipped = await page.evaluate(() => Array.from(document.querySelectorAll(".scroll"), (one) => getComputedStyle(one).overflowX).filter((how) => how !== "visible"));
+      assert.deepEqual(clipped, [], path);
+      await page.evaluate(() => dispatchEvent(new Event("afterprint")));
+      await page.emulateMedia({ media: "screen", colorScheme: "dark" });
+      assert.equal(await ink(), dark, "the screen is as before");
+      await close();
+    }
+  });
+});
+
 describe("for everyone", () => {
   for (const scheme of ["light", "dark"]) {
     for (const width of [400, 1440]) {

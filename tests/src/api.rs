@@ -49,4 +49,45 @@ impl Api {
             holds(&serde_json::from_str(&text).ok()?)
         })
     }
+
+    /// The number of the newest run, once it has ended by itself.
+    ///
+    /// # Panics
+    /// As [`until`](Self::until).
+    pub fn finished_run(&self) -> i64 {
+        self.until("/api/v1/runs", |runs| {
+            let run = runs["runs"].get(0)?;
+            (run["reason"] == "finished").then(|| run["number"].as_i64())?
+        })
+    }
+
+    /// The figures of a stage or value of a run; `None` when it has none of that name.
+    ///
+    /// # Panics
+    /// When they cannot be had.
+    pub fn figures(&self, run: i64, name: &str) -> Option<Value> {
+        let stages = self.json(&format!("/api/v1/runs/{run}/stages"));
+        stages["stages"].as_array()?.iter().find(|stage| stage["name"] == name).cloned()
+    }
+
+    /// The mean of a stage or value of a run.
+    ///
+    /// # Panics
+    /// When it has none of that name.
+    pub fn mean(&self, run: i64, name: &str) -> f64 {
+        let figures = self.figures(run, name);
+        let mean = figures.and_then(|figures| figures["mean"].as_f64());
+        mean.unwrap_or_else(|| panic!("run {run} has no mean of {name}"))
+    }
+
+    /// Checks that these stages and what is unattributed are the total, nothing missing and nothing twice.
+    ///
+    /// # Panics
+    /// When they are not.
+    pub fn stages_are_the_total(&self, run: i64, stages: &[&str]) {
+        let all = stages.iter().chain(&["unattributed"]);
+        let sum: f64 = all.map(|name| self.mean(run, name)).sum();
+        let total = self.mean(run, "total");
+        assert!((sum - total).abs() < 1e-9, "the stages of run {run} are {sum}, the total is {total}");
+    }
 }

@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::os::unix::fs::symlink;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use tempfile::TempDir;
 
@@ -14,7 +14,18 @@ use crate::{Document, Network, Process, program, root};
 const SERVING: (&str, &str) = ("tcp://127.0.0.1:", "tcp://10.0.0.2:");
 
 /// Where a package keeps things; here each machine has such a folder of its own.
-const PACKAGED: [&str; 3] = ["/etc/peernet/", "/var/lib/peernet/", "/backup/"];
+const PACKAGED: [&str; 5] =
+    ["/etc/", "/usr/lib/peernet", "/usr/share/peernet/", "/var/lib/peernet/", "/backup/"];
+
+/// What of the checkout is there as it is.
+const LINKED: [&str; 6] = [
+    "deploy",
+    "docs",
+    "models/export_torchvision.py",
+    "models/quality-control",
+    "models/quality_control",
+    "onnxruntime",
+];
 
 /// An edge and a cloud at the two ends of a cable, and a folder that is the checkout's root for both: the programs stand on
 /// the path, models and examples are there, configurations are copied when a test asks for them.
@@ -45,7 +56,7 @@ impl Desk {
             std::fs::create_dir_all(name.parent().expect("it is in the folder")).expect("writable");
             symlink(to, name).expect("writable");
         };
-        for name in ["models/quality-control", "models/export_torchvision.py", "docs", "onnxruntime"] {
+        for name in LINKED {
             link(name, &root().join(name));
         }
         for name in ["peernet", "peernetd"] {
@@ -95,11 +106,23 @@ impl Desk {
         self.write(&self.installed(host, name), &self.installed(host, &changed(text, changes)));
     }
 
+    /// The folder that stands for the root of a machine's files.
+    pub fn root_of(&self, host: &Host) -> PathBuf {
+        self.folder().join(if host.address == self.edge().address { "edge" } else { "cloud" })
+    }
+
     /// A text in which the folders of a package are those of a machine.
     fn installed(&self, host: &Host, text: &str) -> String {
-        let folder = self.folder().join(if host.address == self.edge().address { "edge" } else { "cloud" });
-        let own = |place: &str| format!("{}{place}", folder.display());
-        PACKAGED.iter().fold(text.to_owned(), |text, place| text.replace(place, &own(place)))
+        let root = self.root_of(host).display().to_string();
+        PACKAGED.iter().fold(text.to_owned(), |text, place| {
+            let mut parts = text.split(place);
+            let first = parts.next().unwrap_or_default().to_owned();
+            parts.fold(first, |before, after| {
+                // `deploy/debian/etc/` is another folder than `/etc/`.
+                let machine = if before.ends_with(char::is_alphanumeric) { "" } else { &root };
+                format!("{before}{machine}{place}{after}")
+            })
+        })
     }
 
     /// Types a command where samples come from; what has to be different is changed first.
@@ -133,7 +156,8 @@ impl Desk {
         let folder = self.folder().display();
         let path = format!("{folder}/bin:{}", std::env::var("PATH").unwrap_or_default());
         let state = format!("{folder}/state");
-        let environment = [("PATH", &*path), ("XDG_STATE_HOME", &state)];
+        // The scripts of the checkout leave nothing beside themselves.
+        let environment = [("PATH", &*path), ("XDG_STATE_HOME", &state), ("PYTHONDONTWRITEBYTECODE", "1")];
         // In the shell's place, so that a signal reaches the program.
         host.start(Path::new("sh"), &["-c", &format!("exec {line}")], self.folder(), &environment)
     }

@@ -3,8 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use crate::network::Host;
+use crate::site::agent;
 use crate::truth::{HostClock, Iteration, ask, iterations};
-use crate::{Api, Network, Process, Site, program, until};
+use crate::{Api, Network, Process, Site, program};
 
 /// Two hosts and an aggregator. The network goes last.
 #[derive(Debug)]
@@ -20,25 +21,12 @@ pub struct Plant {
 /// The port at which the cloud serves; a namespace has all ports for itself.
 const SERVE: u16 = 5551;
 
-const AGGREGATOR: &str = r#"
-[aggregator]
-name = "aggregator"
-listen = "tcp://0.0.0.0:{events}"
-database = "{folder}/aggregator.sqlite"
-
-[web]
-listen = "127.0.0.1:{http}"
-"#;
-
 impl Plant {
     /// Starts the aggregator and waits until it answers. The network is made in the site's folder.
     pub fn new(network: impl FnOnce(&Path) -> Network) -> Self {
         let site = Site::new();
         let network = network(site.folder());
-        site.write("aggregator.toml", AGGREGATOR);
-        let aggregator = site.start("aggregator.toml");
-        let api = Api::at(site.http);
-        until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
+        let (aggregator, api) = site.aggregator_for("0.0.0.0");
         Self { api, aggregator, site, network }
     }
 
@@ -77,11 +65,8 @@ impl Plant {
     }
 
     fn configure(&self, name: &str, host: &Host, tables: &str) -> PathBuf {
-        let agent = format!(
-            "[agent]\nname = \"{name}\"\nstate_dir = \"{{folder}}/{name}\"\naggregator = \"tcp://{}:{{events}}\"\n",
-            host.home
-        );
-        self.site.write(&format!("{name}.toml"), &format!("{agent}{tables}"))
+        let agent = agent(name, &host.home.to_string());
+        self.site.write(&format!("{name}.toml"), &(agent + tables))
     }
 
     fn peernetd(&self, name: &str, host: &Host, environment: &[(&str, &str)]) -> Process {

@@ -84,14 +84,35 @@ impl Site {
         Process::start(&program("peernetd"), arguments, self.folder(), &[("ORT_DYLIB_PATH", &library)])
     }
 
+    /// Writes and starts an agent that reports to the site's aggregator; `tables` follow its table `[agent]`.
+    pub fn agent(&self, name: &str, tables: &str) -> Process {
+        let file = format!("{name}.toml");
+        self.write(&file, &(agent(name, "127.0.0.1") + tables));
+        self.start(&file)
+    }
+
     /// Writes and starts an aggregator with its dashboard, and waits until it answers.
     pub fn aggregator(&self) -> (Process, Api) {
-        self.write("aggregator.toml", AGGREGATOR);
+        self.aggregator_for("127.0.0.1")
+    }
+
+    /// The same for agents that reach it at an address.
+    pub(crate) fn aggregator_for(&self, address: &str) -> (Process, Api) {
+        let events = "127.0.0.1:{events}";
+        self.write("aggregator.toml", &AGGREGATOR.replace(events, &events.replace("127.0.0.1", address)));
         let process = self.start("aggregator.toml");
         let api = Api::at(self.http);
         crate::until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
         (process, api)
     }
+}
+
+/// The table `[agent]` of an agent that reaches its aggregator at an address, as [`Site::write`] takes it.
+pub(crate) fn agent(name: &str, aggregator: &str) -> String {
+    format!(
+        "[agent]\nname = \"{name}\"\nstate_dir = \"{{folder}}/{name}\"\n\
+         aggregator = \"tcp://{aggregator}:{{events}}\"\n"
+    )
 }
 
 /// An aggregator with its dashboard, as [`Site::write`] takes it.

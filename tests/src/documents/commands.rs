@@ -2,23 +2,21 @@
 
 use super::Document;
 
-/// Programs whose command lines count. Of others, such as a system's package manager, the documents tell in passing.
-const PROGRAMS: [&str; 7] = ["peernet", "peernetd", "PEERNet", "peernet_cli", "python3", "cc", "curl"];
-
-/// Those of ours: their names alone, and with one word more, are how prose speaks of them.
+/// Our programs: their names alone, and with one word more, are how prose speaks of them.
 const OURS: [&str; 4] = ["peernet", "peernetd", "PEERNet", "peernet_cli"];
 
 impl Document {
-    /// The command lines in blocks, fenced or set off by four spaces, and those of our programs in the prose; comments,
-    /// prompts and `sudo` are taken away, lines that go on joined, spaces between words are single.
+    /// The command lines in blocks, fenced or set off by four spaces, and those in the prose that run our programs, a script
+    /// of the checkout or a target of the Makefile. Comments, prompts and `sudo` are taken away, lines that go on joined,
+    /// spaces between words are single.
     pub fn commands(&self) -> Vec<String> {
         let fenced = ["sh", "console"].into_iter().flat_map(|language| self.fenced(language));
         let fenced = fenced.flat_map(|(_, block)| typed(&block));
         let set_off: String =
             self.prose().filter(|(_, line)| line.starts_with("    ")).map(end_line).collect();
-        let blocks = fenced.chain(typed(&set_off)).filter(|line| runs(line, &PROGRAMS));
-        let inline = self.spans().into_iter().filter(|span| runs(span, &OURS) && is_whole(span));
-        blocks.chain(inline).collect()
+        let set_off = typed(&set_off).into_iter().filter(|line| !is_setting(line));
+        let inline = self.spans().into_iter().filter(|span| is_shown(span));
+        fenced.chain(set_off).chain(inline).collect()
     }
 
     /// What stands between back quotes, paragraph by paragraph: a quote that is not closed spoils no other paragraph.
@@ -39,24 +37,34 @@ fn typed(block: &str) -> Vec<String> {
     let joined = block.replace("\\\n", " ");
     let prompted = joined.lines().any(|line| line.starts_with("$ "));
     let lines = joined.lines().filter_map(|line| if prompted { line.strip_prefix("$ ") } else { Some(line) });
+    let lines = lines.filter(|line| !line.trim_start().starts_with('#'));
     let lines = lines.map(|line| line.split(" # ").next().unwrap_or_default());
-    lines.map(|line| single_spaced(line).trim_start_matches("sudo ").to_owned()).collect()
+    let lines = lines.map(|line| single_spaced(line).trim_start_matches("sudo ").to_owned());
+    lines.filter(|line| !line.is_empty()).collect()
 }
 
 fn single_spaced(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// Whether a line runs one of these programs, wherever that lies.
-fn runs(line: &str, programs: &[&str]) -> bool {
-    let program = line.split(' ').next().and_then(|path| path.rsplit('/').next());
-    program.is_some_and(|program| programs.contains(&program))
+/// Whether a line is one of a configuration or an environment file, which blocks without a language show as well.
+fn is_setting(line: &str) -> bool {
+    let (first, rest) = line.split_once(' ').unwrap_or((line, ""));
+    first.starts_with('[') || rest.starts_with("= ") || (first.contains('=') && rest.is_empty())
 }
 
-/// Whether it can be typed: `peernet run` is the name of a command, and `peernet --client …` tells of a kind.
-fn is_whole(span: &str) -> bool {
+/// Whether a word or two of prose can be typed: `peernet run` is the name of a command, and `peernet --client …` tells of a
+/// kind.
+fn is_shown(span: &str) -> bool {
     let words: Vec<&str> = span.split(' ').collect();
-    words.len() > 2 && !words.contains(&"…")
+    let program = words[0];
+    let least = match program {
+        "make" => 2,
+        _ if OURS.contains(&program.rsplit('/').next().unwrap_or_default()) => 3,
+        _ if program.contains('/') && (program.ends_with(".sh") || program.ends_with(".py")) => 2,
+        _ => return false,
+    };
+    words.len() >= least && !words.contains(&"…")
 }
 
 #[cfg(test)]
@@ -72,15 +80,21 @@ mod tests {
     #[test]
     fn a_block_with_prompts_shows_commands_and_what_they_say() {
         let text = "```console\n$ peernet run a.toml    # in another\npeernet is done\n$ ls\n```\n";
-        assert_eq!(commands(text), ["peernet run a.toml"]);
-        assert_eq!(commands("```console\nUsers  edges\n```\n```text\npeernet run a\n```\n"), [""; 0]);
+        assert_eq!(commands(text), ["peernet run a.toml", "ls"]);
+        assert_eq!(commands("```text\npeernet run a\n```\n"), [""; 0]);
     }
 
     #[test]
     fn a_block_without_shows_commands_alone() {
-        let text = "```sh\nsudo apt-get install it\nsudo bin/peernetd check \\\n    FILE\n```\n";
-        assert_eq!(commands(text), ["bin/peernetd check FILE"]);
-        assert_eq!(commands("Like this:\n\n    curl -N there\n    [agent]\n"), ["curl -N there"]);
+        let text =
+            "```sh\nsudo apt-get install it\n\n# of the package\nsudo bin/peernetd check \\\n    FILE\n```\n";
+        assert_eq!(commands(text), ["apt-get install it", "bin/peernetd check FILE"]);
+    }
+
+    #[test]
+    fn a_block_without_a_language_may_be_a_configuration() {
+        let text = "Like this:\n\n    curl -N there\n    [agent]\n    name = \"it\"    # its name\n    A=/b:/c\n    A=b run\n";
+        assert_eq!(commands(text), ["curl -N there", "A=b run"]);
     }
 
     #[test]
@@ -89,5 +103,8 @@ mod tests {
         assert_eq!(commands(text), ["peernet plot --kind stacked"]);
         assert_eq!(commands("### `peernet models list`\n"), [""; 0]);
         assert_eq!(commands("A ` alone.\n\nThen `peernet models list`."), ["peernet models list"]);
+        let text =
+            "`make demo` is `deploy/demo.sh PROGRAM`; `make`, `deploy/demo.sh` and `systemctl edit it` tell.";
+        assert_eq!(commands(text), ["make demo", "deploy/demo.sh PROGRAM"]);
     }
 }

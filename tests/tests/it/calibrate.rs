@@ -27,11 +27,6 @@ kind = "echo"
 "#;
 
 const EDGE: &str = r#"
-[agent]
-name = "edge"
-state_dir = "{folder}/edge"
-aggregator = "tcp://127.0.0.1:{events}"
-
 [rehearsal]
 offset_ms = -500
 
@@ -333,11 +328,8 @@ fn a_stored_run_is_computed_again_and_left_as_it_was() {
     let plant = Plant::new();
     let (_aggregator, api) = plant.site.aggregator();
     let _cloud = plant.start("cloud.toml", CLOUD);
-    let edge = plant.start("edge.toml", EDGE);
-    let run = api.until("/api/v1/runs", |list| {
-        let run = &list["runs"][0];
-        (run["reason"] == "finished").then(|| run["number"].as_i64()).flatten()
-    });
+    let edge = plant.site.agent("edge", EDGE);
+    let run = api.finished_run();
     let url = format!("http://127.0.0.1:{}", plant.site.http);
     let status = plant.peernet(&["status", "--url", &url]).ended();
     assert_eq!(status.code(), 0, "{}", status.log);

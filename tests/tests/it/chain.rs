@@ -4,11 +4,6 @@ use peernet_tests::{Process, Site, program, root};
 use serde_json::Value;
 
 const CLOUD: &str = r#"
-[agent]
-name = "cloud"
-state_dir = "{folder}/cloud"
-aggregator = "tcp://127.0.0.1:{events}"
-
 [serve]
 listen = "tcp://127.0.0.1:{data}"
 
@@ -19,11 +14,6 @@ path = "{root}/models/quality-control"
 "#;
 
 const EDGE: &str = r#"
-[agent]
-name = "edge"
-state_dir = "{folder}/edge"
-aggregator = "tcp://127.0.0.1:{events}"
-
 [[pipeline]]
 name = "offload"
 sensor = { kind = "images", path = "{root}/models/quality-control/pictures" }
@@ -56,19 +46,14 @@ fn number(value: &Value, key: &str) -> f64 {
 fn an_offloaded_picture_is_measured_stage_by_stage_and_stored() {
     let site = Site::new();
     let (_aggregator, api) = site.aggregator();
-    site.write("cloud.toml", CLOUD);
-    site.write("edge.toml", EDGE);
-    let cloud = site.start("cloud.toml");
-    let edge = site.start("edge.toml");
+    let cloud = site.agent("cloud", CLOUD);
+    let edge = site.agent("edge", EDGE);
 
     // Live, before anything else: the page and the API show the pipeline while it runs.
     api.until("/api/v1/pipelines/edge/offload", |pipeline| {
         (number(&pipeline["windows"][2]["counts"], "ok") > 0.0).then_some(())
     });
-    let run = api.until("/api/v1/runs", |runs| {
-        let run = runs["runs"].get(0)?;
-        (run["reason"] == "finished").then(|| run["number"].as_i64())?
-    });
+    let run = api.finished_run();
 
     // Exactly what was asked for, warm-up kept and flagged.
     let detail = api.json(&format!("/api/v1/runs/{run}"));
@@ -80,18 +65,12 @@ fn an_offloaded_picture_is_measured_stage_by_stage_and_stored() {
     assert_eq!(detail["placement"]["peer"], "cloud");
 
     // One machine, one clock: every delay is exact, and stages plus the unattributed rest are the total.
-    let stages = api.json(&format!("/api/v1/runs/{run}/stages"));
-    let stages = stages["stages"].as_array().expect("a list");
-    let of = |name: &str| stages.iter().find(|stage| stage["name"] == name);
     for name in STAGES {
-        let stage = of(name).unwrap_or_else(|| panic!("{name} is missing"));
+        let stage = api.figures(run, name).unwrap_or_else(|| panic!("{name} is missing"));
         assert_eq!(stage["count"], 40, "{stage}");
-        assert!(number(stage, "min") >= 0.0, "{stage}");
+        assert!(number(&stage, "min") >= 0.0, "{stage}");
     }
-    let means: f64 = STAGES.iter().filter_map(|name| of(name)).map(|stage| number(stage, "mean")).sum();
-    let rest = number(of("unattributed").expect("always recorded"), "mean");
-    let total = number(of("total").expect("always recorded"), "mean");
-    assert!((means + rest - total).abs() < 1e-9, "{means} + {rest} is not {total}");
+    api.stages_are_the_total(run, &STAGES);
 
     // One tree from two hosts.
     let iteration = api.json(&format!("/api/v1/runs/{run}/iterations/10"));
@@ -166,8 +145,7 @@ fn the_command_line_shows_what_runs_and_says_when_nobody_answers() {
     assert!(nobody.log.contains("--url"), "{}", nobody.log);
 
     let (_aggregator, api) = site.aggregator();
-    site.write("edge.toml", EDGE);
-    let edge = site.start("edge.toml");
+    let edge = site.agent("edge", EDGE);
     api.until("/api/v1/pipelines/edge/offload", |pipeline| (pipeline["state"] == "waiting").then_some(()));
     let status = peernet();
     assert_eq!(status.code(), 0, "{}", status.log);

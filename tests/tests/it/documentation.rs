@@ -1,12 +1,16 @@
 //! The documents keep their word: examples pass the check, every key is described, links lead somewhere.
 //!
 //! A block of TOML whose first line is a comment with a bare file name, `# edge.toml`, is a complete file that passes
-//! `peernetd check` in the root of the checkout. A block with the tables `[experiment]` and `[pipeline]` is an experiment,
-//! which passes `peernet run --check` there. Any other block of TOML is an excerpt.
+//! `peernetd check` in the root of the checkout, where the documents have built their example in C. A block with the tables
+//! `[experiment]` and `[pipeline]` is an experiment, which passes `peernet run --check` there. Any other block of TOML is an
+//! excerpt.
 
+use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 
 use peernet_tests::{Document, Process, Site, onnxruntime, program, root};
+
+use crate::external::build;
 
 const REFERENCE: &str = "docs/configuration.md";
 
@@ -45,6 +49,10 @@ fn experiments_in_the_documents_pass_the_check() {
 fn examples_that_are_complete_files_pass_the_check_and_excerpts_can_be_read() {
     let site = Site::new();
     let _needed = onnxruntime();
+    for name in ["configs", "docs", "models", "onnxruntime"] {
+        symlink(root().join(name), site.folder().join(name)).expect("the temporary folder is writable");
+    }
+    build(site.folder());
     let mut wrong = Vec::new();
     for document in Document::all() {
         for (line, block) in document.fenced("toml") {
@@ -57,9 +65,8 @@ fn examples_that_are_complete_files_pass_the_check_and_excerpts_can_be_read() {
             };
             // The check tries this port, and a demo may be running.
             let block = block.replace("tcp://127.0.0.1:5551", "tcp://127.0.0.1:{data}");
-            let file = site.write(name, &block);
-            let arguments = [Path::new("check"), &file];
-            let ended = Process::start(&program("peernetd"), &arguments, root(), &[]).ended();
+            site.write(name, &block);
+            let ended = Process::start(&program("peernetd"), &["check", name], site.folder(), &[]).ended();
             if ended.code() != 0 {
                 wrong.push(format!("{at}:\n{}", ended.log));
             }
@@ -133,6 +140,14 @@ const PROBES: [(&str, &str); 28] = [
     ("actuator", "[[pipeline]]\nactuator = { kind = \"zz\" }"),
 ];
 
+/// The same for experiments.
+const EXPERIMENTS: [(&str, &str); 4] = [
+    ("experiment", "[experiment]\nzz = 1\n[pipeline]"),
+    ("pipeline-and-the-agents-tables", "[experiment]\nname = 'e'\n[pipeline]\n[network]\nzz = 1"),
+    ("axis", "[experiment]\nname = 'e'\n[pipeline]\n[[axis]]\nzz = 1"),
+    ("axis", "[experiment]\nname = 'e'\n[pipeline]\n[[axis]]\nname = 'a'\n[[axis.value]]\nzz = 1"),
+];
+
 /// The same for tables whose keys depend on their kind, which stands for `KIND`.
 const KINDS: [(&str, &str); 5] = [
     ("model", "[[model]]\nname = \"m\"\nkind = \"KIND\"\nzz = 1"),
@@ -142,37 +157,56 @@ const KINDS: [(&str, &str); 5] = [
     ("load", "[[pipeline]]\nload = { mode = \"KIND\", zz = 1 }"),
 ];
 
-/// What `peernetd check` says could stand in the place of `zz`.
-fn known(site: &Site, file: &str) -> Vec<String> {
+/// What is said of a file by the program that checks it.
+type Check = fn(&Site, &str) -> String;
+
+fn configuration(site: &Site, file: &str) -> String {
     site.write("probe.toml", file);
-    let said = site.peernetd(&["check", "probe.toml"]).ended().log;
+    site.peernetd(&["check", "probe.toml"]).ended().log
+}
+
+fn experiment(site: &Site, file: &str) -> String {
+    site.write("probe.toml", file);
+    let arguments = ["run", "--check", "probe.toml"];
+    Process::start(&program("peernet"), &arguments, site.folder(), &[]).ended().log
+}
+
+/// What a check says could stand in the place of `zz`.
+fn known(said: &str) -> Vec<String> {
     let told = ["unknown field `zz`, ", "unknown variant `zz`, "];
     let known = told.iter().find_map(|told| said.split_once(told));
-    let (_, known) = known.unwrap_or_else(|| panic!("nothing is said about zz in\n{file}\nbut\n{said}"));
+    let (_, known) = known.unwrap_or_else(|| panic!("nothing is said about zz but\n{said}"));
     known.lines().take(1).flat_map(|known| known.split('`').skip(1).step_by(2)).map(str::to_owned).collect()
+}
+
+/// The words that a section lacks.
+fn lacking(document: &Document, section: &str, words: &[String]) -> Vec<String> {
+    let text = document.section(section);
+    let described = |word: &str| {
+        ["`WORD`", "\"WORD\"", "[WORD]"].iter().any(|form| text.contains(&form.replace("WORD", word)))
+    };
+    let lacking = words.iter().filter(|word| !described(word));
+    lacking.map(|word| format!("{} {section}: {word}", document.path.display())).collect()
 }
 
 #[test]
 fn the_reference_describes_every_key_and_kind() {
-    let (site, reference) = (Site::new(), Document::read(REFERENCE));
+    let site = Site::new();
     let mut missing = Vec::new();
-    let mut look = |section: &str, words: &[String]| {
-        let text = reference.section(section);
-        let described = |word: &str| {
-            ["`WORD`", "\"WORD\"", "[WORD]"].iter().any(|form| text.contains(&form.replace("WORD", word)))
-        };
-        let lacking = words.iter().filter(|word| !described(word));
-        missing.extend(lacking.map(|word| format!("{section}: {word}")));
-    };
-    for (section, file) in PROBES {
-        look(section, &known(&site, file));
-    }
-    for (section, file) in KINDS {
-        let kinds = known(&site, &file.replace("KIND", "zz"));
-        look(section, &kinds);
-        for kind in kinds {
-            look(section, &known(&site, &file.replace("KIND", &kind)));
+    let mut look = |document: &str, said: Check, probes: &[(&str, &str)]| {
+        let document = Document::read(document);
+        for (section, file) in probes {
+            missing.extend(lacking(&document, section, &known(&said(&site, file))));
         }
+    };
+    look(REFERENCE, configuration, &PROBES);
+    look("docs/experiments.md", experiment, &EXPERIMENTS);
+    let reference = Document::read(REFERENCE);
+    for (section, file) in KINDS {
+        let of = |kind: &str| known(&configuration(&site, &file.replace("KIND", kind)));
+        let kinds = of("zz");
+        missing.extend(lacking(&reference, section, &kinds));
+        missing.extend(kinds.iter().flat_map(|kind| lacking(&reference, section, &of(kind))));
     }
-    assert!(missing.is_empty(), "{REFERENCE} does not describe\n{}", missing.join("\n"));
+    assert!(missing.is_empty(), "these are not described:\n{}", missing.join("\n"));
 }

@@ -4,25 +4,11 @@ use std::path::Path;
 
 use peernet_tests::{Ended, Process, Site, program};
 
-/// Rows of the published program, one of which took very long.
-fn published(seconds: f64) -> String {
-    let header = "iteration,sensing,upload,inference,download,download-bytes,download-logger-bytes,upload-bytes,\
-                  upload-logger-bytes,upload-throughput,download-throughput\n";
-    let row = |n: u32| {
-        let upload = if n == 90 { 9.0 } else { 0.0175 + f64::from(n % 13) * 1e-4 };
-        format!("{n},0.0007,{upload},{seconds},0.0004,132.0,555.0,1343220.0,301.0,613000000.0,14810000.0\n")
-    };
-    std::iter::once(header.to_owned()).chain((1..=205).map(row)).collect()
-}
+use crate::results::of_the_published_program;
 
+/// One of the uploads took very long.
 fn site() -> Site {
-    let site = Site::new();
-    for (name, seconds) in [("all/small", 0.005), ("all/large", 0.009)] {
-        let folder = site.folder().join(name);
-        std::fs::create_dir_all(&folder).expect("made");
-        std::fs::write(folder.join("data.csv"), published(seconds)).expect("written");
-    }
-    site
+    of_the_published_program(|n| if n == 90 { 9.0 } else { 0.0175 + f64::from(n % 13) * 1e-4 })
 }
 
 fn plot(site: &Site, arguments: &[&str]) -> Ended {

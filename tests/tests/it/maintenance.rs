@@ -9,11 +9,6 @@ use peernet_tests::{AGGREGATOR, Api, Ended, Process, Site, free_port, until};
 use serde_json::Value;
 
 const EDGE: &str = r#"
-[agent]
-name = "edge"
-state_dir = "{folder}/edge"
-aggregator = "tcp://127.0.0.1:{events}"
-
 [[model]]
 name = "echo"
 kind = "echo"
@@ -29,8 +24,7 @@ load = { mode = "rate", hz = 200.0 }
 fn measuring() -> (Site, Process, Process, Api) {
     let site = Site::new();
     let (aggregator, api) = site.aggregator();
-    site.write("edge.toml", EDGE);
-    let edge = site.start("edge.toml");
+    let edge = site.agent("edge", EDGE);
     until("stored iterations", || (stored(&api) > 300).then_some(()));
     (site, aggregator, edge, api)
 }

@@ -12,6 +12,9 @@ const SECTION: &str = "what-is-promised-and-what-keeps-it";
 const CODE: [&str; 9] =
     ["configs", "daemon", "deploy", "docs", "fuzz", "migrations", "tests/src", "tests/tests", "web"];
 
+/// What the table of libraries names beside crates of the workspace: a crate under another name, and a command.
+const OTHER_NAMES: [&str; 2] = ["omq-tokio", "chronyc"];
+
 /// All files and folders below a folder.
 fn below(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).expect("it can be listed") {
@@ -24,7 +27,7 @@ fn below(folder: &Path, found: &mut Vec<PathBuf>) {
 }
 
 fn code() -> Vec<PathBuf> {
-    let mut found = Vec::new();
+    let mut found: Vec<PathBuf> = CODE.iter().map(|folder| root().join(folder)).collect();
     CODE.iter().for_each(|folder| below(&root().join(folder), &mut found));
     found
 }
@@ -77,4 +80,21 @@ fn every_path_leads_to_a_file_or_a_folder() {
         assert!(code.iter().any(leads), "{path} is nowhere");
     }
     assert!(looked_at > 20, "{looked_at}");
+}
+
+#[test]
+fn every_library_stands_there_with_its_reason() {
+    let manifest = fs::read_to_string(root().join("Cargo.toml")).expect("it is there");
+    let manifest: toml::Table = manifest.parse().expect("it is TOML");
+    let libraries = manifest["workspace"]["dependencies"].as_table().expect("it is a table");
+    let architecture = Document::read(DOCUMENT);
+    let rows = architecture.section("libraries").lines().filter(|line| line.starts_with('|')).skip(2);
+    let named: BTreeSet<&str> = rows.filter_map(|row| row.split('|').nth(2)).flat_map(quoted).collect();
+    let ours = |library: &&String| !library.starts_with("peernet-");
+    let unnamed: Vec<_> =
+        libraries.keys().filter(ours).filter(|name| !named.contains(name.as_str())).collect();
+    assert!(unnamed.is_empty(), "{DOCUMENT} does not say why these were chosen: {unnamed:?}");
+    let known = |name: &&&str| OTHER_NAMES.contains(*name) || libraries.contains_key(**name);
+    let gone: Vec<_> = named.iter().filter(|name| !known(name)).collect();
+    assert!(gone.is_empty(), "{DOCUMENT} names what the workspace does not depend on: {gone:?}");
 }

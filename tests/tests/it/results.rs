@@ -5,28 +5,28 @@ use std::path::Path;
 use peernet_report::results::{Outcome, Overwrite, ResultFolder, Row, Rows, RunRecord};
 use peernet_tests::{Ended, Process, Site, SmallDisk, program};
 
-/// Rows of the published program: about so many seconds of sensing and inference.
-fn published(seconds: f64) -> String {
+/// A folder with results of the published program: `all/small`, and `all/large`, which takes longer; how long the upload
+/// of an iteration took, in seconds, is given.
+pub(crate) fn of_the_published_program(upload: impl Fn(u32) -> f64) -> Site {
     let header = "iteration,sensing,upload,inference,download,download-bytes,download-logger-bytes,upload-bytes,\
                   upload-logger-bytes,upload-throughput,download-throughput\n";
-    let row = |n: u32| {
-        let (sensing, inference) = (seconds * 0.1, seconds + f64::from(n % 7) * 1e-5);
-        format!(
-            "{n},{sensing},0.0175,{inference},0.0004,132.0,555.0,1343220.0,301.0,613000000.0,14810000.0\n"
-        )
-    };
-    std::iter::once(header.to_owned()).chain((1..=205).map(row)).collect()
-}
-
-/// A folder with results of the published program: `small`, and `large` which takes longer.
-fn folders() -> Site {
     let site = Site::new();
     for (name, seconds) in [("all/small", 0.005), ("all/large", 0.009)] {
+        let row = |n: u32| {
+            let (sensing, inference) = (seconds * 0.1, seconds + f64::from(n % 7) * 1e-5);
+            let rest = "0.0004,132.0,555.0,1343220.0,301.0,613000000.0,14810000.0";
+            format!("{n},{sensing},{},{inference},{rest}\n", upload(n))
+        };
+        let rows: String = std::iter::once(header.to_owned()).chain((1..=205).map(row)).collect();
         let folder = site.folder().join(name);
         std::fs::create_dir_all(&folder).expect("made");
-        std::fs::write(folder.join("data.csv"), published(seconds)).expect("written");
+        std::fs::write(folder.join("data.csv"), rows).expect("written");
     }
     site
+}
+
+fn folders() -> Site {
+    of_the_published_program(|_| 0.0175)
 }
 
 fn compare(site: &Site, arguments: &[&str]) -> Ended {

@@ -4,11 +4,6 @@ use peernet_tests::{Api, Process, Site};
 use serde_json::Value;
 
 const CLOUD: &str = r#"
-[agent]
-name = "cloud"
-state_dir = "{folder}/cloud"
-aggregator = "tcp://127.0.0.1:{events}"
-
 [serve]
 listen = "tcp://127.0.0.1:{data}"
 
@@ -25,16 +20,10 @@ postprocessing_ms = 0
 "#;
 
 fn edge(site: &Site, name: &str, model: &str) -> Process {
-    site.write(&format!("{name}.toml"), &EDGE.replace("NAME", name).replace("MODEL", model));
-    site.start(&format!("{name}.toml"))
+    site.agent(name, &EDGE.replace("MODEL", model))
 }
 
 const EDGE: &str = r#"
-[agent]
-name = "NAME"
-state_dir = "{folder}/NAME"
-aggregator = "tcp://127.0.0.1:{events}"
-
 [[pipeline]]
 name = "loop"
 sensor = { kind = "synthetic", size_bytes = 1000 }
@@ -43,8 +32,7 @@ load = { mode = "rate", hz = 50.0 }
 "#;
 
 fn cloud(site: &Site) -> Process {
-    site.write("cloud.toml", CLOUD);
-    site.start("cloud.toml")
+    site.agent("cloud", CLOUD)
 }
 
 /// Iterations of the newest run by outcome.
@@ -135,10 +123,10 @@ fn two_hosts_of_one_name_and_a_host_that_crashed() {
     let first = edge(&site, "edge", "echo");
     peernet_tests::until("stored iterations", || (count(&api, "edge", "ok") > 0).then_some(()));
 
-    site.write(
-        "impostor.toml",
-        &EDGE.replace("{folder}/NAME", "{folder}/impostor").replace("NAME", "edge").replace("MODEL", "echo"),
-    );
+    // The same file with another folder for its state.
+    let file = std::fs::read_to_string(site.folder().join("edge.toml")).expect("it was written");
+    let state = site.folder().display().to_string();
+    site.write("impostor.toml", &file.replace(&format!("{state}/edge"), &format!("{state}/impostor")));
     let impostor = site.start("impostor.toml");
     let said = impostor.wait_for("refused");
     assert!(said.contains("edge"), "{said}");
@@ -165,14 +153,9 @@ fn a_broken_picture_is_one_failed_iteration() {
     std::fs::write(pictures.join("2.jpg"), b"this is not a picture")
         .expect("the temporary folder is writable");
     std::fs::copy(&good, pictures.join("3.jpg")).expect("the demo's pictures are there");
-    site.write(
-        "edge.toml",
+    let edge = site.agent(
+        "edge",
         r#"
-[agent]
-name = "edge"
-state_dir = "{folder}/edge"
-aggregator = "tcp://127.0.0.1:{events}"
-
 [[model]]
 name = "quality-control"
 kind = "onnx"
@@ -185,13 +168,10 @@ placement = { kind = "local", model = "quality-control" }
 warm_up = { iterations = 0 }
 "#,
     );
-    let edge = site.start("edge.toml");
-    let run = api.until("/api/v1/runs", |runs| {
-        let run = runs["runs"].get(0)?.clone();
-        (run["reason"] == "finished").then_some(run)
-    });
-    assert_eq!((run["counts"]["ok"].as_u64(), run["counts"]["failed"].as_u64()), (Some(2), Some(1)), "{run}");
-    let failed = api.json(&format!("/api/v1/runs/{}/iterations?unsuccessful=true", run["number"]));
+    let run = api.finished_run();
+    let counts = api.json(&format!("/api/v1/runs/{run}"))["counts"].clone();
+    assert_eq!((counts["ok"].as_u64(), counts["failed"].as_u64()), (Some(2), Some(1)), "{counts}");
+    let failed = api.json(&format!("/api/v1/runs/{run}/iterations?unsuccessful=true"));
     assert!(
         failed["iterations"][0]["reason"].as_str().is_some_and(|reason| reason.contains("2.jpg")),
         "{failed}"

@@ -104,7 +104,9 @@ fn ask_for_everything(desk: &Desk) {
         (&pipelines["pipelines"][0]["host"], &pipelines["pipelines"][0]["name"]),
         (&"robot".into(), &"inspection".into())
     );
-    assert_eq!(get("v1/runs")["runs"][0]["host"], "robot");
+    // Figures are live before the run is stored.
+    let run = until("the run in the store", || get("v1/runs")["runs"].get(0).cloned());
+    assert_eq!(run["host"], "robot");
     assert!(get("openapi.json")["paths"].is_object());
     let live = desk.on_cloud("curl -N http://127.0.0.1:8040/api/v1/live", &[]);
     live.wait_for("data:");

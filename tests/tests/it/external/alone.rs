@@ -2,14 +2,7 @@
 
 use peernet_tests::Site;
 
-use super::{figures, finished};
-
 const EDGE: &str = r#"
-[agent]
-name = "edge"
-state_dir = "{folder}/edge"
-aggregator = "tcp://127.0.0.1:{events}"
-
 [[pipeline]]
 name = "study"
 sensor = { kind = "exec", command = ["{root}/docs/examples/external/light.sh"] }
@@ -21,9 +14,8 @@ limit = { total = 50 }
 fn its_run_shows_well_everywhere_without_a_model() {
     let site = Site::new();
     let (_aggregator, api) = site.aggregator();
-    site.write("edge.toml", EDGE);
-    let edge = site.start("edge.toml");
-    let run = finished(&api);
+    let edge = site.agent("edge", EDGE);
+    let run = api.finished_run();
 
     let detail = api.json(&format!("/api/v1/runs/{run}"));
     assert_eq!(detail["counts"]["ok"].as_u64(), Some(45), "{detail}");
@@ -38,11 +30,11 @@ fn its_run_shows_well_everywhere_without_a_model() {
     });
     assert_eq!(kind, "none");
     for name in ["sensing", "capture", "total"] {
-        assert!(figures(&api, run, name).is_some(), "{name} is missing");
+        assert!(api.figures(run, name).is_some(), "{name} is missing");
     }
-    assert_eq!(figures(&api, run, "dropped-samples").and_then(|value| value["mean"].as_f64()), Some(0.0));
+    assert_eq!(api.mean(run, "dropped-samples"), 0.0);
     for absent in ["inference", "upload", "top-1"] {
-        assert!(figures(&api, run, absent).is_none(), "{absent}");
+        assert!(api.figures(run, absent).is_none(), "{absent}");
     }
     for page in ["/", "/runs", "/pipelines", "/pipelines/edge/study", &format!("/runs/{run}"), "/hosts"] {
         let (status, text) = api.get(page).expect("the dashboard answers");

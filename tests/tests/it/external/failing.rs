@@ -2,8 +2,6 @@
 
 use peernet_tests::Site;
 
-use super::finished;
-
 /// A model that prints where it must not, dies and hangs, each once, and then does what it should.
 const MODEL: &str = r#"#!/bin/sh
 step=$(cat step 2> /dev/null || echo 0)
@@ -23,11 +21,6 @@ done
 "#;
 
 const EDGE: &str = r#"
-[agent]
-name = "edge"
-state_dir = "{folder}/edge"
-aggregator = "tcp://127.0.0.1:{events}"
-
 [[model]]
 name = "moody"
 kind = "exec"
@@ -49,9 +42,8 @@ fn each_failure_is_one_iteration_with_its_reason() {
     let site = Site::new();
     let (_aggregator, api) = site.aggregator();
     site.write("moody.sh", MODEL);
-    site.write("edge.toml", EDGE);
-    let edge = site.start("edge.toml");
-    let run = finished(&api);
+    let edge = site.agent("edge", EDGE);
+    let run = api.finished_run();
 
     let detail = api.json(&format!("/api/v1/runs/{run}"));
     let counts = &detail["counts"];

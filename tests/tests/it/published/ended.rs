@@ -1,5 +1,9 @@
 //! Runs that end early: what was measured is not lost, and the exit code says how it went.
 
+use std::ffi::{OsStr, OsString};
+use std::os::unix::ffi::OsStrExt;
+use std::path::Path;
+
 use peernet_tests::{Process, SmallDisk, program};
 use rustix::process::Signal;
 
@@ -104,6 +108,49 @@ fn results_that_a_killed_run_was_to_replace_come_back() {
 }
 
 #[test]
+fn nothing_is_left_of_a_killed_run_once_others_have_ended_in_its_place() {
+    let lab = Lab::here();
+    let _server = server(&lab, 1_000_000);
+    let temporary = lab.folder().join("temporary");
+    std::fs::create_dir(&temporary).expect("writable");
+    // Any name may be a folder's.
+    let results = OsStr::from_bytes(b"res\xff");
+    let start = |line: &str| {
+        let words = line.split(' ').map(OsString::from).chain([results.to_owned()]);
+        let temporary = temporary.display().to_string();
+        let words: Vec<OsString> = words.collect();
+        Process::start(&program("peernet"), &words, lab.folder(), &[("TMPDIR", &temporary)])
+    };
+    let client = |iterations: u32| {
+        start(&format!(
+            "--client --name jetson-orin --network-config net_config.yaml --iterations {iterations} --dataset-loc {} \
+             --encoding file --overwrite --result-loc",
+            picture().display()
+        ))
+    };
+    let names = |folder: &Path| {
+        let names =
+            std::fs::read_dir(folder).expect("a folder").map(|one| one.expect("readable").file_name());
+        names.map(|name| name.to_string_lossy().into_owned()).collect::<Vec<_>>()
+    };
+    assert_eq!(client(6).ended().code(), 0);
+    let killed = client(1_000_000);
+    killed.wait_for("of 1000000");
+    let _ = killed.kill();
+    assert_eq!(names(&temporary).len(), 1, "nobody was there to remove it");
+    let compared = start("compare").ended();
+    assert!(compared.log.contains("a run is under way there or was killed"), "{}", compared.log);
+
+    let next = client(6).ended();
+    assert!(next.code() == 0 && next.log.contains("killed.csv"), "{}", next.log);
+    assert_eq!(names(&temporary), [""; 0]);
+    let left = names(&lab.folder().join(results));
+    assert!(left.iter().all(|name| !name.starts_with("killed") && !name.starts_with('.')), "{left:?}");
+    let compared = start("compare").ended();
+    assert!(compared.code() == 0 && !compared.log.contains("not whole"), "{}", compared.log);
+}
+
+#[test]
 fn a_second_signal_does_not_wait() {
     let lab = Lab::here();
     let _server = lab.server(
@@ -165,12 +212,17 @@ fn a_full_disk_loses_nothing_that_was_measured() {
     let lab = Lab::here();
     let _server = server(&lab, 1_000_000);
     let results = disk.folder().join("results");
-    let client = lab.client(&format!(
-        "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 80 --dataset-loc {} \
-         --encoding file --result-loc {}",
-        picture().display(),
-        results.display()
-    ));
+    let measure = |iterations: u32, options: &str| {
+        lab.client(&format!(
+            "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations {iterations} \
+             --dataset-loc {} --encoding file --result-loc {} {options}",
+            picture().display(),
+            results.display()
+        ))
+    };
+    let earlier = measure(6, "").ended();
+    assert_eq!(earlier.code(), 0, "{}", earlier.log);
+    let client = measure(80, "--overwrite");
     client.wait_for("of 80");
     disk.fill();
     let ended = client.ended();
@@ -179,7 +231,13 @@ fn a_full_disk_loses_nothing_that_was_measured() {
     let said = ended.log.lines().find(|line| line.contains("all that was measured is in"));
     let said = said.unwrap_or_else(|| panic!("it does not say where the results are: {}", ended.log));
     let (_, elsewhere) = said.split_once("all that was measured is in ").expect("it was found by this");
-    let elsewhere = elsewhere.trim_end_matches(" instead");
+    let (elsewhere, back) = elsewhere.split_once(" instead").expect("it says so");
+    assert_eq!(back, "; the earlier results are back");
+    let earlier = results.display().to_string();
+    assert_eq!(
+        (lab.data(&earlier).rows.len(), lab.record(&earlier)["reason"].as_str()),
+        (6, Some("finished"))
+    );
     let rows = std::fs::read_to_string(format!("{elsewhere}/data.csv")).expect("the results are there");
     assert_eq!(rows.lines().count(), 81);
     std::fs::remove_dir_all(elsewhere).expect("they are this test's");

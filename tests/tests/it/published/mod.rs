@@ -4,6 +4,7 @@ mod commands;
 mod ended;
 mod objects;
 mod refused;
+mod streamed;
 
 use std::path::{Path, PathBuf};
 

@@ -120,8 +120,8 @@ fn a_sensor_and_a_model_of_ones_own_are_run_where_the_command_line_names_them() 
 fn an_exception_is_a_failed_iteration() {
     let lab = Lab::here();
     std::fs::write(lab.folder().join("my_camera.py"), FAILING).expect("writable");
-    let _server = lab.server(
-        "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 90",
+    let server = lab.server(
+        "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 20",
     );
     let client = lab.client(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-object my_camera::Camera \
@@ -129,13 +129,75 @@ fn an_exception_is_a_failed_iteration() {
     );
     let client = client.ended();
     assert_eq!(client.code(), 75, "{}", client.log);
+    let told = "1 of 20 iterations has no answer; iteration 3 failed: ";
+    assert!(client.log.contains(told), "{}", client.log);
+    assert_eq!(client.log.matches("ValueError: the lens cap is on").count(), 1, "{}", client.log);
+    // It does not wait for what will never come.
+    let server = server.ended();
+    assert_eq!(server.code(), 75, "{}", server.log);
+    assert!(server.log.contains("19 answers, 1 iteration never came here"), "{}", server.log);
     assert!(
-        client.log.contains("1 of 20 iterations") && client.log.contains("the lens cap is on"),
+        server.log.contains("1 of 20 iterations never came here: the clients' results say why"),
+        "{}",
+        server.log
+    );
+    let data = lab.data("results");
+    assert_eq!((data.outcomes("ok"), data.outcomes("failed")), (19, 1));
+}
+
+#[test]
+fn the_wait_for_a_process_that_was_started_anew_is_told() {
+    let lab = Lab::here();
+    let dying = |class: &str, method: &str, last: u32| {
+        format!(
+            "
+import os, time
+time.sleep(0.3)
+
+class {class}:
+    def __init__(self):
+        self.calls = 0
+
+    def {method}:
+        self.calls += 1
+        return b'x' if self.calls < {last} else os._exit(3)
+"
+        )
+    };
+    std::fs::write(lab.folder().join("my_camera.py"), dying("Camera", "sample(self)", 12)).expect("writable");
+    std::fs::write(lab.folder().join("my_model.py"), dying("Model", "infer(self, x)", 8)).expect("writable");
+    let server = lab.server(
+        "PEERNet --server --name cluster --network-config net_config.yaml --model-name my_model::Model --iterations 16",
+    );
+    let client = lab.client(
+        "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-object my_camera::Camera \
+         --iterations 16 --result-loc results",
+    );
+    let client = client.ended();
+    assert_eq!(client.code(), 75, "{}", client.log);
+    assert!(
+        client.log.contains("The model's process was started anew in 1 iteration (number 9)"),
+        "{}",
+        client.log
+    );
+    assert!(
+        client.log.contains("The sensor's process was started anew in 1 iteration (number 13)"),
         "{}",
         client.log
     );
     let data = lab.data("results");
-    assert_eq!((data.outcomes("ok"), data.outcomes("failed")), (19, 1));
+    assert_eq!((data.outcomes("ok"), data.outcomes("failed")), (14, 2));
+    let told = |column: &str| -> Vec<f64> {
+        let cells = data.column(column).into_iter().filter(|cell| !cell.is_empty());
+        cells.map(|cell| cell.parse().expect("a number")).collect()
+    };
+    for column in ["restart", "capture_capture-restart"] {
+        let waited = told(column);
+        assert!(waited.len() == 1 && waited[0] >= 0.3, "{column}: {waited:?}");
+    }
+    // It is no time of the model's, nor of the way to it.
+    assert!(told("unattributed").into_iter().fold(0.0, f64::max) >= told("restart")[0]);
+    drop(server);
 }
 
 #[test]

@@ -27,6 +27,15 @@ fn a_wrong_command_line_is_refused() {
     refused(&lab, &format!("{client} --iterations 5"), 64, &["--dataset-loc"]);
     refused(&lab, &format!("{client} --iterations 5 --sensor-type external"), 64, &["--sensor-object"]);
     refused(&lab, &format!("{client} --iterations 5 --sensor-type camera"), 64, &["random string"]);
+    let server = "PEERNet --server --name cluster --network-config net_config.yaml --iterations 5";
+    for (name, said) in [
+        ("exec:", "\"exec:\" names no program"),
+        ("hollow::", "write module::object"),
+        ("::Model", "write module::object"),
+    ] {
+        refused(&lab, &format!("{client} --iterations 5 --sensor-object {name}"), 64, &[said]);
+        refused(&lab, &format!("{server} --model-name {name}"), 64, &[said]);
+    }
     refused(&lab, &format!("{client} --server --iterations 5"), 64, &["--server", "--client"]);
     refused(&lab, "PEERNet --client --iterations 5", 64, &["--name", "--network-config"]);
     refused(&lab, "PEERNet", 64, &["Usage"]);
@@ -50,6 +59,8 @@ fn a_device_has_its_place_in_the_network_configuration() {
         ("devices: {a: 10.0.0.1}\nserver: b\n", "the server b is none of its devices"),
         ("devices: {a: 10.0.0.1}\n", "does not say who serves"),
         ("devices: [\n", "net_config.yaml"),
+        ("devices: {a: 10.0.0.1, b: 10.0.0.2}\nserver: b\nstart_port: 0\n", "the device b has port 0"),
+        ("devices: {a: 10.0.0.1, b: 'fe80::1%lo'}\nserver: b\n", "a zone such as %eth0"),
     ] {
         std::fs::write(&file, text).expect("writable");
         refused(&lab, &command("a", "--client"), 78, &[said]);

@@ -4,8 +4,9 @@ mod two_agents;
 mod worker;
 
 use std::fs;
+use std::path::Path;
 
-use peernet_tests::{Site, python};
+use peernet_tests::python;
 
 /// A sensor in the published style: two arrays a sample.
 const RIG: &str = r#"
@@ -47,15 +48,7 @@ class Follower:
         return {"steering": steering}
 "#;
 
-const CLOUD: &str = r#"
-[agent]
-name = "cloud"
-state_dir = "{folder}/cloud"
-aggregator = "tcp://127.0.0.1:{events}"
-
-[serve]
-listen = "tcp://127.0.0.1:{data}"
-
+const MODEL: &str = r#"
 [[model]]
 name = "follower"
 kind = "python"
@@ -64,28 +57,27 @@ device = "cuda:0"
 python = "{python}"
 "#;
 
-const EDGE: &str = r#"
-[agent]
-name = "edge"
-state_dir = "{folder}/edge"
-aggregator = "tcp://127.0.0.1:{events}"
-
+const DRIVE: &str = r#"
 [[pipeline]]
 name = "drive"
 sensor = { kind = "python", object = "rig::Rig", python = "{python}" }
-placement = { kind = "remote", peer = "tcp://127.0.0.1:{data}", model = "follower" }
+placement = PLACEMENT
 warm_up = { iterations = 0 }
 "#;
 
-/// A site with both modules in its folder, in which the agents are started.
-fn site() -> Site {
-    let site = Site::new();
+/// Writes both modules into the folder in which the agents are started.
+fn write_modules(folder: &Path) {
     for (name, text) in [("rig.py", RIG), ("follower.py", FOLLOWER)] {
-        fs::write(site.folder().join(name), text).expect("the temporary folder is writable");
+        fs::write(folder.join(name), text).expect("the temporary folder is writable");
     }
-    site
 }
 
-fn write(site: &Site, name: &str, text: &str) {
-    site.write(name, &text.replace("{python}", &python().display().to_string()));
+/// The table of the model, for a Python that is there.
+fn model() -> String {
+    MODEL.replace("{python}", &python().display().to_string())
+}
+
+/// The table of a pipeline that computes there.
+fn drive(placement: &str) -> String {
+    DRIVE.replace("PLACEMENT", placement).replace("{python}", &python().display().to_string())
 }

@@ -1,33 +1,20 @@
 //! From a Python sensor over the network to a Python model and back, into the store.
 
-use serde_json::Value;
+use peernet_tests::{Network, Plant};
 
-use super::{CLOUD, EDGE, site, write};
-
-fn mean(stages: &[Value], name: &str) -> f64 {
-    let stage = stages.iter().find(|stage| stage["name"] == name);
-    stage
-        .and_then(|stage| stage["mean"].as_f64())
-        .unwrap_or_else(|| panic!("{name} is missing in {stages:?}"))
-}
+use super::{drive, model, write_modules};
 
 #[test]
 fn arrays_go_up_and_each_step_of_the_users_is_a_stage() {
-    let site = site();
-    let (_aggregator, api) = site.aggregator();
-    write(&site, "cloud.toml", CLOUD);
-    write(
-        &site,
-        "edge.toml",
-        &format!("{EDGE}limit = {{ iterations = 30 }}\nactuator = {{ kind = \"log\" }}\n"),
-    );
-    let cloud = site.start("cloud.toml");
-    let edge = site.start("edge.toml");
+    let plant = Plant::new(|_| Network::direct());
+    write_modules(plant.folder());
+    let cloud = plant.cloud(&model());
+    let there = format!("{{ kind = \"remote\", peer = \"{}\", model = \"follower\" }}", plant.peer());
+    let more = "limit = { iterations = 30 }\nactuator = { kind = \"log\" }\n";
+    let edge = plant.edge(&(drive(&there) + more), &[]);
     edge.wait_for("the rig is up");
-    let run = api.until("/api/v1/runs", |runs| {
-        let run = runs["runs"].get(0)?;
-        (run["reason"] == "finished").then(|| run["number"].as_i64())?
-    });
+    let api = &plant.api;
+    let run = api.finished_run();
 
     // Every tenth sample failed, with the user's own words; the others went on.
     let detail = api.json(&format!("/api/v1/runs/{run}"));
@@ -42,17 +29,13 @@ fn arrays_go_up_and_each_step_of_the_users_is_a_stage() {
     assert!(said.contains("the path is lost at 10") && said.contains("follower.py"), "{failed}");
 
     // What the process border costs is told apart, and the sum is whole.
-    let stages = api.json(&format!("/api/v1/runs/{run}/stages"));
-    let stages = stages["stages"].as_array().expect("a list");
-    let names =
-        ["sensing", "encode", "upload", "queue", "ipc", "preprocessing", "inference", "postprocessing"];
-    let sum: f64 = names.iter().chain(&["download", "actuation"]).map(|name| mean(stages, name)).sum();
-    let total = mean(stages, "total");
-    let rest = mean(stages, "unattributed");
-    assert!((sum + rest - total).abs() < 1e-9, "{sum} + {rest} is not {total}");
-    assert!(mean(stages, "capture-ipc") <= mean(stages, "capture"), "{stages:?}");
+    let here = ["sensing", "encode", "upload", "download", "actuation"];
+    let there = ["queue", "ipc", "preprocessing", "inference", "postprocessing"];
+    api.stages_are_the_total(run, &[&here[..], &there].concat());
+    assert!(api.mean(run, "capture-ipc") <= api.mean(run, "capture"));
 
     cloud.wait_for("following on cuda:0");
     assert_eq!(edge.stop().code(), 0);
     assert_eq!(cloud.stop().code(), 0);
+    plant.stop();
 }

@@ -3,11 +3,29 @@
 use std::fs;
 use std::path::PathBuf;
 
-use peernet_tests::{Site, until};
+use peernet_tests::{Process, Site, until};
 
-use super::{CLOUD, EDGE, site, write};
+use super::{drive, model, write_modules};
 
 const CONFIGURATION: i32 = 78;
+
+/// A site with both modules in its folder, of which the model's is another one if it is given.
+fn site(follower: Option<&str>) -> Site {
+    let site = Site::new();
+    write_modules(site.folder());
+    if let Some(text) = follower {
+        fs::write(site.folder().join("follower.py"), text).expect("the temporary folder is writable");
+    }
+    site
+}
+
+/// An agent that serves the model, and one that asks it, with further keys of its pipeline.
+fn start(site: &Site, keys: &str) -> (Process, Process) {
+    let serve = "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\n";
+    let cloud = site.agent("cloud", &(serve.to_owned() + &model()));
+    let there = drive("{ kind = \"remote\", peer = \"tcp://127.0.0.1:{data}\", model = \"follower\" }");
+    (cloud, site.agent("edge", &(there + keys)))
+}
 
 /// The model's process, once there is one.
 fn worker(site: &Site) -> PathBuf {
@@ -20,11 +38,8 @@ fn worker(site: &Site) -> PathBuf {
 
 #[test]
 fn no_process_stays_behind_when_the_agent_is_killed() {
-    let site = site();
-    write(&site, "cloud.toml", &CLOUD.replace("aggregator =", "#"));
-    write(&site, "edge.toml", &EDGE.replace("aggregator =", "#"));
-    let cloud = site.start("cloud.toml");
-    let _edge = site.start("edge.toml");
+    let site = site(None);
+    let (cloud, _edge) = start(&site, "");
     let worker = worker(&site);
     assert!(worker.exists());
     cloud.kill();
@@ -33,9 +48,10 @@ fn no_process_stays_behind_when_the_agent_is_killed() {
 
 #[test]
 fn a_check_names_what_is_missing_and_runs_nothing() {
-    let site = site();
-    let broken = CLOUD.replace("follower::Follower", "folower::Follower").replace("aggregator =", "#");
-    write(&site, "it.toml", &format!("{broken}{}", EDGE.split_once("\n\n").expect("two tables").1));
+    let site = site(None);
+    let broken = model().replace("follower::Follower", "folower::Follower");
+    let here = drive("{ kind = \"local\", model = \"follower\" }");
+    site.write("it.toml", &format!("[agent]\nstate_dir = \"{{folder}}/it\"\n{broken}{here}"));
     let ended = site.peernetd(&["check", "it.toml"]).ended();
     assert_eq!(ended.code(), CONFIGURATION, "{}", ended.log);
     assert!(
@@ -49,20 +65,22 @@ fn a_check_names_what_is_missing_and_runs_nothing() {
 
 #[test]
 fn a_model_that_dies_is_started_anew() {
-    let site = site();
-    write(&site, "cloud.toml", &CLOUD.replace("aggregator =", "#"));
-    write(&site, "edge.toml", &EDGE.replace("aggregator =", "#"));
-    let dies = "
+    let site = site(Some(
+        "
 import os
 class Follower:
     def infer(self, sample):
         if sample[1][0] == 5:
             os._exit(9)
         return 0
-";
-    fs::write(site.folder().join("follower.py"), dies).expect("the temporary folder is writable");
-    let cloud = site.start("cloud.toml");
-    let edge = site.start("edge.toml");
+",
+    ));
+    let (_aggregator, api) = site.aggregator();
+    let (cloud, edge) = start(&site, "limit = { total = 12 }\n");
+    let run = api.finished_run();
+    // The call in which it died is the only one that has no answer.
+    let counts = api.json(&format!("/api/v1/runs/{run}"))["counts"].clone();
+    assert_eq!((counts["ok"].as_u64(), counts["failed"].as_u64()), (Some(11), Some(1)), "{counts}");
     cloud.wait_for("started anew");
     assert_eq!(edge.stop().code(), 0);
     assert_eq!(cloud.stop().code(), 0);
@@ -70,23 +88,21 @@ class Follower:
 
 #[test]
 fn a_model_that_hangs_holds_up_neither_iterations_nor_the_end() {
-    let site = site();
-    write(&site, "cloud.toml", &CLOUD.replace("aggregator =", "#"));
-    let edge = EDGE.replace("aggregator =", "#");
-    write(&site, "edge.toml", &format!("{edge}timeout_ms = 300\n"));
-    let hangs = "
+    let site = site(Some(
+        "
 import os, time
 open('pid', 'w').write(str(os.getpid()))
 class Follower:
     def infer(self, sample):
         print('hanging')
         time.sleep(600)
-";
-    fs::write(site.folder().join("follower.py"), hangs).expect("the temporary folder is writable");
-    let cloud = site.start("cloud.toml");
-    let edge = site.start("edge.toml");
+",
+    ));
+    let (_aggregator, api) = site.aggregator();
+    let (cloud, edge) = start(&site, "timeout_ms = 300\n");
     cloud.wait_for("hanging");
     let worker = worker(&site);
+    api.until("/api/v1/runs", |runs| (runs["runs"][0]["counts"]["timeout"].as_u64() > Some(2)).then_some(()));
     edge.stop();
     cloud.stop();
     until("the worker is gone", || (!worker.exists()).then_some(()));

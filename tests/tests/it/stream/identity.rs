@@ -24,6 +24,14 @@ fn nothing_waits(fleet: &mut Fleet, agent: usize) {
     fleet.account(agent, "nothing waits", |account| account.seen > since && account.waiting == 0).balances();
 }
 
+/// Kills the aggregator, and some batches later the agent: they wait in its spool.
+fn killed_with_batches(fleet: &mut Fleet) {
+    fleet.aggregator.kill();
+    let spooled = fleet.agents[0].process().log().matches("spooled batch=").count();
+    fleet.agents[0].process().wait_for_nth("spooled batch=", spooled + 5);
+    fleet.agents[0].kill();
+}
+
 #[test]
 fn a_database_restored_from_an_older_copy_shows_the_hole_and_goes_on() {
     let _turn = turn();
@@ -76,10 +84,7 @@ fn a_copied_state_folder_is_refused_while_the_first_lives_and_is_a_stream_of_its
     fleet.start(0);
     fleet.account(0, "something is stored", |account| account.events > 100);
     // The copy holds what the first will have delivered by itself by the time the copy comes to it.
-    fleet.aggregator.kill();
-    let spooled = fleet.agents[0].process().log().matches("spooled batch=").count();
-    fleet.agents[0].process().wait_for_nth("spooled batch=", spooled + 5);
-    fleet.agents[0].kill();
+    killed_with_batches(&mut fleet);
     let folder = fleet.site.folder();
     copy(&folder.join("edge"), &folder.join("copy"));
     fleet.aggregator_returns();
@@ -119,10 +124,7 @@ fn a_deleted_spool_is_a_new_stream_and_a_gap() {
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(200.0))));
     fleet.start(0);
     fleet.account(0, "something is stored", |account| account.events > 100);
-    fleet.aggregator.kill();
-    let spooled = fleet.agents[0].process().log().matches("spooled batch=").count();
-    fleet.agents[0].process().wait_for_nth("spooled batch=", spooled + 5);
-    fleet.agents[0].kill();
+    killed_with_batches(&mut fleet);
     for entry in std::fs::read_dir(fleet.site.folder().join("edge")).expect("the state is there") {
         let path = entry.expect("readable").path();
         if path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("spool.sqlite")) {

@@ -1,0 +1,103 @@
+//! Commands of the documents that are run elsewhere than in the tests beside this, and those that nothing runs.
+
+use std::process::Command;
+
+use peernet_tests::root;
+
+/// Commands, and the file and the words of it by which they are run, with these differences: fewer iterations; random
+/// weights, which nobody has to download; a package that is installed in a throw-away copy of the machine.
+pub(super) const ELSEWHERE: [(&[&str], &str, &str); 9] = [
+    (
+        &[
+            "PEERNet --server --name cluster --network zmq-tcp --network-config net_config.yaml --model-name efficientnet_v2_s --device cuda:6 --iterations 10005",
+            "PEERNet --client --name jetson-orin --network zmq-tcp --network-config net_config.yaml --dataset-loc sample-image.JPEG --iterations 10005 --result-loc results --generate-plots",
+        ],
+        "tests/tests/it/published/commands.rs",
+        "#[test]\nfn the_published_commands_work_word_for_word()",
+    ),
+    (
+        &[
+            "python3 models/export_torchvision.py efficientnet_v2_s efficientnet_v2_m efficientnet_v2_l",
+            "/usr/bin/python3 models/export_torchvision.py efficientnet_v2_s efficientnet_v2_m efficientnet_v2_l",
+            "/usr/bin/python3 models/export_torchvision.py resnet50 --weights IMAGENET1K_V1 --models-dir /var/lib/peernet/models",
+        ],
+        "tests/tests/it/models/torchvision.rs",
+        "#[test]\nfn an_exported_model_answers_as_torchvision_does()",
+    ),
+    (
+        &["deploy/install-tools.sh test", "deploy/install-tools.sh test && make deb"],
+        "Makefile",
+        "\n\t@deploy/install-tools.sh test\n",
+    ),
+    (
+        &["cargo build --release --locked --package peernetd"],
+        "Makefile",
+        "\n\t$(CARGO) build --release --locked --package peernetd\n",
+    ),
+    (
+        &["tests/bench/run.sh python", "tests/bench/run.sh stream", "tests/bench/run.sh --quick loop"],
+        "Makefile",
+        "\n\ttests/bench/run.sh\n",
+    ),
+    (&["apt install ./peernet_*.deb"], "deploy/debian/test.sh", "apt-get install "),
+    (&["apt remove peernet"], "deploy/debian/test.sh", "dpkg --remove peernet\n"),
+    (&["apt purge peernet"], "deploy/debian/test.sh", "dpkg --purge peernet\n"),
+    (
+        &["systemctl enable --now peernet-agent"],
+        "deploy/debian/test.sh",
+        "systemctl enable --quiet peernet-agent\n",
+    ),
+];
+
+/// Why nothing runs them, and commands.
+pub(super) const NOWHERE: [(&str, &[&str]); 4] = [
+    (
+        "what it fetches is the checkout that the tests are in",
+        &["git clone https://github.com/peernet/peernet && cd peernet"],
+    ),
+    (
+        "only a systemd that has started the machine obeys; deploy/systemd/verify.sh checks the units",
+        &["systemctl enable --now peernet-aggregator", "systemctl daemon-reload"],
+    ),
+    (
+        "gigabytes of libraries for a GPU that the machine of the tests lacks",
+        &[
+            "python3 -m venv /opt/onnxruntime-gpu",
+            "/opt/onnxruntime-gpu/bin/pip install 'onnxruntime-gpu[cuda,cudnn]==1.31.1'",
+            "find /opt/onnxruntime-gpu -name 'libonnxruntime.so.*'",
+            "find /opt/onnxruntime-gpu -path '*/nvidia/*' -name '*.so.*' -printf '%h\\n' | sort -u",
+        ],
+    ),
+    (
+        "packages of PyPI that nothing else needs; `peernet models check` judges the same pictures by the same card",
+        &[
+            "python3 -m venv /tmp/check && /tmp/check/bin/pip install -r models/quality_control/requirements.txt",
+            "/tmp/check/bin/python models/quality_control/check.py models/quality-control",
+            "/tmp/check/bin/python models/quality_control/check.py models/quality-control --first-to 320",
+            "/tmp/check/bin/python models/quality_control/check.py models/quality-control /tmp/third --write-card",
+        ],
+    ),
+];
+
+#[test]
+fn what_runs_commands_elsewhere_is_there() {
+    for (commands, file, words) in ELSEWHERE {
+        let text = std::fs::read_to_string(root().join(file)).unwrap_or_default();
+        assert!(text.contains(words), "{file} has no {words:?}, which is to run {commands:?}");
+    }
+}
+
+/// Whether the Makefile has the target of a command, or the tools that `make test` installs have its packages. Other
+/// commands are none of this function's business.
+pub(super) fn is_known(command: &str) -> Option<bool> {
+    if let Some(targets) = command.strip_prefix("make ") {
+        let mut make = Command::new("make");
+        // Not as a part of the `make` that runs the tests.
+        make.arg("--dry-run").args(targets.split(' ')).current_dir(root()).env_remove("MAKEFLAGS");
+        return Some(make.output().is_ok_and(|ended| ended.status.success()));
+    }
+    let packages = command.strip_prefix("apt-get install ")?;
+    let script = std::fs::read_to_string(root().join("deploy/install-tools.sh")).unwrap_or_default();
+    let tools: Vec<&str> = script.split_whitespace().collect();
+    Some(packages.split(' ').all(|package| tools.contains(&package)))
+}

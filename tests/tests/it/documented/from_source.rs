@@ -1,0 +1,94 @@
+//! What is installed by hand out of a checkout, and the demo with files of one's own.
+
+use peernet_tests::network::Host;
+use peernet_tests::{Api, Desk, Document, Ended};
+
+pub(crate) const COMMANDS: [&str; 12] = [
+    PROGRAMS,
+    "install -m 644 -D -t /etc/systemd/system deploy/systemd/*.service",
+    "install -m 644 -D deploy/sysusers.d/peernet.conf /etc/sysusers.d/peernet.conf",
+    "install -m 644 -D deploy/tmpfiles.d/peernet.conf /etc/tmpfiles.d/peernet.conf",
+    LIBRARY,
+    "systemd-sysusers",
+    "systemd-tmpfiles --create",
+    "install -m 644 -D -t /etc/peernet deploy/debian/etc/*.toml",
+    "install -m 644 -D -t /usr/share/peernet/models/quality-control models/quality-control/model.*",
+    "peernetd check /etc/peernet/agent.toml",
+    "peernetd check /etc/peernet/aggregator.toml",
+    DEMO,
+];
+
+const PROGRAMS: &str = "install -m 755 target/release/peernetd target/release/peernet /usr/bin/";
+const LIBRARY: &str = "deploy/onnxruntime/fetch.py --dest /usr/lib/peernet";
+const DEMO: &str = "deploy/demo.sh target/release/peernetd FOLDER";
+
+fn well(ended: &Ended) {
+    assert_eq!(ended.code(), 0, "{}", ended.log);
+}
+
+/// Waits until a pipeline on the dashboard of a host has had answers.
+fn answered(host: &Host, port: u16, pipeline: &'static str) {
+    host.inside(move || {
+        Api::at(port).until("/api/v1/runs", |runs| {
+            let mut runs = runs["runs"].as_array()?.iter();
+            runs.any(|run| run["pipeline"] == pipeline && run["counts"]["ok"].as_u64() > Some(5))
+                .then_some(())
+        });
+    });
+}
+
+#[test]
+fn what_is_installed_by_hand_is_where_the_units_look_for_it() {
+    let desk = Desk::new(&COMMANDS);
+    let (edge, machine) = (desk.edge(), desk.root_of(desk.edge()));
+    let root = machine.display().to_string();
+    for folder in ["etc", "usr/bin", "usr/lib"] {
+        std::fs::create_dir_all(machine.join(folder)).expect("writable");
+    }
+    // What it would download is there already.
+    let library = peernet_tests::onnxruntime();
+    well(&desk.run_on(edge, &format!("cp -a {} {root}/usr/lib/peernet", library.display())).ended());
+
+    let programs = format!("{root}/usr/bin/");
+    let [users, folders] = ["sysusers", "tmpfiles"].map(|tool| format!("systemd-{tool} --root={root}"));
+    let mine: [(&str, &str); 3] =
+        [("/usr/bin/", &programs), ("systemd-sysusers", &users), ("systemd-tmpfiles", &folders)];
+    for command in &COMMANDS[..9] {
+        let changes: Vec<_> = mine.into_iter().filter(|(from, _)| command.contains(from)).collect();
+        well(&desk.on_edge(command, &changes).ended());
+    }
+    for role in ["agent", "aggregator"] {
+        let unit = machine.join(format!("etc/systemd/system/peernet-{role}.service"));
+        let unit = std::fs::read_to_string(unit).expect("it was installed");
+        let start =
+            unit.lines().find_map(|line| line.strip_prefix("ExecStart=")).expect("it starts something");
+        for file in start.split(' ').filter_map(|word| word.strip_prefix('/')) {
+            assert!(machine.join(file).is_file(), "{start}");
+        }
+        assert!(machine.join("var/lib/peernet").join(role).is_dir(), "{role}");
+
+        // The file as it was installed, with this machine's folders.
+        let file = format!("/etc/peernet/{role}.toml");
+        let text = std::fs::read_to_string(machine.join(&file[1..])).expect("it was installed");
+        desk.install(edge, &file, &text, &[]);
+        let installed = format!("{programs}peernetd");
+        let check = format!("peernetd check {file}");
+        well(&desk.on_edge(&check, &[("peernetd", &installed)]).ended());
+    }
+    the_demo(&desk);
+    desk.finish();
+}
+
+/// With another port.
+fn the_demo(desk: &Desk) {
+    for name in ["aggregator", "cloud", "edge"] {
+        let text = Document::read(format!("configs/{name}.toml")).text;
+        desk.write(&format!("mine/{name}.toml"), &text.replace("127.0.0.1:8040", "127.0.0.1:8050"));
+    }
+    let demo = desk.on_edge(DEMO, &[("FOLDER", "mine")]);
+    demo.wait_for("http://127.0.0.1:8050/api/v1/pipelines");
+    answered(desk.edge(), 8050, "offload-resized");
+    let ended = demo.stop();
+    well(&ended);
+    assert!(ended.log.contains("demo: ended"), "{}", ended.log);
+}

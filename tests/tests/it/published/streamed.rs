@@ -1,0 +1,83 @@
+//! Runs that are streamed to aggregators as well: to several in turn, and to one that is away.
+
+use peernet_tests::Site;
+
+use super::Lab;
+
+/// Measures and streams; returns what the client said.
+fn streamed(lab: &Lab, site: &Site) -> String {
+    let server = lab.server(
+        "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 20",
+    );
+    let client = lab.client(&format!(
+        "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic \
+         --iterations 20 --result-loc results --overwrite --aggregator tcp://127.0.0.1:{}",
+        site.events
+    ));
+    let (client, server) = (client.ended(), server.ended());
+    assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
+    client.log
+}
+
+#[test]
+fn each_aggregator_gets_what_was_streamed_to_it_and_what_one_has_not_taken_is_told() {
+    let lab = Lab::here();
+    let (there, away) = (Site::new(), Site::new());
+    let (_first, first) = there.aggregator();
+    let waits = format!("wait for the aggregator at localhost:{}, in ", away.events);
+    assert!(!streamed(&lab, &there).contains("wait for the aggregator"), "all is taken");
+    for (site, whose) in [(&away, "its own"), (&there, "another one's")] {
+        let said = streamed(&lab, site);
+        assert!(said.contains(&waits), "{whose}: {said}");
+    }
+    let (_second, second) = away.aggregator();
+    let said = streamed(&lab, &away);
+    assert!(!said.contains(&waits), "it was handed over: {said}");
+    for api in [first, second] {
+        let host = api.until("/api/v1/hosts/jetson-orin", |host| {
+            let over = host["connected"] == false && host["now"]["events"]["waiting"] == 0;
+            over.then(|| host.clone())
+        });
+        assert_eq!(host["stored"]["gaps"], 0, "{host:#}");
+        api.until("/api/v1/runs", |found| {
+            let runs = found["runs"].as_array()?;
+            (runs.len() == 2 && runs.iter().all(|run| run["ended"].is_string())).then_some(())
+        });
+    }
+}
+
+#[test]
+fn what_an_aggregator_exports_is_the_file_of_the_run() {
+    let (lab, site) = (Lab::here(), Site::new());
+    let (_aggregator, api) = site.aggregator();
+    streamed(&lab, &site);
+    let (status, text) =
+        api.get(&format!("/api/v1/runs/{}/export", api.finished_run())).expect("the dashboard answers");
+    assert_eq!(status, 200, "{text}");
+    let written = std::fs::read_to_string(lab.folder().join("results/data.csv")).expect("written");
+    let differs = text.lines().zip(written.lines()).find(|(export, file)| export != file);
+    assert!(text == written, "{differs:#?}");
+
+    std::fs::write(lab.folder().join("export.csv"), text).expect("writable");
+    let compared = lab.client("PEERNet compare results export.csv").ended();
+    assert_eq!(compared.code(), 0, "{}", compared.log);
+    assert!(compared.log.contains("export"), "{}", compared.log);
+}
+
+#[test]
+fn a_device_that_streams_twice_at_once_is_one_host_and_refused() {
+    let (lab, site) = (Lab::here(), Site::new());
+    let (_aggregator, _) = site.aggregator();
+    let command = format!(
+        "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic \
+         --iterations 20 --aggregator tcp://127.0.0.1:{}",
+        site.events
+    );
+    let first = lab.client(&command);
+    first.wait_for("is away");
+    let second = lab.client(&command).ended();
+    assert_eq!(second.code(), 69, "{}", second.log);
+    assert!(second.log.contains("at work as the host that keeps its id in"), "{}", second.log);
+    assert!(!second.log.contains("state_dir"), "there is nothing to set here: {}", second.log);
+    first.stop();
+}
