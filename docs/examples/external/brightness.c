@@ -22,7 +22,8 @@ static double now(void)
 int main(void)
 {
     static char line[8192];
-    /* sample BYTES MEDIA-TYPE SHAPE SOURCE, then as many bytes */
+    int parts = 0;
+    /* sample BYTES MEDIA-TYPE SHAPE SOURCE, then as many bytes; before it a line "part" for each further part */
     while (fgets(line, sizeof line, stdin)) {
         char word[16], media[128];
         size_t bytes;
@@ -33,7 +34,14 @@ int main(void)
         unsigned char *picture = malloc(bytes ? bytes : 1);
         if (!picture || fread(picture, 1, bytes, stdin) != bytes)
             return 1;
-        if (strcmp(media, "image/x-grey8") != 0 || bytes == 0) {
+        if (strcmp(word, "part") == 0) { /* no reply before the last part */
+            parts++;
+            free(picture);
+            continue;
+        }
+        if (parts > 0) {
+            printf("error expected one picture, not a sample of %d parts\n", parts + 1);
+        } else if (strcmp(media, "image/x-grey8") != 0 || bytes == 0) {
             printf("error expected grey pixels, not %s\n", media);
         } else {
             double begun = now();
@@ -55,6 +63,7 @@ int main(void)
         }
         fflush(stdout); /* or the answer stays in the buffer */
         free(picture);
+        parts = 0;
     }
     return 0;
 }
