@@ -1,6 +1,6 @@
 //! What the stages of several configurations add up to: a bar each, with how much their sum varies.
 
-use plotters::element::{PathElement, Rectangle};
+use plotters::element::PathElement;
 use plotters::prelude::DrawingBackend;
 use plotters::style::text_anchor::{HPos, VPos};
 use plotters::style::{Color, WHITE};
@@ -23,6 +23,10 @@ const MANY: usize = 16;
 const MOST_UPRIGHT: usize = 6;
 /// Height of the words above an upright bar, pixels.
 const WORDS: i32 = SMALL + 20;
+/// What of a part is seen however little it is, pixels.
+const THIN: i32 = 4;
+/// Width of the line between two parts, pixels.
+const PARTING: u32 = 3;
 /// Half the width of an error bar's cap.
 const CAP: i32 = 12;
 
@@ -66,6 +70,18 @@ impl Places {
         let (from, to) = (self.values.at(from), self.values.at(to));
         let (low, high) = (from.min(to), from.max(to));
         if self.upright { [(near, low), (far, high)] } else { [(low, near), (high, far)] }
+    }
+
+    /// How far an area reaches along the axis of values, pixels.
+    fn extent(&self, [low, high]: [(i32, i32); 2]) -> i32 {
+        if self.upright { high.1 - low.1 } else { high.0 - low.0 }
+    }
+
+    /// The area, or one that can be seen if it cannot.
+    fn at_least(&self, extent: i32, area: [(i32, i32); 2]) -> [(i32, i32); 2] {
+        let [low, high] = area;
+        let lack = (extent - self.extent(area)).max(0);
+        if self.upright { [(low.0, low.1 - lack), high] } else { [low, (high.0 + lack, high.1)] }
     }
 
     fn point(&self, value: f64, across: i32) -> (i32, i32) {
@@ -138,9 +154,12 @@ impl Stacked {
             let from = *end;
             *end += mean;
             let area = places.area((shown(from), shown(*end)), across);
-            fill(paper, area, stage_fill(stage))?;
+            fill(paper, places.at_least(THIN, area), stage_fill(stage))?;
             // Parts are parted, so that neighbours of one grey do not run together.
-            paper.draw(&Rectangle::new(area, WHITE.stroke_width(2)))?;
+            if from != 0.0 && places.extent(area) > 2 * THIN {
+                let edge = [places.point(shown(from), across.0), places.point(shown(from), across.1)];
+                paper.draw(&PathElement::new(edge, WHITE.stroke_width(PARTING)))?;
+            }
         }
         let total = bar.total;
         let mut end = total.max(above);

@@ -25,6 +25,11 @@ impl Restarts {
         ("actuator", stage::ACTUATION_RESTART, "actuation_actuation-restart"),
     ];
 
+    /// Whether the time is a part of `unattributed`: a model's is, the others' belongs to the stage that waited.
+    pub(super) fn is_beside_stages(&self) -> bool {
+        self.whose == "model"
+    }
+
     pub(super) fn of_rows(rows: &Rows) -> Vec<Self> {
         let of = |(whose, _, column): (_, Name, &str)| {
             let waited = || rows.iter().filter(|row| row.counts() && row.value(column).is_some());

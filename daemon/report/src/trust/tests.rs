@@ -225,6 +225,22 @@ fn lateness_is_told_apart_from_what_nothing_accounts_for() {
 }
 
 #[test]
+fn the_wait_for_a_models_new_process_is_told_once() {
+    let mut rows = rows(quiet(200));
+    rows.change(|row| {
+        if row.iteration == 21 {
+            row.values[1].1 += 2.0;
+            row.values[2].1 += 2.0;
+            row.values.push(("restart".into(), 2.0));
+        }
+    });
+    let report = judged(&rows);
+    assert_eq!(about(&report, "restarts").0, Grade::Doubtful);
+    let (grade, text) = about(&report, "unattributed");
+    assert!(grade == Grade::Good && text.contains("restarts aside"), "{text}");
+}
+
+#[test]
 fn starts_that_were_skipped_are_told_and_weighed() {
     let judged = |load: serde_json::Value, skipped: u64| {
         let record = RunRecord { pipeline: serde_json::json!({ "load": load }), ..RunRecord::default() };

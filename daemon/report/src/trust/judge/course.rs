@@ -25,7 +25,7 @@ const TOO_SHORT_TO_MATTER: f64 = 100e-6;
 pub(super) fn sentences(evidence: &Evidence) -> Vec<Sentence> {
     let Some(total) = &evidence.total else { return Vec::new() };
     let mut all = vec![steady(total, &evidence.stages), begun(total), outliers(total)];
-    all.extend(evidence.unattributed.map(|seconds| explained(seconds, evidence.lateness, total)));
+    all.extend(evidence.unattributed.map(|seconds| explained(seconds, evidence, total)));
     all.extend(evidence.lateness.map(|seconds| late(seconds, total)));
     all
 }
@@ -120,11 +120,19 @@ fn outliers(total: &Course) -> Sentence {
     advise(say(about, Grade::Doubtful, text), advice)
 }
 
-/// Lateness is measured, although it is no stage: what is left is what nothing accounts for.
-fn explained(unattributed: f64, lateness: Option<f64>, total: &Course) -> Sentence {
+/// Lateness and the wait for a model's new process are measured, although they are no stages, and have sentences of their
+/// own: what is left is what nothing accounts for.
+fn explained(unattributed: f64, evidence: &Evidence, total: &Course) -> Sentence {
     let about = "unattributed";
-    let seconds = unattributed - lateness.unwrap_or_default();
-    let beside = if lateness.is_some() { ", lateness aside" } else { "" };
+    let waits = evidence.restarts.iter().filter(|restarts| restarts.is_beside_stages());
+    let waited = waits.map(|restarts| restarts.seconds).sum::<f64>() / evidence.counts.ok.max(1) as f64;
+    let seconds = unattributed - evidence.lateness.unwrap_or_default() - waited;
+    let beside = match (evidence.lateness.is_some(), waited > 0.0) {
+        (true, true) => ", lateness and restarts aside",
+        (true, false) => ", lateness aside",
+        (false, true) => ", restarts aside",
+        (false, false) => "",
+    };
     let share = if total.mean > 0.0 { seconds.abs() / total.mean } else { 0.0 };
     let text = if seconds < 0.0 {
         format!("The stages add up to {} more than the total{beside}: some overlap.", percent(share))
