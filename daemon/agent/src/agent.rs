@@ -8,6 +8,7 @@ use peernet_inference::{Bank, LoadError};
 use peernet_logger::Slug;
 use peernet_logger::stream::{Event, HostDescription, HostMetrics, IncidentKind, LiveUpdate, PipelineState};
 use peernet_networks::Address;
+use tokio::runtime::Handle;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
@@ -21,6 +22,7 @@ use crate::error::StartError;
 use crate::host::Host;
 use crate::identity::{StateLock, host_id};
 use crate::incidents::{Concerning, Incidents};
+use crate::io::IoThreads;
 use crate::link::{Cloud, Links, Near, ProbeSettings};
 use crate::live::{Board, Display};
 use crate::outbox::{Outbox, Tap};
@@ -45,6 +47,7 @@ pub struct Running {
     served: watch::Receiver<Served>,
     tap: Option<Tap>,
     stop_timeout: Duration,
+    io: IoThreads,
     _state: StateLock,
 }
 
@@ -120,9 +123,11 @@ async fn start(
     let places = Arc::new(Places::of(&config));
     let host =
         Host { id, name, version, clock, bank, feed, incidents, runs: Runs::default(), own, links, places };
-    let doors = Doors::open(&config, &probes, &host).await?;
+    let io = IoThreads::start(config.agent.io_threads).map_err(StartError::Threads)?;
+    let doors = io.within(Doors::open(&config, &probes, &host)).await?;
     let serves = doors.as_ref().map(|doors| doors.address().clone());
 
+    let (travelling, beside) = (io.handle(), Handle::current());
     let mut tasks = Tasks::new(&stop);
     let watching = host_clock::run(
         config.clock.clone(),
@@ -132,24 +137,24 @@ async fn start(
         publish,
         tasks.stop(),
     );
-    tasks.keep("host clock", watching);
-    tasks.keep_or_fail("links", host.links.clone().run(tasks.stop()));
+    tasks.keep(&beside, "host clock", watching);
+    tasks.keep_or_fail(travelling, "links", host.links.clone().run(tasks.stop()));
     let (figures, metrics) = watch::channel(HostMetrics::default());
-    tasks.keep("telemetry", telemetry::run(Arc::clone(&host.clock), figures, tasks.stop()));
+    tasks.keep(&beside, "telemetry", telemetry::run(Arc::clone(&host.clock), figures, tasks.stop()));
     let pipelines = TaskTracker::new();
-    let board = start_pipelines(&mut tasks, &pipelines, &config, &host);
+    let board = start_pipelines(&mut tasks, travelling, &pipelines, &config, &host);
     let (count, served) = watch::channel(Served::default());
     if let Some(doors) = doors {
         // Pipelines may compute on this very host: they finish first.
         let (told, ended) = (tasks.stop(), CancellationToken::new());
         let serving = serve::run(doors, host.clone(), count, ended.clone());
-        tasks.keep("order of stopping", async move {
+        tasks.keep(&beside, "order of stopping", async move {
             told.cancelled().await;
             pipelines.close();
             pipelines.wait().await;
             ended.cancel();
         });
-        tasks.keep_or_fail("serve", serving);
+        tasks.keep_or_fail(travelling, "serve", serving);
     }
     let outbox = match (exit, spool, &config.agent.aggregator) {
         (Some(exit), Some(spool), Some(address)) => {
@@ -162,13 +167,13 @@ async fn start(
     if let Some(outbox) = &outbox {
         // It outlives the other tasks, but they are not to outlive it.
         let (ended, told) = (outbox.ended(), tasks.stop());
-        tasks.keep("outbox", async move {
+        tasks.keep(&beside, "outbox", async move {
             let _ = told.run_until_cancelled(ended.cancelled()).await;
         });
     }
     tracing::info!(host = %host.name, id = %host.id, "the agent is up");
     let stop_timeout = config.agent.stop_timeout();
-    Ok(Running { host, board, metrics, serves, tasks, outbox, served, tap, stop_timeout, _state: state })
+    Ok(Running { host, board, metrics, serves, tasks, outbox, served, tap, stop_timeout, io, _state: state })
 }
 
 impl Running {
@@ -234,7 +239,7 @@ impl Running {
     /// # Errors
     /// When a task ended that should not have.
     pub async fn join(self) -> Result<(), Failure> {
-        let Self { host, tasks, outbox, stop_timeout, _state, .. } = self;
+        let Self { host, tasks, outbox, stop_timeout, io: _io, _state, .. } = self;
         let stop = tasks.stop();
         let told = stop.clone();
         let began = tokio::spawn(async move {
@@ -283,7 +288,13 @@ fn bank(config: &AgentConfig, clock: &SharedClock, incidents: Incidents) -> Bank
     })
 }
 
-fn start_pipelines(tasks: &mut Tasks, tracker: &TaskTracker, config: &AgentConfig, host: &Host) -> Board {
+fn start_pipelines(
+    tasks: &mut Tasks,
+    there: &Handle,
+    tracker: &TaskTracker,
+    config: &AgentConfig,
+    host: &Host,
+) -> Board {
     // Half of the time to stop is for what is under way, the other half for handing it over.
     let patience = config.agent.stop_timeout() / 2;
     let start = |pipeline: &PipelineConfig| {
@@ -293,7 +304,7 @@ fn start_pipelines(tasks: &mut Tasks, tracker: &TaskTracker, config: &AgentConfi
             StartMode::Boot => {
                 let (config, shown) = (Arc::new(pipeline.clone()), Arc::clone(&display));
                 let running = pipeline::run(config, shown, host.clone(), tasks.stop(), patience);
-                tasks.let_end(&format!("pipeline {}", pipeline.name), tracker.track_future(running));
+                tasks.let_end(there, &format!("pipeline {}", pipeline.name), tracker.track_future(running));
             }
             StartMode::Manual => {
                 let reason = "not started: its configuration says start = \"manual\"";

@@ -31,6 +31,7 @@ const MAX_BATCH_BYTES: u64 = 2 << 20;
 /// Longest wait of an event for its batch: a minute.
 const MAX_BATCH_DELAY_MS: u64 = 60_000;
 /// Longest time for stopping: a minute.
+const MAX_IO_THREADS: u64 = 64;
 const MAX_STOP_TIMEOUT_MS: u64 = 60_000;
 /// Most iterations of a pipeline under way at once.
 const MAX_IN_FLIGHT: u64 = 4096;
@@ -139,6 +140,7 @@ pub(crate) fn remarks(config: &AgentConfig) -> Vec<Problem> {
 }
 
 fn check_host(report: &mut Report, host: &HostConfig) {
+    report.at_most("agent.io_threads", host.io_threads.get() as u64, MAX_IO_THREADS);
     report.at_most("agent.queue_events", host.queue_events.get() as u64, MAX_QUEUE_EVENTS);
     report.at_most("agent.queue_bytes", host.queue_bytes.get() as u64, MAX_QUEUE_BYTES);
     report.at_most("agent.batch_nodes", host.batch_nodes.get() as u64, MAX_BATCH_NODES);

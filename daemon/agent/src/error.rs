@@ -1,5 +1,7 @@
 //! Why an agent did not start.
 
+use std::io;
+
 use peernet_logger::InvalidName;
 use peernet_networks::BindError;
 use peernet_probes::KeyError;
@@ -14,6 +16,9 @@ pub enum StartError {
     /// The machine's own name cannot be used as the agent's.
     #[error("{0}; set [agent] name")]
     Name(#[from] InvalidName),
+    /// There are no threads for it.
+    #[error("cannot start the threads for samples: {0}; [agent] io_threads says how many")]
+    Threads(#[source] io::Error),
     /// The host id could not be read or made.
     #[error(transparent)]
     Identity(#[from] IdentityError),

@@ -22,6 +22,7 @@ mod host;
 mod host_clock;
 mod identity;
 mod incidents;
+mod io;
 mod link;
 mod live;
 mod lock;

@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 
+use tokio::runtime::Handle;
 use tokio::task::{Id, JoinSet};
 use tokio_util::sync::CancellationToken;
 
@@ -35,37 +36,53 @@ impl Tasks {
         self.stop.clone()
     }
 
-    /// Starts a task that must run until it is told to stop.
-    pub(crate) fn keep(&mut self, name: &str, task: impl Future<Output = ()> + Send + 'static) {
-        self.keep_or_fail(name, async {
+    /// Starts a task there that must run until it is told to stop.
+    pub(crate) fn keep(
+        &mut self,
+        there: &Handle,
+        name: &str,
+        task: impl Future<Output = ()> + Send + 'static,
+    ) {
+        self.keep_or_fail(there, name, async {
             task.await;
             Ok(())
         });
     }
 
-    /// Starts a task that must run until it is told to stop, and may tell why it could not.
+    /// Starts a task there that must run until it is told to stop, and may tell why it could not.
     pub(crate) fn keep_or_fail(
         &mut self,
+        there: &Handle,
         name: &str,
         task: impl Future<Output = Result<(), String>> + Send + 'static,
     ) {
         let stop = self.stop();
-        self.spawn(name, async move {
+        self.spawn(there, name, async move {
             task.await?;
             if stop.is_cancelled() { Ok(()) } else { Err("it was not told to".to_owned()) }
         });
     }
 
-    /// Starts a task that may end when it is done.
-    pub(crate) fn let_end(&mut self, name: &str, task: impl Future<Output = ()> + Send + 'static) {
-        self.spawn(name, async {
+    /// Starts a task there that may end when it is done.
+    pub(crate) fn let_end(
+        &mut self,
+        there: &Handle,
+        name: &str,
+        task: impl Future<Output = ()> + Send + 'static,
+    ) {
+        self.spawn(there, name, async {
             task.await;
             Ok(())
         });
     }
 
-    fn spawn(&mut self, name: &str, task: impl Future<Output = Result<(), String>> + Send + 'static) {
-        let id = self.set.spawn(task).id();
+    fn spawn(
+        &mut self,
+        there: &Handle,
+        name: &str,
+        task: impl Future<Output = Result<(), String>> + Send + 'static,
+    ) {
+        let id = self.set.spawn_on(task, there).id();
         self.names.insert(id, name.to_owned());
     }
 
@@ -99,9 +116,9 @@ mod tests {
         let outer = CancellationToken::new();
         let mut tasks = Tasks::new(&outer);
         let stop = tasks.stop();
-        tasks.keep("steady", async move { stop.cancelled().await });
-        tasks.let_end("brief", async {});
-        tasks.keep("fragile", async { panic!("as planned") });
+        tasks.keep(&Handle::current(), "steady", async move { stop.cancelled().await });
+        tasks.let_end(&Handle::current(), "brief", async {});
+        tasks.keep(&Handle::current(), "fragile", async { panic!("as planned") });
         let failure = tasks.join().await.expect_err("fragile died");
         assert_eq!(failure.part, "fragile");
         assert!(!outer.is_cancelled(), "the rest of the process goes on");
@@ -110,7 +127,7 @@ mod tests {
     #[tokio::test]
     async fn a_task_that_stops_untold_is_a_failure() {
         let mut tasks = Tasks::new(&CancellationToken::new());
-        tasks.keep("lazy", async {});
+        tasks.keep(&Handle::current(), "lazy", async {});
         assert_eq!(tasks.join().await.expect_err("lazy stopped").part, "lazy");
     }
 
@@ -119,7 +136,7 @@ mod tests {
         let outer = CancellationToken::new();
         let mut tasks = Tasks::new(&outer);
         let stop = tasks.stop();
-        tasks.keep("steady", async move { stop.cancelled().await });
+        tasks.keep(&Handle::current(), "steady", async move { stop.cancelled().await });
         outer.cancel();
         tasks.join().await.expect("a clean end");
     }

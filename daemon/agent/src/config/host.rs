@@ -28,6 +28,10 @@ pub struct HostConfig {
     /// between them are exact. Another name makes peers treat it as a clock of its own, which is for tests and
     /// rehearsals. Default: `system`.
     pub clock_identity: String,
+    /// Threads on which samples travel between hosts, for all pipelines and peers together; sensors and models have
+    /// their own. One carries some gigabytes each second, and is quicker than several where it suffices. At most 64.
+    /// Default: 1.
+    pub io_threads: NonZeroUsize,
     /// Events that may wait in memory because they are not in the spool yet, which takes milliseconds unless its disk
     /// is slow, full or broken; when they are this many the newest are dropped, counted and reported as a gap. At most
     /// 10000000. Default: 50000.
@@ -54,6 +58,7 @@ impl Default for HostConfig {
             state_dir: PathBuf::from("/var/lib/peernet/agent"),
             aggregator: None,
             clock_identity: ClockIdentity::SYSTEM.to_owned(),
+            io_threads: NonZeroUsize::MIN,
             queue_events: const { NonZeroUsize::new(50_000).expect("above 0") },
             queue_bytes: const { NonZeroUsize::new(32 << 20).expect("above 0") },
             batch_nodes: const { NonZeroUsize::new(8192).expect("above 0") },

@@ -1,6 +1,8 @@
 //! Clouds that are not there, go away and come back.
 
 use peernet_logger::stream::{IncidentKind, Outcome, PipelineState};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::task::{JoinHandle, JoinSet};
 
 use crate::harness::{Aggregator, TestAgent, assert_contiguous};
 
@@ -23,6 +25,22 @@ fn edge(port: u16, model: &str) -> String {
 fn free_port() -> u16 {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
     listener.local_addr().expect("bound").port()
+}
+
+/// A port whose connections reach another one until the task is aborted: then they end without a goodbye.
+async fn cable_to(port: u16) -> (u16, JoinHandle<()>) {
+    let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
+    let here = listener.local_addr().expect("bound").port();
+    let cable = tokio::spawn(async move {
+        let mut connections = JoinSet::new();
+        while let Ok((mut near, _)) = listener.accept().await {
+            connections.spawn(async move {
+                let mut far = TcpStream::connect(("127.0.0.1", port)).await?;
+                tokio::io::copy_bidirectional(&mut near, &mut far).await
+            });
+        }
+    });
+    (here, cable)
 }
 
 fn is_waiting(state: &PipelineState) -> bool {
@@ -149,26 +167,15 @@ async fn an_edge_that_takes_its_leave_is_no_incident_and_one_that_is_lost_is() {
     served.wait_for(|served| served.answers >= 5 && served.sessions == 0).await.expect("serves");
     first.stop().await.expect("stops well");
 
-    // Its runtime goes with all its sockets, without a goodbye.
-    let (end, ended) = std::sync::mpsc::sync_channel::<()>(1);
-    let second = std::thread::spawn(move || {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
-        let agent = runtime.block_on(async {
-            let agent = TestAgent::start("second", None, &edge(port, "slow")).await;
-            agent.until_state(|state| *state == PipelineState::Running).await;
-            agent
-        });
-        ended.recv().expect("told to end");
-        runtime.shutdown_background();
-        agent.kill();
-    });
+    let (cable_port, cable) = cable_to(port).await;
+    let second = TestAgent::start("second", None, &edge(cable_port, "slow")).await;
     served.wait_for(|served| served.sessions == 1).await.expect("serves");
-    end.send(()).expect("waits");
+    cable.abort();
     let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Disconnected).is_empty()).await;
     let lost: Vec<&str> =
         seen.incidents(IncidentKind::Disconnected).iter().map(|it| it.text.as_str()).collect();
     assert!(matches!(lost[..], [text] if text.starts_with("lost second: ")), "{lost:?}");
     assert_eq!(served.borrow().sessions, 0);
-    second.join().expect("no panic");
+    second.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");
 }
