@@ -14,6 +14,7 @@ use peernet_actuators::ActuatorConfig;
 use peernet_clock::SharedClock;
 use peernet_inference::{Bank, LoadError};
 use peernet_logger::Slug;
+use peernet_logger::limits::MAX_PIPELINES;
 use peernet_networks::SessionSettings;
 use rustix::fs::{Access, access};
 
@@ -30,8 +31,9 @@ const MAX_BATCH_NODES: u64 = 1_000_000;
 const MAX_BATCH_BYTES: u64 = 2 << 20;
 /// Longest wait of an event for its batch: a minute.
 const MAX_BATCH_DELAY_MS: u64 = 60_000;
-/// Longest time for stopping: a minute.
+/// Most threads on which samples travel.
 const MAX_IO_THREADS: u64 = 64;
+/// Longest time for stopping: a minute.
 const MAX_STOP_TIMEOUT_MS: u64 = 60_000;
 /// Most iterations of a pipeline under way at once.
 const MAX_IN_FLIGHT: u64 = 4096;
@@ -112,6 +114,7 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     if let Some(rehearsal) = &config.rehearsal {
         time::check_rehearsal(&mut report, rehearsal);
     }
+    report.at_most("pipeline", config.pipelines.len() as u64, MAX_PIPELINES as u64);
     let mut names = HashSet::new();
     for (index, pipeline) in config.pipelines.iter().enumerate() {
         let at = format!("pipeline[{index}]");

@@ -98,9 +98,6 @@ impl<'a> Cycle<'a> {
         }
         let clock = &self.host.clock;
         let now = clock.mono();
-        if self.brake.holds_until(now).is_some() {
-            return false;
-        }
         if self.run.is_yesterdays(clock.wall()) {
             self.ending = Some(Ended::Midnight);
             return true;
@@ -109,6 +106,10 @@ impl<'a> Cycle<'a> {
         if self.run.is_over(next) {
             self.ending = Some(Ended::Limit);
             return true;
+        }
+        // Asked last: a run that is over does not wait.
+        if self.brake.holds_until(now).is_some() {
+            return false;
         }
         let Some(start) = self.line.schedule.take(now) else { return false };
         let (log, begun) = iteration::begin(clock, self.host.id, start.intended);
@@ -199,7 +200,7 @@ impl<'a> Cycle<'a> {
             }
             Err(error) => {
                 let ticket = ticket();
-                let reason = error.to_string();
+                let reason = one_line(error.to_string());
                 self.blind = self.blind.saturating_add(1);
                 if self.blind == BLIND {
                     self.report_blindness(&reason);
@@ -229,6 +230,7 @@ impl<'a> Cycle<'a> {
         transport: Option<Span>,
         ended: Stamp,
     ) {
+        let outcome = in_one_line(outcome);
         let closed_loop = self.line.schedule.is_closed();
         if closed_loop {
             self.brake.note(&outcome, ended.mono);
@@ -236,4 +238,21 @@ impl<'a> Cycle<'a> {
         let tree = iteration::close(log, &ticket, ended.mono, closed_loop, transport);
         self.run.record(ticket.position, outcome, tree, ended, self.host, &self.line.display);
     }
+}
+
+/// A reason is a cell of a table and ends up on terminals, whoever gave it: a sensor's or a model's may be a traceback.
+fn in_one_line(outcome: Outcome) -> Outcome {
+    match outcome {
+        Outcome::Failed(reason) => Outcome::Failed(one_line(reason)),
+        Outcome::Lost(reason) => Outcome::Lost(one_line(reason)),
+        other @ (Outcome::Ok | Outcome::Timeout) => other,
+    }
+}
+
+/// Control characters become spaces.
+fn one_line(text: String) -> String {
+    if !text.contains(char::is_control) {
+        return text;
+    }
+    text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
 }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use peernet_clock::SharedClock;
+use peernet_clock::{MonoTime, SharedClock};
 use peernet_sensors::{Transform, build_transform};
 
 use super::acting::Acting;
@@ -61,6 +61,11 @@ impl Line {
             sensing: None,
             facts,
         })
+    }
+
+    /// Begins the beat anew, with a run: what came due before there was one is nobody's latency.
+    pub(super) fn begin_beat(&mut self, now: MonoTime) {
+        self.schedule = Schedule::new(&self.config.load, self.config.max_in_flight.get(), now);
     }
 
     /// What the run's page says of sensor, transforms and load, then of the model.

@@ -95,7 +95,11 @@ impl Runner {
             }
             let current = match &mut run {
                 Some(run) => run,
-                None => run.insert(self.begin(line.facts(placement.facts()), &placement, false).await),
+                None => {
+                    let begun = self.begin(line.facts(placement.facts()), &placement, false).await;
+                    line.begin_beat(self.host.clock.mono());
+                    run.insert(begun)
+                }
             };
             let ended = self.measure(&mut line, current, &placement).await;
             let ordered = current.ordered(&ended);
@@ -174,7 +178,7 @@ impl Runner {
         loop {
             let opening = self.stop.run_until_cancelled(Placement::open(&self.config, &self.host));
             let Some(opened) = opening.await else { return Ok(None) };
-            // The plan goes on meanwhile: what comes due now is skipped and counted.
+            // In mid-run the plan goes on meanwhile: what comes due now is skipped and counted.
             line.schedule.catch_up(self.host.clock.mono());
             let (trouble, error, pause) = match opened {
                 Ok(placement) => {

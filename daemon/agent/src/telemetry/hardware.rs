@@ -9,7 +9,7 @@ use sysinfo::{CpuRefreshKind, MemoryRefreshKind, System};
 /// Describes this machine; what cannot be read stays empty.
 pub(crate) fn hardware() -> Hardware {
     let mut description = Hardware {
-        system: System::long_os_version().unwrap_or_default(),
+        system: system(),
         architecture: System::cpu_arch(),
         gpus: gpus(Path::new("/proc")),
         ..Hardware::default()
@@ -22,6 +22,12 @@ pub(crate) fn hardware() -> Hardware {
         description.memory_bytes = system.total_memory();
     }
     description
+}
+
+/// The distribution and the kernel, whose network stack and scheduler are part of every latency.
+fn system() -> String {
+    let kernel = System::kernel_version().map(|release| format!("kernel {release}"));
+    System::long_os_version().into_iter().chain(kernel).collect::<Vec<_>>().join(", ")
 }
 
 /// NVIDIA's accelerators by the name that their driver gives them, in the order of the bus; a Jetson, whose accelerator
@@ -75,6 +81,8 @@ mod tests {
     fn this_machine_has_cores_and_memory() {
         let hardware = hardware();
         assert!(hardware.cores >= 1 && hardware.memory_bytes > 64 << 20, "{hardware:?}");
-        assert!(!hardware.architecture.is_empty() && !hardware.system.is_empty(), "{hardware:?}");
+        assert!(!hardware.architecture.is_empty(), "{hardware:?}");
+        let release = fs::read_to_string("/proc/sys/kernel/osrelease").expect("the kernel tells");
+        assert!(hardware.system.ends_with(&format!(", kernel {}", release.trim())), "{hardware:?}");
     }
 }

@@ -62,7 +62,7 @@ fn every_problem_is_found_at_once_with_its_key_and_a_remedy() {
 fn numbers_that_no_machine_could_serve_are_refused_with_the_limit() {
     let state = tempfile::tempdir().expect("a folder");
     let mut greedy = config(
-        "[agent]\nqueue_events = 1000000000000\nqueue_bytes = 1000000000000000\nbatch_nodes = 1000000000\n\
+        "[agent]\nio_threads = 65\nqueue_events = 1000000000000\nqueue_bytes = 1000000000000000\nbatch_nodes = 1000000000\n\
          batch_bytes = 1000000000\nbatch_delay_ms = 4000000000\nstop_timeout_ms = 60001\n\
          [spool]\nlimit_bytes = 1000000000000000\nsync_interval_ms = 4000000000\n\
          [[model]]\nname = 'echo'\nkind = 'echo'\nanswer_bytes = 1000000000000000\n\
@@ -75,6 +75,7 @@ fn numbers_that_no_machine_could_serve_are_refused_with_the_limit() {
     greedy.agent.state_dir = state.path().to_owned();
     let found = problems(&greedy);
     for (key, most) in [
+        ("agent.io_threads", "64"),
         ("agent.queue_events", "10000000"),
         ("agent.queue_bytes", "17179869184"),
         ("agent.batch_nodes", "1000000"),
@@ -94,7 +95,25 @@ fn numbers_that_no_machine_could_serve_are_refused_with_the_limit() {
         let says = |problem: &String| problem.starts_with(&format!("{key}: ")) && problem.ends_with(&limit);
         assert!(found.iter().any(says), "{key} {most} in {found:#?}");
     }
-    assert_eq!(found.len(), 14, "{found:#?}");
+    assert_eq!(found.len(), 15, "{found:#?}");
+}
+
+#[test]
+fn more_pipelines_than_the_pages_show_are_refused() {
+    let state = tempfile::tempdir().expect("a folder");
+    let of = |count: u32| {
+        let pipeline = |number| {
+            format!(
+                "[[pipeline]]\nname = 'p{number}'\nsensor = {{ kind = 'synthetic', size_bytes = 1 }}\n\
+                 placement = {{ kind = 'none' }}\n"
+            )
+        };
+        let mut config = config(&(0..count).map(pipeline).collect::<String>());
+        config.agent.state_dir = state.path().to_owned();
+        problems(&config)
+    };
+    assert_eq!(of(256), Vec::<String>::new());
+    assert_eq!(of(257), ["pipeline: 257 is too much; at most 256"]);
 }
 
 #[test]

@@ -4,7 +4,7 @@ use peernet_logger::stream::{IncidentKind, Outcome, PipelineState};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::{JoinHandle, JoinSet};
 
-use crate::harness::{Aggregator, TestAgent, assert_contiguous};
+use crate::harness::{Aggregator, TestAgent, assert_contiguous, value};
 
 fn cloud(port: u16) -> String {
     format!(
@@ -62,6 +62,11 @@ async fn a_cloud_that_is_not_up_yet_is_waited_for() {
     let seen = aggregator.until(|seen| seen.iterations().len() >= 5).await;
     assert_eq!(seen.runs().len(), 1);
     assert_eq!(seen.incidents(IncidentKind::Disconnected).len(), 1, "said once");
+    // What came due while there was nobody yet is neither late nor skipped: the beat begins with the run.
+    let (iterations, started) = (seen.iterations(), seen.runs()[0].started);
+    let first = iterations.iter().find(|it| it.number == 1).expect("the first");
+    assert_eq!(value(&first.tree, "skipped-starts"), None);
+    assert!(iterations.iter().all(|it| it.tree.anchors()[0].wall >= started), "{started:?}");
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");
 }

@@ -36,6 +36,28 @@ async fn a_broken_picture_fails_its_iteration_and_the_run_goes_on() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_traceback_is_a_reason_of_one_line() {
+    let aggregator = Aggregator::start().await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let code =
+        "class Camera:\n    def sample(self): raise ValueError('out of\\nfocus')\n\ncamera = Camera()\n";
+    std::fs::write(folder.path().join("mine.py"), code).expect("written");
+    let tables = format!(
+        "[[pipeline]]\nname = 'line'\nplacement = {{ kind = 'none' }}\n\
+         sensor = {{ kind = 'python', object = 'mine::camera', folder = '{}' }}\n\
+         warm_up = {{ iterations = 0 }}\nlimit = {{ iterations = 1 }}",
+        folder.path().display()
+    );
+    let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    let iterations = seen.iterations();
+    let reason = iterations[0].outcome.reason().expect("it failed");
+    assert!(reason.contains("out of focus") && reason.contains("in sample"), "{reason}");
+    assert!(!reason.contains(char::is_control), "{reason:?}");
+    agent.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_cloud_is_told_of_iterations_that_never_came_once_their_run_is_over() {
     let folder = tempfile::tempdir().expect("a folder");
     image::RgbImage::new(8, 6).save(folder.path().join("a.png")).expect("written");
