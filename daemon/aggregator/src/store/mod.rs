@@ -14,9 +14,12 @@ mod tests;
 pub(crate) mod types;
 pub(crate) mod write;
 
+use std::collections::HashMap;
+
 use peernet_clock::WallTime;
 use peernet_logger::stream::Iteration;
 use peernet_logger::{HostId, Name};
+use peernet_statistics::Summary;
 
 use crate::error::StoreError;
 use readers::Readers;
@@ -90,6 +93,11 @@ impl Store {
     /// As [`Store::statistics`], of one run.
     pub async fn statistics_of(&self, run: i64) -> Result<RunStatistics, StoreError> {
         Ok(self.statistics(&[run]).await?.pop().unwrap_or_default())
+    }
+
+    /// All that is kept of one node name over each of these runs, by run: what has no samples is absent.
+    pub async fn summaries(&self, runs: &[i64], stage: &str) -> Result<HashMap<i64, Summary>, StoreError> {
+        read::statistics::summaries(&self.readers, runs, stage).await
     }
 
     /// The distribution of one node name over at most `bins` bins (1 to 500).

@@ -58,6 +58,8 @@ pub struct RunSummary {
     pub counts: OutcomeCounts,
     /// Iterations of the warm-up, stored but in no statistic.
     pub warm_up: u64,
+    /// Starts of an open loop that were skipped before its iterations, whatever became of these; warm-up left out.
+    pub skipped_starts: u64,
     /// Figures of `total`, seconds; successful iterations only.
     pub total: Option<Figures>,
     /// Whether the clock of one of its hosts was made wrong on purpose.
@@ -265,7 +267,8 @@ pub struct IterationDetail {
     pub row: IterationRow,
     /// The tree as the agent sent it.
     pub tree: Tree,
-    /// The names of the hosts of the tree's anchors, in their order; `None` for a host that never reported here.
+    /// The names of the hosts of the tree's anchors, in their order; `None` for one that never reported here and is not
+    /// the run's server.
     pub hosts: Vec<Option<Slug>>,
     /// Place among the slowest successful iterations of the run, from 1; `None` beyond the 1,000 slowest, and for
     /// iterations that are in no statistic.

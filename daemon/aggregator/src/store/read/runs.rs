@@ -36,6 +36,7 @@ struct RunRow {
     failed: i64,
     lost: i64,
     timeout: i64,
+    skipped_starts: i64,
     facts: String,
     configuration: String,
     version: String,
@@ -189,6 +190,7 @@ fn summary(row: &RunRow, total: Option<&statistics::Known>) -> Result<RunSummary
             timeout: count(row.timeout),
         },
         warm_up: count(row.warm_up),
+        skipped_starts: count(row.skipped_starts),
         total: total.and_then(statistics::Known::figures),
         // Of the edge itself, and of each cloud by its name.
         rehearsed: facts(row)?

@@ -15,7 +15,8 @@ macro_rules! run_columns {
         "SELECT run.number, run.uuid, host.uuid AS host_uuid, host.name AS host_name, pipeline.name AS pipeline, \
          run.placement, run.peer, run.network, run.address, run.model, run.device, run.started_ns, run.ended_ns, \
          run.end_reason, run.last_iteration_ns, run.warm_up, run.ok, run.failed, run.lost, run.timeout, \
-         run.facts, run.configuration, run.version, run.pinned, run.nodes_from, run.experiment, run.conditions \
+         run.facts, run.configuration, run.version, run.pinned, run.nodes_from, run.experiment, run.conditions, \
+         run.skipped_starts \
          FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host "
     };
 }
@@ -147,8 +148,8 @@ statements! {
     /// As `NODES`.
     TRANSITS = "SELECT iteration, node, sent_ns, received_ns, raw_ns, source, verdict FROM transit \
                 WHERE run = ?1 AND iteration IN (SELECT value FROM json_each(?2)) ORDER BY iteration, node";
-    /// The host that senses: ?1 run.
-    EDGE = "SELECT host.uuid, host.name FROM run JOIN pipeline ON pipeline.id = run.pipeline \
+    /// The host that senses, and the name of the one that serves it: ?1 run.
+    ENDS = "SELECT host.uuid, host.name, run.peer FROM run JOIN pipeline ON pipeline.id = run.pipeline \
             JOIN host ON host.id = pipeline.host WHERE run.number = ?1";
     /// As `NODES`.
     ANCHORS = "SELECT anchor.iteration, host.uuid, host.name, anchor.wall_ns FROM anchor \

@@ -82,6 +82,15 @@ pub(super) async fn whole_runs(
     Ok(found)
 }
 
+pub(in crate::store) async fn summaries(
+    readers: &Readers,
+    runs: &[i64],
+    stage: &str,
+) -> Result<HashMap<i64, Summary>, StoreError> {
+    let found = whole_runs(readers, runs, stage).await?;
+    Ok(found.into_iter().map(|(run, known)| (run, known.summary)).collect())
+}
+
 /// Numbers as statements take them: a JSON array.
 fn list(numbers: &[i64]) -> Result<String, StoreError> {
     serde_json::to_string(numbers).map_err(|error| corrupt(WHAT, error))

@@ -45,6 +45,14 @@ struct AnchorRow {
     wall_ns: i64,
 }
 
+/// The host that senses, and the name of the one that serves it: the tree's second host.
+#[derive(FromRow)]
+struct Ends {
+    uuid: String,
+    name: Option<String>,
+    peer: Option<String>,
+}
+
 /// A tree, and the names of its anchors' hosts.
 pub(super) type Stored = (Tree, Vec<Option<Slug>>);
 
@@ -57,8 +65,8 @@ pub(super) async fn trees(
 ) -> Result<Vec<Option<Stored>>, StoreError> {
     let numbers: Vec<i64> = iterations.iter().map(|(number, _)| *number).collect();
     let numbers = serde_json::to_string(&numbers).map_err(|error| corrupt(WHAT, error))?;
-    let edge: (String, Option<String>) =
-        sqlx::query_as(sql::EDGE).bind(run).fetch_one(&readers.pool).await.map_err(readers.failed(WHAT))?;
+    let ends: Ends =
+        sqlx::query_as(sql::ENDS).bind(run).fetch_one(&readers.pool).await.map_err(readers.failed(WHAT))?;
     let anchors: Vec<AnchorRow> = sqlx::query_as(sql::ANCHORS)
         .bind(run)
         .bind(&numbers)
@@ -87,7 +95,7 @@ pub(super) async fn trees(
             take(&mut transits, |row| row.iteration == *number),
         );
         let is_there = !nodes.is_empty();
-        trees.push(is_there.then(|| tree(&edge, *started, others, nodes, transits)).transpose()?);
+        trees.push(is_there.then(|| tree(&ends, *started, others, nodes, transits)).transpose()?);
     }
     Ok(trees)
 }
@@ -100,17 +108,19 @@ fn take<'a, T>(rows: &mut &'a [T], is_meant: impl Fn(&T) -> bool) -> &'a [T] {
 }
 
 fn tree(
-    edge: &(String, Option<String>),
+    ends: &Ends,
     started: WallTime,
     others: &[AnchorRow],
     nodes: &[NodeRow],
     transits: &[TransitRow],
 ) -> Result<Stored, StoreError> {
-    let mut anchors = vec![Anchor { host: parse(WHAT, &edge.0)?, wall: started }];
-    let mut hosts = vec![name(WHAT, edge.1.as_deref())?];
-    for other in others {
+    let mut anchors = vec![Anchor { host: parse(WHAT, &ends.uuid)?, wall: started }];
+    let mut hosts = vec![name(WHAT, ends.name.as_deref())?];
+    for (at, other) in others.iter().enumerate() {
         anchors.push(Anchor { host: parse(WHAT, &other.uuid)?, wall: wall(other.wall_ns) });
-        hosts.push(name(WHAT, other.name.as_deref())?);
+        // A server that reports to no aggregator, or to another one, is known by what the edge calls it.
+        let peer = ends.peer.as_ref().filter(|_| at == 0);
+        hosts.push(name(WHAT, other.name.as_ref().or(peer).map(String::as_str))?);
     }
     let mut nodes_again = Vec::with_capacity(nodes.len());
     for row in nodes {

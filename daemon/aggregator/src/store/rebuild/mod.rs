@@ -25,6 +25,18 @@ pub struct Rebuilt {
 const NEXT_RUN: &str = "SELECT min(number) FROM run WHERE number > ?1";
 /// Up to where nodes are gone: ?1 run.
 const FLOOR: &str = "SELECT before_s FROM trimmed WHERE run = ?1 AND kind = 0";
+/// Starts that were skipped before the iterations of a run, as the migration that made the column counts them: ?1 run. Those
+/// before answered iterations stand in the roll-up of the whole run.
+const SKIPPED_STARTS: &str = "UPDATE run SET skipped_starts = CAST(coalesce(max(0.0, min(9007199254740992.0, round( \
+     (SELECT total(rollup.count * rollup.mean) FROM rollup \
+     WHERE rollup.run = run.number AND rollup.resolution_s = 0 AND rollup.bucket_s = 0 AND rollup.quantity = 0 \
+     AND rollup.name IN (SELECT id FROM name WHERE text = 'skipped-starts')) \
+     + (SELECT total(node.value) FROM iteration INDEXED BY iteration_without_answer \
+     CROSS JOIN node ON node.run = iteration.run AND node.iteration = iteration.number \
+     WHERE iteration.run = run.number AND iteration.outcome <> 0 AND iteration.warm_up = 0 \
+     AND node.value > 0 AND node.name IN (SELECT id FROM name WHERE text = 'skipped-starts')) \
+     ))), 0.0) AS INTEGER) \
+     WHERE number = ?1";
 
 /// Makes the roll-ups of a run, or of all, from its nodes, as far as they still exist: each run in a transaction of its
 /// own, so that each has its old statistics or its new ones. `progress` is told after every few thousand summaries.
@@ -85,6 +97,10 @@ async fn one_run(
         progress(rebuilt);
     })
     .await?;
+    // Where nodes are missing, nobody can count again what was skipped before them.
+    if floor.is_none() {
+        sqlx::query(SKIPPED_STARTS).bind(run).execute(&mut *connection).await?;
+    }
     complete(connection, run, floor).await
 }
 
@@ -114,9 +130,10 @@ async fn complete(
 
 /// What a rebuild asks: a test looks at the plans.
 #[cfg(test)]
-pub(crate) const QUESTIONS: [(&str, &str); 5] = [
+pub(crate) const QUESTIONS: [(&str, &str); 6] = [
     ("NEXT_RUN", NEXT_RUN),
     ("FLOOR", FLOOR),
+    ("SKIPPED_STARTS", SKIPPED_STARTS),
     ("PAGE", nodes::PAGE),
     ("NUMBERS", nodes::NUMBERS),
     ("TENS", coarser::TENS),

@@ -110,6 +110,22 @@ async fn a_database_without_experiments_goes_on_as_it_was() {
 }
 
 #[tokio::test]
+async fn skipped_starts_of_stored_runs_are_counted_once() {
+    for version in [1, 6] {
+        let mut bed = Bed::new().await;
+        bed.run_that_skips().await;
+        bed.run_of(5).await;
+        let path = as_of_version(&bed, version).await;
+        reopen(&mut bed, &path).await;
+        assert_eq!(bed.skipped_starts().await, [super::skipped::SKIPPED, 0], "version {version}");
+        reopen(&mut bed, &path).await;
+        bed.run_that_skips().await;
+        let both = [super::skipped::SKIPPED, 0, super::skipped::SKIPPED];
+        assert_eq!(bed.skipped_starts().await, both, "version {version}");
+    }
+}
+
+#[tokio::test]
 async fn a_database_of_any_version_before_goes_on_as_it_was() {
     for version in 1..=TABLES.len() {
         let mut bed = Bed::new().await;

@@ -19,6 +19,7 @@ mod recomputing;
 mod retention;
 mod rollups;
 mod simulation;
+mod skipped;
 mod whole;
 mod writing;
 

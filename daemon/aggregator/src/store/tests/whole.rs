@@ -2,7 +2,7 @@
 
 use peernet_clock::Span;
 use peernet_logger::stream::{Event, Iteration, Outcome};
-use peernet_logger::{Measure, NodeId};
+use peernet_logger::{HostId, Measure, NodeId, RunId};
 
 use super::{Bed, generate};
 use crate::store::types::RunSummary;
@@ -50,4 +50,21 @@ async fn each_shape_of_a_tree_is_found_once_on_a_page() {
     assert_eq!((last, firsts), (43, vec![sent[0].clone(), sent[41].clone()]));
     assert_eq!(bed.store.shapes(&run, 43).await.expect("answers"), None);
     assert_eq!(bed.store.whole(&run, 43).await.expect("answers"), None);
+}
+
+/// A published server reports to no aggregator: it is known by what the edge calls it.
+#[tokio::test]
+async fn a_server_that_never_reported_has_the_name_of_the_run() {
+    let mut bed = Bed::new().await;
+    let (run, silent) = (RunId::random(), HostId::random());
+    let mut numbers = generate::Numbers(5);
+    let iteration = generate::iteration(run, 1, (bed.edge, silent), &mut numbers);
+    let started = generate::run_started(run, "line", generate::at(0.0));
+    let work = bed.batch(vec![started, Event::Iteration(iteration)]);
+    bed.commit(&[work]).await;
+    let detail = bed.store.iteration(1, 1).await.expect("answers").expect("exists");
+    let names: Vec<Option<String>> =
+        detail.hosts.iter().map(|host| host.as_ref().map(ToString::to_string)).collect();
+    assert_eq!(names, [Some("edge".to_owned()), Some("cloud".to_owned())]);
+    assert_eq!(detail.tree.anchors()[1].host, silent);
 }

@@ -17,6 +17,9 @@ use crate::store::column::{column, count};
 /// Hosts whose counters are kept in memory; beyond, all are forgotten and read again when needed.
 const MOST_HOSTS: usize = 10_000;
 
+/// Skipped starts that a run may have: an agent may claim any number, and no column and no sum of runs may overflow.
+const MOST_SKIPPED: u64 = 1 << 53;
+
 /// What a transaction adds to the counters of a host.
 #[derive(Debug, Default)]
 pub(super) struct HostCounts {
@@ -29,6 +32,7 @@ pub(super) struct HostCounts {
 struct RunCounts {
     outcomes: OutcomeCounts,
     warm_up: u64,
+    skipped_starts: u64,
     last: WallTime,
 }
 
@@ -59,8 +63,9 @@ impl Default for Counters {
                 "UPDATE run SET warm_up = warm_up + more.column2, ok = ok + more.column3, \
                  failed = failed + more.column4, lost = lost + more.column5, timeout = timeout + more.column6, \
                  last_iteration_ns = max(coalesce(last_iteration_ns, more.column7), more.column7), \
-                 ended_ns = iif(end_reason = more.column8, max(ended_ns, more.column7), ended_ns) FROM (",
-                8,
+                 ended_ns = iif(end_reason = more.column8, max(ended_ns, more.column7), ended_ns), \
+                 skipped_starts = min(skipped_starts + more.column9, more.column10) FROM (",
+                10,
                 ") AS more WHERE run.number = more.column1",
             ),
         }
@@ -80,6 +85,7 @@ impl Counters {
         let counts = self.runs.entry(run).or_default();
         counts.outcomes.merge(&part.outcomes);
         counts.warm_up += part.warm_up;
+        counts.skipped_starts = counts.skipped_starts.saturating_add(part.skipped_starts).min(MOST_SKIPPED);
         counts.last = counts.last.max(part.last);
     }
 
@@ -98,7 +104,9 @@ impl Counters {
                 to.add(column(counts.outcomes.lost))?;
                 to.add(column(counts.outcomes.timeout))?;
                 to.add(counts.last.unix_nanos())?;
-                to.add(LEFT)
+                to.add(LEFT)?;
+                to.add(column(counts.skipped_starts))?;
+                to.add(column(MOST_SKIPPED))
             })
             .await?;
         self.runs.clear();

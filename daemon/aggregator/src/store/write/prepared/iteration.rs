@@ -2,10 +2,13 @@
 
 use peernet_clock::{DelaySource, Verdict, WallTime};
 use peernet_logger::stream::{Iteration, Outcome, OutcomeCounts};
-use peernet_logger::{HostId, Measure, NodeId, Transit, stage};
+use peernet_logger::{HostId, Measure, NodeId, Transit, Tree, stage};
 
 use super::{AnchorRow, IterationRow, NodeRow, Preparing, RunPart, Step, TransitRow};
 use crate::store::write::rollups::Quantity;
+
+/// How many starts of an open loop were skipped before an iteration: a node of the agent.
+const SKIPPED_STARTS: &str = "skipped-starts";
 
 impl Preparing {
     /// Adds an iteration; returns when it began.
@@ -77,11 +80,20 @@ impl Preparing {
             let run = batch.runs.len() as u32;
             batch.steps.push(Step::Run(run, started));
             let outcomes = OutcomeCounts::default();
-            batch.runs.push(RunPart { id: iteration.run, outcomes, warm_up: 0, last: started });
+            batch.runs.push(RunPart {
+                id: iteration.run,
+                outcomes,
+                warm_up: 0,
+                skipped_starts: 0,
+                last: started,
+            });
             run
         });
         let part = &mut batch.runs[run as usize];
         part.last = part.last.max(started);
+        if !iteration.warm_up {
+            part.skipped_starts = part.skipped_starts.saturating_add(skipped_starts(&iteration.tree));
+        }
         let outcomes = &mut part.outcomes;
         let counter = match &iteration.outcome {
             _ if iteration.warm_up => &mut part.warm_up,
@@ -101,6 +113,12 @@ impl Preparing {
             self.batch.hosts.len() as u32 - 1
         })
     }
+}
+
+fn skipped_starts(tree: &Tree) -> u64 {
+    let value = tree.find(&[SKIPPED_STARTS]).and_then(|(_, node)| node.measure.value());
+    // What no count can be is none, or as many as fit.
+    value.unwrap_or(0.0) as u64
 }
 
 /// Row of the table `outcome`.

@@ -63,6 +63,8 @@ pub(super) struct RunPart {
     pub(super) id: RunId,
     pub(super) outcomes: OutcomeCounts,
     pub(super) warm_up: u64,
+    /// Starts that were skipped before them, without those before the warm-up.
+    pub(super) skipped_starts: u64,
     /// When the last of them began.
     pub(super) last: WallTime,
 }
