@@ -8,4 +8,7 @@ pub mod exec;
 pub mod process;
 pub mod python;
 
+mod digest;
 mod text;
+
+pub use digest::sha256;

@@ -29,7 +29,8 @@ pub trait Sensor: Send {
         true
     }
 
-    /// What it is, in words, for the run's page: pairs such as (`Sensor`, `30 images of models/…`).
+    /// What it is, in words, for the run's page: pairs such as (`Sensor`, `30 images of models/…`). May read its files, so
+    /// that it is asked before a run and not on an I/O thread.
     fn facts(&self) -> Vec<(String, String)>;
 }
 

@@ -9,7 +9,11 @@ use std::path::{Path, PathBuf};
 use peernet_clock::Span;
 use serde::{Deserialize, Serialize};
 
+use crate::digest;
 use crate::process::{MAX_TIMEOUT_MS, find_program, impossible_variable};
+
+/// Most files of a command that are told.
+const MOST_FILES: usize = 4;
 
 /// A command: a line for the shell, or a program with its arguments.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -81,6 +85,29 @@ impl ExecConfig {
                 Some(program) => self.find(program),
             },
         }
+    }
+
+    /// What it is, for the run's page: the command, and the files that it names, each with its SHA-256, with the `role` before
+    /// each name. Reads those files.
+    pub fn facts(&self, role: &str) -> Vec<(String, String)> {
+        let mut facts = vec![(role.to_owned(), format!("the program {}", self.command))];
+        facts.extend(digest::fact(role, &self.files()));
+        facts
+    }
+
+    /// The files that the command names, as far as that can be told by looking: the program, and its script or data.
+    fn files(&self) -> Vec<PathBuf> {
+        let (program, words): (_, Vec<&str>) = match &self.command {
+            CommandLine::Shell(line) => (only_program(line), line.split_ascii_whitespace().collect()),
+            CommandLine::Words(words) => {
+                (words.first().map(String::as_str), words.iter().map(String::as_str).collect())
+            }
+        };
+        let on_path = program.filter(|program| !program.contains('/'));
+        let on_path = on_path.and_then(|program| find_program(OsStr::new(program)));
+        let folder = self.folder.as_deref().unwrap_or(Path::new(""));
+        let named = words.into_iter().skip(on_path.iter().count()).map(|word| folder.join(word));
+        on_path.into_iter().chain(named.filter(|path| path.is_file())).take(MOST_FILES).collect()
     }
 
     /// Whether a program is there.
@@ -167,6 +194,31 @@ mod tests {
         ] {
             let expected = if alone { format!("exec {line}") } else { line.to_owned() };
             assert_eq!(ExecConfig::of(CommandLine::Shell(line.to_owned())).words().1[1], expected);
+        }
+    }
+
+    #[test]
+    fn the_files_of_a_command_are_told() {
+        let folder = tempfile::tempdir().expect("a folder");
+        std::fs::write(folder.path().join("own.sh"), "abc").expect("writable");
+        let own = "/own.sh SHA-256 ba7816bf";
+        for (command, files) in [
+            ("['sh', 'own.sh', '--fast']", &["/sh SHA-256", own][..]),
+            ("['./own.sh', 'none']", &[own]),
+            ("'sh own.sh 2> /dev/null'", &["/sh SHA-256", own]),
+            ("'while read x; do own.sh; done'", &[]),
+            ("'cd x && cat'", &[]),
+        ] {
+            let config = read(&format!("command = {command}\nfolder = {:?}", folder.path())).expect("reads");
+            let facts = config.facts("Sensor");
+            assert!(facts[0].0 == "Sensor" && facts[0].1.starts_with("the program "), "{facts:?}");
+            let told = facts.get(1).map_or("", |(name, told)| {
+                assert_eq!(name, "Sensor files");
+                told
+            });
+            let told: Vec<&str> = told.split(", ").filter(|part| !part.is_empty()).collect();
+            assert_eq!(told.len(), files.len(), "{command}: {told:?}");
+            assert!(told.iter().zip(files).all(|(told, file)| told.contains(file)), "{command}: {told:?}");
         }
     }
 

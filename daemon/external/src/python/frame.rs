@@ -6,7 +6,7 @@ use std::os::fd::RawFd;
 use peernet_sample::{Description, Part};
 use serde::{Deserialize, Serialize};
 
-use super::{Images, Role, Stage};
+use super::{About, Images, Role, Stage};
 use crate::text::words;
 
 /// What every frame begins with, so that anything else on the pipe is noticed.
@@ -35,7 +35,7 @@ pub(super) enum Request<'a> {
 #[serde(rename_all = "kebab-case")]
 pub(super) enum Reply {
     /// The object is there.
-    Ready { python: String, what: String },
+    Ready(About),
     /// The value that it returned, and the stages with their stamps.
     Value { parts: Vec<PartHead>, stages: Vec<(Stage, i64, i64)> },
     /// A sensor has no more.

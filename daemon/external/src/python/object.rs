@@ -1,15 +1,19 @@
 //! A user's object and the process it lives in.
 
+use std::path::PathBuf;
+
 use bytes::Bytes;
 use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_sample::Part;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::frame::{Reply, Request};
 use super::interpreter;
 use super::worker::{Trouble, Worker};
 use super::{Called, PythonConfig, PythonError, Stage, Times};
+use crate::digest;
 use crate::process::{Launch, ProcessError, Restarts};
+use crate::text::printable;
 
 /// How long a process that is not needed any more may take to end.
 const GRACE: Span = Span::from_millis(1000);
@@ -25,12 +29,31 @@ pub enum Role {
 }
 
 /// What was found.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
 pub struct About {
     /// The version of Python: `3.11.2`.
     pub python: String,
     /// The object in words: `class camera::Camera`.
     pub what: String,
+    /// The file of its module.
+    file: Option<PathBuf>,
+    /// Names and versions of the libraries that it had imported by then and that decide what it computes.
+    libraries: Vec<(String, String)>,
+}
+
+impl About {
+    /// What it is, for the run's page, as pairs such as (`Sensor`, `the Python class camera::Camera, Python 3.11.2`), with the
+    /// `role` before each name. Reads the module's file for its hash.
+    pub fn facts(&self, role: &str) -> Vec<(String, String)> {
+        let mut facts = vec![(role.to_owned(), format!("the Python {}, Python {}", self.what, self.python))];
+        facts.extend(digest::fact(role, self.file.as_slice()));
+        if !self.libraries.is_empty() {
+            let libraries =
+                self.libraries.iter().map(|(name, version)| printable(&format!("{name} {version}")));
+            facts.push((format!("{role} libraries"), libraries.collect::<Vec<_>>().join(", ")));
+        }
+        facts
+    }
 }
 
 /// A Python object in a process of its own, which is started anew when it dies. Dropping it ends the process.
@@ -75,7 +98,7 @@ impl PythonObject {
             role,
             launch: interpreter::launch(config, name.to_owned(), device)?,
             clock: SharedClock::clone(clock),
-            about: About { python: String::new(), what: String::new() },
+            about: About::default(),
             worker: None,
             restarts: Restarts::default(),
             last: String::new(),
@@ -137,7 +160,7 @@ impl PythonObject {
             Reply::Over { stages } => called(Ok(None), &stages),
             Reply::Raised { text, stages } => called(Err(PythonError::Raised(text)), &stages),
             Reply::Refused { text, stages } => called(Err(PythonError::Value(text)), &stages),
-            Reply::Ready { .. } => {
+            Reply::Ready(_) => {
                 self.worker = None;
                 called(Err(self.garbled("it says twice that it is ready".to_owned())), &[])
             }
@@ -180,8 +203,8 @@ impl PythonObject {
             window: worker.window(),
         };
         match worker.become_object(&settings, until) {
-            Ok((Reply::Ready { python, what }, _)) => {
-                self.about = About { python, what };
+            Ok((Reply::Ready(about), _)) => {
+                self.about = about;
                 Ok(worker)
             }
             Ok((Reply::Raised { text, .. } | Reply::Refused { text, .. }, _)) => Err(self.not_started(text)),

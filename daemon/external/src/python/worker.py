@@ -4,6 +4,8 @@ import time
 import traceback
 
 METHODS = {"sensor": "sample", "model": "infer"}
+# What users' code computes with, where its results and its speed come from.
+LIBRARIES = ("numpy", "PIL", "cv2", "torch", "torchvision", "onnxruntime", "tensorflow", "jax", "transformers")
 MAX_TEXT = 4000
 # What users say to end the process, and so do; everything else that they raise fails one call.
 ENDS = (SystemExit, KeyboardInterrupt)
@@ -33,6 +35,20 @@ def kind_of(thing):
     if inspect.ismodule(thing):
         return "module"
     return "function" if inspect.isfunction(thing) else "object"
+
+
+def told(module, name):
+    """A text that a module says of itself, whatever users put into its place."""
+    try:
+        text = getattr(sys.modules.get(module), name, None)
+        return str(text)[:MAX_TEXT].encode("utf-8", "backslashreplace").decode() if isinstance(text, str) else None
+    except Exception:
+        return None
+
+
+def libraries():
+    versions = ((name, told(name, "__version__")) for name in LIBRARIES)
+    return [(name, version) for name, version in versions if version]
 
 
 def finished():
@@ -149,7 +165,8 @@ def main():
     except BaseException as error:
         return fail(border, "raised", text_of(error), [])
     version = ".".join(str(number) for number in sys.version_info[:3])
-    border.write("ready", {"python": version, "what": what})
+    file = told(request["start"]["module"], "__file__")
+    border.write("ready", {"python": version, "what": what, "file": file, "libraries": libraries()})
     while True:
         request = border.read()
         if request is None:

@@ -17,6 +17,7 @@ use crate::{InferenceError, LoadError, Model, Worker};
 pub(crate) struct Exec {
     config: ExecModelConfig,
     clock: SharedClock,
+    facts: Vec<(String, String)>,
     /// The first one, which was started to see whether it can be.
     first: Mutex<Option<Program>>,
 }
@@ -29,8 +30,9 @@ impl Exec {
 
     /// Starts one process.
     pub(crate) fn load(config: &ExecModelConfig, clock: &SharedClock) -> Result<Self, LoadError> {
+        let facts = config.process().facts("Model");
         let first = Mutex::new(Some(start(config, clock)?));
-        Ok(Self { config: config.clone(), clock: SharedClock::clone(clock), first })
+        Ok(Self { config: config.clone(), clock: SharedClock::clone(clock), facts, first })
     }
 }
 
@@ -46,7 +48,7 @@ impl Model for Exec {
     }
 
     fn facts(&self) -> Vec<(String, String)> {
-        vec![("Model".to_owned(), format!("the program {}", self.config.command))]
+        self.facts.clone()
     }
 }
 

@@ -1,10 +1,9 @@
 //! What a model on disk is, without loading it.
 
-use std::io::{self, Read};
 use std::path::Path;
 
+use peernet_external::sha256;
 use serde::Serialize;
-use sha2::{Digest, Sha256};
 
 use super::card::{Activation, Card, Centre, Resize, Rounding};
 use super::{CARD, MODEL, regular};
@@ -52,20 +51,8 @@ pub(crate) fn summarise(folder: &Path) -> Result<CardSummary, LoadError> {
 /// When it cannot be read.
 pub(crate) fn hash(folder: &Path) -> Result<String, LoadError> {
     let file = folder.join(MODEL);
-    sha256(&file).map_err(|error| LoadError::File { file, reason: error.to_string() })
-}
-
-fn sha256(file: &Path) -> io::Result<String> {
-    let mut file = regular::open(file)?;
-    let mut hasher = Sha256::new();
-    let mut buffer = vec![0; 1 << 20];
-    loop {
-        match file.read(&mut buffer)? {
-            0 => break,
-            count => hasher.update(&buffer[..count]),
-        }
-    }
-    Ok(hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+    let hash = regular::open(&file).and_then(sha256);
+    hash.map_err(|error| LoadError::File { file, reason: error.to_string() })
 }
 
 impl Card {

@@ -7,7 +7,7 @@ pub use config::PythonModelConfig;
 use std::sync::{Mutex, PoisonError};
 
 use peernet_clock::SharedClock;
-use peernet_external::python::{About, PythonError, PythonObject, Role, Stage};
+use peernet_external::python::{PythonError, PythonObject, Role, Stage};
 use peernet_logger::{Recorder, stage};
 use peernet_sample::Sample;
 
@@ -17,7 +17,7 @@ use crate::{InferenceError, LoadError, Model, Worker};
 pub(crate) struct Python {
     config: PythonModelConfig,
     clock: SharedClock,
-    about: About,
+    facts: Vec<(String, String)>,
     /// The first one, which was started to see whether it can be.
     first: Mutex<Option<PythonObject>>,
 }
@@ -31,11 +31,11 @@ impl Python {
     /// Starts one process.
     pub(crate) fn load(config: &PythonModelConfig, clock: &SharedClock) -> Result<Self, LoadError> {
         let object = start(config, clock)?;
-        let about = object.about().clone();
+        let facts = object.about().facts("Model");
         Ok(Self {
             config: config.clone(),
             clock: SharedClock::clone(clock),
-            about,
+            facts,
             first: Mutex::new(Some(object)),
         })
     }
@@ -53,7 +53,7 @@ impl Model for Python {
     }
 
     fn facts(&self) -> Vec<(String, String)> {
-        vec![("Model".to_owned(), format!("the Python {}, Python {}", self.about.what, self.about.python))]
+        self.facts.clone()
     }
 }
 

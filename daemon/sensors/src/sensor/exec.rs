@@ -13,6 +13,7 @@ const DROPPED_SAMPLES: Name = Name::from_static("dropped-samples");
 /// A program that is asked for each sample.
 pub(super) struct Exec {
     command: String,
+    facts: Vec<(String, String)>,
     program: Program,
     /// Number of the last sample, where the program numbers them.
     last: Option<u64>,
@@ -27,9 +28,10 @@ impl Exec {
     /// Starts the program.
     pub(super) fn open(config: &ExecConfig, clock: &SharedClock) -> Result<Self, SensorError> {
         let command = config.command.to_string();
+        let facts = config.facts("Sensor");
         let program = Program::start(config, Role::Sensor, &format!("sensor {command}"), clock)
             .map_err(|error| SensorError::Program { command: command.clone(), error })?;
-        Ok(Self { command, program, last: None })
+        Ok(Self { command, facts, program, last: None })
     }
 
     fn failed(&self, error: ExchangeError) -> SensorError {
@@ -68,6 +70,6 @@ impl Sensor for Exec {
     }
 
     fn facts(&self) -> Vec<(String, String)> {
-        vec![("Sensor".to_owned(), format!("the program {}", self.command))]
+        self.facts.clone()
     }
 }

@@ -1,6 +1,7 @@
 //! `images`: pictures from files, as they are.
 
 use std::collections::BTreeSet;
+use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -11,7 +12,7 @@ use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
 
-use super::{folder, labels};
+use super::{data_set, folder, labels};
 use crate::{Order, Sensor, SensorError};
 
 /// A list of pictures, read one by one when they are asked for.
@@ -59,6 +60,12 @@ impl Images {
         }
     }
 
+    /// The path below the folder, as its bytes; of a single picture its name.
+    fn name<'a>(&self, file: &'a Path) -> &'a OsStr {
+        let below = file.strip_prefix(&self.path).ok().filter(|below| *below != Path::new(""));
+        below.map_or_else(|| file.file_name().unwrap_or_default(), Path::as_os_str)
+    }
+
     /// How many pictures have one, and some of those there are: `100 of 100: dented, good`.
     fn labels(&self) -> String {
         let all: Vec<&str> = self.pictures.iter().filter_map(|picture| picture.label.as_deref()).collect();
@@ -93,7 +100,12 @@ impl Sensor for Images {
         let order = if self.shuffle.is_some() { "shuffled" } else { "by name" };
         let times = if self.repeat { "repeated" } else { "once" };
         let images = format!("{count} images of {}, {order}, {times}", self.path.display());
-        vec![("Sensor".to_owned(), images), ("Labels".to_owned(), self.labels())]
+        let files = self.pictures.iter().map(|picture| (self.name(&picture.file), picture.file.as_path()));
+        vec![
+            ("Sensor".to_owned(), images),
+            ("Data set".to_owned(), data_set::described(files)),
+            ("Labels".to_owned(), self.labels()),
+        ]
     }
 }
 

@@ -1,5 +1,6 @@
 //! The sensors, one file per kind.
 
+mod data_set;
 mod exec;
 mod folder;
 mod images;

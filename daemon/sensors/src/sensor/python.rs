@@ -35,7 +35,6 @@ impl Sensor for Python {
     }
 
     fn facts(&self) -> Vec<(String, String)> {
-        let about = self.object.about();
-        vec![("Sensor".to_owned(), format!("the Python {}, Python {}", about.what, about.python))]
+        self.object.about().facts("Sensor")
     }
 }

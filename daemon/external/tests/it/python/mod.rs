@@ -1,5 +1,6 @@
 //! Objects in real Python processes.
 
+mod about;
 mod border;
 mod deaths;
 mod failures;

@@ -1,0 +1,84 @@
+//! SHA-256 of files, by which others recognise that they have the same.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+use sha2::{Digest, Sha256};
+
+use crate::text::printable;
+
+/// Bytes of the largest file of a user's code that is hashed: 256 MiB.
+const LARGEST: u64 = 256 << 20;
+
+/// SHA-256 (FIPS 180-4) of all that is read, in hexadecimal.
+///
+/// # Errors
+/// When reading fails.
+pub fn sha256(mut from: impl Read) -> io::Result<String> {
+    let mut hasher = Sha256::new();
+    let mut buffer = vec![0; 1 << 16];
+    loop {
+        match from.read(&mut buffer) {
+            Ok(0) => break,
+            Ok(count) => hasher.update(&buffer[..count]),
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+/// The fact (`Sensor files`, `camera.py SHA-256 …`) of some files; `None` of none.
+pub(crate) fn fact(role: &str, files: &[PathBuf]) -> Option<(String, String)> {
+    let words: Vec<String> = files.iter().map(|file| identified(file)).collect();
+    (!words.is_empty()).then(|| (format!("{role} files"), words.join(", ")))
+}
+
+fn identified(file: &Path) -> String {
+    let name = printable(&file.display().to_string()).replace('\n', " ");
+    let hash = || {
+        // Before it is opened: to open a pipe waits for its writer.
+        let about = file.metadata()?;
+        match about.len() {
+            _ if !about.is_file() => Err(io::Error::other("it is not a regular file")),
+            large if large > LARGEST => Ok(format!("of {large} bytes, not hashed")),
+            _ => sha256(File::open(file)?.take(LARGEST)).map(|hash| format!("SHA-256 {hash}")),
+        }
+    };
+    match hash() {
+        Ok(words) => format!("{name} {words}"),
+        Err(error) => format!("{name} (cannot be read: {error})"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_are_told_with_the_hash_of_sha256sum() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (file, large) = (folder.path().join("own.py"), folder.path().join("weights"));
+        std::fs::write(&file, "abc").expect("writable");
+        File::create(&large).and_then(|file| file.set_len(LARGEST + 1)).expect("writable");
+        let missing = folder.path().join("none");
+        let files = [file.clone(), large.clone(), missing.clone()];
+        let (name, told) = fact("Sensor", &files).expect("there are some");
+        assert_eq!(name, "Sensor files");
+        let parts: Vec<&str> = told.split(", ").collect();
+        // FIPS 180-4's own example.
+        let known = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!(parts[0], format!("{} SHA-256 {known}", file.display()));
+        assert_eq!(
+            &parts[1..],
+            [
+                format!("{} of 268435457 bytes", large.display()).as_str(),
+                "not hashed",
+                format!("{} (cannot be read: No such file or directory (os error 2))", missing.display())
+                    .as_str(),
+            ]
+        );
+        assert_eq!(fact("Sensor", &[]), None);
+    }
+}
