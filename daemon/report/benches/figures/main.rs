@@ -47,7 +47,7 @@ fn main() {
 }
 
 fn drawn(kind: Kind, runs: &[Loaded], folder: &Path) -> Vec<PathBuf> {
-    figures::draw(kind, runs, &Columns::default(), folder).expect("there is something to draw")
+    figures::draw(kind, runs, &Columns::default(), folder).expect("there is something to draw").files
 }
 
 fn timed(what: &str, folder: &Path, work: &dyn Fn(&Path) -> Vec<PathBuf>) {

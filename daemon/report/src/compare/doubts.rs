@@ -3,24 +3,19 @@
 use peernet_clock::Verdict;
 use peernet_statistics::Summary;
 
+use super::render::named;
 use super::{LATENCIES, Line, NEARLY_ALL};
-use crate::number::{counted, fixed};
+use crate::number::counted;
 use crate::results::{Loaded, RowRef};
+use crate::trust::Starts;
 
 /// Starts that were skipped, the damage of folders and the numbers that are missing without a reason, in sentences.
 pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
     let damaged: Vec<String> =
         runs.iter().filter_map(|run| Some(format!("{}: {}", run.folder.display(), run.damage()?))).collect();
     let missing: Vec<String> = lines.iter().flat_map(|line| missing(runs, line)).collect();
-    let mut told = Vec::new();
-    let skipped: Vec<String> = lines.iter().filter_map(skipped).collect();
-    if !skipped.is_empty() {
-        told.push(format!(
-            "Starts were skipped, because the pipeline was too far behind; these latencies are not those of the rate that \
-             was ordered: {}.",
-            skipped.join("; ")
-        ));
-    }
+    let mut told: Vec<String> =
+        skipped_starts(lines.iter().map(|line| (line.name(), line.starts))).into_iter().collect();
     if !damaged.is_empty() {
         told.push(format!("Results are not whole: {}.", damaged.join("; ")));
     }
@@ -33,11 +28,18 @@ pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
     told
 }
 
-fn skipped(line: &Line) -> Option<String> {
-    let (starts, percent) = (&line.starts, fixed(line.starts.skipped_share() * 100.0, 1));
-    let told =
-        format!("{} of {} ({percent} %)", fixed(starts.skipped as f64, 0), counted(starts.all(), "start"));
-    (starts.skipped > 0).then(|| line.told(&told))
+/// A sentence about configurations of which starts were skipped, each by its name; one that stands alone may have none.
+/// `None` where all starts took place.
+pub fn skipped_starts(of: impl IntoIterator<Item = (String, Starts)>) -> Option<String> {
+    let told = |(name, starts): (String, Starts)| Some(named(&name, &starts.told()?));
+    let told: Vec<String> = of.into_iter().filter_map(told).collect();
+    (!told.is_empty()).then(|| {
+        format!(
+            "Starts were skipped, because the pipeline was too far behind; these latencies are not those of the rate that \
+             was ordered: {}.",
+            told.join("; ")
+        )
+    })
 }
 
 fn missing(runs: &[Loaded], line: &Line) -> Vec<String> {

@@ -17,6 +17,7 @@ mod render;
 
 pub use bootstrap::{Difference, Sample, Statistic, difference};
 pub use differences::{Differences, StageDifference};
+pub use doubts::skipped_starts;
 
 use peernet_statistics::{Moments, Summary};
 

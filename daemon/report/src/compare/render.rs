@@ -206,8 +206,7 @@ impl Line {
 
     /// Something that is said of the line, with its name.
     pub(super) fn told(&self, text: &str) -> String {
-        let name = self.name();
-        if name.is_empty() { text.to_owned() } else { format!("{name}: {text}") }
+        named(&self.name(), text)
     }
 
     /// The smallest and the largest mean of its repeats.
@@ -237,6 +236,11 @@ impl Line {
         };
         ["upload", "download"].into_iter().filter_map(part).collect()
     }
+}
+
+/// Something that is said of what has a name, or of the only one there is.
+pub(super) fn named(name: &str, text: &str) -> String {
+    if name.is_empty() { text.to_owned() } else { format!("{name}: {text}") }
 }
 
 fn count(count: u64) -> String {

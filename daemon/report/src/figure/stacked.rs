@@ -7,8 +7,8 @@ use plotters::style::{Color, WHITE};
 
 use super::histogram::nothing;
 use super::kit::{
-    Axis, Drawn, Figure, Frame, Header, INK, Key, Paper, SIZE, SMALL, Swatch, TEXT, Unit, fill, shorten,
-    style, text, text_on_ground, width,
+    Axis, Drawn, Figure, Frame, Header, INK, Key, Paper, SIZE, SMALL, Swatch, TEXT, Unit, fill,
+    shorten_apart, style, text, text_on_ground, width,
 };
 use super::stage::stage_fill;
 use crate::number::fixed;
@@ -222,9 +222,10 @@ impl Stacked {
         let frame = Frame { x: values, y: Axis::linear((0.0, 1.0), (bottom + 6, top)) };
         frame.draw_upright_grid(paper)?;
         let places = Places { values, upright: false };
-        for (number, bar) in self.bars.iter().enumerate() {
+        let labels: Vec<&str> = self.bars.iter().map(|bar| bar.label.as_str()).collect();
+        let labels = shorten_apart(&labels, height, room);
+        for (number, (bar, label)) in self.bars.iter().zip(labels).enumerate() {
             let middle = top + 10 + row * number as i32 + row / 2;
-            let label = shorten(&bar.label, height, room);
             let look = style(height, INK, HPos::Left, VPos::Center);
             text(paper, label, (40, middle), look)?;
             let (x, y) = self.draw_bar(paper, &places, (bar, middle, row * 3 / 10))?;

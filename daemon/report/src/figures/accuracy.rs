@@ -49,13 +49,15 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
     let n = if fewest == most { number(most) } else { format!("{} to {}", number(fewest), number(most)) };
     let mut notes = vec![format!("configurations: {} · n = {n} each", axes.join(", "))];
     notes.extend(left_out(&runs.iter().flat_map(|run| &run.rows)));
+    let mut missing = Vec::new();
     if configurations > MOST {
-        notes.push(format!("the first {MOST} of {configurations} configurations"));
+        missing.push(format!("the first {MOST} of {configurations} configurations"));
     }
     if without > 0 {
         let configurations = number::counted(without as u64, "configuration");
-        notes.push(format!("left out: {configurations} without scored samples"));
+        missing.push(format!("left out: {configurations} without scored samples"));
     }
+    notes.extend(missing.iter().cloned());
     // Of those with scored samples, and for another reason than the label.
     let unscored = |(_, runs): &(String, Vec<&Loaded>)| {
         let valid = counted(runs).filter(judged).count();
@@ -80,5 +82,5 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
         scores,
         notes,
     };
-    Ok(vec![Drawing::new("accuracy", Shown::Accuracy(accuracy))])
+    Ok(vec![Drawing::new("accuracy", Shown::Accuracy(accuracy)).without(missing)])
 }

@@ -22,6 +22,7 @@ mod written;
 
 pub use files::files_in;
 pub use histograms::HISTOGRAMS;
+pub use written::Written;
 
 use std::path::{Path, PathBuf};
 
@@ -114,7 +115,7 @@ pub enum PlotError {
 }
 
 /// Draws the six published histograms of a run, `sensing-time` to `download-throughput`, and its `series` as `.png` and
-/// `.svg` into a folder that is there; returns what was written. A run that sent nothing over a network has histograms of
+/// `.svg` into a folder; returns what was written. A run that sent nothing over a network has histograms of
 /// sensing and inference alone; one of which there are no values at all says so. A run without any total has no
 /// `series`.
 ///
@@ -124,7 +125,7 @@ pub fn of_run(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Vec<Path
     let mut drawings = histograms::published(record, rows);
     // Without a total there is no course of it.
     drawings.extend(series::drawings(record, rows).unwrap_or_default());
-    written::write(&drawings, folder)
+    Ok(written::write(&drawings, folder)?.files)
 }
 
 /// Draws what several runs have together, as far as there is something to show: `stacked` and `accuracy` of several
@@ -137,7 +138,7 @@ pub fn of_experiment(runs: &[Loaded], folder: &Path) -> Result<Vec<PathBuf>, Wri
     let kinds = Kind::ALL.into_iter().filter(|kind| !kind.is_of_one_run() && kind.is_worth_drawing(runs));
     for kind in kinds {
         match draw(kind, runs, &Columns::default(), folder) {
-            Ok(written) => files.extend(written),
+            Ok(written) => files.extend(written.files),
             Err(PlotError::Write(error)) => return Err(error),
             Err(PlotError::Lacking(..)) => {}
         }
@@ -145,17 +146,12 @@ pub fn of_experiment(runs: &[Loaded], folder: &Path) -> Result<Vec<PathBuf>, Wri
     Ok(files)
 }
 
-/// Draws the figures of one kind into a folder that is there: of all runs together, or, for a kind that
-/// [is of one run](Kind::is_of_one_run), of the first. Returns what was written.
+/// Draws the figures of one kind into a folder, which is made when there is something to draw: of all runs together, or,
+/// for a kind that [is of one run](Kind::is_of_one_run), of the first. Returns what was written, and what is not in it.
 ///
 /// # Errors
 /// When the runs lack what the kind shows, or a file cannot be written.
-pub fn draw(
-    kind: Kind,
-    runs: &[Loaded],
-    columns: &Columns,
-    folder: &Path,
-) -> Result<Vec<PathBuf>, PlotError> {
+pub fn draw(kind: Kind, runs: &[Loaded], columns: &Columns, folder: &Path) -> Result<Written, PlotError> {
     let first = runs.first().ok_or_else(|| PlotError::Lacking(kind, "there is no run".to_owned()))?;
     let drawings: Result<Vec<Drawing>, String> = match kind {
         Kind::Histograms => histograms::drawings(first, columns.x.as_deref()),

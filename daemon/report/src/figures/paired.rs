@@ -3,6 +3,7 @@
 use super::columns::{heading, not_shown, unit, values};
 use super::written::{Drawing, Shown};
 use crate::figure::{Group, MOST_GROUPS, MOST_SIDES, Paired};
+use crate::number::counted;
 use crate::order::Ordered;
 use crate::results::{Loaded, RunRecord};
 
@@ -36,15 +37,19 @@ pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Draw
     };
     let mut groups: Vec<Group> = models.iter().map(group).collect();
     let is_paired = |group: &Group| group.values.iter().filter(|values| !values.is_empty()).count() > 1;
-    let mut notes = Vec::new();
+    let mut missing = Vec::new();
     // A model in one place shows nothing of places, unless no model ran in two.
     if groups.iter().any(is_paired) {
         let (paired, alone): (Vec<Group>, Vec<Group>) = groups.into_iter().partition(is_paired);
         groups = paired;
         if !alone.is_empty() {
             let names: Vec<&str> = alone.iter().map(|group| group.name.as_str()).collect();
-            notes.push(format!("left out, in one place alone: {}", names.join(", ")));
+            missing.push(format!("left out, in one place alone: {}", names.join(", ")));
         }
+    }
+    let without = runs.len() - shown.len();
+    if without > 0 {
+        missing.push(format!("left out: {} without {column}", counted(without as u64, "run")));
     }
     let rows = shown
         .iter()
@@ -52,16 +57,16 @@ pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Draw
         .flat_map(|run| &run.rows);
     let count = groups.iter().flat_map(|group| &group.values).map(Ordered::len).sum();
     let left_out = not_shown(&rows, count).map(|left_out| format!("{left_out} · "));
-    notes.insert(0, format!("{}black: median, bar: middle half", left_out.unwrap_or_default()));
+    let read = format!("{}black: median, bar: middle half", left_out.unwrap_or_default());
     let what = heading(column);
     let paired = Paired {
         title: format!("{what} by model"),
         unit: unit(&shown[0].record.units, column, &what),
         sides: names(&sides),
         groups,
-        notes,
+        notes: std::iter::once(read).chain(missing.iter().cloned()).collect(),
     };
-    Ok(vec![Drawing::new("paired", Shown::Paired(paired))])
+    Ok(vec![Drawing::new("paired", Shown::Paired(paired)).without(missing)])
 }
 
 fn model(record: &RunRecord) -> String {

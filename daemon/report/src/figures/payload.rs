@@ -7,7 +7,7 @@ use super::written::{Drawing, Shown};
 use crate::compare::Configurations;
 use crate::figure::{DOWNLOAD, Mark, Parts, Scaling, Series, UPLOAD, Unit, Value};
 use crate::fit::{Fit, Point, Weighted, least_squares, rate};
-use crate::number::{megabytes_per_second_with, milliseconds_with};
+use crate::number::{bytes, counted, fixed, megabytes_per_second_with, milliseconds_with};
 use crate::order::Ordered;
 use crate::results::{Loaded, RowRef, RunRecord};
 
@@ -31,6 +31,8 @@ struct Way {
     name: &'static str,
     sizes: Vec<Size>,
     fit: Option<Fit>,
+    /// How many of its messages have a size and no delay.
+    unknown: u64,
 }
 
 /// The messages over one link.
@@ -39,6 +41,8 @@ struct Study {
     /// For the title.
     whose: String,
     notes: Vec<String>,
+    /// The directions that are not drawn.
+    missing: Vec<String>,
 }
 
 /// Two figures for each pair of hosts and way between them.
@@ -52,23 +56,34 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
             None => links.push((link, vec![number])),
         }
     }
-    let ways = |runs_of: &[usize]| -> Vec<Way> {
+    let ways = |runs_of: &[usize]| -> [Way; 2] {
         let rows = runs_of.iter().flat_map(|number| &runs[*number].rows).filter(|row| row.counts());
         let rows: Vec<RowRef<'_>> = rows.collect();
-        let ways = ["upload", "download"].map(|name| Way::of(name, &rows));
-        ways.into_iter().filter(Way::is_varied).collect()
+        ["upload", "download"].map(|name| Way::of(name, &rows))
     };
     let configurations = Configurations::of(runs);
     let studied = links.into_iter().map(|(_, runs_of)| {
         let rows = runs_of.iter().flat_map(|number| &runs[*number].rows);
         let notes = [pooled(&configurations, &runs_of), left_out(&rows), too_large(rows, &SHOWN)];
+        let (ways, others): (Vec<Way>, Vec<Way>) = ways(&runs_of).into_iter().partition(Way::is_varied);
+        let untold = ways.iter().flat_map(Way::untold);
         Study {
-            ways: ways(&runs_of),
+            notes: notes.into_iter().flatten().chain(untold).collect(),
             whose: whose(&runs[runs_of[0]].record),
-            notes: notes.into_iter().flatten().collect(),
+            missing: others.iter().filter_map(Way::why_not).collect(),
+            ways,
         }
     });
-    let studied: Vec<Study> = studied.filter(|study| !study.ways.is_empty()).collect();
+    let (mut studied, others): (Vec<Study>, Vec<Study>) =
+        studied.partition(|study: &Study| !study.ways.is_empty());
+    // Of a link that has no figure of its own the first one tells.
+    let others = others.into_iter().flat_map(|study| {
+        let whose = study.whose;
+        study.missing.into_iter().map(move |missing| titled(&missing, &whose))
+    });
+    if let Some(first) = studied.first_mut() {
+        first.missing.extend(others);
+    }
     if studied.is_empty() {
         return Err(
             "it needs messages over one network of which the largest has twice the size of the smallest at least; see \
@@ -81,7 +96,8 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
         let latency = Drawing::new(format!("payload-latency{suffix}"), Shown::Scaling(latency(study)));
         let throughput =
             Drawing::new(format!("payload-throughput{suffix}"), Shown::Scaling(throughput(study)));
-        [latency, throughput]
+        // Both have it in their notes; once is enough elsewhere.
+        [latency.without(study.missing.clone()), throughput]
     });
     Ok(drawings.collect())
 }
@@ -127,6 +143,28 @@ impl Way {
         ends.is_some_and(|(smallest, largest)| largest.bytes >= 2.0 * smallest.bytes)
     }
 
+    /// Why it is not drawn; `None` where nothing was sent.
+    fn why_not(&self) -> Option<String> {
+        let (smallest, largest) = self.sizes.first().zip(self.sizes.last())?;
+        let ends = [smallest, largest].map(|size| bytes(size.bytes));
+        let sizes = if ends[0] == ends[1] { ends[0].clone() } else { ends.join(" to ") };
+        Some(format!("not drawn: {}, {sizes}: the largest must be twice the smallest", self.name))
+    }
+
+    /// What of its messages is in no figure.
+    fn untold(&self) -> Vec<String> {
+        let below = |size: &&Size| size.delays.median().is_some_and(|median| median <= 0.0);
+        let below = self.sizes.iter().filter(below).count();
+        let unknown = (self.unknown > 0).then(|| {
+            format!("left out: {} of {} without a known delay", counted(self.unknown, "message"), self.name)
+        });
+        let below = (below > 0).then(|| {
+            let sizes = counted(below as u64, "size");
+            format!("not drawn: {sizes} of {} whose median delay is not above zero", self.name)
+        });
+        unknown.into_iter().chain(below).collect()
+    }
+
     /// Its line, where larger messages take longer: other things than size decide where they do not, and the intercept of
     /// such a line means nothing.
     fn growing(&self) -> Option<Fit> {
@@ -163,7 +201,11 @@ impl Way {
             })
         });
         let sizes: Vec<Size> = sizes.collect();
-        Self { name, fit: fit(&sizes), sizes }
+        let is_unknown = |row: &&RowRef<'_>| {
+            row.value(&format!("{name}-bytes")).is_some_and(|bytes| bytes > 0.0) && row.value(name).is_none()
+        };
+        let unknown = rows.iter().filter(is_unknown).count() as u64;
+        Self { name, fit: fit(&sizes), sizes, unknown }
     }
 
     fn series(&self, number: usize, name: String, value: &dyn Fn(&Size) -> Option<Value>) -> Series {
@@ -180,6 +222,14 @@ impl Way {
 }
 
 impl Study {
+    /// How many messages a point stands for.
+    fn amount(&self) -> Option<String> {
+        let counts = || self.ways.iter().flat_map(|way| &way.sizes).map(|size| size.delays.len());
+        let [fewest, most] = [counts().min()?, counts().max()?].map(|count| fixed(count as f64, 0));
+        let each = if fewest == most { most } else { format!("{fewest} to {most}") };
+        Some(format!("messages of each size: {each}"))
+    }
+
     /// With of what no rate is given.
     fn notes(&self) -> Vec<String> {
         let untold: Vec<&str> = self
@@ -190,7 +240,7 @@ impl Study {
             .collect();
         let fast = (!untold.is_empty())
             .then(|| format!("throughput of {}: too fast to tell from these sizes", untold.join(" and of ")));
-        self.notes.iter().cloned().chain(fast).collect()
+        self.missing.iter().chain(&self.notes).cloned().chain(self.amount()).chain(fast).collect()
     }
 }
 

@@ -37,7 +37,7 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
     let mut stages: Vec<(f64, usize, Name)> =
         stage::ORDER.into_iter().enumerate().map(|(place, name)| (sum(&name), place, name)).collect();
     stages.sort_by(|a, b| b.0.total_cmp(&a.0));
-    stages.truncate(STAGES);
+    let shorter = stages.split_off(STAGES.min(stages.len()));
     stages.sort_by_key(|(_, place, _)| *place);
     let stages = stages.iter().map(|(_, _, name)| line(name, stage_line(name)));
     let first = |(last, row): (RowRef<'_>, RowRef<'_>)| (last.episode() != row.episode()).then(|| time(row));
@@ -48,6 +48,7 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
         unit: Unit::milliseconds("Latency"),
         notes: std::iter::once(account_of(rows, total.values.len()))
             .chain(too_large(rows.iter(), &[total.name.as_str()]))
+            .chain(not_drawn(shorter))
             .collect(),
         total,
         stages: stages.filter(|line| !line.values.is_empty()).collect(),
@@ -56,6 +57,14 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
         unanswered,
     };
     Ok(vec![Drawing::new("series", Shown::Course(course))])
+}
+
+/// The stages that took place and have no line, for a note.
+fn not_drawn(mut shorter: Vec<(f64, usize, Name)>) -> Option<String> {
+    shorter.retain(|(sum, ..)| *sum != 0.0);
+    shorter.sort_by_key(|(_, place, _)| *place);
+    let names: Vec<&str> = shorter.iter().map(|(_, _, name)| name.as_str()).collect();
+    (!names.is_empty()).then(|| format!("shorter stages, not drawn: {}", names.join(", ")))
 }
 
 /// Warm-up is in the picture.

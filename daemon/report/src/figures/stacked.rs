@@ -39,8 +39,10 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
         axes.join(", "),
         if total == "total" { "measured total" } else { "sum of stages" }
     )];
+    let mut missing = Vec::new();
     let rows = runs.iter().flat_map(|run| &run.rows);
-    notes.push(account(&rows, all().count()));
+    let counts = lines.iter().map(|(_, runs)| counted(runs).count()).filter(|count| *count > 0);
+    notes.push(with_each(&account(&rows, all().count()), &counts.collect::<Vec<_>>()));
     let columns: Vec<&str> =
         order.iter().map(peernet_logger::Name::as_str).chain(beyond.iter().copied()).chain([total]).collect();
     notes.extend(too_large(all(), &columns));
@@ -49,12 +51,13 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
     }
     if without > 0 {
         let configurations = number::counted(without as u64, "configuration");
-        notes.push(format!("left out: {configurations} without an iteration that counts"));
+        missing.push(format!("left out: {configurations} without an iteration that counts"));
     }
     notes.extend(unknown(&all));
     if lines_of > MOST {
-        notes.push(format!("the first {MOST} of {} configurations", fixed(lines_of as f64, 0)));
+        missing.push(format!("the first {MOST} of {} configurations", fixed(lines_of as f64, 0)));
     }
+    notes.extend(missing.iter().cloned());
     let stacked = Stacked {
         title: "Latency by configuration".to_owned(),
         unit: Unit::milliseconds("Latency"),
@@ -62,7 +65,20 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
         bars,
         notes,
     };
-    Ok(vec![Drawing::new("stacked", Shown::Stacked(stacked))])
+    Ok(vec![Drawing::new("stacked", Shown::Stacked(stacked)).without(missing)])
+}
+
+/// The account with how many of its iterations stand behind each bar: `n = 88 (44 each)`, `n = 120 (10 to 110 each)`.
+fn with_each(account: &str, counts: &[usize]) -> String {
+    let (Some(fewest), Some(most), true) = (counts.iter().min(), counts.iter().max(), counts.len() > 1)
+    else {
+        return account.to_owned();
+    };
+    let number = |count: &usize| fixed(*count as f64, 0);
+    let each = if fewest == most { number(most) } else { format!("{} to {}", number(fewest), number(most)) };
+    let (n, rest) = account.split_once(" · ").map_or((account, None), |(n, rest)| (n, Some(rest)));
+    let rest = rest.map_or_else(String::new, |rest| format!(" · {rest}"));
+    format!("{n} ({each} each){rest}")
 }
 
 /// Whether the delay of a message that was sent is not known, or what depends on it: no measurement, and not 0 either.

@@ -2,6 +2,7 @@
 
 mod extremes;
 mod holes;
+mod missing;
 
 use peernet_logger::stream::ExperimentPlace;
 
@@ -126,7 +127,7 @@ fn stages_add_up_to_the_total() {
     let sum: f64 = figure.bars[0].means.iter().sum();
     assert!((sum - 24e-3).abs() < 5e-4 && figure.bars[0].std.is_some_and(|std| std > 0.0), "{figure:?}");
     assert!(figure.notes[0].contains("model, where") && figure.notes[0].contains("measured total"));
-    assert_eq!(figure.notes[1..], ["n = 88 · left out: 10 warm-up, 2 without an answer"]);
+    assert_eq!(figure.notes[1..], ["n = 88 (44 each) · left out: 10 warm-up, 2 without an answer"]);
     let nothing = [run(5, |_| vec![("sensing", 1.0)])];
     assert!(stacked::drawings(&nothing).is_err_and(|reason| reason.contains("warm-up")));
 }
@@ -192,7 +193,7 @@ fn one_configuration_is_not_compared_without_being_asked() {
     repeat[1].record.experiment.as_mut().expect("an experiment").repeat = 1;
     assert_eq!(of_experiment(&repeat, folder.path()).expect("nothing to write"), Vec::<PathBuf>::new());
     let asked = draw(Kind::Stacked, &repeat, &Columns::default(), folder.path()).expect("asked for");
-    assert_eq!(names(&asked), ["stacked.png", "stacked.svg"]);
+    assert_eq!(names(&asked.files), ["stacked.png", "stacked.svg"]);
 }
 
 #[test]
@@ -241,7 +242,11 @@ fn payloads_of_several_sizes_are_fitted() {
         throughput.series[0].name.starts_with("upload: 99.98") && throughput.series[0].name.contains(" ± ")
     );
     assert!(latency.title.starts_with("One-way delay against payload"));
-    assert_eq!(latency.notes, ["left out: 5 warm-up, 1 without an answer"]);
+    let missing = "not drawn: download, 8 B: the largest must be twice the smallest";
+    let told = [missing, "left out: 5 warm-up, 1 without an answer", "messages of each size: 73 to 74"];
+    assert_eq!(latency.notes, told);
+    assert_eq!(throughput.notes, latency.notes);
+    assert_eq!((drawings[0].missing.as_slice(), drawings[1].missing.len()), (&[missing.to_owned()][..], 0));
     assert!(payload::drawings(&[remote(60)]).is_err());
     let named = |name: &str| {
         let record = placed(name, "remote", 1.0).record;
@@ -249,29 +254,13 @@ fn payloads_of_several_sizes_are_fitted() {
     };
     let drawings = payload::drawings(&[named("s"), named("m")]).expect("sizes differ");
     let Shown::Scaling(throughput) = &drawings[1].shown else { panic!("a fit") };
-    let told =
-        ["messages of 2 runs, pooled, that differ in model", "left out: 10 warm-up, 2 without an answer"];
+    let told = [
+        missing,
+        "messages of 2 runs, pooled, that differ in model",
+        "left out: 10 warm-up, 2 without an answer",
+        "messages of each size: 146 to 148",
+    ];
     assert_eq!(throughput.notes, told);
-}
-
-#[test]
-fn a_rate_that_sizes_cannot_tell_is_not_given() {
-    let noisy = run(300, |number| {
-        let place = number as usize % 4;
-        // Larger messages take a little longer, but less regularly than that.
-        let (bytes, delay) = ([1e3, 2e3, 3e3, 4e3][place], [0.100, 0.104, 0.099, 0.104][place]);
-        vec![("upload-bytes", bytes), ("upload", delay)]
-    });
-    let drawings = payload::drawings(&[noisy]).expect("sizes differ");
-    let [Shown::Scaling(latency), Shown::Scaling(throughput)] = [&drawings[0].shown, &drawings[1].shown]
-    else {
-        panic!("fits")
-    };
-    assert!(latency.series[0].name.starts_with("upload: intercept 0."), "{latency:?}");
-    assert_eq!((throughput.series[0].name.as_str(), throughput.series[0].line), ("upload", None));
-    for figure in [latency, throughput] {
-        assert_eq!(figure.notes[1..], ["throughput of upload: too fast to tell from these sizes"]);
-    }
 }
 
 /// An edge of a run with so many edges.
@@ -319,17 +308,6 @@ fn many_curves_are_several_pictures() {
         drawings.iter().map(|drawing| drawing.stem.as_str()).collect::<Vec<_>>(),
         ["users", "users-2"]
     );
-}
-
-#[test]
-fn edges_that_never_met_are_told() {
-    let mut apart = [shared("s", 2, 0, 20.0), shared("s", 2, 1, 20.0)];
-    apart[1].rows.change(|row| row.at += 1e6);
-    assert!(users::drawings(&apart).is_err_and(|reason| reason.contains("while all edges")));
-    let met = [shared("m", 2, 0, 20.0), shared("m", 2, 1, 20.0)];
-    let drawings = users::drawings(&[apart, met].concat()).expect("some did");
-    let Shown::Sharing(figure) = &drawings[0].shown else { panic!("curves") };
-    assert_eq!(figure.notes[2], "left out: 1 without such a time");
 }
 
 #[test]
@@ -390,8 +368,11 @@ fn an_experiment_has_what_its_data_allow() {
     assert_eq!(names(&files), ["stacked.png", "stacked.svg", "paired.png", "paired.svg"]);
     assert_eq!(of_experiment(&[], folder.path()).expect("nothing to write"), Vec::<PathBuf>::new());
     let missing = folder.path().join("missing");
-    let error = draw(Kind::Stacked, &runs, &Columns::default(), &missing).expect_err("no such folder");
-    assert!(matches!(error, PlotError::Write(_)), "{error}");
     let error = draw(Kind::Payload, &runs, &Columns::default(), &missing).expect_err("nothing was sent");
     assert!(error.to_string().starts_with("cannot draw payload: it needs"), "{error}");
+    assert!(!missing.exists(), "nothing is in it");
+    draw(Kind::Stacked, &runs, &Columns::default(), &missing.join("a")).expect("it is made");
+    let file = missing.join("a/stacked.png");
+    let error = draw(Kind::Stacked, &runs, &Columns::default(), &file).expect_err("no folder");
+    assert!(matches!(error, PlotError::Write(_)), "{error}");
 }

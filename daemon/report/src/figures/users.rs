@@ -3,8 +3,12 @@
 use super::columns::{is_drawable, left_out};
 use super::written::{Drawing, Shown};
 use crate::figure::{MOST_CURVES, Sharing, SharingCurve, SharingPoint, Unit};
+use crate::number::counted;
 use crate::results::Loaded;
 use crate::users::{Curve, Users, UsersLine};
+
+/// More configurations than this are counted instead of named.
+const MOST_NAMED: usize = 3;
 
 /// Whether some configuration was measured with different numbers of edges.
 pub(super) fn have_curves(runs: &[Loaded]) -> bool {
@@ -15,30 +19,46 @@ pub(super) fn have_curves(runs: &[Loaded]) -> bool {
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
     let users = Users::of(runs)
         .ok_or("it needs runs of an experiment with several edges at once: set experiment.users")?;
-    let (told, without): (Vec<&UsersLine>, Vec<&UsersLine>) =
-        users.lines.iter().partition(|line| line.totals.median.is_some_and(is_drawable));
-    if told.is_empty() {
+    if !users.lines.iter().any(is_told) {
         return Err(
             "no total that can be drawn was measured while all edges of a run were measuring".to_owned()
         );
     }
     let mut notes = vec!["counted while all edges of a run were measuring".to_owned()];
     notes.extend(left_out(&runs.iter().flat_map(|run| &run.rows)));
-    if !without.is_empty() {
-        notes.push(format!("left out: {} without such a time", without.len()));
-    }
     let curves = users.curves();
     let pictures = curves.chunks(MOST_CURVES).enumerate().map(|(number, curves)| {
         let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };
+        let missing: Vec<String> = lacking(curves).into_iter().collect();
         let sharing = Sharing {
             title: "Latency against edges at once".to_owned(),
             unit: Unit::milliseconds("Total"),
             curves: curves.iter().map(curve).collect(),
-            notes: notes.clone(),
+            notes: notes.iter().chain(&missing).cloned().collect(),
         };
-        Drawing::new(format!("users{suffix}"), Shown::Sharing(sharing))
+        Drawing::new(format!("users{suffix}"), Shown::Sharing(sharing)).without(missing)
     });
     Ok(pictures.collect())
+}
+
+/// The points that curves lack, by name as long as they are few; `None` where they lack none.
+fn lacking(curves: &[Curve<'_>]) -> Option<String> {
+    let of = |curve: &Curve<'_>| -> Vec<String> {
+        let lines = curve.points.iter().filter(|line| !is_told(line));
+        let edges = lines.map(|line| counted(line.edges as u64, "edge"));
+        edges
+            .map(|edges| if curve.name.is_empty() { edges } else { format!("{} with {edges}", curve.name) })
+            .collect()
+    };
+    let names: Vec<String> = curves.iter().flat_map(of).collect();
+    let few = names.len() <= MOST_NAMED;
+    let told = if few { names.join("; ") } else { counted(names.len() as u64, "configuration") };
+    (!names.is_empty()).then(|| format!("left out, no total while all edges were measuring: {told}"))
+}
+
+/// Whether it has a total that can be drawn.
+fn is_told(line: &UsersLine) -> bool {
+    line.totals.median.is_some_and(is_drawable)
 }
 
 fn curve(curve: &Curve<'_>) -> SharingCurve {

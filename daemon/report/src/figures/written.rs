@@ -10,6 +10,17 @@ use crate::figure::{Accuracy, Course, Figure, Histogram, Lengths, Paired, Scalin
 pub(super) struct Drawing {
     pub(super) stem: String,
     pub(super) shown: Shown,
+    /// What whole parts of the results are not in it.
+    pub(super) missing: Vec<String>,
+}
+
+/// Figures that were written.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Written {
+    /// The files, two for each figure.
+    pub files: Vec<PathBuf>,
+    /// Which whole parts of the results are in none of them, and why, as in their notes: `stacked: left out: …`.
+    pub missing: Vec<String>,
 }
 
 /// Any figure.
@@ -27,7 +38,11 @@ pub(super) enum Shown {
 
 impl Drawing {
     pub(super) fn new(stem: impl Into<String>, shown: Shown) -> Self {
-        Self { stem: stem.into(), shown }
+        Self { stem: stem.into(), shown, missing: Vec::new() }
+    }
+
+    pub(super) fn without(self, missing: Vec<String>) -> Self {
+        Self { missing, ..self }
     }
 
     fn write(&self, folder: &Path) -> Result<[PathBuf; 2], WriteError> {
@@ -44,10 +59,14 @@ impl Drawing {
     }
 }
 
-pub(super) fn write(drawings: &[Drawing], folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
-    let mut files = Vec::new();
-    for drawing in drawings {
-        files.extend(drawing.write(folder)?);
+pub(super) fn write(drawings: &[Drawing], folder: &Path) -> Result<Written, WriteError> {
+    if !drawings.is_empty() {
+        std::fs::create_dir_all(folder).map_err(WriteError::at(folder))?;
     }
-    Ok(files)
+    let mut written = Written::default();
+    for drawing in drawings {
+        written.files.extend(drawing.write(folder)?);
+        written.missing.extend(drawing.missing.iter().map(|missing| format!("{}: {missing}", drawing.stem)));
+    }
+    Ok(written)
 }

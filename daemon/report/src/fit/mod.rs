@@ -76,7 +76,7 @@ const TELLING: f64 = 0.5;
 
 /// Bits per second of a slope in seconds per byte, and the margin of its 95 % interval; `None` where the interval reaches
 /// zero or is wider than half the rate.
-pub(crate) fn rate(slope: Estimate) -> Option<(f64, f64)> {
+pub fn rate(slope: Estimate) -> Option<(f64, f64)> {
     let (flat, steep) = slope.interval.filter(|(flat, _)| *flat > 0.0)?;
     let [rate, low, high] = [slope.value, steep, flat].map(|slope| 8.0 / slope);
     (high - low <= TELLING * rate).then(|| (rate, (high - rate).max(rate - low)))

@@ -47,7 +47,8 @@ impl Header {
         }
     }
 
-    fn further(&self) -> &[Column] {
+    /// The columns that not every file has.
+    pub(super) fn further(&self) -> &[Column] {
         self.names.get(FIXED.len()..).unwrap_or_default()
     }
 

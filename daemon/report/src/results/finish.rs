@@ -5,7 +5,9 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use super::cells::Header;
+use super::columns::FIXED;
 use super::folder::{DATA, Finished, RECORD, SUMMARIES};
+use super::parse::ends_with_line;
 use super::{RowRef, Rows, RunRecord, Summary};
 use crate::WriteError;
 use crate::error::write;
@@ -51,16 +53,25 @@ fn all(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<Vec<PathBuf>, W
     Ok(files)
 }
 
-/// Whether the file has every row and a column for everything in it.
+/// Whether the file has every row, and a cell for everything in it: a column that came late is missing in the rows that
+/// were written before the file got it.
 fn is_whole(path: &Path, rows: &Rows) -> bool {
-    let Ok(mut file) = csv::Reader::from_path(path) else { return false };
+    let Ok(mut file) = File::open(path) else { return false };
+    if !ends_with_line(&mut file).unwrap_or(false) {
+        return false;
+    }
+    let mut reader = csv::Reader::from_reader(file);
     let header = Header::of(rows);
-    let mut expected = rows.iter().map(|row| row.iteration().to_string());
-    file.byte_headers().is_ok_and(|names| names.iter().eq(header.names().map(str::as_bytes)))
-        && file.byte_records().all(|record| {
-            let record = record.ok();
-            record.as_ref().and_then(|record| record.get(0)) == expected.next().as_ref().map(String::as_bytes)
-        })
+    let is_row = |record: &csv::ByteRecord, row: RowRef<'_>| {
+        let further = header.further().iter().zip(record.iter().skip(FIXED.len()));
+        record.get(0) == Some(row.iteration().to_string().as_bytes())
+            && further.into_iter().all(|(name, cell)| cell.is_empty() == row.value(name).is_none())
+    };
+    let mut expected = rows.iter();
+    reader.byte_headers().is_ok_and(|names| names.iter().eq(header.names().map(str::as_bytes)))
+        && reader
+            .byte_records()
+            .all(|record| record.ok().zip(expected.next()).is_some_and(|(record, row)| is_row(&record, row)))
         && expected.next().is_none()
 }
 

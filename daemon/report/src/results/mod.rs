@@ -29,7 +29,10 @@ pub use error::FolderError;
 pub use folder::{Finished, Loaded, Overwrite, ResultFolder};
 pub use row::{Column, Outcome, Row};
 pub use rows::{RowRef, Rows};
-pub use run::{ClockCounts, Clocks, Counts, FORMAT, HostRecord, ModelRecord, Placement, RunRecord, instant};
+pub use run::{
+    Bounded, ClockCounts, Clocks, Counts, FORMAT, HostRecord, ModelRecord, NetworkConfig, Placement,
+    RunRecord, instant,
+};
 pub(crate) use summary::Scale;
 pub use summary::{Quantity, Summary};
 pub use units::Units;

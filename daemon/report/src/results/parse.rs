@@ -186,7 +186,7 @@ fn take_text(
 }
 
 /// Whether its last line is whole. It is read from the beginning afterwards.
-fn ends_with_line(file: &mut File) -> std::io::Result<bool> {
+pub(super) fn ends_with_line(file: &mut File) -> std::io::Result<bool> {
     let mut last = [0];
     if file.metadata()?.len() > 0 {
         file.seek(SeekFrom::End(-1))?;

@@ -40,6 +40,10 @@ pub struct RunRecord {
     pub version: String,
     /// The command that was typed.
     pub command: String,
+    /// The folder in which it was typed: relative paths of the command and of the configuration belong to it.
+    pub folder: String,
+    /// The file of devices that the command names.
+    pub network_config: Option<NetworkConfig>,
     /// Who sensed.
     pub edge: HostRecord,
     /// Who served; `None` where nobody did, or nobody was reached.
@@ -79,6 +83,16 @@ impl RunRecord {
     }
 }
 
+/// A file of devices, as it was when the command was typed.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct NetworkConfig {
+    /// Its path, as it was typed.
+    pub file: String,
+    /// All of it.
+    pub text: String,
+}
+
 /// A host that took part.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
@@ -91,6 +105,8 @@ pub struct HostRecord {
     pub version: String,
     /// What it is made of.
     pub hardware: Option<Hardware>,
+    /// What disciplines its clock, in words: `chrony, stratum 2, to 10.0.0.1`; empty where nobody asked.
+    pub clock: String,
     /// What was found of it before the run.
     pub conditions: Vec<Condition>,
 }
@@ -157,6 +173,24 @@ pub struct ClockCounts {
     pub sources: BTreeMap<String, u64>,
     /// Median width of the bounds, seconds; `None` where there are none.
     pub median_width: Option<f64>,
+    /// How far the receiver's wall clock was ahead of the sender's at the first message of which that is known.
+    pub first_offset: Option<Bounded>,
+    /// The same at the last one.
+    pub last_offset: Option<Bounded>,
+    /// How fast that grew between the two on average, seconds per second.
+    pub skew: Option<Bounded>,
+}
+
+/// A value and the bounds that contain the true one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Bounded {
+    /// The estimate.
+    pub value: f64,
+    /// The lower bound.
+    pub lo: f64,
+    /// The upper bound.
+    pub hi: f64,
 }
 
 /// A wall time as it stands in `run.json`.
@@ -187,18 +221,23 @@ impl Clocks {
     pub fn of(rows: &Rows) -> Self {
         let counted = || rows.iter().filter(|row| row.counts());
         Self {
-            upload: ClockCounts::of(counted().filter_map(|row| row.upload())),
-            download: ClockCounts::of(counted().filter_map(|row| row.download())),
+            upload: ClockCounts::of(counted().filter_map(|row| Some((row.at(), row.upload()?)))),
+            download: ClockCounts::of(counted().filter_map(|row| Some((row.at(), row.download()?)))),
         }
     }
 }
 
 impl ClockCounts {
-    fn of(passages: impl Iterator<Item = Passage>) -> Self {
+    fn of(passages: impl Iterator<Item = (f64, Passage)>) -> Self {
         let (mut verdicts, mut sources) = (BTreeMap::new(), BTreeMap::new());
         let mut widths: Vec<f64> = Vec::new();
-        for passage in passages {
+        let (mut first, mut last) = (None, None);
+        for (at, passage) in passages {
             let delay = &passage.delay;
+            if let Some(offset) = offset(&passage) {
+                first.get_or_insert((at, offset));
+                last = Some((at, offset));
+            }
             *verdicts.entry(delay.verdict.name()).or_default() += 1;
             *sources.entry(delay.source.name()).or_default() += 1;
             widths.extend(delay.bounds.map(|bounds| bounds.width().seconds()));
@@ -210,6 +249,28 @@ impl ClockCounts {
             verdicts: named(verdicts),
             sources: named(sources),
             median_width: widths.into_iter().collect::<Ordered>().median(),
+            first_offset: first.map(|(_, offset)| offset),
+            last_offset: last.map(|(_, offset)| offset),
+            skew: first.zip(last).and_then(|(first, last)| skew(first, last)),
         }
     }
+}
+
+/// What was taken from the difference of the stamps, in seconds.
+fn offset(passage: &Passage) -> Option<Bounded> {
+    passage.seconds()?;
+    let (delay, seconds) = (&passage.delay, |delay| (passage.delay.raw - delay).seconds());
+    let bounds = delay.bounds?;
+    Some(Bounded { value: seconds(delay.value?), lo: seconds(bounds.hi), hi: seconds(bounds.lo) })
+}
+
+fn skew((from, first): (f64, Bounded), (to, last): (f64, Bounded)) -> Option<Bounded> {
+    let seconds = to - from;
+    let over = |change: f64| change / seconds;
+    // Where nobody wrote down when an iteration began it is 0.
+    (from > 0.0 && seconds > 0.0).then(|| Bounded {
+        value: over(last.value - first.value),
+        lo: over(last.lo - first.hi),
+        hi: over(last.hi - first.lo),
+    })
 }

@@ -68,7 +68,7 @@ impl RowWriter {
     ///
     /// A row may bring columns that no row before it had. They are put behind the others: the file is made anew, which
     /// is done when it has at least doubled since the last time, so that it costs no more than writing does. What has no
-    /// column until the end gets one by [`ResultFolder::finish`](super::ResultFolder::finish).
+    /// column by then is left out until [`ResultFolder::finish`](super::ResultFolder::finish) puts it in.
     pub fn write(&mut self, row: &Row) {
         if self.rows.1 >= 2 * self.rows.0 && !self.header.covers(row) {
             self.extend(row);

@@ -2,6 +2,7 @@
 
 use serde::Deserialize;
 
+use crate::number::{counted, fixed};
 use crate::results::{Rows, RunRecord, SKIPPED_STARTS};
 
 /// How often a run was to begin an iteration: its pipeline's `load`.
@@ -21,6 +22,9 @@ pub struct Starts {
     pub kept: u64,
     /// Starts that were skipped because the pipeline was too far behind.
     pub skipped: u64,
+    /// Starts that were made per second, from the first to the last, answered or not; `None` where their times are not
+    /// known.
+    pub made_hz: Option<f64>,
 }
 
 impl Load {
@@ -35,7 +39,12 @@ impl Starts {
     pub fn of_rows(rows: &Rows) -> Self {
         let begun = || rows.iter().filter(|row| !row.warm_up());
         let skipped = begun().filter_map(|row| row.value(SKIPPED_STARTS)).filter(|value| *value > 0.0);
-        Self { hz: None, kept: begun().count() as u64, skipped: skipped.sum::<f64>() as u64 }
+        Self {
+            hz: None,
+            kept: begun().count() as u64,
+            skipped: skipped.sum::<f64>() as u64,
+            made_hz: made_hz(begun().map(|row| row.at()).filter(|at| *at > 0.0)),
+        }
     }
 
     /// All that came due.
@@ -43,13 +52,36 @@ impl Starts {
         self.kept + self.skipped
     }
 
+    /// How many of all were skipped, in words; `None` where none were.
+    pub fn told(&self) -> Option<String> {
+        let percent = fixed(self.skipped_share() * 100.0, 1);
+        let told =
+            format!("{} of {} ({percent} %)", fixed(self.skipped as f64, 0), counted(self.all(), "start"));
+        (self.skipped > 0).then_some(told)
+    }
+
     /// The share that was skipped, 0 to 1.
     pub fn skipped_share(&self) -> f64 {
         if self.all() == 0 { 0.0 } else { self.skipped as f64 / self.all() as f64 }
     }
+}
 
-    /// The rate that was kept, per second.
-    pub fn kept_hz(&self) -> Option<f64> {
-        self.hz.map(|hz| hz * (1.0 - self.skipped_share()))
+/// Starts per second. They stand in the order in which they ended, of which a later one may be first.
+fn made_hz(starts: impl Iterator<Item = f64>) -> Option<f64> {
+    let (count, first, last) = starts
+        .fold((0_u64, f64::INFINITY, 0.0), |(count, first, last): (u64, f64, f64), at| {
+            (count + 1, first.min(at), last.max(at))
+        });
+    (last > first).then(|| (count - 1) as f64 / (last - first))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::made_hz;
+
+    #[test]
+    fn the_rate_of_starts_is_measured_from_the_first_to_the_last() {
+        assert_eq!(made_hz([10.5, 10.0, 11.5, 12.0].into_iter()), Some(1.5));
+        assert_eq!([made_hz([10.0].into_iter()), made_hz(std::iter::empty())], [None, None]);
     }
 }

@@ -263,7 +263,7 @@ fn starts_that_were_skipped_are_told_and_weighed() {
     let poisson = serde_json::json!({ "mode": "poisson", "hz": 40.0, "seed": 7 });
     for load in [&rate, &poisson] {
         let text = "1,041 of 2,041 starts (51\u{202f}%) were skipped, because the pipeline was too far behind: \
-                    40.0\u{202f}Hz were ordered, 19.6\u{202f}Hz kept. The latency is that of a system at its limit.";
+                    40.0\u{202f}Hz were ordered, 1.00 starts a second were made. The latency is that of a system at its limit.";
         assert_eq!(judged(load.clone(), 1041), Some((Grade::Bad, text.to_owned())));
     }
     let (grade, text) = judged(rate.clone(), 20).expect("told");

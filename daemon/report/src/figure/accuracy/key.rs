@@ -3,7 +3,7 @@
 use plotters::prelude::DrawingBackend;
 use plotters::style::text_anchor::{HPos, VPos};
 
-use super::super::kit::{Drawn, INK, Paper, QUIET, SIZE, SMALL, shorten, style, text, width};
+use super::super::kit::{Drawn, INK, Paper, QUIET, SIZE, SMALL, shorten_apart, style, text, width};
 use super::Accuracy;
 use crate::number::{fixed, significant};
 
@@ -55,14 +55,15 @@ impl Accuracy {
             ends[column] = ends[column + 1] - wide(column + 1) - GAP;
         }
         let first = ends.first().map_or(SIZE.0 as i32 - EDGE, |end| end - wide(0) - GAP);
-        for (number, (label, cells)) in lines.iter().enumerate() {
+        let labels: Vec<&str> = lines.iter().map(|(label, _)| label.as_str()).collect();
+        let labels = shorten_apart(&labels, SMALL, first - EDGE - NUMBER);
+        for (number, (label, (_, cells))) in labels.iter().zip(&lines).enumerate() {
             let middle = top + LINE * number as i32 + LINE / 2;
             let colour = if number == 0 { QUIET } else { INK };
             let look = |side| style(SMALL, colour, side, VPos::Center);
             if number > 0 {
-                let label = shorten(label, SMALL, first - EDGE - NUMBER);
                 text(paper, number.to_string(), (EDGE + NUMBER - 24, middle), look(HPos::Right))?;
-                text(paper, label, (EDGE + NUMBER, middle), look(HPos::Left))?;
+                text(paper, label.clone(), (EDGE + NUMBER, middle), look(HPos::Left))?;
             }
             for (cell, end) in cells.iter().zip(&ends) {
                 text(paper, cell.clone(), (*end, middle), look(HPos::Right))?;

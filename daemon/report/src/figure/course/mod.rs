@@ -79,8 +79,11 @@ impl Course {
         let of = |line: &Line| {
             range(&line.values.iter().map(|(_, value)| *value).filter(|v| v.is_finite()).collect::<Ordered>())
         };
-        let ranges = self.stages.iter().chain([&self.total]).filter_map(of);
-        ranges.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
+        let total = of(&self.total);
+        // A stage is a part of the total: what of it lies beyond the total's range is an outlier as well.
+        let most = total.map_or(f64::INFINITY, |(_, most)| most);
+        let stages = self.stages.iter().filter_map(of).map(|(lo, hi)| (lo, hi.min(most)));
+        stages.chain(total).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
     }
 
     fn has_borders(&self) -> bool {

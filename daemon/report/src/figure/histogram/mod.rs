@@ -17,6 +17,9 @@ use super::kit::{
 use crate::number::fixed;
 use crate::order::Ordered;
 
+/// Half the width of the only bar, as a part of the plot.
+const ALONE: i32 = 20;
+
 /// A histogram with its median and 95th percentile.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Histogram {
@@ -90,7 +93,15 @@ impl Figure for Histogram {
             let (from, to) = bins.bin(number);
             // What is there is seen, be it one iteration in ten thousand.
             let height = frame.y.at(*count as f64).min(bottom - 3);
-            fill(paper, [(x(from) + 1, height), ((x(to) - 2).max(x(from) + 3), bottom)], self.fill)?;
+            let (left, right) = if bins.counts.len() == 1 {
+                // As wide for zero, which has no width to go by, as for any other value.
+                let (left, right) = frame.x.pixels;
+                let (middle, half) = (i32::midpoint(left, right), (right - left) / ALONE);
+                (middle - half, middle + half)
+            } else {
+                (x(from), x(to))
+            };
+            fill(paper, [(left + 1, height), ((right - 2).max(left + 3), bottom)], self.fill)?;
         }
         frame.draw_x(paper, &self.unit.title, |tick| tick.text.clone())?;
         for (_, value, dashed) in self.lines().filter(|(_, value, _)| frame.x.has(value * self.unit.per_si)) {

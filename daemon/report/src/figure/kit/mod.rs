@@ -20,7 +20,7 @@ pub(super) use colour::{AXIS, GRID, QUIET, SERIES, SHADE};
 pub(super) use fill::fill;
 pub(super) use frame::Frame;
 pub(super) use header::{Header, Key, Swatch};
-pub(super) use text::{shorten, text, text_on_ground, width};
+pub(super) use text::{shorten_apart, text, text_on_ground, width};
 
 use std::borrow::Cow;
 

@@ -74,6 +74,38 @@ pub(in crate::figure) fn shorten(text: &str, height: i32, room: i32) -> String {
     fits.unwrap_or_else(|| "…".to_owned())
 }
 
+/// The same for names that stand side by side. Those that would look alike lose what they have in common at their ends
+/// instead: `…_s_…` and `…_m_…`.
+pub(in crate::figure) fn shorten_apart(names: &[&str], height: i32, room: i32) -> Vec<String> {
+    let short: Vec<String> = names.iter().map(|name| shorten(name, height, room)).collect();
+    let alike = |at: usize| -> Vec<&str> {
+        let others =
+            names.iter().zip(&short).filter(|(name, text)| **text == short[at] && **name != names[at]);
+        others.map(|(name, _)| *name).collect()
+    };
+    let apart = |(at, text): (usize, &String)| {
+        let others = alike(at);
+        if others.is_empty() { text.clone() } else { shorten(&difference(names[at], &others), height, room) }
+    };
+    short.iter().enumerate().map(apart).collect()
+}
+
+/// What of a name is not in all of the others as well, with `…` for what is.
+fn difference(name: &str, others: &[&str]) -> String {
+    fn shared(a: impl Iterator<Item = char>, b: impl Iterator<Item = char>) -> usize {
+        a.zip(b).take_while(|(a, b)| a == b).count()
+    }
+    let head = others.iter().map(|other| shared(name.chars(), other.chars())).min().unwrap_or_default();
+    let tail = others.iter().map(|other| {
+        let left = name.chars().count().min(other.chars().count()) - head;
+        shared(name.chars().rev(), other.chars().rev()).min(left)
+    });
+    let tail = tail.min().unwrap_or_default();
+    let middle: String = name.chars().skip(head).take(name.chars().count() - head - tail).collect();
+    let end = |count: usize| if count > 0 { "…" } else { "" };
+    format!("{}{middle}{}", end(head), end(tail))
+}
+
 /// Lines that fit, broken between words. A word that is wider than a line is shortened.
 pub(in crate::figure) fn wrap(text: &str, height: i32, room: i32) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
@@ -90,6 +122,18 @@ pub(in crate::figure) fn wrap(text: &str, height: i32, room: i32) -> Vec<String>
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn names_that_are_shortened_stay_apart() {
+        let long = ["s", "m", "xl"].map(|size| format!("efficientnet_v2_{size}_with_a_long_suffix_int8"));
+        let mut names: Vec<&str> = long.iter().map(String::as_str).collect();
+        names.extend(["resnet", "resnet"]);
+        assert_eq!(shorten_apart(&names, 50, 250), ["…s…", "…m…", "…xl…", "resnet", "resnet"]);
+        assert_eq!(shorten_apart(&names, 50, 5000), names);
+        let nested = ["a model with a long name", "a model with a long name, a model with a long name"];
+        let [one, other] = [0, 1].map(|at| shorten_apart(&nested, 50, 300)[at].clone());
+        assert!(one != other && [&one, &other].iter().all(|text| width(text, 50) <= 300), "{one} {other}");
+    }
 
     #[test]
     fn text_is_made_to_fit() {

@@ -11,9 +11,9 @@ use plotters::style::{Color, WHITE};
 use super::histogram::{nothing, range};
 use super::kit::{
     Axis, Drawn, Figure, Frame, Header, INK, Key, Mark, Paper, QUIET, SERIES, SIZE, SMALL, Swatch, TEXT,
-    Unit, shorten, style, text, width,
+    Unit, shorten_apart, style, text, width,
 };
-use crate::number::{fixed, significant};
+use crate::number::{counted, fixed, significant};
 use crate::order::Ordered;
 use density::density;
 
@@ -21,6 +21,8 @@ use density::density;
 const MOST_POINTS: usize = 60;
 /// Room for single points above the axis' range, below what is written there.
 const NEAR: f64 = 1.05;
+/// From this ratio of the largest to the smallest median on, the axis is logarithmic.
+const WIDE: f64 = 30.0;
 /// Most sides that can be told apart.
 pub const MOST_SIDES: usize = SERIES.len();
 /// Most groups that a column has room for.
@@ -78,6 +80,15 @@ impl Paired {
         if self.groups.iter().flat_map(|group| &group.values).any(|values| self.beyond(values) > 0) {
             notes.push("+ above: so many values are larger than shown".to_owned());
         }
+        let below = self
+            .groups
+            .iter()
+            .flat_map(|group| &group.values)
+            .map(|values| self.below(values))
+            .sum::<usize>();
+        if below > 0 {
+            notes.push(format!("smaller than shown: {}", counted(below as u64, "value")));
+        }
         Header { title: self.title.clone(), keys: self.sides.iter().zip(looks).map(key).collect(), notes }
     }
 
@@ -86,13 +97,27 @@ impl Paired {
         let sides = self.groups.iter().map(|group| group.values.len()).max().unwrap_or(1);
         let room = (SIZE.0 as i32 - 260) * 9 / 10 / (self.groups.len() * sides).max(1) as i32 - 12;
         let all = self.groups.iter().flat_map(|group| &group.values);
-        all.into_iter().all(|values| width(&counted(values), SMALL) <= room)
+        all.into_iter().all(|values| width(&n_of(values), SMALL) <= room)
     }
 
     /// What the axis holds: every distribution but for tails that would squeeze the rest.
     fn shown(&self) -> Option<(f64, f64)> {
-        let all = self.groups.iter().flat_map(|group| &group.values).filter_map(range);
+        let ends = |values: &Ordered| {
+            let (lo, hi) = range(values)?;
+            // A single point above zero squeezes nothing from below.
+            let least = values.values().first().copied().filter(|least| *least > 0.0);
+            Some((least.filter(|_| values.len() <= MOST_POINTS).unwrap_or(lo), hi))
+        };
+        let all = self.groups.iter().flat_map(|group| &group.values).filter_map(ends);
         all.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).filter(|(lo, hi)| lo.is_finite() && hi.is_finite())
+    }
+
+    /// Whether an even axis would press most of it onto its base: then the axis is logarithmic.
+    fn is_wide(&self) -> bool {
+        let medians = self.groups.iter().flat_map(|group| &group.values).filter_map(Ordered::median);
+        let medians: Ordered = medians.collect();
+        let ends = medians.values().first().zip(medians.values().last());
+        self.shown().is_some_and(|(lo, _)| lo > 0.0) && ends.is_some_and(|(lo, hi)| *hi >= WIDE * lo)
     }
 
     /// The largest value that is shown of some: single points as far as the axis goes, shapes without their tails.
@@ -111,6 +136,13 @@ impl Paired {
         self.highest(values).map_or(0, count)
     }
 
+    /// How many values are below what is shown of them.
+    fn below(&self, values: &Ordered) -> usize {
+        let lowest = if values.len() > MOST_POINTS { range(values) } else { self.shown() };
+        let count = |(lowest, _)| values.values().iter().filter(|value| **value < lowest).count();
+        lowest.map_or(0, count)
+    }
+
     fn draw_one<DB: DrawingBackend>(
         &self,
         paper: &Paper<DB>,
@@ -121,7 +153,7 @@ impl Paired {
         let y = |value: f64| frame.y.at(value * self.unit.per_si);
         let Some((lo, hi)) = range(values) else { return Ok(()) };
         let highest = self.highest(values);
-        let hill = density(values, (lo, hi));
+        let hill = if self.is_wide() { log_density(values, (lo, hi)) } else { density(values, (lo, hi)) };
         let wide = |dense: f64| (f64::from(half) * dense).round() as i32;
         let mut places: Vec<(i32, i32)> =
             hill.iter().map(|(value, dense)| (y(*value), wide(*dense))).collect();
@@ -134,7 +166,9 @@ impl Paired {
         if places.len() > 1 && values.len() > MOST_POINTS {
             violin::draw(paper, &places, middle, colour)?;
         } else {
-            let shown = values.values().iter().filter(|value| highest.is_some_and(|most| **value <= most));
+            let lowest = self.shown().map_or(lo, |(lowest, _)| lowest);
+            let is_shown = |value: &&f64| **value >= lowest && highest.is_some_and(|most| **value <= most);
+            let shown = values.values().iter().filter(is_shown);
             for (number, value) in shown.enumerate() {
                 // Spread evenly to the sides, so that each is seen; the same every time.
                 let aside = (number as f64 * 0.618_034).fract() - 0.5;
@@ -167,8 +201,15 @@ impl Paired {
     }
 }
 
+/// The density of the logarithms: as wide as it is dense on a logarithmic axis.
+fn log_density(values: &Ordered, (lo, hi): (f64, f64)) -> Vec<(f64, f64)> {
+    let logarithms: Ordered =
+        values.values().iter().filter(|value| **value > 0.0).map(|value| value.ln()).collect();
+    density(&logarithms, (lo.ln(), hi.ln())).into_iter().map(|(at, dense)| (at.exp(), dense)).collect()
+}
+
 /// `n = 1,200`
-fn counted(values: &Ordered) -> String {
+fn n_of(values: &Ordered) -> String {
     format!("n = {}", fixed(values.len() as f64, 0))
 }
 
@@ -176,16 +217,26 @@ impl Figure for Paired {
     fn draw<DB: DrawingBackend>(&self, paper: &Paper<DB>) -> Drawn<DB> {
         let top = self.header().draw(paper)?;
         let Some((lo, hi)) = self.shown() else { return nothing(paper, top) };
-        let range = (lo * self.unit.per_si, hi * self.unit.per_si * 1.12);
+        let (lo, hi) = (lo * self.unit.per_si, hi * self.unit.per_si);
         let counts = if self.has_room_for_counts() { SMALL + 6 } else { 0 };
-        let y = Frame::below(top, SIZE.1 as i32 + 70 - counts, |pixels| Axis::from_zero(range, pixels));
+        let y = Frame::below(top, SIZE.1 as i32 + 70 - counts, |pixels| {
+            if self.is_wide() {
+                // Room for the ratios above, as below.
+                let room = (hi / lo).powf(0.12);
+                Axis::logarithmic((lo / room.sqrt(), hi * room), pixels)
+            } else {
+                Axis::from_zero((lo, hi * 1.12), pixels)
+            }
+        });
         let pixels = Frame::beside(&y, SIZE.0 as i32);
         let frame = Frame { x: Axis::linear((0.0, 1.0), pixels), y };
         frame.draw_y(paper, (&self.unit.title, 0))?;
         let step = (pixels.1 - pixels.0) / self.groups.len().max(1) as i32;
         let fit = self.groups.iter().all(|group| width(&group.name, TEXT) <= step - 12);
         let height = if fit { TEXT } else { SMALL };
-        for (number, group) in self.groups.iter().enumerate() {
+        let names: Vec<&str> = self.groups.iter().map(|group| group.name.as_str()).collect();
+        let names = shorten_apart(&names, height, step - 12);
+        for (number, (group, name)) in self.groups.iter().zip(names).enumerate() {
             let left = pixels.0 + step * number as i32;
             let lane = step * 9 / 10 / group.values.len().max(1) as i32;
             for (side, values) in group.values.iter().enumerate() {
@@ -193,11 +244,10 @@ impl Figure for Paired {
                 self.draw_one(paper, &frame, (values, side, middle, (lane * 2 / 5).min(130)))?;
                 if counts > 0 && !values.is_empty() {
                     let look = style(SMALL, QUIET, HPos::Center, VPos::Top);
-                    text(paper, counted(values), (middle, y.pixels.0 + 18), look)?;
+                    text(paper, n_of(values), (middle, y.pixels.0 + 18), look)?;
                 }
             }
             let at = (left + step / 2, y.pixels.0 + 24 + counts);
-            let name = shorten(&group.name, height, step - 12);
             text(paper, name, at, style(height, INK, HPos::Center, VPos::Top))?;
             if let Some(ratio) = group.ratio() {
                 let at = (left + step / 2, y.pixels.1 + 4);

@@ -71,6 +71,16 @@ fn odd_values_are_drawn_too() {
     }
 }
 
+#[test]
+fn values_that_are_all_zero_have_a_bar() {
+    let fill = colour(histogram(millis([])).fill);
+    let widths = [0.0, 3.0].map(|value| {
+        let svg = histogram(millis([value; 30])).svg().expect("drawn");
+        Elements::of(&svg, "rect").with("fill", &fill).numbers("width").into_iter().fold(0.0, f64::max)
+    });
+    assert!(widths[0] > 100.0 && (widths[0] - widths[1]).abs() < 8.0, "{widths:?}");
+}
+
 fn stacked(bars: Vec<(&str, [f64; 3], Option<f64>)>) -> Stacked {
     let bar = |(label, means, std): (&str, [f64; 3], Option<f64>)| Bar {
         label: label.to_owned(),

@@ -45,6 +45,21 @@ fn a_hundred_thousand_iterations_are_a_small_file() {
 }
 
 #[test]
+fn one_stall_of_a_steady_stage_does_not_hide_the_run() {
+    let stalled = |at: u32, value: f64| (f64::from(at) / 10.0, if at == 300 { 12.0 } else { value });
+    let figure = Course {
+        stages: vec![Line {
+            name: "inference".to_owned(),
+            colour: INK,
+            values: (0..600).map(|at| stalled(at, 5e-3)).collect(),
+        }],
+        ..course((0..600).map(|at| stalled(at, 6e-3 + f64::from(at % 7) * 1e-5)).collect())
+    };
+    let svg = figure.svg().expect("drawn");
+    assert!(texts(&svg).iter().any(|text| text.starts_with("1 beyond 6.")), "{:?}", texts(&svg));
+}
+
+#[test]
 fn lines_stop_where_nothing_was_measured() {
     let with_gap = |i: u32| f64::from(i) + if i < 500 { 0.0 } else { 3000.0 };
     let lines = |total: Vec<(f64, f64)>| {

@@ -40,6 +40,30 @@ fn many_values_are_a_shape_and_few_are_points() {
 }
 
 #[test]
+fn models_of_very_different_latency_share_a_logarithmic_axis() {
+    let figure = paired(vec![vec![hill(0.5, 400), hill(0.2, 9)], vec![hill(9000.0, 400), hill(3000.0, 400)]]);
+    let svg = figure.svg().expect("drawn");
+    for text in ["Inference, ms (log scale)", "1", "10,000"] {
+        assert!(has(&svg, text), "{text} in {:?}", texts(&svg));
+    }
+    assert_on_paper(&figure, &svg);
+    let zero = paired(vec![vec![millis([0.0, 1.0, 2.0]), hill(9000.0, 400)]]);
+    assert!(has(&zero.svg().expect("drawn"), "Inference, ms"), "zero has no logarithm");
+}
+
+#[test]
+fn long_names_of_models_stay_apart() {
+    let mut figure = paired(vec![vec![hill(50.0, 9), hill(20.0, 9)]; 6]);
+    for (group, size) in figure.groups.iter_mut().zip(["s", "m", "l", "x", "y", "z"]) {
+        group.name = format!("efficientnet_v2_{size}_with_a_very_long_suffix_int8");
+    }
+    let svg = figure.svg().expect("drawn");
+    for name in ["…s…", "…m…", "…z…"] {
+        assert!(has(&svg, name), "{name} in {:?}", texts(&svg));
+    }
+}
+
+#[test]
 fn a_shape_is_whole_however_narrow_its_hills_are() {
     // A hill of 0.4 ms, another one, and a few values up to far above.
     let hill = |from: f64, n: u32| (0..n).map(move |i| from + 0.4 * (f64::from(i) + 0.5) / f64::from(n));

@@ -53,10 +53,11 @@ fn delays_that_are_not_known_make_no_bar_shorter() {
     let shown: Vec<f64> = figure.bars[0].means.iter().map(|mean| (mean * 1e6).round()).collect();
     assert_eq!((figure.bars.len(), shown), (1, vec![1_000.0, 10_000.0]));
     assert!((figure.bars[0].total - 11e-3).abs() < 1e-9, "{figure:?}");
+    assert_eq!(drawings[0].missing, ["left out: 1 configuration without an iteration that counts"]);
     let told = [
         "n = 99 · left out: 10 warm-up, 16 without an answer",
-        "left out: 1 configuration without an iteration that counts",
         "left out of the means: unknown delays, 50 of upload",
+        "left out: 1 configuration without an iteration that counts",
     ];
     assert_eq!(figure.notes[1..], told);
 }

@@ -6,7 +6,7 @@ use peernet_logger::Unit;
 
 use super::{Quantity, Summary};
 use crate::accuracy::{ACCURACIES, UNKNOWN_LABEL};
-use crate::number::{bound_milliseconds, counted, decimals, decimals_within, fixed};
+use crate::number::{bound_milliseconds, decimals, decimals_within, fixed};
 use crate::results::{ClockCounts, Counts, SKIPPED_STARTS, Units};
 use crate::table::{Table, csv_text};
 use crate::trust::Starts;
@@ -236,15 +236,7 @@ fn outcomes(counts: &Counts) -> String {
 
 /// How many ordered starts did not take place; nothing where all did.
 fn starts(starts: &Starts) -> String {
-    if starts.skipped == 0 {
-        return String::new();
-    }
-    let percent = fixed(starts.skipped_share() * 100.0, 1);
-    format!(
-        "Skipped: {} of {} ({percent} %).",
-        fixed(starts.skipped as f64, 0),
-        counted(starts.all(), "start")
-    )
+    starts.told().map_or_else(String::new, |told| format!("Skipped: {told}."))
 }
 
 /// What the delays were found to be, in one sentence; nothing where there were none.

@@ -223,3 +223,24 @@ proptest! {
         prop_assert_eq!(ResultFolder::open(folder.path()).expect("readable").rows, kept(&rows));
     }
 }
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+    #[test]
+    fn whenever_columns_come_the_file_is_in_the_end_as_if_written_at_once(
+        count in 1..60_usize,
+        cells in prop::collection::vec((0..60_usize, "[a-e]", 0.0..1.0_f64), 0..12),
+    ) {
+        let mut rows = rows(count as u64);
+        for (place, name, value) in cells {
+            rows[place % count].values.push((Column::Owned(name), value));
+        }
+        let folders = [(); 2].map(|()| tempfile::tempdir().expect("a folder"));
+        write(folders[0].path(), &rows);
+        let at_once = ResultFolder::create(folders[1].path(), Overwrite::Refuse).expect("it is empty");
+        at_once.finish(&record(), &kept(&rows)).expect("writable");
+        let [written, expected] =
+            folders.map(|folder| std::fs::read_to_string(folder.path().join("data.csv")).expect("text"));
+        prop_assert_eq!(written, expected);
+    }
+}

@@ -1,5 +1,6 @@
 //! Results as a whole: trees in, files out, rows back.
 
+mod clocks;
 mod columns;
 mod files;
 mod published;

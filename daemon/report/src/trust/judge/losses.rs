@@ -125,9 +125,9 @@ fn kept(starts: &Starts) -> Option<Sentence> {
         return text.map(|text| say(about, Grade::Good, text));
     }
     let share = starts.skipped_share();
-    let rates = ordered.zip(starts.kept_hz()).map_or_else(String::new, |(hz, kept)| {
-        format!(": {hz}\u{202f}Hz were ordered, {}\u{202f}Hz kept", significant(kept))
-    });
+    let made = starts.made_hz.map(|made| format!(", {} starts a second were made", significant(made)));
+    let rates = ordered
+        .map_or_else(String::new, |hz| format!(": {hz}\u{202f}Hz were ordered{}", made.unwrap_or_default()));
     let text = format!(
         "{} of {} ({}) {} skipped, because the pipeline was too far behind{rates}.",
         fixed(starts.skipped as f64, 0),
@@ -135,7 +135,7 @@ fn kept(starts: &Starts) -> Option<Sentence> {
         percent(share),
         if starts.skipped == 1 { "was" } else { "were" }
     );
-    let advice = "give the rate that was kept beside the latency, or order less";
+    let advice = "give the rate of the starts that were made beside the latency, or order less";
     Some(match share {
         share if share > MANY => {
             let text = format!("{text} The latency is that of a system at its limit.");
