@@ -58,3 +58,21 @@ export async function moves(page, selector) {
 
 // Charts are drawn after the page: waits until all that can be seen are there.
 export const drawn = (page) => page.waitForFunction(() => Array.from(document.querySelectorAll(".chart")).every((chart) => chart.querySelector("canvas") || !chart.clientWidth), null, { timeout: 30000 });
+
+// Opens a page with charts whose figures `change` has changed, and to which nothing is added later.
+export async function charted(browser, base, path, change, options) {
+  const opened = await open(browser, base, "/compare", options), { page } = opened;
+  await page.route("**/api/v1/live*", (route) => route.abort());
+  await page.route(`${base}${path}`, async (route) => {
+    const answer = await route.fetch();
+    const body = (await answer.text()).replace(/(<script[^>]*id="data"[^>]*>)(.*?)(<\/script>)/s, (_, begin, data, end) => {
+      const known = JSON.parse(data);
+      change(known);
+      return begin + JSON.stringify(known).replaceAll("<", "\\u003c") + end;
+    });
+    await route.fulfill({ response: answer, body });
+  });
+  await page.goto(path);
+  await drawn(page);
+  return opened;
+}

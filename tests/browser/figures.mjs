@@ -1,7 +1,7 @@
 // What a person does to see figures: pages open one another, charts and tables show the same.
 import assert from "node:assert/strict";
 import { describe, test } from "node:test";
-import { drawn, moves, open } from "./browser.mjs";
+import { charted, drawn, moves, open } from "./browser.mjs";
 import { base, browser, latest, pages } from "./dashboard.mjs";
 
 describe("the way of a person", () => {
@@ -62,20 +62,8 @@ describe("the way of a person", () => {
 
 describe("what is drawn of little", () => {
   // The overview with these seconds in its first chart, and nothing that comes later.
-  async function charted(change) {
-    const { page, errors, close } = await open(browser, base, "/hosts");
-    await page.route("**/api/v1/live*", (route) => route.abort());
-    await page.route(`${base}/`, async (route) => {
-      const answer = await route.fetch();
-      const body = (await answer.text()).replace(/(<script[^>]*id="data"[^>]*>)(.*?)(<\/script>)/s, (_, begin, data, end) => {
-        const known = JSON.parse(data);
-        change(known.charts[0]);
-        return begin + JSON.stringify(known).replaceAll("<", "\\u003c") + end;
-      });
-      await route.fulfill({ response: answer, body });
-    });
-    await page.goto("/");
-    await drawn(page);
+  async function first(change) {
+    const { page, errors, close } = await charted(browser, base, "/", (data) => change(data.charts[0]));
     const series = await page.evaluate(() => {
       const all = globalThis.echarts.getInstanceByDom(document.querySelector(".live-chart")).getOption().series;
       return all.map(({ name, data }) => ({ name, data: (data || []).map((point) => ({ value: point.value?.[1] ?? point[1] ?? null, at: (point.value ?? point)[0], symbol: point.symbol ?? null })) }));
@@ -85,14 +73,14 @@ describe("what is drawn of little", () => {
   }
 
   test("a run of one second is seen: an area as wide as its bucket and a dot", async () => {
-    const { of } = await charted((chart) => Object.assign(chart, { remote: true, n: [32], p95: [9], means: { total: [8], inference: [5], "upload-throughput": [3] }, obstacles: [null, null], cpu: [], gpu: [] }));
+    const { of } = await first((chart) => Object.assign(chart, { remote: true, n: [32], p95: [9], means: { total: [8], inference: [5], "upload-throughput": [3] }, obstacles: [null, null], cpu: [], gpu: [] }));
     assert.equal(of("inference").length, 2);
     assert.deepEqual(of("p95").map(({ symbol }) => symbol), ["circle"]);
     assert.deepEqual(of("strip 0").map(({ value, symbol }) => [value, symbol]), [[3, "circle"]]);
   });
 
   test("the line of a host's CPU stops where nothing was heard of it", async () => {
-    const { all } = await charted((chart) => {
+    const { all } = await first((chart) => {
       const from = chart.from;
       Object.assign(chart, { remote: false, cpu: [[from, 90], [from + 5, 100], [from + 500, 100], [from + 505, 80]], gpu: [] });
     });

@@ -98,6 +98,7 @@ async fn produce(address: String, clock: SharedClock, lines: Vec<Line>, backlog:
     factory.store_sizes(2.min(factory.lines.len() - 1), 300, &[30e3, 150e3, 400e3, 800e3]).await;
     if grid {
         factory.store_grid(100, 50).await;
+        factory.store_skipping(0, 600, 3).await;
         factory.store_attempts(200, &["stopped", "finished"]).await;
         factory.store_users(200, &[1, 2, 3]).await;
     }

@@ -63,6 +63,15 @@ const PEER = (() => {
 
   const FONT = "Inter, system-ui, sans-serif";
   const text = () => ({ color: css("--ink-3"), fontSize: px(0.6875), fontFamily: FONT });
+  // Width of the widest of these labels.
+  const ruler = document.createElement("canvas").getContext("2d");
+  function room(labels) {
+    const { fontSize, fontFamily } = text();
+    ruler.font = `${fontSize}px ${fontFamily}`;
+    return Math.ceil(Math.max(0, ...labels.map((label) => ruler.measureText(label).width)));
+  }
+  // What stays free beside a plot: for its values on the left, for the half of a time on the right.
+  const sides = (values, seconds) => ({ left: Math.max(px(2.25), px(0.375) + room(values)), right: room([clock(0, seconds)]) / 2 });
   function timeAxis(more) {
     return {
       type: "time", axisLine: { lineStyle: { color: css("--line") } }, axisTick: { show: false }, splitLine: { show: false },
@@ -175,6 +184,7 @@ const PEER = (() => {
   // --- the width decides the bucket: never more points than the eye can part
   const BUCKETS = [1, 2, 5, 10, 30, 60];
   const bucket = (width, seconds, least) => BUCKETS.find((size) => size >= least && width / (seconds / size) >= 1.2) || 60;
+  const ticks = ({ max, interval }) => Array.from({ length: Math.round(max / interval) + 1 }, (_, step) => tick(step * interval));
   // A round end of an axis that holds a value in at most five steps of 1, 2 or 5 times a power of ten.
   function steps(value) {
     if (!(value > 0)) return { max: 1, interval: 0.5 };
@@ -198,6 +208,9 @@ const PEER = (() => {
     one.stale = !unseen && (!one.seen || document.hidden);
     if (one.stale || !one.node.clientWidth) { one.stale = true; return; }
     const option = { animation: false, ...one.make(one.chart) };
+    // Of its own accord ECharts makes a plot narrower as soon as one of its labels comes near the edge, and leaves those
+    // above it as they are: one time would then stand at two places.
+    option.grid = option.grid.map((place) => ({ outerBoundsMode: "none", ...place }));
     // Merged where only figures changed: an open tooltip then stays and follows them.
     const shape = option.series.map((series) => `${series.type} ${series.name}`).join() + option.grid.length;
     one.chart.setOption(option, { notMerge: shape !== one.shape });
@@ -222,5 +235,5 @@ const PEER = (() => {
   document.addEventListener("peer-theme", ({ detail }) => drawn.forEach((one) => redraw(one, detail === "print")));
   document.addEventListener("visibilitychange", () => { if (!document.hidden) drawn.forEach((one) => { if (one.stale) redraw(one); }); });
 
-  return { STAGES, look, name: (stage) => (stage === "network" ? "upload + download" : stage), css, px, fill, edge, clock, figure, tick, text, timeAxis, valueAxis, tooltip, tip, marks, bucket, steps, draw, redraw, forget, isHovered: (node) => hovered === node };
+  return { STAGES, look, name: (stage) => (stage === "network" ? "upload + download" : stage), css, px, fill, edge, clock, figure, tick, text, sides, timeAxis, valueAxis, tooltip, tip, marks, bucket, steps, ticks, draw, redraw, forget, isHovered: (node) => hovered === node };
 })();

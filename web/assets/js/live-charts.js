@@ -154,7 +154,9 @@
 
   function options(card, node) {
     const width = node.clientWidth, { rows, size, stages, start, end } = bucketed(card, width);
-    const left = PEER.px(2.25), right = PEER.px(0.25), below = strips(card, rows);
+    const seconds = range <= 60, ends = shared(width), below = strips(card, rows);
+    for (const strip of below) strip.max ??= PEER.steps(strip.points.reduce((most, point) => Math.max(most, point[1] || 0), 0)).max;
+    const { left, right } = PEER.sides(PEER.ticks(ends).concat(below.map((strip) => PEER.tick(strip.max))), seconds);
     const main = { left, right, top: PEER.px(2.25), height: PEER.px(below.length > 1 ? 9.25 : 11.5) };
     const tops = below.map((_, index) => main.top + main.height + PEER.px(1.1 + index * 2.25)), low = PEER.px(1.1);
     const plots = [[main.top, main.top + main.height], ...tops.map((top) => [top, top + low])];
@@ -168,7 +170,6 @@
     below.forEach((strip, index) => series.push({ name: `strip ${index} ${strip.known}`, type: "line", symbol: "none", xAxisIndex: index + 1, yAxisIndex: index + 1, data: dotted(strip.points), lineStyle: { width: 1.25, color: PEER.css(strip.color) }, itemStyle: { color: PEER.css(strip.color) }, emphasis: { disabled: true }, z: 3 }));
     const mine = marks.filter((mark) => mark.host === card.host && (!mark.pipeline || mark.pipeline === card.pipeline) && mark.at >= start);
     series.push(PEER.marks(mine, gaps(card), plots));
-    const ends = shared(width);
     return {
       grid: [main, ...tops.map((top) => ({ left, right, top, height: low }))],
       axisPointer: { link: [{ xAxisIndex: "all" }] },
@@ -180,16 +181,13 @@
         if (card.remote) lines.push({ name: "up, MB/s", value: PEER.figure(row.up), sum: true }, { name: "down, MB/s", value: PEER.figure(row.down) });
         return PEER.tip(PEER.clock(row.at - size * 500, true), size === 1 ? "ms, mean of 1 s" : `ms, mean of ${size} s`, lines);
       }),
-      xAxis: [0, ...below.map((_, index) => index + 1)].map((grid) => PEER.timeAxis({ ...axes, gridIndex: grid, ...(grid < below.length ? { axisLabel: { show: false } } : {}), seconds: range <= 60, splitNumber: 4 })),
+      xAxis: [0, ...below.map((_, index) => index + 1)].map((grid) => PEER.timeAxis({ ...axes, gridIndex: grid, ...(grid < below.length ? { axisLabel: { show: false } } : {}), seconds, splitNumber: 4 })),
       yAxis: [
         PEER.valueAxis("ms", { ...ends, axisLabel: { ...PEER.text(), margin: PEER.px(0.375), formatter: PEER.tick } }),
-        ...below.map((strip, index) => {
-          const top = strip.max || PEER.steps(strip.points.reduce((most, point) => Math.max(most, point[1] || 0), 0)).max;
-          return PEER.valueAxis(strip.name, {
-            gridIndex: index + 1, max: top, interval: top, splitLine: { show: false }, nameGap: PEER.px(0.2), nameTextStyle: { ...PEER.text(), align: "left" },
-            axisLabel: { ...PEER.text(), margin: PEER.px(0.375), show: strip.known, formatter: (value) => (value === 0 ? "" : PEER.tick(value)) },
-          });
-        }),
+        ...below.map(({ name, max, known }, index) => PEER.valueAxis(name, {
+          gridIndex: index + 1, max, interval: max, splitLine: { show: false }, nameGap: PEER.px(0.2), nameTextStyle: { ...PEER.text(), align: "left" },
+          axisLabel: { ...PEER.text(), margin: PEER.px(0.375), show: known, formatter: (value) => (value === 0 ? "" : PEER.tick(value)) },
+        })),
       ],
       series,
     };

@@ -25,9 +25,10 @@
 
   function options() {
     const [from, to] = range || [begin, end];
-    const top = TOP(), height = plotBottom() - top, left = PEER.px(2.5), right = PEER.px(0.75);
+    const top = TOP(), height = plotBottom() - top;
     const highest = Math.max(...data.points.map((point) => Math.max(point[1] || 0, point[2] || 0)), ...data.slow.map((point) => point[1] || 0));
     const ends = PEER.steps(highest), seconds = to - from < 600000;
+    const { left, right } = PEER.sides(PEER.ticks(ends), seconds);
     const gaps = data.gaps.map(([start, stop]) => ({ from: start, to: stop })).sort((one, other) => one.from - other.from);
     return {
       grid: [{ left, right, top, height }],

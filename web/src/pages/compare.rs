@@ -13,9 +13,11 @@ use crate::error::WebError;
 use crate::numbers::NONE;
 use crate::state::App;
 use crate::svg::Scatter;
+use crate::view::chip::{Chip, Tone};
 use crate::view::compare::{
-    Axes, Changed, Comparison, LeftOut, MOST_RUNS, Pair, StackRow, Table, UsersRow, Which, accuracy,
-    commands, difference, gather, open, pairs, payload, stacks, title, too_short, unknown_labels, users,
+    Axes, BoxRow, Changed, Comparison, Distributions, LeftOut, MOST_RUNS, Pair, Spreads, StackRow, Table,
+    Throughput, UsersRow, Which, accuracy, boxes, commands, difference, distributions, gather, open, pairs,
+    payload, skipped, stacks, throughput, title, too_short, unknown_labels, users,
 };
 use crate::view::counted;
 use crate::view::shell::{Place, Shell};
@@ -40,10 +42,17 @@ struct Compare {
     cut: Option<u32>,
     left_out: Vec<LeftOut>,
     table: Table,
+    /// That starts were skipped.
+    skipped: Option<(Chip, String)>,
     /// Of samples without a score.
     unknown: Vec<String>,
     stacks: Vec<StackRow>,
     axes: Axes,
+    /// The total of each configuration.
+    boxes: Vec<BoxRow>,
+    boxes_axes: Axes,
+    /// The total of each run.
+    distributions: Option<Distributions>,
     pairs: Vec<Pair>,
     pairs_axes: Axes,
     letters: Option<(String, String)>,
@@ -51,6 +60,7 @@ struct Compare {
     /// Why a difference has no interval.
     too_short: Option<String>,
     payload: Option<(Scatter, Vec<String>)>,
+    throughput: Option<Throughput>,
     users: Option<(Scatter, Vec<UsersRow>)>,
     accuracy: Option<Scatter>,
     /// What asks of every iteration.
@@ -78,8 +88,9 @@ pub(crate) async fn show(
     };
     let comparison = gather(store, &which).await?;
     let courses = courses(store, &comparison).await?;
+    let spreads = Spreads::read(store, &comparison).await?;
     let host = headers.get(HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
-    page(&assemble(shell("Compare"), &comparison, courses.as_ref(), host))
+    page(&assemble(shell("Compare"), &comparison, courses.as_ref(), &spreads, host))
 }
 
 /// The means of each run of a configuration over time.
@@ -106,6 +117,7 @@ fn assemble(
     shell: Shell,
     comparison: &Comparison,
     courses: Option<&(Courses, Courses)>,
+    spreads: &Spreads,
     host: &str,
 ) -> Compare {
     let two = match (comparison.configurations.as_slice(), courses) {
@@ -119,7 +131,8 @@ fn assemble(
     let total =
         two.first().filter(|(name, ..)| *name == stage::TOTAL).and_then(|(_, found, _)| found.as_ref());
     let (stacks, axes) = stacks(comparison);
-    let (pairs, pairs_axes) = pairs(comparison);
+    let (boxes, boxes_axes) = boxes(comparison, spreads);
+    let (pairs, pairs_axes) = pairs(comparison, spreads);
     let runs = comparison.runs().count();
     let letters = || comparison.configurations.iter().map(|one| one.letter.clone());
     let crumb = match &comparison.experiment {
@@ -138,15 +151,20 @@ fn assemble(
         cut: comparison.cut.then_some(MOST_RUNS),
         left_out: comparison.left_out.clone(),
         table: Table::of(comparison),
+        skipped: skipped(comparison).map(|said| (Chip::new(Tone::Warn, "remark", "to be said"), said)),
         unknown: unknown_labels(comparison),
         stacks,
         axes,
+        boxes,
+        boxes_axes,
+        distributions: distributions(comparison, spreads),
         pairs,
         pairs_axes,
         letters: letters().next().zip(letters().nth(1)).filter(|_| !two.is_empty()),
         changes: two.into_iter().map(|(.., changed)| changed).collect(),
         too_short,
         payload: payload(comparison),
+        throughput: throughput(comparison),
         users: users(comparison),
         accuracy: accuracy(comparison),
         commands: commands(comparison, host),
@@ -166,5 +184,6 @@ pub(super) fn rendered(
     comparison: &Comparison,
     courses: Option<&(Courses, Courses)>,
 ) -> String {
-    assemble(shell, comparison, courses, "localhost:8040").render().expect("renders")
+    let spreads = crate::view::compare::tests::spreads(comparison);
+    assemble(shell, comparison, courses, &spreads, "localhost:8040").render().expect("renders")
 }

@@ -6,7 +6,7 @@ use axum::extract::{Path, State};
 use peernet_aggregator::{IterationFilter, RunDetail, RunStatistics, StageStatistics};
 use peernet_logger::stage;
 use peernet_logger::stream::ExperimentPlace;
-use peernet_report::trust::Report;
+use peernet_report::trust::{Report, Starts};
 use serde::Deserialize;
 
 use super::{Page, page, path};
@@ -159,9 +159,9 @@ impl Distribution {
 }
 
 /// How many starts were skipped and what share of all that came due.
-fn skipped(kept: u64, skipped: u64) -> Option<(String, String)> {
-    let share = skipped as f64 / (kept + skipped).max(1) as f64;
-    (skipped > 0).then(|| (count(skipped), format!("{}{SPACE}% of those that came due", percent(share))))
+fn skipped(starts: &Starts) -> Option<(String, String)> {
+    let share = percent(starts.skipped_share());
+    (starts.skipped > 0).then(|| (count(starts.skipped), format!("{share}{SPACE}% of those that came due")))
 }
 
 fn facts(run: &RunDetail, zone: Zone) -> Vec<String> {
@@ -237,7 +237,7 @@ fn assemble(
             runs::lost_share(summary)
                 .map_or_else(|| NONE.to_owned(), |share| format!("{}{SPACE}%", percent(share))),
         ),
-        skipped: skipped(summary.counts.total(), trust::skipped(stored.known)),
+        skipped: skipped(&trust::starts(summary)),
         clock: ClockCell::of(summary.placement.kind, bounds),
         directions: directions(bounds),
         bar: stack.whole("big"),
@@ -282,8 +282,9 @@ mod tests {
 
     #[test]
     fn skipped_starts_are_a_sum_and_a_share() {
-        assert_eq!(skipped(155, 0), None);
-        let said = skipped(155, 161).expect("there are some");
+        let of = |skipped| Starts { kept: 155, skipped, ..Starts::default() };
+        assert_eq!(skipped(&of(0)), None);
+        let said = skipped(&of(161)).expect("there are some");
         assert_eq!(said, ("161".to_owned(), "51\u{202f}% of those that came due".to_owned()));
     }
 }

@@ -46,7 +46,7 @@ async fn one_pipeline_that_is_well() {
     let html = overview_of(&shown, vec![incident("connected", "reconnected to rack-a")]).await;
     assert!(html.contains("1 pipeline running, all well"), "{html}");
     assert!(html.contains("cam-1 → rack-a · zmq-tcp"));
-    assert!(html.contains("<tspan>upload </tspan>6.3"));
+    assert!(html.contains(">upload </tspan>6.3"));
     assert!(html.contains(">12:01:07</time>"));
 }
 
@@ -164,7 +164,7 @@ async fn unrelated_clocks_show_a_dash_with_the_reason_and_the_exact_sum() {
     .await;
     assert!(html.contains("chip bad"), "{html}");
     assert!(html.contains("their sum is exact"), "{html}");
-    assert!(html.contains("<tspan>up + down </tspan>6.9"), "{html}");
+    assert!(html.contains(">up + down </tspan>6.9"), "{html}");
 }
 
 #[tokio::test]

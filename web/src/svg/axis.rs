@@ -3,6 +3,7 @@
 use askama::Template;
 
 use super::Percent;
+use super::fit::{Fitted, width};
 use crate::numbers::{SPACE, fixed};
 
 /// From zero to a round number above the largest value.
@@ -58,7 +59,7 @@ impl Scale {
     }
 }
 
-/// The labels of a scale, above the bars that use it.
+/// The labels of a scale, above the bars or below the plot that use it. Where they would touch every second one stays.
 #[derive(Clone, Debug, PartialEq, Template)]
 #[template(path = "svg/axis.html")]
 pub(crate) struct Axis {
@@ -72,7 +73,16 @@ impl askama::filters::HtmlSafe for Axis {}
 struct Label {
     x: Percent,
     anchor: &'static str,
-    text: String,
+    text: Fitted,
+}
+
+/// What a label takes up on both sides of its position, rem.
+fn sides(text: &str, anchor: &str) -> [f64; 2] {
+    match anchor {
+        "start" => [0.0, width(text)],
+        "end" => [width(text), 0.0],
+        _ => [width(text) / 2.0; 2],
+    }
 }
 
 impl Axis {
@@ -81,18 +91,37 @@ impl Axis {
         let positions = scale.grid();
         let last = positions.len().saturating_sub(1);
         let labels = positions.into_iter().zip(scale.labels()).enumerate();
-        let labels = labels.map(|(index, (x, label))| Label {
-            x,
-            anchor: if index == 0 {
-                "start"
-            } else if index == last {
-                "end"
-            } else {
-                "middle"
-            },
-            text: if index == 0 { format!("{label}{SPACE}ms") } else { label },
+        let labels = labels.map(|(index, (x, label))| match index {
+            0 => (x, "start", format!("{label}{SPACE}ms")),
+            _ if index == last => (x, "end", label),
+            _ => (x, "middle", label),
         });
-        Self { class, labels: labels.collect() }
+        Self::new(class, &labels.collect::<Vec<_>>())
+    }
+
+    /// Labels below a plot, each in the middle below its tick.
+    pub(crate) fn below(labels: Vec<(Percent, String)>) -> Self {
+        let labels = labels.into_iter().map(|(x, text)| (x, "middle", text));
+        Self::new("xaxis", &labels.collect::<Vec<_>>())
+    }
+
+    fn new(class: &'static str, labels: &[(Percent, &'static str, String)]) -> Self {
+        let fitted = labels.iter().enumerate().map(|(index, (x, anchor, text))| {
+            // Each goes with all others that are divisible by the same power of two.
+            let stride = if index == 0 { labels.len() } else { 1 << index.trailing_zeros() };
+            let [left, right] = sides(text, anchor);
+            let mut needs = Fitted::anywhere(text.clone());
+            if let Some((other, anchor, text)) =
+                index.checked_sub(stride).and_then(|before| labels.get(before))
+            {
+                needs.apart(x.0 - other.0, left + sides(text, anchor)[1]);
+            }
+            if let Some((other, anchor, text)) = labels.get(index + stride) {
+                needs.apart(other.0 - x.0, right + sides(text, anchor)[0]);
+            }
+            Label { x: *x, anchor, text: needs }
+        });
+        Self { class, labels: fitted.collect() }
     }
 }
 
@@ -109,6 +138,26 @@ mod tests {
         assert_eq!(Scale::fit(1_800.0, 4).labels(), ["0", "500", "1,000", "1,500", "2,000"]);
         assert_eq!(Scale::fit(0.0, 5).max, 1.0);
         assert_eq!(Scale::fit(f64::NAN, 5).max, 1.0);
+    }
+
+    impl Axis {
+        /// The labels that are shown in a picture of `width` rem.
+        pub(crate) fn labels_at(&self, width: u16) -> Vec<&str> {
+            let shown = self.labels.iter().filter_map(|label| label.text.shown());
+            shown.filter(|(_, from)| *from <= width).map(|(text, _)| text).collect()
+        }
+    }
+
+    #[test]
+    fn labels_leave_before_they_touch() {
+        let axis = Axis::milliseconds(&Scale::fit(1_200.0, 6), "");
+        assert_eq!(axis.labels_at(30), ["0\u{202f}ms", "200", "400", "600", "800", "1,000", "1,200"]);
+        assert_eq!(axis.labels_at(18), ["0\u{202f}ms", "200", "400", "600", "800", "1,200"]);
+        assert_eq!(axis.labels_at(8), ["0\u{202f}ms", "400", "800"]);
+        let even =
+            Axis::below((1..=4).map(|n| (Percent(f64::from(n) * 20.0), format!("{n}00,000"))).collect());
+        assert_eq!(even.labels_at(18), ["100,000", "200,000", "300,000", "400,000"]);
+        assert_eq!(even.labels_at(12), ["100,000", "300,000"]);
     }
 
     #[test]

@@ -2,13 +2,11 @@
 
 use askama::Template;
 
+use super::fit::Fitted;
 use super::{Percent, Scale};
 use crate::look;
 use crate::numbers::{figure, fixed};
 
-/// Widths, in percent of the bar, from which a segment holds its value and its name.
-const VALUE_FITS: f64 = 7.5;
-const NAME_FITS: f64 = 20.0;
 /// Between segments narrower than this the parting line would hide them.
 const CUT_FITS: f64 = 0.6;
 /// Narrower error bars would be mistaken for the line between two segments.
@@ -51,8 +49,20 @@ struct Segment {
     width: Percent,
     end: Percent,
     middle: Percent,
-    name: Option<String>,
-    value: Option<String>,
+    name: Option<Fitted>,
+    value: Option<Fitted>,
+}
+
+impl Segment {
+    /// The value, and the bar's width from which on it is shown.
+    fn written(&self) -> Option<(&str, u16)> {
+        self.value.as_ref()?.shown()
+    }
+
+    /// The same of the name, which stands before the value.
+    fn named(&self) -> Option<(&str, u16)> {
+        self.name.as_ref()?.shown()
+    }
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -88,6 +98,8 @@ impl Bar {
                 }
             }
             let width = Percent(end.0 - x.0);
+            let value = short(milliseconds);
+            let name = format!("{} ", look::short(&part.name));
             at += milliseconds;
             segments.push(Segment {
                 look: look::class(&part.name),
@@ -97,21 +109,20 @@ impl Bar {
                 width,
                 end,
                 middle: Percent(x.0 + width.0 / 2.0),
-                name: (width.0 >= NAME_FITS).then(|| look::short(&part.name).to_owned()),
-                value: (width.0 >= VALUE_FITS).then(|| short(milliseconds)),
+                name: Some(Fitted::within(width.0, name, &value)),
+                value: Some(Fitted::within(width.0, value, "")),
             });
         }
         Self { class, label, grid: scale.grid(), segments, whiskers: Vec::new(), bounds, spread: None }
     }
 
     /// Adds an error bar of `spread` seconds to both sides of the bar's end, which lies at `mean` seconds. It leaves no
-    /// half of a figure behind: values that it would cross are not written.
+    /// half of a figure behind: values are written where it does not cross them.
     pub(crate) fn spread(mut self, mean: f64, spread: f64, scale: &Scale) -> Self {
         let (from, to) = (scale.at((mean - spread) * 1e3), scale.at((mean + spread) * 1e3));
         for segment in &mut self.segments {
-            let half = if segment.name.is_some() { NAME_FITS } else { VALUE_FITS } / 2.0;
-            if segment.middle.0 + half > from.0 && segment.middle.0 - half < to.0 {
-                (segment.name, segment.value) = (None, None);
+            for text in segment.name.iter_mut().chain(&mut segment.value) {
+                text.clear_of(segment.middle.0, from.0, to.0);
             }
         }
         self.spread = Some((from, to));
@@ -185,13 +196,13 @@ mod tests {
     }
 
     #[test]
-    fn a_wide_segment_is_named_and_a_narrow_one_is_not() {
+    fn a_segment_holds_its_value_and_its_name_where_the_bar_is_wide_enough_for_them() {
         let scale = Scale::fit(30.0, 6);
         let parts = [part("sensing", 2.0), part("preprocessing", 2.6), part("inference", 13.1)];
         let bar = Bar::new("", "in words".into(), &parts, &scale).to_string();
-        assert!(bar.contains("<tspan>inference </tspan>13.1"), "{bar}");
-        assert!(bar.contains(">2.6<"), "{bar}");
-        assert!(!bar.contains("sensing </tspan>"), "{bar}");
+        assert!(bar.contains("<tspan class=\"fits w15\">inference </tspan>13.1<"), "{bar}");
+        assert!(bar.contains("<tspan class=\"fits w90\">preprocessing </tspan>2.6<"), "{bar}");
+        assert!(bar.contains("<text class=\"o-preprocessing fits w18\""), "{bar}");
         assert!(bar.contains("edge f-preprocessing"), "pale fills carry an edge: {bar}");
         assert!(bar.contains("aria-label=\"in words\""), "{bar}");
     }
@@ -230,12 +241,13 @@ mod tests {
         let scale = Scale::fit(30.0, 6);
         let parts = [part("sensing", 10.0), part("inference", 10.0)];
         let bar = Bar::new("", String::new(), &parts, &scale);
-        let values = |bar: Bar| bar.segments.iter().map(|one| one.value.is_some()).collect::<Vec<_>>();
-        assert_eq!(values(bar.clone().spread(0.020, 0.001, &scale)), [true, true]);
-        assert_eq!(values(bar.clone().spread(0.020, 0.004, &scale)), [true, false]);
+        let values = |bar: Bar| bar.segments.iter().map(|one| Some(one.written()?.1)).collect::<Vec<_>>();
+        assert_eq!(values(bar.clone()), [Some(8), Some(8)]);
+        assert_eq!(values(bar.clone().spread(0.020, 0.001, &scale)), [Some(8), Some(8)]);
+        assert_eq!(values(bar.clone().spread(0.020, 0.004, &scale)), [Some(8), Some(30)]);
         let wide = bar.spread(0.020, 0.025, &scale);
         assert_eq!(wide.spread, Some((Percent(0.0), Percent(100.0))));
-        assert_eq!(values(wide), [false, false]);
+        assert_eq!(values(wide), [None, None]);
     }
 
     #[test]

@@ -4,7 +4,7 @@ use askama::Template;
 use peernet_aggregator::Histogram;
 use serde::Deserialize;
 
-use super::{Percent, Scale};
+use super::{Axis, Percent, Scale, fit};
 use crate::numbers::{SPACE, count, fixed};
 
 /// Two ways to look at a distribution.
@@ -18,6 +18,9 @@ pub(crate) enum DistributionView {
     Cumulative,
 }
 
+/// Width of a plot on the narrowest of phones, rem: labels are placed so that they do not meet there.
+const NARROWEST: f64 = 13.5;
+
 /// A histogram or its running sum, on a linear or logarithmic scale of counts.
 #[derive(Clone, Debug, PartialEq, Template)]
 #[template(path = "svg/histogram.html")]
@@ -27,10 +30,12 @@ pub(crate) struct HistogramPlot {
     unit_above: &'static str,
     unit: String,
     rows: Vec<(Percent, String)>,
-    columns: Vec<(Percent, String)>,
+    columns: Axis,
     bars: Vec<[Percent; 4]>,
     marks: Vec<Mark>,
     beyond: Option<String>,
+    /// Whether a mark's label stands where this one would.
+    beyond_lower: bool,
 }
 
 impl askama::filters::HtmlSafe for HistogramPlot {}
@@ -88,22 +93,21 @@ impl HistogramPlot {
         let quantiles =
             [("median", Some(figures.p50)), ("p95", figures.p95), ("p99", figures.p99)].into_iter();
         let mut marks: Vec<Mark> = Vec::new();
+        let mut ends: Vec<(usize, f64)> = Vec::new();
         for (name, value) in quantiles.filter_map(|(name, value)| Some((name, value? * factor))) {
             if value > hi {
                 continue;
             }
             let x = at(value);
-            // A label that would run into the one before it goes to the next line.
-            let crowded = marks.last().is_some_and(|mark| mark.anchor == "start" && x.0 - mark.x.0 < 22.0);
-            let row = marks.last().map_or(0, |mark| if crowded { mark.row + 1 } else { mark.row });
-            let anchor = if name == "median" && x.0 > 20.0 || x.0 > 84.0 { "end" } else { "start" };
-            marks.push(Mark {
-                class: name,
-                x,
-                anchor,
-                row,
-                text: format!("{name} {}", crate::numbers::figure(value)),
-            });
+            let text = format!("{name} {}", crate::numbers::figure(value));
+            let width = fit::width(&text) / NARROWEST * 100.0;
+            let anchor = if name == "median" && x.0 > width || x.0 + width > 100.0 { "end" } else { "start" };
+            let from = if anchor == "end" { x.0 - width } else { x.0 };
+            // A label that would run into one before it goes to the next line.
+            let taken = |row: &usize| ends.iter().any(|(known, end)| known == row && from < *end);
+            let row = (0..).find(|row| !taken(row)).unwrap_or_default();
+            ends.push((row, from + width));
+            marks.push(Mark { class: name, x, anchor, row, text });
         }
 
         let beyond = (histogram.beyond > 0).then(|| {
@@ -118,10 +122,13 @@ impl HistogramPlot {
                 DistributionView::Histogram => "iterations",
                 DistributionView::Cumulative => "% of iterations",
             },
-            columns: ticks(lo, hi).into_iter().map(|(value, label)| (at(value), label)).collect(),
+            columns: Axis::below(
+                ticks(lo, hi).into_iter().map(|(value, label)| (at(value), label)).collect(),
+            ),
             unit,
             rows,
             bars: bars.collect(),
+            beyond_lower: marks.iter().any(|mark| mark.row == 2),
             marks,
             beyond,
         }
@@ -206,6 +213,20 @@ mod tests {
         assert_eq!(plot.bars.len(), 3);
         let html = plot.to_string();
         assert!(html.contains("Distribution of total: median 16.1\u{202f}ms, p95 17.6\u{202f}ms"), "{html}");
+    }
+
+    #[test]
+    fn labels_of_quantiles_do_not_meet_on_a_phone() {
+        let rows = |p50, p95, p99| {
+            let mut close = histogram();
+            close.edges = vec![0.0, 0.5, 1.0, 2.0];
+            (close.figures.p50, close.figures.p95, close.figures.p99) = (p50, Some(p95), Some(p99));
+            let plot = HistogramPlot::new(&close, "total", DistributionView::Histogram, false);
+            plot.marks.iter().map(|mark| (mark.anchor, mark.row)).collect::<Vec<_>>()
+        };
+        assert_eq!(rows(0.8, 1.030, 1.9), [("end", 0), ("start", 0), ("end", 1)]);
+        assert_eq!(rows(0.1, 0.2, 0.3), [("start", 0), ("start", 1), ("start", 2)]);
+        assert_eq!(rows(0.1, 0.2, 0.9), [("start", 0), ("start", 1), ("start", 0)]);
     }
 
     #[test]

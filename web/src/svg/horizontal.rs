@@ -1,6 +1,6 @@
-//! The axis across: linear from zero, or logarithmic where the values span more than a decade.
+//! The axis across: linear, or logarithmic where the values span more than a decade.
 
-use super::{Percent, Scale};
+use super::{Percent, Ruler, Scale};
 use crate::numbers::fixed;
 
 /// Times the smallest value from which on the axis is logarithmic.
@@ -11,7 +11,10 @@ const MANY: f64 = 2.5;
 /// Where values lie across.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Horizontal {
+    /// From zero.
     Linear(Scale),
+    /// From wherever the values begin.
+    Between(Ruler),
     /// From one value to another, both above zero.
     Logarithmic(f64, f64),
 }
@@ -28,12 +31,20 @@ impl Horizontal {
         Self::Linear(Scale::fit(most * 1.02, 6))
     }
 
+    /// Reaches from one value to another, with about so many ticks where it is linear.
+    pub(crate) fn around(lo: f64, hi: f64, ticks: usize) -> Self {
+        if lo > 0.0 && hi > lo * DECADE && hi.is_finite() {
+            return Self::Logarithmic(lo, hi);
+        }
+        Self::Between(Ruler::around(lo, hi, ticks))
+    }
+
     /// Holds all of these whole numbers, and names no others.
     pub(crate) fn of_numbers(values: impl Iterator<Item = f64> + Clone) -> Self {
         let most = values.clone().fold(0.0, f64::max);
         match Self::of(values) {
             Self::Linear(_) => Self::Linear(Scale::fit(most + 0.5, (most as usize + 1).min(6))),
-            logarithmic @ Self::Logarithmic(..) => logarithmic,
+            other => other,
         }
     }
 
@@ -46,6 +57,7 @@ impl Horizontal {
     pub(crate) fn at(&self, value: f64) -> Percent {
         match self {
             Self::Linear(scale) => scale.at(value),
+            Self::Between(ruler) => Percent((1.0 - ruler.below(value)) * 100.0),
             Self::Logarithmic(lo, hi) => {
                 let share = (value.max(*lo) / lo).ln() / (hi / lo).ln();
                 Percent((share * 100.0).clamp(0.0, 100.0))
@@ -66,6 +78,13 @@ impl Horizontal {
     pub(crate) fn ticks(&self) -> Vec<(Percent, String)> {
         let (lo, hi) = match self {
             Self::Linear(scale) => return scale.grid().into_iter().zip(scale.labels()).collect(),
+            Self::Between(ruler) => {
+                return ruler
+                    .ticks()
+                    .into_iter()
+                    .map(|(below, text)| (Percent(100.0 - below.0), text))
+                    .collect();
+            }
             Self::Logarithmic(lo, hi) => (*lo, *hi),
         };
         let factors: &[f64] = if (hi / lo).log10() > MANY { &[1.0] } else { &[1.0, 2.0, 5.0] };

@@ -5,12 +5,15 @@
 
 mod axis;
 mod bar;
+mod boxes;
+mod fit;
 mod histogram;
 mod horizontal;
 mod meter;
 pub(crate) mod pen;
 mod ruler;
 mod scatter;
+mod small;
 mod spark;
 mod tracks;
 mod waterfall;
@@ -19,11 +22,13 @@ use std::fmt;
 
 pub(crate) use axis::{Axis, Scale};
 pub(crate) use bar::{Bar, Part, ShareBar};
+pub(crate) use boxes::{BoxPlot, Five};
 pub(crate) use histogram::{DistributionView, HistogramPlot, shown_in};
 pub(crate) use horizontal::Horizontal;
 pub(crate) use meter::Meter;
 pub(crate) use ruler::Ruler;
 pub(crate) use scatter::{Scatter, ScatterLine, ScatterPoint, ScatterSeries};
+pub(crate) use small::{SmallAxis, SmallHistogram};
 pub(crate) use spark::Spark;
 pub(crate) use tracks::{Gap, RailSign, Segment, Strip, Track, Tracks};
 pub(crate) use waterfall::{Lanes, WaterfallRow};

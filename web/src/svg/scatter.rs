@@ -2,7 +2,7 @@
 
 use askama::Template;
 
-use super::{Horizontal, Percent, Ruler, pen};
+use super::{Axis, Horizontal, Percent, Ruler, pen};
 
 /// Points of a line that is drawn: on a logarithmic axis a straight line is a curve.
 const STEPS: u32 = 64;
@@ -24,7 +24,7 @@ pub(crate) struct Scatter {
     x_unit: &'static str,
     y_unit: &'static str,
     rows: Vec<(Percent, String)>,
-    columns: Vec<(Percent, String)>,
+    columns: Axis,
     lines: Vec<(&'static str, String)>,
     dots: Vec<Dot>,
     names: Vec<Label>,
@@ -180,7 +180,7 @@ impl Scatter {
             x_unit,
             y_unit,
             rows: up.ticks(),
-            columns: across.ticks(),
+            columns: Axis::below(across.ticks()),
             lines: lines
                 .into_iter()
                 .map(|(look, course)| (look, pen::line(course.into_iter().map(Some))))
@@ -293,11 +293,10 @@ mod tests {
         let plot = plot(&[(1.0, 1.0), (31.622_776, 2.0), (1_000.0, 3.0)], vec![line]);
         let x = |at: usize| plot.dots[at].x.0;
         assert!((x(1) - x(0) - (x(2) - x(1))).abs() < 1e-3, "{:?}", plot.dots);
-        assert_eq!(
-            plot.columns.iter().map(|column| column.1.as_str()).collect::<Vec<_>>(),
-            ["1", "10", "100", "1,000"]
-        );
+        assert_eq!(plot.columns.labels_at(30), ["1", "10", "100", "1,000"]);
         assert!(plot.lines[0].1.matches('L').count() == STEPS as usize, "{:?}", plot.lines);
+        // What has that class is hidden until it fits.
+        assert!(!plot.to_string().contains("<svg class=\"fits"), "{plot}");
     }
 
     #[test]

@@ -1,10 +1,10 @@
 //! "Can I publish this run?", from what the store knows of it.
 
-use peernet_aggregator::{RunDetail, RunStatistics, StageCourse, Store, StoreError};
+use peernet_aggregator::{RunDetail, RunStatistics, RunSummary, StageCourse, Store, StoreError};
 use peernet_logger::stream::Grade;
 use peernet_logger::{Name, stage};
 use peernet_report::accuracy::{ACCURACIES, UNKNOWN_LABEL, UnknownLabels};
-use peernet_report::results::{LATENESS, SKIPPED_STARTS};
+use peernet_report::results::LATENESS;
 use peernet_report::trust::{
     Came, Clocks, Counts, Course, Early, Evidence, Limits, Load, Missing, Publish, Report, Restarts, Starts,
 };
@@ -73,7 +73,11 @@ pub(crate) fn report(run: &RunDetail, known: &RunStatistics, courses: &[StageCou
         counts,
         open: run.summary.ended.is_none(),
         early: configured.and_then(|configured| early(run, &counts, configured.limit)),
-        starts: starts(known, counts.measured(), configured),
+        starts: Starts {
+            hz: configured.and_then(|configured| configured.load.hz),
+            made_hz: made_hz(run, &counts),
+            ..starts(&run.summary)
+        },
         missing: run
             .gaps
             .iter()
@@ -125,15 +129,17 @@ struct Configured {
     load: Load,
 }
 
-/// What became of the starts that were ordered.
-fn starts(known: &RunStatistics, kept: u64, configured: Option<Configured>) -> Starts {
-    Starts { hz: configured.and_then(|configured| configured.load.hz), kept, skipped: skipped(known) }
+/// What became of the starts that were ordered; rates are not asked for.
+pub(crate) fn starts(run: &RunSummary) -> Starts {
+    Starts { kept: run.counts.total(), skipped: run.skipped_starts, ..Starts::default() }
 }
 
-/// Starts that were skipped before answered iterations: the statistics are of those.
-pub(crate) fn skipped(known: &RunStatistics) -> u64 {
-    let of = known.stages.iter().find(|stage| stage.stage == *SKIPPED_STARTS);
-    of.map_or(0, |of| (of.figures.mean * of.figures.count as f64).round() as u64)
+/// Starts per second over the whole run: the store does not keep when the warm-up ended.
+fn made_hz(run: &RunDetail, counts: &Counts) -> Option<f64> {
+    let seconds = (run.summary.last_iteration? - run.summary.started).seconds();
+    // What is missing was started, too.
+    let known = run.gaps.is_empty() && seconds > 0.0;
+    known.then(|| (counts.measured() + counts.warm_up) as f64 / seconds)
 }
 
 /// How far a run that has ended came of what its configuration asks for.
@@ -286,23 +292,20 @@ mod tests {
 
     #[test]
     fn starts_that_were_skipped_are_told_with_the_ordered_rate() {
-        let run = detail("name = \"line\"\n\n[load]\nmode = \"rate\"\nhz = 40\n", "finished");
-        let (mut stages, _) = stages(1.0, 1e3);
-        let mut skipped = stages[0].clone();
-        (skipped.stage, skipped.figures.count, skipped.figures.mean) = (SKIPPED_STARTS.into(), 100, 3.0);
-        stages.push(skipped);
-        let said = |stages| {
-            let report = report(&run, &RunStatistics { stages, bounds: Vec::new() }, &[]);
+        let mut run = detail("name = \"line\"\n\n[load]\nmode = \"rate\"\nhz = 40\n", "finished");
+        let mut said = |skipped_starts| {
+            run.summary.skipped_starts = skipped_starts;
+            let report = report(&run, &RunStatistics::default(), &[]);
             let found = report.sentences.into_iter().find(|sentence| sentence.about == "skipped starts");
             found.map(|sentence| (sentence.grade, sentence.text)).expect("said")
         };
-        let (grade, text) = said(stages);
-        let rates = "40.0\u{202f}Hz were ordered, 20.0\u{202f}Hz kept";
+        let (grade, text) = said(300);
+        let rates = "40.0\u{202f}Hz were ordered, 5.17 starts a second were made";
         assert!(
             grade == Grade::Bad && text.starts_with("300 of 600 starts") && text.contains(rates),
             "{text}"
         );
-        assert_eq!(said(Vec::new()).0, Grade::Good);
+        assert_eq!(said(0).0, Grade::Good);
     }
 
     #[test]

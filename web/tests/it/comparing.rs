@@ -35,6 +35,33 @@ async fn a_run_says_whether_it_can_be_published_and_why_not() {
 }
 
 #[tokio::test]
+async fn starts_that_were_skipped_before_unanswered_iterations_are_told_everywhere() {
+    let (bed, mut factory) = Bed::with(vec![Line::local()]).await;
+    // Twenty are of the warm-up, ten of the others had no answer.
+    factory.store_skipping(0, 120, 7).await;
+    assert_eq!(bed.get("/api/v1/runs/1").await.json()["skipped_starts"], 0);
+    assert_eq!(bed.get("/api/v1/runs/2").await.json()["skipped_starts"], 70);
+    let trust = bed.get("/api/v1/runs/2/trust").await.json();
+    let sentences = trust["sentences"].as_array().expect("sentences");
+    let said = sentences.iter().find(|sentence| sentence["about"] == "skipped starts").expect("said");
+    assert_eq!(said["grade"], "bad", "{said}");
+    assert!(said["text"].as_str().expect("text").starts_with("70 of 170 starts (41\u{202f}%)"), "{said}");
+    let page = bed.get("/runs/2").await;
+    assert!(page.text().contains("<dt>Skipped starts</dt><dd>70</dd>"), "{}", page.text());
+
+    let compared = bed.get("/api/v1/compare?runs=1,2").await.json();
+    let counts = |at: usize| {
+        let one = &compared["configurations"][at];
+        (one["starts"].as_u64(), one["skipped_starts"].as_u64())
+    };
+    assert_eq!((counts(0), counts(1)), ((Some(380), Some(0)), (Some(170), Some(70))), "{compared}");
+    let doubt = compared["doubts"][0].as_str().expect("a sentence");
+    assert!(doubt.ends_with(" of the rate that was ordered: B: 70 of 170 starts (41.2 %)."), "{doubt}");
+    assert!(bed.get("/compare?runs=1,2").await.text().contains(doubt));
+    assert_eq!(bed.get("/api/v1/compare?runs=1").await.json()["doubts"], serde_json::json!([]));
+}
+
+#[tokio::test]
 async fn an_experiment_is_compared_with_its_repeats_together() {
     let (bed, mut factory) = Bed::with(vec![Line::local(), Line::full(), Line::resized()]).await;
     assert_eq!(bed.get("/api/v1/experiments").await.json()["experiments"], serde_json::json!([]));
@@ -69,6 +96,9 @@ async fn an_experiment_is_compared_with_its_repeats_together() {
     assert_eq!(page.status, StatusCode::OK, "{}", page.text());
     assert!(page.text().contains("has the smallest mean of 3, "), "{}", page.text());
     assert!(page.text().contains("<span>experiment pictures</span>"), "{}", page.text());
+    // Six runs of which each has its distribution, and three configurations with a box over both of theirs.
+    assert_eq!(page.text().matches("<figcaption>").count(), 6, "{}", page.text());
+    assert!(page.text().contains(&format!("; {counts} samples\"")), "{}", page.text());
     let run = bed.get(&format!("/runs/{}", runs[0])).await;
     assert!(run.text().contains(&format!("/compare?experiment={id}")), "{}", run.text());
     assert!(run.text().contains("On cam-1, CPU governor: schedutil"), "{}", run.text());

@@ -72,7 +72,7 @@ async fn clocks_that_were_never_related_show_dashes_and_an_exact_sum() {
     let (bed, _factory) = Bed::with(vec![Line::unrelated()]).await;
     let run = bed.get("/runs/1").await;
     assert!(run.text().contains("unsynchronised"), "{}", run.text());
-    assert!(run.text().contains("<tspan>up + down </tspan>"), "{}", run.text());
+    assert!(run.text().contains(">up + down </tspan>"), "{}", run.text());
     let iteration = bed.get("/runs/1/iterations/100").await;
     assert!(iteration.text().contains("class=\"chip bad\""), "{}", iteration.text());
     assert!(iteration.text().contains("and so is upload + download = "), "{}", iteration.text());

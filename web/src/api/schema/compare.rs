@@ -52,6 +52,8 @@ pub(crate) struct Comparison {
     pub best: Option<String>,
     /// The second configuration less the first, where there are exactly two.
     pub differences: Vec<Difference>,
+    /// What keeps the figures from being taken as they stand, in sentences: starts that were skipped.
+    pub doubts: Vec<String>,
     /// Runs of the experiment that are not compared: those that were not finished, and those that were done again.
     pub left_out: Vec<LeftOut>,
     /// Whether there were more runs than are compared.
@@ -76,6 +78,10 @@ pub(crate) struct Configuration {
     pub values: Vec<String>,
     /// Numbers of its runs.
     pub runs: Vec<i64>,
+    /// Starts that came due, warm-up left out; in a closed loop as many as there are iterations.
+    pub starts: u64,
+    /// Of them those that were skipped because the pipeline was too far behind.
+    pub skipped_starts: u64,
     pub stages: Vec<Mean>,
 }
 
@@ -117,6 +123,8 @@ impl Comparison {
             letter: one.letter.clone(),
             values: one.values.clone(),
             runs: one.runs.iter().map(|run| run.number).collect(),
+            starts: one.starts().all(),
+            skipped_starts: one.starts().skipped,
             stages: one.stages.iter().map(mean).collect(),
         };
         let left_out = |one: &compare::LeftOut| LeftOut { run: one.run, why: one.why.clone() };
@@ -134,6 +142,7 @@ impl Comparison {
                     certain: found.is_certain(),
                 })
                 .collect(),
+            doubts: compare::skipped(comparison).into_iter().collect(),
             left_out: comparison.left_out.iter().map(left_out).collect(),
             cut: comparison.cut,
         }

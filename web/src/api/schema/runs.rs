@@ -36,6 +36,9 @@ pub(crate) struct Run {
     /// Warm-up left out.
     pub counts: Counts,
     pub warm_up: u64,
+    /// Starts of an open loop that were skipped because the pipeline was too far behind, whatever became of the iterations
+    /// after them; warm-up left out.
+    pub skipped_starts: u64,
     /// Of `total`, seconds; successful iterations only.
     pub total: Option<Figures>,
     /// Whether the clock of one of its hosts was made wrong on purpose.
@@ -83,6 +86,7 @@ impl From<&aggregator::RunSummary> for Run {
             last_iteration: run.last_iteration.map(time),
             counts: run.counts.into(),
             warm_up: run.warm_up,
+            skipped_starts: run.skipped_starts,
             total: run.total.map(Figures::from),
             rehearsed: run.rehearsed,
             pinned: run.pinned,

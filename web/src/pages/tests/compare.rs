@@ -40,19 +40,21 @@ async fn two_configurations_have_a_difference_with_its_interval() {
 async fn several_configurations_have_a_table_bars_and_a_plot() {
     let many = (0..8).map(|at| configuration(at, Remote, 1.0 + at as f64 * 0.3, 1e3 * (at + 1) as f64));
     let html = page_of(many.collect(), None).await;
-    assert_eq!(html.matches("class=\"bar\"").count() - 1, 8);
+    let stacked = html.split("How the total spreads").next().expect("what stands before");
+    assert_eq!(stacked.matches("class=\"bar\"").count() - 1, 8);
     assert!(html.contains("Latency against payload") && html.contains("sizes"), "{html}");
     assert!(
         html.contains("total of A, B, C, D, E, F, G, H: ") && html.contains("more per MB sent"),
         "{html}"
     );
+    let latency = html.split("id=\"cw-h\"").next().expect("what stands before");
     assert_eq!(
-        html.matches("<path class=\"fit").count(),
+        latency.matches("<path class=\"fit").count(),
         2,
         "one through the totals, one through the uploads"
     );
     assert!(!html.contains("id=\"cd-h\""));
-    assert_eq!(html.matches("<circle class=\"f-upload cut\"").count(), 8);
+    assert_eq!(latency.matches("<circle class=\"f-upload cut\"").count(), 8);
 }
 
 #[tokio::test]
@@ -130,4 +132,65 @@ async fn runs_without_an_iteration_can_be_looked_at() {
     empty.stages.clear();
     let html = page_of(vec![empty.clone(), Configuration { letter: "B".to_owned(), ..empty }], None).await;
     assert!(html.contains("No successful iteration of these runs is stored yet"), "{html}");
+}
+
+#[tokio::test]
+async fn starts_that_were_skipped_stand_below_the_title() {
+    let mut two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
+    assert!(!page_of(two.clone(), None).await.contains("skipped"));
+    (two[1].runs[0].counts.ok, two[1].runs[0].skipped_starts) = (127, 73);
+    let html = page_of(two, None).await;
+    let head = html.split("<section").next().expect("a head");
+    assert!(head.contains("that was ordered: B: 73 of 200 starts (36.5 %).</span>"), "{head}");
+}
+
+#[tokio::test]
+async fn throughput_is_drawn_against_payload_with_its_numbers() {
+    let many: Vec<_> =
+        (0..5).map(|at| configuration(at, Remote, 1.0 + at as f64 * 0.3, 1e5 * (at + 1) as f64)).collect();
+    let html = page_of(many.clone(), None).await;
+    let panel = html.split("id=\"cw-h\"").nth(1).expect("a panel");
+    let panel = panel.split("</section>").next().expect("its end");
+    assert_eq!(panel.matches("<circle class=\"f-upload cut\"").count(), 5, "{panel}");
+    // 100 kB in 6.3 ms.
+    assert!(panel.contains("data-h=\"size\">100\u{202f}kB</td>") && panel.contains(">15.9 <span"), "{panel}");
+    assert_eq!(
+        panel.matches("data-h=\"way\">upload</td>").count(),
+        5,
+        "downloads are all of one size: {panel}"
+    );
+    assert!(
+        panel.contains("upload of A, B, C, D, E: ") && panel.contains("by the slope of a line"),
+        "{panel}"
+    );
+    assert!(
+        !page_of(many[..2].to_vec(), None).await.contains("Throughput against payload"),
+        "two are no plot"
+    );
+}
+
+#[tokio::test]
+async fn totals_and_inferences_are_boxes_and_each_run_has_a_distribution() {
+    let two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
+    let html = page_of(two.clone(), None).await;
+    assert!(html.contains("How the total spreads") && html.contains("whiskers from p5 to p95"), "{html}");
+    assert_eq!(html.matches("class=\"stages thin boxed\"").count(), 4, "two totals, two inferences: {html}");
+    assert_eq!(html.matches("<figcaption>").count(), 2);
+    assert!(html.contains("<a href=\"/runs/2#distribution\">#2</a>"), "{html}");
+    assert!(!html.contains("of 2 runs"), "none is left out: {html}");
+    assert_eq!(page_of(two[..1].to_vec(), None).await.matches("<figcaption>").count(), 1);
+
+    let mut many: Vec<_> = (0..20).map(|at| configuration(at, Remote, 1.0 + at as f64, 1e3)).collect();
+    for one in &mut many {
+        let again =
+            (1..5).map(|n| RunSummary { number: one.runs[0].number + 100 * n, ..one.runs[0].clone() });
+        let again: Vec<_> = again.collect();
+        one.runs.extend(again);
+    }
+    let html = page_of(many, None).await;
+    assert_eq!(html.matches("<figcaption>").count(), 24);
+    assert!(html.contains("24 of 100 runs: ") && html.contains("ms, logarithmic, one axis"), "{html}");
+    for run in (1..=20).chain(101..=104) {
+        assert!(html.contains(&format!("<a href=\"/runs/{run}#distribution\">")), "{run}: {html}");
+    }
 }

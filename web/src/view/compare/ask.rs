@@ -1,11 +1,18 @@
-//! What the means of stored runs leave open: samples without a score, and how to ask of every iteration.
+//! What the means of stored runs leave open: starts that were skipped, samples without a score, and how to ask of every
+//! iteration.
 
 use peernet_report::accuracy::{UNKNOWN_LABEL, UnknownLabels};
+use peernet_report::compare::skipped_starts;
 
 use super::Comparison;
 
 /// Where a dashboard is when a request does not say it in plain letters.
 const USUAL: &str = "127.0.0.1:8040";
+
+/// That starts were skipped, and of which configurations; `None` where all took place.
+pub(crate) fn skipped(comparison: &Comparison) -> Option<String> {
+    skipped_starts(comparison.configurations.iter().map(|one| (one.letter.clone(), one.starts())))
+}
 
 /// A sentence for each configuration with samples whose label is no class of its model.
 pub(crate) fn unknown_labels(comparison: &Comparison) -> Vec<String> {
@@ -54,6 +61,20 @@ mod tests {
         }
         two.configurations.truncate(1);
         assert_eq!(commands(&two, "localhost:8040"), None);
+    }
+
+    #[test]
+    fn starts_that_were_skipped_are_told_as_the_terminal_tells_them() {
+        let one = configuration(0, Local, 1.0, 1e3);
+        let mut other = configuration(1, Local, 2.0, 1e3);
+        let mut run = other.runs[0].clone();
+        (run.counts.ok, run.counts.timeout, run.skipped_starts) = (90, 37, 73);
+        other.runs[0].counts.ok = 0;
+        other.runs.push(run);
+        assert_eq!(skipped(&comparison(vec![one.clone()])), None);
+        let text = "Starts were skipped, because the pipeline was too far behind; these latencies are not those of the rate \
+                    that was ordered: B: 73 of 200 starts (36.5 %).";
+        assert_eq!(skipped(&comparison(vec![one, other])).as_deref(), Some(text));
     }
 
     #[test]

@@ -7,20 +7,27 @@ mod order;
 mod payload;
 mod pictures;
 mod pool;
+mod spread;
 mod table;
 #[cfg(test)]
 pub(crate) mod tests;
+mod throughput;
 mod users;
 
-pub(crate) use ask::{commands, unknown_labels};
+pub(crate) use ask::{commands, skipped, unknown_labels};
 pub(crate) use gather::{MOST_RUNS, Which, gather};
 pub(crate) use payload::{accuracy, payload};
 pub(crate) use pictures::{Axes, Pair, StackRow, pairs, stacks};
+pub(crate) use spread::{BoxRow, Distributions, Spreads, boxes, distributions};
 pub(crate) use table::{Changed, Table, difference, open, title, too_short};
+pub(crate) use throughput::{Throughput, throughput};
 pub(crate) use users::{UsersRow, users};
 
 use peernet_aggregator::{Bound, Figures, RunSummary, StageStatistics};
 use peernet_logger::stream::PlacementKind;
+use peernet_report::trust::Starts;
+
+use crate::view::trust;
 
 /// What is compared.
 #[derive(Clone, Debug, PartialEq)]
@@ -70,6 +77,16 @@ impl Configuration {
     /// Mean of the total, seconds; of the sensor alone where there is no more.
     pub(crate) fn total(&self) -> Option<&Figures> {
         self.figures("total").or_else(|| self.figures("sensing"))
+    }
+
+    /// What became of the starts that an open loop ordered.
+    pub(crate) fn starts(&self) -> Starts {
+        let of_runs = self.runs.iter().map(trust::starts);
+        of_runs.fold(Starts::default(), |all, run| Starts {
+            kept: all.kept + run.kept,
+            skipped: all.skipped + run.skipped,
+            ..all
+        })
     }
 
     fn placement(&self) -> Option<&peernet_logger::stream::Placement> {

@@ -10,7 +10,7 @@ use crate::svg::{Horizontal, Ruler, Scatter, ScatterLine, ScatterPoint, ScatterS
 use crate::view::accuracy;
 
 /// Sizes within this factor are one size.
-const ALIKE: f64 = 1.1;
+pub(super) const ALIKE: f64 = 1.1;
 /// Most groups that have lines of their own; with more nobody can tell them apart.
 const MOST_GROUPS: usize = 3;
 /// Name of the values that tell how often the first answer was right.
@@ -65,11 +65,11 @@ pub(crate) fn payload(comparison: &Comparison) -> Option<(Scatter, Vec<String>)>
     Some((Scatter::new(label, (unit, &across), ("ms", &up), &series), said))
 }
 
-type Group<'a> = Vec<(&'a Configuration, f64)>;
+pub(super) type Group<'a> = Vec<(&'a Configuration, f64)>;
 
 /// Configurations that differ in nothing but what sets the size: the axis on which equal labels mean equal sizes. All
 /// together where no axis does or where there would be too many groups.
-fn groups<'a>(comparison: &Comparison, all: &[(&'a Configuration, f64)]) -> Vec<Group<'a>> {
+pub(super) fn groups<'a>(comparison: &Comparison, all: &[(&'a Configuration, f64)]) -> Vec<Group<'a>> {
     let sets_the_size = |axis: &usize| {
         let label = |one: &Configuration| one.values.get(*axis).cloned();
         all.iter().all(|(one, size)| {
@@ -94,7 +94,7 @@ fn groups<'a>(comparison: &Comparison, all: &[(&'a Configuration, f64)]) -> Vec<
 
 /// Seconds over bytes where there are three sizes, and the least and the largest of them. Each mean is weighted by how
 /// well it is known.
-fn line(group: &Group<'_>, name: &Name) -> Option<(Fit, (f64, f64))> {
+pub(super) fn line(group: &Group<'_>, name: &Name) -> Option<(Fit, (f64, f64))> {
     let mut sizes: Vec<f64> = Vec::new();
     for (_, size) in group {
         if sizes.iter().all(|known| *known > size * ALIKE || *size > known * ALIKE) {

@@ -4,9 +4,11 @@ use peernet_logger::stage;
 use peernet_logger::stream::{Placement, PlacementKind};
 use std::slice;
 
+use super::spread::{Spreads, together};
 use super::{Comparison, Configuration, order};
+use crate::look;
 use crate::numbers::{NONE, duration, mean_std_ms};
-use crate::svg::{Axis, Bar, Part, Scale};
+use crate::svg::{Axis, Bar, BoxPlot, Five, Part, Scale};
 use crate::view::place;
 use crate::view::stack::Stack;
 
@@ -29,7 +31,7 @@ pub(crate) struct Axes {
 }
 
 impl Axes {
-    fn of(scale: &Scale) -> Self {
+    pub(super) fn of(scale: &Scale) -> Self {
         Self { above: Axis::milliseconds(scale, ""), under: Axis::milliseconds(scale, "small") }
     }
 }
@@ -45,7 +47,7 @@ pub(crate) struct PlaceRow {
     pub letter: String,
     pub name: String,
     pub inference: (String, Option<String>),
-    pub bar: Bar,
+    pub spread: BoxPlot,
 }
 
 /// The stages of all configurations on one scale, means with the standard deviation of the total.
@@ -74,7 +76,7 @@ pub(crate) fn stacks(comparison: &Comparison) -> (Vec<StackRow>, Axes) {
 }
 
 /// What a configuration is in words; a bare number with what it counts.
-fn named(axes: &[String], one: &Configuration) -> String {
+pub(super) fn named(axes: &[String], one: &Configuration) -> String {
     let known = axes.iter().zip(&one.values).filter(|(_, value)| *value != NONE);
     let words = known.map(|(axis, value)| match value.parse::<f64>() {
         Ok(_) => format!("{axis} {value}"),
@@ -129,7 +131,7 @@ fn routes(one: &Configuration) -> String {
 }
 
 /// Models that ran both on board and in the cloud, each with its inference alone, all on one scale.
-pub(crate) fn pairs(comparison: &Comparison) -> (Vec<Pair>, Axes) {
+pub(crate) fn pairs(comparison: &Comparison, spreads: &Spreads) -> (Vec<Pair>, Axes) {
     let mut models: Vec<String> = Vec::new();
     for placement in comparison.configurations.iter().filter_map(Configuration::placement) {
         let model = placement.model.to_string();
@@ -149,20 +151,18 @@ pub(crate) fn pairs(comparison: &Comparison) -> (Vec<Pair>, Axes) {
         has(PlacementKind::Local) && has(PlacementKind::Remote)
     };
     models.retain(both);
+    let five = |one: &Configuration| together(&spreads.inference, one);
     let measured = models.iter().flat_map(|model| of(model));
-    let reach = measured.filter_map(|one| one.figures(&stage::INFERENCE));
-    let reach = reach.map(|figures| figures.mean + figures.std.unwrap_or(0.0)).fold(0.0, f64::max);
+    let reach = measured.filter_map(five).map(|five| five.top()).fold(0.0, f64::max);
     let scale = Scale::fit(reach * 1e3, 6);
     let row = |one: &Configuration| {
-        let figures = one.figures(&stage::INFERENCE)?;
+        let (figures, five): (_, Five) = (one.figures(&stage::INFERENCE)?, five(one)?);
         let wher = if one.kind() == Some(PlacementKind::Local) { "on board" } else { "cloud" };
         let name = format!("{wher}, {}", routes(one));
-        let part = Part { name: stage::INFERENCE.to_string(), seconds: figures.mean, bound: None };
-        let label = format!("{}, {name}: inference {}", one.letter, duration(figures.mean));
-        let bar = Bar::new("thin", label, &[part], &scale).silent();
-        let bar = figures.std.map_or(bar.clone(), |std| bar.spread(figures.mean, std, &scale));
+        let label = format!("{}, {name}, inference", one.letter);
+        let spread = BoxPlot::new(look::class(&stage::INFERENCE), &label, &five, &scale);
         let inference = mean_std_ms(figures.mean, figures.std);
-        Some(PlaceRow { letter: one.letter.clone(), name, inference, bar })
+        Some(PlaceRow { letter: one.letter.clone(), name, inference, spread })
     };
     let pair = |model: &String| {
         let mut places = of(model);

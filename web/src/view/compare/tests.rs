@@ -22,6 +22,7 @@ pub(crate) fn run(number: i64, kind: PlacementKind) -> RunSummary {
         last_iteration: Some(samples::NOW + Span::from_seconds(59)),
         counts: OutcomeCounts { ok: 300, ..OutcomeCounts::default() },
         warm_up: 5,
+        skipped_starts: 0,
         total: Some(samples::figures(0.016, 300)),
         rehearsed: false,
         pinned: false,
@@ -62,6 +63,22 @@ pub(crate) fn comparison(configurations: Vec<Configuration>) -> Comparison {
     let axes = vec!["size".to_owned(), "where".to_owned()];
     let experiment = Some(("sizes".to_owned(), "a".to_owned()));
     Comparison { experiment, axes, configurations, left_out: Vec::new(), cut: false }
+}
+
+/// Samples with the means that the runs' configurations have.
+pub(crate) fn spreads(comparison: &Comparison) -> Spreads {
+    let of = |name: &Name| {
+        let runs =
+            comparison.configurations.iter().flat_map(|one| one.runs.iter().map(move |run| (one, run)));
+        let known = runs.filter_map(|(one, run)| {
+            let mean = one.figures(name)?.mean;
+            let mut summary = Summary::default();
+            (0..300).for_each(|n| summary.record(mean * (1.0 + 0.2 * f64::from(n).sin())));
+            Some((run.number, summary))
+        });
+        known.collect()
+    };
+    Spreads { total: of(&stage::TOTAL), inference: of(&stage::INFERENCE) }
 }
 
 /// A run's total in buckets: a mean with some waves about it.
@@ -204,7 +221,7 @@ fn models_in_both_places_are_paired_and_payloads_plotted() {
         configuration(1, PlacementKind::Local, 2.0, 1e3),
         configuration(2, PlacementKind::Remote, 3.0, 1e6),
     ]);
-    let (pairs, _) = pairs(&mixed);
+    let (pairs, _) = pairs(&mixed, &spreads(&mixed));
     assert_eq!((pairs.len(), pairs[0].places.len(), pairs[0].places[0].letter.as_str()), (1, 3, "B"));
     assert!(payload(&mixed).is_some());
     let mut many = configuration(1, PlacementKind::Remote, 1.0, 1e3);
@@ -213,7 +230,7 @@ fn models_in_both_places_are_paired_and_payloads_plotted() {
         many.runs.push(RunSummary { host_name: samples::slug(&format!("user-{user}")), ..run.clone() });
     }
     let users = comparison(vec![configuration(0, PlacementKind::Local, 1.0, 1e3), many]);
-    let (together, _) = super::pairs(&users);
+    let (together, _) = super::pairs(&users, &spreads(&users));
     assert!(
         together[0].places[1].name.starts_with("cloud, user-1, user-2, user-10 → "),
         "{}",
@@ -222,5 +239,5 @@ fn models_in_both_places_are_paired_and_payloads_plotted() {
     let (_, said) = payload(&mixed).expect("sizes");
     assert!(said.is_empty(), "two sizes make no line: {said:?}");
     let alike = comparison((0..3).map(|at| configuration(at, PlacementKind::Remote, 1.0, 1e3)).collect());
-    assert!(payload(&alike).is_none() && super::pairs(&alike).0.is_empty());
+    assert!(payload(&alike).is_none() && super::pairs(&alike, &spreads(&alike)).0.is_empty());
 }

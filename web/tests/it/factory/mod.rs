@@ -6,6 +6,7 @@ mod backlog;
 mod clocks;
 mod line;
 mod numbers;
+mod skipping;
 mod tree;
 
 pub(crate) use agent::Agent;

@@ -1,0 +1,143 @@
+// Figures can be read as they are: whole, each in its own place, under the time to which they belong.
+import assert from "node:assert/strict";
+import { describe, test } from "node:test";
+import { charted, drawn, open } from "./browser.mjs";
+import { base, browser, pages } from "./dashboard.mjs";
+
+describe("charts", () => {
+  // The plots of all charts, and the labels that leave their canvas.
+  const plots = (page) => page.evaluate(() => Array.from(document.querySelectorAll(".chart"), (node) => {
+    const chart = globalThis.echarts.getInstanceByDom(node), model = chart.getModel();
+    const cut = chart.getZr().storage.getDisplayList(true).filter((one) => one.type === "tspan" && one.style.text).flatMap((one) => {
+      const box = one.getBoundingRect().clone();
+      if (one.transform) box.applyTransform(one.transform);
+      return box.x < 0 || box.x + box.width > chart.getWidth() ? [one.style.text] : [];
+    });
+    const option = chart.getOption().grid, rects = model.queryComponents({ mainType: "grid" }).map((grid) => grid.coordinateSystem.getRect());
+    const wanted = option.map(({ left, right }) => [left, chart.getWidth() - left - right]);
+    return { wanted, found: rects.map(({ x, width }) => [x, width]), cut };
+  }));
+
+  // The newest second is the eighth of a minute that carries a label: its label touches the edge.
+  function late(data) {
+    const end = Math.max(...data.charts.map((chart) => chart.from + chart.n.length)), more = 240 - (end % 120) + 8;
+    for (const chart of data.charts) {
+      chart.from += more;
+      for (const list of [chart.cpu, chart.gpu]) list.forEach((point) => { point[0] += more; });
+    }
+  }
+
+  for (const width of [400, 1300]) {
+    test(`all plots of a chart have one time axis, with a label at its very end as well: ${width} px`, async () => {
+      for (const path of ["/", pages.pipeline]) {
+        const { page, errors, close } = await charted(browser, base, path, late, { width });
+        const charts = await plots(page);
+        assert.ok(charts.length > 0 && charts.every(({ found }) => found.length > 1), path);
+        for (const { wanted, found, cut } of charts) {
+          assert.deepEqual(found, found.map(() => found[0]), `${path}: plots beside each other`);
+          assert.deepEqual(found, wanted, path);
+          assert.deepEqual(cut, [], `${path}: labels that are cut off`);
+        }
+        assert.deepEqual(errors.filter((one) => !one.includes("live") && !one.includes("ERR_FAILED")), [], path);
+        await close();
+      }
+    });
+  }
+
+  test("values of any length are whole beside their axis", async () => {
+    const change = (data) => {
+      const [chart] = data.charts, times = (list, factor) => list.map((value) => (value == null ? null : value * factor));
+      Object.assign(chart, { remote: true, obstacles: [null, null], means: { ...chart.means, "upload-throughput": chart.n.map(() => 23456.7), "download-throughput": chart.n.map(() => 0.000123) } });
+      chart.p95 = times(chart.p95, 1e5);
+    };
+    const { page, close } = await charted(browser, base, "/", change, { width: 400 });
+    for (const { wanted, found, cut } of await plots(page)) {
+      assert.deepEqual(found, wanted);
+      assert.deepEqual(cut, []);
+    }
+    await close();
+  });
+
+  test("a run's plot is where its slider and its gaps are", async () => {
+    for (const width of [400, 1300]) {
+      const { page, close } = await open(browser, base, pages.run, { width });
+      await drawn(page);
+      const [{ wanted, found, cut }] = await plots(page);
+      assert.deepEqual(found, wanted, `${width} px`);
+      assert.deepEqual(cut, [], `${width} px`);
+      await close();
+    }
+  });
+});
+
+describe("on a phone", () => {
+  // What cannot be read of the figures on a page: cut off, outside, or printed over each other.
+  const unreadable = (page) => page.evaluate(() => {
+    const found = [], texts = [];
+    const isCutting = (style) => [style.overflowX, style.overflowY].some((how) => how === "hidden" || how === "clip");
+    const walker = document.createTreeWalker(document.querySelector("main"), NodeFilter.SHOW_TEXT);
+    for (let node = walker.nextNode(); node; node = walker.nextNode()) {
+      if (!/\d/.test(node.data) || !node.parentElement.checkVisibility({ visibilityProperty: true }) || node.parentElement.closest(".sr, title, defs")) continue;
+      const range = document.createRange();
+      range.selectNodeContents(node);
+      for (const box of range.getClientRects()) {
+        if (!box.width || !box.height) continue;
+        let isSeen = true;
+        for (let one = node.parentElement; one.id !== "main"; one = one.parentElement) {
+          const style = getComputedStyle(one), edge = one.getBoundingClientRect();
+          const isOut = box.left < edge.left - 1 || box.right > edge.right + 1 || box.top < edge.top - 3 || box.bottom > edge.bottom + 3;
+          if (isOut && ["auto", "scroll"].includes(style.overflowX)) isSeen = false;
+          else if (isOut && isCutting(style) && style.display !== "inline") found.push(`${node.data.trim()}: cut off`);
+        }
+        if (isSeen && (box.left < 0 || box.right > innerWidth)) found.push(`${node.data.trim()}: outside the page`);
+        if (isSeen) texts.push({ words: node.data.trim(), node, box });
+      }
+    }
+    texts.forEach((one, at) => {
+      for (const other of texts.slice(at + 1)) {
+        if (other.node === one.node) continue;
+        const wide = Math.min(one.box.right, other.box.right) - Math.max(one.box.left, other.box.left);
+        const high = Math.min(one.box.bottom, other.box.bottom) - Math.max(one.box.top, other.box.top);
+        if (wide > 1 && high > Math.min(one.box.height, other.box.height) / 3) found.push(`${one.words}: printed over ${other.words}`);
+      }
+    });
+    for (const text of document.querySelectorAll("svg.stages text:not(.beyond)")) {
+      let rect = text.previousElementSibling;
+      while (rect.tagName !== "rect") rect = rect.previousElementSibling;
+      const inner = text.getBoundingClientRect(), outer = rect.getBoundingClientRect();
+      if (inner.width > 0 && (inner.left < outer.left || inner.right > outer.right)) found.push(`${text.textContent}: wider than its stage`);
+      for (const line of text.parentElement.querySelectorAll(".whisk2[y1='50%']")) {
+        const over = line.getBoundingClientRect();
+        if (inner.width > 0 && Math.min(inner.right, over.right) > Math.max(inner.left, over.left)) found.push(`${text.textContent}: crossed out`);
+      }
+    }
+    return [...new Set(found)];
+  });
+
+  for (const width of [320, 400]) {
+    test(`no figure is cut off or printed over another: ${width} px`, async () => {
+      const wrong = [];
+      for (const [name, path] of Object.entries(pages)) {
+        const { page, close } = await open(browser, base, path, { width, height: 800 });
+        await drawn(page);
+        for (const one of await unreadable(page)) wrong.push(`${name}: ${one}`);
+        await close();
+      }
+      assert.deepEqual(wrong, []);
+    });
+  }
+
+  test("figures of many digits stay in their cells", async () => {
+    const { page, close } = await open(browser, base, pages.compare, { width: 400, height: 800 });
+    const count = await page.locator(".compare td.num:has(.pm)").evaluateAll((cells) => {
+      for (const cell of cells) {
+        cell.firstChild.data = "0.000139 ";
+        cell.querySelector(".pm").textContent = "± 0.000080";
+      }
+      return cells.length;
+    });
+    assert.ok(count > 3, "there are cells with a deviation");
+    assert.deepEqual(await unreadable(page), []);
+    await close();
+  });
+});

@@ -1,0 +1,137 @@
+//! Throughput against payload: what was sent over how long it took, and what the slope of the delays says.
+
+use peernet_logger::{Name, stage};
+use peernet_report::fit::rate;
+
+use super::payload::{ALIKE, Group, groups, line};
+use super::{Comparison, Configuration};
+use crate::look;
+use crate::numbers::{SPACE, bytes, stage_ms, throughput as megabytes};
+use crate::svg::{Horizontal, Ruler, Scatter, ScatterLine, ScatterPoint, ScatterSeries};
+
+/// bit/s to MB/s.
+const MEGABYTES: f64 = 1.0 / 8e6;
+/// Each way with the sizes that make up what went it.
+static WAYS: [(Name, [Name; 2]); 2] = [
+    (stage::UPLOAD, [stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES]),
+    (stage::DOWNLOAD, [stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES]),
+];
+
+/// The picture, its numbers and what lines through the delays say.
+pub(crate) struct Throughput {
+    pub plot: Scatter,
+    pub rows: Vec<ThroughputRow>,
+    pub said: Vec<String>,
+}
+
+/// One configuration, one way.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct ThroughputRow {
+    pub letter: String,
+    pub way: String,
+    /// Mean size of a message with its log.
+    pub size: String,
+    /// Mean delay, ms.
+    pub delay: String,
+    /// MB/s, and between which ends the clock bounds leave it.
+    pub throughput: (String, Option<String>),
+}
+
+/// One point, bit/s.
+struct Known<'a> {
+    one: &'a Configuration,
+    bytes: f64,
+    delay: f64,
+    value: f64,
+    /// By the clock bounds; no upper end where the delay may be nothing.
+    ends: Option<(f64, Option<f64>)>,
+}
+
+impl<'a> Known<'a> {
+    fn of(one: &'a Configuration, way: &Name, sizes: &[Name; 2]) -> Option<Self> {
+        let size = one.figures(&sizes[0])?.mean;
+        let bytes = size + one.figures(&sizes[1]).map_or(0.0, |figures| figures.mean);
+        let delay = one.figures(way).map(|figures| figures.mean).filter(|delay| *delay > 0.0)?;
+        let half = one.bounds.iter().find(|bound| bound.stage == *way).and_then(|bound| bound.half_width);
+        let over = |seconds: f64| (seconds > 0.0).then(|| bytes * 8.0 / seconds);
+        let ends = half.and_then(|half| Some((over(delay + half.mean)?, over(delay - half.mean))));
+        (bytes > 0.0).then_some(Self { one, bytes, delay, value: over(delay)?, ends })
+    }
+
+    fn row(&self, way: &Name) -> ThroughputRow {
+        let end = |value: Option<f64>| value.map_or_else(|| "∞".to_owned(), megabytes);
+        ThroughputRow {
+            letter: self.one.letter.clone(),
+            way: way.to_string(),
+            size: bytes(self.bytes).to_string(),
+            delay: stage_ms(self.delay),
+            throughput: (
+                megabytes(self.value),
+                self.ends.map(|(low, high)| format!("{} – {}", megabytes(low), end(high))),
+            ),
+        }
+    }
+
+    /// MB/s over kB; an error bar without an upper end leaves the plot at `top`.
+    fn point(&self, top: f64) -> ScatterPoint {
+        ScatterPoint {
+            x: self.bytes / 1e3,
+            y: self.value * MEGABYTES,
+            ends: self
+                .ends
+                .map(|(low, high)| (low * MEGABYTES, high.map_or(top, |high| high * MEGABYTES).min(top))),
+            name: self.one.letter.clone(),
+        }
+    }
+}
+
+/// Each way whose payloads differ: at least three configurations, by a tenth or more.
+pub(crate) fn throughput(comparison: &Comparison) -> Option<Throughput> {
+    let ways = WAYS.iter().filter_map(|(way, sizes)| {
+        let known: Vec<Known<'_>> =
+            comparison.configurations.iter().filter_map(|one| Known::of(one, way, sizes)).collect();
+        let ends =
+            known.iter().fold((f64::INFINITY, 0.0_f64), |(lo, hi), it| (lo.min(it.bytes), hi.max(it.bytes)));
+        (known.len() >= 3 && ends.1 >= ends.0 * ALIKE).then_some((way, known))
+    });
+    let ways: Vec<(&Name, Vec<Known<'_>>)> = ways.collect();
+    let all = || ways.iter().flat_map(|(_, known)| known);
+    ways.first()?;
+    // A bound that leaves next to nothing of a delay would press all points to the ground.
+    let highest = all().map(|it| it.value).fold(0.0, f64::max) * MEGABYTES;
+    let reach = all().filter_map(|it| it.ends?.1).map(|high| (high * MEGABYTES).min(2.0 * highest));
+    let up = Ruler::from_zero(reach.fold(highest, f64::max), 5);
+    let across = Horizontal::of(all().map(|it| it.bytes / 1e3));
+    let mut said = Vec::new();
+    let series = ways.iter().map(|(way, known)| {
+        let sized: Group<'_> = known.iter().map(|it| (it.one, it.bytes)).collect();
+        let lines =
+            groups(comparison, &sized).iter().filter_map(|group| level(way, group, &mut said)).collect();
+        let points = known.iter().map(|it| it.point(up.end() * 1.02)).collect();
+        ScatterSeries { look: look::class(way), name: way.to_string(), points, lines }
+    });
+    let series: Vec<ScatterSeries> = series.collect();
+    let rows: Vec<ThroughputRow> =
+        ways.iter().flat_map(|(way, known)| known.iter().map(|it| it.row(way))).collect();
+    let unit = if across.is_logarithmic() { "kB, logarithmic" } else { "kB" };
+    let label = format!("Throughput against payload. {}", said.join(" "));
+    Some(Throughput { plot: Scatter::new(label, (unit, &across), ("MB/s", &up), &series), rows, said })
+}
+
+/// What each further byte costs, as a level line: the throughput that is left when messages are large.
+fn level(way: &Name, group: &Group<'_>, said: &mut Vec<String>) -> Option<ScatterLine> {
+    let (fit, ends) = line(group, way)?;
+    let letters = group.iter().map(|(one, _)| one.letter.as_str()).collect::<Vec<_>>().join(", ");
+    let Some((value, margin)) = rate(fit.slope) else {
+        said.push(format!("{way} of {letters}: too fast to tell from these sizes."));
+        return None;
+    };
+    said.push(format!(
+        "{way} of {letters}: {} ± {}{SPACE}MB/s (95{SPACE}%) by the slope of a line through {} mean delays.",
+        megabytes(value),
+        megabytes(margin),
+        fit.points
+    ));
+    let intercept = value * MEGABYTES;
+    Some(ScatterLine { intercept, slope: 0.0, from: ends.0 / 1e3, to: ends.1 / 1e3 })
+}

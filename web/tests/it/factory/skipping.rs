@@ -1,0 +1,25 @@
+//! A pipeline that is too slow for its rate.
+
+use peernet_clock::Span;
+use peernet_logger::stream::{Event, Outcome};
+use peernet_logger::{Measure, NodeId, RunId, Unit};
+
+use super::Factory;
+
+impl Factory {
+    /// Stores a run of a line: every tenth iteration gets no answer in time, and before it so many starts were skipped.
+    pub(crate) async fn store_skipping(&mut self, index: usize, iterations: u64, skipped: u32) {
+        let mut events = self.run(index, RunId::random(), iterations, true, None);
+        for event in &mut events {
+            if let Event::Iteration(iteration) = event
+                && iteration.number.is_multiple_of(10)
+            {
+                let measure = Measure::Value(skipped.into(), Unit::NONE);
+                iteration.tree.add(NodeId::ROOT, "skipped-starts".into(), Span::ZERO, measure);
+                iteration.outcome = Outcome::Timeout;
+            }
+        }
+        self.agents[index].offer(events);
+        self.agents[index].until_stored().await;
+    }
+}
