@@ -1,8 +1,9 @@
-//! What the programs `peernetd` and `peernet` share: clocks, exit codes, the terminal and what it is told of long texts,
+//! What the programs `peernetd` and `peernet` share: clocks, exit codes, what is wrong with a value, the terminal and what it is told of long texts,
 //! the log's form, what is a wish to end, the version.
 
 pub mod clock;
 pub mod exit;
+pub mod expected;
 pub mod log;
 pub mod output;
 pub mod short;

@@ -11,7 +11,7 @@ use crate::Line;
 /// What `peernet completions` can be told.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
-    /// Which shell: bash, elvish, fish, powershell, zsh.
+    /// Which shell.
     shell: Shell,
 }
 

@@ -33,7 +33,7 @@ use peernetd::output;
     args_conflicts_with_subcommands = true,
     subcommand_negates_reqs = true,
     arg_required_else_help = true,
-    after_help = "To begin: `peernetd run configs/cloud.toml` in one terminal, `peernet run configs/experiments/demo.toml` in another. `peernet COMMAND --help` has the options of a command, docs/cli.md all of them."
+    after_help = "To begin: `peernetd run configs/cloud.toml` in one terminal, `peernet run configs/experiments/demo.toml` in another; the package has the files of configs/ in /usr/share/doc/peernet/examples/. `peernet COMMAND --help` has the options of a command, docs/cli.md all of them."
 )]
 struct Line {
     #[command(subcommand)]

@@ -69,15 +69,28 @@ fn row(text: &mut String, argument: &Arg) {
         Some(long) => format!("--{long}"),
         None => values.join(" "),
     };
+    let short = argument.get_short().map(|short| format!("`-{short}`, ")).unwrap_or_default();
     let help = argument.get_long_help().or(argument.get_help()).map(ToString::to_string).unwrap_or_default();
+    let help = format!("{help}{}", if takes { choice(argument) } else { String::new() });
     let help = help.split_whitespace().collect::<Vec<_>>().join(" ").replace('|', "\\|");
     let default: Vec<_> = argument.get_default_values().iter().map(|value| value.to_string_lossy()).collect();
-    let default = match (default.is_empty() || !takes, argument.is_required_set()) {
-        (false, _) => format!("`{}`", default.join(" ")),
-        (true, true) => "required".to_owned(),
-        (true, false) => {
-            argument.get_env().map(|name| format!("`${}`", name.to_string_lossy())).unwrap_or_default()
-        }
+    let from = argument.get_env().map(|name| format!("`${}`", name.to_string_lossy()));
+    let default = (!default.is_empty() && takes).then(|| format!("`{}`", default.join(" ")));
+    let default = match (from, default) {
+        (None, None) if argument.is_required_set() => "required".to_owned(),
+        (from, default) => from.into_iter().chain(default).collect::<Vec<_>>().join(", else "),
     };
-    let _ = writeln!(text, "| `{name}` | {help} | {default} |");
+    let name = name.replace('|', "\\|");
+    let _ = writeln!(text, "| {short}`{name}` | {help} | {default} |");
+}
+
+/// What an argument can be, where that is one of a few.
+fn choice(argument: &Arg) -> String {
+    let values = argument.get_possible_values();
+    let values = values.iter().filter(|value| !value.is_hide_set()).map(|value| match value.get_help() {
+        Some(help) => format!("`{}` ({help})", value.get_name()),
+        None => format!("`{}`", value.get_name()),
+    });
+    let values: Vec<String> = values.collect();
+    if values.is_empty() { String::new() } else { format!(": {}", values.join(", ")) }
 }

@@ -40,11 +40,11 @@ pub(crate) struct Arguments {
     /// An agent's configuration whose tables [clock], [probes] and [rehearsal] hold here, too.
     #[arg(long, value_name = "FILE")]
     pub(super) config: Option<PathBuf>,
-    /// Kind of network.
+    /// Kind of network: zmq-tcp; zmq-udp and ros are not there yet.
     #[arg(long, default_value = "zmq-tcp", value_parser = network)]
     pub(super) network: NetworkKind,
     /// Do not show the progress.
-    #[arg(long)]
+    #[arg(long, short)]
     pub(super) quiet: bool,
 }
 

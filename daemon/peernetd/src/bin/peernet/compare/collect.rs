@@ -36,6 +36,7 @@ pub(crate) fn collect(
         }
     }
     let baseline = baseline.map(|path| {
+        let path = if path.is_file() { folder_of(path) } else { path };
         paths.iter().position(|other| is_same(other, path)).unwrap_or_else(|| {
             paths.insert(0, path.to_owned());
             0
@@ -73,9 +74,7 @@ pub(crate) fn distinct(places: &[PathBuf]) -> Vec<PathBuf> {
 
 fn find(place: &Path) -> Result<Vec<PathBuf>, Failure> {
     if place.is_file() {
-        // The file of a folder of results is the folder.
-        let folder = place.parent().filter(|_| place.ends_with("data.csv"));
-        return Ok(vec![folder.filter(|folder| *folder != Path::new("")).unwrap_or(place).to_owned()]);
+        return Ok(vec![folder_of(place).to_owned()]);
     }
     let found = ResultFolder::find(place);
     if found.is_empty() {
@@ -83,6 +82,12 @@ fn find(place: &Path) -> Result<Vec<PathBuf>, Failure> {
         return Err(Failure::new(Exit::NoInput, anyhow!("no results in {}: {what}", place.display())));
     }
     Ok(found)
+}
+
+/// What a file of rows is opened as: that of a folder of results is the folder.
+fn folder_of(file: &Path) -> &Path {
+    let folder = file.parent().filter(|folder| file.ends_with("data.csv") && *folder != Path::new(""));
+    folder.unwrap_or(file)
 }
 
 fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, Failure> {
@@ -111,5 +116,19 @@ mod tests {
             distinct(&[run.clone(), again, folder.path().to_owned()]),
             [run, folder.path().to_owned()]
         );
+    }
+
+    #[test]
+    fn a_baseline_may_be_named_by_its_file_of_rows() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let runs = ["a", "b"].map(|name| folder.path().join(name));
+        for run in &runs {
+            std::fs::create_dir(run).expect("made");
+            std::fs::write(run.join("data.csv"), "iteration,inference\n1,0.1\n").expect("written");
+        }
+        for baseline in [runs[1].clone(), runs[1].join("data.csv")] {
+            let found = collect(&runs, Some(&baseline), &|_| true).expect("they are there");
+            assert_eq!((found.runs.len(), found.baseline), (2, Some(1)), "{}", baseline.display());
+        }
     }
 }

@@ -11,7 +11,7 @@ use peernet_report::compare::{Comparison, Differences, Repeats, SEED, is_compare
 use peernet_report::results::Loaded;
 use peernet_report::table::Captioned;
 use peernetd::exit::{Exit, Failure};
-use peernetd::output::say;
+use peernetd::output::{complain, say};
 
 pub(crate) use collect::{Collected, collect, distinct};
 
@@ -28,8 +28,9 @@ pub(crate) struct Arguments {
     /// Write to this file instead of the terminal.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// What the others are compared with, stage by stage: one of the runs. With two lines in the table this is the first
-    /// of them. With --format csv the table of differences takes the place of the other one.
+    /// What the others are compared with, stage by stage: the folder of a run, or its file of rows [default: of two lines
+    /// the first; of more the best, without the stages]. With --format csv the table of differences takes the place of the
+    /// other one.
     #[arg(long, value_name = "RUN")]
     baseline: Option<PathBuf>,
     /// Give each repeat of a configuration a line of its own.
@@ -66,6 +67,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         Some(run) => line_of(run),
         None => first_of_two(&comparison),
     };
+    if baseline.is_some() {
+        alone(&comparison).iter().for_each(complain);
+    }
     let differences = differences(&comparison, &runs, first, arguments.seed);
     let tables = below(&comparison, &differences);
     let text = match arguments.format {
@@ -82,6 +86,20 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     };
     std::fs::write(path, format!("{text}\n"))
         .map_err(|error| Failure::new(Exit::Unwritten, anyhow!("cannot write {}: {error}", path.display())))
+}
+
+/// Why nothing can be compared with a baseline, if that is so.
+fn alone(comparison: &Comparison) -> Option<String> {
+    let runs = match comparison.lines.as_slice() {
+        [line] => line.runs.len(),
+        _ => return None,
+    };
+    let (why, so) = if runs == 1 {
+        ("it is the only run", "")
+    } else {
+        ("all runs are of one configuration and stand in one line", "; --apart gives each repeat its own")
+    };
+    Some(format!("nothing is compared with the baseline: {why}{so}"))
 }
 
 /// The line that the other one is compared with where nobody said which.
@@ -119,4 +137,36 @@ pub(crate) fn joined(first: String, others: impl Iterator<Item = String>) -> Str
         .map(|text| text.trim_end().to_owned())
         .collect::<Vec<_>>()
         .join("\n\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_logger::stream::ExperimentPlace;
+    use peernet_report::results::{Rows, RunRecord};
+
+    use super::*;
+
+    #[test]
+    fn a_baseline_that_nothing_is_compared_with_is_told() {
+        let run = |repeat: u32| Loaded {
+            folder: PathBuf::from(format!("r{repeat}")),
+            record: RunRecord {
+                experiment: Some(ExperimentPlace {
+                    name: "x".to_owned(),
+                    id: "x1".to_owned(),
+                    configuration: vec![("load".to_owned(), "a".to_owned())],
+                    repeat,
+                }),
+                ..RunRecord::default()
+            },
+            rows: Rows::default(),
+        };
+        let runs = [run(1), run(2)];
+        let told = |runs: &[Loaded], repeats| alone(&Comparison::with(runs, repeats, SEED));
+        let pooled = told(&runs, Repeats::Pooled).expect("they are one line");
+        assert!(pooled.contains("one configuration") && pooled.contains("--apart"), "{pooled}");
+        assert_eq!(told(&runs, Repeats::Apart), None);
+        let single = told(&runs[..1], Repeats::Pooled).expect("there is no other");
+        assert!(single.contains("the only run") && !single.contains("--apart"), "{single}");
+    }
 }

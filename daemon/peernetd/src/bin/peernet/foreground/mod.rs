@@ -15,7 +15,7 @@ mod tables;
 mod typed;
 mod waiting;
 
-pub(crate) use dashboard::dashboard;
+pub(crate) use dashboard::where_seen;
 pub(crate) use ended::Ended;
 pub(crate) use latency::{p99, told};
 pub(crate) use log::{Shows, listen};

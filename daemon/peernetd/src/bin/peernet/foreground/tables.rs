@@ -5,6 +5,7 @@ use std::path::Path;
 use anyhow::anyhow;
 use peernet_agent::AgentConfig;
 use peernetd::exit::{Exit, Failure};
+use peernetd::expected::told;
 use peernetd::small_file;
 
 /// The tables that hold here, too.
@@ -25,7 +26,7 @@ pub(crate) fn tables(file: Option<&Path>) -> Result<AgentConfig, Failure> {
 
 fn read(text: &str, file: &Path) -> anyhow::Result<AgentConfig> {
     let mut document: toml::Table =
-        text.parse().map_err(|error: toml::de::Error| anyhow!("{}: {}", file.display(), error.message()))?;
+        text.parse().map_err(|error: toml::de::Error| anyhow!("{}: {}", file.display(), told(&error)))?;
     let agent = document.get("agent").and_then(toml::Value::as_table);
     let agent: toml::Table = ["name", "clock_identity"]
         .iter()
@@ -34,7 +35,7 @@ fn read(text: &str, file: &Path) -> anyhow::Result<AgentConfig> {
     document.retain(|key, _| TABLES.contains(&key));
     document.insert("agent".to_owned(), toml::Value::Table(agent));
     serde_path_to_error::deserialize(document)
-        .map_err(|error| anyhow!("{}: {}: {}", file.display(), error.path(), error.inner().message()))
+        .map_err(|error| anyhow!("{}: {}: {}", file.display(), error.path(), told(error.inner())))
 }
 
 #[cfg(test)]

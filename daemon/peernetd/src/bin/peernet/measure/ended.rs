@@ -67,10 +67,13 @@ impl Ended {
     }
 }
 
+/// What stands between an exception and where it was raised.
+const TRACEBACK: &str = " Traceback (most recent call last):";
+
 /// A traceback ends with the exception that it begins with here.
 fn once(reason: &str) -> &str {
-    let exception = reason.lines().next().unwrap_or_default();
-    reason.strip_suffix(exception).map(str::trim_end).filter(|rest| !rest.is_empty()).unwrap_or(reason)
+    let exception = reason.split_once(TRACEBACK).map_or("", |(exception, _)| exception.trim_end());
+    reason.strip_suffix(exception).map_or(reason, str::trim_end)
 }
 
 const fn has(count: u64) -> &'static str {
@@ -100,11 +103,10 @@ mod tests {
 
     #[test]
     fn an_exception_is_told_once() {
-        assert_eq!(once("E: dark\nTraceback:\n  line 7\nE: dark\n".trim()), "E: dark\nTraceback:\n  line 7");
-        assert_eq!(
-            ["it went away", "", "E: a\nTraceback:\n …"].map(once),
-            ["it went away", "", "E: a\nTraceback:\n …"]
-        );
+        let all = "E: dark Traceback (most recent call last):   File x, line 7     raise E E: dark";
+        assert_eq!(once(all), "E: dark Traceback (most recent call last):   File x, line 7     raise E");
+        let others = ["it went away", "", "E: a Traceback (most recent call last):  …"];
+        assert_eq!(others.map(once), others);
     }
 
     #[test]

@@ -25,7 +25,7 @@ pub(crate) use command::{Arguments, run};
 pub(crate) use home::Home;
 pub(crate) use order::Order;
 pub(crate) use seen::{Phase, Seen, Watcher};
-pub(crate) use spools::{OF_AGENT, undelivered};
+pub(crate) use spools::{OF_AGENT, Waiting, undelivered, undelivered_in};
 
 use std::path::{Path, PathBuf};
 

@@ -27,6 +27,7 @@ pub(super) fn of(order: &Order, taken: &Taken, ended: &Ended, edge: String, miss
         id: taken.cloud.as_ref().map(|cloud| cloud.id),
         version: taken.cloud.as_ref().map(|cloud| cloud.version.clone()).unwrap_or_default(),
         hardware: taken.cloud.as_ref().map(|cloud| cloud.hardware.clone()),
+        clock: taken.cloud_clock.clone().unwrap_or_default(),
         conditions: conditions.iter().filter(|found| found.host == *name.as_str()).cloned().collect(),
     });
     let conditions =
@@ -42,11 +43,14 @@ pub(super) fn of(order: &Order, taken: &Taken, ended: &Ended, edge: String, miss
         reason: ended.reason(),
         version: VERSION.to_owned(),
         command: order.command.clone(),
+        folder: std::env::current_dir().map(|folder| folder.display().to_string()).unwrap_or_default(),
+        network_config: order.network_config.clone(),
         edge: HostRecord {
             name: edge,
             id: taken.edge.as_ref().map(|edge| edge.id),
             version: VERSION.to_owned(),
             hardware: taken.edge.as_ref().map(|edge| edge.hardware.clone()),
+            clock: taken.edge_clock.clone().unwrap_or_default(),
             conditions: conditions.collect(),
         },
         cloud,

@@ -2,6 +2,7 @@
 //!
 //! With one for all of them, an aggregator would lack the batches that another one has acknowledged, and take them for lost.
 
+use std::fmt;
 use std::fs::{self, File, TryLockError};
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
@@ -26,14 +27,18 @@ const BUSY: Duration = Duration::from_secs(1);
 /// # Errors
 /// When there is the one of an older version and it cannot be taken over.
 pub(super) fn of(folder: &Path, aggregator: &Address) -> io::Result<PathBuf> {
-    // Names of one machine that everybody mixes.
-    let at = match aggregator.host().as_str() {
-        "127.0.0.1" | "::1" => format!("localhost:{}", aggregator.port()),
-        _ => aggregator.authority().to_ascii_lowercase(),
-    };
-    let spool = folder.join(format!("{}{at}{}", NAME.0, NAME.1));
+    let spool = folder.join(format!("{}{}{}", NAME.0, name_of(aggregator), NAME.1));
     take_over(folder, &spool)?;
     Ok(spool)
+}
+
+/// An aggregator's address as it stands in the name of its spool.
+fn name_of(aggregator: &Address) -> String {
+    // Names of one machine that everybody mixes.
+    match aggregator.host().as_str() {
+        "127.0.0.1" | "::1" => format!("localhost:{}", aggregator.port()),
+        _ => aggregator.authority().to_ascii_lowercase(),
+    }
 }
 
 /// Lets the spool of an older version go on as that of the first aggregator that is named. What waits in it goes there, as
@@ -70,34 +75,66 @@ fn with_end(path: &Path, end: &str) -> PathBuf {
     path.into()
 }
 
-/// What waits on the host in this folder for its aggregators, in a sentence for each that something waits for, or of which
-/// that cannot be told. Its agent does not run.
-pub(crate) async fn undelivered(folder: &Path) -> Vec<String> {
+/// What waits on a host for one of its aggregators, or that nobody can tell.
+pub(crate) struct Waiting {
+    at: String,
+    file: PathBuf,
+    events: Result<u64, sqlx::Error>,
+}
+
+impl Waiting {
+    /// Whether it waits for this aggregator.
+    pub(crate) fn is_for(&self, aggregator: &Address) -> bool {
+        self.at == name_of(aggregator)
+    }
+
+    /// What waits in a file; `None` when nothing does.
+    async fn look(at: String, file: PathBuf) -> Option<Self> {
+        let events = events(&file).await;
+        let waits = !matches!(events, Ok(0));
+        waits.then_some(Self { at, file, events })
+    }
+}
+
+impl fmt::Display for Waiting {
+    /// A sentence.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { at, file, events } = self;
+        let file = file.display();
+        match events {
+            Ok(events) => {
+                let (wait, them) = if *events == 1 { ("waits", "it") } else { ("wait", "them") };
+                write!(
+                    f,
+                    "{} {wait} for the aggregator at {at}, in {file}; the next run of this host that streams there hands {them} over",
+                    counted(*events, "event"),
+                )
+            }
+            Err(error) => write!(
+                f,
+                "it is not known what waits for the aggregator at {at}: cannot read {file}: {error}"
+            ),
+        }
+    }
+}
+
+/// What waits on the host in this folder, one for each aggregator that something waits for. Its agent does not run.
+pub(crate) async fn undelivered(folder: &Path) -> Vec<Waiting> {
     let entries = fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
     let mut names: Vec<String> = entries.filter_map(|entry| entry.file_name().into_string().ok()).collect();
     names.sort();
-    let mut told = Vec::new();
+    let mut waiting = Vec::new();
     for name in names {
         let at = name.strip_prefix(NAME.0).and_then(|name| name.strip_suffix(NAME.1));
         let Some(at) = at else { continue };
-        let file = folder.join(&name);
-        match events(&file).await {
-            Ok(0) => {}
-            Ok(events) => {
-                let (wait, them) = if events == 1 { ("waits", "it") } else { ("wait", "them") };
-                told.push(format!(
-                    "{} {wait} for the aggregator at {at}, in {}; the next run of this host that streams there hands {them} over",
-                    counted(events, "event"),
-                    file.display()
-                ));
-            }
-            Err(error) => told.push(format!(
-                "it is not known what waits for the aggregator at {at}: cannot read {}: {error}",
-                file.display()
-            )),
-        }
+        waiting.extend(Waiting::look(at.to_owned(), folder.join(&name)).await);
     }
-    told
+    waiting
+}
+
+/// What waits for an aggregator in a file that was named, rather than in one of a host's own. Its agent does not run.
+pub(crate) async fn undelivered_in(file: &Path, aggregator: &Address) -> Option<Waiting> {
+    if file.exists() { Waiting::look(name_of(aggregator), file.to_owned()).await } else { None }
 }
 
 /// Events in a spool.
@@ -132,6 +169,18 @@ mod tests {
         assert_ne!(name("tcp://localhost:5550"), name("tcp://localhost:5551"));
     }
 
+    async fn told(folder: &Path) -> Vec<String> {
+        undelivered(folder).await.iter().map(Waiting::to_string).collect()
+    }
+
+    #[test]
+    fn what_waits_is_for_one_aggregator() {
+        let waiting = |at: &str| Waiting { at: at.to_owned(), file: PathBuf::new(), events: Ok(1) };
+        let is_for = |at: &str, address: &str| waiting(at).is_for(&address.parse().expect("an address"));
+        assert!(is_for("localhost:5550", "tcp://127.0.0.1:5550") && is_for("lab:5550", "tcp://Lab:5550"));
+        assert!(!is_for("lab:5550", "tcp://lab:5551") && !is_for("lab:5550", "tcp://localhost:5550"));
+    }
+
     /// A spool as a program leaves it that is killed: some of it in the log.
     async fn killed(folder: &Path) {
         let elsewhere = tempfile::tempdir().expect("a folder");
@@ -161,8 +210,12 @@ mod tests {
         let taken = folder.path().join("spool-lab:5550.sqlite");
         fs::rename(with_end(&folder.path().join(OLD), "-wal"), with_end(&taken, "-wal")).expect("movable");
         assert_eq!(spool(folder.path(), "tcp://lab:5550"), taken);
-        let told = undelivered(folder.path()).await;
+        let told = told(folder.path()).await;
         assert!(told.len() == 1 && told[0].starts_with("42 events wait for the aggregator at lab:5550, in "));
+        let here = "tcp://127.0.0.1:5550".parse().expect("an address");
+        let named = undelivered_in(&taken, &here).await.expect("it waits there");
+        assert!(named.is_for(&here) && named.to_string().starts_with("42 events wait"), "{named}");
+        assert!(undelivered_in(&folder.path().join("none"), &here).await.is_none());
         assert!(!folder.path().join(OLD).exists());
         assert_ne!(spool(folder.path(), "tcp://other:5550"), taken);
         assert!(taken.exists(), "it stays that of the first");
@@ -172,7 +225,7 @@ mod tests {
     async fn what_cannot_be_read_is_told() {
         let folder = tempfile::tempdir().expect("a folder");
         fs::write(spool(folder.path(), "tcp://lab:5550"), "no database").expect("writable");
-        let told = undelivered(folder.path()).await;
+        let told = told(folder.path()).await;
         assert!(told.len() == 1 && told[0].contains("aggregator at lab:5550: cannot read"), "{told:?}");
     }
 }

@@ -6,7 +6,9 @@ use peernet_agent::config::{Limit, PipelineConfig, PlacementConfig};
 use peernet_agent::{Cloud, Running};
 use peernet_clock::{MonoTime, SharedClock, Span, WallTime};
 use peernet_logger::Slug;
-use peernet_logger::stream::{Event, HostDescription, IncidentKind, PipelineState, RunDescription};
+use peernet_logger::stream::{
+    Event, HostClock, HostDescription, IncidentKind, PipelineState, RunDescription,
+};
 use peernet_networks::OpenError;
 use peernet_report::results::{Outcome, Row, RowWriter, Rows, Units};
 use peernet_statistics::Sketch;
@@ -48,6 +50,10 @@ pub(super) struct Taken {
     pub(super) edge: Option<HostDescription>,
     /// Who served.
     pub(super) cloud: Option<Cloud>,
+    /// What disciplines the edge's clock, in words.
+    pub(super) edge_clock: Option<String>,
+    /// The same of the cloud's.
+    pub(super) cloud_clock: Option<String>,
     /// Rows that are not in the file, and why.
     pub(super) unwritten: Option<String>,
 }
@@ -114,6 +120,13 @@ impl<'a> Taking<'a> {
     fn meet(&mut self, running: Option<&Running>) {
         let cloud = running.and_then(|running| running.served_by(&self.pipeline));
         self.taken.cloud = cloud.or(self.taken.cloud.take());
+        let Some(live) = running.map(Running::live) else { return };
+        let words = |clock: HostClock| Some(clock.text).filter(|text| !text.is_empty());
+        let peer = self.taken.cloud.as_ref().map(|cloud| cloud.id);
+        let link = live.links.into_iter().find(|link| Some(link.peer) == peer);
+        self.taken.edge_clock = words(live.clock).or(self.taken.edge_clock.take());
+        self.taken.cloud_clock =
+            link.and_then(|link| link.cloud).and_then(words).or(self.taken.cloud_clock.take());
     }
 
     fn row(&mut self, row: &Row) {
@@ -170,6 +183,8 @@ impl Eyes for Taking<'_> {
             }
             Event::RunEnded(run) => {
                 self.taken.ended = Some(run.ended);
+                // A time daemon may have been heard only since the run began.
+                self.meet(running);
                 return Some(match run.reason.as_str() {
                     "finished" => Ended::Finished,
                     "stopped" => Ended::Interrupted,

@@ -35,13 +35,13 @@ pub(super) struct Arguments {
     /// Samples before them that do not.
     #[arg(long, value_name = "N", default_value = "10")]
     warm_up: u64,
-    /// A picture or a folder of pictures, taken in turn. Default: the model's own, else made-up pixels.
+    /// A picture or a folder of pictures, taken in turn [default: the model's own, else made-up pixels].
     #[arg(long, value_name = "PATH")]
     pictures: Option<PathBuf>,
     /// Print JSON; seconds and bytes.
     #[arg(long)]
     json: bool,
-    /// Show no progress.
+    /// Do not show the progress.
     #[arg(long, short)]
     quiet: bool,
 }

@@ -25,8 +25,9 @@ pub(crate) struct Arguments {
     /// Which figures to draw.
     #[arg(long, value_enum, default_value_t = Kind::All)]
     kind: Kind,
-    /// The folder that they are written to; with several runs, those of each go to a folder in it. Without it, they stand
-    /// beside the results: a run's in its folder, those of several runs in the folder that was named.
+    /// The folder that they are written to; with several runs, those of each go to a folder in it [default: beside the
+    /// results: a run's in its folder, those of several runs in the folder that was named, or if several were, in the
+    /// current one].
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Column of data.csv along the horizontal axis: the length for --kind length (else tokens, or download-bytes); for
@@ -91,11 +92,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let mut lacking = Vec::new();
     let mut files = Vec::new();
     let mut one = |kind: figures::Kind, runs: &[Loaded], folder: &Path| -> Result<(), Failure> {
-        std::fs::create_dir_all(folder).map_err(|error| {
-            Failure::new(Exit::Unwritten, anyhow!("cannot make the folder {}: {error}", folder.display()))
-        })?;
         match figures::draw(kind, runs, &columns, folder) {
-            Ok(written) => files.extend(written),
+            Ok(written) => {
+                written.missing.iter().for_each(complain);
+                files.extend(written.files);
+            }
             Err(error @ PlotError::Lacking(..)) => lacking.push((folder.to_owned(), error)),
             Err(error) => return Err(Failure::new(Exit::Unwritten, error)),
         }
@@ -156,6 +157,20 @@ fn check(arguments: &Arguments) -> Result<(), Failure> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn where_nothing_can_be_drawn_nothing_is_made() {
+        let folder = tempfile::tempdir().expect("a folder");
+        std::fs::write(folder.path().join("data.csv"), "iteration,sensing\n1,0.5\n2,0.5\n")
+            .expect("writable");
+        let out = folder.path().join("out");
+        for kind in [Kind::Accuracy, Kind::Payload, Kind::Users, Kind::Length] {
+            let runs = vec![folder.path().to_owned()];
+            let failure = run(&Arguments { runs, kind, out: Some(out.clone()), x: None, y: None });
+            assert_eq!(failure.map_err(|failure| failure.exit), Err(Exit::Data), "{kind:?}");
+            assert!(!out.exists(), "{kind:?}");
+        }
+    }
 
     #[test]
     fn of_several_runs_each_reason_is_told() {

@@ -86,7 +86,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "FILE")]
     pub(super) config: Option<PathBuf>,
     /// Do not show the progress.
-    #[arg(long)]
+    #[arg(long, short)]
     pub(super) quiet: bool,
 }
 

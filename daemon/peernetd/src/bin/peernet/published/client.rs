@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::Context;
 use peernet_agent::config::{HostConfig, PipelineConfig};
 use peernet_clock::ClockIdentity;
+use peernet_networks::Address;
 use peernet_report::results::{Overwrite, Summary};
 use peernetd::clock;
 use peernetd::exit::{Exit, Failure};
@@ -15,7 +16,7 @@ use serde_json::json;
 use super::bar::Bar;
 use super::devices::Devices;
 use super::{Arguments, sensor};
-use crate::foreground::{dashboard, tables, typed};
+use crate::foreground::{tables, typed, where_seen};
 use crate::measure::{Home, Measured, Order, measure, undelivered};
 
 /// Iterations that the published plots drop.
@@ -37,9 +38,9 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
     let clock =
         clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let measured = measure(&order, &mut Bar::new(arguments.quiet, clock))?;
-    tell(&measured, arguments);
-    if order.agent.agent.aggregator.is_some() {
-        tell_undelivered(&order.agent.agent)?;
+    tell(&measured);
+    if let Some(aggregator) = &arguments.aggregator {
+        tell_streamed(&order.agent.agent, arguments, aggregator)?;
     }
     measured.failure().map_or(Ok(()), Err)
 }
@@ -81,13 +82,14 @@ fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
         overwrite,
         plots: arguments.generate_plots,
         command: typed(),
+        network_config: Some(devices.config.clone()),
         warm_up: format!("the first {WARM_UP} iterations"),
         patience_s: Some(arguments.patience),
     })
 }
 
 /// Says what came of it, and where it is.
-fn tell(measured: &Measured, arguments: &Arguments) {
+fn tell(measured: &Measured) {
     say(Summary::of(&measured.rows).about(&measured.record).text());
     if let Some(trust) = &measured.record.trust {
         say(format_args!("\n{}", trust.text()));
@@ -95,19 +97,19 @@ fn tell(measured: &Measured, arguments: &Arguments) {
     let files: Vec<_> = measured.files.iter().filter_map(|path| path.file_name()?.to_str()).collect();
     let folder = measured.folder.display().to_string();
     say(format_args!("\n{}: {}", plain(&folder), files.join(", ")));
-    if let Some(aggregator) = &arguments.aggregator {
-        let name = &arguments.name;
-        say(format_args!("see host {name}, pipeline {name}, on {}", dashboard(aggregator)));
-    }
 }
 
-/// Says what an aggregator has not taken, of this run or of others.
-fn tell_undelivered(agent: &HostConfig) -> Result<(), Failure> {
+/// Says where the run is seen that was streamed as well, and what aggregators have not taken, of this run or of others.
+fn tell_streamed(agent: &HostConfig, arguments: &Arguments, aggregator: &Address) -> Result<(), Failure> {
     let home = Home::of(agent)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let runtime = runtime
         .context("cannot start the runtime")
         .map_err(|error| Failure::new(Exit::Unavailable, error))?;
-    runtime.block_on(undelivered(home.folder())).into_iter().for_each(complain);
+    let waiting = runtime.block_on(undelivered(home.folder()));
+    let name = &arguments.name;
+    let has_all = !waiting.iter().any(|waiting| waiting.is_for(aggregator));
+    say(where_seen(format_args!("host {name}, pipeline {name},"), aggregator, has_all));
+    waiting.iter().for_each(complain);
     Ok(())
 }

@@ -6,6 +6,7 @@ use std::path::Path;
 use anyhow::{Context, anyhow};
 use peernet_logger::Slug;
 use peernet_networks::Address;
+use peernet_report::results::NetworkConfig;
 use peernetd::exit::{Exit, Failure};
 use peernetd::output::complain;
 use peernetd::small_file;
@@ -75,7 +76,8 @@ pub(super) struct Devices {
     pub(super) server: String,
     /// Its address.
     pub(super) address: Address,
-    file: String,
+    /// The file.
+    pub(super) config: NetworkConfig,
     known: Vec<String>,
 }
 
@@ -100,7 +102,8 @@ impl Devices {
             anyhow!("{file}: the server {server} is none of its devices; there is {}", listed(&known))
         })?;
         let address = read.address(&server, at).map_err(|problem| anyhow!("{file}: {problem}"))?;
-        Ok(Self { server, address, file: file.to_owned(), known })
+        let config = NetworkConfig { file: file.to_owned(), text: text.to_owned() };
+        Ok(Self { server, address, config, known })
     }
 
     /// Checks that this device may be started in this role.
@@ -108,7 +111,7 @@ impl Devices {
     /// # Errors
     /// When it is not in the file, or the file has the roles the other way round (78).
     pub(super) fn check(&self, name: &Slug, serves: bool) -> Result<(), Failure> {
-        let (file, server) = (&self.file, &self.server);
+        let (file, server) = (&self.config.file, &self.server);
         let wrong = |text: String| Err(Failure::new(Exit::Configuration, anyhow!("{text}")));
         if !self.known.iter().any(|known| known == name.as_str()) {
             return wrong(format!(

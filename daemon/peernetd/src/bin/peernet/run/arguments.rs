@@ -44,7 +44,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "DIR")]
     pub(super) models_dir: Vec<PathBuf>,
     /// Do not show the progress.
-    #[arg(long)]
+    #[arg(long, short)]
     pub(super) quiet: bool,
 }
 

@@ -109,6 +109,8 @@ impl Execution<'_> {
                 overwrite: Overwrite::Replace,
                 plots: self.plots,
                 command: typed(),
+                // Its configuration has the address in the place of the device's name.
+                network_config: None,
                 warm_up: configuration.warm_up.clone(),
                 patience_s: configuration.patience_s,
             }

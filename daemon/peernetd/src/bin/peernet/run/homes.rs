@@ -12,7 +12,7 @@ use anyhow::anyhow;
 use peernetd::exit::{Exit, Failure};
 
 use super::plan::{Plan, Run};
-use crate::measure::{Home, OF_AGENT, undelivered};
+use crate::measure::{Home, OF_AGENT, Waiting, undelivered, undelivered_in};
 
 /// Held by an experiment.
 const LOCK: &str = "experiment.lock";
@@ -68,16 +68,23 @@ fn folders(plan: &Plan, runs: &[Run]) -> Result<BTreeSet<PathBuf>, Failure> {
     Ok(folders)
 }
 
-/// What the aggregators of a plan have not taken from its hosts, in sentences. No run is under way.
+/// What the aggregators of a plan have not taken from its hosts. No run is under way.
 ///
 /// # Errors
 /// When there is no place for the hosts (69).
-pub(super) async fn untaken(plan: &Plan) -> Result<Vec<String>, Failure> {
-    let mut told = Vec::new();
+pub(super) async fn untaken(plan: &Plan) -> Result<Vec<Waiting>, Failure> {
+    let mut waiting = Vec::new();
     for folder in folders(plan, &plan.runs)? {
-        told.extend(undelivered(&folder).await);
+        waiting.extend(undelivered(&folder).await);
     }
-    Ok(told)
+    let mut named = BTreeSet::new();
+    for agent in plan.configurations.iter().map(|configuration| &configuration.agent) {
+        let (Some(file), Some(aggregator)) = (&agent.spool.file, &agent.agent.aggregator) else { continue };
+        if named.insert(file) {
+            waiting.extend(undelivered_in(file, aggregator).await);
+        }
+    }
+    Ok(waiting)
 }
 
 fn free(lock: &File, folder: &Path, path: &Path) -> Result<(), Failure> {

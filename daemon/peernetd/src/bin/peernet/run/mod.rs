@@ -41,7 +41,7 @@ use peernetd::output::{complain, say};
 use peernetd::short::plain;
 use peernetd::{VERSION, clock};
 
-use crate::foreground::{Signals, dashboard, remark};
+use crate::foreground::{Signals, remark, where_seen};
 use again::settle;
 use arguments::Only;
 use children::Exited;
@@ -160,10 +160,13 @@ async fn carry_out(
     let told = report::write(&folder, &record, plots)?;
     say(format_args!("\n{told}"));
     say(format_args!("\n{place}: {}", summary(&record)));
+    let waiting = untaken(&record.plan).await?;
     for aggregator in aggregators(&record.plan) {
-        say(format_args!("see the runs of experiment {} on {}", record.plan.name, dashboard(aggregator)));
+        let runs = format_args!("the runs of experiment {}", record.plan.name);
+        let has_all = !waiting.iter().any(|waiting| waiting.is_for(aggregator));
+        say(where_seen(runs, aggregator, has_all));
     }
-    untaken(&record.plan).await?.into_iter().for_each(complain);
+    waiting.iter().for_each(complain);
     verdict(&record, &to_do, interrupted)
 }
 

@@ -179,6 +179,7 @@ fn order(configuration: &Configuration) -> Order {
         overwrite: Overwrite::Refuse,
         plots: false,
         command: String::new(),
+        network_config: None,
         warm_up: String::new(),
         patience_s: Some(configuration.patience_s.unwrap_or(PATIENCE_S)),
     }

@@ -12,6 +12,7 @@ use peernet_aggregator::{Aggregator, AggregatorConfig};
 use peernet_clock::{ClockIdentity, SharedClock};
 use peernet_inference::{BankConfig, ModelConfig, OnnxRuntimeConfig};
 use peernet_web::WebConfig;
+use peernetd::expected::told;
 use peernetd::{clock, small_file};
 use serde::Deserialize;
 
@@ -124,7 +125,7 @@ fn parse(path: &Path, text: &str) -> Result<File, Vec<Problem>> {
     read(text).map_err(|(key, error)| {
         // Within tables that are told apart by their `kind` the span is that of the first of them; the key knows better.
         let line = error.span().map(|span| locator.line_at(span.start)).max(locator.line(&key));
-        let mut text = error.message().to_owned();
+        let mut text = told(&error);
         if text.starts_with("unknown field")
             && let Some((_, hint)) = MISPLACED.iter().find(|(table, _)| *table == key)
         {

@@ -20,6 +20,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use peernetd::exit::{Exit, Failure};
+use peernetd::expected::told;
 use peernetd::small_file;
 use toml::{Table, Value};
 
@@ -135,7 +136,7 @@ impl File {
 /// A value as what it is meant to be; an error begins with the path of the key.
 fn typed<T: serde::de::DeserializeOwned>(value: impl Into<Value>) -> Result<T, String> {
     serde_path_to_error::deserialize(value.into())
-        .map_err(|error| format!("{}: {}", error.path(), error.inner().message()).replace(".: ", ": "))
+        .map_err(|error| format!("{}: {}", error.path(), told(error.inner())).replace(".: ", ": "))
 }
 
 #[cfg(test)]

@@ -1,0 +1,61 @@
+//! What is wrong with a value of a configuration, without the names that Rust has for kinds of numbers.
+
+use toml::de::Error;
+
+/// A number's range is told by the check that follows; what serde says of its type is for programmers.
+const WORDS: [(&str, &str); 3] =
+    [("a nonzero ", "a whole number above 0"), ("u", "a whole number from 0"), ("i", "a whole number")];
+
+/// What the error says, for people.
+pub fn told(error: &Error) -> String {
+    let text = error.message();
+    let Some((wrong, kind)) = text.rsplit_once(", expected ") else { return text.to_owned() };
+    for (prefix, words) in WORDS {
+        if kind.strip_prefix(prefix).is_some_and(is_size_or_type) {
+            return format!("{wrong}, expected {words}");
+        }
+    }
+    if matches!(kind, "f32" | "f64") { format!("{wrong}, expected a number") } else { text.to_owned() }
+}
+
+/// `64` of `u64`, `size` of `usize`, or, after `a nonzero`, all of it.
+fn is_size_or_type(rest: &str) -> bool {
+    let size = rest.strip_prefix(['u', 'i']).unwrap_or(rest);
+    matches!(size, "8" | "16" | "32" | "64" | "128" | "size")
+}
+
+#[cfg(test)]
+mod tests {
+    use std::num::NonZeroUsize;
+
+    use serde::Deserialize;
+
+    use super::*;
+
+    #[derive(Debug, Deserialize)]
+    #[expect(dead_code, reason = "only what cannot be read is looked at")]
+    struct Numbers {
+        threads: Option<NonZeroUsize>,
+        milliseconds: Option<u64>,
+        offset: Option<i32>,
+        hz: Option<f64>,
+        name: Option<String>,
+    }
+
+    #[test]
+    fn kinds_of_numbers_are_told_in_words() {
+        for (file, expected) in [
+            ("threads = 0", "invalid value: integer `0`, expected a whole number above 0"),
+            ("threads = 'x'", "invalid type: string \"x\", expected a whole number above 0"),
+            ("threads = 1.5", "invalid type: floating point `1.5`, expected a whole number above 0"),
+            ("milliseconds = -1", "invalid value: integer `-1`, expected a whole number from 0"),
+            ("offset = 5000000000", "invalid value: integer `5000000000`, expected a whole number"),
+            ("hz = 'x'", "invalid type: string \"x\", expected a number"),
+            ("name = 1", "invalid type: integer `1`, expected a string"),
+            ("name = ", "string values must be quoted, expected literal string"),
+        ] {
+            let error = toml::from_str::<Numbers>(file).expect_err(file);
+            assert_eq!(told(&error), expected, "{file}");
+        }
+    }
+}
