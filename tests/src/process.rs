@@ -15,6 +15,10 @@ use crate::PATIENCE;
 /// So much of its log is shown of a program that ran when a test failed.
 const LAST_LINES: usize = 200;
 
+/// Signals that a program minds unless whoever started the tests ignored them: `nohup` does so with the first, a script's
+/// `&` with the two after it, and what runs in between passes that on.
+const MINDED: &str = "--default-signal=HUP,INT,QUIT,TERM";
+
 /// A running program.
 #[derive(Debug)]
 pub struct Process {
@@ -40,17 +44,20 @@ struct Log {
 }
 
 impl Process {
-    /// Starts a program in a folder with extra environment variables.
+    /// Starts a program in a folder with extra environment variables. It minds all signals, whatever the tests were told.
     ///
     /// # Panics
-    /// When it cannot be started.
+    /// When no program can be started. Of one that is not there the log says so.
     pub fn start<A: AsRef<OsStr>>(
         program: &Path,
         arguments: &[A],
         folder: &Path,
         environment: &[(&str, &str)],
     ) -> Self {
-        let mut child = Command::new(program)
+        // In the place of this one, so that signals reach the program.
+        let mut child = Command::new("env")
+            .arg(MINDED)
+            .arg(program)
             .args(arguments)
             .current_dir(folder)
             .envs(environment.iter().copied())

@@ -74,6 +74,27 @@ fn the_published_commands_work_word_for_word() {
         record["command"].as_str().is_some_and(|command| command.contains("--dataset-loc sample-image.JPEG"))
     );
     assert!(record["pipeline"].is_object() && record["edge"]["hardware"].is_object(), "{record:#}");
+    // What relative paths, the file of devices and the data set were.
+    let here = lab.folder().canonicalize().expect("is there");
+    assert_eq!(record["folder"], here.display().to_string());
+    let network = &record["network_config"];
+    let text = std::fs::read_to_string(here.join("net_config.yaml")).expect("is there");
+    assert_eq!((&network["file"], &network["text"]), (&"net_config.yaml".into(), &text.into()));
+    assert!(
+        ["edge", "cloud"]
+            .iter()
+            .all(|host| record[host]["clock"].as_str().is_some_and(|text| !text.is_empty())),
+        "{record:#}"
+    );
+    let offset = |which: &str| record["clocks"]["upload"][which]["value"].as_f64();
+    assert_eq!(
+        (offset("first_offset"), offset("last_offset")),
+        (Some(0.0), Some(0.0)),
+        "one clock: {record:#}"
+    );
+    let facts = record["facts"].as_array().expect("pairs");
+    let data_set = facts.iter().find(|fact| fact[0] == "Data set").map(|fact| &fact[1]);
+    assert!(data_set.and_then(Value::as_str).is_some_and(|told| told.starts_with("1 file, ")), "{record:#}");
     assert!(record["trust"].is_object(), "{record:#}");
     let results = lab.folder().join("results");
     assert!(FILES.iter().chain(&FIGURES).all(|name| results.join(name).is_file()), "{}", client.log);

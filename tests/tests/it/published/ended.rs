@@ -61,6 +61,26 @@ fn a_session_that_ends_ends_a_client_with_all_results() {
 }
 
 #[test]
+fn a_client_under_nohup_outlives_its_session() {
+    let lab = Lab::here();
+    let _server = server(&lab, 1_000_000);
+    let peernet = program("peernet");
+    let options = "--client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic --iterations 60 \
+                   --result-loc results";
+    let words: Vec<&OsStr> =
+        [peernet.as_os_str()].into_iter().chain(options.split(' ').map(OsStr::new)).collect();
+    let client = Process::start(Path::new("nohup"), &words, lab.folder(), &[]);
+    client.wait_for("of 60");
+    client.signal(Signal::HUP);
+    let ended = client.ended();
+    assert_eq!(ended.code(), 0, "{}", ended.log);
+    assert_eq!(
+        (lab.data("results").outcomes("ok"), lab.record("results")["reason"].as_str()),
+        (60, Some("finished"))
+    );
+}
+
+#[test]
 fn a_folder_that_is_being_written_is_left_alone() {
     let lab = Lab::here();
     let _server = server(&lab, 1_000_000);

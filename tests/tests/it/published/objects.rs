@@ -145,6 +145,25 @@ fn an_exception_is_a_failed_iteration() {
     assert_eq!((data.outcomes("ok"), data.outcomes("failed")), (19, 1));
 }
 
+/// So many in a row that the client waits longer and longer between them: it is over all the same.
+#[test]
+fn a_server_does_not_wait_for_samples_that_all_failed() {
+    let lab = Lab::here();
+    let unplugged = "class Camera:\n    def sample(self):\n        raise OSError('unplugged')\n";
+    std::fs::write(lab.folder().join("my_camera.py"), unplugged).expect("writable");
+    let server = lab.server(
+        "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 14",
+    );
+    let client = lab.client(
+        "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-object my_camera::Camera \
+         --iterations 14 --result-loc results",
+    );
+    let (client, server) = (client.ended(), server.ended());
+    assert_eq!((client.code(), server.code()), (75, 75), "{}\n{}", client.log, server.log);
+    assert!(server.log.contains("14 of 14 iterations never came here"), "{}", server.log);
+    assert_eq!(lab.data("results").outcomes("failed"), 14);
+}
+
 #[test]
 fn the_wait_for_a_process_that_was_started_anew_is_told() {
     let lab = Lab::here();

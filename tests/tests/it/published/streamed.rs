@@ -25,10 +25,15 @@ fn each_aggregator_gets_what_was_streamed_to_it_and_what_one_has_not_taken_is_to
     let (there, away) = (Site::new(), Site::new());
     let (_first, first) = there.aggregator();
     let waits = format!("wait for the aggregator at localhost:{}, in ", away.events);
-    assert!(!streamed(&lab, &there).contains("wait for the aggregator"), "all is taken");
-    for (site, whose) in [(&away, "its own"), (&there, "another one's")] {
+    let (now, later) = ("see host jetson-orin", "will be on the dashboard of the aggregator at 127.0.0.1:");
+    let said = streamed(&lab, &there);
+    assert!(said.contains(now) && !said.contains("wait for the aggregator"), "all is taken: {said}");
+    for (site, whose, sent_to, not_yet) in
+        [(&away, "its own", later, now), (&there, "another one's", now, later)]
+    {
         let said = streamed(&lab, site);
         assert!(said.contains(&waits), "{whose}: {said}");
+        assert!(said.contains(sent_to) && !said.contains(not_yet), "{whose}: {said}");
     }
     let (_second, second) = away.aggregator();
     let said = streamed(&lab, &away);
@@ -80,4 +85,31 @@ fn a_device_that_streams_twice_at_once_is_one_host_and_refused() {
     assert!(second.log.contains("at work as the host that keeps its id in"), "{}", second.log);
     assert!(!second.log.contains("state_dir"), "there is nothing to set here: {}", second.log);
     first.stop();
+}
+
+#[test]
+fn an_experiment_sends_nobody_to_a_dashboard_that_has_nothing_of_it() {
+    let (lab, away) = (Lab::here(), Site::new());
+    let file = format!(
+        "[experiment]\nname = \"board\"\niterations = 20\naggregator = \"tcp://127.0.0.1:{}\"\n\
+         [pipeline]\nsensor = {{ kind = \"synthetic\", size_bytes = 100 }}\nplacement = {{ kind = \"local\", model = \"echo\" }}\n\
+         [[model]]\nname = \"echo\"\nkind = \"echo\"\n",
+        away.events
+    );
+    std::fs::write(lab.folder().join("board.toml"), file).expect("writable");
+    // A spool that the file names is another than the host's own, and looked into as well.
+    for (options, spool) in
+        [("--result-loc a", "spool-localhost:"), ("--result-loc b --set spool.file=mine", "mine;")]
+    {
+        let ended = lab.client(&format!("PEERNet run board.toml {options}")).ended();
+        assert_eq!(ended.code(), 0, "{}", ended.log);
+        let later = format!(
+            "the runs of experiment board will be on the dashboard of the aggregator at 127.0.0.1:{}",
+            away.events
+        );
+        assert!(ended.log.contains(&later) && !ended.log.contains("see the runs"), "{}", ended.log);
+        let waits = ended.log.lines().any(|line| line.contains("events wait for") && line.contains(spool));
+        assert!(waits, "{spool}: {}", ended.log);
+        std::fs::remove_dir_all(lab.folder().join("state")).expect("it was made");
+    }
 }
