@@ -4,7 +4,7 @@
 //! of several short tasks, each of which wakes the next, then stays on one processor: with a thread for each processor,
 //! as is usual in servers, every step may wake another thread first, which on the way of a sample costs more than it
 //! gains (`docs/measurements.md`). The outbox, the host's figures and, in a process that has them, the aggregator and
-//! the web server run on other threads: no batch and no page makes a sample wait.
+//! the web server run on other threads: no batch and no page holds these up.
 
 use std::future::Future;
 use std::io;
@@ -15,7 +15,11 @@ use tokio_util::context::TokioContext;
 
 /// The threads. Dropping it ends what still runs on them at its next wait.
 #[derive(Debug)]
-pub(crate) struct IoThreads(Option<Runtime>);
+pub(crate) struct IoThreads {
+    handle: Handle,
+    /// Taken when this is dropped.
+    runtime: Option<Runtime>,
+}
 
 impl IoThreads {
     /// Starts them.
@@ -25,12 +29,12 @@ impl IoThreads {
     pub(crate) fn start(count: NonZeroUsize) -> io::Result<Self> {
         let runtime =
             Builder::new_multi_thread().worker_threads(count.get()).thread_name("io").enable_all().build()?;
-        Ok(Self(Some(runtime)))
+        Ok(Self { handle: runtime.handle().clone(), runtime: Some(runtime) })
     }
 
     /// Where tasks are started on them.
-    pub(crate) fn handle(&self) -> &Handle {
-        self.0.as_ref().expect("there until it is dropped").handle()
+    pub(crate) const fn handle(&self) -> &Handle {
+        &self.handle
     }
 
     /// The future, whose sockets and tasks will be theirs, whoever waits for it.
@@ -42,7 +46,7 @@ impl IoThreads {
 impl Drop for IoThreads {
     fn drop(&mut self) {
         // A runtime that is simply dropped waits for its threads, which a task may not do.
-        if let Some(runtime) = self.0.take() {
+        if let Some(runtime) = self.runtime.take() {
             runtime.shutdown_background();
         }
     }

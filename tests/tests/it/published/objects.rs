@@ -1,5 +1,7 @@
 //! Users' own objects, written for the published program.
 
+use peernet_tests::Ended;
+
 use super::{Lab, PUBLISHED};
 
 /// A sensor as the published program takes them: any object with `sample()`.
@@ -116,25 +118,28 @@ fn a_sensor_and_a_model_of_ones_own_are_run_where_the_command_line_names_them() 
     assert!(data.numbers("ipc").iter().all(|seconds| *seconds > 0.0));
 }
 
+/// Client and server of so many iterations with this camera and an echo, once both have ended.
+fn seen_by(camera: &str, iterations: u32, lab: &Lab) -> (Ended, Ended) {
+    std::fs::write(lab.folder().join("my_camera.py"), camera).expect("writable");
+    let server = lab.server(&format!(
+        "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations {iterations}"
+    ));
+    let client = lab.client(&format!(
+        "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-object my_camera::Camera \
+         --iterations {iterations} --result-loc results"
+    ));
+    (client.ended(), server.ended())
+}
+
 #[test]
 fn an_exception_is_a_failed_iteration() {
     let lab = Lab::here();
-    std::fs::write(lab.folder().join("my_camera.py"), FAILING).expect("writable");
-    let server = lab.server(
-        "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 20",
-    );
-    let client = lab.client(
-        "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-object my_camera::Camera \
-         --iterations 20 --result-loc results",
-    );
-    let client = client.ended();
-    assert_eq!(client.code(), 75, "{}", client.log);
+    // The server does not wait for what will never come.
+    let (client, server) = seen_by(FAILING, 20, &lab);
+    assert_eq!((client.code(), server.code()), (75, 75), "{}\n{}", client.log, server.log);
     let told = "1 of 20 iterations has no answer; iteration 3 failed: ";
     assert!(client.log.contains(told), "{}", client.log);
     assert_eq!(client.log.matches("ValueError: the lens cap is on").count(), 1, "{}", client.log);
-    // It does not wait for what will never come.
-    let server = server.ended();
-    assert_eq!(server.code(), 75, "{}", server.log);
     assert!(server.log.contains("19 answers, 1 iteration never came here"), "{}", server.log);
     assert!(
         server.log.contains("1 of 20 iterations never came here: the clients' results say why"),
@@ -150,15 +155,7 @@ fn an_exception_is_a_failed_iteration() {
 fn a_server_does_not_wait_for_samples_that_all_failed() {
     let lab = Lab::here();
     let unplugged = "class Camera:\n    def sample(self):\n        raise OSError('unplugged')\n";
-    std::fs::write(lab.folder().join("my_camera.py"), unplugged).expect("writable");
-    let server = lab.server(
-        "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 14",
-    );
-    let client = lab.client(
-        "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-object my_camera::Camera \
-         --iterations 14 --result-loc results",
-    );
-    let (client, server) = (client.ended(), server.ended());
+    let (client, server) = seen_by(unplugged, 14, &lab);
     assert_eq!((client.code(), server.code()), (75, 75), "{}\n{}", client.log, server.log);
     assert!(server.log.contains("14 of 14 iterations never came here"), "{}", server.log);
     assert_eq!(lab.data("results").outcomes("failed"), 14);
