@@ -1,8 +1,8 @@
 //! The state of a pipeline's inner loop and its transitions; waiting is in `drive`.
 
 use peernet_clock::{MonoTime, Span, Stamp};
-use peernet_logger::Recorder;
 use peernet_logger::stream::{IncidentKind, Outcome};
+use peernet_logger::{Recorder, RunId};
 use tokio::sync::oneshot;
 
 use super::accuracy;
@@ -38,6 +38,8 @@ pub(super) enum Ended {
 
 /// A sample that the sensor's thread is asked for.
 pub(super) struct Awaited {
+    /// The run that asked.
+    pub(super) run: RunId,
     pub(super) start: Start,
     pub(super) begun: MonoTime,
     pub(super) sample: oneshot::Receiver<Sensed>,
@@ -74,9 +76,9 @@ impl<'a> Cycle<'a> {
         let since = self.line.sensing.as_ref().filter(|_| came.is_none()).map(|awaited| awaited.begun);
         self.line.display.set_senses_since(since);
         let Some(Sensed { log, sample }) = came else { return };
-        let Some(Awaited { start, begun, .. }) = self.line.sensing.take() else { return };
-        if !matches!(sample, Ok(Some(_))) {
-            return self.judge(start, begun, Sensed { log, sample });
+        let Some(Awaited { run, start, begun, .. }) = self.line.sensing.take() else { return };
+        if !matches!(sample, Ok(Some(_))) || run != self.run.id() {
+            return self.judge(run, (start, begun), Sensed { log, sample });
         }
         let ticket = Ticket { position: self.run.place(start.intended), start, begun };
         let reason = "there was no connection when the sample was there".to_owned();
@@ -114,9 +116,9 @@ impl<'a> Cycle<'a> {
         let Some(start) = self.line.schedule.take(now) else { return false };
         let (log, begun) = iteration::begin(clock, self.host.id, start.intended);
         match self.line.senses.begin(log) {
-            Sensing::Done(sensed) => self.judge(start, begun, sensed),
+            Sensing::Done(sensed) => self.judge(self.run.id(), (start, begun), sensed),
             Sensing::Pending(sample) => {
-                self.line.sensing = Some(Awaited { start, begun, sample });
+                self.line.sensing = Some(Awaited { run: self.run.id(), start, begun, sample });
                 self.line.display.set_senses_since(Some(begun));
             }
         }
@@ -147,9 +149,9 @@ impl<'a> Cycle<'a> {
 
     /// The sensor's thread has answered.
     pub(super) fn sensed(&mut self, sensed: Sensed) {
-        if let Some(Awaited { start, begun, .. }) = self.line.sensing.take() {
+        if let Some(Awaited { run, start, begun, .. }) = self.line.sensing.take() {
             self.line.display.set_senses_since(None);
-            self.judge(start, begun, sensed);
+            self.judge(run, (start, begun), sensed);
         }
     }
 
@@ -189,7 +191,14 @@ impl<'a> Cycle<'a> {
     }
 
     /// Gives the iteration its number, now that it is known to be one.
-    fn judge(&mut self, start: Start, begun: MonoTime, Sensed { log, sample }: Sensed) {
+    ///
+    /// What an earlier run asked for, when the peer then came back as another one, is an iteration of neither: it began
+    /// before this run, and that one has ended.
+    fn judge(&mut self, run: RunId, (start, begun): (Start, MonoTime), Sensed { log, sample }: Sensed) {
+        if run != self.run.id() && !matches!(sample, Ok(None)) {
+            let pipeline = &self.line.config.name;
+            return tracing::info!(%pipeline, "left out: a sample that was asked for in the run before this one");
+        }
         let mut ticket = || Ticket { position: self.run.place(start.intended), start, begun };
         match sample {
             Ok(None) => self.end(Ended::NoMoreSamples),

@@ -141,8 +141,9 @@ async fn a_sensor_whose_thread_dies_ends_its_pipeline_and_is_named() {
     assert!(reason.contains("the sensor's thread has died"), "{reason}");
 }
 
-#[tokio::test]
-async fn a_sample_that_came_while_nobody_was_there_is_lost_and_said_to_be() {
+/// A pipeline in a run, whose sensor has just given a sample that `asked` had asked for; the connection was away.
+/// Returns the iterations that are recorded by the time the sample has been taken up.
+async fn taken_up(asked: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
     let sensor = "{ kind = 'synthetic', size_bytes = 1 }";
     let (host, pipeline, display, mut exit) = host(sensor, Arc::clone(&clock));
@@ -156,13 +157,30 @@ async fn a_sample_that_came_while_nobody_was_there_is_lost_and_said_to_be() {
     let (tell, sample) = oneshot::channel();
     let came = Sample::of(Description::bytes(), "x".into());
     assert!(tell.send(Sensed { log, sample: Ok(Some(came)) }).is_ok(), "before the connection is back");
-    line.sensing = Some(Awaited { start, begun, sample });
+    line.sensing = Some(Awaited { run: asked(run.id()), start, begun, sample });
     drop(Cycle::new(&mut line, &mut run, &host));
     assert!(line.sensing.is_none());
-    let outcome = loop {
-        if let Event::Iteration(iteration) = exit.next().await.expect("it is recorded") {
-            break iteration.outcome;
+    run.end("stopped", &host);
+    let mut outcomes = Vec::new();
+    loop {
+        match exit.next().await.expect("the end is recorded") {
+            Event::Iteration(iteration) => outcomes.push(iteration.outcome),
+            Event::RunEnded(_) => return outcomes,
+            _ => {}
         }
-    };
-    assert!(matches!(&outcome, Outcome::Lost(reason) if reason.contains("no connection")), "{outcome:?}");
+    }
+}
+
+#[tokio::test]
+async fn a_sample_that_came_while_nobody_was_there_is_lost_and_said_to_be() {
+    let outcomes = taken_up(|current| current).await;
+    assert!(
+        matches!(outcomes.as_slice(), [Outcome::Lost(reason)] if reason.contains("no connection")),
+        "{outcomes:?}"
+    );
+}
+
+#[tokio::test]
+async fn a_sample_that_an_earlier_run_asked_for_is_no_iteration_of_this_one() {
+    assert_eq!(taken_up(|_| RunId::random()).await, []);
 }
