@@ -5,6 +5,7 @@ import { test } from "node:test";
 import { drawn, open } from "./browser.mjs";
 import { base, browser, pages } from "./dashboard.mjs";
 import "./figures.mjs";
+import "./episodes.mjs";
 import "./legible.mjs";
 import "./trouble.mjs";
 import "./everyone.mjs";

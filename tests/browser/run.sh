@@ -1,6 +1,6 @@
 #!/bin/bash
 # Starts the demo as `make demo` does, on ports and in a folder of its own, and lets a headless Chromium look at it.
-# Usage: run.sh PATH-TO-PEERNETD        SCREENSHOTS=FOLDER keeps pictures of every page
+# Usage: run.sh PATH-TO-PEERNETD (peernet stands beside it)        SCREENSHOTS=FOLDER keeps pictures of every page
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 
@@ -29,5 +29,35 @@ until grep -q Dashboard "$site/demo.log"; do
     kill -0 "$demo" 2>/dev/null || { cat "$site/demo.log" >&2; exit 1; }
     sleep 0.2
 done
+
+# Runs with episodes, and with answers of several lengths, to be looked at beside those of the demo.
+cat >"$site/tasks.toml" <<TOML
+[experiment]
+name = "tasks"
+episodes = 3
+episode_steps = 40
+aggregator = "tcp://127.0.0.1:$events"
+
+[agent]
+name = "robot"
+
+[pipeline]
+sensor = { kind = "synthetic", sizes_bytes = [20000, 60000, 100000] }
+placement = { kind = "local", model = "echo" }
+load = { mode = "rate", hz = 20.0 }
+
+[[model]]
+name = "echo"
+kind = "echo"
+
+[[axis]]
+name = "Where"
+[[axis.value]]
+label = "local"
+[[axis.value]]
+label = "cloud"
+set = { "pipeline.placement" = { kind = "remote", peer = "tcp://127.0.0.1:$data", model = "echo" } }
+TOML
+"$(dirname "$peernetd")/peernet" run "$site/tasks.toml" --result-loc "$site/tasks" >"$site/tasks.log" 2>&1 || { cat "$site/tasks.log" >&2; exit 1; }
 
 DATABASE="$site/aggregator/peernet.sqlite" node tests/browser/run.mjs "http://127.0.0.1:$http" || { tail -n 20 "$site"/logs/*.log >&2; exit 1; }

@@ -2,7 +2,7 @@
 //!
 //! `--late` lets the hosts come after ten seconds, `--empty` shows them before the first host has reported, `--many` with thirty pipelines, `--grid` with
 //! experiments of fifty configurations, of many users and with a run that was done again, and with long names, `--unrelated` with
-//! clocks that were never related, `--one-clock` with a camera that reads the rack's, `--rehearsal` with one that is made wrong on purpose,
+//! clocks that were never related, `--one-clock` with a camera that reads the rack's, `--talking` with one whose answers have all lengths, `--rehearsal` with one that is made wrong on purpose,
 //! `--backlog` with an agent that catches up with hours and one whose disk is full, and with a run with gaps. The address is the first free argument, 127.0.0.1:8040 otherwise.
 
 #[path = "../tests/it/factory/mod.rs"]
@@ -56,6 +56,9 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         if has("--one-clock") {
             lines.push(Line { host: "cam-5", ..Line::one_clock() });
         }
+        if has("--talking") {
+            lines.push(Line { host: "cam-6", ..Line::talking() });
+        }
         if has("--many") {
             lines = (0..30)
                 .map(|index| Line {
@@ -95,6 +98,7 @@ async fn produce(address: String, clock: SharedClock, lines: Vec<Line>, backlog:
         factory.store_gaps(2, 42).await;
     }
     factory.store_experiment(600, 2).await;
+    factory.store_episodes(2_000, 250).await;
     factory.store_sizes(2.min(factory.lines.len() - 1), 300, &[30e3, 150e3, 400e3, 800e3]).await;
     if grid {
         factory.store_grid(100, 50).await;

@@ -181,6 +181,26 @@ const PEER = (() => {
     };
   }
 
+  // Warm-up as a shade, borders of episodes as dashed lines, what had no answer as crosses on the rail above.
+  function parts({ borders, warmUp, unanswered }, [top, bottom]) {
+    const rows = (warmUp ? [[...warmUp, "warm-up"]] : []).concat(borders.map((at) => [at, at, "border"]), unanswered.map((at) => [at, at, "cross"]));
+    const ink = css("--ink"), bad = css("--bad"), size = px(0.5) / 12;
+    return {
+      type: "custom", name: "parts", silent: true, z: 1, clip: false, tooltip: { show: false }, encode: { x: [0, 1] }, data: rows.map((row) => [row[0], row[1]]),
+      renderItem(params, api) {
+        const kind = rows[params.dataIndex][2], area = params.coordSys, end = area.x + area.width;
+        const from = api.coord([api.value(0), 0])[0], to = api.coord([api.value(1), 0])[0];
+        if (to < area.x || from > end) return null;
+        if (kind === "warm-up") return { type: "rect", shape: { x: Math.max(from, area.x), y: top, width: Math.min(to, end) - Math.max(from, area.x), height: bottom - top }, style: { fill: ink, opacity: 0.12 } };
+        if (kind === "border") return { type: "line", shape: { x1: from, x2: from, y1: top, y2: bottom }, style: { stroke: ink, lineWidth: 1, lineDash: [4, 3] } };
+        // Those that would lie on one another are one.
+        if (from - (params.context.cross ?? -Infinity) < TOUCHING) return null;
+        params.context.cross = from;
+        return { type: "path", x: from - 6 * size, y: top - 13 * size, scaleX: size, scaleY: size, shape: { pathData: SIGNS.failed }, style: { fill: "none", stroke: bad, lineWidth: 1.5, strokeNoScale: true } };
+      },
+    };
+  }
+
   // --- the width decides the bucket: never more points than the eye can part
   const BUCKETS = [1, 2, 5, 10, 30, 60];
   const bucket = (width, seconds, least) => BUCKETS.find((size) => size >= least && width / (seconds / size) >= 1.2) || 60;
@@ -235,5 +255,5 @@ const PEER = (() => {
   document.addEventListener("peer-theme", ({ detail }) => drawn.forEach((one) => redraw(one, detail === "print")));
   document.addEventListener("visibilitychange", () => { if (!document.hidden) drawn.forEach((one) => { if (one.stale) redraw(one); }); });
 
-  return { STAGES, look, name: (stage) => (stage === "network" ? "upload + download" : stage), css, px, fill, edge, clock, figure, tick, text, sides, timeAxis, valueAxis, tooltip, tip, marks, bucket, steps, ticks, draw, redraw, forget, isHovered: (node) => hovered === node };
+  return { STAGES, look, name: (stage) => (stage === "network" ? "upload + download" : stage), css, px, fill, edge, clock, figure, tick, text, sides, timeAxis, valueAxis, tooltip, tip, marks, parts, bucket, steps, ticks, draw, redraw, forget, isHovered: (node) => hovered === node };
 })();

@@ -7,8 +7,9 @@
   const fromHash = /^#t=(\d+)-(\d+)$/.exec(location.hash);
   if (fromHash) range = [Number(fromHash[1]), Number(fromHash[2])];
 
-  const begin = Math.min(...data.points.map((point) => point[0]), ...data.slow.map((point) => point[0]));
-  const end = Math.max(...data.points.map((point) => point[0] + size), ...data.slow.map((point) => point[0]));
+  const moments = [...data.slow.map((point) => point[0]), ...data.borders, ...data.unanswered, ...(data.warm_up || [])];
+  const begin = Math.min(...data.points.map((point) => point[0]), ...moments);
+  const end = Math.max(...data.points.map((point) => point[0] + size), ...moments);
   if (!Number.isFinite(begin)) return;
 
   const TOP = () => PEER.px(2.25), plotBottom = () => node.clientHeight - PEER.px(3.5);
@@ -57,6 +58,7 @@
           type: "scatter", symbolSize: PEER.px(0.4375), z: 5, cursor: "pointer", emphasis: { disabled: true },
           data: data.slow.map(([at, total, stage, number]) => ({ value: [at, total], stage, number, itemStyle: { color: stage === "total" || stage === "other" ? PEER.css("--line-strong") : PEER.edge(stage) } })),
         },
+        PEER.parts({ borders: data.borders, warmUp: data.warm_up, unanswered: data.unanswered }, [top, top + height]),
         PEER.marks([], gaps, [[top, top + height]], "not recorded"),
       ],
     };

@@ -25,8 +25,9 @@ pub(crate) struct CompareQuery {
     experiment: Option<String>,
 }
 
-/// Runs side by side. Means and standard deviations of several runs are exact; of two configurations the differences of
-/// the means are given with a 95 % interval (Welch, from the means of at most 30 stretches of each run).
+/// Runs side by side. Means and standard deviations of several runs are exact, quantiles are of all runs of a configuration
+/// together and within 1 %; of two configurations the differences of the means are given with a 95 % interval (Welch, from
+/// the means of at most 30 stretches of each run).
 #[utoipa::path(get, path = "/api/v1/compare", operation_id = "compareRuns", tag = "runs", params(CompareQuery), responses(
     (status = 200, body = Comparison),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),

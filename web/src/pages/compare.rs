@@ -15,13 +15,16 @@ use crate::state::App;
 use crate::svg::Scatter;
 use crate::view::chip::{Chip, Tone};
 use crate::view::compare::{
-    Axes, BoxRow, Changed, Comparison, Distributions, LeftOut, MOST_RUNS, Pair, Spreads, StackRow, Table,
-    Throughput, UsersRow, Which, accuracy, boxes, commands, difference, distributions, gather, open, pairs,
-    payload, skipped, stacks, throughput, title, too_short, unknown_labels, users,
+    Address, Axes, BoxRow, Changed, Comparison, Distributions, LeftOut, Lengths, MOST_RUNS, OverTime, Pair,
+    StackRow, Table, Throughput, UsersRow, Which, accuracy, answers, boxes, commands, difference,
+    distributions, gather, lengths, open, over_time, pairs, payload, run_courses, skipped, stacks,
+    throughput, title, too_short, unknown_labels, users,
 };
 use crate::view::counted;
 use crate::view::shell::{Place, Shell};
 
+/// The parameter of an address that says whose distributions are shown.
+const STAGE: &str = "stage";
 /// Experiments that are offered when nothing was chosen.
 const OFFERED: u32 = 50;
 /// Most letters of a label that stays on one line.
@@ -44,6 +47,8 @@ struct Compare {
     table: Table,
     /// That starts were skipped.
     skipped: Option<(Chip, String)>,
+    /// What the table does not show of how they differ.
+    also: String,
     /// Of samples without a score.
     unknown: Vec<String>,
     stacks: Vec<StackRow>,
@@ -51,8 +56,10 @@ struct Compare {
     /// The total of each configuration.
     boxes: Vec<BoxRow>,
     boxes_axes: Axes,
-    /// The total of each run.
+    /// Of each run.
     distributions: Option<Distributions>,
+    /// Each run over time.
+    over_time: Option<OverTime>,
     pairs: Vec<Pair>,
     pairs_axes: Axes,
     letters: Option<(String, String)>,
@@ -61,6 +68,8 @@ struct Compare {
     too_short: Option<String>,
     payload: Option<(Scatter, Vec<String>)>,
     throughput: Option<Throughput>,
+    /// How long answers of different length take.
+    lengths: Option<Lengths>,
     users: Option<(Scatter, Vec<UsersRow>)>,
     accuracy: Option<Scatter>,
     /// What asks of every iteration.
@@ -82,15 +91,20 @@ pub(crate) async fn show(
 ) -> Page {
     let (store, picture) = (app.store(), app.picture());
     let shell = |title: &str| Shell::new(&app, &picture, Place::Compare, title);
+    let (asked, query): (Vec<_>, Vec<_>) = query.into_iter().partition(|(name, _)| name == STAGE);
+    let asked = asked.last().map(|(_, stage)| stage.as_str()).filter(|stage| !stage.is_empty());
     let Some(which) = Which::of(&query)? else {
         let experiments = store.experiments(OFFERED).await?;
         return page(&Empty { shell: shell("Compare"), experiments });
     };
     let comparison = gather(store, &which).await?;
+    let distributions = distributions(&comparison, asked)?;
     let courses = courses(store, &comparison).await?;
-    let spreads = Spreads::read(store, &comparison).await?;
     let host = headers.get(HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
-    page(&assemble(shell("Compare"), &comparison, courses.as_ref(), &spreads, host))
+    let over_time = over_time(&comparison, &run_courses(store, &comparison).await?);
+    let lengths = lengths(&comparison, &answers(store, &comparison).await?);
+    let compare = assemble(shell("Compare"), &comparison, courses.as_ref(), distributions, host);
+    page(&Compare { over_time, lengths, ..compare })
 }
 
 /// The means of each run of a configuration over time.
@@ -117,7 +131,7 @@ fn assemble(
     shell: Shell,
     comparison: &Comparison,
     courses: Option<&(Courses, Courses)>,
-    spreads: &Spreads,
+    distributions: Option<Distributions>,
     host: &str,
 ) -> Compare {
     let two = match (comparison.configurations.as_slice(), courses) {
@@ -131,8 +145,8 @@ fn assemble(
     let total =
         two.first().filter(|(name, ..)| *name == stage::TOTAL).and_then(|(_, found, _)| found.as_ref());
     let (stacks, axes) = stacks(comparison);
-    let (boxes, boxes_axes) = boxes(comparison, spreads);
-    let (pairs, pairs_axes) = pairs(comparison, spreads);
+    let (boxes, boxes_axes) = boxes(comparison);
+    let (pairs, pairs_axes) = pairs(comparison);
     let runs = comparison.runs().count();
     let letters = || comparison.configurations.iter().map(|one| one.letter.clone());
     let crumb = match &comparison.experiment {
@@ -152,12 +166,14 @@ fn assemble(
         left_out: comparison.left_out.clone(),
         table: Table::of(comparison),
         skipped: skipped(comparison).map(|said| (Chip::new(Tone::Warn, "remark", "to be said"), said)),
+        also: comparison.also.join(", "),
         unknown: unknown_labels(comparison),
         stacks,
         axes,
         boxes,
         boxes_axes,
-        distributions: distributions(comparison, spreads),
+        distributions,
+        over_time: None,
         pairs,
         pairs_axes,
         letters: letters().next().zip(letters().nth(1)).filter(|_| !two.is_empty()),
@@ -165,6 +181,7 @@ fn assemble(
         too_short,
         payload: payload(comparison),
         throughput: throughput(comparison),
+        lengths: None,
         users: users(comparison),
         accuracy: accuracy(comparison),
         commands: commands(comparison, host),
@@ -183,7 +200,11 @@ pub(super) fn rendered(
     shell: Shell,
     comparison: &Comparison,
     courses: Option<&(Courses, Courses)>,
-) -> String {
-    let spreads = crate::view::compare::tests::spreads(comparison);
-    assemble(shell, comparison, courses, &spreads, "localhost:8040").render().expect("renders")
+    asked: Option<&str>,
+) -> Result<String, WebError> {
+    let distributions = distributions(comparison, asked)?;
+    let over_time = over_time(comparison, &crate::view::compare::tests::run_courses(comparison));
+    let compare = assemble(shell, comparison, courses, distributions, "localhost:8040");
+    let lengths = lengths(comparison, &crate::view::compare::lengths::tests::read(comparison));
+    Ok(Compare { over_time, lengths, ..compare }.render().expect("renders"))
 }

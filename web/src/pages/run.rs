@@ -84,6 +84,10 @@ struct Run {
     distribution: Distribution,
     bucket: u32,
     buckets: Vec<Bucket>,
+    /// Episodes, and what had no answer.
+    parted: Vec<String>,
+    /// What is marked in the picture over time.
+    marked: Marked,
     /// Whether any bucket has enough samples for a 95th percentile.
     has_p95: bool,
     axis: Axis,
@@ -96,6 +100,13 @@ struct Run {
     configuration: Vec<(String, String)>,
     toml: String,
     data: JsonBlock,
+}
+
+/// What stands in the picture over time beside its lines.
+struct Marked {
+    borders: bool,
+    warm_up: bool,
+    unanswered: bool,
 }
 
 /// The selected distribution and the links that select another.
@@ -121,20 +132,27 @@ pub(crate) async fn show(
     let wanted = query.stage.clone().unwrap_or_else(|| stage::TOTAL.to_string());
     let names = [stage::TOTAL];
     let without_answer = IterationFilter { after: 0, limit: UNANSWERED, unsuccessful: true };
-    let (known, histogram, series, slowest, unanswered, courses) = tokio::try_join!(
+    let (known, histogram, series, slowest, unanswered, episodes, courses) = tokio::try_join!(
         store.statistics_of(number),
         store.histogram(number, &wanted, BINS),
         store.series(number, &names, POINTS),
         store.slowest(number, OUTLIERS),
         store.iterations(number, &without_answer),
+        store.episodes(number),
         trust::courses(store, number),
     )?;
     let plot = histogram.map(|histogram| {
         HistogramPlot::new(&histogram, look::class(&wanted), query.view, query.scale == CountScale::Log)
     });
     let distribution = Distribution::new(wanted, plot, &query);
-    let stored =
-        Stored { run: &run, known: &known, series: &series, slowest: &slowest, unanswered: &unanswered };
+    let stored = Stored {
+        run: &run,
+        known: &known,
+        series: &series,
+        slowest: &slowest,
+        unanswered: &unanswered,
+        episodes: &episodes,
+    };
     let report = trust::report(&run, &known, &courses);
     page(&assemble(&app, &stored, distribution, &report)?)
 }
@@ -187,7 +205,7 @@ fn assemble(
     distribution: Distribution,
     report: &Report,
 ) -> Result<Run, WebError> {
-    let Stored { run, known: RunStatistics { stages, bounds }, series, .. } = stored;
+    let Stored { run, known: RunStatistics { stages, bounds, .. }, series, episodes, .. } = stored;
     let summary = &run.summary;
     let stack = Stack::of_run(stages, bounds);
     let total = summary.total.as_ref();
@@ -247,6 +265,12 @@ fn assemble(
         bucket: series.bucket_s,
         buckets: stored.buckets(zone),
         has_p95: series.stages.iter().flat_map(|stage| &stage.points).any(|point| point.p95.is_some()),
+        parted: stored.parted(),
+        marked: Marked {
+            borders: !episodes.borders.is_empty(),
+            warm_up: episodes.warm_up_until.is_some(),
+            unanswered: !episodes.unanswered.is_empty(),
+        },
         axis: Axis::milliseconds(&stored.scale(), ""),
         slowest: stored.slow_rows(zone),
         unanswered: stored.unanswered_rows(zone),

@@ -3,6 +3,8 @@
 mod clocks;
 mod compare;
 mod events;
+mod lengths;
+mod over_time;
 
 use peernet_clock::{Span, Verdict};
 use peernet_logger::Name;

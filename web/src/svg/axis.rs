@@ -6,6 +6,9 @@ use super::Percent;
 use super::fit::{Fitted, width};
 use crate::numbers::{SPACE, fixed};
 
+/// A label this near to an end of its plot, percent, would reach over it.
+const END: f64 = 4.0;
+
 /// From zero to a round number above the largest value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Scale {
@@ -43,6 +46,14 @@ impl Scale {
     /// Positions of the ticks.
     pub(crate) fn grid(&self) -> Vec<Percent> {
         self.values().map(|value| self.at(value)).collect()
+    }
+
+    /// Positions and labels of the ticks of an axis that ends exactly at `end`.
+    pub(crate) fn ticks_until(end: f64, ticks: usize) -> Vec<(Percent, String)> {
+        let scale = Self::fit(end, ticks);
+        let all = scale.values().zip(scale.labels());
+        let held = all.filter(|(value, _)| *value <= end * (1.0 + 1e-9));
+        held.map(|(value, text)| (Percent(value / end * 100.0), text)).collect()
     }
 
     fn values(&self) -> impl Iterator<Item = f64> + use<> {
@@ -105,6 +116,17 @@ impl Axis {
         Self::new("xaxis", &labels.collect::<Vec<_>>())
     }
 
+    /// Labels below a plot that has no room at its sides: those at its ends stand inside.
+    pub(crate) fn within(labels: Vec<(Percent, String)>) -> Self {
+        let anchor = |x: &Percent| match x.0 {
+            left if left < END => "start",
+            right if right > 100.0 - END => "end",
+            _ => "middle",
+        };
+        let labels = labels.into_iter().map(|(x, text)| (x, anchor(&x), text));
+        Self::new("xaxis", &labels.collect::<Vec<_>>())
+    }
+
     fn new(class: &'static str, labels: &[(Percent, &'static str, String)]) -> Self {
         let fitted = labels.iter().enumerate().map(|(index, (x, anchor, text))| {
             // Each goes with all others that are divisible by the same power of two.
@@ -140,6 +162,13 @@ mod tests {
         assert_eq!(Scale::fit(f64::NAN, 5).max, 1.0);
     }
 
+    #[test]
+    fn an_axis_may_end_between_its_ticks() {
+        let ticks = Scale::ticks_until(61.0, 4);
+        assert_eq!(ticks.iter().map(|(_, text)| text.as_str()).collect::<Vec<_>>(), ["0", "20", "40", "60"]);
+        assert!((ticks[3].0.0 - 6_000.0 / 61.0).abs() < 1e-9, "{ticks:?}");
+    }
+
     impl Axis {
         /// The labels that are shown in a picture of `width` rem.
         pub(crate) fn labels_at(&self, width: u16) -> Vec<&str> {
@@ -158,6 +187,14 @@ mod tests {
             Axis::below((1..=4).map(|n| (Percent(f64::from(n) * 20.0), format!("{n}00,000"))).collect());
         assert_eq!(even.labels_at(18), ["100,000", "200,000", "300,000", "400,000"]);
         assert_eq!(even.labels_at(12), ["100,000", "300,000"]);
+    }
+
+    #[test]
+    fn labels_at_the_ends_of_a_small_plot_stand_inside() {
+        let labels = [0.0, 50.0, 100.0].map(|x| (Percent(x), "0.04".to_owned()));
+        let anchors = |axis: Axis| axis.labels.iter().map(|label| label.anchor).collect::<Vec<_>>();
+        assert_eq!(anchors(Axis::within(labels.to_vec())), ["start", "middle", "end"]);
+        assert_eq!(anchors(Axis::below(labels.to_vec())), ["middle"; 3]);
     }
 
     #[test]

@@ -57,6 +57,27 @@ pub(crate) fn band(points: impl IntoIterator<Item = Option<(f64, f64, f64)>>) ->
     path
 }
 
+/// The area between a line and the lower end of the sheet, in pieces where a value is missing.
+pub(crate) fn area(points: impl IntoIterator<Item = Option<At>>) -> String {
+    let (mut path, mut last) = (String::new(), None);
+    for point in points.into_iter().chain([None]) {
+        match (point, last) {
+            (Some(at), None) => {
+                put(&mut path, 'M', (at.0, 1.0));
+                put(&mut path, 'L', at);
+            }
+            (Some(at), Some(_)) => put(&mut path, 'L', at),
+            (None, Some((x, _))) => {
+                put(&mut path, 'L', (x, 1.0));
+                path.push('Z');
+            }
+            (None, None) => {}
+        }
+        last = point;
+    }
+    path
+}
+
 /// Dots: lines of no length, drawn by their round ends.
 pub(crate) fn dots(points: impl IntoIterator<Item = At>) -> String {
     let mut path = String::new();
@@ -103,6 +124,9 @@ mod tests {
         assert_eq!(band.matches('Z').count(), 2);
         assert!(band.starts_with("M0.0 100.0L100.0 100.0L100.0 200.0L0.0 200.0Z"), "{band}");
         assert_eq!(line([None, None]), "");
+        let area = area([Some((0.0, 0.2)), Some((0.1, 0.3)), None, Some((0.5, 0.1)), Some((0.6, 0.1))]);
+        assert!(area.starts_with("M0.0 1000.0L0.0 200.0L100.0 300.0L100.0 1000.0ZM500.0 1000.0"), "{area}");
+        assert_eq!(area.matches('Z').count(), 2);
     }
 
     #[test]

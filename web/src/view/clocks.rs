@@ -68,9 +68,12 @@ impl ClockCell {
         let width = widths.map(|figures| figures.p50).max_by(f64::total_cmp);
         let chip = verdict.map(Chip::verdict);
         match (width, verdict) {
-            (_, None) => {
-                Self { bound: None, chip, words: "no delays yet", title: "no iteration in this time" }
-            }
+            (_, None) => Self {
+                bound: None,
+                chip,
+                words: "no delays",
+                title: "no one-way delay was measured in this time",
+            },
             (None, Some(verdict)) => Self { bound: None, chip, words: "", title: meaning(verdict) },
             (Some(0.0), Some(_)) => {
                 Self { bound: Some(bound_ms(0.0)), chip, words: "", title: "both hosts read one clock" }
@@ -106,5 +109,7 @@ mod tests {
         assert_eq!(cell.chip.map(|chip| chip.word), Some("unsynchronised"));
         assert!(cell.title.contains("nothing related"));
         assert_eq!(ClockCell::of(PlacementKind::Local, &[]).words, "one host");
+        // Nothing of late, or ever: a finished pipeline waits for none.
+        assert_eq!(ClockCell::of(PlacementKind::Remote, &[]).words, "no delays");
     }
 }

@@ -9,6 +9,7 @@ pub(crate) mod clocks;
 pub(crate) mod compare;
 pub(crate) mod cut;
 pub(crate) mod data;
+pub(crate) mod episodes;
 pub(crate) mod events;
 pub(crate) mod health;
 pub(crate) mod hosts;

@@ -1,13 +1,14 @@
 //! What the page of a run shows of the store's answers.
 
-use peernet_aggregator::{IterationRow, RunDetail, RunStatistics, Series, StageStatistics};
-use peernet_clock::Verdict;
+use peernet_aggregator::{Episodes, IterationRow, RunDetail, RunStatistics, Series, StageStatistics};
+use peernet_clock::{Verdict, WallTime};
 use peernet_report::accuracy::{ACCURACIES, UNKNOWN_LABEL};
 use peernet_report::results::SKIPPED_STARTS;
 use serde::Serialize;
 
 use super::clocks;
 use super::data::{JsonBlock, Short};
+use super::episodes;
 use super::speed::{self, Way};
 use super::stack::Stack;
 use crate::look;
@@ -26,6 +27,7 @@ pub(crate) struct Stored<'a> {
     pub slowest: &'a [IterationRow],
     /// The first iterations without an answer.
     pub unanswered: &'a [IterationRow],
+    pub episodes: &'a Episodes,
 }
 
 /// What was measured beside durations.
@@ -74,6 +76,11 @@ struct Data {
     points: Vec<(i64, Short, Short)>,
     slow: Vec<(i64, Short, &'static str, u64)>,
     gaps: Vec<(i64, i64, u64)>,
+    /// When episodes began, but for the first.
+    borders: Vec<i64>,
+    warm_up: Option<(i64, i64)>,
+    /// When iterations without an answer began.
+    unanswered: Vec<i64>,
 }
 
 impl Stored<'_> {
@@ -87,6 +94,12 @@ impl Stored<'_> {
             reason: row.reason.clone().unwrap_or_else(|| NONE.to_owned()),
         };
         self.unanswered.iter().map(row).collect()
+    }
+
+    /// How many episodes there are, and how much had no answer.
+    pub(crate) fn parted(&self) -> Vec<String> {
+        let unanswered = episodes::unanswered(self.episodes, &self.run.summary);
+        [episodes::said(self.episodes), unanswered].into_iter().flatten().collect()
     }
 
     /// A scale that holds the slowest iteration.
@@ -166,8 +179,10 @@ impl Stored<'_> {
 
     /// Data for the chart over time.
     pub(crate) fn data(&self) -> Result<JsonBlock, serde_json::Error> {
-        let Self { series, slowest, .. } = self;
-        let milliseconds = |time: peernet_clock::WallTime| time.unix_nanos() / 1_000_000;
+        let Self { series, slowest, episodes, .. } = self;
+        let milliseconds = |time: WallTime| time.unix_nanos() / 1_000_000;
+        let all = |times: &[WallTime]| times.iter().copied().map(milliseconds).collect();
+        let warm_up = episodes.first.zip(episodes.warm_up_until).filter(|(from, until)| until > from);
         let points = series.stages.iter().flat_map(|stage| &stage.points).map(|point| {
             (milliseconds(point.at), Short(Some(point.p50 * 1e3)), Short(point.p95.map(|p95| p95 * 1e3)))
         });
@@ -182,6 +197,9 @@ impl Stored<'_> {
             points: points.collect(),
             slow: slow.collect(),
             gaps: gaps.collect(),
+            borders: all(&episodes.borders),
+            warm_up: warm_up.map(|(from, until)| (milliseconds(from), milliseconds(until))),
+            unanswered: all(&episodes.unanswered),
         })
     }
 }

@@ -88,12 +88,20 @@ pub(crate) fn cell(kind: PlacementKind, window: &Window, way: Way) -> Cell {
     }
 }
 
-/// The throughput that follows from the ends of a delay's interval, in MB/s: `12.0 – ∞` where the
-/// delay may be nothing; `None` where the delay has no bound.
+/// The throughputs that follow from the ends of a delay's interval: without an upper one where the delay may be nothing.
+pub(crate) fn ends(rate: f64, delay: f64, half: f64) -> (f64, Option<f64>) {
+    (rate * delay / (delay + half), (half < delay).then(|| rate * delay / (delay - half)))
+}
+
+/// Both ends in MB/s: `12.0 – ∞`.
+pub(crate) fn between((lo, hi): (f64, Option<f64>)) -> String {
+    format!("{} – {}", throughput(lo), hi.map_or_else(|| "∞".to_owned(), throughput))
+}
+
+/// The throughput that follows from the ends of a delay's interval, in MB/s; `None` where the delay has no bound.
 pub(crate) fn interval(rate: f64, delay: Option<f64>, half: Option<f64>) -> Option<String> {
     let (delay, half) = delay.zip(half)?;
-    let hi = if half < delay { throughput(rate * delay / (delay - half)) } else { "∞".to_owned() };
-    Some(format!("{} – {hi}", throughput(rate * delay / (delay + half))))
+    Some(between(ends(rate, delay, half)))
 }
 
 #[cfg(test)]

@@ -40,31 +40,8 @@ impl Stack {
     }
 
     fn new(crossed: bool, of: impl Fn(&str) -> Option<Figures>) -> Self {
-        let Some(total) = of("total") else { return Self::default() };
-        let mut left = total.mean;
-        // Without a relation of the clocks neither direction has a value; their sum needs none.
-        let network = both_ways(&of, crossed);
-        let mut parts = Vec::with_capacity(look::STACK.len());
-        let mut network_at = 0;
-        for name in stage::ORDER.iter().map(|name| name.as_str()) {
-            if let Some(figures) = of(name) {
-                // A stage that not every iteration had counts with its share, so that the sum stays exact.
-                let seconds = figures.mean * figures.count as f64 / total.count.max(1) as f64;
-                left -= seconds;
-                parts.push(Part { name: name.to_owned(), seconds, bound: None });
-            }
-            if name == "send-queue" {
-                network_at = parts.len();
-            }
-        }
-        if let Some(network) = network {
-            parts.insert(network_at, Part { name: look::NETWORK.to_owned(), seconds: network, bound: None });
-            left -= network;
-        }
-        if left > 0.0 {
-            parts.push(Part { name: "unattributed".to_owned(), seconds: left, bound: None });
-        }
-        Self { parts, total: Some(total) }
+        let parts = parts(crossed, |name| of(name).map(|figures| (figures.count, figures.mean)));
+        Self { parts, total: of("total") }
     }
 
     /// The stages of an iteration of a list, with both directions of the network where those are not known.
@@ -129,17 +106,49 @@ impl Stack {
     }
 }
 
+/// What the mean of the total is made of, in the order of [`look::STACK`]; nothing without a total. `of` tells how many
+/// samples of a name there are, and their mean in seconds; `sent` whether anything went to another host.
+pub(crate) fn parts(sent: bool, of: impl Fn(&str) -> Option<(u64, f64)>) -> Vec<Part> {
+    let Some((count, total)) = of("total") else { return Vec::new() };
+    let mut left = total;
+    // Without a relation of the clocks neither direction has a value; their sum needs none.
+    let network = both_ways(&of, sent);
+    let mut parts = Vec::with_capacity(look::STACK.len());
+    let mut network_at = 0;
+    for name in stage::ORDER.iter().map(|name| name.as_str()) {
+        if let Some(seconds) = of(name).map(|known| shared(known, count)) {
+            left -= seconds;
+            parts.push(Part { name: name.to_owned(), seconds, bound: None });
+        }
+        if name == "send-queue" {
+            network_at = parts.len();
+        }
+    }
+    if let Some(network) = network {
+        parts.insert(network_at, Part { name: look::NETWORK.to_owned(), seconds: network, bound: None });
+        left -= network;
+    }
+    if left > 0.0 {
+        parts.push(Part { name: "unattributed".to_owned(), seconds: left, bound: None });
+    }
+    parts
+}
+
+/// A stage that not every iteration had counts with its share, so that the sum of all stays exact.
+fn shared((count, mean): (u64, f64), of: u64) -> f64 {
+    mean * count as f64 / of.max(1) as f64
+}
+
 /// What both directions take together in the mean, seconds, where the clocks tell neither; `None` when one is known
 /// or nothing was sent.
-fn both_ways(mean: impl Fn(&str) -> Option<Figures>, sent: bool) -> Option<f64> {
-    let total = mean(&stage::TOTAL)?;
-    if !sent || mean(&stage::UPLOAD).is_some() || mean(&stage::DOWNLOAD).is_some() {
+fn both_ways(of: impl Fn(&str) -> Option<(u64, f64)>, sent: bool) -> Option<f64> {
+    let (count, total) = of(&stage::TOTAL)?;
+    if !sent || of(&stage::UPLOAD).is_some() || of(&stage::DOWNLOAD).is_some() {
         return None;
     }
-    let known = stage::ORDER.into_iter().filter_map(|name| mean(&name));
     let known: f64 =
-        known.map(|figures| figures.mean * figures.count as f64 / total.count.max(1) as f64).sum();
-    Some(total.mean - known - mean(&stage::UNATTRIBUTED)?.mean).filter(|network| *network > 0.0)
+        stage::ORDER.into_iter().filter_map(|name| of(&name)).map(|known| shared(known, count)).sum();
+    Some(total - known - of(&stage::UNATTRIBUTED)?.1).filter(|network| *network > 0.0)
 }
 
 #[cfg(test)]
@@ -194,10 +203,9 @@ mod tests {
 
     #[test]
     fn directions_that_are_known_need_no_sum() {
-        let known =
-            |name: &str| matches!(name, "total" | "upload" | "unattributed").then(|| figures(0.01, 9));
+        let known = |name: &str| matches!(name, "total" | "upload" | "unattributed").then_some((9, 0.01));
         assert_eq!(both_ways(known, true), None);
-        let unknown = |name: &str| matches!(name, "total" | "unattributed").then(|| figures(0.01, 9));
+        let unknown = |name: &str| matches!(name, "total" | "unattributed").then_some((9, 0.01));
         assert_eq!(both_ways(unknown, false), None);
     }
 

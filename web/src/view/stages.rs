@@ -150,7 +150,7 @@ impl BoundCell {
         Self {
             text: bound.half_width.map_or_else(|| NONE.to_owned(), |width| bound_ms(width.p50)),
             sign: verdict.map(|verdict| Chip::verdict(verdict).into()),
-            title: verdict.map_or("no delays yet", clocks::meaning),
+            title: verdict.map_or("no delays in this time", clocks::meaning),
         }
     }
 }

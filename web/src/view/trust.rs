@@ -49,7 +49,7 @@ pub(crate) async fn courses(store: &Store, run: i64) -> Result<Vec<StageCourse>,
 
 /// Judges a stored run.
 pub(crate) fn report(run: &RunDetail, known: &RunStatistics, courses: &[StageCourse]) -> Report {
-    let RunStatistics { stages, bounds } = known;
+    let RunStatistics { stages, bounds, .. } = known;
     let counts = Counts {
         ok: run.summary.counts.ok,
         failed: run.summary.counts.failed,
@@ -252,7 +252,7 @@ mod tests {
         let mut top = stages[0].clone();
         (top.stage, top.figures.count, top.figures.mean) = (Name::from("top-1"), ok - 12, 0.75);
         stages.push(top);
-        let mut known = RunStatistics { stages, bounds: Vec::new() };
+        let mut known = RunStatistics { stages, ..RunStatistics::default() };
         let said = |known: &RunStatistics| {
             let report = report(&run, known, &[]);
             report.sentences.into_iter().find(|sentence| sentence.text.contains("top-1"))
@@ -269,7 +269,8 @@ mod tests {
         let mut restart = stages[0].clone();
         (restart.stage, restart.figures.count, restart.figures.mean) = (stage::RESTART, 2, 0.5);
         stages.push(restart);
-        let report = report(&detail("", "finished"), &RunStatistics { stages, bounds: Vec::new() }, &[]);
+        let report =
+            report(&detail("", "finished"), &RunStatistics { stages, ..RunStatistics::default() }, &[]);
         let said = report.sentences.iter().find(|sentence| sentence.about == "restarts").expect("said");
         assert!(
             said.text.contains("The model's process was started anew in 2 iterations, which waited 1,000"),
@@ -285,7 +286,7 @@ mod tests {
         let mut unknown = stages[0].clone();
         (unknown.stage, unknown.figures.count) = (Name::from(UNKNOWN_LABEL), 12);
         stages.push(unknown);
-        let report = report(&run, &RunStatistics { stages, bounds: Vec::new() }, &[]);
+        let report = report(&run, &RunStatistics { stages, ..RunStatistics::default() }, &[]);
         let said = report.sentences.iter().find(|sentence| sentence.about == "accuracy").expect("said");
         assert!(said.text.starts_with("Not scored: 12 of") && said.text.contains("good, dented"), "{said:?}");
     }

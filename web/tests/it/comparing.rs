@@ -61,6 +61,12 @@ async fn starts_that_were_skipped_before_unanswered_iterations_are_told_everywhe
     assert_eq!(bed.get("/api/v1/compare?runs=1").await.json()["doubts"], serde_json::json!([]));
 }
 
+/// What stands in the panel of distributions.
+fn distributions(page: &str) -> &str {
+    let panel = page.split("id=\"distributions\"").nth(1).expect("a panel");
+    panel.split("</section>").next().expect("its end")
+}
+
 #[tokio::test]
 async fn an_experiment_is_compared_with_its_repeats_together() {
     let (bed, mut factory) = Bed::with(vec![Line::local(), Line::full(), Line::resized()]).await;
@@ -83,22 +89,38 @@ async fn an_experiment_is_compared_with_its_repeats_together() {
 
     // Two runs of one configuration are as many iterations as both have.
     let runs = configurations[0]["runs"].as_array().expect("runs");
-    let mut counts = 0;
+    let (mut counts, mut medians) = (0, Vec::new());
     for run in runs {
-        counts +=
-            bed.get(&format!("/api/v1/runs/{run}")).await.json()["total"]["count"].as_u64().expect("a count");
+        let total = &bed.get(&format!("/api/v1/runs/{run}")).await.json()["total"];
+        counts += total["count"].as_u64().expect("a count");
+        medians.push(total["p50"].as_f64().expect("a median"));
+        assert_eq!(total["p99"], serde_json::Value::Null, "too few of one: {total}");
     }
     let total = configurations[0]["stages"].as_array().expect("stages");
     let total = total.iter().find(|stage| stage["name"] == "total").expect("a total");
     assert_eq!(total["count"], counts, "{total}");
+    // Enough together, and the median of both lies between those of each.
+    let [p50, p95, p99, max] = ["p50", "p95", "p99", "max"].map(|name| total[name].as_f64().expect(name));
+    assert!(p50 < p95 && p95 <= p99 && p99 <= max, "{total}");
+    medians.sort_by(f64::total_cmp);
+    assert!((medians[0]..=medians[1]).contains(&p50), "{medians:?} {total}");
 
     let page = bed.get(&format!("/compare?experiment={id}")).await;
     assert_eq!(page.status, StatusCode::OK, "{}", page.text());
     assert!(page.text().contains("has the smallest mean of 3, "), "{}", page.text());
     assert!(page.text().contains("<span>experiment pictures</span>"), "{}", page.text());
     // Six runs of which each has its distribution, and three configurations with a box over both of theirs.
-    assert_eq!(page.text().matches("<figcaption>").count(), 6, "{}", page.text());
+    assert_eq!(page.text().matches("#distribution\">#").count(), 6, "{}", page.text());
     assert!(page.text().contains(&format!("; {counts} samples\"")), "{}", page.text());
+    let address = format!("/compare?experiment={id}&stage=");
+    let page = bed.get(&format!("{address}upload")).await;
+    let drawn = distributions(page.text());
+    assert!(drawn.contains(">Upload time<") && !drawn.contains(">Total<"), "{drawn}");
+    assert_eq!(drawn.matches("<figcaption>").count(), 4, "two configurations offload: {drawn}");
+    assert!(drawn.contains("#distributions\" data-swap=\"distributions\""), "{drawn}");
+    let page = bed.get(&format!("{address}telepathy")).await;
+    assert_eq!(page.status, StatusCode::BAD_REQUEST);
+    assert!(page.text().contains("no run that is compared has"), "{}", page.text());
     let run = bed.get(&format!("/runs/{}", runs[0])).await;
     assert!(run.text().contains(&format!("/compare?experiment={id}")), "{}", run.text());
     assert!(run.text().contains("On cam-1, CPU governor: schedutil"), "{}", run.text());
@@ -161,6 +183,7 @@ async fn two_runs_have_a_difference_that_says_whether_it_is_chance() {
         ("/compare?experiment=none", StatusCode::NOT_FOUND),
         ("/compare?runs=x", StatusCode::BAD_REQUEST),
         ("/compare?run=1", StatusCode::BAD_REQUEST),
+        ("/api/v1/compare?runs=1&stage=upload", StatusCode::BAD_REQUEST),
         ("/api/v1/compare", StatusCode::BAD_REQUEST),
     ] {
         assert_eq!(bed.get(address).await.status, status, "{address}");

@@ -17,9 +17,14 @@ const BINS: usize = 48;
 const SLOWEST: u32 = 40;
 /// Rows of the run page's table of iterations without an answer.
 const UNANSWERED: u32 = 8;
-/// Most runs that the page of a comparison is asked for one by one, and of an experiment.
+/// Most runs that the page of a comparison is asked for one by one, and of an experiment; of so many it draws the course,
+/// with so many points.
 const CHOSEN: u32 = 12;
 const OF_EXPERIMENT: u32 = 200;
+const COURSES: usize = 24;
+const COURSE_POINTS: usize = 100;
+/// Iterations of which it draws the length of the answer against the latency.
+const PAIRS: u32 = 1_500;
 
 /// How long one question took.
 #[derive(Debug)]
@@ -48,6 +53,8 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<Times> {
     let stages = stage::ORDER;
     let of_difference: Vec<Name> =
         [stage::TOTAL, stage::STAGES_TOTAL].into_iter().chain(stages.clone()).collect();
+    let (bytes, inference) = (stage::DOWNLOAD_BYTES, stage::INFERENCE);
+    let lengths = [bytes.as_str(), inference.as_str()];
     let names = [stage::TOTAL, stage::SENSING, stage::UPLOAD, stage::INFERENCE, stage::DOWNLOAD];
     let page = |after: u64, unsuccessful: bool| IterationFilter { after, limit: 100, unsuccessful };
     let (first, end_of_list) = (page(0, false), page(last.saturating_sub(100), false));
@@ -71,6 +78,7 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<Times> {
                 store.slowest(number, SLOWEST),
                 store.iterations(number, &unanswered),
                 store.course(number, &names[..1], BUCKETS),
+                store.episodes(number),
             )
         })
         .await,
@@ -87,6 +95,8 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<Times> {
             for number in [number, number] {
                 store.run(number).await?;
                 store.means(number, &of_difference, BUCKETS).await?;
+                over_time(store, number).await?;
+                store.pairs(number, lengths, PAIRS).await?;
             }
             store.statistics(&[number, number]).await
         })
@@ -94,6 +104,7 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<Times> {
         time("compare page, twelve runs", clock, async || {
             for run in &chosen {
                 store.run(run.number).await?;
+                over_time(store, run.number).await?;
             }
             let numbers: Vec<i64> = chosen.iter().map(|run| run.number).collect();
             store.statistics(&numbers).await
@@ -102,9 +113,14 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<Times> {
         time("compare page, experiment", clock, async || {
             let runs = store.runs_of_experiment(&experiment, OF_EXPERIMENT).await?;
             let numbers: Vec<i64> = runs.iter().map(|run| run.number).collect();
+            for number in numbers.iter().take(COURSES) {
+                over_time(store, *number).await?;
+            }
             store.statistics(&numbers).await
         })
         .await,
+        time("a run over time", clock, || over_time(store, number)).await,
+        time("pairs of 1,500 iterations", clock, || store.pairs(number, lengths, PAIRS)).await,
         time("experiments", clock, || store.experiments(50)).await,
         time("iteration page", clock, async || {
             tokio::try_join!(store.run(number), store.iteration(number, last / 2))
@@ -133,6 +149,17 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<Times> {
         .await,
         time("a link's day", clock, || store.clock_series(edge, cloud, day, end, CLOCK_POINTS)).await,
     ]
+}
+
+/// What the page of a comparison draws of a run over time.
+async fn over_time(store: &Store, run: i64) -> Result<(), StoreError> {
+    let names: Vec<Name> = [stage::TOTAL, stage::UNATTRIBUTED].into_iter().chain(stage::ORDER).collect();
+    tokio::try_join!(
+        store.series(run, &names[..1], COURSE_POINTS),
+        store.means(run, &names, COURSE_POINTS),
+        store.episodes(run),
+    )
+    .map(drop)
 }
 
 async fn time<T, F: Future<Output = Result<T, StoreError>>>(

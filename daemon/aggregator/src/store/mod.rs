@@ -14,12 +14,9 @@ mod tests;
 pub(crate) mod types;
 pub(crate) mod write;
 
-use std::collections::HashMap;
-
 use peernet_clock::WallTime;
 use peernet_logger::stream::Iteration;
 use peernet_logger::{HostId, Name};
-use peernet_statistics::Summary;
 
 use crate::error::StoreError;
 use readers::Readers;
@@ -95,11 +92,6 @@ impl Store {
         Ok(self.statistics(&[run]).await?.pop().unwrap_or_default())
     }
 
-    /// All that is kept of one node name over each of these runs, by run: what has no samples is absent.
-    pub async fn summaries(&self, runs: &[i64], stage: &str) -> Result<HashMap<i64, Summary>, StoreError> {
-        read::statistics::summaries(&self.readers, runs, stage).await
-    }
-
     /// The distribution of one node name over at most `bins` bins (1 to 500).
     pub async fn histogram(
         &self,
@@ -116,6 +108,11 @@ impl Store {
         read::statistics::series(&self.readers, run, stages, max_points).await
     }
 
+    /// Episodes, warm-up and what had no answer, for pictures of a run over time: a few hundred rows at most.
+    pub async fn episodes(&self, run: i64) -> Result<Episodes, StoreError> {
+        read::episodes::episodes(&self.readers, run).await
+    }
+
     /// The `n` slowest successful iterations (at most 1,000), slowest first.
     pub async fn slowest(&self, run: i64, n: u32) -> Result<Vec<IterationRow>, StoreError> {
         read::iterations::slowest(&self.readers, run, n).await
@@ -128,6 +125,12 @@ impl Store {
         filter: &IterationFilter,
     ) -> Result<Vec<IterationRow>, StoreError> {
         read::iterations::iterations(&self.readers, run, filter).await
+    }
+
+    /// Two node names in at most `most` iterations, evenly spread over those that are stored: few of a long run are read.
+    /// A standard name is the sum of its nodes below the root, one of the users' own its first node, as in `data.csv`.
+    pub async fn pairs(&self, run: i64, names: [&str; 2], most: u32) -> Result<Pairs, StoreError> {
+        read::pairs::pairs(&self.readers, run, names, most).await
     }
 
     /// One iteration with its tree.

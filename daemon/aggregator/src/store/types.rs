@@ -1,15 +1,22 @@
 //! What the store answers: plain data in SI units.
 
+mod episodes;
 mod experiment;
+mod pairs;
+mod statistics;
 
-pub use experiment::{ExperimentSummary, RunStatistics, StageCourse, StageMeans};
+pub use episodes::Episodes;
+pub use experiment::{ExperimentSummary, MeanBucket, StageCourse, StageMeans};
+pub use pairs::Pairs;
+pub(in crate::store) use statistics::Known;
+pub use statistics::{Kept, RunStatistics, StageStatistics};
 
 use peernet_clock::{DelaySource, Verdict, WallTime};
 use peernet_logger::stream::{Condition, ExperimentPlace, HostDescription, OutcomeCounts, Placement};
 use peernet_logger::{HostId, Name, RunId, Slug, Tree};
 use serde::Serialize;
 
-use crate::figures::{Bound, Figures};
+use crate::figures::Figures;
 use crate::picture::{ClockPoint, Stored};
 
 /// Which runs to list, newest first.
@@ -102,23 +109,6 @@ pub struct GapRow {
     pub count: u64,
     /// Why.
     pub reason: String,
-}
-
-/// Statistics of one node name over a whole run; successful iterations only, warm-up left out.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct StageStatistics {
-    /// The node's name.
-    pub stage: Name,
-    /// Unit of the figures: `s`, `B`, `bit/s` or the user's own.
-    pub unit: String,
-    /// Whether it is one of the stages that add up to `stages-total`.
-    pub is_stage: bool,
-    /// The figures.
-    pub figures: Figures,
-    /// Sum over the sum of `total`, 0 to 1, for durations; a child's share is also its parent's.
-    pub share: Option<f64>,
-    /// How well it is known, for one-way delays.
-    pub bound: Option<Bound>,
 }
 
 /// Distribution of one node name over a run, in bins of equal width.

@@ -6,6 +6,8 @@ use super::configuration::NOTHING;
 const MOST_LISTED: usize = 4;
 /// From so many hexadecimal digits on a label is a hash.
 const HASH: usize = 32;
+/// Bytes from which on a label has no place in a table: it is a list, of libraries for instance.
+const LONG: usize = 120;
 
 /// Something that differs: its name and the label of each configuration.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -49,6 +51,15 @@ pub(super) fn choose(all: Vec<Column>) -> Chosen {
     Chosen { columns, rest }
 }
 
+/// Whether some of the labels of one column are hashes or paths, which tell people nothing, or lists that no table has room
+/// for.
+pub fn is_opaque<'a>(mut labels: impl Iterator<Item = &'a str>) -> bool {
+    let is_hash = |word: &str| word.len() >= HASH && word.bytes().all(|byte| byte.is_ascii_hexdigit());
+    labels.any(|label| {
+        label.len() >= LONG || label.split(' ').any(|word| word.starts_with('/') || is_hash(word))
+    })
+}
+
 /// Whether no two configurations have the same labels.
 pub(super) fn tell_apart(columns: &[Column], configurations: usize) -> bool {
     classes(columns, configurations) == configurations
@@ -83,11 +94,8 @@ pub(super) fn sentences(columns: &[Column], rest: &[Column]) -> Vec<String> {
 }
 
 impl Column {
-    /// Whether it has hashes or paths, which tell people nothing.
     fn is_opaque(&self) -> bool {
-        let is_hash = |word: &str| word.len() >= HASH && word.bytes().all(|byte| byte.is_ascii_hexdigit());
-        let is_opaque = |label: &String| label.split(' ').any(|word| word.starts_with('/') || is_hash(word));
-        self.labels.iter().any(is_opaque)
+        is_opaque(self.labels.iter().map(String::as_str))
     }
 
     /// Each of its labels, and behind it which configurations have it; `None` when that would be long.

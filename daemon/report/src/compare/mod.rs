@@ -16,6 +16,7 @@ mod doubts;
 mod render;
 
 pub use bootstrap::{Difference, Sample, Statistic, difference};
+pub use columns::is_opaque;
 pub use differences::{Differences, StageDifference};
 pub use doubts::skipped_starts;
 

@@ -91,11 +91,15 @@ impl Lengths {
     }
 }
 
-/// From zero, but where that would squeeze all points into a corner.
+/// Whether an axis from zero would squeeze all values between these into a corner.
+pub fn would_squeeze(lo: f64, hi: f64) -> bool {
+    hi > lo && lo > hi * CLOSE
+}
+
 fn axis((lo, hi): (f64, f64), per_si: f64, pixels: (i32, i32)) -> Axis {
     let (lo, hi) = (lo * per_si, hi * per_si);
     let room = (hi - lo) * 0.05;
-    if hi > lo && lo > hi * CLOSE {
+    if would_squeeze(lo, hi) {
         Axis::linear((lo - room, hi + room), pixels)
     } else {
         Axis::from_zero((lo, hi), pixels)

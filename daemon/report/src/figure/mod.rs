@@ -18,7 +18,7 @@ pub use accuracy::{Accuracy, Score};
 pub use course::{Course, Line};
 pub use histogram::{Bins, Histogram};
 pub use kit::{DOWNLOAD, Drawn, Figure, FigureError, Fill, Hatch, INK, Mark, Paper, UPLOAD, Unit};
-pub use lengths::Lengths;
+pub use lengths::{Lengths, would_squeeze};
 pub use paired::{Group, MOST_GROUPS, MOST_SIDES, Paired};
 pub use scaling::{Parts, Scaling, Series, Value};
 pub use sharing::{MOST_CURVES, Sharing, SharingCurve, SharingPoint};

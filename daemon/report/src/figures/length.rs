@@ -1,21 +1,27 @@
-//! Response length against latency.
+//! Response length against latency: which quantity is the length, and whether it varies.
 
 use super::Columns;
 use super::columns::{account, heading, is_drawable, titled, too_large, unit};
 use super::written::{Drawing, Shown};
 use crate::figure::Lengths;
-use crate::results::{Loaded, RowRef, Rows};
+use crate::results::{Loaded, RowRef};
 
-/// Columns that hold the length of an answer, the best first. Those of a run's own end with `tokens`.
+/// How long answers take.
+pub const LATENCY: &str = "inference";
+/// How long answers are, where no tokens are counted.
 const ANSWER: &str = "download-bytes";
+/// With this end the names of those that a run counts itself.
 const TOKENS: &str = "tokens";
+/// Names with one of these words count what was asked.
+const ASKED: [&str; 2] = ["prompt", "input"];
 /// The longest answer is at least so much longer than the shortest, or its length is not what matters.
 const VARIED: f64 = 1.5;
 
 /// Length and latency of each answer.
 pub(super) fn drawings(run: &Loaded, columns: &Columns) -> Result<Vec<Drawing>, String> {
-    let x = columns.x.clone().unwrap_or_else(|| length(&run.rows));
-    let y = columns.y.clone().unwrap_or_else(|| "inference".to_owned());
+    let there = run.rows.names().iter().filter(|name| run.rows.counted(name).next().is_some());
+    let x = columns.x.clone().unwrap_or_else(|| answer_length(there.map(|name| &**name)).to_owned());
+    let y = columns.y.clone().unwrap_or_else(|| LATENCY.to_owned());
     let counted = run.rows.iter().filter(|row| row.counts());
     let point = |row: RowRef<'_>| Some((row.value(&x)?, row.value(&y)?));
     let points: Vec<(f64, f64)> =
@@ -33,7 +39,7 @@ pub(super) fn drawings(run: &Loaded, columns: &Columns) -> Result<Vec<Drawing>, 
             "all answers have the same length: {x} is {shortest} in every iteration; name another column with --x"
         ));
     }
-    if columns.x.is_none() && longest < VARIED * shortest {
+    if columns.x.is_none() && !varies(shortest, longest) {
         return Err(format!("all answers have much the same length ({x}); name another column with --x"));
     }
     let lengths = Lengths {
@@ -48,8 +54,19 @@ pub(super) fn drawings(run: &Loaded, columns: &Columns) -> Result<Vec<Drawing>, 
     Ok(vec![Drawing::new("length", Shown::Lengths(lengths))])
 }
 
-fn length(rows: &Rows) -> String {
-    let is_there = |name: &str| rows.counted(name).next().is_some();
-    let tokens = rows.names().iter().find(|name| name.ends_with(TOKENS) && is_there(name));
-    tokens.map_or(ANSWER, |name| name.as_ref()).to_owned()
+/// Which of these names is the length of an answer: of those that count tokens the first by name, those of the answer
+/// before those of the question; `download-bytes` where nobody counted.
+pub fn answer_length<'a>(names: impl Iterator<Item = &'a str>) -> &'a str {
+    let is_asked = |name: &str| ASKED.iter().any(|word| name.contains(word));
+    names.filter(|name| is_tokens(name)).min_by_key(|name| (is_asked(name), *name)).unwrap_or(ANSWER)
+}
+
+/// Whether a length is counted in tokens, else in bytes.
+pub fn is_tokens(name: &str) -> bool {
+    name.ends_with(TOKENS)
+}
+
+/// Whether answers differ enough in length to be drawn against it.
+pub fn varies(shortest: f64, longest: f64) -> bool {
+    longest > shortest && longest >= VARIED * shortest
 }

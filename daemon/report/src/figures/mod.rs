@@ -22,6 +22,7 @@ mod written;
 
 pub use files::files_in;
 pub use histograms::HISTOGRAMS;
+pub use length::{LATENCY, answer_length, is_tokens, varies};
 pub use written::Written;
 
 use std::path::{Path, PathBuf};

@@ -317,6 +317,9 @@ fn lengths_are_tokens_where_there_are_some() {
     let drawings = length::drawings(&talking, &Columns::default()).expect("there are lengths");
     let Shown::Lengths(figure) = &drawings[0].shown else { panic!("lengths") };
     assert_eq!((figure.points.len(), figure.x.title.as_str()), (54, "Inference tokens, as logged"));
+    let names = ["a-prompt-tokens", "zeta-tokens", "total", "completion-tokens", "input-tokens"];
+    assert_eq!(length::answer_length(names.into_iter()), "completion-tokens");
+    assert_eq!(length::answer_length(["total", "tokens-per-second"].into_iter()), "download-bytes");
     let constant = run(60, |_| vec![("download-bytes", 96.0), ("inference", 5.0)]);
     let reason = length::drawings(&constant, &Columns::default()).expect_err("all alike");
     assert!(reason.contains("--x"), "{reason}");

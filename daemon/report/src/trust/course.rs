@@ -8,7 +8,7 @@ use crate::order::Ordered;
 
 /// Iterations that count as a run's beginning, at least.
 const BEGINNING: u64 = 20;
-/// Most blocks of that size that the beginning is compared with.
+/// Most blocks that a run is cut into, of which the first is its beginning.
 const MOST_BLOCKS: u64 = 200;
 /// Batches of which the trend is found, at most: more add nothing (Schmeiser 1982).
 const MOST_BATCHES: u64 = 30;

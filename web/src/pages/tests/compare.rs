@@ -1,11 +1,17 @@
 //! Runs side by side, in every state that they may have.
 
-use peernet_aggregator::RunSummary;
+use std::sync::Arc;
+
+use peernet_aggregator::{Kept, RunSummary};
+use peernet_clock::Verdict;
+use peernet_logger::stage;
 use peernet_logger::stream::ExperimentPlace;
 use peernet_logger::stream::PlacementKind::{Local, Remote};
+use peernet_statistics::Summary;
 
 use super::super::compare::rendered;
 use super::check;
+use crate::error::WebError;
 use crate::view::compare::Configuration;
 use crate::view::compare::tests::{comparison, configuration, course};
 use crate::view::samples;
@@ -15,9 +21,16 @@ async fn page_of(configurations: Vec<Configuration>, means: Option<(f64, f64)>) 
     let (app, _folder) = samples::app().await;
     let shell = Shell::new(&app, &app.picture(), Place::Compare, "Compare");
     let courses = means.map(|(a, b)| (vec![course(a, 20)], vec![course(b, 20)]));
-    let html = rendered(shell, &comparison(configurations), courses.as_ref());
+    let html =
+        rendered(shell, &comparison(configurations), courses.as_ref(), None).expect("nothing asked for");
     check(&html);
     html
+}
+
+async fn asked_for(configurations: &[Configuration], stage: &str) -> Result<String, WebError> {
+    let (app, _folder) = samples::app().await;
+    let shell = Shell::new(&app, &app.picture(), Place::Compare, "Compare");
+    rendered(shell, &comparison(configurations.to_vec()), None, Some(stage)).inspect(|html| check(html))
 }
 
 #[tokio::test]
@@ -120,7 +133,7 @@ async fn too_little_for_an_interval_is_said_with_who_has_how_little() {
     let (app, _folder) = samples::app().await;
     let shell = Shell::new(&app, &app.picture(), Place::Compare, "Compare");
     let courses = (vec![course(0.0241, 3)], vec![course(0.0160, 20)]);
-    let html = rendered(shell, &comparison(two), Some(&courses));
+    let html = rendered(shell, &comparison(two), Some(&courses), None).expect("nothing asked for");
     check(&html);
     assert!(html.contains("an interval needs 5 stretches on each side"), "{html}");
     assert!(html.contains("of total, A has 3 and B has 20: A is too short to tell."), "{html}");
@@ -170,16 +183,67 @@ async fn throughput_is_drawn_against_payload_with_its_numbers() {
 }
 
 #[tokio::test]
-async fn totals_and_inferences_are_boxes_and_each_run_has_a_distribution() {
+async fn totals_and_inferences_are_boxes() {
     let two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
-    let html = page_of(two.clone(), None).await;
+    let html = page_of(two, None).await;
     assert!(html.contains("How the total spreads") && html.contains("whiskers from p5 to p95"), "{html}");
     assert_eq!(html.matches("class=\"stages thin boxed\"").count(), 4, "two totals, two inferences: {html}");
-    assert_eq!(html.matches("<figcaption>").count(), 2);
-    assert!(html.contains("<a href=\"/runs/2#distribution\">#2</a>"), "{html}");
-    assert!(!html.contains("of 2 runs"), "none is left out: {html}");
-    assert_eq!(page_of(two[..1].to_vec(), None).await.matches("<figcaption>").count(), 1);
+}
 
+/// What stands in the panel of distributions.
+fn panel(html: &str) -> &str {
+    let panel = html.split("id=\"distributions\"").nth(1).expect("a panel");
+    panel.split("</section>").next().expect("its end")
+}
+
+#[tokio::test]
+async fn few_runs_have_all_distributions_at_once_and_one_at_a_time_on_request() {
+    let mut two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
+    let html = page_of(two.clone(), None).await;
+    let all = panel(&html);
+    let titles =
+        ["Total", "Sensing time", "Upload time", "Inference time", "Download time", "Upload throughput"];
+    let found: Vec<&str> = all.split("<h3 class=\"quantity\">").skip(1).collect();
+    assert_eq!(found.len(), titles.len(), "nobody has a throughput of the download: {all}");
+    for (group, title) in found.iter().zip(titles) {
+        assert!(group.starts_with(title) && group.matches("<figcaption>").count() == 2, "{title}: {group}");
+    }
+    assert!(all.contains("Upload throughput<span class=\"u\"> MB/s"), "{all}");
+    assert!(all.contains("<a href=\"/runs/2#distribution\">#2</a>"), "{all}");
+    assert!(all.contains("<a href=\"/runs/2?stage=upload#distribution\">#2</a>"), "{all}");
+    assert!(
+        all.contains("href=\"?experiment=a#distributions\" data-swap=\"distributions\" aria-current"),
+        "{all}"
+    );
+    assert!(all.contains("bin f-upload\"") && all.contains("bin f-sensing\""), "{all}");
+
+    let html = asked_for(&two, "upload").await.expect("there");
+    let one = panel(&html);
+    assert_eq!((one.matches("<h3").count(), one.matches("<figcaption>").count()), (1, 2), "{one}");
+    assert!(
+        one.contains(
+            "?experiment=a&amp;stage=upload#distributions\" data-swap=\"distributions\" aria-current"
+        )
+    );
+    // Any stage that a run has can be asked for, whatever it is called.
+    let html = asked_for(&two, "preprocessing").await.expect("there");
+    assert!(panel(&html).contains("aria-current=\"true\">preprocessing</a>"), "{html}");
+    let html = asked_for(&two, "download-throughput").await.expect("a usual one");
+    assert!(panel(&html).contains("No run that is compared has measured this."), "{html}");
+    let refused = asked_for(&two, "<b>").await.expect_err("nobody has it").to_string();
+    assert!(refused.contains("no run that is compared has \"<b>\"; ask for"), "{refused}");
+
+    let alone = page_of(two[..1].to_vec(), None).await;
+    assert_eq!(panel(&alone).matches("<figcaption>").count(), 6);
+    two.iter_mut().for_each(|one| {
+        one.stages.clear();
+        one.kept = Default::default();
+    });
+    assert!(!page_of(two, None).await.contains("id=\"distributions\""));
+}
+
+#[tokio::test]
+async fn many_runs_have_one_quantity_at_a_time_and_the_first_of_each_configuration() {
     let mut many: Vec<_> = (0..20).map(|at| configuration(at, Remote, 1.0 + at as f64, 1e3)).collect();
     for one in &mut many {
         let again =
@@ -188,9 +252,40 @@ async fn totals_and_inferences_are_boxes_and_each_run_has_a_distribution() {
         one.runs.extend(again);
     }
     let html = page_of(many, None).await;
-    assert_eq!(html.matches("<figcaption>").count(), 24);
-    assert!(html.contains("24 of 100 runs: ") && html.contains("ms, logarithmic, one axis"), "{html}");
+    let drawn = panel(&html);
+    assert_eq!((drawn.matches("<h3").count(), drawn.matches("<figcaption>").count()), (1, 24), "{drawn}");
+    assert!(drawn.contains("24 of 100 runs: ") && drawn.contains("> ms, logarithmic</span>"), "{drawn}");
+    assert!(drawn.contains("aria-current=\"true\">total</a>") && !drawn.contains(">all</a>"), "{drawn}");
     for run in (1..=20).chain(101..=104) {
-        assert!(html.contains(&format!("<a href=\"/runs/{run}#distribution\">")), "{run}: {html}");
+        assert!(drawn.contains(&format!("<a href=\"/runs/{run}#distribution\">")), "{run}: {drawn}");
     }
+}
+
+#[tokio::test]
+async fn a_delay_that_the_clocks_hardly_tell_is_drawn_as_an_interval() {
+    let of = |at: usize, half: f64, verdict| {
+        let mut one = configuration(at, Remote, 1.0, 1e3);
+        let mut widths = Summary::default();
+        (0..300).for_each(|_| widths.record(half));
+        let mut kept = Kept::clone(&one.kept);
+        kept.add_half_widths(stage::UPLOAD, &widths);
+        kept.add_verdicts(stage::UPLOAD, verdict, 300);
+        one.kept = Arc::new(kept);
+        one
+    };
+    let two = vec![of(0, 0.000_65, Verdict::Ok), of(1, 0.004, Verdict::Limited)];
+    let html = asked_for(&two, "upload").await.expect("there");
+    let drawn = panel(&html);
+    assert_eq!(drawn.matches("class=\"band\"").count(), 2, "{drawn}");
+    assert!(drawn.contains("ms, by the clocks 5.") && drawn.contains("median by the clocks 2."), "{drawn}");
+    assert_eq!(drawn.matches("chip warn").count(), 1, "only the second is limited: {drawn}");
+    let html = asked_for(&two, "upload-throughput").await.expect("there");
+    assert_eq!(panel(&html).matches("class=\"band\"").count(), 2, "a throughput is no better known: {html}");
+    let mut untold = configuration(2, Remote, 1.0, 1e3);
+    let mut kept = Kept::default();
+    kept.add(stage::TOTAL, "s", untold.known(&stage::TOTAL).expect("measured"));
+    kept.add_verdicts(stage::UPLOAD, Verdict::Unsynchronised, 300);
+    untold.kept = Arc::new(kept);
+    let html = asked_for(&[two[0].clone(), untold], "upload").await.expect("there");
+    assert!(panel(&html).contains("The clocks do not tell it of 1 run."), "{html}");
 }

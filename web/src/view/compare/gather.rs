@@ -1,11 +1,13 @@
 //! Which runs are compared, and what they differ in.
 
-use peernet_aggregator::{Bound, RunDetail, RunStatistics, RunSummary, StageStatistics, Store};
-use peernet_logger::stream::ExperimentPlace;
+use std::collections::HashMap;
+use std::sync::Arc;
 
-use super::{Comparison, Configuration, done, letter, order, pool};
+use peernet_aggregator::{Kept, RunDetail, RunStatistics, RunSummary, Store};
+
+use super::differing::Differing;
+use super::{Comparison, Configuration, done, letter, order};
 use crate::error::WebError;
-use crate::view::place;
 
 /// Most runs that an address may name.
 pub(crate) const MOST_TYPED: usize = 12;
@@ -58,6 +60,10 @@ impl Which {
 
 /// Reads what is to be compared: the figures of all runs at once, from their roll-ups.
 ///
+/// The sketches of all runs are held meanwhile, eight bytes for each 2 % between the ends of a quantity: where the largest
+/// value is a thousand times the smallest, 3 kB. With most runs and 30 names each that is 17 MB, and as much again at most
+/// for those of configurations; the sketches' own limit makes it ten times that.
+///
 /// # Errors
 /// When a run or the experiment is not stored, or the store cannot be read.
 pub(crate) async fn gather(store: &Store, which: &Which) -> Result<Comparison, WebError> {
@@ -86,44 +92,35 @@ pub(crate) async fn gather(store: &Store, which: &Which) -> Result<Comparison, W
     };
     let numbers: Vec<i64> = details.iter().map(|detail| detail.summary.number).collect();
     let statistics = store.statistics(&numbers).await?;
-    let (axes, values) = if experiment.is_some() { of_experiment(&details) } else { of_runs(&details) };
+    let Differing { axes, values, also } =
+        if experiment.is_some() { Differing::of_experiment(&details) } else { Differing::of_runs(&details) };
+    let kept: HashMap<i64, Arc<Kept>> =
+        numbers.iter().zip(&statistics).map(|(run, known)| (*run, Arc::clone(&known.kept))).collect();
     let mut groups: Vec<Group> = Vec::new();
-    for ((detail, RunStatistics { stages, bounds }), values) in
-        details.into_iter().zip(statistics).zip(values)
-    {
+    for ((detail, statistics), values) in details.into_iter().zip(statistics).zip(values) {
         let known = groups.iter_mut().find(|group| experiment.is_some() && group.values == values);
         match known {
             Some(group) => {
                 group.runs.push(detail.summary);
-                group.stages.push(stages);
-                group.bounds.push(bounds);
+                group.statistics.push(statistics);
             }
-            None => groups.push(Group {
-                values,
-                runs: vec![detail.summary],
-                stages: vec![stages],
-                bounds: vec![bounds],
-            }),
+            None => groups.push(Group { values, runs: vec![detail.summary], statistics: vec![statistics] }),
         }
     }
     if experiment.is_some() {
         groups.sort_by(|a, b| order::labels(&a.values, &b.values));
     }
-    let configurations = groups.into_iter().enumerate().map(|(at, group)| Configuration {
-        letter: letter(at),
-        values: group.values,
-        stages: pool::pooled(&group.stages),
-        bounds: pool::bounds(&group.bounds),
-        runs: group.runs,
+    let configurations = groups.into_iter().enumerate().map(|(at, group)| {
+        let RunStatistics { stages, bounds, kept } = RunStatistics::together(&group.statistics);
+        Configuration { letter: letter(at), values: group.values, runs: group.runs, stages, bounds, kept }
     });
-    Ok(Comparison { experiment, axes, configurations: configurations.collect(), left_out, cut })
+    Ok(Comparison { experiment, axes, also, configurations: configurations.collect(), kept, left_out, cut })
 }
 
 struct Group {
     values: Vec<String>,
     runs: Vec<RunSummary>,
-    stages: Vec<Vec<StageStatistics>>,
-    bounds: Vec<Vec<Bound>>,
+    statistics: Vec<RunStatistics>,
 }
 
 const fn bare(summary: RunSummary) -> RunDetail {
@@ -135,71 +132,4 @@ const fn bare(summary: RunSummary) -> RunDetail {
         conditions: Vec::new(),
         gaps: Vec::new(),
     }
-}
-
-type Axes = (Vec<String>, Vec<Vec<String>>);
-
-/// The axes of the experiment's file.
-fn of_experiment(runs: &[RunDetail]) -> Axes {
-    let configuration = |run: &RunDetail| {
-        run.summary
-            .experiment
-            .as_ref()
-            .map_or(&[][..], |place: &ExperimentPlace| &place.configuration)
-            .to_vec()
-    };
-    let mut axes: Vec<String> = Vec::new();
-    for (axis, _) in runs.iter().flat_map(configuration) {
-        if !axes.contains(&axis) {
-            axes.push(axis);
-        }
-    }
-    tabulate(axes, runs, configuration)
-}
-
-/// What is known of the runs and not the same for all of them.
-fn of_runs(runs: &[RunDetail]) -> Axes {
-    let known = |run: &RunDetail| {
-        let summary = &run.summary;
-        let mut pairs = vec![
-            ("Pipeline".to_owned(), summary.pipeline.to_string()),
-            ("Where".to_owned(), place::route(summary.host_name.as_str(), &summary.placement)),
-            ("Model".to_owned(), place::model(&summary.placement)),
-        ];
-        pairs.extend(summary.placement.network.iter().map(|network| ("Network".to_owned(), network.clone())));
-        pairs.extend(summary.experiment.iter().flat_map(|place| place.configuration.clone()));
-        pairs.extend(run.facts.iter().cloned());
-        pairs
-    };
-    let mut axes: Vec<String> = Vec::new();
-    for (name, _) in runs.iter().flat_map(known) {
-        if !axes.contains(&name) {
-            axes.push(name);
-        }
-    }
-    let (axes, values) = tabulate(axes, runs, known);
-    let differs = |at: usize| values.iter().any(|row| row[at] != values[0][at]);
-    // Several names for one difference are one difference.
-    let same = |a: usize, b: usize| values.iter().all(|row| row[a] == row[b]);
-    let kept: Vec<usize> =
-        (0..axes.len()).filter(|at| differs(*at) && !(0..*at).any(|before| same(before, *at))).collect();
-    let pick = |row: &Vec<String>| kept.iter().map(|at| row[*at].clone()).collect();
-    (kept.iter().map(|at| axes[*at].clone()).collect(), values.iter().map(pick).collect())
-}
-
-fn tabulate(
-    axes: Vec<String>,
-    runs: &[RunDetail],
-    pairs: impl Fn(&RunDetail) -> Vec<(String, String)>,
-) -> Axes {
-    let row = |run: &RunDetail| {
-        let pairs = pairs(run);
-        let of = |axis: &String| {
-            let found = pairs.iter().find(|(name, _)| name == axis);
-            found.map_or_else(|| crate::numbers::NONE.to_owned(), |(_, value)| value.clone())
-        };
-        axes.iter().map(of).collect::<Vec<String>>()
-    };
-    let values = runs.iter().map(row).collect();
-    (axes, values)
 }

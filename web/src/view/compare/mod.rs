@@ -1,12 +1,17 @@
-//! Several runs side by side, from their roll-ups alone.
+//! Several runs side by side, from their roll-ups, and from so few single rows that the length of a run does not matter.
 
 mod ask;
+mod choice;
+mod differing;
+mod distributions;
 mod done;
 pub(crate) mod gather;
+pub(crate) mod lengths;
+mod median;
 mod order;
 mod payload;
 mod pictures;
-mod pool;
+mod series;
 mod spread;
 mod table;
 #[cfg(test)]
@@ -15,17 +20,24 @@ mod throughput;
 mod users;
 
 pub(crate) use ask::{commands, skipped, unknown_labels};
+pub(crate) use distributions::{Address, Distributions, distributions};
 pub(crate) use gather::{MOST_RUNS, Which, gather};
+pub(crate) use lengths::{Lengths, answers, lengths};
 pub(crate) use payload::{accuracy, payload};
 pub(crate) use pictures::{Axes, Pair, StackRow, pairs, stacks};
-pub(crate) use spread::{BoxRow, Distributions, Spreads, boxes, distributions};
+pub(crate) use series::{OverTime, over_time, run_courses};
+pub(crate) use spread::{BoxRow, boxes};
 pub(crate) use table::{Changed, Table, difference, open, title, too_short};
 pub(crate) use throughput::{Throughput, throughput};
 pub(crate) use users::{UsersRow, users};
 
-use peernet_aggregator::{Bound, Figures, RunSummary, StageStatistics};
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use peernet_aggregator::{Bound, Figures, Kept, RunSummary, StageStatistics};
 use peernet_logger::stream::PlacementKind;
 use peernet_report::trust::Starts;
+use peernet_statistics::Summary;
 
 use crate::view::trust;
 
@@ -36,8 +48,12 @@ pub(crate) struct Comparison {
     pub experiment: Option<(String, String)>,
     /// What the configurations differ in.
     pub axes: Vec<String>,
+    /// Names of what chosen runs differ in as well, in hashes, paths and lists that no table has room for.
+    pub also: Vec<String>,
     /// An experiment's by their labels, axis by axis; runs as they were asked for.
     pub configurations: Vec<Configuration>,
+    /// All that is kept of each run, by its number.
+    pub kept: HashMap<i64, Arc<Kept>>,
     /// Runs of the experiment that do not count, oldest first.
     pub left_out: Vec<LeftOut>,
     /// Whether there were more runs than are compared.
@@ -62,10 +78,12 @@ pub(crate) struct Configuration {
     pub values: Vec<String>,
     /// Oldest first.
     pub runs: Vec<RunSummary>,
-    /// Of all its runs together; quantiles are those of a single run, and missing where there are several.
+    /// Of all its runs together.
     pub stages: Vec<StageStatistics>,
     /// How well the one-way delays are known.
     pub bounds: Vec<Bound>,
+    /// All that is kept of its runs together.
+    pub kept: Arc<Kept>,
 }
 
 impl Configuration {
@@ -74,7 +92,12 @@ impl Configuration {
         self.stages.iter().find(|stage| stage.stage == *name).map(|stage| &stage.figures)
     }
 
-    /// Mean of the total, seconds; of the sensor alone where there is no more.
+    /// The values of a node in all its runs together, in its SI unit.
+    pub(crate) fn known(&self, name: &str) -> Option<&Summary> {
+        self.kept.known(name)
+    }
+
+    /// Figures of the total, seconds; of the sensor alone where there is no more.
     pub(crate) fn total(&self) -> Option<&Figures> {
         self.figures("total").or_else(|| self.figures("sensing"))
     }
@@ -111,7 +134,12 @@ impl Comparison {
         (measured.len() > 1).then_some(best.0)
     }
 
-    /// Numbers of all runs.
+    /// The values of a node in one run, by its number.
+    pub(crate) fn known(&self, run: i64, name: &str) -> Option<&Summary> {
+        self.kept.get(&run)?.known(name)
+    }
+
+    /// All runs, configuration by configuration.
     pub(crate) fn runs(&self) -> impl Iterator<Item = &RunSummary> {
         self.configurations.iter().flat_map(|one| &one.runs)
     }

@@ -4,7 +4,6 @@ use peernet_logger::stage;
 use peernet_logger::stream::{Placement, PlacementKind};
 use std::slice;
 
-use super::spread::{Spreads, together};
 use super::{Comparison, Configuration, order};
 use crate::look;
 use crate::numbers::{NONE, duration, mean_std_ms};
@@ -131,7 +130,7 @@ fn routes(one: &Configuration) -> String {
 }
 
 /// Models that ran both on board and in the cloud, each with its inference alone, all on one scale.
-pub(crate) fn pairs(comparison: &Comparison, spreads: &Spreads) -> (Vec<Pair>, Axes) {
+pub(crate) fn pairs(comparison: &Comparison) -> (Vec<Pair>, Axes) {
     let mut models: Vec<String> = Vec::new();
     for placement in comparison.configurations.iter().filter_map(Configuration::placement) {
         let model = placement.model.to_string();
@@ -151,7 +150,7 @@ pub(crate) fn pairs(comparison: &Comparison, spreads: &Spreads) -> (Vec<Pair>, A
         has(PlacementKind::Local) && has(PlacementKind::Remote)
     };
     models.retain(both);
-    let five = |one: &Configuration| together(&spreads.inference, one);
+    let five = |one: &Configuration| Five::of(one.known(&stage::INFERENCE)?);
     let measured = models.iter().flat_map(|model| of(model));
     let reach = measured.filter_map(five).map(|five| five.top()).fold(0.0, f64::max);
     let scale = Scale::fit(reach * 1e3, 6);

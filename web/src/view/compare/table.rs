@@ -165,7 +165,9 @@ pub(crate) fn difference(
 /// Means of the batches of all runs of a configuration.
 fn batches(runs: &[Vec<StageMeans>], name: &Name) -> Vec<f64> {
     let courses = runs.iter().flatten().filter(|course| course.stage == *name);
-    courses.flat_map(|course| batch_means(&course.buckets)).collect()
+    let buckets =
+        |course: &StageMeans| course.buckets.iter().map(|one| (one.count, one.mean)).collect::<Vec<_>>();
+    courses.flat_map(|course| batch_means(&buckets(course))).collect()
 }
 
 /// Why a difference has no interval: who has how little. `None` where all have one.

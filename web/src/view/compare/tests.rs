@@ -1,9 +1,9 @@
-use peernet_aggregator::{Bound, Figures};
+use peernet_aggregator::{Bound, Episodes, MeanBucket, Series, SeriesPoint, StageMeans, StageSeries};
 use peernet_clock::{Span, Verdict};
 use peernet_logger::stream::{OutcomeCounts, Placement};
 use peernet_logger::{HostId, Name, RunId, stage};
-use peernet_statistics::Summary;
 
+use super::series::{RunCourse, RunCourses};
 use super::*;
 use crate::view::samples::{self, HOSTILE};
 
@@ -56,40 +56,80 @@ pub(crate) fn stages(scale: f64, bytes: f64) -> (Vec<StageStatistics>, Vec<Bound
 pub(crate) fn configuration(at: usize, kind: PlacementKind, scale: f64, bytes: f64) -> Configuration {
     let (stages, bounds) = stages(scale, bytes);
     let values = vec![format!("{} kB", bytes / 1e3), HOSTILE.to_owned()];
-    Configuration { letter: letter(at), values, runs: vec![run(at as i64 + 1, kind)], stages, bounds }
+    let (kept, runs) = (kept(&stages), vec![run(at as i64 + 1, kind)]);
+    Configuration { letter: letter(at), values, runs, stages, bounds, kept }
 }
 
 pub(crate) fn comparison(configurations: Vec<Configuration>) -> Comparison {
     let axes = vec!["size".to_owned(), "where".to_owned()];
     let experiment = Some(("sizes".to_owned(), "a".to_owned()));
-    Comparison { experiment, axes, configurations, left_out: Vec::new(), cut: false }
+    let kept = |one: &Configuration| {
+        one.runs.iter().map(|run| (run.number, Arc::clone(&one.kept))).collect::<Vec<_>>()
+    };
+    let kept = configurations.iter().flat_map(kept).collect();
+    Comparison { experiment, axes, also: Vec::new(), configurations, kept, left_out: Vec::new(), cut: false }
 }
 
-/// Samples with the means that the runs' configurations have.
-pub(crate) fn spreads(comparison: &Comparison) -> Spreads {
-    let of = |name: &Name| {
-        let runs =
-            comparison.configurations.iter().flat_map(|one| one.runs.iter().map(move |run| (one, run)));
-        let known = runs.filter_map(|(one, run)| {
-            let mean = one.figures(name)?.mean;
-            let mut summary = Summary::default();
-            (0..300).for_each(|n| summary.record(mean * (1.0 + 0.2 * f64::from(n).sin())));
-            Some((run.number, summary))
-        });
-        known.collect()
-    };
-    Spreads { total: of(&stage::TOTAL), inference: of(&stage::INFERENCE) }
+/// Samples with the means that stages have.
+fn kept(stages: &[StageStatistics]) -> Arc<Kept> {
+    let mut kept = Kept::default();
+    for stage in stages {
+        let mut values = Summary::default();
+        (0..300).for_each(|n| values.record(stage.figures.mean * (1.0 + 0.2 * f64::from(n).sin())));
+        kept.add(stage.stage.clone(), &stage.unit, &values);
+    }
+    Arc::new(kept)
 }
 
 /// A run's total in buckets: a mean with some waves about it.
-pub(crate) fn course(mean: f64, buckets: usize) -> Vec<peernet_aggregator::StageMeans> {
+pub(crate) fn course(mean: f64, buckets: usize) -> Vec<StageMeans> {
     let bucket = |at: usize| {
         let mut summary = Summary::default();
         (0..20).for_each(|n| summary.record(mean * (1.0 + 0.01 * ((at * 20 + n) as f64).sin())));
-        (summary.count(), summary.moments.mean)
+        let at = samples::NOW + Span::from_seconds(at as i64);
+        MeanBucket { at, count: summary.count(), mean: summary.moments.mean }
     };
     let buckets = (0..buckets).map(bucket).collect();
-    vec![peernet_aggregator::StageMeans { stage: stage::TOTAL, buckets }]
+    vec![StageMeans { stage: stage::TOTAL, buckets }]
+}
+
+/// A minute of each run, one point a second but for a gap, in four episodes of which the first is warm-up; the run with
+/// the smallest number has no answer three times.
+pub(crate) fn run_courses(comparison: &Comparison) -> RunCourses {
+    let first = comparison.runs().map(|run| run.number).min();
+    let moment = |seconds: i64| samples::NOW + Span::from_seconds(seconds);
+    let seconds = || (15..60_i64).filter(|second| !(30..33).contains(second));
+    let of = |one: &Configuration, run: &RunSummary| {
+        let mean = one.total()?.mean;
+        let point = |second: i64| {
+            let p50 = mean * (1.0 + 0.1 * (second as f64).sin());
+            SeriesPoint { at: moment(second), count: 60, mean: p50, p50, p95: Some(p50 * 1.2) }
+        };
+        let means = one.stages.iter().filter(|stage| stage.unit == "s").map(|stage| StageMeans {
+            stage: stage.stage.clone(),
+            buckets: seconds()
+                .map(|second| MeanBucket { at: moment(second), count: 60, mean: stage.figures.mean })
+                .collect(),
+        });
+        let total =
+            StageSeries { stage: stage::TOTAL, unit: "s".to_owned(), points: seconds().map(point).collect() };
+        let unanswered = if first == Some(run.number) { vec![31, 32, 50] } else { Vec::new() };
+        let episodes = Episodes {
+            first: Some(moment(0)),
+            count: 4,
+            steps: Some(900),
+            borders: [15, 30, 45].map(moment).to_vec(),
+            warm_up_until: Some(moment(15)),
+            unanswered: unanswered.into_iter().map(moment).collect(),
+        };
+        let series = Series { bucket_s: 1, stages: vec![total], gaps: Vec::new() };
+        Some((run.number, RunCourse { series, means: means.collect(), episodes }))
+    };
+    comparison
+        .configurations
+        .iter()
+        .flat_map(|one| one.runs.iter().filter_map(move |run| of(one, run)))
+        .collect()
 }
 
 #[test]
@@ -112,29 +152,6 @@ fn addresses_name_runs_or_an_experiment() {
     }
     let many = (1..=13).map(|n| n.to_string()).collect::<Vec<_>>().join(",");
     assert!(of(&[("runs", &many)]).is_err());
-}
-
-#[test]
-fn runs_are_pooled_as_if_they_were_one() {
-    let all: Vec<f64> = (0..300).map(|n| 0.01 + f64::from(n % 13) * 1e-3).collect();
-    let of = |values: &[f64]| {
-        let mut summary = Summary::default();
-        values.iter().for_each(|value| summary.record(*value));
-        vec![StageStatistics {
-            stage: stage::TOTAL,
-            unit: "s".to_owned(),
-            is_stage: false,
-            figures: Figures::of(&summary).expect("values"),
-            share: None,
-            bound: None,
-        }]
-    };
-    let (whole, parts) = (of(&all), pool::pooled(&[of(&all[..100]), of(&all[100..])]));
-    let (whole, parts) = (whole[0].figures, parts[0].figures);
-    assert_eq!((whole.count, whole.min, whole.max), (parts.count, parts.min, parts.max));
-    assert!((whole.mean - parts.mean).abs() < 1e-12);
-    assert!((whole.std.expect("many") - parts.std.expect("many")).abs() < 1e-12);
-    assert_eq!((parts.p95, parts.p99), (None, None));
 }
 
 #[test]
@@ -221,7 +238,7 @@ fn models_in_both_places_are_paired_and_payloads_plotted() {
         configuration(1, PlacementKind::Local, 2.0, 1e3),
         configuration(2, PlacementKind::Remote, 3.0, 1e6),
     ]);
-    let (pairs, _) = pairs(&mixed, &spreads(&mixed));
+    let (pairs, _) = pairs(&mixed);
     assert_eq!((pairs.len(), pairs[0].places.len(), pairs[0].places[0].letter.as_str()), (1, 3, "B"));
     assert!(payload(&mixed).is_some());
     let mut many = configuration(1, PlacementKind::Remote, 1.0, 1e3);
@@ -230,7 +247,7 @@ fn models_in_both_places_are_paired_and_payloads_plotted() {
         many.runs.push(RunSummary { host_name: samples::slug(&format!("user-{user}")), ..run.clone() });
     }
     let users = comparison(vec![configuration(0, PlacementKind::Local, 1.0, 1e3), many]);
-    let (together, _) = super::pairs(&users, &spreads(&users));
+    let (together, _) = super::pairs(&users);
     assert!(
         together[0].places[1].name.starts_with("cloud, user-1, user-2, user-10 → "),
         "{}",
@@ -239,5 +256,5 @@ fn models_in_both_places_are_paired_and_payloads_plotted() {
     let (_, said) = payload(&mixed).expect("sizes");
     assert!(said.is_empty(), "two sizes make no line: {said:?}");
     let alike = comparison((0..3).map(|at| configuration(at, PlacementKind::Remote, 1.0, 1e3)).collect());
-    assert!(payload(&alike).is_none() && super::pairs(&alike, &spreads(&alike)).0.is_empty());
+    assert!(payload(&alike).is_none() && super::pairs(&alike).0.is_empty());
 }

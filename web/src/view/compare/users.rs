@@ -63,7 +63,9 @@ fn line(one: &Configuration) -> UsersLine {
     let totals = one.total().map_or_else(Totals::default, |total| Totals {
         count: usize::try_from(total.count).unwrap_or(usize::MAX),
         mean: Some(total.mean),
-        ..Totals::default()
+        median: Some(total.p50),
+        p95: total.p95,
+        p99: total.p99,
     });
     UsersLine::new(one.values.clone(), users, &shares.collect::<Vec<_>>(), totals)
 }

@@ -33,6 +33,8 @@ pub(crate) struct Line {
     pub(crate) clocks: Clocks,
     /// Bytes of a sample.
     pub(crate) bytes: f64,
+    /// Bytes of the shortest and the longest answer.
+    pub(crate) answer: (f64, f64),
     /// Stages with mean and deviation in ms.
     pub(crate) stages: Vec<(Name, f64, f64)>,
     /// Its current run.
@@ -93,6 +95,11 @@ impl Line {
         Self { name: "offload-here", clocks: Clocks::Shared, ..Self::resized() }
     }
 
+    /// As `resized`, with answers of all lengths.
+    pub(crate) fn talking() -> Self {
+        Self { name: "offload-talking", answer: (100.0, 900.0), ..Self::resized() }
+    }
+
     fn new(
         name: &'static str,
         host: &'static str,
@@ -122,6 +129,7 @@ impl Line {
             hz: 30.0,
             clocks,
             bytes,
+            answer: (412.0, 412.0),
             stages: stages.collect(),
             run: None,
             rehearsed: false,

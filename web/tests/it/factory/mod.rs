@@ -4,6 +4,7 @@
 mod agent;
 mod backlog;
 mod clocks;
+mod episodes;
 mod line;
 mod numbers;
 mod skipping;
@@ -233,8 +234,8 @@ impl Factory {
             events.push(Event::Iteration(Iteration {
                 run,
                 number,
-                episode: (number / 1_000) as u32,
-                step: (number % 1_000) as u32,
+                episode: ((number - 1) / 1_000) as u32,
+                step: ((number - 1) % 1_000) as u32,
                 warm_up,
                 outcome,
                 tree,

@@ -3,8 +3,10 @@
 
 pub(super) mod clocks;
 mod comparison;
+pub(super) mod episodes;
 pub(super) mod incidents;
 pub(super) mod iterations;
+pub(super) mod pairs;
 pub(in crate::store) mod recompute;
 pub(super) mod runs;
 pub(crate) mod sql;

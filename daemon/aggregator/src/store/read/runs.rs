@@ -9,7 +9,7 @@ use sqlx::FromRow;
 use super::{corrupt, count, name, parse, sql, statistics, wall};
 use crate::error::StoreError;
 use crate::store::readers::Readers;
-use crate::store::types::{ExperimentSummary, GapRow, RunDetail, RunFilter, RunSummary};
+use crate::store::types::{ExperimentSummary, GapRow, Known, RunDetail, RunFilter, RunSummary};
 use crate::store::write::{UNKNOWN, placement_word};
 
 const WHAT: &str = "runs";
@@ -160,7 +160,7 @@ fn json<T: DeserializeOwned>(text: &str) -> Result<T, StoreError> {
     serde_json::from_str(text).map_err(|error| corrupt(WHAT, error))
 }
 
-fn summary(row: &RunRow, total: Option<&statistics::Known>) -> Result<RunSummary, StoreError> {
+fn summary(row: &RunRow, total: Option<&Known>) -> Result<RunSummary, StoreError> {
     let kind = [PlacementKind::Local, PlacementKind::Remote, PlacementKind::None]
         .into_iter()
         .find(|kind| placement_word(*kind) == row.placement)
@@ -191,7 +191,7 @@ fn summary(row: &RunRow, total: Option<&statistics::Known>) -> Result<RunSummary
         },
         warm_up: count(row.warm_up),
         skipped_starts: count(row.skipped_starts),
-        total: total.and_then(statistics::Known::figures),
+        total: total.and_then(Known::figures),
         // Of the edge itself, and of each cloud by its name.
         rehearsed: facts(row)?
             .iter()

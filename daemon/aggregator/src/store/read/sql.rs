@@ -115,12 +115,32 @@ statements! {
     /// ?1 run, ?2 after, ?3 limit.
     ITERATIONS_WITHOUT_ANSWER = concat!(iteration_columns!("iteration_without_answer"),
         "WHERE run = ?1 AND number > ?2 AND outcome <> 0 ORDER BY number LIMIT ?3");
+    /// ?1 run.
+    LAST_ITERATION = concat!(iteration_columns!(), "WHERE run = ?1 AND number > 0 ORDER BY number DESC LIMIT 1");
+    /// The first iteration that is not of the warm-up, by number and not by the index that holds `warm_up`: ?1 run, ?2 the
+    /// last number to look at.
+    WARM_UP_END = concat!(iteration_columns!(),
+        "WHERE run = ?1 AND number BETWEEN 1 AND ?2 AND +warm_up = 0 ORDER BY number LIMIT 1");
+    /// The first number without an answer in each part of a run: ?1 run, ?2 the parts' first and last numbers, a JSON array
+    /// of pairs.
+    FIRST_WITHOUT_ANSWER = "SELECT (SELECT number FROM iteration INDEXED BY iteration_without_answer \
+                            WHERE run = ?1 AND number BETWEEN part.value ->> 0 AND part.value ->> 1 AND outcome <> 0 \
+                            ORDER BY number LIMIT 1) FROM json_each(?2) AS part";
     /// ?1 run, ?2 number.
     ITERATION = concat!(iteration_columns!(), "WHERE run = ?1 AND number = ?2");
     /// Durations of iterations, for the rows of a list: ?1 run, ?2 their numbers, a JSON array.
     DURATIONS = "SELECT node.iteration, name.text, node.value FROM node CROSS JOIN name ON name.id = node.name \
                  WHERE node.run = ?1 AND node.iteration IN (SELECT value FROM json_each(?2)) \
                  AND node.value IS NOT NULL AND name.unit = 's'";
+    /// The nodes of two names in those of some iterations that statistics are made of: ?1 run, ?2 their numbers, a JSON
+    /// array, ?3 and ?4 the names.
+    PAIRS = "SELECT node.iteration, node.node, node.parent, node.value, \
+             node.name IN (SELECT id FROM name WHERE text = ?3) AS is_x, \
+             node.name IN (SELECT id FROM name WHERE text = ?4) AS is_y \
+             FROM iteration CROSS JOIN node ON node.run = iteration.run AND node.iteration = iteration.number \
+             WHERE iteration.run = ?1 AND iteration.number IN (SELECT value FROM json_each(?2)) \
+             AND iteration.warm_up = 0 AND iteration.outcome = 0 \
+             AND node.name IN (SELECT id FROM name WHERE text IN (?3, ?4))";
     /// One-way delays of iterations, for the rows of a list: ?1 run, ?2 their numbers, a JSON array.
     DELAYS = "SELECT transit.iteration, name.text, node.value, node.lo, node.hi, transit.raw_ns, transit.source, \
               transit.verdict FROM transit \

@@ -14,7 +14,7 @@ use super::{corrupt, count, sql};
 use crate::error::StoreError;
 use crate::figures::Figures;
 use crate::store::readers::Readers;
-use crate::store::types::Histogram;
+use crate::store::types::{Histogram, Known};
 
 pub(in crate::store) use self::means::means;
 pub(in crate::store) use self::runs::statistics;
@@ -38,18 +38,6 @@ struct RollupRow {
     min: f64,
     max: f64,
     sketch: Vec<u8>,
-}
-
-/// What is known of one name over a run or a bucket.
-pub(super) struct Known {
-    unit: String,
-    summary: Summary,
-}
-
-impl Known {
-    pub(super) fn figures(&self) -> Option<Figures> {
-        Figures::of(&self.summary)
-    }
 }
 
 impl RollupRow {
@@ -76,19 +64,9 @@ pub(super) async fn whole_runs(
     let mut found = HashMap::<i64, Known>::new();
     for row in rows {
         let summary = row.summary()?;
-        let fresh = || Known { unit: row.unit, summary: Summary::default() };
-        found.entry(row.run).or_insert_with(fresh).summary.merge(&summary);
+        found.entry(row.run).or_insert_with(|| Known::of_unit(&row.unit)).summary.merge(&summary);
     }
     Ok(found)
-}
-
-pub(in crate::store) async fn summaries(
-    readers: &Readers,
-    runs: &[i64],
-    stage: &str,
-) -> Result<HashMap<i64, Summary>, StoreError> {
-    let found = whole_runs(readers, runs, stage).await?;
-    Ok(found.into_iter().map(|(run, known)| (run, known.summary)).collect())
 }
 
 /// Numbers as statements take them: a JSON array.

@@ -5,7 +5,7 @@ use peernet_logger::stream::{Condition, Event, ExperimentPlace, Grade, RunDescri
 use peernet_logger::{Name, RunId};
 
 use super::{Bed, generate};
-use crate::store::types::RunFilter;
+use crate::store::types::{MeanBucket, RunFilter};
 
 fn place(id: &str, size: &str, repeat: u32) -> ExperimentPlace {
     ExperimentPlace {
@@ -98,7 +98,7 @@ async fn means_are_those_of_the_course() {
         assert_eq!(means.len(), courses.len(), "{means:?}");
         for (means, course) in means.iter().zip(&courses) {
             assert_eq!((&means.stage, means.buckets.len()), (&course.stage, course.buckets.len()));
-            for ((count, mean), bucket) in means.buckets.iter().zip(&course.buckets) {
+            for (MeanBucket { count, mean, .. }, bucket) in means.buckets.iter().zip(&course.buckets) {
                 let same = (mean - bucket.moments.mean).abs() <= 1e-12 * mean.abs();
                 assert!(*count == bucket.count() && same, "{mean} {:?}", bucket.moments);
             }

@@ -5,6 +5,7 @@ mod clock_samples;
 #[expect(unreachable_pub, reason = "shared with the integration tests")]
 mod clocks;
 mod ends;
+mod episodes;
 mod experiments;
 #[path = "../../../tests/it/generate.rs"]
 #[expect(unreachable_pub, reason = "shared with the integration tests and the benchmark")]
@@ -12,6 +13,7 @@ mod generate;
 mod limits;
 mod maintaining;
 mod migrating;
+mod pairs;
 mod plans;
 mod questions;
 mod rebuilding;
@@ -20,6 +22,7 @@ mod retention;
 mod rollups;
 mod simulation;
 mod skipped;
+mod together;
 mod whole;
 mod writing;
 

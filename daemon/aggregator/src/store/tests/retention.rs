@@ -29,12 +29,12 @@ fn iterations(bed: &Bed, run: RunId, numbers: std::ops::RangeInclusive<u64>) -> 
         .collect()
 }
 
-fn day(days: f64) -> WallTime {
+pub(super) fn day(days: f64) -> WallTime {
     generate::at(days * DAY)
 }
 
 /// Two runs alike of four days, the second one pinned, neither ended.
-async fn two_runs() -> (Bed, [RunId; 2]) {
+pub(super) async fn two_runs() -> (Bed, [RunId; 2]) {
     let mut bed = Bed::new().await;
     let runs = [RunId::random(), RunId::random()];
     let names = ["line", "arm"];
@@ -51,7 +51,11 @@ async fn two_runs() -> (Bed, [RunId; 2]) {
 }
 
 /// Steps until there is nothing to do; returns how many did something.
-async fn work_off(retention: &mut Retention, connection: &mut SqliteConnection, now: WallTime) -> usize {
+pub(super) async fn work_off(
+    retention: &mut Retention,
+    connection: &mut SqliteConnection,
+    now: WallTime,
+) -> usize {
     // Behind the second in which it is not looked again.
     let now = now + Span::from_seconds(2);
     for steps in 0..10_000 {
@@ -62,7 +66,7 @@ async fn work_off(retention: &mut Retention, connection: &mut SqliteConnection, 
     panic!("there is no end");
 }
 
-fn short() -> RetentionConfig {
+pub(super) fn short() -> RetentionConfig {
     RetentionConfig {
         nodes_days: 2,
         seconds_days: 1,

@@ -1,12 +1,9 @@
-//! Runs that were declared together, and what comparing and judging runs needs.
+//! Runs that were declared together, and what comparing and judging runs needs of their course.
 
 use peernet_clock::WallTime;
 use peernet_logger::Name;
 use peernet_statistics::Summary;
 use serde::Serialize;
-
-use super::StageStatistics;
-use crate::figures::Bound;
 
 /// An experiment in a list: runs that were declared together.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -27,16 +24,6 @@ pub struct ExperimentSummary {
     pub started: WallTime,
 }
 
-/// What is known of a whole run.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct RunStatistics {
-    /// Of each node name, in the order of tables.
-    pub stages: Vec<StageStatistics>,
-    /// How well the one-way delays are known: `upload`, `download`. Also where no delay had a value, so that there are
-    /// no statistics of it.
-    pub bounds: Vec<Bound>,
-}
-
 /// One node name over the time of a run, summed up in buckets.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StageCourse {
@@ -53,6 +40,17 @@ pub struct StageCourse {
 pub struct StageMeans {
     /// The node's name.
     pub stage: Name,
-    /// Samples and their mean in each bucket that has any, oldest first.
-    pub buckets: Vec<(u64, f64)>,
+    /// Buckets that have samples, oldest first.
+    pub buckets: Vec<MeanBucket>,
+}
+
+/// What is known of one bucket without its sketch.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeanBucket {
+    /// Its begin, on the edge's wall clock; a multiple of the bucket's width.
+    pub at: WallTime,
+    /// Samples.
+    pub count: u64,
+    /// Their mean.
+    pub mean: f64,
 }

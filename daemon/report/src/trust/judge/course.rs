@@ -93,6 +93,16 @@ fn begun(total: &Course) -> Sentence {
         );
         return advise(say(about, Grade::Doubtful, text), "make the warm-up longer, so that it holds them");
     }
+    if share > COLD {
+        let alike = (begin.as_high * begin.blocks as f64).round();
+        let text = format!(
+            "{compared}. Of {} later parts of that length {} took as long or longer, so that this is not more than chance: the \
+             warm-up was long enough.",
+            begin.blocks,
+            fixed(alike, 0)
+        );
+        return say(about, Grade::Good, text);
+    }
     say(about, Grade::Good, format!("{compared}: the warm-up was long enough."))
 }
 

@@ -2,12 +2,12 @@
 
 use peernet_logger::Name;
 
-use super::super::sql;
+use super::super::{sql, wall};
 use super::WHAT;
 use super::series::{Known, Stored};
 use crate::error::StoreError;
 use crate::store::readers::Readers;
-use crate::store::types::StageMeans;
+use crate::store::types::{MeanBucket, StageMeans};
 
 /// What the statement gives: name, point, samples and their sum.
 type Row = (i64, i64, i64, f64);
@@ -38,7 +38,10 @@ pub(in crate::store) async fn means(
             _ => points.push((point, count, sum)),
         }
     }
-    let mean = |(_, count, sum): &(i64, u64, f64)| (*count > 0).then(|| (*count, sum / *count as f64));
+    let mean = |(point, count, sum): &(i64, u64, f64)| {
+        let at = wall(point.saturating_mul(width_s).saturating_mul(1_000_000_000));
+        (*count > 0).then(|| MeanBucket { at, count: *count, mean: sum / *count as f64 })
+    };
     let means = stages.iter().zip(sums).map(|(stage, points)| StageMeans {
         stage: stage.clone(),
         buckets: points.iter().filter_map(mean).collect(),

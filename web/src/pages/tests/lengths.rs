@@ -1,0 +1,70 @@
+//! Response length against latency, on the page that compares.
+
+use peernet_logger::stream::PlacementKind::Remote;
+
+use super::super::compare::rendered;
+use super::check;
+use crate::view::compare::Configuration;
+use crate::view::compare::lengths::tests::{answered, talking};
+use crate::view::compare::tests::{comparison, configuration};
+use crate::view::samples;
+use crate::view::shell::{Place, Shell};
+
+const HEADING: &str = "<h2 id=\"cr-h\">Response length against latency</h2>";
+
+async fn page_of(configurations: Vec<Configuration>) -> String {
+    let (app, _folder) = samples::app().await;
+    let shell = Shell::new(&app, &app.picture(), Place::Compare, "Compare");
+    let html = rendered(shell, &comparison(configurations), None, None).expect("renders");
+    check(&html);
+    html
+}
+
+fn panel(html: &str) -> &str {
+    let rest = html.split(HEADING).nth(1).expect("a panel");
+    rest.split("</section>").next().expect("its end")
+}
+
+#[tokio::test]
+async fn answers_that_differ_in_length_are_drawn_beside_those_that_do_not() {
+    let html = page_of(vec![
+        configuration(0, Remote, 1.0, 1e3),
+        talking(1, "completion-tokens", &answered(300)),
+        talking(2, "completion-tokens", &answered(900)),
+    ])
+    .await;
+    let panel = panel(&html);
+    assert_eq!(panel.matches("class=\"joint\" role=\"img\" aria-label=\"").count(), 2, "{panel}");
+    assert!(
+        panel.contains("<b>B</b>") && panel.contains("<b>C</b>") && !panel.contains("<b>A</b>"),
+        "{panel}"
+    );
+    assert_eq!(panel.matches("class=\"dots d-inference\"").count(), 1, "three hundred are dots: {panel}");
+    assert!(
+        panel.contains("fill-opacity=") && panel.contains("the stronger the colour of a cell"),
+        "{panel}"
+    );
+    assert!(panel.contains("500 of 900 iterations, evenly spread; histograms of all."), "{panel}");
+    assert!(panel.contains("All 300 iterations.") && panel.contains("Each further token takes"), "{panel}");
+    assert!(panel.len() < 60_000, "{}", panel.len());
+    let order = ["Throughput against payload", HEADING, "Accuracy against latency"];
+    let places: Vec<usize> = order.iter().filter_map(|text| html.find(text)).collect();
+    assert!(places.is_sorted(), "{places:?}");
+}
+
+#[tokio::test]
+async fn without_answers_of_different_length_there_is_no_panel() {
+    let html = page_of((0..3).map(|at| configuration(at, Remote, 1.0, 1e3)).collect()).await;
+    assert!(!html.contains(HEADING), "{html}");
+}
+
+#[tokio::test]
+async fn what_there_is_no_room_for_is_named() {
+    let html = page_of((0..9).map(|at| talking(at, "download-bytes", &answered(80))).collect()).await;
+    let panel = panel(&html);
+    assert_eq!(panel.matches("<figcaption>").count(), 6, "{panel}");
+    assert!(
+        panel.contains("The first 6 whose answers differ in length; those of G, H, I do, too."),
+        "{panel}"
+    );
+}

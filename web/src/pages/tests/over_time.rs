@@ -1,0 +1,79 @@
+//! Runs over time side by side, in every state that they may have.
+
+use std::sync::Arc;
+
+use peernet_aggregator::{Kept, RunSummary};
+use peernet_logger::stage;
+use peernet_logger::stream::PlacementKind::{Local, Remote};
+
+use super::super::compare::rendered;
+use super::check;
+use crate::view::compare::Configuration;
+use crate::view::compare::tests::{comparison, configuration};
+use crate::view::samples;
+use crate::view::shell::{Place, Shell};
+
+async fn panel_of(configurations: Vec<Configuration>) -> Option<String> {
+    let (app, _folder) = samples::app().await;
+    let shell = Shell::new(&app, &app.picture(), Place::Compare, "Compare");
+    let html = rendered(shell, &comparison(configurations), None, None).expect("nothing asked for");
+    check(&html);
+    let panel = html.split("id=\"cc-h\"").nth(1)?;
+    panel.split("</section>").next().map(str::to_owned)
+}
+
+#[tokio::test]
+async fn each_run_has_its_course_with_episodes_and_what_had_no_answer() {
+    let two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
+    let panel = panel_of(two).await.expect("a panel");
+    assert_eq!(panel.matches("<figure>").count(), 2, "{panel}");
+    let [first, second] = [1, 2].map(|at| panel.split("<figure>").nth(at).expect("a picture").to_owned());
+    assert!(first.contains("<b>A</b> <a href=\"/runs/1#course\">#1</a>"), "{first}");
+    assert!(first.contains("4 episodes of 900 steps, 3 without an answer, points of 1\u{202f}s<"), "{first}");
+    assert!(second.contains("4 episodes of 900 steps, points of") && !second.contains("class=\"lost\""));
+    for picture in [&first, &second] {
+        let path = |class: &str| picture.split(&format!("class=\"{class}\" d=\"")).nth(1).expect("a path");
+        assert_eq!(path("border").split('"').next().expect("its end").matches('M').count(), 3);
+        let median = path("median").split('"').next().expect("its end");
+        assert_eq!(median.matches('M').count(), 2, "nothing is drawn over the gap: {median}");
+        assert!(picture.contains("class=\"f-upload\"") && picture.contains("class=\"warm-up\""));
+    }
+    assert!(panel.contains("to a little above the largest p95, over seconds since the first"), "{panel}");
+    assert!(panel.contains("</svg>new episode</li>") && panel.contains("</svg>no answer</li>"), "{panel}");
+    // A of all runs on one axis: what is half as large ends half as high.
+    let values = |picture: &str| {
+        let axis = picture.split("class=\"yaxis\"").nth(1).expect("an axis");
+        axis.split("</svg>").next().expect("its end").to_owned()
+    };
+    assert_eq!(values(&first), values(&second));
+}
+
+#[tokio::test]
+async fn of_very_many_runs_the_first_of_each_configuration_are_drawn() {
+    let mut many: Vec<_> = (0..20).map(|at| configuration(at, Remote, 1.0, 1e3)).collect();
+    for one in &mut many {
+        let again = RunSummary { number: one.runs[0].number + 100, ..one.runs[0].clone() };
+        one.runs.push(again);
+    }
+    let panel = panel_of(many).await.expect("a panel");
+    assert_eq!(panel.matches("<figure>").count(), 24);
+    assert!(panel.contains("24 of 40 runs: the first of each configuration"), "{panel}");
+}
+
+#[tokio::test]
+async fn a_sensor_alone_has_its_sensing_and_nothing_has_no_panel() {
+    let mut one = configuration(0, Local, 1.0, 1e3);
+    one.stages.retain(|known| known.stage == stage::SENSING);
+    let known = one.known(&stage::SENSING).expect("samples").clone();
+    let mut kept = Kept::default();
+    kept.add(stage::SENSING, "s", &known);
+    one.kept = Arc::new(kept);
+    let panel = panel_of(vec![one.clone()]).await.expect("a panel");
+    assert!(panel.contains("aria-label=\"Run 1, sensing over time: medians from "), "{panel}");
+    assert_eq!(panel.matches("<path class=\"f-").count(), 1, "{panel}");
+    assert!(panel.contains("<path class=\"f-sensing\""), "{panel}");
+
+    one.stages.clear();
+    one.kept = Arc::default();
+    assert_eq!(panel_of(vec![one]).await, None);
+}

@@ -1,0 +1,30 @@
+//! Which runs are drawn where there are too many for a picture each.
+
+use peernet_aggregator::RunSummary;
+
+use super::{Comparison, Configuration};
+
+/// Most runs that are drawn side by side.
+const MOST: usize = 24;
+
+/// A run with its configuration and what is to be drawn of it.
+pub(super) type Chosen<'a, T> = (&'a Configuration, &'a RunSummary, T);
+
+/// The first run of each configuration of which something is known, then the second, as far as there is room; in the order
+/// of configurations. With them how many there are, where not all are drawn.
+pub(super) fn chosen<'a, T>(
+    comparison: &'a Comparison,
+    known: impl Fn(&'a RunSummary) -> Option<T>,
+) -> (Vec<Chosen<'a, T>>, Option<usize>) {
+    let known = &known;
+    let all = comparison.configurations.iter().enumerate().flat_map(|(place, one)| {
+        let measured = one.runs.iter().filter_map(move |run| Some((one, run, known(run)?)));
+        measured.enumerate().map(move |(repeat, run)| (repeat, place, run))
+    });
+    let mut all: Vec<(usize, usize, Chosen<'a, T>)> = all.collect();
+    let measured = all.len();
+    all.sort_by_key(|(repeat, place, _)| (*repeat, *place));
+    all.truncate(MOST);
+    all.sort_by_key(|(repeat, place, _)| (*place, *repeat));
+    (all.into_iter().map(|(.., run)| run).collect(), (measured > MOST).then_some(measured))
+}

@@ -1,0 +1,188 @@
+//! Distributions of single runs side by side, quantity by quantity, each on one axis: the total and the six that the
+//! published program draws.
+
+use peernet_logger::{Name, stage};
+use peernet_report::figures::HISTOGRAMS;
+
+use super::Comparison;
+use super::choice::chosen;
+use super::median::{CROSSING, Median};
+use crate::error::WebError;
+use crate::look;
+use crate::numbers::count;
+use crate::svg::{SmallAxis, SmallHistogram};
+use crate::view::chip::Chip;
+use crate::view::counted;
+
+/// Most pictures with which all quantities are drawn at once.
+const AT_ONCE: usize = 24;
+
+/// What is drawn, and what else there is.
+pub(crate) struct Distributions {
+    pub groups: Vec<Group>,
+    /// What may be asked for; nothing where there is no choice.
+    pub choices: Vec<Choice>,
+    /// The part of the address that says what is compared.
+    pub address: Address,
+}
+
+/// One quantity of several runs, on one axis.
+pub(crate) struct Group {
+    pub title: String,
+    pub unit: String,
+    pub runs: Vec<RunHistogram>,
+    /// Sentences about runs that are not drawn.
+    pub missing: Vec<String>,
+    /// The node's name, where it is not what the page of a run shows anyway.
+    pub stage: Option<String>,
+}
+
+/// One quantity of one run.
+pub(crate) struct RunHistogram {
+    pub run: i64,
+    pub letter: String,
+    pub said: String,
+    pub doubt: Option<Chip>,
+    pub picture: SmallHistogram,
+}
+
+/// A link to other distributions.
+pub(crate) struct Choice {
+    pub name: String,
+    /// The node to ask for; `None` for all.
+    pub stage: Option<String>,
+    pub is_shown: bool,
+}
+
+/// What an address compares.
+pub(crate) enum Address {
+    /// Id of an experiment.
+    Experiment(String),
+    /// Numbers of runs, parted by commas.
+    Runs(String),
+}
+
+impl Address {
+    fn of(comparison: &Comparison) -> Self {
+        let runs = || comparison.runs().map(|run| run.number.to_string()).collect::<Vec<_>>();
+        match &comparison.experiment {
+            Some((_, id)) => Self::Experiment(id.clone()),
+            None => Self::Runs(runs().join(",")),
+        }
+    }
+}
+
+/// A node's name with what it is called.
+struct Quantity {
+    name: Name,
+    title: String,
+}
+
+impl Quantity {
+    /// Those that every comparison offers, as far as they were measured.
+    fn usual() -> Vec<Self> {
+        let total = (stage::TOTAL, "Total");
+        let published = HISTOGRAMS.map(|(_, column, title)| (Name::from_static(column), title));
+        let all = std::iter::once(total).chain(published);
+        all.map(|(name, title)| Self { name, title: title.to_owned() }).collect()
+    }
+
+    /// How many runs have it.
+    fn runs(&self, comparison: &Comparison) -> usize {
+        comparison.runs().filter(|run| comparison.known(run.number, &self.name).is_some()).count()
+    }
+
+    fn choice(&self, is_shown: bool) -> Choice {
+        Choice { name: self.name.replace('-', " "), stage: Some(self.name.to_string()), is_shown }
+    }
+
+    fn group(&self, comparison: &Comparison) -> Option<Group> {
+        let name = &self.name;
+        let mut stages = comparison.configurations.iter().flat_map(|one| &one.stages);
+        let unit = &stages.find(|known| known.stage == *name)?.unit;
+        let (drawn, of) = chosen(comparison, |run| comparison.known(run.number, name));
+        let axis = SmallAxis::of(unit, drawn.iter().map(|(.., samples)| *samples))?;
+        let class = look::class(name.trim_end_matches("-throughput"));
+        let runs = drawn.iter().filter_map(|(one, run, samples)| {
+            let median = Median::of(comparison.kept.get(&run.number)?, name, unit)?;
+            let beyond = match axis.beyond(samples) {
+                0 => String::new(),
+                beyond => format!(", {}\u{a0}beyond\u{a0}→", count(beyond)),
+            };
+            let said = format!(
+                "{}, {}{beyond}",
+                counted(samples.count() as usize, "iteration", "iterations"),
+                median.said
+            );
+            let label = format!("{} of run {}: {said}", self.title, run.number);
+            let letter = one.letter.clone();
+            let picture = SmallHistogram::new(class, label, samples, &axis, median.within);
+            Some(RunHistogram { run: run.number, letter, said, doubt: median.doubt, picture })
+        });
+        let runs: Vec<RunHistogram> = runs.collect();
+        let room = of.map(|all| {
+            format!(
+                "{} of {all} runs: the first of each configuration, then the second, as far as there is room.",
+                runs.len()
+            )
+        });
+        Some(Group {
+            title: self.title.clone(),
+            unit: axis.unit(),
+            missing: room.into_iter().chain(self.untold(comparison)).collect(),
+            stage: (*name != stage::TOTAL).then(|| name.to_string()),
+            runs,
+        })
+    }
+
+    /// That the clocks tell it of none of a run's iterations.
+    fn untold(&self, comparison: &Comparison) -> Option<String> {
+        let (_, delay) = CROSSING.iter().find(|(known, _)| *known == self.name)?;
+        let runs = comparison.runs().filter(|run| {
+            let judged = comparison.kept.get(&run.number).is_some_and(|kept| kept.bound(delay).is_some());
+            judged && comparison.known(run.number, &self.name).is_none()
+        });
+        let runs = runs.count();
+        (runs > 0).then(|| format!("The clocks do not tell it of {}.", counted(runs, "run", "runs")))
+    }
+}
+
+/// The quantity that is asked for; without one all of them where there is room, else the total. `None` where nothing was
+/// measured.
+///
+/// # Errors
+/// When the quantity is none of the usual ones and no run has it.
+pub(crate) fn distributions(
+    comparison: &Comparison,
+    asked: Option<&str>,
+) -> Result<Option<Distributions>, WebError> {
+    let mut offered = Quantity::usual();
+    if let Some(name) = asked.filter(|name| offered.iter().all(|known| known.name != **name)) {
+        offered.push(Quantity { name: Name::from(name), title: name.to_owned() });
+        if offered.last().is_some_and(|other| other.runs(comparison) == 0) {
+            let usual: Vec<String> = Quantity::usual().iter().map(|known| known.name.to_string()).collect();
+            let usual = usual.join(", ");
+            return Err(WebError::BadRequest(format!(
+                "query parameter stage: no run that is compared has {name:?}; ask for one of its stages, such as {usual}"
+            )));
+        }
+    }
+    offered.retain(|known| known.runs(comparison) > 0);
+    let all_fit = offered.iter().map(|known| known.runs(comparison)).sum::<usize>() <= AT_ONCE;
+    let single: Option<Name> = match asked {
+        Some(name) => Some(Name::from(name)),
+        None if all_fit => None,
+        None => offered.first().map(|known| known.name.clone()),
+    };
+    let is_shown = |known: &&Quantity| single.as_ref().is_none_or(|single| *single == known.name);
+    let groups: Vec<Group> =
+        offered.iter().filter(is_shown).filter_map(|known| known.group(comparison)).collect();
+    let all = all_fit.then(|| Choice { name: "all".to_owned(), stage: None, is_shown: single.is_none() });
+    let each = offered.iter().map(|known| known.choice(single.as_ref() == Some(&known.name)));
+    let mut choices: Vec<Choice> = all.into_iter().chain(each).collect();
+    if offered.len() < 2 && !groups.is_empty() {
+        choices.clear();
+    }
+    let is_empty = offered.is_empty() && asked.is_none();
+    Ok((!is_empty).then(|| Distributions { groups, choices, address: Address::of(comparison) }))
+}

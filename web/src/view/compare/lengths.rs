@@ -1,0 +1,208 @@
+//! Response length against latency: a sample of the iterations as points, the distributions of all of them.
+
+mod growth;
+#[cfg(test)]
+pub(crate) mod tests;
+
+use peernet_aggregator::{RunSummary, StageStatistics, Store};
+use peernet_report::figures::{LATENCY, answer_length, is_tokens, varies};
+use peernet_statistics::Summary;
+
+use growth::Growth;
+
+use super::pictures::named;
+use super::{Comparison, Configuration};
+use crate::error::WebError;
+use crate::look;
+use crate::numbers::{bytes, count, duration, fixed};
+use crate::svg::{LengthAxis, LengthPlot, LengthValues};
+use crate::view::counted;
+
+/// Most configurations that are drawn.
+const MOST_DRAWN: usize = 6;
+/// Most iterations that a page reads, and most of one configuration.
+const MOST_READ: u64 = 3_000;
+const MOST_EACH: u64 = 1_500;
+/// From so many bytes on lengths are shown in kB.
+const KILOBYTES: f64 = 10_000.0;
+
+/// A configuration whose answers differ in length.
+struct Varying<'a> {
+    one: &'a Configuration,
+    /// The node that is the length of an answer.
+    length: &'a str,
+    x: &'a Summary,
+    y: &'a Summary,
+}
+
+impl<'a> Varying<'a> {
+    fn of(one: &'a Configuration) -> Option<Self> {
+        let names = one.stages.iter().map(|known: &StageStatistics| known.stage.as_str());
+        let length = answer_length(names);
+        let (x, y) = (one.known(length)?, one.known(LATENCY)?);
+        varies(x.moments.min, x.moments.max).then_some(Self { one, length, x, y })
+    }
+
+    fn all(comparison: &'a Comparison) -> Vec<Self> {
+        comparison.configurations.iter().filter_map(Self::of).collect()
+    }
+
+    /// What lengths are counted in: its name, how many of them one measured unit is, and so many that a slope is given for.
+    fn unit(&self, longest: f64) -> (String, f64, &'static str, f64) {
+        if is_tokens(self.length) {
+            (self.length.replace(['-', '_'], " "), 1.0, "token", 1.0)
+        } else if longest >= KILOBYTES {
+            ("kB of answer".to_owned(), 1e-3, "kB", 1e3)
+        } else {
+            ("bytes of answer".to_owned(), 1.0, "kB", 1e3)
+        }
+    }
+
+    fn length_of(&self, length: f64) -> String {
+        if is_tokens(self.length) {
+            format!("{} tokens", fixed(length, 0))
+        } else {
+            bytes(length).to_string()
+        }
+    }
+}
+
+/// What was read of a configuration's iterations.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Answers {
+    /// Its letter.
+    pub letter: String,
+    /// Length, as measured, and seconds.
+    pub points: Vec<(f64, f64)>,
+    /// Whether all that are stored were read.
+    pub is_whole: bool,
+}
+
+/// Reads a sample of the iterations of each configuration that is drawn, of each of its runs as large a share.
+///
+/// # Errors
+/// When the store cannot be read.
+pub(crate) async fn answers(store: &Store, comparison: &Comparison) -> Result<Vec<Answers>, WebError> {
+    let varying = Varying::all(comparison);
+    let drawn = varying.len().min(MOST_DRAWN);
+    let mut all = Vec::with_capacity(drawn);
+    for it in &varying[..drawn] {
+        let most = (MOST_READ / drawn as u64).min(MOST_EACH);
+        let answered = |run: &RunSummary| run.counts.ok.max(1);
+        let whole: u64 = it.one.runs.iter().map(answered).sum();
+        let mut known = Answers { letter: it.one.letter.clone(), points: Vec::new(), is_whole: true };
+        for run in &it.one.runs {
+            // Warm-up and iterations without an answer are asked for, too: of a run that is read whole, all.
+            let share = if whole <= most { MOST_READ } else { (most * answered(run)).div_ceil(whole) };
+            let pairs = store.pairs(run.number, [it.length, LATENCY], share as u32).await?;
+            known.is_whole &= pairs.is_whole();
+            known.points.extend(pairs.points);
+        }
+        all.push(known);
+    }
+    Ok(all)
+}
+
+/// The picture of one configuration.
+pub(crate) struct LengthRow {
+    pub letter: String,
+    pub name: String,
+    pub plot: LengthPlot,
+    /// What it shows, and what it rests on.
+    pub said: Vec<String>,
+}
+
+/// Pictures side by side.
+pub(crate) struct Lengths {
+    pub rows: Vec<LengthRow>,
+    /// Letters of the configurations for which there is no room.
+    pub others: Option<String>,
+    /// Whether points are counted into cells.
+    pub is_counted: bool,
+}
+
+/// Configurations whose answers differ in length, on shared axes; `None` where there are none.
+pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Lengths> {
+    let mut varying = Varying::all(comparison);
+    let rest = varying.split_off(varying.len().min(MOST_DRAWN));
+    let up = LengthAxis::of(varying.iter().map(|it| it.y), "ms", 1e3)?;
+    let row = |it: &Varying<'_>| {
+        let alike = || varying.iter().filter(|other| other.length == it.length).map(|other| other.x);
+        let longest = alike().map(|known| known.moments.max).fold(0.0, f64::max);
+        let (unit, per_si, what, each) = it.unit(longest);
+        let across = LengthAxis::of(alike(), &unit, per_si)?;
+        let known = answers.iter().find(|known| known.letter == it.one.letter);
+        let known = known.cloned().unwrap_or_default();
+        let growth = Growth::of(&known.points);
+        let slope = growth.as_ref().map(|growth| growth.sentence(what, each));
+        let summed = sums(it);
+        let values = LengthValues {
+            points: &known.points,
+            x: it.x,
+            y: it.y,
+            line: growth.as_ref().and_then(Growth::line),
+        };
+        let label = format!("{}: inference against the length of the answer. {summed}", it.one.letter);
+        let label = slope.iter().fold(label, |label, slope| format!("{label} {slope}"));
+        Some(LengthRow {
+            letter: it.one.letter.clone(),
+            name: named(&comparison.axes, it.one),
+            plot: LengthPlot::new(look::class(LATENCY), label, &values, (&across, &up)),
+            said: std::iter::once(summed)
+                .chain(slope)
+                .chain([amount(it, &known)])
+                .chain(beyond(it, (&across, &up)))
+                .collect(),
+        })
+    };
+    let rows: Vec<LengthRow> = varying.iter().filter_map(row).collect();
+    let letters: Vec<&str> = rest.iter().map(|it| it.one.letter.as_str()).collect();
+    Some(Lengths {
+        is_counted: rows.iter().any(|row| row.plot.is_counted()),
+        others: (!letters.is_empty()).then(|| letters.join(", ")),
+        rows,
+    })
+}
+
+/// `Median 412 ms; answers of 20 to 320 tokens, median 96 tokens.`
+fn sums(it: &Varying<'_>) -> String {
+    let median = |known: &Summary| known.quantile(0.5).unwrap_or_default();
+    let ends = (it.x.moments.min, it.x.moments.max);
+    format!(
+        "Median {}; answers of {} to {}, median {}.",
+        duration(median(it.y)),
+        if is_tokens(it.length) { fixed(ends.0, 0) } else { it.length_of(ends.0) },
+        it.length_of(ends.1),
+        it.length_of(median(it.x))
+    )
+}
+
+/// How many of the iterations are points.
+fn amount(it: &Varying<'_>, known: &Answers) -> String {
+    let (points, all) = (known.points.len() as u64, it.x.count().min(it.y.count()));
+    let is_deleted = it.one.runs.iter().any(|run| run.nodes_from > 0);
+    match (known.is_whole, is_deleted) {
+        _ if points == 0 => format!("No iteration is stored any more; histograms of all {}.", count(all)),
+        (true, false) => format!("All {} iterations.", count(points)),
+        (true, true) => format!(
+            "{} iterations, all that are still stored; histograms of all {}.",
+            count(points),
+            count(all)
+        ),
+        (false, is_deleted) => {
+            let of = if is_deleted { " over what is still stored" } else { "" };
+            format!("{} of {} iterations, evenly spread{of}; histograms of all.", count(points), count(all))
+        }
+    }
+}
+
+/// How many values the axes leave out.
+fn beyond(it: &Varying<'_>, (across, up): (&LengthAxis, &LengthAxis)) -> Option<String> {
+    let lost = [(across.beyond(it.x), "length", "lengths"), (up.beyond(it.y), "latency", "latencies")];
+    let told: Vec<String> = lost
+        .iter()
+        .filter(|(many, ..)| *many > 0)
+        .map(|(many, one, several)| counted(*many as usize, one, several))
+        .collect();
+    (!told.is_empty()).then(|| format!("Beyond the axes: {}.", told.join(", ")))
+}

@@ -1,0 +1,158 @@
+use std::sync::Arc;
+
+use peernet_aggregator::{Figures, Kept};
+use peernet_logger::stream::PlacementKind::Remote;
+use peernet_logger::{Name, stage};
+
+use super::super::tests::{comparison, configuration};
+use super::*;
+
+/// A configuration with so many answers of these lengths, counted as `name`, and the seconds they took.
+pub(crate) fn talking(at: usize, name: &str, points: &[(f64, f64)]) -> Configuration {
+    let mut one = configuration(at, Remote, 1.0, 1e3);
+    let (mut x, mut y) = (Summary::default(), Summary::default());
+    points.iter().for_each(|(length, seconds)| {
+        x.record(*length);
+        y.record(*seconds);
+    });
+    let mut length = one.stages[0].clone();
+    (length.stage, length.unit) = (Name::from(name), String::new());
+    length.figures = Figures::of(&x).expect("lengths");
+    one.stages.push(length);
+    let mut kept = Kept::default();
+    kept.add(Name::from(name), "", &x);
+    kept.add(stage::INFERENCE, "s", &y);
+    one.kept = Arc::new(kept);
+    one.runs[0].counts.ok = points.len() as u64;
+    one
+}
+
+/// Answers of 20 to 320 tokens: 30 ms and 10 ms for each token, with a tail.
+pub(crate) fn answered(count: usize) -> Vec<(f64, f64)> {
+    let point = |n: usize| {
+        let tokens = 20.0 + (n * 11 % 301) as f64;
+        let late = if n % 50 == 3 { 1.5 } else { 0.002 * (n as f64 * 1.7).sin() };
+        (tokens, 0.030 + 0.010 * tokens + late)
+    };
+    (0..count).map(point).collect()
+}
+
+/// As if every iteration were stored whose values are kept: the sorted ones of both, together.
+pub(crate) fn read(comparison: &Comparison) -> Vec<Answers> {
+    let varying = Varying::all(comparison).into_iter().take(MOST_DRAWN);
+    let of = |it: Varying<'_>| {
+        let most = it.x.count().min(500);
+        let at = |n: u64| (n as f64 + 0.5) / most as f64;
+        let point = |n: u64| Some((it.x.quantile(at(n))?, it.y.quantile(at(n))?));
+        Answers {
+            letter: it.one.letter.clone(),
+            points: (0..most).filter_map(point).collect(),
+            is_whole: most == it.x.count(),
+        }
+    };
+    varying.map(of).collect()
+}
+
+fn with(points: Vec<(f64, f64)>, is_whole: bool) -> Vec<Answers> {
+    vec![Answers { letter: "A".to_owned(), points, is_whole }]
+}
+
+#[test]
+fn what_a_token_costs_is_said_with_its_interval() {
+    let points = answered(800);
+    let one = comparison(vec![talking(0, "completion-tokens", &points)]);
+    let found = lengths(&one, &with(points, true)).expect("answers of all lengths");
+    let said = &found.rows[0].said;
+    assert_eq!(said[0], "Median 1.73\u{202f}s; answers of 20 to 320 tokens, median 169 tokens.");
+    assert!(
+        said[1].starts_with("Each further token takes 9.999\u{202f}ms more (95\u{202f}%: 9.989 – 10.008)"),
+        "{said:?}"
+    );
+    assert!(said[1].contains("more (95\u{202f}%: ") && said[1].ends_with("of 800 iterations."), "{said:?}");
+    assert_eq!(said[2], "All 800 iterations.");
+    assert_eq!(said.len(), 3, "nothing lies beyond: {said:?}");
+    let html = found.rows[0].plot.to_string();
+    assert!(
+        html.contains("aria-label=\"A: inference against the length of the answer. Median 1.73"),
+        "{html}"
+    );
+    assert!(
+        html.contains("Each further token takes") && html.contains(">completion tokens, logarithmic<"),
+        "{html}"
+    );
+}
+
+#[test]
+fn a_sample_says_of_how_many_it_is_and_what_was_deleted() {
+    let points = answered(800);
+    let mut one = talking(0, "tokens", &points);
+    let amount = |one: &Configuration, points: &[(f64, f64)], is_whole| {
+        let found = lengths(&comparison(vec![one.clone()]), &with(points.to_vec(), is_whole));
+        found.expect("lengths").rows[0]
+            .said
+            .iter()
+            .find(|text| text.contains(" iteration") && !text.contains("line"))
+            .cloned()
+    };
+    let told = |text: &str| Some(text.to_owned());
+    assert_eq!(
+        amount(&one, &points[..200], false),
+        told("200 of 800 iterations, evenly spread; histograms of all.")
+    );
+    one.runs[0].nodes_from = 300;
+    assert_eq!(
+        amount(&one, &points[..200], false),
+        told("200 of 800 iterations, evenly spread over what is still stored; histograms of all.")
+    );
+    assert_eq!(
+        amount(&one, &points[300..], true),
+        told("500 iterations, all that are still stored; histograms of all 800.")
+    );
+    assert_eq!(amount(&one, &[], true), told("No iteration is stored any more; histograms of all 800."));
+}
+
+#[test]
+fn what_cannot_be_told_is_not_told() {
+    let sentence = |points: &[(f64, f64)]| Growth::of(points).map(|growth| growth.sentence("kB", 1e3));
+    assert_eq!(sentence(&answered(59)), None, "fewer than three classes");
+    let flat: Vec<(f64, f64)> =
+        (0..400).map(|n| (f64::from(n % 97), 0.1 + 0.01 * (f64::from(n) * 1.7).sin())).collect();
+    let text = sentence(&flat).expect("enough");
+    assert!(text.starts_with("Whether longer answers take longer cannot be told: \u{2212}"), "{text}");
+    assert_eq!(Growth::of(&flat).and_then(|growth| growth.line()), None);
+    let falling: Vec<(f64, f64)> = answered(400).iter().map(|(x, y)| (320.0 - x, *y)).collect();
+    let text = sentence(&falling).expect("enough");
+    assert!(text.starts_with("Each further kB takes ") && text.contains("\u{202f}ms less (95"), "{text}");
+}
+
+#[test]
+fn only_answers_that_differ_in_length_are_drawn_and_at_most_six() {
+    let points = answered(100);
+    let alike: Vec<(f64, f64)> = points.iter().map(|(x, y)| (96.0 + x % 4.0, *y)).collect();
+    let mut all: Vec<Configuration> = (0..8).map(|at| talking(at, "download-bytes", &points)).collect();
+    assert!(lengths(&comparison(vec![talking(0, "download-bytes", &alike)]), &[]).is_none());
+    assert!(lengths(&comparison(Vec::new()), &[]).is_none());
+    all[1] = talking(1, "download-bytes", &alike);
+    let found = lengths(&comparison(all.clone()), &read(&comparison(all))).expect("lengths");
+    let letters: Vec<&str> = found.rows.iter().map(|row| row.letter.as_str()).collect();
+    assert_eq!((letters.join(""), found.others.as_deref()), ("ACDEFG".to_owned(), Some("H")));
+}
+
+#[test]
+fn tokens_and_bytes_have_axes_of_their_own_and_latencies_one() {
+    let points = answered(450);
+    let many: Vec<(f64, f64)> = points.iter().map(|(x, y)| (x * 1e3, y * 2.0)).collect();
+    let both = comparison(vec![talking(0, "tokens", &points), talking(1, "download-bytes", &many)]);
+    let found = lengths(&both, &read(&both)).expect("lengths");
+    assert!(found.is_counted, "450 are many");
+    let [tokens, bytes] = [0, 1].map(|at| found.rows[at].plot.to_string());
+    assert!(
+        tokens.contains(">tokens, logarithmic<") && bytes.contains(">kB of answer, logarithmic<"),
+        "{bytes}"
+    );
+    let rows = |html: &str| {
+        html.split("class=\"yaxis\"").nth(1).map(|rest| rest.split("</svg>").next().map(str::to_owned))
+    };
+    assert_eq!(rows(&tokens), rows(&bytes));
+    assert!(found.rows[1].said[1].contains("Each further kB takes"), "{:?}", found.rows[1].said);
+}

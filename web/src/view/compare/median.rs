@@ -1,0 +1,133 @@
+//! The median of a quantity in one run, and how well the hosts' clocks let it be known.
+
+use peernet_aggregator::Kept;
+use peernet_clock::Verdict;
+use peernet_logger::{Name, stage};
+
+use crate::numbers::{SPACE, figure, interval_ms, listed_ms, throughput, within_ms};
+use crate::svg::shown_in;
+use crate::view::chip::Chip;
+use crate::view::{clocks, speed};
+
+/// What crosses between clocks, and the delay that it is made of.
+pub(super) static CROSSING: [(Name, Name); 4] = [
+    (stage::UPLOAD, stage::UPLOAD),
+    (stage::DOWNLOAD, stage::DOWNLOAD),
+    (stage::UPLOAD_THROUGHPUT, stage::UPLOAD),
+    (stage::DOWNLOAD_THROUGHPUT, stage::DOWNLOAD),
+];
+
+/// A median in words.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Median {
+    /// With its unit, and with what the clocks leave open. Where that is too much, as an interval alone.
+    pub said: String,
+    /// Where it may lie by the clocks, SI; `None` where they leave nothing open.
+    pub within: Option<(f64, f64)>,
+    /// A verdict that is to be looked at.
+    pub doubt: Option<Chip>,
+}
+
+impl Median {
+    /// The median of a name's values, which are of this SI unit; `None` without any.
+    pub(super) fn of(kept: &Kept, name: &str, unit: &str) -> Option<Self> {
+        let value = kept.known(name)?.quantile(0.5)?;
+        let delay = CROSSING.iter().find(|(known, _)| *known == *name).map(|(_, delay)| delay);
+        let bound = delay.and_then(|delay| kept.bound(delay));
+        let verdict = bound.as_ref().and_then(clocks::verdict).filter(|verdict| *verdict != Verdict::Ok);
+        let half = bound.and_then(|bound| bound.half_width).map(|width| width.p50).filter(|half| *half > 0.0);
+        let ends = half.zip(delay).and_then(|(half, delay)| {
+            if delay == name {
+                return Some(((value - half).max(0.0), Some(value + half)));
+            }
+            Some(speed::ends(value, kept.known(delay)?.quantile(0.5)?, half))
+        });
+        let shown = shown_in(unit);
+        let said = match (ends, verdict) {
+            (None, _) => format!("median {}", with(&plain(unit, value), &shown.0)),
+            (Some(ends), None) => {
+                let value = if unit == "s" { within_ms(value, closed(ends)) } else { plain(unit, value) };
+                format!("median {}, by the clocks {}", with(&value, &shown.0), between(unit, ends))
+            }
+            (Some(ends), Some(_)) => {
+                format!("median by the clocks {}", with(&between(unit, ends), &shown.0))
+            }
+        };
+        Some(Self { said, within: ends.map(closed), doubt: verdict.map(Chip::verdict) })
+    }
+}
+
+fn closed((lo, hi): (f64, Option<f64>)) -> (f64, f64) {
+    (lo, hi.unwrap_or(f64::INFINITY))
+}
+
+fn with(value: &str, unit: &str) -> String {
+    if unit.is_empty() { value.to_owned() } else { format!("{value}{SPACE}{unit}") }
+}
+
+/// A value without its unit.
+fn plain(unit: &str, value: f64) -> String {
+    match unit {
+        "s" => listed_ms(value),
+        "bit/s" => throughput(value),
+        _ => figure(value * shown_in(unit).1),
+    }
+}
+
+/// Both ends; the dash does not begin a line.
+fn between(unit: &str, ends: (f64, Option<f64>)) -> String {
+    let (lo, hi) = closed(ends);
+    let text = if unit == "bit/s" { speed::between(ends) } else { interval_ms(lo, hi) };
+    text.replace(" –", "\u{a0}–")
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_statistics::Summary;
+
+    use super::*;
+
+    fn kept(half_ms: f64, verdict: Verdict) -> Kept {
+        let of = |value: f64| {
+            let mut all = Summary::default();
+            (0..100).for_each(|_| all.record(value));
+            all
+        };
+        let mut kept = Kept::default();
+        kept.add(stage::UPLOAD, "s", &of(0.006));
+        kept.add(stage::UPLOAD_THROUGHPUT, "bit/s", &of(2e8));
+        kept.add(stage::SENSING, "s", &of(0.000_126));
+        kept.add_half_widths(stage::UPLOAD, &of(half_ms / 1e3));
+        kept.add_verdicts(stage::UPLOAD, verdict, 100);
+        kept
+    }
+
+    fn said(kept: &Kept, name: &Name, unit: &str) -> (String, bool) {
+        let median = Median::of(kept, name, unit).expect("samples");
+        (median.said.replace(SPACE, " ").replace('\u{a0}', " "), median.doubt.is_some())
+    }
+
+    #[test]
+    fn a_delay_is_told_with_what_the_clocks_leave_open() {
+        let known = kept(0.5, Verdict::Ok);
+        assert_eq!(
+            said(&known, &stage::UPLOAD, "s"),
+            ("median 6.00 ms, by the clocks 5.50 – 6.50".to_owned(), false)
+        );
+        let (text, _) = said(&known, &stage::UPLOAD_THROUGHPUT, "bit/s");
+        assert_eq!(text, "median 25.0 MB/s, by the clocks 23.1 – 27.3");
+        assert_eq!(said(&known, &stage::SENSING, "s"), ("median 0.126 ms".to_owned(), false));
+        assert_eq!(Median::of(&known, "queue", "s"), None);
+        let exact = kept(0.0, Verdict::Ok);
+        assert_eq!(said(&exact, &stage::UPLOAD, "s"), ("median 6.00 ms".to_owned(), false));
+    }
+
+    #[test]
+    fn what_the_clocks_hardly_tell_is_an_interval_with_its_verdict() {
+        let wide = kept(8.0, Verdict::Limited);
+        assert_eq!(said(&wide, &stage::UPLOAD, "s"), ("median by the clocks 0.0 – 14.0 ms".to_owned(), true));
+        let median = Median::of(&wide, &stage::UPLOAD_THROUGHPUT, "bit/s").expect("samples");
+        assert!(median.said.ends_with("∞\u{202f}MB/s") && median.doubt.is_some(), "{median:?}");
+        assert_eq!(median.within.expect("bounded").1, f64::INFINITY);
+    }
+}

@@ -1,0 +1,177 @@
+//! How the runs of a comparison went over time: buckets and single rows, however long a run was.
+
+use std::collections::HashMap;
+
+use peernet_aggregator::{Episodes, MeanBucket, RunSummary, Series, SeriesPoint, StageMeans, Store};
+use peernet_clock::WallTime;
+use peernet_logger::{Name, stage};
+
+use super::choice::{Chosen, chosen};
+use super::{Comparison, Configuration};
+use crate::error::WebError;
+use crate::numbers::{duration, length};
+use crate::svg::{CourseAxes, CourseBucket, CourseData, CoursePlot, Part};
+use crate::view::{counted, episodes, stack};
+
+/// Most and fewest points of a run, and samples that each should have: enough for a 95th percentile.
+const POINTS: usize = 100;
+const FEWEST: u64 = 20;
+const SAMPLES: u64 = 60;
+
+/// What the store knows of a run over time.
+#[derive(Clone, Debug)]
+pub(crate) struct RunCourse {
+    /// Of the total, or of a sensor alone.
+    pub series: Series,
+    /// Of the stages and the total, in the buckets of `series`.
+    pub means: Vec<StageMeans>,
+    pub episodes: Episodes,
+}
+
+/// By the number of the run.
+pub(crate) type RunCourses = HashMap<i64, RunCourse>;
+
+/// Runs over time, side by side.
+pub(crate) struct OverTime {
+    pub runs: Vec<RunPicture>,
+    /// What the axes across count.
+    pub unit: &'static str,
+    pub has_p95: bool,
+    pub has_borders: bool,
+    pub has_warm_up: bool,
+    pub has_unanswered: bool,
+    /// How many runs there are, where not all are drawn.
+    pub of: Option<usize>,
+}
+
+/// One run over time.
+pub(crate) struct RunPicture {
+    pub run: i64,
+    pub letter: String,
+    pub said: String,
+    pub picture: CoursePlot,
+}
+
+/// The runs that are drawn, each with what is drawn of it: its total, or of a sensor alone what it took.
+fn drawn(comparison: &Comparison) -> (Vec<Chosen<'_, Name>>, Option<usize>) {
+    chosen(comparison, |run| {
+        let names = [stage::TOTAL, stage::SENSING];
+        names.into_iter().find(|name| comparison.known(run.number, name).is_some())
+    })
+}
+
+/// Reads the runs that are drawn.
+///
+/// # Errors
+/// When the store cannot be read.
+pub(crate) async fn run_courses(store: &Store, comparison: &Comparison) -> Result<RunCourses, WebError> {
+    let mut all = RunCourses::new();
+    for (_, run, name) in drawn(comparison).0 {
+        let samples = comparison.known(run.number, &name).map_or(0, |known| known.count());
+        let points = (samples / SAMPLES).clamp(FEWEST, POINTS as u64) as usize;
+        let main = [name];
+        let names: Vec<Name> = [stage::TOTAL, stage::UNATTRIBUTED].into_iter().chain(stage::ORDER).collect();
+        let (series, means, episodes) = tokio::try_join!(
+            store.series(run.number, &main, points),
+            store.means(run.number, &names, points),
+            store.episodes(run.number),
+        )?;
+        all.insert(run.number, RunCourse { series, means, episodes });
+    }
+    Ok(all)
+}
+
+/// The runs that are drawn, all on the same axes; `None` where nothing is known of any.
+pub(crate) fn over_time(comparison: &Comparison, courses: &RunCourses) -> Option<OverTime> {
+    let (chosen, of) = drawn(comparison);
+    let known = chosen.into_iter().filter_map(|(one, run, name)| {
+        let course = courses.get(&run.number)?;
+        Some((one, run, &course.episodes, data(one, run, &name, course)))
+    });
+    let (runs, all): (Vec<_>, Vec<CourseData>) =
+        known.map(|(one, run, episodes, data)| ((one, run, episodes), data)).unzip();
+    let axes = CourseAxes::of(&all)?;
+    let picture = |((one, run, episodes), data): (&(&Configuration, &RunSummary, &Episodes), &CourseData)| {
+        let beyond = match axes.beyond(data) {
+            0 => None,
+            beyond => Some(format!("{} beyond ↑", counted(beyond, "mean", "means"))),
+        };
+        let short = axes.is_short(data).then(|| format!("{} in all", length(data.length)));
+        let width = Some(points_of(data.width));
+        let said = [episodes::said(episodes), episodes::unanswered(episodes, run), width, short, beyond];
+        RunPicture {
+            run: run.number,
+            letter: one.letter.clone(),
+            said: said.into_iter().flatten().collect::<Vec<_>>().join(", "),
+            picture: CoursePlot::new(data, &axes),
+        }
+    };
+    Some(OverTime {
+        runs: runs.iter().zip(&all).map(picture).collect(),
+        unit: axes.unit(),
+        has_p95: all.iter().flat_map(|one| &one.buckets).any(|bucket| bucket.p95.is_some()),
+        has_borders: all.iter().any(|one| !one.borders.is_empty()),
+        has_warm_up: all.iter().any(|one| one.warm_up.is_some()),
+        has_unanswered: all.iter().any(|one| !one.unanswered.is_empty()),
+        of,
+    })
+}
+
+/// `points of 10 s`.
+fn points_of(seconds: f64) -> String {
+    let (count, unit) = match seconds as u64 {
+        hours if hours >= 3_600 => (hours / 3_600, "h"),
+        minutes if minutes >= 60 => (minutes / 60, "min"),
+        seconds => (seconds, "s"),
+    };
+    format!("points of {count}\u{202f}{unit}")
+}
+
+/// A run in seconds since its first iteration.
+fn data(one: &Configuration, run: &RunSummary, name: &Name, course: &RunCourse) -> CourseData {
+    let RunCourse { series, means, episodes } = course;
+    let points: &[SeriesPoint] = series.stages.first().map_or(&[], |stage| &stage.points);
+    let width = f64::from(series.bucket_s.max(1));
+    let begun = episodes.first.unwrap_or(run.started);
+    let since = |at: WallTime| (at - begun).seconds();
+    let last = points.last().map_or(0.0, |point| since(point.at));
+    // A clock that was set back ends before it began.
+    let lasted = run.last_iteration.map_or(0.0, since).max(last).max(width.min(1.0));
+    let inside = |at: &WallTime| (0.0..=lasted).contains(&since(*at));
+    let mean = |name: &str, at: WallTime| -> Option<&MeanBucket> {
+        let buckets = &means.iter().find(|known| known.stage == *name)?.buckets;
+        buckets.binary_search_by_key(&at, |bucket| bucket.at).ok().and_then(|found| buckets.get(found))
+    };
+    let bucket = |point: &SeriesPoint| {
+        let parts = stack::parts(!one.bounds.is_empty(), |name| {
+            mean(name, point.at).map(|known| (known.count, known.mean))
+        });
+        let alone = || vec![Part { name: name.to_string(), seconds: point.mean, bound: None }];
+        CourseBucket {
+            begin: since(point.at),
+            median: point.p50,
+            p95: point.p95,
+            parts: if parts.is_empty() { alone() } else { parts },
+        }
+    };
+    let buckets: Vec<CourseBucket> = points.iter().map(bucket).collect();
+    let medians = || buckets.iter().map(|bucket| bucket.median);
+    let (lo, hi) = medians().fold((f64::INFINITY, 0.0_f64), |(lo, hi), it| (lo.min(it), hi.max(it)));
+    let range = if buckets.is_empty() {
+        "nothing is kept".to_owned()
+    } else {
+        format!("medians from {} to {} over {}", duration(lo), duration(hi), length(lasted))
+    };
+    let more = [episodes::said(episodes), episodes::unanswered(episodes, run)].into_iter().flatten();
+    let said: Vec<String> = [range].into_iter().chain(more).collect();
+    CourseData {
+        label: format!("Run {}, {name} over time: {}", run.number, said.join("; ")),
+        length: lasted,
+        width,
+        buckets,
+        borders: episodes.borders.iter().filter(|at| inside(at)).map(|at| since(*at)).collect(),
+        warm_up: episodes.warm_up_until.map(since).filter(|until| *until > 0.0),
+        unanswered: episodes.unanswered.iter().filter(|at| inside(at)).map(|at| since(*at)).collect(),
+        p95: run.total.as_ref().and_then(|total| total.p95),
+    }
+}

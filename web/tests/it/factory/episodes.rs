@@ -1,0 +1,33 @@
+//! Runs that are parted into episodes.
+
+use peernet_logger::RunId;
+use peernet_logger::stream::{Event, ExperimentPlace, Outcome};
+
+use super::Factory;
+
+impl Factory {
+    /// Stores an experiment, a run of each line, in episodes of so many steps: the first is warm-up, and every hundredth
+    /// iteration has no answer.
+    pub(crate) async fn store_episodes(&mut self, iterations: u64, steps: u32) {
+        let id = RunId::random().to_string();
+        for index in 0..self.lines.len() {
+            let configuration = vec![("picture".to_owned(), self.lines[index].name.to_owned())];
+            let place =
+                ExperimentPlace { name: "tasks".to_owned(), id: id.clone(), configuration, repeat: 0 };
+            let mut events = self.run(index, RunId::random(), iterations, true, Some(place));
+            for event in &mut events {
+                if let Event::Iteration(iteration) = event {
+                    let before = iteration.number - 1;
+                    iteration.episode = (before / u64::from(steps)) as u32;
+                    iteration.step = (before % u64::from(steps)) as u32;
+                    iteration.warm_up = iteration.episode == 0;
+                    if iteration.number.is_multiple_of(100) {
+                        iteration.outcome = Outcome::Timeout;
+                    }
+                }
+            }
+            self.agents[index].offer(events);
+            self.agents[index].until_stored().await;
+        }
+    }
+}

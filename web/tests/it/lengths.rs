@@ -1,0 +1,51 @@
+//! Response length against latency, over stored data.
+
+use crate::bed::Bed;
+use crate::factory::Line;
+
+const HEADING: &str = "Response length against latency</h2>";
+
+/// Length and latency of the iterations that count, from the file of a run.
+fn exported(csv: &str) -> Vec<(String, String)> {
+    let mut rows = csv::Reader::from_reader(csv.as_bytes());
+    let header = rows.headers().expect("a header").clone();
+    let place = |name: &str| header.iter().position(|column| column == name).expect("a column");
+    let (length, latency) = (place("download-bytes"), place("inference"));
+    let (warm_up, outcome) = (place("warm-up"), place("outcome"));
+    let rows = rows.records().map(|row| row.expect("a row"));
+    let counted = rows.filter(|row| &row[warm_up] == "0" && &row[outcome] == "ok");
+    counted.map(|row| (row[length].to_owned(), row[latency].to_owned())).collect()
+}
+
+#[tokio::test]
+async fn answers_of_different_length_are_drawn_as_they_stand_in_the_run_s_file() {
+    let (bed, _factory) = Bed::with(vec![Line::talking(), Line::full()]).await;
+    let rows = exported(bed.get("/api/v1/runs/1/export").await.text());
+    assert!(rows.len() > 300 && rows.len() < 400, "{}", rows.len());
+    let pairs = bed.aggregator.store().pairs(1, ["download-bytes", "inference"], 1_000).await;
+    let pairs = pairs.expect("answers").points.into_iter();
+    let pairs: Vec<_> = pairs.map(|(length, latency)| (length.to_string(), latency.to_string())).collect();
+    assert_eq!(pairs, rows);
+
+    let page = bed.get("/compare?runs=1,2").await;
+    let panel = page.text().split(HEADING).nth(1).expect("a panel");
+    let panel = panel.split("</section>").next().expect("its end");
+    assert_eq!(panel.matches("class=\"joint\"").count(), 1, "those of the other are all alike: {panel}");
+    assert_eq!(panel.matches("h0").count(), rows.len(), "a dot for each: {panel}");
+    assert!(panel.contains(&format!("All {} iterations.", rows.len())), "{panel}");
+    assert!(!bed.get("/compare?runs=2").await.text().contains(HEADING));
+}
+
+#[tokio::test]
+async fn of_a_long_run_a_sample_is_drawn() {
+    let (bed, mut factory) = Bed::with(vec![Line::talking()]).await;
+    factory.store_experiment(900, 2).await;
+    let listed = bed.get("/api/v1/experiments").await.json();
+    let id = listed["experiments"][0]["id"].as_str().expect("an id");
+    let page = bed.get(&format!("/compare?experiment={id}")).await;
+    let panel = page.text().split(HEADING).nth(1).expect("a panel");
+    let panel = panel.split("</section>").next().expect("its end");
+    assert!(panel.contains(" iterations, evenly spread; histograms of all."), "{panel}");
+    assert!(panel.contains("fill-opacity=") && !panel.contains("class=\"dots"), "{panel}");
+    assert!(panel.len() < 30_000, "{}", panel.len());
+}

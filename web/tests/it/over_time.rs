@@ -1,0 +1,49 @@
+//! Runs over time with their episodes, over stored data.
+
+use crate::bed::Bed;
+use crate::factory::Line;
+
+/// What an SVG path holds as attribute `d`, of the first element with this class.
+fn path<'a>(html: &'a str, class: &str) -> &'a str {
+    let rest = html.split(&format!("<path class=\"{class}\" d=\"")).nth(1).unwrap_or_default();
+    rest.split('"').next().unwrap_or_default()
+}
+
+#[tokio::test]
+async fn runs_with_episodes_stand_side_by_side_over_time() {
+    let (bed, mut factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+    factory.store_episodes(400, 100).await;
+    let listed = bed.get("/api/v1/experiments").await.json();
+    let (id, first) = (&listed["experiments"][0]["id"], &listed["experiments"][0]["oldest"]);
+    let page = bed.get(&format!("/compare?experiment={}", id.as_str().expect("an id"))).await;
+    let panel = page.text().split("id=\"cc-h\"").nth(1).expect("a panel");
+    let panel = panel.split("</section>").next().expect("its end");
+    assert_eq!(panel.matches("<figure>").count(), 2, "{panel}");
+    assert!(panel.contains(&format!("<a href=\"/runs/{first}#course\">#{first}</a>")), "{panel}");
+    // Four in all, of which one is in the warm-up.
+    assert!(panel.contains("4 episodes of 100 steps, 4 without an answer, points of "), "{panel}");
+    assert_eq!(path(panel, "border").matches('M').count(), 3, "{panel}");
+    assert_eq!(path(panel, "lost").matches('M').count(), 4, "{panel}");
+    assert!(!path(panel, "median").is_empty() && panel.contains("class=\"f-inference\""), "{panel}");
+    assert!(panel.contains("class=\"f-upload\"") && panel.contains("class=\"warm-up\""), "{panel}");
+
+    let run = bed.get(&format!("/runs/{first}")).await;
+    assert!(run.text().contains("id=\"course\""), "{}", run.text());
+    assert!(run.text().contains("<span class=\"sub\">4 episodes of 100 steps, 4 without an answer</span>"));
+    let data = run.text().split("id=\"data\">").nth(1).and_then(|rest| rest.split('<').next()).expect("data");
+    let data: serde_json::Value = serde_json::from_str(data).expect("JSON");
+    let length = |name: &str| data[name].as_array().map(Vec::len);
+    assert_eq!((length("borders"), length("unanswered"), length("warm_up")), (Some(3), Some(4), Some(2)));
+    assert_eq!(data["warm_up"][1], data["borders"][0], "the first episode is the warm-up: {data}");
+}
+
+#[tokio::test]
+async fn runs_without_episodes_have_no_words_of_them() {
+    let (bed, _factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+    let page = bed.get("/compare?runs=1,2").await;
+    let panel = page.text().split("id=\"cc-h\"").nth(1).expect("a panel");
+    let panel = panel.split("</section>").next().expect("its end");
+    assert!(!panel.contains("episode") && !panel.contains("without an answer"), "{panel}");
+    assert_eq!(panel.matches("<figure>").count(), 2, "{panel}");
+    assert!(!bed.get("/runs/1").await.text().contains("new episode"));
+}
