@@ -24,7 +24,7 @@ const OF_EXPERIMENT: u32 = 200;
 const COURSES: usize = 24;
 const COURSE_POINTS: usize = 100;
 /// Iterations of which it draws the length of the answer against the latency.
-const PAIRS: u32 = 1_500;
+const PAIRS: u32 = 750;
 
 /// How long one question took.
 #[derive(Debug)]
@@ -120,7 +120,7 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<Times> {
         })
         .await,
         time("a run over time", clock, || over_time(store, number)).await,
-        time("pairs of 1,500 iterations", clock, || store.pairs(number, lengths, PAIRS)).await,
+        time("pairs of 750 iterations", clock, || store.pairs(number, lengths, PAIRS)).await,
         time("experiments", clock, || store.experiments(50)).await,
         time("iteration page", clock, async || {
             tokio::try_join!(store.run(number), store.iteration(number, last / 2))

@@ -21,8 +21,8 @@ use crate::view::counted;
 /// Most configurations that are drawn.
 const MOST_DRAWN: usize = 6;
 /// Most iterations that a page reads, and most of one configuration.
-const MOST_READ: u64 = 3_000;
-const MOST_EACH: u64 = 1_500;
+const MOST_READ: u64 = 1_500;
+const MOST_EACH: u64 = 750;
 /// From so many bytes on lengths are shown in kB.
 const KILOBYTES: f64 = 10_000.0;
 
