@@ -104,6 +104,18 @@ mod tests {
     }
 
     #[test]
+    fn a_program_and_its_script_are_told_with_their_hashes() {
+        let folder = tempfile::tempdir().expect("a folder");
+        std::fs::write(folder.path().join("my arm.sh"), "abc").expect("writable");
+        let command = CommandLine::Shell("sh 'my arm.sh'".to_owned());
+        let config = ExecConfig { folder: Some(folder.path().to_owned()), ..ExecConfig::of(command) };
+        let facts = ActuatorConfig::Exec(config).facts();
+        assert_eq!(facts[0], ("Actuator".to_owned(), "the program sh 'my arm.sh'".to_owned()));
+        assert_eq!(facts[1].0, "Actuator files");
+        assert!(facts[1].1.contains("/my arm.sh SHA-256 ba7816bf"), "{facts:?}");
+    }
+
+    #[test]
     fn a_command_that_is_not_there_is_found_without_running_it() {
         let config = ExecConfig::of(CommandLine::Words(vec!["no-such-program-anywhere".to_owned()]));
         let error = ActuatorConfig::Exec(config).check().expect_err("is not there").to_string();

@@ -63,6 +63,15 @@ impl ActuatorConfig {
         })
     }
 
+    /// What it is, in words, for the run's page, as of a sensor; nothing where answers are not acted upon. Reads its files.
+    pub fn facts(&self) -> Vec<(String, String)> {
+        match self {
+            Self::None {} => Vec::new(),
+            Self::Log {} => vec![("Actuator".to_owned(), "log".to_owned())],
+            Self::Exec(config) => config.facts("Actuator"),
+        }
+    }
+
     /// Checks what can be checked without running a user's program.
     ///
     /// # Errors

@@ -35,7 +35,8 @@ pub(crate) fn fact(role: &str, files: &[PathBuf]) -> Option<(String, String)> {
     (!words.is_empty()).then(|| (format!("{role} files"), words.join(", ")))
 }
 
-fn identified(file: &Path) -> String {
+/// A file with its hash, in words: `camera.py SHA-256 …`, or why it has none.
+pub fn identified(file: &Path) -> String {
     let name = printable(&file.display().to_string()).replace('\n', " ");
     let hash = || {
         // Before it is opened: to open a pipe waits for its writer.

@@ -9,6 +9,8 @@ pub mod process;
 pub mod python;
 
 mod digest;
+mod environment;
 mod text;
 
-pub use digest::sha256;
+pub use digest::{identified, sha256};
+pub use environment::environment;

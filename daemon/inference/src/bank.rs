@@ -256,7 +256,8 @@ impl Bank {
             ModelConfig::Sleep(config) => Arc::new(Sleep::new(config.clone())),
         };
         let sizes = Sizes { workers: config.workers(), queue: config.queue() };
-        Pool::start(config.name().clone(), model, sizes, &self.clock, begun)
+        let pool = Pool::start(config.name().clone(), model, sizes, &self.clock, begun)?;
+        Ok(pool.telling(config.facts()))
     }
 }
 

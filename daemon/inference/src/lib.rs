@@ -10,6 +10,7 @@ mod config;
 mod echo;
 mod error;
 mod exec;
+mod facts;
 mod job;
 mod litter;
 mod onnx;

@@ -21,6 +21,8 @@ pub struct Pool {
     loaded_in: Span,
     workers: usize,
     means: Means,
+    /// What is told of it beside what the model tells.
+    beside: Vec<(String, String)>,
 }
 
 /// How jobs are run.
@@ -53,7 +55,13 @@ impl Pool {
                 Means::threads(&name, stations, sizes.queue)?
             }
         };
-        Ok(Self { loaded_in: clock.mono() - begun, name, model, workers, means })
+        Ok(Self { loaded_in: clock.mono() - begun, name, model, workers, means, beside: Vec::new() })
+    }
+
+    /// The same, with more to tell.
+    pub(crate) fn telling(mut self, facts: Vec<(String, String)>) -> Self {
+        self.beside = facts;
+        self
     }
 
     /// Hands a job over and returns at once; for a model that does not [block](Model::blocks) the reply has
@@ -109,7 +117,7 @@ impl Pool {
 
     /// What it is, in words, for the run's page.
     pub fn facts(&self) -> Vec<(String, String)> {
-        self.model.facts()
+        self.model.facts().into_iter().chain(self.beside.iter().cloned()).collect()
     }
 
     /// Whether jobs run on threads of their own; otherwise [`submit`](Self::submit) computes at once.

@@ -49,6 +49,7 @@ impl Line {
         if config.load.hz().is_some() {
             facts.push(("In flight".to_owned(), format!("at most {}", config.max_in_flight)));
         }
+        facts.extend(config.actuator.facts());
         let senses = Senses::new(Chain { sensor, transforms }, &config.name)
             .map_err(|error| format!("cannot start a thread for the sensor: {error}"))?;
         Ok(Self {

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use peernet_clock::Span;
 use serde::{Deserialize, Serialize};
 
+use super::shell::{only_program, split};
 use crate::digest;
 use crate::process::{MAX_TIMEOUT_MS, find_program, impossible_variable};
 
@@ -97,11 +98,9 @@ impl ExecConfig {
 
     /// The files that the command names, as far as that can be told by looking: the program, and its script or data.
     fn files(&self) -> Vec<PathBuf> {
-        let (program, words): (_, Vec<&str>) = match &self.command {
-            CommandLine::Shell(line) => (only_program(line), line.split_ascii_whitespace().collect()),
-            CommandLine::Words(words) => {
-                (words.first().map(String::as_str), words.iter().map(String::as_str).collect())
-            }
+        let (program, words) = match &self.command {
+            CommandLine::Shell(line) => (only_program(line), split(line)),
+            CommandLine::Words(words) => (words.first().map(String::as_str), words.clone()),
         };
         let on_path = program.filter(|program| !program.contains('/'));
         let on_path = on_path.and_then(|program| find_program(OsStr::new(program)));
@@ -137,14 +136,6 @@ impl ExecConfig {
             }
         }
     }
-}
-
-/// The program of a line that is one program and its arguments; `None` where that cannot be told by looking.
-fn only_program(line: &str) -> Option<&str> {
-    let program = line.split_ascii_whitespace().next()?;
-    let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"_-+./".contains(&byte);
-    let more = [';', '&', '|', '\n', '(', ')', '{', '}', '`', '\0'];
-    (program.bytes().all(is_plain) && !line.contains(more)).then_some(program)
 }
 
 const fn ten_seconds() -> NonZeroU64 {
@@ -206,6 +197,7 @@ mod tests {
             ("['sh', 'own.sh', '--fast']", &["/sh SHA-256", own][..]),
             ("['./own.sh', 'none']", &[own]),
             ("'sh own.sh 2> /dev/null'", &["/sh SHA-256", own]),
+            ("'sh \"own.sh\" --fast'", &["/sh SHA-256", own]),
             ("'while read x; do own.sh; done'", &[]),
             ("'cd x && cat'", &[]),
         ] {

@@ -21,6 +21,7 @@ mod program;
 mod reply;
 mod request;
 mod shape;
+mod shell;
 mod timeline;
 mod words;
 

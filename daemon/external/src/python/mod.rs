@@ -21,4 +21,9 @@ pub use frame::PICKLE;
 pub use object::{About, PythonObject, Role};
 
 /// What the process runs.
-const SOURCE: &str = concat!(include_str!("values.py"), include_str!("border.py"), include_str!("worker.py"));
+const SOURCE: &str = concat!(
+    include_str!("values.py"),
+    include_str!("border.py"),
+    include_str!("imports.py"),
+    include_str!("worker.py")
+);

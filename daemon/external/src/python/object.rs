@@ -33,24 +33,37 @@ pub enum Role {
 pub struct About {
     /// The version of Python: `3.11.2`.
     pub python: String,
+    /// Its program.
+    executable: String,
     /// The object in words: `class camera::Camera`.
     pub what: String,
-    /// The file of its module.
-    file: Option<PathBuf>,
-    /// Names and versions of the libraries that it had imported by then and that decide what it computes.
+    /// The user's own files that it is made of, that of its module first.
+    files: Vec<PathBuf>,
+    /// Names and versions of the libraries that these import anywhere, and of all that was imported by then; a version may be empty.
     libraries: Vec<(String, String)>,
+    /// Whether there is more of either.
+    more: bool,
 }
 
 impl About {
     /// What it is, for the run's page, as pairs such as (`Sensor`, `the Python class camera::Camera, Python 3.11.2`), with the
-    /// `role` before each name. Reads the module's file for its hash.
+    /// `role` before each name. Reads the files for their hashes.
     pub fn facts(&self, role: &str) -> Vec<(String, String)> {
         let mut facts = vec![(role.to_owned(), format!("the Python {}, Python {}", self.what, self.python))];
-        facts.extend(digest::fact(role, self.file.as_slice()));
+        if !self.executable.is_empty() {
+            facts.push((format!("{role} interpreter"), printable(&self.executable)));
+        }
+        facts.extend(digest::fact(role, &self.files));
         if !self.libraries.is_empty() {
-            let libraries =
-                self.libraries.iter().map(|(name, version)| printable(&format!("{name} {version}")));
-            facts.push((format!("{role} libraries"), libraries.collect::<Vec<_>>().join(", ")));
+            let library = |(name, version): &(String, String)| match version.as_str() {
+                "" => printable(name),
+                version => printable(&format!("{name} {version}")),
+            };
+            let libraries: Vec<String> = self.libraries.iter().map(library).collect();
+            facts.push((format!("{role} libraries"), libraries.join(", ")));
+        }
+        if self.more {
+            facts.push((format!("{role} imports"), "more than is told here".to_owned()));
         }
         facts
     }

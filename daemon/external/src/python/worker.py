@@ -4,8 +4,6 @@ import time
 import traceback
 
 METHODS = {"sensor": "sample", "model": "infer"}
-# What users' code computes with, where its results and its speed come from.
-LIBRARIES = ("numpy", "PIL", "cv2", "torch", "torchvision", "onnxruntime", "tensorflow", "jax", "transformers")
 MAX_TEXT = 4000
 # What users say to end the process, and so do; everything else that they raise fails one call.
 ENDS = (SystemExit, KeyboardInterrupt)
@@ -41,14 +39,14 @@ def told(module, name):
     """A text that a module says of itself, whatever users put into its place."""
     try:
         text = getattr(sys.modules.get(module), name, None)
-        return str(text)[:MAX_TEXT].encode("utf-8", "backslashreplace").decode() if isinstance(text, str) else None
+        return plain(text) if isinstance(text, str) else None
     except Exception:
         return None
 
 
-def libraries():
-    versions = ((name, told(name, "__version__")) for name in LIBRARIES)
-    return [(name, version) for name, version in versions if version]
+def plain(text):
+    """A text that can be written, and not without an end."""
+    return str(text)[:MAX_TEXT].encode("utf-8", "backslashreplace").decode()
 
 
 def finished():
@@ -128,9 +126,13 @@ def start(request):
             import PIL.Image  # noqa: F401
         except ImportError:
             pass
+    folder, before = os.getcwd(), set(sys.modules) - {"PIL"}
     thing, what = found(settings["module"], settings["path"], METHODS[settings["role"]])
     role = Sensor(thing) if settings["role"] == "sensor" else Model(thing)
-    return role, what, Encoder(settings["pickle"]), Decoder(settings["pickle"], settings["images"])
+    version = ".".join(str(number) for number in sys.version_info[:3])
+    about = {"what": what, "python": version, "executable": plain(sys.executable or "")}
+    about.update(made_of(settings["module"], folder, before))
+    return role, about, Encoder(settings["pickle"]), Decoder(settings["pickle"], settings["images"])
 
 
 def answer(border, request, role, encoder, decoder):
@@ -157,16 +159,14 @@ def main():
     request = border.read()
     border.share(request["start"]["window"])
     try:
-        role, what, encoder, decoder = start(request)
+        role, about, encoder, decoder = start(request)
     except ENDS:
         raise
     except Refused as error:
         return fail(border, "refused", str(error), [])
     except BaseException as error:
         return fail(border, "raised", text_of(error), [])
-    version = ".".join(str(number) for number in sys.version_info[:3])
-    file = told(request["start"]["module"], "__file__")
-    border.write("ready", {"python": version, "what": what, "file": file, "libraries": libraries()})
+    border.write("ready", about)
     while True:
         request = border.read()
         if request is None:

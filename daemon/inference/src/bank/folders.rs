@@ -128,7 +128,7 @@ impl Found {
     /// # Errors
     /// When the file cannot be read.
     pub fn hash(&self) -> Result<String, LoadError> {
-        onnx::hash(&self.folder)
+        onnx::hash(&self.folder, onnx::MODEL)
     }
 }
 

@@ -51,6 +51,15 @@ impl Runtime {
         &self.library
     }
 
+    /// The file behind all links, whose name ends with the version, and of what it was built.
+    pub(super) fn describe(&self) -> String {
+        let file = self.library.canonicalize().unwrap_or_else(|_| self.library.clone());
+        // How its compiler was called is long, and follows from the rest.
+        let build = ort::info().trim_start_matches("ORT Build Info: ");
+        let build = build.split_once(", cmake").map_or(build, |(build, _)| build);
+        format!("{}, {build}", file.display())
+    }
+
     /// The names that the system's loader knows the library by: with and without the version of its interface.
     fn load_from_system(looked: &mut Vec<String>) -> Result<Self, LibraryError> {
         for name in ["libonnxruntime.so.1", "libonnxruntime.so"] {

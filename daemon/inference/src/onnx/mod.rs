@@ -43,6 +43,9 @@ pub(crate) const CARD: &str = "model.toml";
 /// The name of the fact that tells which file a model is: its SHA-256 in hexadecimal.
 pub const MODEL_HASH: &str = "Model SHA-256";
 
+/// The name of the fact that tells which card a model has: its SHA-256 in hexadecimal.
+const CARD_HASH: &str = "Card SHA-256";
+
 /// The name of the fact that tells how many classes a model has, and some of their names.
 const CLASSES: &str = "Classes";
 
@@ -61,6 +64,7 @@ pub(crate) fn check_device(name: &str) -> Result<(), LoadError> {
 pub(crate) struct Onnx {
     plan: Arc<Plan>,
     hash: String,
+    card_hash: String,
     runtime: Arc<Runtime>,
     /// The model's weights in a form that several workers share; `None` when there is one worker only.
     shared: Option<Shared>,
@@ -92,9 +96,9 @@ impl Onnx {
         litter: &Litter,
     ) -> Result<Self, LoadError> {
         let (plan, runtime) = Self::plan(config, runtime)?;
-        let hash = hash(&config.path)?;
+        let (hash, card_hash) = (hash(&config.path, MODEL)?, hash(&config.path, CARD)?);
         let shared = Shared::prepare(&plan, &runtime, litter)?;
-        Ok(Self { plan: Arc::new(plan), hash, runtime, shared })
+        Ok(Self { plan: Arc::new(plan), hash, card_hash, runtime, shared })
     }
 
     fn plan(config: &OnnxConfig, runtime: &OnnxRuntimeConfig) -> Result<(Plan, Arc<Runtime>), LoadError> {
@@ -135,12 +139,13 @@ impl Model for Onnx {
         let facts = [
             ("Model", format!("{} {}", card.name, card.version).trim_end().to_owned()),
             (MODEL_HASH, self.hash.clone()),
+            (CARD_HASH, self.card_hash.clone()),
             ("Task", card.description.clone()),
             ("Input", card.summary().input),
             (CLASSES, classes(&card.output.labels)),
             ("Device", device.to_string()),
             ("Threads per worker", format!("{intra_threads} within operators, {inter_threads} across")),
-            ("ONNX Runtime", self.runtime.library().display().to_string()),
+            ("ONNX Runtime", self.runtime.describe()),
         ];
         facts.map(|(name, value)| (name.to_owned(), value)).into()
     }

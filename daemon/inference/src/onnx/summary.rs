@@ -45,12 +45,12 @@ pub(crate) fn summarise(folder: &Path) -> Result<CardSummary, LoadError> {
     }
 }
 
-/// SHA-256 of the model in a folder, in hexadecimal.
+/// SHA-256 of a file of the model in a folder, in hexadecimal.
 ///
 /// # Errors
 /// When it cannot be read.
-pub(crate) fn hash(folder: &Path) -> Result<String, LoadError> {
-    let file = folder.join(MODEL);
+pub(crate) fn hash(folder: &Path, file: &str) -> Result<String, LoadError> {
+    let file = folder.join(file);
     let hash = regular::open(&file).and_then(sha256);
     hash.map_err(|error| LoadError::File { file, reason: error.to_string() })
 }
@@ -145,7 +145,7 @@ mod tests {
         std::fs::write(folder.path().join(CARD), SMALL).expect("written");
         let model = folder.path().join(MODEL);
         mknodat(CWD, &model, FileType::Fifo, Mode::RUSR, 0).expect("a pipe");
-        for error in [summarise(folder.path()).map(drop), hash(folder.path()).map(drop)] {
+        for error in [summarise(folder.path()).map(drop), hash(folder.path(), MODEL).map(drop)] {
             let error = error.expect_err("refused").to_string();
             assert!(error.contains("model.onnx") && error.contains("not a regular file"), "{error}");
         }
@@ -160,6 +160,6 @@ mod tests {
         std::fs::write(folder.path().join(MODEL), "abc").expect("written");
         // FIPS 180-4's own example.
         let known = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
-        assert_eq!(hash(folder.path()).expect("is read"), known);
+        assert_eq!(hash(folder.path(), MODEL).expect("is read"), known);
     }
 }

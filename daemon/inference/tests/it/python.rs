@@ -36,7 +36,7 @@ fn each_step_is_a_stage_and_the_rest_is_the_way_to_the_process() {
     let pool = loaded(&bank, "p");
     assert_eq!((pool.device(), pool.workers()), ("cuda:3".to_owned(), 2));
     assert!(pool.facts()[0].1.starts_with("the Python class net::Net, Python 3."), "{:?}", pool.facts());
-    let (name, file) = &pool.facts()[1];
+    let (name, file) = &pool.facts()[2];
     assert!(name == "Model files" && file.contains("/net.py SHA-256 "), "{:?}", pool.facts());
     let done = run(&pool, text("cat"));
     assert_eq!(done.result.expect("answers").parts[0].bytes, r#"["CAT","cuda:3","red"]"#);

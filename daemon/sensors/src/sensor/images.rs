@@ -6,6 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use bytes::Bytes;
+use peernet_external::identified;
 use peernet_logger::Recorder;
 use peernet_sample::{Description, MediaType, Sample, examples};
 use rand::SeedableRng;
@@ -19,6 +20,8 @@ use crate::{Order, Sensor, SensorError};
 pub(super) struct Images {
     path: PathBuf,
     pictures: Vec<Picture>,
+    /// The file that their labels were read from.
+    labels: Option<PathBuf>,
     next: usize,
     /// Shuffles before every round; `None` keeps the order of names.
     shuffle: Option<StdRng>,
@@ -42,10 +45,12 @@ impl Images {
         labels: Option<&Path>,
     ) -> Result<Self, SensorError> {
         let about = fs::metadata(path).map_err(|error| SensorError::Read { path: path.to_owned(), error })?;
-        let pictures = if about.is_dir() { of_folder(path, labels)? } else { vec![single(path, labels)?] };
+        let (pictures, labels) =
+            if about.is_dir() { of_folder(path, labels)? } else { single(path, labels)? };
         let mut images = Self {
             path: path.to_owned(),
             pictures,
+            labels,
             next: 0,
             shuffle: (order == Order::Shuffled).then(|| StdRng::seed_from_u64(seed)),
             repeat,
@@ -101,20 +106,25 @@ impl Sensor for Images {
         let times = if self.repeat { "repeated" } else { "once" };
         let images = format!("{count} images of {}, {order}, {times}", self.path.display());
         let files = self.pictures.iter().map(|picture| (self.name(&picture.file), picture.file.as_path()));
-        vec![
+        let mut facts = vec![
             ("Sensor".to_owned(), images),
             ("Data set".to_owned(), data_set::described(files)),
             ("Labels".to_owned(), self.labels()),
-        ]
+        ];
+        facts.extend(self.labels.as_deref().map(|file| ("Labels file".to_owned(), identified(file))));
+        facts
     }
 }
 
-fn of_folder(path: &Path, file: Option<&Path>) -> Result<Vec<Picture>, SensorError> {
+/// Pictures, and the file of their labels.
+type Found = (Vec<Picture>, Option<PathBuf>);
+
+fn of_folder(path: &Path, file: Option<&Path>) -> Result<Found, SensorError> {
     let files = folder::pictures(path)?;
     if files.is_empty() {
         return Err(SensorError::Empty(path.to_owned()));
     }
-    let mut labels = labels::read(path, file)?;
+    let (mut labels, origin) = labels::read(path, file)?.unzip();
     let pictures: Vec<_> = files
         .into_iter()
         .filter_map(|file| {
@@ -142,17 +152,15 @@ fn of_folder(path: &Path, file: Option<&Path>) -> Result<Vec<Picture>, SensorErr
                 path.display()
             ),
         }),
-        _ => Ok(pictures),
+        _ => Ok((pictures, origin)),
     }
 }
 
-fn single(file: &Path, labels: Option<&Path>) -> Result<Picture, SensorError> {
+fn single(file: &Path, labels: Option<&Path>) -> Result<Found, SensorError> {
     let media = folder::media(file).filter(|_| folder::is_file(file));
     let media = media.ok_or_else(|| SensorError::NotAPicture(file.to_owned()))?;
     let source = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let label = match file.parent() {
-        Some(folder) => labels::read(folder, labels)?.and_then(|mut labels| labels.remove(&source)),
-        None => None,
-    };
-    Ok(Picture { file: file.to_owned(), media, source, label })
+    let (labels, origin) = file.parent().map_or(Ok(None), |folder| labels::read(folder, labels))?.unzip();
+    let label = labels.and_then(|mut labels| labels.remove(&source));
+    Ok((vec![Picture { file: file.to_owned(), media, source, label }], origin))
 }

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 use std::io;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
@@ -21,12 +21,12 @@ struct Row {
     label: String,
 }
 
-/// Reads the labels of `folder`, from the `given` file or its own; `None` when neither is there to be read. A picture
-/// without a label is as good as one that is not listed.
+/// Reads the labels of `folder`, from the `given` file or its own, which is told as well; `None` when neither is there to be
+/// read. A picture without a label is as good as one that is not listed.
 ///
 /// # Errors
 /// When a file is there and cannot be used or holds no label, or the given one is not there.
-pub(super) fn read(folder: &Path, given: Option<&Path>) -> Result<Option<Labels>, SensorError> {
+pub(super) fn read(folder: &Path, given: Option<&Path>) -> Result<Option<(Labels, PathBuf)>, SensorError> {
     let file = given.map_or_else(|| folder.join(FILE), Path::to_owned);
     if given.is_none() && file.exists() && !is_file(&file) {
         return Err(SensorError::Read { path: file, error: io::Error::other("it is not a regular file") });
@@ -56,5 +56,5 @@ pub(super) fn read(folder: &Path, given: Option<&Path>) -> Result<Option<Labels>
             "it holds no label, so that no answer could be scored: write a first line `file,label` and one line per picture, or remove it".to_owned(),
         ));
     }
-    Ok(Some(labels))
+    Ok(Some((labels, file)))
 }

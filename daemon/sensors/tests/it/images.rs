@@ -77,9 +77,15 @@ fn labels_come_from_the_file_of_labels_or_from_folders() {
 
     let told = ("Labels".to_owned(), "2 of 3: dented, good".to_owned());
     assert!(sensor.facts().contains(&told), "{:?}", sensor.facts());
+    assert!(sensor.facts().iter().all(|(name, _)| name != "Labels file"), "{:?}", sensor.facts());
 
     let mut single = images(&listed.path().join("a.jpg"), Order::Name, 1, false).expect("opens");
     assert_eq!(next(single.as_mut()).expect("reads").expect("there").label.as_deref(), Some("good"));
+    let file = listed.path().join("labels.csv");
+    let bytes = std::fs::read(&file).expect("is there");
+    let hash = peernet_external::sha256(bytes.as_slice()).expect("is read");
+    let told = ("Labels file".to_owned(), format!("{} SHA-256 {hash}", file.display()));
+    assert!(single.facts().contains(&told), "{:?}", single.facts());
 }
 
 #[test]

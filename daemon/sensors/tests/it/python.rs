@@ -29,7 +29,7 @@ fn samples_come_from_the_object_until_it_stops() {
 
     let mut sensor = open(&of("own::Own"), &real_clock()).expect("is there");
     assert!(sensor.blocks() && sensor.facts()[0].1.starts_with("the Python class own::Own"));
-    let (name, file) = &sensor.facts()[1];
+    let (name, file) = &sensor.facts()[2];
     assert!(name == "Sensor files" && file.contains("/own.py SHA-256 "), "{file}");
     let mut log = recorder();
     let sample = sensor.sample(&mut log).expect("gives one").expect("goes on");

@@ -1,23 +1,133 @@
 //! What is told of an object, so that a run can be done again.
 
+use std::fs;
+use std::path::Path;
+
 use super::Module;
+
+/// The files of a fact, each with its hash, which is checked, as paths below a folder.
+fn files(facts: &[(String, String)], folder: &Path) -> Vec<String> {
+    let folder = folder.canonicalize().expect("is there");
+    let (_, told) = facts.iter().find(|(name, _)| name == "Model files").expect("they are told");
+    let file = |told: &str| {
+        let (path, hash) = told.split_once(" SHA-256 ").expect("has one");
+        let bytes = fs::read(path).expect("is there");
+        assert_eq!(hash, peernet_external::sha256(bytes.as_slice()).expect("is read"));
+        Path::new(path).strip_prefix(&folder).expect("is the user's own").display().to_string()
+    };
+    told.split(", ").map(file).collect()
+}
+
+fn libraries(facts: &[(String, String)]) -> Vec<&str> {
+    let told = facts.iter().find(|(name, _)| name == "Model libraries");
+    told.map_or_else(Vec::new, |(_, told)| told.split(", ").collect())
+}
 
 #[test]
 fn the_file_and_the_libraries_of_an_object_are_told() {
-    let source = "import numpy\nclass Own:\n    def infer(self, x): return x\n";
+    let source = "import json, numpy\nclass Own:\n    def infer(self, x): return x\n";
     let module = Module::new(source, "own::Own");
     let facts = module.model().about().facts("Model");
     let names: Vec<&str> = facts.iter().map(|(name, _)| name.as_str()).collect();
-    assert_eq!(names, ["Model", "Model files", "Model libraries"]);
+    assert_eq!(names, ["Model", "Model interpreter", "Model files", "Model libraries"]);
     assert!(facts[0].1.starts_with("the Python class own::Own, Python 3."), "{facts:?}");
-    let (path, hash) = facts[1].1.split_once(" SHA-256 ").expect("has one");
+    assert_eq!(files(&facts, module.folder.path()), ["own.py"]);
+    let libraries = libraries(&facts);
+    assert!(libraries.iter().any(|library| library.starts_with("numpy ")), "{libraries:?}");
+    assert!(libraries.iter().all(|library| !library.starts_with("json")), "{libraries:?}");
+}
+
+#[test]
+fn what_an_object_is_made_of_is_found_without_running_it() {
+    let source = "
+from rig import lens
+try:
+    import nowhere
+except ImportError:
+    nowhere = None
+
+class Own:
+    def infer(self, x):
+        import numpy
+        from later.steps import last
+        return x
+";
+    let module = Module::new(source, "own::Own");
+    let folder = module.folder.path();
+    let never = "raise SystemExit('nobody is to run this')\n";
+    for (file, text) in [
+        ("rig/__init__.py", ""),
+        // A cycle, and a part that is broken, imported by a function that nobody calls.
+        ("rig/lens.py", "from . import glass\ndef never():\n    from .broken import pieces\n"),
+        ("rig/glass.py", "import rig.lens as whole\n"),
+        ("rig/broken.py", "def (\n"),
+        ("rig/unused.py", never),
+        ("later/steps.py", &format!("import unseen\n{never}")),
+        ("unseen.py", never),
+    ] {
+        let path = folder.join(file);
+        fs::create_dir_all(path.parent().expect("is below the folder")).expect("writable");
+        fs::write(path, text).expect("writable");
+    }
+    let facts = module.model().about().facts("Model");
     assert_eq!(
-        path,
-        module.folder.path().canonicalize().expect("is there").join("own.py").display().to_string()
+        files(&facts, folder),
+        [
+            "own.py",
+            "rig/__init__.py",
+            "rig/lens.py",
+            "later/steps.py",
+            "rig/glass.py",
+            "rig/broken.py",
+            "unseen.py",
+        ]
     );
-    let bytes = std::fs::read(path).expect("is there");
-    assert_eq!(hash, peernet_external::sha256(bytes.as_slice()).expect("is read"));
-    assert!(facts[2].1.split(", ").any(|library| library.starts_with("numpy ")), "{facts:?}");
+    let libraries = libraries(&facts);
+    assert!(libraries.iter().any(|library| library.starts_with("numpy 1") || library.starts_with("numpy 2")));
+    assert!(facts.iter().all(|(name, _)| name != "Model imports"), "{facts:?}");
+}
+
+#[test]
+fn what_was_imported_by_a_name_made_up_at_run_time_and_what_was_installed_beside_it_are_told() {
+    let source = "
+import importlib
+driver = importlib.import_module('driv' + 'er')
+import bought
+class Own:
+    def infer(self, x): return x
+";
+    let module = Module::new(source, "own::Own");
+    let folder = module.folder.path();
+    let write = |file: &str, text: &str| {
+        let path = folder.join(file);
+        fs::create_dir_all(path.parent().expect("is below the folder")).expect("writable");
+        fs::write(path, text).expect("writable");
+    };
+    write("driver.py", "import gears\n");
+    write("gears.py", "");
+    // As `pip install --target` leaves it.
+    write("bought/__init__.py", "import bought.inside\n");
+    write("bought/inside.py", "");
+    write("Some_Name-2.5.dist-info/RECORD", "bought/__init__.py,sha256=x,20\nbought/inside.py,sha256=x,0\n");
+    let facts = module.model().about().facts("Model");
+    let mut files = files(&facts, folder);
+    files.sort_unstable();
+    assert_eq!(files, ["driver.py", "gears.py", "own.py"]);
+    assert!(libraries(&facts).contains(&"bought 2.5"), "{facts:?}");
+}
+
+#[test]
+fn there_is_an_end_to_what_is_told() {
+    let imports: String = (0..80).map(|number| format!("import part_{number}\n")).collect();
+    let module = Module::new(&format!("{imports}class Own:\n    def infer(self, x): return x\n"), "own::Own");
+    for number in 0..80 {
+        let path = module.folder.path().join(format!("part_{number}.py"));
+        fs::write(path, format!("VALUE = {number}\n")).expect("writable");
+    }
+    let facts = module.model().about().facts("Model");
+    assert_eq!(files(&facts, module.folder.path()).len(), 64);
+    let (name, told) = facts.last().expect("there are some");
+    assert!(name == "Model imports" && told.contains("more than is told"), "{facts:?}");
 }
 
 #[test]
@@ -30,6 +140,9 @@ fn an_object_that_misleads_about_itself_is_had_all_the_same() {
         "sys.modules['numpy'] = types.SimpleNamespace(__version__='\\ud800\\x1b')",
         "class Odd:\n    def __getattr__(self, name): raise OSError(name)\nsys.modules['torch'] = Odd()",
         "sys.modules['torch'] = None",
+        "sys.modules[7] = sys",
+        "__path__ = 7",
+        "sys.path.append(None)",
     ] {
         let source = format!("import sys, types\n{own}\nclass Own:\n    def infer(self, x): return x\n");
         let module = Module::new(&source, "own::Own");

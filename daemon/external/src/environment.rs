@@ -1,0 +1,47 @@
+//! The environment variables that decide what code finds and how fast it computes.
+
+use std::collections::BTreeMap;
+use std::env;
+
+use crate::text::printable;
+
+/// Ours, those of Python, of the loader, of thread pools and of GPUs. Others may be secret and are nobody's business.
+const NAMES: [&str; 26] = [
+    "PEERNET_PYTHON",
+    "PEERNET_MODELS",
+    "ORT_DYLIB_PATH",
+    "PYTHONPATH",
+    "PYTHONHOME",
+    "PYTHONHASHSEED",
+    "PYTHONOPTIMIZE",
+    "VIRTUAL_ENV",
+    "CONDA_PREFIX",
+    "LD_LIBRARY_PATH",
+    "LD_PRELOAD",
+    "OMP_NUM_THREADS",
+    "OMP_PROC_BIND",
+    "OMP_PLACES",
+    "OMP_WAIT_POLICY",
+    "KMP_AFFINITY",
+    "KMP_BLOCKTIME",
+    "MKL_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+    "CUDA_VISIBLE_DEVICES",
+    "CUDA_DEVICE_ORDER",
+    "CUDA_LAUNCH_BLOCKING",
+    "CUBLAS_WORKSPACE_CONFIG",
+    "NVIDIA_TF32_OVERRIDE",
+    "PYTORCH_CUDA_ALLOC_CONF",
+];
+/// Characters of the longest value that is told.
+const LONGEST: usize = 1000;
+
+/// Those that this program has, with their values, which users' processes inherit.
+pub fn environment() -> BTreeMap<String, String> {
+    let told = |name: &&str| {
+        let value = env::var_os(name)?.to_string_lossy().chars().take(LONGEST).collect::<String>();
+        Some(((*name).to_owned(), printable(&value).replace('\n', " ")))
+    };
+    NAMES.iter().filter_map(told).collect()
+}

@@ -1,0 +1,59 @@
+//! What a model was told, for whoever is to offer it again elsewhere.
+
+use peernet_external::environment;
+use serde_json::Value;
+
+use crate::ModelConfig;
+
+/// Keys that stand elsewhere in a run's description, or tell where things are on this host, which is nobody's business.
+const ELSEWHERE: [&str; 7] = ["name", "device", "path", "object", "command", "folder", "python"];
+/// The key whose values may be secret.
+const VARIABLES: &str = "env";
+
+impl ModelConfig {
+    /// Its settings and the environment that it runs in, as pairs for people.
+    pub(crate) fn facts(&self) -> Vec<(String, String)> {
+        let mut facts = vec![("Model settings".to_owned(), self.settings())];
+        facts.extend(environment().into_iter().map(|(name, value)| (format!("Model {name}"), value)));
+        facts
+    }
+
+    /// The keys of its table with their values, the defaults as well: `kind = onnx, workers = 2, …`.
+    fn settings(&self) -> String {
+        let table = serde_json::to_value(self).unwrap_or_default();
+        let keys = table.as_object().into_iter().flatten();
+        let told = |(key, value): (&String, &Value)| match value {
+            _ if ELSEWHERE.contains(&key.as_str()) => None,
+            Value::Object(variables) if key == VARIABLES => {
+                let names: Vec<&str> = variables.keys().map(String::as_str).collect();
+                Some(format!("{key} with {}", names.join(" ")))
+            }
+            Value::String(text) => Some(format!("{key} = {text}")),
+            value => Some(format!("{key} = {value}")),
+        };
+        keys.filter_map(told).collect::<Vec<_>>().join(", ")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn settings(text: &str) -> String {
+        toml::from_str::<ModelConfig>(text).expect("a model").settings()
+    }
+
+    #[test]
+    fn all_that_was_set_and_all_defaults_are_told_but_places_and_secrets() {
+        let told = settings("kind = 'sleep'\nname = 's'\ninference_ms = 3\nworkers = 2");
+        for part in ["kind = sleep", "inference_ms = 3", "preprocessing_ms = 10", "workers = 2", "queue = 16"]
+        {
+            assert!(told.split(", ").any(|key| key == part), "{told}");
+        }
+        let told = settings(
+            "kind = 'python'\nname = 'p'\nobject = 'a::B'\nfolder = '/home/me'\nenv = { TOKEN = 'secret' }",
+        );
+        assert!(told.contains("env with TOKEN") && told.contains("images = pil"), "{told}");
+        assert!(!told.contains("secret") && !told.contains("/home/me"), "{told}");
+    }
+}
