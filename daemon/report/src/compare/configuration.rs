@@ -1,5 +1,7 @@
 //! What distinguishes runs: the first columns of a comparison.
 
+use std::path::PathBuf;
+
 use super::columns::{self, Chosen, Column};
 use crate::results::{Loaded, RunRecord};
 
@@ -247,7 +249,7 @@ fn folders(runs: &[Loaded], groups: &[Vec<usize>]) -> Vec<String> {
     let shortest = all.iter().map(Vec::len).min().unwrap_or_default();
     // The last part always stands there.
     let front = common(&all).min(shortest.saturating_sub(1));
-    all.iter().map(|parts| parts[front..].join("/")).collect()
+    all.iter().map(|parts| parts[front..].iter().collect::<PathBuf>().display().to_string()).collect()
 }
 
 /// How many parts at the beginning all paths have in common.
@@ -258,4 +260,23 @@ fn common(paths: &[Vec<String>]) -> usize {
 
 pub(super) fn differ(labels: &[String]) -> bool {
     labels.windows(2).any(|pair| pair[0] != pair[1])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::results::Rows;
+
+    #[test]
+    fn runs_are_named_by_their_folders_wherever_these_are() {
+        let run = |folder: &str| Loaded {
+            folder: PathBuf::from(folder),
+            record: RunRecord { format: 1, ..RunRecord::default() },
+            rows: Rows::default(),
+        };
+        let named = |folders: [&str; 2]| Configurations::of(&folders.map(run)).labels.concat();
+        assert_eq!(named(["a/x", "a/y"]), ["x", "y"]);
+        assert_eq!(named(["near", "/tmp/far"]), ["near", "/tmp/far"]);
+        assert_eq!(named(["/near", "/tmp/far"]), ["near", "tmp/far"]);
+    }
 }

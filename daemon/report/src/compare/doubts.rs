@@ -9,15 +9,15 @@ use crate::number::counted;
 use crate::results::{Loaded, RowRef};
 use crate::trust::Starts;
 
-/// Starts that were skipped, the damage of folders and the numbers that are missing without a reason, in sentences.
+/// Starts that were skipped, what folders lack of a whole run and the numbers that are missing without a reason, in sentences.
 pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
-    let damaged: Vec<String> =
-        runs.iter().filter_map(|run| Some(format!("{}: {}", run.folder.display(), run.damage()?))).collect();
+    let lacking: Vec<String> =
+        runs.iter().filter_map(|run| Some(format!("{}: {}", run.folder.display(), run.lacking()?))).collect();
     let missing: Vec<String> = lines.iter().flat_map(|line| missing(runs, line)).collect();
     let mut told: Vec<String> =
         skipped_starts(lines.iter().map(|line| (line.name(), line.starts))).into_iter().collect();
-    if !damaged.is_empty() {
-        told.push(format!("Results are not whole: {}.", damaged.join("; ")));
+    if !lacking.is_empty() {
+        told.push(format!("Results are not whole: {}.", lacking.join("; ")));
     }
     if !missing.is_empty() {
         told.push(format!(

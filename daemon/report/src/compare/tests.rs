@@ -291,9 +291,10 @@ fn dissimilar_runs_have_as_few_columns_as_tell_them_apart() {
     for text in [comparison.text(), comparison.markdown(), comparison.latex(), comparison.csv()] {
         assert!(!text.contains("aaaa") && !text.contains("/opt"), "{text}");
     }
-    // Nothing but a hash tells these apart: their folders' names do.
+    // Nothing but a hash and a long list tells these apart: their folders' names do.
     let alike = ["a", "b"].map(|at| {
-        let run = with("s", "cpu", None, [hash(at), library("x")]);
+        let list = ("Model libraries".to_owned(), format!("{}six 1.{at}", "numpy 1.24.2, ".repeat(9)));
+        let run = with("s", "cpu", None, [hash(at), list]);
         let record = RunRecord { format: 1, ..run.record };
         Loaded { folder: PathBuf::from("results").join(at), record, ..run }
     });

@@ -6,9 +6,8 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Counts, FolderError, RowWriter, Rows, RunRecord};
+use super::{FolderError, RowWriter, Rows, RunRecord};
 use crate::WriteError;
-use crate::number::counted;
 
 /// What to do when the folder holds something.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -51,29 +50,6 @@ pub struct Loaded {
     pub record: RunRecord,
     /// Its iterations, in order.
     pub rows: Rows,
-}
-
-impl Loaded {
-    /// Why the rows are not all that were measured: `data.csv` has others than `run.json` counts, as when it was cut off
-    /// or changed. `None` where they are, or where nothing counts them.
-    pub fn damage(&self) -> Option<String> {
-        let said = self.record.counts;
-        let is = Counts::of(&self.rows, said.unseen);
-        let is_known = self.record.format > 0 && said != Counts::default();
-        let all = |counts: Counts| {
-            let counts = [counts.ok, counts.failed, counts.lost, counts.timeout, counts.warm_up];
-            counts.into_iter().fold(0, u64::saturating_add)
-        };
-        (is_known && is != said).then(|| match (all(is), all(said)) {
-            (rows, measured) if rows == measured => {
-                "data.csv has other outcomes or another warm-up than run.json counts".to_owned()
-            }
-            (rows, measured) => {
-                let measured = counted(measured, "iteration");
-                format!("data.csv has {rows} of the {measured} that run.json counts")
-            }
-        })
-    }
 }
 
 impl ResultFolder {

@@ -21,6 +21,7 @@ mod rows;
 mod run;
 mod summary;
 mod units;
+mod whole;
 mod writer;
 
 pub use cells::Header;
@@ -31,7 +32,7 @@ pub use row::{Column, Outcome, Row};
 pub use rows::{RowRef, Rows};
 pub use run::{
     Bounded, ClockCounts, Clocks, Counts, FORMAT, HostRecord, ModelRecord, NetworkConfig, Placement,
-    RunRecord, instant,
+    RunRecord, User, instant,
 };
 pub(crate) use summary::Scale;
 pub use summary::{Quantity, Summary};

@@ -9,6 +9,9 @@ use crate::accuracy::Accuracy;
 
 /// Rows at the beginning that the published figures leave out.
 const PUBLISHED_WARM_UP: usize = 5;
+/// What can be said of the end of a run whose rows are there and whose record, which is written last, is not.
+pub(super) const UNENDED: &str =
+    "there is no run.json: the run is under way or was killed, or data.csv came here alone";
 
 pub(super) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, FolderError> {
     let (folder, data) = if path.is_file() {
@@ -24,7 +27,10 @@ pub(super) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded,
     // Whoever writes a record flags its rows.
     let warm_up = if record.is_none() { PUBLISHED_WARM_UP } else { 0 };
     let (rows, flagged) = Reading::of(&data, warm_up, wanted).map_err(failed(&data))?;
-    let record = record.unwrap_or_else(|| alone(path, &rows, flagged));
+    let record = record.unwrap_or_else(|| {
+        let reason = if flagged && data.ends_with(DATA) { UNENDED } else { "" };
+        RunRecord { reason: reason.to_owned(), ..alone(path, &rows, flagged) }
+    });
     Ok(Loaded { folder, record, rows })
 }
 

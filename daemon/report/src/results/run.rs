@@ -42,7 +42,9 @@ pub struct RunRecord {
     pub command: String,
     /// The folder in which it was typed: relative paths of the command and of the configuration belong to it.
     pub folder: String,
-    /// The file of devices that the command names.
+    /// The variables of its environment that decide what it finds and how fast it computes, as far as they were set.
+    pub environment: BTreeMap<String, String>,
+    /// The file of devices that the command or the experiment names.
     pub network_config: Option<NetworkConfig>,
     /// Who sensed.
     pub edge: HostRecord,
@@ -60,6 +62,10 @@ pub struct RunRecord {
     pub agent: Value,
     /// Its place in an experiment, if it belongs to one.
     pub experiment: Option<ExperimentPlace>,
+    /// Which edge it was, where several asked at once.
+    pub user: Option<User>,
+    /// How long a peer that is away was to be waited for, before the run and during it; seconds.
+    pub patience_s: Option<f64>,
     /// Seeds of whatever was random, by what it is for.
     pub seeds: BTreeMap<String, u64>,
     /// Which iterations are warm-up, in words.
@@ -91,6 +97,16 @@ pub struct NetworkConfig {
     pub file: String,
     /// All of it.
     pub text: String,
+}
+
+/// One of several edges that ask one cloud at once.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct User {
+    /// From 1.
+    pub number: u32,
+    /// How many they are.
+    pub of: u32,
 }
 
 /// A host that took part.

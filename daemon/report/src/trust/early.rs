@@ -3,7 +3,11 @@
 use serde::Deserialize;
 
 use super::Counts;
+use crate::number::{counted, fixed, significant};
 use crate::results::{Rows, RunRecord};
+
+/// Ends of a run that are no trouble.
+const GOOD_ENDS: [&str; 3] = ["", "finished", "stopped"];
 
 /// What a run was asked for: its pipeline's `limit`. What is not there is no limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
@@ -86,6 +90,38 @@ impl Early {
     /// From 0 to 1.
     pub fn share(&self) -> f64 {
         self.came / self.of
+    }
+
+    /// In words: `after 57 of 120 iterations`.
+    pub(super) fn how_far(&self) -> String {
+        let Self { came, of, unit, .. } = self;
+        match unit {
+            Unit::Iterations => format!("after {} of {}", fixed(*came, 0), counted(*of as u64, "iteration")),
+            Unit::Seconds => format!("after {} of {}\u{202f}s", fixed(*came, 1), significant(*of)),
+        }
+    }
+}
+
+/// What became of a run that neither finished nor was stopped.
+pub(super) fn broken(reason: &str) -> Option<&str> {
+    (!GOOD_ENDS.contains(&reason)).then_some(reason)
+}
+
+/// What became of a run that somebody ended early or that broke off: `was interrupted after 57 of 120 iterations`. `None` of
+/// one that came to its end, or of which that is not known.
+pub(crate) fn cut_short(record: &RunRecord, rows: &Rows) -> Option<String> {
+    let counts = &record.counts;
+    let came = Came {
+        measured: counts.ok + counts.failed + counts.lost + counts.timeout + counts.unseen,
+        warm_up: counts.warm_up,
+        seconds: lasted(rows),
+    };
+    let early = Early::of(&Limits::of_record(record), &came, &record.reason);
+    match (broken(&record.reason), early) {
+        (Some(reason), Some(early)) => Some(format!("broke off {}: {reason}", early.how_far())),
+        (Some(reason), None) => Some(format!("broke off: {reason}")),
+        (None, Some(early)) if early.interrupted => Some(format!("was interrupted {}", early.how_far())),
+        (None, _) => None,
     }
 }
 

@@ -6,6 +6,7 @@ use peernet_clock::Verdict;
 use peernet_logger::stream::Condition;
 use peernet_logger::{Name, stage};
 
+use super::early::broken;
 use super::{Came, Course, Early, Limits, Load, Restarts, Starts};
 use crate::Passage;
 use crate::accuracy::{Accuracy, UnknownLabels};
@@ -14,8 +15,6 @@ use crate::results::{LATENESS, Outcome, RowRef, Rows, RunRecord};
 
 /// How the fact of a run begins that says of a host's clock that it was made wrong on purpose.
 const REHEARSAL: &str = "Rehearsal";
-/// Ends of a run that are no trouble.
-const GOOD_ENDS: [&str; 3] = ["", "finished", "stopped"];
 
 /// A row's message in one direction.
 type Way = fn(&RowRef<'_>) -> Option<Passage>;
@@ -160,8 +159,7 @@ impl Evidence {
     /// With the reason for its end.
     #[must_use]
     pub fn ended(self, reason: Option<&str>) -> Self {
-        let broken = reason.filter(|reason| !GOOD_ENDS.contains(reason)).map(str::to_owned);
-        Self { broken, ..self }
+        Self { broken: reason.and_then(broken).map(str::to_owned), ..self }
     }
 
     /// With what the run's description says of rehearsals, labels and classes.

@@ -21,6 +21,7 @@ mod tests;
 mod trend;
 
 pub use course::{Beginning, Course, Outliers, batch_means};
+pub(crate) use early::cut_short;
 pub use early::{Came, Early, Limits, Unit};
 pub use evidence::{Clocks, Counts, Evidence, Missing};
 pub use load::{Load, Starts};

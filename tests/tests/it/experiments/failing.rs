@@ -1,5 +1,9 @@
 //! What goes wrong before the first run, and in one of them.
 
+use std::path::Path;
+
+use peernet_tests::{Process, program, root};
+
 use super::{Lab, THREE, children, kill};
 
 #[test]
@@ -19,6 +23,15 @@ fn a_run_that_crashes_is_marked_and_the_others_go_on() {
     );
     assert!(ended.log.contains("1 run failed"), "{}", ended.log);
     assert_eq!(lab.results.stages(), ["finished", "failed", "finished"]);
+    // One experiment has one table, whoever writes it.
+    let (own, other) = (lab.results.folder.join("compare.txt"), lab.site.folder().join("compare.txt"));
+    let arguments = [Path::new("compare"), &lab.results.folder, Path::new("--out"), &other];
+    let compared = Process::start(&program("peernet"), &arguments, root(), &[]).ended();
+    assert_eq!(compared.code(), 0, "{}", compared.log);
+    let [table, other] = [own, other].map(|path| std::fs::read_to_string(path).expect("it was written"));
+    assert_eq!(table, other);
+    let without = format!("without the runs of experiment three that are not done: {} (failed).", folders[1]);
+    assert!(table.contains(&without), "{table}");
 
     let ended = lab.run(THREE, &[]).ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);

@@ -63,4 +63,26 @@ fn a_file_that_is_not_there_or_wrong_is_told_with_its_name() {
     std::fs::write(&file, "[experiment]\nname = 'e'\niteration = 5\n[pipeline]\n").expect("writable");
     let (code, log) = check(&file);
     assert!(code == 78 && log.contains("e.toml: experiment.iteration: unknown field"), "{code}: {log}");
+
+    let pictures = folder.path().join("pictures");
+    std::fs::create_dir(&pictures).expect("writable");
+    std::fs::write(pictures.join("labels.csv"), "file,label\n").expect("writable");
+    let text = format!(
+        "[experiment]\nname = 'e'\niterations = 5\n[pipeline]\nplacement = {{ kind = 'none' }}\n\
+         sensor = {{ kind = 'images', path = '{}' }}\n",
+        pictures.display()
+    );
+    // What an agent would refuse wherever it runs, and what the trial finds on this machine.
+    let long = text.replace("[pipeline]", "[pipeline]\ntimeout_ms = 1000000000000");
+    std::fs::write(&file, long).expect("writable");
+    let (code, log) = check(&file);
+    assert!(code == 78 && log.contains("e.toml: pipeline.timeout_ms: "), "{code}: {log}");
+    std::fs::copy(root().join("models/quality-control/pictures/part-0001.jpg"), pictures.join("1.jpg"))
+        .expect("writable");
+    std::fs::write(&file, text).expect("writable");
+    let results = folder.path().join("results");
+    let arguments = [Path::new("run"), &file, Path::new("--result-loc"), &results];
+    let ended = Process::start(&program("peernet"), &arguments, root(), &[]).ended();
+    let told = format!("\n  {}: pipeline.sensor: cannot use the labels in ", file.display());
+    assert!(ended.code() == 78 && ended.log.contains(&told), "{}: {}", ended.code(), ended.log);
 }

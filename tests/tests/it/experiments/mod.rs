@@ -4,11 +4,13 @@ mod cloud_gone;
 mod failing;
 mod files;
 mod printed;
+mod repeated;
 mod results;
 mod resumed;
 pub(crate) mod same_seed;
 pub(crate) mod users;
 
+use std::ffi::OsStr;
 use std::path::Path;
 
 use peernet_tests::{Ended, Network, Process, Site, program, root};
@@ -106,6 +108,12 @@ impl Lab {
         arguments.extend(options.iter().map(Path::new));
         self.network.edge().start(&program("peernet"), &arguments, root(), &[])
     }
+}
+
+/// What a command says of results.
+fn told(command: &str, results: &Path) -> Ended {
+    let arguments = [OsStr::new(command), results.as_os_str()];
+    Process::start(&program("peernet"), &arguments, root(), &[]).ended()
 }
 
 /// Waits for the end of an experiment, which may take long, as long as its runs do not.

@@ -3,7 +3,7 @@
 use peernet_tests::{Process, until};
 use rustix::process::{Signal, kill_process};
 
-use super::{Lab, THREE, children, column, json};
+use super::{Lab, THREE, children, column, json, told};
 
 /// Waits until the second run is under way.
 fn in_the_second(lab: &Lab, process: &Process) -> Vec<String> {
@@ -25,6 +25,33 @@ fn whole(lab: &Lab, folders: &[String]) {
     }
 }
 
+/// What the commands show of the experiment is what it made of its runs itself: the first alone.
+fn the_rest_is_left_out(lab: &Lab, folders: &[String], stage: &str) {
+    let home = &lab.results.folder;
+    let without = format!(
+        "without the runs of experiment three that are not done: {} ({stage}), {} (to do)",
+        folders[1], folders[2]
+    );
+    let compared = told("compare", home);
+    assert_eq!(compared.code(), 0, "{}", compared.log);
+    for line in
+        [&format!("{} is shown {without}; `peernet run ", home.display()), &format!("Shown {without}.")]
+    {
+        assert!(compared.log.contains(line), "{line} is not in {}", compared.log);
+    }
+    assert!(!compared.log.contains("\n200 "), "{}", compared.log);
+    let drawn = told("plot", home);
+    assert_eq!(drawn.code(), 0, "{}", drawn.log);
+    assert!(drawn.log.contains(&without) && !drawn.log.contains("stacked.png"), "{}", drawn.log);
+
+    let itself = lab.results.file(&folders[1], "");
+    for command in ["compare", "plot"] {
+        let named = told(command, &itself);
+        let line = format!("is of a run that is not done, {stage}");
+        assert!(named.code() == 0 && named.log.contains(&line), "{}", named.log);
+    }
+}
+
 #[test]
 fn what_the_user_ended_is_marked_and_done_again_and_what_was_finished_is_not() {
     let lab = Lab::new();
@@ -36,6 +63,7 @@ fn what_the_user_ended_is_marked_and_done_again_and_what_was_finished_is_not() {
     assert!(ended.log.contains("1 of 3 runs finished, 1 interrupted, 1 to do"), "{}", ended.log);
     assert_eq!(lab.results.stages(), ["finished", "interrupted", "pending"]);
     assert_eq!(json(&lab.results.file(&folders[1], "run.json"))["reason"], "stopped");
+    the_rest_is_left_out(&lab, &folders, "interrupted");
     let first = json(&lab.results.file(&folders[0], "run.json"));
     let id = lab.results.record()["id"].clone();
 
@@ -87,6 +115,7 @@ fn a_kill_leaves_no_process_behind_and_nothing_half_done() {
         stat.map_or(true, |stat| stat.contains(") Z ")).then_some(())
     });
     assert_eq!(lab.results.stages(), ["finished", "running", "pending"]);
+    the_rest_is_left_out(&lab, &folders, "under way or killed");
     let ended = lab.run(THREE, &["--yes"]).ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     whole(&lab, &folders);

@@ -38,6 +38,7 @@ fn three_users_share_one_cloud_and_it_is_told_how_evenly() {
     let users = [1, 2, 3].map(|user| json(&lab.results.file(&folders[1], &format!("user-{user}/run.json"))));
     let names = users.each_ref().map(|user| user["edge"]["name"].as_str().expect("a name"));
     assert_eq!(names, ["robot-1", "robot-2", "robot-3"]);
+    assert_eq!(users[1]["user"], serde_json::json!({ "number": 2, "of": 3 }));
     let seeds = users.each_ref().map(|user| user["seeds"]["sensor"].as_u64().expect("a number"));
     assert!(seeds[0] != seeds[1] && seeds[1] != seeds[2], "each sends its own: {seeds:?}");
 

@@ -18,6 +18,11 @@ fn endless(lab: &Lab, options: &str) -> Process {
     ))
 }
 
+/// What `peernet compare` says of results.
+fn told(lab: &Lab, results: &str) -> String {
+    Process::start(&program("peernet"), &["compare", results], lab.folder(), &[]).ended().log
+}
+
 fn server(lab: &Lab, iterations: u32) -> Process {
     lab.server(&format!(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name dummy --iterations {iterations}"
@@ -39,6 +44,8 @@ fn ctrl_c_ends_a_client_early_and_writes_all_results() {
     let ok = data.outcomes("ok");
     assert!(ok >= 6 && data.rows.len() - ok <= 1, "{} rows, {ok} with an answer", data.rows.len());
     assert!(lab.folder().join("results/summary.md").is_file());
+    let interrupted = told(&lab, "results");
+    assert!(interrupted.contains("results is not whole: the run was interrupted after "), "{interrupted}");
 
     server.signal(Signal::INT);
     let ended = server.ended();
@@ -114,6 +121,7 @@ fn results_that_a_killed_run_was_to_replace_come_back() {
     killed.wait_for("of 1000000");
     let _ = killed.kill();
     assert!(!lab.folder().join("results/run.json").exists(), "they are aside");
+    assert!(told(&lab, "results").contains("the earlier results are in "), "{}", told(&lab, "results"));
     let next = short().ended();
     assert_eq!(next.code(), 64, "{}", next.log);
     assert!(next.log.contains("they are back; what it measured is in killed.csv"), "{}", next.log);
@@ -125,6 +133,21 @@ fn results_that_a_killed_run_was_to_replace_come_back() {
     let hidden = names
         .filter(|name| name.as_ref().is_ok_and(|name| name.file_name().to_string_lossy().starts_with('.')));
     assert_eq!(hidden.count(), 0);
+}
+
+#[test]
+fn results_of_a_killed_run_are_told() {
+    let lab = Lab::here();
+    let _server = server(&lab, 1_000_000);
+    let killed = endless(&lab, "--result-loc results");
+    killed.wait_for("of 1000000");
+    let _ = killed.kill();
+    let told = told(&lab, "results");
+    assert!(
+        told.contains("results is not whole: there is no run.json: the run is under way or was"),
+        "{told}"
+    );
+    assert!(told.contains("\nResults are not whole: results: there is no run.json"), "{told}");
 }
 
 #[test]

@@ -113,6 +113,35 @@ fn a_file_that_was_cut_off_gives_the_rows_that_are_whole() {
 }
 
 #[test]
+fn results_that_are_not_of_a_whole_run_say_so() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let told = |limit: u64, reason: &str| {
+        let pipeline = serde_json::json!({ "limit": { "total": limit } });
+        let written = RunRecord { reason: reason.to_owned(), pipeline, ..record() };
+        let text = serde_json::to_vec(&written).expect("JSON");
+        std::fs::write(folder.path().join("run.json"), text).expect("writable");
+        ResultFolder::open(folder.path()).expect("readable").lacking()
+    };
+    write(folder.path(), &rows(10));
+    assert_eq!(told(10, "finished"), None);
+    assert_eq!(told(10, "stopped"), None, "it had all that was ordered, three unseen");
+    assert_eq!(told(20, "").as_deref(), None, "nobody knows");
+    let interrupted = "the run was interrupted after 13 of 20 iterations";
+    assert_eq!(told(20, "stopped").as_deref(), Some(interrupted));
+    let gone = "the run broke off after 13 of 20 iterations: the cloud went";
+    assert_eq!(told(20, "the cloud went").as_deref(), Some(gone));
+
+    std::fs::remove_file(folder.path().join("run.json")).expect("it is there");
+    let lacking = || ResultFolder::open(folder.path()).expect("readable").lacking();
+    assert!(lacking().is_some_and(|told| told.contains("under way or was killed")), "{:?}", lacking());
+    let alone = folder.path().join("run-7.csv");
+    std::fs::copy(folder.path().join("data.csv"), &alone).expect("writable");
+    assert_eq!(ResultFolder::open(&alone).expect("readable").lacking(), None, "it never had a record");
+    std::fs::write(folder.path().join("data.csv"), "iteration,inference\n1,0.1\n").expect("writable");
+    assert_eq!(lacking(), None, "nor has a file of the published program");
+}
+
+#[test]
 fn a_folder_that_cannot_be_written_loses_nothing() {
     let folder = tempfile::tempdir().expect("a folder");
     let result = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");

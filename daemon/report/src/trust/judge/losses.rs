@@ -4,7 +4,7 @@ use peernet_logger::stream::Grade;
 
 use super::{END, advise, iterations, percent, say};
 use crate::number::{counted, fixed, significant};
-use crate::trust::{Counts, Early, Evidence, Missing, Sentence, Starts, Unit};
+use crate::trust::{Counts, Early, Evidence, Missing, Sentence, Starts};
 
 /// Samples below which no 95th percentile is given anywhere in PEERNet.
 const FEW: u64 = 60;
@@ -42,10 +42,7 @@ fn end(evidence: &Evidence) -> Option<Sentence> {
             "The run has no end yet: all this is of what is there so far.",
         ));
     }
-    let how_far = evidence.early.as_ref().map(|Early { came, of, unit, .. }| match unit {
-        Unit::Iterations => format!("after {} of {}", fixed(*came, 0), iterations(*of as u64)),
-        Unit::Seconds => format!("after {} of {}\u{202f}s", fixed(*came, 1), significant(*of)),
-    });
+    let how_far = evidence.early.as_ref().map(Early::how_far);
     let text = match (&evidence.broken, how_far) {
         (Some(reason), Some(how_far)) => format!("The run broke off {how_far}: {reason}."),
         (Some(reason), None) => format!("The run broke off: {reason}."),

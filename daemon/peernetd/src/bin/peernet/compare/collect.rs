@@ -7,7 +7,9 @@ use peernet_report::results::{FolderError, Loaded, ResultFolder};
 use peernetd::exit::{Exit, Failure};
 use peernetd::output::complain;
 
+use super::experiment::Experiments;
 use super::order::as_declared;
+use super::undone::Chosen;
 use crate::measure::put_aside;
 
 /// Runs, each once.
@@ -15,50 +17,69 @@ pub(crate) struct Collected {
     pub(crate) runs: Vec<Loaded>,
     /// Which of them is the baseline, if one was named.
     pub(crate) baseline: Option<usize>,
+    /// What is not among them, because it is not done, in sentences.
+    pub(crate) left_out: Vec<String>,
 }
 
 /// Reads the columns that are wanted of all results in the places, in their order; the runs of an experiment in that of its
-/// file. A baseline that is not among them comes first.
+/// file. Those that are not done are left out, unless they are named themselves. A baseline that is not among them comes
+/// first.
 ///
 /// # Errors
-/// When a place holds no results (66) or some cannot be read (65).
+/// When a place holds no results or nothing is left (66), or some cannot be read (65).
 pub(crate) fn collect(
     places: &[PathBuf],
     baseline: Option<&Path>,
     wanted: &dyn Fn(&str) -> bool,
 ) -> Result<Collected, Failure> {
-    let mut paths: Vec<PathBuf> = Vec::new();
-    for found in distinct(places).iter().map(|place| find(place)) {
-        for path in found? {
-            if !paths.iter().any(|other| is_same(other, &path)) {
-                paths.push(path);
-            }
-        }
-    }
+    let baseline = baseline.map(|path| if path.is_file() { folder_of(path) } else { path });
+    let found = distinct(places).into_iter().map(|place| find(&place).map(|found| (place, found)));
+    let found: Vec<(PathBuf, Vec<PathBuf>)> = found.collect::<Result<_, Failure>>()?;
+    let all = found.iter().flat_map(|(_, found)| found).map(PathBuf::as_path).chain(baseline);
+    let experiments = Experiments::of(all);
+    let Chosen { mut paths, left_out } = Chosen::of(&found, baseline, &experiments);
     let baseline = baseline.map(|path| {
-        let path = if path.is_file() { folder_of(path) } else { path };
         paths.iter().position(|other| is_same(other, path)).unwrap_or_else(|| {
             paths.insert(0, path.to_owned());
             0
         })
     });
-    let runs = paths.iter().map(|path| open(path, wanted)).collect::<Result<Vec<Loaded>, Failure>>()?;
-    for run in &runs {
-        if let Some(damage) = run.damage() {
-            complain(format_args!("{} is not whole: {damage}", run.folder.display()));
-        }
-        if let Some(kept) = put_aside(&run.folder) {
-            complain(format_args!(
-                "{} is not whole: a run is under way there or was killed; the earlier results are in {} and come back with the next run there, if it was killed",
-                run.folder.display(),
-                kept.display()
-            ));
-        }
+    left_out.iter().for_each(|left_out| complain(&left_out.remark));
+    let left_out = left_out.into_iter().map(|left_out| left_out.what).collect();
+    if paths.is_empty() {
+        let places: Vec<String> = places.iter().map(|place| place.display().to_string()).collect();
+        let text = format!("nothing is left of {}; name a run's own folder to see it", places.join(", "));
+        return Err(Failure::new(Exit::NoInput, anyhow!("{text}")));
     }
-    let order = as_declared(&runs);
+    let runs = paths.iter().map(|path| open(path, wanted)).collect::<Result<Vec<Loaded>, Failure>>()?;
+    runs.iter().filter_map(|run| doubt(run, &experiments)).for_each(complain);
+    let order = as_declared(&runs, &experiments);
     let baseline = baseline.and_then(|baseline| order.iter().position(|run| *run == baseline));
     let mut runs: Vec<Option<Loaded>> = runs.into_iter().map(Some).collect();
-    Ok(Collected { runs: order.into_iter().filter_map(|run| runs[run].take()).collect(), baseline })
+    let runs = order.into_iter().filter_map(|run| runs[run].take()).collect();
+    Ok(Collected { runs, baseline, left_out })
+}
+
+/// What results that are read lack of a whole run.
+fn doubt(run: &Loaded, experiments: &Experiments) -> Option<String> {
+    let folder = run.folder.display();
+    if let Some(damage) = run.damage() {
+        return Some(format!("{folder} is not whole: {damage}"));
+    }
+    if let Some(kept) = put_aside(&run.folder) {
+        return Some(format!(
+            "{folder} is not whole: a run is under way there or was killed; the earlier results are in {} and come back with the next run there, if it was killed",
+            kept.display()
+        ));
+    }
+    match experiments.run(&run.folder).filter(|run| !run.is_done()) {
+        Some(of) => Some(format!(
+            "{folder} is of a run that is not done, {}: no table or figure of its experiment has it; {} does it",
+            of.fate(),
+            of.experiment.remedy()
+        )),
+        None => Some(format!("{folder} is not whole: {}", run.lacking()?)),
+    }
 }
 
 /// The places, each once.
@@ -98,7 +119,7 @@ fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, Failure> {
 }
 
 /// Whether both lead to one place, however they are written.
-fn is_same(a: &Path, b: &Path) -> bool {
+pub(super) fn is_same(a: &Path, b: &Path) -> bool {
     a == b || a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b)
 }
 
@@ -130,5 +151,31 @@ mod tests {
             let found = collect(&runs, Some(&baseline), &|_| true).expect("they are there");
             assert_eq!((found.runs.len(), found.baseline), (2, Some(1)), "{}", baseline.display());
         }
+    }
+
+    #[test]
+    fn what_lacks_something_of_a_whole_run_is_told() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let data = folder.path().join("data.csv");
+        std::fs::write(&data, "iteration,inference,warm-up,outcome\n1,0.1,0,ok\n").expect("written");
+        let told = || {
+            let run = open(folder.path(), &|_| true).expect("readable");
+            doubt(&run, &Experiments::of(std::iter::once(folder.path())))
+        };
+        assert!(told().is_some_and(|told| told.contains("under way or was killed")), "{:?}", told());
+        let record = |reason: &str| {
+            let text = format!(
+                r#"{{"format":1,"reason":"{reason}","pipeline":{{"limit":{{"total":9}}}},"counts":{{"ok":1}}}}"#
+            );
+            std::fs::write(folder.path().join("run.json"), text).expect("written");
+        };
+        record("stopped");
+        assert!(
+            told().is_some_and(|told| told.ends_with("interrupted after 1 of 9 iterations")),
+            "{:?}",
+            told()
+        );
+        record("finished");
+        assert_eq!(told(), None);
     }
 }

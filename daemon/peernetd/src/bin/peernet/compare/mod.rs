@@ -1,7 +1,9 @@
 //! `peernet compare`: runs side by side, as the paper's table.
 
 mod collect;
+mod experiment;
 mod order;
+mod undone;
 
 use std::path::PathBuf;
 
@@ -59,9 +61,11 @@ enum Format {
 /// # Errors
 /// When there are no results (66), they cannot be read (65), or the file cannot be written (73).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let Collected { runs, baseline } = collect(&arguments.runs, arguments.baseline.as_deref(), &is_compared)?;
+    let Collected { runs, baseline, left_out } =
+        collect(&arguments.runs, arguments.baseline.as_deref(), &is_compared)?;
     let repeats = if arguments.apart { Repeats::Apart } else { Repeats::Pooled };
-    let comparison = Comparison::with(&runs, repeats, arguments.seed);
+    let mut comparison = Comparison::with(&runs, repeats, arguments.seed);
+    comparison.doubts.extend(left_out);
     let line_of = |run: usize| comparison.lines.iter().position(|line| line.runs.contains(&run));
     let first = match baseline {
         Some(run) => line_of(run),

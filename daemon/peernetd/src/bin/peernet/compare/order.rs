@@ -1,38 +1,15 @@
 //! The order of an experiment's runs.
 
 use std::collections::HashMap;
-use std::path::{Path, PathBuf};
 
 use peernet_report::results::Loaded;
-use peernetd::small_file;
-use serde::Deserialize;
 
-use crate::run::{LARGEST_RECORD, RECORD};
-
-/// How many folders above its results an experiment's is looked for: `runs`, the run's, a user's.
-const HIGHEST: usize = 4;
-
-/// What is needed of `experiment.json`.
-#[derive(Deserialize)]
-struct Experiment {
-    id: String,
-    plan: Plan,
-}
-
-#[derive(Deserialize)]
-struct Plan {
-    configurations: Vec<Configuration>,
-}
-
-#[derive(Deserialize)]
-struct Configuration {
-    labels: Vec<(String, String)>,
-}
+use super::experiment::Experiments;
 
 /// The runs as numbers, those of an experiment in the order of its file, as `peernet run` shows them, whatever the order in
 /// which they were measured. They take the places that its runs had; all others stay where they are. An experiment whose
 /// folder is not there, or cannot be read, stays as it is: only the order depends on it.
-pub(super) fn as_declared(runs: &[Loaded]) -> Vec<usize> {
+pub(super) fn as_declared(runs: &[Loaded], experiments: &Experiments) -> Vec<usize> {
     let mut order: Vec<usize> = (0..runs.len()).collect();
     let mut executions: HashMap<&str, Vec<usize>> = HashMap::new();
     for (at, run) in runs.iter().enumerate() {
@@ -41,9 +18,8 @@ pub(super) fn as_declared(runs: &[Loaded]) -> Vec<usize> {
         }
     }
     for (id, places) in executions {
-        let Some(experiment) = places.iter().find_map(|at| of_folder(&runs[*at].folder, id)) else {
-            continue;
-        };
+        let of = |at: &usize| experiments.execution(&runs[*at].folder, id);
+        let Some(experiment) = places.iter().find_map(of) else { continue };
         let rank = |at: &usize| {
             let place = runs[*at].record.experiment.as_ref();
             let declared = &experiment.plan.configurations;
@@ -60,17 +36,6 @@ pub(super) fn as_declared(runs: &[Loaded]) -> Vec<usize> {
     order
 }
 
-/// The execution of that id that a folder of results belongs to.
-fn of_folder(results: &Path, id: &str) -> Option<Experiment> {
-    let folder: PathBuf = results.canonicalize().ok()?;
-    let records = folder.ancestors().skip(1).take(HIGHEST).map(|above| above.join(RECORD));
-    let read = |path: PathBuf| {
-        let text = small_file::read_found(&path, LARGEST_RECORD).ok()?;
-        serde_json::from_str::<Experiment>(&text).ok()
-    };
-    records.filter_map(read).find(|experiment| experiment.id == id)
-}
-
 #[cfg(test)]
 mod tests {
     use peernet_logger::stream::ExperimentPlace;
@@ -80,6 +45,11 @@ mod tests {
     use std::fs;
 
     use super::*;
+    use crate::run::RECORD;
+
+    fn as_declared(runs: &[Loaded]) -> Vec<usize> {
+        super::as_declared(runs, &Experiments::of(runs.iter().map(|run| &*run.folder)))
+    }
 
     #[test]
     fn runs_come_as_the_file_has_them() {

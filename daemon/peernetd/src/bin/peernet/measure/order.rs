@@ -6,7 +6,7 @@ use anyhow::anyhow;
 use peernet_agent::AgentConfig;
 use peernet_agent::config::PipelineConfig;
 use peernet_clock::Span;
-use peernet_report::results::{NetworkConfig, Overwrite};
+use peernet_report::results::{NetworkConfig, Overwrite, User};
 use peernetd::exit::{Exit, Failure};
 use serde::{Deserialize, Serialize};
 
@@ -33,6 +33,9 @@ pub(crate) struct Order {
     /// The file of devices that it names.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) network_config: Option<NetworkConfig>,
+    /// Which edge it is, where several ask at once.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) user: Option<User>,
     /// Which iterations are warm-up, in words.
     pub(crate) warm_up: String,
     /// How long a peer that is away is waited for, before the run and during it; seconds. Default: 90.

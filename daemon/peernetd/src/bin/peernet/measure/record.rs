@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use peernet_agent::AgentConfig;
+use peernet_external::environment;
 use peernet_inference::MODEL_HASH;
 use peernet_logger::stream::{Placement as Told, PlacementKind};
 use peernet_report::accuracy::Accuracy;
@@ -44,6 +45,7 @@ pub(super) fn of(order: &Order, taken: &Taken, ended: &Ended, edge: String, miss
         version: VERSION.to_owned(),
         command: order.command.clone(),
         folder: std::env::current_dir().map(|folder| folder.display().to_string()).unwrap_or_default(),
+        environment: environment(),
         network_config: order.network_config.clone(),
         edge: HostRecord {
             name: edge,
@@ -66,6 +68,8 @@ pub(super) fn of(order: &Order, taken: &Taken, ended: &Ended, edge: String, miss
         pipeline: pipeline.map_or(Value::Null, json),
         agent: agent(&order.agent),
         experiment: pipeline.and_then(|pipeline| pipeline.experiment.clone()),
+        user: order.user,
+        patience_s: Some(order.patience().seconds()),
         seeds: pipeline.map(|pipeline| seeds(&json(pipeline))).unwrap_or_default(),
         warm_up: order.warm_up.clone(),
         counts: Counts::of(&taken.rows, missed),

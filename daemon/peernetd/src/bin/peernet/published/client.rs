@@ -83,6 +83,7 @@ fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
         plots: arguments.generate_plots,
         command: typed(),
         network_config: Some(devices.config.clone()),
+        user: None,
         warm_up: format!("the first {WARM_UP} iterations"),
         patience_s: Some(arguments.patience),
     })

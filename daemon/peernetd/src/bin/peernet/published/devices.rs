@@ -51,16 +51,18 @@ impl File {
     }
 }
 
-/// Where each device of the file listens, whoever serves.
+/// Where each device of the file listens, whoever serves; and the file.
 ///
 /// # Errors
 /// When the file cannot be read (66) or does not say what it must (78).
-pub(crate) fn addresses(path: &Path) -> Result<BTreeMap<String, Address>, Failure> {
-    let file = path.display().to_string();
+pub(crate) fn addresses(path: &Path) -> Result<(BTreeMap<String, Address>, NetworkConfig), Failure> {
+    let (file, text) = (path.display().to_string(), text(path)?);
     let wrong = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
-    let read = File::read(&text(path)?, &file).map_err(wrong)?;
+    let read = File::read(&text, &file).map_err(wrong)?;
     let addresses = read.devices.iter().map(|(name, at)| Ok((name.clone(), read.address(name, at)?)));
-    addresses.collect::<Result<_, String>>().map_err(|problem| wrong(anyhow!("{file}: {problem}")))
+    let addresses = addresses.collect::<Result<_, String>>();
+    let addresses = addresses.map_err(|problem| wrong(anyhow!("{file}: {problem}")))?;
+    Ok((addresses, NetworkConfig { file, text }))
 }
 
 fn text(path: &Path) -> Result<String, Failure> {

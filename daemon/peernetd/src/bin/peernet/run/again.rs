@@ -1,40 +1,47 @@
 //! Runs that are finished by the record, and are to be done again all the same.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use peernet_report::results::{Counts, ResultFolder, RunRecord};
 use peernetd::output::complain;
 
+use super::Beside;
 use super::folder::Folder;
 use super::plan::Run;
 use super::state::{Record, Stage};
 
-/// What was taken away is to be done again.
-pub(super) fn settle(folder: &Folder, record: &mut Record) {
+/// What was taken away is to be done again; what was measured with another file of devices is told.
+pub(super) fn settle(folder: &Folder, record: &mut Record, beside: &Beside) {
     let finished = record.runs().filter(|(_, state)| state.stage == Stage::Finished);
-    let damaged = |(run, _): (&Run, _)| Some((run.clone(), damage(folder, record, run)?));
-    let damaged: Vec<(Run, String)> = finished.filter_map(damaged).collect();
-    for (run, why) in damaged {
-        complain(format_args!("run {} is done again: {why}", run.number));
-        record.forget(&run);
+    let finished: Vec<Run> = finished.map(|(run, _)| run.clone()).collect();
+    let mut changed = BTreeSet::new();
+    for run in finished {
+        match found(folder, record, &run) {
+            Ok(told) => changed.extend(told.iter().filter_map(|told| beside.changed_since(told, &run))),
+            Err(why) => {
+                complain(format_args!("run {} is done again: {why}", run.number));
+                record.forget(&run);
+            }
+        }
     }
+    changed.iter().for_each(complain);
 }
 
-/// Why a run's results cannot be used: they are gone, cannot be read, are not whole, or are those of another run.
-pub(super) fn damage(folder: &Folder, record: &Record, run: &Run) -> Option<String> {
+/// What a run's results say of themselves, for each user.
+///
+/// # Errors
+/// Why they cannot be used: they are gone, cannot be read, are not whole, or are those of another run.
+pub(super) fn found(folder: &Folder, record: &Record, run: &Run) -> Result<Vec<RunRecord>, String> {
     let of_user = |path: &PathBuf| {
         if !path.join("run.json").is_file() {
-            return Some("its results are gone".to_owned());
+            return Err("its results are gone".to_owned());
         }
-        match ResultFolder::open(path) {
-            Ok(loaded) => {
-                let why = loaded.damage().or_else(|| lacks(&loaded.record, record, run).map(str::to_owned));
-                why.map(|why| format!("{}: {why}", path.display()))
-            }
-            Err(error) => Some(error.to_string()),
-        }
+        let loaded = ResultFolder::open(path).map_err(|error| error.to_string())?;
+        let why = loaded.damage().or_else(|| lacks(&loaded.record, record, run).map(str::to_owned));
+        why.map_or(Ok(loaded.record), |why| Err(format!("{}: {why}", path.display())))
     };
-    folder.results(&record.plan, run).iter().find_map(of_user)
+    folder.results(&record.plan, run).iter().map(of_user).collect()
 }
 
 /// What a finished run says of itself, and this one does not.

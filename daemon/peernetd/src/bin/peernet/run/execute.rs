@@ -1,9 +1,10 @@
 //! Run after run.
 
 use peernet_clock::SharedClock;
-use peernet_report::results::{Overwrite, ResultFolder};
+use peernet_report::results::{Overwrite, ResultFolder, User};
 use peernetd::exit::{Exit, Failure};
 
+use super::beside::Beside;
 use super::children::{self, Exited, News};
 use super::estimate::Estimates;
 use super::folder::Folder;
@@ -18,7 +19,7 @@ pub(super) struct Execution<'a> {
     pub(super) record: &'a mut Record,
     pub(super) estimates: Estimates,
     pub(super) clock: &'a SharedClock,
-    pub(super) plots: bool,
+    pub(super) beside: &'a Beside,
     pub(super) quiet: bool,
 }
 
@@ -98,6 +99,7 @@ impl Execution<'_> {
     fn orders(&self, run: &Run) -> Vec<Order> {
         let plan = &self.record.plan;
         let configuration = plan.configuration(run);
+        let of = configuration.users;
         let order = |(user, folder)| {
             let mut agent = configuration.agent.clone();
             agent.agent.name = plan.agent_name(run, user);
@@ -107,10 +109,10 @@ impl Execution<'_> {
                 title: plan.title(run),
                 folder,
                 overwrite: Overwrite::Replace,
-                plots: self.plots,
+                plots: self.beside.plots,
                 command: typed(),
-                // Its configuration has the address in the place of the device's name.
-                network_config: None,
+                network_config: self.beside.network(run).cloned(),
+                user: (of > 1).then(|| User { number: user + 1, of }),
                 warm_up: configuration.warm_up.clone(),
                 patience_s: configuration.patience_s,
             }

@@ -24,7 +24,8 @@ const KINDS: [&str; 4] = ["txt", "md", "csv", "tex"];
 const LOCK: &str = ".lock";
 /// How a record begins its name until it is whole. A program that is killed meanwhile leaves it behind.
 const DRAFT: &str = ".experiment-";
-const RUNS: &str = "runs";
+/// The folder in an experiment's that has those of its runs.
+pub(crate) const RUNS: &str = "runs";
 
 /// A folder that this program alone writes to.
 pub(super) struct Folder {

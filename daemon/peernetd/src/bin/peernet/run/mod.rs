@@ -9,6 +9,7 @@
 
 mod again;
 mod arguments;
+mod beside;
 mod check;
 mod children;
 mod difference;
@@ -25,13 +26,16 @@ mod sensors;
 mod state;
 mod table;
 mod trial;
+mod undone;
 
 pub(crate) use arguments::Arguments;
-pub(crate) use folder::{LARGEST_RECORD, RECORD};
+pub(crate) use folder::{LARGEST_RECORD, RECORD, RUNS};
+pub(crate) use state::Stage;
+pub(crate) use undone::left_out;
 
 use std::collections::BTreeSet;
 use std::io::{BufRead, IsTerminal, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use peernet_clock::{ClockIdentity, SharedClock};
@@ -44,6 +48,7 @@ use peernetd::{VERSION, clock};
 use crate::foreground::{Signals, remark, where_seen};
 use again::settle;
 use arguments::Only;
+use beside::Beside;
 use children::Exited;
 use estimate::{Estimates, expected};
 use execute::Execution;
@@ -52,7 +57,7 @@ use folder::Folder;
 use homes::{Homes, untaken};
 use origin::origin_of_missing;
 use plan::{Plan, Run};
-use state::{Record, Stage};
+use state::Record;
 use trial::Tried;
 
 /// Where experiments go that nobody gave a place.
@@ -65,10 +70,11 @@ const RESULTS: &str = "results";
 /// (64), results cannot be written (73), some runs failed (75), or the user ended it early (130).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let file = File::read(&arguments.file, &arguments.set)?;
-    let configurations = file.configurations(&arguments.models_dir)?;
+    let (configurations, networks) = file.configurations(&arguments.models_dir)?;
+    let beside = Beside { plots: file.experiment.plots, networks };
     let clock =
         clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
-    let remarks = check::configurations(&configurations, &clock)?;
+    let remarks = check::configurations(&arguments.file, &configurations, &clock)?;
     let path = arguments.result_loc.clone();
     let path = path.unwrap_or_else(|| PathBuf::from(RESULTS).join(file.experiment.name.as_str()));
     // A broken record can be begun anew, and is nothing against the file.
@@ -97,7 +103,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let runtime = runtime
         .context("cannot start the runtime")
         .map_err(|error| Failure::new(Exit::Unavailable, error))?;
-    let done = runtime.block_on(carry_out(arguments, record, path, &clock, file.experiment.plots));
+    let done = runtime.block_on(carry_out(arguments, record, path, &clock, &beside));
     // A question that nobody answers is not waited for.
     runtime.shutdown_background();
     done
@@ -108,12 +114,12 @@ async fn carry_out(
     mut record: Record,
     path: PathBuf,
     clock: &SharedClock,
-    plots: bool,
+    beside: &Beside,
 ) -> Result<(), Failure> {
     let mut signals = Signals::new().map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let folder = if arguments.dry_run { None } else { Some(Folder::open(&path)?) };
     if let Some(folder) = &folder {
-        settle(folder, &mut record);
+        settle(folder, &mut record, beside);
     }
     let to_do = record.to_do(|run| Only::wants(&arguments.only, &record.plan, run));
     let _homes = match folder.as_ref().map(|_| Homes::take(&record.plan, &to_do)).transpose() {
@@ -140,7 +146,7 @@ async fn carry_out(
     for condition in &tried.conditions {
         complain(remark(condition));
     }
-    if let Some(failure) = missing(&tried) {
+    if let Some(failure) = missing(&tried, &arguments.file) {
         discard(folder, &record);
         return Err(failure);
     }
@@ -155,9 +161,9 @@ async fn carry_out(
     }
     folder.save(&record)?;
     let mut execution =
-        Execution { folder: &folder, record: &mut record, estimates, clock, plots, quiet: arguments.quiet };
+        Execution { folder: &folder, record: &mut record, estimates, clock, beside, quiet: arguments.quiet };
     let interrupted = execution.all(&to_do, &mut signals).await?;
-    let told = report::write(&folder, &record, plots)?;
+    let told = report::write(&folder, &record, beside.plots)?;
     say(format_args!("\n{told}"));
     say(format_args!("\n{place}: {}", summary(&record)));
     let waiting = untaken(&record.plan).await?;
@@ -194,12 +200,16 @@ fn estimates(record: &Record, tried: &Tried) -> Estimates {
 }
 
 /// Everything that the trials lacked, at once: each reason, and the configurations below.
-fn missing(tried: &Tried) -> Option<Failure> {
+fn missing(tried: &Tried, file: &Path) -> Option<Failure> {
     let (_, first) = tried.missing.first()?;
-    let is_wrong = first.code == Some(i32::from(Exit::Configuration as u8));
-    let exit = if is_wrong { Exit::Configuration } else { Exit::Unavailable };
+    let is_wrong = |exit: &Exited| exit.code == Some(i32::from(Exit::Configuration as u8));
+    let exit = if is_wrong(first) { Exit::Configuration } else { Exit::Unavailable };
     let mut reasons: Vec<&str> = Vec::new();
-    let reason = |exit: &Exited| exit.reason.clone().unwrap_or_else(|| "it said nothing".to_owned());
+    let reason = |exit: &Exited| match &exit.reason {
+        Some(reason) if is_wrong(exit) => format!("{}: {}", file.display(), check::as_written(reason)),
+        Some(reason) => reason.clone(),
+        None => "it said nothing".to_owned(),
+    };
     let all: Vec<(String, String)> =
         tried.missing.iter().map(|(configuration, exit)| (reason(exit), configuration.clone())).collect();
     for (reason, _) in &all {

@@ -18,8 +18,9 @@ use peernetd::exit::{Exit, Failure};
 use super::folder::Folder;
 use super::plan::Run;
 use super::sensors::Sensors;
-use super::state::{Record, Stage};
+use super::state::Record;
 use super::table;
+use super::undone::left_out;
 use crate::compare::{below, differences, first_of_two, joined};
 
 /// Writes everything that compares finished runs, with `plots` also as figures; returns what is to be printed.
@@ -28,7 +29,7 @@ use crate::compare::{below, differences, first_of_two, joined};
 /// When results cannot be read (65), or tables or figures cannot be written (73).
 pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<String, Failure> {
     let mut runs: Vec<&Run> =
-        record.runs().filter(|(_, state)| state.stage == Stage::Finished).map(|(run, _)| run).collect();
+        record.runs().filter(|(_, state)| state.stage.is_done()).map(|(run, _)| run).collect();
     if runs.is_empty() {
         return Ok(String::new());
     }
@@ -38,7 +39,11 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Str
     let (sensors, trust) = (Sensors::of(&record.plan, &runs, &loaded), trust(&loaded));
     let all: Vec<Loaded> = loaded.into_iter().flatten().collect();
     let users = Users::of(&all);
-    let comparison = Comparison::of(&all);
+    let mut comparison = Comparison::of(&all);
+    let stages = record.runs().map(|(run, state)| (&*run.folder, state.stage));
+    comparison
+        .doubts
+        .extend(left_out(record.name.as_str(), stages).map(|without| format!("Shown {without}.")));
     // As `peernet compare` gives them.
     let differences = differences(&comparison, &all, first_of_two(&comparison), SEED);
     let tables = below(&comparison, &differences);

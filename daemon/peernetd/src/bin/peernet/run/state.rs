@@ -52,7 +52,7 @@ pub(super) struct State {
 /// What became of a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub(super) enum Stage {
+pub(crate) enum Stage {
     /// Its turn has not come.
     #[default]
     Pending,
@@ -67,6 +67,19 @@ pub(super) enum Stage {
 }
 
 impl Stage {
+    /// Whether its results count, in tables and figures, and nobody does it again.
+    pub(crate) const fn is_done(self) -> bool {
+        matches!(self, Self::Finished)
+    }
+
+    /// As people read it who do not know whether the experiment is under way.
+    pub(crate) const fn left_as(self) -> &'static str {
+        match self {
+            Self::Running => "under way or killed",
+            other => other.name(),
+        }
+    }
+
     /// As people read it.
     pub(super) const fn name(self) -> &'static str {
         match self {
@@ -115,7 +128,7 @@ impl Record {
 
     /// The runs that are to be done, in order; those before `from` and those that nobody wants are passed over.
     pub(super) fn to_do(&self, wanted: impl Fn(&Run) -> bool) -> Vec<Run> {
-        let open = self.runs().filter(|(run, state)| state.stage != Stage::Finished && wanted(run));
+        let open = self.runs().filter(|(run, state)| !state.stage.is_done() && wanted(run));
         open.map(|(run, _)| run.clone()).collect()
     }
 

@@ -3,7 +3,7 @@ use std::path::Path;
 use clap::Parser;
 use serde_json::{Value, json};
 
-use super::again::damage;
+use super::again::found;
 use super::state::Ended;
 use super::*;
 
@@ -35,7 +35,7 @@ pub(super) fn plan(folder: &Path, text: &str) -> Plan {
     let path = folder.join("e.toml");
     std::fs::write(&path, text).expect("writable");
     let file = File::read(&path, &[]).expect("reads");
-    Plan::new(&file.experiment, None, file.configurations(&[]).expect("reads"))
+    Plan::new(&file.experiment, None, file.configurations(&[]).expect("reads").0)
 }
 
 fn record(folder: &Path) -> Record {
@@ -81,7 +81,7 @@ fn what_is_not_whole_is_done_again() {
     let folder = Folder::open(&temporary.path().join("results")).expect("is new");
     let record = record(temporary.path());
     let run = &record.plan.runs[0];
-    let told = || damage(&folder, &record, run);
+    let told = || found(&folder, &record, run).err();
     assert_eq!(told().as_deref(), Some("its results are gone"));
     let [path] = folder.results(&record.plan, run).try_into().expect("one user");
     std::fs::create_dir_all(&path).expect("writable");
@@ -256,7 +256,7 @@ fn values_of_the_command_line_take_the_place_of_the_files_but_not_of_the_axes() 
         let words = sets.iter().flat_map(|set| ["--set", set]);
         let line = Line::try_parse_from(["run", "e.toml"].into_iter().chain(words)).expect("a command line");
         let file = File::read(&path, &line.arguments.set)?;
-        Ok(Plan::new(&file.experiment, None, file.configurations(&[])?))
+        Ok(Plan::new(&file.experiment, None, file.configurations(&[])?.0))
     };
     let refused = |sets: &[&str]| -> Failure { read(sets).expect_err("refused") };
     let of_the_file: Result<Plan, Failure> = read(&[]);

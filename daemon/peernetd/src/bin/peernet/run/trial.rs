@@ -180,6 +180,7 @@ fn order(configuration: &Configuration) -> Order {
         plots: false,
         command: String::new(),
         network_config: None,
+        user: None,
         warm_up: String::new(),
         patience_s: Some(configuration.patience_s.unwrap_or(PATIENCE_S)),
     }

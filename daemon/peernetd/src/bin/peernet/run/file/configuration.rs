@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use peernet_agent::AgentConfig;
 use peernet_agent::config::{Limit, WarmUp};
 use peernet_inference::bank::Folders;
+use peernet_report::results::NetworkConfig;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
@@ -14,6 +15,7 @@ use super::experiment::{Experiment, Network, in_words};
 use super::field::Field;
 use super::matrix::Combination;
 use super::{AGENT, File, peers, typed};
+use crate::run::check::as_written;
 
 /// Keys of a pipeline that the experiment decides, and where they are to be written instead.
 const ELSEWHERE: [(&str, &str); 6] = [
@@ -53,7 +55,7 @@ pub(in crate::run) struct Seeds {
 }
 
 impl File {
-    /// The configuration of a combination.
+    /// The configuration of a combination, and the file that names its peer.
     ///
     /// # Errors
     /// What is wrong: the key first, and the axis that put it there last.
@@ -62,7 +64,7 @@ impl File {
         combination: &Combination<'_>,
         models: &[PathBuf],
         files: &mut peers::Files,
-    ) -> Result<Configuration, String> {
+    ) -> Result<(Configuration, Option<NetworkConfig>), String> {
         let mut document = self.document.clone();
         for (axis, value) in combination {
             for (field, to) in &value.sets {
@@ -71,18 +73,19 @@ impl File {
             }
         }
         read(document, models, files)
-            .map(|configuration| Configuration {
-                labels: combination
-                    .iter()
-                    .map(|(axis, value)| (axis.name.clone(), value.label.clone()))
-                    .collect(),
-                ..configuration
+            .map(|(configuration, network)| {
+                let labels = combination.iter().map(|(axis, value)| (axis.name.clone(), value.label.clone()));
+                (Configuration { labels: labels.collect(), ..configuration }, network)
             })
             .map_err(|problem| blame(&problem, combination))
     }
 }
 
-fn read(mut document: Table, models: &[PathBuf], files: &mut peers::Files) -> Result<Configuration, String> {
+fn read(
+    mut document: Table,
+    models: &[PathBuf],
+    files: &mut peers::Files,
+) -> Result<(Configuration, Option<NetworkConfig>), String> {
     let table = |document: &mut Table, key: &str| document.remove(key);
     let experiment = table(&mut document, "experiment").unwrap_or_else(|| Value::Table(Table::new()));
     let experiment: Experiment = typed(experiment).map_err(|error| format!("experiment.{error}"))?;
@@ -95,14 +98,13 @@ fn read(mut document: Table, models: &[PathBuf], files: &mut peers::Files) -> Re
     if let Some((key, instead)) = ELSEWHERE.iter().find(|(key, _)| pipeline.contains_key(*key)) {
         return Err(format!("pipeline.{key}: in an experiment this is decided by {instead}"));
     }
-    peers::resolve(&mut pipeline, network.as_ref(), files)?;
+    let network = peers::resolve(&mut pipeline, network.as_ref(), files)?;
     let seeds = Seeds { sensor: lacks_seed(&pipeline, "sensor"), load: lacks_seed(&pipeline, "load") };
     pipeline.insert("name".to_owned(), Value::String(experiment.name.to_string()));
     let has_bank = document.contains_key("bank");
     document.retain(|key, _| AGENT.contains(&key));
     document.insert("pipeline".to_owned(), Value::Array(vec![Value::Table(pipeline)]));
-    let mut agent: AgentConfig =
-        typed(document).map_err(|error| error.replacen("pipeline[0]", "pipeline", 1))?;
+    let mut agent: AgentConfig = typed(document).map_err(|error| as_written(&error))?;
     if !has_bank {
         agent.bank.folders = Folders::search(models).places().to_vec();
     }
@@ -126,14 +128,15 @@ fn read(mut document: Table, models: &[PathBuf], files: &mut peers::Files) -> Re
             "experiment.warm_up: all iterations of a run would be warm-up ({text}), and no statistics"
         ));
     }
-    Ok(Configuration {
+    let configuration = Configuration {
         labels: Vec::new(),
         users: experiment.users.get(),
         agent,
         warm_up: in_words(&warm_up),
         patience_s: experiment.patience_s,
         seeds,
-    })
+    };
+    Ok((configuration, network))
 }
 
 /// Whether a run is warm-up from its beginning to its end.

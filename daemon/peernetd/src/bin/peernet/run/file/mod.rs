@@ -19,6 +19,7 @@ pub(super) use set::Set;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
+use peernet_report::results::NetworkConfig;
 use peernetd::exit::{Exit, Failure};
 use peernetd::expected::told;
 use peernetd::small_file;
@@ -63,28 +64,34 @@ impl File {
         }
     }
 
-    /// Its configurations: every combination of the axes' values that is not left out, the last axis changing fastest.
-    /// `models` are the folders that are searched unless `[bank]` names others.
+    /// Its configurations, every combination of the axes' values that is not left out, the last axis changing fastest; and of
+    /// each the file that names its peer. `models` are the folders that are searched unless `[bank]` names others.
     ///
     /// # Errors
     /// What is wrong, each with its key (78).
-    pub(super) fn configurations(&self, models: &[PathBuf]) -> Result<Vec<Configuration>, Failure> {
+    pub(super) fn configurations(
+        &self,
+        models: &[PathBuf],
+    ) -> Result<(Vec<Configuration>, Vec<Option<NetworkConfig>>), Failure> {
         let wrong = |text: String| Failure::new(Exit::Configuration, anyhow!("{text}"));
         let at = |text: String| wrong(format!("{}: {text}", self.path.display()));
         let combinations = matrix::combinations(&self.axes, &self.experiment.exclude).map_err(at)?;
         self.bounded(combinations.len()).map_err(at)?;
-        let mut configurations = Vec::new();
+        let (mut configurations, mut networks) = (Vec::new(), Vec::new());
         let (mut problems, mut files) = (Vec::<String>::new(), peers::Files::default());
         for combination in combinations {
             match self.configuration(&combination, models, &mut files) {
-                Ok(configuration) => configurations.push(configuration),
+                Ok((configuration, network)) => {
+                    configurations.push(configuration);
+                    networks.push(network);
+                }
                 // The same mistake in every combination is one.
                 Err(problem) if problems.contains(&problem) => {}
                 Err(problem) => problems.push(problem),
             }
         }
         if problems.is_empty() {
-            return Ok(configurations);
+            return Ok((configurations, networks));
         }
         let file = self.path.display();
         Err(wrong(problems.iter().map(|problem| format!("{file}: {problem}")).collect::<Vec<_>>().join("\n")))

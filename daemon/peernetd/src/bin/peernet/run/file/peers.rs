@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use peernet_networks::Address;
+use peernet_report::results::NetworkConfig;
 use toml::{Table, Value};
 
 use super::experiment::Network;
@@ -12,10 +13,13 @@ use crate::run::origin::origin;
 
 /// Files of devices, each read once: what is remarked of one is said once, however many combinations there are.
 #[derive(Default)]
-pub(super) struct Files(BTreeMap<PathBuf, Result<BTreeMap<String, Address>, String>>);
+pub(super) struct Files(BTreeMap<PathBuf, Result<Devices, String>>);
+
+/// The addresses of the devices, and the file.
+type Devices = (BTreeMap<String, Address>, NetworkConfig);
 
 impl Files {
-    fn read(&mut self, path: &Path) -> Result<&BTreeMap<String, Address>, String> {
+    fn read(&mut self, path: &Path) -> Result<&Devices, String> {
         let read = || {
             addresses(path).map_err(|failure| match path.is_relative() && !path.exists() {
                 true => format!("network.config: {failure}; {}", origin()),
@@ -26,7 +30,7 @@ impl Files {
     }
 }
 
-/// Puts the address in the place of a device's name in `pipeline.placement.peer`.
+/// Puts the address in the place of a device's name in `pipeline.placement.peer`, and returns the file that has it.
 ///
 /// # Errors
 /// A sentence with its key, when there is no such device.
@@ -34,20 +38,20 @@ pub(super) fn resolve(
     pipeline: &mut Table,
     network: Option<&Network>,
     files: &mut Files,
-) -> Result<(), String> {
+) -> Result<Option<NetworkConfig>, String> {
     let placement = pipeline.get_mut("placement").and_then(Value::as_table_mut);
     let Some(Value::String(peer)) = placement.and_then(|placement| placement.get_mut("peer")) else {
-        return Ok(());
+        return Ok(None);
     };
     if peer.contains("://") {
-        return Ok(());
+        return Ok(None);
     }
     let Some(network) = network else {
         return Err(format!(
             "pipeline.placement.peer: {peer:?} is no address; write tcp://host:5551, or name the file of the devices: [network] config = \"net_config.yaml\""
         ));
     };
-    let devices = files.read(&network.config)?;
+    let (devices, file) = files.read(&network.config)?;
     let address = devices.get(peer.as_str()).ok_or_else(|| {
         let known: Vec<&str> = devices.keys().map(String::as_str).collect();
         format!(
@@ -57,5 +61,5 @@ pub(super) fn resolve(
         )
     })?;
     *peer = address.to_string();
-    Ok(())
+    Ok(Some(file.clone()))
 }

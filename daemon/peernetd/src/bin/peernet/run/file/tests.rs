@@ -15,7 +15,7 @@ placement = { kind = 'remote', peer = 'tcp://127.0.0.1:5551', model = 'echo' }
 fn configurations(text: &str) -> Result<Vec<Configuration>, String> {
     let document = text.parse().map_err(|error: toml::de::Error| error.to_string())?;
     let file = File::parse(document, Path::new("e.toml"))?;
-    file.configurations(&[]).map_err(|failure| failure.to_string())
+    file.configurations(&[]).map(|found| found.0).map_err(|failure| failure.to_string())
 }
 
 fn read(more: &str) -> Vec<Configuration> {

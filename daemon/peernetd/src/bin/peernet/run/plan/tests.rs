@@ -35,7 +35,7 @@ fn plan(text: &str, seed: Option<u64>) -> Plan {
     let path = folder.path().join("e.toml");
     std::fs::write(&path, text).expect("writable");
     let file = File::read(Path::new(&path), &[]).expect("reads");
-    Plan::new(&file.experiment, seed, file.configurations(&[]).expect("reads"))
+    Plan::new(&file.experiment, seed, file.configurations(&[]).expect("reads").0)
 }
 
 fn order(plan: &Plan) -> Vec<usize> {

@@ -1,0 +1,133 @@
+//! The experiments that results belong to.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use peernetd::short::plain;
+use peernetd::small_file;
+use serde::Deserialize;
+
+use crate::run::{LARGEST_RECORD, RECORD, RUNS, Stage};
+
+/// How many folders above its results an experiment's is looked for: `runs`, the run's, a user's.
+const HIGHEST: usize = 4;
+
+/// Experiments by their folders. One whose record cannot be read is not among them: its runs are compared as others are.
+pub(super) struct Experiments(BTreeMap<PathBuf, Experiment>);
+
+/// What is needed of `experiment.json`.
+#[derive(Deserialize)]
+pub(super) struct Experiment {
+    pub(super) id: String,
+    #[serde(default)]
+    pub(super) name: String,
+    /// The file that declares it, as it was typed.
+    #[serde(default)]
+    file: String,
+    /// How the runs fare, in their order.
+    #[serde(default)]
+    states: Vec<State>,
+    pub(super) plan: Plan,
+}
+
+#[derive(Deserialize)]
+pub(super) struct Plan {
+    pub(super) configurations: Vec<Configuration>,
+    #[serde(default)]
+    runs: Vec<Run>,
+}
+
+#[derive(Deserialize)]
+pub(super) struct Configuration {
+    pub(super) labels: Vec<(String, String)>,
+}
+
+#[derive(Deserialize)]
+struct Run {
+    folder: String,
+}
+
+#[derive(Deserialize)]
+struct State {
+    stage: Stage,
+    reason: Option<String>,
+}
+
+/// A run of an experiment.
+#[derive(Clone, Copy)]
+pub(super) struct RunOf<'a> {
+    /// Where the experiment is.
+    pub(super) home: &'a Path,
+    pub(super) experiment: &'a Experiment,
+    run: &'a Run,
+    state: &'a State,
+}
+
+impl Experiments {
+    /// Those that have one of these results.
+    pub(super) fn of<'a>(results: impl Iterator<Item = &'a Path>) -> Self {
+        let mut read = BTreeMap::new();
+        for folder in results.flat_map(above) {
+            read.entry(folder).or_insert_with_key(|folder| self::read(&folder.join(RECORD)));
+        }
+        Self(read.into_iter().filter_map(|(folder, read)| Some((folder, read?))).collect())
+    }
+
+    /// The execution of that id that results belong to.
+    pub(super) fn execution(&self, results: &Path, id: &str) -> Option<&Experiment> {
+        above(results).iter().filter_map(|folder| self.0.get(folder)).find(|experiment| experiment.id == id)
+    }
+
+    /// The run that results are of, by their place.
+    pub(super) fn run(&self, results: &Path) -> Option<RunOf<'_>> {
+        let path = results.canonicalize().ok()?;
+        above(results).iter().find_map(|folder| {
+            let (home, experiment) = self.0.get_key_value(folder)?;
+            let name = path.strip_prefix(home.join(RUNS)).ok()?.iter().next()?;
+            let at = experiment.plan.runs.iter().position(|run| *run.folder == *name)?;
+            let (run, state) = (&experiment.plan.runs[at], experiment.states.get(at)?);
+            Some(RunOf { home, experiment, run, state })
+        })
+    }
+}
+
+impl Experiment {
+    /// Its runs' folders, and how the runs fare.
+    pub(super) fn runs(&self) -> impl Iterator<Item = (&str, Stage)> {
+        self.plan.runs.iter().zip(&self.states).map(|(run, state)| (&*run.folder, state.stage))
+    }
+
+    /// What is to be typed, so that all of them are done.
+    pub(super) fn remedy(&self) -> String {
+        format!("`peernet run {}` again, with the options that it had,", plain(&self.file))
+    }
+}
+
+impl RunOf<'_> {
+    /// Its own folder.
+    pub(super) fn folder(&self) -> PathBuf {
+        self.home.join(RUNS).join(&self.run.folder)
+    }
+
+    pub(super) fn is_done(&self) -> bool {
+        self.state.stage.is_done()
+    }
+
+    /// What became of it, and why it failed.
+    pub(super) fn fate(&self) -> String {
+        let State { stage, reason } = self.state;
+        let why = reason.as_deref().filter(|_| *stage == Stage::Failed);
+        format!("{}{}", stage.left_as(), why.map_or_else(String::new, |why| format!(" ({})", plain(why))))
+    }
+}
+
+/// The folders in which an experiment with these results may be.
+fn above(results: &Path) -> Vec<PathBuf> {
+    let folder = results.canonicalize().unwrap_or_default();
+    folder.ancestors().skip(1).take(HIGHEST).map(Path::to_owned).collect()
+}
+
+fn read(record: &Path) -> Option<Experiment> {
+    let text = small_file::read_found(record, LARGEST_RECORD).ok()?;
+    serde_json::from_str(&text).ok()
+}

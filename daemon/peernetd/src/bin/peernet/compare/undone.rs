@@ -1,0 +1,158 @@
+//! Which of the results that were found are compared.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use super::collect::is_same;
+use super::experiment::{Experiment, Experiments};
+use crate::run::{RUNS, left_out};
+
+/// What was found, without the runs of experiments that are not done.
+pub(super) struct Chosen {
+    /// The results, each once.
+    pub(super) paths: Vec<PathBuf>,
+    /// What is not among them, of each experiment.
+    pub(super) left_out: Vec<LeftOut>,
+}
+
+/// Runs of an experiment that are not compared.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct LeftOut {
+    /// Which, in a sentence.
+    pub(super) what: String,
+    /// Which, where, and what is to be done.
+    pub(super) remark: String,
+}
+
+impl Chosen {
+    /// Chooses among the results that were found in each place. A run that is a place itself is wanted as it is, and so is
+    /// the baseline, which is not added here.
+    pub(super) fn of(
+        found: &[(PathBuf, Vec<PathBuf>)],
+        baseline: Option<&Path>,
+        experiments: &Experiments,
+    ) -> Self {
+        let mut paths: Vec<PathBuf> = Vec::new();
+        let mut searched: BTreeMap<&Path, (&Path, &Experiment)> = BTreeMap::new();
+        for (place, path) in
+            found.iter().flat_map(|(place, paths)| paths.iter().map(move |path| (place, path)))
+        {
+            if let Some(run) = experiments.run(path).filter(|run| !is_within(place, &run.folder())) {
+                searched.entry(run.home).or_insert((place, run.experiment));
+                if !run.is_done() {
+                    continue;
+                }
+            }
+            if !paths.iter().any(|other| is_same(other, path)) {
+                paths.push(path.clone());
+            }
+        }
+        let wanted = paths.iter().map(PathBuf::as_path).chain(baseline);
+        let read: Vec<PathBuf> = wanted.filter_map(|path| Some(experiments.run(path)?.folder())).collect();
+        let left_out = searched.into_iter().filter_map(|(home, (place, experiment))| {
+            let is_read = |name: &str| read.contains(&home.join(RUNS).join(name));
+            let others = experiment.runs().filter(|(name, _)| !is_read(name));
+            let what = left_out(&experiment.name, others)?;
+            let (place, remedy) = (as_typed(place, home), experiment.remedy());
+            let remark = format!("{} is shown {what}; {remedy} does them", place.display());
+            Some(LeftOut { what: format!("Shown {what}."), remark })
+        });
+        Self { left_out: left_out.collect(), paths }
+    }
+}
+
+/// Whether a place is a folder or lies in it, which is given in full.
+fn is_within(place: &Path, folder: &Path) -> bool {
+    place.canonicalize().is_ok_and(|place| place.starts_with(folder))
+}
+
+/// An experiment's folder, which is given in full, as far as possible by the place in which it was found.
+fn as_typed(place: &Path, home: &Path) -> PathBuf {
+    let below = place.canonicalize().ok().and_then(|full| Some(home.strip_prefix(full).ok()?.to_owned()));
+    match below {
+        Some(below) if below.as_os_str().is_empty() => place.to_owned(),
+        Some(below) => place.join(below),
+        None => home.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use crate::compare::{Collected, collect};
+    use crate::run::RECORD;
+
+    /// An experiment of four runs, of which one is done and the last has not begun.
+    fn experiment(home: &Path) {
+        let names = ["001-a", "002-a", "003-b", "004-b"];
+        let runs: Vec<_> = names.iter().map(|name| json!({ "folder": name })).collect();
+        let states = json!([
+            { "stage": "finished", "attempts": 1 },
+            { "stage": "failed", "attempts": 1, "reason": "the agent ended" },
+            { "stage": "running", "attempts": 1 },
+            { "stage": "pending", "attempts": 0 },
+        ]);
+        let plan = json!({ "configurations": [], "runs": runs });
+        let record = json!({ "id": "x1", "name": "rates", "file": "e.toml", "states": states, "plan": plan });
+        for name in &names[..3] {
+            let folder = home.join(RUNS).join(name);
+            std::fs::create_dir_all(&folder).expect("made");
+            std::fs::write(folder.join("data.csv"), "iteration,inference\n1,0.1\n").expect("written");
+        }
+        std::fs::write(home.join(RECORD), record.to_string()).expect("written");
+    }
+
+    fn names(found: &Collected) -> Vec<String> {
+        let name = |run: &peernet_report::results::Loaded| run.folder.file_name().map(|name| name.to_owned());
+        found.runs.iter().filter_map(name).map(|name| name.to_string_lossy().into_owned()).collect()
+    }
+
+    const LEFT: &str = "Shown without the runs of experiment rates that are not done: 002-a (failed), \
+                        003-b (under way or killed), 004-b (to do).";
+
+    #[test]
+    fn an_experiment_is_its_runs_that_are_done() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let home = folder.path().join("all/rates");
+        experiment(&home);
+        // Wherever the search begins.
+        for place in [home.clone(), home.join(RUNS), folder.path().to_owned()] {
+            let found = collect(&[place], None, &|_| true).expect("one is done");
+            assert_eq!((names(&found), found.left_out), (vec!["001-a".to_owned()], vec![LEFT.to_owned()]));
+        }
+        let undone = home.join(RUNS).join("003-b");
+        let found = collect(&[home.clone(), undone.clone()], None, &|_| true).expect("two are wanted");
+        assert_eq!(names(&found), ["001-a", "003-b"], "what is named itself is wanted");
+        assert!(!found.left_out.concat().contains("003-b"), "{:?}", found.left_out);
+        let found = collect(&[undone.join("data.csv")], Some(&home.join("runs/002-a")), &|_| true);
+        let found = found.expect("both are named");
+        assert_eq!((names(&found).len(), found.left_out.len()), (2, 0));
+
+        let found = collect(std::slice::from_ref(&home), Some(&home.join("runs/002-a")), &|_| true);
+        let found = found.expect("one is done, one is named");
+        assert_eq!((names(&found), found.baseline), (vec!["002-a".to_owned(), "001-a".to_owned()], Some(0)));
+        assert!(!found.left_out.concat().contains("002-a"), "{:?}", found.left_out);
+
+        std::fs::remove_dir_all(home.join("runs/001-a")).expect("removed");
+        let nothing = collect(&[home], None, &|_| true).err().expect("nothing is left");
+        assert!(nothing.to_string().contains("nothing is left"), "{nothing}");
+    }
+
+    #[test]
+    fn what_is_left_out_is_told_with_its_place_and_what_to_do() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let home = folder.path().join("rates");
+        experiment(&home);
+        let found = vec![(folder.path().to_owned(), vec![home.join("runs/001-a"), home.join("runs/002-a")])];
+        let experiments = Experiments::of(found[0].1.iter().map(PathBuf::as_path));
+        let [told] = Chosen::of(&found, None, &experiments).left_out.try_into().expect("one experiment");
+        assert!(told.remark.starts_with(&format!("{} is shown without", home.display())), "{told:?}");
+        assert!(told.remark.contains("; `peernet run e.toml` again"), "{told:?}");
+        let failed = experiments.run(&home.join("runs/002-a/user-1"));
+        assert_eq!(failed.map(|run| run.fate()), None, "there is no such folder");
+        let failed = experiments.run(&home.join("runs/002-a")).expect("it is one of its runs");
+        assert_eq!(failed.fate(), "failed (the agent ended)");
+    }
+}

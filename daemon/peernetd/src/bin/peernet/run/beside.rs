@@ -1,0 +1,53 @@
+//! What the file of an experiment says and its plan does not hold, so that it may change while the experiment lasts.
+
+use peernet_report::results::{NetworkConfig, RunRecord};
+
+use super::plan::Run;
+
+/// Goes with the plan.
+pub(super) struct Beside {
+    /// Whether each run draws its figures.
+    pub(super) plots: bool,
+    /// The file of devices of each configuration: the plan has the address in the place of the device's name.
+    pub(super) networks: Vec<Option<NetworkConfig>>,
+}
+
+impl Beside {
+    /// The file that names a run's peer.
+    pub(super) fn network(&self, run: &Run) -> Option<&NetworkConfig> {
+        self.networks.get(run.configuration)?.as_ref()
+    }
+
+    /// A sentence when a run was measured with another text of that file.
+    pub(super) fn changed_since(&self, told: &RunRecord, run: &Run) -> Option<String> {
+        let (now, then) = (self.network(run)?, told.network_config.as_ref()?);
+        (now.text != then.text).then(|| {
+            format!(
+                "{} has changed since some runs were measured, not in the addresses that they use; each run.json has the text of its time",
+                now.file
+            )
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_text_of_the_file_of_devices_is_told_and_another_name_of_it_or_none_is_not() {
+        let network =
+            |file: &str, text: &str| Some(NetworkConfig { file: file.to_owned(), text: text.to_owned() });
+        let beside = Beside { plots: false, networks: vec![None, network("net.yaml", "devices: {a: b}")] };
+        let run = |configuration| Run { number: 1, configuration, repeat: 0, folder: "001-r1".to_owned() };
+        let told = |then: Option<NetworkConfig>, configuration| {
+            let record = RunRecord { network_config: then, ..RunRecord::default() };
+            beside.changed_since(&record, &run(configuration))
+        };
+        let text = told(network("net.yaml", "devices: {a: b, c: d}"), 1).expect("it has changed");
+        assert!(text.starts_with("net.yaml has changed"), "{text}");
+        assert_eq!(told(network("other.yaml", "devices: {a: b}"), 1), None);
+        // As an earlier build left it, or as a peer is named by its address.
+        assert_eq!((told(None, 1), told(network("net.yaml", "x"), 0)), (None, None));
+    }
+}

@@ -1,0 +1,40 @@
+//! Whether results are those of a whole run.
+
+use super::read::UNENDED;
+use super::{Counts, Loaded};
+use crate::number::counted;
+use crate::trust::cut_short;
+
+impl Loaded {
+    /// Why the rows are not those of a whole run, in one clause: not all that it measured, or all of a run that was
+    /// interrupted, broke off, was killed or is under way. `None` where they are, or where nobody knows, as of files of
+    /// other programs.
+    pub fn lacking(&self) -> Option<String> {
+        let reason = &self.record.reason;
+        self.damage().or_else(|| match reason == UNENDED {
+            true => Some(reason.clone()),
+            false => cut_short(&self.record, &self.rows).map(|end| format!("the run {end}")),
+        })
+    }
+
+    /// Why the rows are not all that were measured: `data.csv` has others than `run.json` counts, as when it was cut off
+    /// or changed. `None` where they are, or where nothing counts them.
+    pub fn damage(&self) -> Option<String> {
+        let said = self.record.counts;
+        let is = Counts::of(&self.rows, said.unseen);
+        let is_known = self.record.format > 0 && said != Counts::default();
+        let all = |counts: Counts| {
+            let counts = [counts.ok, counts.failed, counts.lost, counts.timeout, counts.warm_up];
+            counts.into_iter().fold(0, u64::saturating_add)
+        };
+        (is_known && is != said).then(|| match (all(is), all(said)) {
+            (rows, measured) if rows == measured => {
+                "data.csv has other outcomes or another warm-up than run.json counts".to_owned()
+            }
+            (rows, measured) => {
+                let measured = counted(measured, "iteration");
+                format!("data.csv has {rows} of the {measured} that run.json counts")
+            }
+        })
+    }
+}

@@ -1,0 +1,105 @@
+//! `run.json` holds what it takes to do a run again.
+
+use std::fs;
+use std::path::Path;
+
+use peernet_tests::{Ended, program, root};
+use serde_json::{Map, Value};
+
+use super::{Lab, Results, column, json};
+
+/// Pictures of different sizes in a shuffled order, sent as they are: their sizes tell which came when.
+const SHUFFLED: &str = r#"
+[experiment]
+name = "shuffled"
+seed = 9
+iterations = 12
+warm_up = { iterations = 2 }
+
+[network]
+config = "net_config.yaml"
+
+[pipeline]
+sensor = { kind = "images", path = "{root}/models/quality-control/pictures", order = "shuffled" }
+transforms = [{ kind = "resize", width = 96, height = 64 }, { kind = "encode", format = "jpeg", quality = 80 }]
+placement = { kind = "remote", peer = "cluster", model = "echo" }
+"#;
+
+/// What belongs to `[experiment]` of all that a run's pipeline has, and what is filled in.
+const OF_EXPERIMENT: [&str; 6] = ["name", "limit", "warm_up", "episode_steps", "start", "experiment"];
+
+impl Lab {
+    /// Starts `peernet run` in the folder of the lab, with results in a folder there.
+    fn run_here(&self, file: &str, results: &str) -> Ended {
+        let arguments = ["run", file, "--result-loc", results];
+        let environment = [("OMP_NUM_THREADS", "3"), ("PEERNET_SECRET", "not to be told")];
+        self.network.edge().start(&program("peernet"), &arguments, self.site.folder(), &environment).ended()
+    }
+}
+
+/// The experiment that a run was, by its record alone, as docs/results.md says.
+fn again(record: &Value) -> String {
+    let pipeline = record["pipeline"].as_object().expect("a table");
+    let mut experiment = Map::from_iter([("name".to_owned(), "again".into())]);
+    experiment.extend(pipeline["limit"].as_object().expect("a table").clone());
+    for key in ["warm_up", "episode_steps"] {
+        experiment.extend(pipeline.get(key).map(|value| (key.to_owned(), value.clone())));
+    }
+    let pipeline = pipeline.iter().filter(|(key, _)| !OF_EXPERIMENT.contains(&key.as_str()));
+    let mut file = record["agent"].as_object().expect("tables").clone();
+    file.insert("experiment".to_owned(), experiment.into());
+    file.insert("pipeline".to_owned(), pipeline.map(|(key, value)| (key.clone(), value.clone())).collect());
+    toml::to_string(&file).expect("what is not known is left out")
+}
+
+/// The record without what is another one's in each run.
+fn configuration(record: &Value) -> Value {
+    let mut pipeline = record["pipeline"].clone();
+    for key in ["name", "experiment"] {
+        pipeline.as_object_mut().expect("a table").remove(key);
+    }
+    let keys = ["agent", "facts", "seeds", "warm_up", "model", "placement", "environment", "patience_s"];
+    let same = keys.iter().map(|key| ((*key).to_owned(), record[*key].clone()));
+    same.chain([("pipeline".to_owned(), pipeline)]).collect()
+}
+
+#[test]
+fn a_run_is_done_again_from_its_record_alone() {
+    let lab = Lab::new();
+    let folder = lab.site.folder();
+    let write = |name: &str, text: &str| fs::write(folder.join(name), text).expect("writable");
+    let devices = format!("devices:\n  cluster: {}\nserver: cluster\n", lab.network.cloud().address);
+    write("net_config.yaml", &devices);
+    write("first.toml", &SHUFFLED.replace("{root}", &root().display().to_string()));
+    let done = |ended: Ended| {
+        assert_eq!(ended.code(), 0, "{}", ended.log);
+        ended.log
+    };
+    let only = |results: &str| {
+        let results = Results::of(folder.join(results));
+        let [run] = results.folders().try_into().expect("one run");
+        let file = |name: &str| results.file(&run, name);
+        (json(&file("run.json")), column(&file("data.csv"), "upload-bytes"))
+    };
+    done(lab.run_here("first.toml", "first"));
+    let (record, sizes) = only("first");
+    assert!(sizes.len() == 14 && sizes.iter().any(|size| *size != sizes[0]), "{sizes:?}");
+    assert_eq!(record["network_config"]["file"], "net_config.yaml");
+    assert_eq!(record["network_config"]["text"], devices.as_str());
+    assert_eq!(record["environment"]["OMP_NUM_THREADS"], "3");
+    assert!(!record.to_string().contains("not to be told"));
+    assert_eq!(record["folder"].as_str().map(Path::new), folder.canonicalize().ok().as_deref());
+
+    // Another device is nothing to the run that was measured, but the file is not what it was.
+    write("net_config.yaml", &devices.replace("server:", "  spare: 10.0.0.99\nserver:"));
+    let log = done(lab.run_here("first.toml", "first"));
+    assert!(log.contains("net_config.yaml has changed since some runs were measured"), "{log}");
+    assert_eq!(only("first").0, record, "it was not touched");
+
+    fs::remove_file(folder.join("net_config.yaml")).expect("removable");
+    write("again.toml", &again(&record));
+    done(lab.run_here("again.toml", "again"));
+    let (other, other_sizes) = only("again");
+    assert_eq!(configuration(&other), configuration(&record));
+    assert_eq!(other_sizes, sizes, "the same pictures in the same order");
+}
