@@ -3,7 +3,7 @@
 use sqlx::SqliteConnection;
 
 use super::trimmed::trimmed;
-use super::{Deleted, Kind, Rest};
+use super::{Deleted, Kind};
 use crate::store::column::column;
 
 /// What a row costs, in nodes: it is some times as long.
@@ -23,22 +23,20 @@ const DELETE: &str = "DELETE FROM rollup WHERE run = ?1 AND resolution_s = ?2 AN
 pub(super) const STATEMENTS: [(&str, &str); 4] =
     [("OLDEST", OLDEST), ("LAST", LAST), ("AFTER", AFTER), ("DELETE", DELETE)];
 
-/// Deletes buckets that end before a second, oldest first, of about so many rows.
+/// Deletes buckets that begin before a second, oldest first, of about so many rows.
 pub(super) async fn delete(
     connection: &mut SqliteConnection,
     run: i64,
     width_s: i64,
-    before_s: i64,
+    end_s: i64,
     rows: u64,
 ) -> Result<Deleted, sqlx::Error> {
-    let end_s = before_s.saturating_sub(width_s).saturating_add(1);
     let oldest = async |connection: &mut SqliteConnection| -> Result<Option<i64>, sqlx::Error> {
         sqlx::query_scalar(OLDEST).bind(run).bind(width_s).fetch_one(connection).await
     };
     let first = match oldest(connection).await? {
-        None => return Ok(Deleted { rows: 0, rest: Rest::Nothing }),
-        Some(first) if first >= end_s => return Ok(Deleted { rows: 0, rest: Rest::Begins(first) }),
-        Some(first) => first,
+        Some(first) if first < end_s => first,
+        left_s => return Ok(Deleted { rows: 0, left_s }),
     };
     let most = column((rows / ROW).max(1));
     let after: Option<i64> = sqlx::query_scalar(AFTER)
@@ -60,10 +58,5 @@ pub(super) async fn delete(
     let gone = sqlx::query(DELETE).bind(run).bind(width_s).bind(through_s.min(end_s));
     let gone = gone.execute(&mut *connection).await?.rows_affected() * ROW;
     trimmed(connection, Kind::Buckets(width_s), run, through_s).await?;
-    let rest = match oldest(connection).await? {
-        None => Rest::Nothing,
-        Some(first) if first < end_s => Rest::Old,
-        Some(first) => Rest::Begins(first),
-    };
-    Ok(Deleted { rows: gone, rest })
+    Ok(Deleted { rows: gone, left_s: oldest(connection).await? })
 }

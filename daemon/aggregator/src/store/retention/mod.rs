@@ -17,6 +17,7 @@ use peernet_clock::{Span, WallTime};
 use sqlx::{Connection, SqliteConnection};
 
 use self::clocks::ClockSamples;
+use self::runs::Reach;
 pub(crate) use self::runs::{pin, release};
 use self::size::SizeLimit;
 use super::write::rollups::WIDTHS_S;
@@ -62,23 +63,22 @@ impl Kind {
             Self::Buckets(width_s) => width_s,
         }
     }
+
+    /// What begins before this second is older than another one: an iteration counts from its begin, a bucket from its end.
+    const fn end_s(self, before_s: i64) -> i64 {
+        match self {
+            Self::Nodes => before_s,
+            Self::Buckets(width_s) => before_s - width_s + 1,
+        }
+    }
 }
 
-/// What is left of a kind in a run after some of it was deleted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Rest {
-    /// There is more to delete.
-    Old,
-    /// The oldest began in this second.
-    Begins(i64),
-    Nothing,
-}
-
-/// What was deleted, in the cost of a small row, and what is left.
+/// What was deleted of a kind of a run, in the cost of a small row.
 #[derive(Clone, Copy, Debug)]
 struct Deleted {
     rows: u64,
-    rest: Rest,
+    /// When the oldest of what is left began.
+    left_s: Option<i64>,
 }
 
 /// Deletes what is old.
@@ -138,7 +138,7 @@ impl Retention {
         }
         for kind in Kind::ALL {
             if let Some(kept_s) = self.kept_s(kind)
-                && runs::next(connection, kind, due_s(now, kept_s)).await?.is_some()
+                && runs::due(connection, kind, due_s(now, kept_s)).await?
             {
                 return Ok(Some(Work::Aged(kind, kept_s)));
             }
@@ -159,8 +159,9 @@ impl Retention {
         match work {
             Work::Arrivals => runs::arrive(connection, now.unix_seconds(), rows).await,
             Work::Aged(kind, kept_s) => {
-                let before_s = now.unix_seconds() - kept_s;
-                runs::trim(connection, kind, (due_s(now, kept_s), before_s), now, rows).await?;
+                let end_s = kind.end_s(now.unix_seconds() - kept_s);
+                let reach = Reach::Aged { due_s: due_s(now, kept_s), end_s };
+                runs::trim(connection, kind, reach, now, rows).await?;
                 Ok(())
             }
             Work::TooLarge => self.size.reduce(connection, now, rows).await,
@@ -194,7 +195,12 @@ enum Work {
 
 /// What has to begin before this second for its run to be looked at.
 fn due_s(now: WallTime, kept_s: i64) -> i64 {
-    now.unix_seconds() - kept_s - (kept_s / SLACK).min(MOST_SLACK_S)
+    now.unix_seconds() - kept_s - slack_s(kept_s)
+}
+
+/// By how much what is so old may be taken for younger or older than it is, to delete much at once.
+fn slack_s(age_s: i64) -> i64 {
+    (age_s / SLACK).clamp(1, MOST_SLACK_S)
 }
 
 /// What a step asks: a test looks at the plans.

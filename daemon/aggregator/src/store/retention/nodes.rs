@@ -3,7 +3,7 @@
 use sqlx::SqliteConnection;
 
 use super::trimmed::trimmed;
-use super::{Deleted, Kind, Rest};
+use super::{Deleted, Kind};
 
 /// Iterations looked at together.
 const PAGE: i64 = 500;
@@ -38,7 +38,7 @@ pub(super) const STATEMENTS: [(&str, &str); 6] = [
 pub(super) async fn delete(
     connection: &mut SqliteConnection,
     run: i64,
-    before_s: i64,
+    end_s: i64,
     rows: u64,
 ) -> Result<Deleted, sqlx::Error> {
     let mut deleted = 0;
@@ -47,9 +47,9 @@ pub(super) async fn delete(
         let page: Vec<(i64, i64)> =
             sqlx::query_as(OLDEST).bind(run).bind(PAGE).fetch_all(&mut *connection).await?;
         let seconds = |(_, started_ns): &(i64, i64)| started_ns.div_euclid(1_000_000_000);
-        let Some(first) = page.first() else { return Ok(Deleted { rows: deleted, rest: Rest::Nothing }) };
-        let Some(last) = page.iter().rposition(|iteration| seconds(iteration) < before_s) else {
-            return Ok(Deleted { rows: deleted, rest: Rest::Begins(seconds(first)) });
+        let last = page.iter().rposition(|iteration| seconds(iteration) < end_s);
+        let Some(last) = last.filter(|_| deleted < rows) else {
+            return Ok(Deleted { rows: deleted, left_s: page.iter().map(seconds).min() });
         };
         let mut old = &page[..=last];
         while let Some((from, _)) = old.first()
@@ -70,9 +70,6 @@ pub(super) async fn delete(
             per_iteration = (gone / now.len() as u64).max(1);
             deleted += gone;
             old = later;
-        }
-        if deleted >= rows {
-            return Ok(Deleted { rows: deleted, rest: Rest::Old });
         }
     }
 }

@@ -3,7 +3,7 @@
 use peernet_clock::{Span, WallTime};
 use sqlx::SqliteConnection;
 
-use super::runs::Trimmed;
+use super::runs::{Reach, Trimmed};
 use super::{Kind, runs};
 use crate::store::column::{column, count};
 
@@ -42,7 +42,7 @@ impl SizeLimit {
         Ok(self.limit > 0 && !in_vain && used_bytes(connection).await? > self.limit)
     }
 
-    /// Deletes the oldest of what may go, whatever its age.
+    /// Deletes the oldest of what may go, of all runs, whatever its age.
     pub(super) async fn reduce(
         &mut self,
         connection: &mut SqliteConnection,
@@ -50,10 +50,8 @@ impl SizeLimit {
         rows: u64,
     ) -> Result<(), sqlx::Error> {
         for kind in ORDER {
-            // Runs of which nothing is left are looked at again from the next second on.
-            let due_s = now.unix_seconds() + 1;
             let Trimmed { rows: deleted, through } =
-                runs::trim(connection, kind, (due_s, i64::MAX), now, rows).await?;
+                runs::trim(connection, kind, Reach::Oldest, now, rows).await?;
             if deleted > 0 {
                 if !self.told {
                     tracing::warn!(

@@ -19,6 +19,7 @@ mod questions;
 mod rebuilding;
 mod recomputing;
 mod retention;
+mod retention_size;
 mod rollups;
 mod simulation;
 mod skipped;

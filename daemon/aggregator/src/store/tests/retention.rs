@@ -19,7 +19,7 @@ const DAY: f64 = 86_400.0;
 const EVERY: f64 = 1_200.0;
 
 /// Iterations of a run, one every [`EVERY`] seconds from a day on.
-fn iterations(bed: &Bed, run: RunId, numbers: std::ops::RangeInclusive<u64>) -> Vec<Event> {
+pub(super) fn iterations(bed: &Bed, run: RunId, numbers: std::ops::RangeInclusive<u64>) -> Vec<Event> {
     let mut random = Numbers(*numbers.start());
     numbers
         .map(|number| {
@@ -215,49 +215,6 @@ async fn a_run_that_is_let_go_has_its_whole_period_before_it() {
     work_off(&mut retention, &mut connection, day(60.0)).await;
     assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 1").await, 288 * 21);
     assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 2").await, 0);
-}
-
-#[tokio::test]
-async fn above_the_limit_the_oldest_goes_first_and_pinned_runs_stay() {
-    let (mut bed, [run, _]) = two_runs().await;
-    let mut connection = bed.other().await;
-    let used = "SELECT (page_count - freelist_count) * page_size \
-                FROM pragma_page_count, pragma_freelist_count, pragma_page_size";
-    let full = bed.count(used).await.unsigned_abs();
-    let limited =
-        |size_limit_bytes| Retention::new(RetentionConfig { size_limit_bytes, ..RetentionConfig::default() });
-    let limit = full - full / 20;
-    let mut retention = limited(limit);
-    work_off(&mut retention, &mut connection, day(4.0)).await;
-    let first = bed.count("SELECT min(number) FROM iteration WHERE run = 1").await;
-    assert!((2..288).contains(&first), "{first}");
-    assert_eq!(bed.count("SELECT nodes_from FROM run WHERE number = 1").await, first - 1);
-    assert!(bed.count(used).await.unsigned_abs() <= limit);
-    assert_eq!(
-        bed.count("SELECT count(*) FROM retention_note WHERE what = 'size-limit' AND count > 100").await,
-        1
-    );
-    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * 21);
-
-    // Nothing is small enough: what may go is gone, and that is the end of it.
-    let mut retention = limited(1);
-    work_off(&mut retention, &mut connection, day(4.1)).await;
-    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 1").await, 0);
-    assert_eq!(
-        bed.count("SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s IN (1, 10, 60)").await,
-        0
-    );
-    assert!(bed.count("SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s = 3600").await > 90);
-    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * 21);
-    // The run goes on.
-    let events = iterations(&bed, run, 289..=290);
-    let work = bed.batch(events);
-    bed.commit(&[work]).await;
-    assert_eq!(bed.store.run(1).await.expect("answers").expect("exists").summary.counts.ok, 290);
-    assert_eq!(
-        bed.count("SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s = 1 AND quantity = 1").await,
-        4
-    );
 }
 
 #[tokio::test]

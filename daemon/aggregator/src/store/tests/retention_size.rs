@@ -1,0 +1,139 @@
+//! Above the limit of the file's size the oldest goes, of all runs in turns.
+
+use std::collections::BTreeMap;
+
+use peernet_logger::RunId;
+use peernet_logger::stream::Event;
+
+use super::Bed;
+use super::generate::{self, Numbers, at};
+use super::retention::{day, iterations, two_runs, work_off};
+use crate::config::RetentionConfig;
+use crate::store::retention::{Retention, Step};
+
+const USED: &str = "SELECT (page_count - freelist_count) * page_size \
+     FROM pragma_page_count, pragma_freelist_count, pragma_page_size";
+
+fn limited(size_limit_bytes: u64) -> Retention {
+    Retention::new(RetentionConfig { size_limit_bytes, ..RetentionConfig::default() })
+}
+
+#[tokio::test]
+async fn above_the_limit_the_oldest_goes_first_and_pinned_runs_stay() {
+    let (mut bed, [run, _]) = two_runs().await;
+    let mut connection = bed.other().await;
+    let full = bed.count(USED).await.unsigned_abs();
+    let limit = full - full / 20;
+    let mut retention = limited(limit);
+    work_off(&mut retention, &mut connection, day(4.0)).await;
+    let first = bed.count("SELECT min(number) FROM iteration WHERE run = 1").await;
+    assert!((2..288).contains(&first), "{first}");
+    assert_eq!(bed.count("SELECT nodes_from FROM run WHERE number = 1").await, first - 1);
+    assert!(bed.count(USED).await.unsigned_abs() <= limit);
+    assert_eq!(
+        bed.count("SELECT count(*) FROM retention_note WHERE what = 'size-limit' AND count > 100").await,
+        1
+    );
+    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * 21);
+
+    // Nothing is small enough: what may go is gone, and that is the end of it.
+    let mut retention = limited(1);
+    work_off(&mut retention, &mut connection, day(4.1)).await;
+    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 1").await, 0);
+    assert_eq!(
+        bed.count("SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s IN (1, 10, 60)").await,
+        0
+    );
+    assert!(bed.count("SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s = 3600").await > 90);
+    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * 21);
+    // The run goes on.
+    let events = iterations(&bed, run, 289..=290);
+    let work = bed.batch(events);
+    bed.commit(&[work]).await;
+    assert_eq!(bed.store.run(1).await.expect("answers").expect("exists").summary.counts.ok, 290);
+    assert_eq!(
+        bed.count("SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s = 1 AND quantity = 1").await,
+        4
+    );
+}
+
+/// Stores a run that begins, and goes on with an iteration every so many seconds, from one second up to another.
+async fn run_between(bed: &mut Bed, name: &str, (from_s, end_s): (u32, u32), every_s: usize) {
+    let run = RunId::random();
+    let mut random = Numbers(7);
+    let mut events = vec![generate::run_started(run, name, at(from_s.into()))];
+    events.extend((from_s..end_s).step_by(every_s).zip(1..).map(|(second, number)| {
+        Event::Iteration(generate::iteration_at(
+            run,
+            number,
+            bed.hosts(),
+            at(f64::from(second) + 0.3),
+            &mut random,
+        ))
+    }));
+    let work = bed.batch(events);
+    bed.commit(&[work]).await;
+}
+
+/// The oldest that is left of each run and kind that retention still looks at, and up to where it is gone, in seconds.
+async fn course(bed: &Bed) -> BTreeMap<i64, Vec<(Option<i64>, i64)>> {
+    let rows: Vec<(i64, Option<i64>, i64)> = sqlx::query_as(
+        "SELECT kind.column1, \
+           iif(kind.column1 = 0, (SELECT min(started_ns) / 1000000000 FROM iteration WHERE iteration.run = run.number), \
+             (SELECT min(bucket_s) FROM rollup WHERE rollup.run = run.number AND resolution_s = kind.column1)), \
+           coalesce((SELECT before_s FROM trimmed WHERE trimmed.run = run.number AND kind = kind.column1), 0) \
+         FROM (VALUES (0), (1), (10), (60)) AS kind, run",
+    )
+    .fetch_all(&bed.store.readers.pool)
+    .await
+    .expect("answers");
+    rows.into_iter().fold(BTreeMap::new(), |mut kinds, (kind, oldest_s, gone_s)| {
+        kinds.entry(kind).or_insert_with(Vec::new).push((oldest_s, gone_s));
+        kinds
+    })
+}
+
+#[tokio::test]
+async fn runs_that_overlap_are_trimmed_in_turns() {
+    let mut bed = Bed::new().await;
+    // One that goes on, two that ended meanwhile, and one that began late.
+    for (name, extent, every_s) in
+        [("line", (0, 1_200), 3), ("arm", (0, 300), 4), ("belt", (300, 900), 30), ("cell", (1_000, 1_200), 2)]
+    {
+        run_between(&mut bed, name, extent, every_s).await;
+        // It is seen when it begins.
+        let mut connection = bed.other().await;
+        work_off(&mut limited(0), &mut connection, at(extent.0.into())).await;
+    }
+    let mut connection = bed.other().await;
+    let mut retention = limited(1);
+    // A twenty-fourth of the time that there is, and a bucket that is gone whole.
+    let tolerance_s = |kind: i64| 1_200 / 24 + 2 + kind;
+    let mut together = 0;
+    while retention.step(&mut connection, at(1_200.0), 300).await.expect("steps") == Step::More {
+        for (kind, runs) in course(&bed).await {
+            let gone_s = runs.iter().map(|(_, gone_s)| *gone_s).max().expect("there are runs");
+            let oldest_s = runs.iter().filter_map(|(oldest_s, _)| *oldest_s).min();
+            if let Some(oldest_s) = oldest_s {
+                assert!(gone_s - oldest_s <= tolerance_s(kind), "kind {kind}: {runs:?}");
+            }
+            let in_part = runs.iter().filter(|(oldest_s, gone_s)| oldest_s.is_some() && *gone_s > 0);
+            together += usize::from(in_part.count() >= 2);
+        }
+    }
+    assert!(together > 10, "{together}");
+    assert_eq!(bed.count("SELECT count(*) FROM node").await, 0);
+    assert_eq!(bed.count("SELECT count(*) FROM rollup WHERE resolution_s IN (1, 10, 60)").await, 0);
+}
+
+#[tokio::test]
+async fn what_seems_to_come_from_the_future_goes_as_well() {
+    let mut bed = Bed::new().await;
+    for name in ["line", "arm"] {
+        run_between(&mut bed, name, (9_000, 9_100), 2).await;
+    }
+    let mut connection = bed.other().await;
+    work_off(&mut limited(1), &mut connection, at(0.0)).await;
+    assert_eq!(bed.count("SELECT count(*) FROM node").await, 0);
+    assert_eq!(bed.count("SELECT count(*) FROM rollup WHERE resolution_s IN (1, 10, 60)").await, 0);
+}
