@@ -8,7 +8,8 @@ mod log;
 mod none;
 
 use peernet_clock::SharedClock;
-use peernet_external::exec::ExecConfig;
+use peernet_external::exec::{ExecConfig, Role};
+use peernet_external::hide_values;
 use peernet_logger::Recorder;
 use peernet_sample::Sample;
 use serde::{Deserialize, Serialize};
@@ -68,7 +69,15 @@ impl ActuatorConfig {
         match self {
             Self::None {} => Vec::new(),
             Self::Log {} => vec![("Actuator".to_owned(), "log".to_owned())],
-            Self::Exec(config) => config.facts("Actuator"),
+            Self::Exec(config) => config.facts(Role::Actuator),
+        }
+    }
+
+    /// Takes out what may not be published: the values of `env`.
+    pub fn hide_secrets(&mut self) {
+        match self {
+            Self::Exec(config) => hide_values(&mut config.env),
+            Self::None {} | Self::Log {} => {}
         }
     }
 

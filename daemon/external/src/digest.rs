@@ -1,9 +1,10 @@
 //! SHA-256 of files, by which others recognise that they have the same.
 
-use std::fs::File;
+use std::fs::{File, Metadata};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
+use rustix::fs::{Mode, OFlags};
 use sha2::{Digest, Sha256};
 
 use crate::text::printable;
@@ -38,19 +39,28 @@ pub(crate) fn fact(role: &str, files: &[PathBuf]) -> Option<(String, String)> {
 /// A file with its hash, in words: `camera.py SHA-256 …`, or why it has none.
 pub fn identified(file: &Path) -> String {
     let name = printable(&file.display().to_string()).replace('\n', " ");
-    let hash = || {
-        // Before it is opened: to open a pipe waits for its writer.
-        let about = file.metadata()?;
-        match about.len() {
-            _ if !about.is_file() => Err(io::Error::other("it is not a regular file")),
-            large if large > LARGEST => Ok(format!("of {large} bytes, not hashed")),
-            _ => sha256(File::open(file)?.take(LARGEST)).map(|hash| format!("SHA-256 {hash}")),
-        }
-    };
-    match hash() {
+    match hashed(file) {
         Ok(words) => format!("{name} {words}"),
         Err(error) => format!("{name} (cannot be read: {error})"),
     }
+}
+
+fn hashed(file: &Path) -> io::Result<String> {
+    // Both before it is opened, since to open a device may do something, and after, since another may have taken its place.
+    let regular = |about: Metadata| match about.is_file() {
+        true => Ok(about.len()),
+        false => Err(io::Error::other("it is not a regular file")),
+    };
+    regular(file.metadata()?)?;
+    // To open a pipe would wait for its writer.
+    let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::CLOEXEC;
+    let opened = File::from(rustix::fs::open(file, flags, Mode::empty())?);
+    let length = regular(opened.metadata()?)?;
+    if length > LARGEST {
+        return Ok(format!("of {length} bytes, not hashed"));
+    }
+    // To read more than there was may wait for ever, as of files of the kernel's, whose length is 0.
+    sha256(opened.take(length)).map(|hash| format!("SHA-256 {hash}"))
 }
 
 #[cfg(test)]
@@ -81,5 +91,20 @@ mod tests {
             ]
         );
         assert_eq!(fact("Sensor", &[]), None);
+    }
+
+    #[test]
+    fn nothing_is_read_that_may_have_no_end() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let pipe = folder.path().join("pipe");
+        rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, Mode::RWXU).expect("can be made");
+        let refused = format!("{} (cannot be read: it is not a regular file)", pipe.display());
+        assert_eq!(identified(&pipe), refused);
+        // Of length 0, though there is something to read; to read the kernel's messages waits for the next.
+        let nothing = sha256(io::empty()).expect("reads");
+        let told = identified(Path::new("/proc/self/status"));
+        assert_eq!(told, format!("/proc/self/status SHA-256 {nothing}"));
+        let messages = identified(Path::new("/proc/kmsg"));
+        assert!(messages.ends_with(&nothing) || messages.contains("cannot be read"), "{messages}");
     }
 }

@@ -1,4 +1,4 @@
-//! The environment variables that decide what code finds and how fast it computes.
+//! Environment variables: those that decide what code finds and how fast it computes, and those that users set.
 
 use std::collections::BTreeMap;
 use std::env;
@@ -36,6 +36,8 @@ const NAMES: [&str; 26] = [
 ];
 /// Characters of the longest value that is told.
 const LONGEST: usize = 1000;
+/// What stands in the place of a value that a user set.
+const NOT_TOLD: &str = "(not told)";
 
 /// Those that this program has, with their values, which users' processes inherit.
 pub fn environment() -> BTreeMap<String, String> {
@@ -44,4 +46,9 @@ pub fn environment() -> BTreeMap<String, String> {
         Some(((*name).to_owned(), printable(&value).replace('\n', " ")))
     };
     NAMES.iter().filter_map(told).collect()
+}
+
+/// Leaves the names of what users set (`env`), for a configuration that is published: the values may be secret.
+pub fn hide_values(variables: &mut BTreeMap<String, String>) {
+    variables.values_mut().for_each(|value| NOT_TOLD.clone_into(value));
 }

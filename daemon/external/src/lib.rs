@@ -13,4 +13,4 @@ mod environment;
 mod text;
 
 pub use digest::{identified, sha256};
-pub use environment::environment;
+pub use environment::{environment, hide_values};

@@ -3,6 +3,7 @@
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
+use peernet_external::hide_values;
 use peernet_logger::Slug;
 use serde::{Deserialize, Serialize};
 
@@ -131,6 +132,15 @@ impl ModelConfig {
             Self::Python(config) => &config.device,
             Self::Exec(config) => &config.device,
             Self::Echo(_) | Self::Sleep(_) => "cpu",
+        }
+    }
+
+    /// Takes out what may not be published: the values of `env`.
+    pub fn hide_secrets(&mut self) {
+        match self {
+            Self::Python(config) => hide_values(&mut config.env),
+            Self::Exec(config) => hide_values(&mut config.env),
+            Self::Onnx(_) | Self::Echo(_) | Self::Sleep(_) => {}
         }
     }
 

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use peernet_external::exec::ExecConfig;
+use peernet_external::hide_values;
 use peernet_external::python::PythonConfig;
 use peernet_imaging::Filter;
 use serde::{Deserialize, Serialize};
@@ -58,6 +59,17 @@ pub enum SensorConfig {
         #[serde(default = "one")]
         seed: u64,
     },
+}
+
+impl SensorConfig {
+    /// Takes out what may not be published: the values of `env`.
+    pub fn hide_secrets(&mut self) {
+        match self {
+            Self::Exec(config) => hide_values(&mut config.env),
+            Self::Python(config) => hide_values(&mut config.env),
+            Self::Images { .. } | Self::Text { .. } | Self::Synthetic { .. } => {}
+        }
+    }
 }
 
 /// Order of the pictures of a folder.

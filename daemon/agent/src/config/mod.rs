@@ -56,3 +56,13 @@ pub struct AgentConfig {
     #[serde(default, rename = "pipeline", skip_serializing_if = "Vec::is_empty")]
     pub pipelines: Vec<PipelineConfig>,
 }
+
+impl AgentConfig {
+    /// As it may be published: without the values of `env`, which may be secret.
+    pub fn publishable(&self) -> Self {
+        let mut told = self.clone();
+        told.models.iter_mut().for_each(ModelConfig::hide_secrets);
+        told.pipelines = told.pipelines.iter().map(PipelineConfig::publishable).collect();
+        told
+    }
+}

@@ -54,6 +54,16 @@ pub struct PipelineConfig {
     pub experiment: Option<ExperimentPlace>,
 }
 
+impl PipelineConfig {
+    /// As it may be published: without the values of `env`, which may be secret.
+    pub(crate) fn publishable(&self) -> Self {
+        let mut told = self.clone();
+        told.sensor.hide_secrets();
+        told.actuator.hide_secrets();
+        told
+    }
+}
+
 /// Where a pipeline computes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]

@@ -134,7 +134,8 @@ fn day(at: WallTime) -> i64 {
     at.unix_seconds().div_euclid(SECONDS_PER_DAY)
 }
 
-/// The pipeline's table, as it could stand in a configuration file.
+/// The pipeline's table, as it could stand in a configuration file, without what may be secret.
 fn configuration(config: &PipelineConfig) -> String {
-    toml::to_string(config).unwrap_or_else(|error| format!("# cannot be written down: {error}\n"))
+    toml::to_string(&config.publishable())
+        .unwrap_or_else(|error| format!("# cannot be written down: {error}\n"))
 }

@@ -41,6 +41,22 @@ async fn warm_up_and_limit_are_exact_and_every_tree_adds_up() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_variables_of_a_program_work_and_are_told_by_their_names_alone() {
+    let aggregator = Aggregator::start().await;
+    let tables = "[[pipeline]]\nname = 'line'\nplacement = { kind = 'none' }\nlimit = { total = 2 }\n\
+        sensor = { kind = 'exec', env = { API_KEY = 'hunter2' }, \
+        command = '[ \"$API_KEY\" = hunter2 ] || exit 1; while read x; do echo answer 1 text/plain; printf a; done' }\n\
+        actuator = { kind = 'exec', command = 'cat', env = { API_KEY = 'hunter3' } }";
+    let agent = TestAgent::start("edge", Some(&aggregator.address), tables).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    assert!(seen.iterations().iter().all(|iteration| iteration.outcome == Outcome::Ok));
+    let told = seen.runs()[0].configuration.clone();
+    assert_eq!(told.matches("API_KEY = \"(not told)\"").count(), 2, "{told}");
+    assert!(!told.replace("= hunter2 ]", "").contains("hunter"), "{told}");
+    agent.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn live_figures_are_bounded_and_leave_the_warm_up_out() {
     let aggregator = Aggregator::start().await;
     let keys = "warm_up = { iterations = 7 }\nlimit = { iterations = 500 }";

@@ -9,7 +9,8 @@ use std::path::{Path, PathBuf};
 use peernet_clock::Span;
 use serde::{Deserialize, Serialize};
 
-use super::shell::{only_program, split};
+use super::Role;
+use super::shell::{only_program, script, split};
 use crate::digest;
 use crate::process::{MAX_TIMEOUT_MS, find_program, impossible_variable};
 
@@ -88,16 +89,18 @@ impl ExecConfig {
         }
     }
 
-    /// What it is, for the run's page: the command, and the files that it names, each with its SHA-256, with the `role` before
+    /// What it is, for the run's page: the command, and the files that it names, each with its SHA-256, with the role before
     /// each name. Reads those files.
-    pub fn facts(&self, role: &str) -> Vec<(String, String)> {
-        let mut facts = vec![(role.to_owned(), format!("the program {}", self.command))];
-        facts.extend(digest::fact(role, &self.files()));
+    pub fn facts(&self, role: Role) -> Vec<(String, String)> {
+        let heading = role.heading();
+        let mut facts = vec![(heading.to_owned(), format!("the program {}", self.command))];
+        facts.extend(digest::fact(heading, &self.files(role)));
         facts
     }
 
-    /// The files that the command names, as far as that can be told by looking: the program, and its script or data.
-    fn files(&self) -> Vec<PathBuf> {
+    /// The files that the command names, as far as that can be told by looking: the program, and its script or data. Of an
+    /// actuator the script alone: what else it names may be what it writes.
+    fn files(&self, role: Role) -> Vec<PathBuf> {
         let (program, words) = match &self.command {
             CommandLine::Shell(line) => (only_program(line), split(line)),
             CommandLine::Words(words) => (words.first().map(String::as_str), words.clone()),
@@ -105,8 +108,16 @@ impl ExecConfig {
         let on_path = program.filter(|program| !program.contains('/'));
         let on_path = on_path.and_then(|program| find_program(OsStr::new(program)));
         let folder = self.folder.as_deref().unwrap_or(Path::new(""));
-        let named = words.into_iter().skip(on_path.iter().count()).map(|word| folder.join(word));
-        on_path.into_iter().chain(named.filter(|path| path.is_file())).take(MOST_FILES).collect()
+        let is_file = |word: &str| folder.join(word).is_file();
+        let words = match role {
+            Role::Sensor | Role::Model => words,
+            Role::Actuator => {
+                let script = script(&words, is_file).cloned();
+                program.map(str::to_owned).into_iter().chain(script).collect()
+            }
+        };
+        let named = words.into_iter().skip(on_path.iter().count()).filter(|word| is_file(word));
+        on_path.into_iter().chain(named.map(|word| folder.join(word))).take(MOST_FILES).collect()
     }
 
     /// Whether a program is there.
@@ -202,12 +213,41 @@ mod tests {
             ("'cd x && cat'", &[]),
         ] {
             let config = read(&format!("command = {command}\nfolder = {:?}", folder.path())).expect("reads");
-            let facts = config.facts("Sensor");
+            let facts = config.facts(Role::Sensor);
             assert!(facts[0].0 == "Sensor" && facts[0].1.starts_with("the program "), "{facts:?}");
             let told = facts.get(1).map_or("", |(name, told)| {
                 assert_eq!(name, "Sensor files");
                 told
             });
+            let told: Vec<&str> = told.split(", ").filter(|part| !part.is_empty()).collect();
+            assert_eq!(told.len(), files.len(), "{command}: {told:?}");
+            assert!(told.iter().zip(files).all(|(told, file)| told.contains(file)), "{command}: {told:?}");
+        }
+    }
+
+    #[test]
+    fn what_an_actuator_writes_is_not_taken_for_its_code() {
+        let folder = tempfile::tempdir().expect("a folder");
+        for file in ["act.sh", "answers.txt"] {
+            std::fs::write(folder.path().join(file), "abc").expect("writable");
+        }
+        let own = "/act.sh SHA-256 ba7816bf";
+        for (command, files) in [
+            ("['sh', 'act.sh', 'answers.txt']", &["/sh SHA-256", own][..]),
+            ("['sh', '-e', 'act.sh', 'answers.txt']", &["/sh SHA-256", own]),
+            ("['/bin/sh', 'act.sh', 'answers.txt']", &["/bin/sh SHA-256", own]),
+            ("['env', 'A=b', './act.sh', 'answers.txt']", &["/env SHA-256", own]),
+            ("['./act.sh', 'answers.txt']", &[own]),
+            ("['tee', 'answers.txt']", &["/tee SHA-256"]),
+            ("['sh', '-c', 'cat > \"$0\"', 'answers.txt']", &["/sh SHA-256"]),
+            ("'sh act.sh >> answers.txt'", &["/sh SHA-256", own]),
+            ("'./act.sh >> answers.txt'", &[own]),
+            ("'sh act.sh | tee answers.txt'", &[own]),
+            ("'cd x && tee answers.txt'", &[]),
+        ] {
+            let config = read(&format!("command = {command}\nfolder = {:?}", folder.path())).expect("reads");
+            let facts = config.facts(Role::Actuator);
+            let told = facts.get(1).map_or("", |(_, told)| told);
             let told: Vec<&str> = told.split(", ").filter(|part| !part.is_empty()).collect();
             assert_eq!(told.len(), files.len(), "{command}: {told:?}");
             assert!(told.iter().zip(files).all(|(told, file)| told.contains(file)), "{command}: {told:?}");

@@ -64,4 +64,13 @@ impl Role {
             Self::Actuator => "actuator",
         }
     }
+
+    /// The word at the beginning of facts.
+    const fn heading(self) -> &'static str {
+        match self {
+            Self::Sensor => "Sensor",
+            Self::Model => "Model",
+            Self::Actuator => "Actuator",
+        }
+    }
 }

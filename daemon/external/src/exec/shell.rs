@@ -28,6 +28,21 @@ pub(super) fn split(line: &str) -> Vec<String> {
     words
 }
 
+/// Programs, without the version behind their names, that run the first file among their arguments.
+const INTERPRETERS: [&str; 20] = [
+    "sh", "bash", "dash", "ash", "ksh", "zsh", "fish", "env", "python", "pypy", "perl", "ruby", "node",
+    "deno", "bun", "php", "lua", "luajit", "julia", "Rscript",
+];
+
+/// The script that an interpreter is given; `None` of other programs, and behind `-c`, which says what to run itself.
+pub(super) fn script(words: &[String], is_file: impl Fn(&str) -> bool) -> Option<&String> {
+    let (program, arguments) = words.split_first()?;
+    let name = program.rsplit('/').next().unwrap_or(program);
+    let name = name.trim_end_matches(|char: char| char.is_ascii_digit() || char == '.');
+    let mut arguments = arguments.iter().take_while(|argument| *argument != "-c");
+    arguments.find(|argument| is_file(argument)).filter(|_| INTERPRETERS.contains(&name))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

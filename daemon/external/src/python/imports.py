@@ -11,6 +11,8 @@ MAX_NAMES = 1 << 14
 # Bytes of source that are read for what they import, all together: some tenths of a second at most.
 MAX_SOURCE = 1 << 18
 MAX_VERSION = 100
+# Characters of the longest path that Linux opens.
+MAX_PATH = 4096
 STANDARD = os.path.dirname(os.__file__) + os.sep
 INSTALLED = ("site-packages", "dist-packages")
 
@@ -20,6 +22,7 @@ class Imports:
 
     def __init__(self, folder):
         # What the user's code changes to is not where its modules were looked for.
+        self.folder = folder
         self.path = [place or folder for place in sys.path if isinstance(place, str)]
         # Dictionaries keep the order in which things were found.
         self.files, self.libraries = {}, {}
@@ -55,7 +58,9 @@ class Imports:
             if file:
                 self.libraries[name] = self.version(name, file)
                 return None
-        elif file and file not in self.files:
+            return places
+        file = on_disk(os.path.join(self.folder, file)) if file else None
+        if file and file not in self.files:
             self.names -= len(file)
             if len(self.files) == MAX_FILES or self.names < 0:
                 self.more = True
@@ -115,6 +120,14 @@ def located(name, within):
         places = (os.path.join(place, name.rpartition(".")[2]) for place in within)
         return None, [place for place in places if os.path.isdir(place)]
     return spec.origin, spec.submodule_search_locations
+
+
+def on_disk(file):
+    """The archive that a module lies in, such as a zipped egg; otherwise its own file."""
+    place = file if len(file) < MAX_PATH else ""
+    while place and not os.path.exists(place):
+        place = os.path.dirname(place)
+    return place if os.path.isfile(place) else file
 
 
 def imports_of(tree, package):

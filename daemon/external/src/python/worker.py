@@ -120,12 +120,13 @@ def start(request):
     settings = request["start"]
     sys.path[:] = [""] + [place for place in sys.path if place != ""]
     sys.argv[:] = [settings["module"]]
-    if settings["images"] == "pil":
-        # So that the first sample does not wait for it.
+    if settings["role"] == "model" and settings["images"] == "pil":
+        # So that the first picture does not wait for it.
         try:
             import PIL.Image  # noqa: F401
         except ImportError:
             pass
+    # What opens the pictures that a model is given is one of its libraries, whoever imports it.
     folder, before = os.getcwd(), set(sys.modules) - {"PIL"}
     thing, what = found(settings["module"], settings["path"], METHODS[settings["role"]])
     role = Sensor(thing) if settings["role"] == "sensor" else Model(thing)

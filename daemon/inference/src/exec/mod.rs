@@ -30,7 +30,7 @@ impl Exec {
 
     /// Starts one process.
     pub(crate) fn load(config: &ExecModelConfig, clock: &SharedClock) -> Result<Self, LoadError> {
-        let facts = config.process().facts("Model");
+        let facts = config.process().facts(Role::Model);
         let first = Mutex::new(Some(start(config, clock)?));
         Ok(Self { config: config.clone(), clock: SharedClock::clone(clock), facts, first })
     }

@@ -28,7 +28,7 @@ impl Exec {
     /// Starts the program.
     pub(super) fn open(config: &ExecConfig, clock: &SharedClock) -> Result<Self, SensorError> {
         let command = config.command.to_string();
-        let facts = config.facts("Sensor");
+        let facts = config.facts(Role::Sensor);
         let program = Program::start(config, Role::Sensor, &format!("sensor {command}"), clock)
             .map_err(|error| SensorError::Program { command: command.clone(), error })?;
         Ok(Self { command, facts, program, last: None })

@@ -2,6 +2,7 @@
 
 mod alone;
 mod failing;
+mod secrets;
 mod two_agents;
 
 use std::path::Path;

@@ -117,6 +117,43 @@ class Own:
 }
 
 #[test]
+fn a_sensor_that_imports_nothing_has_no_libraries() {
+    let module = Module::new("class Own:\n    def sample(self): return b'1'\n", "own::Own");
+    let facts = module.sensor().about().facts("Sensor");
+    let names: Vec<&str> = facts.iter().map(|(name, _)| name.as_str()).collect();
+    assert_eq!(names, ["Sensor", "Sensor interpreter", "Sensor files"]);
+    let source = "import PIL.Image\nclass Own:\n    def sample(self): return PIL.Image.new('L', (1, 1))\n";
+    let module = Module::new(source, "own::Own");
+    let facts = module.sensor().about().facts("Sensor");
+    let (name, told) = facts.last().expect("there are some");
+    assert!(name == "Sensor libraries" && told.contains("PIL "), "{facts:?}");
+}
+
+#[test]
+fn of_a_module_in_a_zipped_egg_the_egg_is_hashed() {
+    let source = "
+import sys, zipfile
+with zipfile.ZipFile('gear.egg', 'w') as egg:
+    egg.writestr('geared.py', 'import gears.small')
+    egg.writestr('gears/__init__.py', '')
+    egg.writestr('gears/small.py', '')
+sys.path.append('gear.egg')
+import geared
+class Own:
+    def infer(self, x): return x
+";
+    let module = Module::new(source, "own::Own");
+    let facts = module.model().about().facts("Model");
+    let folder = module.folder.path().canonicalize().expect("is there");
+    let bytes = fs::read(folder.join("gear.egg")).expect("was made");
+    let hash = peernet_external::sha256(bytes.as_slice()).expect("is read");
+    let (_, told) = facts.iter().find(|(name, _)| name == "Model files").expect("they are told");
+    let parts: Vec<&str> = told.split(", ").collect();
+    assert!(parts.len() == 2 && parts[0].contains("/own.py SHA-256 "), "{told}");
+    assert_eq!(parts[1], format!("{}/gear.egg SHA-256 {hash}", folder.display()));
+}
+
+#[test]
 fn there_is_an_end_to_what_is_told() {
     let imports: String = (0..80).map(|number| format!("import part_{number}\n")).collect();
     let module = Module::new(&format!("{imports}class Own:\n    def infer(self, x): return x\n"), "own::Own");

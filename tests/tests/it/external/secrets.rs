@@ -1,0 +1,48 @@
+//! What users put into `env`.
+
+use std::path::Path;
+
+use peernet_tests::{Process, Site, program, root};
+
+use crate::experiments::{Results, json};
+
+const EXPERIMENT: &str = r#"
+[experiment]
+name = "secrets"
+iterations = 3
+
+[pipeline]
+placement = { kind = "local", model = "own" }
+sensor = { kind = "exec", env = { TOKEN = "{secret}" }, command = "while read x; do [ \"$TOKEN\" ] && echo answer 1 text/plain && printf a; done" }
+
+[[model]]
+name = "own"
+kind = "exec"
+env = { TOKEN = "{secret}" }
+command = "while read word bytes rest; do head -c $bytes >/dev/null; [ \"$TOKEN\" ] && echo answer 1 text/plain && printf b; done"
+"#;
+
+#[test]
+fn a_run_tells_the_names_of_variables_and_not_their_values() {
+    let site = Site::new();
+    let secret = "hunter2";
+    let file = site.folder().join("secrets.toml");
+    std::fs::write(&file, EXPERIMENT.replace("{secret}", secret)).expect("writable");
+    let results = Results::of(site.folder().join("results"));
+    let arguments = [Path::new("run"), &file, Path::new("--result-loc"), &results.folder];
+    let ended = Process::start(&program("peernet"), &arguments, root(), &[]).ended();
+    assert_eq!(ended.code(), 0, "{}", ended.log);
+
+    let run = &results.folders()[0];
+    let told = json(&results.file(run, "run.json"));
+    assert_eq!(told["counts"]["ok"], 3, "{told}");
+    for table in [&told["pipeline"]["sensor"], &told["agent"]["model"][0]] {
+        assert_eq!(table["env"]["TOKEN"], "(not told)", "{table}");
+    }
+    for file in std::fs::read_dir(results.file(run, "")).expect("is there") {
+        let path = file.expect("is readable").path();
+        let bytes = std::fs::read(&path).expect("is readable");
+        assert!(!String::from_utf8_lossy(&bytes).contains(secret), "{}", path.display());
+    }
+    assert!(results.record().to_string().contains(secret), "it is needed to go on");
+}
