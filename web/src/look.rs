@@ -49,6 +49,12 @@ pub(crate) const KEY: [&str; 10] = [
     "unattributed",
 ];
 
+/// What an entry of the key stands for, in words: a model in a process of its own has `ipc` in the colour of `encode`, and
+/// nobody would guess that.
+pub(crate) fn entry(name: &str) -> &str {
+    if name == "encode" { "encode, ipc" } else { name }
+}
+
 /// The colour class of a node: `f-CLASS` fills, `o-CLASS` is text on the fill.
 pub(crate) fn class(name: &str) -> &'static str {
     match name {
@@ -77,6 +83,19 @@ pub(crate) fn is_one_way(name: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_key_names_every_stage_that_looks_like_no_other_by_name() {
+        for name in STACK {
+            let entry = KEY.into_iter().find(|known| *known == class(name)).expect("an entry");
+            assert!(entry_names(entry, name), "{name} is not in {:?}", super::entry(entry));
+        }
+    }
+
+    /// Waiting to be sent is waiting by its name.
+    fn entry_names(of: &str, name: &str) -> bool {
+        entry(of).split(", ").any(|known| name == known || name.ends_with(&format!("-{known}")))
+    }
 
     #[test]
     fn every_stage_has_its_colour_and_its_place() {

@@ -3,13 +3,19 @@
 //! Values come in SI base units, as they are stored, and leave as text. The unit is kept apart
 //! ([`Quantity`]) because a page sets it quieter than its number.
 
+mod estimate;
+
 use std::fmt;
+
+pub(crate) use estimate::Estimate;
 
 /// What stands where a number does not exist or is not known.
 pub(crate) const NONE: &str = "—";
 /// Between a number and its unit: a narrow space at which no line breaks.
 pub(crate) const SPACE: &str = "\u{202f}";
 const MINUS: &str = "\u{2212}";
+/// Below so many ms two decimals are one digit.
+const SHORT: f64 = 0.099_95;
 /// What stands where a bound would, if there is nothing to bound.
 pub(crate) const EXACT: &str = "exact";
 
@@ -98,9 +104,11 @@ pub(crate) fn duration(seconds: f64) -> Quantity {
     if seconds.abs() < 0.999_5 { milliseconds(seconds) } else { Quantity::new(figure(seconds), "s") }
 }
 
-/// A duration in a figure that is always in ms.
+/// A duration in a figure that is always in ms. What two decimals would leave with one digit has three: `0.0183 ms`.
 pub(crate) fn milliseconds(seconds: f64) -> Quantity {
-    Quantity::new(figure(seconds * 1e3), "ms")
+    let value = seconds * 1e3;
+    let decimals = if value.abs() < SHORT { decimals_significant(value) } else { decimals_of(value) };
+    Quantity::new(fixed(value, decimals), "ms")
 }
 
 /// A stage's duration in a table, in ms with two decimals; what would round to nothing is `<0.01`.

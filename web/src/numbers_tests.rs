@@ -9,8 +9,11 @@ fn what_rounds_to_a_power_of_ten_has_three_digits_too() {
 }
 
 #[test]
-fn durations_have_three_significant_digits_and_at_most_two_decimals() {
+fn durations_have_three_significant_digits_or_two_decimals() {
     let cases = [
+        (0.0, "0.00\u{202f}ms"),
+        (0.000_018_3, "0.0183\u{202f}ms"),
+        (0.000_099_96, "0.10\u{202f}ms"),
         (0.000_62, "0.62\u{202f}ms"),
         (0.006_312, "6.31\u{202f}ms"),
         (0.009_996, "10.0\u{202f}ms"),

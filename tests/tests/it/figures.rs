@@ -53,6 +53,20 @@ fn several_runs_have_figures_of_their_own_and_one_together() {
 }
 
 #[test]
+fn a_run_without_an_answer_is_named_when_all_is_drawn() {
+    let site = site();
+    let folder = site.folder().join("all/silent");
+    std::fs::create_dir(&folder).expect("made");
+    let rows = "iteration,sensing,warm-up,outcome\n1,0.001,0,lost\n2,0.001,0,lost\n";
+    std::fs::write(folder.join("data.csv"), rows).expect("written");
+    let done = plot(&site, &["all", "--out", "figures"]);
+    assert_eq!(done.code(), 0, "{}", done.log);
+    let told = "figures/silent: cannot draw series: no iteration was answered";
+    assert!(done.log.contains(told), "{}", done.log);
+    assert_eq!(done.log.matches("cannot draw").count(), 1, "others never are: {}", done.log);
+}
+
+#[test]
 fn what_cannot_be_drawn_is_said() {
     let site = site();
     let cases: [(&[&str], i32, &str); 5] = [

@@ -36,7 +36,7 @@ pub(crate) async fn compare(
     State(app): State<App>,
     Parameters(query): Parameters<Vec<(String, String)>>,
 ) -> Result<Json<Comparison>, WebError> {
-    let which = Which::of(&query)?;
+    let which = Which::of(&query, "runs or experiment")?;
     let which = which.ok_or_else(|| {
         WebError::BadRequest("query parameter runs: name runs, or an experiment".to_owned())
     })?;

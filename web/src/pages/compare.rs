@@ -93,7 +93,7 @@ pub(crate) async fn show(
     let shell = |title: &str| Shell::new(&app, &picture, Place::Compare, title);
     let (asked, query): (Vec<_>, Vec<_>) = query.into_iter().partition(|(name, _)| name == STAGE);
     let asked = asked.last().map(|(_, stage)| stage.as_str()).filter(|stage| !stage.is_empty());
-    let Some(which) = Which::of(&query)? else {
+    let Some(which) = Which::of(&query, "runs or experiment, and with either stage")? else {
         let experiments = store.experiments(OFFERED).await?;
         return page(&Empty { shell: shell("Compare"), experiments });
     };

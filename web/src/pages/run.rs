@@ -38,6 +38,10 @@ const OUTLIERS: u32 = 40;
 /// Rows of the table of iterations without an answer.
 const UNANSWERED: u32 = 8;
 
+/// Why a run has no rate.
+const NO_LENGTH: &str =
+    "how long it ran is not known: it has no end yet, its clock was set, or it stood still";
+
 /// What the address may ask for.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -211,9 +215,6 @@ fn assemble(
     let total = summary.total.as_ref();
     let quantile =
         |value: Option<f64>| value.map_or_else(|| NONE.to_owned(), |seconds| figure(seconds * 1e3));
-    let lasted =
-        runs::end(summary).map(|end| (end - summary.started).seconds()).filter(|lasted| *lasted > 0.0);
-    let all = summary.counts.total() + summary.warm_up;
     let missing: u64 = run.gaps.iter().map(|gap| gap.count).sum();
     let (zone, picture) = (app.zone, app.picture());
     let link = link::of_placement(&picture, summary.host_name.as_str(), &summary.placement);
@@ -239,7 +240,7 @@ fn assemble(
             ("p95", quantile(total.and_then(|total| total.p95)), "ms"),
             ("p99", quantile(total.and_then(|total| total.p99)), "ms"),
             ("Max", quantile(total.map(|total| total.max)), "ms"),
-            ("Rate", lasted.map_or_else(|| NONE.to_owned(), |lasted| rate(all as f64 / lasted)), "/s"),
+            ("Rate", stored.rate().map_or_else(|| NONE.to_owned(), rate), "/s"),
         ],
         iterations: (
             count(summary.counts.total()),

@@ -50,6 +50,8 @@ async fn one_pipeline_that_is_well() {
     assert!(html.contains("cam-1 → rack-a · zmq-tcp"));
     assert!(html.contains(">upload </tspan>6.3"));
     assert!(html.contains(">12:01:07</time>"));
+    let entry = html.split("data-stage=\"encode\"").nth(1).expect("a key");
+    assert!(entry.split("</button>").next().is_some_and(|entry| entry.ends_with("encode, ipc")), "{entry}");
 }
 
 #[tokio::test]

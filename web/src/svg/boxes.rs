@@ -5,7 +5,7 @@ use peernet_aggregator::P95_NEEDS;
 use peernet_statistics::Summary;
 
 use super::{Percent, Scale};
-use crate::numbers::{SPACE, count, figure};
+use crate::numbers::{SPACE, count, listed_ms};
 
 /// A box from the first to the third quartile with the median, whiskers from p5 to p95, and the mean as a ring.
 #[derive(Clone, Debug, PartialEq, Template)]
@@ -50,11 +50,11 @@ impl Five {
 
     /// In words, of seconds.
     fn words(&self) -> String {
-        let [p25, p50, p75] = self.middle.map(|seconds| figure(seconds * 1e3));
+        let [p25, p50, p75] = self.middle.map(listed_ms);
         let tails = self.tails.map_or_else(String::new, |(p5, p95)| {
-            format!(", 5{SPACE}% below {}, 95{SPACE}% below {}", figure(p5 * 1e3), figure(p95 * 1e3))
+            format!(", 5{SPACE}% below {}, 95{SPACE}% below {}", listed_ms(p5), listed_ms(p95))
         });
-        let mean = figure(self.mean * 1e3);
+        let mean = listed_ms(self.mean);
         format!(
             "median {p50}{SPACE}ms, quartiles {p25} and {p75}{tails}, mean {mean}; {} samples",
             count(self.count)

@@ -19,6 +19,8 @@ const WORTH: f64 = 1.5;
 const ROOM: f64 = 0.05;
 /// Ends within this share of each other are one end.
 const ROUNDING: f64 = 1e-9;
+/// What is this share of the largest value has a place at zero: no logarithm of it is worth an axis.
+const NOTHING: f64 = 1e-12;
 /// Points of a line that is drawn: on a logarithmic axis a straight line is a curve.
 const STEPS: u32 = 64;
 
@@ -35,10 +37,12 @@ pub(crate) struct LengthAxis {
 impl LengthAxis {
     /// From zero to the largest value, or a little above the largest 99th percentile where stragglers lie far beyond it,
     /// shown as `per_si` times what is measured; from the smallest value where that would squeeze all others or where they
-    /// span more than a decade. `None` without values.
+    /// span more than a decade, and where it is negative. `None` without values.
     pub(crate) fn of<'a>(all: impl Iterator<Item = &'a Summary>, unit: &str, per_si: f64) -> Option<Self> {
         let ends = |known: &Summary| {
-            let (lo, typical, most) = (known.moments.min, known.quantile(ENDS_AT)?, known.moments.max);
+            let (typical, most) = (known.quantile(ENDS_AT)?, known.moments.max);
+            let least = known.moments.min;
+            let lo = if least.abs() < typical.abs() * NOTHING { 0.0 } else { least };
             let beyond = |share: f64| Horizontal::of([lo, typical].into_iter()).between(lo, typical, share);
             let hi = if most <= beyond(WORTH) { most } else { beyond(1.0 + MARGIN).min(most) };
             Some((lo * per_si, hi * per_si))
@@ -46,7 +50,9 @@ impl LengthAxis {
         let (lo, hi) = all.filter_map(ends).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
         let hi = if hi > lo { hi } else { lo + lo.abs().max(1e-6) * 0.01 };
         let room = (hi - lo) * ROOM;
-        let on = if would_squeeze(lo, hi) {
+        let on = if lo < 0.0 {
+            Horizontal::around(lo, hi.max(0.0), 5)
+        } else if would_squeeze(lo, hi) {
             Horizontal::around(lo - room, hi + room, 5)
         } else {
             Horizontal::of([lo, hi].into_iter())
@@ -63,7 +69,7 @@ impl LengthAxis {
 
     /// Where values end that have a place, in the unit that is measured.
     fn end(&self) -> f64 {
-        self.edges.last().map_or(f64::INFINITY, |end| end / self.per_si * (1.0 + ROUNDING))
+        self.edges.last().map_or(f64::INFINITY, |end| (end + end.abs() * ROUNDING) / self.per_si)
     }
 
     /// Where a value lies, as a share of the axis; `None` beyond its end.
@@ -213,6 +219,30 @@ mod tests {
         assert_eq!(plot.cloud.dots.expect("dots").matches('M').count(), 300);
         assert_eq!(up.beyond(&summary(points.iter().map(|it| it.1))), 1);
         assert_eq!(up.beyond(&summary(points.iter().map(|it| it.1).take(300))), 0);
+    }
+
+    #[test]
+    fn negative_lengths_have_places_of_their_own() {
+        let points: Vec<_> = (0..45).map(|n| (f64::from(n % 9) * -5.0, 0.1 + f64::from(n) * 1e-3)).collect();
+        let (plot, _) = plot(&points, None);
+        let html = plot.to_string();
+        let dots = plot.cloud.dots.expect("dots");
+        let across: std::collections::BTreeSet<&str> =
+            dots.split('M').filter_map(|dot| dot.split(' ').next()).filter(|x| !x.is_empty()).collect();
+        assert_eq!(across.len(), 9, "each length has its place: {dots}");
+        assert!(across.contains("0.0") && across.contains("1000.0"), "{across:?}");
+        assert!(html.contains("\u{2212}40") && plot.above.len() >= 9, "{html}");
+        let all = summary([-40.0, -10.0].into_iter());
+        let axis = LengthAxis::of([&all].into_iter(), "tokens", 1.0).expect("values");
+        assert_eq!((axis.beyond(&all), axis.at(-40.0), axis.at(-10.0)), (0, Some(0.0), Some(0.75)));
+    }
+
+    #[test]
+    fn what_is_almost_nothing_needs_no_logarithm() {
+        let axis = LengthAxis::of([&summary([1e-320, 3.0, 2.0].into_iter())].into_iter(), "tokens", 1.0);
+        let axis = axis.expect("values");
+        assert_eq!(axis.title(), "tokens");
+        assert!(axis.at(1e-320).is_some_and(|at| at < 1e-9) && axis.on.ticks()[0].1 == "0", "{axis:?}");
     }
 
     #[test]

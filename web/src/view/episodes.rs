@@ -21,10 +21,15 @@ pub(crate) fn said(known: &Episodes) -> Option<String> {
 pub(crate) fn unanswered(known: &Episodes, run: &RunSummary) -> Option<String> {
     let marked = known.unanswered.len() as u64;
     let counts = &run.counts;
-    // Of those in the warm-up nobody keeps count.
-    let all = (counts.failed + counts.lost + counts.timeout).max(marked);
+    // The counts of a run leave the warm-up out; the rows that are stored lack what retention deleted.
+    let all = (counts.failed + counts.lost + counts.timeout).max(known.without_answer);
+    let shown = if known.without_answer > Episodes::MOST_COUNTED {
+        format!("more than {}", count(Episodes::MOST_COUNTED))
+    } else {
+        count(all)
+    };
     let rest = if all > marked { format!(", {} marked", count(marked)) } else { String::new() };
-    (all > 0).then(|| format!("{} without an answer{rest}", count(all)))
+    (all > 0).then(|| format!("{shown} without an answer{rest}"))
 }
 
 #[cfg(test)]
@@ -47,14 +52,22 @@ mod tests {
 
     #[test]
     fn what_had_no_answer_is_counted_with_what_has_no_mark() {
-        let of = |marked: usize, lost| {
-            let known = Episodes { unanswered: vec![samples::NOW; marked], ..Episodes::default() };
+        let of = |marked: usize, without_answer, lost| {
+            let marks = vec![samples::NOW; marked];
+            let known = Episodes { unanswered: marks, without_answer, ..Episodes::default() };
             let counts = OutcomeCounts { ok: 9, lost, ..OutcomeCounts::default() };
             unanswered(&known, &RunSummary { counts, ..run(1, PlacementKind::Remote) })
         };
-        assert_eq!(of(0, 0), None);
-        assert_eq!(of(3, 3).as_deref(), Some("3 without an answer"));
-        assert_eq!(of(2, 0).as_deref(), Some("2 without an answer"), "in the warm-up");
-        assert_eq!(of(290, 5_000).as_deref(), Some("5,000 without an answer, 290 marked"));
+        assert_eq!(of(0, 0, 0), None);
+        assert_eq!(of(3, 3, 3).as_deref(), Some("3 without an answer"));
+        assert_eq!(of(2, 2, 0).as_deref(), Some("2 without an answer"), "in the warm-up");
+        assert_eq!(
+            of(300, 995, 889).as_deref(),
+            Some("995 without an answer, 300 marked"),
+            "in the warm-up too"
+        );
+        assert_eq!(of(290, 290, 5_000).as_deref(), Some("5,000 without an answer, 290 marked"), "deleted");
+        let many = "more than 10,000 without an answer, 300 marked";
+        assert_eq!(of(300, 10_001, 9_000).as_deref(), Some(many));
     }
 }

@@ -1,23 +1,28 @@
 //! What the page of a run shows of the store's answers.
 
 use peernet_aggregator::{Episodes, IterationRow, RunDetail, RunStatistics, Series, StageStatistics};
-use peernet_clock::{Verdict, WallTime};
+use peernet_clock::{Span, Verdict, WallTime};
 use peernet_report::accuracy::{ACCURACIES, UNKNOWN_LABEL};
 use peernet_report::results::SKIPPED_STARTS;
 use serde::Serialize;
 
 use super::clocks;
 use super::data::{JsonBlock, Short};
-use super::episodes;
 use super::speed::{self, Way};
 use super::stack::Stack;
+use super::{episodes, runs};
 use crate::look;
-use crate::numbers::{NONE, SPACE, count, difference_ms, figure, stage_ms, times, total_ms};
+use crate::numbers::{NONE, SPACE, count, difference_ms, figure, length, stage_ms, times, total_ms};
 use crate::svg::{Bar, Scale, shown_in};
 use crate::zone::{Moment, Zone};
 
 /// Rows of the table of the slowest iterations.
 const SLOWEST: usize = 8;
+/// Iterations from which on a run that seems to stand still for more than half of its time is not one of so few that there
+/// is nothing between them.
+const MANY: u64 = 100;
+/// Seconds that no wait for an answer or a model explains.
+const LONG: f64 = 600.0;
 
 /// What the store says about a run.
 pub(crate) struct Stored<'a> {
@@ -96,10 +101,47 @@ impl Stored<'_> {
         self.unanswered.iter().map(row).collect()
     }
 
-    /// How many episodes there are, and how much had no answer.
+    /// How many episodes there are, how much had no answer, and for how long nothing happened.
     pub(crate) fn parted(&self) -> Vec<String> {
         let unanswered = episodes::unanswered(self.episodes, &self.run.summary);
-        [episodes::said(self.episodes), unanswered].into_iter().flatten().collect()
+        let still = self
+            .standstill()
+            .map(|seconds| format!("nothing for {}: the clock was set, or it stood still", length(seconds)));
+        [episodes::said(self.episodes), unanswered, still].into_iter().flatten().collect()
+    }
+
+    /// The longest time without an iteration after the warm-up, seconds, where that is more than half of the run, longer than
+    /// any iteration took, and nothing of it is known to be missing: its clock was set meanwhile, or it stood still. Either
+    /// way its length says nothing of its rate.
+    pub(crate) fn standstill(&self) -> Option<f64> {
+        let summary = &self.run.summary;
+        let until = runs::end(summary)?;
+        let points = &self.series.stages.first()?.points;
+        if points.is_empty() || summary.counts.total() < MANY || !self.run.gaps.is_empty() {
+            return None;
+        }
+        let bucket = Span::from_seconds(self.series.bucket_s.into());
+        // The warm-up has no points: what lies before the first one may be all of it.
+        let single = self.episodes.unanswered.iter().chain([&until]).map(|at| (*at, *at));
+        let mut busy: Vec<_> =
+            points.iter().map(|point| (point.at, point.at + bucket)).chain(single).collect();
+        busy.sort();
+        let (mut longest, mut done) = (0.0_f64, busy.first()?.1);
+        for (from, to) in busy {
+            longest = longest.max((from - done).seconds());
+            done = done.max(to);
+        }
+        let half = (until - summary.started).seconds() / 2.0;
+        let slowest = summary.total.as_ref().map_or(0.0, |total| total.max);
+        (longest > half.max(slowest).max(LONG)).then_some(longest)
+    }
+
+    /// Iterations per second, the warm-up included; `None` where nothing tells how long the run lasted.
+    pub(crate) fn rate(&self) -> Option<f64> {
+        let summary = &self.run.summary;
+        let lasted = (runs::end(summary)? - summary.started).seconds();
+        let is_known = lasted > 0.0 && self.standstill().is_none();
+        is_known.then(|| (summary.counts.total() + summary.warm_up) as f64 / lasted)
     }
 
     /// A scale that holds the slowest iteration.
@@ -201,5 +243,71 @@ impl Stored<'_> {
             warm_up: warm_up.map(|(from, until)| (milliseconds(from), milliseconds(until))),
             unanswered: all(&episodes.unanswered),
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_aggregator::{SeriesPoint, StageSeries};
+    use peernet_logger::stage;
+    use peernet_logger::stream::PlacementKind;
+
+    use super::*;
+    use crate::view::compare::tests::run;
+
+    /// What is said of a run of so many iterations whose points begin after so many seconds, and its length.
+    fn standstill(iterations: u64, bucket_s: u32, points: &[i64], seconds: i64, lost: &[i64]) -> Option<f64> {
+        let mut summary = run(1, PlacementKind::Remote);
+        let after = |seconds: i64| summary.started + Span::from_seconds(seconds);
+        let point = |at: &i64| SeriesPoint { at: after(*at), count: 1, mean: 0.1, p50: 0.1, p95: None };
+        let points = points.iter().map(point).collect();
+        let series = Series {
+            bucket_s,
+            stages: vec![StageSeries { stage: stage::TOTAL, unit: "s".to_owned(), points }],
+            gaps: Vec::new(),
+        };
+        let unanswered = lost.iter().copied().map(after).collect();
+        let episodes = Episodes { unanswered, ..Episodes::default() };
+        (summary.ended, summary.last_iteration) = (Some(after(seconds)), Some(after(seconds)));
+        (summary.counts, summary.warm_up) = (Default::default(), 0);
+        summary.counts.ok = iterations;
+        let run = RunDetail {
+            summary,
+            facts: Vec::new(),
+            configuration: String::new(),
+            version: String::new(),
+            conditions: Vec::new(),
+            gaps: Vec::new(),
+        };
+        let known = RunStatistics::default();
+        let stored = Stored {
+            run: &run,
+            known: &known,
+            series: &series,
+            slowest: &[],
+            unanswered: &[],
+            episodes: &episodes,
+        };
+        assert_eq!(
+            stored.parted().iter().any(|said| said.starts_with("nothing for ")),
+            stored.standstill().is_some()
+        );
+        let rate = iterations as f64 / seconds as f64;
+        assert_eq!(stored.rate(), stored.standstill().is_none().then_some(rate));
+        stored.standstill()
+    }
+
+    #[test]
+    fn a_clock_that_was_set_by_months_leaves_a_standstill() {
+        let days = 115 * 86_400;
+        let found = standstill(895, 3_600, &[-1_800, days], days + 4, &[]).expect("a standstill");
+        assert!((found - f64::from(days as i32 - 1_800)).abs() < 1e-6, "{found}");
+        assert_eq!(standstill(895, 1, &[0, 1, 2, 3], 4, &[]), None);
+        assert_eq!(standstill(3, 1, &[0, 3_600], 3_601, &[]), None, "that is how slow it is");
+        assert!(standstill(895, 1, &[0, 3_600], 3_601, &[]).is_some());
+        assert_eq!(standstill(895, 1, &[3_600], 3_601, &[]), None, "that was the warm-up");
+        assert_eq!(standstill(895, 1, &[0, 60], 61, &[]), None, "one may have waited for a model");
+        let lost: Vec<i64> = (0..60).map(|minute| minute * 60).collect();
+        assert_eq!(standstill(895, 1, &[0, 3_600], 3_601, &lost), None, "nobody answered meanwhile");
     }
 }

@@ -188,6 +188,10 @@ async fn two_runs_have_a_difference_that_says_whether_it_is_chance() {
     ] {
         assert_eq!(bed.get(address).await.status, status, "{address}");
     }
+    let (page, api) = (bed.get("/compare?run=1").await, bed.get("/api/v1/compare?run=1").await);
+    let known = "run: unknown, give runs or experiment";
+    assert!(page.text().contains(&format!("{known}, and with either stage")), "{}", page.text());
+    assert!(api.text().contains(&format!("{known}\"")), "{}", api.text());
 }
 
 #[tokio::test]

@@ -18,15 +18,15 @@ impl Comparison {
             Sample::new(of_line.collect())
         };
         let of_best = values(best);
-        let beyond = |at: usize| difference(&of_best, &values(at), Statistic::Mean, seed);
-        let beyond: Vec<Option<Difference>> =
-            (0..self.lines.len()).map(|at| if at == best { None } else { beyond(at) }).collect();
-        for (at, difference) in beyond.into_iter().enumerate() {
+        let others = (0..self.lines.len()).filter(|at| *at != best);
+        let beyond: Vec<(usize, Option<Difference>)> =
+            others.map(|at| (at, difference(&of_best, &values(at), Statistic::Mean, seed))).collect();
+        for (at, difference) in beyond {
             self.lines[at].beyond_best = difference;
-            match difference.map(|difference| difference.is_distinct()) {
-                None | Some(Some(true)) => {}
-                Some(Some(false)) => self.ties.push(at),
-                Some(None) => self.untested.push(at),
+            match difference.and_then(|difference| difference.is_distinct()) {
+                Some(true) => {}
+                Some(false) => self.ties.push(at),
+                None => self.untested.push(at),
             }
         }
         self.best = Some(best);
@@ -68,7 +68,9 @@ impl Comparison {
 #[cfg(test)]
 mod tests {
     use super::super::tests::paper;
+    use super::super::{Repeats, SEED};
     use super::*;
+    use crate::results::Outcome;
 
     #[test]
     fn every_other_line_is_compared_with_the_best() {
@@ -103,5 +105,23 @@ cuda:0  can      105.550              +85.290  +85.290 to +85.290
         let lan = text.lines().find(|line| line.contains("lan")).expect("a line");
         assert!(lan.contains("+3.13") && lan.ends_with('—'), "{text}");
         assert_eq!(comparison.untested, [1]);
+    }
+
+    #[test]
+    fn nothing_is_known_of_a_line_that_measured_nothing() {
+        let mut runs = paper();
+        runs[1].rows.change(|row| row.outcome = Outcome::Lost);
+        for (runs, repeats) in
+            [(&runs[..2], Repeats::Pooled), (&runs[..2], Repeats::Apart), (&runs[..], Repeats::Pooled)]
+        {
+            let comparison = Comparison::with(runs, repeats, SEED);
+            assert_eq!((comparison.best, comparison.untested.as_slice()), (Some(0), [1].as_slice()));
+            let told = "too few iterations to tell whether it differs from cuda:0";
+            assert!(comparison.text().contains(told), "{}", comparison.text());
+            assert!(comparison.markdown().contains(told) && comparison.latex().contains(told));
+            assert!(!comparison.text().contains("other differs"), "{}", comparison.text());
+            let line = comparison.csv().lines().nth(2).map(str::to_owned).expect("a line");
+            assert!(line.contains(",1,0,101,0,,"), "no tie is known: {line}");
+        }
     }
 }

@@ -59,7 +59,8 @@ pub struct Comparison {
     pub best: Option<usize>,
     /// Lines that, with 95 % confidence, cannot be told from the best.
     pub ties: Vec<usize>,
-    /// Lines of which nobody can say whether they differ from the best: they, or the best, have too few iterations.
+    /// Lines of which nobody can say whether they differ from the best: they, or the best, have too few iterations, or
+    /// none.
     pub untested: Vec<usize>,
     /// What the best is the best of: `total`, or `stages-total` where not all runs have the former.
     pub by: &'static str,

@@ -84,6 +84,11 @@ impl Kind {
         matches!(self, Self::Histograms | Self::Series | Self::Length)
     }
 
+    /// Whether results of every kind have it, so that whoever draws all that there is misses it.
+    pub const fn is_expected(self) -> bool {
+        matches!(self, Self::Series | Self::Stacked)
+    }
+
     /// Whether a figure of these runs is worth drawing without being asked for: what compares configurations needs two.
     pub fn is_worth_drawing(self, runs: &[Loaded]) -> bool {
         match self {

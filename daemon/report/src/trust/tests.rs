@@ -115,6 +115,28 @@ fn a_short_run_is_not_judged_where_it_cannot_be() {
     assert_eq!(nothing.verdict, Publish::No, "{}", nothing.text());
 }
 
+/// As a dashboard has it of a run whose clock was set right: two seconds of samples, months apart.
+#[test]
+fn a_long_run_in_two_pieces_is_not_called_short() {
+    let totals = quiet(894);
+    let piece = |values: &[f64]| {
+        let mut summary = peernet_statistics::Summary::default();
+        values.iter().for_each(|value| summary.record(*value));
+        summary
+    };
+    let total = Course::of_summaries(&[piece(&totals[..400]), piece(&totals[400..])]);
+    let counts = Counts { ok: 894, ..Counts::default() };
+    let report = Report::of(&Evidence { total, counts, ..Evidence::default() });
+    for subject in ["stationarity", "warm-up"] {
+        let (grade, text) = about(&report, subject);
+        assert!(grade == Grade::Unknown && !text.contains("too short"), "{text}");
+        assert!(
+            text.contains("its 894 iterations lie in too few stretches") && text.contains("clock was set"),
+            "{text}"
+        );
+    }
+}
+
 #[test]
 fn a_cold_beginning_is_told_from_noise() {
     let cold =

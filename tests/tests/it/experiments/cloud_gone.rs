@@ -61,4 +61,7 @@ fn one_that_comes_back_costs_the_iterations_that_it_had_in_hand() {
     let outcomes = column(&lab.results.file(&second, "data.csv"), "outcome");
     let unanswered = outcomes.iter().filter(|outcome| *outcome != "ok").count();
     assert!((1..outcomes.len() - 3).contains(&unanswered), "{outcomes:?}");
+    let again = lab.run(THREE, &[]).ended();
+    assert!(again.code() == 75 && again.log.contains("nothing to do"), "{}", again.log);
+    assert!(again.log.contains("with iterations that have no answer"), "{}", again.log);
 }

@@ -2,14 +2,15 @@
 
 use std::sync::Arc;
 
-use peernet_aggregator::{Kept, RunSummary};
+use peernet_aggregator::{Episodes, Kept, RunSummary};
+use peernet_clock::Span;
 use peernet_logger::stage;
 use peernet_logger::stream::PlacementKind::{Local, Remote};
 
 use super::super::compare::rendered;
 use super::check;
-use crate::view::compare::Configuration;
-use crate::view::compare::tests::{comparison, configuration};
+use crate::view::compare::tests::{comparison, configuration, run_courses};
+use crate::view::compare::{Configuration, over_time};
 use crate::view::samples;
 use crate::view::shell::{Place, Shell};
 
@@ -39,6 +40,7 @@ async fn each_run_has_its_course_with_episodes_and_what_had_no_answer() {
         assert!(picture.contains("class=\"f-upload\"") && picture.contains("class=\"warm-up\""));
     }
     assert!(panel.contains("to a little above the largest p95, over seconds since the first"), "{panel}");
+    assert!(panel.contains("encode, ipc</li>"), "{panel}");
     assert!(panel.contains("</svg>new episode</li>") && panel.contains("</svg>no answer</li>"), "{panel}");
     // A of all runs on one axis: what is half as large ends half as high.
     let values = |picture: &str| {
@@ -76,4 +78,43 @@ async fn a_sensor_alone_has_its_sensing_and_nothing_has_no_panel() {
     one.stages.clear();
     one.kept = Arc::default();
     assert_eq!(panel_of(vec![one]).await, None);
+}
+
+#[tokio::test]
+async fn runs_without_a_single_answer_are_named() {
+    let mut all: Vec<_> = (0..12).map(|at| configuration(at, Remote, 1.0, 1e3)).collect();
+    for one in &mut all[2..] {
+        one.stages.clear();
+        one.kept = Arc::default();
+        (one.runs[0].counts.lost, one.runs[0].counts.ok) = (one.runs[0].counts.ok, 0);
+    }
+    let (app, _folder) = samples::app().await;
+    let page = |all: &[Configuration]| {
+        let shell = Shell::new(&app, &app.picture(), Place::Compare, "Compare");
+        rendered(shell, &comparison(all.to_vec()), None, None).expect("nothing asked for")
+    };
+    let html = page(&all);
+    check(&html);
+    let said = "No answered iteration after the warm-up: #3, #4, #5, #6, #7, #8, #9, #10 and 2 more.";
+    assert_eq!(html.matches(said).count(), 2, "over time and distributions: {html}");
+    assert!(page(&all[..4]).contains("warm-up: #3, #4."));
+    assert!(!page(&all[..2]).contains("No answered iteration"));
+}
+
+#[tokio::test]
+async fn a_run_of_fewer_than_a_few_points_says_how_long_it_was() {
+    let mut one = configuration(0, Local, 1.0, 1e3);
+    let whole = panel_of(vec![one.clone()]).await.expect("a panel");
+    assert!(!whole.contains("from first to last start"), "{whole}");
+    one.runs[0].last_iteration = Some(samples::NOW + Span::from_nanos(5_300_000));
+    let known = comparison(vec![one]);
+    let mut courses = run_courses(&known);
+    for course in courses.values_mut() {
+        let points = &mut course.series.stages[0].points;
+        points.truncate(1);
+        points[0].at = samples::NOW - Span::from_millis(150);
+        course.episodes = Episodes { first: Some(samples::NOW), count: 1, ..Episodes::default() };
+    }
+    let short = over_time(&known, &courses).expect("a point");
+    assert_eq!(short.runs[0].said, "points of 1\u{202f}s, 5.30\u{202f}ms from first to last start");
 }

@@ -3,9 +3,13 @@
 use peernet_aggregator::RunSummary;
 
 use super::{Comparison, Configuration};
+use crate::numbers::count;
 
 /// Most runs that are drawn side by side.
 const MOST: usize = 24;
+
+/// Most runs that a sentence names.
+const NAMED: usize = 8;
 
 /// A run with its configuration and what is to be drawn of it.
 pub(super) type Chosen<'a, T> = (&'a Configuration, &'a RunSummary, T);
@@ -27,4 +31,17 @@ pub(super) fn chosen<'a, T>(
     all.truncate(MOST);
     all.sort_by_key(|(repeat, place, _)| (*place, *repeat));
     (all.into_iter().map(|(.., run)| run).collect(), (measured > MOST).then_some(measured))
+}
+
+/// A sentence about the runs that have no picture because not one of their iterations was answered; `None` where there are
+/// no such runs.
+pub(super) fn without_answer(comparison: &Comparison) -> Option<String> {
+    let runs: Vec<&RunSummary> = comparison.runs().filter(|run| run.counts.ok == 0).collect();
+    let named: Vec<String> = runs.iter().take(NAMED).map(|run| format!("#{}", run.number)).collect();
+    let more = match runs.len().saturating_sub(NAMED) {
+        0 => String::new(),
+        more => format!(" and {} more", count(more as u64)),
+    };
+    (!runs.is_empty())
+        .then(|| format!("No answered iteration after the warm-up: {}{more}.", named.join(", ")))
 }

@@ -5,7 +5,7 @@ use peernet_logger::{Name, stage};
 use peernet_report::figures::HISTOGRAMS;
 
 use super::Comparison;
-use super::choice::chosen;
+use super::choice::{chosen, without_answer};
 use super::median::{CROSSING, Median};
 use crate::error::WebError;
 use crate::look;
@@ -24,6 +24,8 @@ pub(crate) struct Distributions {
     pub choices: Vec<Choice>,
     /// The part of the address that says what is compared.
     pub address: Address,
+    /// A sentence about runs without a single answer.
+    pub missing: Option<String>,
 }
 
 /// One quantity of several runs, on one axis.
@@ -184,5 +186,10 @@ pub(crate) fn distributions(
         choices.clear();
     }
     let is_empty = offered.is_empty() && asked.is_none();
-    Ok((!is_empty).then(|| Distributions { groups, choices, address: Address::of(comparison) }))
+    Ok((!is_empty).then(|| Distributions {
+        groups,
+        choices,
+        address: Address::of(comparison),
+        missing: without_answer(comparison),
+    }))
 }

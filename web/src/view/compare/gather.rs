@@ -24,11 +24,12 @@ pub(crate) enum Which {
 }
 
 impl Which {
-    /// Reads `runs=1,2&runs=3` or `experiment=ID`. `None` when nothing is asked for.
+    /// Reads `runs=1,2&runs=3` or `experiment=ID`; of anything else the error names `parameters`, which there are. `None`
+    /// when nothing is asked for.
     ///
     /// # Errors
-    /// When a number is none, when there are too many, and when both are given.
-    pub(crate) fn of(pairs: &[(String, String)]) -> Result<Option<Self>, WebError> {
+    /// When a number is none, when there are too many, when both are given, and when something else is.
+    pub(crate) fn of(pairs: &[(String, String)], parameters: &str) -> Result<Option<Self>, WebError> {
         let bad = |text: String| Err(WebError::BadRequest(format!("query parameter {text}")));
         let (mut runs, mut experiment) = (Vec::<i64>::new(), None);
         for (name, value) in pairs {
@@ -45,7 +46,7 @@ impl Which {
                 }
                 "experiment" if !value.is_empty() => experiment = Some(value.clone()),
                 "experiment" => {}
-                other => return bad(format!("{other}: unknown, give runs or experiment")),
+                other => return bad(format!("{other}: unknown, give {parameters}")),
             }
         }
         match (runs.len(), experiment) {

@@ -78,6 +78,11 @@ pub(crate) struct Answers {
     pub is_whole: bool,
 }
 
+/// Whether a number is in the statistics, and so has a place on an axis.
+fn counts(value: f64) -> bool {
+    Summary::takes(value)
+}
+
 /// Reads a sample of the iterations of each configuration that is drawn, of each of its runs as large a share.
 ///
 /// # Errors
@@ -96,7 +101,7 @@ pub(crate) async fn answers(store: &Store, comparison: &Comparison) -> Result<Ve
             let share = if whole <= most { MOST_READ } else { (most * answered(run)).div_ceil(whole) };
             let pairs = store.pairs(run.number, [it.length, LATENCY], share as u32).await?;
             known.is_whole &= pairs.is_whole();
-            known.points.extend(pairs.points);
+            known.points.extend(pairs.points.into_iter().filter(|(x, y)| counts(*x) && counts(*y)));
         }
         all.push(known);
     }
@@ -179,19 +184,35 @@ fn sums(it: &Varying<'_>) -> String {
 
 /// How many of the iterations are points.
 fn amount(it: &Varying<'_>, known: &Answers) -> String {
-    let (points, all) = (known.points.len() as u64, it.x.count().min(it.y.count()));
+    let points = known.points.len() as u64;
+    let (all, answered) = (it.x.count().min(it.y.count()), it.x.count().max(it.y.count()));
+    let lacking = answered - all;
+    let rest = if lacking > 0 {
+        format!(" {} of {} iterations have no such number.", count(lacking), count(answered))
+    } else {
+        String::new()
+    };
     let is_deleted = it.one.runs.iter().any(|run| run.nodes_from > 0);
     match (known.is_whole, is_deleted) {
         _ if points == 0 => format!("No iteration is stored any more; histograms of all {}.", count(all)),
+        (true, false) if lacking > 0 => format!(
+            "{} of {} iterations; the others have no such number.",
+            count(points),
+            count(points + lacking)
+        ),
         (true, false) => format!("All {} iterations.", count(points)),
         (true, true) => format!(
-            "{} iterations, all that are still stored; histograms of all {}.",
+            "{} iterations, all that are still stored; histograms of all {}.{rest}",
             count(points),
             count(all)
         ),
         (false, is_deleted) => {
             let of = if is_deleted { " over what is still stored" } else { "" };
-            format!("{} of {} iterations, evenly spread{of}; histograms of all.", count(points), count(all))
+            format!(
+                "{} of {} iterations, evenly spread{of}; histograms of all.{rest}",
+                count(points),
+                count(all)
+            )
         }
     }
 }

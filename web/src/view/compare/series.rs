@@ -6,7 +6,7 @@ use peernet_aggregator::{Episodes, MeanBucket, RunSummary, Series, SeriesPoint, 
 use peernet_clock::WallTime;
 use peernet_logger::{Name, stage};
 
-use super::choice::{Chosen, chosen};
+use super::choice::{Chosen, chosen, without_answer};
 use super::{Comparison, Configuration};
 use crate::error::WebError;
 use crate::numbers::{duration, length};
@@ -17,6 +17,8 @@ use crate::view::{counted, episodes, stack};
 const POINTS: usize = 100;
 const FEWEST: u64 = 20;
 const SAMPLES: u64 = 60;
+/// A run shorter than so many points is drawn longer or shorter than it was, by part of a point at each end.
+const FEW: f64 = 5.0;
 
 /// What the store knows of a run over time.
 #[derive(Clone, Debug)]
@@ -42,6 +44,8 @@ pub(crate) struct OverTime {
     pub has_unanswered: bool,
     /// How many runs there are, where not all are drawn.
     pub of: Option<usize>,
+    /// A sentence about runs without a single answer.
+    pub missing: Option<String>,
 }
 
 /// One run over time.
@@ -96,7 +100,8 @@ pub(crate) fn over_time(comparison: &Comparison, courses: &RunCourses) -> Option
             0 => None,
             beyond => Some(format!("{} beyond ↑", counted(beyond, "mean", "means"))),
         };
-        let short = axes.is_short(data).then(|| format!("{} in all", length(data.length)));
+        let is_short = axes.is_short(data) || data.length < data.width * FEW;
+        let short = is_short.then(|| lasted(run, episodes)).flatten();
         let width = Some(points_of(data.width));
         let said = [episodes::said(episodes), episodes::unanswered(episodes, run), width, short, beyond];
         RunPicture {
@@ -114,7 +119,15 @@ pub(crate) fn over_time(comparison: &Comparison, courses: &RunCourses) -> Option
         has_warm_up: all.iter().any(|one| one.warm_up.is_some()),
         has_unanswered: all.iter().any(|one| !one.unanswered.is_empty()),
         of,
+        missing: without_answer(comparison),
     })
+}
+
+/// `5.3 ms from first to last start`; `None` of a single iteration, and where the clock was set back.
+fn lasted(run: &RunSummary, episodes: &Episodes) -> Option<String> {
+    let seconds = (run.last_iteration? - episodes.first.unwrap_or(run.started)).seconds();
+    let said = if seconds < 1.0 { duration(seconds).to_string() } else { length(seconds) };
+    (seconds > 0.0).then(|| format!("{said} from first to last start"))
 }
 
 /// `points of 10 s`.

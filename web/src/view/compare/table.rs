@@ -7,7 +7,7 @@ use peernet_report::trust::batch_means;
 
 use super::{Comparison, Configuration};
 use crate::look;
-use crate::numbers::{NONE, SPACE, bytes, count, duration, mean_std_ms, share, signed_within_ms, times};
+use crate::numbers::{Estimate, NONE, SPACE, bytes, count, duration, mean_std_ms, share, times};
 use crate::view::accuracy;
 
 /// The columns of the paper's table, and both totals.
@@ -147,13 +147,13 @@ pub(crate) fn difference(
         let found = Difference::of_batches(&batches(first.1, &name), &batches(second.1, &name));
         let found = found.map(|found| found.about(b.mean - a.mean));
         let value = found.map_or(b.mean - a.mean, |found| found.value);
-        let interval = found.map_or((value, value), |found| found.interval);
+        let shown_as = Estimate::new(value, found.map_or((value, value), |found| found.interval));
         let changed = Changed {
             look: look::class(&name),
             first: mean_std_ms(a.mean, None).0,
             second: mean_std_ms(b.mean, None).0,
-            difference: signed_within_ms(value, interval),
-            interval: found.map(|found| crate::numbers::shift_ms(found.interval.0, found.interval.1)),
+            difference: shown_as.signed(),
+            interval: found.map(|_| shown_as.shift()),
             certain: found.map(|found| found.is_certain()),
             name: shown.to_owned(),
         };
@@ -216,12 +216,13 @@ pub(crate) fn title(comparison: &Comparison, total: Option<&Difference>) -> Stri
         let (slow, less) = if found.value > 0.0 { (second, -found.value) } else { (first, found.value) };
         let least = found.interval.0.abs().min(found.interval.1.abs());
         let most = found.interval.0.abs().max(found.interval.1.abs());
+        let less = Estimate::new(less.abs(), (least, most));
         return format!(
-            "{} takes {} less than {} (95{SPACE}%: {}{SPACE}ms)",
+            "{} takes {}{SPACE}ms less than {} (95{SPACE}%: {}{SPACE}ms)",
             best.letter,
-            duration(less.abs()),
+            less.value(),
             slow.letter,
-            crate::numbers::interval_ms(least, most)
+            less.between()
         );
     }
     if all.len() == 2 {
@@ -257,3 +258,6 @@ pub(crate) fn open(comparison: &Comparison, total: Option<&Difference>) -> Optio
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

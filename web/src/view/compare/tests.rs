@@ -120,6 +120,7 @@ pub(crate) fn run_courses(comparison: &Comparison) -> RunCourses {
             steps: Some(900),
             borders: [15, 30, 45].map(moment).to_vec(),
             warm_up_until: Some(moment(15)),
+            without_answer: unanswered.len() as u64,
             unanswered: unanswered.into_iter().map(moment).collect(),
         };
         let series = Series { bucket_s: 1, stages: vec![total], gaps: Vec::new() };
@@ -142,7 +143,7 @@ fn configurations_have_letters() {
 fn addresses_name_runs_or_an_experiment() {
     let of = |pairs: &[(&str, &str)]| {
         let pairs: Vec<_> = pairs.iter().map(|(a, b)| ((*a).to_owned(), (*b).to_owned())).collect();
-        Which::of(&pairs)
+        Which::of(&pairs, "runs")
     };
     assert_eq!(of(&[]).expect("fine"), None);
     assert_eq!(of(&[("runs", "3,#5, 3"), ("runs", "7")]).expect("fine"), Some(Which::Runs(vec![3, 5, 7])));

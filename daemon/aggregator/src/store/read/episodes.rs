@@ -34,6 +34,7 @@ pub(in crate::store) async fn episodes(readers: &Readers, run: i64) -> Result<Ep
         }
         _ => Vec::new(),
     };
+    let (unanswered, without_answer) = unanswered(readers, run, last.number).await?;
     let began = |rows: Vec<Row>| rows.iter().map(|row| wall(row.started_ns)).collect();
     Ok(Episodes {
         first: (first.number == 1).then(|| wall(first.started_ns)),
@@ -41,7 +42,8 @@ pub(in crate::store) async fn episodes(readers: &Readers, run: i64) -> Result<Ep
         steps: steps.and_then(|steps| u64::try_from(steps).ok()),
         borders: began(borders),
         warm_up_until: warm_up(readers, run, &first).await?.map(|row| wall(row.started_ns)),
-        unanswered: began(unanswered(readers, run, last.number).await?),
+        unanswered: began(unanswered),
+        without_answer,
     })
 }
 
@@ -68,7 +70,8 @@ async fn warm_up(readers: &Readers, run: i64, first: &Row) -> Result<Option<Row>
     end.fetch_optional(&readers.pool).await.map_err(readers.failed(WHAT))
 }
 
-async fn unanswered(readers: &Readers, run: i64, last: i64) -> Result<Vec<Row>, StoreError> {
+/// Those that are marked, and how many there are, one more than are counted where there are more.
+async fn unanswered(readers: &Readers, run: i64, last: i64) -> Result<(Vec<Row>, u64), StoreError> {
     let most = Episodes::MOST_UNANSWERED;
     let found: Vec<Row> = sqlx::query_as(sql::ITERATIONS_WITHOUT_ANSWER)
         .bind(run)
@@ -77,14 +80,26 @@ async fn unanswered(readers: &Readers, run: i64, last: i64) -> Result<Vec<Row>, 
         .fetch_all(&readers.pool)
         .await
         .map_err(readers.failed(WHAT))?;
-    let Some(first) = found.first().filter(|_| found.len() > most) else { return Ok(found) };
+    let Some(first) = found.first().filter(|_| found.len() > most) else {
+        let all = found.len() as u64;
+        return Ok((found, all));
+    };
+    let all: i64 = sqlx::query_scalar(sql::COUNT_WITHOUT_ANSWER)
+        .bind(run)
+        .bind(i64::try_from(Episodes::MOST_COUNTED).map_or(i64::MAX, |most| most + 1))
+        .fetch_one(&readers.pool)
+        .await
+        .map_err(readers.failed(WHAT))?;
     let numbers: Vec<Option<i64>> = sqlx::query_scalar(sql::FIRST_WITHOUT_ANSWER)
         .bind(run)
         .bind(json(&parts(first.number, last, most as i64))?)
         .fetch_all(&readers.pool)
         .await
         .map_err(readers.failed(WHAT))?;
-    rows(readers, run, &numbers.into_iter().flatten().collect::<Vec<_>>()).await
+    let marked = rows(readers, run, &numbers.into_iter().flatten().collect::<Vec<_>>()).await?;
+    // Between the two questions retention may have deleted some.
+    let all = u64::try_from(all).unwrap_or_default().max(marked.len() as u64);
+    Ok((marked, all))
 }
 
 /// Numbers from one to another in so many parts, each by its ends.

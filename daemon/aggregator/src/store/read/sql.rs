@@ -121,6 +121,9 @@ statements! {
     /// last number to look at.
     WARM_UP_END = concat!(iteration_columns!(),
         "WHERE run = ?1 AND number BETWEEN 1 AND ?2 AND +warm_up = 0 ORDER BY number LIMIT 1");
+    /// How many iterations without an answer, counted up to a limit: ?1 run, ?2 limit.
+    COUNT_WITHOUT_ANSWER = "SELECT count(*) FROM (SELECT 1 FROM iteration INDEXED BY iteration_without_answer \
+                            WHERE run = ?1 AND number > 0 AND outcome <> 0 LIMIT ?2)";
     /// The first number without an answer in each part of a run: ?1 run, ?2 the parts' first and last numbers, a JSON array
     /// of pairs.
     FIRST_WITHOUT_ANSWER = "SELECT (SELECT number FROM iteration INDEXED BY iteration_without_answer \

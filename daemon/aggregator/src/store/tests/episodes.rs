@@ -48,6 +48,7 @@ async fn borders_stand_where_episodes_began() {
         borders: began([31, 61, 91]),
         warm_up_until: Some(generate::at(32.0 * 0.2)),
         unanswered: Vec::new(),
+        without_answer: 0,
     };
     assert_eq!(known, expected);
     assert_eq!(bed.store.episodes(9).await.expect("answers"), Episodes::default(), "there is no such run");
@@ -91,7 +92,8 @@ async fn what_was_deleted_has_no_border() {
         true
     })
     .await;
-    assert_eq!(bed.store.episodes(1).await.expect("answers").unanswered, began([4, 70]));
+    let known = bed.store.episodes(1).await.expect("answers");
+    assert_eq!((known.unanswered, known.without_answer), (began([4, 70]), 2));
     let mut other = bed.other().await;
     sqlx::query("DELETE FROM iteration WHERE run = 1 AND number <= 40")
         .execute(&mut other)
@@ -99,7 +101,7 @@ async fn what_was_deleted_has_no_border() {
         .expect("deletes");
     let known = bed.store.episodes(1).await.expect("answers");
     assert_eq!((known.count, known.steps, known.first), (4, Some(30), None));
-    assert_eq!((known.borders, known.unanswered), (began([61, 91]), began([70])));
+    assert_eq!((known.borders, known.unanswered, known.without_answer), (began([61, 91]), began([70]), 1));
 }
 
 #[tokio::test]
@@ -139,11 +141,38 @@ async fn of_very_many_without_an_answer_some_stand_for_all_parts_of_the_run() {
         if is_lost {
             iteration.outcome = Outcome::Lost("connection broke".into());
         }
+        iteration.warm_up = iteration.number <= 100;
         true
     })
     .await;
-    let shown = bed.store.episodes(1).await.expect("answers").unanswered;
+    let known = bed.store.episodes(1).await.expect("answers");
+    assert_eq!(known.without_answer, 601, "those of the warm-up too");
+    let shown = known.unanswered;
     assert!((150..=Episodes::MOST_UNANSWERED).contains(&shown.len()), "{}", shown.len());
     assert_eq!((shown[0], shown[shown.len() - 1]), (generate::at(0.4), generate::at(398.0)));
     assert!(shown.is_sorted());
+}
+
+#[tokio::test]
+async fn those_without_an_answer_are_counted_up_to_a_limit() {
+    let mut bed = Bed::new().await;
+    stored(&mut bed, 1, |_| true).await;
+    let mut other = bed.other().await;
+    let columns = sqlx::query_scalar::<_, String>("SELECT name FROM pragma_table_info('iteration')");
+    let columns = columns.fetch_all(&mut other).await.expect("the columns");
+    let values = columns.iter().map(|name| match name.as_str() {
+        "number" => "2 + value",
+        "outcome" => "1",
+        same => same,
+    });
+    let more = format!(
+        "WITH RECURSIVE counted(value) AS (SELECT 0 UNION ALL SELECT value + 1 FROM counted WHERE value < 10499) \
+         INSERT INTO iteration ({}) SELECT {} FROM iteration, counted WHERE run = 1 AND number = 1",
+        columns.join(", "),
+        values.collect::<Vec<_>>().join(", ")
+    );
+    sqlx::query(sqlx::AssertSqlSafe(more)).execute(&mut other).await.expect("inserts");
+    let known = bed.store.episodes(1).await.expect("answers");
+    assert_eq!(known.without_answer, Episodes::MOST_COUNTED + 1);
+    assert!(known.unanswered.len() <= Episodes::MOST_UNANSWERED);
 }

@@ -162,6 +162,7 @@ async fn counting_the_slower_ones_and_finding_neighbours_touch_the_index_alone()
         (sql::PREVIOUS, "USING PRIMARY KEY (run=? AND number<?)"),
         (sql::NEXT, "USING PRIMARY KEY (run=? AND number>?)"),
         (sql::ITERATIONS_WITHOUT_ANSWER, "USING INDEX iteration_without_answer (run=? AND number>?)"),
+        (sql::COUNT_WITHOUT_ANSWER, "INDEX iteration_without_answer (run=? AND number>?)"),
     ] {
         let steps = plan(&bed, statement, statement).await;
         assert!(steps.iter().any(|step| step.contains(index)), "{statement}: {steps:?}");

@@ -19,6 +19,9 @@ pub struct Episodes {
     /// When iterations without an answer began, those of the warm-up included: all of them, or where there are more than
     /// [`Episodes::MOST_UNANSWERED`] the first of each of as many parts of the run.
     pub unanswered: Vec<WallTime>,
+    /// How many of those are stored, of which `unanswered` are all or some; one more than [`Episodes::MOST_COUNTED`] where
+    /// there are more than that.
+    pub without_answer: u64,
 }
 
 impl Episodes {
@@ -26,4 +29,6 @@ impl Episodes {
     pub const MOST_BORDERS: u32 = 30;
     /// More than anybody can tell apart in a picture.
     pub const MOST_UNANSWERED: usize = 300;
+    /// So that the count takes no longer for a run in which nothing was ever answered.
+    pub const MOST_COUNTED: u64 = 10_000;
 }

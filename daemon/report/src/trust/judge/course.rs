@@ -3,7 +3,7 @@
 use peernet_logger::stream::Grade;
 
 use super::{advise, ms, percent, say};
-use crate::number::{fixed, significant};
+use crate::number::{counted, fixed, significant};
 use crate::trust::trend::chance_of_trend;
 use crate::trust::{Course, Evidence, Sentence};
 
@@ -21,6 +21,8 @@ const INFLUENCE: f64 = 0.05;
 const UNEXPLAINED: f64 = 0.05;
 const MOSTLY_UNEXPLAINED: f64 = 0.25;
 const TOO_SHORT_TO_MATTER: f64 = 100e-6;
+/// Iterations from which on a course tells something.
+const ENOUGH: u64 = 100;
 
 pub(super) fn sentences(evidence: &Evidence) -> Vec<Sentence> {
     let Some(total) = &evidence.total else { return Vec::new() };
@@ -30,13 +32,24 @@ pub(super) fn sentences(evidence: &Evidence) -> Vec<Sentence> {
     all
 }
 
+/// Why a run does not tell something of its course. One of enough iterations lies in too few buckets: those of a dashboard
+/// last a second at least, and where a clock was set meanwhile so long that they hold the whole time that it left out.
+fn too_little(total: &Course, whether: &str) -> String {
+    if total.count < ENOUGH {
+        return format!("The run is too short to tell whether {whether}: that takes {ENOUGH} iterations.");
+    }
+    format!(
+        "Not known whether {whether}: its {} lie in too few stretches of the time that it took by its clock. It \
+         lasted only seconds, or its clock was set meanwhile.",
+        counted(total.count, "iteration")
+    )
+}
+
 fn steady(total: &Course, stages: &[(String, Course)]) -> Sentence {
     let about = "stationarity";
     let known = total.halves.zip(total.change()).zip(chance_of_trend(&total.batches));
     let Some((((first, second), share), chance)) = known else {
-        let text =
-            "The run is too short to tell whether it drifted: that takes 100 iterations over some time.";
-        return say(about, Grade::Unknown, text);
+        return say(about, Grade::Unknown, too_little(total, "it drifted"));
     };
     let size = share.abs();
     let moved = format!(
@@ -74,9 +87,7 @@ fn steady(total: &Course, stages: &[(String, Course)]) -> Sentence {
 fn begun(total: &Course) -> Sentence {
     let about = "warm-up";
     let Some(begin) = total.beginning.filter(|begin| begin.blocks >= 4) else {
-        let text =
-            "The run is too short to tell whether its warm-up was long enough: that takes 100 iterations.";
-        return say(about, Grade::Unknown, text);
+        return say(about, Grade::Unknown, too_little(total, "its warm-up was long enough"));
     };
     let share = change(begin.rest, begin.median);
     let compared = format!(

@@ -7,6 +7,7 @@ use peernet_report::results::{FolderError, Loaded, ResultFolder};
 use peernetd::exit::{Exit, Failure};
 use peernetd::output::complain;
 
+use super::copies::Copies;
 use super::experiment::Experiments;
 use super::order::as_declared;
 use super::undone::Chosen;
@@ -17,13 +18,13 @@ pub(crate) struct Collected {
     pub(crate) runs: Vec<Loaded>,
     /// Which of them is the baseline, if one was named.
     pub(crate) baseline: Option<usize>,
-    /// What is not among them, because it is not done, in sentences.
+    /// What is not among them, because it is not done or a copy, and what is not known of them, in sentences.
     pub(crate) left_out: Vec<String>,
 }
 
 /// Reads the columns that are wanted of all results in the places, in their order; the runs of an experiment in that of its
-/// file. Those that are not done are left out, unless they are named themselves. A baseline that is not among them comes
-/// first.
+/// file. Those that are not done are left out, unless they are named themselves, and so are copies. A baseline that is not
+/// among them comes first.
 ///
 /// # Errors
 /// When a place holds no results or nothing is left (66), or some cannot be read (65).
@@ -45,19 +46,34 @@ pub(crate) fn collect(
         })
     });
     left_out.iter().for_each(|left_out| complain(&left_out.remark));
-    let left_out = left_out.into_iter().map(|left_out| left_out.what).collect();
+    let mut left_out: Vec<String> = left_out.into_iter().map(|left_out| left_out.what).collect();
     if paths.is_empty() {
         let places: Vec<String> = places.iter().map(|place| place.display().to_string()).collect();
         let text = format!("nothing is left of {}; name a run's own folder to see it", places.join(", "));
         return Err(Failure::new(Exit::NoInput, anyhow!("{text}")));
     }
     let runs = paths.iter().map(|path| open(path, wanted)).collect::<Result<Vec<Loaded>, Failure>>()?;
-    runs.iter().filter_map(|run| doubt(run, &experiments)).for_each(complain);
-    let order = as_declared(&runs, &experiments);
+    let copies = Copies::among(&runs, baseline, &experiments);
+    let unknown = experiments.unknown(paths.iter().map(PathBuf::as_path));
+    for told in unknown.into_iter().chain(copies.told(&runs)) {
+        complain(&told);
+        left_out.push(sentence(&told));
+    }
+    let is_kept = |at: usize| !copies.has(at);
+    let kept = runs.iter().enumerate().filter(|(at, _)| is_kept(*at));
+    kept.filter_map(|(_, run)| doubt(run, &experiments)).for_each(complain);
+    let order: Vec<usize> = as_declared(&runs, &experiments).into_iter().filter(|at| is_kept(*at)).collect();
     let baseline = baseline.and_then(|baseline| order.iter().position(|run| *run == baseline));
     let mut runs: Vec<Option<Loaded>> = runs.into_iter().map(Some).collect();
     let runs = order.into_iter().filter_map(|run| runs[run].take()).collect();
     Ok(Collected { runs, baseline, left_out })
+}
+
+/// A remark as it stands below a table.
+fn sentence(remark: &str) -> String {
+    let mut letters = remark.chars();
+    let first = letters.next().into_iter().flat_map(char::to_uppercase);
+    first.chain(letters).chain(['.']).collect()
 }
 
 /// What results that are read lack of a whole run.

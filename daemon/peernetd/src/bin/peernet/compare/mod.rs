@@ -1,6 +1,7 @@
 //! `peernet compare`: runs side by side, as the paper's table.
 
 mod collect;
+mod copies;
 mod experiment;
 mod order;
 mod undone;
@@ -131,7 +132,9 @@ pub(crate) fn below(comparison: &Comparison, differences: &[Differences]) -> Vec
     if differences.is_empty() {
         return comparison.against_best().into_iter().collect();
     }
-    differences.iter().map(Differences::captioned).collect()
+    // Nothing is compared with a line that measured nothing.
+    let told = differences.iter().filter(|differences| !differences.stages.is_empty());
+    told.map(Differences::captioned).collect()
 }
 
 /// Tables in one text.
@@ -170,6 +173,9 @@ mod tests {
         let pooled = told(&runs, Repeats::Pooled).expect("they are one line");
         assert!(pooled.contains("one configuration") && pooled.contains("--apart"), "{pooled}");
         assert_eq!(told(&runs, Repeats::Apart), None);
+        let apart = Comparison::with(&runs, Repeats::Apart, SEED);
+        let differences = differences(&apart, &runs, first_of_two(&apart), SEED);
+        assert_eq!((differences.len(), below(&apart, &differences).len()), (1, 0), "no table without a line");
         let single = told(&runs[..1], Repeats::Pooled).expect("there is no other");
         assert!(single.contains("the only run") && !single.contains("--apart"), "{single}");
     }

@@ -56,7 +56,7 @@ mod tests {
         let experiment = tempfile::tempdir().expect("a folder");
         let labels = |label: &str| vec![("load".to_owned(), label.to_owned())];
         let configurations: Vec<_> = ["b", "a"].map(|label| json!({ "labels": labels(label) })).to_vec();
-        let record = json!({ "id": "x1", "plan": { "configurations": configurations } });
+        let record = json!({ "format": 1, "id": "x1", "plan": { "configurations": configurations } });
         fs::write(experiment.path().join(RECORD), record.to_string()).expect("written");
         let run = |folder: &str, place: Option<(&str, u32)>| {
             let folder = experiment.path().join("runs").join(folder);

@@ -78,6 +78,7 @@ fn as_typed(place: &Path, home: &Path) -> PathBuf {
 
 #[cfg(test)]
 mod tests {
+    use rustix::fs::{CWD, FileType, Mode, mknodat};
     use serde_json::json;
 
     use super::*;
@@ -95,7 +96,8 @@ mod tests {
             { "stage": "pending", "attempts": 0 },
         ]);
         let plan = json!({ "configurations": [], "runs": runs });
-        let record = json!({ "id": "x1", "name": "rates", "file": "e.toml", "states": states, "plan": plan });
+        let mut record = json!({ "format": 1, "id": "x1", "name": "rates", "file": "e.toml" });
+        (record["states"], record["plan"]) = (states, plan);
         for name in &names[..3] {
             let folder = home.join(RUNS).join(name);
             std::fs::create_dir_all(&folder).expect("made");
@@ -138,6 +140,48 @@ mod tests {
         std::fs::remove_dir_all(home.join("runs/001-a")).expect("removed");
         let nothing = collect(&[home], None, &|_| true).err().expect("nothing is left");
         assert!(nothing.to_string().contains("nothing is left"), "{nothing}");
+    }
+
+    #[test]
+    fn a_record_that_tells_nothing_is_told_where_its_runs_are_shown() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let home = folder.path().join("rates");
+        experiment(&home);
+        let record = home.join(RECORD);
+        let whole = std::fs::read_to_string(&record).expect("written");
+        let told = || {
+            let found = collect(std::slice::from_ref(&home), None, &|_| true).expect("three can be read");
+            assert_eq!(names(&found), ["001-a", "002-a", "003-b"]);
+            found.left_out.concat()
+        };
+        let cut = &whole[..whole.len() / 2];
+        let few = whole
+            .replace(r#"{"attempts":0,"stage":"pending"}"#, r#"{"stage":"pending"},{"stage":"pending"}"#);
+        let strange = whole.replace("pending", "eaten");
+        let later = whole.replace(r#""format":1"#, r#""format":2"#);
+        for (text, why) in [
+            ("", "EOF"),
+            (cut, "EOF"),
+            ("\0", "expected value"),
+            ("{}", "missing field `format`"),
+            (&few, "it has 4 runs, and how 5 of them fare"),
+            (&strange, "unknown variant `eaten`"),
+            (&later, "its format is 2, this program knows 1"),
+        ] {
+            std::fs::write(&record, text).expect("written");
+            let told = told();
+            let beginning = format!("Cannot read {}: ", record.canonicalize().expect("there").display());
+            assert!(told.starts_with(&beginning) && told.contains(why), "{why}: {told}");
+            assert!(told.ends_with("; which of its runs are done is not known."), "{told}");
+        }
+        std::fs::remove_file(&record).expect("removed");
+        assert_eq!(told(), "", "results of other programs have none");
+        std::fs::create_dir(&record).expect("made");
+        assert!(told().contains("it is not a regular file"), "{}", told());
+        std::fs::remove_dir(&record).expect("removed");
+        // Nobody writes into it.
+        mknodat(CWD, &record, FileType::Fifo, Mode::RUSR, 0).expect("a pipe");
+        assert!(told().contains("it is not a regular file"), "{}", told());
     }
 
     #[test]

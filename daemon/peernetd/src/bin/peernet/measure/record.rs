@@ -33,7 +33,8 @@ pub(super) fn of(order: &Order, taken: &Taken, ended: &Ended, edge: String, miss
     });
     let conditions =
         conditions.into_iter().filter(|found| cloud.as_ref().is_none_or(|cloud| found.host != cloud.name));
-    let pipeline = order.agent.pipelines.first();
+    let config = order.agent.publishable();
+    let pipeline = config.pipelines.first();
     RunRecord {
         format: FORMAT,
         name: pipeline.map(|pipeline| pipeline.name.to_string()).unwrap_or_default(),
@@ -66,7 +67,7 @@ pub(super) fn of(order: &Order, taken: &Taken, ended: &Ended, edge: String, miss
         }),
         facts,
         pipeline: pipeline.map_or(Value::Null, json),
-        agent: agent(&order.agent),
+        agent: agent(&config),
         experiment: pipeline.and_then(|pipeline| pipeline.experiment.clone()),
         user: order.user,
         patience_s: Some(order.patience().seconds()),

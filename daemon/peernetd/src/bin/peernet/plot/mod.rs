@@ -111,14 +111,14 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
             one(kind, &runs, &places.together)?;
         }
     }
-    // One kind was asked for and is not there: a failure. Of all kinds some never are.
-    if arguments.kind != Kind::All && files.is_empty() {
-        if let Some(reasons) = reasons(&lacking) {
-            return Err(Failure::new(Exit::Data, anyhow!("{reasons}")));
-        }
-    } else if arguments.kind != Kind::All {
-        lacking.iter().for_each(|(folder, error)| complain(format_args!("{}: {error}", folder.display())));
+    if arguments.kind == Kind::All {
+        // Of all kinds some never are.
+        lacking.retain(|(_, error)| matches!(error, PlotError::Lacking(kind, _) if kind.is_expected()));
+    } else if let (true, Some(reasons)) = (files.is_empty(), reasons(&lacking)) {
+        // One kind was asked for and is not there: a failure.
+        return Err(Failure::new(Exit::Data, anyhow!("{reasons}")));
     }
+    lacking.iter().for_each(|(folder, error)| complain(format_args!("{}: {error}", folder.display())));
     files.iter().for_each(|file| say(file.display()));
     Ok(())
 }

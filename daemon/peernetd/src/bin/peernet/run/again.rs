@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use peernet_report::results::{Counts, ResultFolder, RunRecord};
 use peernetd::output::complain;
+use peernetd::short::plain;
 
 use super::Beside;
 use super::folder::Folder;
@@ -26,6 +27,17 @@ pub(super) fn settle(folder: &Folder, record: &mut Record, beside: &Beside) {
         }
     }
     changed.iter().for_each(complain);
+}
+
+/// A sentence when an experiment that this build has not begun is gone on with.
+pub(super) fn two_builds(record: &Record, to_do: &[Run], version: &str) -> Option<String> {
+    let goes_on = !to_do.is_empty() && record.count(Stage::Finished) > 0;
+    (goes_on && record.version != version).then(|| {
+        format!(
+            "begun by PEERNet {}, and gone on with by {version}: run.json of each run has the version that measured it",
+            plain(&record.version)
+        )
+    })
 }
 
 /// What a run's results say of themselves, for each user.

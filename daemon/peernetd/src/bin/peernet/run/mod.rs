@@ -30,7 +30,7 @@ mod undone;
 
 pub(crate) use arguments::Arguments;
 pub(crate) use folder::{LARGEST_RECORD, RECORD, RUNS};
-pub(crate) use state::Stage;
+pub(crate) use state::{FORMAT, Stage};
 pub(crate) use undone::left_out;
 
 use std::collections::BTreeSet;
@@ -46,7 +46,7 @@ use peernetd::short::plain;
 use peernetd::{VERSION, clock};
 
 use crate::foreground::{Signals, remark, where_seen};
-use again::settle;
+use again::{settle, two_builds};
 use arguments::Only;
 use beside::Beside;
 use children::Exited;
@@ -122,6 +122,7 @@ async fn carry_out(
         settle(folder, &mut record, beside);
     }
     let to_do = record.to_do(|run| Only::wants(&arguments.only, &record.plan, run));
+    two_builds(&record, &to_do, VERSION).iter().for_each(complain);
     let _homes = match folder.as_ref().map(|_| Homes::take(&record.plan, &to_do)).transpose() {
         Ok(homes) => homes,
         Err(failure) => {
@@ -173,7 +174,13 @@ async fn carry_out(
         say(where_seen(runs, aggregator, has_all));
     }
     waiting.iter().for_each(complain);
-    verdict(&record, &to_do, interrupted)
+    // Those that were finished before as well: the same command tells the same.
+    let wanted: Vec<Run> = record
+        .runs()
+        .map(|(run, _)| run.clone())
+        .filter(|run| Only::wants(&arguments.only, &record.plan, run))
+        .collect();
+    verdict(&record, &wanted, interrupted)
 }
 
 /// Takes away what is begun anew.
@@ -273,13 +280,13 @@ fn summary(record: &Record) -> String {
     format!("{} of {runs} finished{}", record.count(Stage::Finished), others.concat())
 }
 
-/// What a script is told.
-fn verdict(record: &Record, done: &[Run], interrupted: bool) -> Result<(), Failure> {
+/// What a script is told of the runs that were wanted.
+fn verdict(record: &Record, wanted: &[Run], interrupted: bool) -> Result<(), Failure> {
     if interrupted {
         let text = "ended early; the same command goes on where it ended";
         return Err(Failure::new(Exit::Interrupted, anyhow!("{text}")));
     }
-    let states = || done.iter().filter_map(|run| record.states.get(run.number - 1));
+    let states = || wanted.iter().filter_map(|run| record.states.get(run.number - 1));
     let failed = states().filter(|state| state.stage == Stage::Failed).count();
     let lossy = states().filter(|state| state.stage == Stage::Finished && state.exit != Some(0)).count();
     let text = match (failed, lossy) {

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::plan::{Plan, Run};
 
 /// The form that this program writes.
-pub(super) const FORMAT: u32 = 1;
+pub(crate) const FORMAT: u32 = 1;
 
 /// The whole of an experiment.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

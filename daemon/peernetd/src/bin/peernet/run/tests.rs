@@ -332,3 +332,15 @@ fn a_script_learns_of_failed_and_incomplete_runs() {
     assert!(failed.exit == Exit::Incomplete && failed.to_string().contains("1 run failed"), "{failed}");
     assert_eq!(code(&record, true).exit, Exit::Interrupted);
 }
+
+#[test]
+fn what_another_build_has_begun_is_told() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut record = record(folder.path());
+    let runs = record.plan.runs.clone();
+    assert_eq!(two_builds(&record, &runs, "2"), None, "nothing is measured yet");
+    record.end(&runs[0], ended(Stage::Finished));
+    let told = two_builds(&record, &runs[1..], "2").expect("there are two");
+    assert!(told.starts_with("begun by PEERNet 1, and gone on with by 2: "), "{told}");
+    assert_eq!((two_builds(&record, &runs[1..], "1"), two_builds(&record, &[], "2")), (None, None));
+}

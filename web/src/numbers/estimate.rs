@@ -1,0 +1,123 @@
+//! Figures that are estimated from samples, with their intervals, in ms.
+
+use super::{MINUS, decimals_significant, decimals_supported, fixed};
+
+/// No estimate is shown finer than a picosecond for its interval's sake.
+const FINEST: usize = 9;
+
+/// An estimate and the interval that it lies in. The last digit of both is that of the interval's second significant one:
+/// unlike a bound of the clocks it has no least width.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Estimate {
+    /// In ms.
+    value: f64,
+    interval: (f64, f64),
+    decimals: usize,
+}
+
+impl Estimate {
+    /// Of seconds. An interval without width gives the digits of the value's own size.
+    pub(crate) fn new(seconds: f64, (lo, hi): (f64, f64)) -> Self {
+        let [value, lo, hi] = [seconds, lo, hi].map(|seconds| seconds * 1e3);
+        let half_width = (hi - lo) / 2.0;
+        let decimals = if half_width > 0.0 {
+            decimals_supported(half_width, FINEST)
+        } else {
+            decimals_significant(value)
+        };
+        Self { value, interval: (lo, hi), decimals }
+    }
+
+    /// Without its unit: `0.0183`, `−0.00070`.
+    pub(crate) fn value(&self) -> String {
+        self.shown(self.value)
+    }
+
+    /// With a plus where it is more than zero.
+    pub(crate) fn signed(&self) -> String {
+        plus(self.value())
+    }
+
+    /// Both ends: `0.0179 – 0.0187`, `−1.54 to −1.35`.
+    pub(crate) fn between(&self) -> String {
+        let [lo, hi] = self.ends();
+        // A dash before a minus is hard to read.
+        let between = if [&lo, &hi].into_iter().any(|end| end.starts_with(MINUS)) { "to" } else { "–" };
+        format!("{lo} {between} {hi}")
+    }
+
+    /// Both ends with their signs: `−0.65 to +0.63`.
+    pub(crate) fn shift(&self) -> String {
+        self.ends().map(plus).join(" to ")
+    }
+
+    fn ends(&self) -> [String; 2] {
+        [self.interval.0, self.interval.1].map(|end| self.shown(end))
+    }
+
+    /// What is not zero does not become zero where the whole interval is on one side of it: one digit is left.
+    fn shown(&self, value: f64) -> String {
+        let is_apart = self.interval.0 > 0.0 || self.interval.1 < 0.0;
+        let first = if is_apart && value != 0.0 { -value.abs().log10().floor() } else { 0.0 };
+        let text = fixed(value, self.decimals);
+        if first > 0.0 && !has_digit(&text) { fixed(value, first as usize) } else { text }
+    }
+}
+
+/// Whether a number is not zero as shown.
+fn has_digit(text: &str) -> bool {
+    text.bytes().any(|digit| (b'1'..=b'9').contains(&digit))
+}
+
+fn plus(text: String) -> String {
+    if !text.starts_with(MINUS) && has_digit(&text) { format!("+{text}") } else { text }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn of(value: f64, lo: f64, hi: f64) -> Estimate {
+        Estimate::new(value / 1e3, (lo / 1e3, hi / 1e3))
+    }
+
+    #[test]
+    fn digits_follow_the_interval_however_narrow() {
+        let told = |it: Estimate| format!("{} ({})", it.value(), it.between());
+        assert_eq!(told(of(0.002_013, 0.001_98, 0.002_05)), "0.002013 (0.001980 – 0.002050)");
+        assert_eq!(told(of(0.018_31, 0.017_9, 0.018_7)), "0.01831 (0.01790 – 0.01870)");
+        assert_eq!(told(of(6.304, 5.66, 6.93)), "6.30 (5.66 – 6.93)");
+        assert_eq!(told(of(270.4, 250.0, 290.0)), "270 (250 – 290)");
+        assert_eq!(told(of(0.000_3, 0.000_3, 0.000_3)), "0.000300 (0.000300 – 0.000300)");
+        assert_eq!(told(of(0.0, 0.0, 0.0)), "0.00 (0.00 – 0.00)");
+    }
+
+    #[test]
+    fn what_is_more_than_chance_does_not_touch_zero() {
+        let told = |it: Estimate| format!("{}, {}", it.signed(), it.shift());
+        assert_eq!(
+            told(of(-0.000_7, -0.001_2, -0.000_2)),
+            "\u{2212}0.00070, \u{2212}0.00120 to \u{2212}0.00020"
+        );
+        assert_eq!(told(of(0.25, 0.000_000_21, 0.5)), "+0.25, +0.0000002 to +0.50");
+        assert_eq!(told(of(0.25, -0.000_000_21, 0.5)), "+0.25, 0.00 to +0.50", "that is chance");
+        assert_eq!(told(of(-1.4, -1.54, -1.35)), "\u{2212}1.400, \u{2212}1.540 to \u{2212}1.350");
+    }
+
+    proptest! {
+        #[test]
+        fn ends_that_differ_are_told_apart_and_from_zero(
+            lo in -9f64..3.0, width in -6f64..6.0, is_negative in any::<bool>()
+        ) {
+            let lo = 10f64.powf(lo);
+            let hi = lo * (1.0 + 10f64.powf(width));
+            let (lo, hi) = if is_negative { (-hi, -lo) } else { (lo, hi) };
+            let found = of(f64::midpoint(lo, hi), lo, hi);
+            let [from, to] = found.ends();
+            prop_assert!(has_digit(&from) && has_digit(&to) && has_digit(&found.value()), "{found:?}");
+            prop_assert!(from != to || hi - lo < 1e-8, "{from} {to}");
+        }
+    }
+}
