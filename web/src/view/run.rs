@@ -271,14 +271,7 @@ mod tests {
         (summary.ended, summary.last_iteration) = (Some(after(seconds)), Some(after(seconds)));
         (summary.counts, summary.warm_up) = (Default::default(), 0);
         summary.counts.ok = iterations;
-        let run = RunDetail {
-            summary,
-            facts: Vec::new(),
-            configuration: String::new(),
-            version: String::new(),
-            conditions: Vec::new(),
-            gaps: Vec::new(),
-        };
+        let run = RunDetail::from(summary);
         let known = RunStatistics::default();
         let stored = Stored {
             run: &run,

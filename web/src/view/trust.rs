@@ -206,14 +206,7 @@ mod tests {
     fn detail(configuration: &str, reason: &str) -> RunDetail {
         let mut summary = run(1, PlacementKind::Remote);
         summary.reason = Some(reason.to_owned());
-        RunDetail {
-            summary,
-            facts: Vec::new(),
-            configuration: configuration.to_owned(),
-            version: String::new(),
-            conditions: Vec::new(),
-            gaps: Vec::new(),
-        }
+        RunDetail { configuration: configuration.to_owned(), ..summary.into() }
     }
 
     fn end(run: &RunDetail) -> Option<(Grade, String)> {

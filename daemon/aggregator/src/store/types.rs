@@ -98,6 +98,20 @@ pub struct RunDetail {
     pub gaps: Vec<GapRow>,
 }
 
+impl From<RunSummary> for RunDetail {
+    /// A run of which no more is known than a list says.
+    fn from(summary: RunSummary) -> Self {
+        Self {
+            summary,
+            facts: Vec::new(),
+            configuration: String::new(),
+            version: String::new(),
+            conditions: Vec::new(),
+            gaps: Vec::new(),
+        }
+    }
+}
+
 /// Events that never reached the store.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct GapRow {

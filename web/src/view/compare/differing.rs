@@ -82,14 +82,8 @@ mod tests {
     use super::*;
 
     fn detail(number: i64, facts: &[(&str, &str)]) -> RunDetail {
-        RunDetail {
-            summary: run(number, PlacementKind::Local),
-            facts: facts.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned())).collect(),
-            configuration: String::new(),
-            version: String::new(),
-            conditions: Vec::new(),
-            gaps: Vec::new(),
-        }
+        let facts = facts.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned())).collect();
+        RunDetail { facts, ..run(number, PlacementKind::Local).into() }
     }
 
     #[test]

@@ -87,7 +87,7 @@ pub(crate) async fn gather(store: &Store, which: &Which) -> Result<Comparison, W
             };
             let (runs, left_out) = done::parted(runs);
             // Of an experiment the summary says all.
-            let details = runs.into_iter().map(bare).collect();
+            let details = runs.into_iter().map(RunDetail::from).collect();
             (Some((first.name, first.id)), details, left_out, cut)
         }
     };
@@ -122,15 +122,4 @@ struct Group {
     values: Vec<String>,
     runs: Vec<RunSummary>,
     statistics: Vec<RunStatistics>,
-}
-
-const fn bare(summary: RunSummary) -> RunDetail {
-    RunDetail {
-        summary,
-        facts: Vec::new(),
-        configuration: String::new(),
-        version: String::new(),
-        conditions: Vec::new(),
-        gaps: Vec::new(),
-    }
 }
