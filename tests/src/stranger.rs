@@ -129,6 +129,7 @@ pub struct Introduced {
     /// The hello that it opens with.
     pub hello: Hello,
     newest: (u64, Chain),
+    events: u64,
 }
 
 impl Introduced {
@@ -151,10 +152,12 @@ impl Introduced {
             first: 1,
             oldest: 1,
             before: Chain::START,
+            events_before_oldest: 0,
+            events_before_first: Some(0),
             batch_bytes: 128 << 10,
             process: chance.bits(),
         };
-        Self { hello, newest: (0, Chain::START) }
+        Self { hello, newest: (0, Chain::START), events: 0 }
     }
 
     /// Says hello and waits until it is taken in.
@@ -187,10 +190,9 @@ impl Introduced {
         let (number, chain) = (newest + 1, before.then(events, body));
         self.newest = (number, chain);
         let (host, stream, process) = (self.hello.host.id, self.hello.stream, self.hello.process);
-        codec::batch_frame(
-            &BatchHead { host, stream, process, number, before, chain, events },
-            body,
-            compress,
-        )
+        let events_before = self.events;
+        let head = BatchHead { host, stream, process, number, before, chain, events, events_before };
+        self.events = head.events_through();
+        codec::batch_frame(&head, body, compress)
     }
 }

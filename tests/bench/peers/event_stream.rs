@@ -79,18 +79,7 @@ impl Agent {
             compression: Compression::Never,
             ..SendingConfig::default()
         };
-        let spool = SpoolState {
-            stream: StreamId::random(),
-            previous: None,
-            first: 1,
-            oldest: 1,
-            before: Chain::START,
-            newest: (0, Chain::START),
-            since: None,
-            held: Usage::default(),
-            totals: Totals::default(),
-            reached: Vec::new(),
-        };
+        let spool = SpoolState::new(StreamId::random());
         let host = generate::host(HostId::random(), "edge");
         let machine = Sending::new(config, host, 1, spool);
         let (spool, up, down) = Default::default();

@@ -76,7 +76,7 @@ impl Plan {
         let (host, stream, run) = (HostId::random(), StreamId::random(), RunId::random());
         let cloud = HostId::random();
         let mut random = generate::Numbers(agent);
-        let mut before = Chain::START;
+        let (mut before, mut events_before) = (Chain::START, 0);
         let mut frames = Vec::new();
         let mut longest = 0;
         for number in 1..=self.batches {
@@ -90,7 +90,9 @@ impl Plan {
             let body = generate::body(&events);
             let count = events.len() as u32;
             let chain = before.then(count, &body);
-            let head = BatchHead { host, stream, process: 1, number, before, chain, events: count };
+            let head =
+                BatchHead { host, stream, process: 1, number, before, chain, events: count, events_before };
+            events_before = head.events_through();
             before = chain;
             longest = longest.max(body.len());
             frames.push(Bytes::from(codec::batch_frame(&head, &body, false)));
@@ -104,6 +106,8 @@ impl Plan {
             first: 1,
             oldest: 1,
             before: Chain::START,
+            events_before_oldest: 0,
+            events_before_first: Some(0),
             batch_bytes: BATCH_BYTES as u32,
             process: 1,
         };

@@ -54,6 +54,7 @@ struct Agent {
     stream: StreamId,
     chain: Chain,
     number: u64,
+    events: u64,
     stored: u64,
     window: u32,
     numbers: generate::Numbers,
@@ -74,6 +75,8 @@ impl Agent {
             first: 1,
             oldest: 1,
             before: Chain::START,
+            events_before_oldest: 0,
+            events_before_first: Some(0),
             batch_bytes: 128 * 1024,
             process: 1,
         };
@@ -85,6 +88,7 @@ impl Agent {
             stream,
             chain: Chain::START,
             number: 0,
+            events: 0,
             stored: 0,
             window: 0,
             numbers: generate::Numbers(1),
@@ -148,7 +152,9 @@ impl Agent {
         let before = self.chain;
         self.chain = before.then(count, &body);
         let (host, stream, number, chain) = (self.hosts.0, self.stream, self.number, self.chain);
-        let head = BatchHead { host, stream, process: 1, number, before, chain, events: count };
+        let events_before = self.events;
+        let head = BatchHead { host, stream, process: 1, number, before, chain, events: count, events_before };
+        self.events = head.events_through();
         let frame = Bytes::from(codec::batch_frame(&head, &body, false));
         self.socket.send(Message::single(frame)).await.expect("sends");
     }

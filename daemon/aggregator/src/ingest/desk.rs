@@ -170,13 +170,14 @@ impl Desk {
                 if let Some(lacking) = lacking {
                     tracing::warn!(
                         host = %name, stream = %lacking.stream, from = lacking.from, through = lacking.through,
+                        events = ?lacking.events,
                         "batches of this host were stored in a newer database than this one"
                     );
                 }
                 if let Some(missing) = missing {
                     // An agent lets go of what was acknowledged only; nothing was lost on the way here.
                     tracing::info!(
-                        host = %name, from = missing.from, through = missing.through,
+                        host = %name, from = missing.from, through = missing.through, events = ?missing.events,
                         "batches of this host are not in this database and will not come: they were acknowledged by \
                          another aggregator, or by this one with another database"
                     );

@@ -20,6 +20,8 @@ pub(crate) struct Raw {
     pub(crate) process: u64,
     pub(crate) number: u64,
     pub(crate) before: Chain,
+    /// Events of the batches so far.
+    pub(crate) events: u64,
 }
 
 impl Raw {
@@ -33,6 +35,7 @@ impl Raw {
             process: 1,
             number: 0,
             before: Chain::START,
+            events: 0,
         }
     }
 
@@ -53,6 +56,8 @@ impl Raw {
             first: 1,
             oldest: self.number + 1,
             before: self.before,
+            events_before_oldest: self.events,
+            events_before_first: Some(0),
             batch_bytes: 128 * 1024,
             process: self.process,
         }
@@ -77,7 +82,9 @@ impl Raw {
         let (host, stream, number, before) = (self.host, self.stream, self.number, self.before);
         self.before = before.then(events, body);
         let (process, chain) = (self.process, self.before);
-        let head = BatchHead { host, stream, process, number, before, chain, events };
+        let events_before = self.events;
+        let head = BatchHead { host, stream, process, number, before, chain, events, events_before };
+        self.events = head.events_through();
         codec::batch_frame(&head, body, number.is_multiple_of(2))
     }
 

@@ -13,6 +13,7 @@ pub(crate) struct Spool {
     pub(crate) stream: StreamId,
     previous: Option<StreamId>,
     first: u64,
+    events_before_first: Option<u64>,
     /// Number and chain of the last batch that was deleted.
     deleted: (u64, Chain),
     batches: BTreeMap<u64, SpooledBatch>,
@@ -26,6 +27,7 @@ impl Spool {
             stream: StreamId::random(),
             previous: None,
             first: 1,
+            events_before_first: Some(0),
             deleted: (0, Chain::START),
             batches: BTreeMap::new(),
             totals: Totals::default(),
@@ -44,6 +46,7 @@ impl Spool {
             stream: self.stream,
             previous: self.previous,
             first: self.first,
+            events_before_first: self.events_before_first,
             oldest: self.deleted.0 + 1,
             before: self.deleted.1,
             newest: newest.map_or(self.deleted, |(number, batch)| (*number, batch.chain)),
@@ -82,7 +85,8 @@ impl Spool {
                 sending.deleted();
                 None
             }
-            Action::Renew { stream, previous, first } => {
+            Action::Renew { stream, previous, first, events_before_first } => {
+                self.events_before_first = Some(events_before_first);
                 (self.stream, self.previous, self.first) = (stream, Some(previous), first);
                 sending.renewed(now);
                 None

@@ -117,18 +117,7 @@ fn at_an_agent(script: &mut Script<'_>) {
         ..SendingConfig::default()
     };
     let stream = StreamId::from_bytes([1; 16]);
-    let state = SpoolState {
-        stream,
-        previous: None,
-        first: 1,
-        oldest: 1,
-        before: Chain::START,
-        newest: (0, Chain::START),
-        since: None,
-        held: Usage::default(),
-        totals: Totals::default(),
-        reached: Vec::new(),
-    };
+    let state = SpoolState::new(stream);
     let now = Stamp { wall: beginning(), mono: MonoTime::from_nanos(0) };
     let sending = Sending::new(config, host(HostId::from_bytes([1; 16])), 1, state);
     let mut agent = Agent { sending, jobs: VecDeque::new(), spool: Vec::new(), now, echo: 0 };

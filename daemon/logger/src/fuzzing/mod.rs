@@ -35,6 +35,7 @@ pub fn any_batch(data: &[u8]) {
         before,
         chain: before.then(events, bytes),
         events,
+        events_before: u64::MAX,
     };
     let frame = codec::batch_frame(&head, bytes, how & COMPRESSED != 0);
     assert_eq!(take(&frame), (bytes.len() <= MAX_MESSAGE_BYTES).then_some(head), "what was framed is taken");

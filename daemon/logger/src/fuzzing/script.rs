@@ -56,7 +56,8 @@ impl Script<'_> {
 
     pub(super) fn mark(&mut self, host: HostId) -> Mark {
         let stored = self.number();
-        Mark { host, stored, chain: self.chain(stored), process: (stored & 4 == 0).then_some(stored & 3) }
+        let (chain, process) = (self.chain(stored), (stored & 4 == 0).then_some(stored & 3));
+        Mark { host, stored, chain, process, events: (stored & 8 == 0).then(|| self.number()) }
     }
 
     pub(super) fn head(&mut self) -> BatchHead {
@@ -64,7 +65,8 @@ impl Script<'_> {
         let (before, chain) = (self.chain(number.wrapping_sub(1)), self.chain(number));
         let events = self.byte();
         let process = u64::from(events >> 6);
-        BatchHead { host, stream, process, number, before, chain, events: events.into() }
+        let events_before = self.number();
+        BatchHead { host, stream, process, number, before, chain, events: events.into(), events_before }
     }
 
     pub(super) fn hello(&mut self) -> Hello {
@@ -78,6 +80,8 @@ impl Script<'_> {
             first: if choice & 2 == 0 { 1 } else { self.number() },
             oldest,
             before: self.chain(oldest.wrapping_sub(1)),
+            events_before_oldest: self.number(),
+            events_before_first: (choice & 4 == 0).then(|| self.number()),
             batch_bytes: u32::from(choice) << (choice % 25),
             process: u64::from(choice >> 6),
         }

@@ -10,6 +10,7 @@
 //! | 16, 16 | host, stream |
 //! | 8, 8 | process that sends it, number |
 //! | 16, 16 | chain of the batch before, chain of this one |
+//! | 8 | events in all batches of the spool before this one |
 //! | 4, 4 | events, bytes of the body when it is not compressed |
 //! | rest | the body: wire forms of the events, one after the other |
 //!
@@ -33,7 +34,7 @@ pub use self::parts::{Part, part, part_frame};
 pub const MAX_MESSAGE_BYTES: usize = 4 * 1024 * 1024;
 
 /// Bytes of a batch's frame before its body.
-pub(super) const BATCH_HEAD_BYTES: usize = 2 + 16 + 16 + 8 + 8 + 16 + 16 + 4 + 4;
+pub(super) const BATCH_HEAD_BYTES: usize = 2 + 16 + 16 + 8 + 8 + 16 + 16 + 8 + 4 + 4;
 
 /// Deepest nesting of values (not of nodes: a tree is one byte string).
 const MAX_NESTING: usize = 32;
@@ -154,6 +155,7 @@ pub fn batch_frame(head: &BatchHead, body: &[u8], compress: bool) -> Vec<u8> {
     frame.extend(head.number.to_be_bytes());
     frame.extend(head.before.as_bytes());
     frame.extend(head.chain.as_bytes());
+    frame.extend(head.events_before.to_be_bytes());
     frame.extend(head.events.to_be_bytes());
     // A longer body than a u32 can say is refused by whoever reads it.
     frame.extend(u32::try_from(body.len()).unwrap_or(u32::MAX).to_be_bytes());
@@ -240,6 +242,7 @@ fn read_head(frame: &[u8]) -> Option<Head> {
     let (&number, rest) = rest.split_first_chunk()?;
     let (&before, rest) = rest.split_first_chunk()?;
     let (&chain, rest) = rest.split_first_chunk()?;
+    let (&events_before, rest) = rest.split_first_chunk()?;
     let (&events, rest) = rest.split_first_chunk()?;
     let (&length, _) = rest.split_first_chunk()?;
     let batch = BatchHead {
@@ -250,6 +253,7 @@ fn read_head(frame: &[u8]) -> Option<Head> {
         before: Chain::from_bytes(before),
         chain: Chain::from_bytes(chain),
         events: u32::from_be_bytes(events),
+        events_before: u64::from_be_bytes(events_before),
     };
     Some(Head { form, batch, length: u32::from_be_bytes(length) as usize })
 }

@@ -10,7 +10,7 @@ use std::str::FromStr;
 use uuid::Uuid;
 
 /// Version of the event stream's messages. Both ends must agree.
-pub const PROTOCOL: u16 = 4;
+pub const PROTOCOL: u16 = 5;
 
 /// Batches of one agent that may be under way at once, however small they are.
 pub const MOST_UNDER_WAY: usize = 1_024;
@@ -65,6 +65,10 @@ pub struct Hello {
     pub oldest: u64,
     /// Chain of the batch before `oldest`.
     pub before: Chain,
+    /// Number of events in all batches of the spool before `oldest`: by it the aggregator knows how many it lacks.
+    pub events_before_oldest: u64,
+    /// Number of events in all batches of the spool before `first`, in earlier streams; `None` when it is not known.
+    pub events_before_first: Option<u64>,
     /// Longest body of a batch that the agent cuts, as a rule; bytes. Windows are counted in the weight of such a batch.
     pub batch_bytes: u32,
     /// A random number made at process start: tells a reconnect from a second process with a copied host id.
@@ -138,6 +142,15 @@ pub struct BatchHead {
     pub chain: Chain,
     /// How many events it holds.
     pub events: u32,
+    /// Number of events in all batches of the spool before it.
+    pub events_before: u64,
+}
+
+impl BatchHead {
+    /// Number of events in all batches of the spool up to and including this one.
+    pub const fn events_through(&self) -> u64 {
+        self.events_before.saturating_add(self.events as u64)
+    }
 }
 
 /// Numbered events of one stream, checked and read.

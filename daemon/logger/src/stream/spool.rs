@@ -71,6 +71,8 @@ pub struct SpoolState {
     pub previous: Option<StreamId>,
     /// Number of the stream's first batch.
     pub first: u64,
+    /// Number of events in all batches before that; `None` when it is not known.
+    pub events_before_first: Option<u64>,
     /// Number of the oldest batch held; one more than the newest when none is.
     pub oldest: u64,
     /// Chain of the batch before the oldest.
@@ -86,6 +88,25 @@ pub struct SpoolState {
     /// How far the processes came that sent from this spool. It need not be all of them: a process that is forgotten
     /// counts as one of a copy of the spool.
     pub reached: Vec<Reached>,
+}
+
+impl SpoolState {
+    /// A spool that was made just now.
+    pub fn new(stream: StreamId) -> Self {
+        Self {
+            stream,
+            previous: None,
+            first: 1,
+            events_before_first: Some(0),
+            oldest: 1,
+            before: Chain::START,
+            newest: (0, Chain::START),
+            since: None,
+            held: Usage::default(),
+            totals: Totals::default(),
+            reached: Vec::new(),
+        }
+    }
 }
 
 /// How far a process came.

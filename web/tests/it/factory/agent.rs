@@ -33,18 +33,7 @@ impl Agent {
         let id = host.id;
         let config =
             SendingConfig { batch_age: Span::from_millis(10), memory: MEMORY, ..SendingConfig::default() };
-        let spool = SpoolState {
-            stream: StreamId::random(),
-            previous: None,
-            first: 1,
-            oldest: 1,
-            before: Chain::START,
-            newest: (0, Chain::START),
-            since: None,
-            held: Usage::default(),
-            totals: Totals::default(),
-            reached: Vec::new(),
-        };
+        let spool = SpoolState::new(StreamId::random());
         let mut sending = Sending::new(config, host, clock.mono().nanos() as u64, spool);
         sending.connected(clock.mono());
         let socket = Socket::new(SocketType::Dealer, Options::default());

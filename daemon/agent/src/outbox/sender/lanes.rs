@@ -44,7 +44,9 @@ impl Sender {
                 Action::Append { batches, totals } => Order::Append { batches, totals },
                 Action::Load { from, bytes } => Order::Load { from, bytes },
                 Action::Delete { through, chain } => Order::Delete { through, chain },
-                Action::Renew { stream, previous, first } => Order::Renew { stream, previous, first },
+                Action::Renew { stream, previous, first, events_before_first } => {
+                    Order::Renew { stream, previous, first, events_before_first }
+                }
             };
             self.spool.order(order)?;
         }

@@ -135,19 +135,22 @@ impl SpoolFile {
         }
     }
 
-    /// The file belongs to another stream from now on, which begins at `first`.
+    /// The file belongs to another stream from now on, which begins at `first`, behind so many events.
     pub(in crate::outbox) async fn renew(
         &mut self,
         stream: StreamId,
         previous: StreamId,
-        first: u64,
+        (first, events_before): (u64, u64),
     ) -> Result<(), Trouble> {
         const ACTION: &str = "begin a new stream in";
         self.in_place()?;
-        let renewed = sqlx::query("UPDATE stream SET uuid = ?, previous = ?, first = ? WHERE id = 1")
+        let statement =
+            "UPDATE stream SET uuid = ?, previous = ?, first = ?, events_before_first = ? WHERE id = 1";
+        let renewed = sqlx::query(statement)
             .bind(stream.to_string())
             .bind(previous.to_string())
             .bind(first.cast_signed())
+            .bind(events_before.cast_signed())
             .execute(&mut self.connection)
             .await;
         renewed.map_err(self.trouble(ACTION))?;

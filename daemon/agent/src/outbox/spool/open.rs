@@ -184,6 +184,7 @@ struct StreamRow {
     host: String,
     previous: Option<String>,
     first: i64,
+    events_before_first: Option<i64>,
     acknowledged: i64,
     chain: Vec<u8>,
     produced: i64,
@@ -195,7 +196,8 @@ struct StreamRow {
 /// The stream of the file; a new file begins one.
 async fn stream(connection: &mut SqliteConnection, host: HostId) -> Result<StreamRow, sqlx::Error> {
     sqlx::query(
-        "INSERT OR IGNORE INTO stream (id, uuid, host, first, acknowledged, chain) VALUES (1, ?, ?, 1, 0, ?)",
+        "INSERT OR IGNORE INTO stream (id, uuid, host, first, events_before_first, acknowledged, chain) \
+         VALUES (1, ?, ?, 1, 0, 0, ?)",
     )
     .bind(StreamId::random().to_string())
     .bind(host.to_string())
@@ -203,7 +205,7 @@ async fn stream(connection: &mut SqliteConnection, host: HostId) -> Result<Strea
     .execute(&mut *connection)
     .await?;
     sqlx::query_as(
-        "SELECT uuid, host, previous, first, acknowledged, chain, produced, dropped, gaps, told
+        "SELECT uuid, host, previous, first, events_before_first, acknowledged, chain, produced, dropped, gaps, told
          FROM stream WHERE id = 1",
     )
     .fetch_one(connection)
@@ -274,6 +276,7 @@ impl StreamRow {
             stream: id(&self.uuid)?,
             previous: self.previous.as_deref().map(id).transpose()?,
             first: self.first.cast_unsigned(),
+            events_before_first: self.events_before_first.map(i64::cast_unsigned),
             oldest: acknowledged + 1,
             before,
             newest,

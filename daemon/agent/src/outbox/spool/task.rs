@@ -27,7 +27,7 @@ pub(in crate::outbox) enum Order {
     /// Answered by [`Done::Deleted`].
     Delete { through: u64, chain: Chain },
     /// Answered by [`Done::Renewed`].
-    Renew { stream: StreamId, previous: StreamId, first: u64 },
+    Renew { stream: StreamId, previous: StreamId, first: u64, events_before_first: u64 },
 }
 
 /// What became of an order.
@@ -132,8 +132,8 @@ async fn obey(file: &mut SpoolFile, syncing: &mut Syncing, order: Order) -> Done
             let deleted = file.delete_through(through, chain).await;
             Done::Deleted(in_words(file, deleted))
         }
-        Order::Renew { stream, previous, first } => {
-            let renewed = file.renew(stream, previous, first).await;
+        Order::Renew { stream, previous, first, events_before_first } => {
+            let renewed = file.renew(stream, previous, (first, events_before_first)).await;
             Done::Renewed(in_words(file, renewed))
         }
     }

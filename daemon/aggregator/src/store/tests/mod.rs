@@ -94,7 +94,8 @@ impl Bed {
 
     fn head(&self, number: u64, body: &[u8], events: usize) -> BatchHead {
         let (host, stream, before, events) = (self.edge, self.stream, Chain::START, events as u32);
-        BatchHead { host, stream, process: PROCESS, number, before, chain: before.then(events, body), events }
+        let (chain, events_before) = (before.then(events, body), 100 * number);
+        BatchHead { host, stream, process: PROCESS, number, before, chain, events, events_before }
     }
 
     async fn commit(&mut self, work: &[Work]) -> Committed {

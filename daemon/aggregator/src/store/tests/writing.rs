@@ -247,13 +247,15 @@ async fn gaps_are_told_with_their_run_and_holes_with_their_host() {
     assert_eq!((detail.gaps.len(), detail.gaps[0].count), (1, 1_050));
 
     let (host, stream) = (bed.edge, bed.stream);
-    let missing = Missing { host, stream, from: 3, through: 9, chain: Chain::START, process: 7 };
+    let (from, through, chain, process) = (3, 9, Chain::START, 7);
+    let (events, events_through) = (Some(40), 700);
+    let missing = Missing { host, stream, from, through, chain, process, events, events_through };
     let after = bed.batch_numbered(10, vec![]);
     let committed = bed.commit(&[Work::Missing(missing), after]).await;
     assert_eq!(committed.marks[&bed.stream].stored, 10);
     let (stored, _) = committed.hosts[&bed.edge];
-    assert_eq!((stored.gaps, stored.missing), (2, 1_050));
-    assert_eq!(bed.count("SELECT count(*) FROM gap WHERE reason LIKE 'batches 3 to 9 of stream%'").await, 1);
+    assert_eq!((stored.gaps, stored.missing), (2, 1_090));
+    assert_eq!(bed.count("SELECT count(*) FROM gap WHERE count = 40 AND reason LIKE 'batches 3 to 9 of stream%'").await, 1);
     let hosts = bed.store.hosts().await.expect("answers");
     assert_eq!(hosts.iter().map(|host| host.name.as_str()).collect::<Vec<_>>(), ["cloud", "edge"]);
     assert_eq!(hosts[1].stored, stored);
@@ -301,14 +303,14 @@ async fn what_an_older_database_lacks_of_a_stream_that_was_left_is_one_gap() {
     let hello = hello_of(bed.edge, new, Some(old));
     let known = Known { last: Some(old), previous: Some(mark), ..Known::default() };
     assert_eq!(bed.writer.streams().known(&hello), known);
-    let (host, lacking) = (hello.host, Some(Lacking { stream: old, from: 2, through: 4 }));
+    let (host, lacking) = (hello.host, Some(Lacking { stream: old, from: 2, through: 4, events: Some(17) }));
     let (process, previous, first, replaced) = (1, Some(old), 5, None);
     let came = Introduction { host, process, stream: new, previous, first, replaced, lacking };
     for _ in 0..2 {
         let committed = bed.commit(&[Work::Hello(Box::new(came.clone()))]).await;
         assert_eq!(committed.hosts[&bed.edge].0.gaps, 1);
     }
-    let gaps = "SELECT count(*) FROM gap WHERE reason LIKE 'batches 2 to 4 of stream % a newer database %'";
+    let gaps = "SELECT count(*) FROM gap WHERE count = 17 AND reason LIKE 'batches 2 to 4 of stream % a newer database %'";
     assert_eq!(bed.count(gaps).await, 1);
 }
 
@@ -321,6 +323,8 @@ fn hello_of(host: HostId, stream: StreamId, previous: Option<StreamId>) -> Hello
         first: 5,
         oldest: 5,
         before: Chain::START,
+        events_before_oldest: 0,
+        events_before_first: None,
         batch_bytes: 1,
         process: 1,
     }

@@ -158,7 +158,7 @@ impl Stored {
         Self { events, nodes, gaps, missing, duplicates: 0, quarantined }
     }
 
-    fn add(&mut self, more: &Self) {
+    pub(super) fn add(&mut self, more: &Self) {
         let Self { events, nodes, gaps, missing, duplicates: _, quarantined } = more;
         self.events = self.events.saturating_add(*events);
         self.nodes = self.nodes.saturating_add(*nodes);

@@ -82,33 +82,36 @@ pub(super) async fn missing(
     host: i64,
     missing: &Missing,
     now: WallTime,
-) -> Result<(), Refusal> {
-    let Missing { stream, from, through, .. } = missing;
+) -> Result<Stored, Refusal> {
+    let Missing { stream, from, through, events, .. } = missing;
     let reason = format!(
         "batches {from} to {through} of stream {stream} never came: they were acknowledged elsewhere"
     );
-    hole(connection, host, &reason, now).await
+    hole(connection, host, &reason, *events, now).await
 }
 
-/// Nobody knows how much is missing.
+/// Records a gap of so many events, of which nobody says to which run they belong; `None` when nobody knows how many they
+/// are, which the table has as 0. Returns what the gap adds to the counters of its host.
 pub(super) async fn hole(
     connection: &mut SqliteConnection,
     host: i64,
     reason: &str,
+    events: Option<u64>,
     now: WallTime,
-) -> Result<(), Refusal> {
-    sqlx::query("INSERT INTO gap (host, from_ns, to_ns, count, reason) VALUES (?1, ?2, ?2, 0, ?3)")
+) -> Result<Stored, Refusal> {
+    // Batches that an agent's file lacks: the agent itself reports the events as lost.
+    if events == Some(0) {
+        return Ok(Stored::default());
+    }
+    let missing = events.unwrap_or_default();
+    sqlx::query("INSERT INTO gap (host, from_ns, to_ns, count, reason) VALUES (?1, ?2, ?2, ?3, ?4)")
         .bind(host)
         .bind(now.unix_nanos())
+        .bind(column(missing))
         .bind(reason)
         .execute(connection)
         .await?;
-    Ok(())
-}
-
-/// What a gap of unknown size adds to the counters of its host.
-pub(super) fn one_gap() -> Stored {
-    Stored { gaps: 1, ..Stored::default() }
+    Ok(Stored { gaps: 1, missing, ..Stored::default() })
 }
 
 /// Puts a batch aside that cannot be stored; `events` as far as they can be read.

@@ -10,7 +10,8 @@ use sqlx::{Arguments, FromRow, SqliteConnection};
 use super::entities::id;
 use super::insert::Insert;
 use super::{Introduction, Refusal, records};
-use crate::store::column::column;
+use crate::picture::Stored;
+use crate::store::column::{column, count};
 
 /// What the database knows of streams.
 #[derive(Clone, Debug, Default)]
@@ -36,10 +37,10 @@ impl Default for Moved {
         Self {
             marks: HashMap::new(),
             upsert: Insert::new(
-                "INSERT INTO stream (uuid, host, stored, chain, process, first_seen_ns, last_seen_ns)",
-                7,
+                "INSERT INTO stream (uuid, host, stored, chain, process, events, first_seen_ns, last_seen_ns)",
+                8,
                 "ON CONFLICT (uuid) DO UPDATE SET stored = excluded.stored, chain = excluded.chain, \
-                 process = excluded.process, last_seen_ns = excluded.last_seen_ns",
+                 process = excluded.process, events = excluded.events, last_seen_ns = excluded.last_seen_ns",
             ),
         }
     }
@@ -53,6 +54,7 @@ struct Row {
     stored: i64,
     chain: Option<Vec<u8>>,
     process: Option<i64>,
+    events: Option<i64>,
 }
 
 impl Streams {
@@ -76,13 +78,13 @@ impl Streams {
     /// Reads the table.
     pub(super) async fn load(connection: &mut SqliteConnection) -> Result<Self, sqlx::Error> {
         let rows: Vec<Row> = sqlx::query_as(
-            "SELECT stream.uuid, host.uuid AS host, stream.stored, stream.chain, stream.process FROM stream \
-             JOIN host ON host.id = stream.host ORDER BY stream.last_seen_ns, stream.id",
+            "SELECT stream.uuid, host.uuid AS host, stream.stored, stream.chain, stream.process, \
+             stream.events FROM stream JOIN host ON host.id = stream.host ORDER BY stream.last_seen_ns, stream.id",
         )
         .fetch_all(connection)
         .await?;
         let mut streams = Self::default();
-        for Row { uuid, host, stored, chain, process } in rows {
+        for Row { uuid, host, stored, chain, process, events } in rows {
             let (stream, host) = (id(&uuid)?, id(&host)?);
             streams.came(host, stream);
             // Without a chain: nothing of it is stored, or it is of a version whose streams ended with their agents.
@@ -91,7 +93,8 @@ impl Streams {
                 <[u8; 16]>::try_from(chain).map_err(|_| wrong("a chain that is not 16 bytes long"))?;
             let stored = u64::try_from(stored).map_err(|error| sqlx::Error::Decode(error.into()))?;
             let (chain, process) = (Chain::from_bytes(chain), process.map(i64::cast_unsigned));
-            streams.marks.insert(stream, Mark { host, stored, chain, process });
+            let events = events.map(count);
+            streams.marks.insert(stream, Mark { host, stored, chain, process, events });
         }
         Ok(streams)
     }
@@ -99,21 +102,21 @@ impl Streams {
 
 impl Moved {
     /// A host came with a stream. The first time, a stream leaves gaps that does not go on from the one before, or
-    /// goes on from where nothing is stored: returns how many.
+    /// goes on from where nothing is stored: returns how they count.
     pub(super) async fn introduce(
         &mut self,
         connection: &mut SqliteConnection,
         host: i64,
         came: &Introduction,
         now: WallTime,
-    ) -> Result<u64, Refusal> {
+    ) -> Result<Stored, Refusal> {
         let known = sqlx::query("UPDATE stream SET last_seen_ns = ? WHERE uuid = ?")
             .bind(now.unix_nanos())
             .bind(came.stream.to_string())
             .execute(&mut *connection)
             .await?;
         if known.rows_affected() > 0 {
-            return Ok(0);
+            return Ok(Stored::default());
         }
         sqlx::query(
             "INSERT INTO stream (uuid, host, stored, previous, first_seen_ns, last_seen_ns) \
@@ -127,20 +130,23 @@ impl Moved {
         .execute(&mut *connection)
         .await?;
         let replaced = came.replaced.map(|replaced| {
-            format!("the spool with the stream {replaced} was deleted or replaced: what it still held is unknown and lost")
+            let reason = format!(
+                "the spool with the stream {replaced} was deleted or replaced: what it still held is unknown and lost"
+            );
+            (reason, None)
         });
-        let lacking = came.lacking.map(|Lacking { stream, from, through }| {
-            format!(
+        let lacking = came.lacking.map(|Lacking { stream, from, through, events }| {
+            let reason = format!(
                 "batches {from} to {through} of stream {stream} are not here: they were stored in a newer database \
                  than this one, which is an older copy"
-            )
+            );
+            (reason, events)
         });
-        let mut holes = 0;
-        for reason in replaced.into_iter().chain(lacking) {
-            records::hole(&mut *connection, host, &reason, now).await?;
-            holes += 1;
+        let mut added = Stored::default();
+        for (reason, events) in replaced.into_iter().chain(lacking) {
+            added.add(&records::hole(&mut *connection, host, &reason, events, now).await?);
         }
-        Ok(holes)
+        Ok(added)
     }
 
     /// All batches of a stream up to this one are stored with this transaction.
@@ -166,6 +172,7 @@ impl Moved {
                 to.add(column(head.number))?;
                 to.add(head.chain.as_bytes().as_slice())?;
                 to.add(head.process.cast_signed())?;
+                to.add(column(head.events_through()))?;
                 to.add(now.unix_nanos())?;
                 to.add(now.unix_nanos())
             })

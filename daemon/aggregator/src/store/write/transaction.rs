@@ -17,7 +17,6 @@ use super::rollups::Rollups;
 use super::rows::{Inserts, Resolved};
 use super::streams::Moved;
 use super::{Committed, Introduction, Refusal, Work, records};
-use crate::picture::Stored;
 
 /// What transactions are made with: what is known of the small tables, and what waits to be written at the end.
 #[derive(Debug, Default)]
@@ -55,9 +54,11 @@ impl Staging {
                 (Work::Batch(batch), Some(reason)) => (batch.head, Some(Rejected::refused(batch, reason))),
                 (Work::Aside(aside), _) => (aside.head, Some(Rejected::aside(aside))),
                 (Work::Missing(missing), _) => {
-                    let Missing { host, stream, through: number, chain, process, .. } = *missing;
+                    let Missing { host, stream, through: number, chain, process, events_through, .. } = *missing;
                     // Only who it is, and what it is marked with.
-                    let head = BatchHead { host, stream, process, number, before: chain, chain, events: 0 };
+                    let (before, events, events_before) = (chain, 0, events_through);
+                    let head =
+                        BatchHead { host, stream, process, number, before, chain, events, events_before };
                     (head, None)
                 }
                 // Nothing of a greeting can be put aside: the batches that follow bring the host's row.
@@ -97,8 +98,7 @@ impl Staging {
                     batch.added
                 }
                 (Work::Missing(missing), None) => {
-                    records::missing(connection, host, missing, now).await?;
-                    records::one_gap()
+                    records::missing(connection, host, missing, now).await?
                 }
                 _ => continue,
             };
@@ -127,9 +127,8 @@ impl Staging {
     ) -> Result<(), Refusal> {
         let id = self.entities.introduce(connection, &came.host, now).await?;
         self.ends.process(connection, id, came.process).await?;
-        let holes = self.moved.introduce(connection, id, came, now).await?;
-        let counts = self.counters.host(came.host.id, id);
-        counts.add(&Stored { gaps: holes, ..Stored::default() });
+        let added = self.moved.introduce(connection, id, came, now).await?;
+        self.counters.host(came.host.id, id).add(&added);
         Ok(())
     }
 

@@ -98,7 +98,8 @@ fn body_of(events: &[Event]) -> Vec<u8> {
 fn head_of(number: u64, events: u32, body: &[u8]) -> BatchHead {
     let before = Chain::from_bytes([3; 16]);
     let (host, stream) = (HostId::random(), StreamId::random());
-    BatchHead { host, stream, process: 7, number, before, chain: before.then(events, body), events }
+    let (chain, events_before) = (before.then(events, body), 100);
+    BatchHead { host, stream, process: 7, number, before, chain, events, events_before }
 }
 
 /// A frame of so many events, and what it was made from.

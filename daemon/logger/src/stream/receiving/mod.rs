@@ -61,20 +61,29 @@ pub struct Mark {
     pub chain: Chain,
     /// The process that sent it; `None` when it is not known.
     pub process: Option<u64>,
+    /// Number of events in all batches of the spool up to it; `None` when it is not known, because an earlier version
+    /// stored it.
+    pub events: Option<u64>,
 }
 
 impl From<BatchHead> for Mark {
     /// With this batch the stream is stored up to it.
     fn from(head: BatchHead) -> Self {
-        Self { host: head.host, stored: head.number, chain: head.chain, process: Some(head.process) }
+        Self {
+            host: head.host,
+            stored: head.number,
+            chain: head.chain,
+            process: Some(head.process),
+            events: Some(head.events_through()),
+        }
     }
 }
 
 impl From<Missing> for Mark {
     /// With this gap the stream is stored up to its end.
     fn from(missing: Missing) -> Self {
-        let Missing { host, through, chain, process, .. } = missing;
-        Self { host, stored: through, chain, process: Some(process) }
+        let Missing { host, through, chain, process, events_through, .. } = missing;
+        Self { host, stored: through, chain, process: Some(process), events: Some(events_through) }
     }
 }
 
@@ -135,6 +144,10 @@ pub struct Missing {
     pub chain: Chain,
     /// The process that says so.
     pub process: u64,
+    /// How many events they held; `None` when it is not known.
+    pub events: Option<u64>,
+    /// Number of events in all batches of the spool up to the last of them.
+    pub events_through: u64,
 }
 
 /// Batches of a stream that was left, of which this database knows nothing.
@@ -146,6 +159,8 @@ pub struct Lacking {
     pub from: u64,
     /// The last.
     pub through: u64,
+    /// How many events they held; `None` when it is not known.
+    pub events: Option<u64>,
 }
 
 /// What becomes of a batch.
@@ -219,7 +234,9 @@ impl Receiving {
         let lacking = hello.previous.filter(|_| is_new).and_then(|previous| {
             let from = known.previous.map_or(1, |mark| mark.stored.saturating_add(1));
             let through = hello.first - 1;
-            (from <= through).then_some(Lacking { stream: previous, from, through })
+            let stored = known.previous.map_or(Some(0), |mark| mark.events);
+            let events = hello.events_before_first.zip(stored).map(|(all, stored)| all.saturating_sub(stored));
+            (from <= through).then_some(Lacking { stream: previous, from, through, events })
         });
         let left = self.hosts.insert(host, Session::of(hello, now));
         let same = left.as_ref().is_some_and(|left| left.process == hello.process && left.stream == stream);

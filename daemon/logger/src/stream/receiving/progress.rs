@@ -15,11 +15,18 @@ const DAMAGED_TIMES: u32 = 3;
 /// Batches that may be accepted and not stored: an agent that keeps to its window needs half of it.
 const MOST_PENDING: usize = 2 * (MOST_UNDER_WAY + 1);
 
-/// A batch by its number; its chain where that is known.
+/// A batch by its number; its chain, and the number of events up to it, where they are known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Position {
     number: u64,
     chain: Option<Chain>,
+    events: Option<u64>,
+}
+
+impl From<Mark> for Position {
+    fn from(mark: Mark) -> Self {
+        Self { number: mark.stored, chain: Some(mark.chain), events: mark.events }
+    }
 }
 
 /// How far a stream is accepted and stored.
@@ -48,8 +55,9 @@ impl Progress {
         let begin = Position {
             number: hello.first.saturating_sub(1),
             chain: (hello.oldest == hello.first).then_some(hello.before),
+            events: hello.events_before_first,
         };
-        let stored = mark.map_or(begin, |mark| Position { number: mark.stored, chain: Some(mark.chain) });
+        let stored = mark.map_or(begin, Position::from);
         Self {
             host: hello.host.id,
             mark,
@@ -79,8 +87,10 @@ impl Progress {
         let through = hello.oldest.saturating_sub(1);
         (through > self.accepted.number).then(|| {
             let (host, stream, from) = (self.host, hello.stream, self.next());
-            self.accept(through, hello.before);
-            Missing { host, stream, from, through, chain: hello.before, process: hello.process }
+            let (chain, process, events_through) = (hello.before, hello.process, hello.events_before_oldest);
+            let events = self.accepted.events.map(|stored| events_through.saturating_sub(stored));
+            self.accept(through, chain, events_through);
+            Missing { host, stream, from, through, chain, process, events, events_through }
         })
     }
 
@@ -104,7 +114,7 @@ impl Progress {
         } else if !intact {
             self.arrive_damaged(head)
         } else if self.follows(head) {
-            self.accept(number, head.chain);
+            self.accept(number, head.chain, head.events_through());
             Arrival::Accept
         } else if self.is_settled() {
             Arrival::Unknown(ToAgent::Unknown)
@@ -153,7 +163,7 @@ impl Progress {
         }
         self.damaged = None;
         if self.follows(head) {
-            self.accept(head.number, head.chain);
+            self.accept(head.number, head.chain, head.events_through());
             Arrival::AcceptDamaged
         } else {
             // The chains in the spool are damaged: when the agent compares them it sees.
@@ -165,8 +175,8 @@ impl Progress {
         self.accepted.chain == Some(head.before)
     }
 
-    fn accept(&mut self, number: u64, chain: Chain) {
-        self.accepted = Position { number, chain: Some(chain) };
+    fn accept(&mut self, number: u64, chain: Chain, events: u64) {
+        self.accepted = Position { number, chain: Some(chain), events: Some(events) };
         self.confirmed = number;
         self.pending.push_back((number, chain));
         (self.asked, self.damaged) = (None, None);
@@ -189,7 +199,7 @@ impl Progress {
             return;
         }
         self.mark = Some(mark);
-        self.stored = Position { number: mark.stored, chain: Some(mark.chain) };
+        self.stored = mark.into();
         if mark.stored >= self.accepted.number {
             if mark.stored > self.accepted.number {
                 self.pending.push_back((mark.stored, mark.chain));

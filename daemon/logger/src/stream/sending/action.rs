@@ -49,6 +49,8 @@ pub enum Action {
         previous: StreamId,
         /// The first number of the new one.
         first: u64,
+        /// Events in all batches of the spool before that.
+        events_before_first: u64,
     },
     /// Send this frame.
     Send(Vec<u8>),

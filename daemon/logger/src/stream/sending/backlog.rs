@@ -24,6 +24,8 @@ pub(super) struct Backlog {
     pub(super) stream: StreamId,
     pub(super) previous: Option<StreamId>,
     pub(super) first: u64,
+    /// Events in all batches before the first; `None` when it is not known.
+    pub(super) events_before_first: Option<u64>,
     /// The oldest that is held.
     oldest: u64,
     /// Chain of the one before it.
@@ -72,6 +74,7 @@ impl Backlog {
             stream: spool.stream,
             previous: spool.previous,
             first: spool.first.max(1),
+            events_before_first: spool.events_before_first,
             oldest,
             before: spool.before,
             ready: VecDeque::new(),
@@ -256,12 +259,13 @@ impl Backlog {
         }
     }
 
-    /// The head and body of a batch to be sent; it counts as sent.
+    /// The head and body of a batch to be sent; it counts as sent. `passed` events are in the batches before the oldest.
     pub(super) fn send(
         &mut self,
         number: u64,
         unspooled: bool,
         (host, process): (HostId, u64),
+        passed: u64,
     ) -> Option<(BatchHead, Bytes)> {
         let before = self.chain(number.checked_sub(1)?)?;
         let batch = self.get(number, unspooled)?;
@@ -270,7 +274,25 @@ impl Backlog {
             self.sent = number;
             self.sent_events += u64::from(events);
         }
-        Some((BatchHead { host, stream: self.stream, process, number, before, chain, events }, body))
+        let head = BatchHead {
+            host,
+            stream: self.stream,
+            process,
+            number,
+            before,
+            chain,
+            events,
+            events_before: passed + self.events_before(number),
+        };
+        Some((head, body))
+    }
+
+    /// How many events the batches hold from the oldest to the one before this, all of which are in memory.
+    fn events_before(&self, number: u64) -> u64 {
+        let ready = self.ready.iter();
+        let pending = self.pending.iter().map(|pending| &pending.batch);
+        let before = ready.chain(pending).take_while(|batch| batch.number < number);
+        before.map(|batch| u64::from(batch.events)).sum()
     }
 
     /// Batches up to and including `through` are stored over there: they are all in memory, or `skimmed` says what the
@@ -329,9 +351,10 @@ impl Backlog {
         missing
     }
 
-    /// The batches that are held go on in a new stream.
-    pub(super) fn renew(&mut self, stream: StreamId) {
+    /// The batches that are held go on in a new stream. `passed` events are in the batches before them.
+    pub(super) fn renew(&mut self, stream: StreamId, passed: u64) {
         self.previous = Some(std::mem::replace(&mut self.stream, stream));
         self.first = self.oldest;
+        self.events_before_first = Some(passed);
     }
 }

@@ -172,6 +172,8 @@ impl Sending {
             first: self.backlog.first,
             oldest: self.backlog.oldest(),
             before,
+            events_before_oldest: self.stored,
+            events_before_first: self.backlog.events_before_first,
             batch_bytes: u32::try_from(self.config.batch_bytes).unwrap_or(u32::MAX),
             process: self.process,
         }

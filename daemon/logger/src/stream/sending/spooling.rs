@@ -205,7 +205,7 @@ impl Sending {
     pub fn renewed(&mut self, now: Stamp) {
         let Some(stream) = self.spooling.renew.end() else { return };
         self.renewal = None;
-        self.backlog.renew(stream);
+        self.backlog.renew(stream, self.stored);
         // Nobody else ever sent in this stream.
         (self.met, self.reached_before) = (false, Vec::new());
         self.recovered(Kind::Renew);
@@ -354,6 +354,11 @@ impl Sending {
             return None;
         }
         self.spooling.renew.begin(stream);
-        Some(Action::Renew { stream, previous: self.backlog.stream, first: self.backlog.oldest() })
+        Some(Action::Renew {
+            stream,
+            previous: self.backlog.stream,
+            first: self.backlog.oldest(),
+            events_before_first: self.stored,
+        })
     }
 }

@@ -11,6 +11,8 @@ pub(super) fn hello(id: HostId, name: &str, process: u64, stream: StreamId, olde
         first: 1,
         oldest,
         before: chain(oldest - 1),
+        events_before_oldest: oldest - 1,
+        events_before_first: Some(0),
         batch_bytes: 512 * 1024,
         process,
     }
@@ -22,7 +24,7 @@ pub(super) fn chain(number: u64) -> Chain {
 }
 
 pub(super) fn mark(host: HostId, stored: u64) -> Mark {
-    Mark { host, stored, chain: chain(stored), process: Some(1) }
+    Mark { host, stored, chain: chain(stored), process: Some(1), events: Some(stored) }
 }
 
 /// What a database knows of one stream.
@@ -172,9 +174,14 @@ fn what_an_older_database_lacks_of_a_stream_that_was_left_is_noticed_once() {
         Greeting::Welcome { lacking, .. } => lacking,
         other => panic!("expected a welcome, got {other:?}"),
     };
-    let renewed = Hello { previous: Some(old), first: 8, ..hello(id, "edge", 1, new, 8) };
+    let renewed = Hello {
+        previous: Some(old),
+        first: 8,
+        events_before_first: Some(7),
+        ..hello(id, "edge", 1, new, 8)
+    };
     let previous = |previous| Known { last: Some(old), previous, ..Known::default() };
-    let expected = |from| Some(Lacking { stream: old, from, through: 7 });
+    let expected = |from| Some(Lacking { stream: old, from, through: 7, events: Some(8 - from) });
     for (stored, lacks) in [(Some(3), expected(4)), (None, expected(1)), (Some(7), None), (Some(9), None)] {
         let before = previous(stored.map(|stored| mark(id, stored)));
         assert_eq!(lacking(end.hello(&renewed, before, at(0).mono)), lacks);

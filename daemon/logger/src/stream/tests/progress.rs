@@ -26,7 +26,8 @@ impl End {
     fn head(&self, number: u64) -> BatchHead {
         let (host, stream) = (self.id, self.stream);
         let (before, chain) = (chain(number - 1), chain(number));
-        BatchHead { host, stream, process: self.process, number, before, chain, events: 1 }
+        let events_before = number - 1;
+        BatchHead { host, stream, process: self.process, number, before, chain, events: 1, events_before }
     }
 
     fn batch(&mut self, number: u64) -> Arrival {
@@ -95,13 +96,26 @@ fn a_failed_write_is_asked_for_again_with_all_that_followed() {
 fn what_nobody_holds_is_reported_missing_once() {
     for (stored, first, from) in [(3, 1, 4), (0, 1, 1), (0, 5, 5), (3, 6, 4)] {
         let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
-        let hello = Hello { first, ..hello(id, "edge", 1, stream, 8) };
+        let hello = Hello {
+            first,
+            events_before_first: Some(first - 1),
+            ..hello(id, "edge", 1, stream, 8)
+        };
         let known = known((stored > 0).then(|| mark(id, stored)));
         let greeting = end.hello(&hello, known, at(0).mono);
         let Greeting::Welcome { missing, .. } = greeting else { panic!("{greeting:?}") };
         assert_eq!(
             missing,
-            Some(Missing { host: id, stream, from, through: 7, chain: chain(7), process: 1 })
+            Some(Missing {
+                host: id,
+                stream,
+                from,
+                through: 7,
+                chain: chain(7),
+                process: 1,
+                events: Some(8 - from),
+                events_through: 7
+            })
         );
         welcomed(&end.hello(&hello, known, at(1).mono));
         let mut end = End { end, id, stream, process: 1 };
@@ -226,13 +240,14 @@ fn an_agent_that_ignores_its_window_fills_no_memory() {
 fn numbers_at_their_end_break_nothing() {
     let last = i64::MAX as u64;
     let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
-    let stored = |number| Mark { host: id, stored: number, chain: Chain::START, process: None };
+    let stored =
+        |number| Mark { host: id, stored: number, chain: Chain::START, process: None, events: Some(number) };
     let hello = Hello { oldest: last, before: Chain::START, ..hello(id, "edge", 1, stream, 1) };
     let greeting = end.hello(&hello, known(None), at(0).mono);
     assert!(matches!(greeting, Greeting::Welcome { missing: Some(Missing { from: 1, .. }), .. }));
     let head = |number| {
         let (host, before, chain) = (id, Chain::START, chain(1));
-        BatchHead { host, stream, process: 1, number, before, chain, events: 1 }
+        BatchHead { host, stream, process: 1, number, before, chain, events: 1, events_before: number - 1 }
     };
     assert_eq!(end.batch(&head(last), true, at(1).mono), Arrival::Accept);
     assert_eq!(

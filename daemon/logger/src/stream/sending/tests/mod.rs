@@ -59,6 +59,7 @@ struct File {
     stream: StreamId,
     previous: Option<StreamId>,
     first: u64,
+    events_before_first: Option<u64>,
     before: Chain,
     newest: (u64, Chain),
     totals: Totals,
@@ -74,6 +75,7 @@ impl File {
             stream: StreamId::random(),
             previous: None,
             first: 1,
+            events_before_first: Some(0),
             before: Chain::START,
             newest: (0, Chain::START),
             totals: Totals::default(),
@@ -89,6 +91,7 @@ impl File {
             stream: self.stream,
             previous: self.previous,
             first: self.first,
+            events_before_first: self.events_before_first,
             oldest: oldest.map_or(self.newest.0 + 1, |batch| batch.number),
             before: if oldest.is_some() { self.before } else { self.newest.1 },
             newest: self.newest,
@@ -269,7 +272,8 @@ impl Agent {
                 self.sending.deleted();
                 None
             }
-            Action::Renew { stream, previous, first } => {
+            Action::Renew { stream, previous, first, events_before_first } => {
+                self.file.events_before_first = Some(events_before_first);
                 assert_eq!((previous, first), (self.file.stream, self.file.state().oldest));
                 (self.file.stream, self.file.previous, self.file.first) = (stream, Some(previous), first);
                 self.sending.renewed(now);

@@ -10,6 +10,7 @@ pub(in super::super) struct SpoolFile {
     pub(in super::super) stream: StreamId,
     previous: Option<StreamId>,
     first: u64,
+    events_before_first: Option<u64>,
     before: Chain,
     newest: (u64, Chain),
     totals: Totals,
@@ -23,6 +24,7 @@ impl SpoolFile {
             stream,
             previous: None,
             first: 1,
+            events_before_first: Some(0),
             before: Chain::START,
             newest: (0, Chain::START),
             totals: Totals::default(),
@@ -37,6 +39,7 @@ impl SpoolFile {
             stream: self.stream,
             previous: self.previous,
             first: self.first,
+            events_before_first: self.events_before_first,
             oldest: oldest.map_or(self.newest.0 + 1, |batch| batch.number),
             before: self.before,
             newest: self.newest,
@@ -91,9 +94,10 @@ impl SpoolFile {
         deleted.into_values().collect()
     }
 
-    pub(super) fn renew(&mut self, stream: StreamId, previous: StreamId, first: u64) {
+    pub(super) fn renew(&mut self, stream: StreamId, previous: StreamId, first: u64, events_before_first: u64) {
         assert_eq!(previous, self.stream);
         assert_eq!(first, self.open().oldest, "the new stream begins with what is held");
         (self.stream, self.previous, self.first) = (stream, Some(previous), first);
+        self.events_before_first = Some(events_before_first);
     }
 }

@@ -150,8 +150,8 @@ impl World {
                 let deleted = file.delete(*through, *chain);
                 self.truth.deleted(&deleted);
             }
-            Action::Renew { stream, previous, first } => {
-                file.renew(*stream, *previous, *first);
+            Action::Renew { stream, previous, first, events_before_first } => {
+                file.renew(*stream, *previous, *first, *events_before_first);
             }
             Action::Send(_) => unreachable!("not a job"),
         }
