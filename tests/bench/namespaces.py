@@ -58,6 +58,20 @@ def two_hosts() -> Iterator[tuple[Host, Host]]:
         yield edge, cloud
 
 
+@contextmanager
+def third_host(cloud: Host) -> Iterator[tuple[Host, str]]:
+    """A third host on a cable of its own to the cloud, and the address at which it reaches the cloud."""
+    third, faces = Host(f"{PREFIX}{os.getpid()}-third", "10.77.1.3"), "10.77.1.2"
+    with ExitStack() as stack:
+        _ip("netns", "add", third.name)
+        stack.callback(_ip, "netns", "delete", third.name)
+        _ip("link", "add", "third", "netns", cloud.name, "type", "veth", "peer", "name", "veth0", "netns", third.name)
+        for name, device, address in ((cloud.name, "third", faces), (third.name, "veth0", third.address)):
+            _ip("-n", name, "address", "add", f"{address}/24", "dev", device)
+            _ip("-n", name, "link", "set", device, "up")
+        yield third, faces
+
+
 def _sweep() -> None:
     """Removes what a killed benchmark left behind: namespaces named after a process that is no more."""
     for leftover in MADE_BY_IP.glob(f"{PREFIX}*"):

@@ -47,7 +47,18 @@ impl Desk {
     /// # Panics
     /// As [`Network::direct`].
     pub fn new(commands: &'static [&'static str]) -> Self {
-        let network = Network::direct();
+        Self::on(Network::direct(), commands)
+    }
+
+    /// For a test that types no command of the documents, with a third host on a cable of its own to the cloud.
+    ///
+    /// # Panics
+    /// As [`Network::direct`].
+    pub fn with_third_host() -> Self {
+        Self::on(Network::direct().with_third_host(), &[])
+    }
+
+    fn on(network: Network, commands: &'static [&'static str]) -> Self {
         network.edge().also(DATA, Self::EDGE);
         network.cloud().also(DATA, Self::CLOUD);
         let folder = tempfile::tempdir().expect("the temporary folder is writable");
@@ -70,6 +81,11 @@ impl Desk {
     /// The folder of both machines.
     pub fn folder(&self) -> &Path {
         self.folder.path()
+    }
+
+    /// The machines and the cables between them.
+    pub const fn network(&self) -> &Network {
+        &self.network
     }
 
     /// Where samples come from.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from types import ModuleType
 
-from . import agent, delays, idle, ingest, live, loop, model, node, pages, python, stream
+from . import agent, attacked, delays, idle, ingest, live, loop, model, node, pages, python, stream
 
 # Each has `prepare()`, which builds and checks what it needs, and `measure(quick) -> Section`.
 ALL: dict[str, ModuleType] = {
@@ -19,4 +19,5 @@ ALL: dict[str, ModuleType] = {
     "delays": delays,
     "idle": idle,
     "agent": agent,
+    "attacked": attacked,
 }

@@ -48,6 +48,7 @@ pub struct Network {
     edge: Host,
     cloud: Host,
     router: Option<Host>,
+    third: Option<Host>,
     slot: Slot,
 }
 
@@ -114,6 +115,36 @@ impl Network {
         network
     }
 
+    /// Adds a third host, on a cable of its own to the cloud: what it sends does not share the measured path.
+    #[must_use]
+    pub fn with_third_host(mut self) -> Self {
+        let third = Host {
+            namespace: self.slot.name("third"),
+            address: self.slot.address(98),
+            home: self.slot.address(0),
+        };
+        ip(&["netns", "add", &third.namespace]);
+        ip(&["-n", &third.namespace, "link", "set", "lo", "up"]);
+        veth(&self.cloud, "third", &third, DATA);
+        self.cloud.set_up("third", self.third_faces(), 30);
+        third.set_up(DATA, third.address, 30);
+        self.third = Some(third);
+        self
+    }
+
+    /// The third host.
+    ///
+    /// # Panics
+    /// When there is none.
+    pub fn third(&self) -> &Host {
+        self.third.as_ref().expect("a network with a third host")
+    }
+
+    /// The address at which the third host reaches the cloud.
+    pub const fn third_faces(&self) -> Ipv4Addr {
+        self.slot.address(97)
+    }
+
     /// The namespaces, each with its interface to the one that the tests run in.
     fn hosts(with_router: bool) -> Self {
         let slot = Slot::take();
@@ -130,6 +161,7 @@ impl Network {
             edge: host("edge", 18, 65),
             cloud: host("cloud", if with_router { 34 } else { 19 }, 69),
             router: with_router.then(|| host("router", 0, 0)),
+            third: None,
             slot,
         };
         for (host, role) in [(&network.edge, "e"), (&network.cloud, "c")] {

@@ -7,7 +7,7 @@ mod from_source;
 mod paper;
 mod pictures;
 mod published;
-mod two_machines;
+pub(crate) mod two_machines;
 
 use std::collections::BTreeSet;
 

@@ -33,7 +33,7 @@ const REBUILD: &str = "peernetd rebuild-rollups --config /etc/peernet/aggregator
 const SHORT: &str = "calibrate --sizes 100,1kB,10kB --repeats 20 --quiet";
 
 /// The README's three files, on the machines that it names, which share one system's name and clock here.
-fn install(desk: &Desk) {
+pub(crate) fn install(desk: &Desk) {
     let readme = Document::read("README.md");
     let files = readme.indented("put-it-on-two-machines", 7);
     let [aggregator, cloud, robot, ..] = &*files else { panic!("it has three files: {files:#?}") };

@@ -1,0 +1,223 @@
+"""An unknown host that sends what no host should, on every port of PEERNet, for a bounded time at a bounded rate.
+
+    attack.py attack ADDRESS --events PORT --data PORT --http PORT --probes PORT --seconds N [--bytes-per-second N]
+    attack.py discard ADDRESS --events PORT …      reads the same traffic and does nothing with it
+
+`attack` prints one line of JSON at its end: bytes sent, connections made, refused and closed by the other side.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+import struct
+import sys
+import time
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+
+# ZMTP 3.1, mechanism NULL, the greeting and the READY command of a DEALER.
+GREETING = b"\xff" + bytes(8) + b"\x7f\x03\x01" + b"NULL".ljust(20, b"\0") + bytes(32)
+READY_BODY = b"\x05READY" + b"\x0bSocket-Type" + struct.pack(">I", 6) + b"DEALER"
+READY = b"\x04" + bytes([len(READY_BODY)]) + READY_BODY
+LONG_FRAME = 0x02
+UNFINISHED = 60_000_000
+CLAIMED = 1 << 62
+CHUNK = 16 * 1024
+# Connections that are held open at once, of each kind on each port.
+HELD = 60
+
+
+@dataclass
+class Counts:
+    """What happened."""
+
+    bytes_sent: int = 0
+    connections: int = 0
+    refused: int = 0
+    closed_by_peer: int = 0
+    datagrams: int = 0
+
+
+class Rate:
+    """A token bucket over all senders, bytes."""
+
+    def __init__(self, bytes_per_second: float) -> None:
+        self.rate = bytes_per_second
+        self.level = 0.0
+        self.at = time.monotonic()
+
+    async def take(self, size: int) -> None:
+        """Waits until `size` bytes may be sent."""
+        now = time.monotonic()
+        self.level = min(self.rate / 10, self.level + (now - self.at) * self.rate) - size
+        self.at = now
+        if self.level < 0:
+            await asyncio.sleep(-self.level / self.rate)
+
+
+class Attack:
+    """All senders against one host."""
+
+    def __init__(self, address: str, seconds: float, bytes_per_second: float) -> None:
+        self.address = address
+        self.until = time.monotonic() + seconds
+        self.rate = Rate(bytes_per_second)
+        self.counts = Counts()
+
+    def goes_on(self) -> bool:
+        return time.monotonic() < self.until
+
+    async def again_and_again(self, port: int, story: Callable[[Connection], Awaitable[None]]) -> None:
+        """Opens a connection, does `story` on it, and holds it until it is closed over there; then another one."""
+        while self.goes_on():
+            try:
+                reader, writer = await asyncio.wait_for(asyncio.open_connection(self.address, port), 5)
+            except (OSError, TimeoutError):
+                self.counts.refused += 1
+                await asyncio.sleep(0.2)
+                continue
+            self.counts.connections += 1
+            connection = Connection(self, reader, writer)
+            try:
+                await story(connection)
+                await connection.hold()
+            except (OSError, EOFError):
+                self.counts.closed_by_peer += 1
+            finally:
+                writer.close()
+            # What a connection costs its kernel and both programs counts as a kilobyte.
+            await self.rate.take(1_000)
+
+    async def datagrams(self, port: int) -> None:
+        """Probes of nobody: 44 random bytes each, at a tenth of the rate of all connections."""
+        transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
+            asyncio.DatagramProtocol, remote_addr=(self.address, port)
+        )
+        rate = Rate(self.rate.rate / 10)
+        while self.goes_on():
+            await rate.take(440)
+            for _ in range(10):
+                transport.sendto(os.urandom(44))
+                self.counts.datagrams += 1
+                self.counts.bytes_sent += 44
+        transport.close()
+
+
+class Connection:
+    """One connection of the attack."""
+
+    def __init__(self, attack: Attack, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.attack = attack
+        self.reader = reader
+        self.writer = writer
+
+    async def send(self, data: bytes) -> None:
+        await self.attack.rate.take(len(data))
+        self.writer.write(data)
+        await self.writer.drain()
+        self.attack.counts.bytes_sent += len(data)
+
+    async def hold(self) -> None:
+        """Keeps it until the other side closes it."""
+        while self.attack.goes_on():
+            with suppress(TimeoutError):
+                if not await asyncio.wait_for(self.reader.read(CHUNK), 0.5):
+                    raise EOFError
+
+
+async def silence(connection: Connection) -> None:
+    """Connects and says nothing."""
+
+
+async def half_a_greeting(connection: Connection) -> None:
+    await connection.send(GREETING[:10])
+
+
+async def garbage(connection: Connection) -> None:
+    while connection.attack.goes_on():
+        await connection.send(os.urandom(CHUNK))
+
+
+async def _handshake(connection: Connection) -> None:
+    await connection.send(GREETING)
+    await connection.send(READY)
+
+
+async def claimed_size(connection: Connection) -> None:
+    await _handshake(connection)
+    await connection.send(bytes([LONG_FRAME]) + struct.pack(">Q", CLAIMED) + bytes(64))
+
+
+async def unfinished_frame(connection: Connection) -> None:
+    await _handshake(connection)
+    await connection.send(bytes([LONG_FRAME]) + struct.pack(">Q", UNFINISHED))
+    # All but the last byte.
+    left = UNFINISHED - 1
+    while connection.attack.goes_on() and left:
+        size = min(left, CHUNK)
+        await connection.send(bytes(size))
+        left -= size
+
+
+async def unfinished_headers(connection: Connection) -> None:
+    await connection.send(b"GET / HTTP/1.1\r\nHost: localhost\r\n")
+    while connection.attack.goes_on():
+        await connection.send(b"X-Filler: " + b"x" * 200 + b"\r\n")
+        await asyncio.sleep(0.5)
+
+
+async def claimed_body(connection: Connection) -> None:
+    head = b"POST /api/v1/runs HTTP/1.1\r\nHost: localhost\r\nContent-Length: 4611686018427387904\r\n\r\n"
+    await connection.send(head)
+    await garbage(connection)
+
+
+ZMTP = (silence, half_a_greeting, garbage, claimed_size, unfinished_frame)
+HTTP = (silence, garbage, unfinished_headers, claimed_body)
+
+
+async def attack(arguments: argparse.Namespace) -> None:
+    it = Attack(arguments.address, arguments.seconds, arguments.bytes_per_second)
+    ports = [(arguments.events, ZMTP), (arguments.data, ZMTP), (arguments.http, HTTP)]
+    jobs = [
+        it.again_and_again(port, story) for port, stories in ports for story in stories for _ in range(HELD)
+    ]
+    await asyncio.gather(*jobs, it.datagrams(arguments.probes))
+    print(json.dumps(asdict(it.counts)))
+
+
+async def discard(arguments: argparse.Namespace) -> None:
+    async def read(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with suppress(OSError):
+            while await reader.read(1 << 20):
+                pass
+        writer.close()
+
+    for port in (arguments.events, arguments.data, arguments.http):
+        await asyncio.start_server(read, arguments.address, port, backlog=1_024)
+    loop = asyncio.get_running_loop()
+    await loop.create_datagram_endpoint(asyncio.DatagramProtocol, local_addr=(arguments.address, arguments.probes))
+    print("discarding", flush=True)
+    await asyncio.Event().wait()
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("attack", "discard"))
+    parser.add_argument("address")
+    for port in ("events", "data", "http", "probes"):
+        parser.add_argument(f"--{port}", type=int, required=True)
+    parser.add_argument("--seconds", type=float, default=60)
+    parser.add_argument("--bytes-per-second", type=float, default=4_000_000)
+    arguments = parser.parse_args()
+    with suppress(KeyboardInterrupt):
+        asyncio.run({"attack": attack, "discard": discard}[arguments.what](arguments))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
