@@ -12,7 +12,7 @@ SHELL := /bin/bash
 .ONESHELL:
 CARGO ?= cargo
 
-.PHONY: help demo rehearsal setup build test check lint unit e2e configs units deny browser package deb bench soak clean
+.PHONY: help demo rehearsal setup build test check lint tests configs units deny browser package deb bench soak clean
 help:
 	@sed -n 's/^# //p' $(firstword $(MAKEFILE_LIST)) | head -8
 
@@ -35,10 +35,10 @@ build:
 
 # --- tests ---------------------------------------------------------------------------------------------------
 
-test: tools setup lint unit e2e configs units deny browser package
+test: tools setup lint tests configs units deny browser package
 	@echo "make test: all passed"
 
-check: lint unit e2e
+check: lint tests
 
 .PHONY: tools
 tools:
@@ -48,12 +48,10 @@ lint:
 	$(CARGO) fmt --all --check
 	$(CARGO) clippy --workspace --all-targets --locked -- --deny warnings
 
-# Everything is built once, before anything runs: the end-to-end tests start the programs of the same build.
-unit: build
-	$(CARGO) test --workspace --locked --exclude peernet-tests
-
-e2e: setup build
-	$(CARGO) test --package peernet-tests --locked
+# Everything is built once, before anything runs: the end-to-end tests start the programs of the same build. All
+# packages are tested by one command, because cargo builds the dependencies anew for another choice of packages.
+tests: setup build
+	$(CARGO) test --workspace --locked
 
 configs: setup build
 	@for file in configs/*.toml; do target/debug/peernetd check "$$file"; done
