@@ -26,7 +26,7 @@ pub use api::Api;
 pub use chance::Chance;
 pub use daemon::Daemon;
 pub use desk::Desk;
-pub use disk::SmallDisk;
+pub use disk::{ImageDisk, SecondMount, SmallDisk};
 pub use documents::Document;
 pub use figures::{measured, say, thousands};
 pub use fleet::Fleet;

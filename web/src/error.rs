@@ -87,7 +87,8 @@ impl WebError {
             Self::Gone(_) => StatusCode::GONE,
             Self::OtherSite(_) => StatusCode::FORBIDDEN,
             Self::OtherHost(_) => StatusCode::MISDIRECTED_REQUEST,
-            Self::TookTooLong(_) | Self::Store(StoreError::TooLong { .. } | StoreError::Busy { .. }) => {
+            Self::TookTooLong(_)
+            | Self::Store(StoreError::TooLong { .. } | StoreError::Busy { .. } | StoreError::Closed { .. }) => {
                 StatusCode::SERVICE_UNAVAILABLE
             }
             Self::Store(_) | Self::Render(_) | Self::Json(_) | Self::Text(_) | Self::Panicked(_) => {
@@ -102,7 +103,10 @@ impl WebError {
         if !status.is_server_error() {
             return ProblemDetails::new(status, self.to_string(), None);
         }
-        if let Self::Store(error @ (StoreError::TooLong { .. } | StoreError::Busy { .. })) = self {
+        if let Self::Store(
+            error @ (StoreError::TooLong { .. } | StoreError::Busy { .. } | StoreError::Closed { .. }),
+        ) = self
+        {
             tracing::warn!(%error, "a question was not answered");
             return ProblemDetails::new(status, error.to_string(), None);
         }

@@ -13,23 +13,18 @@ use tokio_util::sync::CancellationToken;
 
 use crate::config::{AggregatorConfig, RetentionConfig};
 use crate::error::{Failure, Problem, StartError, StoreError};
-use crate::ingest::{self, Desk, Errand, committing, preparing, socket};
+use crate::ingest::{self, Desk, Errand, Reopening, committing, preparing, socket};
 use crate::live::{self, Live, News};
 use crate::picture::Picture;
 use crate::readiness::Readiness;
-use crate::store::lock::DatabaseLock;
+use crate::store::Store;
+use crate::store::opening::{OpenDatabase, StoredState};
 use crate::store::readers::Readers;
-use crate::store::write::{Writer, newest_runs, stored_hosts, unknown_runs};
-use crate::store::{Store, database};
 
 /// News that wait for the live picture's task; it waits for nothing, so few are enough.
 const NEWS: usize = 1_024;
 /// Commits whose acknowledgements wait to be sent.
 const COMMITS: usize = 16;
-/// Runs whose numbers are known from the start: those that agents may still be executing.
-const RUNS: u32 = 1_000;
-/// Hosts whose stored counts are known from the start.
-const HOSTS: u32 = 4_096;
 /// Errands that wait for the writer.
 const ERRANDS: usize = 16;
 
@@ -53,10 +48,8 @@ pub struct Running {
     names: HashMap<Id, &'static str>,
     asked: CancellationToken,
     stop: CancellationToken,
-    /// The writer when its task has ended.
-    written: oneshot::Receiver<Writer>,
-    /// Held as long as anything here may write.
-    _lock: DatabaseLock,
+    /// The database, if it is open, when the writer's task has ended.
+    written: oneshot::Receiver<Option<OpenDatabase>>,
 }
 
 impl Aggregator {
@@ -82,13 +75,8 @@ impl Aggregator {
         if let Some(folder) = config.database.parent() {
             std::fs::create_dir_all(folder).map_err(|error| cannot_open(error.into()))?;
         }
-        let lock = DatabaseLock::take(&config.database)?;
-        let mut connection = database::open(&config.database).await?;
-        let runs = newest_runs(&mut connection, RUNS).await.map_err(cannot_open)?;
-        let unknown = unknown_runs(&mut connection, RUNS).await.map_err(cannot_open)?;
-        let hosts = stored_hosts(&mut connection, HOSTS).await.map_err(cannot_open)?;
-        let writer =
-            Writer::new(config.database.clone(), connection, config.retention).await.map_err(cannot_open)?;
+        let (database, state) = OpenDatabase::open(&config.database, config.retention).await?;
+        let StoredState { streams, runs, unknown, hosts } = state;
         let (socket, address) = socket::listen(&config.listen).await?;
         tracing::info!(%address, database = %config.database.display(), "the aggregator listens");
 
@@ -106,7 +94,7 @@ impl Aggregator {
         let (prepared, work) = preparing::ready(2 * grouping.most);
         let (errands_in, errands) = mpsc::channel(ERRANDS);
         let (news_in, news) = mpsc::channel(NEWS);
-        let (committed_in, committed) = mpsc::channel(COMMITS);
+        let (stored_in, stored) = mpsc::channel(COMMITS);
         let (pictures, live) = watch::channel(picture.shared(clock.stamp()));
         let (written_in, written) = oneshot::channel();
         let (ready_in, ready) = watch::channel(Readiness::Ready);
@@ -114,7 +102,7 @@ impl Aggregator {
         let (budget_bytes, most_window) = (ingest::ROOM_BYTES as u64, ingest::MOST_WINDOW);
         let receiving =
             Receiving::new(ReceivingConfig { budget_bytes, most_window, ..ReceivingConfig::new(name) });
-        let desk = Desk::new(receiving, queue, writer.streams().clone(), unknown);
+        let desk = Desk::new(receiving, queue, streams, unknown);
         let store = Store::new(Readers::open(
             &config.database,
             config.readers,
@@ -133,7 +121,6 @@ impl Aggregator {
                 database: config.database.as_path().into(),
                 retention: config.retention,
             },
-            _lock: lock,
             tasks: JoinSet::new(),
             names: HashMap::new(),
             asked,
@@ -154,18 +141,20 @@ impl Aggregator {
         let wires = committing::Wires {
             queue: work,
             errands,
-            committed: committed_in,
+            stored: stored_in,
             ready: ready_in,
             clock: Arc::clone(&clock),
             stop: stop.clone(),
         };
+        let store = running.handle.store.clone();
+        let reopening = Reopening { path: config.database, retention: config.retention, store };
         running.spawn("writer", async move {
-            let writer = committing::run(writer, wires, grouping).await;
+            let database = committing::run(database, wires, grouping, reopening).await;
             // Whoever does not join lets the connection drop.
-            let _unjoined = written_in.send(writer);
+            let _unjoined = written_in.send(database);
             Ok(())
         });
-        let wires = socket::Wires { committed, news: news_in, clock, stop };
+        let wires = socket::Wires { stored, news: news_in, clock, stop };
         running.spawn("ingest", socket::run(socket, address, desk, wires));
         Ok(running)
     }
@@ -267,9 +256,9 @@ impl Running {
     /// the file alone is whole.
     async fn close(&mut self) {
         self.handle.store.close().await;
-        // The task that had it may have died.
-        let Ok(writer) = (&mut self.written).await else { return };
-        if let Err(error) = writer.close().await {
+        // The task that had it may have died, or its file is away.
+        let Ok(Some(database)) = (&mut self.written).await else { return };
+        if let (_, Err(error)) = database.close().await {
             tracing::warn!(%error, "the database was not closed well; what is stored is in its -wal file, too");
         }
     }

@@ -134,6 +134,12 @@ pub enum StoreError {
         /// What was asked for.
         what: &'static str,
     },
+    /// The database is away, or its file cannot be used now.
+    #[error("cannot read {what}: the database is not open now; /readyz says why")]
+    Closed {
+        /// What was asked for.
+        what: &'static str,
+    },
     /// The database holds something that this version cannot have written.
     #[error("cannot make sense of {what} in the database: {detail}")]
     Corrupt {

@@ -6,6 +6,7 @@ mod clocks;
 mod configuration;
 mod documentation;
 mod documented;
+mod durability;
 mod experiments;
 mod external;
 mod figures;

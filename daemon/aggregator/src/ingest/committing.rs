@@ -1,19 +1,23 @@
 //! The task that owns the writer: collects batches of many agents and commits them together.
 
+use std::fmt::Display;
 use std::time::Duration;
 
 use peernet_clock::SharedClock;
+use peernet_logger::HostId;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 
 use super::preparing::Queued;
+use super::reopening::Reopening;
 use crate::config::AggregatorConfig;
 use crate::readiness::Readiness;
+use crate::store::opening::{OpenDatabase, StoredState};
 use crate::store::retention::Step;
 use crate::store::write::{CommitError, Committed, Work, Writer};
 
-/// The first pause after a failed commit, and the longest.
+/// The first pause after a failed attempt, and the longest.
 const FIRST_PAUSE: Duration = Duration::from_millis(200);
 const LONGEST_PAUSE: Duration = Duration::from_secs(5);
 
@@ -51,54 +55,146 @@ pub(crate) enum Errand {
     Pin(i64, bool, oneshot::Sender<Result<bool, sqlx::Error>>),
 }
 
+/// What the writer tells ingest, in the order in which it happened.
+#[derive(Debug)]
+pub(crate) enum StoreEvent {
+    /// A transaction is on disk.
+    Committed(Committed),
+    /// The database was closed, to be opened anew.
+    Closed,
+    /// The database was opened anew, and holds this.
+    Opened(Box<StoredState>),
+}
+
+/// Pauses between attempts, each twice as long as the one before, until one succeeds.
+#[derive(Debug)]
+pub(super) struct Backoff(Duration);
+
+impl Backoff {
+    const fn new() -> Self {
+        Self(FIRST_PAUSE)
+    }
+
+    /// The next pause.
+    pub(super) fn next(&mut self) -> Duration {
+        let pause = self.0;
+        self.0 = (pause * 2).min(LONGEST_PAUSE);
+        pause
+    }
+}
+
 /// What the writer's task is wired to.
 pub(crate) struct Wires {
     pub(crate) queue: mpsc::Receiver<Queued>,
     pub(crate) errands: mpsc::Receiver<Errand>,
-    pub(crate) committed: mpsc::Sender<Committed>,
+    pub(crate) stored: mpsc::Sender<StoreEvent>,
     pub(crate) ready: watch::Sender<Readiness>,
     pub(crate) clock: SharedClock,
     pub(crate) stop: CancellationToken,
 }
 
+/// Why the writer's task does not go on with a database.
+enum Ended {
+    /// All that came is stored, or the task was told to stop.
+    Finished,
+    /// The database has to be opened anew.
+    Failed(CommitError),
+}
+
+/// What outlives a database that is opened anew.
+#[derive(Debug)]
+struct Carried {
+    /// How often that was done.
+    generation: u64,
+    /// Hosts that took their leave, which could not be stored.
+    departed: Vec<HostId>,
+    backoff: Backoff,
+}
+
+impl Carried {
+    /// Whether work goes with the database that is open. What was let in before is compared with the marks of the one
+    /// before; only that a host has left is true of any.
+    fn is_current(&self, queued: &Queued) -> bool {
+        queued.generation == self.generation || matches!(queued.work, Work::Goodbye(_))
+    }
+}
+
 /// Commits until no more work will come and all that came is stored.
 ///
 /// While the database refuses, the same group is tried again and nothing is acknowledged: agents keep what they sent.
-/// When told to stop, the group is tried a last time and then left to them. Gives the writer back, to be closed.
-pub(crate) async fn run(mut writer: Writer, mut wires: Wires, grouping: Grouping) -> Writer {
+/// When the file fails or is replaced, the database is closed and opened anew, like in a restart of the process: what
+/// was let in before is dropped, and the agents send it again as far as it is not stored. When told to stop, the group
+/// is tried a last time and then left to them. Gives the database back, to be closed, if it is open.
+pub(crate) async fn run(
+    mut database: OpenDatabase,
+    mut wires: Wires,
+    grouping: Grouping,
+    reopening: Reopening,
+) -> Option<OpenDatabase> {
+    let mut carried = Carried { generation: 0, departed: Vec::new(), backoff: Backoff::new() };
+    loop {
+        match serve(&mut database.writer, &mut wires, grouping, &mut carried).await {
+            Ended::Finished => return Some(database),
+            Ended::Failed(error) => {
+                database = reopening.reopen(database, &error, &mut wires, &mut carried.backoff).await?;
+                carried.generation += 1;
+            }
+        }
+    }
+}
+
+/// Commits with one database.
+async fn serve(writer: &mut Writer, wires: &mut Wires, grouping: Grouping, carried: &mut Carried) -> Ended {
     let mut checking = tokio::time::interval(CHECK_FILE_EVERY);
     checking.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let (mut commits, mut more) = (0_u64, Step::More);
     loop {
-        let first = tokio::select! {
-            biased;
-            Some(errand) = wires.errands.recv() => {
-                run_errand(&mut writer, errand).await;
-                continue;
+        let mut group = Vec::new();
+        if carried.departed.is_empty() {
+            let first = tokio::select! {
+                biased;
+                Some(errand) = wires.errands.recv() => {
+                    run_errand(writer, errand).await;
+                    continue;
+                }
+                first = wires.queue.recv() => first,
+                () = std::future::ready(()), if more == Step::More => {
+                    more = retain(writer, wires).await;
+                    continue;
+                }
+                _ = checking.tick() => {
+                    if let Err(error) = writer.check_file() {
+                        return Ended::Failed(error);
+                    }
+                    more = Step::More;
+                    continue;
+                }
+            };
+            let Some(first) = first else { return Ended::Finished };
+            let waited = (wires.clock.mono() - first.since).to_duration();
+            group = gather(first, &mut wires.queue, waited, grouping).await;
+            group.retain(|queued| carried.is_current(queued));
+        }
+        let mut work: Vec<Work> = carried.departed.drain(..).map(Work::Goodbye).collect();
+        let (of_group, room): (Vec<Work>, Vec<_>) = group.into_iter().map(|it| (it.work, it.room)).unzip();
+        work.extend(of_group);
+        if work.is_empty() {
+            continue;
+        }
+        match store(writer, &work, wires, &mut carried.backoff).await {
+            Ok(true) => {}
+            Ok(false) => return Ended::Finished,
+            Err(error) => {
+                let left = |work| if let Work::Goodbye(host) = work { Some(host) } else { None };
+                carried.departed = work.into_iter().filter_map(left).collect();
+                return Ended::Failed(error);
             }
-            first = wires.queue.recv() => first,
-            () = std::future::ready(()), if more == Step::More => {
-                more = retain(&mut writer, &wires).await;
-                continue;
-            }
-            _ = checking.tick() => {
-                check_file(&writer, &wires.ready);
-                more = Step::More;
-                continue;
-            }
-        };
-        let Some(first) = first else { return writer };
-        let waited = (wires.clock.mono() - first.since).to_duration();
-        let group = gather(first, &mut wires.queue, waited, grouping).await;
-        let (work, room): (Vec<Work>, Vec<_>) = group.into_iter().map(|it| (it.work, it.room)).unzip();
-        if !store(&mut writer, &work, &mut wires).await {
-            return writer;
         }
         drop((work, room));
         commits += 1;
         more = Step::More;
         if commits.is_multiple_of(RETAIN_EVERY) {
-            more = retain(&mut writer, &wires).await;
+            more = retain(writer, wires).await;
         }
     }
 }
@@ -112,27 +208,38 @@ async fn retain(writer: &mut Writer, wires: &Wires) -> Step {
 }
 
 /// Stores a group, however long that takes; whether it was before the task had to end.
-async fn store(writer: &mut Writer, work: &[Work], wires: &mut Wires) -> bool {
-    let mut pause = FIRST_PAUSE;
+///
+/// # Errors
+/// When the database has to be opened anew for that.
+async fn store(
+    writer: &mut Writer,
+    work: &[Work],
+    wires: &mut Wires,
+    backoff: &mut Backoff,
+) -> Result<bool, CommitError> {
     loop {
-        let reason = match writer.commit(work, wires.clock.wall()).await {
+        let error = match writer.commit(work, wires.clock.wall()).await {
             Ok(stored) => {
+                *backoff = Backoff::new();
                 set(&wires.ready, Readiness::Ready);
                 for (head, reason) in &stored.quarantined {
                     tracing::error!(host = %head.host, number = head.number, %reason, "a batch was put aside");
                 }
                 // Closed only while everything ends.
-                let _ended = wires.committed.send(stored).await;
-                return true;
+                let _ended = wires.stored.send(StoreEvent::Committed(stored)).await;
+                return Ok(true);
             }
-            Err(error) => words(&error),
+            Err(error) => error,
         };
         if wires.stop.is_cancelled() {
-            tracing::error!(batches = work.len(), %reason, "gave up storing: told to stop");
-            return false;
+            tracing::error!(batches = work.len(), %error, "gave up storing: told to stop");
+            return Ok(false);
         }
-        set(&wires.ready, Readiness::NotStoring(reason));
-        let again = tokio::time::sleep(pause);
+        if !error.leaves_connection_usable() {
+            return Err(error);
+        }
+        set(&wires.ready, not_storing(&error));
+        let again = tokio::time::sleep(backoff.next());
         tokio::pin!(again);
         loop {
             tokio::select! {
@@ -141,7 +248,6 @@ async fn store(writer: &mut Writer, work: &[Work], wires: &mut Wires) -> bool {
                 Some(errand) = wires.errands.recv() => run_errand(writer, errand).await,
             }
         }
-        pause = (pause * 2).min(LONGEST_PAUSE);
     }
 }
 
@@ -154,16 +260,9 @@ async fn run_errand(writer: &mut Writer, errand: Errand) {
     }
 }
 
-/// Tells of a file that was moved away even while there is nothing to store.
-fn check_file(writer: &Writer, ready: &watch::Sender<Readiness>) {
-    match writer.check_file() {
-        Ok(()) => set(ready, Readiness::Ready),
-        Err(error) => set(ready, Readiness::NotStoring(words(&error))),
-    }
-}
-
-fn words(error: &CommitError) -> String {
-    format!("cannot store events: {error}; agents keep them, tried again by itself")
+/// That nothing is stored, and why.
+pub(super) fn not_storing(error: &impl Display) -> Readiness {
+    Readiness::NotStoring(format!("cannot store events: {error}; agents keep them, tried again by itself"))
 }
 
 /// The group that begins with `first`: what waits already, and what comes until the first has waited long enough since
@@ -197,14 +296,14 @@ async fn gather(
 }
 
 /// Logs changes of readiness, once each.
-fn set(ready: &watch::Sender<Readiness>, now: Readiness) {
+pub(super) fn set(ready: &watch::Sender<Readiness>, now: Readiness) {
     ready.send_if_modified(|was| {
         if *was == now {
             return false;
         }
         match &now {
             Readiness::Ready => tracing::info!("storing events again"),
-            Readiness::NotStoring(reason) => tracing::error!("{reason}"),
+            Readiness::NotStoring(reason) => tracing::warn!("{reason}"),
         }
         *was = now;
         true
@@ -216,7 +315,6 @@ mod tests {
     use std::sync::Arc;
 
     use peernet_clock::MonoTime;
-    use peernet_logger::HostId;
     use tokio::sync::Semaphore;
 
     use super::*;
@@ -229,6 +327,7 @@ mod tests {
         let permit = || Arc::clone(&room).try_acquire_owned().expect("a permit");
         Queued {
             work: Work::Goodbye(HostId::random()),
+            generation: 0,
             since: MonoTime::from_nanos(0),
             room: [permit(), permit()],
         }

@@ -10,10 +10,12 @@ use peernet_logger::stream::{
 use peernet_logger::{HostId, RunId};
 use zeromq::Identity;
 
+use super::committing::StoreEvent;
 use super::queue::{Incoming, Queue};
 use super::refusals::Refusals;
 use crate::live::News;
 use crate::picture::RefusedHost;
+use crate::store::opening::StoredState;
 use crate::store::write::{Aside, Committed, Introduction, RunName, Streams, Work};
 
 /// A host that was silent for so long is asked to say hello again.
@@ -49,6 +51,8 @@ pub(crate) struct Desk {
     streams: Streams,
     /// Runs of which the store knows iterations only.
     unknown: HashSet<RunId>,
+    /// Whether the writer has a database: while it has none, nothing is acknowledged.
+    is_database_open: bool,
     refusals: Refusals,
     replies: Vec<(Identity, ToAgent)>,
     news: Vec<News>,
@@ -65,6 +69,7 @@ impl Desk {
             routes: HashMap::new(),
             streams,
             unknown: unknown.into_iter().collect(),
+            is_database_open: true,
             refusals: Refusals::default(),
             replies: Vec::new(),
             news: Vec::new(),
@@ -157,6 +162,10 @@ impl Desk {
         };
         let host = hello.host.id;
         let known = self.streams.known(&hello);
+        // A welcome acknowledges what the stream's mark says, and whether that will be there is not known now.
+        if !self.is_database_open && known.mark.is_some_and(|mark| hello.oldest <= mark.stored) {
+            return;
+        }
         match self.receiving.hello(&hello, known, now.mono) {
             Greeting::Welcome { reply, missing, replaced, lacking } => {
                 let Hello { host: description, process, stream, previous, first, .. } = hello;
@@ -252,7 +261,9 @@ impl Desk {
                 place.put(Incoming::Work(Work::Aside(Box::new(aside))), now.mono);
             }
             (Arrival::Duplicate(reply), _) => {
-                self.replies.push((from.clone(), reply));
+                if self.is_database_open {
+                    self.replies.push((from.clone(), reply));
+                }
                 self.news.push(News::Duplicate(head.host));
             }
             (Arrival::Hole(Some(reply)) | Arrival::Unknown(reply), _) => {
@@ -278,8 +289,17 @@ impl Desk {
         }
     }
 
+    /// The writer tells what became of the database.
+    pub(super) fn store_event(&mut self, event: StoreEvent) {
+        match event {
+            StoreEvent::Committed(committed) => self.committed(committed),
+            StoreEvent::Closed => self.database_closed(),
+            StoreEvent::Opened(state) => self.database_opened(*state),
+        }
+    }
+
     /// A transaction is on disk.
-    pub(super) fn committed(&mut self, committed: Committed) {
+    fn committed(&mut self, committed: Committed) {
         for (stream, mark) in committed.marks {
             self.streams.marks.insert(stream, mark);
             let listener = self.receiving.stored(stream, mark);
@@ -297,6 +317,24 @@ impl Desk {
             self.unknown.extend(committed.unknown);
         }
         self.news.extend(committed.runs.into_iter().map(|(run, number)| News::Run(run, number)));
+    }
+
+    /// The database was closed: its file is away or cannot be used. Agents that are known go on sending.
+    fn database_closed(&mut self) {
+        self.is_database_open = false;
+    }
+
+    /// The database was opened anew, and may be another one: every agent has to say hello again, so that its spool is
+    /// compared with what is stored now. What was let in before is dropped by the writer.
+    fn database_opened(&mut self, state: StoredState) {
+        let StoredState { streams, runs, unknown, hosts } = state;
+        self.is_database_open = true;
+        self.receiving.forget_sessions();
+        self.queue.begin_generation();
+        self.streams = streams;
+        self.unknown = unknown.into_iter().collect();
+        self.replies.extend(self.routes.drain().map(|(_, route)| (route, ToAgent::Unknown)));
+        self.news.push(News::Reopened { runs, hosts });
     }
 
     /// Time has passed.

@@ -18,6 +18,8 @@ const PIECES: usize = 4_096;
 #[derive(Debug)]
 pub(crate) struct Queued {
     pub(crate) work: Work,
+    /// How often the database had been opened anew when it was let in.
+    pub(crate) generation: u64,
     /// When it was let in.
     pub(crate) since: MonoTime,
     pub(crate) room: [OwnedSemaphorePermit; 2],
@@ -40,7 +42,7 @@ pub(crate) fn ready(most_nodes: usize) -> (Ready, mpsc::Receiver<Queued>) {
 
 /// Prepares until nothing more will come or the writer has gone. For a thread of its own.
 pub(crate) fn run(runtime: &Handle, mut waiting: mpsc::Receiver<Waiting>, ready: &Ready) {
-    while let Some(Waiting { incoming, since, room }) = waiting.blocking_recv() {
+    while let Some(Waiting { incoming, generation, since, room }) = waiting.blocking_recv() {
         let work = match incoming {
             Incoming::Work(work) => work,
             Incoming::Batch(head, body) => Work::of_batch(head, body),
@@ -49,7 +51,7 @@ pub(crate) fn run(runtime: &Handle, mut waiting: mpsc::Receiver<Waiting>, ready:
         let nodes = runtime.block_on(Arc::clone(&ready.nodes).acquire_many_owned(weight));
         // Closed only when the writer gave up.
         let Ok(nodes) = nodes else { return };
-        if ready.sender.blocking_send(Queued { work, since, room: [room, nodes] }).is_err() {
+        if ready.sender.blocking_send(Queued { work, generation, since, room: [room, nodes] }).is_err() {
             return;
         }
     }

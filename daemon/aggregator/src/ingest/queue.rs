@@ -35,6 +35,7 @@ pub(crate) enum Incoming {
 #[derive(Debug)]
 pub(crate) struct Waiting {
     pub(crate) incoming: Incoming,
+    pub(crate) generation: u64,
     pub(crate) since: MonoTime,
     pub(crate) room: OwnedSemaphorePermit,
 }
@@ -45,6 +46,8 @@ pub(crate) struct Queue {
     room: Arc<Semaphore>,
     /// `None` once closed.
     sender: Option<mpsc::Sender<Waiting>>,
+    /// How often the database was opened anew. What was let in before is compared with the marks of the one before.
+    generation: u64,
 }
 
 /// A place that a piece of work will take.
@@ -59,7 +62,14 @@ pub(super) struct Place<'a> {
 /// An empty queue.
 pub(crate) fn queue() -> (Queue, mpsc::Receiver<Waiting>) {
     let (sender, receiver) = mpsc::channel(ROOM_ITEMS);
-    (Queue { room: Arc::new(Semaphore::new(ROOM_BYTES / PER_PERMIT)), sender: Some(sender) }, receiver)
+    (
+        Queue {
+            room: Arc::new(Semaphore::new(ROOM_BYTES / PER_PERMIT)),
+            sender: Some(sender),
+            generation: 0,
+        },
+        receiver,
+    )
 }
 
 impl Queue {
@@ -73,6 +83,11 @@ impl Queue {
     pub(super) fn room_for(&self, bytes: usize) -> usize {
         let slots = self.sender.as_ref().map_or(0, mpsc::Sender::capacity);
         slots.min(self.room.available_permits() / (bytes / PER_PERMIT + 1))
+    }
+
+    /// The database was opened anew.
+    pub(super) fn begin_generation(&mut self) {
+        self.generation += 1;
     }
 
     /// Nothing more will come.
@@ -95,7 +110,8 @@ impl Place<'_> {
 
     /// Puts something there.
     pub(super) fn put(self, incoming: Incoming, since: MonoTime) {
-        self.slot.send(Waiting { incoming, since, room: self.room });
+        let generation = self.queue.generation;
+        self.slot.send(Waiting { incoming, generation, since, room: self.room });
     }
 }
 

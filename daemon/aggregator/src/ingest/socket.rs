@@ -11,10 +11,10 @@ use zeromq::{
     IdentitySocket, Message, MonitorEvent, MonitorStream, MonitorTryRecvError, Options, Socket, SocketType,
 };
 
+use super::committing::StoreEvent;
 use super::desk::{Desk, Untaken};
 use crate::error::{Failure, StartError};
 use crate::live::News;
-use crate::store::write::Committed;
 
 /// Frames that wait in the socket, at most, each way and of each agent: the desk takes them at once, so few are enough,
 /// and a thousand agents' fit into memory.
@@ -69,7 +69,7 @@ fn handshakes() -> usize {
 
 /// What the socket's task is wired to.
 pub(crate) struct Wires {
-    pub(crate) committed: mpsc::Receiver<Committed>,
+    pub(crate) stored: mpsc::Receiver<StoreEvent>,
     pub(crate) news: mpsc::Sender<News>,
     pub(crate) clock: SharedClock,
     pub(crate) stop: CancellationToken,
@@ -95,8 +95,8 @@ pub(crate) async fn run(
                     desk.frame(&from, &frame, wires.clock.stamp());
                 }
             }
-            committed = wires.committed.recv() => match committed {
-                Some(committed) => desk.committed(committed),
+            event = wires.stored.recv() => match event {
+                Some(event) => desk.store_event(event),
                 None => return Err(Failure::TaskEnded("writer")),
             },
             _ = ageing.tick() => {
@@ -109,8 +109,8 @@ pub(crate) async fn run(
         deliver(&socket, &mut desk, &wires.news).await;
     }
     desk.close();
-    while let Some(committed) = wires.committed.recv().await {
-        desk.committed(committed);
+    while let Some(event) = wires.stored.recv().await {
+        desk.store_event(event);
         deliver(&socket, &mut desk, &wires.news).await;
     }
     if let Err(error) = socket.into_inner().close_with_linger(Some(LINGER)).await {

@@ -67,6 +67,13 @@ pub(crate) enum News {
     Stranger,
     /// The store's number of a run.
     Run(RunId, i64),
+    /// The database was opened anew, and may be another one.
+    Reopened {
+        /// The numbers of its newest runs.
+        runs: Vec<(RunId, i64)>,
+        /// What it holds of hosts.
+        hosts: Vec<(HostId, Stored)>,
+    },
 }
 
 /// The state behind the picture.
@@ -103,6 +110,7 @@ impl Live {
         match news {
             News::Hello(description, process) => self.introduce(*description, process, now),
             News::Refused(refused) => self.refuse(refused, now),
+            News::Reopened { runs, hosts } => self.restart(runs, hosts),
             News::Run(run, number) => {
                 if self.numbers.len() >= MOST_RUNS {
                     self.forget_numbers();
@@ -137,6 +145,24 @@ impl Live {
         self.numbers.retain(|run, _| shown.contains(run));
         if self.numbers.len() > MOST_RUNS / 2 {
             self.numbers.clear();
+        }
+    }
+
+    /// Forgets what the database before held, and takes in what this one holds.
+    fn restart(&mut self, runs: Vec<(RunId, i64)>, hosts: Vec<(HostId, Stored)>) {
+        let shown: Vec<RunId> = self.hosts.values().flat_map(Host::runs).collect();
+        self.numbers = runs.into_iter().collect();
+        for run in shown {
+            self.hosts.values_mut().for_each(|host| host.number(run));
+        }
+        let held: HashSet<HostId> = hosts.iter().map(|(host, _)| *host).collect();
+        self.stored.retain(|host, _| held.contains(host));
+        let lacking: Vec<HostId> = self.hosts.keys().filter(|host| !held.contains(host)).copied().collect();
+        for host in lacking {
+            self.store(host, Stored::default(), None);
+        }
+        for (host, stored) in hosts {
+            self.store(host, stored, None);
         }
     }
 

@@ -43,8 +43,17 @@ pub(crate) fn writing(path: &Path) -> SqliteConnectOptions {
 
 /// Opens the file for writing, making it when missing, and brings its schema up to date.
 pub(crate) async fn open(path: &Path) -> Result<SqliteConnection, StartError> {
+    prepare(path, writing(path)).await
+}
+
+/// The same for a file that must exist.
+pub(crate) async fn open_existing(path: &Path) -> Result<SqliteConnection, StartError> {
+    prepare(path, writing(path).create_if_missing(false)).await
+}
+
+async fn prepare(path: &Path, options: SqliteConnectOptions) -> Result<SqliteConnection, StartError> {
     let cannot_open = |source| StartError::Open { path: path.to_owned(), source };
-    let mut connection = writing(path).connect().await.map_err(cannot_open)?;
+    let mut connection = options.connect().await.map_err(cannot_open)?;
     // A read-only file opens without complaint and fails at the first batch: find out now.
     sqlx::raw_sql("BEGIN IMMEDIATE; ROLLBACK").execute(&mut connection).await.map_err(cannot_open)?;
     let contents = Contents::of(&mut connection).await.map_err(cannot_open)?;

@@ -1,7 +1,8 @@
 //! One writer per database: a second aggregator, or a command that rewrites, is refused while the first is there.
 
-use std::fs::{File, TryLockError};
-use std::io::{self, Read, Seek, Write};
+use std::fs::{File, Metadata, TryLockError};
+use std::io;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 /// Why a database could not be taken.
@@ -12,73 +13,81 @@ pub enum LockError {
     Taken {
         /// The database.
         path: PathBuf,
-        /// Who has it, as far as it said.
+        /// The other process, as far as it is known.
         holder: String,
     },
-    /// The file beside the database cannot be made or locked.
+    /// The file cannot be made, opened or locked.
     #[error("cannot lock {}: {source}; check that its folder exists and that this user may write there", path.display())]
     Failed {
-        /// The file that is locked.
+        /// The database.
         path: PathBuf,
         /// The system's own words.
         source: io::Error,
     },
 }
 
-/// The right to write to a database: a lock on the file `<database>-lock` beside it, let go when this is dropped or the
-/// process ends, however it ends. The file stays, because removing it would let two processes lock two files.
+/// The right to write to a database: a lock on the file itself, let go when this is dropped or the process ends, however
+/// it ends. Whatever name leads to the file (link, hard link, another mount), there is one lock.
+//
+// It is the lock of flock(2), because SQLite uses those of fcntl(2): the two do not see each other, and SQLite closing
+// another descriptor of the file does not let this one go. The other way round it would: closing *this* descriptor
+// lets go of what SQLite has locked with fcntl in this process. So it is closed after SQLite's last connection.
 #[derive(Debug)]
 pub struct DatabaseLock {
-    _file: File,
+    file: File,
 }
 
 impl DatabaseLock {
-    /// Takes the database. Its folder must exist, the database itself need not.
+    /// Takes the database, which is made when missing. Its folder must exist.
     ///
     /// # Errors
-    /// When another process has it, or the file beside it cannot be made.
+    /// When another process has it, or it cannot be opened for writing.
     pub fn take(database: &Path) -> Result<Self, LockError> {
-        let path = lock_file(database);
-        let failed = |source| LockError::Failed { path: path.clone(), source };
-        let mut file = File::options()
-            .create(true)
-            .truncate(false)
-            .read(true)
-            .write(true)
-            .open(&path)
-            .map_err(failed)?;
+        Self::open(database, true)
+    }
+
+    /// The same for a database that must exist.
+    pub(crate) fn take_existing(database: &Path) -> Result<Self, LockError> {
+        Self::open(database, false)
+    }
+
+    fn open(database: &Path, create: bool) -> Result<Self, LockError> {
+        let failed = |source| LockError::Failed { path: database.to_owned(), source };
+        let mut options = File::options();
+        let file = options.create(create).truncate(false).read(true).write(true).open(database);
+        let file = file.map_err(failed)?;
         match file.try_lock() {
-            Ok(()) => {}
+            Ok(()) => Ok(Self { file }),
             Err(TryLockError::WouldBlock) => {
-                let holder = holder(&mut file);
-                return Err(LockError::Taken { path: database.to_owned(), holder });
+                let holder = file.metadata().ok().and_then(|file| holder(&file));
+                let holder = holder.map_or_else(
+                    || "another process".to_owned(),
+                    |process| format!("another process (pid {process})"),
+                );
+                Err(LockError::Taken { path: database.to_owned(), holder })
             }
-            Err(TryLockError::Error(error)) => return Err(failed(error)),
+            Err(TryLockError::Error(error)) => Err(failed(error)),
         }
-        // For people alone: who holds the lock is told by the kernel.
-        let write = file
-            .set_len(0)
-            .and_then(|()| file.rewind())
-            .and_then(|()| writeln!(file, "{}", std::process::id()));
-        write.map_err(failed)?;
-        Ok(Self { _file: file })
+    }
+
+    /// Whether a path leads to the locked file.
+    pub(crate) fn is_of(&self, path: &Path) -> io::Result<bool> {
+        let identity = |file: Metadata| (file.dev(), file.ino());
+        Ok(identity(self.file.metadata()?) == identity(std::fs::metadata(path)?))
     }
 }
 
-/// The file that is locked: beside the database itself, also when it is named by a link.
-fn lock_file(database: &Path) -> PathBuf {
-    let mut path = std::fs::canonicalize(database).unwrap_or_else(|_| database.to_owned()).into_os_string();
-    path.push("-lock");
-    path.into()
-}
-
-fn holder(file: &mut File) -> String {
-    let mut text = String::new();
-    let read = file.take(32).read_to_string(&mut text);
-    match (read, text.trim().parse::<u32>()) {
-        (Ok(_), Ok(pid)) => format!("another process (pid {pid})"),
-        _ => "another process".to_owned(),
-    }
+/// The process that holds the lock of a file, by the kernel's list of locks: lines such as
+/// `1: FLOCK  ADVISORY  WRITE 1234 fe:00:5678 0 EOF` with the process, the device and the inode.
+fn holder(file: &Metadata) -> Option<u32> {
+    let (device, inode) = (file.dev(), file.ino());
+    let place = format!("{:02x}:{:02x}:{inode}", rustix::fs::major(device), rustix::fs::minor(device));
+    let locks = std::fs::read_to_string("/proc/locks").ok()?;
+    locks.lines().find_map(|line| {
+        let mut words = line.split_whitespace().skip(1);
+        let (kind, process, at) = (words.next()?, words.nth(2)?, words.next()?);
+        (kind == "FLOCK" && at == place).then(|| process.parse().ok()).flatten()
+    })
 }
 
 #[cfg(test)]
@@ -89,24 +98,30 @@ mod tests {
     fn a_database_has_one_holder_at_a_time_by_whatever_name() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("peernet.sqlite");
+        assert!(matches!(DatabaseLock::take_existing(&path), Err(LockError::Failed { .. })));
         let first = DatabaseLock::take(&path).expect("nobody has it");
         let refused = DatabaseLock::take(&path).expect_err("one has it").to_string();
         assert!(refused.contains(&format!("pid {}", std::process::id())), "{refused}");
 
-        File::create(&path).expect("a file");
-        let link = folder.path().join("link.sqlite");
+        let (link, hard_link) = (folder.path().join("link.sqlite"), folder.path().join("hard.sqlite"));
         std::os::unix::fs::symlink(&path, &link).expect("a link");
-        assert!(matches!(DatabaseLock::take(&link), Err(LockError::Taken { .. })));
+        std::fs::hard_link(&path, &hard_link).expect("a hard link");
+        for name in [&link, &hard_link] {
+            assert!(matches!(DatabaseLock::take(name), Err(LockError::Taken { .. })));
+            assert!(first.is_of(name).expect("it is there"));
+        }
 
         drop(first);
-        DatabaseLock::take(&link).expect("it was let go");
-        DatabaseLock::take(&folder.path().join("other.sqlite")).expect("nobody has the other");
+        let second = DatabaseLock::take(&hard_link).expect("it was let go");
+        let other = folder.path().join("other.sqlite");
+        DatabaseLock::take(&other).expect("nobody has the other");
+        assert!(!second.is_of(&other).expect("it is there"));
     }
 
     #[test]
     fn a_folder_that_is_not_there_is_named() {
         let folder = tempfile::tempdir().expect("a folder");
         let refused = DatabaseLock::take(&folder.path().join("no/peernet.sqlite")).expect_err("no folder");
-        assert!(refused.to_string().contains("no/peernet.sqlite-lock"), "{refused}");
+        assert!(refused.to_string().contains("no/peernet.sqlite"), "{refused}");
     }
 }

@@ -5,6 +5,7 @@ pub(crate) mod contents;
 pub(crate) mod database;
 pub(crate) mod lock;
 pub mod maintenance;
+pub(crate) mod opening;
 mod read;
 pub(crate) mod readers;
 pub(crate) mod rebuild;
@@ -33,9 +34,14 @@ impl Store {
         Self { readers }
     }
 
-    /// Closes the connections; questions that are under way are answered first.
+    /// Closes the connections; questions that are under way are answered first. Later ones are refused.
     pub(crate) async fn close(&self) {
-        self.readers.pool.close().await;
+        self.readers.close().await;
+    }
+
+    /// Answers questions again, over new connections.
+    pub(crate) fn reopen(&self) {
+        self.readers.reopen();
     }
 
     /// Runs, newest first.

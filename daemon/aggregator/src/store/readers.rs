@@ -1,6 +1,7 @@
 //! The connections that answer questions: read-only, few, and none of them for longer than a limit.
 
 use std::path::Path;
+use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Duration;
 
 use futures::future::BoxFuture;
@@ -22,7 +23,8 @@ const INTERRUPTED: &str = "9";
 /// limit; the connection is as good as before.
 #[derive(Clone, Debug)]
 pub(crate) struct Readers {
-    pub(super) pool: SqlitePool,
+    /// Closed while the database is.
+    pool: Arc<RwLock<SqlitePool>>,
     limit: Duration,
 }
 
@@ -48,7 +50,24 @@ impl Readers {
                 Box::pin(async move { set.await.map(|()| true) })
             })
             .connect_lazy_with(options);
-        Self { pool, limit }
+        Self { pool: Arc::new(RwLock::new(pool)), limit }
+    }
+
+    /// The connections, as they are now.
+    pub(super) fn pool(&self) -> SqlitePool {
+        self.pool.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Closes the connections when the questions under way are answered; later ones are refused.
+    pub(super) async fn close(&self) {
+        self.pool().close().await;
+    }
+
+    /// Takes new connections in place of those that were closed.
+    pub(super) fn reopen(&self) {
+        let mut pool = self.pool.write().unwrap_or_else(PoisonError::into_inner);
+        let options = pool.connect_options().as_ref().clone();
+        *pool = pool.options().clone().connect_lazy_with(options);
     }
 
     /// Turns a failed statement into an error that says what was asked for.
@@ -56,6 +75,7 @@ impl Readers {
         let limit = self.limit;
         move |source| match source {
             sqlx::Error::PoolTimedOut => StoreError::Busy { what },
+            sqlx::Error::PoolClosed => StoreError::Closed { what },
             sqlx::Error::Database(error) if error.code().as_deref() == Some(INTERRUPTED) => {
                 StoreError::TooLong { what, limit }
             }

@@ -142,6 +142,11 @@ impl Agent {
         self.socket.send(&ToAggregator::Live(update)).await;
     }
 
+    /// Takes its leave.
+    pub(crate) async fn goodbye(&self) {
+        self.socket.send(&ToAggregator::Goodbye(self.id)).await;
+    }
+
     pub(crate) fn accounting(&self) -> Accounting {
         self.sending.accounting()
     }

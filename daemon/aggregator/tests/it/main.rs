@@ -9,6 +9,7 @@ mod generate;
 mod hostile;
 mod lanes;
 mod raw;
+mod reopening;
 mod room;
 mod spool;
 mod starting;

@@ -16,12 +16,12 @@ pub(in crate::store) async fn episodes(readers: &Readers, run: i64) -> Result<Ep
         .bind(run)
         .bind(0)
         .bind(1)
-        .fetch_optional(&readers.pool)
+        .fetch_optional(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     let last: Option<Row> = sqlx::query_as(sql::LAST_ITERATION)
         .bind(run)
-        .fetch_optional(&readers.pool)
+        .fetch_optional(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     let Some((first, last)) = first.zip(last) else { return Ok(Episodes::default()) };
@@ -67,7 +67,7 @@ async fn warm_up(readers: &Readers, run: i64, first: &Row) -> Result<Option<Row>
         return Ok(None);
     }
     let end = sqlx::query_as(sql::WARM_UP_END).bind(run).bind(WARM_UP);
-    end.fetch_optional(&readers.pool).await.map_err(readers.failed(WHAT))
+    end.fetch_optional(&readers.pool()).await.map_err(readers.failed(WHAT))
 }
 
 /// Those that are marked, and how many there are, one more than are counted where there are more.
@@ -77,7 +77,7 @@ async fn unanswered(readers: &Readers, run: i64, last: i64) -> Result<(Vec<Row>,
         .bind(run)
         .bind(0)
         .bind(i64::try_from(most).map_or(i64::MAX, |most| most + 1))
-        .fetch_all(&readers.pool)
+        .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     let Some(first) = found.first().filter(|_| found.len() > most) else {
@@ -87,13 +87,13 @@ async fn unanswered(readers: &Readers, run: i64, last: i64) -> Result<(Vec<Row>,
     let all: i64 = sqlx::query_scalar(sql::COUNT_WITHOUT_ANSWER)
         .bind(run)
         .bind(i64::try_from(Episodes::MOST_COUNTED).map_or(i64::MAX, |most| most + 1))
-        .fetch_one(&readers.pool)
+        .fetch_one(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     let numbers: Vec<Option<i64>> = sqlx::query_scalar(sql::FIRST_WITHOUT_ANSWER)
         .bind(run)
         .bind(json(&parts(first.number, last, most as i64))?)
-        .fetch_all(&readers.pool)
+        .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     let marked = rows(readers, run, &numbers.into_iter().flatten().collect::<Vec<_>>()).await?;
@@ -112,7 +112,7 @@ async fn rows(readers: &Readers, run: i64, numbers: &[i64]) -> Result<Vec<Row>, 
     sqlx::query_as(sql::ITERATIONS_OF)
         .bind(run)
         .bind(json(numbers)?)
-        .fetch_all(&readers.pool)
+        .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))
 }

@@ -45,7 +45,7 @@ pub(in crate::store) async fn incidents(
     let rows: Vec<Incident> = sqlx::query_as(sql::INCIDENTS)
         .bind(limit.clamp(1, 1_000))
         .bind(before)
-        .fetch_all(&readers.pool)
+        .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     rows.into_iter()
@@ -68,7 +68,7 @@ pub(in crate::store) async fn incidents(
 pub(in crate::store) async fn hosts(readers: &Readers) -> Result<Vec<HostRow>, StoreError> {
     const WHAT: &str = "hosts";
     let rows: Vec<Host> =
-        sqlx::query_as(sql::HOSTS).fetch_all(&readers.pool).await.map_err(readers.failed(WHAT))?;
+        sqlx::query_as(sql::HOSTS).fetch_all(&readers.pool()).await.map_err(readers.failed(WHAT))?;
     rows.into_iter()
         .map(|row| {
             Ok(HostRow {

@@ -66,7 +66,7 @@ pub(in crate::store) async fn slowest(
     let rows: Vec<Row> = sqlx::query_as(sql::SLOWEST)
         .bind(run)
         .bind(n.min(1_000))
-        .fetch_all(&readers.pool)
+        .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     compared(readers, run, rows).await
@@ -82,7 +82,7 @@ pub(in crate::store) async fn iterations(
         .bind(run)
         .bind(column(filter.after))
         .bind(filter.limit.clamp(1, 1_000))
-        .fetch_all(&readers.pool)
+        .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     compared(readers, run, rows).await
@@ -97,7 +97,7 @@ pub(in crate::store) async fn iteration(
     let row: Option<Row> = sqlx::query_as(sql::ITERATION)
         .bind(run)
         .bind(number)
-        .fetch_optional(&readers.pool)
+        .fetch_optional(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     let Some(row) = row else { return Ok(None) };
@@ -112,7 +112,7 @@ pub(in crate::store) async fn iteration(
         let number: Option<i64> = sqlx::query_scalar(statement)
             .bind(run)
             .bind(number)
-            .fetch_one(&readers.pool)
+            .fetch_one(&readers.pool())
             .await
             .map_err(readers.failed(WHAT))?;
         Ok(number.map(count))
@@ -129,7 +129,7 @@ async fn place(readers: &Readers, run: i64, (total, number): (f64, i64)) -> Resu
     let slower: i64 = sqlx::query_scalar(sql::SLOWER)
         .bind(run)
         .bind(total)
-        .fetch_one(&readers.pool)
+        .fetch_one(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     if slower >= RANKED {
@@ -140,7 +140,7 @@ async fn place(readers: &Readers, run: i64, (total, number): (f64, i64)) -> Resu
             .bind(run)
             .bind(total)
             .bind(number)
-            .fetch_optional(&readers.pool)
+            .fetch_optional(&readers.pool())
             .await
             .map_err(readers.failed(WHAT))?;
         Ok(number.map(count))
@@ -165,13 +165,13 @@ async fn complete(
     let durations: Vec<Duration> = sqlx::query_as(sql::DURATIONS)
         .bind(run)
         .bind(&numbers)
-        .fetch_all(&readers.pool)
+        .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     let delays: Vec<Delay> = sqlx::query_as(sql::DELAYS)
         .bind(run)
         .bind(&numbers)
-        .fetch_all(&readers.pool)
+        .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     let mut parts: HashMap<i64, (Vec<Duration>, Vec<DelayRow>)> = HashMap::with_capacity(rows.len());

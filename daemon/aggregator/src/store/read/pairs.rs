@@ -61,7 +61,7 @@ pub(in crate::store) async fn pairs(
         let number: Option<i64> = sqlx::query_scalar(statement)
             .bind(run)
             .bind(from)
-            .fetch_one(&readers.pool)
+            .fetch_one(&readers.pool())
             .await
             .map_err(readers.failed(WHAT))?;
         Ok(number)
@@ -74,7 +74,7 @@ pub(in crate::store) async fn pairs(
         .bind(serde_json::to_string(&numbers).map_err(|error| corrupt(WHAT, error))?)
         .bind(x)
         .bind(y)
-        .fetch_all(&readers.pool)
+        .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     let mut found = BTreeMap::<i64, [Found; 2]>::new();

@@ -64,14 +64,14 @@ pub(in crate::store) async fn runs(
     let before = filter.before.unwrap_or(i64::MAX);
     let limit = filter.limit.clamp(1, 1_000);
     let rows: Vec<RunRow> = if filter.pipeline.is_none() && filter.host.is_none() {
-        sqlx::query_as(sql::RUNS).bind(before).bind(limit).fetch_all(&readers.pool).await
+        sqlx::query_as(sql::RUNS).bind(before).bind(limit).fetch_all(&readers.pool()).await
     } else {
         sqlx::query_as(sql::RUNS_FILTERED)
             .bind(before)
             .bind(limit)
             .bind(filter.pipeline.as_ref().map(ToString::to_string))
             .bind(filter.host.map(|host| host.to_string()))
-            .fetch_all(&readers.pool)
+            .fetch_all(&readers.pool())
             .await
     }
     .map_err(readers.failed(WHAT))?;
@@ -87,7 +87,7 @@ pub(in crate::store) async fn runs_of_experiment(
     let rows: Vec<RunRow> = sqlx::query_as(sql::RUNS_OF_EXPERIMENT)
         .bind(id)
         .bind(limit.clamp(1, 1_000))
-        .fetch_all(&readers.pool)
+        .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     summaries(readers, &rows).await
@@ -100,7 +100,7 @@ pub(in crate::store) async fn experiments(
 ) -> Result<Vec<ExperimentSummary>, StoreError> {
     let rows: Vec<ExperimentRow> = sqlx::query_as(sql::EXPERIMENTS)
         .bind(limit.clamp(1, 1_000))
-        .fetch_all(&readers.pool)
+        .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed("experiments"))?;
     let summary = |row: ExperimentRow| ExperimentSummary {
@@ -124,7 +124,7 @@ async fn summaries(readers: &Readers, rows: &[RunRow]) -> Result<Vec<RunSummary>
 pub(in crate::store) async fn run(readers: &Readers, number: i64) -> Result<Option<RunDetail>, StoreError> {
     let row: Option<RunRow> = sqlx::query_as(sql::RUN)
         .bind(number)
-        .fetch_optional(&readers.pool)
+        .fetch_optional(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     let Some(row) = row else { return Ok(None) };
@@ -141,8 +141,11 @@ pub(in crate::store) async fn run(readers: &Readers, number: i64) -> Result<Opti
 
 /// What is missing of a run, oldest first.
 pub(in crate::store) async fn gaps(readers: &Readers, run: i64) -> Result<Vec<GapRow>, StoreError> {
-    let rows: Vec<(i64, i64, i64, String)> =
-        sqlx::query_as(sql::GAPS).bind(run).fetch_all(&readers.pool).await.map_err(readers.failed("gaps"))?;
+    let rows: Vec<(i64, i64, i64, String)> = sqlx::query_as(sql::GAPS)
+        .bind(run)
+        .fetch_all(&readers.pool())
+        .await
+        .map_err(readers.failed("gaps"))?;
     let row = |(from, to, missing, reason)| GapRow {
         from: wall(from),
         to: wall(to),

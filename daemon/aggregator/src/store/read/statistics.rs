@@ -58,7 +58,7 @@ pub(super) async fn whole_runs(
     let rows: Vec<RollupRow> = sqlx::query_as(sql::ROLLUPS_OF_NAME)
         .bind(list(runs)?)
         .bind(name)
-        .fetch_all(&readers.pool)
+        .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     let mut found = HashMap::<i64, Known>::new();

@@ -66,24 +66,24 @@ pub(super) async fn trees(
     let numbers: Vec<i64> = iterations.iter().map(|(number, _)| *number).collect();
     let numbers = serde_json::to_string(&numbers).map_err(|error| corrupt(WHAT, error))?;
     let ends: Ends =
-        sqlx::query_as(sql::ENDS).bind(run).fetch_one(&readers.pool).await.map_err(readers.failed(WHAT))?;
+        sqlx::query_as(sql::ENDS).bind(run).fetch_one(&readers.pool()).await.map_err(readers.failed(WHAT))?;
     let anchors: Vec<AnchorRow> = sqlx::query_as(sql::ANCHORS)
         .bind(run)
         .bind(&numbers)
-        .fetch_all(&readers.pool)
+        .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     let transits: Vec<TransitRow> = sqlx::query_as(sql::TRANSITS)
         .bind(run)
         .bind(&numbers)
-        .fetch_all(&readers.pool)
+        .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     // Last: where retention was faster, an iteration has no nodes, but never nodes without their stamps.
     let nodes: Vec<NodeRow> = sqlx::query_as(sql::NODES)
         .bind(run)
         .bind(&numbers)
-        .fetch_all(&readers.pool)
+        .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     let (mut anchors, mut nodes, mut transits) = (&anchors[..], &nodes[..], &transits[..]);

@@ -24,7 +24,7 @@ pub(in crate::store) async fn whole(
         .bind(run.number)
         .bind(column(after))
         .bind(MOST)
-        .fetch_all(&readers.pool)
+        .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     let Some(last) = rows.last().map(|row| count(row.number)) else { return Ok(None) };
@@ -40,7 +40,7 @@ pub(in crate::store) async fn shapes(
         .bind(run.number)
         .bind(column(after))
         .bind(SHAPED)
-        .fetch_one(&readers.pool)
+        .fetch_one(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     let Some(last) = last else { return Ok(None) };
@@ -48,7 +48,7 @@ pub(in crate::store) async fn shapes(
         .bind(run.number)
         .bind(column(after))
         .bind(last)
-        .fetch_all(&readers.pool)
+        .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     let mut found = Vec::with_capacity(firsts.len());
@@ -57,7 +57,7 @@ pub(in crate::store) async fn shapes(
         let rows: Vec<Row> = sqlx::query_as(sql::ITERATIONS_OF)
             .bind(run.number)
             .bind(numbers)
-            .fetch_all(&readers.pool)
+            .fetch_all(&readers.pool())
             .await
             .map_err(readers.failed(WHAT))?;
         found.extend(with_trees(readers, run, rows).await?);

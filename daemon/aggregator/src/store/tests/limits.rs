@@ -22,7 +22,8 @@ fn impatient(path: &Path) -> Readers {
 async fn a_question_without_end_is_stopped_while_the_writer_commits() {
     let mut bed = Bed::new().await;
     let readers = impatient(&bed.path);
-    let endless = sqlx::query_scalar::<_, i64>(ENDLESS).fetch_one(&readers.pool);
+    let pool = readers.pool();
+    let endless = sqlx::query_scalar::<_, i64>(ENDLESS).fetch_one(&pool);
     // The writer ends; the question would not.
     let (endless, _) = tokio::join!(endless, bed.run_of(50));
     let error = endless.map_err(readers.failed("everything")).expect_err("it has no end");
@@ -33,17 +34,17 @@ async fn a_question_without_end_is_stopped_while_the_writer_commits() {
     // The only connection is as good as before, and each question has the whole time for itself.
     for _ in 0..3 {
         let seen: i64 = sqlx::query_scalar("SELECT count(*) FROM iteration")
-            .fetch_one(&readers.pool)
+            .fetch_one(&readers.pool())
             .await
             .expect("answers");
         assert_eq!(seen, 50);
-        sqlx::query_scalar::<_, i64>(ENDLESS).fetch_one(&readers.pool).await.expect_err("it has no end");
+        sqlx::query_scalar::<_, i64>(ENDLESS).fetch_one(&readers.pool()).await.expect_err("it has no end");
     }
 }
 
 #[tokio::test]
 async fn readers_cannot_write() {
     let bed = Bed::new().await;
-    let refused = sqlx::query("DELETE FROM host").execute(&impatient(&bed.path).pool).await;
+    let refused = sqlx::query("DELETE FROM host").execute(&impatient(&bed.path).pool()).await;
     assert!(refused.is_err_and(|error| error.to_string().contains("readonly")));
 }

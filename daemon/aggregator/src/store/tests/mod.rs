@@ -124,7 +124,7 @@ impl Bed {
 
     /// One number of the database.
     async fn count(&self, sql: &'static str) -> i64 {
-        sqlx::query_scalar(sql).fetch_one(&self.store.readers.pool).await.expect("counts")
+        sqlx::query_scalar(sql).fetch_one(&self.store.readers.pool()).await.expect("counts")
     }
 }
 

@@ -45,7 +45,7 @@ const SORTING: [(&str, &str); 9] = [
 async fn plan(bed: &Bed, name: &str, statement: &str) -> Vec<String> {
     let explain = AssertSqlSafe(format!("EXPLAIN QUERY PLAN {statement}"));
     let steps: Vec<(i64, i64, i64, String)> = sqlx::query_as(explain)
-        .fetch_all(&bed.store.readers.pool)
+        .fetch_all(&bed.store.readers.pool())
         .await
         .unwrap_or_else(|error| panic!("{name}: {error}"));
     assert!(!steps.is_empty(), "{name} has no plan");

@@ -84,7 +84,7 @@ async fn course(bed: &Bed) -> BTreeMap<i64, Vec<(Option<i64>, i64)>> {
            coalesce((SELECT before_s FROM trimmed WHERE trimmed.run = run.number AND kind = kind.column1), 0) \
          FROM (VALUES (0), (1), (10), (60)) AS kind, run",
     )
-    .fetch_all(&bed.store.readers.pool)
+    .fetch_all(&bed.store.readers.pool())
     .await
     .expect("answers");
     rows.into_iter().fold(BTreeMap::new(), |mut kinds, (kind, oldest_s, gone_s)| {

@@ -169,8 +169,8 @@ async fn nothing_is_acknowledged_without_the_log() {
     assert!(bed.writer.check_file().is_err());
     // A restart goes on with what is in the main file.
     let Bed { _folder, path, writer, store, stream, .. } = bed;
-    store.readers.pool.close().await;
-    writer.close().await.expect("closes");
+    store.close().await;
+    writer.close().await.1.expect("closes");
     let mut writer = open(&path).await;
     // SQLite has carried over what it still had open; what was refused is not stored.
     assert_eq!(writer.streams().marks.get(&stream).map(|mark| mark.stored), Some(1));

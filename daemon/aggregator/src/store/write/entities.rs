@@ -59,6 +59,19 @@ impl Entities {
         Ok(id)
     }
 
+    /// The row of a host, if there is one.
+    pub(super) async fn known_host(
+        &self,
+        connection: &mut SqliteConnection,
+        host: HostId,
+    ) -> Result<Option<i64>, Refusal> {
+        if let Some(id) = self.hosts.get(&host) {
+            return Ok(Some(*id));
+        }
+        let id = sqlx::query_scalar("SELECT id FROM host WHERE uuid = ?").bind(host.to_string());
+        Ok(id.fetch_optional(connection).await?)
+    }
+
     /// Takes down how a host introduced itself.
     pub(super) async fn introduce(
         &mut self,

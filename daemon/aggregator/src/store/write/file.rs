@@ -7,14 +7,27 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum CommitError {
     /// The path names another file or none: what is written now is lost when this process ends.
-    #[error("the database file {} was deleted, moved or replaced while it was in use; put it back, or restart to go on with what is there", .0.display())]
+    #[error("the database file {} was deleted, moved or replaced while it was in use; put it back", .0.display())]
     Moved(PathBuf),
     /// The path of the log names another file or none: what is written now is lost when this process is killed.
-    #[error("the log {} of the database was deleted, moved or replaced while it was in use; restart to go on with what is in the main file, what agents still hold is sent again", .0.display())]
+    #[error("the log {} of the database was deleted, moved or replaced while it was in use", .0.display())]
     LogMoved(PathBuf),
     /// SQLite's own words.
     #[error(transparent)]
     Database(#[from] sqlx::Error),
+}
+
+impl CommitError {
+    /// Whether the connection is as good as before: the database is full or another program locks it. After anything
+    /// else the file is opened anew: the error may be one of the descriptors alone, which stay read-only, or lead to a
+    /// file system that is gone, long after the path is well again.
+    pub(crate) fn leaves_connection_usable(&self) -> bool {
+        /// Primary result codes: BUSY, LOCKED, FULL.
+        const PASSING: [u32; 3] = [5, 6, 13];
+        let Self::Database(error) = self else { return false };
+        let code = error.as_database_error().and_then(|error| error.code()?.parse::<u32>().ok());
+        code.is_some_and(|code| PASSING.contains(&(code & 0xff)))
+    }
 }
 
 /// Device and inode.
@@ -50,17 +63,12 @@ impl DatabaseFile {
         Ok(file)
     }
 
-    /// Its path.
-    pub(super) fn path(&self) -> &Path {
-        &self.path
+    /// Path of the log.
+    pub(super) fn log_path(&self) -> &Path {
+        &self.log_path
     }
 
-    /// Another connection is to be made.
-    pub(super) fn forget_log(&mut self) {
-        self.log = Log::Unknown;
-    }
-
-    /// Remembers the log of a new connection, which has committed or read.
+    /// Remembers the log of a connection which has committed or read.
     pub(super) fn remember_log(&mut self) {
         if matches!(self.log, Log::Unknown) {
             self.log = Log::Found(identity(&self.log_path).ok());
@@ -77,6 +85,26 @@ impl DatabaseFile {
             Log::Found(Some(log)) if identity(&self.log_path).ok() == Some(log) => Ok(()),
             Log::Found(_) => Err(CommitError::LogMoved(self.log_path.clone())),
         }
+    }
+}
+
+/// The files of a database that was closed.
+#[derive(Debug)]
+pub(crate) struct FormerFiles(DatabaseFile);
+
+impl FormerFiles {
+    pub(super) const fn new(file: DatabaseFile) -> Self {
+        Self(file)
+    }
+
+    /// Path of the log when it still stands where it was, with something in it, while the database was replaced.
+    pub(crate) fn log_beside_another_file(&self) -> Option<PathBuf> {
+        let Self(file) = self;
+        let replaced = identity(&file.path).ok() != Some(file.identity);
+        let Log::Found(Some(log)) = file.log else { return None };
+        let there = std::fs::metadata(&file.log_path).ok()?;
+        let same = (there.dev(), there.ino()) == log && there.len() > 0;
+        (replaced && same).then(|| file.log_path.clone())
     }
 }
 

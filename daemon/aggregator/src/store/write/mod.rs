@@ -23,20 +23,22 @@ use std::path::PathBuf;
 use peernet_clock::WallTime;
 use peernet_logger::stream::{BatchHead, Mark, StreamId};
 use peernet_logger::{HostId, RunId};
-use sqlx::{ConnectOptions, Connection, SqliteConnection};
+use sqlx::{Connection, SqliteConnection};
 
 pub(crate) use self::entities::{UNKNOWN, newest_runs, placement_word, stored_hosts, unknown_runs};
-pub(crate) use self::file::CommitError;
 use self::file::DatabaseFile;
+pub(crate) use self::file::{CommitError, FormerFiles};
 use self::names::Names;
 use self::prepared::Prepared;
 pub(crate) use self::streams::Streams;
 use self::transaction::Staging;
 pub(crate) use self::work::{Aside, Introduction, Refusal, RunName, Work};
-use super::database;
 use super::retention::{self, Retention, Step};
 use crate::config::RetentionConfig;
 use crate::picture::Stored;
+
+/// Carries the whole log over into the file and empties it, unless somebody reads.
+const CARRY_OVER_ALL: &str = "PRAGMA wal_checkpoint(TRUNCATE)";
 
 /// What a transaction stored.
 #[derive(Debug, Default)]
@@ -55,17 +57,17 @@ pub(crate) struct Committed {
     pub(crate) quarantined: Vec<(BatchHead, String)>,
 }
 
-/// Owns the writing connection.
+/// Owns the writing connection. It is never made anew: after an error that may be the connection's own the whole writer
+/// is replaced, and with it all that memory holds of the database.
 #[derive(Debug)]
 pub(crate) struct Writer {
     file: DatabaseFile,
-    /// `None` after it broke, until the next attempt.
-    connection: Option<SqliteConnection>,
+    connection: SqliteConnection,
     staging: Staging,
     retention: Retention,
     /// As committed.
     streams: Streams,
-    /// What was committed to a file that had been moved by then: told when it is back.
+    /// What a part of a group committed before another part failed: told when the group is handed in again.
     untold: Committed,
 }
 
@@ -80,7 +82,7 @@ impl Writer {
         let names = Names::load(&mut connection).await?;
         Ok(Self {
             file: DatabaseFile::of(path)?,
-            connection: Some(connection),
+            connection,
             staging: Staging::new(names),
             retention: Retention::new(keep),
             streams,
@@ -88,12 +90,17 @@ impl Writer {
         })
     }
 
-    /// Closes the connection. When it is the last one to the file, SQLite carries its log over into it and removes it.
-    pub(crate) async fn close(self) -> Result<(), sqlx::Error> {
-        match self.connection {
-            Some(connection) => connection.close().await,
-            None => Ok(()),
+    /// Closes the connection. Returns which files it was to.
+    pub(crate) async fn close(mut self) -> (FormerFiles, Result<(), sqlx::Error>) {
+        if self.file.check().is_err() {
+            // SQLite leaves the log of a file that was moved where it is, and would apply it to whatever is put in
+            // that file's place. Carried over now, through the descriptors, each file is whole by itself.
+            if let Err(error) = sqlx::query(CARRY_OVER_ALL).execute(&mut self.connection).await {
+                tracing::warn!(%error, log = %self.file.log_path().display(), "cannot carry the log over into the database that was moved");
+            }
         }
+        let closed = self.connection.close().await;
+        (FormerFiles::new(self.file), closed)
     }
 
     /// What is stored of each stream; of each host its last stream, as it was at the start.
@@ -105,9 +112,9 @@ impl Writer {
     /// brings iterations again the others are stored.
     ///
     /// # Errors
-    /// When the database cannot store anything now; nothing has changed then. Or when its file is no longer where it
-    /// was: what was committed meanwhile is told of when the file is back and the same work is handed in again. Or when
-    /// its log is gone: nothing more is committed then.
+    /// When the database cannot store anything now: the same work may be handed in again if the error
+    /// [leaves the connection usable](CommitError::leaves_connection_usable), and else to a new writer. Or when its file
+    /// or its log is no longer where it was: nothing of it counts as stored then.
     pub(crate) async fn commit(&mut self, work: &[Work], now: WallTime) -> Result<Committed, CommitError> {
         self.check_file()?;
         // The group, or what is left of it: halved around a bad batch until that one is alone.
@@ -132,19 +139,23 @@ impl Writer {
 
     /// Keeps a run whatever its age, or no longer. Returns whether there is such a run.
     pub(crate) async fn pin(&mut self, run: i64, pinned: bool) -> Result<bool, sqlx::Error> {
-        let mut connection = self.connection().await?;
-        // A connection that failed is not used again.
-        let known = retention::pin(&mut connection, run, pinned).await?;
-        self.connection = Some(connection);
-        Ok(known)
+        let result = retention::pin(&mut self.connection, run, pinned).await;
+        self.rolled_back(result).await
     }
 
     /// Deletes a little of what is old, if anything is; whether there is more.
     pub(crate) async fn retain(&mut self, now: WallTime) -> Result<Step, sqlx::Error> {
-        let mut connection = self.connection().await?;
-        let step = self.retention.step(&mut connection, now, retention::ROWS).await?;
-        self.connection = Some(connection);
-        Ok(step)
+        let result = self.retention.step(&mut self.connection, now, retention::ROWS).await;
+        self.rolled_back(result).await
+    }
+
+    /// Writes something that changes nothing, to see that writing works.
+    pub(crate) async fn write_nothing(&mut self) -> Result<(), sqlx::Error> {
+        let version: i64 = sqlx::query_scalar("PRAGMA user_version").fetch_one(&mut self.connection).await?;
+        let same = format!("PRAGMA user_version = {version}");
+        sqlx::raw_sql(sqlx::AssertSqlSafe(same)).execute(&mut self.connection).await?;
+        self.file.remember_log();
+        Ok(())
     }
 
     /// Whether the paths of the database and of its log still name the files that are open.
@@ -158,30 +169,14 @@ impl Writer {
     /// Keeps others from writing, as a program that opened the file might.
     #[cfg(test)]
     pub(crate) async fn lock(&mut self) {
-        let connection = self.connection.as_mut().expect("connected");
-        sqlx::query("BEGIN EXCLUSIVE").execute(connection).await.expect("locks");
+        sqlx::query("BEGIN EXCLUSIVE").execute(&mut self.connection).await.expect("locks");
     }
 
     /// Lets the file grow to so many pages and no further, as a full disk would.
     #[cfg(test)]
     pub(crate) async fn limit_pages(&mut self, pages: u32) {
-        let connection = self.connection.as_mut().expect("connected");
         let limit = format!("PRAGMA max_page_count = {pages}");
-        sqlx::raw_sql(sqlx::AssertSqlSafe(limit)).execute(connection).await.expect("limits");
-    }
-
-    /// The connection, made anew when it broke.
-    async fn connection(&mut self) -> Result<SqliteConnection, sqlx::Error> {
-        match self.connection.take() {
-            Some(connection) => Ok(connection),
-            None => self.connect().await,
-        }
-    }
-
-    /// Another connection in place of one that was closed: if that was the last, SQLite has removed the log with it.
-    async fn connect(&mut self) -> Result<SqliteConnection, sqlx::Error> {
-        self.file.forget_log();
-        database::writing(self.file.path()).connect().await
+        sqlx::raw_sql(sqlx::AssertSqlSafe(limit)).execute(&mut self.connection).await.expect("limits");
     }
 
     /// Stores one batch that was refused: without the iterations that are stored already, or else aside.
@@ -192,9 +187,7 @@ impl Writer {
         mut reason: String,
     ) -> Result<Committed, CommitError> {
         if let [Work::Batch(batch)] = part {
-            let mut connection = self.connection().await?;
-            let stored = again::stored(&mut connection, batch).await?;
-            self.connection = Some(connection);
+            let stored = again::stored(&mut self.connection, batch).await?;
             if !stored.is_empty()
                 && let Ok(rest) = Prepared::without(batch.head, batch.body.clone(), &stored)
             {
@@ -227,37 +220,41 @@ impl Writer {
         now: WallTime,
         aside: Option<&str>,
     ) -> Result<Committed, Refusal> {
-        let mut connection = self.connection().await?;
-        let result = self.staging.run(&mut connection, work, &self.streams.marks, now, aside).await;
+        let result = self.staging.run(&mut self.connection, work, &self.streams.marks, now, aside).await;
         match result {
             Ok(committed) => {
-                self.connection = Some(connection);
                 self.streams.marks.extend(&committed.marks);
                 Ok(committed)
             }
             Err(refusal) => {
                 self.staging.forget();
-                // A connection that cannot even roll back is replaced; the names are read again either way,
-                // because those that the transaction added are gone.
-                let restored = async {
-                    sqlx::query("ROLLBACK").execute(&mut connection).await?;
-                    Names::load(&mut connection).await
-                };
-                match restored.await {
-                    Ok(names) => {
-                        self.staging.names = names;
-                        self.connection = Some(connection);
-                    }
-                    Err(_) => {
-                        let _closed = connection.close().await;
-                        let mut connection = self.connect().await?;
-                        self.staging.names = Names::load(&mut connection).await?;
-                        self.connection = Some(connection);
-                    }
+                match (self.roll_back().await, refusal) {
+                    (Err(error), Refusal::Batch(_)) => Err(error.into()),
+                    (_, refusal) => Err(refusal),
                 }
-                Err(refusal)
             }
         }
+    }
+
+    /// Undoes what a failed statement may have left open.
+    async fn rolled_back<T>(&mut self, result: Result<T, sqlx::Error>) -> Result<T, sqlx::Error> {
+        if result.is_err() {
+            self.roll_back().await?;
+        }
+        result
+    }
+
+    /// Undoes an unfinished transaction, also in memory: the names that it added are gone.
+    async fn roll_back(&mut self) -> Result<(), sqlx::Error> {
+        /// SQLITE_ERROR: there is no transaction. It did not begin, or SQLite undid it by itself.
+        const NO_TRANSACTION: &str = "1";
+        if let Err(error) = sqlx::query("ROLLBACK").execute(&mut self.connection).await
+            && error.as_database_error().and_then(|error| error.code()).as_deref() != Some(NO_TRANSACTION)
+        {
+            return Err(error);
+        }
+        self.staging.names = Names::load(&mut self.connection).await?;
+        Ok(())
     }
 }
 

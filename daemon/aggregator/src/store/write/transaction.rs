@@ -68,8 +68,10 @@ impl Staging {
                     continue;
                 }
                 (Work::Goodbye(host), None) => {
-                    let id = self.entities.host(connection, *host, now).await?;
-                    self.ends.left(connection, id).await?;
+                    // Unknown to a database that has taken the place of another.
+                    if let Some(id) = self.entities.known_host(connection, *host).await? {
+                        self.ends.left(connection, id).await?;
+                    }
                     continue;
                 }
                 (Work::Name(name), None) => {

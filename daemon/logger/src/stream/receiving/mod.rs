@@ -211,6 +211,11 @@ impl Receiving {
         }
     }
 
+    /// Forgets every session and all that was accepted: the marks have changed, every agent is to say hello again.
+    pub fn forget_sessions(&mut self) {
+        *self = Self::new(self.config.clone());
+    }
+
     /// A hello came. What is found lacking or replaced is said when the host first comes with a stream.
     ///
     /// The mark counts, not the agent's word: batches after it that the agent does not hold are [`Missing`], also

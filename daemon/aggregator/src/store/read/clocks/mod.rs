@@ -73,7 +73,7 @@ struct Row {
 pub(in crate::store) async fn links(readers: &Readers) -> Result<Vec<LinkRow>, StoreError> {
     const WHAT: &str = "links";
     let rows: Vec<Link> =
-        sqlx::query_as(sql::LINKS).fetch_all(&readers.pool).await.map_err(readers.failed(WHAT))?;
+        sqlx::query_as(sql::LINKS).fetch_all(&readers.pool()).await.map_err(readers.failed(WHAT))?;
     let mut links = Vec::with_capacity(rows.len());
     for row in rows {
         let (Some(first), Some(last)) = (row.first_ns, row.last_ns) else { continue };
@@ -99,7 +99,7 @@ pub(in crate::store) async fn series(
     let link: Option<i64> = sqlx::query_scalar(sql::LINK)
         .bind(edge.to_string())
         .bind(cloud.to_string())
-        .fetch_optional(&readers.pool)
+        .fetch_optional(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     let Some(link) = link else { return Ok(nothing) };
@@ -107,23 +107,24 @@ pub(in crate::store) async fn series(
         .bind(link)
         .bind(from.unix_nanos())
         .bind(to.unix_nanos())
-        .fetch_one(&readers.pool)
+        .fetch_one(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     let (Some(first), Some(last)) = extent else { return Ok(nothing) };
     let width = width(first, last, most_points.clamp(1, MOST_POINTS));
     let repeats = Repeats::read(readers, link, (first, last)).await?;
     let mut points = Points { width, repeats, points: Vec::new(), bucket: None };
+    let pool = readers.pool();
     if width == 1 {
         let rows = sqlx::query_as::<_, Row>(sql::CLOCK_SAMPLES).bind(link).bind(first).bind(last);
-        let mut rows = rows.fetch(&readers.pool);
+        let mut rows = rows.fetch(&pool);
         while let Some(row) = rows.try_next().await.map_err(readers.failed(WHAT))? {
             points.add(&row)?;
         }
     } else {
         let parts =
             sqlx::query_scalar::<_, String>(sql::CLOCK_PARTS).bind(link).bind(parts(first, last, width)?);
-        let mut parts = parts.fetch(&readers.pool);
+        let mut parts = parts.fetch(&pool);
         while let Some(part) = parts.try_next().await.map_err(readers.failed(WHAT))? {
             let mut rows: Vec<Row> = serde_json::from_str(&part).map_err(|error| corrupt(WHAT, error))?;
             // As they stand in the table; SQLite does not promise to keep that within an aggregate.

@@ -37,7 +37,7 @@ impl Repeats {
             .bind(link)
             .bind(from)
             .bind(to)
-            .fetch_all(&readers.pool)
+            .fetch_all(&readers.pool())
             .await
             .map_err(readers.failed(WHAT))?;
         let mut repeats = Self::default();

@@ -86,7 +86,7 @@ impl<'a> Clouds<'a> {
         let link: Option<i64> = sqlx::query_scalar(sql::LINK_OF)
             .bind(self.edge)
             .bind(cloud)
-            .fetch_optional(&self.readers.pool)
+            .fetch_optional(&self.readers.pool())
             .await
             .map_err(self.readers.failed(WHAT))?;
         let Some(link) = link else { return Ok(None) };
@@ -97,7 +97,7 @@ impl<'a> Clouds<'a> {
             .bind((first - SPAN).unix_nanos())
             .bind((last + SPAN + SPAN).unix_nanos())
             .bind(MOST_WINDOWS)
-            .fetch_all(&self.readers.pool)
+            .fetch_all(&self.readers.pool())
             .await
             .map_err(self.readers.failed(WHAT))?;
         let extents: Vec<Extent> = windows

@@ -117,7 +117,7 @@ pub(in crate::store) async fn judge_again(
 ) -> Result<Option<u64>, StoreError> {
     let extent: Option<Extent> = sqlx::query_as(sql::RUN_EXTENT)
         .bind(run)
-        .fetch_optional(&readers.pool)
+        .fetch_optional(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     let Some(extent) = extent else { return Ok(None) };
@@ -129,7 +129,7 @@ pub(in crate::store) async fn judge_again(
             .bind(page_ends.0)
             .bind(page_ends.1)
             .bind(PAGE)
-            .fetch_all(&readers.pool)
+            .fetch_all(&readers.pool())
             .await
             .map_err(readers.failed(WHAT))?;
         let Some(last) = rows.last() else { return Ok(Some(clouds.samples())) };

@@ -111,7 +111,7 @@ impl Rolling {
             .bind(self.window)
             .bind(self.read)
             .bind(PAGE)
-            .fetch_all(&readers.pool)
+            .fetch_all(&readers.pool())
             .await
             .map_err(readers.failed(WHAT))?;
         self.complete = rows.len() < PAGE as usize;

@@ -25,7 +25,7 @@ pub(in crate::store) async fn means(
         .bind(stored_s)
         .bind(known.ids()?)
         .bind(width_s)
-        .fetch_all(&readers.pool)
+        .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     // By name and point; a name of several kinds has several rows in one.

@@ -18,7 +18,8 @@ pub(in crate::store) async fn statistics(
 ) -> Result<Vec<RunStatistics>, StoreError> {
     let list = list(runs)?;
     let mut found = HashMap::<i64, Kept>::new();
-    let mut rows = sqlx::query_as::<_, RollupRow>(sql::ROLLUPS).bind(&list).fetch(&readers.pool);
+    let pool = readers.pool();
+    let mut rows = sqlx::query_as::<_, RollupRow>(sql::ROLLUPS).bind(&list).fetch(&pool);
     while let Some(row) = rows.try_next().await.map_err(readers.failed(WHAT))? {
         let summary = row.summary()?;
         let (known, name) = (found.entry(row.run).or_default(), Name::from(row.text));
@@ -30,7 +31,7 @@ pub(in crate::store) async fn statistics(
     drop(rows);
     let verdicts: Vec<(i64, String, i64, i64)> = sqlx::query_as(sql::VERDICTS)
         .bind(&list)
-        .fetch_all(&readers.pool)
+        .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
     for (run, text, number, times) in verdicts {

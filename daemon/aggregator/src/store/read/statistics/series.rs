@@ -49,7 +49,7 @@ impl Stored {
     pub(super) async fn of(readers: &Readers, run: i64) -> Result<Self, StoreError> {
         let trimmed: Vec<(i64, i64)> = sqlx::query_as(sql::TRIMMED)
             .bind(run)
-            .fetch_all(&readers.pool)
+            .fetch_all(&readers.pool())
             .await
             .map_err(readers.failed(WHAT))?;
         let mut widths = WIDTHS_S.map(|width_s| Width { width_s, extent: None, whole: true });
@@ -57,7 +57,7 @@ impl Stored {
             let (first, last): (Option<i64>, Option<i64>) = sqlx::query_as(sql::EXTENT)
                 .bind(run)
                 .bind(width.width_s)
-                .fetch_one(&readers.pool)
+                .fetch_one(&readers.pool())
                 .await
                 .map_err(readers.failed(WHAT))?;
             width.extent = first.zip(last);
@@ -138,11 +138,12 @@ async fn lines(
         points: Vec::new(),
     };
     let mut lines: Vec<Line> = stages.iter().enumerate().map(line).collect();
+    let pool = readers.pool();
     let mut rows = sqlx::query_as::<_, RollupRow>(sql::ROLLUPS_OVER_TIME)
         .bind(run)
         .bind(stored_s)
         .bind(known.ids()?)
-        .fetch(&readers.pool);
+        .fetch(&pool);
     while let Some(row) = rows.try_next().await.map_err(readers.failed(WHAT))? {
         let line = known.places.get(&row.name).and_then(|at| lines.get_mut(*at));
         if let Some(line) = line {
@@ -166,7 +167,7 @@ impl Known {
         let texts: Vec<&str> = stages.iter().map(|stage| &**stage).collect();
         let names: Vec<(i64, String, String)> = sqlx::query_as(sql::NAMES)
             .bind(serde_json::to_string(&texts).map_err(|error| corrupt(WHAT, error))?)
-            .fetch_all(&readers.pool)
+            .fetch_all(&readers.pool())
             .await
             .map_err(readers.failed(WHAT))?;
         let mut known = Self { places: HashMap::new(), units: vec![String::new(); stages.len()] };

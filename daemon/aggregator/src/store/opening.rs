@@ -1,0 +1,123 @@
+//! The database open for writing: taken, checked, and read as far as memory has to agree with it.
+
+use std::path::{Path, PathBuf};
+
+use peernet_logger::{HostId, RunId};
+
+use super::database;
+use super::lock::{DatabaseLock, LockError};
+use super::write::{CommitError, FormerFiles, Streams, Writer, newest_runs, stored_hosts, unknown_runs};
+use crate::config::RetentionConfig;
+use crate::error::StartError;
+use crate::picture::Stored;
+
+/// Runs whose numbers are known from the start: those that agents may still be executing.
+const RUNS: u32 = 1_000;
+/// Hosts whose stored counts are known from the start.
+const HOSTS: u32 = 4_096;
+
+/// A database that this process may write.
+#[derive(Debug)]
+pub(crate) struct OpenDatabase {
+    pub(crate) writer: Writer,
+    /// Let go after the connection: see [`DatabaseLock`].
+    lock: DatabaseLock,
+}
+
+/// What a database held when it was opened: what ingest and the live picture begin with.
+#[derive(Debug)]
+pub(crate) struct StoredState {
+    /// How far each stream is stored.
+    pub(crate) streams: Streams,
+    /// The newest runs and their numbers.
+    pub(crate) runs: Vec<(RunId, i64)>,
+    /// Open runs of which only iterations are stored.
+    pub(crate) unknown: Vec<RunId>,
+    /// What is stored of each host.
+    pub(crate) hosts: Vec<(HostId, Stored)>,
+}
+
+/// Why a database that was in use could not be opened again.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum ReopenError {
+    /// The path names no file.
+    #[error("the database file {} was deleted or moved, or its file system is not mounted; put it back, or restart to begin with an empty one", .0.display())]
+    Missing(PathBuf),
+    /// The path names a file without anything in it.
+    #[error("the database file {} is empty; put the right one there, or restart to begin with this one", .0.display())]
+    Empty(PathBuf),
+    /// The log at the path belongs to the file that was there before. SQLite would apply it to the new one.
+    #[error("the log {} belongs to the database that was there before; move it to where that file went, or delete it", .0.display())]
+    ForeignLog(PathBuf),
+    /// The same reasons as at the start.
+    #[error(transparent)]
+    Start(#[from] StartError),
+}
+
+impl OpenDatabase {
+    /// Opens a database, which is made when missing, and brings its schema up to date.
+    pub(crate) async fn open(
+        path: &Path,
+        retention: RetentionConfig,
+    ) -> Result<(Self, StoredState), StartError> {
+        let lock = DatabaseLock::take(path)?;
+        Self::with(lock, path, retention).await
+    }
+
+    /// Opens what stands now at the path of a database that was in use: the same file, or another one in its place. An
+    /// empty one is refused: it would hide that the right one is missing.
+    pub(crate) async fn reopen(
+        path: &Path,
+        retention: RetentionConfig,
+        former: &FormerFiles,
+    ) -> Result<(Self, StoredState), ReopenError> {
+        let lock = match DatabaseLock::take_existing(path) {
+            Err(LockError::Failed { source, .. }) if source.kind() == std::io::ErrorKind::NotFound => {
+                return Err(ReopenError::Missing(path.to_owned()));
+            }
+            taken => taken.map_err(StartError::Lock)?,
+        };
+        let cannot_open =
+            |error: std::io::Error| StartError::Open { path: path.to_owned(), source: error.into() };
+        if std::fs::metadata(path).map_err(cannot_open)?.len() == 0 {
+            return Err(ReopenError::Empty(path.to_owned()));
+        }
+        if let Some(log) = former.log_beside_another_file() {
+            return Err(ReopenError::ForeignLog(log));
+        }
+        let (mut database, state) = Self::with(lock, path, retention).await?;
+        let probe = database.writer.write_nothing().await;
+        probe.map_err(|source| StartError::Open { path: path.to_owned(), source })?;
+        Ok((database, state))
+    }
+
+    async fn with(
+        lock: DatabaseLock,
+        path: &Path,
+        retention: RetentionConfig,
+    ) -> Result<(Self, StoredState), StartError> {
+        let cannot_open = |source| StartError::Open { path: path.to_owned(), source };
+        // The lock has made it; one that has gone since then must not be made.
+        let mut connection = database::open_existing(path).await?;
+        let runs = newest_runs(&mut connection, RUNS).await.map_err(cannot_open)?;
+        let unknown = unknown_runs(&mut connection, RUNS).await.map_err(cannot_open)?;
+        let hosts = stored_hosts(&mut connection, HOSTS).await.map_err(cannot_open)?;
+        let writer = Writer::new(path.to_owned(), connection, retention).await.map_err(cannot_open)?;
+        // The file that was locked could have been replaced before it was opened.
+        if !lock.is_of(path).map_err(|error| cannot_open(error.into()))? {
+            let moved = CommitError::Moved(path.to_owned()).to_string();
+            return Err(cannot_open(std::io::Error::other(moved).into()));
+        }
+        let state = StoredState { streams: writer.streams().clone(), runs, unknown, hosts };
+        Ok((Self { writer, lock }, state))
+    }
+
+    /// Closes the connection and lets the file go. When it is the last one to the file, SQLite carries its log over into
+    /// it and removes it. Returns which files they were.
+    pub(crate) async fn close(self) -> (FormerFiles, Result<(), sqlx::Error>) {
+        let Self { writer, lock } = self;
+        let closed = writer.close().await;
+        drop(lock);
+        closed
+    }
+}

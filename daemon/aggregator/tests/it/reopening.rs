@@ -1,0 +1,177 @@
+//! The database's file goes away or is replaced while the aggregator runs.
+
+use std::path::{Path, PathBuf};
+
+use peernet_aggregator::{Readiness, StoreError};
+use peernet_logger::stream::Event;
+use peernet_logger::{HostId, RunId};
+use sqlx::{AssertSqlSafe, Connection};
+
+use crate::agent::Agent;
+use crate::bed::Bed;
+use crate::generate;
+
+fn beside(database: &Path, end: &str) -> PathBuf {
+    let mut path = database.as_os_str().to_owned();
+    path.push(end);
+    path.into()
+}
+
+/// Moves the database away with all that is beside it.
+fn move_away(database: &Path) {
+    for end in ["", "-wal", "-shm"] {
+        let from = beside(database, end);
+        if from.exists() {
+            std::fs::rename(&from, beside(database, &format!("-away{end}"))).expect("moves");
+        }
+    }
+}
+
+async fn backup(bed: &Bed) -> PathBuf {
+    let copy = beside(&bed.database, "-copy");
+    let into = format!("VACUUM INTO '{}'", copy.display());
+    sqlx::raw_sql(AssertSqlSafe(into)).execute(&mut bed.connection().await).await.expect("copies");
+    copy
+}
+
+/// Waits until nothing is stored for a reason that contains these words.
+async fn not_storing(bed: &Bed, words: &str) {
+    let mut ready = bed.aggregator().readiness();
+    let says = |ready: &Readiness| matches!(ready, Readiness::NotStoring(reason) if reason.contains(words));
+    ready.wait_for(says).await.expect("runs");
+}
+
+async fn ready(bed: &Bed) {
+    let mut ready = bed.aggregator().readiness();
+    ready.wait_for(|ready| *ready == Readiness::Ready).await.expect("runs");
+}
+
+struct Line {
+    agent: Agent,
+    run: RunId,
+    next: u64,
+    numbers: generate::Numbers,
+}
+
+impl Line {
+    async fn new(bed: &Bed) -> Self {
+        let (mut agent, run) = (bed.agent("edge").await, RunId::random());
+        agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
+        Self { agent, run, next: 1, numbers: generate::Numbers(3) }
+    }
+
+    fn offer(&mut self, count: u64) {
+        let (run, hosts) = (self.run, (self.agent.id, HostId::from_bytes([7; 16])));
+        let range = self.next..self.next + count;
+        self.next = range.end;
+        self.agent
+            .offer(range.map(|n| Event::Iteration(generate::iteration(run, n, hosts, &mut self.numbers))));
+    }
+
+    async fn store(&mut self, count: u64) {
+        self.offer(count);
+        self.agent.until_stored().await;
+    }
+}
+
+#[tokio::test]
+async fn an_older_copy_in_its_place_is_compared_afresh() {
+    let mut bed = Bed::new().await;
+    let mut line = Line::new(&bed).await;
+    line.store(10).await;
+    let copy = backup(&bed).await;
+    line.store(40).await;
+    let before = bed.aggregator().store().run(1).await.expect("answers").expect("exists");
+    assert_eq!(before.summary.counts.ok, 50);
+    move_away(&bed.database);
+    not_storing(&bed, "put it back").await;
+    std::fs::rename(&copy, &bed.database).expect("restores");
+    ready(&bed).await;
+    line.store(5).await;
+    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 15);
+    assert_eq!(bed.count("SELECT count(*) FROM gap").await, 1);
+    let picture = bed.picture("what this database holds", |picture| {
+        picture.hosts.first().is_some_and(|host| host.stored.events < 50)
+    });
+    assert_eq!(picture.await.hosts.len(), 1);
+    // Readers ask the file that stands there, too.
+    let after = bed.aggregator().store().run(1).await.expect("answers").expect("exists");
+    assert_eq!(after.summary.counts.ok, 15);
+    bed.stop().await;
+    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 15);
+}
+
+#[tokio::test]
+async fn a_vanished_database_is_never_made_anew() {
+    let mut bed = Bed::new().await;
+    let mut line = Line::new(&bed).await;
+    line.store(10).await;
+    move_away(&bed.database);
+    not_storing(&bed, "its file system is not mounted").await;
+    line.offer(10);
+    assert!(!bed.database.exists());
+    let refused = bed.aggregator().store().run(1).await.expect_err("closed");
+    assert!(matches!(refused, StoreError::Closed { .. }), "{refused}");
+    assert!(bed.aggregator().pin(1, true).await.is_err());
+    std::fs::write(&bed.database, "").expect("writes");
+    not_storing(&bed, "is empty").await;
+    std::fs::write(&bed.database, "no database at all").expect("writes");
+    not_storing(&bed, "not a database").await;
+    assert_eq!(std::fs::read(&bed.database).expect("reads"), b"no database at all");
+    // The file that was moved is whole by itself, whatever stays of its log.
+    std::fs::rename(beside(&bed.database, "-away"), &bed.database).expect("moves back");
+    line.agent.until_stored().await;
+    assert_eq!(bed.aggregator().ready(), Readiness::Ready);
+    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 20);
+    assert_eq!(bed.count("SELECT count(*) FROM gap").await, 0);
+    bed.stop().await;
+}
+
+#[tokio::test]
+async fn the_log_of_a_replaced_database_is_not_applied() {
+    let mut bed = Bed::new().await;
+    let mut line = Line::new(&bed).await;
+    line.store(10).await;
+    let copy = backup(&bed).await;
+    // Somebody who reads keeps the log from being carried over.
+    let mut reader = bed.connection().await;
+    sqlx::raw_sql("BEGIN; SELECT count(*) FROM iteration").execute(&mut reader).await.expect("reads");
+    line.store(40).await;
+    std::fs::rename(&copy, &bed.database).expect("replaces");
+    not_storing(&bed, "belongs to the database that was there before").await;
+    reader.close().await.expect("closes");
+    std::fs::remove_file(beside(&bed.database, "-wal")).expect("removes");
+    ready(&bed).await;
+    line.store(5).await;
+    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 15);
+    bed.stop().await;
+}
+
+#[tokio::test]
+async fn a_removed_log_is_made_anew_and_nothing_is_lost() {
+    let mut bed = Bed::new().await;
+    let mut line = Line::new(&bed).await;
+    line.store(10).await;
+    std::fs::remove_file(beside(&bed.database, "-wal")).expect("removes");
+    not_storing(&bed, "sqlite-wal").await;
+    ready(&bed).await;
+    line.store(10).await;
+    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 20);
+    assert_eq!(bed.count("SELECT count(*) FROM gap").await, 0);
+    bed.stop().await;
+}
+
+#[tokio::test]
+async fn a_host_that_left_meanwhile_has_ended_its_runs() {
+    let mut bed = Bed::new().await;
+    let mut line = Line::new(&bed).await;
+    line.store(10).await;
+    move_away(&bed.database);
+    not_storing(&bed, "put it back").await;
+    line.agent.goodbye().await;
+    bed.picture("that it left", |picture| picture.hosts.first().is_some_and(|host| !host.connected)).await;
+    std::fs::rename(beside(&bed.database, "-away"), &bed.database).expect("moves back");
+    ready(&bed).await;
+    bed.stop().await;
+    assert_eq!(bed.count("SELECT count(*) FROM run WHERE ended_ns IS NOT NULL").await, 1);
+}

@@ -1,0 +1,3 @@
+//! Stored data survives what operators do to machines.
+
+mod database_file;
