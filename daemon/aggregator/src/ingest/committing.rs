@@ -21,8 +21,11 @@ use crate::store::write::{CommitError, Committed, Work, Writer};
 const FIRST_PAUSE: Duration = Duration::from_millis(200);
 const LONGEST_PAUSE: Duration = Duration::from_secs(5);
 
-/// How often the database's path is checked while there is nothing to store.
-const CHECK_FILE_EVERY: Duration = Duration::from_secs(1);
+/// How often the database's files are looked at while there is nothing to store.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+
+/// Bytes of the log's file above which it is emptied as soon as nobody reads: twice what it usually has.
+const MOST_LOG_BYTES: u64 = 128 << 20;
 
 /// Nodes of a commit at most, unless it is configured to wait for more: beyond that a larger one is no cheaper.
 const MOST_NODES: usize = 100_000;
@@ -145,8 +148,8 @@ pub(crate) async fn run(
 
 /// Commits with one database.
 async fn serve(writer: &mut Writer, wires: &mut Wires, grouping: Grouping, carried: &mut Carried) -> Ended {
-    let mut checking = tokio::time::interval(CHECK_FILE_EVERY);
-    checking.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut looking = tokio::time::interval(LOOK_EVERY);
+    looking.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let (mut commits, mut more) = (0_u64, Step::More);
     loop {
         let mut group = Vec::new();
@@ -162,8 +165,8 @@ async fn serve(writer: &mut Writer, wires: &mut Wires, grouping: Grouping, carri
                     more = retain(writer, wires).await;
                     continue;
                 }
-                _ = checking.tick() => {
-                    if let Err(error) = writer.check_file() {
+                _ = looking.tick() => {
+                    if let Err(error) = look_after(writer).await {
                         return Ended::Failed(error);
                     }
                     more = Step::More;
@@ -195,8 +198,23 @@ async fn serve(writer: &mut Writer, wires: &mut Wires, grouping: Grouping, carri
         more = Step::More;
         if commits.is_multiple_of(RETAIN_EVERY) {
             more = retain(writer, wires).await;
+            if let Err(error) = look_after(writer).await {
+                return Ended::Failed(error);
+            }
         }
     }
+}
+
+/// Sees that the file is still where it was, also while nothing is stored, and that the log is not too long.
+///
+/// # Errors
+/// When the database has to be opened anew.
+async fn look_after(writer: &mut Writer) -> Result<(), CommitError> {
+    writer.check_file()?;
+    writer.bound_log(MOST_LOG_BYTES).await.or_else(|error| {
+        // A full disk shows at the next commit.
+        if error.leaves_connection_usable() { Ok(()) } else { Err(error) }
+    })
 }
 
 /// Deletes a little of what is old. What fails is tried again at the next occasion.

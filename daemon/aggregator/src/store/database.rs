@@ -19,6 +19,10 @@ const CACHE: &str = "-65536";
 /// over, sync the file once more, and take a third to three quarters longer (1,000 interleaved runs, a busy machine).
 const CARRY_OVER: &str = "16000";
 
+/// Bytes to which the log's file is cut when it is begun again after a reader had kept it growing: as many as it has
+/// anyway, 16,000 pages with their frames' headers.
+const LOG_BYTES: &str = "65920032";
+
 pub(crate) static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations");
 
 /// How long a connection waits for another program that locks the file.
@@ -37,6 +41,7 @@ pub(crate) fn writing(path: &Path) -> SqliteConnectOptions {
         .foreign_keys(true)
         .pragma("cache_size", CACHE)
         .pragma("wal_autocheckpoint", CARRY_OVER)
+        .pragma("journal_size_limit", LOG_BYTES)
         .busy_timeout(BUSY)
         .disable_statement_logging()
 }

@@ -49,6 +49,9 @@ pub(crate) enum ReopenError {
     /// The log at the path belongs to the file that was there before. SQLite would apply it to the new one.
     #[error("the log {} belongs to the database that was there before; move it to where that file went, or delete it", .0.display())]
     ForeignLog(PathBuf),
+    /// Another process has it, or it cannot be opened for writing.
+    #[error(transparent)]
+    Lock(#[from] LockError),
     /// The same reasons as at the start.
     #[error(transparent)]
     Start(#[from] StartError),
@@ -75,7 +78,7 @@ impl OpenDatabase {
             Err(LockError::Failed { source, .. }) if source.kind() == std::io::ErrorKind::NotFound => {
                 return Err(ReopenError::Missing(path.to_owned()));
             }
-            taken => taken.map_err(StartError::Lock)?,
+            taken => taken?,
         };
         let cannot_open =
             |error: std::io::Error| StartError::Open { path: path.to_owned(), source: error.into() };

@@ -25,7 +25,7 @@ fn turn() -> MutexGuard<'static, ()> {
 }
 
 /// How often or how many: of an environment variable, or the usual.
-fn setting(variable: &str, usual: u64) -> u64 {
+pub(super) fn setting(variable: &str, usual: u64) -> u64 {
     match std::env::var(variable) {
         Ok(text) => text.parse().unwrap_or_else(|_| panic!("{variable}={text:?} is no number")),
         Err(_) => usual,

@@ -48,3 +48,24 @@ async fn readers_cannot_write() {
     let refused = sqlx::query("DELETE FROM host").execute(&impatient(&bed.path).pool()).await;
     assert!(refused.is_err_and(|error| error.to_string().contains("readonly")));
 }
+
+#[tokio::test]
+async fn log_is_emptied_after_the_last_reader() {
+    let mut bed = Bed::new().await;
+    let log = bed.path.with_extension("sqlite-wal");
+    let bytes = || std::fs::metadata(&log).expect("it is there").len();
+    let mut reader = bed.other().await;
+    sqlx::raw_sql("BEGIN; SELECT count(*) FROM host").execute(&mut reader).await.expect("reads");
+    bed.run_of(200).await;
+    let grown = bytes();
+    // While somebody reads it stays, and nothing waits.
+    bed.writer.bound_log(grown / 2).await.expect("tries");
+    assert_eq!(bytes(), grown);
+    sqlx::raw_sql("COMMIT").execute(&mut reader).await.expect("ends");
+    bed.writer.bound_log(grown).await.expect("is short enough");
+    assert_eq!(bytes(), grown);
+    bed.writer.bound_log(grown / 2).await.expect("empties it");
+    assert_eq!(bytes(), 0);
+    bed.run_of(10).await;
+    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 210);
+}

@@ -33,6 +33,7 @@ use self::prepared::Prepared;
 pub(crate) use self::streams::Streams;
 use self::transaction::Staging;
 pub(crate) use self::work::{Aside, Introduction, Refusal, RunName, Work};
+use super::database;
 use super::retention::{self, Retention, Step};
 use crate::config::RetentionConfig;
 use crate::picture::Stored;
@@ -147,6 +148,24 @@ impl Writer {
     pub(crate) async fn retain(&mut self, now: WallTime) -> Result<Step, sqlx::Error> {
         let result = self.retention.step(&mut self.connection, now, retention::ROWS).await;
         self.rolled_back(result).await
+    }
+
+    /// Carries the log over and empties it when its file has more bytes than this, unless somebody reads just now.
+    ///
+    /// SQLite begins the log again only when no reader is using it at the moment of a commit: one long reader, or many
+    /// short ones that overlap, let it grow, and without further commits it stays as it is.
+    pub(crate) async fn bound_log(&mut self, most_bytes: u64) -> Result<(), CommitError> {
+        let bytes = std::fs::metadata(self.file.log_path()).map_or(0, |log| log.len());
+        if bytes <= most_bytes {
+            return Ok(());
+        }
+        // Tried again soon: what waits to be stored does not wait for readers.
+        sqlx::query("PRAGMA busy_timeout = 0").execute(&mut self.connection).await?;
+        let carried_over = sqlx::query(CARRY_OVER_ALL).execute(&mut self.connection).await;
+        let wait = format!("PRAGMA busy_timeout = {}", database::BUSY.as_millis());
+        sqlx::raw_sql(sqlx::AssertSqlSafe(wait)).execute(&mut self.connection).await?;
+        carried_over?;
+        Ok(())
     }
 
     /// Writes something that changes nothing, to see that writing works.

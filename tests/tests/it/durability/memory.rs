@@ -1,0 +1,48 @@
+//! Memory of an aggregator that stores for a long time.
+
+use std::time::{Duration, Instant};
+
+use peernet_tests::fleet::{echo, edge, rate};
+use peernet_tests::{Fleet, measured};
+
+use super::setting;
+
+/// What [operating.md](../../../../docs/operating.md) promises for a few pipelines and an open page: the pages that SQLite
+/// keeps, what an idle aggregator has, readers and what is under way.
+const MOST_MIB: f64 = 192.0;
+
+/// Memory of a process that no file backs, in MiB.
+fn memory_mib(pid: u32) -> f64 {
+    let status = std::fs::read_to_string(format!("/proc/{pid}/status")).expect("it runs");
+    let line = status.lines().find_map(|line| line.strip_prefix("RssAnon:")).expect("Linux tells it");
+    let kib: f64 = line.trim().trim_end_matches(" kB").parse().expect("a number");
+    kib / 1024.0
+}
+
+#[test]
+#[ignore = "takes as long as PEERNET_MEMORY_S says; for make soak"]
+fn memory_stays_below_its_bound() {
+    let seconds = setting("PEERNET_MEMORY_S", 600);
+    let pipelines: String = (0..8).map(|n| echo(&format!("loop-{n}"), &rate(200.0))).collect();
+    let mut fleet = Fleet::new(&["edge"], &edge("", &pipelines));
+    fleet.start(0);
+    let (pid, begin) = (fleet.aggregator.process().pid(), Instant::now());
+    let mut samples = Vec::new();
+    while begin.elapsed() < Duration::from_secs(seconds) {
+        // Pages are part of the load.
+        fleet.api.get("/").expect("the dashboard answers");
+        fleet.api.get("/runs/1").expect("the dashboard answers");
+        samples.push(memory_mib(pid));
+        std::thread::sleep(Duration::from_secs(1));
+    }
+    let most = samples.iter().copied().fold(0.0, f64::max);
+    let halfway = samples[samples.len() / 2];
+    let last = samples.last().copied().expect("some");
+    let mib = |value: f64| format!("{value:.1} MiB");
+    measured(
+        "aggregator's memory, 8 pipelines at 200 Hz",
+        &[("halfway", mib(halfway)), ("at the end", mib(last)), ("at the most", mib(most))],
+    );
+    assert!(most < MOST_MIB, "{most} MiB of at most {MOST_MIB}: {samples:?}");
+    fleet.stop();
+}
