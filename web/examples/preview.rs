@@ -39,7 +39,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         time_zone: "+01:00".parse::<Zone>()?,
         ..WebConfig::default()
     };
-    let server = peernet_web::serve(web, aggregator.handle.clone(), clock.clone(), stop.clone()).await?;
+    let server = peernet_web::serve(web, aggregator.handle.clone(), clock.clone(), stop.clone(), 64).await?;
     #[expect(clippy::print_stdout, reason = "an example prints where to look")]
     {
         println!("http://{}", server.address());

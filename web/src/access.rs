@@ -5,7 +5,8 @@ use std::net::{IpAddr, SocketAddr};
 
 use axum::extract::{Request, State};
 use axum::http::header::{HOST, ORIGIN};
-use axum::http::{HeaderMap, HeaderName, Method};
+use axum::http::uri::Authority;
+use axum::http::{HeaderMap, HeaderName, Method, Version};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
@@ -32,31 +33,75 @@ pub(crate) fn listen_address(config: &WebConfig) -> Result<SocketAddr, Problem> 
     )))
 }
 
-/// Whether a request's host names this machine.
-fn is_this_machine(host: &str) -> bool {
-    let name = match host.strip_prefix('[') {
-        Some(rest) => rest.split(']').next().unwrap_or(rest),
-        None => host.split(':').next().unwrap_or(host),
-    };
-    let address = name.parse::<IpAddr>().is_ok_and(|address| address.is_loopback());
-    address || name.eq_ignore_ascii_case("localhost") || name.to_ascii_lowercase().ends_with(".localhost")
+/// What is wrong with a configured name, if anything.
+pub(crate) fn wrong_name(name: &str) -> Option<String> {
+    let plain = name.parse::<Authority>().is_ok_and(|authority| authority.host() == name);
+    let letters =
+        name.chars().all(|letter| letter.is_ascii_alphanumeric() || matches!(letter, '.' | '-' | '_'));
+    (!plain || !letters)
+        .then(|| format!("{name:?} is not a host name: write it like robot.example.org, without a port"))
 }
 
-/// Answers only to names of this machine while access is not restricted: a page from elsewhere whose name was made
-/// to point here (DNS rebinding) would otherwise read everything through the browser of whoever opened it.
+/// The names under which requests are answered, beside IP addresses and `localhost`.
+///
+/// A page from elsewhere whose name was made to point here (DNS rebinding) would otherwise read and change everything
+/// through the browser of whoever opened it. It cannot do so under an address: a browser that opens one asks no name server.
+#[derive(Clone, Debug)]
+pub(crate) struct ServerNames(Vec<String>);
+
+impl ServerNames {
+    /// The configured names, and the machine's own with and without `.local` (multicast DNS).
+    pub(crate) fn new(config: &WebConfig) -> Self {
+        let machine = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+        let machine = machine.trim();
+        let own =
+            [machine.to_owned(), format!("{machine}.local")].into_iter().filter(|_| !machine.is_empty());
+        Self(config.server_names.iter().cloned().chain(own).collect())
+    }
+
+    fn contains(&self, host: &str) -> bool {
+        let name = host.strip_suffix('.').unwrap_or(host).to_ascii_lowercase();
+        let address = name.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')).unwrap_or(&name);
+        address.parse::<IpAddr>().is_ok()
+            || name == "localhost"
+            || name.ends_with(".localhost")
+            || self.0.iter().any(|known| known.eq_ignore_ascii_case(&name))
+    }
+}
+
+/// The host that a request names; `None` for one of HTTP/1.0 that names none, which no browser sends.
+fn requested_host(request: &Request) -> Result<Option<String>, WebError> {
+    let refused = |text: &str| WebError::BadRequest(text.to_owned());
+    let mut hosts = request.headers().get_all(HOST).iter();
+    let (host, more) = (hosts.next(), hosts.next());
+    if more.is_some() {
+        return Err(refused("the request has several Host headers; send one"));
+    }
+    if host.is_none() && request.version() != Version::HTTP_10 {
+        return Err(refused("the request has no Host header; send one"));
+    }
+    let named = host.map(|host| {
+        let authority =
+            Authority::try_from(host.as_bytes()).ok().filter(|_| !host.as_bytes().contains(&b'@'));
+        authority.ok_or_else(|| refused("the Host header is not a name or address with an optional port"))
+    });
+    // A request to a proxy names the host in its target, which counts then (RFC 9112, 3.2.2).
+    let named = request.uri().authority().cloned().map(Ok).or(named).transpose()?;
+    Ok(named.map(|authority| authority.host().to_owned()))
+}
+
+/// Answers only to the names of this server.
 pub(crate) async fn guard(State(app): State<App>, request: Request, next: Next) -> Response {
-    let host = request.headers().get(HOST).and_then(|host| host.to_str().ok()).map(str::to_owned);
-    match host {
-        Some(host) if app.this_machine_alone && !is_this_machine(&host) => {
-            WebError::OtherHost(host).into_response()
-        }
-        _ => next.run(request).await,
+    match requested_host(&request) {
+        Ok(Some(host)) if !app.names.contains(&host) => WebError::OtherHost(host).into_response(),
+        Ok(_) => next.run(request).await,
+        Err(error) => error.into_response(),
     }
 }
 
 /// Lets only this dashboard's own pages and programs change something. A page from elsewhere could otherwise send the
 /// request from the browser of whoever opened it (cross-site request forgery). Browsers say where a request comes from
-/// (`Sec-Fetch-Site`, Fetch Metadata; older ones `Origin`) and no page can change that; programs say neither.
+/// (`Sec-Fetch-Site`, Fetch Metadata, and `Origin`) and no page can change that; programs say neither.
 pub(crate) async fn own_site(request: Request, next: Next) -> Response {
     let reads = matches!(*request.method(), Method::GET | Method::HEAD | Method::OPTIONS);
     if reads || is_own(request.headers()) {
@@ -68,8 +113,9 @@ pub(crate) async fn own_site(request: Request, next: Next) -> Response {
 
 fn is_own(headers: &HeaderMap) -> bool {
     let text = |name: HeaderName| headers.get(name).map(|value| value.to_str().unwrap_or_default());
-    if let Some(site) = text(HeaderName::from_static("sec-fetch-site")) {
-        return matches!(site, "same-origin" | "none");
+    let site = text(HeaderName::from_static("sec-fetch-site"));
+    if site.is_some_and(|site| !matches!(site, "same-origin" | "none")) {
+        return false;
     }
     let Some(origin) = text(ORIGIN) else { return true };
     let authority = origin.split_once("://").map(|(_, authority)| authority);
@@ -100,20 +146,54 @@ mod tests {
         for site in ["cross-site", "same-site", ""] {
             assert!(!own(&[("sec-fetch-site", site), ("origin", "http://localhost:8040")]), "{site}");
         }
+        assert!(!own(&[("sec-fetch-site", "same-origin"), ("origin", "http://evil.example")]));
         for origin in ["http://evil.example", "http://localhost:9999", "null", "localhost:8040"] {
             assert!(!own(&[("origin", origin)]), "{origin}");
         }
     }
 
+    fn host_of(request: axum::http::request::Builder) -> Result<Option<String>, WebError> {
+        requested_host(&request.body(axum::body::Body::empty()).expect("a request"))
+    }
+
     #[test]
-    fn names_of_this_machine_are_known() {
-        for host in
-            ["127.0.0.1:8040", "localhost", "LOCALHOST:8040", "demo.localhost:1", "[::1]:8040", "127.9.9.9"]
-        {
-            assert!(is_this_machine(host), "{host}");
+    fn addresses_and_known_names_pass_others_do_not() {
+        let config = WebConfig { server_names: vec!["Dash.example.org".to_owned()], ..WebConfig::default() };
+        let names = ServerNames::new(&config);
+        for host in [
+            "127.0.0.1",
+            "192.0.2.7",
+            "[2001:db8::1]",
+            "localhost",
+            "LOCALHOST.",
+            "demo.localhost",
+            "dash.example.org",
+        ] {
+            assert!(names.contains(host), "{host}");
         }
-        for host in ["evil.example", "localhost.evil.example:8040", "192.0.2.7", "[2001:db8::1]:8040", ""] {
-            assert!(!is_this_machine(host), "{host}");
+        for host in
+            ["evil.example", "localhost.evil.example", "example.org", "127.0.0.1.evil.example", "[x]", ""]
+        {
+            assert!(!names.contains(host), "{host}");
+        }
+    }
+
+    #[test]
+    fn request_names_exactly_one_host() {
+        let get = || Request::get("/");
+        assert_eq!(host_of(get().header(HOST, "a.example:8040")).expect("one"), Some("a.example".to_owned()));
+        assert_eq!(host_of(get().header(HOST, "[::1]:8040")).expect("one"), Some("[::1]".to_owned()));
+        assert_eq!(host_of(get().version(Version::HTTP_10)).expect("none is needed"), None);
+        let proxied = Request::get("http://evil.example/").header(HOST, "127.0.0.1");
+        assert_eq!(host_of(proxied).expect("the target's"), Some("evil.example".to_owned()));
+        for wrong in [
+            get(),
+            get().header(HOST, "a.example").header(HOST, "a.example"),
+            get().header(HOST, "a b"),
+            get().header(HOST, ""),
+            get().header(HOST, "a.example@127.0.0.1"),
+        ] {
+            assert!(matches!(host_of(wrong), Err(WebError::BadRequest(_))));
         }
     }
 }

@@ -13,6 +13,8 @@ pub struct WebConfig {
     pub listen: String,
     /// Required for listening wider than this machine: everyone who reaches the address then sees everything.
     pub allow_unauthenticated: bool,
+    /// Names under which browsers reach the dashboard, beside IP addresses, `localhost` and the machine's own host name.
+    pub server_names: Vec<String>,
     /// Zone of the times on the pages: `local`, `utc` or an offset such as `+01:00`. The API always uses UTC.
     pub time_zone: Zone,
 }
@@ -29,14 +31,21 @@ pub struct Problem {
 
 impl Default for WebConfig {
     fn default() -> Self {
-        Self { listen: "127.0.0.1:8040".to_owned(), allow_unauthenticated: false, time_zone: Zone::default() }
+        Self {
+            listen: "127.0.0.1:8040".to_owned(),
+            allow_unauthenticated: false,
+            server_names: Vec::new(),
+            time_zone: Zone::default(),
+        }
     }
 }
 
 impl WebConfig {
     /// Everything about the configuration that can be checked without starting.
     pub fn check(&self) -> Vec<Problem> {
-        access::listen_address(self).err().into_iter().collect()
+        let names = self.server_names.iter().filter_map(|name| access::wrong_name(name));
+        let names = names.map(|message| Problem { key: "server_names", message });
+        access::listen_address(self).err().into_iter().chain(names).collect()
     }
 }
 
@@ -69,6 +78,18 @@ mod tests {
     fn an_address_must_have_a_port() {
         assert_eq!(listening("127.0.0.1", false)[0].key, "listen");
         assert_eq!(listening("example", true)[0].key, "listen");
+    }
+
+    #[test]
+    fn server_name_with_port_or_scheme_is_refused() {
+        let named =
+            |name: &str| WebConfig { server_names: vec![name.to_owned()], ..WebConfig::default() }.check();
+        for name in ["robot", "robot.example.org", "Robot.local"] {
+            assert_eq!(named(name), [], "{name}");
+        }
+        for name in ["", "robot:8040", "http://robot", "robot/x", "a b", "*.example.org", "user@robot"] {
+            assert_eq!(named(name)[0].key, "server_names", "{name}");
+        }
     }
 
     #[test]

@@ -1,13 +1,16 @@
 //! The accept loop: what a connection may cost while it asks for nothing, and how all of them end.
 //!
-//! At most [`Limits::connections`] are open at a time; further ones wait in the kernel's queue until one closes.
+//! At most [`Limits::connections`] are open at a time; further ones wait in the kernel's queue until one closes. Of one
+//! address at most [`Limits::per_address`] are open; further ones are closed at once.
 //! A connection that does not complete the header of its first or next request within [`Limits::silence`] is
 //! closed, whether it is idle or sends byte by byte.
 
+use std::collections::HashMap;
 use std::io;
+use std::net::{IpAddr, Ipv6Addr};
 use std::pin::pin;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use axum::Router;
@@ -16,14 +19,18 @@ use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
+use peernet_aggregator::LogThrottle;
+use peernet_clock::SharedClock;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 use tower::ServiceExt;
 
-/// Most bytes read or written ahead on one connection; a longer header is refused.
+/// Most bytes read or written ahead on one connection.
 const BUFFER: usize = 64 << 10;
+/// Most bytes of a request's first line and headers together.
+const HEADER: usize = 64 << 10;
 /// Pause after an accept that failed for want of file descriptors or memory.
 const SHORTAGE: Duration = Duration::from_secs(1);
 
@@ -32,6 +39,8 @@ const SHORTAGE: Duration = Duration::from_secs(1);
 pub(crate) struct Limits {
     /// Connections open at a time.
     pub connections: usize,
+    /// Of them those of one address, so that no single host can take all.
+    pub per_address: usize,
     /// Longest time without a complete header while no request is in progress.
     pub silence: Duration,
     /// How long requests in progress may go on after the server was asked to stop.
@@ -40,17 +49,28 @@ pub(crate) struct Limits {
 
 impl Limits {
     /// Those of a running server. The grace fits into the time that the whole process has for stopping.
-    pub(crate) const SERVER: Self =
-        Self { connections: 1_024, silence: Duration::from_secs(10), grace: Duration::from_millis(1_500) };
+    pub(crate) fn server(connections: usize) -> Self {
+        Self {
+            connections,
+            per_address: (connections / 4).max(1),
+            silence: Duration::from_secs(10),
+            grace: Duration::from_millis(1_500),
+        }
+    }
 }
 
 /// Serves until `stop` is cancelled and every connection is closed, at the latest [`Limits::grace`] after it.
-pub(crate) async fn accept(listener: TcpListener, router: Router, stop: CancellationToken, limits: Limits) {
-    let places = Arc::new(Semaphore::new(limits.connections));
+pub(crate) async fn accept(
+    listener: TcpListener,
+    router: Router,
+    clock: SharedClock,
+    stop: CancellationToken,
+    limits: Limits,
+) {
+    let mut places = Places::new(limits, clock);
     let open = TaskTracker::new();
     let cut = CancellationToken::new();
-    let mut full = false;
-    while let Some((stream, place)) = stop.run_until_cancelled(next(&listener, &places, &mut full)).await {
+    while let Some((stream, place)) = stop.run_until_cancelled(places.next(&listener)).await {
         let served = serve(stream, router.clone(), stop.clone(), limits.silence);
         let cut = cut.clone();
         open.spawn(async move {
@@ -68,27 +88,97 @@ pub(crate) async fn accept(listener: TcpListener, router: Router, stop: Cancella
     }
 }
 
-/// The next connection and its place among those that may be open. `full` remembers that none was free, so that
-/// it is told once and not for every connection.
-async fn next(
-    listener: &TcpListener,
-    places: &Arc<Semaphore>,
-    full: &mut bool,
-) -> (TcpStream, OwnedSemaphorePermit) {
-    let was_full = std::mem::replace(full, places.available_permits() == 0);
-    if *full && !was_full {
-        tracing::warn!("as many connections as allowed are open; further ones wait until one closes");
+/// The connections that may be open: in all and by address.
+struct Places {
+    free: Arc<Semaphore>,
+    open: Arc<Mutex<HashMap<IpAddr, usize>>>,
+    per_address: usize,
+    clock: SharedClock,
+    log: LogThrottle,
+}
+
+/// The place of one open connection; free again when dropped.
+struct Place {
+    address: IpAddr,
+    open: Arc<Mutex<HashMap<IpAddr, usize>>>,
+    _permit: OwnedSemaphorePermit,
+}
+
+impl Places {
+    fn new(limits: Limits, clock: SharedClock) -> Self {
+        let free = Arc::new(Semaphore::new(limits.connections));
+        let (open, log) = (Arc::default(), LogThrottle::default());
+        Self { free, open, per_address: limits.per_address, clock, log }
     }
-    let place = Arc::clone(places).acquire_owned().await.expect("the semaphore is never closed");
-    loop {
-        match listener.accept().await {
-            Ok((stream, _)) => return (stream, place),
-            Err(error) if gone(&error) => {}
-            Err(error) => {
-                tracing::error!(%error, "cannot accept a connection; trying again");
-                tokio::time::sleep(SHORTAGE).await;
+
+    /// The next connection and its place, once there is one.
+    async fn next(&mut self, listener: &TcpListener) -> (TcpStream, Place) {
+        let now = self.clock.mono();
+        if self.free.available_permits() == 0
+            && let Some(times) = self.log.count("full", None, now)
+        {
+            tracing::warn!(
+                times,
+                "as many connections as allowed are open; further ones wait until one closes"
+            );
+        }
+        let permit = Arc::clone(&self.free).acquire_owned().await.expect("the semaphore is never closed");
+        loop {
+            match listener.accept().await {
+                Ok((stream, peer)) => match self.take(peer.ip()) {
+                    Some(address) => {
+                        return (stream, Place { address, open: Arc::clone(&self.open), _permit: permit });
+                    }
+                    None => self.refused(peer.ip()),
+                },
+                Err(error) if gone(&error) => {}
+                Err(error) => {
+                    if let Some(times) = self.log.count(&error.to_string(), None, self.clock.mono()) {
+                        tracing::error!(times, %error, "cannot accept a connection; trying again");
+                    }
+                    tokio::time::sleep(SHORTAGE).await;
+                }
             }
         }
+    }
+
+    /// Counts a connection of an address. Returns under which address; `None` when that one has too many.
+    fn take(&self, peer: IpAddr) -> Option<IpAddr> {
+        let address = counted(peer);
+        let mut open = self.open.lock().unwrap_or_else(PoisonError::into_inner);
+        let count = open.entry(address).or_default();
+        if *count >= self.per_address {
+            return None;
+        }
+        *count += 1;
+        Some(address)
+    }
+
+    fn refused(&mut self, peer: IpAddr) {
+        if let Some(times) = self.log.count("address", Some(counted(peer)), self.clock.mono()) {
+            let limit = self.per_address;
+            tracing::warn!(times, %peer, limit, "closed a connection: its address has as many open as one may have");
+        }
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        let mut open = self.open.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(count) = open.get_mut(&self.address) {
+            *count -= 1;
+            if *count == 0 {
+                open.remove(&self.address);
+            }
+        }
+    }
+}
+
+/// The address under which a peer's connections are counted: of IPv6 the network, which is given to one host as a whole.
+fn counted(peer: IpAddr) -> IpAddr {
+    match peer.to_canonical() {
+        IpAddr::V6(address) => IpAddr::V6(Ipv6Addr::from_bits(address.to_bits() >> 64 << 64)),
+        address @ IpAddr::V4(_) => address,
     }
 }
 
@@ -108,6 +198,7 @@ async fn serve(stream: TcpStream, router: Router, stop: CancellationToken, silen
         .timer(TokioTimer::new())
         .header_read_timeout(silence)
         .max_buf_size(BUFFER)
+        .max_header_size(HEADER)
         .serve_connection(TokioIo::new(stream), service);
     let mut connection = pin!(connection);
     let ended = tokio::select! {

@@ -2,6 +2,7 @@ use std::net::SocketAddr;
 use std::sync::atomic::AtomicUsize;
 
 use axum::routing::get;
+use peernet_clock::{ClockIdentity, SystemClock};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::sync::Notify;
 use tokio::task::JoinHandle;
@@ -10,7 +11,7 @@ use super::*;
 
 const HOUR: Duration = Duration::from_secs(3_600);
 const SOON: Duration = Duration::from_millis(20);
-const PATIENT: Limits = Limits { connections: 8, silence: HOUR, grace: HOUR };
+const PATIENT: Limits = Limits { connections: 8, per_address: 8, silence: HOUR, grace: HOUR };
 
 /// A server whose `/wait` answers when it is let go.
 struct Server {
@@ -29,6 +30,7 @@ impl Server {
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("binds");
         let address = listener.local_addr().expect("an address");
         let stop = CancellationToken::new();
+        let clock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
         let answers = Arc::new(Semaphore::new(0));
         let entered = Arc::new(Notify::new());
         let (inside, most) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
@@ -45,7 +47,7 @@ impl Server {
             }
         };
         let router = Router::new().route("/", get(|| async { "here" })).route("/wait", get(wait));
-        let task = tokio::spawn(accept(listener, router, stop.clone(), limits));
+        let task = tokio::spawn(accept(listener, router, clock, stop.clone(), limits));
         Self { address, stop, task, answers, entered, inside, most }
     }
 
@@ -159,4 +161,56 @@ async fn a_request_that_outlasts_the_grace_is_cut_off() {
     server.stop.cancel();
     server.task.await.expect("ends");
     assert_eq!(rest(waiting).await, "");
+}
+
+#[tokio::test]
+async fn connections_of_one_address_beyond_its_limit_are_closed() {
+    let server = Server::start(Limits { per_address: 2, ..PATIENT }).await;
+    let first = server.sent(WAIT).await;
+    let second = server.sent(WAIT).await;
+    server.inside(2).await;
+    assert_eq!(rest(server.connect().await).await, "");
+    server.answers.add_permits(3);
+    for stream in [first, second] {
+        assert!(rest(stream).await.ends_with("waited"));
+    }
+    // Both places are free again, at the latest when their tasks have ended.
+    loop {
+        let mut again = server.connect().await;
+        let sent = again.write_all(WAIT.as_bytes()).await;
+        let mut text = String::new();
+        if sent.is_ok() && again.read_to_string(&mut text).await.is_ok() && text.ends_with("waited") {
+            break;
+        }
+    }
+}
+
+#[test]
+fn addresses_of_one_network_are_counted_together() {
+    let same =
+        |a: &str, b: &str| counted(a.parse().expect("an address")) == counted(b.parse().expect("an address"));
+    assert!(same("192.0.2.1", "::ffff:192.0.2.1"));
+    assert!(same("2001:db8::1", "2001:db8::ffff:2"));
+    assert!(!same("2001:db8::1", "2001:db8:0:1::1"));
+    assert!(!same("192.0.2.1", "192.0.2.2"));
+}
+
+async fn with_headers(length: usize) -> String {
+    let server = Server::start(PATIENT).await;
+    let begin = "GET / HTTP/1.1\r\nHost: here\r\nConnection: close\r\nX-Long: ";
+    let filler = "x".repeat(length - begin.len() - 4);
+    let mut stream = server.connect().await;
+    let mut answer = Vec::new();
+    // The server may close before it has read everything.
+    let _ = stream.write_all(format!("{begin}{filler}\r\n\r\n").as_bytes()).await;
+    let _ = stream.read_to_end(&mut answer).await;
+    String::from_utf8(answer).expect("text")
+}
+
+#[tokio::test]
+async fn headers_beyond_the_limit_are_refused() {
+    assert!(with_headers(HEADER).await.starts_with("HTTP/1.1 200"));
+    for length in [HEADER + 1, 100_000, 1_000_000] {
+        assert!(with_headers(length).await.starts_with("HTTP/1.1 431"), "{length}");
+    }
 }

@@ -2,6 +2,8 @@
 //! inside is logged under an id and never shown.
 
 use std::fmt;
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::sync::Arc;
 
 use axum::extract::{Request, State};
 use axum::http::header::{ALLOW, CONTENT_TYPE, RETRY_AFTER};
@@ -13,7 +15,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use crate::pages;
-use crate::state::App;
+use crate::state::{App, AppState};
 
 /// Why a request has no answer.
 #[derive(Debug, thiserror::Error)]
@@ -26,14 +28,16 @@ pub(crate) enum WebError {
     NotFound(String),
     /// The request names another host.
     #[error(
-        "this server answers to names of this machine only, not to {0:?}; set allow_unauthenticated = true in the table [web] to let others in"
+        "this server does not answer to the name {0:?}: open it by its IP address, or add the name to server_names in the table [web]"
     )]
     OtherHost(String),
     /// There was such a thing; the text says what became of it.
     #[error("{0}")]
     Gone(String),
     /// A page of another site asks for a change.
-    #[error("only pages of this dashboard and programs may change something here, not a page of {0}")]
+    #[error(
+        "only pages of this dashboard and programs may change something here, not a page of {0}; a proxy in between must pass on the Host header"
+    )]
     OtherSite(String),
     /// The store has no answer.
     #[error("the store has no answer")]
@@ -97,8 +101,8 @@ impl WebError {
         }
     }
 
-    /// What the outside learns. Logs what it does not learn.
-    pub(crate) fn to_problem(&self) -> ProblemDetails {
+    /// What the outside learns. Logs what it does not learn; what fails again and again, once a minute with a count.
+    pub(crate) fn to_problem(&self, app: &AppState) -> ProblemDetails {
         let status = self.status();
         if !status.is_server_error() {
             return ProblemDetails::new(status, self.to_string(), None);
@@ -107,11 +111,22 @@ impl WebError {
             error @ (StoreError::TooLong { .. } | StoreError::Busy { .. } | StoreError::Closed { .. }),
         ) = self
         {
-            tracing::warn!(%error, "a question was not answered");
-            return ProblemDetails::new(status, error.to_string(), None);
+            let text = error.to_string();
+            if let Some(times) = app.count_failure(&text) {
+                tracing::warn!(times, error = text, "a question to the store was not answered");
+            }
+            return ProblemDetails::new(status, text, None);
         }
-        let id = uuid::Uuid::new_v4().simple().to_string()[..12].to_owned();
-        tracing::error!(id, error = %Chain(self), "a request failed");
+        let text = Chain(self).to_string();
+        // The same failure has the same id, so that it is found in the log although not every one is written there.
+        let id = id(&text);
+        if let Some(times) = app.count_failure(&text) {
+            if matches!(self, Self::TookTooLong(_)) {
+                tracing::warn!(id, times, error = text, "a request was not answered in time");
+            } else {
+                tracing::error!(id, times, error = text, "a request failed");
+            }
+        }
         let detail = match self {
             Self::Store(_) => "the stored data could not be read; what went wrong is in the aggregator's log",
             Self::TookTooLong(_) => "the answer took too long; try again, or ask for less at once",
@@ -119,6 +134,13 @@ impl WebError {
         };
         ProblemDetails::new(status, detail.to_owned(), Some(id))
     }
+}
+
+/// Twelve hexadecimal digits that stand for a text.
+fn id(text: &str) -> String {
+    let mut hasher = DefaultHasher::new();
+    text.hash(&mut hasher);
+    format!("{:012x}", hasher.finish() >> 16)
 }
 
 /// An error with its causes, for the log.
@@ -140,7 +162,7 @@ impl IntoResponse for WebError {
     /// A response without a body: [`dress`] gives it the form that the path asks for.
     fn into_response(self) -> Response {
         let mut response = self.status().into_response();
-        response.extensions_mut().insert(self.to_problem());
+        response.extensions_mut().insert(Arc::new(self));
         response
     }
 }
@@ -150,8 +172,8 @@ pub(crate) async fn dress(State(app): State<App>, request: Request, next: Next) 
     let path = request.uri().path().to_owned();
     let mut response = next.run(request).await;
     let status = response.status();
-    let problem = match response.extensions_mut().remove::<ProblemDetails>() {
-        Some(problem) => problem,
+    let problem = match response.extensions_mut().remove::<Arc<WebError>>() {
+        Some(error) => error.to_problem(&app),
         None if status == StatusCode::METHOD_NOT_ALLOWED => {
             let allowed = response.headers().get(ALLOW).and_then(|methods| methods.to_str().ok());
             let text =

@@ -50,7 +50,8 @@ pub(crate) fn build(app: App) -> Router {
         .layer(header(X_FRAME_OPTIONS, "DENY"))
         .layer(header(REFERRER_POLICY, "same-origin"))
         .layer(header(HeaderName::from_static("cross-origin-opener-policy"), "same-origin"))
-        .layer(TraceLayer::new_for_http())
+        // Failures are logged by `WebError`, and an answer of 503 is not one: /readyz says so for as long as nothing is stored.
+        .layer(TraceLayer::new_for_http().on_failure(()))
         .with_state(app)
 }
 

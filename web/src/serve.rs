@@ -74,8 +74,8 @@ pub fn router(
 }
 
 /// Serves the dashboard and the REST API of `aggregator` until `stop` is cancelled; open streams are then
-/// ended, other requests get 1.5 seconds to finish. At most 1,024 connections are open at a time, further ones
-/// wait; one that completes no request header within 10 seconds is closed.
+/// ended, other requests get 1.5 seconds to finish. At most `connections` are open at a time, a quarter of them from one
+/// address; one that completes no request header within 10 seconds is closed.
 ///
 /// # Errors
 /// When the configuration is refused or the address cannot be listened on.
@@ -84,6 +84,7 @@ pub async fn serve(
     aggregator: Aggregator,
     clock: SharedClock,
     stop: CancellationToken,
+    connections: usize,
 ) -> Result<Running, StartError> {
     let address = access::listen_address(&config)?;
     let listening = |source| StartError::Listen { address, source };
@@ -91,7 +92,8 @@ pub async fn serve(
     let address = listener.local_addr().map_err(listening)?;
     tokio::task::spawn_blocking(assets::prepare);
 
-    let router = router(&config, aggregator, clock, stop.clone());
-    let task = tokio::spawn(connections::accept(listener, router, stop, Limits::SERVER));
+    let router = router(&config, aggregator, clock.clone(), stop.clone());
+    let limits = Limits::server(connections);
+    let task = tokio::spawn(connections::accept(listener, router, clock, stop, limits));
     Ok(Running { address, task })
 }

@@ -1,12 +1,13 @@
 //! What every handler may use.
 
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 
-use peernet_aggregator::{Aggregator, IncidentRow, Picture, Store, StoreError};
+use peernet_aggregator::{Aggregator, IncidentRow, LogThrottle, Picture, Store, StoreError};
 use peernet_clock::{MonoTime, SharedClock, Span, WallTime};
 use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
 
+use crate::access::ServerNames;
 use crate::config::WebConfig;
 use crate::zone::Zone;
 
@@ -19,13 +20,14 @@ pub(crate) struct AppState {
     pub aggregator: Aggregator,
     pub clock: SharedClock,
     pub zone: Zone,
-    /// Whether only requests that name this machine are answered.
-    pub this_machine_alone: bool,
+    /// Names under which requests are answered.
+    pub names: ServerNames,
     /// When serving began.
     pub since: WallTime,
     /// Cancelled when the server is to stop: streams end with it.
     pub stop: CancellationToken,
     incidents: Mutex<Option<(MonoTime, Arc<Vec<IncidentRow>>)>>,
+    failures: std::sync::Mutex<LogThrottle>,
 }
 
 impl AppState {
@@ -44,11 +46,12 @@ impl AppState {
         Arc::new(Self {
             aggregator,
             zone: config.time_zone,
-            this_machine_alone: !config.allow_unauthenticated,
+            names: ServerNames::new(config),
             since: clock.wall(),
             clock,
             stop,
             incidents: Mutex::new(None),
+            failures: std::sync::Mutex::default(),
         })
     }
 
@@ -60,6 +63,13 @@ impl AppState {
     /// What is stored.
     pub(crate) fn store(&self) -> &Store {
         self.aggregator.store()
+    }
+
+    /// Counts a failure of a request. Returns how often it happened since it was last logged, or `None` when it need not be
+    /// logged again yet.
+    pub(crate) fn count_failure(&self, failure: &str) -> Option<u64> {
+        let mut failures = self.failures.lock().unwrap_or_else(PoisonError::into_inner);
+        failures.count(failure, None, self.clock.mono())
     }
 
     /// The newest incidents, as many as a live page shows.

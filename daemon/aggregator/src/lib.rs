@@ -20,6 +20,7 @@ mod error;
 mod figures;
 mod ingest;
 mod live;
+mod log_throttle;
 mod picture;
 mod plausible;
 mod readiness;
@@ -29,6 +30,7 @@ pub use aggregator::{Aggregator, Running};
 pub use config::{AggregatorConfig, RetentionConfig};
 pub use error::{Failure, Problem, StartError, StoreError};
 pub use figures::{Bound, Figures, P95_NEEDS, P99_NEEDS, rank};
+pub use log_throttle::LogThrottle;
 pub use picture::{
     Arrivals, CatchingUp, ClockPoint, HostPicture, LinkPicture, LiveSecond, MetricsPoint, Picture,
     PipelinePicture, RefusedFrames, RefusedHost, Stored, Totals, Window,

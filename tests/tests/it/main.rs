@@ -1,5 +1,6 @@
 //! End-to-end tests: the real programs, started as a user or systemd starts them.
 
+mod access;
 mod calibrate;
 mod chain;
 mod clocks;

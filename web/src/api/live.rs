@@ -10,18 +10,19 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::extract::State;
-use axum::http::HeaderName;
+use axum::http::{HeaderMap, HeaderName};
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{AppendHeaders, IntoResponse};
 use futures::{Stream, StreamExt, stream};
 use peernet_aggregator::{Picture, Readiness};
+use peernet_clock::WallTime;
 use serde::Deserialize;
 use tokio::sync::watch;
 use tokio::time::Instant;
 use utoipa::IntoParams;
 
 use super::parameters::Parameters;
-use super::schema::{PictureEvent, StatusEvent};
+use super::schema::{PictureEvent, PipelineList, StatusEvent};
 use crate::error::{ProblemDetails, WebError};
 use crate::pages::{Update, host, hosts, link, links, overview, pipeline, pipelines};
 use crate::state::{App, AppState};
@@ -32,6 +33,10 @@ const PAUSE: Duration = Duration::from_millis(250);
 const RATE: usize = 512 << 10;
 /// At most so many different topics on one stream: a page needs one.
 const TOPICS: usize = 16;
+/// Seconds of each pipeline that are sent at most to one who was away.
+const HISTORY: usize = 600;
+/// Seconds of all pipelines together that are sent at most at once: whoever needs more asks for each pipeline.
+const CATCH_UP: usize = 10_000;
 /// Time between two signs of life while nothing changes.
 const HEARTBEAT: Duration = Duration::from_secs(2);
 
@@ -44,6 +49,10 @@ pub(crate) struct Query {
     /// `pipelines`, `links`, `hosts`, `pipeline/HOST/PIPELINE/SECONDS`, `link/EDGE~CLOUD/RANGE/OFFSET`, `host/HOST`.
     /// `picture` unless given; at most 16 different ones, each sent once however often it is named.
     topics: Option<String>,
+    /// Id of the last event of an earlier stream, as the header `Last-Event-ID`, which an `EventSource` cannot set: the first
+    /// `picture` then holds the seconds since, at most 600. Everything else is sent as it is now.
+    #[param(pattern = "^-?[0-9]+$")]
+    last_event_id: Option<String>,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -98,13 +107,33 @@ impl Topic {
 ))]
 pub(crate) async fn stream(
     State(app): State<App>,
+    headers: HeaderMap,
     Parameters(query): Parameters<Query>,
 ) -> Result<impl IntoResponse, WebError> {
+    let header = headers.get("last-event-id").and_then(|id| id.to_str().ok());
+    let after =
+        query.last_event_id.as_deref().or(header).filter(|id| !id.is_empty()).map(event_time).transpose()?;
     let topics = topics(query.topics.as_deref().unwrap_or("picture"))?;
     let keep_alive = KeepAlive::new().interval(HEARTBEAT).event(Event::default().event("heartbeat").data(""));
     // Proxies that collect answers before they pass them on would make live figures late.
     let unbuffered = AppendHeaders([(HeaderName::from_static("x-accel-buffering"), "no")]);
-    Ok((unbuffered, Sse::new(events(app, topics)).keep_alive(keep_alive)))
+    Ok((unbuffered, Sse::new(events(app, topics, after)).keep_alive(keep_alive)))
+}
+
+/// The time of the picture that an event was made of, by the event's id.
+fn event_time(id: &str) -> Result<WallTime, WebError> {
+    id.parse().map(WallTime::from_unix_nanos).map_err(|_| {
+        WebError::BadRequest(format!("query parameter last_event_id: {id:?} is not the id of an event"))
+    })
+}
+
+/// How many seconds of each pipeline a listener needs who has them until then.
+fn seconds_since(after: WallTime, picture: &Picture) -> usize {
+    let missed = (picture.at - after).seconds().ceil();
+    // An id from the future is of another clock: all there is.
+    let missed = if (0.0..HISTORY as f64).contains(&missed) { missed as usize } else { HISTORY };
+    let wanted = missed + PipelineList::SECONDS;
+    if wanted * picture.pipelines.len() > CATCH_UP { PipelineList::SECONDS } else { wanted.min(HISTORY) }
 }
 
 /// The topics of a list, each once.
@@ -131,17 +160,24 @@ struct Listener {
     pictures: watch::Receiver<Arc<Picture>>,
     ready: watch::Receiver<Readiness>,
     next: Instant,
+    /// Until when the listener has heard everything, before the first event.
+    after: Option<WallTime>,
     /// What was sent last of each part of each topic's page.
     sent: HashMap<(usize, &'static str), u64>,
 }
 
-fn events(app: App, topics: Vec<Topic>) -> impl Stream<Item = Result<Event, Infallible>> {
+fn events(
+    app: App,
+    topics: Vec<Topic>,
+    after: Option<WallTime>,
+) -> impl Stream<Item = Result<Event, Infallible>> {
     let mut pictures = app.aggregator.live();
     // The first picture goes out at once.
     pictures.mark_changed();
     let stop = app.stop.clone();
     let ready = app.aggregator.readiness();
-    let listener = Listener { app, topics, pictures, ready, next: Instant::now(), sent: HashMap::new() };
+    let sent = HashMap::new();
+    let listener = Listener { app, topics, pictures, ready, next: Instant::now(), after, sent };
     let batches = stream::unfold(listener, |mut listener| async move {
         tokio::time::sleep_until(listener.next).await;
         tokio::select! {
@@ -171,11 +207,12 @@ fn hash(text: &str) -> u64 {
 impl Listener {
     /// What to send of a picture, and how many bytes that is.
     async fn events(&mut self, picture: &Picture) -> (Vec<Event>, usize) {
+        let seconds = self.after.take().map_or(PipelineList::SECONDS, |after| seconds_since(after, picture));
         let readiness = self.ready.borrow_and_update().clone();
         let mut texts = vec![("status", serde_json::to_string(&StatusEvent::new(picture, &readiness)))];
         for (index, topic) in self.topics.iter().enumerate() {
             match topic.update(&self.app, picture).await {
-                None => texts.push(("picture", serde_json::to_string(&PictureEvent::new(picture)))),
+                None => texts.push(("picture", serde_json::to_string(&PictureEvent::new(picture, seconds)))),
                 Some(Ok(mut update)) => {
                     // A chart changes once a second, a figure four times: what is as it was is not sent again.
                     update.parts.retain(|(id, html)| {
@@ -187,7 +224,7 @@ impl Listener {
                 // What the page is about went away: it keeps what it shows, `status` goes on.
                 Some(Err(WebError::NotFound(_))) => {}
                 Some(Err(error)) => {
-                    error.to_problem();
+                    error.to_problem(&self.app);
                 }
             }
         }
@@ -200,18 +237,42 @@ impl Listener {
             })
             .collect();
         let bytes = texts.iter().map(|(_, text)| text.len()).sum();
-        (texts.into_iter().map(|(name, text)| Event::default().event(name).data(text)).collect(), bytes)
+        let mut events: Vec<Event> =
+            texts.into_iter().map(|(name, text)| Event::default().event(name).data(text)).collect();
+        // Whoever has the last one has them all.
+        if let Some(last) = events.pop() {
+            events.push(last.id(picture.at.unix_nanos().to_string()));
+        }
+        (events, bytes)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use peernet_clock::{Span, Verdict};
+
     use super::*;
+    use crate::view::samples;
 
     #[test]
     fn large_pictures_come_less_often() {
         assert_eq!(pause(20_000), PAUSE);
         assert_eq!(pause(2 * RATE), Duration::from_secs(2));
+    }
+
+    #[test]
+    fn listener_gets_the_seconds_it_missed() {
+        let lines = |count: usize| {
+            let line = |at| samples::pipeline(&format!("line-{at}"), 30.0, 1.0, Verdict::Ok, &[]);
+            samples::picture(vec![samples::host("cam-1", "Orin")], (0..count).map(line).collect())
+        };
+        let picture = lines(4);
+        let ago = |seconds| seconds_since(picture.at - Span::from_seconds(seconds), &picture);
+        assert_eq!([ago(0), ago(30), ago(590), ago(3_600)], [5, 35, 595, 600]);
+        assert_eq!(ago(-60), 600, "an id of another clock");
+        let crowd = lines(200);
+        assert_eq!(seconds_since(crowd.at - Span::from_seconds(30), &crowd), 35);
+        assert_eq!(seconds_since(crowd.at - Span::from_seconds(60), &crowd), 5, "more than is sent at once");
     }
 
     #[test]

@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use axum::Router;
 use axum::body::{Body, to_bytes};
-use axum::http::{HeaderMap, Request, StatusCode};
+use axum::http::header::HOST;
+use axum::http::{HeaderMap, HeaderValue, Request, StatusCode};
 use peernet_aggregator::{Aggregator, AggregatorConfig, Picture};
 use peernet_clock::{ClockIdentity, SharedClock, Span, SystemClock};
 use peernet_web::{WebConfig, Zone};
@@ -104,7 +105,9 @@ impl Bed {
         Arc::clone(&picture)
     }
 
-    pub(crate) async fn send(&self, request: Request<Body>) -> axum::response::Response {
+    /// Sends a request as a program does: with a Host header.
+    pub(crate) async fn send(&self, mut request: Request<Body>) -> axum::response::Response {
+        request.headers_mut().entry(HOST).or_insert(HeaderValue::from_static("127.0.0.1:8040"));
         self.router.clone().oneshot(request).await.expect("the router answers")
     }
 

@@ -14,7 +14,7 @@ async fn a_server_stops_with_a_stream_open() {
     let bed = Bed::empty().await;
     let stop = CancellationToken::new();
     let server =
-        peernet_web::serve(bed.config.clone(), bed.aggregator.clone(), bed.clock.clone(), stop.clone())
+        peernet_web::serve(bed.config.clone(), bed.aggregator.clone(), bed.clock.clone(), stop.clone(), 16)
             .await
             .expect("serves");
     let mut listener = TcpStream::connect(server.address()).await.expect("connects");
@@ -41,7 +41,7 @@ async fn a_port_in_use_is_named() {
     let taken = tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("binds");
     let listen = taken.local_addr().expect("an address").to_string();
     let config = WebConfig { listen: listen.clone(), ..bed.config.clone() };
-    let error = peernet_web::serve(config, bed.aggregator.clone(), bed.clock.clone(), bed.stop.clone())
+    let error = peernet_web::serve(config, bed.aggregator.clone(), bed.clock.clone(), bed.stop.clone(), 16)
         .await
         .expect_err("the port is taken");
     assert!(matches!(error, StartError::Listen { .. }));
@@ -52,20 +52,32 @@ async fn a_port_in_use_is_named() {
 }
 
 #[tokio::test]
-async fn names_of_other_machines_are_refused_until_others_are_let_in() {
+async fn foreign_names_are_refused_also_where_everybody_may_ask() {
     let bed = Bed::empty().await;
-    let request = |path: &str| {
-        Request::get(path).header("host", "rebound.example").body(Body::empty()).expect("a request")
-    };
-    let answer = bed.request(request("/api/v1/runs")).await;
-    assert_eq!(answer.status, StatusCode::MISDIRECTED_REQUEST);
-    assert!(answer.json()["detail"].as_str().expect("a detail").contains("allow_unauthenticated"));
-    assert_eq!(bed.request(request("/")).await.status, StatusCode::MISDIRECTED_REQUEST);
-
-    let open = WebConfig { allow_unauthenticated: true, ..bed.config.clone() };
-    let router = peernet_web::router(&open, bed.aggregator.clone(), bed.clock.clone(), bed.stop.clone());
-    let response = tower::ServiceExt::oneshot(router, request("/")).await.expect("answers");
-    assert_eq!(response.status(), StatusCode::OK);
+    let server_names = vec!["dash.example.org".to_owned()];
+    let open = WebConfig { allow_unauthenticated: true, server_names, ..bed.config.clone() };
+    for config in [&bed.config, &open] {
+        let router = peernet_web::router(config, bed.aggregator.clone(), bed.clock.clone(), bed.stop.clone());
+        let status = async |method: &str, path: &str, host: &str| {
+            let request = Request::builder().method(method).uri(path).header("host", host);
+            let request = request.header("origin", format!("http://{host}")).body(Body::empty());
+            let request = request.expect("a request");
+            tower::ServiceExt::oneshot(router.clone(), request).await.expect("answers").status()
+        };
+        for (method, path) in [("GET", "/"), ("GET", "/api/v1/runs"), ("DELETE", "/api/v1/runs/1/pin")] {
+            assert_eq!(status(method, path, "evil.example").await, StatusCode::MISDIRECTED_REQUEST, "{path}");
+        }
+        for host in ["192.0.2.7:8040", "[2001:db8::1]:8040", "localhost"] {
+            assert_eq!(status("GET", "/api/v1/runs", host).await, StatusCode::OK, "{host}");
+            // There is no such run: the request was let through.
+            assert_eq!(status("DELETE", "/api/v1/runs/1/pin", host).await, StatusCode::NOT_FOUND, "{host}");
+        }
+        let named = status("GET", "/", "dash.example.org").await;
+        assert_eq!(named == StatusCode::OK, config.allow_unauthenticated, "{named}");
+    }
+    let request = Request::get("/api/v1/runs").header("host", "evil.example").body(Body::empty());
+    let answer = bed.request(request.expect("a request")).await;
+    assert!(answer.json()["detail"].as_str().expect("a detail").contains("server_names"));
 }
 
 #[tokio::test]

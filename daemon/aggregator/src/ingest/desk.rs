@@ -12,8 +12,8 @@ use zeromq::Identity;
 
 use super::committing::StoreEvent;
 use super::queue::{Incoming, Queue};
-use super::refusals::Refusals;
 use crate::live::News;
+use crate::log_throttle::LogThrottle;
 use crate::picture::RefusedHost;
 use crate::store::opening::StoredState;
 use crate::store::write::{Aside, Committed, Introduction, RunName, Streams, Work};
@@ -53,7 +53,7 @@ pub(crate) struct Desk {
     unknown: HashSet<RunId>,
     /// Whether the writer has a database: while it has none, nothing is acknowledged.
     is_database_open: bool,
-    refusals: Refusals,
+    refusals: LogThrottle,
     replies: Vec<(Identity, ToAgent)>,
     news: Vec<News>,
     untaken: Untaken,
@@ -70,7 +70,7 @@ impl Desk {
             streams,
             unknown: unknown.into_iter().collect(),
             is_database_open: true,
-            refusals: Refusals::default(),
+            refusals: LogThrottle::default(),
             replies: Vec::new(),
             news: Vec::new(),
             untaken: Untaken::default(),

@@ -6,7 +6,6 @@ pub(crate) mod committing;
 mod desk;
 pub(crate) mod preparing;
 mod queue;
-mod refusals;
 mod reopening;
 pub(crate) mod socket;
 

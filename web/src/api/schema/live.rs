@@ -124,10 +124,6 @@ impl PipelineList {
     /// Seconds of each pipeline in lists and events: enough to bridge a slow reader's pauses.
     pub(crate) const SECONDS: usize = 5;
 
-    pub(crate) fn new(picture: &Picture) -> Self {
-        Self::of(picture, |one| Pipeline::new(one, Self::SECONDS))
-    }
-
     /// Every pipeline, as far as it is taken.
     pub(crate) fn of(picture: &Picture, taken: impl Fn(&PipelinePicture) -> Pipeline) -> Self {
         let pipelines = picture.pipelines.iter().map(|one| taken(one));
@@ -156,14 +152,16 @@ pub(crate) struct HostNow {
 }
 
 impl PictureEvent {
-    pub(crate) fn new(picture: &Picture) -> Self {
+    /// With so many of each pipeline's last seconds.
+    pub(crate) fn new(picture: &Picture, seconds: usize) -> Self {
         let hosts = picture.hosts.iter().map(|host| HostNow {
             name: host.description.name.to_string(),
             connected: host.connected,
             cpu: host.metrics.cpu,
             gpu: host.metrics.gpu,
         });
-        Self { pipelines: PipelineList::new(picture), hosts: hosts.collect() }
+        let pipelines = PipelineList::of(picture, |one| Pipeline::new(one, seconds));
+        Self { pipelines, hosts: hosts.collect() }
     }
 }
 

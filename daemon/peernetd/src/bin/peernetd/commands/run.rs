@@ -17,6 +17,8 @@ use peernetd::output::complain;
 
 /// How long threads that block may take to end after everything else has.
 const LAST_MOMENTS: Duration = Duration::from_secs(1);
+/// Most connections to the dashboard and the REST API.
+const WEB_CONNECTIONS: usize = 1_024;
 
 /// Runs the roles of a configuration file until a signal comes.
 pub(crate) fn run(file: &Path) -> Exit {
@@ -76,7 +78,7 @@ async fn live(configuration: Configuration) -> Result<Exit, Failure> {
             let with = clock.clone();
             lifecycle
                 .start("web server", async |stop| {
-                    let running = peernet_web::serve(config, aggregator, with, stop).await?;
+                    let running = peernet_web::serve(config, aggregator, with, stop, WEB_CONNECTIONS).await?;
                     info!("dashboard: http://{}", running.address());
                     Ok(running.join().map_err(anyhow::Error::new).boxed())
                 })

@@ -1,0 +1,130 @@
+//! The web port, asked over plain sockets.
+
+use std::io::{ErrorKind, Read, Write};
+use std::net::{SocketAddr, TcpStream};
+
+use peernet_tests::{PATIENCE, Process, Site, until};
+use rustix::net::{AddressFamily, SocketType, bind, connect, socket};
+
+/// A connection to the site's web port from an address of this machine.
+fn connection(site: &Site, from: [u8; 4]) -> TcpStream {
+    let socket = socket(AddressFamily::INET, SocketType::STREAM, None).expect("a socket");
+    bind(&socket, &SocketAddr::from((from, 0))).expect("an address of loopback");
+    connect(&socket, &SocketAddr::from(([127, 0, 0, 1], site.http))).expect("connects");
+    let stream = TcpStream::from(socket);
+    stream.set_read_timeout(Some(PATIENCE)).expect("sets");
+    stream
+}
+
+/// The first line of the answer to a request, which may be cut off where the server closes early.
+fn answer(site: &Site, request: &str) -> String {
+    let mut stream = connection(site, [127, 0, 0, 1]);
+    let _ = stream.write_all(request.as_bytes());
+    let mut text = Vec::new();
+    let _ = stream.read_to_end(&mut text);
+    String::from_utf8_lossy(&text).lines().next().unwrap_or_default().to_owned()
+}
+
+/// An aggregator that lets everybody look.
+fn open_to_all(site: &Site) -> Process {
+    let text = peernet_tests::AGGREGATOR.replace("[web]\n", "[web]\nallow_unauthenticated = true\n");
+    site.write("aggregator.toml", &text);
+    let process = site.start("aggregator.toml");
+    process.wait_for("dashboard: http://");
+    process
+}
+
+#[test]
+fn foreign_host_name_is_refused_where_everybody_may_look() {
+    let site = Site::new();
+    let _aggregator = open_to_all(&site);
+    for (method, path) in [("GET", "/"), ("GET", "/api/v1/hosts"), ("DELETE", "/api/v1/runs/1/pin")] {
+        let ask = |host: &str| {
+            answer(
+                &site,
+                &format!(
+                    "{method} {path} HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nConnection: close\r\n\r\n"
+                ),
+            )
+        };
+        assert!(ask("evil.example").starts_with("HTTP/1.1 421 "), "{method} {path}: {}", ask("evil.example"));
+        assert!(!ask(&format!("127.0.0.1:{}", site.http)).contains(" 421 "), "{method} {path}");
+    }
+    let foreign = "PUT /api/v1/runs/1/pin HTTP/1.1\r\nHost: 127.0.0.1\r\nOrigin: http://evil.example\r\nConnection: close\r\n\r\n";
+    assert!(answer(&site, foreign).starts_with("HTTP/1.1 403 "), "{}", answer(&site, foreign));
+}
+
+#[test]
+fn request_without_exactly_one_host_is_refused() {
+    let site = Site::new();
+    let (_aggregator, _) = site.aggregator();
+    let ask =
+        |hosts: &str| answer(&site, &format!("GET /healthz HTTP/1.1\r\n{hosts}Connection: close\r\n\r\n"));
+    assert!(ask("Host: localhost\r\n").starts_with("HTTP/1.1 200 "));
+    for hosts in ["", "Host: localhost\r\nHost: localhost\r\n", "Host: a b\r\n"] {
+        assert!(ask(hosts).starts_with("HTTP/1.1 400 "), "{hosts:?}: {}", ask(hosts));
+    }
+}
+
+#[test]
+fn headers_beyond_64_kib_are_refused() {
+    let site = Site::new();
+    let (_aggregator, _) = site.aggregator();
+    let ask = |target: usize, header: usize| {
+        let (target, header) = ("x".repeat(target), "y".repeat(header));
+        answer(
+            &site,
+            &format!(
+                "GET /healthz?{target} HTTP/1.1\r\nHost: localhost\r\nX-Long: {header}\r\nConnection: close\r\n\r\n"
+            ),
+        )
+    };
+    assert!(ask(1, 60_000).starts_with("HTTP/1.1 200 "));
+    for (target, header) in [(1, 66_000), (1, 100_000), (40_000, 40_000), (1, 10_000_000)] {
+        assert!(
+            ask(target, header).starts_with("HTTP/1.1 431 "),
+            "{target} {header}: {}",
+            ask(target, header)
+        );
+    }
+    assert!(ask(100_000, 1).starts_with("HTTP/1.1 4"), "{}", ask(100_000, 1));
+    let many = "X: y\r\n".repeat(500);
+    let many = format!("GET /healthz HTTP/1.1\r\nHost: localhost\r\n{many}Connection: close\r\n\r\n");
+    assert!(answer(&site, &many).starts_with("HTTP/1.1 431 "), "{}", answer(&site, &many));
+}
+
+#[test]
+fn one_address_cannot_take_all_connections() {
+    let site = Site::new();
+    let (aggregator, _) = site.aggregator();
+    let mut crowd: Vec<TcpStream> = (0..300).map(|_| connection(&site, [127, 0, 0, 2])).collect();
+    // The last of them is closed, the first is not.
+    let ended = crowd.last_mut().expect("some").read(&mut [0]);
+    assert!(ended.is_ok_and(|length| length == 0));
+    let first = &crowd[0];
+    first.set_nonblocking(true).expect("sets");
+    assert_eq!(first.peek(&mut [0]).expect_err("open").kind(), ErrorKind::WouldBlock);
+    let mut other = connection(&site, [127, 0, 0, 3]);
+    other.write_all(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").expect("sends");
+    let mut text = String::new();
+    other.read_to_string(&mut text).expect("answers");
+    assert!(text.ends_with("alive\n"), "{text}");
+    let log = aggregator.stop().log;
+    assert_eq!(log.matches("its address has as many open as one may have").count(), 1, "{log}");
+}
+
+#[test]
+fn answers_of_503_and_repeated_failures_do_not_fill_the_log() {
+    let site = Site::new();
+    let (aggregator, api) = site.aggregator();
+    let database = site.folder().join("aggregator.sqlite");
+    std::fs::rename(&database, site.folder().join("away.sqlite")).expect("moves");
+    until("503", || api.get("/readyz").filter(|(status, _)| *status == 503));
+    for _ in 0..20 {
+        assert_eq!(api.get("/readyz").map(|(status, _)| status), Some(503));
+        api.get("/api/v1/runs");
+    }
+    let log = aggregator.stop().log;
+    assert!(!log.contains("response failed"), "{log}");
+    assert!(log.matches("a request failed").count() <= 1, "{log}");
+}

@@ -1,0 +1,3 @@
+//! Who gets in, and what one who is not known may take.
+
+mod http;
