@@ -50,8 +50,9 @@ export async function violations(page) {
 // How far the page can be scrolled sideways, in pixels.
 export const sideways = (page) => page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
 
-// Waits until live figures have changed.
+// Waits until live figures have changed: those in sight do.
 export async function moves(page, selector) {
+  await page.locator(selector).first().scrollIntoViewIfNeeded();
   const before = await page.locator(selector).innerText();
   await page.waitForFunction(([where, text]) => document.querySelector(where)?.innerText !== text, [selector, before], { timeout: 30000 });
 }

@@ -7,6 +7,7 @@ import { base, browser, pages } from "./dashboard.mjs";
 import "./figures.mjs";
 import "./episodes.mjs";
 import "./legible.mjs";
+import "./tabs.mjs";
 import "./trouble.mjs";
 import "./everyone.mjs";
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from types import ModuleType
 
-from . import agent, attacked, delays, idle, ingest, live, loop, model, node, pages, python, stream
+from . import agent, attacked, browser, delays, idle, ingest, live, loop, model, node, pages, python, stream
 
 # Each has `prepare()`, which builds and checks what it needs, and `measure(quick) -> Section`.
 ALL: dict[str, ModuleType] = {
@@ -20,4 +20,5 @@ ALL: dict[str, ModuleType] = {
     "idle": idle,
     "agent": agent,
     "attacked": attacked,
+    "browser": browser,
 }

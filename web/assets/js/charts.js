@@ -5,13 +5,23 @@ const PEER = (() => {
   const drawn = new Set();
   let probe = null;
 
+  // What the style sheets say, kept until they say something else: reading it makes the browser compute styles.
+  const kept = new Map();
+  function once(key, read) {
+    if (!kept.has(key)) kept.set(key, read());
+    return kept.get(key);
+  }
+  // Both before the charts are told, which are drawn again with what is read then.
+  document.addEventListener("peer-theme", () => kept.clear());
+  addEventListener("resize", () => kept.clear());
+
   // light-dark() is resolved by the browser, not by us
-  function css(name) {
+  const css = (name) => once(name, () => {
     if (!probe || !probe.isConnected) { probe = document.createElement("i"); probe.hidden = true; document.body.appendChild(probe); }
     probe.style.color = `var(${name})`;
     return getComputedStyle(probe).color;
-  }
-  const px = (rem) => rem * parseFloat(getComputedStyle(document.documentElement).fontSize);
+  });
+  const px = (rem) => rem * once("rem", () => parseFloat(getComputedStyle(document.documentElement).fontSize));
   const look = (stage) => ({ "send-queue": "queue", ipc: "encode" })[stage] ?? stage;
 
   function hatch(ground, line, angle) {
@@ -41,25 +51,28 @@ const PEER = (() => {
     pen.fillRect(0, 6, 1, 2);
     return { image: canvas, repeat: "repeat" };
   }
-  function fill(stage) {
+  const fill = (stage) => once(`fill ${stage}`, () => {
     if (look(stage) === "queue") return hatch(css("--s-queue"), css("--e-queue"), 1);
     if (stage === "network") return both(css("--s-upload"), css("--s-download"));
     if (stage === "unattributed") return hatch(css("--s-unattributed"), css("--e-unattributed"), -1);
     return css(`--s-${stage}`);
-  }
+  });
   const edge = (stage) => (stage === "network" ? css("--s-upload") : css((PALE.has(look(stage)) ? "--e-" : "--s-") + look(stage)));
 
   // --- numbers as numbers.rs writes them
   const offset = () => Number(document.documentElement.dataset.offset) * 1000;
   const clock = (time, seconds) => new Date(time + offset()).toISOString().slice(11, seconds ? 19 : 16);
+  // Made once: making one takes longer than all that it formats.
+  const FIGURES = [0, 1, 2].map((digits) => new Intl.NumberFormat("en-US", { minimumFractionDigits: digits, maximumFractionDigits: digits }));
+  const TICKS = new Intl.NumberFormat("en-US", { maximumFractionDigits: 6 });
   function figure(value) {
     if (value == null) return "—";
     const size = Math.abs(value), digits = size < 9.995 ? 2 : size < 99.95 ? 1 : 0;
-    return value.toLocaleString("en-US", { minimumFractionDigits: digits, maximumFractionDigits: digits }).replace("-", "\u2212");
+    return FIGURES[digits].format(value).replace("-", "\u2212");
   }
 
   // A tick of an axis: round by construction.
-  const tick = (value) => (+value.toPrecision(3)).toLocaleString("en-US", { maximumFractionDigits: 6 });
+  const tick = (value) => TICKS.format(+value.toPrecision(3));
 
   const FONT = "Inter, system-ui, sans-serif";
   const text = () => ({ color: css("--ink-3"), fontSize: px(0.6875), fontFamily: FONT });
@@ -154,7 +167,7 @@ const PEER = (() => {
     return new Map(found.map((span) => [span.index, span]));
   }
   function marks(list, gaps, plots, said) {
-    const faint = css("--ink-3"), ink = css("--ink-2"), shade = hatch(null, css("--line"), 1), words = text();
+    const faint = css("--ink-3"), ink = css("--ink-2"), shade = once("shade", () => hatch(null, css("--line"), 1)), words = text();
     const rows = gaps.map((gap) => [gap.from, gap.to, "gap-span"]).concat(list.map((mark) => [mark.at, mark.at, mark.sign]));
     return {
       type: "custom", silent: true, z: 6, clip: false, tooltip: { show: false }, encode: { x: [0, 1] }, data: rows.map((row) => [row[0], row[1]]),
@@ -238,6 +251,8 @@ const PEER = (() => {
   }
   function draw(node, make) {
     const one = { node, make, chart: echarts.init(node, null, { renderer: "canvas" }), seen: true, stale: false };
+    // It asks for frames as long as something moves, and by itself goes on for ten more after each drawing.
+    one.chart.getZr().setSleepAfterStill(1);
     node.peer = one;
     drawn.add(one);
     redraw(one);

@@ -3,7 +3,9 @@
   const KEPT = 600, RETRY = 2000;
   // Seconds between two figures of a host, which come every five, that mean that it was away.
   const SILENT = 15;
-  let cards = [], range = 600, alone = null, paused = false, marks = [], scale = { max: 0, since: 0 }, queued = false;
+  // Shortest time between two drawings of what arrives. The newest bucket alone moves meanwhile, by less than can be seen.
+  const PACE = 1000;
+  let cards = [], range = 600, alone = null, paused = false, marks = [], scale = { max: 0, since: 0 }, queued = 0, drawnAt = 0;
 
   function begin() {
     PEER.forget();
@@ -25,6 +27,7 @@
   // --- seconds into buckets
   function grow(list, length) { while (list.length < length) list.push(null); }
   function put(card, second) {
+    state++;
     let at = second.at - card.from;
     if (card.n.length === 0) { card.from = second.at; at = 0; }
     if (at < 0) return;
@@ -50,7 +53,14 @@
     card.last = card.from + card.n.length - 1;
   }
 
+  // The buckets of a card, made once for each state of all cards: the charts share their end and their scale.
+  let state = 0;
   function bucketed(card, width) {
+    const key = `${state} ${range} ${width}`;
+    if (card.view?.key !== key) card.view = { key, ...buckets(card, width) };
+    return card.view;
+  }
+  function buckets(card, width) {
     const end = Math.max(...cards.map((other) => other.last)) + 1, start = end - range;
     const known = card.n.filter((count) => count != null), rate = known.reduce((sum, count) => sum + count, 0) / Math.max(1, known.length);
     // A slow pipeline gets buckets that hold an iteration each.
@@ -193,15 +203,22 @@
     };
   }
 
+  // Draws at once what somebody asked for, and what arrives at its pace.
   function refresh() {
+    clearTimeout(queued);
+    queued = 0;
+    if (paused || document.hidden) return;
+    drawnAt = performance.now();
+    requestAnimationFrame(() => cards.forEach((card) => card.one && PEER.redraw(card.one)));
+  }
+  function arrived() {
     if (queued || paused || document.hidden) return;
-    queued = true;
-    requestAnimationFrame(() => { queued = false; cards.forEach((card) => card.one && PEER.redraw(card.one)); });
+    // Until a bucket ends, nothing but the newest one changes.
+    const pace = Math.max(PACE, ...cards.map((card) => (card.view?.size ?? 0) * 1000));
+    queued = setTimeout(refresh, Math.max(0, pace - (performance.now() - drawnAt)));
   }
 
   // --- what arrives
-  const isCalm = matchMedia("(prefers-reduced-motion: reduce)");
-  let last = 0;
   document.addEventListener("peer-picture", ({ detail }) => {
     for (const pipeline of detail.pipelines) {
       const card = cards.find((other) => other.host === pipeline.host && other.pipeline === pipeline.name);
@@ -217,9 +234,7 @@
         if (list.length > KEPT / 5) list.shift();
       }
     }
-    if (isCalm.matches && performance.now() - last < 1000) return;
-    last = performance.now();
-    refresh();
+    arrived();
   });
   // Seconds that went by unseen are fetched; those that were never reported stay a gap.
   async function catchUp(card) {

@@ -4,7 +4,7 @@
   const $ = (id) => document.getElementById(id);
   const tell = (name, detail) => document.dispatchEvent(new CustomEvent(name, { detail }));
   const calm = matchMedia("(prefers-reduced-motion: reduce)");
-  let source = null, heard = 0, away = false, paused = false, pending = null, shown = 0, timer = 0, status = null;
+  let source = null, newest = "", heard = 0, away = false, paused = false, pending = null, shown = 0, timer = 0, status = null;
 
   const offset = () => Number(document.documentElement.dataset.offset) * 1000;
   const clock = (time) => new Date(time + offset()).toISOString().slice(11, 19);
@@ -15,6 +15,7 @@
     fresh.forEach((node, index) => {
       const at = old[index];
       if (!at) { from.appendChild(node); return; }
+      if (at.isEqualNode(node)) return;
       if (at.nodeType !== node.nodeType || at.nodeName !== node.nodeName) { at.replaceWith(node); return; }
       if (node.nodeType !== Node.ELEMENT_NODE) { if (at.nodeValue !== node.nodeValue) at.nodeValue = node.nodeValue; return; }
       for (const { name } of Array.from(at.attributes)) if (name !== "hidden" && !node.hasAttribute(name)) at.removeAttribute(name);
@@ -39,16 +40,42 @@
     shown = performance.now();
     if ((document.querySelector("main").dataset.layout || "") !== update.layout) { renew(); return; }
     document.title = `${update.title} · PEERNet`;
-    for (const [id, html] of update.parts) {
-      const part = $(`part-${id}`);
+    for (const [id, html] of update.parts) waiting.set(`part-${id}`, html);
+    replace();
+    tell("peer-updated", update);
+  }
+
+  // --- parts out of sight wait until they come into it, or are printed
+  const waiting = new Map(), unseen = new Set();
+  const sight = new IntersectionObserver((entries) => {
+    for (const { target, isIntersecting } of entries) {
+      if (isIntersecting) unseen.delete(target.id);
+      else unseen.add(target.id);
+    }
+    if (replace()) tell("peer-updated", { marks: [], obstacles: [] });
+  });
+  function watch() {
+    sight.disconnect();
+    waiting.clear();
+    unseen.clear();
+    for (const part of document.querySelectorAll("[id^=part-]")) sight.observe(part);
+  }
+  function replace(all = false) {
+    let any = false;
+    for (const [id, html] of waiting) {
+      if ((unseen.has(id) && !all) || paused) continue;
+      waiting.delete(id);
+      const part = $(id);
       if (!part) continue;
       const template = document.createElement("template");
       template.innerHTML = html;
       // A part may share its element with something that is not live: only as many nodes as it has are its own.
       morph(part, template.content);
+      any = true;
     }
-    tell("peer-updated", update);
+    return any;
   }
+  addEventListener("beforeprint", () => replace(true));
   function schedule() {
     if (timer || paused || document.hidden) return;
     timer = setTimeout(apply, calm.matches ? Math.max(0, 1000 - (performance.now() - shown)) : 0);
@@ -64,6 +91,7 @@
       if (!answer.ok) throw new Error(`status ${answer.status}`);
       const page = new DOMParser().parseFromString(await answer.text(), "text/html");
       document.querySelector("main").replaceWith(page.querySelector("main"));
+      watch();
       $("data")?.remove();
       if (page.getElementById("data")) document.body.appendChild(page.getElementById("data"));
       const known = new Set(Array.from(document.scripts, (script) => script.getAttribute("src")));
@@ -121,17 +149,25 @@
     lag();
   }
 
-  // --- the stream
+  // --- the stream: open while the page can be seen, because a browser has six connections for all pages of a server
   function wanted() {
     const topics = document.body.dataset.topic ? [document.body.dataset.topic] : [];
     if (document.querySelector(".live-chart")) topics.push("picture");
     return topics.join(",");
   }
-  function connect() {
+  function disconnect() {
     if (source) source.close();
-    source = new EventSource(`/api/v1/live?topics=${encodeURIComponent(wanted())}`);
+    source = null;
+  }
+  function connect() {
+    disconnect();
+    if (document.hidden) return;
+    // A new EventSource cannot send Last-Event-ID by itself: as a parameter.
+    const after = newest && `&last_event_id=${encodeURIComponent(newest)}`;
+    source = new EventSource(`/api/v1/live?topics=${encodeURIComponent(wanted())}${after}`);
     const on = (name, handle) => source.addEventListener(name, (event) => {
       heard = performance.now();
+      newest = event.lastEventId || newest;
       back();
       handle(event.data);
     });
@@ -141,11 +177,16 @@
     on("heartbeat", () => {});
     source.addEventListener("error", lost);
   }
+  // The silence of a stream begins with it.
+  function resume() {
+    heard = performance.now();
+    connect();
+  }
   function lost() {
-    if (source) source.close();
-    source = null;
-    setTimeout(() => { if (!source) connect(); }, RETRY);
-    if (away || leaving) return;
+    disconnect();
+    if (leaving) return;
+    setTimeout(() => { if (!source && !leaving) connect(); }, RETRY);
+    if (away) return;
     away = true;
     const at = clock(Date.now());
     document.body.classList.add("away");
@@ -166,8 +207,8 @@
   }
 
   let leaving = false;
-  addEventListener("pagehide", () => { leaving = true; if (source) source.close(); });
-  addEventListener("pageshow", (event) => { if (event.persisted) { leaving = false; heard = performance.now(); connect(); } });
+  addEventListener("pagehide", () => { leaving = true; disconnect(); });
+  addEventListener("pageshow", (event) => { if (event.persisted) { leaving = false; resume(); } });
   setInterval(() => {
     if (source && performance.now() - heard > SILENCE) lost();
     if (away) lag();
@@ -184,8 +225,11 @@
     tell("peer-pause", paused);
     schedule();
   });
-  document.addEventListener("visibilitychange", () => { if (!document.hidden) schedule(); });
+  document.addEventListener("visibilitychange", () => {
+    if (document.hidden) disconnect();
+    else if (!leaving) { resume(); schedule(); }
+  });
 
-  heard = performance.now();
-  connect();
+  watch();
+  resume();
 })();

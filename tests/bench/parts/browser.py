@@ -1,0 +1,73 @@
+"""What the overview costs a browser: the counters of a headless Chromium that shows it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+from plant import free_ports, plant
+from programs import ROOT, Failure, output
+from report import Section, Table
+
+BROWSER = ROOT / "tests/browser"
+PIPELINES = 4
+RATE_HZ = 10.0
+AIM = 0.05
+
+
+def prepare() -> None:
+    for tool in ("node", "npm"):
+        if shutil.which(tool) is None:
+            raise Failure(f"{tool} is not in PATH; install it and chromium with deploy/install-tools.sh test")
+    output(["npm", "ci", "--silent", "--no-audit", "--no-fund"], folder=BROWSER, timeout_s=300)
+
+
+def measure(quick: bool) -> Section:
+    seconds = 10 if quick else 60
+    section = Section("What the overview costs a browser")
+    section.say(
+        f"{PIPELINES} pipelines of {RATE_HZ:.0f} iterations a second, two of them remote; the overview in a headless "
+        f"Chromium of 1440 × 900 pixels, over {seconds} s. Share of one core that the page's main thread takes for all its "
+        "tasks (TaskDuration), and of it for scripts, layout and styles, by the browser's own counters, in time of that "
+        "thread on the processor and in time that passed, in which it may have waited for the processor."
+    )
+    events, data, web = free_ports(3)
+    with plant() as it:
+        it.aggregator(events=events, web=web)
+        agent = f'aggregator = "tcp://127.0.0.1:{events}"'
+        it.daemon("rack", _agent("rack", agent, it.folder) + f'[serve]\nlisten = "tcp://127.0.0.1:{data}"\n' + MODEL)
+        lines = "".join(_pipeline(at, data) for at in range(PIPELINES))
+        it.daemon("cam", _agent("cam", agent, it.folder) + MODEL + lines)
+        address = f"http://127.0.0.1:{web}"
+        costs = json.loads(output(["node", "cost.mjs", address, seconds], folder=BROWSER, timeout_s=seconds * 3 + 120))
+    table = Table("counted in", "all tasks, %", "scripts, %", "layout, %", "styles, %")
+    for name, cost in (("processor time", costs["processor"]), ("time that passed", costs["passed"])):
+        table.row(name, *(f"{100 * cost[key]:.1f}" for key in ("task", "script", "layout", "style")))
+    section.table(table)
+    # On a machine that does something else as well, time that passed counts that, too.
+    task = costs["processor"]["task"]
+    section.aim(f"overview of {PIPELINES} pipelines ≤ {AIM:.0%} of a core", f"{task:.1%}", task <= AIM)
+    return section
+
+
+MODEL = """
+[[model]]
+name = "model"
+kind = "sleep"
+preprocessing_ms = 2
+inference_ms = 20
+postprocessing_ms = 1
+"""
+
+
+def _agent(name: str, reporting: str, folder: object) -> str:
+    return f'[agent]\nname = "{name}"\nstate_dir = "{folder}/{name}"\nclock_identity = "{name}"\n{reporting}\n'
+
+
+def _pipeline(at: int, data: int) -> str:
+    remote = f'{{ kind = "remote", peer = "tcp://127.0.0.1:{data}", model = "model" }}'
+    placement = remote if at % 2 else '{ kind = "local", model = "model" }'
+    return (
+        f'[[pipeline]]\nname = "pipeline-{at + 1}"\nsensor = {{ kind = "synthetic", size_bytes = 20000 }}\n'
+        f'placement = {placement}\nload = {{ mode = "rate", hz = {RATE_HZ} }}\n'
+    )

@@ -1,0 +1,39 @@
+// What the overview costs a browser: node cost.mjs URL SECONDS prints shares of a core as JSON, by the browser's counters of
+// the page's main thread, in time of the processor and in time that passed.
+// PROFILE=FILE keeps a profile of the scripts, which the developer tools open.
+import { writeFileSync } from "node:fs";
+import { drawn, launch, moves, open } from "./browser.mjs";
+
+const [base, seconds] = [process.argv[2], Number(process.argv[3])];
+const NAMES = { task: "TaskDuration", script: "ScriptDuration", layout: "LayoutDuration", style: "RecalcStyleDuration" };
+
+// The counters over a time. Shares are of the time that passed, whatever the durations are counted in.
+async function costs(browser, timeDomain) {
+  const { page, close } = await open(browser, base, "/");
+  await drawn(page);
+  await moves(page, "#part-now");
+  const session = await page.context().newCDPSession(page);
+  await session.send("Performance.enable", { timeDomain });
+  const profiled = process.env.PROFILE && timeDomain === "threadTicks";
+  if (profiled) {
+    await session.send("Profiler.enable");
+    await session.send("Profiler.start");
+  }
+  const read = async () => {
+    const { metrics } = await session.send("Performance.getMetrics");
+    return Object.fromEntries(metrics.map(({ name, value }) => [name, value]));
+  };
+  const before = await read();
+  await page.waitForTimeout(seconds * 1000);
+  const after = await read(), passed = after.Timestamp - before.Timestamp;
+  if (profiled) writeFileSync(process.env.PROFILE, JSON.stringify((await session.send("Profiler.stop")).profile));
+  await close();
+  return Object.fromEntries(Object.entries(NAMES).map(([key, name]) => [key, (after[name] - before[name]) / passed]));
+}
+
+const browser = await launch(base);
+try {
+  console.log(JSON.stringify({ processor: await costs(browser, "threadTicks"), passed: await costs(browser, "timeTicks") }));
+} finally {
+  await browser.close();
+}

@@ -1,0 +1,65 @@
+// Many pages of one browser: those that nobody sees hold no connection, of which a browser has six for each server.
+import assert from "node:assert/strict";
+import { describe, test } from "node:test";
+import { moves } from "./browser.mjs";
+import { base, browser } from "./dashboard.mjs";
+
+const TABS = 10;
+
+// A browser without a window shows all its pages: they are told here what they would be told by one with a window.
+function pretend() {
+  let hidden = false;
+  Object.defineProperty(Document.prototype, "hidden", { get: () => hidden });
+  Object.defineProperty(Document.prototype, "visibilityState", { get: () => (hidden ? "hidden" : "visible") });
+  globalThis.setHidden = (is) => {
+    hidden = is;
+    document.dispatchEvent(new Event("visibilitychange"));
+  };
+  globalThis.streams = [];
+  globalThis.EventSource = class extends EventSource {
+    constructor(...given) {
+      super(...given);
+      globalThis.streams.push(this);
+    }
+  };
+  // First and last second of the first pipeline in each picture since the page was shown.
+  globalThis.seen = [];
+  document.addEventListener("peer-picture", ({ detail }) => {
+    const seconds = detail.pipelines[0]?.seconds ?? [];
+    if (seconds.length) globalThis.seen.push([seconds[0].at, seconds[seconds.length - 1].at]);
+  });
+}
+const open = (page) => page.evaluate(() => globalThis.streams.filter((one) => one.readyState !== EventSource.CLOSED).length);
+const hide = (page) => page.evaluate(() => globalThis.setHidden(true));
+const show = (page) => page.evaluate(() => { globalThis.seen = []; globalThis.setHidden(false); });
+
+describe("many tabs", () => {
+  test("ten tabs load, those hidden hold no connection, one shown again is current with its first update", async () => {
+    const context = await browser.newContext({ baseURL: base });
+    await context.addInitScript(pretend);
+    const tabs = [];
+    for (let count = 0; count < TABS; count++) {
+      const page = await context.newPage();
+      await page.goto("/", { timeout: 10000 });
+      await moves(page, "#part-now");
+      assert.equal(await open(page), 1, `tab ${count + 1} is live`);
+      tabs.push(page);
+      if (count < TABS - 1) await hide(page);
+    }
+    assert.deepEqual(await Promise.all(tabs.map(open)), [...Array(TABS - 1).fill(0), 1]);
+
+    const [first] = tabs, last = tabs[TABS - 1];
+    const until = await first.evaluate(() => globalThis.seen.at(-1)[1]);
+    // Longer than the seconds that every picture holds.
+    await last.waitForFunction((at) => globalThis.seen.at(-1)[1] > at + 8, until, { timeout: 30000 });
+    await hide(last);
+    await show(first);
+    await first.waitForFunction(() => globalThis.seen.length > 0);
+    const [from, to] = await first.evaluate(() => globalThis.seen[0]);
+    assert.ok(from <= until + 1 && to > until + 8, `had ${until}, got ${from} to ${to}`);
+    await moves(first, "#part-now");
+    assert.deepEqual([await open(first), await open(last)], [1, 0]);
+    assert.equal(await first.locator("#banner").isVisible(), false);
+    await context.close();
+  });
+});
