@@ -12,7 +12,7 @@ SHELL := /bin/bash
 .ONESHELL:
 CARGO ?= cargo
 
-.PHONY: help demo rehearsal setup build test check lint tests configs units deny browser package deb bench soak clean
+.PHONY: help demo rehearsal setup build test check lint tests configs units deny browser api package deb bench soak clean
 help:
 	@sed -n 's/^# //p' $(firstword $(MAKEFILE_LIST)) | head -8
 
@@ -35,7 +35,7 @@ build:
 
 # --- tests ---------------------------------------------------------------------------------------------------
 
-test: tools setup lint tests configs units deny browser package
+test: tools setup lint tests configs units deny browser api package
 	@echo "make test: all passed"
 
 check: lint tests
@@ -66,6 +66,10 @@ deny:
 # A headless Chromium opens the running demo.
 browser: setup build
 	@tests/browser/run.sh target/debug/peernetd
+
+# schemathesis asks the running demo what its OpenAPI document promises.
+api: setup build
+	@tests/api/run.sh target/debug/peernetd
 
 package: deb
 	@deploy/debian/test.sh target/debian/*.deb

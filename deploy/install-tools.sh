@@ -90,7 +90,7 @@ install_packages() {
 python3-pip  fetches ONNX Runtime's wheel"
     if [ -n "${wants_venv:-}" ] && ! python3 -c 'import ensurepip, venv' 2>/dev/null; then
         missing="$missing
-python3-venv  an environment of its own for the benchmarks' Python packages"
+python3-venv  environments of their own for the Python packages of tests and benchmarks"
     fi
     missing=$(echo "$missing" | sed '/^$/d')
     [ -n "$missing" ] || return 0
@@ -134,6 +134,18 @@ cargo_tool() {
         || fail "cargo install $1 --version $2 --locked failed"
     [ "$("$1" --version 2>/dev/null)" = "$1 $2" ] \
         || fail "$1 $2 is installed, but another one comes first in PATH: $(command -v "$1" || echo none)"
+}
+
+# --- schemathesis for the tests -------------------------------------------------------------------------------------
+
+install_api_environment() {
+    requirements=$root/deploy/api-requirements.txt
+    cmp -s "$requirements" "$venv/api/requirements.txt" && [ -x "$venv/api/bin/schemathesis" ] && return 0
+    say "schemathesis goes into $venv/api, for the tests of the REST API"
+    python3 -m venv --clear "$venv/api" || fail "python3 -m venv $venv/api failed"
+    "$venv/api/bin/python" -m pip install --quiet --disable-pip-version-check --requirement "$requirements" \
+        || fail "pip could not install $requirements into $venv/api; is there a network?"
+    cp "$requirements" "$venv/api/requirements.txt"
 }
 
 # --- Python packages of the benchmarks ------------------------------------------------------------------------------
@@ -183,6 +195,8 @@ for set in "$@"; do
         test)
             packages=$packages$test_packages
             wants_chrony=1
+            wants_api=1
+            wants_venv=1
             ;;
         bench) wants_venv=1 ;;
         *) fail "unknown set '$set'; known are build, test and bench" ;;
@@ -200,6 +214,7 @@ for set in "$@"; do
         bench) install_bench_environment ;;
     esac
 done
-# Last: the benchmarks' environment is made anew in the folder around it.
+# Last: the benchmarks' environment is made anew in the folder around them.
+[ -z "${wants_api:-}" ] || install_api_environment
 [ -z "${wants_chrony:-}" ] || unpack_chrony
 say "$*: everything is there"

@@ -18,6 +18,7 @@ use crate::view::compare::{Which, difference, gather};
 pub(crate) struct CompareQuery {
     /// Numbers of runs, parted by commas, at most 12; each is a configuration of its own.
     #[allow(dead_code, reason = "describes the parameter")]
+    #[param(pattern = "^[0-9]+(,[0-9]+){0,11}$")]
     runs: Option<String>,
     /// Id of an experiment: all its runs that were finished or go on, each once, at most 200; repeats of a configuration
     /// are taken together.
@@ -54,7 +55,7 @@ pub(crate) async fn compare(
 #[into_params(parameter_in = Query)]
 pub(crate) struct ExperimentsQuery {
     /// At most so many, 1 to 1,000; 50 unless given.
-    #[param(value_type = Option<u32>)]
+    #[param(value_type = Option<u32>, minimum = 1, maximum = 1_000, default = 50)]
     limit: Option<String>,
 }
 

@@ -32,6 +32,7 @@ pub(crate) enum Format {
 #[into_params(parameter_in = Query)]
 pub(crate) struct Query {
     /// `csv`, the only one so far.
+    #[param(inline)]
     format: Format,
 }
 

@@ -16,7 +16,7 @@ use crate::state::App;
 #[into_params(parameter_in = Query)]
 pub(crate) struct Query {
     /// At most so many, 1 to 1,000; 100 unless given.
-    #[param(value_type = Option<u32>)]
+    #[param(value_type = Option<u32>, minimum = 1, maximum = 1_000, default = 100)]
     limit: Option<String>,
     /// Only incidents before this id: `next` of the page before.
     before: Option<i64>,

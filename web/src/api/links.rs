@@ -47,11 +47,13 @@ pub(crate) async fn one(
 #[into_params(parameter_in = Query)]
 pub(crate) struct ClockQuery {
     /// Begin, RFC 3339, on the edge's wall clock; ten minutes before `to` unless given.
+    #[param(format = DateTime)]
     from: Option<String>,
     /// End; the newest sample unless given.
+    #[param(format = DateTime)]
     to: Option<String>,
     /// At most so many buckets, 1 to 2,000; 600 unless given.
-    #[param(value_type = Option<u32>)]
+    #[param(value_type = Option<u32>, minimum = 1, maximum = 2_000, default = 600)]
     points: Option<String>,
 }
 

@@ -55,7 +55,19 @@ fn described() -> OpenApiRouter<App> {
         .routes(routes!(metrics::serve))
 }
 
+/// The OpenAPI document.
+#[cfg(test)]
+fn document() -> utoipa::openapi::OpenApi {
+    parts().1
+}
+
+fn parts() -> (Router<App>, utoipa::openapi::OpenApi) {
+    let (router, mut document) = described().split_for_parts();
+    openapi::complete(&mut document);
+    (router, document)
+}
+
 pub(crate) fn routes() -> Router<App> {
-    let (router, document) = described().split_for_parts();
+    let (router, document) = parts();
     router.route("/api/openapi.json", get(|| openapi::serve(document)))
 }

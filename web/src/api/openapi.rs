@@ -2,13 +2,15 @@
 
 use axum::Json;
 use utoipa::OpenApi;
+use utoipa::openapi::path::Operation;
+use utoipa::openapi::{Content, HeaderBuilder, Ref, RefOr, Response, ResponseBuilder};
 
 /// What stands above the resources.
 #[derive(OpenApi)]
 #[openapi(
     info(
         title = "PEERNet",
-        description = "Where an edge-cloud loop spends its time: live and stored measurements of all hosts. Values are in SI base units (seconds, bytes, bits per second), times in RFC 3339 and UTC. Errors are problem+json (RFC 9457)."
+        description = "Where an edge-cloud loop spends its time: live and stored measurements of all hosts. Values are in SI base units (seconds, bytes, bits per second), times in RFC 3339 and UTC. Errors are problem+json (RFC 9457). A request names the server in one Host header: by an IP address, localhost, the machine's host name, or one of server_names in the table [web]. Its first line and headers take at most 64 KiB, and there are at most 100 headers."
     ),
     components(schemas(
         crate::error::ProblemDetails,
@@ -24,4 +26,112 @@ pub(crate) fn head() -> utoipa::openapi::OpenApi {
 
 pub(crate) async fn serve(document: utoipa::openapi::OpenApi) -> Json<utoipa::openapi::OpenApi> {
     Json(document)
+}
+
+/// Errors that every operation may answer with: status, name among the components, description.
+const ERRORS: [(&str, &str, &str); 4] = [
+    ("400", "BadRequest", "a parameter or the Host header is wrong; the detail names it"),
+    ("421", "MisdirectedRequest", "the Host header names another server"),
+    ("500", "InternalServerError", "the cause is in the aggregator's log under the id"),
+    ("503", "ServiceUnavailable", "no answer in time, or too many questions at once; try again"),
+];
+/// The same of operations that change something.
+const FORBIDDEN: (&str, &str, &str) = ("403", "Forbidden", "the request comes from a page of another site");
+/// The same of operations about one thing.
+const NOT_FOUND: (&str, &str, &str) = ("404", "NotFound", "there is no such thing");
+/// What the server answers before it has read a request, without a body.
+const TOO_LARGE: (&str, &str, &str) = (
+    "431",
+    "RequestHeaderFieldsTooLarge",
+    "the first line and headers take more than 64 KiB, or there are too many",
+);
+
+/// Adds the errors that the server answers with whatever the operation.
+pub(crate) fn complete(document: &mut utoipa::openapi::OpenApi) {
+    let components = document.components.get_or_insert_default();
+    for (_, name, description) in ERRORS.into_iter().chain([FORBIDDEN, NOT_FOUND]) {
+        components.responses.insert(name.to_owned(), problem(name, description).into());
+    }
+    let (_, name, description) = TOO_LARGE;
+    components
+        .responses
+        .insert(name.to_owned(), ResponseBuilder::new().description(description).build().into());
+    for (path, item) in &mut document.paths.paths {
+        // Errors of pages are pages.
+        if !path.starts_with("/api/") {
+            continue;
+        }
+        let reads = item.get.iter_mut().map(|operation| (operation, false));
+        let changes = item.put.iter_mut().chain(&mut item.delete).map(|operation| (operation, true));
+        for (operation, changes) in reads.chain(changes) {
+            ERRORS.into_iter().chain([TOO_LARGE]).for_each(|error| add(operation, error));
+            if changes {
+                add(operation, FORBIDDEN);
+            }
+            if path.contains('{') {
+                add(operation, NOT_FOUND);
+            }
+        }
+    }
+}
+
+fn add(operation: &mut Operation, (status, name, _): (&str, &str, &str)) {
+    let reference = RefOr::Ref(Ref::new(format!("#/components/responses/{name}")));
+    operation.responses.responses.entry(status.to_owned()).or_insert(reference);
+}
+
+fn problem(name: &str, description: &str) -> Response {
+    let content = Content::new(Some(Ref::from_schema_name("ProblemDetails")));
+    let response =
+        ResponseBuilder::new().description(description).content("application/problem+json", content);
+    if name == "ServiceUnavailable" {
+        let header = HeaderBuilder::new().description(Some("seconds until it is worth trying again")).build();
+        return response.header("Retry-After", header).build();
+    }
+    response.build()
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::Value;
+
+    /// Every `$ref` of a document.
+    fn references<'a>(value: &'a Value, found: &mut Vec<&'a str>) {
+        match value {
+            Value::Object(fields) => {
+                found.extend(fields.get("$ref").and_then(Value::as_str));
+                fields.values().for_each(|value| references(value, found));
+            }
+            Value::Array(items) => items.iter().for_each(|value| references(value, found)),
+            _ => {}
+        }
+    }
+
+    #[test]
+    fn every_reference_of_the_document_resolves() {
+        let document = serde_json::to_value(super::super::document()).expect("JSON");
+        let mut found = Vec::new();
+        references(&document, &mut found);
+        assert!(found.len() > 100, "{}", found.len());
+        for reference in found {
+            let pointer = reference.strip_prefix('#').expect("a reference into the document");
+            assert!(document.pointer(pointer).is_some(), "{reference} leads nowhere");
+        }
+    }
+
+    #[test]
+    fn every_number_of_a_request_has_its_limits() {
+        let document = serde_json::to_value(super::super::document()).expect("JSON");
+        let paths = document["paths"].as_object().expect("paths");
+        for (path, item) in paths {
+            for parameter in item["get"]["parameters"].as_array().into_iter().flatten() {
+                let (name, schema) = (&parameter["name"], &parameter["schema"]);
+                let counts = ["limit", "points", "bins"].iter().any(|known| name == known);
+                assert!(
+                    !counts || (schema["minimum"] == 1 && schema["maximum"].is_u64()),
+                    "{path}: {parameter}"
+                );
+            }
+        }
+    }
 }

@@ -24,9 +24,10 @@ const HISTORY: usize = 600;
 #[into_params(parameter_in = Query)]
 pub(crate) struct Query {
     /// Only this window: 1, 10 or 60 seconds; of `seconds` then at most as many.
-    #[param(value_type = Option<u32>)]
+    #[param(pattern = "^(1|10|60)$")]
     window: Option<String>,
     /// Only nodes of these names, parted by commas, at most 20: `total,upload`. A name that nobody measured has no values.
+    #[param(pattern = "^,*[^,]+(,+[^,]+){0,19},*$")]
     stage: Option<String>,
 }
 

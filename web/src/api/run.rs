@@ -73,9 +73,10 @@ pub(crate) async fn stages(
 #[into_params(parameter_in = Query)]
 pub(crate) struct SeriesQuery {
     /// Node names, parted by commas; `total` unless given, at most 20.
+    #[param(pattern = "^,*[^,]+(,+[^,]+){0,19},*$")]
     stages: Option<String>,
     /// At most so many buckets, 1 to 2,000; 300 unless given.
-    #[param(value_type = Option<u32>)]
+    #[param(value_type = Option<u32>, minimum = 1, maximum = 2_000, default = 300)]
     points: Option<String>,
 }
 
@@ -104,7 +105,7 @@ pub(crate) struct HistogramQuery {
     /// A node name; `total` unless given.
     stage: Option<String>,
     /// At most so many bins, 1 to 500; 50 unless given.
-    #[param(value_type = Option<u32>)]
+    #[param(value_type = Option<u32>, minimum = 1, maximum = 500, default = 50)]
     bins: Option<String>,
 }
 

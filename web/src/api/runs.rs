@@ -17,11 +17,12 @@ use crate::state::App;
 #[into_params(parameter_in = Query)]
 pub(crate) struct Query {
     /// Only runs of pipelines of this name.
+    #[param(pattern = "^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
     pipeline: Option<String>,
-    /// Only runs of the edge host of this name.
+    /// Only runs of the edge host of this name or id.
     host: Option<String>,
     /// At most so many, 1 to 1,000; 50 unless given.
-    #[param(value_type = Option<u32>)]
+    #[param(value_type = Option<u32>, minimum = 1, maximum = 1_000, default = 50)]
     limit: Option<String>,
     /// Only runs before this number: `next` of the page before.
     before: Option<i64>,
