@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use peernet_clock::{SharedClock, Span};
 use peernet_logger::stream::{Receiving, ReceivingConfig};
+use peernet_networks::zmtp::RejectionCounts;
 use tokio::runtime::Handle;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::{Id, JoinError, JoinSet};
@@ -37,6 +38,7 @@ pub struct Aggregator {
     errands: mpsc::Sender<Errand>,
     database: Arc<Path>,
     retention: RetentionConfig,
+    rejections: Arc<RejectionCounts>,
 }
 
 /// A running aggregator.
@@ -77,7 +79,7 @@ impl Aggregator {
         }
         let (database, state) = OpenDatabase::open(&config.database, config.retention).await?;
         let StoredState { streams, runs, unknown, hosts } = state;
-        let (socket, address) = socket::listen(&config.listen).await?;
+        let (socket, address) = socket::listen(&config).await?;
         tracing::info!(%address, database = %config.database.display(), "the aggregator listens");
 
         let forget = Span::from_seconds(i64::try_from(config.forget_hosts_after_s).unwrap_or(i64::MAX));
@@ -120,6 +122,7 @@ impl Aggregator {
                 errands: errands_in,
                 database: config.database.as_path().into(),
                 retention: config.retention,
+                rejections: socket.rejections(),
             },
             tasks: JoinSet::new(),
             names: HashMap::new(),
@@ -194,6 +197,11 @@ impl Aggregator {
         log.push("-wal");
         let main = std::fs::metadata(&self.database).ok()?.len();
         Some(main + std::fs::metadata(log).map_or(0, |log| log.len()))
+    }
+
+    /// Connections of the agents' port that were turned away or closed, by reason.
+    pub fn rejections(&self) -> &RejectionCounts {
+        &self.rejections
     }
 
     /// Whether events are being stored, to be followed.

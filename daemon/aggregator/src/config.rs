@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use peernet_logger::Slug;
+use peernet_networks::Address;
 use serde::{Deserialize, Serialize};
-use zeromq::Endpoint;
 
 pub use self::retention::RetentionConfig;
 
@@ -21,6 +21,11 @@ pub struct AggregatorConfig {
     pub name: Option<Slug>,
     /// Where agents connect: `tcp://ADDRESS:PORT`. Port 0 takes a free one.
     pub listen: String,
+    /// How long a connection may exist without a host whose hello was accepted, 10 to 86,400,000.
+    pub hello_timeout_ms: u64,
+    /// Memory that the unfinished messages of all agents may take together, 65,536 to 2^40; a connection whose message
+    /// finds no room is closed. A connection without a host may hold 64 KiB.
+    pub max_unfinished_bytes: u64,
     /// The SQLite file; made when missing, with its folder. `-wal` and `-shm` files stand beside it.
     pub database: PathBuf,
     /// Longest time a batch waits for others to be committed with it, 1 to 10,000.
@@ -43,6 +48,8 @@ impl Default for AggregatorConfig {
         Self {
             name: None,
             listen: "tcp://127.0.0.1:5550".to_owned(),
+            hello_timeout_ms: 5_000,
+            max_unfinished_bytes: 64 * 1024 * 1024,
             database: PathBuf::from("peernet.sqlite"),
             commit_interval_ms: 50,
             commit_nodes: 10_000,
@@ -55,6 +62,10 @@ impl Default for AggregatorConfig {
 }
 
 impl AggregatorConfig {
+    pub(crate) const fn hello_timeout(&self) -> Duration {
+        Duration::from_millis(self.hello_timeout_ms)
+    }
+
     pub(crate) const fn commit_interval(&self) -> Duration {
         Duration::from_millis(self.commit_interval_ms)
     }
@@ -78,6 +89,8 @@ impl AggregatorConfig {
             problems.extend(wrong.map(|message| Problem { key, message }));
         };
         check("listen", wrong_address(&self.listen));
+        check("hello_timeout_ms", outside(self.hello_timeout_ms, 10, 24 * 3600 * 1000));
+        check("max_unfinished_bytes", outside(self.max_unfinished_bytes, 64 * 1024, 1 << 40));
         check("database", wrong_database(&self.database));
         check("commit_interval_ms", outside(self.commit_interval_ms, 1, 10_000));
         check("commit_nodes", outside(self.commit_nodes as u64, 1, 1_000_000));
@@ -95,14 +108,7 @@ fn outside(value: u64, least: u64, most: u64) -> Option<String> {
 }
 
 fn wrong_address(address: &str) -> Option<String> {
-    let parsed = address.parse::<Endpoint>();
-    match parsed {
-        Ok(Endpoint::Tcp { .. }) => None,
-        Ok(_) => Some(format!("{address:?} is not a TCP address; write it as tcp://ADDRESS:PORT")),
-        Err(error) => {
-            Some(format!("{address:?} is not an address ({error}); write it as tcp://ADDRESS:PORT"))
-        }
-    }
+    address.parse::<Address>().err().map(|error| error.to_string())
 }
 
 /// The file, or the nearest folder above it that exists, must be writable.

@@ -28,8 +28,8 @@ pub enum StartError {
     Listen {
         /// The configured address.
         address: String,
-        /// The socket's own words.
-        source: zeromq::Error,
+        /// What the system says.
+        source: peernet_networks::BindFailure,
     },
     /// The database cannot be opened.
     #[error("cannot open the database {}: {source}; check that its folder exists and that this user may write there", path.display())]
@@ -85,12 +85,10 @@ pub enum Failure {
     #[error("the aggregator's {0} task ended before it was asked to")]
     TaskEnded(&'static str),
     /// The socket broke.
-    #[error("cannot receive on {address}: {source}")]
+    #[error("cannot receive on {address}: its socket was closed")]
     Socket {
         /// Where it listened.
         address: String,
-        /// The socket's own words.
-        source: zeromq::Error,
     },
 }
 

@@ -6,6 +6,7 @@
 //! without I/O in `session/{client,server}.rs`, their drivers in `session/{edge,cloud}.rs`.
 
 mod address;
+pub mod descriptors;
 mod figures;
 mod kind;
 mod message;
@@ -21,4 +22,5 @@ pub use session::{
     Announcer, BindError, CloseReason, Exchange, Failure, Incoming, IncomingRequest, Listener, OpenError,
     OpenRequest, RequestError, Responder, Session,
 };
+pub use transport::{Arrival, BindFailure, ConnectionId, Frames, Peer, SendFailure, zmtp};
 pub use settings::{InvalidSettings, SessionSettings};

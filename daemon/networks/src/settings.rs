@@ -20,6 +20,8 @@ const MAX_IN_FLIGHT_BYTES: u64 = 1 << 40;
 pub struct SessionSettings {
     /// How long opening a session may take, the cloud's loading of the model included. Milliseconds.
     pub open_timeout_ms: u64,
+    /// How long a connection to a listener may exist without a session or a request for one. Milliseconds.
+    pub hello_timeout_ms: u64,
     /// How often a silent peer is asked for a sign of life. Milliseconds.
     pub heartbeat_interval_ms: u64,
     /// How long a peer may stay silent, or leave our bytes unacknowledged, before it counts as gone.
@@ -35,7 +37,10 @@ pub struct SessionSettings {
     /// Bytes that the requests of all sessions of a listener may take together, from their arrival until they are
     /// answered; further ones are answered as overloaded. One request alone is always taken.
     pub max_in_flight_bytes: u64,
-    /// Sessions that a listener holds at once.
+    /// Bytes that the unfinished messages of all sessions of a listener may take together; a connection whose message
+    /// finds no room is closed. One message alone is always taken. A connection without a session may hold 64 KiB.
+    pub max_unfinished_bytes: u64,
+    /// Sessions that a listener holds at once. One host may hold half of those that other hosts leave free.
     pub max_sessions: u32,
 }
 
@@ -43,12 +48,14 @@ impl Default for SessionSettings {
     fn default() -> Self {
         Self {
             open_timeout_ms: 30_000,
+            hello_timeout_ms: 5_000,
             heartbeat_interval_ms: 1_000,
             heartbeat_timeout_ms: 5_000,
             close_timeout_ms: 2_000,
             max_message_bytes: 64 * 1024 * 1024,
             max_in_flight: 64,
             max_in_flight_bytes: 512 * 1024 * 1024,
+            max_unfinished_bytes: 128 * 1024 * 1024,
             max_sessions: 256,
         }
     }
@@ -79,12 +86,14 @@ impl SessionSettings {
             Err(InvalidSettings { key, value, problem: format!("must be between {least} and {most}") })
         };
         between("open_timeout_ms", self.open_timeout_ms, 1, MAX_TIME_MS)?;
+        between("hello_timeout_ms", self.hello_timeout_ms, 10, MAX_TIME_MS)?;
         between("heartbeat_interval_ms", self.heartbeat_interval_ms, 10, MAX_TIME_MS)?;
         between("heartbeat_timeout_ms", self.heartbeat_timeout_ms, 10, MAX_TIME_MS)?;
         between("close_timeout_ms", self.close_timeout_ms, 0, MAX_TIME_MS)?;
         between("max_message_bytes", self.max_message_bytes, 4 * 1024, 4 * 1024 * 1024 * 1024)?;
         between("max_in_flight", u64::from(self.max_in_flight), 1, u64::from(MAX_IN_FLIGHT))?;
         between("max_in_flight_bytes", self.max_in_flight_bytes, 4 * 1024, MAX_IN_FLIGHT_BYTES)?;
+        between("max_unfinished_bytes", self.max_unfinished_bytes, 64 * 1024, MAX_IN_FLIGHT_BYTES)?;
         between("max_sessions", u64::from(self.max_sessions), 1, 65_536)?;
         if self.heartbeat_timeout_ms < self.heartbeat_interval_ms.saturating_mul(2) {
             return Err(InvalidSettings {
@@ -102,6 +111,7 @@ impl SessionSettings {
     /// The same with every value brought to where it cannot do harm; what was checked stays as it is.
     pub(crate) fn clamped(mut self) -> Self {
         self.open_timeout_ms = self.open_timeout_ms.clamp(1, MAX_TIME_MS);
+        self.hello_timeout_ms = self.hello_timeout_ms.clamp(10, MAX_TIME_MS);
         self.heartbeat_interval_ms = self.heartbeat_interval_ms.clamp(10, MAX_TIME_MS);
         self.heartbeat_timeout_ms = self.heartbeat_timeout_ms.clamp(10, MAX_TIME_MS);
         self.close_timeout_ms = self.close_timeout_ms.min(MAX_TIME_MS);
@@ -111,6 +121,10 @@ impl SessionSettings {
 
     pub(crate) const fn open_timeout(&self) -> Duration {
         Duration::from_millis(self.open_timeout_ms)
+    }
+
+    pub(crate) const fn hello_timeout(&self) -> Duration {
+        Duration::from_millis(self.hello_timeout_ms)
     }
 
     pub(crate) const fn heartbeat_interval(&self) -> Duration {
@@ -149,6 +163,8 @@ mod tests {
             (with(|s| s.max_message_bytes = 1), "max_message_bytes"),
             (with(|s| s.max_in_flight_bytes = 0), "max_in_flight_bytes"),
             (with(|s| s.max_in_flight_bytes = u64::MAX), "max_in_flight_bytes"),
+            (with(|s| s.hello_timeout_ms = 0), "hello_timeout_ms"),
+            (with(|s| s.max_unfinished_bytes = 0), "max_unfinished_bytes"),
             (with(|s| s.max_sessions = 0), "max_sessions"),
         ] {
             assert_eq!(settings.check().expect_err(key).key, key);

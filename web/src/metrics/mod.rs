@@ -34,7 +34,8 @@ const FORM: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 ))]
 pub(crate) async fn serve(State(app): State<App>) -> Result<Response, WebError> {
     let ready = app.aggregator.ready() == Readiness::Ready;
-    let text = render(Scrape::of(&app.picture(), ready, app.aggregator.database_bytes()))?;
+    let scrape = Scrape::of(&app.picture(), ready, app.aggregator.database_bytes());
+    let text = render(scrape.with_rejections(app.aggregator.rejections()))?;
     Ok(([(CONTENT_TYPE, FORM)], text).into_response())
 }
 

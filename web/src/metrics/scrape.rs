@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, HashSet};
 use std::sync::Arc;
 
 use peernet_aggregator::{HostPicture, LinkPicture, Picture, PipelinePicture, Totals};
+use peernet_networks::zmtp::{Rejection, RejectionCounts};
 
 use super::table::{Sample, Sink};
 
@@ -22,6 +23,8 @@ pub(super) struct Scrape {
     pub(super) known: u64,
     pub(super) refused: u64,
     pub(super) database_bytes: Option<u64>,
+    /// Connections turned away, by reason.
+    pub(super) rejected: Vec<(&'static str, u64)>,
     pub(super) totals: Totals,
     pub(super) hosts: Vec<Arc<HostPicture>>,
     pub(super) pipelines: Vec<Arc<PipelinePicture>>,
@@ -64,6 +67,7 @@ impl Scrape {
             known: picture.hosts.len() as u64,
             refused: picture.refused.len() as u64,
             database_bytes,
+            rejected: Vec::new(),
             totals: picture.totals,
             hosts,
             pipelines,
@@ -75,6 +79,17 @@ impl Scrape {
     /// What the database takes.
     pub(super) fn database(&self, to: &mut Sink<'_>) {
         self.database_bytes.into_iter().for_each(|bytes| to(&[], Sample::Size(bytes)));
+    }
+
+    /// The same with the connections that were turned away.
+    pub(super) fn with_rejections(mut self, counts: &RejectionCounts) -> Self {
+        self.rejected = Rejection::ALL.map(|reason| (reason.name(), counts.count(reason))).to_vec();
+        self
+    }
+
+    /// Connections that were turned away, by reason.
+    pub(super) fn rejected(&self, to: &mut Sink<'_>) {
+        self.rejected.iter().for_each(|(reason, count)| to(&[reason], Sample::Count(*count)));
     }
 
     /// What did not fit, by kind.

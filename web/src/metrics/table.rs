@@ -80,6 +80,7 @@ pub(super) const METRICS: &[Metric] = &[
     metric((Counter, "aggregator_damaged", "batches"), NONE, "Batches whose bytes did not match their hash, since the aggregator started.", |s, to| to(&[], Sample::Count(s.totals.arrivals.damaged))),
     metric((Counter, "aggregator_unreadable", "frames"), NONE, "Frames that are no message, since the aggregator started.", |s, to| to(&[], Sample::Count(s.totals.refused.unreadable))),
     metric((Counter, "aggregator_stranger", "messages"), NONE, "Messages and batches of hosts that did not say hello on that connection, since the aggregator started.", |s, to| to(&[], Sample::Count(s.totals.refused.strangers))),
+    metric((Counter, "aggregator_rejected", "connections"), &["reason"], "Connections to the agents' port that were turned away or closed for a limit, by reason, since the aggregator started.", Scrape::rejected),
 
     metric((Gauge, "host_connected", "bool"), HOST, "1 while the host reports, else 0.", |s, to| hosts::each(s, to, |host| Sample::truth(host.connected))),
     metric((Counter, "host_produced", "events"), HOST, "Events that the agent made since its spool was made; by the agent's account.", |s, to| hosts::each(s, to, |host| Sample::Count(host.accounting.produced))),

@@ -8,7 +8,7 @@ use peernet_logger::stream::{
     Arrival, BatchHead, Greeting, Hello, LiveUpdate, Receiving, ToAgent, ToAggregator, codec,
 };
 use peernet_logger::{HostId, RunId};
-use zeromq::Identity;
+use peernet_networks::{ConnectionId, Peer};
 
 use super::committing::StoreEvent;
 use super::queue::{Incoming, Queue};
@@ -41,20 +41,30 @@ pub(crate) struct Untaken {
     pub(crate) strangers: u64,
 }
 
+/// What a connection may send from now on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Admission {
+    /// A host's hello was accepted on it.
+    Admit(ConnectionId),
+    /// It has no host any more.
+    Demote(ConnectionId),
+}
+
 /// Decides about every frame.
 #[derive(Debug)]
 pub(crate) struct Desk {
     receiving: Receiving,
     queue: Queue,
     /// The connection on which each host said hello.
-    routes: HashMap<HostId, Identity>,
+    routes: HashMap<HostId, ConnectionId>,
     streams: Streams,
     /// Runs of which the store knows iterations only.
     unknown: HashSet<RunId>,
     /// Whether the writer has a database: while it has none, nothing is acknowledged.
     is_database_open: bool,
     refusals: LogThrottle,
-    replies: Vec<(Identity, ToAgent)>,
+    replies: Vec<(ConnectionId, ToAgent)>,
+    admissions: Vec<Admission>,
     news: Vec<News>,
     untaken: Untaken,
 }
@@ -72,13 +82,14 @@ impl Desk {
             is_database_open: true,
             refusals: LogThrottle::default(),
             replies: Vec::new(),
+            admissions: Vec::new(),
             news: Vec::new(),
             untaken: Untaken::default(),
         }
     }
 
     /// A frame came from a connection.
-    pub(super) fn frame(&mut self, from: &Identity, frame: &Bytes, now: Stamp) {
+    pub(super) fn frame(&mut self, from: &Peer, frame: &Bytes, now: Stamp) {
         if let Some(part) = codec::part(frame) {
             if self.knows(from, part.host)
                 && let Some(frame) = self.receiving.part(&part, now.mono)
@@ -102,13 +113,13 @@ impl Desk {
             }
             Ok(ToAggregator::Echo { host, bytes }) => {
                 if self.knows(from, host) {
-                    self.replies.push((from.clone(), self.receiving.echo(host, bytes, now.mono)));
+                    self.replies.push((from.connection, self.receiving.echo(host, bytes, now.mono)));
                 }
             }
             Ok(ToAggregator::Goodbye(host)) => {
                 if self.knows(from, host) {
                     self.receiving.goodbye(host);
-                    self.routes.remove(&host);
+                    self.leave(host);
                     // Without room the next hello of the host ends its runs.
                     if let Some(place) = self.queue.place(0) {
                         place.put(Incoming::Work(Work::Goodbye(host)), now.mono);
@@ -140,17 +151,17 @@ impl Desk {
     }
 
     /// Whether the host said hello on that connection; one that did not is asked to.
-    fn knows(&mut self, from: &Identity, host: HostId) -> bool {
-        let known = self.routes.get(&host) == Some(from);
+    fn knows(&mut self, from: &Peer, host: HostId) -> bool {
+        let known = self.routes.get(&host) == Some(&from.connection);
         if !known {
             self.untaken.strangers += 1;
             self.news.push(News::Stranger);
-            self.replies.push((from.clone(), ToAgent::Unknown));
+            self.replies.push((from.connection, ToAgent::Unknown));
         }
         known
     }
 
-    fn hello(&mut self, from: &Identity, hello: Hello, now: Stamp) {
+    fn hello(&mut self, from: &Peer, hello: Hello, now: Stamp) {
         if let Some(reason) = self.too_many(from, hello.host.id) {
             self.refuse(from, &hello, reason, now);
             return;
@@ -206,8 +217,10 @@ impl Desk {
                     hole.put(Incoming::Work(Work::Missing(missing)), now.mono);
                 }
                 self.streams.came(host, stream);
-                self.routes.insert(host, from.clone());
-                self.replies.push((from.clone(), reply));
+                let previous = self.routes.insert(host, from.connection);
+                self.admissions.push(Admission::Admit(from.connection));
+                self.admissions.extend(without_hosts(&self.routes, previous));
+                self.replies.push((from.connection, reply));
                 self.news.push(News::Hello(Box::new(description), process));
             }
             Greeting::Refused { reason, .. } => {
@@ -218,30 +231,35 @@ impl Desk {
         }
     }
 
+    /// A host is gone.
+    fn leave(&mut self, host: HostId) {
+        let previous = self.routes.remove(&host);
+        self.admissions.extend(without_hosts(&self.routes, previous));
+    }
+
     /// What speaks against one more host.
-    fn too_many(&self, from: &Identity, host: HostId) -> Option<String> {
+    fn too_many(&self, from: &Peer, host: HostId) -> Option<String> {
         if self.routes.contains_key(&host) {
             return None;
         }
-        let here = self.routes.values().filter(|route| *route == from).count();
+        let here = self.routes.values().filter(|route| **route == from.connection).count();
         (here >= MOST_PER_CONNECTION)
             .then(|| format!("{here} hosts said hello on this connection: let each agent open its own"))
     }
 
-    fn refuse(&mut self, from: &Identity, hello: &Hello, reason: String, now: Stamp) {
-        let address = from.peer_info().peer_address;
-        let ip = address.map(|address| address.ip());
-        let address = address.map(|address| address.to_string());
+    fn refuse(&mut self, from: &Peer, hello: &Hello, reason: String, now: Stamp) {
+        let ip = from.address.map(|address| address.ip());
+        let address = from.address.map(|address| address.to_string());
         if let Some(times) = self.refusals.count(&reason, ip, now.mono) {
             let (host, id) = (&hello.host.name, &hello.host.id);
             tracing::warn!(%host, %id, ?address, %reason, times, "a host was refused");
         }
-        self.replies.push((from.clone(), ToAgent::Refused { reason: reason.clone() }));
+        self.replies.push((from.connection, ToAgent::Refused { reason: reason.clone() }));
         let refused = RefusedHost { name: hello.host.name.clone(), address, reason, at: now.wall };
         self.news.push(News::Refused(refused));
     }
 
-    fn batch(&mut self, from: &Identity, head: BatchHead, frame: &Bytes, now: Stamp) {
+    fn batch(&mut self, from: &Peer, head: BatchHead, frame: &Bytes, now: Stamp) {
         if !self.knows(from, head.host) {
             return;
         }
@@ -262,12 +280,12 @@ impl Desk {
             }
             (Arrival::Duplicate(reply), _) => {
                 if self.is_database_open {
-                    self.replies.push((from.clone(), reply));
+                    self.replies.push((from.connection, reply));
                 }
                 self.news.push(News::Duplicate(head.host));
             }
             (Arrival::Hole(Some(reply)) | Arrival::Unknown(reply), _) => {
-                self.replies.push((from.clone(), reply));
+                self.replies.push((from.connection, reply));
             }
             (Arrival::Pending | Arrival::Hole(None) | Arrival::Accept | Arrival::AcceptDamaged, _) => {}
         }
@@ -284,7 +302,7 @@ impl Desk {
     fn ask_for_deferred(&mut self) {
         for (host, request) in self.receiving.room(self.queue.room_for(USUAL_BATCH)) {
             if let Some(route) = self.routes.get(&host) {
-                self.replies.push((route.clone(), request));
+                self.replies.push((*route, request));
             }
         }
     }
@@ -306,7 +324,7 @@ impl Desk {
             if let Some((route, reply)) =
                 listener.and_then(|(host, reply)| Some((self.routes.get(&host)?, reply)))
             {
-                self.replies.push((route.clone(), reply));
+                self.replies.push((*route, reply));
             }
         }
         self.ask_for_deferred();
@@ -333,23 +351,34 @@ impl Desk {
         self.queue.begin_generation();
         self.streams = streams;
         self.unknown = unknown.into_iter().collect();
-        self.replies.extend(self.routes.drain().map(|(_, route)| (route, ToAgent::Unknown)));
+        for (_, route) in self.routes.drain() {
+            self.replies.push((route, ToAgent::Unknown));
+            self.admissions.push(Admission::Demote(route));
+        }
         self.news.push(News::Reopened { runs, hosts });
     }
 
     /// Time has passed.
     pub(super) fn age(&mut self, now: Stamp) {
         self.receiving.forget_silent(FORGET_SESSIONS, now.mono);
-        let receiving = &self.receiving;
-        self.routes.retain(|host, _| receiving.is_alive(*host, FORGET_SESSIONS, now.mono));
+        let is_silent = |host: &HostId| !self.receiving.is_alive(*host, FORGET_SESSIONS, now.mono);
+        let silent: Vec<HostId> = self.routes.keys().copied().filter(is_silent).collect();
+        for host in silent {
+            self.leave(host);
+        }
         for (reason, address, times) in self.refusals.age(now.mono) {
             tracing::warn!(?address, %reason, times, "hosts were refused");
         }
     }
 
     /// What is to be sent, and to whom.
-    pub(super) fn take_replies(&mut self) -> Vec<(Identity, ToAgent)> {
+    pub(super) fn take_replies(&mut self) -> Vec<(ConnectionId, ToAgent)> {
         std::mem::take(&mut self.replies)
+    }
+
+    /// Which connections have a host from now on, and which have none any more.
+    pub(super) fn take_admissions(&mut self) -> Vec<Admission> {
+        std::mem::take(&mut self.admissions)
     }
 
     /// What the live picture should know.
@@ -366,4 +395,10 @@ impl Desk {
     pub(super) fn close(&mut self) {
         self.queue.close();
     }
+}
+
+/// Demotes a connection that a host left, unless there are others on it.
+fn without_hosts(routes: &HashMap<HostId, ConnectionId>, left: Option<ConnectionId>) -> Option<Admission> {
+    let left = left.filter(|left| !routes.values().any(|route| route == left))?;
+    Some(Admission::Demote(left))
 }

@@ -16,13 +16,13 @@ use super::budget::Budget;
 use super::complaints::Complaints;
 use super::exchange::Sizes;
 use super::incoming::{Failure, Incoming, IncomingRequest, OpenRequest, Responder, Ticket};
-use super::server::{Heard, Route, Server};
+use super::server::{Heard, Route, Server, Standing};
 use crate::figures::Counters;
 use crate::message::{
     Departure, Header, HeaderError, MAX_FRAMES, Outcome, PeerClock, Reply, Request, SampleHeader,
     SessionAccepted, SessionId, decode_tree, encode_growth, put_upload,
 };
-use crate::transport::{Arrival, BindFailure, CloudReceiver, CloudSender, Frames, Peer};
+use crate::transport::{Arrival, BindFailure, CloudReceiver, CloudSender, ConnectionId, Frames, Peer};
 use crate::{Address, NetworkFigures, NetworkKind, SessionSettings};
 
 /// Why a port could not be listened on.
@@ -146,7 +146,11 @@ impl Listener {
                     tracing::debug!(reason, sessions = sessions.len(), "an edge's connection ended");
                     self.closed.extend(sessions);
                 }
-                Arrival::Garbage(address, problem) => self.shared.malformed(address, &problem),
+                Arrival::Garbage(address, problem) => {
+                    // The transport has logged it.
+                    tracing::debug!(?address, problem, "dropped a connection that does not speak the protocol");
+                    self.shared.counters.malformed();
+                }
             }
         }
     }
@@ -189,6 +193,7 @@ fn heard(shared: &Arc<Shared>, peer: &Peer, frames: Frames, received: (Stamp, u3
     let heard = shared.machine().hear(peer, header);
     match heard {
         Heard::Open(session, hello) => {
+            shared.settle(peer.connection);
             Some(Incoming::Open(OpenRequest::new(*hello, session, Arc::downgrade(shared))))
         }
         Heard::Request(request) => incoming_request(shared, peer, request, frames, received),
@@ -196,7 +201,10 @@ fn heard(shared: &Arc<Shared>, peer: &Peer, frames: Frames, received: (Stamp, u3
             shared.tell(peer, &header);
             None
         }
-        Heard::Closed(session, ordered) => Some(Incoming::Closed { session, said_goodbye: true, ordered }),
+        Heard::Closed(session, ordered) => {
+            shared.settle(peer.connection);
+            Some(Incoming::Closed { session, said_goodbye: true, ordered })
+        }
         Heard::Malformed(problem) => {
             shared.malformed(peer.address, problem);
             None
@@ -254,14 +262,27 @@ impl Shared {
             .map_err(|error| error.to_string())
     }
 
+    /// Tells the transport what the connection may send from now on.
+    fn settle(&self, connection: ConnectionId) {
+        let standing = self.machine().standing(connection);
+        match standing {
+            Standing::Admitted => self.sender.admit(connection),
+            Standing::Greeted => self.sender.greet(connection),
+            Standing::Unadmitted => self.sender.demote(connection),
+        }
+    }
+
     pub(crate) fn accept(&self, session: SessionId, accepted: SessionAccepted) -> bool {
         let Some((peer, header)) = self.machine().accept(session, accepted) else { return false };
+        // Before the edge knows: its first request may be large.
+        self.settle(peer.connection);
         self.tell(&peer, &header)
     }
 
     pub(crate) fn refuse(&self, session: SessionId, reason: String) {
         let refusal = self.machine().refuse(session, reason);
         if let Some((peer, header)) = refusal {
+            self.settle(peer.connection);
             self.tell(&peer, &header);
         }
     }

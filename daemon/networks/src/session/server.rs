@@ -7,7 +7,9 @@ use crate::message::{
     Accepted, ClockNews, Goodbye, Header, Open, Outcome, PROTOCOL, PeerClock, RefusalKind, Refused, Reply,
     Request, SessionAccepted, SessionHello, SessionId, UnknownSession,
 };
+use crate::transport::zmtp::AddressGroup;
 use crate::transport::{ConnectionId, Peer};
+use peernet_logger::HostId;
 
 /// Sessions that one connection may hold at once.
 const SESSIONS_PER_CONNECTION: usize = 16;
@@ -27,6 +29,8 @@ pub(crate) struct Server {
 #[derive(Debug)]
 struct Entry {
     peer: Peer,
+    /// Who the edge says it is.
+    host: HostId,
     accepted: bool,
     in_flight: HashSet<u64>,
     /// Largest message that the edge takes.
@@ -46,6 +50,17 @@ pub(crate) enum Heard {
     Closed(SessionId, Option<u64>),
     /// Makes no sense.
     Malformed(&'static str),
+}
+
+/// What the sessions of a connection entitle it to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Standing {
+    /// It has no session and waits for none.
+    Unadmitted,
+    /// It waits for a session.
+    Greeted,
+    /// It has a session.
+    Admitted,
 }
 
 /// Where an answer goes.
@@ -109,16 +124,13 @@ impl Server {
             );
             return Heard::Answer(Self::refusal(reason));
         }
-        if self.sessions.len() >= self.max_sessions {
-            let reason = format!(
-                "the cloud holds {} sessions already; close some or raise max_sessions there",
-                self.sessions.len()
-            );
+        if let Some(reason) = self.too_many(peer, open.hello.host) {
             return Heard::Answer(Self::refusal(reason));
         }
         let session = SessionId::random();
         let entry = Entry {
             peer: peer.clone(),
+            host: open.hello.host,
             accepted: false,
             in_flight: HashSet::new(),
             max_message_bytes: open.max_message_bytes,
@@ -126,6 +138,48 @@ impl Server {
         self.sessions.insert(session, entry);
         self.connections.entry(peer.connection).or_default().push(session);
         Heard::Open(session, Box::new(open.hello))
+    }
+
+    /// What speaks against one more session. One host may hold half of the sessions that others leave free, so that
+    /// there is always one for the next host; one address, behind which there may be several, three quarters.
+    fn too_many(&self, peer: &Peer, host: HostId) -> Option<String> {
+        let (all, max) = (self.sessions.len(), self.max_sessions);
+        if all >= max {
+            return Some(format!("the cloud holds {all} sessions already; close some or raise max_sessions there"));
+        }
+        let of_host = self.sessions.values().filter(|entry| entry.host == host).count();
+        let free = max - (all - of_host);
+        let most = free.div_ceil(2);
+        if of_host >= most {
+            return Some(format!(
+                "this host holds {of_host} sessions, and may hold {most}: half of what other hosts leave of the cloud's \
+                 max_sessions, {max}; close some or raise max_sessions there"
+            ));
+        }
+        let group = AddressGroup::of(peer.address?);
+        if group.is_loopback() {
+            return None;
+        }
+        let is_there = |entry: &&Entry| entry.peer.address.is_some_and(|at| AddressGroup::of(at) == group);
+        let there = self.sessions.values().filter(is_there).count();
+        let most = ((max - (all - there)) * 3).div_ceil(4);
+        (there >= most).then(|| {
+            format!(
+                "this address holds {there} sessions, and may hold {most}: three quarters of what others leave of the \
+                 cloud's max_sessions, {max}; close some or raise max_sessions there"
+            )
+        })
+    }
+
+    /// What the sessions of a connection entitle it to now.
+    pub(crate) fn standing(&self, connection: ConnectionId) -> Standing {
+        let sessions = self.connections.get(&connection).map_or(&[][..], Vec::as_slice);
+        let accepted = |session| self.sessions.get(session).is_some_and(|entry| entry.accepted);
+        match sessions {
+            [] => Standing::Unadmitted,
+            some if some.iter().any(accepted) => Standing::Admitted,
+            _ => Standing::Greeted,
+        }
     }
 
     fn request(&mut self, peer: &Peer, request: Request) -> Heard {

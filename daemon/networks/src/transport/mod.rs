@@ -3,6 +3,7 @@
 //! A new transport is one file here with a `dial` and a `bind`, plus one line in the registry (`kind.rs`).
 
 pub(crate) mod zmq_tcp;
+pub mod zmtp;
 
 use std::fmt;
 use std::net::SocketAddr;
@@ -14,11 +15,11 @@ use futures::future::BoxFuture;
 use crate::Address;
 
 /// The frames of one message, in order.
-pub(crate) type Frames = Vec<Bytes>;
+pub type Frames = Vec<Bytes>;
 
 /// Why a message was not handed to the network.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub(crate) enum SendFailure {
+pub enum SendFailure {
     /// The peer takes messages more slowly than they are made.
     #[error("the network's send queue is full")]
     Full,
@@ -64,6 +65,15 @@ pub(crate) struct Bound {
 pub(crate) trait CloudSender: Send + Sync + fmt::Debug {
     /// Hands over a whole message without waiting.
     fn send(&self, peer: &Peer, frames: Frames) -> Result<(), SendFailure>;
+
+    /// A connection's hello has come and is being decided on.
+    fn greet(&self, connection: ConnectionId);
+
+    /// A connection has a session: it may send requests.
+    fn admit(&self, connection: ConnectionId);
+
+    /// A connection has no session any more.
+    fn demote(&self, connection: ConnectionId);
 }
 
 /// The receiving half of the cloud's end.
@@ -77,7 +87,7 @@ pub(crate) trait CloudReceiver: Send + fmt::Debug {
 
 /// Something that a listening transport noticed.
 #[derive(Debug)]
-pub(crate) enum Arrival {
+pub enum Arrival {
     /// A whole message.
     Message(Peer, Frames),
     /// A connection ended.
@@ -87,18 +97,16 @@ pub(crate) enum Arrival {
 }
 
 /// One connection of a listener, never used again after it ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) struct ConnectionId(pub(crate) u64);
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct ConnectionId(pub(crate) u64);
 
 /// Who sent a message and how to answer.
 #[derive(Clone, Debug)]
-pub(crate) struct Peer {
+pub struct Peer {
     /// The connection it came on.
-    pub(crate) connection: ConnectionId,
-    /// The transport's own key to that connection.
-    pub(crate) route: Bytes,
-    /// Where the peer is, for people.
-    pub(crate) address: Option<SocketAddr>,
+    pub connection: ConnectionId,
+    /// Where the peer is.
+    pub address: Option<SocketAddr>,
 }
 
 /// Why there is no connection.
@@ -111,14 +119,18 @@ pub(crate) enum DialFailure {
 }
 
 /// Why a listener could not be bound.
-#[derive(Debug)]
-pub(crate) enum BindFailure {
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum BindFailure {
     /// Another socket has the port.
+    #[error("another program uses the port")]
     InUse,
     /// The port needs a privilege.
+    #[error("permission denied")]
     Denied,
     /// The address is not one of this machine.
+    #[error("this machine has no such address")]
     NotLocal,
     /// Anything else.
+    #[error("{0}")]
     Other(String),
 }

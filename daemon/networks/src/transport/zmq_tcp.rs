@@ -1,24 +1,25 @@
 //! `zmq-tcp`: ZMTP 3.1 over TCP, a DEALER on the edge and a ROUTER on the cloud.
 //!
-//! Both sockets run in the library's latency profile: the task that sends writes to the connection itself, and
-//! only what the kernel does not take at once is left to the connection's own task.
+//! The edge's socket is the library's, in its latency profile; the cloud's is [`zmtp`](super::zmtp). On both, the task
+//! that sends writes to the connection itself, and only what the kernel does not take at once is left to the
+//! connection's own task.
 
-use std::collections::HashSet;
-use std::fmt;
 use std::time::Duration;
 
 use futures::future::BoxFuture;
 use zeromq::message::MAX_INLINE_PAYLOAD;
 use zeromq::options::WorkloadProfile;
 use zeromq::{
-    DisconnectReason, Error, IdentitySocket, Message, MonitorEvent, MonitorRecvError, MonitorStream, Options,
-    Payload, PeerIdent, ReconnectPolicy, Socket, SocketType, TrySendError,
+    DisconnectReason, Error, Message, MonitorEvent, MonitorStream, Options, Payload, ReconnectPolicy, Socket,
+    SocketType, TrySendError,
 };
 
+use super::zmtp::{ListenerLimits, ZmtpListener, ZmtpSender};
 use super::{
     Arrival, BindFailure, Bound, CloudReceiver, CloudSender, ConnectionId, DialFailure, Dialled,
     EdgeReceiver, EdgeSender, Frames, Peer, SendFailure,
 };
+use crate::descriptors::DescriptorShare;
 use crate::message::MAX_FRAMES;
 use crate::{Address, SessionSettings};
 
@@ -28,23 +29,25 @@ const DIRECT_READ_BYTES: usize = 16 * 1024;
 /// The library would dial again by itself; a session ends with its connection, so it must not.
 const NEVER: Duration = Duration::from_secs(365 * 24 * 3600);
 
-/// How long a connection may take to speak the protocol: strangers that stay silent hold a place no longer.
-const HANDSHAKE: Duration = Duration::from_secs(2);
-
-/// Connections that may be at that at once: far more than the library's 256, which a few silent strangers fill.
-const MAX_HANDSHAKES: usize = 4096;
-
 /// How long finding out why a connection failed may take.
 const DIAGNOSIS: Duration = Duration::from_secs(1);
 
-fn options(settings: &SessionSettings) -> Options {
+/// The library counts a slot for each frame beside its bytes.
+fn largest_message(settings: &SessionSettings) -> usize {
     let slots = MAX_FRAMES * size_of::<Payload>();
-    let largest = usize::try_from(settings.max_message_bytes).unwrap_or(usize::MAX).saturating_add(slots);
-    // Places for every request in flight, and for the few messages that open and close a session.
-    let queue = settings.max_in_flight.saturating_add(16);
+    usize::try_from(settings.max_message_bytes).unwrap_or(usize::MAX).saturating_add(slots)
+}
+
+/// Places for every request in flight, and for the few messages that open and close a session.
+const fn queue_length(settings: &SessionSettings) -> u32 {
+    settings.max_in_flight.saturating_add(16)
+}
+
+fn options(settings: &SessionSettings) -> Options {
+    let queue = queue_length(settings);
     Options::default()
         .workload_profile(WorkloadProfile::Latency)
-        .max_message_size(largest)
+        .max_message_size(largest_message(settings))
         .large_message_threshold(DIRECT_READ_BYTES)
         .send_hwm(queue)
         .recv_hwm(queue)
@@ -73,7 +76,6 @@ fn sent(result: Result<(), TrySendError>) -> Result<(), SendFailure> {
     result.map_err(|failure| match failure {
         TrySendError::Full(_) => SendFailure::Full,
         TrySendError::Closed => SendFailure::Gone("the connection is closed".into()),
-        TrySendError::Error(Error::Unroutable) => SendFailure::Gone("the peer is gone".into()),
         TrySendError::Error(error) => SendFailure::Gone(error.to_string()),
     })
 }
@@ -181,134 +183,49 @@ impl EdgeReceiver for Dealer {
 
 /// Listens on a port.
 pub(crate) async fn bind(address: &Address, settings: &SessionSettings) -> Result<Bound, BindFailure> {
-    let options = options(settings)
-        .router_mandatory(true)
-        .handshake_timeout(HANDSHAKE)
-        .max_pending_handshakes(MAX_HANDSHAKES);
-    let socket = Socket::try_new(SocketType::Router, options)
-        .map_err(|error| BindFailure::Other(error.to_string()))?;
-    let monitor = socket.monitor();
-    let endpoint = socket.bind(address.to_string()).await.map_err(bind_failure)?;
-    let address =
-        endpoint.to_string().parse::<Address>().map_err(|error| BindFailure::Other(error.to_string()))?;
-    let socket = socket.identity_routing().map_err(|error| BindFailure::Other(error.to_string()))?;
-    let receiver = Router { socket: socket.clone(), monitor, known: HashSet::new(), gone: Vec::new() };
-    Ok(Bound { address, sender: Box::new(RouterSender(socket)), receiver: Box::new(receiver) })
+    let listener = ZmtpListener::bind(&address.authority(), limits(settings)).await?;
+    let bound = listener.address();
+    let sender = Box::new(listener.sender());
+    Ok(Bound { address: Address::of_ip(bound.ip(), bound.port()), sender, receiver: Box::new(listener) })
 }
 
-fn bind_failure(error: Error) -> BindFailure {
-    use std::io::ErrorKind;
-    match error {
-        Error::Io(error) => match error.kind() {
-            ErrorKind::AddrInUse => BindFailure::InUse,
-            ErrorKind::PermissionDenied => BindFailure::Denied,
-            ErrorKind::AddrNotAvailable => BindFailure::NotLocal,
-            _ => BindFailure::Other(error.to_string()),
-        },
-        error => BindFailure::Other(error.to_string()),
+fn limits(settings: &SessionSettings) -> ListenerLimits {
+    ListenerLimits {
+        max_connections: DescriptorShare::DataPort.connections(),
+        max_message_bytes: largest_message(settings),
+        max_unfinished_bytes: settings.max_unfinished_bytes,
+        hello_timeout: settings.hello_timeout(),
+        max_queued_messages: queue_length(settings) as usize,
+        max_queued_bytes: largest_message(settings),
+        heartbeat_interval: settings.heartbeat_interval(),
+        heartbeat_timeout: settings.heartbeat_timeout(),
     }
 }
 
-#[derive(Debug)]
-struct RouterSender(IdentitySocket);
-
-impl CloudSender for RouterSender {
+impl CloudSender for ZmtpSender {
     fn send(&self, peer: &Peer, frames: Frames) -> Result<(), SendFailure> {
-        sent(self.0.try_send_to(&peer.route, to_message(frames)))
+        self.try_send(peer.connection, frames)
+    }
+
+    fn greet(&self, connection: ConnectionId) {
+        Self::greet(self, connection);
+    }
+
+    fn admit(&self, connection: ConnectionId) {
+        Self::admit(self, connection);
+    }
+
+    fn demote(&self, connection: ConnectionId) {
+        Self::demote(self, connection);
     }
 }
 
-#[derive(Debug)]
-struct Router {
-    socket: IdentitySocket,
-    monitor: MonitorStream,
-    /// Connections that a message was handed out of, until their end was.
-    known: HashSet<u64>,
-    /// Connections found to be gone after the monitor lost events.
-    gone: Vec<u64>,
-}
-
-impl Router {
-    /// The library names connections by a routing id that a peer may choose for itself, and hands a chosen one
-    /// over to the next who claims it. Only ids made here are followed.
-    fn arrived(&mut self, identity: &zeromq::Identity, message: &Message) -> Arrival {
-        let info = identity.peer_info();
-        if info.peer_identity.is_some() {
-            return Arrival::Garbage(info.peer_address, "the peer chose a routing id of its own".into());
-        }
-        self.known.insert(info.connection_id);
-        let peer = Peer {
-            connection: ConnectionId(info.connection_id),
-            route: identity.to_bytes(),
-            address: info.peer_address,
-        };
-        Arrival::Message(peer, to_frames(message))
-    }
-
-    fn happened(&mut self, event: MonitorEvent) -> Option<Arrival> {
-        match event {
-            MonitorEvent::Disconnected { peer, reason, .. } => self
-                .known
-                .remove(&peer.connection_id)
-                .then(|| Arrival::Gone(ConnectionId(peer.connection_id), reason_text(&reason))),
-            MonitorEvent::HandshakeFailed { peer_ident, reason, .. } => {
-                let address = match peer_ident {
-                    PeerIdent::Socket(address) => Some(address),
-                    _ => None,
-                };
-                Some(Arrival::Garbage(address, reason))
-            }
-            _ => None,
-        }
-    }
-
-    /// After lost events: which of the known connections are still there?
-    async fn look_again(&mut self) -> Result<(), Error> {
-        let alive: HashSet<u64> = self.socket.connections().await?.iter().map(|c| c.connection_id).collect();
-        self.gone = self.known.difference(&alive).copied().collect();
-        self.known.retain(|connection| alive.contains(connection));
-        Ok(())
-    }
-}
-
-/// The listener's socket is gone; who listens learns no more than that.
-fn lost(error: &dyn fmt::Display) -> Option<Arrival> {
-    tracing::warn!(%error, "the listener's socket was closed");
-    None
-}
-
-impl CloudReceiver for Router {
+impl CloudReceiver for ZmtpListener {
     fn receive(&mut self) -> BoxFuture<'_, Option<Arrival>> {
-        Box::pin(async {
-            loop {
-                if let Some(connection) = self.gone.pop() {
-                    return Some(Arrival::Gone(ConnectionId(connection), "the connection is gone".into()));
-                }
-                tokio::select! {
-                    biased;
-                    message = self.socket.recv_from() => return match message {
-                        Ok((identity, message)) => Some(self.arrived(&identity, &message)),
-                        Err(error) => lost(&error),
-                    },
-                    event = self.monitor.recv() => match event {
-                        Ok(event) => if let Some(arrival) = self.happened(event) {
-                            return Some(arrival);
-                        },
-                        Err(MonitorRecvError::Lagged(_)) => if let Err(error) = self.look_again().await {
-                            return lost(&error);
-                        },
-                        Err(error) => return lost(&error),
-                    },
-                }
-            }
-        })
+        Box::pin(Self::receive(self))
     }
 
     fn close(self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()> {
-        Box::pin(async move {
-            if let Err(error) = self.socket.into_inner().close_with_linger(Some(linger)).await {
-                tracing::debug!(%error, "closing the listener did not end cleanly");
-            }
-        })
+        Box::pin(Self::close(*self, linger))
     }
 }

@@ -6,6 +6,7 @@ mod failures;
 mod fake_cloud;
 mod handshake;
 mod hostile;
+mod limits;
 mod requests;
 mod shutdown;
 mod support;

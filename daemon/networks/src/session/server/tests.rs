@@ -1,6 +1,5 @@
 //! The cloud's state machine: single steps, and whatever any number of edges may do.
 
-use bytes::Bytes;
 use peernet_clock::ClockIdentity;
 use peernet_logger::HostId;
 use peernet_logger::stream::Hardware;
@@ -10,7 +9,7 @@ use super::*;
 use crate::message::{Departure, SampleHeader, strategies};
 
 fn peer(connection: u64) -> Peer {
-    Peer { connection: ConnectionId(connection), route: Bytes::new(), address: None }
+    Peer { connection: ConnectionId(connection), address: None }
 }
 
 fn hello() -> Header {
@@ -50,7 +49,7 @@ fn request(session: SessionId, request: u64) -> Header {
 }
 
 fn server() -> Server {
-    Server::new(&SessionSettings { max_sessions: 3, max_in_flight: 2, ..SessionSettings::default() })
+    Server::new(&SessionSettings { max_sessions: 6, max_in_flight: 2, ..SessionSettings::default() })
 }
 
 fn opened(server: &mut Server, connection: u64) -> SessionId {
@@ -110,6 +109,39 @@ fn one_connection_cannot_take_all_places_and_is_told_which_limit_it_met() {
         "{refused:?}"
     );
     opened(&mut server, 2);
+}
+
+#[test]
+fn two_greedy_hosts_leave_sessions_to_a_third() {
+    let mut server = Server::new(&SessionSettings::default());
+    let mut taken = |host: u8, connections: std::ops::Range<u64>| {
+        let Header::Open(open) = hello() else { unreachable!("a hello is an open") };
+        let mut accepts = |connection| {
+            let mut open = open.clone();
+            open.hello.host = HostId::from_bytes([host; 16]);
+            matches!(server.hear(&peer(connection), Header::Open(open)), Heard::Open(..))
+        };
+        connections.filter(|connection| accepts(*connection)).count()
+    };
+    assert_eq!([taken(1, 0..256), taken(2, 256..512), taken(3, 512..514)], [128, 64, 2]);
+}
+
+#[test]
+fn one_address_with_many_host_names_leaves_sessions_to_others() {
+    let mut server = Server::new(&SessionSettings::default());
+    let mut open = |address: &str, host: u16| {
+        let Header::Open(mut open) = hello() else { unreachable!("a hello is an open") };
+        let mut id = [0; 16];
+        id[..2].copy_from_slice(&host.to_be_bytes());
+        open.hello.host = HostId::from_bytes(id);
+        let peer = Peer { connection: ConnectionId(u64::from(host)), address: address.parse().ok() };
+        server.hear(&peer, Header::Open(open))
+    };
+    let taken = (0..300).filter(|host| matches!(open("192.0.2.1:5", *host), Heard::Open(..))).count();
+    assert_eq!(taken, 192);
+    let Heard::Answer(Header::Refused(refused)) = open("192.0.2.1:5", 301) else { panic!("too many") };
+    assert!(refused.reason.contains("max_sessions, 256"), "{refused:?}");
+    assert!(matches!(open("192.0.2.2:5", 302), Heard::Open(..)));
 }
 
 #[test]

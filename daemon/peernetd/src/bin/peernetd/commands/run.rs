@@ -6,6 +6,7 @@ use std::time::Duration;
 use futures::{FutureExt, TryFutureExt};
 use peernet_agent::Agent;
 use peernet_aggregator::Aggregator;
+use peernet_networks::descriptors::{DescriptorShare, raise_limit};
 use tracing::{info, warn};
 
 use crate::configuration::{Configuration, load};
@@ -17,8 +18,6 @@ use peernetd::output::complain;
 
 /// How long threads that block may take to end after everything else has.
 const LAST_MOMENTS: Duration = Duration::from_secs(1);
-/// Most connections to the dashboard and the REST API.
-const WEB_CONNECTIONS: usize = 1_024;
 
 /// Runs the roles of a configuration file until a signal comes.
 pub(crate) fn run(file: &Path) -> Exit {
@@ -38,6 +37,10 @@ pub(crate) fn run(file: &Path) -> Exit {
         return Exit::Configuration;
     }
     info!("peernetd {VERSION} with {}", file.display());
+    // Before any port takes its share.
+    if let Err(error) = raise_limit() {
+        warn!("cannot raise the number of files that this process may open, going on with fewer: {error}");
+    }
 
     let runtime =
         match tokio::runtime::Builder::new_multi_thread().thread_name("peernetd").enable_all().build() {
@@ -78,7 +81,8 @@ async fn live(configuration: Configuration) -> Result<Exit, Failure> {
             let with = clock.clone();
             lifecycle
                 .start("web server", async |stop| {
-                    let running = peernet_web::serve(config, aggregator, with, stop, WEB_CONNECTIONS).await?;
+                    let connections = DescriptorShare::Web.connections();
+                    let running = peernet_web::serve(config, aggregator, with, stop, connections).await?;
                     info!("dashboard: http://{}", running.address());
                     Ok(running.join().map_err(anyhow::Error::new).boxed())
                 })

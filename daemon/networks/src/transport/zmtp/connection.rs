@@ -1,0 +1,204 @@
+//! The half of a connection that many threads share: sending, and how far it has come.
+
+use std::collections::VecDeque;
+use std::fmt;
+use std::io;
+use std::net::SocketAddr;
+use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use omq_proto::proto::connection::{Connection, ConnectionConfig, Role};
+use omq_proto::{Message, Payload, SocketType};
+use tokio::net::tcp::OwnedWriteHalf;
+use tokio::sync::{Notify, OwnedSemaphorePermit};
+
+use super::limits::{AddressGroup, ListenerLimits};
+use super::memory::{MemoryBudget, Reservation};
+use crate::transport::{ConnectionId, Frames, SendFailure};
+
+/// Most slices that one write gathers.
+const MAX_SLICES: usize = 64;
+
+/// How far a connection has come. Only [`advance`](ZmtpConnection::advance) changes it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[repr(u8)]
+pub(super) enum Phase {
+    Handshake,
+    Unadmitted,
+    Greeted,
+    Admitted,
+    /// The listener closes: what is queued goes out.
+    Closing,
+    /// It made room for another.
+    Replaced,
+}
+
+const PHASES: [Phase; 6] =
+    [Phase::Handshake, Phase::Unadmitted, Phase::Greeted, Phase::Admitted, Phase::Closing, Phase::Replaced];
+
+/// One connection, as senders see it.
+pub(super) struct ZmtpConnection {
+    pub(super) id: ConnectionId,
+    pub(super) address: SocketAddr,
+    pub(super) group: AddressGroup,
+    pub(super) writer: OwnedWriteHalf,
+    codec: Mutex<Codec>,
+    phase: AtomicU8,
+    /// Tells the connection's task that there is something new: a phase, or output that the kernel did not take.
+    pub(super) wake: Notify,
+    max_queued_messages: usize,
+    max_queued_bytes: usize,
+    /// Dropped after the socket, so that there are never more sockets than places.
+    _place: OwnedSemaphorePermit,
+}
+
+/// The library's state machine, and what it has queued.
+#[derive(Debug)]
+pub(super) struct Codec {
+    pub(super) zmtp: Connection,
+    /// Where each queued message ends in the stream of all bytes ever queued.
+    ends: VecDeque<u64>,
+    written: u64,
+    reserved: Reservation,
+    budget: Arc<MemoryBudget>,
+}
+
+impl fmt::Debug for ZmtpConnection {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("ZmtpConnection").field("id", &self.id).field("address", &self.address).finish()
+    }
+}
+
+impl ZmtpConnection {
+    pub(super) fn new(
+        id: ConnectionId,
+        address: SocketAddr,
+        writer: OwnedWriteHalf,
+        place: OwnedSemaphorePermit,
+        limits: &ListenerLimits,
+        output: &Arc<MemoryBudget>,
+    ) -> Self {
+        let config =
+            ConnectionConfig::new(Role::Server, SocketType::Router).max_message_size(limits.max_message_bytes);
+        let codec = Codec {
+            zmtp: Connection::new(config),
+            ends: VecDeque::new(),
+            written: 0,
+            reserved: Reservation::empty(output),
+            budget: Arc::clone(output),
+        };
+        Self {
+            id,
+            address,
+            group: AddressGroup::of(address),
+            writer,
+            codec: Mutex::new(codec),
+            phase: AtomicU8::new(Phase::Handshake as u8),
+            wake: Notify::new(),
+            max_queued_messages: limits.max_queued_messages,
+            max_queued_bytes: limits.max_queued_bytes,
+            _place: place,
+        }
+    }
+
+    pub(super) fn codec(&self) -> MutexGuard<'_, Codec> {
+        self.codec.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn phase(&self) -> Phase {
+        PHASES[usize::from(self.phase.load(Ordering::Acquire))]
+    }
+
+    /// Moves on to a phase. Nothing leads out of the last two, and only an unadmitted connection is greeted.
+    pub(super) fn advance(&self, to: Phase) {
+        let allowed = |from: u8| {
+            let from = PHASES[usize::from(from)];
+            let moves = match to {
+                Phase::Handshake => false,
+                Phase::Greeted => from == Phase::Unadmitted,
+                Phase::Unadmitted | Phase::Admitted => from < Phase::Closing && from != to,
+                Phase::Closing | Phase::Replaced => from < Phase::Closing,
+            };
+            moves.then_some(to as u8)
+        };
+        if self.phase.fetch_update(Ordering::AcqRel, Ordering::Acquire, allowed).is_ok() {
+            self.wake.notify_one();
+        }
+    }
+
+    /// Hands a message to the network without waiting: to the kernel where nothing is queued before it, else to
+    /// the queue, which the connection's task empties.
+    pub(super) fn try_send(&self, frames: Frames) -> Result<(), SendFailure> {
+        let gone = |reason: &dyn fmt::Display| SendFailure::Gone(reason.to_string());
+        if self.phase() >= Phase::Closing {
+            return Err(SendFailure::Gone("the connection is being closed".into()));
+        }
+        let bytes: usize = frames.iter().map(|frame| frame.len()).sum();
+        let message = Message::multipart_payloads(frames.into_iter().map(Payload::from_bytes));
+        let mut codec = self.codec();
+        let queued = codec.zmtp.pending_transmit_size();
+        if queued > 0
+            && (queued.saturating_add(bytes) > self.max_queued_bytes
+                || codec.ends.len() >= self.max_queued_messages)
+        {
+            return Err(SendFailure::Full);
+        }
+        if queued > 0 {
+            codec.reserve(queued + bytes).map_err(|_| SendFailure::Full)?;
+        }
+        codec.zmtp.send_message(&message).map_err(|error| gone(&error))?;
+        let end = codec.written + codec.zmtp.pending_transmit_size() as u64;
+        codec.ends.push_back(end);
+        if queued > 0 {
+            // The task writes it after what is queued.
+            return Ok(());
+        }
+        match self.write(&mut codec) {
+            Ok(true) => Ok(()),
+            Ok(false) => {
+                self.wake.notify_one();
+                Ok(())
+            }
+            Err(error) => Err(gone(&error)),
+        }
+    }
+
+    /// Writes what is queued until the kernel takes no more. Returns whether nothing is left.
+    ///
+    /// # Errors
+    /// When the connection is broken.
+    pub(super) fn write(&self, codec: &mut Codec) -> io::Result<bool> {
+        while codec.zmtp.has_pending_transmit() {
+            let result = self.writer.try_write_vectored(&codec.zmtp.transmit_chunks_capped(MAX_SLICES));
+            let written = match result {
+                Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
+                Ok(written) => written,
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                    let queued = codec.zmtp.pending_transmit_size();
+                    codec.reserve(queued)?;
+                    return Ok(false);
+                }
+                Err(error) => return Err(error),
+            };
+            codec.advance(written);
+        }
+        codec.reserve(0)?;
+        Ok(true)
+    }
+}
+
+impl Codec {
+    fn advance(&mut self, written: usize) {
+        self.zmtp.advance_transmit(written);
+        self.written += written as u64;
+        while self.ends.front().is_some_and(|end| *end <= self.written) {
+            self.ends.pop_front();
+        }
+    }
+
+    /// Reserves memory for so many queued bytes.
+    fn reserve(&mut self, queued: usize) -> io::Result<()> {
+        let full = |_| io::Error::new(io::ErrorKind::OutOfMemory, "peers leave too much unread");
+        self.reserved.set(&self.budget, queued as u64).map_err(full)
+    }
+}

@@ -1,0 +1,379 @@
+//! The task of one connection: reads, keeps deadlines, and writes what senders could not.
+
+use std::collections::VecDeque;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll, ready};
+use std::time::Duration;
+
+use bytes::BufMut;
+use omq_proto::Message;
+use omq_proto::proto::{Command, Event};
+use tokio::io::{AsyncRead, AsyncReadExt, ReadBuf};
+use tokio::net::tcp::OwnedReadHalf;
+use tokio::sync::mpsc;
+use tokio::time::{Instant, Sleep, sleep_until};
+
+use super::connection::{Codec, Phase, ZmtpConnection};
+use super::framer::{Allowance, Framer, Piece, Stage, Violation};
+use super::limits::{HANDSHAKE_TIMEOUT, ListenerLimits};
+use super::listener::Delivery;
+use super::memory::{MemoryBudget, Reservation};
+use super::rejections::Rejection;
+use crate::transport::{Arrival, Frames, Peer};
+
+/// Bytes that one read takes at most while no long frame is expected; they are copied into frames of their own, so
+/// that an idle connection holds no buffer.
+const READ_BYTES: usize = 16 * 1024;
+
+/// Bytes of PONGs that may wait to be written before reading pauses: a peer that only sends PINGs and reads nothing
+/// gets no further.
+const MAX_QUEUED_PONG_BYTES: usize = 16 * 1024;
+
+/// How long a peer may take to close its end, after everything was sent to it.
+const CLOSE_TIMEOUT: Duration = Duration::from_millis(200);
+
+/// Why a connection ended.
+#[derive(Debug)]
+pub(super) enum End {
+    /// The peer closed it, or it broke.
+    Peer(String),
+    /// It broke a limit or the protocol.
+    Rejected(Rejection, String),
+    /// The listener closes.
+    Closed,
+}
+
+/// What the task of a connection works with.
+pub(super) struct Driver {
+    pub(super) connection: Arc<ZmtpConnection>,
+    reader: OwnedReadHalf,
+    framer: Framer,
+    allowance: Allowance,
+    limits: ListenerLimits,
+    arrivals: mpsc::Sender<Delivery>,
+    pieces: Vec<Piece>,
+    messages: VecDeque<(Message, Reservation)>,
+    /// Whether a message was handed out.
+    pub(super) has_delivered: bool,
+    /// Whether the handshake succeeded.
+    pub(super) is_ready: bool,
+    has_output: bool,
+    phase: Phase,
+    phase_began: Instant,
+    has_received: bool,
+    last_received: Instant,
+}
+
+/// The budgets that all connections of a listener share.
+#[derive(Clone, Debug)]
+pub(super) struct Budgets {
+    pub(super) unadmitted: Arc<MemoryBudget>,
+    pub(super) admitted: Arc<MemoryBudget>,
+    pub(super) output: Arc<MemoryBudget>,
+}
+
+impl Driver {
+    pub(super) fn new(
+        connection: Arc<ZmtpConnection>,
+        reader: OwnedReadHalf,
+        limits: &ListenerLimits,
+        budgets: &Budgets,
+        arrivals: mpsc::Sender<Delivery>,
+    ) -> Self {
+        let allowance = Allowance {
+            stage: Stage::Handshake,
+            max_message_bytes: limits.max_message_bytes,
+            unadmitted: Arc::clone(&budgets.unadmitted),
+            admitted: Arc::clone(&budgets.admitted),
+        };
+        let now = Instant::now();
+        Self {
+            connection,
+            reader,
+            framer: Framer::new(&allowance),
+            allowance,
+            limits: limits.clone(),
+            arrivals,
+            pieces: Vec::new(),
+            messages: VecDeque::new(),
+            has_delivered: false,
+            is_ready: false,
+            has_output: true,
+            phase: Phase::Handshake,
+            phase_began: now,
+            has_received: false,
+            last_received: now,
+        }
+    }
+
+    /// Runs until the connection ends; what arrived before has been handed out then.
+    pub(super) async fn run(&mut self) -> End {
+        let mut timer = std::pin::pin!(sleep_until(self.phase_began));
+        loop {
+            if let Some(end) = self.look_at_phase(timer.as_mut()) {
+                return end;
+            }
+            if self.has_output
+                && let Some(end) = self.write()
+            {
+                return end;
+            }
+            let connection = Arc::clone(&self.connection);
+            let event = tokio::select! {
+                biased;
+                read = read(&mut self.reader, &mut self.framer, &self.allowance, &mut self.pieces),
+                    if !self.is_blocked() => Wake::Read(read),
+                () = connection.wake.notified() => Wake::Told,
+                result = connection.writer.writable(), if self.has_output => Wake::Writable(result.is_ok()),
+                () = timer.as_mut() => Wake::Timer,
+            };
+            match event {
+                Wake::Read(Read::Bytes) => {
+                    self.has_received = true;
+                    if let Err((reason, text)) = self.decode() {
+                        return End::Rejected(reason, text);
+                    }
+                    if !self.deliver().await {
+                        return End::Closed;
+                    }
+                }
+                Wake::Read(Read::End(reason)) => return End::Peer(reason),
+                Wake::Read(Read::Violation((reason, text))) => {
+                    // What was whole before it still counts.
+                    if self.decode().is_ok() {
+                        self.deliver().await;
+                    }
+                    return End::Rejected(reason, text);
+                }
+                Wake::Told => self.has_output = true,
+                Wake::Writable(true) => {}
+                Wake::Writable(false) => return End::Peer("the connection broke".into()),
+                Wake::Timer => {
+                    if let Some(end) = self.tick() {
+                        return end;
+                    }
+                    timer.as_mut().reset(self.next_tick());
+                }
+            }
+        }
+    }
+
+    /// Whether answers must go out before more is read.
+    fn is_blocked(&self) -> bool {
+        self.has_output && self.connection.codec().zmtp.pending_pong_size() > MAX_QUEUED_PONG_BYTES
+    }
+
+    /// Takes over a new phase, which another thread may have set.
+    fn look_at_phase(&mut self, timer: Pin<&mut Sleep>) -> Option<End> {
+        let phase = self.connection.phase();
+        if phase == self.phase {
+            return None;
+        }
+        self.phase = phase;
+        self.phase_began = Instant::now();
+        self.allowance.stage = match phase {
+            Phase::Handshake => Stage::Handshake,
+            Phase::Unadmitted | Phase::Greeted => Stage::Unadmitted,
+            Phase::Admitted | Phase::Closing | Phase::Replaced => Stage::Admitted,
+        };
+        timer.reset(self.next_tick());
+        match phase {
+            Phase::Closing => Some(End::Closed),
+            Phase::Replaced => {
+                Some(End::Rejected(Rejection::Replaced, "a newer connection needed its place".into()))
+            }
+            _ => None,
+        }
+    }
+
+    fn write(&mut self) -> Option<End> {
+        let written = self.connection.write(&mut self.connection.codec());
+        match written {
+            Ok(is_all) => {
+                self.has_output = !is_all;
+                None
+            }
+            Err(error) => Some(End::Peer(error.to_string())),
+        }
+    }
+
+    /// Lets the library decode the pieces, and collects whole messages.
+    fn decode(&mut self) -> Result<(), Violation> {
+        let connection = Arc::clone(&self.connection);
+        let mut codec = connection.codec();
+        for Piece { bytes, message } in self.pieces.drain(..) {
+            codec.zmtp.handle_input(bytes).map_err(|error| violation(&error, self.is_ready))?;
+            while let Some(event) = codec.zmtp.poll_event() {
+                if let Event::HandshakeSucceeded { peer_properties, .. } = event {
+                    if peer_properties.identity.as_ref().is_some_and(|identity| !identity.is_empty()) {
+                        let text = "the peer chose a routing id of its own".into();
+                        return Err((Rejection::Handshake, text));
+                    }
+                    self.is_ready = true;
+                    self.connection.advance(Phase::Unadmitted);
+                }
+            }
+            if let Some(reserved) = message
+                && let Some(message) = codec.zmtp.poll_message()
+            {
+                self.messages.push_back((message, reserved));
+            }
+        }
+        self.has_output |= codec.zmtp.has_pending_transmit();
+        Ok(())
+    }
+
+    /// Hands out what is whole; waits while the listener is busy. Returns whether it still listens.
+    async fn deliver(&mut self) -> bool {
+        while let Some((message, reserved)) = self.messages.pop_front() {
+            let frames: Frames = message.iter().collect();
+            let peer = Peer { connection: self.connection.id, address: Some(self.connection.address) };
+            let delivery = Delivery { arrival: Arrival::Message(peer, frames), _reserved: Some(reserved) };
+            if self.arrivals.send(delivery).await.is_err() {
+                return false;
+            }
+            self.has_delivered = true;
+        }
+        true
+    }
+
+    /// Looks at deadlines.
+    fn tick(&mut self) -> Option<End> {
+        let now = Instant::now();
+        if std::mem::take(&mut self.has_received) {
+            self.last_received = now;
+        }
+        let in_phase = now - self.phase_began;
+        if self.phase == Phase::Handshake {
+            return (in_phase >= HANDSHAKE_TIMEOUT)
+                .then(|| End::Rejected(Rejection::Handshake, "no ZMTP handshake in time".into()));
+        }
+        if self.phase == Phase::Unadmitted && in_phase >= self.limits.hello_timeout {
+            let text = format!("no hello was accepted within {} ms", self.limits.hello_timeout.as_millis());
+            return Some(End::Rejected(Rejection::NoHello, text));
+        }
+        let silence = now - self.last_received;
+        if silence >= self.limits.heartbeat_timeout {
+            let text = format!("the peer sent nothing for {} ms", silence.as_millis());
+            return Some(End::Rejected(Rejection::Silent, text));
+        }
+        if silence >= self.limits.heartbeat_interval {
+            self.ping();
+        }
+        None
+    }
+
+    fn ping(&mut self) {
+        let mut codec: std::sync::MutexGuard<'_, Codec> = self.connection.codec();
+        // Peers of ZMTP 3.0 do not know heartbeats; a queue that does not drain needs no further PING.
+        if codec.zmtp.peer_minor() == 0 || codec.zmtp.has_pending_transmit() {
+            return;
+        }
+        let ping = Command::Ping { ttl_deciseconds: 0, context: bytes::Bytes::new() };
+        if let Err(error) = codec.zmtp.send_command(&ping) {
+            tracing::debug!(%error, "a heartbeat was not sent");
+        }
+        drop(codec);
+        self.has_output = true;
+    }
+
+    fn next_tick(&self) -> Instant {
+        let heartbeat = Instant::now() + self.limits.heartbeat_interval;
+        match self.phase {
+            Phase::Handshake => self.phase_began + HANDSHAKE_TIMEOUT,
+            Phase::Unadmitted => heartbeat.min(self.phase_began + self.limits.hello_timeout),
+            _ => heartbeat,
+        }
+    }
+
+    /// Sends what is queued, no longer than until `deadline`, and lets the peer close.
+    pub(super) async fn finish(&mut self, deadline: Instant) {
+        let connection = Arc::clone(&self.connection);
+        let flush = async {
+            loop {
+                match connection.write(&mut connection.codec()) {
+                    Ok(false) => {}
+                    Ok(true) | Err(_) => return,
+                }
+                if connection.writer.writable().await.is_err() {
+                    return;
+                }
+            }
+        };
+        // What is not out by then is lost, as it would be with the connection.
+        let _late = tokio::time::timeout_at(deadline, flush).await;
+        // A socket that is closed with unread bytes resets the connection, and the peer loses what it has not read.
+        shut_down_writing(&self.reader);
+        let mut scratch = vec![0; READ_BYTES];
+        let drain = async { while matches!(self.reader.read(&mut scratch).await, Ok(1..)) {} };
+        let _open = tokio::time::timeout_at(deadline.min(Instant::now() + CLOSE_TIMEOUT), drain).await;
+    }
+}
+
+fn shut_down_writing(reader: &OwnedReadHalf) {
+    // The peer may have closed already.
+    let _closed = socket2::SockRef::from(reader.as_ref()).shutdown(std::net::Shutdown::Write);
+}
+
+fn violation(error: &omq_proto::Error, is_ready: bool) -> Violation {
+    let reason = match error {
+        _ if !is_ready => Rejection::Handshake,
+        omq_proto::Error::MessageTooLarge { .. } => Rejection::TooLarge,
+        _ => Rejection::Protocol,
+    };
+    (reason, error.to_string())
+}
+
+enum Wake {
+    Read(Read),
+    Told,
+    Writable(bool),
+    Timer,
+}
+
+enum Read {
+    Bytes,
+    End(String),
+    Violation(Violation),
+}
+
+/// Reads once, into the buffer of a long frame or into pieces. Dropping the future loses nothing.
+async fn read(
+    reader: &mut OwnedReadHalf,
+    framer: &mut Framer,
+    allowance: &Allowance,
+    pieces: &mut Vec<Piece>,
+) -> Read {
+    std::future::poll_fn(|cx| poll_read(cx, reader, framer, allowance, pieces)).await
+}
+
+fn poll_read(
+    cx: &mut Context<'_>,
+    reader: &mut OwnedReadHalf,
+    framer: &mut Framer,
+    allowance: &Allowance,
+    pieces: &mut Vec<Piece>,
+) -> Poll<Read> {
+    let (read, result) = match framer.direct_buffer(allowance) {
+        Err(violation) => return Poll::Ready(Read::Violation(violation)),
+        Ok(Some(mut buffer)) => {
+            debug_assert!(buffer.has_remaining_mut());
+            let read = std::pin::pin!(reader.read_buf(&mut buffer)).poll(cx);
+            let read = ready!(read);
+            (read, framer.filled(allowance, pieces))
+        }
+        Ok(None) => {
+            let mut scratch = [0; READ_BYTES];
+            let mut buffer = ReadBuf::new(&mut scratch);
+            let read = ready!(Pin::new(reader).poll_read(cx, &mut buffer));
+            (read.map(|()| buffer.filled().len()), framer.input(buffer.filled(), allowance, pieces))
+        }
+    };
+    Poll::Ready(match (read, result) {
+        (Ok(0), _) => Read::End("the peer closed the connection".into()),
+        (Err(error), _) => Read::End(error.to_string()),
+        (_, Err(violation)) => Read::Violation(violation),
+        (Ok(_), Ok(())) => Read::Bytes,
+    })
+}

@@ -1,0 +1,158 @@
+use proptest::prelude::*;
+
+use super::*;
+
+const BUDGET: u64 = 4 * 1024 * 1024;
+
+fn allowance(stage: Stage) -> Allowance {
+    Allowance {
+        stage,
+        max_message_bytes: 1024 * 1024,
+        unadmitted: MemoryBudget::new(BUDGET),
+        admitted: MemoryBudget::new(BUDGET),
+    }
+}
+
+/// A framer whose greeting has come.
+fn greeted(allowance: &Allowance) -> Framer {
+    let mut framer = Framer::new(allowance);
+    let mut out = Vec::new();
+    framer.input(&[7; GREETING_BYTES], allowance, &mut out).expect("a greeting is let through");
+    assert_eq!(out.iter().map(|piece| piece.bytes.len()).sum::<usize>(), GREETING_BYTES);
+    framer
+}
+
+fn frame(flags: u8, body: &[u8]) -> Vec<u8> {
+    let mut frame = header(flags, body.len() as u64);
+    frame.extend_from_slice(body);
+    frame
+}
+
+/// The header of a frame that claims so many bytes.
+fn header(flags: u8, claimed: u64) -> Vec<u8> {
+    match u8::try_from(claimed) {
+        Ok(short) => vec![flags, short],
+        Err(_) => [&[flags | LONG][..], &claimed.to_be_bytes()].concat(),
+    }
+}
+
+#[test]
+fn a_claim_reserves_no_memory_before_bytes_arrive() {
+    let allowance = allowance(Stage::Admitted);
+    let mut framer = greeted(&allowance);
+    framer.input(&header(0, 1_000_000), &allowance, &mut Vec::new()).expect("is allowed");
+    assert!(allowance.admitted.held() <= (FIRST_BYTES + FRAME_OVERHEAD_BYTES) as u64);
+    drop(framer);
+    assert_eq!(allowance.admitted.held(), 0);
+}
+
+#[test]
+fn claims_before_the_hello_are_refused_above_64_kib() {
+    let allowance = allowance(Stage::Unadmitted);
+    for claimed in [MAX_UNADMITTED_BYTES as u64, 60_000_000, u64::MAX] {
+        let result = greeted(&allowance).input(&header(0, claimed), &allowance, &mut Vec::new());
+        assert_eq!(result.expect_err("is too much").0, Rejection::LargeBeforeHello);
+    }
+    let mut framer = greeted(&allowance);
+    let part = frame(MORE, &[0; 1_000]);
+    let many = (0..100).map_while(|_| framer.input(&part, &allowance, &mut Vec::new()).ok()).count();
+    assert_eq!(many, MAX_UNADMITTED_BYTES / (1_000 + FRAME_OVERHEAD_BYTES), "parts of a message count together");
+}
+
+#[test]
+fn an_exhausted_budget_ends_the_connection_that_needs_more() {
+    let allowance = allowance(Stage::Admitted);
+    let mut framers: Vec<Framer> = (0..5).map(|_| greeted(&allowance)).collect();
+    let unfinished = [header(0, 1_000_000), vec![1; 999_999]].concat();
+    let failed = framers
+        .iter_mut()
+        .filter_map(|framer| framer.input(&unfinished, &allowance, &mut Vec::new()).err())
+        .collect::<Vec<_>>();
+    assert!(matches!(&failed[..], [(Rejection::NoMemory, _)]), "{failed:?}");
+    framers.truncate(1);
+    let mut out = Vec::new();
+    framers[0].input(&[1], &allowance, &mut out).expect("the others go on");
+    assert!(out[0].message.is_some());
+}
+
+#[test]
+fn memory_of_a_message_is_held_until_it_is_dropped() {
+    let allowance = allowance(Stage::Admitted);
+    let mut framer = greeted(&allowance);
+    let mut out = Vec::new();
+    let bytes = [frame(MORE, &[1; 10]), frame(0, &[2; 200_000])].concat();
+    framer.input(&bytes, &allowance, &mut out).expect("is allowed");
+    drop(framer);
+    assert_eq!(allowance.admitted.held(), 200_010 + 2 * FRAME_OVERHEAD_BYTES as u64);
+    out.clear();
+    assert_eq!(allowance.admitted.held(), 0);
+}
+
+#[test]
+fn a_long_frame_is_read_into_its_own_buffer() {
+    let allowance = allowance(Stage::Admitted);
+    let mut framer = greeted(&allowance);
+    let mut out = Vec::new();
+    framer.input(&[header(0, 300_000), vec![1; 100]].concat(), &allowance, &mut out).expect("is allowed");
+    let mut reads = 0;
+    while let Some(mut buffer) = framer.direct_buffer(&allowance).expect("there is memory") {
+        let room = buffer.remaining_mut();
+        buffer.put_bytes(1, room);
+        framer.filled(&allowance, &mut out).expect("is allowed");
+        reads += 1;
+    }
+    assert_eq!(out.last().map(|piece| (piece.bytes.len(), piece.message.is_some())), Some((300_000, true)));
+    assert_eq!(reads, 4, "64, 128, 256 KiB and the rest");
+    // The next of its length needs one.
+    framer.input(&header(0, 300_000), &allowance, &mut out).expect("is allowed");
+    let room = framer.direct_buffer(&allowance).expect("there is memory").map(|buffer| buffer.remaining_mut());
+    assert_eq!(room, Some(300_000));
+}
+
+proptest! {
+    #[test]
+    fn frames_come_out_as_they_went_in_however_they_are_cut(
+        frames in proptest::collection::vec((any::<bool>(), 0..70_000_usize), 1..8),
+        cuts in proptest::collection::vec(1..40_000_usize, 1..40),
+    ) {
+        let allowance = allowance(Stage::Admitted);
+        let mut framer = greeted(&allowance);
+        let bytes: Vec<u8> = frames
+            .iter()
+            .flat_map(|(more, length)| frame(u8::from(*more), &vec![*length as u8; *length]))
+            .collect();
+        let (mut rest, mut out, mut cuts) = (&bytes[..], Vec::new(), cuts.iter().cycle());
+        while !rest.is_empty() {
+            let cut = rest.len().min(*cuts.next().expect("cycles"));
+            framer.input(&rest[..cut], &allowance, &mut out).expect("is allowed");
+            rest = &rest[cut..];
+        }
+        let joined: Vec<u8> = out.iter().flat_map(|piece| piece.bytes.to_vec()).collect();
+        prop_assert_eq!(joined, bytes);
+        let ends = out.iter().filter(|piece| piece.message.is_some()).count();
+        prop_assert_eq!(ends, frames.iter().filter(|(more, _)| !more).count());
+    }
+
+    #[test]
+    fn arbitrary_bytes_hold_no_more_than_their_budget(
+        chunks in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 0..3_000), 0..40),
+        stage in prop_oneof![Just(Stage::Handshake), Just(Stage::Unadmitted), Just(Stage::Admitted)],
+    ) {
+        let allowance = allowance(stage);
+        let mut framer = greeted(&allowance);
+        let mut out = Vec::new();
+        for chunk in chunks {
+            if framer.input(&chunk, &allowance, &mut out).is_err() {
+                break;
+            }
+            let held = allowance.admitted.held() + allowance.unadmitted.held();
+            prop_assert!(held <= BUDGET);
+            if stage == Stage::Unadmitted {
+                let unfinished = framer.reserved_bytes();
+                prop_assert!(unfinished <= (MAX_UNADMITTED_BYTES + FRAME_OVERHEAD_BYTES) as u64, "{}", unfinished);
+            }
+        }
+        drop((framer, out));
+        prop_assert_eq!(allowance.admitted.held() + allowance.unadmitted.held(), 0);
+    }
+}

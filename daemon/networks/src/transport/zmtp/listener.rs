@@ -1,0 +1,286 @@
+//! A listening port: accepts connections within limits, and hands out what they send.
+
+use std::io;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+use socket2::{Domain, SockRef, Socket, Type};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
+use tokio::time::Instant;
+use tokio_util::sync::CancellationToken;
+use tokio_util::task::TaskTracker;
+
+use super::connection::{Phase, ZmtpConnection};
+use super::driver::{Budgets, Driver, End};
+use super::limits::{AddressGroup, ListenerLimits, MAX_ALL_UNADMITTED_BYTES};
+use super::memory::{MemoryBudget, Reservation};
+use super::rejections::{Rejection, RejectionCounts};
+use super::table::{ConnectionTable, Inserted};
+use crate::transport::{Arrival, BindFailure, ConnectionId, Frames, SendFailure};
+
+/// Messages of all connections that may wait to be received; each is covered by a reservation until then.
+const MAX_WAITING: usize = 1_024;
+
+/// Sockets that may still be closing while as many connections as allowed are open.
+const CLOSING_PLACES: usize = 16;
+
+/// Connections that the kernel may complete before they are accepted.
+const BACKLOG: i32 = 1_024;
+
+/// Pause after an accept that failed for want of descriptors or memory.
+const SHORTAGE_PAUSE: Duration = Duration::from_millis(100);
+
+/// The receiving end of a listening port. Dropping it closes the port and all connections.
+#[derive(Debug)]
+pub struct ZmtpListener {
+    address: SocketAddr,
+    arrivals: mpsc::Receiver<Delivery>,
+    shared: Arc<Shared>,
+}
+
+/// The sending end; cheap to clone.
+#[derive(Clone, Debug)]
+pub struct ZmtpSender {
+    shared: Arc<Shared>,
+}
+
+#[derive(Debug)]
+struct Shared {
+    table: ConnectionTable,
+    limits: ListenerLimits,
+    budgets: Budgets,
+    rejections: Arc<RejectionCounts>,
+    stop: CancellationToken,
+    tasks: TaskTracker,
+    /// When connections that close may no longer send; set before `stop` is cancelled.
+    close_deadline: Mutex<Option<Instant>>,
+}
+
+/// Something that arrived, and the memory it takes until it is received.
+#[derive(Debug)]
+pub(super) struct Delivery {
+    pub(super) arrival: Arrival,
+    pub(super) _reserved: Option<Reservation>,
+}
+
+impl ZmtpListener {
+    /// Listens at an address; port 0 lets the system choose one.
+    ///
+    /// # Errors
+    /// When the port is taken or the address is not this machine's.
+    pub async fn bind(authority: &str, limits: ListenerLimits) -> Result<Self, BindFailure> {
+        let listener = listen(authority).await.map_err(bind_failure)?;
+        let address = listener.local_addr().map_err(bind_failure)?;
+        let budgets = Budgets {
+            unadmitted: MemoryBudget::new(MAX_ALL_UNADMITTED_BYTES),
+            admitted: MemoryBudget::new(limits.unfinished_budget()),
+            output: MemoryBudget::new(limits.unfinished_budget().saturating_mul(4)),
+        };
+        let shared = Arc::new(Shared {
+            table: ConnectionTable::new(limits.clone()),
+            limits,
+            budgets,
+            rejections: Arc::new(RejectionCounts::new(address.to_string())),
+            stop: CancellationToken::new(),
+            tasks: TaskTracker::new(),
+            close_deadline: Mutex::new(None),
+        });
+        let (sender, arrivals) = mpsc::channel(MAX_WAITING);
+        shared.tasks.spawn(accept(listener, Arc::clone(&shared), sender));
+        Ok(Self { address, arrivals, shared })
+    }
+
+    /// Where it listens, with the real port.
+    pub const fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// The sending end.
+    pub fn sender(&self) -> ZmtpSender {
+        ZmtpSender { shared: Arc::clone(&self.shared) }
+    }
+
+    /// How many connections were turned away, by reason.
+    pub fn rejections(&self) -> Arc<RejectionCounts> {
+        Arc::clone(&self.shared.rejections)
+    }
+
+    /// What arrives next; `None` when the port is closed. Dropping the future loses nothing.
+    pub async fn receive(&mut self) -> Option<Arrival> {
+        self.arrivals.recv().await.map(|delivery| delivery.arrival)
+    }
+
+    /// Closes the port and all connections, after what was sent has gone out or `linger` has passed.
+    pub async fn close(mut self, linger: Duration) {
+        let deadline = Instant::now() + linger;
+        *self.shared.close_deadline.lock().unwrap_or_else(PoisonError::into_inner) = Some(deadline);
+        // Whoever waits to hand something over goes on to close.
+        self.arrivals.close();
+        while self.arrivals.try_recv().is_ok() {}
+        self.shared.close();
+        self.shared.tasks.wait().await;
+    }
+}
+
+impl Drop for ZmtpListener {
+    fn drop(&mut self) {
+        self.shared.close();
+    }
+}
+
+impl ZmtpSender {
+    /// Hands over a whole message without waiting.
+    ///
+    /// # Errors
+    /// When the peer reads too slowly, or its connection is gone.
+    pub fn try_send(&self, connection: ConnectionId, frames: Frames) -> Result<(), SendFailure> {
+        let connection = self.shared.table.get(connection);
+        connection.ok_or_else(|| SendFailure::Gone("the peer is gone".into()))?.try_send(frames)
+    }
+
+    /// The connection's hello has come and is being decided on; its deadline is met.
+    pub fn greet(&self, connection: ConnectionId) {
+        self.shared.table.greet(connection);
+    }
+
+    /// The connection's hello was accepted: it may send large messages.
+    pub fn admit(&self, connection: ConnectionId) {
+        self.shared.table.admit(connection);
+    }
+
+    /// Nothing admits the connection any more: a new hello must come in time.
+    pub fn demote(&self, connection: ConnectionId) {
+        self.shared.table.demote(connection);
+    }
+}
+
+impl Shared {
+    fn close(&self) {
+        self.stop.cancel();
+        for connection in self.table.all() {
+            connection.advance(Phase::Closing);
+        }
+        self.tasks.close();
+    }
+
+    fn close_deadline(&self) -> Instant {
+        self.close_deadline.lock().unwrap_or_else(PoisonError::into_inner).unwrap_or_else(Instant::now)
+    }
+}
+
+async fn listen(authority: &str) -> io::Result<TcpListener> {
+    let mut found = tokio::net::lookup_host(authority).await?;
+    let address = found
+        .next()
+        .ok_or_else(|| io::Error::new(io::ErrorKind::AddrNotAvailable, "the name has no address"))?;
+    let socket = Socket::new(Domain::for_address(address), Type::STREAM, None)?;
+    socket.set_reuse_address(true)?;
+    socket.set_nonblocking(true)?;
+    socket.bind(&address.into())?;
+    socket.listen(BACKLOG)?;
+    TcpListener::from_std(socket.into())
+}
+
+fn bind_failure(error: io::Error) -> BindFailure {
+    match error.kind() {
+        io::ErrorKind::AddrInUse => BindFailure::InUse,
+        io::ErrorKind::PermissionDenied => BindFailure::Denied,
+        io::ErrorKind::AddrNotAvailable => BindFailure::NotLocal,
+        _ => BindFailure::Other(error.to_string()),
+    }
+}
+
+async fn accept(listener: TcpListener, shared: Arc<Shared>, arrivals: mpsc::Sender<Delivery>) {
+    let places = Arc::new(Semaphore::new(shared.limits.max_connections + CLOSING_PLACES));
+    while let Some(accepted) = shared.stop.run_until_cancelled(next(&listener, &places)).await {
+        let (stream, address, place) = match accepted {
+            Ok(accepted) => accepted,
+            Err(error) if has_given_up(&error) => continue,
+            Err(error) => {
+                shared.rejections.record(Rejection::TooMany, None, &format!("cannot accept: {error}"));
+                tokio::time::sleep(SHORTAGE_PAUSE).await;
+                continue;
+            }
+        };
+        if let Err(error) = prepare(&stream, &shared.limits) {
+            tracing::debug!(%error, %address, "a connection broke before it was served");
+            continue;
+        }
+        let (reader, writer) = stream.into_split();
+        let make = |id| {
+            let output = &shared.budgets.output;
+            Arc::new(ZmtpConnection::new(id, address, writer, place, &shared.limits, output))
+        };
+        match shared.table.insert(AddressGroup::of(address), make) {
+            Ok(Inserted { connection, replaced }) => {
+                for other in replaced {
+                    other.advance(Phase::Replaced);
+                }
+                let driver =
+                    Driver::new(connection, reader, &shared.limits, &shared.budgets, arrivals.clone());
+                shared.tasks.spawn(serve(driver, Arc::clone(&shared), arrivals.clone()));
+            }
+            Err(reason) => {
+                let text = "as many admitted connections are open as are allowed";
+                shared.rejections.record(reason, Some(address), text);
+            }
+        }
+    }
+}
+
+/// The next connection and its place among those that may be open.
+async fn next(
+    listener: &TcpListener,
+    places: &Arc<Semaphore>,
+) -> io::Result<(TcpStream, SocketAddr, OwnedSemaphorePermit)> {
+    let place = Arc::clone(places).acquire_owned().await.map_err(io::Error::other)?;
+    let (stream, address) = listener.accept().await?;
+    Ok((stream, address, place))
+}
+
+/// Whether the other side gave up before it was accepted.
+fn has_given_up(error: &io::Error) -> bool {
+    use io::ErrorKind::{ConnectionAborted, ConnectionRefused, ConnectionReset};
+    matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset)
+}
+
+fn prepare(stream: &TcpStream, limits: &ListenerLimits) -> io::Result<()> {
+    stream.set_nodelay(true)?;
+    SockRef::from(stream).set_tcp_user_timeout(Some(limits.heartbeat_timeout))
+}
+
+async fn serve(mut driver: Driver, shared: Arc<Shared>, arrivals: mpsc::Sender<Delivery>) {
+    let end = driver.run().await;
+    let connection = &driver.connection;
+    let (id, address) = (connection.id, connection.address);
+    let (has_delivered, is_ready) = (driver.has_delivered, driver.is_ready);
+    let reason = match end {
+        End::Peer(reason) => {
+            if !is_ready {
+                shared.rejections.record(Rejection::Handshake, Some(address), &reason);
+            }
+            reason
+        }
+        End::Rejected(rejection, text) => {
+            shared.rejections.record(rejection, Some(address), &text);
+            text
+        }
+        End::Closed => {
+            driver.finish(shared.close_deadline()).await;
+            "the connection was closed here".into()
+        }
+    };
+    // Before anybody learns of it: the socket closes with the last of these, and nothing can be sent any more.
+    shared.table.remove(id);
+    drop(driver);
+    let arrival = match (has_delivered, is_ready) {
+        (true, _) => Arrival::Gone(id, reason),
+        (false, false) => Arrival::Garbage(Some(address), reason),
+        (false, true) => return,
+    };
+    // Closed only while everything ends.
+    let _ended = arrivals.send(Delivery { arrival, _reserved: None }).await;
+}

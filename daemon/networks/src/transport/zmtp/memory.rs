@@ -1,0 +1,100 @@
+//! Memory shared by many connections: bytes are reserved before they are taken, and given back when dropped.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Bytes that several holders may take together.
+#[derive(Debug)]
+pub(super) struct MemoryBudget {
+    limit: u64,
+    held: AtomicU64,
+}
+
+/// Bytes reserved in a budget; given back when dropped.
+#[derive(Debug)]
+pub(super) struct Reservation {
+    budget: Arc<MemoryBudget>,
+    bytes: u64,
+}
+
+/// A reservation would have exceeded its budget.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Exhausted;
+
+impl MemoryBudget {
+    pub(super) fn new(limit: u64) -> Arc<Self> {
+        Arc::new(Self { limit, held: AtomicU64::new(0) })
+    }
+
+    #[cfg(test)]
+    pub(super) fn held(&self) -> u64 {
+        self.held.load(Ordering::Relaxed)
+    }
+
+    fn take(&self, bytes: u64) -> Result<(), Exhausted> {
+        let fits = |held: u64| held.checked_add(bytes).filter(|held| *held <= self.limit);
+        self.held.fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits).map(drop).map_err(|_| Exhausted)
+    }
+}
+
+impl Reservation {
+    pub(super) fn empty(budget: &Arc<MemoryBudget>) -> Self {
+        Self { budget: Arc::clone(budget), bytes: 0 }
+    }
+
+    /// Grows or shrinks the reservation to `bytes` of `budget`; a reservation in another budget moves there.
+    ///
+    /// # Errors
+    /// When `budget` has no room; the reservation is unchanged then.
+    pub(super) fn set(&mut self, budget: &Arc<MemoryBudget>, bytes: u64) -> Result<(), Exhausted> {
+        if !Arc::ptr_eq(&self.budget, budget) {
+            let mut moved = Self::empty(budget);
+            moved.set(budget, bytes)?;
+            *self = moved;
+        } else if bytes > self.bytes {
+            budget.take(bytes - self.bytes)?;
+            self.bytes = bytes;
+        } else {
+            budget.held.fetch_sub(self.bytes - bytes, Ordering::Relaxed);
+            self.bytes = bytes;
+        }
+        Ok(())
+    }
+
+    #[cfg(test)]
+    pub(super) fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// Hands over all that is reserved; nothing is left here.
+    pub(super) fn take(&mut self) -> Self {
+        Self { budget: Arc::clone(&self.budget), bytes: std::mem::take(&mut self.bytes) }
+    }
+}
+
+impl Drop for Reservation {
+    fn drop(&mut self) {
+        self.budget.held.fetch_sub(self.bytes, Ordering::Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reservations_share_their_budget_and_give_it_back() {
+        let (small, large) = (MemoryBudget::new(10), MemoryBudget::new(100));
+        let (mut first, mut second) = (Reservation::empty(&small), Reservation::empty(&small));
+        first.set(&small, 7).expect("fits");
+        assert_eq!(second.set(&small, 4), Err(Exhausted));
+        second.set(&small, 3).expect("fits exactly");
+        first.set(&large, 80).expect("moves");
+        assert_eq!((small.held(), large.held()), (3, 80));
+        let handed_over = first.take();
+        drop((first, second));
+        assert_eq!((small.held(), large.held()), (0, 80));
+        drop(handed_over);
+        assert_eq!(large.held(), 0);
+    }
+}

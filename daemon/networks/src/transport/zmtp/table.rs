@@ -1,0 +1,142 @@
+//! The open connections of a listener, and who makes room for whom.
+
+use std::collections::{BTreeSet, HashMap};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use super::connection::{Phase, ZmtpConnection};
+use super::limits::{AddressGroup, ListenerLimits};
+use super::rejections::Rejection;
+use crate::transport::ConnectionId;
+
+/// All open connections.
+#[derive(Debug)]
+pub(super) struct ConnectionTable {
+    limits: ListenerLimits,
+    entries: Mutex<Entries>,
+}
+
+#[derive(Debug, Default)]
+struct Entries {
+    next: u64,
+    open: HashMap<ConnectionId, Arc<ZmtpConnection>>,
+    /// Those that are not admitted, oldest first: ids only grow.
+    unadmitted: BTreeSet<ConnectionId>,
+    groups: HashMap<AddressGroup, Count>,
+}
+
+/// Connections of one address.
+#[derive(Clone, Copy, Debug, Default)]
+struct Count {
+    open: usize,
+    unadmitted: usize,
+}
+
+impl ConnectionTable {
+    pub(super) fn new(limits: ListenerLimits) -> Self {
+        Self { limits, entries: Mutex::default() }
+    }
+
+    fn entries(&self) -> MutexGuard<'_, Entries> {
+        self.entries.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn get(&self, id: ConnectionId) -> Option<Arc<ZmtpConnection>> {
+        self.entries().open.get(&id).cloned()
+    }
+
+    pub(super) fn all(&self) -> Vec<Arc<ZmtpConnection>> {
+        self.entries().open.values().cloned().collect()
+    }
+
+    /// Takes in a new connection. Where a limit is reached, a connection that is not admitted yet makes room: the
+    /// oldest of the same address, or else of the address that has most of them.
+    ///
+    /// # Errors
+    /// When only admitted connections stand in the way.
+    pub(super) fn insert(
+        &self,
+        group: AddressGroup,
+        make: impl FnOnce(ConnectionId) -> Arc<ZmtpConnection>,
+    ) -> Result<Inserted, Rejection> {
+        let mut entries = self.entries();
+        let mut replaced = Vec::new();
+        let of_group = entries.groups.get(&group).copied().unwrap_or_default();
+        let of_group_is_full = !group.is_loopback() && of_group.open >= self.limits.max_per_address();
+        if of_group_is_full || of_group.unadmitted >= self.limits.max_unadmitted_per_address() {
+            let oldest = entries.oldest_unadmitted(group).ok_or(Rejection::TooManyOfAddress)?;
+            replaced.extend(entries.remove(oldest));
+        } else if entries.open.len() >= self.limits.max_connections
+            || entries.unadmitted.len() >= self.limits.max_unadmitted()
+        {
+            let crowded = entries.groups.iter().max_by_key(|(_, count)| count.unadmitted).map(|(group, _)| *group);
+            let oldest = crowded.and_then(|group| entries.oldest_unadmitted(group)).ok_or(Rejection::TooMany)?;
+            replaced.extend(entries.remove(oldest));
+        }
+        entries.next += 1;
+        let id = ConnectionId(entries.next);
+        let connection = make(id);
+        entries.open.insert(id, Arc::clone(&connection));
+        entries.unadmitted.insert(id);
+        let count = entries.groups.entry(group).or_default();
+        count.open += 1;
+        count.unadmitted += 1;
+        Ok(Inserted { connection, replaced })
+    }
+
+    /// The hello has come and is being decided on: its deadline is met.
+    pub(super) fn greet(&self, id: ConnectionId) {
+        if let Some(connection) = self.get(id) {
+            connection.advance(Phase::Greeted);
+        }
+    }
+
+    pub(super) fn admit(&self, id: ConnectionId) {
+        self.move_to(id, Phase::Admitted);
+    }
+
+    /// The session or hello that admitted the connection is over: the next must come in time.
+    pub(super) fn demote(&self, id: ConnectionId) {
+        self.move_to(id, Phase::Unadmitted);
+    }
+
+    fn move_to(&self, id: ConnectionId, phase: Phase) {
+        let mut entries = self.entries();
+        let Some(connection) = entries.open.get(&id).cloned() else { return };
+        connection.advance(phase);
+        let is_admitted = phase == Phase::Admitted;
+        let changed = if is_admitted { entries.unadmitted.remove(&id) } else { entries.unadmitted.insert(id) };
+        if changed && let Some(count) = entries.groups.get_mut(&connection.group) {
+            count.unadmitted = if is_admitted { count.unadmitted - 1 } else { count.unadmitted + 1 };
+        }
+    }
+
+    pub(super) fn remove(&self, id: ConnectionId) {
+        self.entries().remove(id);
+    }
+}
+
+/// A connection that was taken in, and those that made room for it.
+#[derive(Debug)]
+pub(super) struct Inserted {
+    pub(super) connection: Arc<ZmtpConnection>,
+    pub(super) replaced: Vec<Arc<ZmtpConnection>>,
+}
+
+impl Entries {
+    fn oldest_unadmitted(&self, group: AddressGroup) -> Option<ConnectionId> {
+        self.unadmitted.iter().copied().find(|id| self.open.get(id).is_some_and(|open| open.group == group))
+    }
+
+    fn remove(&mut self, id: ConnectionId) -> Option<Arc<ZmtpConnection>> {
+        let connection = self.open.remove(&id)?;
+        let was_unadmitted = self.unadmitted.remove(&id);
+        if let Some(count) = self.groups.get_mut(&connection.group) {
+            count.open -= 1;
+            count.unadmitted -= usize::from(was_unadmitted);
+            if count.open == 0 {
+                self.groups.remove(&connection.group);
+            }
+        }
+        Some(connection)
+    }
+}

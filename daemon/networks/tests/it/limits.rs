@@ -1,0 +1,290 @@
+//! What a connection of a listening port may cost, against real sockets.
+
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use bytes::Bytes;
+use peernet_networks::zmtp::{ListenerLimits, Rejection, ZmtpListener};
+use peernet_networks::{Arrival, Frames, Peer, SendFailure};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpStream;
+use zeromq::{Message, Options, Socket, SocketType};
+
+use crate::support::within;
+
+/// Bytes of the listener's READY after the first two.
+const REST_OF_READY: usize = 28;
+
+/// Longer than any test takes.
+const LONG: Duration = Duration::from_secs(60);
+
+fn limits() -> ListenerLimits {
+    ListenerLimits {
+        max_connections: 400,
+        max_message_bytes: 4 * 1024 * 1024,
+        max_unfinished_bytes: 16 * 1024 * 1024,
+        hello_timeout: LONG,
+        max_queued_messages: 16,
+        max_queued_bytes: 4 * 1024 * 1024,
+        heartbeat_interval: Duration::from_secs(20),
+        heartbeat_timeout: LONG,
+    }
+}
+
+async fn bind(limits: ListenerLimits) -> ZmtpListener {
+    ZmtpListener::bind("127.0.0.1:0", limits).await.expect("the port is free")
+}
+
+/// The next message; connections that ended meanwhile are passed over.
+async fn message(listener: &mut ZmtpListener) -> (Peer, Frames) {
+    within(async {
+        loop {
+            match listener.receive().await.expect("the port is open") {
+                Arrival::Message(peer, frames) => return (peer, frames),
+                Arrival::Gone(..) | Arrival::Garbage(..) => {}
+            }
+        }
+    })
+    .await
+}
+
+async fn until_rejected(listener: &ZmtpListener, reason: Rejection, count: u64) {
+    let counts = listener.rejections();
+    within(async {
+        while counts.count(reason) < count {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+    })
+    .await;
+    assert_eq!(counts.count(reason), count, "{reason:?}");
+}
+
+/// A ZMTP 3.1 peer that writes its own bytes.
+struct RawPeer(TcpStream);
+
+impl RawPeer {
+    async fn connect(to: SocketAddr) -> Self {
+        let mut greeting = vec![0xff, 0, 0, 0, 0, 0, 0, 0, 1, 0x7f, 3, 1];
+        greeting.extend_from_slice(b"NULL");
+        greeting.resize(64, 0);
+        greeting.extend_from_slice(b"\x04\x1c\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER");
+        let mut stream = TcpStream::connect(to).await.expect("the port is open");
+        stream.write_all(&greeting).await.expect("sends");
+        // The listener's greeting and READY: it has taken ours in.
+        within(stream.read_exact(&mut [0; 64 + 2])).await.expect("is greeted");
+        Self(stream)
+    }
+
+    /// Begins a frame that claims `length` bytes, and sends `bytes` of them.
+    async fn begin_frame(&mut self, length: u64, bytes: usize) -> std::io::Result<()> {
+        self.0.write_all(&[&[2][..], &length.to_be_bytes()].concat()).await?;
+        self.0.write_all(&vec![7; bytes]).await
+    }
+
+    async fn say(&mut self, text: &[u8]) {
+        self.0.write_all(&[&[0, text.len() as u8][..], text].concat()).await.expect("sends");
+    }
+
+    async fn until_closed(mut self) {
+        // How it is closed is the system's affair.
+        let _reset = within(self.0.read_to_end(&mut Vec::new())).await;
+    }
+}
+
+/// A peer whose hello was accepted.
+async fn admitted(listener: &mut ZmtpListener) -> (RawPeer, Peer) {
+    let mut raw = RawPeer::connect(listener.address()).await;
+    raw.say(b"hello").await;
+    let (peer, frames) = message(listener).await;
+    assert_eq!(frames, ["hello"]);
+    listener.sender().admit(peer.connection);
+    (raw, peer)
+}
+
+#[tokio::test]
+async fn a_claim_before_the_hello_closes_the_connection() {
+    let listener = bind(limits()).await;
+    for claimed in [65_536, 4_000_000, u64::MAX >> 1] {
+        let mut raw = RawPeer::connect(listener.address()).await;
+        raw.begin_frame(claimed, 0).await.expect("sends");
+        raw.until_closed().await;
+    }
+    until_rejected(&listener, Rejection::LargeBeforeHello, 3).await;
+}
+
+#[tokio::test]
+async fn a_connection_without_hello_is_closed_in_time() {
+    let mut listener = bind(ListenerLimits { hello_timeout: Duration::from_millis(100), ..limits() }).await;
+    let (accepted, _) = admitted(&mut listener).await;
+    RawPeer::connect(listener.address()).await.until_closed().await;
+    until_rejected(&listener, Rejection::NoHello, 1).await;
+    // One whose host left again has the same time.
+    let (left, peer) = admitted(&mut listener).await;
+    listener.sender().demote(peer.connection);
+    left.until_closed().await;
+    until_rejected(&listener, Rejection::NoHello, 2).await;
+    let mut accepted = accepted;
+    accepted.say(b"still here").await;
+    assert_eq!(message(&mut listener).await.1, ["still here"]);
+}
+
+#[tokio::test]
+async fn unfinished_messages_share_one_budget() {
+    let mut listener = bind(limits()).await;
+    let (mut held, mut open) = (Vec::new(), Vec::new());
+    for _ in 0..8 {
+        let (mut raw, peer) = admitted(&mut listener).await;
+        // A connection that is closed may be found so in the middle.
+        let _closed = raw.begin_frame(4_000_000, 3_900_000).await;
+        held.push(raw);
+        open.push(peer.connection);
+    }
+    until_rejected(&listener, Rejection::NoMemory, 4).await;
+    drop(held);
+    // Their memory is given back before anybody learns of their end.
+    open.truncate(4);
+    within(async {
+        while !open.is_empty() {
+            if let Some(Arrival::Gone(gone, _)) = listener.receive().await {
+                open.retain(|connection| *connection != gone);
+            }
+        }
+    })
+    .await;
+    let (mut raw, _) = admitted(&mut listener).await;
+    raw.begin_frame(4_000_000, 4_000_000).await.expect("sends");
+    assert_eq!(message(&mut listener).await.1[0].len(), 4_000_000);
+}
+
+#[tokio::test]
+async fn a_frame_that_stops_growing_is_given_up() {
+    let quick = ListenerLimits {
+        heartbeat_interval: Duration::from_millis(50),
+        heartbeat_timeout: Duration::from_millis(200),
+        ..limits()
+    };
+    let mut listener = bind(quick).await;
+    let (mut raw, _) = admitted(&mut listener).await;
+    raw.begin_frame(1_000_000, 1_000).await.expect("sends");
+    raw.until_closed().await;
+    until_rejected(&listener, Rejection::Silent, 1).await;
+}
+
+#[tokio::test]
+async fn a_new_connection_replaces_the_oldest_silent_one() {
+    let mut listener = bind(ListenerLimits { max_connections: 40, ..limits() }).await;
+    let (mut first, _) = admitted(&mut listener).await;
+    let mut silent = Vec::new();
+    for _ in 0..30 {
+        silent.push(RawPeer::connect(listener.address()).await);
+    }
+    // A quarter of all may wait of one address.
+    until_rejected(&listener, Rejection::Replaced, 20).await;
+    for closed in silent.drain(..20) {
+        closed.until_closed().await;
+    }
+    first.say(b"untouched").await;
+    assert_eq!(message(&mut listener).await.1, ["untouched"]);
+    silent[9].say(b"in time").await;
+    assert_eq!(message(&mut listener).await.1, ["in time"]);
+}
+
+#[tokio::test]
+async fn admitted_connections_at_the_limit_keep_their_places() {
+    let mut listener = bind(ListenerLimits { max_connections: 4, ..limits() }).await;
+    let mut open = Vec::new();
+    for _ in 0..4 {
+        open.push(admitted(&mut listener).await);
+    }
+    let refused = TcpStream::connect(listener.address()).await.expect("the port is open");
+    RawPeer(refused).until_closed().await;
+    until_rejected(&listener, Rejection::TooMany, 1).await;
+    open[0].0.say(b"here").await;
+    assert_eq!(message(&mut listener).await.1, ["here"]);
+}
+
+#[tokio::test]
+async fn a_peer_that_reads_nothing_fills_no_memory() {
+    let mut listener = bind(limits()).await;
+    let (mut raw, peer) = admitted(&mut listener).await;
+    let sender = listener.sender();
+    let piece = Bytes::from(vec![3; 500_000]);
+    let mut sent = 0;
+    let failure = loop {
+        match sender.try_send(peer.connection, vec![piece.clone()]) {
+            Ok(()) => sent += 1,
+            Err(failure) => break failure,
+        }
+        assert!(sent < 200, "the queue is bounded");
+    };
+    assert_eq!(failure, SendFailure::Full);
+    // What was taken arrives whole, and then there is room again.
+    let mut bytes = vec![0; sent * 500_009];
+    let mut ready = [0; REST_OF_READY];
+    within(raw.0.read_exact(&mut ready)).await.expect("the rest of READY");
+    within(raw.0.read_exact(&mut bytes)).await.expect("all of it");
+    assert!(bytes.chunks(500_009).all(|frame| frame[0] == 2 && frame[9..] == piece[..]));
+    sender.try_send(peer.connection, vec![piece]).expect("there is room");
+}
+
+#[tokio::test]
+async fn a_flood_of_pings_without_reading_is_held_back() {
+    let mut listener = bind(limits()).await;
+    let (mut raw, peer) = admitted(&mut listener).await;
+    let pings = b"\x04\x17\x04PING\x00\x000123456789abcdef".repeat(4_096);
+    let flood = async {
+        for _ in 0..1_000 {
+            raw.0.write_all(&pings).await.expect("sends");
+        }
+    };
+    let stuck = tokio::time::timeout(Duration::from_secs(2), flood).await;
+    assert!(stuck.is_err(), "400 MB of PINGs were read");
+    listener.sender().demote(peer.connection);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn messages_of_all_sizes_come_and_go_whole_and_in_order() {
+    let mut listener = bind(limits()).await;
+    let sender = listener.sender();
+    let socket = Socket::new(SocketType::Dealer, Options::default().max_message_size(8 << 20));
+    socket.connect(format!("tcp://{}", listener.address())).await.expect("connects");
+    let echo = tokio::spawn(async move {
+        let mut count = 0;
+        while count < 60 {
+            match listener.receive().await {
+                Some(Arrival::Message(peer, frames)) => {
+                    listener.sender().admit(peer.connection);
+                    sender.try_send(peer.connection, frames).expect("there is room");
+                    count += 1;
+                }
+                other => panic!("{other:?}"),
+            }
+        }
+        listener.close(LONG).await;
+    });
+    for n in 0..60_usize {
+        let size = [0, 1, 255, 256, 9_000, 16_384, 70_000, 1_200_000, 3_000_000][n % 9];
+        let parts: Vec<Bytes> = vec![vec![n as u8; size].into(), Bytes::new(), vec![1; n].into()];
+        let parts = if n == 0 { vec![Bytes::from("hello")] } else { parts };
+        within(socket.send(Message::multipart(parts.clone()))).await.expect("sends");
+        let answer: Vec<Bytes> = within(socket.recv()).await.expect("receives").iter().collect();
+        assert_eq!(answer, parts, "message {n}");
+    }
+    within(echo).await.expect("closes");
+}
+
+#[tokio::test]
+async fn what_was_sent_before_closing_arrives() {
+    let mut listener = bind(limits()).await;
+    let (mut raw, peer) = admitted(&mut listener).await;
+    let last = Bytes::from(vec![9; 3_000_000]);
+    listener.sender().try_send(peer.connection, vec![last]).expect("there is room");
+    // The peer sends on, and has much to read.
+    raw.say(b"unread").await;
+    let closing = tokio::spawn(listener.close(Duration::from_secs(10)));
+    let mut all = Vec::new();
+    within(raw.0.read_to_end(&mut all)).await.expect("is not reset");
+    assert_eq!(all.len(), REST_OF_READY + 9 + 3_000_000);
+    drop(raw);
+    within(closing).await.expect("ends");
+}
