@@ -60,10 +60,19 @@ impl Fleet {
 
     /// The same with the database in another folder.
     pub fn storing_in(database: &str, agents: &[&str], configuration: &str) -> Self {
+        Self::with(database, "", agents, configuration)
+    }
+
+    /// The same with further keys of `[aggregator]`.
+    pub fn aggregating(keys: &str, agents: &[&str], configuration: &str) -> Self {
+        Self::with(DATABASE, keys, agents, configuration)
+    }
+
+    fn with(database: &str, keys: &str, agents: &[&str], configuration: &str) -> Self {
         let site = Site::new();
         let tables = format!(
             "[aggregator]\nname = \"aggregator\"\nlisten = \"tcp://127.0.0.1:{{events}}\"\n\
-             database = \"{database}\"\n[web]\nlisten = \"127.0.0.1:{{http}}\"\n"
+             database = \"{database}\"\n{keys}\n[web]\nlisten = \"127.0.0.1:{{http}}\"\n"
         );
         let aggregator = Daemon::started(&site, "aggregator", &tables);
         let agents = agents.iter().map(|name| Daemon::new(&site, name, configuration)).collect();

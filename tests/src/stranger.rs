@@ -8,8 +8,8 @@ use bytes::Bytes;
 use peernet_clock::ClockIdentity;
 use peernet_logger::HostId;
 use peernet_logger::stream::{
-    BatchHead, Chain, Event, Hardware, Hello, HostDescription, Incident, IncidentKind, PROTOCOL, StreamId,
-    ToAgent, ToAggregator, codec,
+    BatchHead, Chain, Event, Hardware, Hello, HostDescription, HostSecret, Incident, IncidentKind, PROTOCOL,
+    Proof, StreamId, ToAgent, ToAggregator, codec,
 };
 use tokio::runtime::{Builder, Runtime};
 use zeromq::{Message, Options, Socket, SocketType};
@@ -80,12 +80,25 @@ impl Stranger {
         Some(codec::decode(message.part_slice(0).expect("a frame")).expect("a message of the aggregator"))
     }
 
-    /// Says hello until what is answered is what `holds` looks for. As agents do: an aggregator that has no room for an
+    /// Answers a challenge with the proof of this hello; whether it was one.
+    pub fn prove(&self, hello: &Hello, secret: &HostSecret, said: &ToAgent) -> bool {
+        let ToAgent::Challenge { aggregator, stream, nonce, enrol } = said else { return false };
+        if *stream == hello.stream {
+            let (host, nonce) = (hello.host.id, *nonce);
+            let code = secret.prove(&nonce, hello, aggregator);
+            let secret = enrol.then(|| secret.clone());
+            self.say(&ToAggregator::Proof(Proof { host, nonce, code, secret }));
+        }
+        true
+    }
+
+    /// Says hello, and proves it, until what is answered is what `holds` looks for. As agents do: an aggregator that has no room for an
     /// answer, or none for what follows from a hello, leaves it unanswered.
     ///
     /// # Panics
     /// When it never is.
-    pub fn greet(&self, hello: &Hello, holds: impl Fn(&ToAgent) -> bool) {
+    pub fn greet(&self, host: &Introduced, holds: impl Fn(&ToAgent) -> bool) {
+        let hello = &host.hello;
         let began = Since::now();
         while began.elapsed() < PATIENCE {
             self.say(&ToAggregator::Hello(hello.clone()));
@@ -93,6 +106,7 @@ impl Stranger {
                 if holds(&said) {
                     return;
                 }
+                self.prove(hello, &host.secret, &said);
             }
         }
         panic!("{} was not answered as it should be", hello.host.name);
@@ -128,6 +142,8 @@ impl Stranger {
 pub struct Introduced {
     /// The hello that it opens with.
     pub hello: Hello,
+    /// What it proves to be that host with.
+    pub secret: HostSecret,
     newest: (u64, Chain),
     events: u64,
 }
@@ -157,12 +173,12 @@ impl Introduced {
             batch_bytes: 128 << 10,
             process: chance.bits(),
         };
-        Self { hello, newest: (0, Chain::START), events: 0 }
+        Self { hello, secret: HostSecret::random(), newest: (0, Chain::START), events: 0 }
     }
 
     /// Says hello and waits until it is taken in.
     pub fn enter(&self, stranger: &Stranger) {
-        stranger.greet(&self.hello, |said| matches!(said, ToAgent::Welcome { .. }));
+        stranger.greet(self, |said| matches!(said, ToAgent::Welcome { .. }));
     }
 
     /// The next batch of the stream, with so many events.
@@ -182,6 +198,29 @@ impl Introduced {
             })
             .collect();
         self.batch_of(events, &body, false)
+    }
+
+    /// Says hello until that is refused; returns the words.
+    pub fn is_refused(&self, stranger: &Stranger) -> String {
+        let words = std::cell::RefCell::new(String::new());
+        stranger.greet(self, |said| match said {
+            ToAgent::Refused { reason } => {
+                words.borrow_mut().clone_from(reason);
+                true
+            }
+            _ => false,
+        });
+        words.into_inner()
+    }
+
+    /// The next batch of the stream, with these events.
+    ///
+    /// # Panics
+    /// Never: plain data serialises.
+    pub fn batch_with(&mut self, events: &[Event]) -> Vec<u8> {
+        let encode = |event| rmp_serde::to_vec(event).expect("plain data serialises");
+        let body: Vec<u8> = events.iter().flat_map(encode).collect();
+        self.batch_of(events.len() as u32, &body, false)
     }
 
     /// The next batch of the stream, of whatever bytes, correctly hashed.

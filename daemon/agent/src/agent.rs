@@ -20,7 +20,7 @@ use crate::conditions::Places;
 use crate::config::{AgentConfig, PipelineConfig, StartMode};
 use crate::error::StartError;
 use crate::host::Host;
-use crate::identity::{StateLock, host_id};
+use crate::identity::{StateLock, host_id, host_secret};
 use crate::incidents::{Concerning, Incidents};
 use crate::io::IoThreads;
 use crate::link::{Cloud, Links, Near, ProbeSettings};
@@ -160,7 +160,8 @@ async fn start(
         (Some(exit), Some(spool), Some(address)) => {
             let description = describe(&host, serves.as_ref());
             let live = (board.clone(), metrics.clone());
-            Some(Outbox::start(&config, address.clone(), exit, spool, description, live, &host))
+            let identity = (description, host_secret(&config.agent.state_dir)?);
+            Some(Outbox::start(&config, address.clone(), exit, spool, identity, live, &host))
         }
         _ => None,
     };

@@ -19,7 +19,7 @@ use peernet_networks::SessionSettings;
 use rustix::fs::{Access, access};
 
 use crate::config::{AgentConfig, HostConfig, PipelineConfig, PlacementConfig, ServeConfig};
-use crate::identity::existing_id;
+use crate::identity::{existing_id, existing_secret};
 
 /// Most events that may wait for the aggregator.
 const MAX_QUEUE_EVENTS: u64 = 10_000_000;
@@ -91,6 +91,7 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     report.unless_ok("agent.name", config.agent.host_name());
     report.unless_ok("agent.state_dir", usable(&config.agent.state_dir, "state_dir"));
     report.unless_ok("agent.state_dir", existing_id(&config.agent.state_dir));
+    report.unless_ok("agent.state_dir", existing_secret(&config.agent.state_dir));
     check_host(&mut report, &config.agent);
     spool::check_spool(&mut report, config);
     let bank = Bank::new(config.models.clone(), config.onnxruntime.clone(), Arc::clone(clock));

@@ -1,10 +1,12 @@
-//! Who this host is: an id that outlives restarts.
+//! Who this host is: an id that outlives restarts, and the secret that proves it.
 
-use std::fs::{self, File};
+use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 use peernet_logger::HostId;
+use peernet_logger::stream::HostSecret;
 
 use crate::lock::FileLock;
 
@@ -27,14 +29,30 @@ pub enum IdentityError {
     )]
     InUse(PathBuf),
     /// The file holds something else.
-    #[error("{} holds no host id but {found:?}; restore it, or remove it to become a new host", .path.display())]
+    #[error(
+        "{} holds no host id but {found:?}; restore it from a copy, or choose another [agent] state_dir to become a new \
+         host and keep this one, whose spool may hold events that are not stored", .path.display()
+    )]
     NotAnId {
         /// The file.
         path: PathBuf,
         /// What it holds.
         found: String,
     },
+    /// The file holds something else. What it holds is not shown.
+    #[error(
+        "{} holds no host secret; restore it from a copy, or move it to another folder: the agent makes a new one, and the \
+         operator of the aggregator lets it in with `peernetd clear-host-secret`", .0.display()
+    )]
+    NotASecret(PathBuf),
 }
+
+/// File of the host id in the state directory.
+const ID_FILE: &str = "host-id";
+/// File of the secret beside it.
+const SECRET_FILE: &str = "host-secret";
+/// Others read neither: who has both files can pass for this host.
+const MODE: u32 = 0o600;
 
 /// The id in `host-id` in `state_dir`; made, with the folder, when it is not there yet.
 ///
@@ -44,15 +62,37 @@ pub enum IdentityError {
 /// # Errors
 /// When the folder cannot be used or the file is not one of ours.
 pub fn host_id(state_dir: &Path) -> Result<HostId, IdentityError> {
-    let path = state_dir.join("host-id");
-    if let Some(id) = existing_id(state_dir)? {
-        return Ok(id);
+    kept_value(state_dir, ID_FILE, existing_id, || HostId::random().to_string())
+}
+
+/// The secret in `host-secret` in `state_dir`, with which the agent proves to the aggregator that the host id is its own;
+/// made when it is not there yet, as [`host_id`] is.
+///
+/// # Errors
+/// When the folder cannot be used or the file is not one of ours.
+pub fn host_secret(state_dir: &Path) -> Result<HostSecret, IdentityError> {
+    kept_value(state_dir, SECRET_FILE, existing_secret, || HostSecret::random().expose_text())
+}
+
+/// What `existing` reads from the file `name` in `state_dir`; `fresh` is written there first when there is no such file.
+fn kept_value<T>(
+    state_dir: &Path,
+    name: &'static str,
+    existing: impl Fn(&Path) -> Result<Option<T>, IdentityError>,
+    fresh: impl FnOnce() -> String,
+) -> Result<T, IdentityError> {
+    let path = state_dir.join(name);
+    if let Some(value) = existing(state_dir)? {
+        return Ok(value);
     }
     fs::create_dir_all(state_dir).map_err(cannot("make", state_dir))?;
-    let fresh = HostId::random();
-    let draft = state_dir.join(format!("host-id.{fresh}"));
-    let written = File::create_new(&draft)
-        .and_then(|mut file| writeln!(file, "{fresh}").and_then(|()| file.sync_all()))
+    let draft = state_dir.join(format!("{name}.{}", HostId::random()));
+    let written = OpenOptions::new()
+        .write(true)
+        .create_new(true)
+        .mode(MODE)
+        .open(&draft)
+        .and_then(|mut file| writeln!(file, "{}", fresh()).and_then(|()| file.sync_all()))
         .map_err(cannot("write", &draft));
     // Linking, unlike renaming, fails when another process was first.
     let linked = written.and_then(|()| match fs::hard_link(&draft, &path) {
@@ -63,7 +103,7 @@ pub fn host_id(state_dir: &Path) -> Result<HostId, IdentityError> {
     linked?;
     removed?;
     File::open(state_dir).and_then(|folder| folder.sync_all()).map_err(cannot("write", state_dir))?;
-    existing_id(state_dir)?.ok_or_else(|| {
+    existing(state_dir)?.ok_or_else(|| {
         let gone = io::Error::new(io::ErrorKind::NotFound, "it vanished while it was being made");
         cannot("read", &path)(gone)
     })
@@ -92,13 +132,25 @@ impl StateLock {
 
 /// The id in `host-id` in `state_dir`, if there is one already.
 pub(crate) fn existing_id(state_dir: &Path) -> Result<Option<HostId>, IdentityError> {
-    let path = state_dir.join("host-id");
+    let path = state_dir.join(ID_FILE);
     match fs::read_to_string(&path) {
         Ok(text) => text.trim().parse().map(Some).map_err(|_| {
             let found = text.trim().chars().take(40).collect();
             IdentityError::NotAnId { path, found }
         }),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(cannot("read", &path)(error)),
+    }
+}
+
+/// The secret in `host-secret` in `state_dir`, if there is one already.
+pub(crate) fn existing_secret(state_dir: &Path) -> Result<Option<HostSecret>, IdentityError> {
+    let path = state_dir.join(SECRET_FILE);
+    match fs::read_to_string(&path) {
+        Ok(text) => text.trim().parse().map(Some).map_err(|_| IdentityError::NotASecret(path)),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        // Bytes that are no text.
+        Err(error) if error.kind() == io::ErrorKind::InvalidData => Err(IdentityError::NotASecret(path)),
         Err(error) => Err(cannot("read", &path)(error)),
     }
 }
@@ -142,6 +194,22 @@ mod tests {
             threads.into_iter().map(|thread| thread.join().expect("no panic").expect("an id")).collect()
         });
         assert!(ids.iter().all(|id| *id == ids[0]));
+    }
+
+    #[test]
+    fn secret_outlives_the_process_and_only_its_owner_reads_it() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().expect("a folder");
+        let first = host_secret(folder.path()).expect("made");
+        assert_eq!(host_secret(folder.path()).expect("read"), first);
+        host_id(folder.path()).expect("made");
+        for name in [ID_FILE, SECRET_FILE] {
+            let mode = fs::metadata(folder.path().join(name)).expect("there").permissions().mode();
+            assert_eq!(mode & 0o777, 0o600, "{name}");
+        }
+        fs::write(folder.path().join(SECRET_FILE), "my notes\n").expect("written");
+        let error = host_secret(folder.path()).expect_err("not a secret").to_string();
+        assert!(error.contains("host-secret") && !error.contains("my notes"), "{error}");
     }
 
     #[test]

@@ -39,7 +39,7 @@ pub use agent::{Agent, Running};
 pub use check::Problem;
 pub use config::AgentConfig;
 pub use error::StartError;
-pub use identity::{IdentityError, host_id};
+pub use identity::{IdentityError, host_id, host_secret};
 pub use link::Cloud;
 pub use outbox::SpoolError;
 pub use serve::{ReflectorError, Served};

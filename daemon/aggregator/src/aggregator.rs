@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use peernet_clock::{SharedClock, Span};
-use peernet_logger::stream::{Receiving, ReceivingConfig};
+use peernet_logger::stream::{Challenges, Receiving, ReceivingConfig};
 use peernet_networks::zmtp::RejectionCounts;
 use tokio::runtime::Handle;
 use tokio::sync::{mpsc, oneshot, watch};
@@ -14,7 +14,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::config::{AggregatorConfig, RetentionConfig};
 use crate::error::{Failure, Problem, StartError, StoreError};
-use crate::ingest::{self, Desk, Errand, Reopening, committing, preparing, socket};
+use crate::ingest::{self, Desk, Errand, Hosts, Reopening, committing, preparing, socket};
 use crate::live::{self, Live, News};
 use crate::picture::Picture;
 use crate::readiness::Readiness;
@@ -78,14 +78,14 @@ impl Aggregator {
             std::fs::create_dir_all(folder).map_err(|error| cannot_open(error.into()))?;
         }
         let (database, state) = OpenDatabase::open(&config.database, config.retention).await?;
-        let StoredState { streams, runs, unknown, hosts } = state;
+        let StoredState { streams, runs, unknown, hosts, known } = state;
         let (socket, address) = socket::listen(&config).await?;
         tracing::info!(%address, database = %config.database.display(), "the aggregator listens");
 
         let forget = Span::from_seconds(i64::try_from(config.forget_hosts_after_s).unwrap_or(i64::MAX));
         let mut picture = Live::new(name.clone(), address.clone(), forget);
-        for (run, number) in runs {
-            picture.take(News::Run(run, number), clock.stamp());
+        for (host, run, number) in runs {
+            picture.take(News::Run(host, run, number), clock.stamp());
         }
         for (host, stored) in hosts {
             picture.take(News::Stored(host, stored, None), clock.stamp());
@@ -102,9 +102,11 @@ impl Aggregator {
         let (ready_in, ready) = watch::channel(Readiness::Ready);
         // What finds no room is asked for again, which costs more than waiting would.
         let (budget_bytes, most_window) = (ingest::ROOM_BYTES as u64, ingest::MOST_WINDOW);
+        let challenges = Challenges::new(name.clone());
+        let hosts = Hosts::new(config.max_hosts, known);
         let receiving =
             Receiving::new(ReceivingConfig { budget_bytes, most_window, ..ReceivingConfig::new(name) });
-        let desk = Desk::new(receiving, queue, streams, unknown);
+        let desk = Desk::new(receiving, challenges, hosts, queue, streams, unknown);
         let store = Store::new(Readers::open(
             &config.database,
             config.readers,

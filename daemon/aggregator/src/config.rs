@@ -39,6 +39,8 @@ pub struct AggregatorConfig {
     pub question_limit_ms: u64,
     /// A host that has not been heard of for so long leaves the live picture; its runs stay.
     pub forget_hosts_after_s: u64,
+    /// Hosts that may be stored, 1 to 65,536. Beyond, an agent that never came before is refused; known ones never are.
+    pub max_hosts: usize,
     /// How long what is stored is kept.
     pub retention: RetentionConfig,
 }
@@ -56,6 +58,7 @@ impl Default for AggregatorConfig {
             readers: 4,
             question_limit_ms: 10_000,
             forget_hosts_after_s: 24 * 3600,
+            max_hosts: 1_000,
             retention: RetentionConfig::default(),
         }
     }
@@ -97,6 +100,7 @@ impl AggregatorConfig {
         check("readers", outside(u64::from(self.readers), 1, 64));
         check("question_limit_ms", outside(self.question_limit_ms, 100, 600_000));
         check("forget_hosts_after_s", outside(self.forget_hosts_after_s, 1, u64::from(u32::MAX)));
+        check("max_hosts", outside(self.max_hosts as u64, 1, 65_536));
         let retention = self.retention.problems().into_iter();
         problems.extend(retention.map(|(key, message)| Problem { key, message }));
         problems

@@ -18,7 +18,7 @@ use anyhow::{Context, bail};
 use bytes::Bytes;
 use peernet_clock::{Clock, ClockIdentity, Span, SystemClock};
 use peernet_logger::stream::{
-    Action, Chain, Compression, Event, Sending, SendingConfig, SpoolState, SpooledBatch, StreamId, ToAgent,
+    Action, Chain, Compression, Event, HostSecret, Sending, SendingConfig, SpoolState, SpooledBatch, StreamId, ToAgent,
     ToAggregator, Totals, Usage, codec,
 };
 use peernet_logger::{HostId, RunId};
@@ -81,7 +81,7 @@ impl Agent {
         };
         let spool = SpoolState::new(StreamId::random());
         let host = generate::host(HostId::random(), "edge");
-        let machine = Sending::new(config, host, 1, spool);
+        let machine = Sending::new(config, host, HostSecret::random(), 1, spool);
         let (spool, up, down) = Default::default();
         Ok(Self { clock, machine, spool, one_way, controlled, up, down, asked: None, frames: 0, bytes: 0 })
     }

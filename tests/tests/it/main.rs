@@ -15,6 +15,7 @@ mod floors;
 mod lifecycle;
 mod maintenance;
 mod models;
+mod ownership;
 mod promises;
 mod published;
 mod python;

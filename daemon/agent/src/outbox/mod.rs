@@ -21,7 +21,7 @@ pub(crate) use tap::Tap;
 
 use peernet_clock::{SharedClock, Span};
 use peernet_logger::HostId;
-use peernet_logger::stream::{Accounting, HostDescription, HostMetrics, Sending, SendingConfig, Usage};
+use peernet_logger::stream::{Accounting, HostDescription, HostMetrics, HostSecret, Sending, SendingConfig, Usage};
 use peernet_networks::Address;
 use tokio::sync::{oneshot, watch};
 use tokio::time::Instant;
@@ -87,7 +87,7 @@ impl Outbox {
         address: Address,
         exit: Exit,
         spool: OpenSpool,
-        description: HostDescription,
+        (description, secret): (HostDescription, HostSecret),
         live: (Board, watch::Receiver<HostMetrics>),
         host: &Host,
     ) -> Self {
@@ -97,7 +97,7 @@ impl Outbox {
             reports.put_aside(aside);
         }
         let process = Uuid::new_v4().as_u64_pair().0;
-        let machine = Sending::new(sending(config), description, process, state);
+        let machine = Sending::new(sending(config), description, secret, process, state);
         let (publish, accounting) = watch::channel(machine.accounting());
         let ((stop, told), ended) = (oneshot::channel(), CancellationToken::new());
         let spool = SpoolTask::start(file, config.spool.sync_interval());

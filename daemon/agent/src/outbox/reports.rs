@@ -61,6 +61,14 @@ impl Reports {
         self.incidents.report(IncidentKind::Connected, Concerning::default(), text);
     }
 
+    /// The aggregator knows no secret of this host and was told it.
+    pub(super) fn enrolling(&self, aggregator: &Slug) {
+        tracing::info!(
+            %aggregator,
+            "the aggregator knows no secret of this host and is told it: its first contact, or its database is another"
+        );
+    }
+
     /// It did not.
     pub(super) fn refused(&mut self, reason: &str) {
         let text = format!("the aggregator refuses this agent and is asked again: {reason}");

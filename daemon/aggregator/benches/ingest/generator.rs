@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
-use peernet_logger::stream::ToAgent;
-use peernet_logger::stream::codec::decode;
+use peernet_logger::stream::codec::{decode, encode};
+use peernet_logger::stream::{HostSecret, Proof, ToAgent, ToAggregator};
 use tokio::time::{Instant, sleep_until};
 use zeromq::{Message, Options, Socket, SocketType};
 
@@ -27,7 +27,12 @@ pub(crate) async fn run(address: &str, plan: &Plan, speed: Option<f64>) {
         let load = plan.load(agent, start);
         let socket = Socket::new(SocketType::Dealer, Options::default());
         socket.connect(address).await.expect("connects");
-        socket.send(Message::single(Bytes::from(load.hello.clone()))).await.expect("sends");
+        say_to(&socket, &ToAggregator::Hello(load.hello.clone())).await;
+        let ToAgent::Challenge { aggregator, nonce, .. } = receive(&socket).await else { panic!("no challenge") };
+        let secret = HostSecret::random();
+        let code = secret.prove(&nonce, &load.hello, &aggregator);
+        let proof = Proof { host: load.hello.host.id, nonce, code, secret: Some(secret) };
+        say_to(&socket, &ToAggregator::Proof(proof)).await;
         let ToAgent::Welcome { window, .. } = receive(&socket).await else { panic!("not welcome") };
         agents.push((socket, load, window));
     }
@@ -67,6 +72,10 @@ async fn send(socket: Socket, load: Load, mut window: u32, every: Duration) {
             other => panic!("unexpected {other:?}"),
         }
     }
+}
+
+async fn say_to(socket: &Socket, message: &ToAggregator) {
+    socket.send(Message::single(Bytes::from(encode(message)))).await.expect("sends");
 }
 
 async fn receive(socket: &Socket) -> ToAgent {

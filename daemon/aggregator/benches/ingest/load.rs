@@ -6,7 +6,7 @@ use std::fmt;
 use bytes::Bytes;
 use peernet_clock::WallTime;
 use peernet_logger::stream::{
-    BatchHead, Chain, Event, Hello, MOST_UNDER_WAY, PROTOCOL, StreamId, ToAggregator, batch_weight, codec,
+    BatchHead, Chain, Event, Hello, MOST_UNDER_WAY, PROTOCOL, StreamId, batch_weight, codec,
 };
 use peernet_logger::{HostId, RunId};
 
@@ -34,7 +34,7 @@ pub(crate) struct Plan {
 
 /// An agent's messages.
 pub(crate) struct Load {
-    pub(crate) hello: Vec<u8>,
+    pub(crate) hello: Hello,
     pub(crate) stream: StreamId,
     pub(crate) frames: Vec<Bytes>,
 }
@@ -111,7 +111,7 @@ impl Plan {
             batch_bytes: BATCH_BYTES as u32,
             process: 1,
         };
-        Load { hello: codec::encode(&ToAggregator::Hello(hello)), stream, frames }
+        Load { hello, stream, frames }
     }
 }
 

@@ -5,7 +5,7 @@ use std::path::Path;
 use bytes::Bytes;
 use peernet_clock::{SharedClock, Span};
 use peernet_logger::stream::{
-    BatchHead, Chain, Event, ExperimentPlace, Hello, Incident, IncidentKind, Outcome, PROTOCOL, StreamId,
+    BatchHead, Chain, Event, ExperimentPlace, Hello, HostSecret, Incident, IncidentKind, Outcome, PROTOCOL, Proof, StreamId,
     ToAgent, ToAggregator, codec,
 };
 use peernet_logger::{HostId, RunId};
@@ -80,8 +80,8 @@ impl Agent {
             batch_bytes: 128 * 1024,
             process: 1,
         };
-        let hello = codec::encode(&ToAggregator::Hello(hello));
-        socket.send(Message::single(Bytes::from(hello))).await.expect("sends");
+        let greeting = codec::encode(&ToAggregator::Hello(hello.clone()));
+        socket.send(Message::single(Bytes::from(greeting))).await.expect("sends");
         let mut agent = Self {
             socket,
             hosts: (edge, cloud),
@@ -94,6 +94,11 @@ impl Agent {
             numbers: generate::Numbers(1),
             second: 0,
         };
+        let ToAgent::Challenge { aggregator, nonce, .. } = agent.receive().await else { panic!("no challenge") };
+        let secret = HostSecret::random();
+        let code = secret.prove(&nonce, &hello, &aggregator);
+        let proof = ToAggregator::Proof(Proof { host: edge, nonce, code, secret: Some(secret) });
+        agent.socket.send(Message::single(Bytes::from(codec::encode(&proof)))).await.expect("sends");
         let ToAgent::Welcome { window, .. } = agent.receive().await else { panic!("not welcome") };
         agent.window = window;
         agent

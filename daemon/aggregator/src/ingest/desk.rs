@@ -5,14 +5,16 @@ use std::collections::{HashMap, HashSet};
 use bytes::Bytes;
 use peernet_clock::{MonoTime, Span, Stamp};
 use peernet_logger::stream::{
-    Arrival, BatchHead, Greeting, Hello, LiveUpdate, Receiving, ToAgent, ToAggregator, codec,
+    Arrival, BatchHead, Challenges, Greeting, Hello, HostSecret, LiveUpdate, Nonce, Proof, Proven, Receiving,
+    ToAgent, ToAggregator, codec,
 };
 use peernet_logger::{HostId, RunId};
 use peernet_networks::{ConnectionId, Peer};
 
 use super::committing::StoreEvent;
+use super::hosts::{Hosts, Newcomer};
 use super::queue::{Incoming, Queue};
-use crate::live::News;
+use crate::live::{News, bounds};
 use crate::log_throttle::LogThrottle;
 use crate::picture::RefusedHost;
 use crate::store::opening::StoredState;
@@ -23,6 +25,8 @@ const FORGET_SESSIONS: Span = Span::from_seconds(60);
 /// Hosts that may say hello on one connection: an agent needs one. There is no limit for all together: whoever
 /// reached it would lock the others out, and the picture has one of its own.
 const MOST_PER_CONNECTION: usize = 64;
+/// A host of which nothing is stored leaves after this silence: agents speak four times a second.
+const FORGET_NEWCOMERS: Span = Span::from_seconds(10);
 /// Runs that wait for the live lane to name them.
 const MOST_UNKNOWN: usize = 1_024;
 /// Bytes of a batch as agents cut them, as a rule: by them it is reckoned how many there is room for.
@@ -37,7 +41,7 @@ pub(crate) struct Untaken {
     pub(crate) damaged: u64,
     /// Frames that are no message.
     pub(crate) unreadable: u64,
-    /// Messages of hosts that did not say hello on that connection.
+    /// Messages of hosts that did not say hello on that connection, or did not prove who they are.
     pub(crate) strangers: u64,
 }
 
@@ -54,12 +58,14 @@ pub(super) enum Admission {
 #[derive(Debug)]
 pub(crate) struct Desk {
     receiving: Receiving,
+    challenges: Challenges<ConnectionId>,
+    hosts: Hosts,
     queue: Queue,
     /// The connection on which each host said hello.
     routes: HashMap<HostId, ConnectionId>,
     streams: Streams,
-    /// Runs of which the store knows iterations only.
-    unknown: HashSet<RunId>,
+    /// Runs of which the store knows iterations only, by their hosts.
+    unknown: HashSet<(HostId, RunId)>,
     /// Whether the writer has a database: while it has none, nothing is acknowledged.
     is_database_open: bool,
     refusals: LogThrottle,
@@ -70,11 +76,20 @@ pub(crate) struct Desk {
 }
 
 impl Desk {
-    /// A desk that knows nobody; `streams` are what is stored, `unknown` the runs of which the store knows iterations
+    /// A desk that knows nobody; `hosts` and `streams` are what is stored, `unknown` the runs of which the store knows iterations
     /// only.
-    pub(crate) fn new(receiving: Receiving, queue: Queue, streams: Streams, unknown: Vec<RunId>) -> Self {
+    pub(crate) fn new(
+        receiving: Receiving,
+        challenges: Challenges<ConnectionId>,
+        hosts: Hosts,
+        queue: Queue,
+        streams: Streams,
+        unknown: Vec<(HostId, RunId)>,
+    ) -> Self {
         Self {
             receiving,
+            challenges,
+            hosts,
             queue,
             routes: HashMap::new(),
             streams,
@@ -105,6 +120,7 @@ impl Desk {
         }
         match codec::decode(frame) {
             Ok(ToAggregator::Hello(hello)) => self.hello(from, hello, now),
+            Ok(ToAggregator::Proof(proof)) => self.proof(from, proof, now),
             Ok(ToAggregator::Live(update)) => {
                 if self.knows(from, update.host) && self.receiving.live(update.host, now.mono).is_none() {
                     self.name_runs(&update, now.mono);
@@ -117,7 +133,7 @@ impl Desk {
                 }
             }
             Ok(ToAggregator::Goodbye(host)) => {
-                if self.knows(from, host) {
+                if self.knows(from, host) && !self.forget_newcomer(host) {
                     self.receiving.goodbye(host);
                     self.leave(host);
                     // Without room the next hello of the host ends its runs.
@@ -140,13 +156,13 @@ impl Desk {
             return;
         }
         for live in &update.pipelines {
-            let Some(run) = live.run.filter(|run| self.unknown.contains(run)) else { continue };
+            let Some(run) = live.run.filter(|run| self.unknown.contains(&(update.host, *run))) else { continue };
             // Without room, a later update does.
             let Some(place) = self.queue.place(0) else { return };
             let (host, pipeline, placement) = (update.host, live.pipeline.clone(), live.placement.clone());
             let name = RunName { host, run, pipeline, placement };
             place.put(Incoming::Work(Work::Name(Box::new(name))), now);
-            self.unknown.remove(&run);
+            self.unknown.remove(&(update.host, run));
         }
     }
 
@@ -161,8 +177,52 @@ impl Desk {
         known
     }
 
-    fn hello(&mut self, from: &Peer, hello: Hello, now: Stamp) {
-        if let Some(reason) = self.too_many(from, hello.host.id) {
+    /// Somebody says that it is a host. Nothing of that host changes before this is proven.
+    fn hello(&mut self, from: &Peer, mut hello: Hello, now: Stamp) {
+        let host = hello.host.id;
+        // It is kept before anybody knows whose it is: no more than is shown.
+        bounds::description(&mut hello.host, &mut 0);
+        let reason = Receiving::refuses_version(&hello)
+            .or_else(|| self.too_many(from, host))
+            .or_else(|| self.hosts.refuses(host));
+        if let Some(reason) = reason {
+            self.refuse(from, &hello, reason, now);
+            return;
+        }
+        let enrol = self.hosts.secret(host).is_none();
+        let reply = self.challenges.challenge(from.connection, hello, enrol, Nonce::random(), now.mono);
+        self.replies.push((from.connection, reply));
+    }
+
+    fn proof(&mut self, from: &Peer, proof: Proof, now: Stamp) {
+        let known = self.hosts.secret(proof.host).cloned();
+        match self.challenges.prove(&from.connection, proof, known.as_ref()) {
+            Proven::Yes { hello, enrolled } => {
+                let secret = known.or(enrolled);
+                self.enter(from, *hello, secret, now);
+            }
+            Proven::No(hello) => {
+                let host = hello.host.id;
+                // An operator may have cleared it since it was read.
+                if self.hosts.is_to_be_checked(host, now.mono)
+                    && let Some(place) = self.queue.place(0)
+                {
+                    place.put(Incoming::Work(Work::Secret(host)), now.mono);
+                }
+                self.refuse(from, &hello, wrong_secret(host), now);
+            }
+            Proven::Unasked => {
+                self.untaken.strangers += 1;
+                self.news.push(News::Stranger);
+                self.replies.push((from.connection, ToAgent::Unknown));
+            }
+        }
+    }
+
+    /// A host has proven that it is who it says.
+    fn enter(&mut self, from: &Peer, hello: Hello, secret: Option<HostSecret>, now: Stamp) {
+        let host = hello.host.id;
+        if let Some(reason) = self.hosts.refuses(host) {
             self.refuse(from, &hello, reason, now);
             return;
         }
@@ -171,14 +231,13 @@ impl Desk {
             self.untaken.deferred += 1;
             return;
         };
-        let host = hello.host.id;
-        let known = self.streams.known(&hello);
+        let known = self.streams.known(&hello, self.hosts.seniority(host));
         // A welcome acknowledges what the stream's mark says, and whether that will be there is not known now.
         if !self.is_database_open && known.mark.is_some_and(|mark| hello.oldest <= mark.stored) {
             return;
         }
         match self.receiving.hello(&hello, known, now.mono) {
-            Greeting::Welcome { reply, missing, replaced, lacking } => {
+            Greeting::Welcome { reply, missing, replaced, lacking, displaced } => {
                 let Hello { host: description, process, stream, previous, first, .. } = hello;
                 let name = &description.name;
                 if let Some(replaced) = replaced {
@@ -211,12 +270,31 @@ impl Desk {
                     first,
                     replaced,
                     lacking,
+                    secret,
                 };
-                greeting.put(Incoming::Work(Work::Hello(Box::new(introduction))), now.mono);
-                if let Some(missing) = missing {
-                    hole.put(Incoming::Work(Work::Missing(missing)), now.mono);
+                let gone = if self.hosts.is_stored(host) {
+                    if let Some(secret) = &introduction.secret {
+                        self.hosts.enrol(host, secret);
+                    }
+                    greeting.put(Incoming::Work(Work::Hello(Box::new(introduction))), now.mono);
+                    match missing {
+                        Some(missing) => hole.put(Incoming::Work(Work::Missing(missing)), now.mono),
+                        None => drop(hole),
+                    }
+                    self.streams.came(host, stream);
+                    None
+                } else {
+                    drop((greeting, hole));
+                    self.hosts.welcome(introduction, missing)
+                };
+                if let Some(gone) = gone {
+                    self.left(gone);
                 }
-                self.streams.came(host, stream);
+                if let Some(displaced) = displaced {
+                    tracing::warn!(host = %description.name, %displaced, "a host took back its name from another that used it");
+                    self.leave(displaced);
+                    self.forget_newcomer(displaced);
+                }
                 let previous = self.routes.insert(host, from.connection);
                 self.admissions.push(Admission::Admit(from.connection));
                 self.admissions.extend(without_hosts(&self.routes, previous));
@@ -235,6 +313,15 @@ impl Desk {
     fn leave(&mut self, host: HostId) {
         let previous = self.routes.remove(&host);
         self.admissions.extend(without_hosts(&self.routes, previous));
+    }
+
+    /// A connection has ended. Its hosts say hello again on their next one; of newcomers nothing is kept.
+    pub(super) fn gone(&mut self, connection: ConnectionId) {
+        self.challenges.forget(&connection);
+        let routes = &self.routes;
+        for host in self.hosts.newcomers_that(|host| routes.get(&host) == Some(&connection)) {
+            self.forget_newcomer(host);
+        }
     }
 
     /// What speaks against one more host.
@@ -263,16 +350,40 @@ impl Desk {
         if !self.knows(from, head.host) {
             return;
         }
-        let Some(place) = self.queue.place(frame.len()) else { return self.defer(head) };
+        // The first batch of a host brings the host.
+        let before = if self.hosts.is_newcomer(head.host) {
+            let Some(places) = self.queue.place(0).zip(self.queue.place(0)) else { return self.defer(head) };
+            Some(places)
+        } else {
+            None
+        };
+        let Some(place) = self.queue.place(frame.len()) else {
+            drop(before);
+            return self.defer(head);
+        };
         let body = codec::batch_body(frame.clone());
         let size = body.as_ref().map_or(frame.len(), Bytes::len);
         // Compressed events take more room than their frame.
-        let Some(place) = place.grown_to(size) else { return self.defer(head) };
+        let Some(place) = place.grown_to(size) else {
+            drop(before);
+            return self.defer(head);
+        };
         if body.is_err() {
             self.untaken.damaged += 1;
             self.news.push(News::Damaged(head.host));
         }
-        match (self.receiving.batch(&head, body.is_ok(), now.mono), body) {
+        let arrival = self.receiving.batch(&head, body.is_ok(), now.mono);
+        if matches!(arrival, Arrival::Accept | Arrival::AcceptDamaged)
+            && let (Some((greeting, hole)), Some(newcomer)) = (before, self.hosts.store(head.host))
+        {
+            let Newcomer { introduction, missing, .. } = newcomer;
+            self.streams.came(head.host, introduction.stream);
+            greeting.put(Incoming::Work(Work::Hello(Box::new(introduction))), now.mono);
+            if let Some(missing) = missing {
+                hole.put(Incoming::Work(Work::Missing(missing)), now.mono);
+            }
+        }
+        match (arrival, body) {
             (Arrival::Accept, Ok(body)) => place.put(Incoming::Batch(head, body), now.mono),
             (Arrival::AcceptDamaged, Err(error)) => {
                 let aside = Aside { head, frame: frame.clone(), body: None, reason: error.to_string() };
@@ -288,6 +399,27 @@ impl Desk {
                 self.replies.push((from.connection, reply));
             }
             (Arrival::Pending | Arrival::Hole(None) | Arrival::Accept | Arrival::AcceptDamaged, _) => {}
+        }
+    }
+
+    /// Forgets a host of which nothing is stored; whether there was one.
+    fn forget_newcomer(&mut self, host: HostId) -> bool {
+        let Some(newcomer) = self.hosts.forget(host) else { return false };
+        self.left(newcomer);
+        true
+    }
+
+    /// A newcomer is no longer kept, with this stream.
+    fn left(&mut self, Newcomer { introduction, missing, .. }: Newcomer) {
+        let host = introduction.host.id;
+        if missing.is_some() {
+            // It waits for nothing that will be stored.
+            self.receiving.failed(introduction.stream);
+        }
+        if !self.hosts.is_newcomer(host) {
+            self.receiving.goodbye(host);
+            self.leave(host);
+            self.news.push(News::Forget(host));
         }
     }
 
@@ -334,7 +466,10 @@ impl Desk {
         if self.unknown.len() < MOST_UNKNOWN {
             self.unknown.extend(committed.unknown);
         }
-        self.news.extend(committed.runs.into_iter().map(|(run, number)| News::Run(run, number)));
+        for (host, secret) in committed.secrets {
+            self.hosts.checked(host, secret);
+        }
+        self.news.extend(committed.runs.into_iter().map(|(host, run, number)| News::Run(host, run, number)));
     }
 
     /// The database was closed: its file is away or cannot be used. Agents that are known go on sending.
@@ -345,9 +480,10 @@ impl Desk {
     /// The database was opened anew, and may be another one: every agent has to say hello again, so that its spool is
     /// compared with what is stored now. What was let in before is dropped by the writer.
     fn database_opened(&mut self, state: StoredState) {
-        let StoredState { streams, runs, unknown, hosts } = state;
+        let StoredState { streams, runs, unknown, hosts, known } = state;
         self.is_database_open = true;
         self.receiving.forget_sessions();
+        self.hosts.restart(known);
         self.queue.begin_generation();
         self.streams = streams;
         self.unknown = unknown.into_iter().collect();
@@ -360,6 +496,12 @@ impl Desk {
 
     /// Time has passed.
     pub(super) fn age(&mut self, now: Stamp) {
+        self.challenges.age(now.mono);
+        let receiving = &self.receiving;
+        let silent = self.hosts.newcomers_that(|host| !receiving.is_alive(host, FORGET_NEWCOMERS, now.mono));
+        for host in silent {
+            self.forget_newcomer(host);
+        }
         self.receiving.forget_silent(FORGET_SESSIONS, now.mono);
         let is_silent = |host: &HostId| !self.receiving.is_alive(*host, FORGET_SESSIONS, now.mono);
         let silent: Vec<HostId> = self.routes.keys().copied().filter(is_silent).collect();
@@ -401,4 +543,14 @@ impl Desk {
 fn without_hosts(routes: &HashMap<HostId, ConnectionId>, left: Option<ConnectionId>) -> Option<Admission> {
     let left = left.filter(|left| !routes.values().any(|route| route == left))?;
     Some(Admission::Demote(left))
+}
+
+/// What an agent is told that does not have the secret of its host id, and what to do.
+fn wrong_secret(host: HostId) -> String {
+    format!(
+        "this agent does not have the secret that belongs to the host id {host}. If its state directory is a copy of another \
+         host's, give it another [agent] state_dir. If this really is that host, whose file host-secret was lost, run \
+         `peernetd clear-host-secret --config CONFIG {host}` on the aggregator's machine. Nothing has to be deleted: what is \
+         not stored stays in the spool until then"
+    )
 }

@@ -77,8 +77,8 @@ pub(crate) async fn run(
                 Some(Arrival::Message(from, frames)) => if let Some(frame) = frames.first() {
                     desk.frame(&from, frame, wires.clock.stamp());
                 },
-                // Agents say hello again on their next connection; until then their hosts grow old.
-                Some(Arrival::Gone(..) | Arrival::Garbage(..)) => {}
+                Some(Arrival::Gone(connection, _)) => desk.gone(connection),
+                Some(Arrival::Garbage(..)) => {}
                 None => return Err(Failure::Socket { address }),
             },
             event = wires.stored.recv() => match event {

@@ -43,7 +43,7 @@ pub(super) fn clock(clock: &mut HostClock, left_out: &mut u64) {
 }
 
 /// What a host says of itself.
-pub(super) fn description(description: &mut HostDescription, left_out: &mut u64) {
+pub(crate) fn description(description: &mut HostDescription, left_out: &mut u64) {
     let hardware = &mut description.hardware;
     list(&mut hardware.gpus, MOST_LISTED, left_out);
     list(&mut description.models, MOST_MODELS, left_out);

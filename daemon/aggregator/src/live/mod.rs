@@ -4,7 +4,7 @@
 //! Memory is bounded whatever is sent: so many hosts, so many pipelines and links a host, so many names a second.
 //! What is beyond is left out and counted.
 
-mod bounds;
+pub(crate) mod bounds;
 mod catching_up;
 mod cell;
 mod host;
@@ -65,12 +65,14 @@ pub(crate) enum News {
     Unreadable,
     /// A message came of a host that did not say hello on that connection.
     Stranger,
-    /// The store's number of a run.
-    Run(RunId, i64),
+    /// A host has gone of which nothing is stored.
+    Forget(HostId),
+    /// The store's number of a run of a host.
+    Run(HostId, RunId, i64),
     /// The database was opened anew, and may be another one.
     Reopened {
-        /// The numbers of its newest runs.
-        runs: Vec<(RunId, i64)>,
+        /// The numbers of its newest runs, by their hosts.
+        runs: Vec<(HostId, RunId, i64)>,
         /// What it holds of hosts.
         hosts: Vec<(HostId, Stored)>,
     },
@@ -84,7 +86,8 @@ pub(crate) struct Live {
     forget: Span,
     hosts: HashMap<HostId, Host>,
     refused: VecDeque<(Stamp, RefusedHost)>,
-    numbers: HashMap<RunId, i64>,
+    /// By the host and the id under which it reports the run.
+    numbers: HashMap<(HostId, RunId), i64>,
     /// What the database holds of hosts that are not in the picture.
     stored: HashMap<HostId, Stored>,
     totals: Totals,
@@ -111,12 +114,19 @@ impl Live {
             News::Hello(description, process) => self.introduce(*description, process, now),
             News::Refused(refused) => self.refuse(refused, now),
             News::Reopened { runs, hosts } => self.restart(runs, hosts),
-            News::Run(run, number) => {
+            News::Run(host, run, number) => {
                 if self.numbers.len() >= MOST_RUNS {
                     self.forget_numbers();
                 }
-                self.numbers.insert(run, number);
-                self.hosts.values_mut().for_each(|host| host.number(run));
+                self.numbers.insert((host, run), number);
+                self.with(host, |host| host.number(run));
+            }
+            News::Forget(host) => {
+                let forgotten = self.hosts.get(&host).is_some_and(|host| !host.has_stored());
+                if forgotten {
+                    self.hosts.remove(&host);
+                }
+                return forgotten;
             }
             News::Update(update) => return self.with(update.host, |host| host.update(*update, now)),
             News::Goodbye(host) => return self.with(host, Host::goodbye),
@@ -141,7 +151,8 @@ impl Live {
 
     /// Forgets the numbers of runs that nobody sees; all of them if those that are left are too many.
     fn forget_numbers(&mut self) {
-        let shown: HashSet<RunId> = self.hosts.values().flat_map(Host::runs).collect();
+        let shown: HashSet<(HostId, RunId)> =
+            self.hosts.iter().flat_map(|(id, host)| host.runs().map(|run| (*id, run))).collect();
         self.numbers.retain(|run, _| shown.contains(run));
         if self.numbers.len() > MOST_RUNS / 2 {
             self.numbers.clear();
@@ -149,11 +160,11 @@ impl Live {
     }
 
     /// Forgets what the database before held, and takes in what this one holds.
-    fn restart(&mut self, runs: Vec<(RunId, i64)>, hosts: Vec<(HostId, Stored)>) {
-        let shown: Vec<RunId> = self.hosts.values().flat_map(Host::runs).collect();
-        self.numbers = runs.into_iter().collect();
-        for run in shown {
-            self.hosts.values_mut().for_each(|host| host.number(run));
+    fn restart(&mut self, runs: Vec<(HostId, RunId, i64)>, hosts: Vec<(HostId, Stored)>) {
+        self.numbers = runs.into_iter().map(|(host, run, number)| ((host, run), number)).collect();
+        for host in self.hosts.values_mut() {
+            let shown: Vec<RunId> = host.runs().collect();
+            shown.into_iter().for_each(|run| host.number(run));
         }
         let held: HashSet<HostId> = hosts.iter().map(|(host, _)| *host).collect();
         self.stored.retain(|host, _| held.contains(host));
@@ -237,14 +248,14 @@ impl Live {
     /// The picture now.
     pub(crate) fn picture(&mut self, now: Stamp) -> Picture {
         let numbers = &self.numbers;
-        let number = |run| numbers.get(&run).copied();
         let mut by_name: BTreeMap<(Slug, HostId), &mut Host> =
             self.hosts.iter_mut().map(|(id, host)| ((host.name().clone(), *id), host)).collect();
         let mut hosts = Vec::with_capacity(by_name.len());
         let (mut pipelines, mut links) = (Vec::new(), Vec::new());
-        for host in by_name.values_mut() {
+        for ((_, id), host) in &mut by_name {
+            let number = |run| numbers.get(&(*id, run)).copied();
             hosts.push(host.picture());
-            pipelines.extend(host.pipelines(&number, now));
+            pipelines.extend(host.pipelines(number, now));
             links.extend(host.links());
         }
         Picture {

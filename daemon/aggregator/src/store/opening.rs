@@ -2,11 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
+use peernet_logger::stream::HostSecret;
 use peernet_logger::{HostId, RunId};
 
 use super::database;
 use super::lock::{DatabaseLock, LockError};
-use super::write::{CommitError, FormerFiles, Streams, Writer, newest_runs, stored_hosts, unknown_runs};
+use super::write::{
+    CommitError, FormerFiles, Streams, Writer, known_hosts, newest_runs, stored_hosts,
+    unknown_runs,
+};
 use crate::config::RetentionConfig;
 use crate::error::StartError;
 use crate::picture::Stored;
@@ -30,11 +34,13 @@ pub(crate) struct StoredState {
     /// How far each stream is stored.
     pub(crate) streams: Streams,
     /// The newest runs and their numbers.
-    pub(crate) runs: Vec<(RunId, i64)>,
+    pub(crate) runs: Vec<(HostId, RunId, i64)>,
     /// Open runs of which only iterations are stored.
-    pub(crate) unknown: Vec<RunId>,
+    pub(crate) unknown: Vec<(HostId, RunId)>,
     /// What is stored of each host.
     pub(crate) hosts: Vec<(HostId, Stored)>,
+    /// Every host of which something is stored, those first that came first, and its secret.
+    pub(crate) known: Vec<(HostId, Option<HostSecret>)>,
 }
 
 /// Why a database that was in use could not be opened again.
@@ -104,6 +110,7 @@ impl OpenDatabase {
         let mut connection = database::open_existing(path).await?;
         let runs = newest_runs(&mut connection, RUNS).await.map_err(cannot_open)?;
         let unknown = unknown_runs(&mut connection, RUNS).await.map_err(cannot_open)?;
+        let known = known_hosts(&mut connection).await.map_err(cannot_open)?;
         let hosts = stored_hosts(&mut connection, HOSTS).await.map_err(cannot_open)?;
         let writer = Writer::new(path.to_owned(), connection, retention).await.map_err(cannot_open)?;
         // The file that was locked could have been replaced before it was opened.
@@ -111,7 +118,7 @@ impl OpenDatabase {
             let moved = CommitError::Moved(path.to_owned()).to_string();
             return Err(cannot_open(std::io::Error::other(moved).into()));
         }
-        let state = StoredState { streams: writer.streams().clone(), runs, unknown, hosts };
+        let state = StoredState { streams: writer.streams().clone(), runs, unknown, hosts, known };
         Ok((Self { writer, lock }, state))
     }
 

@@ -7,8 +7,8 @@ use peernet_clock::{SharedClock, Span};
 use peernet_logger::HostId;
 use peernet_logger::stream::codec::{decode, encode};
 use peernet_logger::stream::{
-    Accounting, Action, Event, HostClock, HostMetrics, LinkLive, LiveUpdate, Notice, PipelineLive, Sending,
-    SendingConfig, ToAgent, ToAggregator,
+    Accounting, Action, Event, Hello, HostClock, HostMetrics, HostSecret, LinkLive, LiveUpdate, Notice,
+    PipelineLive, Proof, Sending, SendingConfig, ToAgent, ToAggregator,
 };
 use zeromq::{Message, Options, Socket, SocketType};
 
@@ -26,6 +26,12 @@ pub(crate) struct Agent {
     spool: Spool,
     socket: Wire,
     clock: SharedClock,
+}
+
+/// The secret that hosts of these tests have.
+pub(crate) fn secret_of(host: HostId) -> HostSecret {
+    let half = host.as_bytes();
+    HostSecret::from_bytes(std::array::from_fn(|n| half[n % half.len()]))
 }
 
 /// A bare connection to the aggregator.
@@ -46,6 +52,22 @@ impl Wire {
         self.0.send(Message::single(frame.into())).await.expect("sends");
     }
 
+    /// Says hello and proves it; returns what is answered then.
+    pub(crate) async fn greet(&self, hello: &Hello) -> ToAgent {
+        self.greet_with(hello, &secret_of(hello.host.id)).await
+    }
+
+    /// The same with any secret.
+    pub(crate) async fn greet_with(&self, hello: &Hello, secret: &HostSecret) -> ToAgent {
+        self.send(&ToAggregator::Hello(hello.clone())).await;
+        let answer = self.receive().await;
+        let ToAgent::Challenge { aggregator, nonce, enrol, .. } = answer else { return answer };
+        let code = secret.prove(&nonce, hello, &aggregator);
+        let secret = enrol.then(|| secret.clone());
+        self.send(&ToAggregator::Proof(Proof { host: hello.host.id, nonce, code, secret })).await;
+        self.receive().await
+    }
+
     pub(crate) async fn receive(&self) -> ToAgent {
         let message =
             tokio::time::timeout(PATIENCE, self.0.recv()).await.expect("in time").expect("receives");
@@ -64,7 +86,7 @@ impl Agent {
         let patience = Span::from_millis(500);
         let config = SendingConfig { batch_nodes: 1_000, patience, ..SendingConfig::default() };
         let process = generate::Numbers(clock.mono().nanos() as u64).bits();
-        let mut sending = Sending::new(config, generate::host(id, name), process, spool.state());
+        let mut sending = Sending::new(config, generate::host(id, name), secret_of(id), process, spool.state());
         sending.connected(clock.mono());
         let socket = Wire::to(address).await;
         Self { id, sending, notices: Vec::new(), spool, socket, clock: SharedClock::clone(clock) }

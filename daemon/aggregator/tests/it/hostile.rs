@@ -48,8 +48,7 @@ async fn one_connection_says_hello_for_few_hosts() {
     for n in 0..65 {
         // Each as if it had a connection of its own.
         let hello = Raw::new(&bed).await.hello(&format!("host-{n}"));
-        wire.send(&ToAggregator::Hello(hello)).await;
-        match wire.receive().await {
+        match wire.greet(&hello).await {
             ToAgent::Welcome { .. } => assert!(n < 64),
             ToAgent::Refused { reason } => {
                 assert!(n == 64 && reason.contains("let each agent open its own"), "{n}: {reason}");

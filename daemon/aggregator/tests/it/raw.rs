@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use peernet_logger::stream::{
-    BatchHead, Chain, Event, Hello, PROTOCOL, StreamId, ToAgent, ToAggregator, codec,
+    BatchHead, Chain, Event, Hello, PROTOCOL, StreamId, ToAgent, codec,
 };
 use peernet_logger::{HostId, RunId};
 
@@ -42,8 +42,8 @@ impl Raw {
     /// Connected and welcome.
     pub(crate) async fn welcome(bed: &Bed, name: &str) -> Self {
         let raw = Self::new(bed).await;
-        raw.wire.send(&ToAggregator::Hello(raw.hello(name))).await;
-        assert!(matches!(raw.wire.receive().await, ToAgent::Welcome { stored: 0, chain: None, .. }));
+        let answer = raw.wire.greet(&raw.hello(name)).await;
+        assert!(matches!(answer, ToAgent::Welcome { stored: 0, chain: None, .. }));
         raw
     }
 

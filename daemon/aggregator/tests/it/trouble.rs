@@ -58,8 +58,7 @@ async fn repeated_missing_and_early_batches_are_told_apart() {
     raw.expect(Reply::Unknown).await;
     let hello = raw.hello("edge");
     let hello = Hello { oldest: 1, before: Chain::START, ..hello };
-    raw.wire.send(&ToAggregator::Hello(hello)).await;
-    assert!(matches!(raw.wire.receive().await, ToAgent::Welcome { stored: 0, .. }));
+    assert!(matches!(raw.wire.greet(&hello).await, ToAgent::Welcome { stored: 0, .. }));
     raw.wire.send_frame(batches[2].clone()).await;
     raw.expect(Reply::Resend(1)).await;
     raw.wire.send_frame(batches[0].clone()).await;
@@ -227,10 +226,8 @@ async fn a_spool_that_lost_batches_leaves_a_gap_and_a_copied_one_is_refused() {
         raw.next();
     }
     let greeting = raw.hello("edge");
-    raw.wire.send(&ToAggregator::Hello(greeting.clone())).await;
-    assert!(matches!(raw.wire.receive().await, ToAgent::Welcome { .. }));
-    // The gap is stored.
-    raw.expect(Reply::Ack(7)).await;
+    assert!(matches!(raw.wire.greet(&greeting).await, ToAgent::Welcome { .. }));
+    // The gap is stored with the first batch of the host.
     raw.send_next().await;
     raw.expect(Reply::Ack(8)).await;
     assert_eq!(bed.count("SELECT count(*) FROM gap WHERE reason LIKE 'batches 1 to 7 of stream%'").await, 1);
@@ -239,12 +236,10 @@ async fn a_spool_that_lost_batches_leaves_a_gap_and_a_copied_one_is_refused() {
     bed.start().await;
     let mut copy = Raw::new(&bed).await;
     copy.stream = raw.stream;
-    copy.wire.send(&ToAggregator::Hello(copy.hello("copy"))).await;
-    let ToAgent::Refused { reason } = copy.wire.receive().await else { panic!("refused") };
+    let ToAgent::Refused { reason } = copy.wire.greet(&copy.hello("copy")).await else { panic!("refused") };
     assert!(reason.contains(&raw.host.to_string()), "{reason}");
     let impossible = Hello { oldest: u64::MAX, ..greeting };
-    copy.wire.send(&ToAggregator::Hello(impossible)).await;
-    assert!(matches!(copy.wire.receive().await, ToAgent::Refused { .. }));
+    assert!(matches!(copy.wire.greet(&impossible).await, ToAgent::Refused { .. }));
     bed.stop().await;
 }
 
@@ -260,8 +255,7 @@ async fn a_deleted_spool_leaves_one_gap_however_often_its_agent_comes_back() {
         for _ in 0..2 {
             // The same process number: no other agent is to be waited for.
             let again = Raw { stream: anew.stream, host: raw.host, ..Raw::new(&bed).await };
-            again.wire.send(&ToAggregator::Hello(again.hello("edge"))).await;
-            assert!(matches!(again.wire.receive().await, ToAgent::Welcome { stored: 0, .. }));
+            assert!(matches!(again.wire.greet(&again.hello("edge")).await, ToAgent::Welcome { stored: 0, .. }));
         }
         bed.stop().await;
         bed.start().await;
@@ -271,8 +265,7 @@ async fn a_deleted_spool_leaves_one_gap_however_often_its_agent_comes_back() {
     // One that went on from it leaves none.
     let next = Raw { host: raw.host, ..Raw::new(&bed).await };
     let hello = Hello { previous: Some(anew.stream), ..next.hello("edge") };
-    next.wire.send(&ToAggregator::Hello(hello)).await;
-    assert!(matches!(next.wire.receive().await, ToAgent::Welcome { .. }));
+    assert!(matches!(next.wire.greet(&hello).await, ToAgent::Welcome { .. }));
     bed.stop().await;
     assert_eq!(bed.count("SELECT count(*) FROM gap").await, 1);
     let previous = anew.stream;

@@ -9,9 +9,9 @@ use super::script::{Script, beginning, host};
 use crate::HostId;
 use crate::stream::codec;
 use crate::stream::{
-    Accounting, Action, Arrival, Chain, Event, Greeting, Incident, IncidentKind, Known, Receiving,
+    Accounting, Action, Arrival, Chain, Event, Greeting, HostSecret, Incident, IncidentKind, Known, Nonce, Receiving,
     ReceivingConfig, Sending, SendingConfig, SpoolState, SpooledBatch, StreamId, ToAgent, ToAggregator,
-    Totals, Usage,
+    Usage,
 };
 
 /// Steps of one script, at most.
@@ -43,7 +43,7 @@ fn at_an_aggregator(script: &mut Script<'_>) {
                 let mark = (script.byte() & 1 == 0).then(|| script.host()).map(|owner| script.mark(owner));
                 let last = (script.byte() & 1 == 0).then(|| script.stream());
                 let (came, previous) = (last == Some(hello.stream), mark.filter(|mark| mark.stored & 1 == 0));
-                let known = Known { mark, came, last, previous };
+                let known = Known { mark, came, last, previous, seniority: mark.map(|mark| mark.stored) };
                 if let Greeting::Welcome { reply, missing, .. } = end.hello(&hello, known, now) {
                     assert!(matches!(reply, ToAgent::Welcome { window: 1.., .. }));
                     // The mark may be ahead of what came: from here on it is followed again.
@@ -119,7 +119,7 @@ fn at_an_agent(script: &mut Script<'_>) {
     let stream = StreamId::from_bytes([1; 16]);
     let state = SpoolState::new(stream);
     let now = Stamp { wall: beginning(), mono: MonoTime::from_nanos(0) };
-    let sending = Sending::new(config, host(HostId::from_bytes([1; 16])), 1, state);
+    let sending = Sending::new(config, host(HostId::from_bytes([1; 16])), HostSecret::from_bytes([9; 32]), 1, state);
     let mut agent = Agent { sending, jobs: VecDeque::new(), spool: Vec::new(), now, echo: 0 };
     let mut sent = (stream, Chain::START, 0);
     for _ in 0..MOST_STEPS {
@@ -136,6 +136,7 @@ fn at_an_agent(script: &mut Script<'_>) {
                         Ok(ToAggregator::Hello(hello)) => {
                             sent = (hello.stream, hello.before, hello.oldest - 1);
                         }
+                        Ok(ToAggregator::Proof(_)) => {}
                         Ok(ToAggregator::Echo { bytes, .. }) => agent.echo = bytes,
                         message => panic!("{message:?} was sent"),
                     },
@@ -225,6 +226,10 @@ fn message(script: &mut Script<'_>, (mut stream, chain, number): (StreamId, Chai
         }
         2 | 3 => ToAgent::Ack { stream, through: number, window },
         4 => ToAgent::Resend { stream, from: number },
+        _ if choice & 0x30 == 0x30 => {
+            let (aggregator, nonce) = ("base".parse().expect("a name"), Nonce::from_bytes([choice; 32]));
+            ToAgent::Challenge { aggregator, stream, nonce, enrol: choice & 8 != 0 }
+        }
         _ if choice & 0x10 != 0 => ToAgent::Refused { reason: "no".into() },
         _ => ToAgent::Unknown,
     }

@@ -27,6 +27,35 @@ pub enum Event {
     Clock(Box<ClockSample>),
 }
 
+/// What an event says something about. A host may speak of itself and of its own runs only.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Claim {
+    /// The run that it concerns, if one.
+    pub run: Option<RunId>,
+    /// The host that it says it was measured on, where it says so.
+    pub reporter: Option<HostId>,
+}
+
+impl Event {
+    /// What this event says something about. Whoever stores events checks this, and nothing else, against the host that
+    /// sent them: every kind of event has to answer here.
+    pub fn claim(&self) -> Claim {
+        match self {
+            Self::RunStarted(run) => Claim { run: Some(run.run), reporter: None },
+            Self::RunEnded(end) => Claim { run: Some(end.run), reporter: None },
+            Self::Iteration(iteration) => {
+                // Other hosts may stand in the tree: what the cloud did is reported by the edge.
+                let edge = iteration.tree.anchors().first().map(|edge| edge.host);
+                Claim { run: Some(iteration.run), reporter: edge }
+            }
+            Self::Incident(incident) => Claim { run: incident.run, reporter: None },
+            Self::Gap(gap) => Claim { run: gap.run, reporter: None },
+            // Its edge is whoever sends it.
+            Self::Clock(_) => Claim { run: None, reporter: None },
+        }
+    }
+}
+
 /// One pipeline configuration about to be executed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RunDescription {

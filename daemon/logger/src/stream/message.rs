@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Chain, Event, HostDescription, LiveUpdate};
+use super::{Chain, Event, HostDescription, HostSecret, LiveUpdate, Nonce, ProofCode};
 use crate::host::random_id;
 use crate::{HostId, Slug};
 use std::fmt;
@@ -33,8 +33,10 @@ random_id! {
 /// live update can go between them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ToAggregator {
-    /// Opens the connection; repeated after each reconnect.
+    /// Opens the connection; repeated after each reconnect. Answered by [`ToAgent::Challenge`].
     Hello(Hello),
+    /// Answers [`ToAgent::Challenge`].
+    Proof(Proof),
     /// Live lane.
     Live(LiveUpdate),
     /// Asks for a [`ToAgent::Echo`]: by when that comes the agent knows how long the way is, and how much it carries.
@@ -75,9 +77,33 @@ pub struct Hello {
     pub process: u64,
 }
 
+/// That the host of a hello has the secret that belongs to its id.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Proof {
+    /// Whose.
+    pub host: HostId,
+    /// Of the challenge that this answers.
+    pub nonce: Nonce,
+    /// Made with the secret from the challenge's nonce, the hello and the aggregator's name ([`HostSecret::prove`]).
+    pub code: ProofCode,
+    /// The secret, where the aggregator asked to be told it.
+    pub secret: Option<HostSecret>,
+}
+
 /// From aggregator to agent.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ToAgent {
+    /// A hello came; the agent is to prove that it has the secret of the host.
+    Challenge {
+        /// Name of the aggregator's host.
+        aggregator: Slug,
+        /// The stream of the hello that this answers.
+        stream: StreamId,
+        /// What the proof is made of besides the hello.
+        nonce: Nonce,
+        /// No secret of this host is known here: the proof is to bring it.
+        enrol: bool,
+    },
     /// The hello was accepted.
     Welcome {
         /// Name of the aggregator's host.

@@ -24,21 +24,23 @@ mod live;
 mod losses;
 mod message;
 mod receiving;
+mod secret;
 mod sending;
 mod spool;
 
 pub use chain::Chain;
 pub use clock::{ClockSample, DelayPoint, DelaySecond, HostClock, LinkLive, ProbeCounts, Probing, RoundTrip};
-pub use event::{Event, Gap, Incident, IncidentKind, Iteration, Outcome, RunDescription, RunEnded};
+pub use event::{Claim, Event, Gap, Incident, IncidentKind, Iteration, Outcome, RunDescription, RunEnded};
 pub use experiment::{Condition, ExperimentPlace, Grade};
 pub use host::{Hardware, HostDescription, HostMetrics};
 pub use live::{
     Accounting, LiveUpdate, OutcomeCounts, PipelineLive, PipelineState, Placement, PlacementKind, Second,
 };
 pub use message::{
-    Batch, BatchHead, Hello, MOST_UNDER_WAY, PROTOCOL, StreamId, ToAgent, ToAggregator, batch_weight,
+    Batch, BatchHead, Hello, MOST_UNDER_WAY, PROTOCOL, Proof, StreamId, ToAgent, ToAggregator, batch_weight,
 };
-pub use receiving::{Arrival, Greeting, Known, Lacking, Mark, Missing, Receiving, ReceivingConfig};
+pub use receiving::{Arrival, Challenges, Greeting, Known, Lacking, Mark, Missing, Proven, Receiving, ReceivingConfig};
+pub use secret::{HostSecret, InvalidSecret, Nonce, ProofCode};
 pub use sending::{Action, Compression, Notice, Sending, SendingConfig};
 pub use spool::{Reached, SpoolState, SpooledBatch, Totals, Usage};
 

@@ -23,11 +23,13 @@ pub(crate) const COMMANDS: [&str; 17] = [
     "peernetd doctor --config /etc/peernet/agent.toml",
     BACKUP,
     REBUILD,
+    CLEAR,
 ];
 
 const BACKUP: &str =
     "peernetd backup --config /etc/peernet/aggregator.toml /backup/peernet-$(date +%F).sqlite";
 const REBUILD: &str = "peernetd rebuild-rollups --config /etc/peernet/aggregator.toml [--run NUMBER]";
+const CLEAR: &str = "peernetd clear-host-secret --config /etc/peernet/aggregator.toml robot";
 
 /// A calibration of some seconds.
 const SHORT: &str = "calibrate --sizes 100,1kB,10kB --repeats 20 --quiet";
@@ -137,6 +139,9 @@ fn keep(desk: &Desk, stop: impl FnOnce()) {
     let backups: Vec<_> = backups.map(|entry| entry.expect("it can be listed").path()).collect();
     let [backup] = &*backups else { panic!("one copy under the day's name: {backups:?}") };
     assert_eq!(ask(backup, "SELECT count(*) FROM run").trim(), "1");
+
+    let cleared = well(desk.on_cloud(CLEAR, &[]).ended());
+    assert!(cleared.contains("cleared the secret of robot"), "{cleared}");
 
     let all = |of: &str| desk.on_cloud(REBUILD, &[("[--run NUMBER]", of)]).ended();
     assert_eq!(all("").code(), 69, "the aggregator has it");

@@ -71,7 +71,7 @@ fn frames_that_are_cut_or_flipped_are_refused_and_counted() {
         stranger.send(&frame);
         sent += 1;
     }
-    stranger.greet(&host.hello, |said| matches!(said, ToAgent::Welcome { stored: 2, .. }));
+    stranger.greet(&host, |said| matches!(said, ToAgent::Welcome { stored: 2, .. }));
     until("it is counted", || {
         (counter(&fleet, "peernet_aggregator_damaged_batches_total") > 0).then_some(())
     });
@@ -152,12 +152,10 @@ fn batches_of_another_host_are_not_taken_and_repeated_ones_not_twice() {
     // In his own name, in the victim's name, with the victim's stream.
     let mut thief = Introduced::new("thief", &mut chance);
     thief.hello.stream = host.hello.stream;
-    other.say(&ToAggregator::Hello(thief.hello));
-    let words = other.hear_refusal();
+    let words = thief.is_refused(&other);
     assert!(words.contains(&host.hello.host.id.to_string()), "{words}");
     let mut impostor = Introduced::new("victim", &mut chance);
-    other.say(&ToAggregator::Hello(impostor.hello.clone()));
-    let words = other.hear_refusal();
+    let words = impostor.is_refused(&other);
     assert!(words.contains("name"), "{words}");
     impostor.hello.host.name = "impostor".parse().expect("a name");
     impostor.enter(&other);
@@ -187,9 +185,11 @@ fn a_storm_of_hellos_keeps_no_agent_out() {
     let stranger = Stranger::at(fleet.site.events);
     // More hosts than one connection may speak for.
     for n in 0..200 {
-        stranger.say(&ToAggregator::Hello(Introduced::new(&format!("crowd-{n}"), &mut chance).hello));
+        let one = Introduced::new(&format!("crowd-{n}"), &mut chance);
+        let welcome_or_not = |said: &ToAgent| matches!(said, ToAgent::Welcome { .. } | ToAgent::Refused { .. });
+        stranger.greet(&one, welcome_or_not);
     }
-    let words = stranger.hear_refusal();
+    let words = Introduced::new("one-more", &mut chance).is_refused(&stranger);
     assert!(words.contains("connection"), "{words}");
     // Many connections, many with the good agent's name, wrong versions, and long stories.
     let crowd: Vec<Stranger> = (0..60).map(|_| Stranger::at(fleet.site.events)).collect();

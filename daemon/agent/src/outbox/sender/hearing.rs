@@ -30,6 +30,7 @@ impl Sender {
                     self.tell_of_runs();
                 }
             }
+            Notice::Enrolling { aggregator } => self.reports.enrolling(&aggregator),
             Notice::Refused(reason) => self.reports.refused(&reason),
             Notice::StreamRenewed { stored, newest } => {
                 self.reports.renewed(stored, newest);

@@ -208,7 +208,9 @@ impl Desk {
         match head {
             Some(head) => self.batch(seen, head, frame, now),
             None => match codec::decode(frame).expect("the agent sends sense") {
+                // Whoever says hello is believed here.
                 ToAggregator::Hello(hello) => self.hello(seen, &hello, now),
+                ToAggregator::Proof(proof) => panic!("nobody asked for {proof:?}"),
                 ToAggregator::Live(update) => {
                     let reply = self.receiving.live(update.host, now);
                     seen.lives.push(update);
@@ -235,6 +237,7 @@ impl Desk {
             came: seen.streams.contains(&hello.stream),
             last: seen.streams.last().copied(),
             previous: hello.previous.and_then(mark_of),
+            seniority: None,
         };
         match self.receiving.hello(hello, known, now) {
             Greeting::Welcome { reply, missing, replaced, .. } => {

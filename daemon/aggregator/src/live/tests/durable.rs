@@ -23,7 +23,7 @@ fn figures(bed: &mut Bed, backlog: bool) -> Picture {
                 bed.live.take(News::Stored(bed.host, stored, Some(wall(-80_000.0 + 100.0 * at))), now(at));
                 bed.live.take(News::Duplicate(bed.host), now(at));
                 bed.live.take(News::Deferred(bed.host), now(at));
-                bed.live.take(News::Run(RunId::random(), 7), now(at));
+                bed.live.take(News::Run(bed.host, RunId::random(), 7), now(at));
             }
         }
         let news = update(bed.host, wall(at), vec![pipeline("line", vec![second])]);

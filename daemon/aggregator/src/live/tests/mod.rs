@@ -289,11 +289,11 @@ fn a_run_gets_its_number_when_the_store_knows_it() {
     line.run = Some(run);
     bed.live.take(update(bed.host, wall(0.1), vec![line.clone()]), now(0.1));
     assert_eq!(bed.picture(0.1).pipelines[0].run_number, None);
-    bed.live.take(News::Run(run, 412), now(0.2));
+    bed.live.take(News::Run(bed.host, run, 412), now(0.2));
     assert_eq!(bed.picture(0.2).pipelines[0].run_number, Some(412));
     // Numbers of other runs come and go; the one that is shown stays.
     for number in 0..MOST_RUNS as i64 {
-        bed.live.take(News::Run(RunId::random(), number), now(0.3));
+        bed.live.take(News::Run(bed.host, RunId::random(), number), now(0.3));
     }
     bed.live.take(update(bed.host, wall(0.4), vec![line]), now(0.4));
     assert_eq!(bed.picture(0.4).pipelines[0].run_number, Some(412));

@@ -4,6 +4,7 @@
 mod backup;
 mod doctor;
 mod rebuild;
+mod secrets;
 
 use std::path::Path;
 use std::time::Duration;
@@ -17,6 +18,7 @@ pub use self::doctor::{
     RollupExtent, Schema, Severity, StreamState, TableRows, examine,
 };
 pub use self::rebuild::{RebuildError, Rebuilt, rebuild_rollups};
+pub use self::secrets::{ClearSecretError, ClearedSecret, clear_host_secret};
 pub use super::contents::Contents;
 
 /// How long a command waits for another program that locks the file.

@@ -88,9 +88,9 @@ async fn the_live_lane_names_a_run_known_by_its_iterations_once() {
     let run = RunId::random();
     let events = iterations(&bed, run, 4..=6);
     let work = bed.batch(events);
-    assert_eq!(bed.commit(&[work]).await.unknown, [run]);
+    assert_eq!(bed.commit(&[work]).await.unknown, [(bed.edge, run)]);
     let mut connection = crate::store::database::open(&bed.path).await.expect("opens");
-    assert_eq!(unknown_runs(&mut connection, 10).await.expect("reads"), [run]);
+    assert_eq!(unknown_runs(&mut connection, 10).await.expect("reads"), [(bed.edge, run)]);
 
     let name = |host, pipeline: &str| {
         let pipeline = pipeline.parse().expect("a name");

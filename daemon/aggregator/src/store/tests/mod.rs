@@ -13,6 +13,7 @@ mod generate;
 mod limits;
 mod maintaining;
 mod migrating;
+mod ownership;
 mod pairs;
 mod plans;
 mod questions;
@@ -144,6 +145,7 @@ fn hello(host: HostDescription, process: u64) -> Work {
         first: 1,
         replaced: None,
         lacking: None,
+        secret: None,
     }))
 }
 

@@ -217,7 +217,7 @@ async fn iterations_of_a_run_whose_beginning_never_came_are_kept() {
     let events = iterations(&bed, run, 4..=6);
     let work = bed.batch(events);
     let committed = bed.commit(&[work]).await;
-    assert_eq!(committed.runs, [(run, 1)]);
+    assert_eq!(committed.runs, [(bed.edge, run, 1)]);
     let unknown = bed.store.run(1).await.expect("answers").expect("exists");
     assert_eq!((unknown.summary.pipeline.as_str(), unknown.summary.counts.ok), ("unknown", 3));
     let work = bed.batch(vec![generate::run_started(run, "line", NOW)]);
@@ -267,7 +267,8 @@ async fn a_replaced_spool_leaves_one_gap_and_its_stream_is_the_last() {
     let (old, new) = (bed.stream, StreamId::random());
     let greeting = |stream, previous, replaced| {
         let (host, process, first, lacking) = (generate::host(bed.edge, "edge"), 1, 5, None);
-        Work::Hello(Box::new(Introduction { host, process, stream, previous, first, replaced, lacking }))
+        let secret = None;
+        Work::Hello(Box::new(Introduction { host, process, stream, previous, first, replaced, lacking, secret }))
     };
     let (first, renewed, replaced) = (
         greeting(old, None, None),
@@ -290,7 +291,7 @@ async fn a_replaced_spool_leaves_one_gap_and_its_stream_is_the_last() {
     assert!(bed.writer.streams().marks.is_empty(), "nothing of any is stored");
     let hello = hello_of(bed.edge, StreamId::from_bytes([9; 16]), None);
     let known = Known { came: true, last: Some(hello.stream), ..Known::default() };
-    assert_eq!(bed.writer.streams().known(&hello), known);
+    assert_eq!(bed.writer.streams().known(&hello, None), known);
 }
 
 #[tokio::test]
@@ -302,10 +303,10 @@ async fn what_an_older_database_lacks_of_a_stream_that_was_left_is_one_gap() {
     bed.writer = open(&bed.path).await;
     let hello = hello_of(bed.edge, new, Some(old));
     let known = Known { last: Some(old), previous: Some(mark), ..Known::default() };
-    assert_eq!(bed.writer.streams().known(&hello), known);
+    assert_eq!(bed.writer.streams().known(&hello, None), known);
     let (host, lacking) = (hello.host, Some(Lacking { stream: old, from: 2, through: 4, events: Some(17) }));
     let (process, previous, first, replaced) = (1, Some(old), 5, None);
-    let came = Introduction { host, process, stream: new, previous, first, replaced, lacking };
+    let came = Introduction { host, process, stream: new, previous, first, replaced, lacking, secret: None };
     for _ in 0..2 {
         let committed = bed.commit(&[Work::Hello(Box::new(came.clone()))]).await;
         assert_eq!(committed.hosts[&bed.edge].0.gaps, 1);

@@ -16,7 +16,7 @@ const STORED: &str = "SELECT iteration.number FROM run \
      JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
      CROSS JOIN json_each(?3) AS asked \
      CROSS JOIN iteration ON iteration.run = run.number AND iteration.number = asked.value \
-     WHERE run.uuid = ?1 AND host.uuid = ?2";
+     WHERE (run.uuid = ?1 OR run.reported_uuid = ?1) AND host.uuid = ?2";
 
 /// The iterations of a batch that are stored already, of runs of its own host.
 pub(super) async fn stored(

@@ -8,7 +8,7 @@ use peernet_logger::RunId;
 use peernet_logger::stream::{BatchHead, Event, Gap, codec};
 use sqlx::SqliteConnection;
 
-use super::entities::Entities;
+use super::entities::{Entities, Reporter};
 use super::prepared::Prepared;
 use super::{Aside, Refusal, records};
 use crate::picture::Stored;
@@ -46,11 +46,11 @@ impl<'a> Rejected<'a> {
         self,
         connection: &mut SqliteConnection,
         entities: &mut Entities,
-        host: i64,
+        reporter: Reporter,
         now: WallTime,
     ) -> Result<Stored, Refusal> {
         let kept = (self.events.as_ref().map(Vec::len), &self.frame);
-        records::quarantine(connection, host, self.head, kept, self.reason, now).await?;
+        records::quarantine(connection, reporter.row, self.head, kept, self.reason, now).await?;
         let gap = |run, at, count| Gap {
             pipeline: None,
             run,
@@ -63,13 +63,9 @@ impl<'a> Rejected<'a> {
             Some(events) => {
                 let mut runs = BTreeMap::<Option<RunId>, Gap>::new();
                 for event in events {
-                    let (run, at) = scope(event);
+                    let (run, at) = (event.claim().run, happened(event));
                     let run = match run {
-                        Some(run) => entities
-                            .known_run(connection, run)
-                            .await?
-                            .filter(|it| it.is_of(host))
-                            .and(Some(run)),
+                        Some(run) => entities.known_run(connection, reporter, run).await?.and(Some(run)),
                         None => None,
                     };
                     let at = at.unwrap_or(now);
@@ -87,23 +83,21 @@ impl<'a> Rejected<'a> {
             }
         };
         for gap in &gaps {
-            records::gap(connection, entities, host, gap).await?;
+            records::gap(connection, entities, reporter, gap).await?;
         }
         let missing = gaps.iter().map(|gap| gap.count).sum();
         Ok(Stored { quarantined: 1, gaps: gaps.len() as u64, missing, ..Stored::default() })
     }
 }
 
-/// The run that an event concerns, and when it happened.
-fn scope(event: &Event) -> (Option<RunId>, Option<WallTime>) {
+/// When an event happened, on its host's clock.
+fn happened(event: &Event) -> Option<WallTime> {
     match event {
-        Event::RunStarted(run) => (Some(run.run), Some(run.started)),
-        Event::RunEnded(end) => (Some(end.run), Some(end.ended)),
-        Event::Iteration(iteration) => {
-            (Some(iteration.run), iteration.tree.anchors().first().map(|edge| edge.wall))
-        }
-        Event::Incident(incident) => (incident.run, Some(incident.at)),
-        Event::Gap(gap) => (gap.run, Some(gap.to)),
-        Event::Clock(sample) => (None, Some(sample.at)),
+        Event::RunStarted(run) => Some(run.started),
+        Event::RunEnded(end) => Some(end.ended),
+        Event::Iteration(iteration) => iteration.tree.anchors().first().map(|edge| edge.wall),
+        Event::Incident(incident) => Some(incident.at),
+        Event::Gap(gap) => Some(gap.to),
+        Event::Clock(sample) => Some(sample.at),
     }
 }

@@ -17,22 +17,42 @@ const MOST_RUNS: usize = 10_000;
 /// Stands for what is not known of a run whose beginning never arrived.
 pub(crate) const UNKNOWN: &str = "unknown";
 
+/// The host whose batch or message is being stored. Only what belongs to it can be found or changed through it: runs are
+/// looked up by their reporter, whatever kind of event names them.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Reporter {
+    pub(super) id: HostId,
+    /// Its row of the table `host`.
+    pub(super) row: i64,
+}
+
 /// What the writer remembers of the small tables.
 #[derive(Debug, Default)]
 pub(super) struct Entities {
     hosts: HashMap<HostId, i64>,
-    runs: HashMap<RunId, KnownRun>,
+    /// By the reporting host's row, and the id under which it reports the run.
+    runs: HashMap<(i64, RunId), KnownRun>,
     /// Runs that came into `runs` since they were last asked for.
-    met: Vec<(RunId, i64)>,
+    met: Vec<(HostId, RunId, i64)>,
     /// Runs that were made without their beginning since they were last asked for.
-    unknown: Vec<RunId>,
+    unknown: Vec<(HostId, RunId)>,
 }
 
 /// A run that exists in the store.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct KnownRun {
     pub(super) number: i64,
-    host: i64,
+    /// Its own id: another than that under which it is reported, where another host used that one before.
+    uuid: RunId,
+}
+
+/// What the store knows of a run id.
+#[derive(Clone, Copy, Debug)]
+struct Lookup {
+    /// The reporter's run of this id.
+    own: Option<KnownRun>,
+    /// Whether another host has a run of this id.
+    is_taken: bool,
 }
 
 impl Entities {
@@ -91,71 +111,95 @@ impl Entities {
         Ok(id)
     }
 
-    /// The run that rows of `host` refer to; one is made when its beginning never arrived.
+    /// The run that rows of the reporter refer to; one is made when its beginning never arrived.
     pub(super) async fn run_of(
         &mut self,
         connection: &mut SqliteConnection,
-        host: i64,
+        reporter: Reporter,
         run: RunId,
         seen: WallTime,
     ) -> Result<KnownRun, Refusal> {
-        let known = match self.known_run(connection, run).await? {
-            Some(known) => known,
-            None => {
-                let pipeline = pipeline(connection, host, UNKNOWN).await?;
-                let number = sqlx::query_scalar(
-                    "INSERT INTO run (uuid, pipeline, started_ns, placement, model, facts, configuration, version) \
-                     VALUES (?1, ?2, ?3, 'local', ?4, '[]', '', '') RETURNING number",
-                )
-                .bind(run.to_string())
-                .bind(pipeline)
-                .bind(seen.unix_nanos())
-                .bind(UNKNOWN)
-                .fetch_one(connection)
-                .await?;
-                self.unknown.push(run);
-                self.remember(run, KnownRun { number, host })
-            }
-        };
-        known.check(host, run)
+        let found = self.look_up(connection, reporter, run).await?;
+        if let Some(own) = found.own {
+            return Ok(own);
+        }
+        let (uuid, reported) = found.ids(run);
+        let pipeline = pipeline(connection, reporter.row, UNKNOWN).await?;
+        let number = sqlx::query_scalar(
+            "INSERT INTO run (uuid, reported_uuid, pipeline, started_ns, placement, model, facts, configuration, version) \
+             VALUES (?1, ?2, ?3, ?4, 'local', ?5, '[]', '', '') RETURNING number",
+        )
+        .bind(uuid.to_string())
+        .bind(reported.map(|run| run.to_string()))
+        .bind(pipeline)
+        .bind(seen.unix_nanos())
+        .bind(UNKNOWN)
+        .fetch_one(connection)
+        .await?;
+        self.unknown.push((reporter.id, run));
+        Ok(self.remember(reporter, run, KnownRun { number, uuid }))
     }
 
-    /// The run, if it exists.
+    /// The reporter's run of this id, if it exists.
     pub(super) async fn known_run(
         &mut self,
         connection: &mut SqliteConnection,
+        reporter: Reporter,
         run: RunId,
     ) -> Result<Option<KnownRun>, Refusal> {
-        if let Some(known) = self.runs.get(&run) {
-            return Ok(Some(*known));
+        Ok(self.look_up(connection, reporter, run).await?.own)
+    }
+
+    /// Whether a run of this id belongs to another host and none to the reporter.
+    pub(super) async fn is_foreign(
+        &mut self,
+        connection: &mut SqliteConnection,
+        reporter: Reporter,
+        run: RunId,
+    ) -> Result<bool, Refusal> {
+        let found = self.look_up(connection, reporter, run).await?;
+        Ok(found.own.is_none() && found.is_taken)
+    }
+
+    async fn look_up(
+        &mut self,
+        connection: &mut SqliteConnection,
+        reporter: Reporter,
+        run: RunId,
+    ) -> Result<Lookup, Refusal> {
+        if let Some(known) = self.runs.get(&(reporter.row, run)) {
+            return Ok(Lookup { own: Some(*known), is_taken: false });
         }
-        let row: Option<(i64, i64)> = sqlx::query_as(
-            "SELECT run.number, pipeline.host FROM run JOIN pipeline ON pipeline.id = run.pipeline WHERE run.uuid = ?",
+        let rows: Vec<(i64, String, i64)> = sqlx::query_as(
+            "SELECT run.number, run.uuid, pipeline.host FROM run JOIN pipeline ON pipeline.id = run.pipeline \
+             WHERE run.uuid = ?1 OR run.reported_uuid = ?1",
         )
         .bind(run.to_string())
-        .fetch_optional(connection)
+        .fetch_all(connection)
         .await?;
-        Ok(row.map(|(number, host)| self.remember(run, KnownRun { number, host })))
+        let is_taken = !rows.is_empty();
+        let own = rows.into_iter().find(|(_, _, host)| *host == reporter.row);
+        let own = own.map(|(number, uuid, _)| Ok::<_, sqlx::Error>(KnownRun { number, uuid: id(&uuid)? })).transpose()?;
+        let own = own.map(|own| self.remember(reporter, run, own));
+        Ok(Lookup { own, is_taken })
     }
 
     /// A run began; or its description arrives after some of its iterations. Returns it and its pipeline.
     pub(super) async fn run_started(
         &mut self,
         connection: &mut SqliteConnection,
-        host: i64,
+        reporter: Reporter,
         run: &RunDescription,
     ) -> Result<(KnownRun, i64), Refusal> {
-        if let Some(known) = self.known_run(connection, run.run).await? {
-            known.check(host, run.run)?;
-        }
-        let pipeline = pipeline(connection, host, run.pipeline.as_str()).await?;
+        let (uuid, reported) = self.look_up(connection, reporter, run.run).await?.ids(run.run);
+        let pipeline = pipeline(connection, reporter.row, run.pipeline.as_str()).await?;
         let facts = json(&run.facts)?;
         let experiment = run.experiment.as_ref().map(json).transpose()?;
         let conditions = (!run.conditions.is_empty()).then(|| json(&run.conditions)).transpose()?;
         let placement = &run.placement;
         let number = sqlx::query_scalar(
-            "INSERT INTO run (uuid, pipeline, started_ns, placement, peer, network, address, model, device, facts, \
-             configuration, version, experiment, conditions) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) \
+            "INSERT INTO run (uuid, reported_uuid, pipeline, started_ns, placement, peer, network, address, model, device, \
+             facts, configuration, version, experiment, conditions) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) \
              ON CONFLICT (uuid) DO UPDATE SET pipeline = excluded.pipeline, started_ns = excluded.started_ns, \
              placement = excluded.placement, peer = excluded.peer, network = excluded.network, \
              address = excluded.address, model = excluded.model, device = excluded.device, facts = excluded.facts, \
@@ -163,7 +207,8 @@ impl Entities {
              experiment = excluded.experiment, conditions = excluded.conditions \
              RETURNING number",
         )
-        .bind(run.run.to_string())
+        .bind(uuid.to_string())
+        .bind(reported.map(|run| run.to_string()))
         .bind(pipeline)
         .bind(run.started.unix_nanos())
         .bind(placement_word(placement.kind))
@@ -179,7 +224,7 @@ impl Entities {
         .bind(conditions)
         .fetch_one(connection)
         .await?;
-        Ok((self.remember(run.run, KnownRun { number, host }), pipeline))
+        Ok((self.remember(reporter, run.run, KnownRun { number, uuid }), pipeline))
     }
 
     /// The live lane names a run. What its beginning told, or will tell, counts more.
@@ -189,12 +234,9 @@ impl Entities {
         name: &RunName,
         now: WallTime,
     ) -> Result<(), Refusal> {
-        let host = self.host(connection, name.host, now).await?;
-        let Some(known) = self.known_run(connection, name.run).await?.filter(|known| known.host == host)
-        else {
-            return Ok(());
-        };
-        let pipeline = pipeline(connection, host, name.pipeline.as_str()).await?;
+        let reporter = Reporter { id: name.host, row: self.host(connection, name.host, now).await? };
+        let Some(known) = self.known_run(connection, reporter, name.run).await? else { return Ok(()) };
+        let pipeline = pipeline(connection, reporter.row, name.pipeline.as_str()).await?;
         let placement = &name.placement;
         sqlx::query(
             "UPDATE run SET pipeline = ?, placement = ?, peer = ?, network = ?, address = ?, model = ?, device = ? \
@@ -218,10 +260,10 @@ impl Entities {
     pub(super) async fn run_ended(
         &mut self,
         connection: &mut SqliteConnection,
-        host: i64,
+        reporter: Reporter,
         end: &RunEnded,
     ) -> Result<(), Refusal> {
-        let run = self.run_of(connection, host, end.run, end.ended).await?;
+        let run = self.run_of(connection, reporter, end.run, end.ended).await?;
         sqlx::query("UPDATE run SET ended_ns = ?, end_reason = ? WHERE number = ?")
             .bind(end.ended.unix_nanos())
             .bind(end.reason.as_str())
@@ -239,38 +281,36 @@ impl Entities {
         self.unknown.clear();
     }
 
-    fn remember(&mut self, run: RunId, known: KnownRun) -> KnownRun {
+    fn remember(&mut self, reporter: Reporter, run: RunId, known: KnownRun) -> KnownRun {
         if self.runs.len() >= MOST_RUNS {
             self.runs.clear();
         }
-        self.runs.insert(run, known);
-        self.met.push((run, known.number));
+        self.runs.insert((reporter.row, run), known);
+        self.met.push((reporter.id, run, known.number));
         known
     }
 
     /// Runs that were met since the last time, with their numbers.
-    pub(super) fn take_met(&mut self) -> Vec<(RunId, i64)> {
+    pub(super) fn take_met(&mut self) -> Vec<(HostId, RunId, i64)> {
         std::mem::take(&mut self.met)
     }
 
     /// Runs that were made without their beginning since the last time.
-    pub(super) fn take_unknown(&mut self) -> Vec<RunId> {
+    pub(super) fn take_unknown(&mut self) -> Vec<(HostId, RunId)> {
         std::mem::take(&mut self.unknown)
     }
 }
 
-impl KnownRun {
-    /// Whether rows of that host may refer to it.
-    pub(super) fn is_of(self, host: i64) -> bool {
-        self.host == host
-    }
-
-    fn check(self, host: i64, run: RunId) -> Result<Self, Refusal> {
-        if self.host == host {
-            Ok(self)
-        } else {
-            Err(Refusal::Batch(format!("run {run} belongs to another host")))
-        }
+impl Lookup {
+    /// The id under which the reporter's run stands or is to stand, and that under which it is reported where that is
+    /// another.
+    fn ids(&self, run: RunId) -> (RunId, Option<RunId>) {
+        let uuid = match self.own {
+            Some(own) => own.uuid,
+            None if self.is_taken => RunId::random(),
+            None => run,
+        };
+        (uuid, (uuid != run).then_some(run))
     }
 }
 
@@ -298,32 +338,37 @@ async fn pipeline(connection: &mut SqliteConnection, host: i64, name: &str) -> R
     Ok(id)
 }
 
-/// The newest runs and their numbers.
+/// The newest runs by their hosts and the ids under which these report them, and their numbers.
 pub(crate) async fn newest_runs(
     connection: &mut SqliteConnection,
     limit: u32,
-) -> Result<Vec<(RunId, i64)>, sqlx::Error> {
-    let rows: Vec<(String, i64)> =
-        sqlx::query_as("SELECT uuid, number FROM run ORDER BY number DESC LIMIT ?")
-            .bind(limit)
-            .fetch_all(connection)
-            .await?;
-    rows.into_iter().map(|(uuid, number)| Ok((id(&uuid)?, number))).collect()
+) -> Result<Vec<(HostId, RunId, i64)>, sqlx::Error> {
+    let rows: Vec<(String, String, i64)> = sqlx::query_as(
+        "SELECT host.uuid, coalesce(run.reported_uuid, run.uuid), run.number FROM run \
+         JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
+         ORDER BY run.number DESC LIMIT ?",
+    )
+    .bind(limit)
+    .fetch_all(connection)
+    .await?;
+    rows.into_iter().map(|(host, run, number)| Ok((id(&host)?, id(&run)?, number))).collect()
 }
 
-/// Open runs of which the store knows iterations only.
+/// Open runs of which the store knows iterations only, by their hosts.
 pub(crate) async fn unknown_runs(
     connection: &mut SqliteConnection,
     limit: u32,
-) -> Result<Vec<RunId>, sqlx::Error> {
-    let rows: Vec<String> = sqlx::query_scalar(
-        "SELECT uuid FROM run WHERE ended_ns IS NULL AND model = ? AND version = '' ORDER BY number DESC LIMIT ?",
+) -> Result<Vec<(HostId, RunId)>, sqlx::Error> {
+    let rows: Vec<(String, String)> = sqlx::query_as(
+        "SELECT host.uuid, coalesce(run.reported_uuid, run.uuid) FROM run \
+         JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
+         WHERE run.ended_ns IS NULL AND run.model = ? AND run.version = '' ORDER BY run.number DESC LIMIT ?",
     )
     .bind(UNKNOWN)
     .bind(limit)
     .fetch_all(connection)
     .await?;
-    rows.iter().map(|uuid| id(uuid)).collect()
+    rows.iter().map(|(host, run)| Ok((id(host)?, id(run)?))).collect()
 }
 
 /// What is stored of the hosts that were seen last.

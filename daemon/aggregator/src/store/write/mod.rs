@@ -13,15 +13,17 @@ mod prepared;
 mod records;
 pub(crate) mod rollups;
 mod rows;
+mod secrets;
 mod streams;
 mod transaction;
+mod trespasses;
 mod work;
 
 use std::collections::HashMap;
 use std::path::PathBuf;
 
 use peernet_clock::WallTime;
-use peernet_logger::stream::{BatchHead, Mark, StreamId};
+use peernet_logger::stream::{BatchHead, HostSecret, Mark, StreamId};
 use peernet_logger::{HostId, RunId};
 use sqlx::{Connection, SqliteConnection};
 
@@ -30,6 +32,7 @@ use self::file::DatabaseFile;
 pub(crate) use self::file::{CommitError, FormerFiles};
 use self::names::Names;
 use self::prepared::Prepared;
+pub(crate) use self::secrets::known_hosts;
 pub(crate) use self::streams::Streams;
 use self::transaction::Staging;
 pub(crate) use self::work::{Aside, Introduction, Refusal, RunName, Work};
@@ -49,11 +52,13 @@ pub(crate) struct Committed {
     /// What the database now holds of each host concerned, and the newest moment it holds, on the host's clock.
     pub(crate) hosts: HashMap<HostId, (Stored, Option<WallTime>)>,
     /// Numbers of runs that were met for the first time.
-    pub(crate) runs: Vec<(RunId, i64)>,
+    pub(crate) runs: Vec<(HostId, RunId, i64)>,
     /// Runs of which only iterations came.
-    pub(crate) unknown: Vec<RunId>,
+    pub(crate) unknown: Vec<(HostId, RunId)>,
     /// Nodes stored.
     pub(crate) nodes: u64,
+    /// Secrets that were read again, as they stand in the file.
+    pub(crate) secrets: Vec<(HostId, Option<HostSecret>)>,
     /// Batches that were put aside, and why.
     pub(crate) quarantined: Vec<(BatchHead, String)>,
 }
@@ -284,6 +289,7 @@ impl Committed {
         self.runs.extend(other.runs);
         self.unknown.extend(other.unknown);
         self.nodes += other.nodes;
+        self.secrets.extend(other.secrets);
         self.quarantined.extend(other.quarantined);
     }
 }

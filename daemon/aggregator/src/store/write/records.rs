@@ -7,7 +7,7 @@ use peernet_logger::stream::{BatchHead, Gap, Incident, Missing};
 use sqlx::SqliteConnection;
 
 use super::Refusal;
-use super::entities::Entities;
+use super::entities::{Entities, Reporter};
 use crate::picture::Stored;
 use crate::store::column::column;
 
@@ -18,11 +18,11 @@ const QUARANTINE_KEEPS: i64 = 1_000;
 pub(super) async fn incident(
     connection: &mut SqliteConnection,
     entities: &mut Entities,
-    host: i64,
+    reporter: Reporter,
     incident: &Incident,
     now: WallTime,
 ) -> Result<(), Refusal> {
-    let run = known_number(connection, entities, incident.run).await?;
+    let run = known_number(connection, entities, reporter, incident.run).await?;
     let peer = match incident.peer {
         Some(peer) => Some(entities.host(connection, peer, now).await?),
         None => None,
@@ -30,7 +30,7 @@ pub(super) async fn incident(
     sqlx::query(
         "INSERT INTO incident (host, at_ns, kind, pipeline, run, peer, text) VALUES (?, ?, ?, ?, ?, ?, ?)",
     )
-    .bind(host)
+    .bind(reporter.row)
     .bind(incident.at.unix_nanos())
     .bind(incident.kind.name())
     .bind(incident.pipeline.as_ref().map(ToString::to_string))
@@ -46,14 +46,14 @@ pub(super) async fn incident(
 pub(super) async fn gap(
     connection: &mut SqliteConnection,
     entities: &mut Entities,
-    host: i64,
+    reporter: Reporter,
     gap: &Gap,
 ) -> Result<(), Refusal> {
-    let run = known_number(connection, entities, gap.run).await?;
+    let run = known_number(connection, entities, reporter, gap.run).await?;
     sqlx::query(
         "INSERT INTO gap (host, pipeline, run, from_ns, to_ns, count, reason) VALUES (?, ?, ?, ?, ?, ?, ?)",
     )
-    .bind(host)
+    .bind(reporter.row)
     .bind(gap.pipeline.as_ref().map(ToString::to_string))
     .bind(run)
     .bind(gap.from.unix_nanos())
@@ -68,10 +68,11 @@ pub(super) async fn gap(
 async fn known_number(
     connection: &mut SqliteConnection,
     entities: &mut Entities,
+    reporter: Reporter,
     run: Option<RunId>,
 ) -> Result<Option<i64>, Refusal> {
     match run {
-        Some(run) => Ok(entities.known_run(connection, run).await?.map(|run| run.number)),
+        Some(run) => Ok(entities.known_run(connection, reporter, run).await?.map(|run| run.number)),
         None => Ok(None),
     }
 }

@@ -58,14 +58,15 @@ struct Row {
 }
 
 impl Streams {
-    /// What is known when a host says hello.
-    pub(crate) fn known(&self, hello: &Hello) -> Known {
+    /// What is known when a host says hello that has been stored for so long.
+    pub(crate) fn known(&self, hello: &Hello, seniority: Option<u64>) -> Known {
         let mark_of = |stream| self.marks.get(&stream).copied();
         Known {
             mark: mark_of(hello.stream),
             came: self.came.contains(&hello.stream),
             last: self.last.get(&hello.host.id).copied(),
             previous: hello.previous.and_then(mark_of),
+            seniority,
         }
     }
 

@@ -10,13 +10,14 @@ use super::aside::Rejected;
 use super::clock::Links;
 use super::counters::Counters;
 use super::ends::Ends;
-use super::entities::Entities;
+use super::entities::{Entities, Reporter};
 use super::names::Names;
 use super::prepared::{Prepared, Step};
 use super::rollups::Rollups;
 use super::rows::{Inserts, Resolved};
 use super::streams::Moved;
-use super::{Committed, Introduction, Refusal, Work, records};
+use super::trespasses::Trespasses;
+use super::{Committed, Introduction, Refusal, Work, records, secrets};
 
 /// What transactions are made with: what is known of the small tables, and what waits to be written at the end.
 #[derive(Debug, Default)]
@@ -29,6 +30,7 @@ pub(super) struct Staging {
     moved: Moved,
     ends: Ends,
     links: Links,
+    trespasses: Trespasses,
 }
 
 impl Staging {
@@ -74,6 +76,10 @@ impl Staging {
                     }
                     continue;
                 }
+                (Work::Secret(host), _) => {
+                    committed.secrets.push((*host, secrets::of_host(connection, *host).await?));
+                    continue;
+                }
                 (Work::Name(name), None) => {
                     self.entities.name_run(connection, name, now).await?;
                     continue;
@@ -86,15 +92,16 @@ impl Staging {
                 continue;
             }
             let host = self.entities.host(connection, head.host, now).await?;
+            let reporter = Reporter { id: head.host, row: host };
             let added = match (item, rejected) {
                 (_, Some(rejected)) => {
                     let reason = rejected.reason().to_owned();
-                    let added = rejected.put(connection, &mut self.entities, host, now).await?;
+                    let added = rejected.put(connection, &mut self.entities, reporter, now).await?;
                     committed.quarantined.push((head, reason));
                     added
                 }
                 (Work::Batch(batch), None) => {
-                    batches.push(self.resolve(connection, batch, host, now).await?);
+                    batches.push(self.resolve(connection, batch, reporter, now).await?);
                     let counts = self.counters.host(head.host, host);
                     counts.newest = counts.newest.max(batch.newest);
                     batch.added
@@ -114,6 +121,7 @@ impl Staging {
         self.rollups.write(connection).await?;
         committed.hosts = self.counters.write(connection, now).await?;
         self.ends.write(connection).await?;
+        self.trespasses.write(connection, now).await?;
         committed.marks.extend(self.moved.write(connection, now).await?);
         sqlx::query("COMMIT").execute(connection).await?;
         committed.runs = self.entities.take_met();
@@ -129,6 +137,9 @@ impl Staging {
     ) -> Result<(), Refusal> {
         let id = self.entities.introduce(connection, &came.host, now).await?;
         self.ends.process(connection, id, came.process).await?;
+        if let Some(secret) = &came.secret {
+            secrets::enrol(connection, id, secret, now).await?;
+        }
         let added = self.moved.introduce(connection, id, came, now).await?;
         self.counters.host(came.host.id, id).add(&added);
         Ok(())
@@ -139,16 +150,18 @@ impl Staging {
         &mut self,
         connection: &mut SqliteConnection,
         batch: &'a Prepared,
-        host: i64,
+        reporter: Reporter,
         now: WallTime,
     ) -> Result<Resolved<'a>, Refusal> {
+        // Before anything of it is done.
+        self.trespasses.check(connection, &mut self.entities, reporter, &batch.claimed).await?;
         let mut runs = vec![0; batch.runs.len()];
         for step in &batch.steps {
             match step {
-                Step::Event(event) => self.event(connection, event, host, now).await?,
+                Step::Event(event) => self.event(connection, event, reporter, now).await?,
                 Step::Run(run, started) => {
                     let (place, part) = (&mut runs[*run as usize], &batch.runs[*run as usize]);
-                    *place = self.entities.run_of(connection, host, part.id, *started).await?.number;
+                    *place = self.entities.run_of(connection, reporter, part.id, *started).await?.number;
                 }
             }
         }
@@ -170,21 +183,23 @@ impl Staging {
         &mut self,
         connection: &mut SqliteConnection,
         event: &Event,
-        host: i64,
+        reporter: Reporter,
         now: WallTime,
     ) -> Result<(), Refusal> {
         match event {
             Event::RunStarted(run) => {
-                let (known, pipeline) = self.entities.run_started(connection, host, run).await?;
+                let (known, pipeline) = self.entities.run_started(connection, reporter, run).await?;
                 self.ends.followed(pipeline, known.number);
                 Ok(())
             }
-            Event::RunEnded(end) => self.entities.run_ended(connection, host, end).await,
+            Event::RunEnded(end) => self.entities.run_ended(connection, reporter, end).await,
             Event::Incident(incident) => {
-                records::incident(connection, &mut self.entities, host, incident, now).await
+                records::incident(connection, &mut self.entities, reporter, incident, now).await
             }
-            Event::Gap(gap) => records::gap(connection, &mut self.entities, host, gap).await,
-            Event::Clock(sample) => self.links.store(connection, &mut self.entities, host, sample, now).await,
+            Event::Gap(gap) => records::gap(connection, &mut self.entities, reporter, gap).await,
+            Event::Clock(sample) => {
+                self.links.store(connection, &mut self.entities, reporter.row, sample, now).await
+            }
             // Has become rows.
             Event::Iteration(_) => Ok(()),
         }
@@ -198,5 +213,6 @@ impl Staging {
         self.moved.forget();
         self.ends.forget();
         self.links.forget();
+        self.trespasses.forget();
     }
 }

@@ -1,7 +1,7 @@
 //! What the writer is given, and why something of it is not stored.
 
 use bytes::Bytes;
-use peernet_logger::stream::{BatchHead, HostDescription, Lacking, Missing, Placement, StreamId, codec};
+use peernet_logger::stream::{BatchHead, HostDescription, HostSecret, Lacking, Missing, Placement, StreamId, codec};
 use peernet_logger::{HostId, RunId, Slug};
 
 use super::prepared::Prepared;
@@ -21,6 +21,8 @@ pub(crate) enum Work {
     Aside(Box<Aside>),
     /// Batches that nobody has any more.
     Missing(Missing),
+    /// Read the secret of a host again: an operator may have cleared it.
+    Secret(HostId),
 }
 
 /// A host that was let in.
@@ -40,6 +42,8 @@ pub(crate) struct Introduction {
     pub(crate) replaced: Option<StreamId>,
     /// What this database lacks of the stream that this one goes on from.
     pub(crate) lacking: Option<Lacking>,
+    /// The secret that it has proven to have; kept unless there is one.
+    pub(crate) secret: Option<HostSecret>,
 }
 
 /// A batch that cannot be stored.

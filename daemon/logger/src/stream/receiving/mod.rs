@@ -1,6 +1,7 @@
 //! The aggregator's end of the event stream: who may speak, and which batch is next.
 
 mod admission;
+mod challenges;
 mod deferred;
 mod parts;
 mod progress;
@@ -11,6 +12,7 @@ use bytes::Bytes;
 use peernet_clock::{MonoTime, Span};
 
 use self::admission::{Admission, Session};
+pub use self::challenges::{Challenges, Proven};
 use self::deferred::Deferred;
 use self::parts::Parts;
 use self::progress::Progress;
@@ -98,6 +100,8 @@ pub struct Known {
     pub last: Option<StreamId>,
     /// How far the stream is stored from which that of the hello goes on.
     pub previous: Option<Mark>,
+    /// Smaller for hosts that have been stored for longer; `None` for one of which nothing is stored.
+    pub seniority: Option<u64>,
 }
 
 /// What becomes of a hello.
@@ -116,6 +120,8 @@ pub enum Greeting {
         /// older than they are. To be stored as a gap; the mark of that stream stays, because another copy of the
         /// spool may still hold them.
         lacking: Option<Lacking>,
+        /// Another host that used the name of this one, which has been stored for longer: it is not in any more.
+        displaced: Option<HostId>,
     },
     /// It is not.
     Refused {
@@ -216,15 +222,22 @@ impl Receiving {
         *self = Self::new(self.config.clone());
     }
 
-    /// A hello came. What is found lacking or replaced is said when the host first comes with a stream.
+    /// What speaks against a hello before anything is proven: `None` for an agent that may be challenged
+    /// ([`Challenges`]).
+    pub fn refuses_version(hello: &Hello) -> Option<String> {
+        admission::wrong_version(hello)
+    }
+
+    /// A hello came whose host has proven that it is who it says. What is found lacking or replaced is said when the host
+    /// first comes with a stream.
     ///
     /// The mark counts, not the agent's word: batches after it that the agent does not hold are [`Missing`], also
     /// where the agent says that its stream began later than the mark. A stream whose oldest batch lies before its
     /// first is refused.
     pub fn hello(&mut self, hello: &Hello, known: Known, now: MonoTime) -> Greeting {
-        let Known { mark, last, .. } = known;
+        let Known { mark, last, seniority, .. } = known;
         let (host, stream) = (hello.host.id, hello.stream);
-        match self.admission(hello, mark, now) {
+        match self.admission(hello, known, now) {
             Admission::Granted => {}
             Admission::Refused(reason) => {
                 return Greeting::Refused { reply: ToAgent::Refused { reason: reason.clone() }, reason };
@@ -243,7 +256,8 @@ impl Receiving {
             let events = hello.events_before_first.zip(stored).map(|(all, stored)| all.saturating_sub(stored));
             (from <= through).then_some(Lacking { stream: previous, from, through, events })
         });
-        let left = self.hosts.insert(host, Session::of(hello, now));
+        let displaced = self.take_back_name(hello, now);
+        let left = self.hosts.insert(host, Session::of(hello, seniority, now));
         let same = left.as_ref().is_some_and(|left| left.process == hello.process && left.stream == stream);
         let progress = self.streams.entry(stream).or_insert_with(|| Progress::new(hello, mark));
         let missing = progress.greet(hello, mark, same);
@@ -257,7 +271,7 @@ impl Receiving {
         let (chain, process) = (last.map(|last| last.chain), last.and_then(|last| last.process));
         let window = self.window(host);
         let reply = ToAgent::Welcome { aggregator, stream, stored, chain, process, window };
-        Greeting::Welcome { reply, missing, replaced, lacking }
+        Greeting::Welcome { reply, missing, replaced, lacking, displaced }
     }
 
     /// Whether a host that changes its streams waits for the writer, or its stream does.

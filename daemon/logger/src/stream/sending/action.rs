@@ -59,6 +59,11 @@ pub enum Action {
 /// What the agent should know of, and log.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Notice {
+    /// The aggregator knows no secret of this host and is told it now.
+    Enrolling {
+        /// Name of its host.
+        aggregator: Slug,
+    },
     /// The aggregator took us in; batches flow.
     Welcomed {
         /// Name of its host.

@@ -2,7 +2,7 @@
 
 use peernet_clock::{MonoTime, Span, Stamp};
 
-use super::super::{Chain, Hello, PROTOCOL, StreamId, ToAgent, ToAggregator, codec};
+use super::super::{Chain, Hello, Nonce, PROTOCOL, Proof, StreamId, ToAgent, ToAggregator, codec};
 use super::skim::{Skim, Skimmed};
 use super::{Notice, Reached, Sending};
 use crate::Slug;
@@ -62,10 +62,14 @@ impl Sending {
         match message {
             _ if matches!(self.link, Link::Down) => {}
             // Answers to what was sent in a stream that has been left since, or is being left.
-            ToAgent::Welcome { stream, .. }
+            ToAgent::Challenge { stream, .. }
+            | ToAgent::Welcome { stream, .. }
             | ToAgent::Ack { stream, .. }
             | ToAgent::Resend { stream, .. }
                 if *stream != self.backlog.stream || self.renewal.is_some() => {}
+            ToAgent::Challenge { aggregator, nonce, enrol, .. } => {
+                self.challenged(aggregator, nonce, *enrol, now.mono);
+            }
             ToAgent::Welcome { aggregator, stored, chain, process, window, .. } => {
                 self.answered(now.mono);
                 let (aggregator, chain, process) = (aggregator.clone(), *chain, *process);
@@ -92,6 +96,9 @@ impl Sending {
 
     /// The frame to send now, if there is one.
     pub(super) fn frame(&mut self, now: MonoTime) -> Option<Vec<u8>> {
+        if let Some(proof) = self.proof.take() {
+            return Some(proof);
+        }
         match self.link {
             Link::Greeting { again, pause } if now >= again && self.renewal.is_none() => {
                 self.link = Link::Greeting { again: now + pause, pause: self.longer(pause) };
@@ -106,7 +113,7 @@ impl Sending {
     /// What is under way counts as not sent.
     fn take_back(&mut self) {
         self.under_way.lost(0);
-        self.rest = None;
+        (self.rest, self.proof) = (None, None);
         self.pace.interrupted();
     }
 
@@ -176,6 +183,20 @@ impl Sending {
             events_before_first: self.backlog.events_before_first,
             batch_bytes: u32::try_from(self.config.batch_bytes).unwrap_or(u32::MAX),
             process: self.process,
+        }
+    }
+
+    /// The aggregator asks for the proof that this host is who it says it is.
+    fn challenged(&mut self, aggregator: &Slug, nonce: &Nonce, enrol: bool, now: MonoTime) {
+        let Link::Greeting { pause, .. } = self.link else { return };
+        self.answered(now);
+        // What the proof leads to takes another round trip.
+        self.link = Link::Greeting { again: now + pause, pause };
+        let code = self.secret.prove(nonce, &self.hello(), aggregator);
+        let secret = enrol.then(|| self.secret.clone());
+        self.proof = Some(codec::encode(&ToAggregator::Proof(Proof { host: self.host.id, nonce: *nonce, code, secret })));
+        if enrol {
+            self.notices.push_back(Notice::Enrolling { aggregator: aggregator.clone() });
         }
     }
 

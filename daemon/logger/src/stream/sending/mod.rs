@@ -29,7 +29,7 @@ use self::spooling::Spooling;
 use self::under_way::UnderWay;
 use super::intake::{Intake, Room};
 use super::spool::{Reached, SpoolState, Totals};
-use super::{Accounting, Event, Gap, HostDescription, StreamId, ToAggregator, codec};
+use super::{Accounting, Event, Gap, HostDescription, HostSecret, StreamId, ToAggregator, codec};
 use crate::HostId;
 
 /// The agent's end of the durable lane, without I/O: told of events, messages, completed work and time, it says what
@@ -45,6 +45,7 @@ use crate::HostId;
 pub struct Sending {
     config: SendingConfig,
     host: HostDescription,
+    secret: HostSecret,
     process: u64,
     intake: Intake,
     backlog: Backlog,
@@ -60,6 +61,8 @@ pub struct Sending {
     reached_before: Vec<Reached>,
     /// What may be under way, in units of batches, by the aggregator's word.
     window: u32,
+    /// The proof that the aggregator asked for, to be sent at once.
+    proof: Option<Vec<u8>>,
     /// Greetings since there last was progress.
     greetings: u32,
     /// Greetings on this connection since the last answer, and when the last of them went.
@@ -75,9 +78,15 @@ pub struct Sending {
 }
 
 impl Sending {
-    /// The sending end of a host; `process` is a random number made at process start. Nothing is sent before
+    /// The sending end of a host with its `secret`; `process` is a random number made at process start. Nothing is sent before
     /// [`connected`](Self::connected).
-    pub fn new(config: SendingConfig, host: HostDescription, process: u64, spool: SpoolState) -> Self {
+    pub fn new(
+        config: SendingConfig,
+        host: HostDescription,
+        secret: HostSecret,
+        process: u64,
+        spool: SpoolState,
+    ) -> Self {
         let budget = 2 * u64::from(config.window.max(1)) * config.batch_bytes as u64;
         let backlog = Backlog::new(&spool, budget);
         let Totals { produced, dropped, .. } = spool.totals;
@@ -95,6 +104,7 @@ impl Sending {
             met: false,
             reached_before: spool.reached,
             window: 1,
+            proof: None,
             greetings: 0,
             asked: (0, MonoTime::default()),
             pace: Pace::new(config.compression),
@@ -106,6 +116,7 @@ impl Sending {
             notices: VecDeque::new(),
             config,
             host,
+            secret,
             process,
         }
     }

@@ -2,7 +2,7 @@
 
 use super::*;
 
-pub(super) fn hello(id: HostId, name: &str, process: u64, stream: StreamId, oldest: u64) -> Hello {
+pub(in crate::stream) fn hello(id: HostId, name: &str, process: u64, stream: StreamId, oldest: u64) -> Hello {
     Hello {
         protocol: PROTOCOL,
         host: host(id, name),
@@ -47,6 +47,7 @@ pub(super) fn welcomed(greeting: &Greeting) -> (u64, Option<Chain>, u32) {
             missing: None,
             replaced: None,
             lacking: None,
+            displaced: None,
         } => (*stored, *chain, *window),
         other => panic!("expected a welcome, got {other:?}"),
     }

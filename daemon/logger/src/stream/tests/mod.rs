@@ -2,12 +2,15 @@
 //! small model in every order there is.
 
 mod admission;
+mod challenges;
 mod disturbed;
 mod exhaustive;
 mod limits;
 mod progress;
 mod random;
 mod world;
+
+pub(super) use self::admission::hello;
 
 use peernet_clock::{ClockIdentity, MonoTime, Span, Stamp, WallTime};
 

@@ -66,4 +66,16 @@ pub(crate) enum Command {
         #[arg(long, value_name = "NUMBER")]
         run: Option<i64>,
     },
+    /// Forget the secret with which a host proves its id, so that the next agent with this host id is let in.
+    ///
+    /// For a robot that lost the file host-secret in its state directory. Until it has come, any agent that claims the
+    /// host id is enrolled in its place. The aggregator may go on; stored data stays. Exits with 64 when there is no such
+    /// host, 65 when the file is no aggregator's database, 69 when it cannot be written.
+    ClearHostSecret {
+        #[command(flatten)]
+        database: Database,
+        /// Name or id of the host.
+        #[arg(value_name = "HOST")]
+        host: String,
+    },
 }

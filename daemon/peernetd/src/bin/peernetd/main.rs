@@ -24,6 +24,7 @@ fn main() -> ExitCode {
         Command::Check { configs } => commands::check(&configs),
         Command::Backup { database, file } => commands::backup(database, &file),
         Command::RebuildRollups { database, run } => commands::rebuild(database, run),
+        Command::ClearHostSecret { database, host } => commands::clear_secret(database, &host),
         Command::Doctor(arguments) => commands::doctor(arguments),
     };
     output::kept(exit).into()

@@ -19,9 +19,6 @@ impl Preparing {
         let [edge, others @ ..] = tree.anchors() else {
             return Err(format!("iteration {number} has no host"));
         };
-        if edge.host != self.batch.head.host {
-            return Err(format!("iteration {number} began on another host, {}", edge.host));
-        }
         let run = self.run(iteration, edge.wall);
         let at = self.batch.iterations.len() as u32;
         for (position, anchor) in (1..).zip(others) {

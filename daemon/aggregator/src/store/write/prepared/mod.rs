@@ -7,11 +7,11 @@ mod names;
 mod rows;
 mod summaries;
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeSet, HashMap, HashSet};
 
 use bytes::Bytes;
 use peernet_clock::WallTime;
-use peernet_logger::stream::{BatchHead, Event, OutcomeCounts, codec};
+use peernet_logger::stream::{BatchHead, Claim, Event, OutcomeCounts, codec};
 use peernet_logger::{HostId, RunId};
 
 use self::names::LocalNames;
@@ -32,6 +32,8 @@ pub(crate) struct Prepared {
     /// What is written one by one, in the order in which it happened.
     pub(super) steps: Vec<Step>,
     pub(super) runs: Vec<RunPart>,
+    /// Every run that an event of it names, of whatever kind.
+    pub(super) claimed: BTreeSet<RunId>,
     pub(super) names: Vec<NameKey>,
     /// Hosts in trees beside the edge.
     pub(super) hosts: Vec<HostId>,
@@ -109,6 +111,7 @@ impl Prepared {
             body,
             steps: Vec::new(),
             runs: Vec::new(),
+            claimed: BTreeSet::new(),
             names: Vec::new(),
             hosts: Vec::new(),
             iterations: Vec::new(),
@@ -147,6 +150,11 @@ impl Preparing {
     }
 
     fn add(&mut self, event: Event) -> Result<(), String> {
+        let Claim { run, reporter } = event.claim();
+        if let Some(other) = reporter.filter(|reporter| *reporter != self.batch.head.host) {
+            return Err(format!("an event was measured on another host, {other}"));
+        }
+        self.batch.claimed.extend(run);
         let at = match &event {
             Event::Iteration(iteration) => {
                 let began = self.iteration(iteration)?;

@@ -10,6 +10,7 @@ mod hostile;
 mod link;
 mod losing;
 mod model;
+mod proving;
 mod slow;
 mod window;
 
@@ -20,8 +21,8 @@ use peernet_clock::{ClockIdentity, MonoTime, Span, Stamp, WallTime};
 
 use super::super::spool::{Reached, SpoolState, SpooledBatch, Totals, Usage};
 use super::super::{
-    Accounting, BatchHead, Chain, Event, Hardware, Hello, HostDescription, Incident, IncidentKind, StreamId,
-    ToAgent, ToAggregator, codec,
+    Accounting, BatchHead, Chain, Event, Hardware, Hello, HostDescription, HostSecret, Incident, IncidentKind, Proof,
+    StreamId, ToAgent, ToAggregator, codec,
 };
 use super::{Action, Notice, Sending, SendingConfig};
 use crate::HostId;
@@ -149,6 +150,7 @@ struct Agent {
     /// What came of a batch in parts.
     parts: Vec<u8>,
     hellos: Vec<Hello>,
+    proofs: Vec<Proof>,
     notices: Vec<Notice>,
     /// What was asked of the spool.
     actions: Vec<Action>,
@@ -170,8 +172,8 @@ impl Agent {
             serves: None,
             models: Vec::new(),
         };
-        let sending = Sending::new(config, description, file.processes, file.state());
-        let (sent, parts, hellos, notices, actions) = Default::default();
+        let sending = Sending::new(config, description, HostSecret::random(), file.processes, file.state());
+        let (sent, parts, hellos, proofs, notices, actions) = Default::default();
         Self {
             config,
             host,
@@ -183,6 +185,7 @@ impl Agent {
             sent,
             parts,
             hellos,
+            proofs,
             notices,
             actions,
         }
@@ -244,6 +247,7 @@ impl Agent {
             }
             None => match codec::decode(&frame) {
                 Ok(ToAggregator::Hello(hello)) => self.hellos.push(hello),
+                Ok(ToAggregator::Proof(proof)) => self.proofs.push(proof),
                 // The way is short.
                 Ok(ToAggregator::Echo { bytes, .. }) => {
                     self.sending.received(&ToAgent::Echo { bytes }, self.now());

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use bytes::Bytes;
 
 use super::super::*;
-use super::names;
+use super::{SECRET, names};
 
 /// What waits for the writer.
 #[derive(Clone, Debug)]
@@ -45,6 +45,11 @@ pub(in super::super) struct Aggregator {
     pub(in super::super) receiving: Receiving,
     pub(in super::super) database: Database,
     pub(in super::super) backup: Option<Database>,
+    challenges: Challenges<u64>,
+    /// Whether hosts are to prove who they are.
+    pub(in super::super) asks_for_proofs: bool,
+    /// Challenges made, so that each nonce is another.
+    challenged: u64,
     queue: Vec<Work>,
     capacity: usize,
     /// The connection on which the host said hello.
@@ -62,6 +67,9 @@ impl Aggregator {
             receiving: receiving(),
             database: Database::default(),
             backup: None,
+            challenges: challenges(),
+            asks_for_proofs: true,
+            challenged: 0,
             queue: Vec::new(),
             capacity,
             route: None,
@@ -116,7 +124,18 @@ impl Aggregator {
             };
         }
         match codec::decode(frame).ok()? {
-            ToAggregator::Hello(hello) => self.hello(connection, &hello, now),
+            ToAggregator::Hello(hello) if !self.asks_for_proofs => self.hello(connection, &hello, now),
+            ToAggregator::Hello(hello) => {
+                self.challenged += 1;
+                let mut nonce = [0; 32];
+                nonce[..8].copy_from_slice(&self.challenged.to_be_bytes());
+                Some(self.challenges.challenge(connection, hello, false, Nonce::from_bytes(nonce), now))
+            }
+            ToAggregator::Proof(proof) => match self.challenges.prove(&connection, proof, Some(&SECRET)) {
+                Proven::Yes { hello, .. } => self.hello(connection, &hello, now),
+                Proven::Unasked => Some(ToAgent::Unknown),
+                Proven::No(hello) => panic!("the proof of {hello:?} is wrong"),
+            },
             ToAggregator::Echo { host, bytes } if self.route == Some(connection) => {
                 Some(self.receiving.echo(host, bytes, now))
             }
@@ -132,9 +151,10 @@ impl Aggregator {
             came: self.came.contains(&hello.stream),
             last: self.last,
             previous: hello.previous.and_then(mark_of),
+            seniority: None,
         };
         match self.receiving.hello(hello, known, now) {
-            Greeting::Welcome { reply, missing, replaced, lacking } => {
+            Greeting::Welcome { reply, missing, replaced, lacking, .. } => {
                 self.route = Some(connection);
                 self.missing += u32::from(missing.is_some());
                 self.queue.push(Work::Hello(hello.stream, replaced, lacking));
@@ -182,7 +202,7 @@ impl Aggregator {
 
     pub(in super::super) fn kill(&mut self) {
         self.queue.clear();
-        self.receiving = receiving();
+        (self.receiving, self.challenges) = (receiving(), challenges());
         self.route = None;
         self.last = self.database.last;
         self.came = self.database.came.clone();
@@ -193,6 +213,10 @@ impl Aggregator {
     }
 }
 
+fn challenges() -> Challenges<u64> {
+    Challenges::new("base".parse().expect("a name"))
+}
+
 impl Database {
     /// Returns what was put into which stream.
     fn apply(&mut self, work: Work) -> Option<(StreamId, Entry)> {
@@ -201,7 +225,7 @@ impl Database {
                 self.last = Some(stream);
                 if self.came.insert(stream) {
                     self.replaced.extend(replaced);
-                    if let Some(Lacking { stream, from, through }) = lacking {
+                    if let Some(Lacking { stream, from, through, .. }) = lacking {
                         self.entries.entry(stream).or_default().push(Entry::Gap { from, through });
                     }
                 }

@@ -13,6 +13,9 @@ pub(super) use self::file::SpoolFile;
 use self::truth::Truth;
 use super::*;
 
+/// The host's secret, which copies of its state directory share.
+const SECRET: HostSecret = HostSecret::from_bytes([7; 32]);
+
 /// Simulated milliseconds in which everything that waits must be stored once the faults end.
 const PATIENCE_MS: i64 = 300_000;
 
@@ -51,7 +54,7 @@ impl World {
             host,
             offered: 0,
             processes: 1,
-            sending: Sending::new(config, super::host(host, "edge"), 1, file.open()),
+            sending: Sending::new(config, super::host(host, "edge"), SECRET, 1, file.open()),
             sites: vec![file],
             site: 0,
             jobs: VecDeque::new(),
@@ -248,7 +251,7 @@ impl World {
         self.processes += 1;
         self.connection += 1;
         let spool = self.file().open();
-        self.sending = Sending::new(self.config, super::host(self.host, "edge"), self.processes, spool);
+        self.sending = Sending::new(self.config, super::host(self.host, "edge"), SECRET, self.processes, spool);
         self.agent(|sending, now| sending.connected(now.mono));
     }
 

@@ -6,6 +6,7 @@ mod doctor;
 mod place;
 mod rebuild;
 mod run;
+mod secrets;
 
 pub(crate) use backup::backup;
 pub(crate) use check::check;
@@ -13,3 +14,4 @@ pub(crate) use doctor::{Arguments as DoctorArguments, doctor};
 pub(crate) use place::Database;
 pub(crate) use rebuild::rebuild;
 pub(crate) use run::run;
+pub(crate) use secrets::clear_secret;

@@ -16,7 +16,7 @@ const BUSY: Duration = Duration::from_secs(10);
 /// A disk with less room is as good as full.
 const LITTLE_ROOM: u64 = 16 << 20;
 /// What to do about a damaged spool.
-const RENEW: &str = "stop the agent, keep a copy of the file with its -wal, remove it and start the agent again: it \
+const RENEW: &str = "stop the agent, move the file with its -wal to another folder and keep it, start the agent again: it \
                      makes a new one, and the aggregator records what was lost as a gap";
 
 /// What to do about a disk without room.

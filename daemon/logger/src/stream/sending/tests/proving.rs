@@ -1,0 +1,43 @@
+//! The proof that this host is who it says it is.
+
+use super::super::super::Nonce;
+use super::*;
+
+fn challenge(agent: &Agent, stream: StreamId, enrol: bool) -> ToAgent {
+    let aggregator = "base".parse().expect("a name");
+    assert!(!agent.hellos.is_empty(), "it said hello");
+    ToAgent::Challenge { aggregator, stream, nonce: Nonce::from_bytes([5; 32]), enrol }
+}
+
+#[test]
+fn secret_is_told_only_when_asked_for() {
+    let mut agent = Agent::new(SendingConfig::default());
+    agent.connect();
+    let stream = agent.hellos[0].stream;
+    agent.receive(&challenge(&agent, stream, false));
+    agent.receive(&challenge(&agent, stream, true));
+    let told: Vec<bool> = agent.proofs.iter().map(|proof| proof.secret.is_some()).collect();
+    assert_eq!(told, [false, true]);
+    let (proof, aggregator) = (&agent.proofs[1], "base".parse().expect("a name"));
+    let secret = proof.secret.as_ref().expect("told");
+    assert!(secret.verify(&proof.code, &Nonce::from_bytes([5; 32]), &agent.hellos[0], &aggregator));
+    assert!(agent.notices.iter().any(|notice| matches!(notice, Notice::Enrolling { .. })));
+}
+
+#[test]
+fn challenge_of_another_stream_is_not_answered() {
+    let mut agent = Agent::new(SendingConfig::default());
+    agent.connect();
+    agent.receive(&challenge(&agent, StreamId::random(), false));
+    assert!(agent.proofs.is_empty());
+}
+
+#[test]
+fn agent_that_is_in_answers_no_challenge() {
+    let mut agent = Agent::new(SendingConfig::default());
+    agent.connect();
+    let stream = agent.hellos[0].stream;
+    agent.welcome(0, None);
+    agent.receive(&challenge(&agent, stream, true));
+    assert!(agent.proofs.is_empty());
+}

@@ -1,0 +1,180 @@
+//! Hosts that report on the runs of another.
+
+use std::sync::Arc;
+
+use peernet_clock::{ClockIdentity, SystemClock};
+use peernet_logger::stream::{
+    Accounting, ClockSample, Event, Gap, HostClock, HostMetrics, Incident, IncidentKind, Iteration, LiveUpdate, Outcome,
+    PipelineLive, PipelineState, Placement, ProbeCounts, RunDescription, RunEnded, ToAggregator,
+};
+use peernet_logger::{HostId, Recorder, RunId};
+use peernet_tests::truth::ask;
+use peernet_tests::{Chance, Introduced, Stranger, measured, until, wall};
+
+use super::measuring;
+
+fn started(run: RunId) -> Event {
+    Event::RunStarted(RunDescription {
+        run,
+        pipeline: "taken".parse().expect("a name"),
+        started: wall(),
+        placement: Placement::sensor_alone(),
+        facts: vec![],
+        configuration: "taken".into(),
+        version: "0".into(),
+        experiment: None,
+        conditions: vec![],
+    })
+}
+
+fn gap(run: RunId) -> Event {
+    let (from, to, count, reason) = (wall(), wall(), 123_456, "taken".to_owned());
+    Event::Gap(Gap { pipeline: "loop".parse().ok(), run: Some(run), from, to, count, reason })
+}
+
+fn incident(run: RunId, peer: HostId) -> Event {
+    Event::Incident(Incident {
+        at: wall(),
+        kind: IncidentKind::PipelineFailed,
+        pipeline: "loop".parse().ok(),
+        run: Some(run),
+        peer: Some(peer),
+        text: "taken".into(),
+    })
+}
+
+fn iteration(run: RunId, number: u64, host: HostId) -> Event {
+    let clock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "test")));
+    let tree = Recorder::begin(clock, host).finish();
+    Event::Iteration(Iteration { run, number, episode: 0, step: 0, warm_up: false, outcome: Outcome::Ok, tree })
+}
+
+fn clock(peer: HostId) -> Event {
+    Event::Clock(Box::new(ClockSample {
+        peer,
+        peer_name: "edge".parse().expect("a name"),
+        at: wall(),
+        window: 1,
+        max_drift_ppm: 1.0,
+        upper: None,
+        lower: None,
+        offset: None,
+        probes: ProbeCounts::default(),
+        exchanges: peernet_clock::ExchangeCounts::default(),
+        round_trip: None,
+        up: None,
+        down: None,
+    }))
+}
+
+#[test]
+fn foreign_reports_change_nothing_of_the_run() {
+    let mut chance = Chance::new("foreign reports");
+    let mut fleet = measuring("");
+    let row = ask(fleet.database(), "SELECT run.uuid || ' ' || host.uuid FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host");
+    let (run, victim) = row.trim().split_once(' ').expect("one run");
+    let (run, victim): (RunId, HostId) = (run.parse().expect("an id"), victim.parse().expect("an id"));
+    let missing = |fleet: &peernet_tests::Fleet| fleet.api.json("/api/v1/runs/1")["gaps"].clone();
+    let before = (missing(&fleet), fleet.api.json("/api/v1/runs/1")["reason"].clone());
+
+    let stranger = Stranger::at(fleet.site.events);
+    let mut host = Introduced::new("stranger", &mut chance);
+    host.enter(&stranger);
+    let own = host.hello.host.id;
+    // Each kind of event by itself, and all together; then the real events of the robot go on.
+    let kinds = [
+        gap(run),
+        incident(run, victim),
+        iteration(run, 7, own),
+        Event::RunEnded(RunEnded { run, ended: wall(), reason: "taken".into() }),
+        started(run),
+        clock(victim),
+    ];
+    let mut batches = 0;
+    for event in &kinds {
+        let batch = host.batch_with(std::slice::from_ref(event));
+        stranger.send(&batch);
+        batches += 1;
+        stranger.hear_ack(batches);
+    }
+    let all = host.batch_with(&kinds[..2]);
+    stranger.send(&all);
+    stranger.hear_ack(batches + 1);
+    // As if the robot itself had measured it: put aside, whole.
+    let forged = host.batch_with(&[iteration(run, 8, victim)]);
+    stranger.send(&forged);
+    stranger.hear_ack(batches + 2);
+
+    assert_eq!((missing(&fleet), fleet.api.json("/api/v1/runs/1")["reason"].clone()), before);
+    let trust = fleet.api.json("/api/v1/runs/1/trust").to_string();
+    assert!(!trust.contains("123,456") && !trust.contains("never reached the store"), "{trust}");
+    let incidents = fleet.api.json("/api/v1/incidents");
+    let incidents = incidents["incidents"].as_array().expect("a list").clone();
+    let foreign = |incident: &&serde_json::Value| incident["host_name"] == "stranger" || incident["host"]["name"] == "stranger";
+    assert!(incidents.iter().any(|incident| incident.to_string().contains("belong to other hosts")), "{incidents:?}");
+    assert!(incidents.iter().filter(foreign).all(|incident| incident["run"] != 1), "{incidents:?}");
+
+    let seen = fleet.account(0, "it is there", |_| true);
+    fleet.account(0, "the robot goes on", |account| account.events > seen.events + 20);
+    fleet.agents[0].stop();
+    fleet.deliver(0).balances();
+    let mut ledger = fleet.stop();
+    let stranger = ledger.hosts.remove("stranger").expect("stored");
+    assert_eq!((stranger.quarantined, ledger.hosts["edge"].gaps), (1, 0));
+    let stored = &ledger.runs[&run.to_string()];
+    assert_eq!((stored.host.as_str(), stored.pipeline.as_str(), stored.reason.as_str()), ("edge", "loop", "stopped"));
+    assert!(stored.is_whole() && stored.missing == 0, "{stored:?}");
+    measured("foreign reports", &[("kinds of events", kinds.len().to_string()), ("that changed the run", "0".into())]);
+}
+
+#[test]
+fn run_claimed_before_its_start_still_belongs_to_its_host() {
+    let mut chance = Chance::new("claimed runs");
+    let mut fleet = peernet_tests::Fleet::new(&[], "");
+    let (one, other) = (Stranger::at(fleet.site.events), Stranger::at(fleet.site.events));
+    let (mut thief, mut robot) = (Introduced::new("thief", &mut chance), Introduced::new("robot", &mut chance));
+    let run = RunId::random();
+    thief.enter(&one);
+    one.send(&thief.batch_with(&[gap(run), started(run), iteration(run, 1, thief.hello.host.id)]));
+    one.hear_ack(1);
+    robot.enter(&other);
+    let own = robot.hello.host.id;
+    other.send(&robot.batch_with(&[started(run), iteration(run, 1, own), iteration(run, 2, own)]));
+    other.hear_ack(1);
+    one.send(&thief.batch_with(&[Event::RunEnded(RunEnded { run, ended: wall(), reason: "taken".into() })]));
+    one.hear_ack(2);
+
+    // The live lane of either shows its own run.
+    for (stranger, host) in [(&one, &thief), (&other, &robot)] {
+        stranger.say(&ToAggregator::Live(LiveUpdate {
+            host: host.hello.host.id,
+            sent: wall(),
+            pipelines: vec![PipelineLive {
+                pipeline: "taken".parse().expect("a name"),
+                state: PipelineState::Running,
+                run: Some(run),
+                placement: Placement::sensor_alone(),
+                load: "closed".into(),
+                seconds: vec![],
+            }],
+            links: vec![],
+            clock: HostClock::default(),
+            metrics: HostMetrics::default(),
+            accounting: Accounting::default(),
+        }));
+    }
+    let numbers = until("both pipelines", || {
+        let list = fleet.api.json("/api/v1/pipelines");
+        let numbers: Vec<i64> = list["pipelines"].as_array()?.iter().filter_map(|it| it["run"]["number"].as_i64().or(it["run_number"].as_i64()).or(it["run"].as_i64())).collect();
+        (numbers.len() == 2).then_some(numbers)
+    });
+    assert_ne!(numbers[0], numbers[1]);
+
+    let ledger = fleet.stop();
+    let of = |host: &str| ledger.runs.values().filter(|run| run.host == host).collect::<Vec<_>>();
+    let (thief, robot) = (of("thief"), of("robot"));
+    assert_eq!((thief.len(), robot.len()), (1, 1), "{ledger:?}");
+    assert_eq!((robot[0].ranges.as_slice(), robot[0].missing), (&[1..=2][..], 0));
+    assert_ne!(robot[0].reason, "taken");
+    assert!(ledger.hosts.values().all(|host| host.quarantined == 0), "{ledger:?}");
+}

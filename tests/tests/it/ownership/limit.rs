@@ -1,0 +1,74 @@
+//! Hosts that somebody invents.
+
+use peernet_logger::stream::ToAggregator;
+use peernet_tests::truth::ask;
+use peernet_tests::{Chance, Introduced, Stranger, measured, thousands, until};
+
+use super::measuring;
+
+#[test]
+fn invented_hosts_leave_pages_and_metrics_bounded() {
+    let mut chance = Chance::new("invented hosts");
+    let mut fleet = measuring("max_hosts = 50");
+    let bytes = |path: &str| fleet.api.get(path).expect("answers").1.len();
+    let before = (bytes("/metrics"), bytes("/api/v1/hosts"));
+    // Some that only say hello, on many connections, and some that prove to be whoever they say.
+    let crowd: Vec<Stranger> = (0..320).map(|_| Stranger::at(fleet.site.events)).collect();
+    for stranger in &crowd {
+        for _ in 0..62 {
+            let name = format!("invented-{}", chance.below(1 << 30));
+            stranger.say(&ToAggregator::Hello(Introduced::new(&name, &mut chance).hello));
+        }
+    }
+    let mut proven = 0;
+    for (n, stranger) in (0..).zip(&crowd[..10]) {
+        for m in 0..40 {
+            Introduced::new(&format!("proven-{n}-{m}"), &mut chance).enter(stranger);
+            proven += 1;
+        }
+    }
+    let after = until("all of it is seen", || {
+        let hosts = fleet.api.json("/api/v1/hosts");
+        let hosts = hosts["hosts"].as_array()?.len();
+        (hosts <= 51).then(|| (hosts, bytes("/metrics"), bytes("/api/v1/hosts")))
+    });
+    assert!(after.1 < 100 * before.0 && after.2 < 100 * before.1, "{after:?}");
+    assert_eq!(ask(fleet.database(), "SELECT count(*) FROM host WHERE name <> 'edge'").trim(), "0");
+    assert_eq!(ask(fleet.database(), "SELECT count(*) FROM host_secret").trim(), "1");
+    drop(crowd);
+    until("they are forgotten", || {
+        let hosts = fleet.api.json("/api/v1/hosts");
+        (hosts["hosts"].as_array()?.len() == 1).then_some(())
+    });
+    let seen = fleet.account(0, "it is there", |_| true);
+    fleet.account(0, "the robot goes on", |account| account.events > seen.events + 20);
+    fleet.stop();
+    measured(
+        "invented hosts",
+        &[
+            ("that said hello", thousands(320.0 * 62.0)),
+            ("that proved to be who they said", proven.to_string()),
+            ("hosts in the list then", after.0.to_string()),
+            ("bytes of /metrics before and then", format!("{} {}", before.0, after.1)),
+        ],
+    );
+}
+
+#[test]
+fn new_host_beyond_the_limit_is_refused_and_known_ones_are_not() {
+    let mut chance = Chance::new("too many hosts");
+    let mut fleet = measuring("max_hosts = 2");
+    let stranger = Stranger::at(fleet.site.events);
+    let mut second = Introduced::new("second", &mut chance);
+    second.enter(&stranger);
+    stranger.send(&second.batch(1));
+    stranger.hear_ack(1);
+    let third = Introduced::new("third", &mut chance);
+    let words = third.is_refused(&stranger);
+    assert!(words.contains("max_hosts"), "{words}");
+    fleet.agents[0].stop();
+    fleet.start(0);
+    fleet.agents[0].process().wait_for("connected to the aggregator");
+    second.enter(&stranger);
+    fleet.stop();
+}

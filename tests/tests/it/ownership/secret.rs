@@ -1,0 +1,147 @@
+//! Agents that prove who they are, and others that cannot.
+
+use std::path::PathBuf;
+
+use peernet_logger::HostId;
+use peernet_logger::stream::{ToAgent, ToAggregator};
+use peernet_tests::truth::ask;
+use peernet_tests::{Chance, Fleet, Introduced, Stranger, until};
+
+use super::measuring;
+
+fn state(fleet: &Fleet) -> PathBuf {
+    fleet.site.folder().join("edge")
+}
+
+fn secret(fleet: &Fleet) -> String {
+    std::fs::read_to_string(state(fleet).join("host-secret")).expect("made at the first start").trim().to_owned()
+}
+
+/// A host that says it is the robot, without its secret.
+fn impostor(fleet: &Fleet, chance: &mut Chance) -> Introduced {
+    let id = std::fs::read_to_string(state(fleet).join("host-id")).expect("made at the first start");
+    let mut impostor = Introduced::new("edge", chance);
+    impostor.hello.host.id = id.trim().parse::<HostId>().expect("an id");
+    impostor
+}
+
+/// Runs `peernetd clear-host-secret` for the robot beside the aggregator that runs.
+fn clear(fleet: &Fleet) -> String {
+    let ended = fleet.site.peernetd(&["clear-host-secret", "--config", "aggregator.toml", "edge"]).ended();
+    assert_eq!(ended.code(), 0, "{}", ended.log);
+    ended.output
+}
+
+#[test]
+fn impostor_does_not_keep_the_robot_out() {
+    let mut chance = Chance::new("impostor");
+    let mut fleet = measuring("");
+    // The robot goes away with batches that nobody has.
+    fleet.aggregator.kill();
+    let spooled = fleet.agents[0].process().log().matches("spooled batch=").count();
+    fleet.agents[0].process().wait_for_nth("spooled batch=", spooled + 5);
+    fleet.agents[0].kill();
+    fleet.aggregator_returns();
+
+    let stranger = Stranger::at(fleet.site.events);
+    let mut impostor = impostor(&fleet, &mut chance);
+    let words = impostor.is_refused(&stranger);
+    assert!(words.contains("clear-host-secret") && words.contains("spool"), "{words}");
+    assert!(!words.contains("delete the"), "no advice destroys unsent data: {words}");
+    // It is not in, whatever it sends then.
+    stranger.send(&impostor.batch(10));
+    stranger.hear_until(|said| (*said == ToAgent::Unknown).then_some(()));
+    stranger.say(&ToAggregator::Goodbye(impostor.hello.host.id));
+    // While it says hello again and again the robot comes back, with another process number.
+    for _ in 0..20 {
+        stranger.say(&ToAggregator::Hello(impostor.hello.clone()));
+    }
+    fleet.start(0);
+    fleet.agents[0].process().wait_for("connected to the aggregator");
+    assert!(!fleet.agents[0].process().log().contains("refuses this agent"));
+    let words = impostor.is_refused(&stranger);
+    assert!(words.contains("clear-host-secret"), "{words}");
+    let seen = fleet.account(0, "it is there", |_| true);
+    fleet.account(0, "it goes on", |account| account.events > seen.events + 50 && account.waiting < 100);
+    fleet.agents[0].stop();
+    fleet.deliver(0).balances();
+    let ledger = fleet.stop();
+    assert_eq!(ledger.lacks(fleet.agents[0].spooled()), 0, "{ledger:?}");
+    assert_eq!((ledger.hosts["edge"].streams, ledger.hosts["edge"].gaps), (1, 0), "{ledger:?}");
+}
+
+#[test]
+fn secret_survives_the_loss_of_the_spool_and_of_the_database() {
+    let mut fleet = measuring("");
+    let before = secret(&fleet);
+    assert_eq!(before.len(), 64);
+    fleet.agents[0].stop();
+    for entry in std::fs::read_dir(state(&fleet)).expect("the state is there") {
+        let path = entry.expect("readable").path();
+        if path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("spool.sqlite")) {
+            std::fs::remove_file(path).expect("deleted");
+        }
+    }
+    fleet.idle(0);
+    assert_eq!(secret(&fleet), before);
+    assert_eq!(ask(fleet.database(), "SELECT lower(hex(secret)) FROM host_secret").trim(), before);
+
+    // What was told is told nowhere again.
+    let (_, metrics) = fleet.api.get("/metrics").expect("answers");
+    let pages = ["/", "/hosts", "/api/v1/hosts", "/api/v1/hosts/edge", "/api/v1/runs", "/api/v1/incidents"];
+    let texts = pages.map(|page| fleet.api.get(page).expect("answers").1);
+    let logs = [fleet.agents[0].process().log(), fleet.aggregator.process().log()];
+    for text in texts.iter().chain([&metrics]).chain(&logs) {
+        assert!(!text.to_lowercase().contains(&before), "{text}");
+    }
+
+    fleet.agents[0].stop();
+    fleet.aggregator.stop();
+    std::fs::remove_dir_all(fleet.database().parent().expect("a folder of its own")).expect("it has stopped");
+    fleet.aggregator_returns();
+    fleet.start(0);
+    fleet.account(0, "it is stored again", |account| account.events > 20);
+    assert_eq!(ask(fleet.database(), "SELECT lower(hex(secret)) FROM host_secret").trim(), before);
+    fleet.stop();
+}
+
+#[test]
+fn cleared_secret_lets_the_robot_in_with_a_new_one() {
+    let mut fleet = measuring("");
+    let before = secret(&fleet);
+    fleet.agents[0].stop();
+    std::fs::remove_file(state(&fleet).join("host-secret")).expect("it was there");
+    fleet.start(0);
+    let said = fleet.agents[0].process().wait_for("refuses this agent");
+    assert!(said.contains("clear-host-secret"), "{said}");
+    let told = clear(&fleet);
+    assert!(told.contains("cleared the secret of edge"), "{told}");
+    fleet.agents[0].process().wait_for("connected to the aggregator");
+    let after = secret(&fleet);
+    assert_ne!(after, before);
+    until("the new one is stored", || {
+        let stored = ask(fleet.database(), "SELECT lower(hex(secret)) FROM host_secret");
+        (stored.trim() == after).then_some(())
+    });
+    fleet.account(0, "what waited is stored", |account| account.waiting < 100);
+    fleet.agents[0].stop();
+    fleet.deliver(0).balances();
+    let ledger = fleet.stop();
+    assert_eq!(ledger.lacks(fleet.agents[0].spooled()), 0, "{ledger:?}");
+}
+
+#[test]
+fn newcomer_with_the_robots_name_makes_way() {
+    let mut chance = Chance::new("namesake");
+    let mut fleet = measuring("");
+    fleet.agents[0].stop();
+    let stranger = Stranger::at(fleet.site.events);
+    let namesake = Introduced::new("edge", &mut chance);
+    namesake.enter(&stranger);
+    fleet.start(0);
+    fleet.agents[0].process().wait_for("connected to the aggregator");
+    assert!(!fleet.agents[0].process().log().contains("refuses this agent"));
+    let words = namesake.is_refused(&stranger);
+    assert!(words.contains("the name edge is taken"), "{words}");
+    fleet.stop();
+}
