@@ -27,8 +27,8 @@ pub(in super::super) enum Entry {
     Batch { number: u64, names: Vec<u64> },
     /// One that was put aside.
     Damaged { number: u64, chain: Chain },
-    /// Batches that nobody had any more.
-    Gap { from: u64, through: u64 },
+    /// Batches that nobody had any more, and how many events they held.
+    Gap { from: u64, through: u64, events: Option<u64> },
 }
 
 #[derive(Clone, Debug, Default)]
@@ -225,8 +225,9 @@ impl Database {
                 self.last = Some(stream);
                 if self.came.insert(stream) {
                     self.replaced.extend(replaced);
-                    if let Some(Lacking { stream, from, through, .. }) = lacking {
-                        self.entries.entry(stream).or_default().push(Entry::Gap { from, through });
+                    if let Some(Lacking { stream, from, through, events }) = lacking {
+                        let gap = Entry::Gap { from, through, events };
+                        self.entries.entry(stream).or_default().push(gap);
                     }
                 }
                 return None;
@@ -246,11 +247,11 @@ impl Database {
                 (head.stream, Mark::from(head), entry)
             }
             Work::Missing(missing) => {
-                let Missing { stream, from, through, .. } = missing;
+                let Missing { stream, from, through, events, .. } = missing;
                 if let Some(before) = self.marks.get(&stream) {
                     assert_eq!(from, before.stored + 1, "a gap follows what is stored");
                 }
-                (stream, Mark::from(missing), Entry::Gap { from, through })
+                (stream, Mark::from(missing), Entry::Gap { from, through, events })
             }
         };
         self.marks.insert(stream, mark);

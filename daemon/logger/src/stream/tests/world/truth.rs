@@ -16,6 +16,8 @@ pub(in super::super) struct Truth {
     places: BTreeMap<u64, BTreeSet<(StreamId, u64)>>,
     /// What is in the batches that were sent, by their chains.
     contents: HashMap<Chain, Vec<u64>>,
+    /// How many events the batches hold that were sent in each stream.
+    sizes: BTreeMap<(StreamId, u64), u64>,
     /// What was sent of a batch in parts.
     parts: Vec<u8>,
     /// Their events in wire form, each batch once.
@@ -41,6 +43,7 @@ impl Truth {
         }
         let Some(head) = codec::batch_head(frame) else { return };
         let body = codec::batch_body(frame.clone()).expect("a batch is intact when it is sent");
+        self.sizes.insert((head.stream, head.number), head.events.into());
         if self.contents.insert(head.chain, names(head.events, &body)).is_none() {
             self.bodies.push((head.events, body));
         }
@@ -107,6 +110,19 @@ impl Truth {
             assert!(self.restored && self.is_accounted(*name, database), "event {name} is lost");
         }
         self.check_deleted(database);
+        self.check_gaps(database);
+    }
+
+    /// A gap says how many events its batches held. Of two copies nobody knows which batches the database lacks.
+    fn check_gaps(&self, database: &Database) {
+        for (stream, entry) in database.entries.iter().flat_map(|(stream, all)| all.iter().map(move |one| (stream, one)))
+        {
+            let Entry::Gap { from, through, events } = entry else { continue };
+            let held = (*from..=*through).map(|number| self.sizes.get(&(*stream, number)));
+            if let (false, Some(held)) = (self.copied, held.sum::<Option<u64>>()) {
+                assert_eq!(*events, Some(held), "events of batches {from} to {through}");
+            }
+        }
     }
 
     /// An event that a restored database no longer has stands under a gap, unless its spool was deleted. Of two copies
@@ -114,7 +130,7 @@ impl Truth {
     fn is_accounted(&self, name: u64, database: &Database) -> bool {
         self.places.get(&name).into_iter().flatten().any(|(stream, number)| {
             let entries = database.entries.get(stream).into_iter().flatten();
-            let covers = |entry: &Entry| matches!(entry, Entry::Gap { from, through } if (from..=through).contains(&number));
+            let covers = |entry: &Entry| matches!(entry, Entry::Gap { from, through, .. } if (from..=through).contains(&number));
             entries.clone().any(covers) || self.deleted.contains(stream) || self.copied
         })
     }
