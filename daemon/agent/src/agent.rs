@@ -106,7 +106,8 @@ async fn start(
     let state = StateLock::take(&config.agent.state_dir)?;
     let id = host_id(&config.agent.state_dir)?;
     let spool = crate::outbox::open_spool(&config, id, &clock).await?;
-    let (feed, exit) = crate::outbox::entrance(&config.agent, &clock);
+    let counter = spool.as_ref().map(|spool| spool.counter.clone()).unwrap_or_default();
+    let (feed, exit) = crate::outbox::entrance(&config.agent, &clock, counter);
     let feed = feed.tapped(tap.clone());
     let incidents = Incidents::new(Arc::clone(&clock), feed.clone());
     let bank = Arc::new(bank(&config, &clock, incidents.clone()));

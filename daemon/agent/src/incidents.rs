@@ -63,6 +63,6 @@ impl Incidents {
             peer: what.peer,
             text,
         };
-        self.feed.event(what.pipeline, what.run, Event::Incident(incident));
+        self.feed.event(what.pipeline, Event::Incident(incident));
     }
 }

@@ -179,7 +179,7 @@ impl Link {
     fn tell(&self, news: News) {
         let host = &self.shared.host;
         for sample in news.samples {
-            host.feed.event(None, None, Event::Clock(Box::new(sample)));
+            host.feed.event(None, Event::Clock(Box::new(sample)));
         }
         if let Some(restart) = news.restart {
             let what = Concerning { peer: Some(self.peer), ..Concerning::default() };

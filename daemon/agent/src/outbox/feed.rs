@@ -9,6 +9,7 @@ use peernet_logger::stream::{Event, Gap, Iteration};
 use peernet_logger::{RunId, Slug};
 use tokio::sync::mpsc;
 
+use super::counter::EventCounter;
 use super::tap::Tap;
 
 /// Iterations between the pipelines and the outbox task, which looks every few milliseconds.
@@ -29,6 +30,7 @@ pub(crate) struct Feed {
 struct Entrance {
     queue: mpsc::Sender<Event>,
     overflow: Arc<Overflow>,
+    counter: EventCounter,
 }
 
 /// The outbox task's end: what came in, and what did not fit.
@@ -36,6 +38,7 @@ struct Entrance {
 pub(crate) struct Exit {
     pub(super) queue: mpsc::Receiver<Event>,
     pub(super) overflow: Arc<Overflow>,
+    pub(super) counter: EventCounter,
 }
 
 /// What was dropped for want of a place.
@@ -52,11 +55,11 @@ pub(super) struct Overflow {
 type Origin = (Option<Slug>, Option<RunId>);
 
 /// An entrance and an exit with a queue between them.
-pub(crate) fn channel(clock: SharedClock) -> (Feed, Exit) {
+pub(crate) fn channel(clock: SharedClock, counter: EventCounter) -> (Feed, Exit) {
     let (sender, queue) = mpsc::channel(PLACES + RESERVE);
     let overflow = Arc::new(Overflow { clock, dropped: AtomicU64::new(0), gaps: Mutex::default() });
-    let entrance = Entrance { queue: sender, overflow: Arc::clone(&overflow) };
-    (Feed { outbox: Some(Arc::new(entrance)), tap: None }, Exit { queue, overflow })
+    let entrance = Entrance { queue: sender, overflow: Arc::clone(&overflow), counter: counter.clone() };
+    (Feed { outbox: Some(Arc::new(entrance)), tap: None }, Exit { queue, overflow, counter })
 }
 
 impl Feed {
@@ -75,16 +78,19 @@ impl Feed {
         let run = iteration.run;
         let Some(event) = self.tap(Event::Iteration(iteration)) else { return };
         let Some(entrance) = &self.outbox else { return };
+        entrance.count(Some(pipeline), Some(run));
         let room = entrance.queue.capacity() > RESERVE;
         if !room || entrance.queue.try_send(event).is_err() {
             entrance.overflow.count(Some(pipeline), Some(run));
         }
     }
 
-    /// Hands in anything else, which concerns `pipeline` and `run` or neither.
-    pub(crate) fn event(&self, pipeline: Option<&Slug>, run: Option<RunId>, event: Event) {
+    /// Hands in anything else, which concerns `pipeline` or none.
+    pub(crate) fn event(&self, pipeline: Option<&Slug>, event: Event) {
+        let run = event.run();
         let Some(event) = self.tap(event) else { return };
         let Some(entrance) = &self.outbox else { return };
+        entrance.count(pipeline, run);
         if entrance.queue.try_send(event).is_err() {
             entrance.overflow.count(pipeline, run);
         }
@@ -99,6 +105,13 @@ impl Feed {
         }
         tap.offer(event.clone());
         Some(event)
+    }
+}
+
+impl Entrance {
+    /// Before it is handed in: from then on it can be lost.
+    fn count(&self, pipeline: Option<&Slug>, run: Option<RunId>) {
+        self.counter.count(pipeline, run, self.overflow.clock.wall());
     }
 }
 
@@ -162,7 +175,7 @@ mod tests {
     fn what_does_not_fit_is_counted_by_run_and_the_end_of_a_run_still_gets_through() {
         let clock =
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(5), ClockIdentity::new("boot", "system")));
-        let (feed, exit) = channel(Arc::<ManualClock>::clone(&clock));
+        let (feed, exit) = channel(Arc::<ManualClock>::clone(&clock), EventCounter::default());
         let (pipeline, run): (Slug, _) = ("line".parse().expect("a name"), RunId::random());
         let offered = PLACES as u64 + 2;
         for number in 1..=offered {
@@ -170,7 +183,7 @@ mod tests {
             feed.iteration(&pipeline, iteration(&clock, run, number));
         }
         let ended = RunEnded { run, ended: clock.wall(), reason: "stopped".into() };
-        feed.event(Some(&pipeline), Some(run), Event::RunEnded(ended));
+        feed.event(Some(&pipeline), Event::RunEnded(ended));
 
         assert_eq!((exit.queue.len(), exit.overflow.dropped()), (PLACES + 1, 2));
         let gaps = exit.overflow.take_gaps();

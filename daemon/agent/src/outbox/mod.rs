@@ -5,6 +5,7 @@
 //! connection. A second one owns the [spool], the file in which batches are safe until the aggregator has them.
 
 mod connection;
+mod counter;
 mod dropping;
 mod farewell;
 mod feed;
@@ -14,6 +15,7 @@ mod sender;
 mod spool;
 mod tap;
 
+pub(crate) use counter::EventCounter;
 pub(crate) use feed::{Exit, Feed};
 pub use spool::SpoolError;
 pub(crate) use spool::{Look, OpenSpool};
@@ -44,12 +46,17 @@ const WINDOW: u32 = 32;
 /// Places in memory that iterations leave to the other events.
 const RESERVE: u64 = 1024;
 
-/// Where events go in, and the end at which [`Outbox::start`] takes them out; nowhere without an aggregator.
-pub(crate) fn entrance(config: &HostConfig, clock: &SharedClock) -> (Feed, Option<Exit>) {
+/// Where events go in, counted by `counter`, and the end at which [`Outbox::start`] takes them out; nowhere without an
+/// aggregator.
+pub(crate) fn entrance(
+    config: &HostConfig,
+    clock: &SharedClock,
+    counter: EventCounter,
+) -> (Feed, Option<Exit>) {
     if config.aggregator.is_none() {
         return (Feed::nowhere(), None);
     }
-    let (feed, exit) = feed::channel(SharedClock::clone(clock));
+    let (feed, exit) = feed::channel(SharedClock::clone(clock), counter);
     (feed, Some(exit))
 }
 
@@ -91,7 +98,7 @@ impl Outbox {
         live: (Board, watch::Receiver<HostMetrics>),
         host: &Host,
     ) -> Self {
-        let OpenSpool { file, state, aside } = spool;
+        let OpenSpool { file, state, aside, counter: _ } = spool;
         let reports = Reports::new(host.incidents.clone());
         if let Some(aside) = &aside {
             reports.put_aside(aside);

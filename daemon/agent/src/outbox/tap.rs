@@ -53,10 +53,10 @@ mod tests {
         let tap = Tap::new(sender);
         let feed = Feed::nowhere().tapped(Some(tap.clone()));
         let (first, second) = (ended(), ended());
-        feed.event(None, None, first.clone());
-        feed.event(None, None, second.clone());
+        feed.event(None, first.clone());
+        feed.event(None, second.clone());
         assert_eq!((listener.try_recv().ok(), tap.missed()), (Some(first), 1));
-        feed.event(None, None, second.clone());
+        feed.event(None, second.clone());
         assert_eq!((listener.try_recv().ok(), tap.missed()), (Some(second), 1));
     }
 
@@ -64,11 +64,11 @@ mod tests {
     fn the_outbox_gets_its_own() {
         let clock: peernet_clock::SharedClock =
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(5), ClockIdentity::new("boot", "system")));
-        let (feed, mut exit) = super::super::feed::channel(clock);
+        let (feed, mut exit) = super::super::feed::channel(clock, super::super::EventCounter::default());
         let (sender, mut listener) = mpsc::channel(4);
         let feed = feed.tapped(Some(Tap::new(sender)));
         let event = ended();
-        feed.event(None, None, event.clone());
+        feed.event(None, event.clone());
         assert_eq!(listener.try_recv().ok().as_ref(), Some(&event));
         assert_eq!(exit.queue.try_recv().ok(), Some(event));
     }

@@ -49,7 +49,7 @@ impl Run {
             conditions,
         };
         host.runs.began(description.clone());
-        host.feed.event(Some(&config.name), Some(id), Event::RunStarted(description));
+        host.feed.event(Some(&config.name), Event::RunStarted(description));
         display.set_run(id);
         Self {
             id,
@@ -127,7 +127,7 @@ pub(super) fn end_orphan(pipeline: &Slug, reason: &str, host: &Host) {
 fn end(pipeline: &Slug, run: RunId, reason: &str, host: &Host) {
     let ended = RunEnded { run, ended: host.clock.wall(), reason: reason.to_owned() };
     host.runs.ended(pipeline, run);
-    host.feed.event(Some(pipeline), Some(run), Event::RunEnded(ended));
+    host.feed.event(Some(pipeline), Event::RunEnded(ended));
 }
 
 fn day(at: WallTime) -> i64 {

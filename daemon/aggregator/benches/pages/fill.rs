@@ -158,7 +158,8 @@ impl Agent {
         self.chain = before.then(count, &body);
         let (host, stream, number, chain) = (self.hosts.0, self.stream, self.number, self.chain);
         let events_before = self.events;
-        let head = BatchHead { host, stream, process: 1, number, before, chain, events: count, events_before };
+        let head =
+            BatchHead { host, stream, process: 1, number, before, chain, events: count, events_before };
         self.events = head.events_through();
         let frame = Bytes::from(codec::batch_frame(&head, &body, false));
         self.socket.send(Message::single(frame)).await.expect("sends");

@@ -1,18 +1,15 @@
 //! From events to batches: the agent's side before anything is numbered.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 
 use bytes::Bytes;
 use peernet_clock::{MonoTime, Stamp, WallTime};
 
 use super::losses::Losses;
 use super::spool::{Totals, Usage};
-use super::{Event, Gap, SendingConfig, codec};
+use super::{Event, Gap, MOST_COUNTED_RUNS, RunCounts, SendingConfig, codec};
 use crate::limits::MAX_BYTES;
 use crate::{RunId, Slug};
-
-/// Runs whose pipeline is remembered, at most: one a pipeline, and some that ended without saying so.
-const MOST_RUNS: usize = 256;
 
 /// Room that a report of a loss takes.
 const GAP: Usage = Usage { events: 1, bytes: 512 };
@@ -35,8 +32,12 @@ pub(super) struct Intake {
     /// The event at hand, encoded; kept to reuse its memory.
     encoded: Vec<u8>,
     losses: Losses,
-    /// Events that a process before this one dropped and did not tell of.
+    /// Losses of earlier processes that are still to be reported, before all others.
+    owed: VecDeque<Gap>,
+    /// Events that a process before this one dropped and did not tell of otherwise.
     untold: u64,
+    /// Runs whose end was handed in and that are still counted separately.
+    ended: Vec<RunId>,
     /// Pipelines of the runs under way: an iteration names its run only.
     pipelines: BTreeMap<RunId, Slug>,
 }
@@ -46,8 +47,6 @@ pub(super) struct Intake {
 struct OpenBatch {
     body: Vec<u8>,
     events: u32,
-    gaps: u64,
-    told: u64,
     nodes: usize,
     since: Option<Stamp>,
 }
@@ -89,8 +88,10 @@ impl Room {
 
 impl Intake {
     /// What was counted before goes on.
-    pub(super) fn new(config: SendingConfig, totals: Totals) -> Self {
+    pub(super) fn new(config: SendingConfig, totals: Totals, owed: Vec<Gap>) -> Self {
+        let told = owed.iter().fold(totals.told, |told, gap| told.saturating_add(gap.count));
         Self {
+            untold: totals.dropped.saturating_sub(told),
             config,
             totals,
             open: OpenBatch::default(),
@@ -98,7 +99,8 @@ impl Intake {
             cut_usage: Usage::default(),
             encoded: Vec::new(),
             losses: Losses::default(),
-            untold: totals.dropped.saturating_sub(totals.told),
+            owed: owed.into(),
+            ended: Vec::new(),
             pipelines: BTreeMap::new(),
         }
     }
@@ -107,6 +109,7 @@ impl Intake {
         self.lose_untold(now);
         self.encoded.clear();
         codec::append(&mut self.encoded, event);
+        let run = event.run();
         match self.refusal(event, room) {
             None => {
                 self.report_losses(room, now);
@@ -114,13 +117,16 @@ impl Intake {
                     self.report_ended(Some(ended.run), room, now);
                 }
                 self.take(weight(event), now);
+                self.totals.handed_in.taken.add(run, 1);
             }
             Some(reason) => {
                 self.totals.produced += 1;
+                self.totals.handed_in.dropped.add(run, 1);
                 let (pipeline, run) = self.scope(event);
                 self.lose(pipeline, run, 1, reason, now);
             }
         }
+        self.totals.handed_in.last = Some(now.wall);
         self.remember(event);
     }
 
@@ -141,6 +147,8 @@ impl Intake {
     pub(super) fn lost(&mut self, gap: &Gap, now: Stamp) {
         self.totals.produced += gap.count;
         self.totals.dropped += gap.count;
+        self.totals.handed_in.dropped.add(gap.run, gap.count);
+        self.totals.handed_in.last = Some(now.wall);
         self.losses.add_gap(gap.clone(), now);
     }
 
@@ -179,38 +187,42 @@ impl Intake {
         Usage { events, bytes: if events > 0 { bytes } else { 0 } }
     }
 
-    /// Puts gaps that are due where the lost events would have been, if there is room.
+    /// Puts gaps that are due where the lost events would have been, as far as there is room.
     pub(super) fn report_losses(&mut self, room: &Room, now: Stamp) {
-        if self.has_room_for_reports(room) {
-            let gaps = self.losses.take_due(now.mono);
-            self.report(gaps, now);
+        while self.has_room_for_report(room)
+            && let Some(gap) = self.owed.pop_front().or_else(|| self.losses.take_due(now.mono))
+        {
+            self.report(gap, now);
         }
     }
 
     /// The same for all losses of a run that ends, or of all that end.
     fn report_ended(&mut self, run: Option<RunId>, room: &Room, now: Stamp) {
-        if self.has_room_for_reports(room) {
-            let gaps = self.losses.take_ended(run, now.mono);
-            self.report(gaps, now);
+        // What earlier processes lost goes first: by the number of events told the spool knows which of it is reported.
+        while self.has_room_for_report(room)
+            && let Some(gap) = self.owed.pop_front().or_else(|| self.losses.take_ended(run, now.mono))
+        {
+            self.report(gap, now);
         }
     }
 
-    fn has_room_for_reports(&self, room: &Room) -> bool {
-        self.losses.len() > 0 && room.fits(self.usage() + self.reports())
+    /// Whether nothing is to be reported, now or later.
+    #[cfg(test)]
+    pub(super) fn has_reported_all(&self) -> bool {
+        self.owed.is_empty() && self.losses.len() == 0 && self.untold == 0
     }
 
-    fn report(&mut self, gaps: Vec<Gap>, now: Stamp) {
+    fn has_room_for_report(&self, room: &Room) -> bool {
+        room.fits(self.usage() + GAP)
+    }
+
+    fn report(&mut self, gap: Gap, now: Stamp) {
         let event = std::mem::take(&mut self.encoded);
-        for gap in gaps {
-            self.encoded.clear();
-            let count = gap.count;
-            codec::append(&mut self.encoded, &Event::Gap(gap));
-            self.take(1, now);
-            self.totals.gaps += 1;
-            self.totals.told += count;
-            self.open.gaps += 1;
-            self.open.told += count;
-        }
+        let count = gap.count;
+        codec::append(&mut self.encoded, &Event::Gap(gap));
+        self.take(1, now);
+        self.totals.gaps += 1;
+        self.totals.told += count;
         self.encoded = event;
     }
 
@@ -246,7 +258,7 @@ impl Intake {
             since: since.wall,
             events,
             body: Bytes::from(body.into_boxed_slice()),
-            totals: self.totals(),
+            totals: self.totals.clone(),
         });
     }
 
@@ -267,7 +279,11 @@ impl Intake {
     /// When the batch under construction is old enough, or a loss is to be reported.
     pub(super) fn deadline(&self, room: &Room) -> Option<MonoTime> {
         // Without room there is nothing to do: an acknowledgement makes some.
-        let report = self.has_room_for_reports(room).then(|| self.losses.due()).flatten();
+        let due = || match self.owed.is_empty() {
+            true => self.losses.due(),
+            false => Some(MonoTime::default()),
+        };
+        let report = self.has_room_for_report(room).then(due).flatten();
         self.batch_deadline().into_iter().chain(report).min()
     }
 
@@ -275,23 +291,28 @@ impl Intake {
         self.open.since.map(|since| since.mono + self.config.batch_age)
     }
 
-    /// What was counted, without the batch under construction: the totals that agree with the numbered batches.
-    pub(super) const fn totals(&self) -> Totals {
-        let Totals { produced, dropped, gaps, told, reached } = self.totals;
-        let open = &self.open;
-        let (produced, gaps, told) = (produced - open.events as u64, gaps - open.gaps, told - open.told);
-        Totals { produced, dropped, gaps, told, reached }
-    }
-
-    /// What is in the batch under construction and so many more events are lost.
-    pub(super) fn give_up(&mut self, more: u64) {
+    /// What is in the batch under construction and so many more events are lost; `kept` is what remains of what was
+    /// handed in.
+    pub(super) fn give_up(&mut self, more: u64, kept: &RunCounts) {
         self.totals.dropped += u64::from(self.open.events) + more;
+        self.totals.handed_in.give_up(kept);
         self.open = OpenBatch::default();
     }
 
     /// Everything that was counted.
-    pub(super) const fn counted(&self) -> Totals {
-        self.totals
+    pub(super) const fn counted(&self) -> &Totals {
+        &self.totals
+    }
+
+    /// Runs that have ended and are still counted separately.
+    pub(super) fn ended(&self) -> &[RunId] {
+        &self.ended
+    }
+
+    /// The events of a run that has ended are no longer counted separately.
+    pub(super) fn forget_run(&mut self, run: RunId) {
+        self.ended.retain(|ended| *ended != run);
+        self.totals.handed_in.forget(run);
     }
 
     /// When the first event that is not numbered came.
@@ -310,7 +331,7 @@ impl Intake {
 
     /// Room for what there is to report.
     fn reports(&self) -> Usage {
-        let gaps = self.losses.len() as u64;
+        let gaps = (self.losses.len() + self.owed.len()) as u64;
         Usage { events: gaps * GAP.events, bytes: gaps * GAP.bytes }
     }
 
@@ -330,13 +351,16 @@ impl Intake {
     fn remember(&mut self, event: &Event) {
         match event {
             Event::RunStarted(started) => {
-                if self.pipelines.len() >= MOST_RUNS {
+                if self.pipelines.len() >= MOST_COUNTED_RUNS {
                     self.pipelines.pop_first();
                 }
                 self.pipelines.insert(started.run, started.pipeline.clone());
             }
             Event::RunEnded(ended) => {
                 self.pipelines.remove(&ended.run);
+                if self.ended.len() < MOST_COUNTED_RUNS {
+                    self.ended.push(ended.run);
+                }
             }
             _ => {}
         }

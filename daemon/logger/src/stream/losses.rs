@@ -81,18 +81,17 @@ impl Losses {
         open.map(|loss| loss.reported.map_or(MonoTime::default(), |at| at + REPORT_EVERY)).min()
     }
 
-    /// What is due; it then counts as reported.
-    pub(super) fn take_due(&mut self, now: MonoTime) -> Vec<Gap> {
+    /// The next gap that is due; it then counts as reported.
+    pub(super) fn take_due(&mut self, now: MonoTime) -> Option<Gap> {
         self.known.retain(|loss| loss.gap.count > 0 || !loss.is_due(now));
-        let due = self.known.iter_mut().filter(|loss| loss.gap.count > 0 && loss.is_due(now));
-        due.map(|loss| loss.take(now)).collect()
+        let due = self.known.iter_mut().find(|loss| loss.gap.count > 0 && loss.is_due(now));
+        due.map(|loss| loss.take(now))
     }
 
-    /// All there is to report of losses that end now: those of a run, or all.
-    pub(super) fn take_ended(&mut self, run: Option<RunId>, now: MonoTime) -> Vec<Gap> {
-        let ended =
-            self.known.iter_mut().filter(|loss| loss.gap.count > 0 && (run.is_none() || loss.gap.run == run));
-        ended.map(|loss| loss.take(now)).collect()
+    /// The next gap of losses that end now: those of a run, or all.
+    pub(super) fn take_ended(&mut self, run: Option<RunId>, now: MonoTime) -> Option<Gap> {
+        let ended = |loss: &&mut Loss| loss.gap.count > 0 && (run.is_none() || loss.gap.run == run);
+        self.known.iter_mut().find(ended).map(|loss| loss.take(now))
     }
 }
 
@@ -134,13 +133,13 @@ mod tests {
             losses.add(None, Some(RunId::random()), at(n), 2, "full".into());
         }
         assert_eq!(losses.len(), MOST);
-        let gaps = losses.take_due(at(200).mono);
+        let gaps: Vec<_> = std::iter::from_fn(|| losses.take_due(at(200).mono)).collect();
         assert_eq!(gaps.iter().map(|gap| gap.count).sum::<u64>(), 400);
         assert_eq!(gaps[MOST - 1].to, at(199).wall);
         assert_eq!((losses.len(), losses.due()), (0, None));
         // What was reported makes room for others.
         losses.add(None, None, at(300), 1, "another".into());
-        assert_eq!(losses.take_ended(None, at(300).mono)[0].reason, "another");
+        assert_eq!(losses.take_ended(None, at(300).mono).expect("a gap").reason, "another");
     }
 
     #[test]
@@ -153,7 +152,7 @@ mod tests {
             gaps.extend(losses.take_due(at(2 * n + 1).mono));
         }
         assert_eq!(losses.due(), Some(at(3_001).mono));
-        assert!(losses.take_ended(Some(RunId::random()), at(3_000).mono).is_empty());
+        assert!(losses.take_ended(Some(RunId::random()), at(3_000).mono).is_none());
         gaps.extend(losses.take_ended(run, at(3_000).mono));
         assert_eq!(gaps.iter().map(|gap| gap.count).collect::<Vec<_>>(), [1, 500, 500, 499]);
         assert!(gaps.windows(2).all(|pair| pair[0].to < pair[1].from));

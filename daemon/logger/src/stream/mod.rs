@@ -16,6 +16,7 @@ mod bounded;
 mod chain;
 mod clock;
 pub mod codec;
+mod counts;
 mod event;
 mod experiment;
 mod host;
@@ -30,6 +31,7 @@ mod spool;
 
 pub use chain::Chain;
 pub use clock::{ClockSample, DelayPoint, DelaySecond, HostClock, LinkLive, ProbeCounts, Probing, RoundTrip};
+pub use counts::{CountedEvents, CountedRun, HandedIn, KILLED, MOST_COUNTED_RUNS, RunCounts, SentUnspooled};
 pub use event::{Claim, Event, Gap, Incident, IncidentKind, Iteration, Outcome, RunDescription, RunEnded};
 pub use experiment::{Condition, ExperimentPlace, Grade};
 pub use host::{Hardware, HostDescription, HostMetrics};

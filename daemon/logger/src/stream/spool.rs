@@ -3,7 +3,8 @@
 use bytes::Bytes;
 use peernet_clock::WallTime;
 
-use super::{Chain, StreamId};
+use super::counts::HandedIn;
+use super::{Chain, Gap, StreamId};
 
 /// Events and the bytes they take.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -88,6 +89,8 @@ pub struct SpoolState {
     /// How far the processes came that sent from this spool. It need not be all of them: a process that is forgotten
     /// counts as one of a copy of the spool.
     pub reached: Vec<Reached>,
+    /// Events of earlier processes that were dropped or lost with them, and that no gap reports yet.
+    pub unreported: Vec<Gap>,
 }
 
 impl SpoolState {
@@ -105,6 +108,7 @@ impl SpoolState {
             held: Usage::default(),
             totals: Totals::default(),
             reached: Vec::new(),
+            unreported: Vec::new(),
         }
     }
 }
@@ -125,7 +129,7 @@ pub struct Reached {
 
 /// Counted since the spool was made; all of it is kept with the batches, so that they agree whenever the
 /// process is killed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Totals {
     /// Events that were handed in.
     pub produced: u64,
@@ -135,6 +139,8 @@ pub struct Totals {
     pub gaps: u64,
     /// Of the events that were dropped, those that stand in a gap: the others are still to be told, after a restart as well.
     pub told: u64,
+    /// Events that were handed in to the process at hand.
+    pub handed_in: HandedIn,
     /// How far the process at hand comes with this; `None` while it has not met the aggregator: what the spool says of
     /// it and of others then stays.
     pub reached: Option<Reached>,

@@ -25,7 +25,8 @@ fn watched(
     rehearsal: Option<RehearsalConfig>,
     clock: &SharedClock,
 ) -> (watch::Receiver<HostClock>, DropGuard) {
-    let (feed, _) = crate::outbox::entrance(&HostConfig::default(), clock);
+    let (feed, _) =
+        crate::outbox::entrance(&HostConfig::default(), clock, crate::outbox::EventCounter::default());
     let incidents = Incidents::new(Arc::clone(clock), feed);
     let (publish, published) = watch::channel(not_asked_yet(clock));
     let stop = CancellationToken::new();

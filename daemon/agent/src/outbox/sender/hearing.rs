@@ -1,6 +1,6 @@
 //! What the aggregator says, and what the machine makes of it.
 
-use peernet_logger::stream::{Notice, ToAgent, codec};
+use peernet_logger::stream::{Event, Notice, ToAgent, codec};
 
 use super::Sender;
 
@@ -45,6 +45,9 @@ impl Sender {
     pub(super) fn tell_of_runs(&mut self) {
         let now = self.clock.stamp();
         for event in self.runs.beginnings() {
+            let pipeline =
+                if let Event::RunStarted(started) = &event { Some(&started.pipeline) } else { None };
+            self.exit.counter.count(pipeline, event.run(), now.wall);
             self.machine.offer(&event, now);
         }
     }

@@ -38,6 +38,7 @@ impl Sender {
         while let Some(action) = self.machine.next(self.clock.mono()) {
             let order = match action {
                 Action::Send(frame) => {
+                    self.exit.counter.sent_unspooled(self.machine.sent_unspooled());
                     self.held.push_back(frame);
                     continue;
                 }
@@ -64,7 +65,11 @@ impl Sender {
     pub(super) fn spooled(&mut self, done: Done) {
         let now = self.clock.stamp();
         let notice = match done {
-            Done::Appended(Ok(())) => self.machine.appended(now),
+            Done::Appended(Ok(())) => {
+                let notice = self.machine.appended(now);
+                self.release_runs();
+                notice
+            }
             Done::Appended(Err(reason)) => self.machine.append_failed(reason, now),
             Done::Loaded(Ok(loaded)) => {
                 if let Some(what) = loaded.rotten {
@@ -86,6 +91,15 @@ impl Sender {
         };
         if let Some(notice) = notice {
             self.noticed(notice);
+        }
+    }
+
+    /// Runs that have ended and are safe give their places in the counter to others.
+    fn release_runs(&mut self) {
+        for (run, events) in self.machine.settled_runs() {
+            if self.exit.counter.release(run, events) {
+                self.machine.forget_run(run);
+            }
         }
     }
 

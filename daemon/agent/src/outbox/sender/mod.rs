@@ -182,6 +182,7 @@ impl Sender {
             }
             if farewell.is_some() {
                 // What comes in now does not wait for company.
+                self.take();
                 self.machine.flush(self.clock.wall());
             }
             self.act(&line)?;
@@ -224,7 +225,11 @@ impl Sender {
         }
         self.publish();
         match tokio::time::timeout_at(closed, self.spool.close()).await {
-            Ok(Ok(())) => {}
+            Ok(Ok(())) => {
+                if self.exit.counter.all() == Some(self.machine.settled_events()) {
+                    self.exit.counter.remove();
+                }
+            }
             Ok(Err(reason)) => tracing::warn!("{reason}"),
             Err(_) => tracing::warn!("not waited for: the spool's disk takes long to close it"),
         }

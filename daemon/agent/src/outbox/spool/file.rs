@@ -28,6 +28,8 @@ pub(in crate::outbox) struct SpoolFile {
     identity: (u64, u64),
     connection: SqliteConnection,
     reserve: Reserve,
+    /// Whether this process counts what is handed in.
+    counts: bool,
     _lock: FileLock,
 }
 
@@ -46,10 +48,11 @@ impl SpoolFile {
         path: PathBuf,
         connection: SqliteConnection,
         reserve: Reserve,
+        counts: bool,
         lock: FileLock,
     ) -> io::Result<Self> {
         let identity = identity(&path)?;
-        Ok(Self { path, identity, connection, reserve, _lock: lock })
+        Ok(Self { path, identity, connection, reserve, counts, _lock: lock })
     }
 
     /// Its path.
@@ -62,7 +65,7 @@ impl SpoolFile {
     pub(in crate::outbox) async fn append(
         &mut self,
         batches: &[SpooledBatch],
-        totals: Totals,
+        totals: &Totals,
     ) -> Result<(), Trouble> {
         const ACTION: &str = "append to";
         self.in_place()?;
@@ -193,14 +196,14 @@ impl SpoolFile {
         &mut self,
         action: &'static str,
         batches: &[SpooledBatch],
-        totals: Totals,
+        totals: &Totals,
     ) -> Result<(), Trouble> {
-        let written = insert(&mut self.connection, batches, totals).await;
+        let written = insert(&mut self.connection, batches, totals, self.counts).await;
         self.end(action, written).await
     }
 
     /// Empties the log first: what is counted again and again then takes no more of the disk each time.
-    async fn append_on_full_disk(&mut self, action: &'static str, totals: Totals) -> Result<(), Trouble> {
+    async fn append_on_full_disk(&mut self, action: &'static str, totals: &Totals) -> Result<(), Trouble> {
         checkpoint(&mut self.connection).await.map_err(self.trouble(action))?;
         self.try_to_append(action, &[], totals).await
     }

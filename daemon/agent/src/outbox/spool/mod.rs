@@ -13,6 +13,7 @@ mod open;
 mod reserve;
 mod statements;
 mod sync;
+mod tail;
 mod tally;
 mod task;
 

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use peernet_clock::{SharedClock, WallTime};
 use peernet_logger::HostId;
-use peernet_logger::stream::{Chain, Reached, SpoolState, StreamId, Totals, Usage};
+use peernet_logger::stream::{Chain, Gap, HandedIn, Reached, SpoolState, StreamId, Totals, Usage};
 use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::sqlite::{SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, FromRow, SqliteConnection};
@@ -17,8 +17,9 @@ use super::file::SpoolFile;
 use super::look::{APPLICATION_ID, Look};
 use super::reserve::Reserve;
 use super::statements::MOST_PROCESSES;
-use super::{PutAside, SpoolError};
+use super::{PutAside, SpoolError, tail};
 use crate::lock::FileLock;
+use crate::outbox::EventCounter;
 
 static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations/spool");
 
@@ -34,6 +35,8 @@ const LOG_BYTES: &str = "8388608";
 pub(crate) struct OpenSpool {
     pub(in crate::outbox) file: SpoolFile,
     pub(in crate::outbox) state: SpoolState,
+    /// Counts what is handed in.
+    pub(crate) counter: EventCounter,
     /// The broken one whose place it took.
     pub(in crate::outbox) aside: Option<PutAside>,
 }
@@ -77,12 +80,13 @@ impl OpenSpool {
             }
             opened => opened,
         };
-        let (connection, state) = opened?;
+        let (connection, state, counter) = opened?;
         // A new name must be on the disk before what the file holds counts.
         File::open(folder).and_then(|folder| folder.sync_all()).map_err(io("write", folder))?;
         reserve.take();
-        let file = SpoolFile::new(path.to_owned(), connection, reserve, lock).map_err(io("look at", path))?;
-        Ok(Self { file, state, aside })
+        let file = SpoolFile::new(path.to_owned(), connection, reserve, counter.name().is_some(), lock)
+            .map_err(io("look at", path))?;
+        Ok(Self { file, state, counter, aside })
     }
 }
 
@@ -103,26 +107,38 @@ fn settings(path: &Path) -> SqliteConnectOptions {
         .disable_statement_logging()
 }
 
-/// On a full disk even opening may need the reserve.
+/// A connection, what the file knows, and the counter of this process.
+type Connected = (SqliteConnection, SpoolState, EventCounter);
+
+/// On a full disk even opening may need the reserve. Without any room, what the process before lost is found out by a later
+/// start, and this process does not count.
 async fn connect_in_any_room(
     path: &Path,
     host: HostId,
     reserve: &mut Reserve,
-) -> Result<(SqliteConnection, SpoolState), SpoolError> {
-    match connect(path, host).await {
-        Err(error) if error.may_lack_room() && reserve.release() => connect(path, host).await,
+) -> Result<Connected, SpoolError> {
+    let opened = match connect(path, host, true).await {
+        Err(error) if error.may_lack_room() && reserve.release() => connect(path, host, true).await,
+        opened => opened,
+    };
+    match opened {
+        Err(error) if error.may_lack_room() => {
+            let opened = connect(path, host, false).await?;
+            tracing::warn!(%error, "the spool's disk is full: what is lost when the agent is killed now is not reported");
+            Ok(opened)
+        }
         opened => opened,
     }
 }
 
-async fn connect(path: &Path, host: HostId) -> Result<(SqliteConnection, SpoolState), SpoolError> {
+async fn connect(path: &Path, host: HostId, counts: bool) -> Result<Connected, SpoolError> {
     if let Some(reason) = condemned(path) {
         return Err(SpoolError::Damaged { path: path.to_owned(), what: reason });
     }
     let cannot_open = |source| SpoolError::Open { path: path.to_owned(), source };
     let mut connection = settings(path).connect().await.map_err(cannot_open)?;
-    match prepare(path, host, &mut connection).await {
-        Ok(state) => Ok((connection, state)),
+    match prepare(path, host, &mut connection, counts).await {
+        Ok((state, counter)) => Ok((connection, state, counter)),
         Err(error) => {
             // Closed before anybody moves the file: closing deletes the log, by its name.
             if let Err(error) = connection.close().await {
@@ -137,7 +153,8 @@ async fn prepare(
     path: &Path,
     host: HostId,
     connection: &mut SqliteConnection,
-) -> Result<SpoolState, SpoolError> {
+    counts: bool,
+) -> Result<(SpoolState, EventCounter), SpoolError> {
     let cannot_open = |source| SpoolError::Open { path: path.to_owned(), source };
     // A read-only file opens without complaint: find out now.
     sqlx::raw_sql("BEGIN IMMEDIATE; ROLLBACK").execute(&mut *connection).await.map_err(cannot_open)?;
@@ -156,7 +173,14 @@ async fn prepare(
     }
     let held = held(connection).await.map_err(cannot_open)?;
     let reached = reached(connection).await.map_err(cannot_open)?;
-    row.state(held, reached).map_err(|what| SpoolError::Damaged { path: path.to_owned(), what })
+    let unreported = tail::unreported(connection).await.map_err(cannot_open)?;
+    let state = row.state(held, reached, unreported);
+    let mut state = state.map_err(|what| SpoolError::Damaged { path: path.to_owned(), what })?;
+    let counter = match counts {
+        true => tail::begin(connection, &mut state).await.map_err(cannot_open)?,
+        false => EventCounter::default(),
+    };
+    Ok((state, counter))
 }
 
 /// Makes an empty database a spool, before it has a table: a disk that becomes full then leaves one that is recognised.
@@ -250,7 +274,7 @@ async fn reached(connection: &mut SqliteConnection) -> Result<Vec<Reached>, sqlx
 }
 
 impl StreamRow {
-    fn state(self, held: Held, reached: Vec<Reached>) -> Result<SpoolState, String> {
+    fn state(self, held: Held, reached: Vec<Reached>, unreported: Vec<Gap>) -> Result<SpoolState, String> {
         let id = |text: &str| text.parse().map_err(|_| format!("{text:?} is no id of a stream"));
         let before = chain(&self.chain)?;
         let acknowledged = self.acknowledged.cast_unsigned();
@@ -287,9 +311,11 @@ impl StreamRow {
                 dropped: self.dropped.cast_unsigned(),
                 gaps: self.gaps.cast_unsigned(),
                 told: self.told.cast_unsigned(),
+                handed_in: HandedIn::default(),
                 reached: None,
             },
             reached,
+            unreported,
         })
     }
 }

@@ -1,7 +1,10 @@
 //! The statements that change the file.
 
+use peernet_clock::WallTime;
 use peernet_logger::stream::{Chain, SpooledBatch, Totals};
 use sqlx::SqliteConnection;
+
+use super::tail;
 
 /// Processes that are remembered, the newest: one, and one more for each start.
 pub(super) const MOST_PROCESSES: i64 = 64;
@@ -9,11 +12,12 @@ pub(super) const MOST_PROCESSES: i64 = 64;
 /// Pages that stay free for the next batches: 8 MiB.
 const SPARE_PAGES: i64 = 2048;
 
-/// Begins a transaction with these batches in it. They replace themselves where a commit went well that seemed to fail.
+/// Begins a transaction with these batches in it; `counts` says whether the process counts what is handed in. They replace themselves where a commit went well that seemed to fail.
 pub(super) async fn insert(
     connection: &mut SqliteConnection,
     batches: &[SpooledBatch],
-    totals: Totals,
+    totals: &Totals,
+    counts: bool,
 ) -> Result<(), sqlx::Error> {
     begin(connection).await?;
     for batch in batches {
@@ -28,10 +32,20 @@ pub(super) async fn insert(
         .execute(&mut *connection)
         .await?;
     }
-    sqlx::query("UPDATE stream SET produced = ?, dropped = ?, gaps = ?, told = ? WHERE id = 1")
-        .bind(totals.produced.cast_signed())
-        .bind(totals.dropped.cast_signed())
-        .bind(totals.gaps.cast_signed())
+    let handed_in = &totals.handed_in;
+    sqlx::query(
+        "UPDATE stream SET produced = ?, dropped = ?, gaps = ?, told = ?, counted = coalesce(?, counted), \
+         counted_ns = coalesce(?, counted_ns) WHERE id = 1",
+    )
+    .bind(totals.produced.cast_signed())
+    .bind(totals.dropped.cast_signed())
+    .bind(totals.gaps.cast_signed())
+    .bind(totals.told.cast_signed())
+    .bind(counts.then(|| tail::encoded(&handed_in.settled())))
+    .bind(handed_in.last.filter(|_| counts).map(WallTime::unix_nanos))
+    .execute(&mut *connection)
+    .await?;
+    sqlx::query("DELETE FROM unreported WHERE told_through <= ?")
         .bind(totals.told.cast_signed())
         .execute(&mut *connection)
         .await?;

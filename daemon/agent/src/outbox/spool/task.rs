@@ -118,7 +118,7 @@ async fn work(
 async fn obey(file: &mut SpoolFile, syncing: &mut Syncing, order: Order) -> Done {
     match order {
         Order::Append { batches, totals } => {
-            let appended = file.append(&batches, totals).await;
+            let appended = file.append(&batches, &totals).await;
             if appended.is_ok() {
                 syncing.written();
                 tally::tell(&batches);

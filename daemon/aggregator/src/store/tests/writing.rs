@@ -255,7 +255,11 @@ async fn gaps_are_told_with_their_run_and_holes_with_their_host() {
     assert_eq!(committed.marks[&bed.stream].stored, 10);
     let (stored, _) = committed.hosts[&bed.edge];
     assert_eq!((stored.gaps, stored.missing), (2, 1_090));
-    assert_eq!(bed.count("SELECT count(*) FROM gap WHERE count = 40 AND reason LIKE 'batches 3 to 9 of stream%'").await, 1);
+    assert_eq!(
+        bed.count("SELECT count(*) FROM gap WHERE count = 40 AND reason LIKE 'batches 3 to 9 of stream%'")
+            .await,
+        1
+    );
     let hosts = bed.store.hosts().await.expect("answers");
     assert_eq!(hosts.iter().map(|host| host.name.as_str()).collect::<Vec<_>>(), ["cloud", "edge"]);
     assert_eq!(hosts[1].stored, stored);

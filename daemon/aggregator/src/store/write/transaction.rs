@@ -56,7 +56,8 @@ impl Staging {
                 (Work::Batch(batch), Some(reason)) => (batch.head, Some(Rejected::refused(batch, reason))),
                 (Work::Aside(aside), _) => (aside.head, Some(Rejected::aside(aside))),
                 (Work::Missing(missing), _) => {
-                    let Missing { host, stream, through: number, chain, process, events_through, .. } = *missing;
+                    let Missing { host, stream, through: number, chain, process, events_through, .. } =
+                        *missing;
                     // Only who it is, and what it is marked with.
                     let (before, events, events_before) = (chain, 0, events_through);
                     let head =
@@ -106,9 +107,7 @@ impl Staging {
                     counts.newest = counts.newest.max(batch.newest);
                     batch.added
                 }
-                (Work::Missing(missing), None) => {
-                    records::missing(connection, host, missing, now).await?
-                }
+                (Work::Missing(missing), None) => records::missing(connection, host, missing, now).await?,
                 _ => continue,
             };
             self.counters.host(head.host, host).add(&added);

@@ -253,7 +253,8 @@ impl Receiving {
             let from = known.previous.map_or(1, |mark| mark.stored.saturating_add(1));
             let through = hello.first - 1;
             let stored = known.previous.map_or(Some(0), |mark| mark.events);
-            let events = hello.events_before_first.zip(stored).map(|(all, stored)| all.saturating_sub(stored));
+            let events =
+                hello.events_before_first.zip(stored).map(|(all, stored)| all.saturating_sub(stored));
             (from <= through).then_some(Lacking { stream: previous, from, through, events })
         });
         let displaced = self.take_back_name(hello, now);

@@ -7,7 +7,7 @@ use peernet_clock::WallTime;
 
 use super::super::intake::CutBatch;
 use super::super::spool::{SpoolState, SpooledBatch, Totals, Usage};
-use super::super::{BatchHead, Chain, StreamId};
+use super::super::{BatchHead, Chain, HandedIn, SentUnspooled, StreamId};
 use crate::HostId;
 
 /// Batches from the oldest that is not acknowledged to the newest.
@@ -42,6 +42,8 @@ pub(super) struct Backlog {
     held: Usage,
     /// The newest that was ever sent by this process.
     sent: u64,
+    /// How far batches were sent that are in memory only.
+    sent_unspooled: SentUnspooled,
     /// Events of the batches that were sent and are still held.
     sent_events: u64,
     /// When the first event of the oldest batch came, while that is in the file only.
@@ -82,10 +84,11 @@ impl Backlog {
             spooled: newest,
             pending: VecDeque::new(),
             pending_usage: Usage::default(),
-            settled: spool.totals,
+            settled: Totals { handed_in: HandedIn::default(), ..spool.totals.clone() },
             newest,
             held: if newest.0 < oldest { Usage::default() } else { spool.held },
             sent: 0,
+            sent_unspooled: SentUnspooled::default(),
             sent_events: 0,
             since: spool.since,
             budget,
@@ -129,6 +132,10 @@ impl Backlog {
         self.sent_events
     }
 
+    pub(super) const fn sent_unspooled(&self) -> SentUnspooled {
+        self.sent_unspooled
+    }
+
     pub(super) const fn held(&self) -> Usage {
         self.held
     }
@@ -138,8 +145,8 @@ impl Backlog {
     }
 
     /// What was counted up to the newest that is in the file or stored over there.
-    pub(super) const fn settled(&self) -> Totals {
-        self.settled
+    pub(super) const fn settled(&self) -> &Totals {
+        &self.settled
     }
 
     /// What is in memory only is lost. Returns how many events that are.
@@ -193,8 +200,8 @@ impl Backlog {
         });
         let mut totals = None;
         let batches: Vec<_> =
-            chosen.map(|pending| (totals = Some(pending.totals), pending.batch.clone()).1).collect();
-        Some((batches, totals?))
+            chosen.map(|pending| (totals = Some(&pending.totals), pending.batch.clone()).1).collect();
+        Some((batches, totals?.clone()))
     }
 
     /// Batches up to and including this one, with this chain, are in the file. Returns the bytes of those that are
@@ -270,6 +277,13 @@ impl Backlog {
         let before = self.chain(number.checked_sub(1)?)?;
         let batch = self.get(number, unspooled)?;
         let (chain, events, body) = (batch.chain, batch.events, batch.body.clone());
+        if number > self.spooled.0
+            && let Some(pending) = self.pending.iter().find(|pending| pending.batch.number == number)
+        {
+            let Totals { told, handed_in, .. } = &pending.totals;
+            self.sent_unspooled =
+                SentUnspooled { events: handed_in.taken.all + handed_in.dropped.all, told: *told };
+        }
         if number > self.sent {
             self.sent = number;
             self.sent_events += u64::from(events);

@@ -29,8 +29,10 @@ use self::spooling::Spooling;
 use self::under_way::UnderWay;
 use super::intake::{Intake, Room};
 use super::spool::{Reached, SpoolState, Totals};
-use super::{Accounting, Event, Gap, HostDescription, HostSecret, StreamId, ToAggregator, codec};
-use crate::HostId;
+use super::{
+    Accounting, Event, Gap, HandedIn, HostDescription, HostSecret, SentUnspooled, StreamId, ToAggregator, codec,
+};
+use crate::{HostId, RunId};
 
 /// The agent's end of the durable lane, without I/O: told of events, messages, completed work and time, it says what
 /// to do.
@@ -93,10 +95,11 @@ impl Sending {
         // What is held was produced, whatever the file says.
         let held = backlog.held().events;
         let produced = produced.max(dropped.saturating_add(held));
-        let totals = Totals { produced, reached: None, ..spool.totals };
+        let totals =
+            Totals { produced, reached: None, handed_in: HandedIn::default(), ..spool.totals.clone() };
         Self {
-            intake: Intake::new(config, totals),
-            spooling: Spooling::new(&spool, backlog.acknowledged().0, totals),
+            spooling: Spooling::new(&spool, backlog.acknowledged().0, totals.clone()),
+            intake: Intake::new(config, totals, spool.unreported),
             backlog,
             link: Link::Down,
             renewal: None,
@@ -173,7 +176,7 @@ impl Sending {
     /// nobody knows whether it is stored: it counts as well.
     pub fn give_up(&mut self) -> Totals {
         let lost = self.backlog.give_up();
-        self.intake.give_up(lost);
+        self.intake.give_up(lost, &self.backlog.settled().handed_in.taken);
         self.safe_totals()
     }
 
@@ -218,7 +221,7 @@ impl Sending {
     /// What became of the events.
     pub fn accounting(&self) -> Accounting {
         let (open, held, pending) = (self.intake.usage(), self.backlog.held(), self.backlog.pending());
-        let Totals { produced, dropped, gaps, .. } = self.intake.counted();
+        let &Totals { produced, dropped, gaps, .. } = self.intake.counted();
         let waiting = open.events + held.events;
         debug_assert_eq!(produced, self.stored + waiting + dropped, "an event is not accounted for");
         Accounting {
@@ -238,6 +241,38 @@ impl Sending {
         }
     }
 
+    /// Runs that have ended and whose events are all in the spool or dropped, and how many events that are: who counts
+    /// them as well may forget them, and then has them [forgotten](Self::forget_run) here.
+    pub fn settled_runs(&self) -> Vec<(RunId, u64)> {
+        let events = |handed_in: &HandedIn, run| handed_in.taken.of(run) + handed_in.dropped.of(run);
+        let (counted, written) = (&self.intake.counted().handed_in, &self.spooling.written.handed_in);
+        let ended = self.intake.ended().iter().map(|run| (*run, events(counted, *run)));
+        ended.filter(|(run, count)| events(written, *run) == *count).collect()
+    }
+
+    /// Whether no loss is to be reported, now or later.
+    #[cfg(test)]
+    pub(super) fn has_reported_all(&self) -> bool {
+        self.intake.has_reported_all()
+    }
+
+    /// Events that were handed in to this process and are in the spool or dropped, by what the spool itself says.
+    pub const fn settled_events(&self) -> u64 {
+        let handed_in = &self.spooling.written.handed_in;
+        handed_in.taken.all + handed_in.dropped.all
+    }
+
+    /// How far batches were sent that are not in the spool, because it cannot be written. To be kept where it outlives the
+    /// process before their frames go out.
+    pub const fn sent_unspooled(&self) -> SentUnspooled {
+        self.backlog.sent_unspooled()
+    }
+
+    /// A run that has ended is no longer counted separately.
+    pub fn forget_run(&mut self, run: RunId) {
+        self.intake.forget_run(run);
+    }
+
     /// Whose events these are.
     pub const fn host(&self) -> HostId {
         self.host.id
@@ -250,10 +285,17 @@ impl Sending {
 
     /// What was counted, without what is in memory only: true also when that is lost.
     fn safe_totals(&self) -> Totals {
-        let Totals { produced, dropped, .. } = self.intake.counted();
-        let Totals { gaps, told, .. } = self.backlog.settled();
+        let (counted, settled) = (self.intake.counted(), self.backlog.settled());
         let only_here = self.intake.usage().events + self.backlog.pending().events;
-        Totals { produced: produced - only_here, dropped, gaps, told, reached: self.spooling.written.reached }
+        let handed_in = HandedIn { dropped: counted.handed_in.dropped.clone(), ..settled.handed_in.clone() };
+        Totals {
+            produced: counted.produced - only_here,
+            dropped: counted.dropped,
+            gaps: settled.gaps,
+            told: settled.told,
+            handed_in,
+            reached: self.spooling.written.reached,
+        }
     }
 
     /// Numbers what was cut.

@@ -306,24 +306,23 @@ impl Sending {
         let last = batches.last().map(|batch| (batch.number, batch.chain));
         let bytes = batches.iter().map(|batch| batch.body.len() as u64).sum();
         (self.spooling.begun, self.spooling.refused) = (now, false);
-        self.spooling.append.begin(Appending { last, bytes, freed: 0, totals });
+        self.spooling.append.begin(Appending { last, bytes, freed: 0, totals: totals.clone() });
         Some(Action::Append { batches, totals })
     }
 
     /// What is to be written now.
     fn to_append(&self, now: MonoTime) -> Option<(Vec<SpooledBatch>, Totals)> {
-        let (written, spooled) = (self.spooling.written, self.backlog.spooled());
+        let (written, spooled) = (&self.spooling.written, self.backlog.spooled());
         if self.met && !self.is_marked() {
-            return Some((Vec::new(), Totals { reached: self.reaches(spooled), ..written }));
+            return Some((Vec::new(), Totals { reached: self.reaches(spooled), ..written.clone() }));
         }
-        let safe = self.safe_totals();
-        if self.spooling.refused && safe.dropped != written.dropped {
-            return Some((Vec::new(), safe));
+        if self.spooling.refused && self.intake.counted().dropped != written.dropped {
+            return Some((Vec::new(), self.safe_totals()));
         }
         let Some((batches, totals)) = self.backlog.to_append(MOST_APPENDED, MOST_APPENDED_BYTES) else {
-            let totals = safe;
             let due = self.closing || self.losses_due().is_some_and(|due| now >= due);
-            return (due && totals != written).then(|| (Vec::new(), totals));
+            let totals = due.then(|| self.safe_totals()).filter(|totals| totals != written);
+            return totals.map(|totals| (Vec::new(), totals));
         };
         // Before the aggregator is met nothing can be sent.
         let newest = batches.last().map_or(spooled, |batch| batch.number);

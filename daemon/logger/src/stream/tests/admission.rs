@@ -175,12 +175,8 @@ fn what_an_older_database_lacks_of_a_stream_that_was_left_is_noticed_once() {
         Greeting::Welcome { lacking, .. } => lacking,
         other => panic!("expected a welcome, got {other:?}"),
     };
-    let renewed = Hello {
-        previous: Some(old),
-        first: 8,
-        events_before_first: Some(7),
-        ..hello(id, "edge", 1, new, 8)
-    };
+    let renewed =
+        Hello { previous: Some(old), first: 8, events_before_first: Some(7), ..hello(id, "edge", 1, new, 8) };
     let previous = |previous| Known { last: Some(old), previous, ..Known::default() };
     let expected = |from| Some(Lacking { stream: old, from, through: 7, events: Some(8 - from) });
     for (stored, lacks) in [(Some(3), expected(4)), (None, expected(1)), (Some(7), None), (Some(9), None)] {

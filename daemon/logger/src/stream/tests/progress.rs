@@ -96,11 +96,7 @@ fn a_failed_write_is_asked_for_again_with_all_that_followed() {
 fn what_nobody_holds_is_reported_missing_once() {
     for (stored, first, from) in [(3, 1, 4), (0, 1, 1), (0, 5, 5), (3, 6, 4)] {
         let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
-        let hello = Hello {
-            first,
-            events_before_first: Some(first - 1),
-            ..hello(id, "edge", 1, stream, 8)
-        };
+        let hello = Hello { first, events_before_first: Some(first - 1), ..hello(id, "edge", 1, stream, 8) };
         let known = known((stored > 0).then(|| mark(id, stored)));
         let greeting = end.hello(&hello, known, at(0).mono);
         let Greeting::Welcome { missing, .. } = greeting else { panic!("{greeting:?}") };

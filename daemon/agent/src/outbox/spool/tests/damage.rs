@@ -15,12 +15,12 @@ async fn a_file_that_is_no_database_is_put_aside_and_a_new_one_begins() {
     let place = Place::new();
     fs::write(place.path(), b"this is no database at all, and long enough to be seen as none".repeat(100))
         .expect("written");
-    let OpenSpool { mut file, state, aside } = place.open().await.expect("opens");
+    let OpenSpool { mut file, state, aside, .. } = place.open().await.expect("opens");
     let aside = aside.expect("put aside");
     assert_eq!(aside.kept, place.folder.path().join("spool.sqlite.damaged-5"));
     assert!(aside.reason.contains("spool.sqlite"), "{}", aside.reason);
     assert!(fs::read(&aside.kept).expect("kept").starts_with(b"this is no database"));
-    file.append(&batches(Chain::START, 1..=2, 10), totals(6)).await.expect("appends");
+    file.append(&batches(Chain::START, 1..=2, 10), &totals(6)).await.expect("appends");
     drop(file.close().await);
 
     let (file, again) = place.sound().await;
@@ -73,7 +73,7 @@ async fn a_spool_of_a_killed_process_is_one_while_all_of_it_is_in_its_log() {
 async fn a_file_whose_tables_are_broken_is_put_aside() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
-    file.append(&batches(Chain::START, 1..=20, 1000), totals(60)).await.expect("appends");
+    file.append(&batches(Chain::START, 1..=20, 1000), &totals(60)).await.expect("appends");
     drop(file.close().await);
     // All pages but the first, which says what kind of file it is.
     let length = fs::metadata(place.path()).expect("there").len();
@@ -93,7 +93,7 @@ async fn a_rotten_batch_ends_the_list_and_is_named() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     let written = batches(Chain::START, 1..=5, 100);
-    file.append(&written, totals(15)).await.expect("appends");
+    file.append(&written, &totals(15)).await.expect("appends");
     sqlx::query("UPDATE batch SET body = zeroblob(100) WHERE number = 3")
         .execute(file.connection())
         .await
@@ -112,7 +112,7 @@ async fn a_missing_batch_ends_the_list() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     let written = batches(Chain::START, 1..=5, 100);
-    file.append(&written, totals(15)).await.expect("appends");
+    file.append(&written, &totals(15)).await.expect("appends");
     sqlx::query("DELETE FROM batch WHERE number = 3").execute(file.connection()).await.expect("changed");
     assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written[..2]);
     let loaded = file.load(3, usize::MAX).await.expect("loads");
@@ -146,7 +146,7 @@ async fn a_damaged_page_costs_the_batches_on_it_and_no_others() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     let written = batches(Chain::START, 1..=200, 2000);
-    file.append(&written, totals(600)).await.expect("appends");
+    file.append(&written, &totals(600)).await.expect("appends");
     for statement in ["PRAGMA wal_checkpoint(TRUNCATE)", "PRAGMA shrink_memory"] {
         sqlx::query(statement).execute(file.connection()).await.expect("brings all to the file");
     }

@@ -20,16 +20,16 @@ async fn a_full_disk_refuses_all_or_nothing_and_takes_again_what_there_is_room_f
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     let written = batches(Chain::START, 1..=40, 10_000);
-    file.append(&written[..2], totals(6)).await.expect("appends");
+    file.append(&written[..2], &totals(6)).await.expect("appends");
     limit(&mut file, 10).await;
-    let refused = file.append(&written[2..], totals(120)).await.expect_err("no room").to_string();
+    let refused = file.append(&written[2..], &totals(120)).await.expect_err("no room").to_string();
     assert!(refused.contains("the disk is full") && refused.contains("spool.sqlite"), "{refused}");
     assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written[..2], "none of them");
 
-    file.append(&written[2..4], totals(12)).await.expect("two fit");
-    file.append(&written[4..7], totals(21)).await.expect_err("no more do");
+    file.append(&written[2..4], &totals(12)).await.expect("two fit");
+    file.append(&written[4..7], &totals(21)).await.expect_err("no more do");
     file.delete_through(2, written[1].chain).await.expect("deletes");
-    file.append(&written[4..6], totals(18)).await.expect("there is room again");
+    file.append(&written[4..6], &totals(18)).await.expect("there is room again");
     assert_eq!(file.load(3, usize::MAX).await.expect("loads").batches, written[2..6]);
     drop(file.close().await);
     let (_, state) = place.sound().await;
@@ -59,16 +59,16 @@ async fn a_file_that_was_moved_is_not_written_until_it_is_back() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     let written = batches(Chain::START, 1..=2, 10);
-    file.append(&written[..1], totals(3)).await.expect("appends");
+    file.append(&written[..1], &totals(3)).await.expect("appends");
     let away = place.folder.path().join("away");
     fs::rename(place.path(), &away).expect("moved");
-    let refused = file.append(&written[1..], totals(6)).await.expect_err("moved").to_string();
+    let refused = file.append(&written[1..], &totals(6)).await.expect_err("moved").to_string();
     assert!(refused.contains("deleted, moved or replaced"), "{refused}");
     file.delete_through(1, written[0].chain).await.expect_err("moved");
     fs::write(place.path(), b"something else").expect("written");
-    file.append(&written[1..], totals(6)).await.expect_err("replaced");
+    file.append(&written[1..], &totals(6)).await.expect_err("replaced");
     fs::rename(&away, place.path()).expect("moved back");
-    file.append(&written[1..], totals(6)).await.expect("appends");
+    file.append(&written[1..], &totals(6)).await.expect("appends");
     assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written);
 }
 

@@ -13,7 +13,7 @@ async fn a_new_spool_is_empty_and_keeps_its_stream() {
         (1, 1, Chain::START, (0, Chain::START))
     );
     assert_eq!(
-        (fresh.previous, fresh.since, fresh.held, fresh.totals),
+        (fresh.previous, fresh.since, fresh.held, fresh.totals.clone()),
         (None, None, Usage::default(), Totals::default())
     );
     file.close().await.expect("closes");
@@ -28,8 +28,8 @@ async fn batches_totals_and_deletions_are_there_after_it_was_opened_anew() {
     let place = Place::new();
     let (mut file, fresh) = place.sound().await;
     let written = batches(Chain::START, 1..=9, 100);
-    file.append(&written[..4], totals(12)).await.expect("appends");
-    file.append(&written[4..], totals(29)).await.expect("appends");
+    file.append(&written[..4], &totals(12)).await.expect("appends");
+    file.append(&written[4..], &totals(29)).await.expect("appends");
     file.delete_through(3, written[2].chain).await.expect("deletes");
     file.close().await.expect("closes");
 
@@ -54,7 +54,7 @@ async fn an_emptied_spool_knows_where_it_was() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     let written = batches(Chain::START, 1..=2, 10);
-    file.append(&written, totals(6)).await.expect("appends");
+    file.append(&written, &totals(6)).await.expect("appends");
     file.delete_through(2, written[1].chain).await.expect("deletes");
     drop(file.close().await);
     let (_, state) = place.sound().await;
@@ -69,9 +69,9 @@ async fn batches_that_were_stored_without_the_spool_leave_no_hole() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     let made = batches(Chain::START, 1..=7, 10);
-    file.append(&made[..2], totals(6)).await.expect("appends");
+    file.append(&made[..2], &totals(6)).await.expect("appends");
     file.delete_through(5, made[4].chain).await.expect("deletes");
-    file.append(&made[5..], totals(21)).await.expect("appends");
+    file.append(&made[5..], &totals(21)).await.expect("appends");
     assert_eq!(file.load(6, usize::MAX).await.expect("loads").batches, made[5..]);
     drop(file.close().await);
     let (_, state) = place.sound().await;
@@ -83,10 +83,10 @@ async fn a_renewed_spool_goes_on_with_its_batches_under_another_stream() {
     let place = Place::new();
     let (mut file, fresh) = place.sound().await;
     let written = batches(Chain::START, 1..=3, 10);
-    file.append(&written, totals(9)).await.expect("appends");
+    file.append(&written, &totals(9)).await.expect("appends");
     file.delete_through(1, written[0].chain).await.expect("deletes");
     let renewed = StreamId::random();
-    file.renew(renewed, fresh.stream, 2).await.expect("renews");
+    file.renew(renewed, fresh.stream, (2, 3)).await.expect("renews");
     drop(file.close().await);
     let (mut file, state) = place.sound().await;
     assert_eq!((state.stream, state.previous, state.first), (renewed, Some(fresh.stream), 2));
@@ -104,15 +104,15 @@ async fn who_sent_from_the_file_is_remembered() {
         (reached, Totals { reached: Some(reached), ..totals(9) })
     };
     let ((first, as_first), (second, as_second)) = (by(u64::MAX, 2), by(5, 4));
-    file.append(&written[..2], as_first).await.expect("appends");
-    file.append(&[], by(5, 2).1).await.expect("appends");
-    file.append(&written[2..4], as_second).await.expect("appends");
-    file.append(&written[4..], totals(18)).await.expect("appends out of contact");
+    file.append(&written[..2], &as_first).await.expect("appends");
+    file.append(&[], &by(5, 2).1).await.expect("appends");
+    file.append(&written[2..4], &as_second).await.expect("appends");
+    file.append(&written[4..], &totals(18)).await.expect("appends out of contact");
     file.close().await.expect("closes");
     let (mut file, state) = place.sound().await;
     assert_eq!(state.reached, [second, first]);
     for process in 100..200 {
-        file.append(&[], by(process, 6).1).await.expect("appends");
+        file.append(&[], &by(process, 6).1).await.expect("appends");
     }
     file.delete_through(6, written[5].chain).await.expect("deletes");
     file.close().await.expect("closes");
@@ -125,8 +125,8 @@ async fn a_repeated_append_replaces_what_is_there() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     let written = batches(Chain::START, 1..=2, 10);
-    file.append(&written[..1], totals(3)).await.expect("appends");
-    file.append(&written, totals(6)).await.expect("appends what seemed to have failed");
+    file.append(&written[..1], &totals(3)).await.expect("appends");
+    file.append(&written, &totals(6)).await.expect("appends what seemed to have failed");
     assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written);
 }
 

@@ -18,7 +18,7 @@ async fn the_file_is_little_larger_than_what_it_holds_and_shrinks_after_a_backlo
     let (mut file, _) = place.sound().await;
     let written = batches(Chain::START, 1..=40, MIB as usize);
     for some in written.chunks(8) {
-        file.append(some, totals(120)).await.expect("appends");
+        file.append(some, &totals(120)).await.expect("appends");
     }
     let full = pages(&mut file).await;
     assert!((40 * MIB..42 * MIB).contains(&full), "{full}");

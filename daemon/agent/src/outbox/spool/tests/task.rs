@@ -19,7 +19,8 @@ async fn orders_are_done_one_after_the_other_and_answered() {
     task.order(Order::Load { from: 2, bytes: usize::MAX }).expect("takes it");
     task.order(Order::Delete { through: 1, chain: written[0].chain }).expect("takes it");
     let stream = StreamId::random();
-    task.order(Order::Renew { stream, previous: fresh.stream, first: 2, events_before_first: 3 }).expect("takes it");
+    task.order(Order::Renew { stream, previous: fresh.stream, first: 2, events_before_first: 3 })
+        .expect("takes it");
     assert!(matches!(task.done().await, Some(Done::Appended(Ok(())))));
     let Some(Done::Loaded(Ok(loaded))) = task.done().await else { panic!("loads") };
     assert_eq!(loaded.batches, written[1..]);

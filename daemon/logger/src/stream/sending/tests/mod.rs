@@ -98,8 +98,9 @@ impl File {
             newest: self.newest,
             since: oldest.map(|batch| batch.since),
             held: self.batches.values().fold(Usage::default(), |sum, batch| sum + batch.usage()),
-            totals: self.totals,
+            totals: self.totals.clone(),
             reached: self.reached.clone(),
+            unreported: Vec::new(),
         }
     }
 

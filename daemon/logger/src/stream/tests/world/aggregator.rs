@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use bytes::Bytes;
 
 use super::super::*;
-use super::{SECRET, names};
+use super::{SECRET, names, told};
 
 /// What waits for the writer.
 #[derive(Clone, Debug)]
@@ -24,7 +24,7 @@ enum Work {
 #[derive(Clone, Debug, PartialEq)]
 pub(in super::super) enum Entry {
     /// A batch and what is in it.
-    Batch { number: u64, names: Vec<u64> },
+    Batch { number: u64, names: Vec<u64>, told: u64 },
     /// One that was put aside.
     Damaged { number: u64, chain: Chain },
     /// Batches that nobody had any more, and how many events they held.
@@ -239,7 +239,8 @@ impl Database {
                     assert_eq!(head.before, before.chain, "stored behind another batch than its own");
                 }
                 assert_eq!(head.chain, head.before.then(head.events, &body));
-                let entry = Entry::Batch { number: head.number, names: names(head.events, &body) };
+                let (names, told) = (names(head.events, &body), told(head.events, &body));
+                let entry = Entry::Batch { number: head.number, names, told };
                 (head.stream, Mark::from(head), entry)
             }
             Work::Damaged(head) => {

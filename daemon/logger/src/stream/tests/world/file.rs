@@ -15,6 +15,10 @@ pub(in super::super) struct SpoolFile {
     newest: (u64, Chain),
     totals: Totals,
     reached: Vec<Reached>,
+    /// Losses that no gap reports yet, each with what is told once one does.
+    unreported: Vec<(u64, Gap)>,
+    /// What outlives the process in shared memory.
+    pub(super) counted: CountedEvents,
     pub(in super::super) batches: BTreeMap<u64, SpooledBatch>,
 }
 
@@ -29,6 +33,8 @@ impl SpoolFile {
             newest: (0, Chain::START),
             totals: Totals::default(),
             reached: Vec::new(),
+            unreported: Vec::new(),
+            counted: CountedEvents::default(),
             batches: BTreeMap::new(),
         }
     }
@@ -45,12 +51,28 @@ impl SpoolFile {
             newest: self.newest,
             since: oldest.map(|batch| batch.since),
             held: self.batches.values().fold(Usage::default(), |sum, batch| sum + batch.usage()),
-            totals: self.totals,
+            totals: self.totals.clone(),
             reached: self.reached.clone(),
+            unreported: self.unreported.iter().map(|(_, gap)| gap.clone()).collect(),
         }
     }
 
+    /// A process opens it: what the one before took with it is written down, and counting begins anew.
+    pub(super) fn start(&mut self) -> SpoolState {
+        let mut state = self.open();
+        let settled = &self.totals.handed_in;
+        state.lose_tail(&self.counted, &settled.settled(), settled.last);
+        state.totals.handed_in = HandedIn::default();
+        self.totals = state.totals.clone();
+        let mut told = self.totals.told;
+        let told_through = |gap: &Gap| (told += gap.count, (told, gap.clone())).1;
+        self.unreported = state.unreported.iter().map(told_through).collect();
+        self.counted = CountedEvents::default();
+        state
+    }
+
     pub(super) fn append(&mut self, batches: &[SpooledBatch], totals: Totals) {
+        self.unreported.retain(|(told_through, _)| *told_through > totals.told);
         for batch in batches {
             let (newest, chain) = self.newest;
             assert_eq!(batch.number, newest + 1, "numbers in the spool are contiguous");
@@ -94,7 +116,13 @@ impl SpoolFile {
         deleted.into_values().collect()
     }
 
-    pub(super) fn renew(&mut self, stream: StreamId, previous: StreamId, first: u64, events_before_first: u64) {
+    pub(super) fn renew(
+        &mut self,
+        stream: StreamId,
+        previous: StreamId,
+        first: u64,
+        events_before_first: u64,
+    ) {
         assert_eq!(previous, self.stream);
         assert_eq!(first, self.open().oldest, "the new stream begins with what is held");
         (self.stream, self.previous, self.first) = (stream, Some(previous), first);

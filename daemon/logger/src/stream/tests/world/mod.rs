@@ -79,6 +79,7 @@ impl World {
         while let Some(action) = self.sending.next(at(self.now).mono) {
             match action {
                 Action::Send(frame) => {
+                    self.sites[self.site].counted.sent = self.sending.sent_unspooled();
                     let frame = Bytes::from(frame);
                     self.truth.sent(&frame);
                     self.up.push((self.connection, frame));
@@ -92,6 +93,7 @@ impl World {
     pub(super) fn offer(&mut self) {
         self.offered += 1;
         let event = incident(&self.offered.to_string());
+        self.sites[self.site].counted.all += 1;
         self.agent(|sending, now| sending.offer(&event, now));
     }
 
@@ -145,7 +147,7 @@ impl World {
         let file = &mut self.sites[self.site];
         match job {
             Action::Append { batches, totals } => {
-                file.append(batches, *totals);
+                file.append(batches, totals.clone());
                 batches.iter().for_each(|batch| self.truth.appended(batch));
             }
             Action::Load { from, bytes } => return file.load(*from, *bytes),
@@ -250,14 +252,19 @@ impl World {
         self.site = site;
         self.processes += 1;
         self.connection += 1;
-        let spool = self.file().open();
+        let counted = &self.file().counted;
+        self.truth.doubtful |= counted.sent != SentUnspooled::default();
+        let spool = self.sites[self.site].start();
         self.sending = Sending::new(self.config, super::host(self.host, "edge"), SECRET, self.processes, spool);
         self.agent(|sending, now| sending.connected(now.mono));
     }
 
     /// The spool is copied to another machine.
     pub(super) fn copy(&mut self) {
-        self.sites.push(self.file().clone());
+        // Shared memory is not copied with it.
+        let mut copy = self.file().clone();
+        copy.counted = CountedEvents::default();
+        self.sites.push(copy);
         self.truth.copied = true;
     }
 
@@ -315,7 +322,8 @@ impl World {
                 self.deliver_down(0, false);
                 self.check();
             }
-            if self.sending.is_up() && self.sending.is_idle() && self.file().batches.is_empty() {
+            let rests = self.sending.is_idle() && self.sending.has_reported_all();
+            if self.sending.is_up() && rests && self.file().batches.is_empty() {
                 // Its welcome may be that of an aggregator which is no more: the live lane shows it.
                 self.live();
                 if self.down.is_empty() {
@@ -342,8 +350,19 @@ impl World {
     pub(super) fn check_settled(&self) {
         self.check();
         self.truth.check(&self.aggregator);
+        self.truth.check_sum(self.offered, &self.aggregator);
         assert!(self.sites.iter().all(|file| file.batches.is_empty()), "everything was acknowledged");
     }
+}
+
+/// The events that the gaps in a body say are missing.
+fn told(events: u32, body: &[u8]) -> u64 {
+    let events = codec::events(body, events).expect("our own events");
+    let count = |event| match event {
+        Event::Gap(gap) => gap.count,
+        _ => 0,
+    };
+    events.into_iter().map(count).sum()
 }
 
 /// The numbers of the events in a body, in order; gaps are left out.

@@ -6,7 +6,7 @@ use bytes::Bytes;
 
 use super::super::*;
 use super::aggregator::{Aggregator, Database, Entry};
-use super::{SpoolFile, names};
+use super::{SpoolFile, names, told};
 
 #[derive(Clone, Debug, Default)]
 pub(in super::super) struct Truth {
@@ -14,8 +14,8 @@ pub(in super::super) struct Truth {
     spooled: BTreeSet<u64>,
     /// Where each event ever stood in the database.
     places: BTreeMap<u64, BTreeSet<(StreamId, u64)>>,
-    /// What is in the batches that were sent, by their chains.
-    contents: HashMap<Chain, Vec<u64>>,
+    /// What is in the batches that were sent, by their chains: events, and how many the gaps among them tell of.
+    contents: HashMap<Chain, (Vec<u64>, u64)>,
     /// How many events the batches hold that were sent in each stream.
     sizes: BTreeMap<(StreamId, u64), u64>,
     /// What was sent of a batch in parts.
@@ -28,6 +28,8 @@ pub(in super::super) struct Truth {
     pub(super) copied: bool,
     /// The database was replaced by an older copy.
     pub(super) restored: bool,
+    /// A process was killed while batches were sent that the spool could not take: nobody knows which of them are stored.
+    pub(super) doubtful: bool,
 }
 
 impl Truth {
@@ -44,7 +46,7 @@ impl Truth {
         let Some(head) = codec::batch_head(frame) else { return };
         let body = codec::batch_body(frame.clone()).expect("a batch is intact when it is sent");
         self.sizes.insert((head.stream, head.number), head.events.into());
-        if self.contents.insert(head.chain, names(head.events, &body)).is_none() {
+        if self.contents.insert(head.chain, (names(head.events, &body), told(head.events, &body))).is_none() {
             self.bodies.push((head.events, body));
         }
     }
@@ -81,9 +83,9 @@ impl Truth {
     /// The events that an entry stands for, and the batch of each. One that was put aside is there as well.
     fn events(&self, entry: &Entry) -> Vec<(u64, u64)> {
         let (number, names) = match entry {
-            Entry::Batch { number, names } => (*number, names.clone()),
+            Entry::Batch { number, names, .. } => (*number, names.clone()),
             Entry::Damaged { number, chain } => {
-                (*number, self.contents.get(chain).cloned().unwrap_or_default())
+                (*number, self.contents.get(chain).cloned().unwrap_or_default().0)
             }
             Entry::Gap { .. } => return Vec::new(),
         };
@@ -113,9 +115,32 @@ impl Truth {
         self.check_gaps(database);
     }
 
+    /// Whoever was killed whenever: what was handed in is stored or stands in a gap, to the last event.
+    pub(super) fn check_sum(&self, offered: u64, aggregator: &Aggregator) {
+        if self.restored || self.copied || !self.deleted.is_empty() {
+            return;
+        }
+        let entries = aggregator.database.entries.values().flatten();
+        let (mut stored, mut missing) = (0, 0);
+        for entry in entries {
+            stored += self.events(entry).len() as u64;
+            missing += match entry {
+                Entry::Batch { told, .. } => *told,
+                Entry::Damaged { chain, .. } => self.contents.get(chain).map_or(0, |(_, told)| *told),
+                Entry::Gap { .. } => 0,
+            };
+        }
+        assert!(stored + missing <= offered, "{stored} stored and {missing} in gaps of {offered}");
+        assert!(
+            self.doubtful || stored + missing == offered,
+            "{stored} stored and {missing} in gaps of {offered}"
+        );
+    }
+
     /// A gap says how many events its batches held. Of two copies nobody knows which batches the database lacks.
     fn check_gaps(&self, database: &Database) {
-        for (stream, entry) in database.entries.iter().flat_map(|(stream, all)| all.iter().map(move |one| (stream, one)))
+        for (stream, entry) in
+            database.entries.iter().flat_map(|(stream, all)| all.iter().map(move |one| (stream, one)))
         {
             let Entry::Gap { from, through, events } = entry else { continue };
             let held = (*from..=*through).map(|number| self.sizes.get(&(*stream, number)));

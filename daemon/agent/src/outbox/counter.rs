@@ -1,0 +1,272 @@
+//! The number of events, where it outlives a process that is killed.
+//!
+//! Between the moment at which an event is handed in and the commit of its batch, only this process knows of it. So each
+//! event is counted first, in a file in shared memory: the next process compares it with what the spool says of itself, and
+//! reports the difference as a gap.
+//!
+//! The file is in `/dev/shm` and not beside the spool, because a write to a disk waits for that disk now and then, and
+//! measuring must not. Nor is it mapped: a write that fails is an error then, and not the end of the process. After a restart
+//! of the machine the file is gone, and nothing is claimed.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io;
+use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt};
+use std::path::Path;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use peernet_clock::WallTime;
+use peernet_logger::stream::{CountedEvents, CountedRun, MOST_COUNTED_RUNS, SentUnspooled};
+use peernet_logger::{RunId, Slug};
+use rustix::fs::{OFlags, statfs};
+use uuid::Uuid;
+
+/// Where files are that lie in memory.
+const SHARED_MEMORY: &str = "/dev/shm";
+/// `f_type` of such a file system (statfs(2)).
+const TMPFS_MAGIC: i64 = 0x0102_1994;
+/// How the file begins.
+const MAGIC: &[u8; 8] = b"PNcount1";
+/// Bytes of the head, and of the record of each run behind it. None crosses the border of a page.
+const RECORD: usize = 128;
+const HEAD_ALL: u64 = 8;
+const HEAD_SENT: u64 = 24;
+/// Bytes of a record: number of all events, time of the last, number of the run's, its id, length of the pipeline's name, and
+/// the name.
+const NUMBERS: usize = 24;
+const NAME: usize = NUMBERS + 16;
+
+/// Counts events as they are handed in; clones are the same. Without a file it counts nothing.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct EventCounter(Option<Arc<Mutex<Counting>>>);
+
+#[derive(Debug)]
+struct Counting {
+    file: File,
+    name: String,
+    all: u64,
+    /// Place and number of events of each run under way.
+    runs: BTreeMap<RunId, (usize, u64)>,
+    free: Vec<usize>,
+    sent: SentUnspooled,
+    failed: bool,
+}
+
+impl EventCounter {
+    /// Makes a file in shared memory.
+    ///
+    /// # Errors
+    /// When there is none.
+    pub(super) fn create() -> io::Result<Self> {
+        let folder = Path::new(SHARED_MEMORY);
+        if statfs(folder)?.f_type != TMPFS_MAGIC {
+            return Err(io::Error::other(format!("{SHARED_MEMORY} is not in memory")));
+        }
+        let name = format!("peernet-{}.count", Uuid::new_v4());
+        let file = File::options().write(true).create_new(true).mode(0o600).open(folder.join(&name))?;
+        // All of it now: memory that is full later is no trouble of ours.
+        let mut bytes = vec![0; RECORD * (1 + MOST_COUNTED_RUNS)];
+        bytes[..MAGIC.len()].copy_from_slice(MAGIC);
+        file.write_all_at(&bytes, 0)?;
+        let free = (1..=MOST_COUNTED_RUNS).rev().collect();
+        let counting = Counting {
+            file,
+            name,
+            all: 0,
+            runs: BTreeMap::new(),
+            free,
+            sent: SentUnspooled::default(),
+            failed: false,
+        };
+        Ok(Self(Some(Arc::new(Mutex::new(counting)))))
+    }
+
+    /// The name of the file, by which the next process finds it.
+    pub(super) fn name(&self) -> Option<String> {
+        self.counting().map(|counting| counting.name.clone())
+    }
+
+    /// Counts an event that is about to be handed in.
+    pub(crate) fn count(&self, pipeline: Option<&Slug>, run: Option<RunId>, now: WallTime) {
+        if let Some(mut counting) = self.counting() {
+            let written = counting.count(pipeline, run, now);
+            counting.check(written);
+        }
+    }
+
+    /// Notes how far batches were sent that are not in the spool.
+    pub(super) fn sent_unspooled(&self, sent: SentUnspooled) {
+        if let Some(mut counting) = self.counting().filter(|counting| counting.sent != sent) {
+            counting.sent = sent;
+            let bytes = [sent.events.to_be_bytes(), sent.told.to_be_bytes()].concat();
+            let written = counting.file.write_all_at(&bytes, HEAD_SENT);
+            counting.check(written);
+        }
+    }
+
+    /// A run has ended, and the spool accounts for so many of its events: when these are all, its place is free. Returns
+    /// whether it is.
+    pub(super) fn release(&self, run: RunId, events: u64) -> bool {
+        let Some(mut counting) = self.counting() else { return true };
+        let Some((place, counted)) = counting.runs.get(&run).copied() else { return true };
+        if counted == events {
+            let written = counting.release(run, place);
+            counting.check(written);
+        }
+        counted == events
+    }
+
+    /// All events that were counted; `None` when they are not.
+    pub(super) fn all(&self) -> Option<u64> {
+        self.counting().map(|counting| counting.all)
+    }
+
+    /// Removes the file: nothing that was counted can be lost any more.
+    pub(super) fn remove(&self) {
+        if let Some(name) = self.name() {
+            remove(&name);
+        }
+    }
+
+    fn counting(&self) -> Option<MutexGuard<'_, Counting>> {
+        self.0.as_ref().map(|counting| counting.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+impl Counting {
+    fn count(&mut self, pipeline: Option<&Slug>, run: Option<RunId>, now: WallTime) -> io::Result<()> {
+        self.all += 1;
+        let numbers = [self.all.to_be_bytes(), now.unix_nanos().to_be_bytes()].concat();
+        // One write for each event: the larger of the numbers of all events is the true one.
+        let Some(run) = run else { return self.file.write_all_at(&numbers, HEAD_ALL) };
+        if let Some((place, events)) = self.runs.get_mut(&run) {
+            *events += 1;
+            let numbers = [&numbers[..], &events.to_be_bytes()].concat();
+            return self.file.write_all_at(&numbers, (*place * RECORD) as u64);
+        }
+        let Some(place) = self.free.pop() else { return self.file.write_all_at(&numbers, HEAD_ALL) };
+        self.runs.insert(run, (place, 1));
+        let name = pipeline.map_or("", Slug::as_str).as_bytes();
+        let length = u8::try_from(name.len()).unwrap_or_default();
+        let record = [&numbers[..], &1_u64.to_be_bytes(), run.as_bytes(), &[length], name].concat();
+        self.file.write_all_at(&record, (place * RECORD) as u64)
+    }
+
+    fn release(&mut self, run: RunId, place: usize) -> io::Result<()> {
+        self.file.write_all_at(&self.all.to_be_bytes(), HEAD_ALL)?;
+        self.file.write_all_at(&[0; RECORD], (place * RECORD) as u64)?;
+        self.runs.remove(&run);
+        self.free.push(place);
+        Ok(())
+    }
+
+    fn check(&mut self, written: io::Result<()>) {
+        if let Err(error) = written
+            && !std::mem::replace(&mut self.failed, true)
+        {
+            tracing::warn!(
+                %error,
+                "cannot count events in {SHARED_MEMORY}/{}: if the agent is killed, fewer are reported as lost than are",
+                self.name
+            );
+        }
+    }
+}
+
+/// What an earlier process counted in the file of this name; `None` when there is none of ours.
+pub(super) fn read(name: &str) -> Option<CountedEvents> {
+    let ours = |file: &File| {
+        let metadata = file.metadata().ok()?;
+        (metadata.is_file() && metadata.uid() == rustix::process::geteuid().as_raw()).then_some(())
+    };
+    let nofollow = i32::try_from(OFlags::NOFOLLOW.bits()).ok()?;
+    let path = Path::new(SHARED_MEMORY).join(Path::new(name).file_name()?);
+    let file = File::options().read(true).custom_flags(nofollow).open(path).ok()?;
+    ours(&file)?;
+    let mut bytes = vec![0; RECORD * (1 + MOST_COUNTED_RUNS)];
+    file.read_exact_at(&mut bytes, 0).ok()?;
+    let (head, records) = bytes.split_at(RECORD);
+    let number = |bytes: &[u8], at: usize| {
+        bytes[at..].first_chunk().map(|bytes| u64::from_be_bytes(*bytes)).unwrap_or_default()
+    };
+    let time = |bytes: &[u8], at: usize| WallTime::from_unix_nanos(number(bytes, at).cast_signed());
+    if !head.starts_with(MAGIC) {
+        return None;
+    }
+    let sent = SentUnspooled { events: number(head, 24), told: number(head, 32) };
+    let mut counted = CountedEvents { all: number(head, 8), last: time(head, 16), sent, runs: Vec::new() };
+    for record in records.chunks_exact(RECORD) {
+        let (all, last, events) = (number(record, 0), time(record, 8), number(record, 16));
+        if events == 0 {
+            continue;
+        }
+        if all >= counted.all {
+            (counted.all, counted.last) = (all, last);
+        }
+        let run = record[NUMBERS..].first_chunk().map(|id| RunId::from_bytes(*id))?;
+        let name = record[NAME + 1..].get(..record[NAME].into());
+        let pipeline = name.and_then(|name| std::str::from_utf8(name).ok()?.parse().ok());
+        counted.runs.push(CountedRun { run, pipeline, events, last });
+    }
+    Some(counted)
+}
+
+/// Removes the file of this name in shared memory.
+pub(super) fn remove(name: &str) {
+    let Some(name) = Path::new(name).file_name() else { return };
+    match fs::remove_file(Path::new(SHARED_MEMORY).join(name)) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => {
+            tracing::debug!(%error, "the count of events of an earlier process stays in {SHARED_MEMORY}");
+        }
+        _ => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(nanos: i64) -> WallTime {
+        WallTime::from_unix_nanos(nanos)
+    }
+
+    #[test]
+    fn another_process_reads_what_was_counted() {
+        let (counter, line) = (EventCounter::create().expect("shared memory"), "line".parse::<Slug>().ok());
+        let name = counter.name().expect("a file");
+        let (first, second) = (RunId::random(), RunId::random());
+        for n in 1..=5 {
+            counter.count(line.as_ref(), Some(first), at(n));
+        }
+        counter.count(None, None, at(6));
+        counter.count(line.as_ref(), Some(second), at(7));
+        let sent = SentUnspooled { events: 4, told: 1 };
+        counter.sent_unspooled(sent);
+        let run = |run, events, last| CountedRun { run, pipeline: line.clone(), events, last: at(last) };
+        let mut counted = read(&name).expect("readable");
+        counted.runs.sort_by_key(|run| run.last);
+        let runs = vec![run(first, 5, 5), run(second, 1, 7)];
+        assert_eq!(counted, CountedEvents { all: 7, last: at(7), sent, runs });
+
+        assert!(!counter.release(second, 0), "it has an event that the spool does not have");
+        assert!(counter.release(first, 5) && counter.release(second, 1));
+        let counted = read(&name).expect("readable");
+        assert_eq!((counted.all, counted.runs.len()), (7, 0));
+        counter.remove();
+        assert_eq!(read(&name), None);
+    }
+
+    #[test]
+    fn runs_beyond_the_places_count_among_all() {
+        let counter = EventCounter::create().expect("shared memory");
+        let runs: Vec<RunId> = (0..=MOST_COUNTED_RUNS).map(|_| RunId::random()).collect();
+        runs.iter().for_each(|run| counter.count(None, Some(*run), at(1)));
+        let counted = read(&counter.name().expect("a file")).expect("readable");
+        assert_eq!((counted.all, counted.runs.len()), (MOST_COUNTED_RUNS as u64 + 1, MOST_COUNTED_RUNS));
+        assert!(counter.release(runs[0], 1));
+        counter.count(None, Some(RunId::random()), at(2));
+        let counted = read(&counter.name().expect("a file")).expect("readable");
+        assert_eq!((counted.all, counted.runs.len()), (MOST_COUNTED_RUNS as u64 + 2, MOST_COUNTED_RUNS));
+        counter.remove();
+    }
+}

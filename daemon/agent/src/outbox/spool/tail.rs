@@ -1,0 +1,158 @@
+//! What an earlier process took with it when it was killed: found when the spool is opened, told by the next process.
+
+use peernet_clock::WallTime;
+use peernet_logger::RunId;
+use peernet_logger::stream::{Gap, RunCounts, SpoolState};
+use sqlx::{FromRow, SqliteConnection};
+
+use crate::outbox::counter::{self, EventCounter};
+
+/// What the file says of the process before.
+#[derive(FromRow)]
+struct Before {
+    counter: Option<String>,
+    counted: Option<Vec<u8>>,
+    counted_ns: Option<i64>,
+}
+
+/// A loss that no gap reports yet.
+#[derive(FromRow)]
+struct Unreported {
+    pipeline: Option<String>,
+    run: Option<String>,
+    from_ns: i64,
+    to_ns: i64,
+    count: i64,
+    reason: String,
+}
+
+/// Counts as they stand in a row.
+pub(super) fn encoded(counts: &RunCounts) -> Vec<u8> {
+    let mut bytes = counts.all.to_be_bytes().to_vec();
+    for (run, events) in &counts.runs {
+        bytes.extend(run.as_bytes());
+        bytes.extend(events.to_be_bytes());
+    }
+    bytes
+}
+
+fn decoded(bytes: &[u8]) -> Option<RunCounts> {
+    let (all, runs) = bytes.split_first_chunk()?;
+    let mut counts = RunCounts { all: u64::from_be_bytes(*all), ..RunCounts::default() };
+    for entry in runs.chunks_exact(24) {
+        let (run, events) = entry.split_first_chunk::<16>()?;
+        counts.runs.insert(RunId::from_bytes(*run), u64::from_be_bytes(*events.first_chunk()?));
+    }
+    Some(counts)
+}
+
+/// The losses that no gap reports yet, in the order in which they are told.
+pub(super) async fn unreported(connection: &mut SqliteConnection) -> Result<Vec<Gap>, sqlx::Error> {
+    let rows: Vec<Unreported> = sqlx::query_as(
+        "SELECT pipeline, run, from_ns, to_ns, count, reason FROM unreported ORDER BY told_through",
+    )
+    .fetch_all(connection)
+    .await?;
+    let gap = |row: Unreported| Gap {
+        pipeline: row.pipeline.and_then(|name| name.parse().ok()),
+        run: row.run.and_then(|id| id.parse().ok()),
+        from: WallTime::from_unix_nanos(row.from_ns),
+        to: WallTime::from_unix_nanos(row.to_ns),
+        count: row.count.cast_unsigned(),
+        reason: row.reason,
+    };
+    Ok(rows.into_iter().map(gap).collect())
+}
+
+/// Finds out what the process before lost, writes it down, and begins to count anew: one transaction, so that each loss is
+/// told once whoever is killed when. Without shared memory nothing is counted.
+pub(super) async fn begin(
+    connection: &mut SqliteConnection,
+    state: &mut SpoolState,
+) -> Result<EventCounter, sqlx::Error> {
+    let before: Before = sqlx::query_as("SELECT counter, counted, counted_ns FROM stream WHERE id = 1")
+        .fetch_one(&mut *connection)
+        .await?;
+    let mut lost = 0;
+    if let Some(counted) = before.counter.as_deref().and_then(counter::read) {
+        let settled = before.counted.as_deref().and_then(decoded).unwrap_or_default();
+        lost = state.lose_tail(&counted, &settled, before.counted_ns.map(WallTime::from_unix_nanos));
+    }
+    let counter = EventCounter::create().unwrap_or_else(|error| {
+        tracing::warn!(%error, "there is no shared memory to count events in: what is lost when the agent is killed is not reported");
+        EventCounter::default()
+    });
+    sqlx::query("BEGIN IMMEDIATE").execute(&mut *connection).await?;
+    let written = match write(connection, state, &counter).await {
+        Ok(()) => sqlx::query("COMMIT").execute(&mut *connection).await.map(drop),
+        failed => failed,
+    };
+    if let Err(error) = written {
+        counter.remove();
+        if let Err(error) = sqlx::query("ROLLBACK").execute(connection).await {
+            tracing::debug!(%error, "nothing to roll back in the spool");
+        }
+        return Err(error);
+    }
+    if let Some(name) = &before.counter {
+        counter::remove(name);
+    }
+    if lost > 0 {
+        tracing::warn!(
+            events = lost,
+            "the agent was killed before these events reached its spool; a gap reports them"
+        );
+    }
+    Ok(counter)
+}
+
+async fn write(
+    connection: &mut SqliteConnection,
+    state: &SpoolState,
+    counter: &EventCounter,
+) -> Result<(), sqlx::Error> {
+    sqlx::query(
+        "UPDATE stream SET produced = ?, dropped = ?, told = ?, counter = ?, counted = NULL, counted_ns = NULL \
+         WHERE id = 1",
+    )
+    .bind(state.totals.produced.cast_signed())
+    .bind(state.totals.dropped.cast_signed())
+    .bind(state.totals.told.cast_signed())
+    .bind(counter.name())
+    .execute(&mut *connection)
+    .await?;
+    sqlx::query("DELETE FROM unreported").execute(&mut *connection).await?;
+    let mut told = state.totals.told;
+    for gap in &state.unreported {
+        told += gap.count;
+        sqlx::query(
+            "INSERT INTO unreported (told_through, pipeline, run, from_ns, to_ns, count, reason) \
+             VALUES (?, ?, ?, ?, ?, ?, ?)",
+        )
+        .bind(told.cast_signed())
+        .bind(gap.pipeline.as_ref().map(ToString::to_string))
+        .bind(gap.run.map(|run| run.to_string()))
+        .bind(gap.from.unix_nanos())
+        .bind(gap.to.unix_nanos())
+        .bind(gap.count.cast_signed())
+        .bind(gap.reason.as_str())
+        .execute(&mut *connection)
+        .await?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_are_read_as_they_were_written() {
+        let mut counts = RunCounts::default();
+        counts.add(Some(RunId::random()), 7);
+        counts.add(Some(RunId::random()), 1 << 40);
+        counts.add(None, 2);
+        assert_eq!(decoded(&encoded(&counts)), Some(counts));
+        assert_eq!(decoded(&[1, 2]), None);
+    }
+}
