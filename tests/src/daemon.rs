@@ -78,7 +78,7 @@ impl Daemon {
     }
 
     /// Kills it (-9) and waits for its end.
-    pub fn kill(&mut self) {
+    pub fn kill(&mut self) -> Ended {
         let ended = self.take().kill();
         assert_eq!(
             std::os::unix::process::ExitStatusExt::signal(&ended.status),
@@ -88,6 +88,7 @@ impl Daemon {
             ended.log
         );
         self.keep(&ended);
+        ended
     }
 
     /// Stops it with SIGTERM. It must end well.

@@ -87,7 +87,7 @@ pub(super) const METRICS: &[Metric] = &[
     metric((Counter, "host_spooled", "events"), HOST, "Events written to the agent's spool, or stored without it while its disk failed; by the agent's account.", |s, to| hosts::each(s, to, |host| Sample::Count(host.accounting.spooled))),
     metric((Counter, "host_sent", "events"), HOST, "Events sent at least once; by the agent's account.", |s, to| hosts::each(s, to, |host| Sample::Count(host.accounting.sent))),
     metric((Counter, "host_acknowledged", "events"), HOST, "Events acknowledged as stored; by the agent's account.", |s, to| hosts::each(s, to, |host| Sample::Count(host.accounting.stored))),
-    metric((Counter, "host_dropped", "events"), HOST, "Events dropped for want of room and counted in gaps; by the agent's account.", |s, to| hosts::each(s, to, |host| Sample::Count(host.accounting.dropped))),
+    metric((Counter, "host_dropped", "events"), HOST, "Events dropped for want of room or lost when the agent was killed, and counted in gaps; by the agent's account.", |s, to| hosts::each(s, to, |host| Sample::Count(host.accounting.dropped))),
     metric((Counter, "host_reported", "gaps"), HOST, "Gaps that the agent reported.", |s, to| hosts::each(s, to, |host| Sample::Count(host.accounting.gaps))),
     metric((Gauge, "host_waiting", "events"), HOST, "Events that wait on the agent, in memory or in its spool.", |s, to| hosts::each(s, to, |host| Sample::Size(host.accounting.waiting))),
     metric((Gauge, "host_lag", "seconds"), HOST, "How far storing is behind measuring: age of the oldest event that waits; 0 when none does.", |s, to| hosts::each(s, to, hosts::lag)),

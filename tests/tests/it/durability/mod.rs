@@ -1,6 +1,7 @@
 //! Stored data survives what operators do to machines.
 
 mod database_file;
+mod lost_events;
 mod memory;
 
-use super::stream::setting;
+use super::stream::{setting, turn};

@@ -18,7 +18,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use peernet_tests::{Fleet, Ledger};
 
 /// These tests keep all cores busy: one after the other, none is slowed down beyond patience by the others.
-fn turn() -> MutexGuard<'static, ()> {
+pub(super) fn turn() -> MutexGuard<'static, ()> {
     static TURN: Mutex<()> = Mutex::new(());
     // One that failed has cleaned up all the same.
     TURN.lock().unwrap_or_else(PoisonError::into_inner)

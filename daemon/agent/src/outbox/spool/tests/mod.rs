@@ -4,6 +4,7 @@ mod damage;
 mod disk;
 mod file;
 mod growth;
+mod tail;
 mod tally;
 mod task;
 

@@ -1,0 +1,67 @@
+//! What a killed process took with it.
+
+use peernet_logger::stream::{HandedIn, KILLED};
+use peernet_logger::{RunId, Slug};
+
+use super::*;
+use crate::outbox::EventCounter;
+
+fn at(nanos: i64) -> WallTime {
+    WallTime::from_unix_nanos(nanos)
+}
+
+/// So many events of a run are handed in.
+fn hand_in(counter: &EventCounter, run: RunId, events: u64) {
+    let pipeline: Slug = "line".parse().expect("a name");
+    (0..events).for_each(|n| counter.count(Some(&pipeline), Some(run), at(n.cast_signed())));
+}
+
+/// So many events of a run are in batches, and so many lost ones are told.
+fn settled(run: RunId, events: u64, told: u64, before: &Totals) -> Totals {
+    let mut handed_in = HandedIn { last: Some(at(1)), ..HandedIn::default() };
+    handed_in.taken.add(Some(run), events);
+    Totals { produced: before.produced + events, told, handed_in, ..before.clone() }
+}
+
+#[tokio::test]
+async fn killed_process_leaves_its_losses_until_they_are_told() {
+    let (place, run) = (Place::new(), RunId::random());
+    let OpenSpool { mut file, state, counter, .. } = place.open().await.expect("opens");
+    hand_in(&counter, run, 10);
+    file.append(&batches(Chain::START, 1..=2, 10), &settled(run, 6, 0, &state.totals)).await.expect("appends");
+    drop((file, counter));
+
+    let second = RunId::random();
+    let OpenSpool { file, state, counter, .. } = place.open().await.expect("opens");
+    let lost = |state: &SpoolState| -> Vec<_> {
+        state.unreported.iter().map(|gap| (gap.run, gap.count, gap.reason.clone())).collect()
+    };
+    assert_eq!((state.totals.produced, state.totals.dropped, state.totals.told), (10, 4, 0));
+    assert_eq!(lost(&state), [(Some(run), 4, KILLED.to_owned())]);
+    assert_eq!((state.unreported[0].from, state.unreported[0].to), (at(1), at(9)));
+    // Killed again before it could tell of that, and with an event of its own.
+    hand_in(&counter, second, 1);
+    drop((file, counter));
+
+    let OpenSpool { mut file, state, counter, .. } = place.open().await.expect("opens");
+    let both = [(Some(run), 4, KILLED.to_owned()), (Some(second), 1, KILLED.to_owned())];
+    assert_eq!((lost(&state), state.totals.dropped), (both.to_vec(), 5));
+    let third = RunId::random();
+    hand_in(&counter, third, 3);
+    file.append(&batches(state.newest.1, 3..=3, 10), &settled(third, 3, 4, &state.totals)).await.expect("appends");
+    drop((file, counter));
+
+    let (_, state) = place.sound().await;
+    assert_eq!(lost(&state), both[1..], "what was told is not told again");
+}
+
+#[tokio::test]
+async fn lost_counter_proves_nothing() {
+    let (place, run) = (Place::new(), RunId::random());
+    let OpenSpool { file, counter, .. } = place.open().await.expect("opens");
+    hand_in(&counter, run, 10);
+    counter.remove();
+    drop((file, counter));
+    let (_, state) = place.sound().await;
+    assert_eq!((state.totals, state.unreported), (Totals::default(), Vec::new()));
+}
