@@ -7,27 +7,30 @@ use crate::Refusal;
 /// One reason is told at most so often, whoever it concerns.
 const EVERY: Span = Span::from_seconds(60);
 
-/// When each reason was told last.
+/// When each reason was told last, and how many probes were refused for it since.
 #[derive(Debug)]
 pub(crate) struct Complaints {
     key: bool,
-    told: [Option<MonoTime>; Refusal::ALL.len()],
+    reasons: [(Option<MonoTime>, u64); Refusal::ALL.len()],
 }
 
 impl Complaints {
     /// Of a reflector with or without a key.
     pub(crate) fn new(key: bool) -> Self {
-        Self { key, told: [None; Refusal::ALL.len()] }
+        Self { key, reasons: [(None, 0); Refusal::ALL.len()] }
     }
 
-    /// What to do about it, if it is time to tell it.
-    pub(crate) fn due(&mut self, why: Refusal, now: MonoTime) -> Option<&'static str> {
-        let told = &mut self.told[why as usize];
+    /// Counts a refused probe. If it is time to tell the reason: how many there were since it was told last, and what
+    /// to do about it.
+    pub(crate) fn due(&mut self, why: Refusal, now: MonoTime) -> Option<(u64, &'static str)> {
+        let (told, count) = &mut self.reasons[why as usize];
+        *count += 1;
         if told.is_some_and(|told| now - told < EVERY) {
             return None;
         }
         *told = Some(now);
-        Some(match (why, self.key) {
+        let count = std::mem::take(count);
+        let advice = match (why, self.key) {
             (Refusal::Short, true) => {
                 "it was probably sent without a key: with [probes] key_file both ends need the same key"
             }
@@ -35,11 +38,15 @@ impl Complaints {
                 "its sender has another key or none: with [probes] key_file both ends need the same key"
             }
             (Refusal::TooOften, _) => "raise [probes] max_per_source_hz here, or lower rate_hz there",
+            (Refusal::TooMany, _) => {
+                "peers with a session are answered as before; see who sends so many, or raise [probes] max_per_source_hz"
+            }
             (Refusal::Short, false) | (Refusal::NoPort | Refusal::Reply, _) => {
                 "it is none of a peer's probes: see who sends it"
             }
             (Refusal::NotSent, _) => "see whether this machine's network or firewall lets UDP out",
-        })
+        };
+        Some((count, advice))
     }
 }
 
@@ -58,13 +65,16 @@ mod tests {
             told.extend(complaints.due(Refusal::Short, clock.mono()));
             clock.advance(Span::from_millis(100));
         }
-        assert_eq!(told.len(), 3, "{told:?}");
-        assert!(told.iter().all(|advice| advice.contains("key_file")), "{told:?}");
+        let counts: Vec<u64> = told.iter().map(|(count, _)| *count).collect();
+        assert_eq!(counts, [1, 600, 600], "{told:?}");
+        assert!(told.iter().all(|(_, advice)| advice.contains("key_file")), "{told:?}");
         assert!(complaints.due(Refusal::Unauthenticated, clock.mono()).is_some(), "another reason");
         assert!(
-            complaints.due(Refusal::TooOften, clock.mono()).is_some_and(|advice| !advice.contains("key"))
+            complaints
+                .due(Refusal::TooOften, clock.mono())
+                .is_some_and(|(_, advice)| !advice.contains("key"))
         );
         let advice = Complaints::new(false).due(Refusal::Short, clock.mono());
-        assert!(advice.is_some_and(|advice| !advice.contains("key")), "{advice:?}");
+        assert!(advice.is_some_and(|(_, advice)| !advice.contains("key")), "{advice:?}");
     }
 }

@@ -2,10 +2,11 @@
 
 use std::collections::VecDeque;
 use std::io;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::time::Duration;
 
 use peernet_clock::{SharedClock, WallTime};
+use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use crate::complaints::Complaints;
@@ -32,7 +33,8 @@ pub struct ReflectorConfig {
     pub key: Option<Key>,
     /// A number that this process chose at random: answers tell it, so that a prober knows whose clock they are of.
     pub instance: u64,
-    /// Most answers per second to one source: an IPv4 address, or an IPv6 network of 64 bits.
+    /// Most answers per second to one source: an IPv4 address, or an IPv6 network of 64 bits. All sources that have no
+    /// session ([`Reflector::peers`]) get at most ten times as many together.
     pub max_per_source_hz: u32,
     /// Where packet stamps are made.
     pub stamps: Stamps,
@@ -69,8 +71,8 @@ pub enum BindError {
 
 /// Answers probes (the session-reflector of RFC 8762).
 ///
-/// It is of no use for attacks: an answer has the length of its request, each source has a limit, with a key the rest
-/// of the world gets nothing, and what looks like a reply is never answered, so that two reflectors (or a reflector and
+/// It is of no use for attacks: an answer has the length of its request, each source has a limit, all sources without a
+/// session have one together, with a key the rest of the world gets nothing, and what looks like a reply is never answered, so that two reflectors (or a reflector and
 /// an echo service) cannot be set on each other. It keeps a bounded memory of sources and sessions.
 #[derive(Debug)]
 pub struct Reflector {
@@ -78,6 +80,7 @@ pub struct Reflector {
     logic: Reflecting,
     clock: SharedClock,
     figures: ReflectorFigures,
+    peers: watch::Sender<Vec<IpAddr>>,
     /// Replies whose stamp of departure may still come.
     departing: VecDeque<(Token, SessionId, u32)>,
     complaints: Complaints,
@@ -105,6 +108,7 @@ impl Reflector {
             logic: Reflecting::new(config.key, config.instance, config.max_per_source_hz, config.stateful),
             clock,
             figures: ReflectorFigures::default(),
+            peers: watch::Sender::default(),
             departing: VecDeque::new(),
         })
     }
@@ -117,6 +121,12 @@ impl Reflector {
     /// What it did; stays valid while it runs.
     pub fn figures(&self) -> ReflectorFigures {
         self.figures.clone()
+    }
+
+    /// Where to send the addresses of all peers that have a session with this host, whenever they change: forged source
+    /// addresses cannot use up what these are answered.
+    pub fn peers(&self) -> watch::Sender<Vec<IpAddr>> {
+        self.peers.clone()
     }
 
     /// In words where its packet stamps are made, as [`Prober::stamps_in_words`](crate::Prober::stamps_in_words).
@@ -132,10 +142,17 @@ impl Reflector {
         self.socket.check().await;
         let mut buffer = vec![0; MAX_PACKET];
         let mut failures = 0;
+        let mut peers = self.peers.subscribe();
+        peers.mark_changed();
         loop {
             let failed = tokio::select! {
                 biased;
                 () = stop.cancelled() => return Ok(()),
+                // Before the first probe of a peer whose session was just opened.
+                Ok(()) = peers.changed() => {
+                    self.logic.set_peers(&peers.borrow_and_update());
+                    None
+                }
                 // Before the next request, which asks for it.
                 departure = self.socket.departure() => match departure {
                     Ok((token, left)) => {
@@ -173,9 +190,12 @@ impl Reflector {
     }
 
     fn complain(&mut self, why: Refusal, source: SocketAddr) {
-        if let Some(advice) = self.complaints.due(why, self.clock.mono()) {
+        if let Some((count, advice)) = self.complaints.due(why, self.clock.mono()) {
             let (why, listen) = (why.in_words(), self.address());
-            tracing::warn!(%source, %listen, "a probe was refused: {why}; {advice} (told once a minute at most)");
+            tracing::warn!(
+                %source, %listen, count,
+                "a probe was refused: {why}; {advice} (told once a minute at most, with the number since then)"
+            );
         }
     }
 

@@ -27,7 +27,8 @@ pub struct ProbesConfig {
     pub key_file: Option<PathBuf>,
     /// Bytes added to each probe (RFC 8972, extra padding); at most 1300. Default: 0.
     pub padding_bytes: u16,
-    /// Probes per second that are answered for one address; 1 to 10000. Default: 100.
+    /// Probes per second that are answered for one address (of IPv6: for one network of 64 bits); 1 to 10000. All addresses
+    /// without a session on this host together get ten times as many. Default: 100.
     pub max_per_source_hz: u32,
 }
 

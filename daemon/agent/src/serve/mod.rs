@@ -10,6 +10,7 @@ pub use reflector::ReflectorError;
 pub use served::Served;
 
 use std::collections::HashMap;
+use std::net::IpAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -20,6 +21,7 @@ use peernet_networks::{
     Announcer, Failure, Incoming, IncomingRequest, Listener, MAX_CONDITIONS, OpenRequest, SessionAccepted,
     SessionId,
 };
+use peernet_probes::Reflector;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
@@ -45,6 +47,7 @@ pub(crate) async fn run(
         hardware,
         served,
         peers: HashMap::new(),
+        probing: doors.reflector.as_ref().map(Reflector::peers),
         asked: Asked::default(),
     };
     let announcer = doors.listener.announcer();
@@ -143,6 +146,8 @@ struct Peer {
     host: HostId,
     name: Slug,
     pipeline: Slug,
+    /// Where its connection, and so its probes, come from.
+    address: Option<IpAddr>,
     pool: Arc<Pool>,
     /// Where its requests and their answers are counted, if they are.
     counted: Option<(Arc<AtomicU64>, Arc<watch::Sender<Served>>)>,
@@ -155,6 +160,8 @@ struct Server {
     hardware: Hardware,
     served: Arc<watch::Sender<Served>>,
     peers: HashMap<SessionId, Peer>,
+    /// Tells the reflector the addresses of the peers with a session.
+    probing: Option<watch::Sender<Vec<IpAddr>>>,
     asked: Asked,
 }
 
@@ -168,12 +175,17 @@ impl Server {
                 let text =
                     format!("{name} opened a session for its pipeline {pipeline} with {}", pool.name());
                 let (session, accepted) = (wish.session, self.accepted(&pool, conditions));
+                let address = wish.address.map(|address| address.ip());
+                // Before the peer knows where to send its probes.
+                self.tell_reflector(address);
                 if wish.accept(accepted) {
                     let counts = self.named.built_in.as_ref() != Some(pool.name());
                     let counted = counts.then(|| (self.asked.by(host, &pipeline), Arc::clone(&self.served)));
-                    self.peers.insert(session, Peer { host, name, pipeline, pool, counted });
+                    self.peers.insert(session, Peer { host, name, pipeline, address, pool, counted });
                     self.served.send_modify(|served| served.sessions = self.peers.len());
                     self.report(IncidentKind::Connected, host, text);
+                } else {
+                    self.tell_reflector(None);
                 }
             }
             Err(error) => {
@@ -184,6 +196,14 @@ impl Server {
                 wish.refuse(error.to_peer(&asked));
                 self.report(IncidentKind::Refused, host, text);
             }
+        }
+    }
+
+    /// Tells the reflector which addresses have a session, with one that is being opened.
+    fn tell_reflector(&self, opening: Option<IpAddr>) {
+        if let Some(probing) = &self.probing {
+            let open = self.peers.values().filter_map(|peer| peer.address);
+            probing.send_replace(open.chain(opening).collect());
         }
     }
 
@@ -233,6 +253,7 @@ impl Server {
     fn closed(&mut self, session: SessionId, said_goodbye: bool, ordered: Option<u64>) {
         // A session that was never accepted has nothing to take leave of.
         let Some(Peer { host, name, pipeline, counted, .. }) = self.peers.remove(&session) else { return };
+        self.tell_reflector(None);
         let is_farewell = said_goodbye && counted.is_some();
         let missed = if is_farewell { self.asked.missed(host, &pipeline, ordered) } else { 0 };
         self.served.send_modify(|served| {

@@ -194,7 +194,8 @@ fn heard(shared: &Arc<Shared>, peer: &Peer, frames: Frames, received: (Stamp, u3
     match heard {
         Heard::Open(session, hello) => {
             shared.settle(peer.connection);
-            Some(Incoming::Open(OpenRequest::new(*hello, session, Arc::downgrade(shared))))
+            let wish = OpenRequest::new(*hello, session, peer.address, Arc::downgrade(shared));
+            Some(Incoming::Open(wish))
         }
         Heard::Request(request) => incoming_request(shared, peer, request, frames, received),
         Heard::Answer(header) => {

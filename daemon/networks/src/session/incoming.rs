@@ -1,5 +1,6 @@
 //! What a listener hands out.
 
+use std::net::SocketAddr;
 use std::sync::Weak;
 
 use peernet_clock::Stamp;
@@ -34,12 +35,19 @@ pub struct OpenRequest {
     pub hello: SessionHello,
     /// The session's id, if it is accepted.
     pub session: SessionId,
+    /// Where its connection comes from, if that is known.
+    pub address: Option<SocketAddr>,
     shared: Option<Weak<Shared>>,
 }
 
 impl OpenRequest {
-    pub(crate) const fn new(hello: SessionHello, session: SessionId, shared: Weak<Shared>) -> Self {
-        Self { hello, session, shared: Some(shared) }
+    pub(crate) const fn new(
+        hello: SessionHello,
+        session: SessionId,
+        address: Option<SocketAddr>,
+        shared: Weak<Shared>,
+    ) -> Self {
+        Self { hello, session, address, shared: Some(shared) }
     }
 
     /// Opens the session; requests of it may arrive from now on. Returns whether the edge is still there.

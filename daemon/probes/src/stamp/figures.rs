@@ -16,14 +16,23 @@ pub enum Refusal {
     NoPort,
     /// Its source asked too often.
     TooOften,
+    /// All sources without a session together asked too often.
+    TooMany,
     /// The answer could not be sent.
     NotSent,
 }
 
 impl Refusal {
     /// All of them.
-    pub const ALL: [Self; 6] =
-        [Self::Short, Self::Unauthenticated, Self::Reply, Self::NoPort, Self::TooOften, Self::NotSent];
+    pub const ALL: [Self; 7] = [
+        Self::Short,
+        Self::Unauthenticated,
+        Self::Reply,
+        Self::NoPort,
+        Self::TooOften,
+        Self::TooMany,
+        Self::NotSent,
+    ];
 
     /// In a few words, for people and for labels.
     pub const fn in_words(self) -> &'static str {
@@ -33,6 +42,7 @@ impl Refusal {
             Self::Reply => "a reply, not a request",
             Self::NoPort => "from port 0",
             Self::TooOften => "more than its source may ask",
+            Self::TooMany => "more than all sources without a session may ask together",
             Self::NotSent => "the answer could not be sent",
         }
     }

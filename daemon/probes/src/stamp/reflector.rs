@@ -3,7 +3,7 @@
 //! An answer is made in the request's own bytes, so that it has the request's length, whatever the request: a
 //! reflector cannot amplify.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 
 use peernet_clock::{Clock, MonoTime, Span, WallTime};
 
@@ -16,7 +16,7 @@ use super::timestamp::ErrorEstimate;
 use super::tlv::{self, FollowUp, Origin};
 use super::uncertainty;
 
-/// Sessions that are remembered at least.
+/// STAMP sessions that are remembered at least, of peers and of others each.
 const SESSIONS: usize = 4096;
 
 /// A reflector takes far less than this between receiving and replying.
@@ -28,7 +28,25 @@ pub struct Reflecting {
     key: Option<Key>,
     instance: u64,
     limiter: Limiter,
-    sessions: Option<Recent<SessionId, Session>>,
+    sessions: Option<Sessions>,
+}
+
+/// The STAMP sessions of peers and those of others, apart: forged source addresses make the reflector forget only the
+/// latter.
+#[derive(Debug)]
+struct Sessions {
+    peers: Recent<SessionId, Session>,
+    others: Recent<SessionId, Session>,
+}
+
+impl Sessions {
+    fn new() -> Self {
+        Self { peers: Recent::new(SESSIONS), others: Recent::new(SESSIONS) }
+    }
+
+    fn table(&mut self, session: &SessionId) -> &mut Recent<SessionId, Session> {
+        if session.is_peer { &mut self.peers } else { &mut self.others }
+    }
 }
 
 /// Where and when a packet came.
@@ -47,6 +65,7 @@ pub struct Arrival {
 pub struct SessionId {
     source: SocketAddr,
     ssid: u16,
+    is_peer: bool,
 }
 
 #[derive(Debug, Default)]
@@ -79,8 +98,14 @@ impl Reflecting {
     /// A reflector that has not seen anybody. With a key it answers only what the key authenticates; `stateful` tells
     /// sessions apart; `instance` tells it from others in its answers.
     pub fn new(key: Option<Key>, instance: u64, max_per_source_hz: u32, stateful: bool) -> Self {
-        let sessions = stateful.then(|| Recent::new(SESSIONS));
+        let sessions = stateful.then(Sessions::new);
         Self { key, instance, limiter: Limiter::new(max_per_source_hz), sessions }
+    }
+
+    /// Replaces the addresses of the peers that have a session with this host: each has a rate of its own, which nobody
+    /// else can use up.
+    pub fn set_peers(&mut self, addresses: &[IpAddr]) {
+        self.limiter.set_peers(addresses);
     }
 
     /// Turns a request into its answer, in place; [`complete`](Self::complete) stamps it.
@@ -100,12 +125,13 @@ impl Reflecting {
         if is_reply(mode, packet, arrival.received) {
             return Err(Refusal::Reply);
         }
-        if !self.limiter.allows(arrival.source, arrival.now) {
-            return Err(Refusal::TooOften);
-        }
+        let address = arrival.source.ip();
+        self.limiter.admit(address, arrival.now)?;
 
-        let id = SessionId { source: arrival.source, ssid: asked.ssid };
-        let session = self.sessions.as_mut().map(|sessions| &*sessions.entry(id, Session::default));
+        let is_peer = self.limiter.is_peer(address);
+        let id = SessionId { source: arrival.source, ssid: asked.ssid, is_peer };
+        let session =
+            self.sessions.as_mut().map(|sessions| &*sessions.table(&id).entry(id, Session::default));
         let format = asked.estimate.format();
         let tlvs = &mut packet[mode.base_bytes()..];
         let intact = tlv::are_intact(self.key.as_ref(), asked.sequence, tlvs);
@@ -153,7 +179,7 @@ impl Reflecting {
     /// The answer was sent, not before `stamp`. Only now its number is used up.
     pub fn sent(&mut self, answer: &Answer, stamp: WallTime) {
         if let Some(sessions) = &mut self.sessions {
-            let session = sessions.entry(answer.session, Session::default);
+            let session = sessions.table(&answer.session).entry(answer.session, Session::default);
             session.next = answer.sequence().wrapping_add(1);
             session.last = Some((answer.sequence(), stamp));
         }
@@ -162,7 +188,10 @@ impl Reflecting {
     /// The kernel's stamp of a reply's departure. Believed if it fits between the program's and the longest that a
     /// packet can wait here.
     pub fn departed(&mut self, session: &SessionId, sequence: u32, left: WallTime) {
-        let last = self.sessions.as_mut().and_then(|sessions| sessions.get_mut(session)?.last.as_mut());
+        let last = self
+            .sessions
+            .as_mut()
+            .and_then(|sessions| sessions.table(session).get_mut(session)?.last.as_mut());
         if let Some((number, stamp)) = last
             && *number == sequence
             && (Span::ZERO..=LONGEST_ANSWER).contains(&(left - *stamp))

@@ -1,60 +1,121 @@
-//! How often each source is answered.
+//! How many probes are answered, and whose.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, Ipv4Addr};
 
 use peernet_clock::{MonoTime, Span};
+use peernet_probes::Refusal;
 use peernet_probes::stamp::limiter::Limiter;
+use proptest::prelude::*;
 
-fn source(text: &str) -> SocketAddr {
+fn address(text: &str) -> IpAddr {
     text.parse().expect("an address")
 }
 
-fn allowed(limiter: &mut Limiter, source: SocketAddr, now: MonoTime, asked: usize) -> usize {
-    (0..asked).filter(|_| limiter.allows(source, now)).count()
+fn forged(number: u32) -> IpAddr {
+    Ipv4Addr::from(0x0B00_0000 + number).into()
+}
+
+fn admitted(limiter: &mut Limiter, address: IpAddr, now: MonoTime, asked: usize) -> usize {
+    (0..asked).filter(|_| limiter.admit(address, now).is_ok()).count()
 }
 
 #[test]
 fn a_source_has_one_seconds_worth_and_then_its_rate() {
     let mut limiter = Limiter::new(20);
-    let (one, start) = (source("10.0.0.1:1000"), MonoTime::from_nanos(5));
-    assert_eq!(allowed(&mut limiter, one, start, 100), 20);
+    let (one, start) = (address("10.0.0.1"), MonoTime::from_nanos(5));
+    assert_eq!(admitted(&mut limiter, one, start, 100), 20);
     let mut later = start;
     let mut sum = 0;
     for _ in 0..100 {
         later = later + Span::from_millis(100);
-        sum += allowed(&mut limiter, one, later, 50);
+        sum += admitted(&mut limiter, one, later, 50);
     }
     assert_eq!(sum, 200, "ten seconds at twenty a second");
-    assert_eq!(allowed(&mut limiter, one, later + Span::from_seconds(3600), 100), 20, "no more is saved up");
+    assert_eq!(admitted(&mut limiter, one, later + Span::from_seconds(3600), 100), 20, "no more is saved up");
 }
 
 #[test]
-fn ports_share_and_addresses_do_not() {
+fn an_ipv6_network_is_one_source() {
     let mut limiter = Limiter::new(5);
     let now = MonoTime::from_nanos(0);
-    assert_eq!(allowed(&mut limiter, source("10.0.0.1:1000"), now, 9), 5);
-    assert_eq!(allowed(&mut limiter, source("10.0.0.1:2000"), now, 9), 0);
-    assert_eq!(
-        allowed(&mut limiter, source("[::ffff:10.0.0.1]:2000"), now, 9),
-        0,
-        "the same in other clothes"
-    );
-    assert_eq!(allowed(&mut limiter, source("10.0.0.2:1000"), now, 9), 5);
-    assert_eq!(allowed(&mut limiter, source("[2001:db8::1]:1"), now, 9), 5);
-    assert_eq!(allowed(&mut limiter, source("[2001:db8::ffff:1]:1"), now, 9), 0, "one network, one source");
-    assert_eq!(allowed(&mut limiter, source("[2001:db8:0:1::1]:1"), now, 9), 5);
+    assert_eq!(admitted(&mut limiter, address("10.0.0.1"), now, 9), 5);
+    assert_eq!(admitted(&mut limiter, address("::ffff:10.0.0.1"), now, 9), 0, "the same in other clothes");
+    assert_eq!(admitted(&mut limiter, address("10.0.0.2"), now, 9), 5);
+    assert_eq!(admitted(&mut limiter, address("2001:db8::1"), now, 9), 5);
+    assert_eq!(admitted(&mut limiter, address("2001:db8::ffff:1"), now, 9), 0, "one network, one source");
+    assert_eq!(admitted(&mut limiter, address("2001:db8:0:1::1"), now, 9), 5);
 }
 
 #[test]
-fn a_crowd_of_sources_locks_nobody_out_and_does_not_free_who_keeps_asking() {
+fn forged_sources_share_one_rate() {
     let mut limiter = Limiter::new(5);
-    let flood = source("10.0.0.1:1");
     let now = MonoTime::from_nanos(0);
-    assert_eq!(allowed(&mut limiter, flood, now, 9), 5);
-    for forged in 0..100_000u32 {
-        let forged = SocketAddr::from((std::net::Ipv4Addr::from(0x0B00_0000 + forged), 7));
-        assert!(limiter.allows(forged, now), "each has a bucket of its own");
-        assert!(!limiter.allows(flood, now), "it is remembered as long as it asks");
+    let answered = (0..100_000).filter(|number| limiter.admit(forged(*number), now).is_ok()).count();
+    assert_eq!(answered, 50, "ten times the rate of one");
+    assert_eq!(limiter.admit(address("10.9.9.9"), now), Err(Refusal::TooMany));
+}
+
+#[test]
+fn reopened_sessions_do_not_refill_the_bucket() {
+    let mut limiter = Limiter::new(5);
+    let (peer, now) = (address("10.0.0.1"), MonoTime::from_nanos(0));
+    for _ in 0..3 {
+        limiter.set_peers(&[peer]);
+        admitted(&mut limiter, peer, now, 9);
+        assert_eq!(limiter.admit(peer, now), Err(Refusal::TooOften));
+        limiter.set_peers(&[]);
+        assert_eq!(limiter.admit(peer, now), Err(Refusal::TooOften));
     }
-    assert_eq!(allowed(&mut limiter, source("10.9.9.9:1"), now, 9), 5);
+}
+
+proptest! {
+    /// A peer with a session that asks at its rate is always answered, whatever forged sources do.
+    #[test]
+    fn peers_are_answered_during_any_flood(
+        rate in 1u32..200,
+        flood in proptest::collection::vec((0u32..20_000, 0usize..40), 1..300),
+    ) {
+        let mut limiter = Limiter::new(rate);
+        let peer = address("192.0.2.1");
+        limiter.set_peers(&[peer]);
+        let interval = Span::from_nanos(1_000_000_000 / i64::from(rate));
+        let mut now = MonoTime::from_nanos(0);
+        for (source, count) in flood {
+            for number in 0..count {
+                let _ = limiter.admit(forged(source + number as u32), now);
+            }
+            prop_assert_eq!(limiter.admit(peer, now), Ok(()));
+            now = now + interval;
+        }
+    }
+
+    /// Neither one source nor all without a session together get more than one second's worth beyond their rate.
+    #[test]
+    fn replies_never_exceed_the_rates(
+        rate in 1u32..50,
+        arrivals in proptest::collection::vec((0u32..6, 0i64..20_000_000, any::<bool>()), 1..2000),
+    ) {
+        let mut limiter = Limiter::new(rate);
+        let mut now = MonoTime::from_nanos(0);
+        let mut replies: Vec<(u32, bool, MonoTime)> = Vec::new();
+        for (source, pause, is_peer) in arrivals {
+            now = now + Span::from_nanos(pause);
+            // Sessions come and go meanwhile.
+            if source == 0 {
+                let peers = [forged(0)];
+                limiter.set_peers(&peers[..usize::from(is_peer)]);
+            }
+            let has_session = limiter.is_peer(forged(source));
+            if limiter.admit(forged(source), now).is_ok() {
+                replies.push((source, has_session, now));
+            }
+        }
+        let seconds = (now - MonoTime::from_nanos(0)).seconds();
+        for source in 0..6 {
+            let count = replies.iter().filter(|reply| reply.0 == source).count();
+            prop_assert!(count as f64 <= f64::from(rate) * (1.0 + seconds) + 1.0, "{source}: {count}");
+        }
+        let others = replies.iter().filter(|reply| !reply.1).count();
+        prop_assert!(others as f64 <= f64::from(rate * 10) * (1.0 + seconds) + 1.0, "{others}");
+    }
 }

@@ -1,6 +1,6 @@
 //! Two ends on loopback.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -56,6 +56,7 @@ pub(crate) fn prober_config(target: SocketAddr) -> ProberConfig {
 pub(crate) struct Running {
     pub(crate) address: SocketAddr,
     pub(crate) figures: ReflectorFigures,
+    pub(crate) peers: watch::Sender<Vec<IpAddr>>,
     stop: CancellationToken,
     task: JoinHandle<Result<(), String>>,
 }
@@ -64,9 +65,10 @@ impl Running {
     pub(crate) fn start(config: ReflectorConfig, clock: SharedClock) -> Self {
         let reflector = Reflector::bind(config, clock).expect("loopback has free ports");
         let (address, figures) = (reflector.address(), reflector.figures());
+        let peers = reflector.peers();
         let stop = CancellationToken::new();
         let task = tokio::spawn(reflector.run(stop.clone()));
-        Self { address, figures, stop, task }
+        Self { address, figures, peers, stop, task }
     }
 
     pub(crate) async fn stop(self) {

@@ -1,0 +1,60 @@
+//! A reflector among forged probes.
+
+use std::net::Ipv4Addr;
+use std::time::Duration;
+
+use peernet_probes::{ProbeResult, ReflectorConfig, Refusal};
+use tokio::net::UdpSocket;
+
+use crate::support::{PATIENCE, Probing, Running, prober_config, reflector_config, system_clock};
+
+/// Probes that the reflector took from its socket.
+fn looked_at(running: &Running) -> u64 {
+    let counts = running.figures.read();
+    counts.answered + counts.refused.iter().map(|(_, count)| count).sum::<u64>()
+}
+
+/// Forged sources, as far as loopback has them: each packet comes from an address of its own.
+#[tokio::test]
+async fn peers_are_answered_while_forged_sources_flood() {
+    let config = ReflectorConfig { max_per_source_hz: 20, ..reflector_config() };
+    let running = Running::start(config, system_clock("cloud"));
+    running.peers.send_replace(vec![running.address.ip()]);
+    let mut sockets = Vec::new();
+    for number in 0..500u32 {
+        let source = Ipv4Addr::from(0x7F01_0000 + number);
+        sockets.push(UdpSocket::bind((source, 0)).await.expect("loopback has this address"));
+    }
+    let clock = system_clock("edge");
+    let begun = clock.mono();
+    let mut config = prober_config(running.address);
+    config.timeout = Duration::from_secs(2);
+    let mut probing = Probing::start(config, 20.0, system_clock("edge"));
+    let (mut answered, mut sent) = (0, 0);
+    while answered < 40 {
+        for some in sockets.chunks(100) {
+            for socket in some {
+                socket.send_to(&[0; 44], running.address).await.expect("sent");
+                sent += 1;
+            }
+            // The socket's buffer holds some 250 packets: what is beyond is lost before anybody can choose.
+            let looked_at = async {
+                while looked_at(&running) < sent {
+                    tokio::task::yield_now().await;
+                }
+            };
+            tokio::time::timeout(PATIENCE, looked_at).await.expect("all are looked at");
+        }
+        while let Ok(result) = probing.results.try_recv() {
+            assert_ne!(result, ProbeResult::Lost, "after {answered} answers and {sent} forged probes");
+            answered += u32::from(matches!(result, ProbeResult::Answered(_)));
+        }
+    }
+    let seconds = (clock.mono() - begun).seconds();
+    let counts = running.figures.read();
+    let most = 200.0 * (1.0 + seconds) + f64::from(answered) + 1.0;
+    assert!((counts.answered as f64) <= most, "{} in {seconds} s: {counts:?}", counts.answered);
+    assert!(counts.refused(Refusal::TooMany) > 0, "{counts:?}");
+    probing.stop().await;
+    running.stop().await;
+}

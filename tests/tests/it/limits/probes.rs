@@ -1,0 +1,67 @@
+//! Forged probes from an unknown host.
+
+use peernet_tests::network::Host;
+use peernet_tests::{Network, Plant, until};
+
+/// Where probes are answered.
+const PORT: &str = "8620";
+
+/// More than twice what a reflector without limits was seen to answer would not fit beside other tests.
+const PER_SECOND: u64 = 10_000;
+const SECONDS: u64 = 4;
+
+/// What all without a session get together, each second and once at first (docs/configuration.md).
+const ANSWERED_HZ: u64 = 1_000;
+
+/// UDP packets that a host sent so far.
+fn sent(host: &Host) -> u64 {
+    let counts = host.run("cat", &["/proc/net/snmp"]);
+    let udp = counts.lines().filter(|line| line.starts_with("Udp:")).nth(1).expect("the kernel counts");
+    udp.split_whitespace().nth(4).and_then(|count| count.parse().ok()).expect("OutDatagrams")
+}
+
+/// The edge's probes so far: those that were sent, and those that nobody answered.
+fn probes(plant: &Plant) -> (u64, u64) {
+    let counts =
+        plant.ask("SELECT coalesce(sum(probes_sent), 0), coalesce(sum(probes_lost), 0) FROM clock_sample");
+    let mut counts = counts.split('|').map(|count| count.trim().parse::<u64>().expect("a number"));
+    (counts.next().expect("two columns"), counts.next().expect("two columns"))
+}
+
+#[test]
+fn peers_probes_are_answered_during_forged_flood() {
+    let plant = Plant::new(|_| Network::direct().with_third_host());
+    let (cloud, third) = (plant.network.cloud(), plant.network.third());
+    // Forged addresses arrive, and their answers leave.
+    for interface in ["all", "third"] {
+        cloud.run("sysctl", &["-qw", &format!("net.ipv4.conf.{interface}.rp_filter=0")]);
+    }
+    cloud.run("ip", &["route", "add", "11.0.0.0/8", "via", &third.address.to_string()]);
+    let _cloud = plant.cloud("");
+    let pipeline = plant.pipeline("steady", 100, "load = { mode = \"rate\", hz = 20.0 }");
+    let _edge = plant.edge(&format!("[probes]\nrate_hz = 50.0\n{pipeline}"), &[]);
+    until("probes", || (probes(&plant).0 > 50).then_some(()));
+
+    let (before, out_before) = (probes(&plant), sent(cloud));
+    let script = peernet_tests::root().join("tests/tests/it/limits/forged_probes.py");
+    let arguments = [
+        &script.display().to_string(),
+        &plant.network.third_faces().to_string(),
+        PORT,
+        &PER_SECOND.to_string(),
+        &SECONDS.to_string(),
+    ];
+    let forged = third.run("python3", &arguments.map(String::as_str));
+    let forged: u64 = forged.trim().parse().expect("the script prints a number");
+    let out = sent(cloud) - out_before;
+    // A probe is lost after two seconds.
+    let during = before.0 + 50 * SECONDS;
+    until("what became of the probes", || (probes(&plant).0 > during + 150).then_some(()));
+    let lost = probes(&plant).1 - before.1;
+
+    assert!(forged > ANSWERED_HZ * (SECONDS + 2) * 2, "too few to tell: {forged}");
+    // Those of the edge are among them.
+    let most = ANSWERED_HZ * (SECONDS + 2) + 100 * SECONDS;
+    assert!(out <= most, "{out} answers to {forged} forged probes");
+    assert!(lost * 20 <= 50 * SECONDS, "{lost} of the edge's probes were lost");
+}
