@@ -110,7 +110,7 @@ mod tests {
         let command = CommandLine::Shell("sh 'my arm.sh'".to_owned());
         let config = ExecConfig { folder: Some(folder.path().to_owned()), ..ExecConfig::of(command) };
         let facts = ActuatorConfig::Exec(config).facts();
-        assert_eq!(facts[0], ("Actuator".to_owned(), "the program sh 'my arm.sh'".to_owned()));
+        assert_eq!(facts[0], ("Actuator".to_owned(), "the program sh".to_owned()));
         assert_eq!(facts[1].0, "Actuator files");
         assert!(facts[1].1.contains("/my arm.sh SHA-256 ba7816bf"), "{facts:?}");
     }

@@ -8,7 +8,7 @@ mod log;
 mod none;
 
 use peernet_clock::SharedClock;
-use peernet_external::exec::{ExecConfig, Role};
+use peernet_external::exec::{ExecConfig, FingerprintKey, Role};
 use peernet_external::hide_values;
 use peernet_logger::Recorder;
 use peernet_sample::Sample;
@@ -70,6 +70,14 @@ impl ActuatorConfig {
             Self::None {} => Vec::new(),
             Self::Log {} => vec![("Actuator".to_owned(), "log".to_owned())],
             Self::Exec(config) => config.facts(Role::Actuator),
+        }
+    }
+
+    /// What tells programs with different arguments apart, as a fact; the arguments themselves may be secret.
+    pub fn arguments(&self, key: &FingerprintKey) -> Option<(String, String)> {
+        match self {
+            Self::Exec(config) => config.arguments(Role::Actuator, key),
+            Self::None {} | Self::Log {} => None,
         }
     }
 

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use peernet_clock::{MonoTime, SharedClock};
+use peernet_external::exec::FingerprintKey;
 use peernet_inference::{Bank, LoadError};
 use peernet_logger::Slug;
 use peernet_logger::stream::{Event, HostDescription, HostMetrics, IncidentKind, LiveUpdate, PipelineState};
@@ -15,6 +16,7 @@ use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
+use crate::argument_key::argument_key;
 use crate::check::{Problem, check, remarks};
 use crate::conditions::Places;
 use crate::config::{AgentConfig, PipelineConfig, StartMode};
@@ -104,13 +106,15 @@ async fn start(
 ) -> Result<Running, StartError> {
     let name = config.agent.host_name()?;
     let state = StateLock::take(&config.agent.state_dir)?;
+    close_to_others(&config);
     let id = host_id(&config.agent.state_dir)?;
+    let fingerprints = argument_key(&config.agent.state_dir)?;
     let spool = crate::outbox::open_spool(&config, id, &clock).await?;
     let counter = spool.as_ref().map(|spool| spool.counter.clone()).unwrap_or_default();
     let (feed, exit) = crate::outbox::entrance(&config.agent, &clock, counter);
     let feed = feed.tapped(tap.clone());
     let incidents = Incidents::new(Arc::clone(&clock), feed.clone());
-    let bank = Arc::new(bank(&config, &clock, incidents.clone()));
+    let bank = Arc::new(bank(&config, &clock, fingerprints.clone(), incidents.clone()));
     let (publish, own) = watch::channel(host_clock::not_asked_yet(&clock));
     let near = Near {
         name: name.clone(),
@@ -122,8 +126,20 @@ async fn start(
     let probes = ProbeSettings::read(&config.probes, &config.clock)?;
     let links = Links::new(near, &config.clock, probes.clone());
     let places = Arc::new(Places::of(&config));
-    let host =
-        Host { id, name, version, clock, bank, feed, incidents, runs: Runs::default(), own, links, places };
+    let host = Host {
+        id,
+        name,
+        version,
+        clock,
+        bank,
+        fingerprints,
+        feed,
+        incidents,
+        runs: Runs::default(),
+        own,
+        links,
+        places,
+    };
     let io = IoThreads::start(config.agent.io_threads).map_err(StartError::Threads)?;
     let doors = io.within(Doors::open(&config, &probes, &host)).await?;
     let serves = doors.as_ref().map(|doors| doors.address().clone());
@@ -176,6 +192,14 @@ async fn start(
     tracing::info!(host = %host.name, id = %host.id, "the agent is up");
     let stop_timeout = config.agent.stop_timeout();
     Ok(Running { host, board, metrics, serves, tasks, outbox, served, tap, stop_timeout, io, _state: state })
+}
+
+/// Takes away what others may do with the agent's files: those of earlier builds, and those that `peernet` just made.
+fn close_to_others(config: &AgentConfig) {
+    let folder = &config.agent.state_dir;
+    let mut changed = peernet_permissions::close_folder(folder, &["host-id", "lock"]);
+    changed.extend(peernet_permissions::close_database(&config.spool.path(folder)));
+    peernet_permissions::log_changes(&changed);
 }
 
 impl Running {
@@ -277,13 +301,18 @@ async fn unload(bank: Arc<Bank>, patience: Duration) -> Result<(), Failure> {
     Ok(())
 }
 
-fn bank(config: &AgentConfig, clock: &SharedClock, incidents: Incidents) -> Bank {
+fn bank(
+    config: &AgentConfig,
+    clock: &SharedClock,
+    fingerprints: FingerprintKey,
+    incidents: Incidents,
+) -> Bank {
     let bank = Bank::new(config.models.clone(), config.onnxruntime.clone(), Arc::clone(clock));
     let bank = match serve::calibration(config) {
         Some(built_in) => bank.with_built_in(built_in),
         None => bank,
     };
-    bank.with_folders(config.bank.clone()).on_load(move |pool| {
+    bank.with_folders(config.bank.clone()).with_fingerprints(fingerprints).on_load(move |pool| {
         let text =
             format!("loaded {} on {} in {:.2} s", pool.name(), pool.device(), pool.loaded_in().seconds());
         incidents.report(IncidentKind::ModelLoaded, Concerning::default(), text);

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use peernet_clock::SharedClock;
+use peernet_external::exec::FingerprintKey;
 use peernet_inference::Bank;
 use peernet_logger::stream::HostClock;
 use peernet_logger::{HostId, Slug};
@@ -23,6 +24,8 @@ pub(crate) struct Host {
     pub(crate) version: &'static str,
     pub(crate) clock: SharedClock,
     pub(crate) bank: Arc<Bank>,
+    /// What the arguments of programs are told by.
+    pub(crate) fingerprints: FingerprintKey,
     pub(crate) feed: Feed,
     pub(crate) incidents: Incidents,
     pub(crate) runs: Runs,

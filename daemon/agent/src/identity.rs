@@ -156,7 +156,7 @@ pub(crate) fn existing_secret(state_dir: &Path) -> Result<Option<HostSecret>, Id
 }
 
 /// Says beside the system's words what was tried, and on what.
-fn cannot(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> IdentityError + use<> {
+pub(crate) fn cannot(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> IdentityError + use<> {
     let path = path.to_owned();
     move |source| IdentityError::Io { action, path, source }
 }

@@ -14,6 +14,7 @@
 //! ```
 
 mod agent;
+mod argument_key;
 mod check;
 pub mod conditions;
 pub mod config;
@@ -36,6 +37,7 @@ mod tasks;
 mod telemetry;
 
 pub use agent::{Agent, Running};
+pub use argument_key::{argument_key, share_argument_key};
 pub use check::Problem;
 pub use config::AgentConfig;
 pub use error::StartError;

@@ -77,6 +77,7 @@ impl Aggregator {
         if let Some(folder) = config.database.parent() {
             std::fs::create_dir_all(folder).map_err(|error| cannot_open(error.into()))?;
         }
+        peernet_permissions::log_changes(&peernet_permissions::close_database(&config.database));
         let (database, state) = OpenDatabase::open(&config.database, config.retention).await?;
         let StoredState { streams, runs, unknown, hosts, known } = state;
         let (socket, address) = socket::listen(&config).await?;

@@ -15,6 +15,7 @@ use std::thread;
 use std::time::Duration;
 
 use peernet_clock::{SharedClock, Span};
+use peernet_external::exec::FingerprintKey;
 use peernet_logger::Slug;
 
 use crate::echo::Echo;
@@ -41,6 +42,7 @@ pub struct Bank {
     runtime: OnnxRuntimeConfig,
     clock: SharedClock,
     on_load: Option<Observer>,
+    fingerprints: Option<FingerprintKey>,
 }
 
 type Observer = Box<dyn Fn(&Pool) + Send + Sync>;
@@ -57,7 +59,15 @@ impl Bank {
             runtime,
             clock,
             on_load: None,
+            fingerprints: None,
         }
+    }
+
+    /// Facts tell programs with different arguments apart, by fingerprints made with this key.
+    #[must_use]
+    pub fn with_fingerprints(mut self, key: FingerprintKey) -> Self {
+        self.fingerprints = Some(key);
+        self
     }
 
     /// One more model, which only those get who ask for it by name.
@@ -257,7 +267,7 @@ impl Bank {
         };
         let sizes = Sizes { workers: config.workers(), queue: config.queue() };
         let pool = Pool::start(config.name().clone(), model, sizes, &self.clock, begun)?;
-        Ok(pool.telling(config.facts()))
+        Ok(pool.telling(config.facts(self.fingerprints.as_ref())))
     }
 }
 

@@ -110,7 +110,7 @@ pub enum LoadError {
     Program {
         /// The model.
         model: String,
-        /// The program and its arguments.
+        /// The program without its arguments, which may be secret.
         command: String,
         /// What went wrong.
         error: ExchangeError,

@@ -1,6 +1,7 @@
 //! What a model was told, for whoever is to offer it again elsewhere.
 
 use peernet_external::environment;
+use peernet_external::exec::{FingerprintKey, Role};
 use serde_json::Value;
 
 use crate::ModelConfig;
@@ -12,8 +13,11 @@ const VARIABLES: &str = "env";
 
 impl ModelConfig {
     /// Its settings and the environment that it runs in, as pairs for people.
-    pub(crate) fn facts(&self) -> Vec<(String, String)> {
+    pub(crate) fn facts(&self, key: Option<&FingerprintKey>) -> Vec<(String, String)> {
         let mut facts = vec![("Model settings".to_owned(), self.settings())];
+        if let (Self::Exec(config), Some(key)) = (self, key) {
+            facts.extend(config.process().arguments(Role::Model, key));
+        }
         facts.extend(environment().into_iter().map(|(name, value)| (format!("Model {name}"), value)));
         facts
     }

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use peernet_external::exec::ExecConfig;
+use peernet_external::exec::{ExecConfig, FingerprintKey, Role};
 use peernet_external::hide_values;
 use peernet_external::python::PythonConfig;
 use peernet_imaging::Filter;
@@ -62,6 +62,14 @@ pub enum SensorConfig {
 }
 
 impl SensorConfig {
+    /// What tells programs with different arguments apart, as a fact; the arguments themselves may be secret.
+    pub fn arguments(&self, key: &FingerprintKey) -> Option<(String, String)> {
+        match self {
+            Self::Exec(config) => config.arguments(Role::Sensor, key),
+            Self::Python(_) | Self::Images { .. } | Self::Text { .. } | Self::Synthetic { .. } => None,
+        }
+    }
+
     /// Takes out what may not be published: the values of `env`.
     pub fn hide_secrets(&mut self) {
         match self {

@@ -35,7 +35,7 @@ pub enum SensorError {
     /// A program that gave no sample.
     #[error("the program {command}: {error}")]
     Program {
-        /// The program and its arguments.
+        /// The program without its arguments, which may be secret.
         command: String,
         /// What went wrong.
         error: ExchangeError,

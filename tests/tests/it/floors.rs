@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use cargo_metadata::{DependencyKind, MetadataCommand};
 
 const FLOORS: [&[&str]; 6] = [
-    &["peernet-clock", "peernet-sample", "peernet-statistics"],
+    &["peernet-clock", "peernet-permissions", "peernet-sample", "peernet-statistics"],
     &["peernet-logger", "peernet-imaging", "peernet-external"],
     &[
         "peernet-sensors",

@@ -13,6 +13,7 @@ mod external;
 mod figures;
 mod floors;
 mod lifecycle;
+mod limits;
 mod maintenance;
 mod models;
 mod ownership;

@@ -58,7 +58,8 @@ pub struct AgentConfig {
 }
 
 impl AgentConfig {
-    /// As it may be published: without the values of `env`, which may be secret.
+    /// Without the values of `env`, which may be secret, for `run.json`. The arguments of programs are still there, which may
+    /// be secret as well: it is for the user alone.
     pub fn publishable(&self) -> Self {
         let mut told = self.clone();
         told.models.iter_mut().for_each(ModelConfig::hide_secrets);

@@ -55,7 +55,7 @@ pub struct PipelineConfig {
 }
 
 impl PipelineConfig {
-    /// As it may be published: without the values of `env`, which may be secret.
+    /// Without the values of `env`, which may be secret. The arguments of programs are still there.
     pub(crate) fn publishable(&self) -> Self {
         let mut told = self.clone();
         told.sensor.hide_secrets();

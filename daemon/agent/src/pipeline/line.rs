@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use peernet_clock::{MonoTime, SharedClock};
+use peernet_external::exec::FingerprintKey;
 use peernet_sensors::{Transform, build_transform};
 
 use super::acting::Acting;
@@ -37,11 +38,13 @@ impl Line {
         config: Arc<PipelineConfig>,
         display: Arc<Display>,
         clock: SharedClock,
+        fingerprints: &FingerprintKey,
     ) -> Result<Self, String> {
         let sensor = peernet_sensors::open(&config.sensor, &clock).map_err(|error| error.to_string())?;
         let transforms = config.transforms.iter().map(build_transform).collect::<Result<Vec<_>, _>>();
         let transforms = transforms.map_err(|error| error.to_string())?;
         let mut facts = sensor.facts();
+        facts.extend(config.sensor.arguments(fingerprints));
         if !transforms.is_empty() {
             facts.push(("Transforms".to_owned(), in_words(&transforms)));
         }
@@ -50,6 +53,7 @@ impl Line {
             facts.push(("In flight".to_owned(), format!("at most {}", config.max_in_flight)));
         }
         facts.extend(config.actuator.facts());
+        facts.extend(config.actuator.arguments(fingerprints));
         let senses = Senses::new(Chain { sensor, transforms }, &config.name)
             .map_err(|error| format!("cannot start a thread for the sensor: {error}"))?;
         Ok(Self {

@@ -1,6 +1,7 @@
 //! One run: its description, its numbers, its events.
 
 use peernet_clock::{MonoTime, Stamp, WallTime};
+use peernet_external::exec::hide_arguments;
 use peernet_logger::stream::{
     Condition, Event, Iteration, Outcome, Placement as Description, RunDescription, RunEnded,
 };
@@ -136,6 +137,8 @@ fn day(at: WallTime) -> i64 {
 
 /// The pipeline's table, as it could stand in a configuration file, without what may be secret.
 fn configuration(config: &PipelineConfig) -> String {
-    toml::to_string(&config.publishable())
-        .unwrap_or_else(|error| format!("# cannot be written down: {error}\n"))
+    toml::to_string(&config.publishable()).map_or_else(
+        |error| format!("# cannot be written down: {error}\n"),
+        |configuration| hide_arguments(&configuration),
+    )
 }

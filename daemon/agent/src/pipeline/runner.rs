@@ -125,9 +125,10 @@ impl Runner {
     /// Sets up sensor, transforms and actuator on a thread that may block.
     async fn assemble(&self) -> Result<Line, String> {
         let (config, display) = (Arc::clone(&self.config), Arc::clone(&self.display));
-        let clock = Arc::clone(&self.host.clock);
+        let (clock, fingerprints) = (Arc::clone(&self.host.clock), self.host.fingerprints.clone());
         self.display.set_senses_since(Some(clock.mono()));
-        let assembled = tokio::task::spawn_blocking(move || Line::assemble(config, display, clock)).await;
+        let assembling = move || Line::assemble(config, display, clock, &fingerprints);
+        let assembled = tokio::task::spawn_blocking(assembling).await;
         self.display.set_senses_since(None);
         assembled.unwrap_or_else(|error| Err(format!("setting up the sensor panicked: {error}")))
     }

@@ -4,18 +4,23 @@ use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::fmt;
 use std::num::NonZeroU64;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use peernet_clock::Span;
 use serde::{Deserialize, Serialize};
 
-use super::Role;
+use super::arguments::fact_of;
 use super::shell::{only_program, script, split};
+use super::{FingerprintKey, Role};
 use crate::digest;
 use crate::process::{MAX_TIMEOUT_MS, find_program, impossible_variable};
 
 /// Most files of a command that are told.
 const MOST_FILES: usize = 4;
+
+/// The permission bit of everybody who is neither the owner nor in the group.
+const READ_BY_OTHERS: u32 = 0o004;
 
 /// A command: a line for the shell, or a program with its arguments.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -89,17 +94,25 @@ impl ExecConfig {
         }
     }
 
-    /// What it is, for the run's page: the command, and the files that it names, each with its SHA-256, with the role before
-    /// each name. Reads those files.
+    /// What it is, for the run's page: the program without its arguments, which may be secret, and the files that the command
+    /// names, each with its SHA-256, with the role before each name. Reads those files.
     pub fn facts(&self, role: Role) -> Vec<(String, String)> {
         let heading = role.heading();
-        let mut facts = vec![(heading.to_owned(), format!("the program {}", self.command))];
+        let mut facts = vec![(heading.to_owned(), fact_of(&self.command))];
         facts.extend(digest::fact(heading, &self.files(role)));
         facts
     }
 
+    /// What tells runs with different arguments apart without telling the arguments: the fact (`Sensor arguments`,
+    /// `2, fingerprint 8a5e1f0c92d3`); `None` without arguments.
+    pub fn arguments(&self, role: Role, key: &FingerprintKey) -> Option<(String, String)> {
+        let told = self.command.fingerprint(key)?;
+        Some((format!("{} arguments", role.heading()), told))
+    }
+
     /// The files that the command names, as far as that can be told by looking: the program, and its script or data. Of an
-    /// actuator the script alone: what else it names may be what it writes.
+    /// actuator the script alone: what else it names may be what it writes. A file that not everybody on the host may read,
+    /// such as one of passwords, is left out, unless it is the program or its script.
     fn files(&self, role: Role) -> Vec<PathBuf> {
         let (program, words) = match &self.command {
             CommandLine::Shell(line) => (only_program(line), split(line)),
@@ -109,14 +122,18 @@ impl ExecConfig {
         let on_path = on_path.and_then(|program| find_program(OsStr::new(program)));
         let folder = self.folder.as_deref().unwrap_or(Path::new(""));
         let is_file = |word: &str| folder.join(word).is_file();
+        let script = script(&words, is_file).cloned();
+        let is_code = |word: &str| Some(word) == program || Some(word) == script.as_deref();
+        let is_public = |word: &str| {
+            let about = folder.join(word).metadata();
+            about.is_ok_and(|about| about.permissions().mode() & READ_BY_OTHERS != 0)
+        };
         let words = match role {
             Role::Sensor | Role::Model => words,
-            Role::Actuator => {
-                let script = script(&words, is_file).cloned();
-                program.map(str::to_owned).into_iter().chain(script).collect()
-            }
+            Role::Actuator => program.map(str::to_owned).into_iter().chain(script.clone()).collect(),
         };
-        let named = words.into_iter().skip(on_path.iter().count()).filter(|word| is_file(word));
+        let named = words.into_iter().skip(on_path.iter().count());
+        let named = named.filter(|word| is_file(word) && (is_code(word) || is_public(word)));
         on_path.into_iter().chain(named.map(|word| folder.join(word))).take(MOST_FILES).collect()
     }
 
@@ -153,12 +170,30 @@ const fn ten_seconds() -> NonZeroU64 {
     NonZeroU64::MIN.saturating_add(9999)
 }
 
+impl CommandLine {
+    /// The program without its arguments: `sh` of a line that is more than one program and its arguments.
+    pub fn program(&self) -> &str {
+        match self {
+            Self::Shell(line) => only_program(line).unwrap_or("sh"),
+            Self::Words(words) => words.first().map_or("", String::as_str),
+        }
+    }
+
+    /// How many arguments the program has.
+    pub(super) fn arguments(&self) -> usize {
+        match self {
+            Self::Shell(line) if only_program(line).is_some() => split(line).len().saturating_sub(1),
+            // Behind `-c`.
+            Self::Shell(_) => 1,
+            Self::Words(words) => words.len().saturating_sub(1),
+        }
+    }
+}
+
+/// The program alone, for messages: arguments may be secret.
 impl fmt::Display for CommandLine {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Shell(line) => f.write_str(line),
-            Self::Words(words) => f.write_str(&words.join(" ")),
-        }
+        f.write_str(self.program())
     }
 }
 

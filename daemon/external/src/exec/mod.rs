@@ -15,6 +15,7 @@
 //! `part` instead of `sample` or `answer` announces that another part of the same sample follows. Before its reply a
 //! program may say `version`, `stage`, `value`, `sequence`, `label` and `source`.
 
+mod arguments;
 mod command;
 mod error;
 mod program;
@@ -25,6 +26,7 @@ mod shell;
 mod timeline;
 mod words;
 
+pub use arguments::{FingerprintKey, hide_arguments, hide_arguments_in_facts};
 pub use command::{CommandLine, ExecConfig};
 pub use error::{ExchangeError, FramingError};
 pub use program::{Exchange, Program};

@@ -43,7 +43,7 @@ pub struct ExecModelConfig {
 
 impl ExecModelConfig {
     /// What is asked of the process.
-    pub(super) fn process(&self) -> ExecConfig {
+    pub(crate) fn process(&self) -> ExecConfig {
         let default = ExecConfig::of(self.command.clone());
         let mut env = self.env.clone();
         env.insert("PEERNET_DEVICE".to_owned(), self.device.clone());

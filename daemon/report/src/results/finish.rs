@@ -1,7 +1,8 @@
 //! The last files of a run, and another place for all of them when the folder fails.
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::fs::{File, Permissions};
+use std::io::{BufWriter, ErrorKind, Write};
+use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 use super::cells::Header;
@@ -11,6 +12,9 @@ use super::parse::ends_with_line;
 use super::{RowRef, Rows, RunRecord, Summary};
 use crate::WriteError;
 use crate::error::write;
+
+/// The permission bits of everybody who is neither the owner nor in the group.
+const OTHERS: u32 = 0o007;
 
 pub(super) fn finish(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<Finished, WriteError> {
     let trouble = match all(folder, record, rows) {
@@ -42,7 +46,8 @@ fn all(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<Vec<PathBuf>, W
         replace(&data, rows)?;
     }
     let json = folder.join(RECORD);
-    write(&json, &serde_json::to_vec_pretty(record).map_err(WriteError::at(&json))?)?;
+    let text = serde_json::to_vec_pretty(record).map_err(WriteError::at(&json))?;
+    write_private(&json, &text).map_err(WriteError::at(&json))?;
     let summary = Summary::of(rows).about(record);
     let mut files = vec![data, json];
     for (name, text) in SUMMARIES.into_iter().zip([summary.markdown(), summary.csv(), summary.latex()]) {
@@ -97,4 +102,18 @@ fn put(path: &Path, rows: &Rows) -> std::io::Result<()> {
     }
     out.write_all(&bytes)?;
     out.flush()
+}
+
+/// Writes a file that others may not read: the arguments of programs may hold secrets.
+fn write_private(path: &Path, content: &[u8]) -> std::io::Result<()> {
+    let mut file = File::options().create(true).truncate(true).write(true).mode(0o640).open(path)?;
+    // One that was there before kept its mode. A file system without permissions, such as FAT, has none to set.
+    let mode = file.metadata()?.permissions().mode();
+    if mode & OTHERS != 0
+        && let Err(error) = file.set_permissions(Permissions::from_mode(mode & !OTHERS))
+        && error.kind() != ErrorKind::PermissionDenied
+    {
+        return Err(error);
+    }
+    file.write_all(content)
 }

@@ -38,7 +38,7 @@ fn a_failure_names_the_program_and_the_next_sample_is_another_try() {
     let mut sensor = open(&config(&script), &real_clock()).expect("sh is there");
     let mut log = recorder();
     let error = sensor.sample(&mut log).expect_err("it ends").to_string();
-    assert!(error.contains("exit status 7") && error.contains("the program if [ -e"), "{error}");
+    assert!(error.contains("exit status 7") && error.contains("the program sh:"), "{error}");
     assert!(sensor.sample(&mut log).expect("the second one stays").is_some());
     assert!(log.tree().find(&["capture-restart"]).is_some(), "which had to come up");
 }

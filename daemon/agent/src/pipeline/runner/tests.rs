@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
 use peernet_clock::{Clock, ClockIdentity, MonoTime, SharedClock, SystemClock, WallTime};
+use peernet_external::exec::FingerprintKey;
 use peernet_inference::Bank;
 use peernet_logger::HostId;
 use peernet_logger::stream::{Event, HostClock, Outcome};
@@ -80,6 +81,7 @@ fn host(sensor: &str, clock: SharedClock) -> (Host, Arc<PipelineConfig>, Arc<Dis
         name: near.name.clone(),
         version: "0.0.0",
         bank: Arc::new(Bank::new(config.models, config.onnxruntime, Arc::clone(&clock))),
+        fingerprints: FingerprintKey::new([0; 32]),
         incidents,
         runs: Runs::default(),
         links: Links::new(near, &config.clock, probes),
@@ -149,7 +151,8 @@ async fn taken_up(asked: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
     let sensor = "{ kind = 'synthetic', size_bytes = 1 }";
     let (host, pipeline, display, mut exit) = host(sensor, Arc::clone(&clock));
     let mut line =
-        Line::assemble(Arc::clone(&pipeline), Arc::clone(&display), Arc::clone(&clock)).expect("sound");
+        Line::assemble(Arc::clone(&pipeline), Arc::clone(&display), Arc::clone(&clock), &host.fingerprints)
+            .expect("sound");
     let description = crate::pipeline::intended(&pipeline.placement);
     let mut run = Run::begin(&pipeline, description, (Vec::new(), Vec::new()), false, &host, &display);
 

@@ -1,6 +1,7 @@
 //! Runs.
 
 use peernet_clock::WallTime;
+use peernet_external::exec::{hide_arguments, hide_arguments_in_facts};
 use peernet_logger::stage;
 use peernet_logger::stream::{OutcomeCounts, Placement, PlacementKind};
 use serde::de::DeserializeOwned;
@@ -133,7 +134,8 @@ pub(in crate::store) async fn run(readers: &Readers, number: i64) -> Result<Opti
         summary: summary(&row, totals.get(&number))?,
         facts: facts(&row)?,
         conditions: row.conditions.as_deref().map(json).transpose()?.unwrap_or_default(),
-        configuration: row.configuration,
+        // Earlier builds stored the arguments of programs.
+        configuration: hide_arguments(&row.configuration),
         version: row.version,
         gaps: gaps(readers, number).await?,
     }))
@@ -156,7 +158,9 @@ pub(in crate::store) async fn gaps(readers: &Readers, run: i64) -> Result<Vec<Ga
 }
 
 fn facts(row: &RunRow) -> Result<Vec<(String, String)>, StoreError> {
-    json(&row.facts)
+    let mut facts: Vec<(String, String)> = json(&row.facts)?;
+    hide_arguments_in_facts(&mut facts);
+    Ok(facts)
 }
 
 fn json<T: DeserializeOwned>(text: &str) -> Result<T, StoreError> {

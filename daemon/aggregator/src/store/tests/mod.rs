@@ -1,5 +1,6 @@
 //! The store with a real file: what the writer wrote is what readers are told.
 
+mod arguments;
 mod clock_samples;
 #[path = "../../../tests/it/clocks.rs"]
 #[expect(unreachable_pub, reason = "shared with the integration tests")]

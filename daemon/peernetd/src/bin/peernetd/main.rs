@@ -19,6 +19,8 @@ fn main() -> ExitCode {
         Ok(arguments) => arguments,
         Err(error) => return output::explain(error).into(),
     };
+    // Before there are threads. Databases, spools and backups hold what is nobody else's business.
+    peernet_permissions::create_without_others();
     let exit = match arguments.command {
         Command::Run { config } => commands::run(&config),
         Command::Check { configs } => commands::check(&configs),

@@ -39,7 +39,7 @@ fn configuration(arguments: &Arguments) -> Result<ModelConfig, Failure> {
     let device = device(given.unwrap_or(DEVICE));
     // A user's own program or object is run because this very command line names it.
     let mut external = match super::program(wanted)? {
-        Some(command) => json!({ "kind": "exec", "name": slug(command), "command": command }),
+        Some(command) => json!({ "kind": "exec", "name": slug(program_of(command)), "command": command }),
         None if wanted.contains("::") => json!({
             "kind": "python", "name": slug(wanted), "object": wanted, "pickle": arguments.pickle,
         }),
@@ -85,6 +85,12 @@ pub(super) fn failure(error: LoadError) -> Failure {
     Failure::new(exit, error)
 }
 
+/// The program of a command, whose arguments may be secret and so stand in no name.
+fn program_of(command: &str) -> &str {
+    let program = command.split_ascii_whitespace().next().unwrap_or(command);
+    if program.contains('=') { "sh" } else { program }
+}
+
 /// A name that can stand in results and on pages: `my_model::Net` becomes `my_model-Net`.
 fn slug(text: &str) -> String {
     let mut name = String::new();
@@ -109,8 +115,9 @@ mod tests {
 
     #[test]
     fn names_of_objects_and_commands_become_names_of_models() {
-        let text = ["my_model::Net", "./infer --fast", "::", &"x".repeat(80)].map(slug);
-        assert_eq!(text, ["my_model-Net", "infer-fast", "model", &"x".repeat(64)]);
+        let text = ["my_model::Net", program_of("./infer --token x"), "::", &"x".repeat(80)].map(slug);
+        assert_eq!(text, ["my_model-Net", "infer", "model", &"x".repeat(64)]);
+        assert_eq!(program_of("TOKEN=x ./infer"), "sh");
     }
 
     #[test]

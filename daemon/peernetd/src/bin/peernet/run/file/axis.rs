@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use peernet_external::exec::CommandLine;
 use serde::Deserialize;
 use toml::Value;
 
@@ -99,9 +100,10 @@ impl Axis {
         let this = Self { name, values };
         let labels: Vec<&str> = this.values.iter().map(|value| value.label.as_str()).collect();
         match labels.iter().enumerate().find(|(at, label)| labels[..*at].contains(label)) {
-            Some((_, label)) => {
-                Err(format!("two values are labelled {label}; tables could not tell them apart"))
-            }
+            Some((_, label)) => Err(format!(
+                "two values are labelled {label}; tables could not tell them apart: give them labels with \
+                     [[axis.value]]"
+            )),
             None => Ok(this),
         }
     }
@@ -128,9 +130,15 @@ impl Axis {
 
 /// `field` and `values`: one field, labels as the values say.
 fn short(field: &str, values: Vec<Value>) -> Result<Vec<AxisValue>, String> {
+    // The arguments of a program may be secret, and labels are told to aggregators.
+    let is_command = field.ends_with(".command");
     let field = reach(field)?;
     let value = |value: Value| {
-        let label = label(&value).ok_or_else(|| {
+        let label = match value.clone().try_into::<CommandLine>() {
+            Ok(command) if is_command => Some(command.to_string()),
+            _ => label(&value),
+        };
+        let label = label.ok_or_else(|| {
             format!("{value} does not say how it is to be called in tables; use [[axis.value]] with a label")
         })?;
         Ok(AxisValue { label, sets: vec![(field.clone(), value)] })

@@ -1,0 +1,144 @@
+//! Permissions of files and folders that only their owner and group may use: databases, spools, host ids.
+//!
+//! Only the permissions of everybody else are taken away. Those of the group are the operator's business, who may have let a
+//! group of people read, or write, on purpose.
+
+use std::ffi::OsString;
+use std::fs::{self, Metadata, Permissions};
+use std::io::{self, ErrorKind};
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+
+use rustix::fs::Mode;
+use rustix::process::{geteuid, umask};
+
+/// The permission bits of everybody who is neither the owner nor in the group.
+const OTHERS: u32 = 0o007;
+
+/// Set for folders in which everybody may make files, such as `/tmp`.
+const STICKY: u32 = 0o1000;
+
+/// What SQLite and PEERNet put beside a database or spool, behind its name.
+const BESIDE: [&str; 6] = ["", "-wal", "-shm", "-lock", "-reserve", "-condemned"];
+
+/// Makes all files and folders that this process creates from now on inaccessible to others: 0640 and 0750 with the usual
+/// umask of 022. Programs that it starts inherit this.
+///
+/// Call it before there are threads: the umask belongs to the process.
+pub fn create_without_others() {
+    let before = umask(Mode::from_raw_mode(0o077));
+    umask(before | Mode::from_raw_mode(OTHERS));
+}
+
+/// Takes away what others may do with a database or spool of this user and with the files beside it. Returns the files
+/// that were changed.
+pub fn close_database(path: &Path) -> Vec<PathBuf> {
+    // SQLite names the files beside it after the file itself.
+    let path = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    BESIDE
+        .iter()
+        .map(|ending| {
+            let mut name = OsString::from(&path);
+            name.push(ending);
+            PathBuf::from(name)
+        })
+        .filter(|path| close(path))
+        .collect()
+}
+
+/// Takes away what others may do with a folder of this user, and with these files in it. Returns what was changed.
+///
+/// A folder that is the current one, or in which everybody may make files (`/tmp`), has other purposes and is left alone.
+pub fn close_folder(folder: &Path, files: &[&str]) -> Vec<PathBuf> {
+    let is_shared = fs::metadata(folder).is_ok_and(|about| about.mode() & STICKY != 0);
+    let current = std::env::current_dir().and_then(fs::canonicalize);
+    let is_current = current.is_ok_and(|current| fs::canonicalize(folder).is_ok_and(|it| it == current));
+    let folder_itself = (!is_shared && !is_current).then(|| folder.to_owned());
+    let paths = folder_itself.into_iter().chain(files.iter().map(|file| folder.join(file)));
+    paths.filter(|path| close(path)).collect()
+}
+
+/// Logs what was changed, in one line; nothing of nothing.
+pub fn log_changes(changed: &[PathBuf]) {
+    if !changed.is_empty() {
+        let files = changed.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ");
+        tracing::info!(
+            "others could use {files}: their permissions were taken away; to let somebody read them, use the group"
+        );
+    }
+}
+
+fn close(path: &Path) -> bool {
+    close_or_fail(path).unwrap_or_else(|error| {
+        if error.kind() != ErrorKind::NotFound {
+            tracing::warn!(%error, "cannot take away what others may do with {}", path.display());
+        }
+        false
+    })
+}
+
+fn close_or_fail(path: &Path) -> io::Result<bool> {
+    let about = fs::symlink_metadata(path)?;
+    let mode = about.mode() & 0o7777;
+    if !is_ours(&about) || mode & OTHERS == 0 {
+        return Ok(false);
+    }
+    fs::set_permissions(path, Permissions::from_mode(mode & !OTHERS))?;
+    Ok(true)
+}
+
+/// Whether it is a file or folder of this user; what a link leads to may be anything.
+fn is_ours(about: &Metadata) -> bool {
+    (about.is_file() || about.is_dir()) && about.uid() == geteuid().as_raw()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn put(path: &Path, mode: u32) {
+        fs::write(path, "x").expect("writable");
+        fs::set_permissions(path, Permissions::from_mode(mode)).expect("own file");
+    }
+
+    fn mode(path: &Path) -> u32 {
+        fs::metadata(path).expect("is there").mode() & 0o7777
+    }
+
+    #[test]
+    fn only_the_permissions_of_others_are_taken() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let database = folder.path().join("a.sqlite");
+        for (ending, before, after) in
+            [("", 0o644, 0o640), ("-wal", 0o666, 0o660), ("-shm", 0o600, 0o600), ("-lock", 0o646, 0o640)]
+        {
+            let path = folder.path().join(format!("a.sqlite{ending}"));
+            put(&path, before);
+            close_database(&database);
+            assert_eq!(mode(&path), after, "{ending}");
+        }
+        assert_eq!(close_database(&database), Vec::<PathBuf>::new());
+    }
+
+    #[test]
+    fn a_state_folder_is_closed_and_a_shared_one_is_not() {
+        let folder = tempfile::tempdir().expect("a folder");
+        for (before, after) in [(0o755, 0o750), (0o775, 0o770), (0o700, 0o700), (0o1777, 0o1777)] {
+            fs::set_permissions(folder.path(), Permissions::from_mode(before)).expect("own folder");
+            put(&folder.path().join("host-id"), 0o644);
+            close_folder(folder.path(), &["host-id", "none"]);
+            assert_eq!(mode(folder.path()), after);
+            assert_eq!(mode(&folder.path().join("host-id")), 0o640);
+        }
+    }
+
+    #[test]
+    fn what_a_link_leads_to_is_left_alone() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let elsewhere = folder.path().join("elsewhere");
+        put(&elsewhere, 0o644);
+        std::os::unix::fs::symlink(&elsewhere, folder.path().join("host-id")).expect("a link");
+        close_folder(folder.path(), &["host-id"]);
+        assert_eq!(mode(&elsewhere), 0o644);
+    }
+}

@@ -1,0 +1,150 @@
+//! Arguments of programs, which may be secret.
+
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+
+use peernet_tests::{Process, Site, program, root};
+use serde_json::Value;
+
+use crate::experiments::{Results, json};
+
+const SECRET: &str = "hunter2-in-an-argument";
+
+/// Programs with a secret in each of the places where one can stand.
+const TABLES: &str = r#"
+[[model]]
+name = "own"
+kind = "exec"
+command = "while read word bytes rest; do head -c $bytes >/dev/null; : {secret}; echo answer 1 text/plain && printf b; done"
+
+[[pipeline]]
+name = "first"
+sensor = { kind = "exec", command = ["{root}/docs/examples/external/light.sh", "--token", "{secret}"] }
+placement = { kind = "local", model = "own" }
+actuator = { kind = "exec", command = ["sh", "-c", "while read w b r; do head -c $b >/dev/null; echo done; done", "{secret}"] }
+limit = { total = 10 }
+
+[[pipeline]]
+name = "second"
+sensor = { kind = "exec", command = ["{root}/docs/examples/external/light.sh", "--token", "{secret}"] }
+placement = { kind = "none" }
+limit = { total = 10 }
+
+[[pipeline]]
+name = "third"
+sensor = { kind = "exec", command = ["{root}/docs/examples/external/light.sh", "--token", "another"] }
+placement = { kind = "none" }
+limit = { total = 10 }
+
+[[pipeline]]
+name = "failing"
+sensor = { kind = "exec", command = ["false", "{secret}"] }
+placement = { kind = "none" }
+limit = { total = 3 }
+"#;
+
+fn fact<'a>(run: &'a Value, name: &str) -> Option<&'a str> {
+    let facts = run["facts"].as_array()?;
+    facts.iter().find(|fact| fact["name"] == name)?["value"].as_str()
+}
+
+#[test]
+fn arguments_are_told_by_fingerprints_alone() {
+    let site = Site::new();
+    let (aggregator, api) = site.aggregator();
+    let edge = site.agent("edge", &TABLES.replace("{secret}", SECRET));
+    let runs = api.until("/api/v1/runs", |runs| {
+        let runs = runs["runs"].as_array()?;
+        let ended = runs.len() == 4 && runs.iter().all(|run| !run["reason"].is_null());
+        ended.then(|| runs.iter().map(|run| run["number"].as_i64().expect("has one")).collect::<Vec<_>>())
+    });
+    let details: Vec<Value> = runs.iter().map(|run| api.json(&format!("/api/v1/runs/{run}"))).collect();
+    let of = |pipeline: &str| details.iter().find(|run| run["pipeline"] == pipeline).expect("is there");
+
+    let arguments = ["first", "second", "third"].map(|pipeline| fact(of(pipeline), "Sensor arguments"));
+    assert!(arguments[0].is_some_and(|told| told.starts_with("2, fingerprint ")), "{arguments:?}");
+    assert_eq!(arguments[0], arguments[1], "equal commands");
+    assert_ne!(arguments[0], arguments[2], "different ones");
+    let first = of("first");
+    assert!(fact(first, "Sensor").is_some_and(|told| told.ends_with("/light.sh")), "{first}");
+    assert!(
+        fact(first, "Model arguments").is_some() && fact(first, "Actuator arguments").is_some(),
+        "{first}"
+    );
+    assert!(first["configuration"].as_str().is_some_and(|text| text.contains("arguments = 2")), "{first}");
+
+    let mut paths: Vec<String> = [
+        "/",
+        "/runs",
+        "/pipelines",
+        "/hosts",
+        "/incidents",
+        "/metrics",
+        "/api/v1/runs",
+        "/api/v1/pipelines",
+        "/api/v1/hosts",
+        "/api/v1/incidents",
+        "/pipelines/edge/first",
+        "/pipelines/edge/failing",
+    ]
+    .map(str::to_owned)
+    .into();
+    for run in &runs {
+        paths.extend([
+            format!("/runs/{run}"),
+            format!("/api/v1/runs/{run}"),
+            format!("/api/v1/runs/{run}/iterations"),
+        ]);
+    }
+    for path in paths {
+        let (status, text) = api.get(&path).expect("the dashboard answers");
+        assert_eq!(status, 200, "{path}");
+        assert!(!text.contains(SECRET), "{path} tells an argument");
+    }
+    let ended = edge.stop();
+    assert!(!ended.log.contains(SECRET), "{}", ended.log);
+    aggregator.stop();
+    // Nor is it stored.
+    for file in std::fs::read_dir(site.folder()).expect("is there") {
+        let path = file.expect("is readable").path();
+        if path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("aggregator.sqlite")) {
+            let bytes = std::fs::read(&path).expect("is readable");
+            let holds = bytes.windows(SECRET.len()).any(|part| part == SECRET.as_bytes());
+            assert!(!holds, "{}", path.display());
+        }
+    }
+}
+
+const EXPERIMENT: &str = r#"
+[experiment]
+name = "arguments"
+iterations = 3
+
+[pipeline]
+placement = { kind = "none" }
+sensor = { kind = "exec", command = ["{root}/docs/examples/external/light.sh", "{secret}"] }
+"#;
+
+#[test]
+fn run_json_keeps_arguments_from_other_users() {
+    let site = Site::new();
+    let file = site.write("arguments.toml", &EXPERIMENT.replace("{secret}", SECRET));
+    let results = Results::of(site.folder().join("results"));
+    let arguments = [Path::new("run"), &file, Path::new("--result-loc"), &results.folder];
+    let state = site.folder().display().to_string();
+    let environment = [("XDG_STATE_HOME", state.as_str())];
+    let ended = Process::start(&program("peernet"), &arguments, root(), &environment).ended();
+    assert_eq!(ended.code(), 0, "{}", ended.log);
+
+    let run = &results.folders()[0];
+    let record = results.file(run, "run.json");
+    let told = json(&record);
+    assert_eq!(told["pipeline"]["sensor"]["command"][1], SECRET, "{told}");
+    assert!(!told["facts"].to_string().contains(SECRET), "{told}");
+    let mode = std::fs::metadata(&record).expect("is there").permissions().mode();
+    assert_eq!(mode & 0o007, 0, "{mode:o}");
+    for table in ["summary.md", "summary.csv", "data.csv"] {
+        let text = std::fs::read_to_string(results.file(run, table)).expect("is there");
+        assert!(!text.contains(SECRET), "{table}");
+    }
+}

@@ -1,0 +1,95 @@
+//! Who may read what PEERNet keeps.
+
+use std::fs::{self, Permissions};
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+
+use peernet_tests::{Api, Process, Site};
+
+const PIPELINE: &str = r#"
+[[pipeline]]
+name = "line"
+sensor = { kind = "synthetic", size_bytes = 10 }
+placement = { kind = "none" }
+load = { mode = "rate", hz = 20.0 }
+"#;
+
+/// The files of the daemons: databases, spools, ids, locks, and the folders that they made.
+fn kept(site: &Site) -> Vec<PathBuf> {
+    let entries = |folder: &Path| -> Vec<PathBuf> {
+        let entries = fs::read_dir(folder).expect("is there");
+        entries.map(|entry| entry.expect("is readable").path()).collect()
+    };
+    let is_configuration = |path: &Path| path.extension().is_some_and(|extension| extension == "toml");
+    let mut found = Vec::new();
+    for path in entries(site.folder()).into_iter().filter(|path| !is_configuration(path)) {
+        if path.is_dir() {
+            found.extend(entries(&path));
+        }
+        found.push(path);
+    }
+    found
+}
+
+fn mode(path: &Path) -> u32 {
+    fs::metadata(path).expect("is there").permissions().mode() & 0o777
+}
+
+fn start(site: &Site) -> (Process, Process, Api) {
+    let (aggregator, api) = site.aggregator();
+    let edge = site.agent("edge", PIPELINE);
+    api.until("/api/v1/runs", |runs| {
+        runs["runs"].as_array()?.iter().find(|run| run["counts"]["ok"].as_u64() > Some(10)).map(drop)
+    });
+    (aggregator, edge, api)
+}
+
+#[test]
+fn others_cannot_use_what_daemons_make() {
+    let site = Site::new();
+    let (aggregator, edge, _api) = start(&site);
+    let files = kept(&site);
+    for name in
+        ["aggregator.sqlite", "aggregator.sqlite-wal", "aggregator.sqlite-shm", "host-id", "spool.sqlite"]
+    {
+        assert!(files.iter().any(|path| path.ends_with(name)), "{name}: {files:?}");
+    }
+    for path in files {
+        assert_eq!(mode(&path) & 0o007, 0, "{}: {:o}", path.display(), mode(&path));
+    }
+    let secret = site.folder().join("edge/argument-key");
+    assert_eq!(mode(&secret), 0o600);
+    let backup = site.peernetd(&["backup", "--config", "aggregator.toml", "copy.sqlite"]).ended();
+    assert_eq!(backup.code(), 0, "{}", backup.log);
+    let copy = site.folder().join("copy.sqlite");
+    assert_eq!(mode(&copy) & 0o007, 0, "{:o}", mode(&copy));
+    edge.stop();
+    aggregator.stop();
+}
+
+#[test]
+fn files_of_earlier_builds_are_closed_at_start() {
+    let site = Site::new();
+    let (aggregator, edge, _api) = start(&site);
+    edge.stop();
+    aggregator.stop();
+    let set = |name: &str, mode: u32| {
+        let path = site.folder().join(name);
+        fs::set_permissions(&path, Permissions::from_mode(mode)).expect("own file");
+        path
+    };
+    let changed = [
+        (set("aggregator.sqlite", 0o644), 0o640),
+        (set("edge", 0o755), 0o750),
+        (set("edge/host-id", 0o644), 0o640),
+        // Somebody let a group write.
+        (set("edge/spool.sqlite", 0o664), 0o660),
+    ];
+    let (aggregator, edge, _api) = start(&site);
+    for (path, expected) in changed {
+        assert_eq!(mode(&path), expected, "{}", path.display());
+    }
+    for log in [edge.stop().log, aggregator.stop().log] {
+        assert_eq!(log.matches("their permissions were taken away").count(), 1, "{log}");
+    }
+}
