@@ -78,6 +78,15 @@ impl AppState {
         Ok(recent.iter().take(Self::INCIDENTS).cloned().collect())
     }
 
+    /// What the store says of something that a live page shows beside its figures: nothing while the database is not
+    /// open, which a banner on the page says.
+    pub(crate) fn beside_live<T: Default>(answer: Result<T, StoreError>) -> Result<T, StoreError> {
+        match answer {
+            Err(StoreError::Closed { .. }) => Ok(T::default()),
+            answer => answer,
+        }
+    }
+
     /// The incidents of late. Asked for by every live page four times a second, so they are read from the
     /// database once every two seconds for all of them.
     pub(crate) async fn recent_incidents(&self) -> Result<Arc<Vec<IncidentRow>>, StoreError> {
@@ -88,7 +97,7 @@ impl AppState {
         {
             return Ok(Arc::clone(rows));
         }
-        let rows = Arc::new(self.store().incidents(Self::RECENT, None).await?);
+        let rows = Arc::new(Self::beside_live(self.store().incidents(Self::RECENT, None).await)?);
         *cached = Some((now, Arc::clone(&rows)));
         Ok(rows)
     }

@@ -41,7 +41,7 @@ struct Hosts {
 
 /// `GET /hosts`.
 pub(crate) async fn show(State(app): State<App>) -> Page {
-    let stored = app.store().hosts().await?;
+    let stored = AppState::beside_live(app.store().hosts().await)?;
     page(&hosts(&app, &app.picture(), &stored))
 }
 

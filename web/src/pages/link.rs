@@ -129,7 +129,7 @@ pub(crate) async fn show(
 ) -> Page {
     let wanted = path(link)?;
     let picture = app.picture();
-    let incidents = app.store().incidents(INCIDENTS, None).await?;
+    let incidents = AppState::beside_live(app.store().incidents(INCIDENTS, None).await)?;
     if let Some(link) = find(&picture, &wanted) {
         let subject = Subject::live(link);
         let now = Course::live(&link.history, subject.end, Range::Minutes.seconds());

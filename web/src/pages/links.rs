@@ -28,7 +28,7 @@ struct Links {
 
 /// `GET /links`.
 pub(crate) async fn show(State(app): State<App>) -> Page {
-    let stored = app.store().links().await?;
+    let stored = AppState::beside_live(app.store().links().await)?;
     page(&links(&app, &app.picture(), &stored))
 }
 

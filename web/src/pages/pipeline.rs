@@ -127,7 +127,7 @@ async fn runs(app: &AppState, pipeline: &PipelinePicture) -> Result<Vec<RunSumma
         limit: RUNS,
         ..RunFilter::default()
     };
-    Ok(app.store().runs(&filter).await?)
+    Ok(AppState::beside_live(app.store().runs(&filter).await)?)
 }
 
 /// The page's sentence: how long it takes and what takes longest.

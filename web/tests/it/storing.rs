@@ -39,6 +39,7 @@ async fn a_database_that_is_gone_is_told_everywhere_until_it_is_back() {
     assert_eq!(bed.get("/healthz").await.status, StatusCode::OK, "the process is alive all the same");
     for path in ["/", "/hosts", "/links", "/nothing"] {
         let page = bed.get(path).await;
+        assert_eq!(page.status == StatusCode::OK, path != "/nothing", "{path}");
         assert!(
             page.text().contains("id=\"storing\" role=\"status\">Cannot store events: "),
             "{path}: {}",

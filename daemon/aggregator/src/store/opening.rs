@@ -47,8 +47,8 @@ pub(crate) struct StoredState {
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ReopenError {
     /// The path names no file.
-    #[error("the database file {} was deleted or moved, or its file system is not mounted; put it back, or restart to begin with an empty one", .0.display())]
-    Missing(PathBuf),
+    #[error(transparent)]
+    Missing(CommitError),
     /// The path names a file without anything in it.
     #[error("the database file {} is empty; put the right one there, or restart to begin with this one", .0.display())]
     Empty(PathBuf),
@@ -82,7 +82,7 @@ impl OpenDatabase {
     ) -> Result<(Self, StoredState), ReopenError> {
         let lock = match DatabaseLock::take_existing(path) {
             Err(LockError::Failed { source, .. }) if source.kind() == std::io::ErrorKind::NotFound => {
-                return Err(ReopenError::Missing(path.to_owned()));
+                return Err(ReopenError::Missing(CommitError::Moved(path.to_owned())));
             }
             taken => taken?,
         };

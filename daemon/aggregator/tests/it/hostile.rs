@@ -162,7 +162,7 @@ async fn nothing_is_acknowledged_while_the_database_file_is_away() {
     // Seen although nothing is to be stored.
     agent.until("it is seen", |_| bed.aggregator().ready() != Readiness::Ready).await;
     let Readiness::NotStoring(reason) = bed.aggregator().ready() else { panic!("not storing") };
-    assert!(reason.contains("was deleted") && reason.contains("put it back"), "{reason}");
+    assert!(reason.contains("deleted, moved or replaced") && reason.contains("put it back"), "{reason}");
     let mut numbers = generate::Numbers(3);
     let hosts = (agent.id, HostId::from_bytes([7; 16]));
     agent.offer((1..=50).map(|n| Event::Iteration(generate::iteration(run, n, hosts, &mut numbers))));

@@ -108,7 +108,7 @@ fn moved_database_is_let_go_and_taken_up_again() {
     std::fs::create_dir(&here).expect("a folder");
     let mut fleet = fleet_in(&here.join("aggregator.sqlite"));
     std::fs::rename(&here, &away).expect("moves");
-    not_ready(&fleet, "deleted or moved");
+    not_ready(&fleet, "deleted, moved or replaced");
     until("the files are closed", || (!holds(&fleet, folder.path())).then_some(()));
     std::fs::rename(&away, &here).expect("moves back");
     stores_again(&fleet);
