@@ -38,9 +38,9 @@ pub use picture::{
 pub use readiness::Readiness;
 pub use store::lock::{DatabaseLock, LockError};
 pub use store::types::{
-    BOTH_WAYS, Blame, ClockSeries, DelayRow, Episodes, ExperimentSummary, GapRow, Histogram, HostRow,
-    IncidentRow, IterationDetail, IterationFilter, IterationRow, Judgement, Kept, LinkRow, MeanBucket, Pairs,
-    Recomputed, RecomputedStage, RunDetail, RunFilter, RunStatistics, RunSummary, Series, SeriesPoint,
-    StageCourse, StageMeans, StageSeries, StageStatistics,
+    AggregatorIncidentKind, BOTH_WAYS, Blame, ClockSeries, DelayRow, Episodes, ExperimentSummary, GapRow,
+    Histogram, HostRow, IncidentRow, IterationDetail, IterationFilter, IterationRow, Judgement, Kept,
+    LinkRow, MeanBucket, Pairs, Recomputed, RecomputedStage, RunDetail, RunFilter, RunStatistics, RunSummary,
+    Series, SeriesPoint, StageCourse, StageMeans, StageSeries, StageStatistics,
 };
 pub use store::{Store, maintenance};

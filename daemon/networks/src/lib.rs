@@ -22,5 +22,5 @@ pub use session::{
     Announcer, BindError, CloseReason, Exchange, Failure, Incoming, IncomingRequest, Listener, OpenError,
     OpenRequest, RequestError, Responder, Session,
 };
-pub use transport::{Arrival, BindFailure, ConnectionId, Frames, Peer, SendFailure, zmtp};
 pub use settings::{InvalidSettings, SessionSettings};
+pub use transport::{Arrival, BindFailure, ConnectionId, Frames, Peer, SendFailure, zmtp};

@@ -205,9 +205,13 @@ fn concerning(subject: &Subject<'_>, course: &Course, rows: &[IncidentRow]) -> V
     // What the two hosts do otherwise says nothing about the way between them.
     let beside = |row: &&IncidentRow| !matches!(row.kind.as_str(), "model-loaded" | "control");
     let ours = rows.iter().filter(beside);
-    let ours = ours.filter(|row| known(row.host_name.as_str()) && row.peer.as_deref().is_none_or(known));
+    let ours = ours.filter(|row| {
+        row.host_name.as_ref().is_some_and(|name| known(name.as_str()))
+            && row.peer.as_deref().is_none_or(known)
+    });
     let placed = ours.map(|row| {
-        let there = row.host_name.as_str() == subject.cloud && subject.cloud != subject.edge;
+        let reported_by = row.host_name.as_ref().map(peernet_logger::Slug::as_str);
+        let there = reported_by == Some(subject.cloud.as_str()) && subject.cloud != subject.edge;
         IncidentRow { at: if there { course.on_the_edge(row.at) } else { row.at }, ..row.clone() }
     });
     let mut placed: Vec<_> = placed.filter(|row| row.at > course.from && row.at <= course.to).collect();

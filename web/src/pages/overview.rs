@@ -90,14 +90,16 @@ async fn incidents(app: &AppState) -> Incidents {
     rows.map_err(|error| WebError::from(error).to_problem(app).id().unwrap_or_default().to_owned())
 }
 
-/// Incidents as marks on time axes.
+/// Incidents as marks on time axes. Those of the aggregator are left out: they do not change what hosts measure.
 pub(crate) fn marks(rows: &[IncidentRow]) -> Vec<Mark> {
     rows.iter()
-        .map(|row| Mark {
-            at: row.at.unix_nanos() / 1_000_000,
-            sign: IncidentLine::new(row, crate::zone::Zone::Utc).sign,
-            host: row.host_name.to_string(),
-            pipeline: row.pipeline.clone(),
+        .filter_map(|row| {
+            Some(Mark {
+                at: row.at.unix_nanos() / 1_000_000,
+                sign: IncidentLine::new(row, crate::zone::Zone::Utc).sign,
+                host: row.host_name.as_ref()?.to_string(),
+                pipeline: row.pipeline.clone(),
+            })
         })
         .collect()
 }

@@ -12,7 +12,8 @@ pub(crate) struct IncidentLine {
     pub kind: String,
     pub sign: &'static str,
     pub tone: Tone,
-    pub host: String,
+    /// The reporting host; `None`: the aggregator itself.
+    pub host: Option<String>,
     pub text: String,
     pub run: Option<i64>,
 }
@@ -27,6 +28,8 @@ impl IncidentLine {
             "clock-step" => ("stepped", Tone::Warn),
             "gap" => ("gap", Tone::Warn),
             "pipeline-failed" => ("failed", Tone::Bad),
+            "storage" => ("failed", Tone::Bad),
+            "retention" => ("run", Tone::Warn),
             _ => ("run", Tone::Quiet),
         };
         Self {
@@ -34,10 +37,15 @@ impl IncidentLine {
             kind: row.kind.replace('-', " "),
             sign,
             tone,
-            host: row.host_name.to_string(),
+            host: row.host_name.as_ref().map(ToString::to_string),
             text: row.text.clone(),
             run: row.run,
         }
+    }
+
+    /// Who reported it, in words.
+    pub(crate) fn reporter(&self) -> &str {
+        self.host.as_deref().unwrap_or("aggregator")
     }
 
     /// All rows of a list.

@@ -52,11 +52,7 @@ impl Answer {
 impl Bed {
     /// Nothing has reported yet.
     pub(crate) async fn empty() -> Self {
-        Self::at(Arc::new(SystemClock::new(ClockIdentity::new("rack-a", "system")))).await
-    }
-
-    /// The same, by a clock of its own.
-    pub(crate) async fn at(clock: SharedClock) -> Self {
+        let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("rack-a", "system")));
         let folder = tempfile::tempdir().expect("a folder");
         let stop = CancellationToken::new();
         let config = AggregatorConfig {
@@ -91,6 +87,11 @@ impl Bed {
         })
         .await;
         (bed, factory)
+    }
+
+    /// The database's file.
+    pub(crate) fn database(&self) -> std::path::PathBuf {
+        self.folder.path().join("store.sqlite")
     }
 
     /// Moves the database's file, or something else into its place.

@@ -1,40 +1,24 @@
 //! Runs of which the oldest iterations were deleted.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::Duration;
 
 use axum::http::StatusCode;
-use peernet_clock::{Clock, ClockIdentity, MonoTime, Span, SystemClock, WallTime};
 use serde_json::json;
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{ConnectOptions, SqliteConnection};
 
 use crate::bed::Bed;
 use crate::factory::{Factory, Line};
 
-/// The system's clock, put forward by some seconds.
-#[derive(Debug)]
-struct Ahead {
-    system: SystemClock,
-    seconds: AtomicI64,
-}
-
-impl Clock for Ahead {
-    fn wall(&self) -> WallTime {
-        self.system.wall() + Span::from_seconds(self.seconds.load(Ordering::Relaxed))
-    }
-    fn mono(&self) -> MonoTime {
-        self.system.mono()
-    }
-    fn identity(&self) -> &ClockIdentity {
-        self.system.identity()
-    }
+/// Lets nine days pass on the storage clock, in which retention counts.
+async fn let_days_pass(database: &mut SqliteConnection) {
+    let nine_days = "UPDATE storage_clock SET elapsed_ns = elapsed_ns + 9 * 86400 * 1000000000";
+    sqlx::query(nine_days).execute(database).await.expect("the database can be written");
 }
 
 #[tokio::test]
 async fn what_was_deleted_is_said_and_what_remains_is_shown() {
-    let system = SystemClock::new(ClockIdentity::new("rack-a", "system"));
-    let clock = Arc::new(Ahead { system, seconds: AtomicI64::new(0) });
-    let bed = Bed::at(clock.clone()).await;
+    let bed = Bed::empty().await;
     let mut factory = Factory::new(&bed.listening, bed.clock.clone(), vec![Line::local()]).await;
     factory.store_runs(200, true).await;
     factory.store_runs(100, true).await;
@@ -43,14 +27,28 @@ async fn what_was_deleted_is_said_and_what_remains_is_shown() {
 
     let run = async |number: i64| bed.get(&format!("/api/v1/runs/{number}")).await.json();
     assert_eq!(run(1).await["deleted_through"], json!(0));
+    let options = SqliteConnectOptions::new().filename(bed.database()).busy_timeout(Duration::from_secs(10));
+    let mut database = options.connect().await.expect("opens");
     let deleted = async {
         while run(1).await["deleted_through"] != json!(200) {
-            // A period counts from when retention first saw the run, and nothing tells of that.
-            clock.seconds.fetch_add(9 * 86_400, Ordering::Relaxed);
+            // A period counts from when retention took what arrived, and nothing tells of that.
+            let_days_pass(&mut database).await;
             tokio::time::sleep(Duration::from_millis(50)).await;
         }
     };
     tokio::time::timeout(Duration::from_secs(60), deleted).await.expect("what is old goes");
+
+    let incidents = bed.get("/api/v1/incidents").await.json();
+    let incident = &incidents["incidents"][0];
+    assert_eq!((&incident["kind"], &incident["host"]), (&json!("retention"), &json!(null)));
+    let text = incident["text"].as_str().expect("a sentence");
+    assert!(text.contains("200 iterations with their trees of 1 run (nodes_days = 7)"), "{text}");
+    let page = bed.get("/incidents").await;
+    assert!(
+        page.text().contains("aggregator</td>") && page.text().contains("200 iterations"),
+        "{}",
+        page.text()
+    );
 
     let page = bed.get("/runs/1").await;
     assert!(page.text().contains("Iterations 1 to 200"), "{}", page.text());

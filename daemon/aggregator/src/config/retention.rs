@@ -8,8 +8,8 @@ const MOST_DAYS: u32 = 36_525;
 /// Below, a file is full before a run has begun.
 const LEAST_BYTES: u64 = 16 << 20;
 
-/// The `[aggregator.retention]` table. Ages count from an iteration's begin on the edge's clock; nothing is deleted
-/// before it was stored here for so long as well. Runs that are pinned are left alone.
+/// The `[aggregator.retention]` table. Ages count from when something was stored, in time during which an aggregator ran
+/// and stored into the database: no wall clock makes data old. Runs that are pinned are left alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RetentionConfig {

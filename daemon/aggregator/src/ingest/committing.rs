@@ -15,7 +15,7 @@ use crate::config::AggregatorConfig;
 use crate::readiness::Readiness;
 use crate::store::opening::{OpenDatabase, StoredState};
 use crate::store::retention::Step;
-use crate::store::write::{CommitError, Committed, Work, Writer};
+use crate::store::write::{CommitError, Committed, PendingIncidents, Work, Writer};
 
 /// The first pause after a failed attempt, and the longest.
 const FIRST_PAUSE: Duration = Duration::from_millis(200);
@@ -112,6 +112,8 @@ struct Carried {
     /// Hosts that took their leave, which could not be stored.
     departed: Vec<HostId>,
     backoff: Backoff,
+    /// Of the aggregator itself.
+    incidents: PendingIncidents,
 }
 
 impl Carried {
@@ -134,7 +136,8 @@ pub(crate) async fn run(
     grouping: Grouping,
     reopening: Reopening,
 ) -> Option<OpenDatabase> {
-    let mut carried = Carried { generation: 0, departed: Vec::new(), backoff: Backoff::new() };
+    let incidents = PendingIncidents::new(wires.clock.stamp());
+    let mut carried = Carried { generation: 0, departed: Vec::new(), backoff: Backoff::new(), incidents };
     loop {
         match serve(&mut database.writer, &mut wires, grouping, &mut carried).await {
             Ended::Finished => return Some(database),
@@ -166,7 +169,7 @@ async fn serve(writer: &mut Writer, wires: &mut Wires, grouping: Grouping, carri
                     continue;
                 }
                 _ = looking.tick() => {
-                    if let Err(error) = look_after(writer).await {
+                    if let Err(error) = look_after(writer, wires, &mut carried.incidents).await {
                         return Ended::Failed(error);
                     }
                     more = Step::More;
@@ -198,20 +201,29 @@ async fn serve(writer: &mut Writer, wires: &mut Wires, grouping: Grouping, carri
         more = Step::More;
         if commits.is_multiple_of(RETAIN_EVERY) {
             more = retain(writer, wires).await;
-            if let Err(error) = look_after(writer).await {
+            if let Err(error) = look_after(writer, wires, &mut carried.incidents).await {
                 return Ended::Failed(error);
             }
         }
     }
 }
 
-/// Sees that the file is still where it was, also while nothing is stored, and that the log is not too long.
+/// Sees that the file is still where it was, also while nothing is stored, that the log is not too long, and that the
+/// clocks are stored.
 ///
 /// # Errors
 /// When the database has to be opened anew.
-async fn look_after(writer: &mut Writer) -> Result<(), CommitError> {
+async fn look_after(
+    writer: &mut Writer,
+    wires: &Wires,
+    incidents: &mut PendingIncidents,
+) -> Result<(), CommitError> {
     writer.check_file()?;
-    writer.bound_log(MOST_LOG_BYTES).await.or_else(|error| {
+    let looked_after = async {
+        writer.keep_clocks(wires.clock.stamp(), incidents).await?;
+        writer.bound_log(MOST_LOG_BYTES).await
+    };
+    looked_after.await.or_else(|error: CommitError| {
         // A full disk shows at the next commit.
         if error.leaves_connection_usable() { Ok(()) } else { Err(error) }
     })
@@ -219,7 +231,7 @@ async fn look_after(writer: &mut Writer) -> Result<(), CommitError> {
 
 /// Deletes a little of what is old. What fails is tried again at the next occasion.
 async fn retain(writer: &mut Writer, wires: &Wires) -> Step {
-    writer.retain(wires.clock.wall()).await.unwrap_or_else(|error| {
+    writer.retain(wires.clock.stamp()).await.unwrap_or_else(|error| {
         tracing::warn!(%error, "cannot delete what is old, tried again by itself");
         Step::Done
     })
@@ -236,7 +248,7 @@ async fn store(
     backoff: &mut Backoff,
 ) -> Result<bool, CommitError> {
     loop {
-        let error = match writer.commit(work, wires.clock.wall()).await {
+        let error = match writer.commit(work, wires.clock.stamp()).await {
             Ok(stored) => {
                 *backoff = Backoff::new();
                 set(&wires.ready, Readiness::Ready);

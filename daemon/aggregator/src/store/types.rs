@@ -296,12 +296,13 @@ pub struct IncidentRow {
     pub id: i64,
     /// When, on the reporting host's wall clock.
     pub at: WallTime,
-    /// `disconnected`, `connected`, `refused`, `model-loaded`, `clock-step`, `gap`, `pipeline-failed`, `control`.
+    /// Of a host: `disconnected`, `connected`, `refused`, `model-loaded`, `clock-step`, `gap`, `pipeline-failed`,
+    /// `control`. Of the aggregator: the names of [`AggregatorIncidentKind`].
     pub kind: String,
-    /// The reporting host.
-    pub host: HostId,
-    /// Its name.
-    pub host_name: Slug,
+    /// The reporting host; `None`: the aggregator itself.
+    pub host: Option<HostId>,
+    /// Its name; `None`: the aggregator itself.
+    pub host_name: Option<Slug>,
     /// The pipeline concerned, if one.
     pub pipeline: Option<String>,
     /// The number of the run concerned, if one.
@@ -310,6 +311,28 @@ pub struct IncidentRow {
     pub peer: Option<String>,
     /// One sentence for people.
     pub text: String,
+}
+
+/// Kinds of incidents of the aggregator itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum AggregatorIncidentKind {
+    /// The aggregator's wall clock was stepped.
+    ClockStep,
+    /// Retention deleted data.
+    Retention,
+    /// The database could not be written or read, or was damaged.
+    Storage,
+}
+
+impl AggregatorIncidentKind {
+    /// The name used in storage, in the API and on the pages.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::ClockStep => "clock-step",
+            Self::Retention => "retention",
+            Self::Storage => "storage",
+        }
+    }
 }
 
 /// A host that once introduced itself.

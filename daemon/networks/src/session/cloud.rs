@@ -148,7 +148,11 @@ impl Listener {
                 }
                 Arrival::Garbage(address, problem) => {
                     // The transport has logged it.
-                    tracing::debug!(?address, problem, "dropped a connection that does not speak the protocol");
+                    tracing::debug!(
+                        ?address,
+                        problem,
+                        "dropped a connection that does not speak the protocol"
+                    );
                     self.shared.counters.malformed();
                 }
             }

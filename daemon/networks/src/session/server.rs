@@ -145,7 +145,9 @@ impl Server {
     fn too_many(&self, peer: &Peer, host: HostId) -> Option<String> {
         let (all, max) = (self.sessions.len(), self.max_sessions);
         if all >= max {
-            return Some(format!("the cloud holds {all} sessions already; close some or raise max_sessions there"));
+            return Some(format!(
+                "the cloud holds {all} sessions already; close some or raise max_sessions there"
+            ));
         }
         let of_host = self.sessions.values().filter(|entry| entry.host == host).count();
         let free = max - (all - of_host);

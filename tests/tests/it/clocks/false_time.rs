@@ -1,54 +1,28 @@
 //! A whole process under libfaketime: a wrong clock that it knows nothing of.
 
-use std::path::PathBuf;
-
 use peernet_clock::Span;
 use peernet_tests::truth::{Delay, HostClock, Iteration};
-use peernet_tests::{Network, Plant, Process};
+use peernet_tests::{FalseTime, Network, Plant, Process};
 
 use super::{WARM_UP, hold_to_the_truth, say};
 
 /// How far ahead the edge is.
 const AHEAD: Span = Span::from_millis(137);
 
-/// Debian keeps it in a folder of its own, one per architecture.
-fn libfaketime() -> PathBuf {
-    let folders = std::fs::read_dir("/usr/lib").expect("every Linux has /usr/lib").flatten();
-    let mut found =
-        folders.map(|folder| folder.path().join("faketime/libfaketimeMT.so.1")).filter(|path| path.exists());
-    found.next().expect("libfaketime is installed: run `deploy/install-tools.sh test`")
-}
-
-/// Shows the edge a time that is ahead of the kernel's, from now on or from within a second.
-fn show(plant: &Plant, ahead: Span) {
-    let file = plant.folder().join("ahead");
-    let new = file.with_extension("new");
-    std::fs::write(&new, format!("+{}s\n", ahead.seconds())).expect("the temporary folder is writable");
-    std::fs::rename(new, file).expect("the temporary folder is writable");
-}
-
 /// An edge that is shown a false time, and a cloud that is not.
-fn start(plant: &Plant, load: &str) -> (Process, Process) {
-    show(plant, AHEAD);
+fn start(plant: &Plant, time: &FalseTime, load: &str) -> (Process, Process) {
     let cloud = plant.cloud("[clock]\ndiscipline = []\n");
-    let (library, file) = (libfaketime().display().to_string(), plant.folder().join("ahead"));
-    let file = file.display().to_string();
-    let environment = [
-        ("LD_PRELOAD", library.as_str()),
-        ("FAKETIME_TIMESTAMP_FILE", &file),
-        ("FAKETIME_CACHE_DURATION", "1"),
-        ("DONT_FAKE_MONOTONIC", "1"),
-    ];
     // The kernel's word on its clock is not about the one that is shown.
     let clock = "clock_identity = \"shown\"\n[clock]\ntimestamps = \"user\"\ndiscipline = []\n";
-    let edge = plant.edge(&format!("{clock}{}", plant.pipeline("misled", 1000, load)), &environment);
+    let edge = plant.edge(&format!("{clock}{}", plant.pipeline("misled", 1000, load)), &time.environment());
     (cloud, edge)
 }
 
 #[test]
 fn an_edge_that_is_shown_a_false_time_reports_true_delays() {
     let plant = Plant::new(|_| Network::direct());
-    let _hosts = start(&plant, "load = { mode = \"rate\", hz = 50.0 }\nlimit = { iterations = 300 }");
+    let time = FalseTime::new(plant.folder(), AHEAD);
+    let _hosts = start(&plant, &time, "load = { mode = \"rate\", hz = 50.0 }\nlimit = { iterations = 300 }");
     plant.finished(1);
     let (edge, cloud) = (HostClock::ahead_by(&[AHEAD]), HostClock::kernels());
     let (up, down) = hold_to_the_truth("libfaketime +0.137 s", &plant.iterations(), &edge, &cloud);
@@ -62,11 +36,13 @@ fn an_edge_that_is_shown_a_false_time_reports_true_delays() {
 fn a_step_that_nobody_announced_is_noticed() {
     const LATER: Span = Span::from_millis(3_137);
     let plant = Plant::new(|_| Network::direct());
-    let _hosts = start(&plant, "load = { mode = \"rate\", hz = 100.0 }\nlimit = { iterations = 1500 }");
+    let time = FalseTime::new(plant.folder(), AHEAD);
+    let _hosts =
+        start(&plant, &time, "load = { mode = \"rate\", hz = 100.0 }\nlimit = { iterations = 1500 }");
     plant.api.until("/api/v1/pipelines/edge/misled", |pipeline| {
         (pipeline["windows"][2]["counts"]["ok"].as_f64()? >= 400.0).then_some(())
     });
-    show(&plant, LATER);
+    time.show(LATER);
     plant.finished(1);
 
     let iterations = plant.iterations();

@@ -1,5 +1,6 @@
 //! Stored data survives what operators do to machines.
 
+mod clock_jump;
 mod database_file;
 mod lost_events;
 mod memory;

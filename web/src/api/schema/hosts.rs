@@ -292,10 +292,11 @@ pub(crate) struct Incident {
     pub id: i64,
     /// On the reporting host's wall clock.
     pub at: String,
-    /// `disconnected`, `connected`, `refused`, `model-loaded`, `clock-step`, `gap`, `pipeline-failed` or `control`.
+    /// Of a host `disconnected`, `connected`, `refused`, `model-loaded`, `clock-step`, `gap`, `pipeline-failed` or
+    /// `control`; of the aggregator `clock-step`, `retention` or `storage`.
     pub kind: String,
-    /// Name of the reporting host.
-    pub host: String,
+    /// Name of the reporting host; null: the aggregator itself.
+    pub host: Option<String>,
     pub pipeline: Option<String>,
     pub run: Option<i64>,
     /// Name of the other host concerned.
@@ -309,7 +310,7 @@ impl From<&IncidentRow> for Incident {
             id: row.id,
             at: time(row.at),
             kind: row.kind.clone(),
-            host: row.host_name.to_string(),
+            host: row.host_name.as_ref().map(ToString::to_string),
             pipeline: row.pipeline.clone(),
             run: row.run,
             peer: row.peer.clone(),

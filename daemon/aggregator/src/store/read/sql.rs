@@ -195,7 +195,7 @@ statements! {
     /// ?1 limit, ?2 id of the last of the page before or NULL.
     INCIDENTS = "SELECT incident.id, incident.at_ns, incident.kind, host.uuid AS host, host.name AS host_name, \
                  incident.pipeline, incident.run, coalesce(peer.name, peer.uuid) AS peer, incident.text \
-                 FROM incident JOIN host ON host.id = incident.host LEFT JOIN host AS peer ON peer.id = incident.peer \
+                 FROM incident LEFT JOIN host ON host.id = incident.host LEFT JOIN host AS peer ON peer.id = incident.peer \
                  WHERE (incident.at_ns, incident.id) < \
                    (coalesce((SELECT at_ns FROM incident WHERE id = ?2), 9223372036854775807), coalesce(?2, 9223372036854775807)) \
                  ORDER BY incident.at_ns DESC, incident.id DESC LIMIT ?1";

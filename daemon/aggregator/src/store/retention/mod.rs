@@ -1,38 +1,41 @@
 //! Deleting what is old, by the task that writes and between its commits: a little at a time, so that nothing waits
 //! for it, and without looking through all runs.
 //!
-//! The table `retained` has a row for each run and each kind of data that is not kept for ever, with the second from
-//! which its period counts: at first when the run arrived, later when the oldest of what is left began. An index gives
-//! the next one that is due, so a step with nothing to do asks a few questions of an index and no more, at most once a
-//! second. Where each run was trimmed stands in `trimmed`, for readers and for a rebuild.
+//! Age is counted on the storage clock from when something arrived, so no wall clock can make data old: not the
+//! aggregator's, and not a robot's. The table `arrival` says what arrived when, for each run or link and each kind of data.
+//! An index gives the next that is due, so a step with nothing to do asks a few questions of an index and no more, at most
+//! once a second. Where each run was trimmed stands in `trimmed`, for readers and for a rebuild; what was deleted is an
+//! incident.
 
+mod arrivals;
+mod arriving;
 mod buckets;
 mod clocks;
+mod deletions;
 mod nodes;
-mod runs;
 mod size;
 mod trimmed;
 
-use peernet_clock::{Span, WallTime};
+use peernet_clock::{MonoTime, Span, Stamp};
 use sqlx::{Connection, SqliteConnection};
 
-use self::clocks::ClockSamples;
-use self::runs::Reach;
-pub(crate) use self::runs::{pin, release};
+pub(crate) use self::arrivals::{pin, release};
+use self::deletions::{Cause, Deletion, Deletions};
 use self::size::SizeLimit;
 use super::write::rollups::WIDTHS_S;
+use super::write::storage_clock::StorageClock;
 use crate::config::retention::{RetentionConfig, kept_s};
 
 /// Rows that a step deletes, as a hint for its caller: some tens of milliseconds.
 pub(crate) const ROWS: u32 = 20_000;
 /// When there was nothing to do, it is not looked again for so long.
 const IDLE: Span = Span::from_seconds(1);
-/// What is due waits for this part of its period, at most [`MOST_SLACK_S`], so that much goes at once and not a row
-/// each second.
-const SLACK: i64 = 24;
-const MOST_SLACK_S: i64 = 3_600;
-/// Runs that one transaction looks at.
-const RUNS: usize = 64;
+/// What arrives within this part of a period is deleted together, so that a kind has few rows in the table `arrival`.
+const PARTS: i64 = 64;
+/// The same of what is kept for ever, seconds: for the limit of the size, and for a period that is configured later.
+const UNLIMITED_RESOLUTION_S: i64 = 3_600;
+/// Runs and links of which one transaction takes what arrived.
+const ARRIVING: u32 = 64;
 
 /// What a step leaves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,60 +47,127 @@ pub(crate) enum Step {
 }
 
 /// What is deleted separately.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Kind {
     /// Iterations with all that belongs to them.
     Nodes,
     /// Roll-ups of this width, seconds.
     Buckets(i64),
+    /// Samples of the relation between two hosts' clocks.
+    ClockSamples,
 }
 
 impl Kind {
-    const ALL: [Self; WIDTHS_S.len() + 1] =
+    const OF_RUNS: [Self; WIDTHS_S.len() + 1] =
         [Self::Nodes, Self::Buckets(1), Self::Buckets(10), Self::Buckets(60), Self::Buckets(3600)];
+    const ALL: [Self; WIDTHS_S.len() + 2] = [
+        Self::Nodes,
+        Self::Buckets(1),
+        Self::Buckets(10),
+        Self::Buckets(60),
+        Self::Buckets(3600),
+        Self::ClockSamples,
+    ];
 
-    /// As in the tables `retained` and `trimmed`.
+    /// As in the tables `arrival` and `trimmed`.
     const fn number(self) -> i64 {
         match self {
             Self::Nodes => 0,
             Self::Buckets(width_s) => width_s,
+            Self::ClockSamples => -1,
         }
     }
 
-    /// What begins before this second is older than another one: an iteration counts from its begin, a bucket from its end.
-    const fn end_s(self, before_s: i64) -> i64 {
+    /// For how many days it is kept; 0: for ever.
+    const fn days(self, config: &RetentionConfig) -> u32 {
         match self {
-            Self::Nodes => before_s,
-            Self::Buckets(width_s) => before_s - width_s + 1,
+            Self::Nodes => config.nodes_days,
+            Self::Buckets(1) => config.seconds_days,
+            Self::Buckets(10) => config.ten_seconds_days,
+            Self::Buckets(60) => config.minutes_days,
+            Self::Buckets(_) => config.hours_days,
+            Self::ClockSamples => config.clock_samples_days,
         }
+    }
+
+    /// The key of the configuration that says so.
+    const fn key(self) -> &'static str {
+        match self {
+            Self::Nodes => "nodes_days",
+            Self::Buckets(1) => "seconds_days",
+            Self::Buckets(10) => "ten_seconds_days",
+            Self::Buckets(60) => "minutes_days",
+            Self::Buckets(_) => "hours_days",
+            Self::ClockSamples => "clock_samples_days",
+        }
+    }
+
+    /// What its items are, for people.
+    const fn in_words(self) -> &'static str {
+        match self {
+            Self::Nodes => "iterations with their trees",
+            Self::Buckets(1) => "statistics per second",
+            Self::Buckets(10) => "statistics per ten seconds",
+            Self::Buckets(60) => "statistics per minute",
+            Self::Buckets(_) => "statistics per hour",
+            Self::ClockSamples => "clock samples",
+        }
+    }
+
+    /// What they belong to.
+    const fn owner_in_words(self) -> &'static str {
+        if matches!(self, Self::ClockSamples) { "link" } else { "run" }
     }
 }
 
-/// What was deleted of a kind of a run, in the cost of a small row.
-#[derive(Clone, Copy, Debug)]
+/// How long each kind is kept, seconds of the storage clock.
+#[derive(Debug)]
+struct Periods(RetentionConfig);
+
+impl Periods {
+    /// `None`: for ever.
+    fn kept_s(&self, kind: Kind) -> Option<i64> {
+        kept_s(kind.days(&self.0))
+    }
+
+    /// What arrives within so many seconds is deleted together.
+    fn resolution_s(&self, kind: Kind) -> i64 {
+        self.kept_s(kind).map_or(UNLIMITED_RESOLUTION_S, |kept_s| (kept_s / PARTS).max(1))
+    }
+
+    fn finest_resolution_s(&self) -> i64 {
+        Kind::ALL.map(|kind| self.resolution_s(kind)).into_iter().min().unwrap_or(UNLIMITED_RESOLUTION_S)
+    }
+}
+
+/// What was deleted of a kind of a run or link.
+#[derive(Clone, Copy, Debug, Default)]
 struct Deleted {
+    /// In the cost of a small row.
     rows: u64,
-    /// When the oldest of what is left began.
-    left_s: Option<i64>,
+    /// Iterations, rows of statistics, or samples.
+    items: u64,
+    /// All that was asked for is gone.
+    complete: bool,
 }
 
 /// Deletes what is old.
 #[derive(Debug)]
 pub(crate) struct Retention {
-    config: RetentionConfig,
+    periods: Periods,
     /// When there was last nothing to do.
-    idle: Option<WallTime>,
-    clocks: ClockSamples,
+    idle: Option<MonoTime>,
     size: SizeLimit,
+    deletions: Deletions,
 }
 
 impl Retention {
     pub(crate) fn new(config: RetentionConfig) -> Self {
         Self {
-            config,
+            periods: Periods(config),
             idle: None,
-            clocks: ClockSamples::new(kept_s(config.clock_samples_days)),
             size: SizeLimit::new(config.size_limit_bytes),
+            deletions: Deletions::new(config),
         }
     }
 
@@ -108,110 +178,129 @@ impl Retention {
     pub(crate) async fn step(
         &mut self,
         connection: &mut SqliteConnection,
-        now: WallTime,
+        storage_clock: &mut StorageClock,
+        now: Stamp,
         rows: u32,
     ) -> Result<Step, sqlx::Error> {
-        // A clock that was set back must not make this wait for hours.
-        if self.idle.is_some_and(|idle| now >= idle && now < idle + IDLE) {
+        if self.idle.is_some_and(|idle| now.mono - idle < IDLE) {
             return Ok(Step::Done);
         }
-        let Some(work) = self.look(connection, now).await? else {
-            self.idle = Some(now);
+        let now_s = seconds(storage_clock.read(connection, now.mono).await?);
+        let Some(work) = self.look(connection, now_s, now.mono).await? else {
+            self.idle = Some(now.mono);
+            self.deletions.rest(now_s);
             return Ok(Step::Done);
         };
         self.idle = None;
+        let done = self.transaction(connection, storage_clock, work, now, rows.into()).await;
+        match &done {
+            Ok(()) => storage_clock.committed(now.mono),
+            Err(_) => self.deletions.forget(),
+        }
+        done.map(|()| Step::More)
+    }
+
+    /// Nothing more is deleted: tells the log what it was not told yet.
+    pub(crate) fn end(&mut self) {
+        self.deletions.end();
+    }
+
+    async fn transaction(
+        &mut self,
+        connection: &mut SqliteConnection,
+        storage_clock: &StorageClock,
+        work: Work,
+        now: Stamp,
+        rows: u64,
+    ) -> Result<(), sqlx::Error> {
         // Rolled back when it is dropped.
         let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
-        self.perform(&mut transaction, work, now, rows.into()).await?;
-        transaction.commit().await?;
-        Ok(Step::More)
+        let now_s = seconds(storage_clock.advance(&mut transaction, now).await?);
+        let mut deletions = Vec::new();
+        self.perform(&mut transaction, work, (now_s, now), rows, &mut deletions).await?;
+        self.deletions.record(&mut transaction, &deletions, (now_s, now.wall)).await?;
+        transaction.commit().await
     }
 
     /// The next thing to do.
     async fn look(
         &mut self,
         connection: &mut SqliteConnection,
-        now: WallTime,
+        now_s: i64,
+        now: MonoTime,
     ) -> Result<Option<Work>, sqlx::Error> {
-        if runs::arrived(connection).await? {
-            return Ok(Some(Work::Arrivals));
+        let since_s = now_s - self.periods.finest_resolution_s();
+        if arriving::any(connection, since_s).await? {
+            return Ok(Some(Work::Arriving { since_s }));
         }
         for kind in Kind::ALL {
-            if let Some(kept_s) = self.kept_s(kind)
-                && runs::due(connection, kind, due_s(now, kept_s)).await?
+            if let Some(kept_s) = self.periods.kept_s(kind)
+                && arrivals::due(connection, kind, now_s - kept_s).await?
             {
-                return Ok(Some(Work::Aged(kind, kept_s)));
+                return Ok(Some(Work::Aged { kind, before_s: now_s - kept_s }));
             }
         }
-        if self.size.exceeded(connection, now).await? {
-            return Ok(Some(Work::TooLarge));
-        }
-        Ok(self.clocks.next(connection, now).await?.map(Work::Clock))
+        Ok(self.size.exceeded(connection, now).await?.then_some(Work::TooLarge))
     }
 
     async fn perform(
         &mut self,
         connection: &mut SqliteConnection,
         work: Work,
-        now: WallTime,
+        (now_s, now): (i64, Stamp),
         rows: u64,
+        deletions: &mut Vec<Deletion>,
     ) -> Result<(), sqlx::Error> {
         match work {
-            Work::Arrivals => runs::arrive(connection, now.unix_seconds(), rows).await,
-            Work::Aged(kind, kept_s) => {
-                let end_s = kind.end_s(now.unix_seconds() - kept_s);
-                let reach = Reach::Aged { due_s: due_s(now, kept_s), end_s };
-                runs::trim(connection, kind, reach, now, rows).await?;
-                Ok(())
+            Work::Arriving { since_s } => {
+                arriving::close(connection, &self.periods, since_s, now_s, ARRIVING).await?;
             }
-            Work::TooLarge => self.size.reduce(connection, now, rows).await,
-            Work::Clock(due) => ClockSamples::perform(connection, due, rows).await,
+            Work::Aged { kind, before_s } => {
+                let what = (kind, Cause::Age);
+                arrivals::trim(connection, what, before_s, now_s, rows, deletions).await?;
+            }
+            Work::TooLarge => {
+                // What has just arrived may go as well, once no older iterations are left.
+                if !arrivals::due(connection, Kind::Nodes, i64::MAX).await? {
+                    arriving::close(connection, &self.periods, i64::MAX, now_s, ARRIVING).await?;
+                }
+                if !self.size.reduce(connection, (now_s, now.wall), rows, deletions).await? {
+                    self.size.give_up(now.mono);
+                }
+            }
         }
-    }
-
-    fn kept_s(&self, kind: Kind) -> Option<i64> {
-        kept_s(match kind {
-            Kind::Nodes => self.config.nodes_days,
-            Kind::Buckets(1) => self.config.seconds_days,
-            Kind::Buckets(10) => self.config.ten_seconds_days,
-            Kind::Buckets(60) => self.config.minutes_days,
-            Kind::Buckets(_) => self.config.hours_days,
-        })
+        Ok(())
     }
 }
 
 /// What a transaction does.
 #[derive(Debug)]
 enum Work {
-    /// Runs that retention has not seen yet.
-    Arrivals,
-    /// Some of this kind is older than so many seconds.
-    Aged(Kind, i64),
+    /// What has been arriving since this second of the storage clock becomes rows of the table `arrival`.
+    Arriving { since_s: i64 },
+    /// Some of this kind had arrived by this second, a whole period ago.
+    Aged { kind: Kind, before_s: i64 },
     /// The file uses more than it may.
     TooLarge,
-    /// Samples of a clock relation may be too old.
-    Clock(clocks::Due),
 }
 
-/// What has to begin before this second for its run to be looked at.
-fn due_s(now: WallTime, kept_s: i64) -> i64 {
-    now.unix_seconds() - kept_s - slack_s(kept_s)
-}
-
-/// By how much what is so old may be taken for younger or older than it is, to delete much at once.
-fn slack_s(age_s: i64) -> i64 {
-    (age_s / SLACK).clamp(1, MOST_SLACK_S)
+const fn seconds(elapsed: Span) -> i64 {
+    elapsed.nanos().div_euclid(1_000_000_000)
 }
 
 /// What a step asks: a test looks at the plans.
 #[cfg(test)]
 pub(crate) fn statements() -> Vec<(&'static str, &'static str)> {
     [
-        &runs::STATEMENTS[..],
+        &arrivals::STATEMENTS[..],
+        &arriving::STATEMENTS,
         &nodes::STATEMENTS,
         &buckets::STATEMENTS,
         &clocks::STATEMENTS,
+        &deletions::STATEMENTS,
         &trimmed::STATEMENTS,
+        &super::write::incidents::STATEMENTS,
+        &super::write::storage_clock::STATEMENTS,
     ]
     .concat()
 }

@@ -1,9 +1,10 @@
-//! The oldest iterations of a run, with all that belongs to them.
+//! Iterations of a run, with all that belongs to them.
 
 use sqlx::SqliteConnection;
 
 use super::trimmed::trimmed;
 use super::{Deleted, Kind};
+use crate::store::extent::Extent;
 
 /// Iterations looked at together.
 const PAGE: i64 = 500;
@@ -12,8 +13,9 @@ const NODES: u64 = 32;
 /// What an iteration costs beside its nodes, in nodes: two indexes and two more tables.
 const ITERATION: u64 = 4;
 
-/// ?1 run, ?2 limit.
-const OLDEST: &str = "SELECT number, started_ns FROM iteration WHERE run = ?1 ORDER BY number LIMIT ?2";
+/// ?1 run, ?2 and ?3 first and last number, ?4 limit.
+const OLDEST: &str = "SELECT number, started_ns FROM iteration WHERE run = ?1 AND number BETWEEN ?2 AND ?3 \
+     ORDER BY number LIMIT ?4";
 /// ?1 run, ?2 and ?3 first and last iteration; so for the others.
 const NODE: &str = "DELETE FROM node WHERE run = ?1 AND iteration BETWEEN ?2 AND ?3";
 const TRANSIT: &str = "DELETE FROM transit WHERE run = ?1 AND iteration BETWEEN ?2 AND ?3";
@@ -32,31 +34,34 @@ pub(super) const STATEMENTS: [(&str, &str); 6] = [
     ("NODES_FROM", NODES_FROM),
 ];
 
-/// Deletes iterations that began before a second, from the lowest number up, of about so many rows.
-///
-/// Numbers rise with true time, so an iteration that seems young before one that is old is old: the clock was set back.
+/// Deletes iterations by rising number, of about so many rows.
 pub(super) async fn delete(
     connection: &mut SqliteConnection,
     run: i64,
-    end_s: i64,
+    numbers: Extent,
     rows: u64,
 ) -> Result<Deleted, sqlx::Error> {
-    let mut deleted = 0;
+    let mut deleted = Deleted::default();
     let mut per_iteration = NODES;
     loop {
-        let page: Vec<(i64, i64)> =
-            sqlx::query_as(OLDEST).bind(run).bind(PAGE).fetch_all(&mut *connection).await?;
-        let seconds = |(_, started_ns): &(i64, i64)| started_ns.div_euclid(1_000_000_000);
-        let last = page.iter().rposition(|iteration| seconds(iteration) < end_s);
-        let Some(last) = last.filter(|_| deleted < rows) else {
-            return Ok(Deleted { rows: deleted, left_s: page.iter().map(seconds).min() });
-        };
-        let mut old = &page[..=last];
-        while let Some((from, _)) = old.first()
-            && deleted < rows
-        {
-            let together =
-                usize::try_from((rows - deleted) / per_iteration).unwrap_or(usize::MAX).clamp(1, old.len());
+        let page: Vec<(i64, i64)> = sqlx::query_as(OLDEST)
+            .bind(run)
+            .bind(numbers.first)
+            .bind(numbers.last)
+            .bind(PAGE)
+            .fetch_all(&mut *connection)
+            .await?;
+        if page.is_empty() {
+            return Ok(Deleted { complete: true, ..deleted });
+        }
+        let mut old = &page[..];
+        while let Some((from, _)) = old.first() {
+            if deleted.rows >= rows {
+                return Ok(deleted);
+            }
+            let together = usize::try_from((rows - deleted.rows) / per_iteration)
+                .unwrap_or(usize::MAX)
+                .clamp(1, old.len());
             let (now, later) = old.split_at(together);
             let through = now.last().map_or(*from, |(number, _)| *number);
             let mut gone = now.len() as u64 * ITERATION;
@@ -64,11 +69,13 @@ pub(super) async fn delete(
                 let done = sqlx::query(table).bind(run).bind(from).bind(through);
                 gone += done.execute(&mut *connection).await?.rows_affected();
             }
-            let newest_s = now.iter().map(seconds).max().unwrap_or(i64::MIN);
+            let seconds = now.iter().map(|(_, started_ns)| started_ns.div_euclid(1_000_000_000));
+            let newest_s = seconds.max().unwrap_or(i64::MIN);
             trimmed(connection, Kind::Nodes, run, newest_s.saturating_add(1)).await?;
             sqlx::query(NODES_FROM).bind(run).bind(through).execute(&mut *connection).await?;
             per_iteration = (gone / now.len() as u64).max(1);
-            deleted += gone;
+            deleted.rows += gone;
+            deleted.items += now.len() as u64;
             old = later;
         }
     }

@@ -1,10 +1,11 @@
 //! The limit of the file's size.
 
-use peernet_clock::{Span, WallTime};
+use peernet_clock::{MonoTime, Span, WallTime};
 use sqlx::SqliteConnection;
 
-use super::runs::{Reach, Trimmed};
-use super::{Kind, runs};
+use super::Kind;
+use super::arrivals::{self, Trimmed};
+use super::deletions::{Cause, Deletion};
 use crate::store::column::{column, count};
 
 /// What goes, in this order. Hours and whole runs stay.
@@ -24,7 +25,7 @@ pub(super) struct SizeLimit {
     told: bool,
     told_in_vain: bool,
     /// When nothing was found to delete.
-    in_vain: Option<WallTime>,
+    in_vain: Option<MonoTime>,
 }
 
 impl SizeLimit {
@@ -36,22 +37,24 @@ impl SizeLimit {
     pub(super) async fn exceeded(
         &self,
         connection: &mut SqliteConnection,
-        now: WallTime,
+        now: MonoTime,
     ) -> Result<bool, sqlx::Error> {
-        let in_vain = self.in_vain.is_some_and(|at| now >= at && now < at + PAUSE);
+        let in_vain = self.in_vain.is_some_and(|at| now - at < PAUSE);
         Ok(self.limit > 0 && !in_vain && used_bytes(connection).await? > self.limit)
     }
 
-    /// Deletes the oldest of what may go, of all runs, whatever its age.
+    /// Deletes what arrived first of what may go, of all runs, whatever its age. Returns whether something is left that
+    /// may go.
     pub(super) async fn reduce(
         &mut self,
         connection: &mut SqliteConnection,
-        now: WallTime,
+        (now_s, now): (i64, WallTime),
         rows: u64,
-    ) -> Result<(), sqlx::Error> {
+        deletions: &mut Vec<Deletion>,
+    ) -> Result<bool, sqlx::Error> {
         for kind in ORDER {
             let Trimmed { rows: deleted, through } =
-                runs::trim(connection, kind, Reach::Oldest, now, rows).await?;
+                arrivals::trim(connection, (kind, Cause::Size), i64::MAX, now_s, rows, deletions).await?;
             if deleted > 0 {
                 if !self.told {
                     tracing::warn!(
@@ -62,12 +65,18 @@ impl SizeLimit {
                     self.told = true;
                 }
                 self.in_vain = None;
-                return note(connection, now, deleted).await;
+                note(connection, now, deleted).await?;
+                return Ok(true);
             }
             if !through {
-                return Ok(());
+                return Ok(true);
             }
         }
+        Ok(false)
+    }
+
+    /// There is nothing that may go.
+    pub(super) fn give_up(&mut self, now: MonoTime) {
         if !self.told_in_vain {
             tracing::warn!(
                 limit_bytes = self.limit,
@@ -77,7 +86,6 @@ impl SizeLimit {
             self.told_in_vain = true;
         }
         self.in_vain = Some(now);
-        Ok(())
     }
 }
 

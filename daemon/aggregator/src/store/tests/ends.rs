@@ -3,7 +3,7 @@
 use peernet_logger::RunId;
 use peernet_logger::stream::{BatchHead, Event, RunEnded, codec};
 
-use super::{Bed, NOW, Work, generate, open};
+use super::{Bed, NOW, STAMP, Work, generate, open};
 use crate::picture::Stored;
 use crate::store::write::{Aside, RunName, stored_hosts, unknown_runs};
 
@@ -152,7 +152,7 @@ async fn nothing_is_told_of_a_commit_whose_file_was_moved() {
     let work = [bed.batch(vec![generate::run_started(run, "line", NOW)])];
     let elsewhere = bed.path.with_extension("away");
     std::fs::rename(&bed.path, &elsewhere).expect("moves");
-    let refused = bed.writer.commit(&work, NOW).await.expect_err("moved").to_string();
+    let refused = bed.writer.commit(&work, STAMP).await.expect_err("moved").to_string();
     assert!(
         refused.contains("was deleted, moved or replaced") && refused.contains("put it back"),
         "{refused}"

@@ -25,6 +25,7 @@ mod retention_size;
 mod rollups;
 mod simulation;
 mod skipped;
+mod storage_clock;
 mod together;
 mod whole;
 mod writing;
@@ -33,7 +34,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use bytes::Bytes;
-use peernet_clock::{ClockIdentity, SystemClock, WallTime};
+use peernet_clock::{ClockIdentity, MonoTime, Stamp, SystemClock, WallTime};
 use peernet_logger::stream::{BatchHead, Chain, Event, HostDescription, StreamId};
 use peernet_logger::{HostId, RunId};
 use sqlx::{ConnectOptions, SqliteConnection};
@@ -45,6 +46,8 @@ use super::{Store, database};
 use crate::RetentionConfig;
 
 const NOW: WallTime = WallTime::from_unix_nanos(1_750_000_000_000_000_000);
+/// Both clocks of the aggregator.
+const STAMP: Stamp = Stamp { wall: NOW, mono: MonoTime::from_nanos(0) };
 
 /// The process that all batches come from.
 const PROCESS: u64 = u64::MAX - 4;
@@ -101,7 +104,7 @@ impl Bed {
     }
 
     async fn commit(&mut self, work: &[Work]) -> Committed {
-        self.writer.commit(work, NOW).await.expect("commits")
+        self.writer.commit(work, STAMP).await.expect("commits")
     }
 
     /// Stores a run of so many iterations.

@@ -7,7 +7,7 @@ use peernet_logger::stream::Event;
 
 use super::Bed;
 use super::generate::{self, Numbers, at};
-use super::retention::{day, iterations, two_runs, work_off};
+use super::retention::{arrive, day, for_ever, iterations, step, two_runs, work_off};
 use crate::config::RetentionConfig;
 use crate::store::retention::{Retention, Step};
 
@@ -15,7 +15,7 @@ const USED: &str = "SELECT (page_count - freelist_count) * page_size \
      FROM pragma_page_count, pragma_freelist_count, pragma_page_size";
 
 fn limited(size_limit_bytes: u64) -> Retention {
-    Retention::new(RetentionConfig { size_limit_bytes, ..RetentionConfig::default() })
+    Retention::new(RetentionConfig { size_limit_bytes, ..for_ever() })
 }
 
 #[tokio::test]
@@ -35,6 +35,12 @@ async fn above_the_limit_the_oldest_goes_first_and_pinned_runs_stay() {
         1
     );
     assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * 21);
+    let told = bed.store.incidents(10, None).await.expect("answers");
+    let iterations_gone = first - 1;
+    let expected = format!(
+        "deleted {iterations_gone} iterations with their trees of 1 run (size_limit_bytes = {limit})"
+    );
+    assert_eq!(told.iter().map(|row| row.text.as_str()).collect::<Vec<_>>(), [expected.as_str()]);
 
     // Nothing is small enough: what may go is gone, and that is the end of it.
     let mut retention = limited(1);
@@ -57,22 +63,34 @@ async fn above_the_limit_the_oldest_goes_first_and_pinned_runs_stay() {
     );
 }
 
-/// Stores a run that begins, and goes on with an iteration every so many seconds, from one second up to another.
-async fn run_between(bed: &mut Bed, name: &str, (from_s, end_s): (u32, u32), every_s: usize) {
-    let run = RunId::random();
+/// Runs that go on side by side: their names, the hours in which they are measured, and how many iterations an hour. All of an
+/// hour arrives at its end.
+async fn side_by_side(bed: &mut Bed, runs: &[(&str, std::ops::Range<u32>, u32)], hours: u32) {
+    let ids: Vec<RunId> = runs.iter().map(|_| RunId::random()).collect();
     let mut random = Numbers(7);
-    let mut events = vec![generate::run_started(run, name, at(from_s.into()))];
-    events.extend((from_s..end_s).step_by(every_s).zip(1..).map(|(second, number)| {
-        Event::Iteration(generate::iteration_at(
-            run,
-            number,
-            bed.hosts(),
-            at(f64::from(second) + 0.3),
-            &mut random,
-        ))
-    }));
-    let work = bed.batch(events);
-    bed.commit(&[work]).await;
+    for hour in 0..hours {
+        let mut events = Vec::new();
+        for ((name, during, count), run) in runs.iter().zip(&ids) {
+            let begin = f64::from(hour) * 3_600.0;
+            if during.start == hour {
+                events.push(generate::run_started(*run, name, at(begin)));
+            }
+            if during.contains(&hour) {
+                events.extend((0..*count).map(|n| {
+                    let number = (hour - during.start) * count + n + 1;
+                    let began = at(begin + f64::from(n) * 3_600.0 / f64::from(*count) + 0.3);
+                    Event::Iteration(generate::iteration_at(
+                        *run,
+                        number.into(),
+                        bed.hosts(),
+                        began,
+                        &mut random,
+                    ))
+                }));
+            }
+        }
+        arrive(bed, events, at(f64::from(hour + 1) * 3_600.0)).await;
+    }
 }
 
 /// The oldest that is left of each run and kind that retention still looks at, and up to where it is gone, in seconds.
@@ -97,20 +115,14 @@ async fn course(bed: &Bed) -> BTreeMap<i64, Vec<(Option<i64>, i64)>> {
 async fn runs_that_overlap_are_trimmed_in_turns() {
     let mut bed = Bed::new().await;
     // One that goes on, two that ended meanwhile, and one that began late.
-    for (name, extent, every_s) in
-        [("line", (0, 1_200), 3), ("arm", (0, 300), 4), ("belt", (300, 900), 30), ("cell", (1_000, 1_200), 2)]
-    {
-        run_between(&mut bed, name, extent, every_s).await;
-        // It is seen when it begins.
-        let mut connection = bed.other().await;
-        work_off(&mut limited(0), &mut connection, at(extent.0.into())).await;
-    }
+    let runs = [("line", 0..20, 3), ("arm", 0..5, 4), ("belt", 5..15, 2), ("cell", 16..20, 2)];
+    side_by_side(&mut bed, &runs, 20).await;
     let mut connection = bed.other().await;
     let mut retention = limited(1);
-    // A twenty-fourth of the time that there is, and a bucket that is gone whole.
-    let tolerance_s = |kind: i64| 1_200 / 24 + 2 + kind;
+    // What arrives within an hour goes together, and a bucket goes whole.
+    let tolerance_s = |kind: i64| 2 * 3_600 + 60 + kind;
     let mut together = 0;
-    while retention.step(&mut connection, at(1_200.0), 300).await.expect("steps") == Step::More {
+    while step(&mut retention, &mut connection, at(20.0 * 3_600.0)).await == Step::More {
         for (kind, runs) in course(&bed).await {
             let gone_s = runs.iter().map(|(_, gone_s)| *gone_s).max().expect("there are runs");
             let oldest_s = runs.iter().filter_map(|(oldest_s, _)| *oldest_s).min();
@@ -130,7 +142,14 @@ async fn runs_that_overlap_are_trimmed_in_turns() {
 async fn what_seems_to_come_from_the_future_goes_as_well() {
     let mut bed = Bed::new().await;
     for name in ["line", "arm"] {
-        run_between(&mut bed, name, (9_000, 9_100), 2).await;
+        let run = RunId::random();
+        let mut random = Numbers(7);
+        let mut events = vec![generate::run_started(run, name, at(9_000.0))];
+        events.extend((1..50).map(|number| {
+            let began = at(9_000.0 + 2.0 * number as f64);
+            Event::Iteration(generate::iteration_at(run, number, bed.hosts(), began, &mut random))
+        }));
+        arrive(&mut bed, events, at(0.0)).await;
     }
     let mut connection = bed.other().await;
     work_off(&mut limited(1), &mut connection, at(0.0)).await;

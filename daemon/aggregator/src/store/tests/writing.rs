@@ -6,7 +6,7 @@ use peernet_logger::stream::{
 use peernet_logger::{HostId, RunId};
 
 use super::rollups::{assert_same, table};
-use super::{Bed, NOW, Work, generate, open};
+use super::{Bed, NOW, STAMP, Work, generate, open};
 use crate::picture::Stored;
 use crate::store::rebuild::rebuild;
 use crate::store::write::{Aside, Introduction};
@@ -161,7 +161,7 @@ async fn nothing_is_acknowledged_without_the_log() {
     let log = bed.path.with_extension("sqlite-wal");
     std::fs::remove_file(&log).expect("there was one");
     for _ in 0..2 {
-        let refused = bed.writer.commit(&work, NOW).await.expect_err("gone").to_string();
+        let refused = bed.writer.commit(&work, STAMP).await.expect_err("gone").to_string();
         assert!(refused.contains("sqlite-wal of the database was deleted"), "{refused}");
         // As another program would that opens the database.
         std::fs::write(&log, "").expect("writes");
@@ -174,7 +174,7 @@ async fn nothing_is_acknowledged_without_the_log() {
     let mut writer = open(&path).await;
     // SQLite has carried over what it still had open; what was refused is not stored.
     assert_eq!(writer.streams().marks.get(&stream).map(|mark| mark.stored), Some(1));
-    assert_eq!(writer.commit(&work, NOW).await.expect("commits").marks[&stream].stored, 2);
+    assert_eq!(writer.commit(&work, STAMP).await.expect("commits").marks[&stream].stored, 2);
 }
 
 #[tokio::test]
@@ -355,7 +355,7 @@ async fn a_locked_database_is_an_error_that_changes_nothing() {
     other.lock().await;
     let events = vec![generate::run_started(run, "line", NOW)];
     let work = [bed.batch(events)];
-    let refused = bed.writer.commit(&work, NOW).await;
+    let refused = bed.writer.commit(&work, STAMP).await;
     assert!(refused.expect_err("locked").to_string().contains("locked"));
     drop(other);
     assert_eq!(bed.commit(&work).await.marks[&bed.stream].stored, 1);
@@ -370,7 +370,7 @@ async fn a_full_disk_is_an_error_that_changes_nothing() {
     events.extend(iterations(&bed, run, 1..=100));
     let work = [bed.batch(events)];
     bed.writer.limit_pages(1).await;
-    let refused = bed.writer.commit(&work, NOW).await;
+    let refused = bed.writer.commit(&work, STAMP).await;
     assert!(refused.expect_err("full").to_string().contains("full"));
     assert_eq!(bed.count("SELECT (SELECT count(*) FROM run) + (SELECT count(*) FROM name)").await, 0);
     bed.writer.limit_pages(1_000_000).await;

@@ -14,6 +14,7 @@ use super::entities::Entities;
 use super::prepared::position;
 use crate::plausible;
 use crate::store::column::column;
+use crate::store::extent::Extent;
 
 /// Links kept in memory; beyond, all are forgotten and read again when needed.
 const MOST_LINKS: usize = 10_000;
@@ -35,9 +36,18 @@ const WINDOW: &str = "INSERT INTO clock_window (link, window, first_ns, last_ns)
      ON CONFLICT (link, window) DO UPDATE SET first_ns = min(first_ns, excluded.first_ns), \
      last_ns = max(last_ns, excluded.last_ns)";
 
+/// ?1 link, ?2 the storage clock, ?3 and ?4 the first and the last time.
+const ARRIVED: &str = "UPDATE link SET arriving_from_s = coalesce(arriving_from_s, ?2), \
+     arriving_first_ns = min(coalesce(arriving_first_ns, ?3), ?3), \
+     arriving_last_ns = max(coalesce(arriving_last_ns, ?4), ?4) WHERE id = ?1";
+
 /// What the writer remembers of the table `link`: by the edge's row and the cloud, its row and the cloud's name.
 #[derive(Debug, Default)]
-pub(super) struct Links(HashMap<(i64, HostId), (i64, Slug)>);
+pub(super) struct Links {
+    known: HashMap<(i64, HostId), (i64, Slug)>,
+    /// Times of the samples that the transaction stores, by link.
+    arrived: HashMap<i64, Extent>,
+}
 
 impl Links {
     /// Stores a second of the relation between an edge's clock and a cloud's, which may never have been heard of.
@@ -58,12 +68,33 @@ impl Links {
             .bind(sample.at.unix_nanos())
             .execute(connection)
             .await?;
+        let at = Extent::of(sample.at.unix_nanos());
+        self.arrived.entry(link).and_modify(|known| *known = known.hull(at)).or_insert(at);
+        Ok(())
+    }
+
+    /// Writes what arrived of each link, for retention; `storage_s` is the storage clock.
+    pub(super) async fn write(
+        &mut self,
+        connection: &mut SqliteConnection,
+        storage_s: i64,
+    ) -> Result<(), sqlx::Error> {
+        for (link, Extent { first, last }) in self.arrived.drain() {
+            sqlx::query(ARRIVED)
+                .bind(link)
+                .bind(storage_s)
+                .bind(first)
+                .bind(last)
+                .execute(&mut *connection)
+                .await?;
+        }
         Ok(())
     }
 
     /// Forgets what is only in memory: the transaction did not end well.
     pub(super) fn forget(&mut self) {
-        self.0.clear();
+        self.known.clear();
+        self.arrived.clear();
     }
 
     async fn link(
@@ -74,7 +105,7 @@ impl Links {
         sample: &ClockSample,
         now: WallTime,
     ) -> Result<i64, Refusal> {
-        if let Some((link, name)) = self.0.get(&(edge, sample.peer))
+        if let Some((link, name)) = self.known.get(&(edge, sample.peer))
             && *name == sample.peer_name
         {
             return Ok(*link);
@@ -89,10 +120,10 @@ impl Links {
         .bind(sample.peer_name.as_str())
         .fetch_one(connection)
         .await?;
-        if self.0.len() >= MOST_LINKS {
-            self.0.clear();
+        if self.known.len() >= MOST_LINKS {
+            self.known.clear();
         }
-        self.0.insert((edge, sample.peer), (link, sample.peer_name.clone()));
+        self.known.insert((edge, sample.peer), (link, sample.peer_name.clone()));
         Ok(link)
     }
 }

@@ -13,6 +13,7 @@ use super::insert::Insert;
 use super::prepared::RunPart;
 use crate::picture::Stored;
 use crate::store::column::{column, count};
+use crate::store::extent::Extent;
 
 /// Hosts whose counters are kept in memory; beyond, all are forgotten and read again when needed.
 const MOST_HOSTS: usize = 10_000;
@@ -34,6 +35,8 @@ struct RunCounts {
     warm_up: u64,
     skipped_starts: u64,
     last: WallTime,
+    /// Numbers and seconds of the iterations.
+    arrived: Option<(Extent, Extent)>,
 }
 
 /// What a transaction adds, and the hosts' counters as they will stand after it.
@@ -64,8 +67,13 @@ impl Default for Counters {
                  failed = failed + more.column4, lost = lost + more.column5, timeout = timeout + more.column6, \
                  last_iteration_ns = max(coalesce(last_iteration_ns, more.column7), more.column7), \
                  ended_ns = iif(end_reason = more.column8, max(ended_ns, more.column7), ended_ns), \
-                 skipped_starts = min(skipped_starts + more.column9, more.column10) FROM (",
-                10,
+                 skipped_starts = min(skipped_starts + more.column9, more.column10), \
+                 arriving_from_s = coalesce(arriving_from_s, more.column11), \
+                 arriving_first_number = min(coalesce(arriving_first_number, more.column12), more.column12), \
+                 arriving_last_number = max(coalesce(arriving_last_number, more.column13), more.column13), \
+                 arriving_first_s = min(coalesce(arriving_first_s, more.column14), more.column14), \
+                 arriving_last_s = max(coalesce(arriving_last_s, more.column15), more.column15) FROM (",
+                15,
                 ") AS more WHERE run.number = more.column1",
             ),
         }
@@ -87,6 +95,8 @@ impl Counters {
         counts.warm_up += part.warm_up;
         counts.skipped_starts = counts.skipped_starts.saturating_add(part.skipped_starts).min(MOST_SKIPPED);
         counts.last = counts.last.max(part.last);
+        let (numbers, seconds) = counts.arrived.unwrap_or((part.numbers, part.seconds));
+        counts.arrived = Some((numbers.hull(part.numbers), seconds.hull(part.seconds)));
     }
 
     /// Writes all of it; returns what the database then holds of the hosts, and their newest moments.
@@ -94,6 +104,7 @@ impl Counters {
         &mut self,
         connection: &mut SqliteConnection,
         now: WallTime,
+        storage_s: i64,
     ) -> Result<HashMap<HostId, (Stored, Option<WallTime>)>, sqlx::Error> {
         self.write_runs
             .run(connection, &self.runs, |(run, counts), to| {
@@ -106,7 +117,12 @@ impl Counters {
                 to.add(counts.last.unix_nanos())?;
                 to.add(LEFT)?;
                 to.add(column(counts.skipped_starts))?;
-                to.add(column(MOST_SKIPPED))
+                to.add(column(MOST_SKIPPED))?;
+                to.add(counts.arrived.map(|_| storage_s))?;
+                to.add(counts.arrived.map(|(numbers, _)| numbers.first))?;
+                to.add(counts.arrived.map(|(numbers, _)| numbers.last))?;
+                to.add(counts.arrived.map(|(_, seconds)| seconds.first))?;
+                to.add(counts.arrived.map(|(_, seconds)| seconds.last))
             })
             .await?;
         self.runs.clear();

@@ -7,6 +7,7 @@ mod counters;
 mod ends;
 mod entities;
 mod file;
+pub(in crate::store) mod incidents;
 mod insert;
 mod names;
 mod prepared;
@@ -14,15 +15,17 @@ mod records;
 pub(crate) mod rollups;
 mod rows;
 mod secrets;
+pub(crate) mod storage_clock;
 mod streams;
 mod transaction;
 mod trespasses;
+mod wall_clock;
 mod work;
 
 use std::collections::HashMap;
 use std::path::PathBuf;
 
-use peernet_clock::WallTime;
+use peernet_clock::{Stamp, WallTime};
 use peernet_logger::stream::{BatchHead, HostSecret, Mark, StreamId};
 use peernet_logger::{HostId, RunId};
 use sqlx::{Connection, SqliteConnection};
@@ -30,9 +33,11 @@ use sqlx::{Connection, SqliteConnection};
 pub(crate) use self::entities::{UNKNOWN, newest_runs, placement_word, stored_hosts, unknown_runs};
 use self::file::DatabaseFile;
 pub(crate) use self::file::{CommitError, FormerFiles};
+pub(crate) use self::incidents::PendingIncidents;
 use self::names::Names;
 use self::prepared::Prepared;
 pub(crate) use self::secrets::known_hosts;
+use self::storage_clock::StorageClock;
 pub(crate) use self::streams::Streams;
 use self::transaction::Staging;
 pub(crate) use self::work::{Aside, Introduction, Refusal, RunName, Work};
@@ -71,6 +76,9 @@ pub(crate) struct Writer {
     connection: SqliteConnection,
     staging: Staging,
     retention: Retention,
+    storage_clock: StorageClock,
+    /// The aggregator's wall clock when something was last stored before this writer, until it is compared.
+    last_wall: Option<WallTime>,
     /// As committed.
     streams: Streams,
     /// What a part of a group committed before another part failed: told when the group is handed in again.
@@ -86,11 +94,14 @@ impl Writer {
     ) -> Result<Self, sqlx::Error> {
         let streams = Streams::load(&mut connection).await?;
         let names = Names::load(&mut connection).await?;
+        let last_wall = storage_clock::last_wall(&mut connection).await?;
         Ok(Self {
             file: DatabaseFile::of(path)?,
             connection,
             staging: Staging::new(names),
             retention: Retention::new(keep),
+            storage_clock: StorageClock::default(),
+            last_wall,
             streams,
             untold: Committed::default(),
         })
@@ -98,6 +109,7 @@ impl Writer {
 
     /// Closes the connection. Returns which files it was to.
     pub(crate) async fn close(mut self) -> (FormerFiles, Result<(), sqlx::Error>) {
+        self.retention.end();
         if self.file.check().is_err() {
             // SQLite leaves the log of a file that was moved where it is, and would apply it to whatever is put in
             // that file's place. Carried over now, through the descriptors, each file is whole by itself.
@@ -121,7 +133,7 @@ impl Writer {
     /// When the database cannot store anything now: the same work may be handed in again if the error
     /// [leaves the connection usable](CommitError::leaves_connection_usable), and else to a new writer. Or when its file
     /// or its log is no longer where it was: nothing of it counts as stored then.
-    pub(crate) async fn commit(&mut self, work: &[Work], now: WallTime) -> Result<Committed, CommitError> {
+    pub(crate) async fn commit(&mut self, work: &[Work], now: Stamp) -> Result<Committed, CommitError> {
         self.check_file()?;
         // The group, or what is left of it: halved around a bad batch until that one is alone.
         let mut parts = vec![work];
@@ -150,9 +162,39 @@ impl Writer {
     }
 
     /// Deletes a little of what is old, if anything is; whether there is more.
-    pub(crate) async fn retain(&mut self, now: WallTime) -> Result<Step, sqlx::Error> {
-        let result = self.retention.step(&mut self.connection, now, retention::ROWS).await;
+    pub(crate) async fn retain(&mut self, now: Stamp) -> Result<Step, sqlx::Error> {
+        let Self { connection, storage_clock, .. } = self;
+        let result = self.retention.step(connection, storage_clock, now, retention::ROWS).await;
         self.rolled_back(result).await
+    }
+
+    /// Looks at the wall clock, stores incidents of the aggregator that wait, and the storage clock where nothing else was
+    /// stored for a while.
+    pub(crate) async fn keep_clocks(
+        &mut self,
+        now: Stamp,
+        incidents: &mut PendingIncidents,
+    ) -> Result<(), sqlx::Error> {
+        if let Some(last_wall) = self.last_wall.take() {
+            incidents.compare(now, last_wall);
+        }
+        incidents.look(now);
+        if incidents.is_empty() && !self.storage_clock.is_due(now.mono) {
+            return Ok(());
+        }
+        let result = self.store_clocks(now, incidents).await;
+        self.rolled_back(result).await?;
+        self.storage_clock.committed(now.mono);
+        incidents.clear();
+        self.file.remember_log();
+        Ok(())
+    }
+
+    async fn store_clocks(&mut self, now: Stamp, incidents: &PendingIncidents) -> Result<(), sqlx::Error> {
+        let mut transaction = self.connection.begin_with("BEGIN IMMEDIATE").await?;
+        incidents.store(&mut transaction).await?;
+        self.storage_clock.advance(&mut transaction, now).await?;
+        transaction.commit().await
     }
 
     /// Carries the log over and empties it when its file has more bytes than this, unless somebody reads just now.
@@ -207,7 +249,7 @@ impl Writer {
     async fn alone(
         &mut self,
         part: &[Work],
-        now: WallTime,
+        now: Stamp,
         mut reason: String,
     ) -> Result<Committed, CommitError> {
         if let [Work::Batch(batch)] = part {
@@ -241,12 +283,16 @@ impl Writer {
     async fn attempt(
         &mut self,
         work: &[Work],
-        now: WallTime,
+        now: Stamp,
         aside: Option<&str>,
     ) -> Result<Committed, Refusal> {
-        let result = self.staging.run(&mut self.connection, work, &self.streams.marks, now, aside).await;
+        let result = {
+            let Self { staging, connection, streams, storage_clock, .. } = self;
+            staging.run(connection, work, &streams.marks, (storage_clock, now), aside).await
+        };
         match result {
             Ok(committed) => {
+                self.storage_clock.committed(now.mono);
                 self.streams.marks.extend(&committed.marks);
                 Ok(committed)
             }

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use peernet_clock::WallTime;
+use peernet_clock::{Stamp, WallTime};
 use peernet_logger::stream::{BatchHead, Event, Mark, Missing, StreamId};
 use sqlx::SqliteConnection;
 
@@ -15,6 +15,7 @@ use super::names::Names;
 use super::prepared::{Prepared, Step};
 use super::rollups::Rollups;
 use super::rows::{Inserts, Resolved};
+use super::storage_clock::StorageClock;
 use super::streams::Moved;
 use super::trespasses::Trespasses;
 use super::{Committed, Introduction, Refusal, Work, records, secrets};
@@ -38,16 +39,19 @@ impl Staging {
         Self { names, ..Self::default() }
     }
 
-    /// Stores all of `work`. With `aside` its batches go to the quarantine for that reason. `marks` are as committed.
+    /// Stores all of `work`, and advances the storage clock. With `aside` its batches go to the quarantine for that reason. `marks` are as committed.
     pub(super) async fn run(
         &mut self,
         connection: &mut SqliteConnection,
         work: &[Work],
         marks: &HashMap<StreamId, Mark>,
-        now: WallTime,
+        (storage_clock, stamp): (&StorageClock, Stamp),
         aside: Option<&str>,
     ) -> Result<Committed, Refusal> {
         sqlx::query("BEGIN IMMEDIATE").execute(&mut *connection).await?;
+        let elapsed = storage_clock.advance(connection, stamp).await?;
+        let storage_s = elapsed.nanos().div_euclid(1_000_000_000);
+        let now = stamp.wall;
         let mut committed = Committed::default();
         let mut batches = Vec::new();
         for item in work {
@@ -118,7 +122,8 @@ impl Staging {
         batches.sort_by_key(|batch| batch.runs.first().copied());
         self.inserts.run(connection, &batches, &mut self.rollups).await?;
         self.rollups.write(connection).await?;
-        committed.hosts = self.counters.write(connection, now).await?;
+        committed.hosts = self.counters.write(connection, now, storage_s).await?;
+        self.links.write(connection, storage_s).await?;
         self.ends.write(connection).await?;
         self.trespasses.write(connection, now).await?;
         committed.marks.extend(self.moved.write(connection, now).await?);

@@ -78,8 +78,8 @@ impl ZmtpConnection {
         limits: &ListenerLimits,
         output: &Arc<MemoryBudget>,
     ) -> Self {
-        let config =
-            ConnectionConfig::new(Role::Server, SocketType::Router).max_message_size(limits.max_message_bytes);
+        let config = ConnectionConfig::new(Role::Server, SocketType::Router)
+            .max_message_size(limits.max_message_bytes);
         let codec = Codec {
             zmtp: Connection::new(config),
             ends: VecDeque::new(),

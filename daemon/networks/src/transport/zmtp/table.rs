@@ -68,8 +68,10 @@ impl ConnectionTable {
         } else if entries.open.len() >= self.limits.max_connections
             || entries.unadmitted.len() >= self.limits.max_unadmitted()
         {
-            let crowded = entries.groups.iter().max_by_key(|(_, count)| count.unadmitted).map(|(group, _)| *group);
-            let oldest = crowded.and_then(|group| entries.oldest_unadmitted(group)).ok_or(Rejection::TooMany)?;
+            let crowded =
+                entries.groups.iter().max_by_key(|(_, count)| count.unadmitted).map(|(group, _)| *group);
+            let oldest =
+                crowded.and_then(|group| entries.oldest_unadmitted(group)).ok_or(Rejection::TooMany)?;
             replaced.extend(entries.remove(oldest));
         }
         entries.next += 1;
@@ -104,7 +106,8 @@ impl ConnectionTable {
         let Some(connection) = entries.open.get(&id).cloned() else { return };
         connection.advance(phase);
         let is_admitted = phase == Phase::Admitted;
-        let changed = if is_admitted { entries.unadmitted.remove(&id) } else { entries.unadmitted.insert(id) };
+        let changed =
+            if is_admitted { entries.unadmitted.remove(&id) } else { entries.unadmitted.insert(id) };
         if changed && let Some(count) = entries.groups.get_mut(&connection.group) {
             count.unadmitted = if is_admitted { count.unadmitted - 1 } else { count.unadmitted + 1 };
         }

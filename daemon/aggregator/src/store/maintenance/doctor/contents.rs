@@ -41,6 +41,9 @@ const STORED: &str = "WITH kept AS ( \
        FROM kept WHERE newest IS NOT NULL \
      ) SELECT coalesce(sum(iterations), 0), coalesce(sum(iterations * nodes / some), 0) FROM sampled";
 const TRIMMED: &str = "SELECT what, count FROM retention_note";
+/// The last deletion.
+const DELETED: &str = "SELECT strftime('%Y-%m-%d %H:%M:%S', at_ns / 1000000000, 'unixepoch'), text FROM incident INDEXED BY incident_of_aggregator \
+     WHERE host IS NULL AND kind = 'retention' ORDER BY id DESC LIMIT 1";
 const DEBTS: &str = "SELECT count(*) FROM rollup_debt";
 
 pub(super) async fn read(report: &mut Report, connection: &mut SqliteConnection, now: WallTime) {
@@ -59,6 +62,14 @@ pub(super) async fn read(report: &mut Report, connection: &mut SqliteConnection,
     report.open_runs = open;
     let answer = sqlx::query_as(TRIMMED).fetch_all(&mut *connection).await;
     let trimmed: Vec<(String, i64)> = report.or_problem("what retention did", answer);
+    let answer = sqlx::query_as(DELETED).fetch_optional(&mut *connection).await;
+    let deleted: Option<(String, String)> = report.or_problem("what retention deleted last", answer);
+    if let Some((at, text)) = deleted {
+        report.notice(
+            format!("retention {text}, within an hour from {at} UTC"),
+            "nothing, if [aggregator.retention] keeps what is wanted; pin runs that must stay",
+        );
+    }
     let answer = sqlx::query_scalar(DEBTS).fetch_one(connection).await;
     let debts: i64 = report.or_problem("what is left of the last update", answer);
     judge(report, &trimmed, debts);

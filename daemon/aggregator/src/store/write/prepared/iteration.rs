@@ -5,6 +5,7 @@ use peernet_logger::stream::{Iteration, Outcome, OutcomeCounts};
 use peernet_logger::{HostId, Measure, NodeId, Transit, Tree, stage};
 
 use super::{AnchorRow, IterationRow, NodeRow, Preparing, RunPart, Step, TransitRow};
+use crate::store::extent::Extent;
 use crate::store::write::rollups::Quantity;
 
 /// How many starts of an open loop were skipped before an iteration: a node of the agent.
@@ -72,6 +73,8 @@ impl Preparing {
 
     /// The position of the iteration's run, and the iteration counted.
     fn run(&mut self, iteration: &Iteration, started: WallTime) -> u32 {
+        let numbers = Extent::of(iteration.number.cast_signed());
+        let seconds = Extent::of(started.unix_seconds());
         let batch = &mut self.batch;
         let run = *self.runs.entry(iteration.run).or_insert_with(|| {
             let run = batch.runs.len() as u32;
@@ -83,11 +86,15 @@ impl Preparing {
                 warm_up: 0,
                 skipped_starts: 0,
                 last: started,
+                numbers,
+                seconds,
             });
             run
         });
         let part = &mut batch.runs[run as usize];
         part.last = part.last.max(started);
+        part.numbers = part.numbers.hull(numbers);
+        part.seconds = part.seconds.hull(seconds);
         if !iteration.warm_up {
             part.skipped_starts = part.skipped_starts.saturating_add(skipped_starts(&iteration.tree));
         }

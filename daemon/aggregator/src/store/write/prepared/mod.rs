@@ -20,6 +20,7 @@ pub(super) use self::rows::{AnchorRow, IterationRow, NodeRow, TransitRow};
 use self::summaries::Summaries;
 pub(super) use self::summaries::SummaryPart;
 use crate::picture::Stored;
+use crate::store::extent::Extent;
 
 pub(super) use self::iteration::position;
 
@@ -69,6 +70,9 @@ pub(super) struct RunPart {
     pub(super) skipped_starts: u64,
     /// When the last of them began.
     pub(super) last: WallTime,
+    pub(super) numbers: Extent,
+    /// The seconds in which they began.
+    pub(super) seconds: Extent,
 }
 
 impl Prepared {

@@ -56,7 +56,11 @@ fn claims_before_the_hello_are_refused_above_64_kib() {
     let mut framer = greeted(&allowance);
     let part = frame(MORE, &[0; 1_000]);
     let many = (0..100).map_while(|_| framer.input(&part, &allowance, &mut Vec::new()).ok()).count();
-    assert_eq!(many, MAX_UNADMITTED_BYTES / (1_000 + FRAME_OVERHEAD_BYTES), "parts of a message count together");
+    assert_eq!(
+        many,
+        MAX_UNADMITTED_BYTES / (1_000 + FRAME_OVERHEAD_BYTES),
+        "parts of a message count together"
+    );
 }
 
 #[test]
@@ -105,7 +109,8 @@ fn a_long_frame_is_read_into_its_own_buffer() {
     assert_eq!(reads, 4, "64, 128, 256 KiB and the rest");
     // The next of its length needs one.
     framer.input(&header(0, 300_000), &allowance, &mut out).expect("is allowed");
-    let room = framer.direct_buffer(&allowance).expect("there is memory").map(|buffer| buffer.remaining_mut());
+    let room =
+        framer.direct_buffer(&allowance).expect("there is memory").map(|buffer| buffer.remaining_mut());
     assert_eq!(room, Some(300_000));
 }
 

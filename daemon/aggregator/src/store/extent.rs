@@ -1,0 +1,76 @@
+//! Ranges of whole numbers.
+
+/// A range of whole numbers, both ends included; `first` is not above `last`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Extent {
+    pub(crate) first: i64,
+    pub(crate) last: i64,
+}
+
+impl Extent {
+    /// The range of one number.
+    pub(crate) const fn of(number: i64) -> Self {
+        Self { first: number, last: number }
+    }
+
+    /// The smallest range that holds both.
+    pub(crate) fn hull(self, other: Self) -> Self {
+        Self { first: self.first.min(other.first), last: self.last.max(other.last) }
+    }
+
+    /// What of this range is in none of the others, in rising order.
+    pub(crate) fn without(self, mut others: Vec<Self>) -> Vec<Self> {
+        others.sort_unstable_by_key(|other| other.first);
+        let mut left = Vec::new();
+        let mut from = self.first;
+        for Self { first, last } in others {
+            if first > self.last {
+                break;
+            }
+            if first > from {
+                left.push(Self { first: from, last: first - 1 });
+            }
+            if last >= self.last {
+                return left;
+            }
+            from = from.max(last + 1);
+        }
+        left.push(Self { first: from, last: self.last });
+        left
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn without_leaves_exactly_what_no_other_holds(
+            (first, length) in (-10i64..30, 0i64..30),
+            others in prop::collection::vec((-20i64..50, 0i64..20), 0..6),
+        ) {
+            let range = |(first, length)| Extent { first, last: first + length };
+            let (whole, others) = (range((first, length)), others.into_iter().map(range).collect::<Vec<_>>());
+            let holds = |extent: &Extent, number: i64| (extent.first..=extent.last).contains(&number);
+            let left = whole.without(others.clone());
+            for number in -40..80 {
+                let expected = holds(&whole, number) && !others.iter().any(|other| holds(other, number));
+                prop_assert_eq!(left.iter().any(|part| holds(part, number)), expected);
+            }
+            prop_assert!(left.iter().all(|part| part.first <= part.last));
+            prop_assert!(left.windows(2).all(|pair| pair[0].last < pair[1].first));
+        }
+    }
+
+    #[test]
+    fn ends_of_the_whole_range_do_not_overflow() {
+        let all = Extent { first: i64::MIN, last: i64::MAX };
+        assert_eq!(all.without(vec![all]), []);
+        let parts = all.without(vec![Extent::of(i64::MIN), Extent::of(3), Extent::of(i64::MAX)]);
+        let expected = [(i64::MIN + 1, 2), (4, i64::MAX - 1)].map(|(first, last)| Extent { first, last });
+        assert_eq!(parts, expected);
+    }
+}

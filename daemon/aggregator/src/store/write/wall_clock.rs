@@ -1,0 +1,87 @@
+//! Notices when the aggregator's wall clock is stepped. No I/O: it is told what the clocks show.
+
+use peernet_clock::{Span, Stamp, WallTime};
+
+/// A change that is smaller is left to the time daemon: nothing is deleted because of it, and pages show seconds.
+const LEAST_STEP: Span = Span::from_seconds(10);
+
+/// Compares the wall clock with the monotonic one.
+#[derive(Debug)]
+pub(super) struct WallClockWatch {
+    last: Stamp,
+}
+
+impl WallClockWatch {
+    /// Begins to watch.
+    pub(super) const fn new(now: Stamp) -> Self {
+        Self { last: now }
+    }
+
+    /// What is odd, in words, where the wall clock is behind what it showed when an aggregator last stored something.
+    pub(super) fn compare(now: Stamp, last_stored: WallTime) -> Option<String> {
+        let step = now.wall - last_stored;
+        (step <= -LEAST_STEP).then(|| {
+            format!(
+                "this aggregator's wall clock shows {} less than when it last stored something: it was set back while \
+                 the aggregator did not run, or it was wrong before",
+                in_words(step)
+            )
+        })
+    }
+
+    /// Looks once more. Returns what is odd, in words.
+    pub(super) fn look(&mut self, now: Stamp) -> Option<String> {
+        let step = (now.wall - self.last.wall) - (now.mono - self.last.mono);
+        self.last = now;
+        (step.abs() >= LEAST_STEP).then(|| {
+            let direction = if step.is_negative() { "back" } else { "forward" };
+            let cause = if step.is_negative() { "" } else { ", or the machine slept" };
+            format!("this aggregator's wall clock was set {direction} by {}{cause}", in_words(step))
+        })
+    }
+}
+
+/// A length of time without its sign.
+fn in_words(span: Span) -> String {
+    let seconds = span.abs().seconds();
+    match seconds {
+        172_800.0.. => format!("{:.1} days", seconds / 86_400.0),
+        7_200.0.. => format!("{:.1} h", seconds / 3_600.0),
+        _ => format!("{seconds:.1} s"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::MonoTime;
+
+    use super::*;
+
+    const fn stamp(wall_s: i64, mono_s: i64) -> Stamp {
+        Stamp {
+            wall: WallTime::from_unix_nanos(wall_s * 1_000_000_000),
+            mono: MonoTime::from_nanos(mono_s * 1_000_000_000),
+        }
+    }
+
+    #[test]
+    fn step_is_told_once_with_amount_and_direction() {
+        let mut watch = WallClockWatch::new(stamp(1_000, 0));
+        // However long nobody looked, both clocks went alike.
+        assert_eq!(watch.look(stamp(9_000_009, 9_000_000 - 1_000)), None);
+        let month = 30 * 86_400;
+        let forward = watch.look(stamp(9_000_010 + month, 9_000_001 - 1_000)).expect("told");
+        assert!(forward.contains("set forward by 30.0 days"), "{forward}");
+        assert_eq!(watch.look(stamp(9_000_011 + month, 9_000_002 - 1_000)), None);
+        let back = watch.look(stamp(9_000_012 - 60, 9_000_003 - 1_000)).expect("told");
+        assert!(back.contains("set back by 30.0 days"), "{back}");
+    }
+
+    #[test]
+    fn start_behind_stored_time_is_told() {
+        assert_eq!(WallClockWatch::compare(stamp(1_000, 0), stamp(1_009, 0).wall), None);
+        assert_eq!(WallClockWatch::compare(stamp(9_000_000, 0), stamp(1_000, 0).wall), None);
+        let odd = WallClockWatch::compare(stamp(1_000, 0), stamp(1_000 + 10_800, 0).wall).expect("told");
+        assert!(odd.contains("3.0 h less"), "{odd}");
+    }
+}

@@ -1,0 +1,97 @@
+//! An aggregator whose wall clock jumps by a month: nothing is deleted, and the jumps are incidents.
+
+use peernet_clock::Span;
+use peernet_tests::fleet::echo;
+use peernet_tests::truth::ask;
+use peernet_tests::{AGGREGATOR, Api, FalseTime, Process, Site, measured, program, until};
+
+/// Iterations of each run.
+const ITERATIONS: u64 = 300;
+const MONTH: Span = Span::from_seconds(30 * 86_400);
+
+/// Runs a pipeline to its end, on a host of its own.
+fn run_to_the_end(site: &Site, api: &Api, host: &str) {
+    let limit = format!("load = {{ mode = \"rate\", hz = 200.0 }}\nlimit = {{ iterations = {ITERATIONS} }}");
+    let tables = format!("[[model]]\nname = \"echo\"\nkind = \"echo\"\n{}", echo("loop", &limit));
+    let agent = site.agent(host, &tables);
+    api.until("/api/v1/runs", |runs| {
+        let ended = |run: &&serde_json::Value| run["host"] == host && run["reason"] == "finished";
+        runs["runs"].as_array()?.iter().find(ended).map(|_| ())
+    });
+    assert_eq!(agent.stop().code(), 0);
+}
+
+/// Waits until so many incidents of the aggregator say that its clock was set, and returns the newest's words.
+fn told(api: &Api, direction: &str, times: usize) -> String {
+    api.until("/api/v1/incidents", |list| {
+        let incidents = list["incidents"].as_array()?.iter();
+        let steps = incidents.filter(|it| it["kind"] == "clock-step" && it["host"].is_null());
+        let texts: Vec<&str> =
+            steps.filter_map(|it| it["text"].as_str()).filter(|text| text.contains(direction)).collect();
+        (texts.len() == times).then(|| texts[0].to_owned())
+    })
+}
+
+#[test]
+fn month_long_clock_jumps_of_the_aggregator_delete_nothing() {
+    let site = Site::new();
+    let time = FalseTime::new(site.folder(), Span::ZERO);
+    site.write("aggregator.toml", AGGREGATOR);
+    let start = || {
+        let process = Process::start(
+            &program("peernetd"),
+            &["run", "aggregator.toml"],
+            site.folder(),
+            &time.environment(),
+        );
+        let api = Api::at(site.http);
+        until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
+        (process, api)
+    };
+    let (aggregator, api) = start();
+    let database = site.folder().join("aggregator.sqlite");
+    let stored = |runs: u64| {
+        assert_eq!(ask(&database, "SELECT count(*) FROM iteration").trim(), (runs * ITERATIONS).to_string());
+        let kinds = "SELECT count(DISTINCT run || ' ' || resolution_s) FROM rollup";
+        assert_eq!(
+            ask(&database, kinds).trim(),
+            (runs * 5).to_string(),
+            "all widths of statistics of {runs} runs"
+        );
+    };
+    run_to_the_end(&site, &api, "before");
+    stored(1);
+
+    let mut words = Vec::new();
+    for (jump, direction, times, host) in [
+        (MONTH, "set forward by 30.0 days", 1, "forward"),
+        (Span::ZERO, "set back by 30.0 days", 1, "back"),
+        (-MONTH, "set back by 30.0 days", 2, "past"),
+    ] {
+        time.show(jump);
+        words.push(told(&api, direction, times));
+        // Meanwhile retention looks, once a second and after commits.
+        run_to_the_end(&site, &api, host);
+    }
+    stored(4);
+    let said = aggregator.log();
+    assert_eq!(said.matches("wall clock was set").count(), 3, "{said}");
+    assert!(!said.contains("retention deleted"), "{said}");
+    assert_eq!(aggregator.stop().code(), 0);
+
+    // It starts with a clock that is behind what it showed, and then with one that is far ahead.
+    time.show(-MONTH - MONTH);
+    let (aggregator, api) = start();
+    words.push(told(&api, "less than when it last stored something", 1));
+    assert_eq!(aggregator.stop().code(), 0);
+    time.show(MONTH);
+    let (aggregator, api) = start();
+    run_to_the_end(&site, &api, "after");
+    stored(5);
+    assert_eq!(ask(&database, "SELECT count(*) FROM incident WHERE kind = 'retention'").trim(), "0");
+    assert_eq!(aggregator.stop().code(), 0);
+    measured(
+        "clock jumps of the aggregator",
+        &[("incidents", words.join("; ")), ("iterations stored", (5 * ITERATIONS).to_string())],
+    );
+}
