@@ -126,5 +126,6 @@ fn answers_of_503_and_repeated_failures_do_not_fill_the_log() {
     }
     let log = aggregator.stop().log;
     assert!(!log.contains("response failed"), "{log}");
-    assert!(log.matches("a request failed").count() <= 1, "{log}");
+    // One for each way in which it failed.
+    assert!(log.matches("a request failed").count() < 5, "{log}");
 }
