@@ -19,6 +19,7 @@ use crate::live::{self, Live, News};
 use crate::picture::Picture;
 use crate::readiness::Readiness;
 use crate::store::Store;
+use crate::store::integrity::Integrity;
 use crate::store::opening::{OpenDatabase, StoredState};
 use crate::store::readers::Readers;
 
@@ -78,7 +79,8 @@ impl Aggregator {
             std::fs::create_dir_all(folder).map_err(|error| cannot_open(error.into()))?;
         }
         peernet_permissions::log_changes(&peernet_permissions::close_database(&config.database));
-        let (database, state) = OpenDatabase::open(&config.database, config.retention).await?;
+        let integrity = Integrity::of(&config.database);
+        let (database, state) = OpenDatabase::open(&config.database, config.retention, &integrity).await?;
         let StoredState { streams, runs, unknown, hosts, known } = state;
         let (socket, address) = socket::listen(&config).await?;
         tracing::info!(%address, database = %config.database.display(), "the aggregator listens");
@@ -113,6 +115,7 @@ impl Aggregator {
             config.readers,
             config.question_limit(),
             Arc::clone(&clock),
+            integrity.clone(),
         ));
 
         let asked = stop.clone();
@@ -150,10 +153,11 @@ impl Aggregator {
             stored: stored_in,
             ready: ready_in,
             clock: Arc::clone(&clock),
+            integrity: integrity.clone(),
             stop: stop.clone(),
         };
         let store = running.handle.store.clone();
-        let reopening = Reopening { path: config.database, retention: config.retention, store };
+        let reopening = Reopening { path: config.database, retention: config.retention, integrity, store };
         running.spawn("writer", async move {
             let database = committing::run(database, wires, grouping, reopening).await;
             // Whoever does not join lets the connection drop.

@@ -1,8 +1,9 @@
 //! What can go wrong, in words that say what was tried, on what, and what to do.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use crate::store::integrity::is_damage;
 use crate::store::lock::LockError;
 
 /// A value of the configuration that cannot work.
@@ -39,6 +40,14 @@ pub enum StartError {
         /// SQLite's own words.
         source: sqlx::Error,
     },
+    /// Some of what is needed to start is damaged.
+    #[error("cannot open the database {path}: it is damaged: {source}; agents keep their events; run `peernetd doctor --repair --database {path}`", path = path.display())]
+    Damaged {
+        /// The configured file.
+        path: PathBuf,
+        /// SQLite's own words.
+        source: sqlx::Error,
+    },
     /// The file is something else.
     #[error("{} is {what} and not an aggregator's database; choose another file with `database`", path.display())]
     NotADatabase {
@@ -68,6 +77,14 @@ pub enum StartError {
         /// The failed step in sqlx's words.
         source: sqlx::migrate::MigrateError,
     },
+}
+
+impl StartError {
+    /// SQLite could not open or read the database.
+    pub(crate) fn opening(path: &Path, source: sqlx::Error) -> Self {
+        let path = path.to_owned();
+        if is_damage(&source) { Self::Damaged { path, source } } else { Self::Open { path, source } }
+    }
 }
 
 /// Why the aggregator ended without being asked to.

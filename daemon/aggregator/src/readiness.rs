@@ -8,6 +8,6 @@ use serde::Serialize;
 pub enum Readiness {
     /// Batches are stored and acknowledged.
     Ready,
-    /// Batches are not acknowledged, agents keep them; the text says why. Tried again by itself.
+    /// Batches are not acknowledged, agents keep them; the text says why. Tried again by itself, unless the file is damaged.
     NotStoring(String),
 }

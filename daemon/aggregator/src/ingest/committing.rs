@@ -13,6 +13,7 @@ use super::preparing::Queued;
 use super::reopening::Reopening;
 use crate::config::AggregatorConfig;
 use crate::readiness::Readiness;
+use crate::store::integrity::Integrity;
 use crate::store::opening::{OpenDatabase, StoredState};
 use crate::store::retention::Step;
 use crate::store::write::{CommitError, Committed, PendingIncidents, Work, Writer};
@@ -93,6 +94,7 @@ pub(crate) struct Wires {
     pub(crate) stored: mpsc::Sender<StoreEvent>,
     pub(crate) ready: watch::Sender<Readiness>,
     pub(crate) clock: SharedClock,
+    pub(crate) integrity: Integrity,
     pub(crate) stop: CancellationToken,
 }
 
@@ -154,13 +156,14 @@ async fn serve(writer: &mut Writer, wires: &mut Wires, grouping: Grouping, carri
     let mut looking = tokio::time::interval(LOOK_EVERY);
     looking.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let (mut commits, mut more) = (0_u64, Step::More);
+    let mut damaged = false;
     loop {
         let mut group = Vec::new();
         if carried.departed.is_empty() {
             let first = tokio::select! {
                 biased;
                 Some(errand) = wires.errands.recv() => {
-                    run_errand(writer, errand).await;
+                    run_errand(writer, errand, &wires.integrity).await;
                     continue;
                 }
                 first = wires.queue.recv() => first,
@@ -169,9 +172,13 @@ async fn serve(writer: &mut Writer, wires: &mut Wires, grouping: Grouping, carri
                     continue;
                 }
                 _ = looking.tick() => {
-                    if let Err(error) = look_after(writer, wires, &mut carried.incidents).await {
-                        return Ended::Failed(error);
+                    match look_after(writer, wires, &mut carried.incidents).await {
+                        Ok(()) if damaged => set(&wires.ready, Readiness::Ready),
+                        Ok(()) => {}
+                        Err(error @ CommitError::Damaged(_)) => set(&wires.ready, why_not(&error)),
+                        Err(error) => return Ended::Failed(error),
                     }
+                    damaged = wires.integrity.damage().is_some();
                     more = Step::More;
                     continue;
                 }
@@ -201,8 +208,10 @@ async fn serve(writer: &mut Writer, wires: &mut Wires, grouping: Grouping, carri
         more = Step::More;
         if commits.is_multiple_of(RETAIN_EVERY) {
             more = retain(writer, wires).await;
-            if let Err(error) = look_after(writer, wires, &mut carried.incidents).await {
-                return Ended::Failed(error);
+            match look_after(writer, wires, &mut carried.incidents).await {
+                // The next commit tells.
+                Ok(()) | Err(CommitError::Damaged(_)) => {}
+                Err(error) => return Ended::Failed(error),
             }
         }
     }
@@ -212,13 +221,14 @@ async fn serve(writer: &mut Writer, wires: &mut Wires, grouping: Grouping, carri
 /// clocks are stored.
 ///
 /// # Errors
-/// When the database has to be opened anew.
+/// When the database has to be opened anew, or is damaged.
 async fn look_after(
     writer: &mut Writer,
     wires: &Wires,
     incidents: &mut PendingIncidents,
 ) -> Result<(), CommitError> {
     writer.check_file()?;
+    undamaged(&wires.integrity)?;
     let looked_after = async {
         writer.keep_clocks(wires.clock.stamp(), incidents).await?;
         writer.bound_log(MOST_LOG_BYTES).await
@@ -231,7 +241,12 @@ async fn look_after(
 
 /// Deletes a little of what is old. What fails is tried again at the next occasion.
 async fn retain(writer: &mut Writer, wires: &Wires) -> Step {
+    // Freed pages are written to: what can still be salvaged stays as it is.
+    if wires.integrity.damage().is_some() {
+        return Step::Done;
+    }
     writer.retain(wires.clock.stamp()).await.unwrap_or_else(|error| {
+        wires.integrity.note(&error);
         tracing::warn!(%error, "cannot delete what is old, tried again by itself");
         Step::Done
     })
@@ -248,7 +263,7 @@ async fn store(
     backoff: &mut Backoff,
 ) -> Result<bool, CommitError> {
     loop {
-        let error = match writer.commit(work, wires.clock.stamp()).await {
+        let error = match commit(writer, work, wires).await {
             Ok(stored) => {
                 *backoff = Backoff::new();
                 set(&wires.ready, Readiness::Ready);
@@ -268,25 +283,57 @@ async fn store(
         if !error.leaves_connection_usable() {
             return Err(error);
         }
-        set(&wires.ready, not_storing(&error));
+        set(&wires.ready, why_not(&error));
         let again = tokio::time::sleep(backoff.next());
         tokio::pin!(again);
         loop {
             tokio::select! {
                 () = &mut again => break,
                 () = wires.stop.cancelled() => break,
-                Some(errand) = wires.errands.recv() => run_errand(writer, errand).await,
+                Some(errand) = wires.errands.recv() => run_errand(writer, errand, &wires.integrity).await,
             }
         }
     }
 }
 
-async fn run_errand(writer: &mut Writer, errand: Errand) {
+/// Stores a group once, unless the file is damaged.
+async fn commit(writer: &mut Writer, work: &[Work], wires: &Wires) -> Result<Committed, CommitError> {
+    // One that was put in the place of a damaged file is opened.
+    writer.check_file()?;
+    undamaged(&wires.integrity)?;
+    let committed = writer.commit(work, wires.clock.stamp()).await;
+    if let Err(CommitError::Database(error)) = &committed {
+        wires.integrity.note(error);
+    }
+    // What was committed while damage was found is not acknowledged: its agents keep it.
+    undamaged(&wires.integrity)?;
+    committed
+}
+
+fn undamaged(integrity: &Integrity) -> Result<(), CommitError> {
+    integrity.refusal().map_or(Ok(()), |refusal| Err(CommitError::Damaged(refusal)))
+}
+
+async fn run_errand(writer: &mut Writer, errand: Errand, integrity: &Integrity) {
     match errand {
         Errand::Pin(run, pinned, answer) => {
+            let answered = match integrity.refusal() {
+                Some(refusal) => Err(sqlx::Error::Protocol(refusal)),
+                None => writer.pin(run, pinned).await.inspect_err(|error| integrity.note(error)),
+            };
             // Whoever asked may have gone.
-            let _gone = answer.send(writer.pin(run, pinned).await);
+            let _gone = answer.send(answered);
         }
+    }
+}
+
+/// That a group cannot be stored, and why.
+fn why_not(error: &CommitError) -> Readiness {
+    match error {
+        CommitError::Damaged(what) => {
+            Readiness::NotStoring(format!("cannot store events: {what}; agents keep them"))
+        }
+        error => not_storing(error),
     }
 }
 

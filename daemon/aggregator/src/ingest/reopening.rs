@@ -7,6 +7,7 @@ use super::committing::{Backoff, Errand, StoreEvent, Wires, not_storing, set};
 use crate::config::RetentionConfig;
 use crate::readiness::Readiness;
 use crate::store::Store;
+use crate::store::integrity::Integrity;
 use crate::store::opening::OpenDatabase;
 use crate::store::write::CommitError;
 
@@ -16,6 +17,7 @@ pub(crate) struct Reopening {
     /// Where it stands.
     pub(crate) path: PathBuf,
     pub(crate) retention: RetentionConfig,
+    pub(crate) integrity: Integrity,
     /// The readers, whose connections are replaced as well.
     pub(crate) store: Store,
 }
@@ -41,7 +43,7 @@ impl Reopening {
         }
         loop {
             pause(backoff.next(), wires).await?;
-            match OpenDatabase::reopen(&self.path, self.retention, &former).await {
+            match OpenDatabase::reopen(&self.path, self.retention, &self.integrity, &former).await {
                 Ok((database, state)) => {
                     self.store.reopen();
                     let _ended = wires.stored.send(StoreEvent::Opened(Box::new(state))).await;

@@ -8,6 +8,7 @@ use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
 use sqlx::{ConnectOptions, SqliteConnection};
 
 use super::contents::Contents;
+use super::integrity::is_damage;
 use super::rebuild::make_coarser;
 use crate::error::StartError;
 
@@ -57,7 +58,7 @@ pub(crate) async fn open_existing(path: &Path) -> Result<SqliteConnection, Start
 }
 
 async fn prepare(path: &Path, options: SqliteConnectOptions) -> Result<SqliteConnection, StartError> {
-    let cannot_open = |source| StartError::Open { path: path.to_owned(), source };
+    let cannot_open = |source| StartError::opening(path, source);
     let mut connection = options.connect().await.map_err(cannot_open)?;
     // A read-only file opens without complaint and fails at the first batch: find out now.
     sqlx::raw_sql("BEGIN IMMEDIATE; ROLLBACK").execute(&mut connection).await.map_err(cannot_open)?;
@@ -70,6 +71,7 @@ async fn prepare(path: &Path, options: SqliteConnectOptions) -> Result<SqliteCon
             let known = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
             StartError::NewerSchema { path: path.to_owned(), found, known }
         }
+        MigrateError::Execute(source) if is_damage(&source) => StartError::opening(path, source),
         source => StartError::Migrate { path: path.to_owned(), source },
     })?;
     make_coarser(&mut connection).await.map_err(|source| StartError::Migrate {

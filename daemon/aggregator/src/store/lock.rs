@@ -4,6 +4,7 @@ use std::fs::{File, Metadata, TryLockError};
 use std::io;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Why a database could not be taken.
 #[derive(Debug, thiserror::Error)]
@@ -34,7 +35,7 @@ pub enum LockError {
 // lets go of what SQLite has locked with fcntl in this process. So it is closed after SQLite's last connection.
 #[derive(Debug)]
 pub struct DatabaseLock {
-    file: File,
+    file: Arc<File>,
 }
 
 impl DatabaseLock {
@@ -57,7 +58,7 @@ impl DatabaseLock {
         let file = options.create(create).truncate(false).read(true).write(true).open(database);
         let file = file.map_err(failed)?;
         match file.try_lock() {
-            Ok(()) => Ok(Self { file }),
+            Ok(()) => Ok(Self { file: Arc::new(file) }),
             Err(TryLockError::WouldBlock) => {
                 let holder = file.metadata().ok().and_then(|file| holder(&file));
                 let holder = holder.map_or_else(
@@ -68,6 +69,12 @@ impl DatabaseLock {
             }
             Err(TryLockError::Error(error)) => Err(failed(error)),
         }
+    }
+
+    /// The locked file, for reading: another descriptor of it must not be closed while SQLite has the file open. Whoever
+    /// has it lets it go before the lock is.
+    pub(crate) fn file(&self) -> Arc<File> {
+        Arc::clone(&self.file)
     }
 
     /// Whether a path leads to the locked file.

@@ -6,6 +6,7 @@ use peernet_logger::stream::HostSecret;
 use peernet_logger::{HostId, RunId};
 
 use super::database;
+use super::integrity::{Integrity, IntegrityCheck};
 use super::lock::{DatabaseLock, LockError};
 use super::write::{
     CommitError, FormerFiles, Streams, Writer, known_hosts, newest_runs, stored_hosts,
@@ -24,6 +25,7 @@ const HOSTS: u32 = 4_096;
 #[derive(Debug)]
 pub(crate) struct OpenDatabase {
     pub(crate) writer: Writer,
+    check: IntegrityCheck,
     /// Let go after the connection: see [`DatabaseLock`].
     lock: DatabaseLock,
 }
@@ -68,9 +70,10 @@ impl OpenDatabase {
     pub(crate) async fn open(
         path: &Path,
         retention: RetentionConfig,
+        integrity: &Integrity,
     ) -> Result<(Self, StoredState), StartError> {
         let lock = DatabaseLock::take(path)?;
-        Self::with(lock, path, retention).await
+        Self::with(lock, path, retention, integrity).await
     }
 
     /// Opens what stands now at the path of a database that was in use: the same file, or another one in its place. An
@@ -78,6 +81,7 @@ impl OpenDatabase {
     pub(crate) async fn reopen(
         path: &Path,
         retention: RetentionConfig,
+        integrity: &Integrity,
         former: &FormerFiles,
     ) -> Result<(Self, StoredState), ReopenError> {
         let lock = match DatabaseLock::take_existing(path) {
@@ -94,7 +98,7 @@ impl OpenDatabase {
         if let Some(log) = former.log_beside_another_file() {
             return Err(ReopenError::ForeignLog(log));
         }
-        let (mut database, state) = Self::with(lock, path, retention).await?;
+        let (mut database, state) = Self::with(lock, path, retention, integrity).await?;
         let probe = database.writer.write_nothing().await;
         probe.map_err(|source| StartError::Open { path: path.to_owned(), source })?;
         Ok((database, state))
@@ -104,8 +108,10 @@ impl OpenDatabase {
         lock: DatabaseLock,
         path: &Path,
         retention: RetentionConfig,
+        integrity: &Integrity,
     ) -> Result<(Self, StoredState), StartError> {
-        let cannot_open = |source| StartError::Open { path: path.to_owned(), source };
+        let cannot_open = |source| StartError::opening(path, source);
+        integrity.recall().map_err(|error| cannot_open(error.into()))?;
         // The lock has made it; one that has gone since then must not be made.
         let mut connection = database::open_existing(path).await?;
         let runs = newest_runs(&mut connection, RUNS).await.map_err(cannot_open)?;
@@ -119,13 +125,15 @@ impl OpenDatabase {
             return Err(cannot_open(std::io::Error::other(moved).into()));
         }
         let state = StoredState { streams: writer.streams().clone(), runs, unknown, hosts, known };
-        Ok((Self { writer, lock }, state))
+        let check = IntegrityCheck::start(integrity.clone(), lock.file());
+        Ok((Self { writer, check, lock }, state))
     }
 
     /// Closes the connection and lets the file go. When it is the last one to the file, SQLite carries its log over into
     /// it and removes it. Returns which files they were.
     pub(crate) async fn close(self) -> (FormerFiles, Result<(), sqlx::Error>) {
-        let Self { writer, lock } = self;
+        let Self { writer, check, lock } = self;
+        check.stop().await;
         let closed = writer.close().await;
         drop(lock);
         closed

@@ -10,6 +10,7 @@ use sqlx::sqlite::{SqliteConnectOptions, SqlitePoolOptions};
 use sqlx::{ConnectOptions, SqliteConnection, SqlitePool};
 
 use super::database::BUSY;
+use super::integrity::Integrity;
 use crate::error::StoreError;
 
 /// How long a question waits for a connection.
@@ -26,12 +27,19 @@ pub(crate) struct Readers {
     /// Closed while the database is.
     pool: Arc<RwLock<SqlitePool>>,
     limit: Duration,
+    integrity: Integrity,
 }
 
 impl Readers {
     /// At most so many connections to the file, which is opened at the first question, and so long for each statement,
-    /// from getting the connection until its last row was taken.
-    pub(crate) fn open(path: &Path, connections: u32, limit: Duration, clock: SharedClock) -> Self {
+    /// from getting the connection until its last row was taken. What damage they meet is taken down.
+    pub(crate) fn open(
+        path: &Path,
+        connections: u32,
+        limit: Duration,
+        clock: SharedClock,
+        integrity: Integrity,
+    ) -> Self {
         let options = SqliteConnectOptions::new()
             .filename(path)
             .read_only(true)
@@ -50,7 +58,7 @@ impl Readers {
                 Box::pin(async move { set.await.map(|()| true) })
             })
             .connect_lazy_with(options);
-        Self { pool: Arc::new(RwLock::new(pool)), limit }
+        Self { pool: Arc::new(RwLock::new(pool)), limit, integrity }
     }
 
     /// The connections, as they are now.
@@ -71,15 +79,19 @@ impl Readers {
     }
 
     /// Turns a failed statement into an error that says what was asked for.
-    pub(super) fn failed(&self, what: &'static str) -> impl Fn(sqlx::Error) -> StoreError + Copy + use<> {
-        let limit = self.limit;
+    pub(super) fn failed(&self, what: &'static str) -> impl Fn(sqlx::Error) -> StoreError + Copy + use<'_> {
+        let Self { limit, integrity, .. } = self;
+        let limit = *limit;
         move |source| match source {
             sqlx::Error::PoolTimedOut => StoreError::Busy { what },
             sqlx::Error::PoolClosed => StoreError::Closed { what },
             sqlx::Error::Database(error) if error.code().as_deref() == Some(INTERRUPTED) => {
                 StoreError::TooLong { what, limit }
             }
-            source => StoreError::Database { what, source },
+            source => {
+                integrity.note(&source);
+                StoreError::Database { what, source }
+            }
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Stored data survives what operators do to machines.
 
 mod clock_jump;
+mod damaged_page;
 mod database_file;
 mod lost_events;
 mod memory;

@@ -1,10 +1,11 @@
-//! What an operator does with the file: copies of it and looks at its health, beside a running aggregator, and roll-ups
-//! made anew, without one.
+//! What an operator does with the file: copies of it and looks at its health, beside a running aggregator; roll-ups made
+//! anew and a damaged file repaired, without one.
 
 mod backup;
 mod doctor;
 mod rebuild;
 mod secrets;
+mod repair;
 
 use std::path::Path;
 use std::time::Duration;
@@ -19,6 +20,7 @@ pub use self::doctor::{
 };
 pub use self::rebuild::{RebuildError, Rebuilt, rebuild_rollups};
 pub use self::secrets::{ClearSecretError, ClearedSecret, clear_host_secret};
+pub use self::repair::{RepairError, Repaired, SalvagedTable, repair};
 pub use super::contents::Contents;
 
 /// How long a command waits for another program that locks the file.

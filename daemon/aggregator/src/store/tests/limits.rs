@@ -8,6 +8,7 @@ use peernet_clock::{ClockIdentity, SystemClock};
 
 use super::Bed;
 use crate::error::StoreError;
+use crate::store::integrity::Integrity;
 use crate::store::readers::Readers;
 
 /// Counts for ever.
@@ -15,7 +16,13 @@ const ENDLESS: &str = "WITH RECURSIVE endless (n) AS (SELECT 1 UNION ALL SELECT 
 
 fn impatient(path: &Path) -> Readers {
     let identity = ClockIdentity::of_this_machine(ClockIdentity::SYSTEM).expect("linux has a boot id");
-    Readers::open(path, 1, Duration::from_millis(100), Arc::new(SystemClock::new(identity)))
+    Readers::open(
+        path,
+        1,
+        Duration::from_millis(100),
+        Arc::new(SystemClock::new(identity)),
+        Integrity::of(path),
+    )
 }
 
 #[tokio::test]

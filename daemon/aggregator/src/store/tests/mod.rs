@@ -20,6 +20,7 @@ mod plans;
 mod questions;
 mod rebuilding;
 mod recomputing;
+mod repairing;
 mod retention;
 mod retention_size;
 mod rollups;
@@ -40,6 +41,7 @@ use peernet_logger::{HostId, RunId};
 use sqlx::{ConnectOptions, SqliteConnection};
 use tempfile::TempDir;
 
+use super::integrity::Integrity;
 use super::readers::Readers;
 use super::write::{Committed, Introduction, Work, Writer};
 use super::{Store, database};
@@ -156,5 +158,11 @@ fn hello(host: HostDescription, process: u64) -> Work {
 /// Readers with a limit that no question of a test reaches.
 fn readers(path: &std::path::Path) -> Readers {
     let identity = ClockIdentity::of_this_machine(ClockIdentity::SYSTEM).expect("linux has a boot id");
-    Readers::open(path, 2, std::time::Duration::from_secs(600), Arc::new(SystemClock::new(identity)))
+    Readers::open(
+        path,
+        2,
+        std::time::Duration::from_secs(600),
+        Arc::new(SystemClock::new(identity)),
+        Integrity::of(path),
+    )
 }

@@ -12,19 +12,27 @@ pub(crate) enum CommitError {
     /// The path of the log names another file or none: what is written now is lost when this process is killed.
     #[error("the log {} of the database was deleted, moved or replaced while it was in use", .0.display())]
     LogMoved(PathBuf),
+    /// The file is damaged: what it is, and what to do.
+    #[error("{0}")]
+    Damaged(String),
     /// SQLite's own words.
     #[error(transparent)]
     Database(#[from] sqlx::Error),
 }
 
 impl CommitError {
-    /// Whether the connection is as good as before: the database is full or another program locks it. After anything
+    /// Whether the connection is as good as before: the database is full or another program locks it. One to a damaged
+    /// file is kept until another file is put in its place. After anything
     /// else the file is opened anew: the error may be one of the descriptors alone, which stay read-only, or lead to a
     /// file system that is gone, long after the path is well again.
     pub(crate) fn leaves_connection_usable(&self) -> bool {
         /// Primary result codes: BUSY, LOCKED, FULL.
         const PASSING: [u32; 3] = [5, 6, 13];
-        let Self::Database(error) = self else { return false };
+        let error = match self {
+            Self::Database(error) => error,
+            Self::Damaged(_) => return true,
+            Self::Moved(_) | Self::LogMoved(_) => return false,
+        };
         let code = error.as_database_error().and_then(|error| error.code()?.parse::<u32>().ok());
         code.is_some_and(|code| PASSING.contains(&(code & 0xff)))
     }

@@ -51,7 +51,9 @@ pub(crate) enum Command {
     /// Examine an aggregator's database or an agent's spool: damage, gaps, streams, sizes. Changes nothing.
     ///
     /// Reads the whole file once; the aggregator or agent may go on. Exits with 0 when nothing is wrong, 65 when
-    /// something is (it says what, and what to do), 69 when a file cannot be opened.
+    /// something is (it says what, and what to do), 69 when a file cannot be opened. With --repair it exits with 0 when
+    /// the database is whole afterwards, 65 when nothing of it can be read, 69 when the aggregator runs or the new file
+    /// cannot be written.
     Doctor(DoctorArguments),
     /// Compute an aggregator's roll-ups again from the nodes that are stored, while the aggregator is stopped.
     ///

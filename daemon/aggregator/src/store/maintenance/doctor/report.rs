@@ -36,6 +36,9 @@ pub struct Report {
     pub schema: Option<Schema>,
     /// What SQLite says of the file's inner order.
     pub integrity: Integrity,
+    /// Numbers of pages that are malformed, the first of the file is 1. One that is not in use does no harm: whether any is,
+    /// `integrity` says.
+    pub malformed_pages: Vec<u32>,
     /// Rows per table.
     pub tables: Vec<TableRows>,
     /// The streams that were stored, the newest first, at most 1,000.

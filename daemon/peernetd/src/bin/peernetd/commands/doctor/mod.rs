@@ -1,6 +1,7 @@
 //! `peernetd doctor`
 
 mod print;
+mod repair;
 mod spool;
 
 use std::path::PathBuf;
@@ -35,6 +36,10 @@ pub(crate) struct Arguments {
     /// Compare indexes with their tables and follow references, too: takes several times as long.
     #[arg(long)]
     full: bool,
+    /// Repair a damaged database while the aggregator is stopped: all rows that can be read go to a new file that takes its
+    /// place, and the damaged one is kept beside it.
+    #[arg(long, conflicts_with_all = ["spool", "full", "json"])]
+    repair: bool,
     /// Print one JSON object; fields named _ns are nanoseconds since 1970 UTC.
     #[arg(long)]
     json: bool,
@@ -56,13 +61,17 @@ struct Examined {
 /// Looks at what is stored, and tells by the exit code whether something is wrong.
 pub(crate) fn doctor(arguments: Arguments) -> Exit {
     let _log = log::temporary();
-    let (full, json) = (arguments.full, arguments.json);
+    let (full, json, repair) = (arguments.full, arguments.json, arguments.repair);
     let looked = arguments.places().and_then(|places| {
         let unavailable = |error: std::io::Error| Failure::new(Exit::Unavailable, error);
         let now = clock::system(ClockIdentity::SYSTEM).map_err(unavailable)?.wall();
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
-        let examined =
-            runtime.map_err(unavailable)?.block_on(Examined::look(places, Examination { full, now }));
+        let runtime = runtime.map_err(unavailable)?;
+        if repair {
+            let database = places.database.ok_or_else(no_database)?;
+            return runtime.block_on(repair::repair_database(&database, now));
+        }
+        let examined = runtime.block_on(Examined::look(places, Examination { full, now }));
         tell(&examined, now, json)?;
         Ok(examined.exit())
     });
@@ -87,6 +96,12 @@ impl Arguments {
         }
         Ok(places)
     }
+}
+
+fn no_database() -> Failure {
+    let error =
+        anyhow::anyhow!("the configuration has no table [aggregator], so it names no database to repair");
+    Failure::new(Exit::Configuration, error)
 }
 
 fn tell(examined: &Examined, now: WallTime, json: bool) -> Result<(), Failure> {

@@ -1,0 +1,122 @@
+//! The check and the repair with real files.
+
+use std::fs::File;
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+
+use proptest::prelude::*;
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
+use tempfile::TempDir;
+
+use super::{Integrity, PageCheck};
+
+const PAGE: u64 = 4096;
+
+/// A file with all kinds of pages: two tables of either kind, an index, long records, free pages.
+async fn file_of_all_pages(rows: u32) -> (TempDir, PathBuf, SqliteConnection) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("all.sqlite");
+    let options = SqliteConnectOptions::new().filename(&path).create_if_missing(true);
+    let mut connection = options.connect().await.expect("opens");
+    let script = format!(
+        "CREATE TABLE numbered (id INTEGER PRIMARY KEY, a REAL, b TEXT, c BLOB) STRICT;
+         CREATE TABLE clustered (a INTEGER, b TEXT, c BLOB, PRIMARY KEY (b, a)) STRICT, WITHOUT ROWID;
+         CREATE INDEX by_text ON numbered (b, a);
+         WITH RECURSIVE n (n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM n WHERE n < {rows})
+         INSERT INTO numbered SELECT n * n, n / 3.0, hex(randomblob(n % 40)), randomblob(iif(n % 97 = 0, 9000, n % 50)) FROM n;
+         INSERT INTO clustered SELECT id, b, c FROM numbered;
+         DELETE FROM numbered WHERE id BETWEEN 1000000 AND 1700000;"
+    );
+    sqlx::raw_sql(AssertSqlSafe(script)).execute(&mut connection).await.expect("fills");
+    (folder, path, connection)
+}
+
+fn overwrite(path: &Path, offset: u64, bytes: &[u8]) {
+    let file = File::options().write(true).open(path).expect("opens");
+    file.write_all_at(bytes, offset).expect("writes");
+}
+
+/// Bytes that look like chance.
+fn noise(mut seed: u64, length: usize) -> Vec<u8> {
+    let mut next = || {
+        seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (seed >> 33) as u8
+    };
+    (0..length).map(|_| next()).collect()
+}
+
+#[tokio::test]
+async fn no_page_of_a_whole_file_is_malformed() {
+    let (_folder, path, connection) = file_of_all_pages(1_500).await;
+    connection.close().await.expect("closes");
+    assert_eq!(PageCheck::of(&path).expect("reads"), Vec::<u32>::new());
+}
+
+#[tokio::test]
+async fn overwritten_pages_of_every_tree_are_malformed() {
+    let (_folder, path, mut connection) = file_of_all_pages(1_500).await;
+    let pages: Vec<u32> = sqlx::query_scalar("SELECT pageno FROM dbstat WHERE pagetype <> 'overflow'")
+        .fetch_all(&mut connection)
+        .await
+        .expect("reads");
+    connection.close().await.expect("closes");
+    let whole = std::fs::read(&path).expect("reads");
+    assert!(pages.len() > 30);
+    for page in pages.into_iter().skip(1) {
+        // A whole page, one that was never written, and a sector in its middle.
+        let offset = u64::from(page - 1) * PAGE;
+        for (at, bytes) in
+            [(0, noise(page.into(), 4096)), (0, vec![0; 4096]), (3_000, noise(page.into(), 1_096))]
+        {
+            overwrite(&path, offset + at, &bytes);
+            assert!(PageCheck::of(&path).expect("reads").contains(&page), "page {page} from {at}");
+            overwrite(&path, offset, &whole[offset as usize..(offset + PAGE) as usize]);
+        }
+    }
+    assert_eq!(PageCheck::of(&path).expect("reads"), Vec::<u32>::new());
+}
+
+#[tokio::test]
+async fn damage_is_remembered_and_the_first_stays() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("peernet.sqlite");
+    let integrity = Integrity::of(&path);
+    integrity.recall().expect("nothing is known");
+    integrity.found("page 7 is malformed");
+    integrity.found("page 8 is malformed");
+    let refusal = integrity.refusal().expect("nothing is stored");
+    assert!(
+        refusal.contains("page 7") && refusal.contains("peernetd doctor --repair --database"),
+        "{refusal}"
+    );
+    let later = Integrity::of(&path);
+    later.recall().expect("reads");
+    assert_eq!(later.damage().as_deref(), Some("page 7 is malformed"));
+    later.cleared().expect("removes");
+    assert_eq!(later.damage(), None);
+    later.recall().expect("reads");
+    assert_eq!(later.damage(), None);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn any_bytes_are_read_without_a_panic(seed: u64, pages in 1_u64..8, keep in 0_usize..200) {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("noise.sqlite");
+        let mut bytes = noise(seed, (pages * PAGE) as usize);
+        let mut header = b"SQLite format 3\0\x10\0\x02\x02\0\x40\x20\x20".to_vec();
+        header.resize(100, 0);
+        bytes[..100].copy_from_slice(&header);
+        // Pages that begin as a b-tree's do.
+        for page in 0..pages as usize {
+            let start = page * PAGE as usize + if page == 0 { 100 } else { 0 };
+            let kind = [2, 5, 10, 13][(seed as usize + page) % 4];
+            bytes[start..start + 8].copy_from_slice(&[kind, 0, 0, 0, (keep % 250) as u8, 2, 0, 0]);
+        }
+        std::fs::write(&path, bytes).expect("writes");
+        let _malformed = PageCheck::of(&path).expect("reads");
+    }
+}

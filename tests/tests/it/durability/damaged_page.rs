@@ -1,0 +1,142 @@
+//! A page of the database that is overwritten while the aggregator runs.
+
+use std::os::unix::fs::FileExt;
+use std::path::Path;
+
+use peernet_tests::fleet::{echo, edge, rate};
+use peernet_tests::truth::ask;
+use peernet_tests::{Ended, Fleet, Ledger, measured, thousands, until};
+
+/// What a disk, a wild pointer or `dd` may leave: the same bytes each time, so that a failure can be seen again.
+fn noise(seed: u64) -> Vec<u8> {
+    let mut state = seed;
+    let mut next = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as u8
+    };
+    (0..4096).map(|_| next()).collect()
+}
+
+/// Overwrites 4 KiB in the middle of a table's pages, `beyond` bytes after the begin of one.
+fn overwrite(database: &Path, table: &str, beyond: u64) {
+    let pages = ask(
+        database,
+        &format!("SELECT pageno FROM dbstat WHERE name = '{table}' AND pagetype = 'leaf' ORDER BY path"),
+    );
+    let pages: Vec<u64> = pages.lines().map(|page| page.parse().expect("a page's number")).collect();
+    assert!(pages.len() > 4, "{table} has only the pages {pages:?}");
+    let page = pages[pages.len() / 2];
+    let file = std::fs::File::options().write(true).open(database).expect("it is there");
+    file.write_all_at(&noise(page), (page - 1) * 4096 + beyond).expect("it can be written");
+}
+
+fn doctor(fleet: &Fleet, arguments: &[&str]) -> Ended {
+    let database = fleet.database().display().to_string();
+    let mut all = vec!["doctor"];
+    all.extend(arguments);
+    all.extend(["--database", &database]);
+    fleet.site.peernetd(&all).ended()
+}
+
+fn is_ready(fleet: &Fleet) -> bool {
+    fleet.api.get("/readyz").is_some_and(|(status, _)| status == 200)
+}
+
+fn why_not_ready(fleet: &Fleet) -> String {
+    until("not ready", || {
+        fleet.api.get("/readyz").filter(|(status, _)| *status == 503).map(|(_, words)| words)
+    })
+}
+
+/// Stores so many events into the file itself: what is in the log alone would cover a damaged page.
+fn with_events_in_the_file(events: u64) -> Fleet {
+    let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(400.0))));
+    fleet.start(0);
+    fleet.account(0, "something is stored", |account| account.events > events);
+    fleet.aggregator.stop();
+    fleet.aggregator_returns();
+    fleet
+}
+
+#[test]
+fn damaged_page_stops_storing_until_repaired() {
+    let mut fleet = with_events_in_the_file(2_000);
+    until("ready", || is_ready(&fleet).then_some(()));
+
+    overwrite(fleet.database(), "node", 0);
+    let why = why_not_ready(&fleet);
+    assert!(why.contains("damaged") && why.contains("peernetd doctor --repair"), "{why}");
+    let then = fleet.account(0, "events wait", |account| account.waiting > 100);
+    let later = fleet.account(0, "more events wait", |account| account.waiting > then.waiting + 400);
+    assert_eq!((later.events, later.stored), (then.events, then.stored), "nothing more is acknowledged");
+    let (status, page) = fleet.api.get("/").expect("the dashboard answers");
+    assert!(status == 200 && page.contains("damaged"), "the page says so: {page}");
+    let refused = doctor(&fleet, &["--repair"]);
+    assert_eq!(refused.code(), 69, "the aggregator runs: {}", refused.log);
+
+    let log = fleet.aggregator.stop().log;
+    assert_eq!(log.matches("ERROR aggregator: the database").count(), 1, "said once: {log}");
+    fleet.aggregator_returns();
+    let why = why_not_ready(&fleet);
+    assert!(why.contains("damaged") && why.contains("peernetd doctor --repair"), "{why}");
+    let again = fleet.account(0, "even more wait", |account| account.waiting > later.waiting + 400);
+    assert_eq!(again.events, then.events, "nothing more is stored");
+    fleet.aggregator.stop();
+
+    let found = doctor(&fleet, &[]);
+    assert_eq!(found.code(), 65, "{}", found.log);
+    assert!(found.log.contains("--repair"), "{}", found.log);
+    goes_on_after_repair(fleet, "a page of nodes");
+}
+
+#[test]
+fn damage_across_pages_of_several_tables_is_repaired() {
+    let mut fleet = with_events_in_the_file(2_000);
+    for (table, beyond) in [("iteration", 100), ("rollup", 2_000), ("node", 4_000)] {
+        overwrite(fleet.database(), table, beyond);
+    }
+    let why = why_not_ready(&fleet);
+    assert!(why.contains("damaged"), "{why}");
+    // Killed, it leaves its log beside the file.
+    fleet.aggregator.kill();
+    goes_on_after_repair(fleet, "pages of three tables");
+}
+
+/// Repairs what is left behind, and checks that everything that was ever measured is stored or a gap.
+fn goes_on_after_repair(mut fleet: Fleet, what: &str) {
+    let repaired = doctor(&fleet, &["--repair"]);
+    assert_eq!(repaired.code(), 0, "{}", repaired.log);
+    assert!(repaired.log.contains(".damaged-") && repaired.log.contains("iteration"), "{}", repaired.log);
+    let healthy = doctor(&fleet, &["--full"]);
+    assert_eq!(healthy.code(), 0, "{}", healthy.log);
+    let nothing = doctor(&fleet, &["--repair"]);
+    assert!(nothing.code() == 0 && nothing.log.contains("not damaged"), "{}", nothing.log);
+
+    fleet.aggregator_returns();
+    until("ready", || is_ready(&fleet).then_some(()));
+    fleet.agents[0].stop();
+    fleet.idle(0);
+    let account = fleet.account(0, "everything is delivered", |account| {
+        account.waiting == 0 && account.events + account.missing == account.produced
+    });
+    assert_eq!((account.dropped, account.stored), (0, account.produced), "{account:?}");
+    assert!(account.missing > 0, "{account:?}");
+    fleet.agents[0].stop();
+    fleet.aggregator.stop();
+
+    let ledger = Ledger::of(fleet.database());
+    let [run] = ledger.runs.values().collect::<Vec<_>>()[..] else { panic!("one run: {ledger:?}") };
+    assert_eq!(run.counted, run.iterations(), "{run:?}");
+    assert_eq!((run.with_nodes, run.torn), (run.iterations(), 0), "{run:?}");
+    assert_eq!(run.holes(), run.missing, "produced = stored + gaps: {run:?}");
+    let host = &ledger.hosts["edge"];
+    assert_eq!(host.gap_rows, (host.gaps, host.missing), "{host:?}");
+    assert_eq!(host.nodes, ledger.nodes(), "{host:?}");
+    measured(
+        what,
+        &[
+            ("iterations stored", thousands(run.iterations() as f64)),
+            ("iterations lost and told of", thousands(run.missing as f64)),
+        ],
+    );
+}
