@@ -65,8 +65,9 @@ impl PageCheck {
     /// The pages that are malformed and in use. While an aggregator stores, the file is not of one moment: only what is
     /// malformed when it is read again counts, and whether SQLite reads the page at all is for the caller to find out.
     pub(crate) fn finish(mut self) -> io::Result<Vec<u32>> {
+        let missing = self.file.first_missing()?;
         if self.others.is_empty() {
-            return Ok(Vec::new());
+            return Ok(Vec::from_iter(missing));
         }
         for first in std::mem::take(&mut self.overflows) {
             let mut page = first;
@@ -76,7 +77,7 @@ impl PageCheck {
             }
         }
         let free: HashSet<u32> = self.file.free_pages()?.unwrap_or_default().into_iter().collect();
-        let mut malformed = Vec::new();
+        let mut malformed = Vec::from_iter(missing);
         for number in self.others.into_keys().filter(|number| !free.contains(number)) {
             let page = self.file.read(number, 1)?;
             if self.file.well_formed_page(number, page).is_none() {

@@ -99,6 +99,13 @@ impl PageFile {
         Ok(bytes)
     }
 
+    /// The first page that the header counts and the file has not, if it was cut off.
+    pub(crate) fn first_missing(&self) -> io::Result<Option<u32>> {
+        let counted = be32(&self.read(1, 1)?, 28);
+        let pages = u32::try_from(self.file.metadata()?.len() / self.page_bytes as u64).unwrap_or(u32::MAX);
+        Ok((counted > pages).then(|| pages + 1))
+    }
+
     /// Whether a page number is one of this file.
     pub(crate) const fn holds(&self, page: u32) -> bool {
         page >= 1 && page <= self.pages

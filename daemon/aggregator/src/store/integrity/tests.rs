@@ -75,6 +75,11 @@ async fn overwritten_pages_of_every_tree_are_malformed() {
         }
     }
     assert_eq!(PageCheck::of(&path).expect("reads"), Vec::<u32>::new());
+
+    let pages = whole.len() as u64 / PAGE;
+    File::options().write(true).open(&path).expect("opens").set_len(20 * PAGE + 7).expect("cuts it off");
+    let malformed = PageCheck::of(&path).expect("reads");
+    assert!(pages > 21 && malformed.contains(&21), "{malformed:?}");
 }
 
 #[tokio::test]
