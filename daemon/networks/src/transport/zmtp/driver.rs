@@ -122,7 +122,7 @@ impl Driver {
             let connection = Arc::clone(&self.connection);
             let event = tokio::select! {
                 biased;
-                read = read(&mut self.reader, &mut self.framer, &self.allowance, &mut self.pieces),
+                read = read(&connection, &mut self.reader, &mut self.framer, &mut self.allowance, &mut self.pieces),
                     if !self.is_blocked() => Wake::Read(read),
                 () = connection.wake.notified() => Wake::Told,
                 result = connection.writer.writable(), if self.has_output => Wake::Writable(result.is_ok()),
@@ -172,11 +172,6 @@ impl Driver {
         }
         self.phase = phase;
         self.phase_began = Instant::now();
-        self.allowance.stage = match phase {
-            Phase::Handshake => Stage::Handshake,
-            Phase::Unadmitted | Phase::Greeted => Stage::Unadmitted,
-            Phase::Admitted | Phase::Closing | Phase::Replaced => Stage::Admitted,
-        };
         timer.reset(self.next_tick());
         match phase {
             Phase::Closing => Some(End::Closed),
@@ -340,12 +335,26 @@ enum Read {
 
 /// Reads once, into the buffer of a long frame or into pieces. Dropping the future loses nothing.
 async fn read(
+    connection: &ZmtpConnection,
     reader: &mut OwnedReadHalf,
     framer: &mut Framer,
-    allowance: &Allowance,
+    allowance: &mut Allowance,
     pieces: &mut Vec<Piece>,
 ) -> Read {
-    std::future::poll_fn(|cx| poll_read(cx, reader, framer, allowance, pieces)).await
+    std::future::poll_fn(|cx| {
+        // At each poll: what follows an acceptance may be here before this task is told of it.
+        allowance.stage = stage(connection.phase());
+        poll_read(cx, reader, framer, allowance, pieces)
+    })
+    .await
+}
+
+const fn stage(phase: Phase) -> Stage {
+    match phase {
+        Phase::Handshake => Stage::Handshake,
+        Phase::Unadmitted | Phase::Greeted => Stage::Unadmitted,
+        Phase::Admitted | Phase::Closing | Phase::Replaced => Stage::Admitted,
+    }
 }
 
 fn poll_read(

@@ -148,6 +148,13 @@ impl Framer {
                     out.push(Piece { bytes: Bytes::copy_from_slice(greeting), message: None });
                     chunk = rest;
                 }
+                State::Header { have: 0, .. } if is_whole_frame(chunk) => {
+                    let (flags, length) = self.check(chunk, allowance)?;
+                    let (frame, rest) = chunk.split_at(header_length(flags) + length);
+                    let message = self.complete_frame(flags, length, allowance)?;
+                    out.push(Piece { bytes: Bytes::copy_from_slice(frame), message });
+                    chunk = rest;
+                }
                 State::Header { bytes, have } => {
                     let needed = if *have == 0 { header_length(chunk[0]) } else { header_length(bytes[0]) };
                     let (header, rest) = chunk.split_at(chunk.len().min(needed - *have));
@@ -181,32 +188,7 @@ impl Framer {
         allowance: &Allowance,
         out: &mut Vec<Piece>,
     ) -> Result<(), Violation> {
-        let flags = header[0];
-        let claimed = match *header {
-            [_, short] => u64::from(short),
-            [_, ref long @ ..] => long.iter().fold(0, |length, byte| length << 8 | u64::from(*byte)),
-            [] => 0,
-        };
-        let length = usize::try_from(claimed).unwrap_or(usize::MAX);
-        let size = self.finished_bytes.saturating_add(length).saturating_add(FRAME_OVERHEAD_BYTES);
-        match allowance.stage {
-            Stage::Handshake if length > MAX_HANDSHAKE_BYTES => {
-                let text = format!("it claims {length} bytes during the handshake");
-                return Err((Rejection::Handshake, text));
-            }
-            Stage::Unadmitted if size > MAX_UNADMITTED_BYTES => {
-                let text = format!(
-                    "it claims {length} bytes before its hello was accepted; {MAX_UNADMITTED_BYTES} are allowed"
-                );
-                return Err((Rejection::LargeBeforeHello, text));
-            }
-            // The codec names the exact limit, with the overhead of each frame.
-            Stage::Admitted if length > allowance.max_message_bytes => {
-                let text = format!("it claims {length} bytes; {} are allowed", allowance.max_message_bytes);
-                return Err((Rejection::TooLarge, text));
-            }
-            _ => {}
-        }
+        let (flags, length) = self.check(header, allowance)?;
         // The codec checks the flags before anything is reserved.
         out.push(Piece { bytes: Bytes::copy_from_slice(header), message: None });
         let first = match allowance.stage {
@@ -219,6 +201,31 @@ impl Framer {
         self.complete_body(allowance, out)
     }
 
+    /// Flags and length of a frame, of which at least the header is there, if the connection may send it now.
+    fn check(&self, frame: &[u8], allowance: &Allowance) -> Result<(u8, usize), Violation> {
+        let (flags, length) = (frame[0], frame_length(frame));
+        let size = self.finished_bytes.saturating_add(length).saturating_add(FRAME_OVERHEAD_BYTES);
+        match allowance.stage {
+            Stage::Handshake if flags & COMMAND != 0 && length > MAX_HANDSHAKE_BYTES => {
+                let text = format!("it claims {length} bytes during the handshake");
+                return Err((Rejection::Handshake, text));
+            }
+            Stage::Handshake | Stage::Unadmitted if size > MAX_UNADMITTED_BYTES => {
+                let text = format!(
+                    "it claims {length} bytes before its hello was accepted; {MAX_UNADMITTED_BYTES} are allowed"
+                );
+                return Err((Rejection::LargeBeforeHello, text));
+            }
+            // The codec names the exact limit, with the overhead of each frame.
+            Stage::Admitted if length > allowance.max_message_bytes => {
+                let text = format!("it claims {length} bytes; {} are allowed", allowance.max_message_bytes);
+                return Err((Rejection::TooLarge, text));
+            }
+            _ => {}
+        }
+        Ok((flags, length))
+    }
+
     fn complete_body(&mut self, allowance: &Allowance, out: &mut Vec<Piece>) -> Result<(), Violation> {
         let State::Body { flags, buffer, length } = &mut self.state else { return Ok(()) };
         if buffer.len() < *length {
@@ -227,18 +234,40 @@ impl Framer {
         let (flags, bytes) = (*flags, Bytes::from(std::mem::take(buffer)));
         self.largest_frame = self.largest_frame.max(bytes.len());
         self.state = NO_HEADER;
-        let is_last = flags & (MORE | COMMAND) == 0;
-        if flags & COMMAND == 0 {
-            self.finished_bytes = self.finished_bytes.saturating_add(bytes.len() + FRAME_OVERHEAD_BYTES);
-        }
-        reserve(&mut self.reserved, self.finished_bytes, allowance)?;
-        let message = is_last.then(|| {
-            self.finished_bytes = 0;
-            self.reserved.take()
-        });
+        let message = self.complete_frame(flags, bytes.len(), allowance)?;
         out.push(Piece { bytes, message });
         Ok(())
     }
+
+    /// Counts a frame that is whole. Returns the memory of the message that ends with it.
+    fn complete_frame(
+        &mut self,
+        flags: u8,
+        length: usize,
+        allowance: &Allowance,
+    ) -> Result<Option<Reservation>, Violation> {
+        if flags & COMMAND == 0 {
+            self.finished_bytes = self.finished_bytes.saturating_add(length + FRAME_OVERHEAD_BYTES);
+        }
+        reserve(&mut self.reserved, self.finished_bytes, allowance)?;
+        Ok((flags & (MORE | COMMAND) == 0).then(|| {
+            self.finished_bytes = 0;
+            self.reserved.take()
+        }))
+    }
+}
+
+/// The length that a frame claims, of which at least the header is there.
+fn frame_length(frame: &[u8]) -> usize {
+    let long = |bytes: &[u8]| bytes.iter().fold(0, |length, byte| length << 8 | u64::from(*byte));
+    let claimed = long(&frame[1..header_length(frame[0])]);
+    usize::try_from(claimed).unwrap_or(usize::MAX)
+}
+
+/// Whether the first frame of a chunk is there as a whole.
+fn is_whole_frame(chunk: &[u8]) -> bool {
+    let header = header_length(chunk[0]);
+    chunk.len() >= header && chunk.len() - header >= frame_length(chunk)
 }
 
 const fn header_length(flags: u8) -> usize {

@@ -219,6 +219,10 @@ async fn accept(listener: TcpListener, shared: Arc<Shared>, arrivals: mpsc::Send
                 for other in replaced {
                     other.advance(Phase::Replaced);
                 }
+                // Closing may have looked at all connections just before.
+                if shared.stop.is_cancelled() {
+                    connection.advance(Phase::Closing);
+                }
                 let driver =
                     Driver::new(connection, reader, &shared.limits, &shared.budgets, arrivals.clone());
                 shared.tasks.spawn(serve(driver, Arc::clone(&shared), arrivals.clone()));

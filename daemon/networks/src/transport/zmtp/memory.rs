@@ -51,7 +51,10 @@ impl Reservation {
             let mut moved = Self::empty(budget);
             moved.set(budget, bytes)?;
             *self = moved;
-        } else if bytes > self.bytes {
+        } else if bytes >= self.bytes {
+            if bytes == self.bytes {
+                return Ok(());
+            }
             budget.take(bytes - self.bytes)?;
             self.bytes = bytes;
         } else {

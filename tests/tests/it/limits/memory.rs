@@ -1,0 +1,48 @@
+//! Unfinished frames of peers without a session.
+
+use peernet_tests::{Site, measured, until};
+
+use super::{Peer, peak_memory};
+
+/// A daemon in a debug build takes 70 MB; 16 MiB are for all strangers together.
+const MOST_BYTES: u64 = 200_000_000;
+
+#[test]
+fn unfinished_samples_without_session_take_no_memory() {
+    let site = Site::new();
+    let tables = "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\n[[model]]\nname = \"echo\"\nkind = \"echo\"\n";
+    let cloud = site.agent("cloud", tables);
+    cloud.wait_for("ready");
+    let before = peak_memory(&cloud);
+    let mut peers: Vec<Peer> = (0..30).map(|_| Peer::greeted(site.data)).collect();
+    let sent: usize = peers.iter_mut().map(|peer| peer.send_unfinished(60_000_000)).sum();
+    until("all are closed", || peers.iter_mut().all(Peer::is_closed).then_some(()));
+    let peak = peak_memory(&cloud);
+    measured(
+        "30 unfinished frames of 60 MB",
+        &[("bytes sent", sent.to_string()), ("peak before", before.to_string()), ("peak", peak.to_string())],
+    );
+    assert!(peak < MOST_BYTES, "{peak} bytes, {before} before");
+    assert!(cloud.log().contains("large_before_hello"), "{}", cloud.log());
+    assert_eq!(cloud.stop().code(), 0);
+}
+
+#[test]
+fn unfinished_batches_without_hello_take_no_memory() {
+    let site = Site::new();
+    let (aggregator, api) = site.aggregator();
+    let before = peak_memory(&aggregator);
+    let mut peers: Vec<Peer> = (0..450).map(|_| Peer::greeted(site.events)).collect();
+    let sent: usize = peers.iter_mut().map(|peer| peer.send_unfinished(3_900_000)).sum();
+    until("all are closed", || peers.iter_mut().all(Peer::is_closed).then_some(()));
+    let peak = peak_memory(&aggregator);
+    measured(
+        "450 unfinished frames of 3.9 MB",
+        &[("bytes sent", sent.to_string()), ("peak before", before.to_string()), ("peak", peak.to_string())],
+    );
+    assert!(peak < MOST_BYTES, "{peak} bytes, {before} before");
+    let (_, metrics) = api.get("/metrics").expect("the dashboard answers");
+    let counted = "peernet_aggregator_rejected_connections_total{reason=\"large_before_hello\"} 450";
+    assert!(metrics.contains(counted), "{metrics}");
+    assert_eq!(aggregator.stop().code(), 0);
+}

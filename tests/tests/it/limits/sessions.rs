@@ -1,0 +1,44 @@
+//! Sessions of a cloud that many pipelines want.
+
+use peernet_tests::Site;
+
+const PIPELINES: usize = 16;
+
+/// So many pipelines that ask the cloud.
+fn pipelines(count: usize, more: &str) -> String {
+    (0..count)
+        .map(|n| {
+            format!(
+                "[[pipeline]]\nname = \"line-{n}\"\nsensor = {{ kind = \"synthetic\", size_bytes = 64 }}\n\
+                 placement = {{ kind = \"remote\", peer = \"tcp://127.0.0.1:{{data}}\", model = \"echo\" }}\n\
+                 load = {{ mode = \"rate\", hz = 2.0 }}\n{more}\n"
+            )
+        })
+        .collect()
+}
+
+#[test]
+fn two_greedy_agents_leave_sessions_to_a_third() {
+    let site = Site::new();
+    let (aggregator, api) = site.aggregator();
+    let tables = format!(
+        "[serve]\nlisten = \"tcp://127.0.0.1:{{data}}\"\nsession = {{ max_sessions = {PIPELINES} }}\n\
+         [[model]]\nname = \"echo\"\nkind = \"echo\"\n"
+    );
+    let cloud = site.agent("cloud", &tables);
+    cloud.wait_for("ready");
+    let greedy = ["first", "second"].map(|name| {
+        let agent = site.agent(name, &pipelines(PIPELINES, ""));
+        agent.wait_for("half of what other hosts leave of the cloud's max_sessions, 16");
+        agent
+    });
+    let third = site.agent("third", &pipelines(1, "limit = { iterations = 5 }"));
+    let counts = api.until("/api/v1/runs", |runs| {
+        let runs = runs["runs"].as_array()?;
+        runs.iter().find(|run| run["reason"] == "finished").map(|run| run["counts"]["ok"].clone())
+    });
+    assert_eq!(counts, 5);
+    for process in [third].into_iter().chain(greedy).chain([cloud, aggregator]) {
+        assert_eq!(process.stop().code(), 0);
+    }
+}

@@ -1,0 +1,92 @@
+//! An unknown host beside the README's two machines: garbage, silence, false sizes and unfinished frames on every port.
+
+use std::path::Path;
+
+use peernet_tests::network::Host;
+use peernet_tests::{Desk, Process, Since, root, until};
+use serde_json::Value;
+
+use super::peak_memory;
+use crate::documented::two_machines::install;
+
+const SECONDS: &str = "60";
+const BYTES_PER_SECOND: &str = "4000000";
+
+/// What each of the two daemons on the cloud may have used of memory at its peak: docs/operating.md states the bound.
+const PEAK_BYTES: u64 = 512 << 20;
+
+#[test]
+fn unknown_host_stops_neither_storing_nor_dashboard() {
+    let desk = Desk::with_third_host();
+    install(&desk);
+    let (edge, cloud) = (desk.edge(), desk.cloud());
+    let run = |host: &Host, name: &str| desk.run_on(host, &daemon(&desk, host, name));
+    let (aggregator, agent, robot) = (run(cloud, "aggregator"), run(cloud, "agent"), run(edge, "agent"));
+    let before = until("the robot's iterations are stored", || stored(&desk).filter(|events| *events > 20));
+
+    let attack = attack(&desk);
+    let (began, mut latest) = (Since::now(), before);
+    // Each question has ten seconds; the last of them is asked while the attack goes on.
+    while began.elapsed().as_secs() < 55 {
+        latest = until("more is stored, and the dashboard says so", || {
+            stored(&desk).filter(|events| *events > latest)
+        });
+        assert_eq!(desk.run_on(edge, &curl("/")).ended().code(), 0, "the overview is not served");
+    }
+    let ended = attack.ended();
+    assert_eq!(ended.code(), 0, "{}", ended.log);
+    for process in [&aggregator, &agent] {
+        let peak = peak_memory(process);
+        assert!(peak < PEAK_BYTES, "{peak} bytes of memory at the peak: {}", ended.log);
+    }
+
+    assert_eq!(robot.stop().code(), 0);
+    let account = until("all is stored", || {
+        account(&desk).filter(|host| host["now"]["events"]["waiting"] == 0)
+    });
+    let events = &account["now"]["events"];
+    assert_eq!(events["dropped"], 0, "{account}");
+    assert_eq!(account["stored"]["missing"], 0, "{account}");
+    let counts = json(&desk, "/api/v1/runs").expect("the dashboard answers");
+    let counts = &counts["runs"][0]["counts"];
+    assert_eq!((&counts["lost"], &counts["timeout"]), (&0.into(), &0.into()), "{counts}");
+    assert_eq!(agent.stop().code(), 0);
+    assert_eq!(aggregator.stop().code(), 0);
+}
+
+fn daemon(desk: &Desk, host: &Host, name: &str) -> String {
+    format!("peernetd run {}/etc/peernet/{name}.toml", desk.root_of(host).display())
+}
+
+fn attack(desk: &Desk) -> Process {
+    let program = root().join("tests/bench/peers/attack.py");
+    let ports = "--events 5550 --data 5551 --http 8040 --probes 8620";
+    let line = format!(
+        "{} attack {} {ports} --seconds {SECONDS} --bytes-per-second {BYTES_PER_SECOND}",
+        program.display(),
+        desk.network().third_faces()
+    );
+    let arguments: Vec<&str> = line.split(' ').collect();
+    desk.network().third().start(Path::new("python3"), &arguments, desk.folder(), &[])
+}
+
+fn curl(path: &str) -> String {
+    format!("curl --silent --fail --max-time 10 http://{}:8040{path}", Desk::CLOUD)
+}
+
+/// A document, asked for from where the robot is.
+fn json(desk: &Desk, path: &str) -> Option<Value> {
+    let ended = desk.run_on(desk.edge(), &curl(path)).ended();
+    assert_eq!(ended.code(), 0, "{path} is not served: {}", ended.log);
+    serde_json::from_str(&ended.log).ok()
+}
+
+fn account(desk: &Desk) -> Option<Value> {
+    json(desk, "/api/v1/hosts").and_then(|hosts| {
+        hosts["hosts"].as_array()?.iter().find(|host| host["name"] == "robot").cloned()
+    })
+}
+
+fn stored(desk: &Desk) -> Option<u64> {
+    account(desk)?["stored"]["events"].as_u64()
+}
