@@ -23,7 +23,9 @@ pub(crate) use tap::Tap;
 
 use peernet_clock::{SharedClock, Span};
 use peernet_logger::HostId;
-use peernet_logger::stream::{Accounting, HostDescription, HostMetrics, HostSecret, Sending, SendingConfig, Usage};
+use peernet_logger::stream::{
+    Accounting, HostDescription, HostMetrics, HostSecret, Sending, SendingConfig, Usage,
+};
 use peernet_networks::Address;
 use tokio::sync::{oneshot, watch};
 use tokio::time::Instant;

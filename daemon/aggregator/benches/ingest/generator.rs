@@ -28,7 +28,9 @@ pub(crate) async fn run(address: &str, plan: &Plan, speed: Option<f64>) {
         let socket = Socket::new(SocketType::Dealer, Options::default());
         socket.connect(address).await.expect("connects");
         say_to(&socket, &ToAggregator::Hello(load.hello.clone())).await;
-        let ToAgent::Challenge { aggregator, nonce, .. } = receive(&socket).await else { panic!("no challenge") };
+        let ToAgent::Challenge { aggregator, nonce, .. } = receive(&socket).await else {
+            panic!("no challenge")
+        };
         let secret = HostSecret::random();
         let code = secret.prove(&nonce, &load.hello, &aggregator);
         let proof = Proof { host: load.hello.host.id, nonce, code, secret: Some(secret) };

@@ -5,8 +5,8 @@ use std::path::Path;
 use bytes::Bytes;
 use peernet_clock::{SharedClock, Span};
 use peernet_logger::stream::{
-    BatchHead, Chain, Event, ExperimentPlace, Hello, HostSecret, Incident, IncidentKind, Outcome, PROTOCOL, Proof, StreamId,
-    ToAgent, ToAggregator, codec,
+    BatchHead, Chain, Event, ExperimentPlace, Hello, HostSecret, Incident, IncidentKind, Outcome, PROTOCOL,
+    Proof, StreamId, ToAgent, ToAggregator, codec,
 };
 use peernet_logger::{HostId, RunId};
 use tokio_util::sync::CancellationToken;
@@ -94,7 +94,9 @@ impl Agent {
             numbers: generate::Numbers(1),
             second: 0,
         };
-        let ToAgent::Challenge { aggregator, nonce, .. } = agent.receive().await else { panic!("no challenge") };
+        let ToAgent::Challenge { aggregator, nonce, .. } = agent.receive().await else {
+            panic!("no challenge")
+        };
         let secret = HostSecret::random();
         let code = secret.prove(&nonce, &hello, &aggregator);
         let proof = ToAggregator::Proof(Proof { host: edge, nonce, code, secret: Some(secret) });

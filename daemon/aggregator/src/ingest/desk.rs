@@ -156,7 +156,9 @@ impl Desk {
             return;
         }
         for live in &update.pipelines {
-            let Some(run) = live.run.filter(|run| self.unknown.contains(&(update.host, *run))) else { continue };
+            let Some(run) = live.run.filter(|run| self.unknown.contains(&(update.host, *run))) else {
+                continue;
+            };
             // Without room, a later update does.
             let Some(place) = self.queue.place(0) else { return };
             let (host, pipeline, placement) = (update.host, live.pipeline.clone(), live.placement.clone());

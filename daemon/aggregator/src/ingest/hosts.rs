@@ -57,7 +57,8 @@ impl Hosts {
     pub(super) fn restart(&mut self, stored: Vec<(HostId, Option<HostSecret>)>) {
         self.newcomers.clear();
         let stored = (0..).zip(stored);
-        let stored = stored.map(|(seniority, (host, secret))| (host, StoredHost { seniority, secret, checked: None }));
+        let stored =
+            stored.map(|(seniority, (host, secret))| (host, StoredHost { seniority, secret, checked: None }));
         self.stored = stored.collect();
     }
 
@@ -121,7 +122,11 @@ impl Hosts {
 
     /// A host was let in of which nothing is stored. What was found of the same stream before stays. Returns the newcomer
     /// that makes way.
-    pub(super) fn welcome(&mut self, introduction: Introduction, missing: Option<Missing>) -> Option<Newcomer> {
+    pub(super) fn welcome(
+        &mut self,
+        introduction: Introduction,
+        missing: Option<Missing>,
+    ) -> Option<Newcomer> {
         let host = introduction.host.id;
         self.came += 1;
         let mut newcomer = Newcomer { introduction, missing, came: self.came };

@@ -9,8 +9,7 @@ use super::database;
 use super::integrity::{Integrity, IntegrityCheck};
 use super::lock::{DatabaseLock, LockError};
 use super::write::{
-    CommitError, FormerFiles, Streams, Writer, known_hosts, newest_runs, stored_hosts,
-    unknown_runs,
+    CommitError, FormerFiles, Streams, Writer, known_hosts, newest_runs, stored_hosts, unknown_runs,
 };
 use crate::config::RetentionConfig;
 use crate::error::StartError;

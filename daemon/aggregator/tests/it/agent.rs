@@ -86,7 +86,8 @@ impl Agent {
         let patience = Span::from_millis(500);
         let config = SendingConfig { batch_nodes: 1_000, patience, ..SendingConfig::default() };
         let process = generate::Numbers(clock.mono().nanos() as u64).bits();
-        let mut sending = Sending::new(config, generate::host(id, name), secret_of(id), process, spool.state());
+        let mut sending =
+            Sending::new(config, generate::host(id, name), secret_of(id), process, spool.state());
         sending.connected(clock.mono());
         let socket = Wire::to(address).await;
         Self { id, sending, notices: Vec::new(), spool, socket, clock: SharedClock::clone(clock) }

@@ -2,9 +2,7 @@
 
 use std::time::Duration;
 
-use peernet_logger::stream::{
-    BatchHead, Chain, Event, Hello, PROTOCOL, StreamId, ToAgent, codec,
-};
+use peernet_logger::stream::{BatchHead, Chain, Event, Hello, PROTOCOL, StreamId, ToAgent, codec};
 use peernet_logger::{HostId, RunId};
 
 use crate::agent::Wire;

@@ -255,7 +255,10 @@ async fn a_deleted_spool_leaves_one_gap_however_often_its_agent_comes_back() {
         for _ in 0..2 {
             // The same process number: no other agent is to be waited for.
             let again = Raw { stream: anew.stream, host: raw.host, ..Raw::new(&bed).await };
-            assert!(matches!(again.wire.greet(&again.hello("edge")).await, ToAgent::Welcome { stored: 0, .. }));
+            assert!(matches!(
+                again.wire.greet(&again.hello("edge")).await,
+                ToAgent::Welcome { stored: 0, .. }
+            ));
         }
         bed.stop().await;
         bed.start().await;

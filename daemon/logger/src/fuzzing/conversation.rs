@@ -9,9 +9,9 @@ use super::script::{Script, beginning, host};
 use crate::HostId;
 use crate::stream::codec;
 use crate::stream::{
-    Accounting, Action, Arrival, Chain, Event, Greeting, HostSecret, Incident, IncidentKind, Known, Nonce, Receiving,
-    ReceivingConfig, Sending, SendingConfig, SpoolState, SpooledBatch, StreamId, ToAgent, ToAggregator,
-    Usage,
+    Accounting, Action, Arrival, Chain, Event, Greeting, HostSecret, Incident, IncidentKind, Known, Nonce,
+    Receiving, ReceivingConfig, Sending, SendingConfig, SpoolState, SpooledBatch, StreamId, ToAgent,
+    ToAggregator, Usage,
 };
 
 /// Steps of one script, at most.
@@ -119,7 +119,8 @@ fn at_an_agent(script: &mut Script<'_>) {
     let stream = StreamId::from_bytes([1; 16]);
     let state = SpoolState::new(stream);
     let now = Stamp { wall: beginning(), mono: MonoTime::from_nanos(0) };
-    let sending = Sending::new(config, host(HostId::from_bytes([1; 16])), HostSecret::from_bytes([9; 32]), 1, state);
+    let sending =
+        Sending::new(config, host(HostId::from_bytes([1; 16])), HostSecret::from_bytes([9; 32]), 1, state);
     let mut agent = Agent { sending, jobs: VecDeque::new(), spool: Vec::new(), now, echo: 0 };
     let mut sent = (stream, Chain::START, 0);
     for _ in 0..MOST_STEPS {

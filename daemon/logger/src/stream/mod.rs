@@ -41,7 +41,9 @@ pub use live::{
 pub use message::{
     Batch, BatchHead, Hello, MOST_UNDER_WAY, PROTOCOL, Proof, StreamId, ToAgent, ToAggregator, batch_weight,
 };
-pub use receiving::{Arrival, Challenges, Greeting, Known, Lacking, Mark, Missing, Proven, Receiving, ReceivingConfig};
+pub use receiving::{
+    Arrival, Challenges, Greeting, Known, Lacking, Mark, Missing, Proven, Receiving, ReceivingConfig,
+};
 pub use secret::{HostSecret, InvalidSecret, Nonce, ProofCode};
 pub use sending::{Action, Compression, Notice, Sending, SendingConfig};
 pub use spool::{Reached, SpoolState, SpooledBatch, Totals, Usage};

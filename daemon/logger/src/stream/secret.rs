@@ -73,7 +73,8 @@ impl HostSecret {
     }
 
     fn code(&self, nonce: &Nonce, hello: &Hello, aggregator: &Slug) -> Hmac<Sha256> {
-        let mut code = <Hmac<Sha256> as KeyInit>::new_from_slice(&self.0).expect("HMAC takes keys of any length");
+        let mut code =
+            <Hmac<Sha256> as KeyInit>::new_from_slice(&self.0).expect("HMAC takes keys of any length");
         code.update(DOMAIN);
         code.update(&PROTOCOL.to_be_bytes());
         code.update(&nonce.0);

@@ -73,7 +73,10 @@ fn killed_agent_reports_every_event_it_lost() {
         assert!(stored.is_whole(), "only the end of a run is lost: {stored:?}");
         let known = stored.iterations() + stored.missing;
         // The kill may have hit the iteration that was just acted upon: it is no event.
-        assert!((answers - 1..=*answers).contains(&known), "{answers} answers, {known} accounted for: {stored:?}");
+        assert!(
+            (answers - 1..=*answers).contains(&known),
+            "{answers} answers, {known} accounted for: {stored:?}"
+        );
         lost += stored.missing;
     }
     assert!(lost > 0, "every kill hit an agent that had nothing in memory: {ledger:?}");

@@ -37,7 +37,8 @@ fn silent_connections_stop_neither_storing_nor_dashboard() {
     some("early", 0.0);
 
     // Half of them say that they speak the protocol, and nothing more.
-    let silent = |n: usize| if n.is_multiple_of(2) { Peer::connect(site.events) } else { Peer::greeted(site.events) };
+    let silent =
+        |n: usize| if n.is_multiple_of(2) { Peer::connect(site.events) } else { Peer::greeted(site.events) };
     let held: Vec<Peer> = (0..SILENT).map(silent).collect();
     let then = some("early", 0.0);
     some("early", then + 50.0);

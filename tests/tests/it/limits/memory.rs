@@ -10,7 +10,8 @@ const MOST_BYTES: u64 = 200_000_000;
 #[test]
 fn unfinished_samples_without_session_take_no_memory() {
     let site = Site::new();
-    let tables = "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\n[[model]]\nname = \"echo\"\nkind = \"echo\"\n";
+    let tables =
+        "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\n[[model]]\nname = \"echo\"\nkind = \"echo\"\n";
     let cloud = site.agent("cloud", tables);
     cloud.wait_for("ready");
     let before = peak_memory(&cloud);

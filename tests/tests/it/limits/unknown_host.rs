@@ -41,9 +41,8 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
     }
 
     assert_eq!(robot.stop().code(), 0);
-    let account = until("all is stored", || {
-        account(&desk).filter(|host| host["now"]["events"]["waiting"] == 0)
-    });
+    let account =
+        until("all is stored", || account(&desk).filter(|host| host["now"]["events"]["waiting"] == 0));
     let events = &account["now"]["events"];
     assert_eq!(events["dropped"], 0, "{account}");
     assert_eq!(account["stored"]["missing"], 0, "{account}");
@@ -82,9 +81,8 @@ fn json(desk: &Desk, path: &str) -> Option<Value> {
 }
 
 fn account(desk: &Desk) -> Option<Value> {
-    json(desk, "/api/v1/hosts").and_then(|hosts| {
-        hosts["hosts"].as_array()?.iter().find(|host| host["name"] == "robot").cloned()
-    })
+    json(desk, "/api/v1/hosts")
+        .and_then(|hosts| hosts["hosts"].as_array()?.iter().find(|host| host["name"] == "robot").cloned())
 }
 
 fn stored(desk: &Desk) -> Option<u64> {

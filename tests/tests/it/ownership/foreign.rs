@@ -4,8 +4,9 @@ use std::sync::Arc;
 
 use peernet_clock::{ClockIdentity, SystemClock};
 use peernet_logger::stream::{
-    Accounting, ClockSample, Event, Gap, HostClock, HostMetrics, Incident, IncidentKind, Iteration, LiveUpdate, Outcome,
-    PipelineLive, PipelineState, Placement, ProbeCounts, RunDescription, RunEnded, ToAggregator,
+    Accounting, ClockSample, Event, Gap, HostClock, HostMetrics, Incident, IncidentKind, Iteration,
+    LiveUpdate, Outcome, PipelineLive, PipelineState, Placement, ProbeCounts, RunDescription, RunEnded,
+    ToAggregator,
 };
 use peernet_logger::{HostId, Recorder, RunId};
 use peernet_tests::truth::ask;
@@ -46,7 +47,15 @@ fn incident(run: RunId, peer: HostId) -> Event {
 fn iteration(run: RunId, number: u64, host: HostId) -> Event {
     let clock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "test")));
     let tree = Recorder::begin(clock, host).finish();
-    Event::Iteration(Iteration { run, number, episode: 0, step: 0, warm_up: false, outcome: Outcome::Ok, tree })
+    Event::Iteration(Iteration {
+        run,
+        number,
+        episode: 0,
+        step: 0,
+        warm_up: false,
+        outcome: Outcome::Ok,
+        tree,
+    })
 }
 
 fn clock(peer: HostId) -> Event {
@@ -71,7 +80,10 @@ fn clock(peer: HostId) -> Event {
 fn foreign_reports_change_nothing_of_the_run() {
     let mut chance = Chance::new("foreign reports");
     let mut fleet = measuring("");
-    let row = ask(fleet.database(), "SELECT run.uuid || ' ' || host.uuid FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host");
+    let row = ask(
+        fleet.database(),
+        "SELECT run.uuid || ' ' || host.uuid FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host",
+    );
     let (run, victim) = row.trim().split_once(' ').expect("one run");
     let (run, victim): (RunId, HostId) = (run.parse().expect("an id"), victim.parse().expect("an id"));
     let missing = |fleet: &peernet_tests::Fleet| fleet.api.json("/api/v1/runs/1")["gaps"].clone();
@@ -110,8 +122,13 @@ fn foreign_reports_change_nothing_of_the_run() {
     assert!(!trust.contains("123,456") && !trust.contains("never reached the store"), "{trust}");
     let incidents = fleet.api.json("/api/v1/incidents");
     let incidents = incidents["incidents"].as_array().expect("a list").clone();
-    let foreign = |incident: &&serde_json::Value| incident["host_name"] == "stranger" || incident["host"]["name"] == "stranger";
-    assert!(incidents.iter().any(|incident| incident.to_string().contains("belong to other hosts")), "{incidents:?}");
+    let foreign = |incident: &&serde_json::Value| {
+        incident["host_name"] == "stranger" || incident["host"]["name"] == "stranger"
+    };
+    assert!(
+        incidents.iter().any(|incident| incident.to_string().contains("belong to other hosts")),
+        "{incidents:?}"
+    );
     assert!(incidents.iter().filter(foreign).all(|incident| incident["run"] != 1), "{incidents:?}");
 
     let seen = fleet.account(0, "it is there", |_| true);
@@ -122,9 +139,15 @@ fn foreign_reports_change_nothing_of_the_run() {
     let stranger = ledger.hosts.remove("stranger").expect("stored");
     assert_eq!((stranger.quarantined, ledger.hosts["edge"].gaps), (1, 0));
     let stored = &ledger.runs[&run.to_string()];
-    assert_eq!((stored.host.as_str(), stored.pipeline.as_str(), stored.reason.as_str()), ("edge", "loop", "stopped"));
+    assert_eq!(
+        (stored.host.as_str(), stored.pipeline.as_str(), stored.reason.as_str()),
+        ("edge", "loop", "stopped")
+    );
     assert!(stored.is_whole() && stored.missing == 0, "{stored:?}");
-    measured("foreign reports", &[("kinds of events", kinds.len().to_string()), ("that changed the run", "0".into())]);
+    measured(
+        "foreign reports",
+        &[("kinds of events", kinds.len().to_string()), ("that changed the run", "0".into())],
+    );
 }
 
 #[test]
@@ -132,7 +155,8 @@ fn run_claimed_before_its_start_still_belongs_to_its_host() {
     let mut chance = Chance::new("claimed runs");
     let mut fleet = peernet_tests::Fleet::new(&[], "");
     let (one, other) = (Stranger::at(fleet.site.events), Stranger::at(fleet.site.events));
-    let (mut thief, mut robot) = (Introduced::new("thief", &mut chance), Introduced::new("robot", &mut chance));
+    let (mut thief, mut robot) =
+        (Introduced::new("thief", &mut chance), Introduced::new("robot", &mut chance));
     let run = RunId::random();
     thief.enter(&one);
     one.send(&thief.batch_with(&[gap(run), started(run), iteration(run, 1, thief.hello.host.id)]));
@@ -165,7 +189,13 @@ fn run_claimed_before_its_start_still_belongs_to_its_host() {
     }
     let numbers = until("both pipelines", || {
         let list = fleet.api.json("/api/v1/pipelines");
-        let numbers: Vec<i64> = list["pipelines"].as_array()?.iter().filter_map(|it| it["run"]["number"].as_i64().or(it["run_number"].as_i64()).or(it["run"].as_i64())).collect();
+        let numbers: Vec<i64> = list["pipelines"]
+            .as_array()?
+            .iter()
+            .filter_map(|it| {
+                it["run"]["number"].as_i64().or(it["run_number"].as_i64()).or(it["run"].as_i64())
+            })
+            .collect();
         (numbers.len() == 2).then_some(numbers)
     });
     assert_ne!(numbers[0], numbers[1]);

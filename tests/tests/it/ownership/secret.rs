@@ -14,7 +14,10 @@ fn state(fleet: &Fleet) -> PathBuf {
 }
 
 fn secret(fleet: &Fleet) -> String {
-    std::fs::read_to_string(state(fleet).join("host-secret")).expect("made at the first start").trim().to_owned()
+    std::fs::read_to_string(state(fleet).join("host-secret"))
+        .expect("made at the first start")
+        .trim()
+        .to_owned()
 }
 
 /// A host that says it is the robot, without its secret.

@@ -186,7 +186,8 @@ fn a_storm_of_hellos_keeps_no_agent_out() {
     // More hosts than one connection may speak for.
     for n in 0..200 {
         let one = Introduced::new(&format!("crowd-{n}"), &mut chance);
-        let welcome_or_not = |said: &ToAgent| matches!(said, ToAgent::Welcome { .. } | ToAgent::Refused { .. });
+        let welcome_or_not =
+            |said: &ToAgent| matches!(said, ToAgent::Welcome { .. } | ToAgent::Refused { .. });
         stranger.greet(&one, welcome_or_not);
     }
     let words = Introduced::new("one-more", &mut chance).is_refused(&stranger);

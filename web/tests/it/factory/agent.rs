@@ -8,8 +8,8 @@ use peernet_clock::{SharedClock, Span};
 use peernet_logger::HostId;
 use peernet_logger::stream::codec::{decode, encode};
 use peernet_logger::stream::{
-    Accounting, Action, Chain, Event, HostDescription, HostSecret, LiveUpdate, Sending, SendingConfig, SpoolState,
-    SpooledBatch, StreamId, ToAgent, ToAggregator, Totals, Usage,
+    Accounting, Action, Chain, Event, HostDescription, HostSecret, LiveUpdate, Sending, SendingConfig,
+    SpoolState, SpooledBatch, StreamId, ToAgent, ToAggregator, Totals, Usage,
 };
 use zeromq::{Message, Options, Socket, SocketType};
 
@@ -34,7 +34,8 @@ impl Agent {
         let config =
             SendingConfig { batch_age: Span::from_millis(10), memory: MEMORY, ..SendingConfig::default() };
         let spool = SpoolState::new(StreamId::random());
-        let mut sending = Sending::new(config, host, HostSecret::random(), clock.mono().nanos() as u64, spool);
+        let mut sending =
+            Sending::new(config, host, HostSecret::random(), clock.mono().nanos() as u64, spool);
         sending.connected(clock.mono());
         let socket = Socket::new(SocketType::Dealer, Options::default());
         socket.connect(address).await.expect("connects");

@@ -4,8 +4,8 @@
 mod backup;
 mod doctor;
 mod rebuild;
-mod secrets;
 mod repair;
+mod secrets;
 
 use std::path::Path;
 use std::time::Duration;
@@ -19,8 +19,8 @@ pub use self::doctor::{
     RollupExtent, Schema, Severity, StreamState, TableRows, examine,
 };
 pub use self::rebuild::{RebuildError, Rebuilt, rebuild_rollups};
-pub use self::secrets::{ClearSecretError, ClearedSecret, clear_host_secret};
 pub use self::repair::{RepairError, Repaired, SalvagedTable, repair};
+pub use self::secrets::{ClearSecretError, ClearedSecret, clear_host_secret};
 pub use super::contents::Contents;
 
 /// How long a command waits for another program that locks the file.

@@ -61,7 +61,8 @@ async fn run_claimed_first_by_another_host_is_stored_for_its_own() {
     as_other(&mut bed);
     let start = bed.batch(vec![generate::run_started(run, "line", NOW)]);
     let mut numbers = generate::Numbers(1);
-    let iterations = (1..=5).map(|n| Event::Iteration(generate::iteration(run, n, bed.hosts(), &mut numbers)));
+    let iterations =
+        (1..=5).map(|n| Event::Iteration(generate::iteration(run, n, bed.hosts(), &mut numbers)));
     let iterations = bed.batch(iterations.collect());
     let committed = bed.commit(&[start, iterations]).await;
     assert!(committed.quarantined.is_empty());
@@ -88,7 +89,9 @@ async fn secret_is_kept_once_and_cleared_beside_the_writer() {
     bed.commit(&[work]).await;
     let (first, second) = (HostSecret::random(), HostSecret::random());
     for secret in [&first, &second] {
-        let Work::Hello(mut greeting) = hello(generate::host(bed.edge, "edge"), 1) else { panic!("a greeting") };
+        let Work::Hello(mut greeting) = hello(generate::host(bed.edge, "edge"), 1) else {
+            panic!("a greeting")
+        };
         greeting.secret = Some(secret.clone());
         bed.commit(&[Work::Hello(greeting)]).await;
     }

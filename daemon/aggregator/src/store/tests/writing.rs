@@ -272,7 +272,16 @@ async fn a_replaced_spool_leaves_one_gap_and_its_stream_is_the_last() {
     let greeting = |stream, previous, replaced| {
         let (host, process, first, lacking) = (generate::host(bed.edge, "edge"), 1, 5, None);
         let secret = None;
-        Work::Hello(Box::new(Introduction { host, process, stream, previous, first, replaced, lacking, secret }))
+        Work::Hello(Box::new(Introduction {
+            host,
+            process,
+            stream,
+            previous,
+            first,
+            replaced,
+            lacking,
+            secret,
+        }))
     };
     let (first, renewed, replaced) = (
         greeting(old, None, None),

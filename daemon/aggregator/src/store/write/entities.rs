@@ -179,7 +179,9 @@ impl Entities {
         .await?;
         let is_taken = !rows.is_empty();
         let own = rows.into_iter().find(|(_, _, host)| *host == reporter.row);
-        let own = own.map(|(number, uuid, _)| Ok::<_, sqlx::Error>(KnownRun { number, uuid: id(&uuid)? })).transpose()?;
+        let own = own
+            .map(|(number, uuid, _)| Ok::<_, sqlx::Error>(KnownRun { number, uuid: id(&uuid)? }))
+            .transpose()?;
         let own = own.map(|own| self.remember(reporter, run, own));
         Ok(Lookup { own, is_taken })
     }

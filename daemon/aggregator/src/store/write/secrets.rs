@@ -16,12 +16,14 @@ pub(super) async fn enrol(
     secret: &HostSecret,
     now: WallTime,
 ) -> Result<(), sqlx::Error> {
-    sqlx::query("INSERT INTO host_secret (host, secret, enrolled_ns) VALUES (?, ?, ?) ON CONFLICT (host) DO NOTHING")
-        .bind(host)
-        .bind(secret.expose_bytes().as_slice())
-        .bind(now.unix_nanos())
-        .execute(connection)
-        .await?;
+    sqlx::query(
+        "INSERT INTO host_secret (host, secret, enrolled_ns) VALUES (?, ?, ?) ON CONFLICT (host) DO NOTHING",
+    )
+    .bind(host)
+    .bind(secret.expose_bytes().as_slice())
+    .bind(now.unix_nanos())
+    .execute(connection)
+    .await?;
     Ok(())
 }
 
@@ -57,6 +59,8 @@ pub(crate) async fn known_hosts(
 }
 
 fn secret(bytes: Vec<u8>) -> Result<HostSecret, sqlx::Error> {
-    let bytes = bytes.try_into().map_err(|_| sqlx::Error::Decode("a host secret that is not 32 bytes long".into()))?;
+    let bytes = bytes
+        .try_into()
+        .map_err(|_| sqlx::Error::Decode("a host secret that is not 32 bytes long".into()))?;
     Ok(HostSecret::from_bytes(bytes))
 }

@@ -85,7 +85,8 @@ impl Receiving {
                  the agent again"
             ));
         }
-        let named = self.namesake(hello, now).filter(|(_, session)| !is_senior(known.seniority, session.seniority));
+        let named =
+            self.namesake(hello, now).filter(|(_, session)| !is_senior(known.seniority, session.seniority));
         if let Some((other, _)) = named {
             let name = &hello.host.name;
             return Some(format!(
@@ -104,7 +105,8 @@ impl Receiving {
     /// Another host with the name of this one that was heard a moment ago.
     fn namesake(&self, hello: &Hello, now: MonoTime) -> Option<(HostId, &Session)> {
         let host = &hello.host;
-        let held = |session: &Session| session.name == host.name && now - session.heard <= self.config.name_held;
+        let held =
+            |session: &Session| session.name == host.name && now - session.heard <= self.config.name_held;
         let named = self.hosts.iter().find(|(other, session)| **other != host.id && held(session));
         named.map(|(other, session)| (*other, session))
     }

@@ -55,7 +55,14 @@ impl<C: Eq + Hash> Challenges<C> {
     ///
     /// A hello that is repeated gets the same challenge again: on a slow link the proof may be on its way. Any other takes
     /// the place of the one before on its connection.
-    pub fn challenge(&mut self, connection: C, hello: Hello, enrol: bool, nonce: Nonce, now: MonoTime) -> ToAgent {
+    pub fn challenge(
+        &mut self,
+        connection: C,
+        hello: Hello,
+        enrol: bool,
+        nonce: Nonce,
+        now: MonoTime,
+    ) -> ToAgent {
         let claim = |hello: &Hello| (hello.host.id, hello.process, hello.stream);
         let before = self.pending.get(&connection);
         let before = before.filter(|it| claim(&it.hello) == claim(&hello) && it.enrol == enrol);
@@ -73,7 +80,8 @@ impl<C: Eq + Hash> Challenges<C> {
     /// A proof came on a connection; `known` is the secret of the host that [`awaited`](Self::awaited) names, if one is
     /// known. A challenge is used up by the answer to it, whether that is right or wrong.
     pub fn prove(&mut self, connection: &C, proof: Proof, known: Option<&HostSecret>) -> Proven {
-        let answered = |pending: &Pending| (pending.hello.host.id, pending.nonce) == (proof.host, proof.nonce);
+        let answered =
+            |pending: &Pending| (pending.hello.host.id, pending.nonce) == (proof.host, proof.nonce);
         if !self.pending.get(connection).is_some_and(answered) {
             return Proven::Unasked;
         }

@@ -194,7 +194,12 @@ impl Sending {
         self.link = Link::Greeting { again: now + pause, pause };
         let code = self.secret.prove(nonce, &self.hello(), aggregator);
         let secret = enrol.then(|| self.secret.clone());
-        self.proof = Some(codec::encode(&ToAggregator::Proof(Proof { host: self.host.id, nonce: *nonce, code, secret })));
+        self.proof = Some(codec::encode(&ToAggregator::Proof(Proof {
+            host: self.host.id,
+            nonce: *nonce,
+            code,
+            secret,
+        })));
         if enrol {
             self.notices.push_back(Notice::Enrolling { aggregator: aggregator.clone() });
         }

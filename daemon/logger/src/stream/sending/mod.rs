@@ -30,7 +30,8 @@ use self::under_way::UnderWay;
 use super::intake::{Intake, Room};
 use super::spool::{Reached, SpoolState, Totals};
 use super::{
-    Accounting, Event, Gap, HandedIn, HostDescription, HostSecret, SentUnspooled, StreamId, ToAggregator, codec,
+    Accounting, Event, Gap, HandedIn, HostDescription, HostSecret, SentUnspooled, StreamId, ToAggregator,
+    codec,
 };
 use crate::{HostId, RunId};
 

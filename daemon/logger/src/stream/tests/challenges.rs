@@ -43,10 +43,7 @@ fn known_host_proves_without_telling_its_secret() {
     let challenge = end.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
     let proof = proof(&secret, &hello, &challenge);
     assert_eq!(proof.secret, None);
-    assert_eq!(
-        end.prove(&1, proof, Some(&secret)),
-        Proven::Yes { hello: Box::new(hello), enrolled: None }
-    );
+    assert_eq!(end.prove(&1, proof, Some(&secret)), Proven::Yes { hello: Box::new(hello), enrolled: None });
 }
 
 #[test]

@@ -28,7 +28,9 @@ async fn killed_process_leaves_its_losses_until_they_are_told() {
     let (place, run) = (Place::new(), RunId::random());
     let OpenSpool { mut file, state, counter, .. } = place.open().await.expect("opens");
     hand_in(&counter, run, 10);
-    file.append(&batches(Chain::START, 1..=2, 10), &settled(run, 6, 0, &state.totals)).await.expect("appends");
+    file.append(&batches(Chain::START, 1..=2, 10), &settled(run, 6, 0, &state.totals))
+        .await
+        .expect("appends");
     drop((file, counter));
 
     let second = RunId::random();
@@ -48,7 +50,9 @@ async fn killed_process_leaves_its_losses_until_they_are_told() {
     assert_eq!((lost(&state), state.totals.dropped), (both.to_vec(), 5));
     let third = RunId::random();
     hand_in(&counter, third, 3);
-    file.append(&batches(state.newest.1, 3..=3, 10), &settled(third, 3, 4, &state.totals)).await.expect("appends");
+    file.append(&batches(state.newest.1, 3..=3, 10), &settled(third, 3, 4, &state.totals))
+        .await
+        .expect("appends");
     drop((file, counter));
 
     let (_, state) = place.sound().await;

@@ -34,7 +34,13 @@ fn batch(clock: &SharedClock, state: SpoolState, events: &[Event]) -> SpooledBat
         serves: None,
         models: Vec::new(),
     };
-    let mut machine = Sending::new(SendingConfig::default(), description, peernet_logger::stream::HostSecret::random(), 1, state);
+    let mut machine = Sending::new(
+        SendingConfig::default(),
+        description,
+        peernet_logger::stream::HostSecret::random(),
+        1,
+        state,
+    );
     let now: Stamp = clock.stamp();
     events.iter().for_each(|event| machine.offer(event, now));
     machine.flush(now.wall);

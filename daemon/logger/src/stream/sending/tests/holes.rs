@@ -13,7 +13,8 @@ fn without(numbers: &[u64]) -> Agent {
     let lost = numbers.len() as u64;
     let held = Usage { events: state.held.events + lost, bytes: state.held.bytes + lost * 10 };
     let described = agent.sending.host.clone();
-    agent.sending = Sending::new(agent.config, described, HostSecret::random(), 1, SpoolState { held, ..state });
+    agent.sending =
+        Sending::new(agent.config, described, HostSecret::random(), 1, SpoolState { held, ..state });
     agent
 }
 

@@ -21,8 +21,8 @@ use peernet_clock::{ClockIdentity, MonoTime, Span, Stamp, WallTime};
 
 use super::super::spool::{Reached, SpoolState, SpooledBatch, Totals, Usage};
 use super::super::{
-    Accounting, BatchHead, Chain, Event, Hardware, Hello, HostDescription, HostSecret, Incident, IncidentKind, Proof,
-    StreamId, ToAgent, ToAggregator, codec,
+    Accounting, BatchHead, Chain, Event, Hardware, Hello, HostDescription, HostSecret, Incident,
+    IncidentKind, Proof, StreamId, ToAgent, ToAggregator, codec,
 };
 use super::{Action, Notice, Sending, SendingConfig};
 use crate::HostId;

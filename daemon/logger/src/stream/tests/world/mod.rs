@@ -255,7 +255,8 @@ impl World {
         let counted = &self.file().counted;
         self.truth.doubtful |= counted.sent != SentUnspooled::default();
         let spool = self.sites[self.site].start();
-        self.sending = Sending::new(self.config, super::host(self.host, "edge"), SECRET, self.processes, spool);
+        self.sending =
+            Sending::new(self.config, super::host(self.host, "edge"), SECRET, self.processes, spool);
         self.agent(|sending, now| sending.connected(now.mono));
     }
 
