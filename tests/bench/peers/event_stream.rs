@@ -18,8 +18,8 @@ use anyhow::{Context, bail};
 use bytes::Bytes;
 use peernet_clock::{Clock, ClockIdentity, Span, SystemClock};
 use peernet_logger::stream::{
-    Action, Chain, Compression, Event, HostSecret, Sending, SendingConfig, SpoolState, SpooledBatch,
-    StreamId, ToAgent, ToAggregator, Totals, Usage, codec,
+    Action, Compression, Event, HostSecret, Sending, SendingConfig, SpoolState, SpooledBatch, StreamId,
+    ToAgent, ToAggregator, Usage, codec,
 };
 use peernet_logger::{HostId, RunId};
 use serde_json::json;

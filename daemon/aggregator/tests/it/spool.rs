@@ -52,8 +52,9 @@ impl Spool {
             newest: newest.map_or(self.deleted, |(number, batch)| (*number, batch.chain)),
             since: self.batches.first_key_value().map(|(_, batch)| batch.since),
             held: held.fold(Usage::default(), |all, one| all + one),
-            totals: self.totals,
+            totals: self.totals.clone(),
             reached: self.reached.clone(),
+            unreported: Vec::new(),
         }
     }
 

@@ -5,7 +5,7 @@ use peernet_tests::truth::ask;
 use peernet_tests::{Desk, Document, Ended, until};
 use serde_json::Value;
 
-pub(crate) const COMMANDS: [&str; 17] = [
+pub(crate) const COMMANDS: [&str; 18] = [
     "peernetd check /etc/peernet/agent.toml",
     "peernetd check FILE",
     "peernetd check FILE…",

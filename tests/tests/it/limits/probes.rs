@@ -51,7 +51,7 @@ fn peers_probes_are_answered_during_forged_flood() {
         &PER_SECOND.to_string(),
         &SECONDS.to_string(),
     ];
-    let forged = third.run("python3", &arguments.map(String::as_str));
+    let forged = third.run("python3", &arguments);
     let forged: u64 = forged.trim().parse().expect("the script prints a number");
     let out = sent(cloud) - out_before;
     // A probe is lost after two seconds.

@@ -32,7 +32,7 @@ fn impostor(fleet: &Fleet, chance: &mut Chance) -> Introduced {
 fn clear(fleet: &Fleet) -> String {
     let ended = fleet.site.peernetd(&["clear-host-secret", "--config", "aggregator.toml", "edge"]).ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);
-    ended.output
+    ended.log
 }
 
 #[test]

@@ -8,8 +8,8 @@ use peernet_clock::{SharedClock, Span};
 use peernet_logger::HostId;
 use peernet_logger::stream::codec::{decode, encode};
 use peernet_logger::stream::{
-    Accounting, Action, Chain, Event, HostDescription, HostSecret, LiveUpdate, Sending, SendingConfig,
-    SpoolState, SpooledBatch, StreamId, ToAgent, ToAggregator, Totals, Usage,
+    Accounting, Action, Event, HostDescription, HostSecret, LiveUpdate, Sending, SendingConfig, SpoolState,
+    SpooledBatch, StreamId, ToAgent, ToAggregator, Usage,
 };
 use zeromq::{Message, Options, Socket, SocketType};
 
