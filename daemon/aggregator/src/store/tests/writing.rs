@@ -194,23 +194,6 @@ async fn an_unreadable_batch_is_kept_as_it_came_and_left_behind() {
 }
 
 #[tokio::test]
-async fn a_run_of_another_host_cannot_be_written_to() {
-    let mut bed = Bed::new().await;
-    let run = bed.run_of(3).await;
-    let (edge, stream) = (bed.edge, bed.stream);
-    bed.edge = HostId::random();
-    bed.stream = StreamId::random();
-    let events = iterations(&bed, run, 10..=12);
-    let work = bed.batch_numbered(1, events);
-    let taken_over = bed.batch_numbered(2, vec![generate::run_started(run, "mine", NOW)]);
-    let committed = bed.commit(&[work, taken_over]).await;
-    assert_eq!(committed.quarantined.len(), 2);
-    (bed.edge, bed.stream) = (edge, stream);
-    let detail = bed.store.run(1).await.expect("answers").expect("exists");
-    assert_eq!((detail.summary.counts.ok, detail.summary.pipeline.as_str()), (3, "line"));
-}
-
-#[tokio::test]
 async fn iterations_of_a_run_whose_beginning_never_came_are_kept() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
