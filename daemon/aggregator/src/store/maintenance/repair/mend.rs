@@ -19,10 +19,11 @@ const TREES: [&str; 3] = ["node", "transit", "anchor"];
 
 /// Rows that refer to rows that are lost: they are deleted. A host whose stream is lost is asked what it still has, as
 /// after a restored backup.
-const ORPHANS: [(&str, &str); 5] = [
+const ORPHANS: [(&str, &str); 6] = [
     ("stream", "host NOT IN (SELECT id FROM host)"),
     ("quarantine", "host NOT IN (SELECT id FROM host)"),
     ("link", "edge NOT IN (SELECT id FROM host) OR cloud NOT IN (SELECT id FROM host)"),
+    ("host_secret", "host NOT IN (SELECT id FROM host)"),
     ("clock_sample", "link NOT IN (SELECT id FROM link)"),
     ("clock_window", "link NOT IN (SELECT id FROM link)"),
 ];
@@ -117,7 +118,9 @@ impl Mending<'_> {
     /// that is not known gets another id: what its agent still sends of it begins a run of its own.
     async fn references(&mut self) -> Result<(), sqlx::Error> {
         let now = self.now_ns;
-        for (table, orphaned) in ORPHANS {
+        // A database of an earlier version may not have all of these tables.
+        let present = ORPHANS.into_iter().filter(|(table, _)| self.tables.contains_key(*table));
+        for (table, orphaned) in present.collect::<Vec<_>>() {
             self.execute(&format!("DELETE FROM {table} WHERE {orphaned}")).await?;
         }
         self.execute(&format!(
