@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use crate::store::integrity::is_damage;
+use crate::store::integrity::is_partial_damage;
 use crate::store::lock::LockError;
 
 /// A value of the configuration that cannot work.
@@ -83,7 +83,7 @@ impl StartError {
     /// SQLite could not open or read the database.
     pub(crate) fn opening(path: &Path, source: sqlx::Error) -> Self {
         let path = path.to_owned();
-        if is_damage(&source) { Self::Damaged { path, source } } else { Self::Open { path, source } }
+        if is_partial_damage(&source) { Self::Damaged { path, source } } else { Self::Open { path, source } }
     }
 }
 

@@ -79,8 +79,10 @@ pub(crate) async fn handshake(
     dialled.sender.send(vec![open]).map_err(|error| unreachable(error.to_string()))?;
     loop {
         let frames = timeout_at(deadline, dialled.receiver.receive()).await;
-        let frames = frames.map_err(|_| OpenError::TimedOut { address: address.clone(), waited_ms })?;
-        let frames = frames.map_err(unreachable)?;
+        // An aggregator, or a cloud that has too many sessions to open, closes the connection instead.
+        let Ok(Ok(frames)) = frames else {
+            return Err(OpenError::TimedOut { address: address.clone(), waited_ms });
+        };
         let Some(Ok(header)) = frames.first().map(|frame| Header::decode(frame)) else { continue };
         match opened(header) {
             Opened::Accepted(accepted) => return Ok((dialled, *accepted)),
