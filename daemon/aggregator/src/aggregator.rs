@@ -49,7 +49,6 @@ pub struct Running {
     pub handle: Aggregator,
     tasks: JoinSet<Result<(), Failure>>,
     names: HashMap<Id, &'static str>,
-    asked: CancellationToken,
     stop: CancellationToken,
     /// The database, if it is open, when the writer's task has ended.
     written: oneshot::Receiver<Option<OpenDatabase>>,
@@ -118,7 +117,6 @@ impl Aggregator {
             integrity.clone(),
         ));
 
-        let asked = stop.clone();
         let stop = stop.child_token();
         let mut running = Running {
             handle: Self {
@@ -132,7 +130,6 @@ impl Aggregator {
             },
             tasks: JoinSet::new(),
             names: HashMap::new(),
-            asked,
             stop: stop.clone(),
             written,
         };
@@ -253,7 +250,8 @@ impl Running {
             let failure = match ended {
                 Ok((_, Err(failure))) => Some(failure),
                 Ok((id, Ok(()))) => {
-                    let unasked = !self.asked.is_cancelled() && first.is_ok();
+                    // Cancelled before the tasks notice, which the token that it follows is not.
+                    let unasked = !self.stop.is_cancelled() && first.is_ok();
                     unasked.then(|| Failure::TaskEnded(self.name(id)))
                 }
                 Err(error) => Some(Failure::TaskDied { task: self.name(error.id()), reason: words(error) }),

@@ -26,6 +26,10 @@ async fn database_is_whole_after_repair_of_any_page() {
     let mut bed = Bed::new().await;
     bed.run_of(60).await;
     bed.run_of(60).await;
+    sqlx::query("UPDATE storage_clock SET elapsed_ns = 123456789")
+        .execute(&mut bed.other().await)
+        .await
+        .expect("sets");
     let Bed { _folder, path: whole, writer, store, .. } = bed;
     store.close().await;
     let (_, closed) = writer.close().await;
@@ -65,6 +69,17 @@ async fn database_is_whole_after_repair_of_any_page() {
             assert_eq!(counted, rows, "{context}");
         }
         assert_eq!((torn, nodes), (0, 0), "{context}");
+        let elapsed: i64 = sqlx::query_scalar("SELECT elapsed_ns FROM storage_clock")
+            .fetch_one(&mut connection)
+            .await
+            .expect("reads");
+        assert!(elapsed == 123_456_789 || table == "storage_clock", "{context}");
+        let kept: i64 =
+            sqlx::query_scalar("SELECT count(DISTINCT owner || kind) FROM arrival WHERE kind >= 0")
+                .fetch_one(&mut connection)
+                .await
+                .expect("reads");
+        assert!(table != "arrival" || kept == 10, "everything is kept for its time: {context}");
         stored.push(rows);
         assert_eq!(repair(&path, NOW, "later", |_| {}).await.expect("checks"), None);
         let _writer = super::open(&path).await;

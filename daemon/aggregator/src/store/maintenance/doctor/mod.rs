@@ -190,14 +190,16 @@ impl Report {
     async fn check(&mut self, connection: &mut SqliteConnection, full: bool) {
         self.integrity.full = full;
         // The second takes several times as long, and finds in damaged trees nothing that the first does not.
+        let before = self.findings.len();
         for pragma in [Some("PRAGMA quick_check(100)"), full.then_some("PRAGMA integrity_check(100)")] {
-            let Some(pragma) = pragma.filter(|_| self.integrity.problems.is_empty()) else { continue };
+            let unharmed = self.integrity.problems.is_empty() && self.findings.len() == before;
+            let Some(pragma) = pragma.filter(|_| unharmed) else { continue };
             let answer: Result<Vec<String>, _> =
                 sqlx::query_scalar(AssertSqlSafe(pragma)).fetch_all(&mut *connection).await;
             let said = self.or_problem("the whole file", answer);
             self.integrity.problems = said.into_iter().filter(|line| line != "ok").collect();
         }
-        if full {
+        if full && self.findings.len() == before {
             let answer = sqlx::query_as(
                 "SELECT \"table\", parent, count(*) FROM pragma_foreign_key_check GROUP BY 1, 2",
             );
@@ -213,6 +215,11 @@ impl Report {
                 1 => format!("it is damaged: {first}"),
                 n => format!("it is damaged in {n} places, the first: {first}"),
             };
+            self.problem(what, RESTORE);
+        }
+        if let (Some(first), true) = (self.malformed_pages.first(), self.findings.len() > before) {
+            let what =
+                format!("{} of its pages are malformed, the first is {first}", self.malformed_pages.len());
             self.problem(what, RESTORE);
         }
     }

@@ -47,7 +47,7 @@ struct Lacking {
     nodes_from: i64,
     counted: i64,
     stored: i64,
-    /// Numbers between the first stored iteration and the last that are not stored.
+    /// Numbers between the first stored iteration that retention left and the last that are not stored.
     holes: i64,
     /// Events in the gaps that the run has already.
     known: i64,
@@ -57,7 +57,8 @@ struct Lacking {
 const RUN: &str = "SELECT run.number, pipeline.host, pipeline.name AS pipeline, run.nodes_from, \
      run.warm_up + run.ok + run.failed + run.lost + run.timeout AS counted, \
      (SELECT count(*) FROM iteration WHERE run = ?1) AS stored, \
-     (SELECT coalesce(max(number) - min(number) + 1 - count(*), 0) FROM iteration WHERE run = ?1) AS holes, \
+     (SELECT coalesce(max(number) - min(number) + 1 - count(*), 0) FROM iteration \
+         WHERE run = ?1 AND number > run.nodes_from) AS holes, \
      (SELECT coalesce(sum(count), 0) FROM gap WHERE run = ?1) AS known, \
      coalesce((SELECT started_ns FROM iteration AS it WHERE run = ?1 AND NOT EXISTS \
          (SELECT 1 FROM iteration WHERE run = ?1 AND number = it.number + 1) \
@@ -90,15 +91,40 @@ impl Mending<'_> {
         if self.lacks(&["host", "pipeline", "run", "iteration", "node", "transit", "anchor"]) {
             self.count_nodes().await?;
         }
-        if self.lacks(&["retained", "run"]) {
-            // As if they had just arrived.
+        if self.lacks(&["arrival", "storage_clock", "retained", "run", "link"]) {
+            self.retention().await?;
+        }
+        Ok(lost)
+    }
+
+    /// What is not known to have an end to its keeping has it as if it had just arrived.
+    async fn retention(&mut self) -> Result<(), sqlx::Error> {
+        if self.tables.contains_key("retained") {
             self.execute(
                 "INSERT OR IGNORE INTO retained (kind, run) \
                  SELECT kind.column1, run.number FROM (VALUES (0), (1), (10), (60), (3600)) AS kind, run WHERE run.pinned = 0",
             )
             .await?;
         }
-        Ok(lost)
+        if self.tables.contains_key("arrival") {
+            // The storage clock does not go back behind what it has shown.
+            self.execute(
+                "UPDATE storage_clock SET elapsed_ns = max(elapsed_ns, 1000000000 * max( \
+                 (SELECT coalesce(max(to_s), 0) FROM arrival), (SELECT coalesce(max(arriving_from_s), 0) FROM run), \
+                 (SELECT coalesce(max(arriving_from_s), 0) FROM link)))",
+            )
+            .await?;
+            // Rows from then on go before this one.
+            self.execute(
+                "INSERT OR IGNORE INTO arrival (kind, owner, from_s, to_s, first, last) \
+                 SELECT owner.kind, owner.id, 0, elapsed_ns / 1000000000, -9223372036854775808, 9223372036854775807 \
+                 FROM storage_clock, (SELECT kind.column1 AS kind, run.number AS id \
+                 FROM (VALUES (0), (1), (10), (60), (3600)) AS kind, run WHERE run.pinned = 0 \
+                 UNION ALL SELECT -1, id FROM link) AS owner",
+            )
+            .await?;
+        }
+        Ok(())
     }
 
     fn lacks(&self, tables: &[&str]) -> bool {
@@ -118,9 +144,8 @@ impl Mending<'_> {
     /// that is not known gets another id: what its agent still sends of it begins a run of its own.
     async fn references(&mut self) -> Result<(), sqlx::Error> {
         let now = self.now_ns;
-        // A database of an earlier version may not have all of these tables.
-        let present = ORPHANS.into_iter().filter(|(table, _)| self.tables.contains_key(*table));
-        for (table, orphaned) in present.collect::<Vec<_>>() {
+        let tables = self.tables;
+        for (table, orphaned) in ORPHANS.into_iter().filter(|(table, _)| tables.contains_key(*table)) {
             self.execute(&format!("DELETE FROM {table} WHERE {orphaned}")).await?;
         }
         self.execute(&format!(

@@ -30,6 +30,8 @@ pub(super) struct Table {
     /// The column that is the row's number.
     rowid: Option<usize>,
     pub(super) has_rowids: bool,
+    /// Whether the migrations put rows into it.
+    is_seeded: bool,
 }
 
 #[derive(Debug)]
@@ -96,7 +98,9 @@ impl Table {
             let not_null = column.notnull || (clustered && column.pk > 0);
             columns.push(Column { name: column.name, kind: column.r#type, not_null, default });
         }
-        Ok(Self { name, columns, stored, rowid, has_rowids: !clustered })
+        let statement = AssertSqlSafe(format!("SELECT EXISTS (SELECT 1 FROM \"{name}\")"));
+        let is_seeded = sqlx::query_scalar(statement).fetch_one(connection).await?;
+        Ok(Self { name, columns, stored, rowid, has_rowids: !clustered, is_seeded })
     }
 
     /// Copies all rows that can be read from the tree with that root; `None` as root when nobody knows it.
@@ -153,9 +157,10 @@ impl Table {
         }
         let names: Vec<String> = self.columns.iter().map(|column| format!("\"{}\"", column.name)).collect();
         let one = format!("({})", vec!["?"; self.columns.len()].join(","));
-        // What is there twice is there once.
+        // What is there twice is there once; what the migrations put there gives way.
+        let on_conflict = if self.is_seeded { "REPLACE" } else { "IGNORE" };
         let statement = format!(
-            "INSERT OR IGNORE INTO \"{}\" ({}) VALUES {}",
+            "INSERT OR {on_conflict} INTO \"{}\" ({}) VALUES {}",
             self.name,
             names.join(","),
             vec![one.as_str(); rows.len()].join(",")
