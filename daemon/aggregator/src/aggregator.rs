@@ -156,7 +156,7 @@ impl Aggregator {
         let store = running.handle.store.clone();
         let reopening = Reopening { path: config.database, retention: config.retention, integrity, store };
         running.spawn("writer", async move {
-            let database = committing::run(database, wires, grouping, reopening).await;
+            let database = Box::pin(committing::run(database, wires, grouping, reopening)).await;
             // Whoever does not join lets the connection drop.
             let _unjoined = written_in.send(database);
             Ok(())

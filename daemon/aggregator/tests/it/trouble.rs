@@ -39,11 +39,7 @@ async fn a_crashed_agent_comes_back_under_its_own_id() {
     drop(before);
     let mut after = Agent::with(id, "edge", &bed.address, &bed.clock).await;
     after.until_up().await;
-    assert!(
-        after.notices.iter().all(|notice| !matches!(notice, Notice::Refused(_))),
-        "{:?}",
-        after.notices
-    );
+    assert!(after.notices.iter().all(|notice| !matches!(notice, Notice::Refused(_))), "{:?}", after.notices);
     after.offer([generate::run_started(RunId::random(), "line", generate::at(0.0))]);
     after.until_stored().await;
     assert_eq!(bed.picture("the host", |picture| picture.hosts.len() == 1).await.hosts[0].id, id);

@@ -169,16 +169,16 @@ impl SpoolState {
         let from = since.unwrap_or(to).min(to);
         let same = |gap: &&mut Gap| (&gap.pipeline, gap.run) == (&pipeline, run) && gap.reason == KILLED;
         let full = self.unreported.len() >= MOST_UNREPORTED;
-        let known = match self.unreported.iter_mut().find(same) {
-            None if full => self.unreported.last_mut().map(|gap| {
-                (gap.pipeline, gap.run) = (None, None);
-                gap
-            }),
-            known => known,
+        let merge = |gap: &mut Gap| {
+            (gap.count, gap.from, gap.to) = (gap.count + count, gap.from.min(from), gap.to.max(to));
         };
-        match known {
+        if let Some(gap) = self.unreported.iter_mut().find(same) {
+            return merge(gap);
+        }
+        match self.unreported.last_mut().filter(|_| full) {
             Some(gap) => {
-                (gap.count, gap.from, gap.to) = (gap.count + count, gap.from.min(from), gap.to.max(to))
+                (gap.pipeline, gap.run) = (None, None);
+                merge(gap);
             }
             None => {
                 let reason = KILLED.to_owned();

@@ -168,7 +168,7 @@ mod tests {
         assert!(!holds(&secret, &nonce, &hello, "other"));
         assert!(!holds(&secret, &nonce, &Hello { process: 2, ..hello.clone() }, "base"));
         assert!(!holds(&secret, &nonce, &Hello { stream: StreamId::random(), ..hello.clone() }, "base"));
-        let mut other = hello.clone();
+        let mut other = hello;
         other.host.id = HostId::random();
         assert!(!holds(&secret, &nonce, &other, "base"));
     }

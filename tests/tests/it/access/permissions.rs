@@ -86,6 +86,7 @@ fn files_of_earlier_builds_are_closed_at_start() {
         (set("edge/spool.sqlite", 0o664), 0o660),
     ];
     let (aggregator, edge, _api) = start(&site);
+    edge.wait_for("their permissions were taken away");
     for (path, expected) in changed {
         assert_eq!(mode(&path), expected, "{}", path.display());
     }

@@ -57,7 +57,12 @@ pub(super) const NOWHERE: [(&str, &[&str]); 4] = [
     ),
     (
         "only a systemd that has started the machine obeys; deploy/systemd/verify.sh checks the units",
-        &["systemctl enable --now peernet-aggregator", "systemctl daemon-reload"],
+        &[
+            "systemctl enable --now peernet-aggregator",
+            "systemctl daemon-reload",
+            "systemctl start peernet-aggregator",
+            "systemctl stop peernet-aggregator",
+        ],
     ),
     (
         "gigabytes of libraries for a GPU that the machine of the tests lacks",

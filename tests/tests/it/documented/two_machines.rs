@@ -5,7 +5,7 @@ use peernet_tests::truth::ask;
 use peernet_tests::{Desk, Document, Ended, until};
 use serde_json::Value;
 
-pub(crate) const COMMANDS: [&str; 18] = [
+pub(crate) const COMMANDS: [&str; 19] = [
     "peernetd check /etc/peernet/agent.toml",
     "peernetd check FILE",
     "peernetd check FILE…",
@@ -23,11 +23,13 @@ pub(crate) const COMMANDS: [&str; 18] = [
     "peernetd doctor --config /etc/peernet/agent.toml",
     BACKUP,
     REBUILD,
+    REPAIR,
     CLEAR,
 ];
 
 const BACKUP: &str =
     "peernetd backup --config /etc/peernet/aggregator.toml /backup/peernet-$(date +%F).sqlite";
+const REPAIR: &str = "peernetd doctor --repair --config /etc/peernet/aggregator.toml";
 const REBUILD: &str = "peernetd rebuild-rollups --config /etc/peernet/aggregator.toml [--run NUMBER]";
 const CLEAR: &str = "peernetd clear-host-secret --config /etc/peernet/aggregator.toml robot";
 
@@ -152,4 +154,6 @@ fn keep(desk: &Desk, stop: impl FnOnce()) {
     well(all(""));
     well(all("--run 1"));
     assert_eq!(answered(), before);
+    well(desk.on_cloud(REPAIR, &[]).ended());
+    assert_eq!(answered(), before, "nothing of it was damaged");
 }

@@ -39,7 +39,7 @@ fn peers_probes_are_answered_during_forged_flood() {
     cloud.run("ip", &["route", "add", "11.0.0.0/8", "via", &third.address.to_string()]);
     let _cloud = plant.cloud("");
     let pipeline = plant.pipeline("steady", 100, "load = { mode = \"rate\", hz = 20.0 }");
-    let _edge = plant.edge(&format!("[probes]\nrate_hz = 50.0\n{pipeline}"), &[]);
+    let _edge = plant.edge(&format!("[probes]\nrate_hz = 50.0\nidle_rate_hz = 50.0\n{pipeline}"), &[]);
     until("probes", || (probes(&plant).0 > 50).then_some(()));
 
     let (before, out_before) = (probes(&plant), sent(cloud));

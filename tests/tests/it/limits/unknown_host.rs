@@ -22,6 +22,7 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
     let (edge, cloud) = (desk.edge(), desk.cloud());
     let run = |host: &Host, name: &str| desk.run_on(host, &daemon(&desk, host, name));
     let (aggregator, agent, robot) = (run(cloud, "aggregator"), run(cloud, "agent"), run(edge, "agent"));
+    aggregator.wait_for("ready");
     let before = until("the robot's iterations are stored", || stored(&desk).filter(|events| *events > 20));
 
     let attack = attack(&desk);

@@ -10,7 +10,7 @@ use peernet_logger::stream::{
 };
 use peernet_logger::{HostId, Recorder, RunId};
 use peernet_tests::truth::ask;
-use peernet_tests::{Chance, Introduced, Stranger, measured, until, wall};
+use peernet_tests::{Chance, Fleet, Introduced, Ledger, Stranger, measured, until, wall};
 
 use super::measuring;
 
@@ -135,7 +135,7 @@ fn foreign_reports_change_nothing_of_the_run() {
     fleet.account(0, "the robot goes on", |account| account.events > seen.events + 20);
     fleet.agents[0].stop();
     fleet.deliver(0).balances();
-    let mut ledger = fleet.stop();
+    let mut ledger = stop(&mut fleet);
     let stranger = ledger.hosts.remove("stranger").expect("stored");
     assert_eq!((stranger.quarantined, ledger.hosts["edge"].gaps), (1, 0));
     let stored = &ledger.runs[&run.to_string()];
@@ -200,11 +200,20 @@ fn run_claimed_before_its_start_still_belongs_to_its_host() {
     });
     assert_ne!(numbers[0], numbers[1]);
 
-    let ledger = fleet.stop();
+    let ledger = stop(&mut fleet);
     let of = |host: &str| ledger.runs.values().filter(|run| run.host == host).collect::<Vec<_>>();
     let (thief, robot) = (of("thief"), of("robot"));
     assert_eq!((thief.len(), robot.len()), (1, 1), "{ledger:?}");
     assert_eq!((robot[0].ranges.as_slice(), robot[0].missing), (&[1..=2][..], 0));
     assert_ne!(robot[0].reason, "taken");
     assert!(ledger.hosts.values().all(|host| host.quarantined == 0), "{ledger:?}");
+}
+
+/// Stops what runs. What strangers made up has no total, and so no statistics that could agree with it.
+fn stop(fleet: &mut Fleet) -> Ledger {
+    for agent in fleet.agents.iter_mut().filter(|agent| agent.runs()) {
+        agent.stop();
+    }
+    fleet.aggregator.stop();
+    Ledger::of(fleet.database())
 }

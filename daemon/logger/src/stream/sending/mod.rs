@@ -96,8 +96,7 @@ impl Sending {
         // What is held was produced, whatever the file says.
         let held = backlog.held().events;
         let produced = produced.max(dropped.saturating_add(held));
-        let totals =
-            Totals { produced, reached: None, handed_in: HandedIn::default(), ..spool.totals.clone() };
+        let totals = Totals { produced, reached: None, handed_in: HandedIn::default(), ..spool.totals };
         Self {
             spooling: Spooling::new(&spool, backlog.acknowledged().0, totals.clone()),
             intake: Intake::new(config, totals, spool.unreported),

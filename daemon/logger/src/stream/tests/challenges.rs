@@ -64,7 +64,7 @@ fn proof_counts_once_and_on_its_own_connection() {
     let (mut end, hello, secret) = (challenges(), some_hello(), HostSecret::random());
     let challenge = end.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
     let overheard = proof(&secret, &hello, &challenge);
-    end.challenge(2, hello.clone(), false, nonce(2), at(0).mono);
+    end.challenge(2, hello, false, nonce(2), at(0).mono);
     assert_eq!(end.prove(&2, overheard.clone(), Some(&secret)), Proven::Unasked);
     let replayed = Proof { nonce: nonce(2), ..overheard.clone() };
     assert!(matches!(end.prove(&2, replayed, Some(&secret)), Proven::No(_)));

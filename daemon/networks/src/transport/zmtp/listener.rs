@@ -72,8 +72,8 @@ impl ZmtpListener {
     /// # Errors
     /// When the port is taken or the address is not this machine's.
     pub async fn bind(authority: &str, limits: ListenerLimits) -> Result<Self, BindFailure> {
-        let listener = listen(authority).await.map_err(bind_failure)?;
-        let address = listener.local_addr().map_err(bind_failure)?;
+        let listener = listen(authority).await.map_err(|error| bind_failure(&error))?;
+        let address = listener.local_addr().map_err(|error| bind_failure(&error))?;
         let budgets = Budgets {
             unadmitted: MemoryBudget::new(MAX_ALL_UNADMITTED_BYTES),
             admitted: MemoryBudget::new(limits.unfinished_budget()),
@@ -184,7 +184,7 @@ async fn listen(authority: &str) -> io::Result<TcpListener> {
     TcpListener::from_std(socket.into())
 }
 
-fn bind_failure(error: io::Error) -> BindFailure {
+fn bind_failure(error: &io::Error) -> BindFailure {
     match error.kind() {
         io::ErrorKind::AddrInUse => BindFailure::InUse,
         io::ErrorKind::PermissionDenied => BindFailure::Denied,
