@@ -42,8 +42,8 @@ faketime      faketime          programs that are shown a false time
 /usr/lib/python3/dist-packages/torch        python3-torch        models are exported from torchvision
 /usr/lib/python3/dist-packages/torchvision  python3-torchvision  models are exported from torchvision
 /usr/lib/python3/dist-packages/onnx         python3-onnx         models are exported from torchvision
-mkfs.ext4     e2fsprogs         file systems of tests' own, which become read-only
-losetup       mount             file systems of tests' own, in files
+mkfs.ext4     e2fsprogs         file systems that become read-only
+losetup       mount             file systems in files
 unshare       util-linux        throw-away roots for the package test
 sqlite3       sqlite3           people open the store with it, so the tests do
 curl          curl              the documents ask the REST API with it, so the tests do
