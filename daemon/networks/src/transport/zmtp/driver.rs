@@ -14,7 +14,7 @@ use tokio::net::tcp::OwnedReadHalf;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, Sleep, sleep_until};
 
-use super::connection::{Codec, Phase, ZmtpConnection};
+use super::connection::{Phase, ZmtpConnection};
 use super::framer::{Allowance, Framer, Piece, Stage, Violation};
 use super::limits::{HANDSHAKE_TIMEOUT, ListenerLimits};
 use super::listener::Delivery;
@@ -260,7 +260,7 @@ impl Driver {
     }
 
     fn ping(&mut self) {
-        let mut codec: std::sync::MutexGuard<'_, Codec> = self.connection.codec();
+        let mut codec = self.connection.codec();
         // Peers of ZMTP 3.0 do not know heartbeats; a queue that does not drain needs no further PING.
         if codec.zmtp.peer_minor() == 0 || codec.zmtp.has_pending_transmit() {
             return;
