@@ -83,6 +83,8 @@ pub(crate) async fn run(
             },
             event = wires.stored.recv() => match event {
                 Some(event) => desk.store_event(event),
+                // A writer that cannot store ends as soon as it is told to stop, perhaps before this task looks.
+                None if wires.stop.is_cancelled() => break,
                 None => return Err(Failure::TaskEnded("writer")),
             },
             _ = ageing.tick() => {
