@@ -6,7 +6,7 @@ use peernet_tests::{Network, Plant, until};
 /// Where probes are answered.
 const PORT: &str = "8620";
 
-/// More than twice what a reflector without limits was seen to answer would not fit beside other tests.
+/// Few enough for the reflector to look at all of them beside other tests, and ten times what is answered.
 const PER_SECOND: u64 = 10_000;
 const SECONDS: u64 = 4;
 
