@@ -16,7 +16,9 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use peernet_clock::WallTime;
-use peernet_logger::stream::{CountedEvents, CountedRun, MOST_COUNTED_RUNS, SentUnspooled};
+use peernet_logger::stream::{
+    CountedEvents, CountedRun, MOST_COUNTED_RUNS, MOST_SENT_UNSPOOLED, SentUnspooled,
+};
 use peernet_logger::{RunId, Slug};
 use rustix::fs::{OFlags, statfs};
 use uuid::Uuid;
@@ -26,15 +28,19 @@ const SHARED_MEMORY: &str = "/dev/shm";
 /// `f_type` of such a file system (statfs(2)).
 const TMPFS_MAGIC: i64 = 0x0102_1994;
 /// How the file begins.
-const MAGIC: &[u8; 8] = b"PNcount1";
+const MAGIC: &[u8; 8] = b"PNcount2";
 /// Bytes of the head, and of the record of each run behind it. None crosses the border of a page.
 const RECORD: usize = 128;
 const HEAD_ALL: u64 = 8;
-const HEAD_SENT: u64 = 24;
 /// Bytes of a record: number of all events, time of the last, number of the run's, its id, length of the pipeline's name, and
 /// the name.
 const NUMBERS: usize = 24;
 const NAME: usize = NUMBERS + 16;
+/// Behind the records: what was sent without being in the spool, each at the place of its number. Five numbers: the process, the
+/// number of the batch, and what was counted up to it.
+const SENT: usize = RECORD * (1 + MOST_COUNTED_RUNS);
+const SENT_BYTES: usize = 40;
+const FILE_BYTES: usize = SENT + SENT_BYTES * MOST_SENT_UNSPOOLED;
 
 /// Counts events as they are handed in; clones are the same. Without a file it counts nothing.
 #[derive(Clone, Debug, Default)]
@@ -48,7 +54,7 @@ struct Counting {
     /// Place and number of events of each run under way.
     runs: BTreeMap<RunId, (usize, u64)>,
     free: Vec<usize>,
-    sent: SentUnspooled,
+    sent: Option<SentUnspooled>,
     failed: bool,
 }
 
@@ -65,19 +71,12 @@ impl EventCounter {
         let name = format!("peernet-{}.count", Uuid::new_v4());
         let file = File::options().write(true).create_new(true).mode(0o600).open(folder.join(&name))?;
         // All of it now: memory that is full later is no trouble of ours.
-        let mut bytes = vec![0; RECORD * (1 + MOST_COUNTED_RUNS)];
+        let mut bytes = vec![0; FILE_BYTES];
         bytes[..MAGIC.len()].copy_from_slice(MAGIC);
         file.write_all_at(&bytes, 0)?;
         let free = (1..=MOST_COUNTED_RUNS).rev().collect();
-        let counting = Counting {
-            file,
-            name,
-            all: 0,
-            runs: BTreeMap::new(),
-            free,
-            sent: SentUnspooled::default(),
-            failed: false,
-        };
+        let counting =
+            Counting { file, name, all: 0, runs: BTreeMap::new(), free, sent: None, failed: false };
         Ok(Self(Some(Arc::new(Mutex::new(counting)))))
     }
 
@@ -94,12 +93,14 @@ impl EventCounter {
         }
     }
 
-    /// Notes how far batches were sent that are not in the spool.
+    /// Notes a batch that is about to be sent and is not in the spool.
     pub(super) fn sent_unspooled(&self, sent: SentUnspooled) {
-        if let Some(mut counting) = self.counting().filter(|counting| counting.sent != sent) {
-            counting.sent = sent;
-            let bytes = [sent.events.to_be_bytes(), sent.told.to_be_bytes()].concat();
-            let written = counting.file.write_all_at(&bytes, HEAD_SENT);
+        if let Some(mut counting) = self.counting().filter(|counting| counting.sent != Some(sent)) {
+            counting.sent = Some(sent);
+            let SentUnspooled { process, number, taken, told, events } = sent;
+            let bytes = [process, number, taken, told, events].map(u64::to_be_bytes).concat();
+            let place = SENT as u64 + number % MOST_SENT_UNSPOOLED as u64 * SENT_BYTES as u64;
+            let written = counting.file.write_all_at(&bytes, place);
             counting.check(written);
         }
     }
@@ -183,9 +184,10 @@ pub(super) fn read(name: &str) -> Option<CountedEvents> {
     let path = Path::new(SHARED_MEMORY).join(Path::new(name).file_name()?);
     let file = File::options().read(true).custom_flags(nofollow).open(path).ok()?;
     ours(&file)?;
-    let mut bytes = vec![0; RECORD * (1 + MOST_COUNTED_RUNS)];
+    let mut bytes = vec![0; FILE_BYTES];
     file.read_exact_at(&mut bytes, 0).ok()?;
-    let (head, records) = bytes.split_at(RECORD);
+    let (runs, sent) = bytes.split_at(SENT);
+    let (head, records) = runs.split_at(RECORD);
     let number = |bytes: &[u8], at: usize| {
         bytes[at..].first_chunk().map(|bytes| u64::from_be_bytes(*bytes)).unwrap_or_default()
     };
@@ -193,7 +195,14 @@ pub(super) fn read(name: &str) -> Option<CountedEvents> {
     if !head.starts_with(MAGIC) {
         return None;
     }
-    let sent = SentUnspooled { events: number(head, 24), told: number(head, 32) };
+    let sent = sent.chunks_exact(SENT_BYTES).map(|sent| SentUnspooled {
+        process: number(sent, 0),
+        number: number(sent, 8),
+        taken: number(sent, 16),
+        told: number(sent, 24),
+        events: number(sent, 32),
+    });
+    let sent = sent.filter(|sent| sent.number > 0).collect();
     let mut counted = CountedEvents { all: number(head, 8), last: time(head, 16), sent, runs: Vec::new() };
     for record in records.chunks_exact(RECORD) {
         let (all, last, events) = (number(record, 0), time(record, 8), number(record, 16));
@@ -240,8 +249,10 @@ mod tests {
         }
         counter.count(None, None, at(6));
         counter.count(line.as_ref(), Some(second), at(7));
-        let sent = SentUnspooled { events: 4, told: 1 };
-        counter.sent_unspooled(sent);
+        let sent = |number| SentUnspooled { process: 7, number, taken: 4, told: 1, events: 5 };
+        let slots = MOST_SENT_UNSPOOLED as u64;
+        (1..=slots + 1).for_each(|number| counter.sent_unspooled(sent(number)));
+        let sent = [slots, slots + 1].into_iter().chain(2..slots).map(sent).collect();
         let run = |run, events, last| CountedRun { run, pipeline: line.clone(), events, last: at(last) };
         let mut counted = read(&name).expect("readable");
         counted.runs.sort_by_key(|run| run.last);

@@ -17,7 +17,7 @@ pub enum Contents {
 
 /// Tables: all but those that note migrations, and of them those of the aggregator and of a spool.
 const TABLES: &str = "SELECT count(*), coalesce(sum(name IN ('host', 'run', 'iteration')), 0), \
-     coalesce(sum(name IN ('stream', 'batch', 'reached', 'unreported')), 0) \
+     coalesce(sum(name IN ('stream', 'batch', 'reached', 'unreported', 'unresolved')), 0) \
      FROM sqlite_schema WHERE type = 'table' AND name NOT LIKE '\\_%' ESCAPE '\\' AND name NOT LIKE 'sqlite\\_%' ESCAPE '\\'";
 
 impl Contents {
@@ -30,8 +30,8 @@ impl Contents {
         Ok(match (all, database, spool) {
             (0, ..) => Self::Nothing,
             (_, 3, _) => Self::Database,
-            // Three in one of an earlier version.
-            (3 | 4, _, spool) if spool == all => Self::Spool,
+            // Fewer in one of an earlier version.
+            (3..=5, _, spool) if spool == all => Self::Spool,
             _ => Self::Other,
         })
     }

@@ -55,6 +55,7 @@ impl Spool {
             totals: self.totals.clone(),
             reached: self.reached.clone(),
             unreported: Vec::new(),
+            unresolved: None,
         }
     }
 

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use peernet_clock::WallTime;
 
 use super::spool::SpoolState;
+use super::unresolved::{SentUnspooled, Unresolved};
 use super::{Event, Gap};
 use crate::{RunId, Slug};
 
@@ -44,19 +45,21 @@ pub struct CountedEvents {
     pub all: u64,
     /// When the last of them came.
     pub last: WallTime,
-    /// What was sent without being in the spool.
-    pub sent: SentUnspooled,
+    /// The last batches that were sent without being in the spool.
+    pub sent: Vec<SentUnspooled>,
     /// The runs under way.
     pub runs: Vec<CountedRun>,
 }
 
-/// How far batches were sent that the spool could not take: they may be stored.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct SentUnspooled {
-    /// Events that were settled with the newest of them.
-    pub events: u64,
-    /// Dropped events that gaps had reported by then, as [`super::Totals::told`].
-    pub told: u64,
+/// What a spool says of the events that were handed in to the process which wrote it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Settled {
+    /// Those in a batch and those that were dropped.
+    pub events: RunCounts,
+    /// Those in a batch.
+    pub taken: u64,
+    /// When the last of them came.
+    pub last: Option<WallTime>,
 }
 
 /// One run of [`CountedEvents`].
@@ -89,14 +92,14 @@ impl RunCounts {
 }
 
 impl HandedIn {
-    /// Events that are in a batch or were dropped.
-    pub fn settled(&self) -> RunCounts {
-        let mut counts = self.taken.clone();
-        counts.all += self.dropped.all;
-        for (run, events) in &self.dropped.runs {
-            *counts.runs.entry(*run).or_default() += events;
+    /// What the spool is to say of them.
+    pub fn settled(&self) -> Settled {
+        let mut events = self.taken.clone();
+        events.all += self.dropped.all;
+        for (run, count) in &self.dropped.runs {
+            *events.runs.entry(*run).or_default() += count;
         }
-        counts
+        Settled { events, taken: self.taken.all, last: self.last }
     }
 
     /// What was taken and is not in `kept` counts as dropped.
@@ -116,75 +119,64 @@ impl HandedIn {
 
 impl SpoolState {
     /// Takes into account that an earlier process counted these events when they were handed in, of which the spool has
-    /// `settled`, the last of them at `since`: what is missing was lost with that process. Returns how many events that
-    /// are.
+    /// `settled`: what is missing was lost with that process. Returns how many events that are; `None` when it sent batches
+    /// that are not in the spool, so that only the aggregator knows what is missing ([`Self::unresolved`]).
     ///
-    /// What was sent without being in the spool counts as stored, so that no gap is reported for what is there. The number
-    /// is exact otherwise; a run that was not counted separately leaves its losses to a gap that names no run.
-    pub fn lose_tail(
-        &mut self,
-        counted: &CountedEvents,
-        settled: &RunCounts,
-        since: Option<WallTime>,
-    ) -> u64 {
-        let known = settled.all.max(counted.sent.events);
-        let lost = counted.all.saturating_sub(known);
-        self.skip_told(counted.sent.told);
-        let mut left = lost;
-        for CountedRun { run, pipeline, events, last } in &counted.runs {
-            let count = events.saturating_sub(settled.of(*run)).min(left);
-            left -= count;
-            self.lose(pipeline.clone(), Some(*run), count, (since, *last));
+    /// The number is exact; a run that was not counted separately leaves its losses to a gap that names no run.
+    pub fn lose_tail(&mut self, counted: CountedEvents, settled: Settled) -> Option<u64> {
+        if self.unresolved.is_none() && counted.may_be_stored(&settled, &self.totals) {
+            self.unresolved = Some(Unresolved::new(counted, settled, &self.totals));
+            return None;
         }
-        self.lose(None, None, left, (since, counted.last));
-        self.totals.produced += lost + (known - settled.all);
+        let lost = counted.all.saturating_sub(settled.events.all);
+        for gap in counted.gaps(&settled, 0, lost) {
+            self.lose(gap);
+        }
+        self.totals.produced += lost;
         self.totals.dropped += lost;
-        lost
+        Some(lost)
     }
 
-    /// So many dropped events may be reported already.
-    fn skip_told(&mut self, told: u64) {
-        let told = told.min(self.totals.dropped);
-        while let Some(gap) = self.unreported.first()
-            && self.totals.told.saturating_add(gap.count) <= told
-        {
-            self.totals.told += gap.count;
-            self.unreported.remove(0);
-        }
-        if self.unreported.is_empty() {
-            self.totals.told = self.totals.told.max(told);
-        }
-    }
-
-    fn lose(
-        &mut self,
-        pipeline: Option<Slug>,
-        run: Option<RunId>,
-        count: u64,
-        (since, to): (Option<WallTime>, WallTime),
-    ) {
-        if count == 0 {
-            return;
-        }
-        let from = since.unwrap_or(to).min(to);
-        let same = |gap: &&mut Gap| (&gap.pipeline, gap.run) == (&pipeline, run) && gap.reason == KILLED;
-        let full = self.unreported.len() >= MOST_UNREPORTED;
+    fn lose(&mut self, lost: Gap) {
+        let same = |gap: &&mut Gap| {
+            (&gap.pipeline, gap.run, &gap.reason) == (&lost.pipeline, lost.run, &lost.reason)
+        };
         let merge = |gap: &mut Gap| {
-            (gap.count, gap.from, gap.to) = (gap.count + count, gap.from.min(from), gap.to.max(to));
+            gap.count += lost.count;
+            (gap.from, gap.to) = (gap.from.min(lost.from), gap.to.max(lost.to));
         };
         if let Some(gap) = self.unreported.iter_mut().find(same) {
             return merge(gap);
         }
+        let full = self.unreported.len() >= MOST_UNREPORTED;
         match self.unreported.last_mut().filter(|_| full) {
             Some(gap) => {
                 (gap.pipeline, gap.run) = (None, None);
                 merge(gap);
             }
-            None => {
-                let reason = KILLED.to_owned();
-                self.unreported.push(Gap { pipeline, run, from, to, count, reason });
-            }
+            None => self.unreported.push(lost),
         }
+    }
+}
+
+impl CountedEvents {
+    /// The gaps of `lost` events. Of those that the spool does not have, so many were stored or told of all the same, nobody
+    /// knows of which runs.
+    pub(super) fn gaps(&self, settled: &Settled, known: u64, lost: u64) -> Vec<Gap> {
+        let mut left = lost;
+        let gap = |pipeline, run, count, to: WallTime| {
+            let from = settled.last.unwrap_or(to).min(to);
+            Gap { pipeline, run, from, to, count, reason: KILLED.to_owned() }
+        };
+        let mut gaps = Vec::new();
+        for CountedRun { run, pipeline, events, last } in &self.runs {
+            let count = events.saturating_sub(settled.events.of(*run)).saturating_sub(known).min(left);
+            left -= count;
+            gaps.push(gap(pipeline.clone(), Some(*run), count, *last));
+        }
+        gaps.push(gap(None, None, left, self.last));
+        gaps.retain(|gap| gap.count > 0);
+        gaps
     }
 }
 
@@ -213,12 +205,11 @@ mod tests {
 
     fn counted(all: u64, runs: &[(RunId, u64)]) -> CountedEvents {
         let run = |&(run, events)| CountedRun { run, pipeline: "line".parse().ok(), events, last: at(9) };
-        CountedEvents {
-            all,
-            last: at(10),
-            sent: SentUnspooled::default(),
-            runs: runs.iter().map(run).collect(),
-        }
+        CountedEvents { all, last: at(10), sent: Vec::new(), runs: runs.iter().map(run).collect() }
+    }
+
+    fn settled(all: u64, runs: &[(RunId, u64)], last: Option<WallTime>) -> Settled {
+        Settled { events: RunCounts { all, runs: runs.iter().copied().collect() }, taken: all, last }
     }
 
     #[test]
@@ -226,9 +217,9 @@ mod tests {
         let (first, second, ended) = (RunId::random(), RunId::random(), RunId::random());
         let mut state = SpoolState::new(StreamId::random());
         state.totals.produced = 100;
-        let settled = RunCounts { all: 100, runs: BTreeMap::from([(first, 60), (ended, 30)]) };
         let counted = counted(115, &[(first, 70), (second, 4)]);
-        assert_eq!(state.lose_tail(&counted, &settled, Some(at(8))), 15);
+        let settled = settled(100, &[(first, 60), (ended, 30)], Some(at(8)));
+        assert_eq!(state.lose_tail(counted.clone(), settled), Some(15));
         assert_eq!((state.totals.produced, state.totals.dropped, state.totals.told), (115, 15, 0));
         let gaps: Vec<_> =
             state.unreported.iter().map(|gap| (gap.run, gap.count, gap.from, gap.to)).collect();
@@ -236,17 +227,18 @@ mod tests {
             [(Some(first), 10, at(8), at(9)), (Some(second), 4, at(8), at(9)), (None, 1, at(8), at(10))];
         assert_eq!(gaps, expected);
         // Another process that is killed at once changes only how many they are.
-        assert_eq!(state.lose_tail(&CountedEvents { all: 2, ..counted }, &RunCounts::default(), None), 2);
+        let next = CountedEvents { all: 2, ..counted };
+        assert_eq!(state.lose_tail(next, Settled::default()), Some(2));
         assert_eq!((state.unreported.len(), state.unreported[0].count), (3, 12));
     }
 
     #[test]
     fn nothing_is_lost_when_everything_is_settled() {
         let (run, mut state) = (RunId::random(), SpoolState::new(StreamId::random()));
-        let settled = RunCounts { all: 7, runs: BTreeMap::from([(run, 5)]) };
-        assert_eq!(state.lose_tail(&counted(7, &[(run, 5)]), &settled, None), 0);
+        let settled = settled(7, &[(run, 5)], None);
+        assert_eq!(state.lose_tail(counted(7, &[(run, 5)]), settled.clone()), Some(0));
         // A counter that is behind the spool proves nothing.
-        assert_eq!(state.lose_tail(&counted(3, &[(run, 6)]), &settled, None), 0);
+        assert_eq!(state.lose_tail(counted(3, &[(run, 6)]), settled), Some(0));
         assert_eq!(state, SpoolState::new(state.stream));
     }
 
@@ -255,7 +247,7 @@ mod tests {
         let mut state = SpoolState::new(StreamId::random());
         for _ in 0..500 {
             let run = RunId::random();
-            state.lose_tail(&counted(3, &[(run, 3)]), &RunCounts::default(), None);
+            state.lose_tail(counted(3, &[(run, 3)]), Settled::default());
         }
         assert_eq!(state.unreported.len(), MOST_UNREPORTED);
         assert_eq!(state.unreported.iter().map(|gap| gap.count).sum::<u64>(), 1_500);

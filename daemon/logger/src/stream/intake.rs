@@ -7,7 +7,8 @@ use peernet_clock::{MonoTime, Stamp, WallTime};
 
 use super::losses::Losses;
 use super::spool::{Totals, Usage};
-use super::{Event, Gap, MOST_COUNTED_RUNS, RunCounts, SendingConfig, codec};
+use super::unresolved::Resolved;
+use super::{Event, Gap, MOST_COUNTED_RUNS, RunCounts, SendingConfig, Unresolved, codec};
 use crate::limits::MAX_BYTES;
 use crate::{RunId, Slug};
 
@@ -36,6 +37,8 @@ pub(super) struct Intake {
     owed: VecDeque<Gap>,
     /// Events that a process before this one dropped and did not tell of otherwise.
     untold: u64,
+    /// No loss is reported before it is known what became of the end of an earlier process.
+    is_unresolved: bool,
     /// Runs whose end was handed in and that are still counted separately.
     ended: Vec<RunId>,
     /// Pipelines of the runs under way: an iteration names its run only.
@@ -88,10 +91,11 @@ impl Room {
 
 impl Intake {
     /// What was counted before goes on.
-    pub(super) fn new(config: SendingConfig, totals: Totals, owed: Vec<Gap>) -> Self {
+    pub(super) fn new(config: SendingConfig, totals: Totals, owed: Vec<Gap>, is_unresolved: bool) -> Self {
         let told = owed.iter().fold(totals.told, |told, gap| told.saturating_add(gap.count));
         Self {
             untold: totals.dropped.saturating_sub(told),
+            is_unresolved,
             config,
             totals,
             open: OpenBatch::default(),
@@ -154,6 +158,9 @@ impl Intake {
 
     /// What was dropped before the start is told with the first that happens after it.
     fn lose_untold(&mut self, now: Stamp) {
+        if self.is_unresolved {
+            return;
+        }
         let count = std::mem::take(&mut self.untold);
         if count > 0 {
             let reason = "dropped before the agent last ended, for want of room in its spool";
@@ -213,7 +220,18 @@ impl Intake {
     }
 
     fn has_room_for_report(&self, room: &Room) -> bool {
-        room.fits(self.usage() + GAP)
+        !self.is_unresolved && room.fits(self.usage() + GAP)
+    }
+
+    /// It is known what became of the end of an earlier process. Returns the losses of all earlier ones that no gap reports;
+    /// they are reported once the spool has them ([`Self::resolution_written`]).
+    pub(super) fn resolve(&mut self, unresolved: &Unresolved, resolved: &Resolved) -> Vec<Gap> {
+        unresolved.unreported(resolved, &mut self.owed, &mut self.untold);
+        self.owed.iter().cloned().collect()
+    }
+
+    pub(super) const fn resolution_written(&mut self) {
+        self.is_unresolved = false;
     }
 
     fn report(&mut self, gap: Gap, now: Stamp) {

@@ -28,10 +28,11 @@ mod receiving;
 mod secret;
 mod sending;
 mod spool;
+mod unresolved;
 
 pub use chain::Chain;
 pub use clock::{ClockSample, DelayPoint, DelaySecond, HostClock, LinkLive, ProbeCounts, Probing, RoundTrip};
-pub use counts::{CountedEvents, CountedRun, HandedIn, KILLED, MOST_COUNTED_RUNS, RunCounts, SentUnspooled};
+pub use counts::{CountedEvents, CountedRun, HandedIn, KILLED, MOST_COUNTED_RUNS, RunCounts, Settled};
 pub use event::{Claim, Event, Gap, Incident, IncidentKind, Iteration, Outcome, RunDescription, RunEnded};
 pub use experiment::{Condition, ExperimentPlace, Grade};
 pub use host::{Hardware, HostDescription, HostMetrics};
@@ -47,6 +48,7 @@ pub use receiving::{
 pub use secret::{HostSecret, InvalidSecret, Nonce, ProofCode};
 pub use sending::{Action, Compression, Notice, Sending, SendingConfig};
 pub use spool::{Reached, SpoolState, SpooledBatch, Totals, Usage};
+pub use unresolved::{MOST_SENT_UNSPOOLED, SentUnspooled, Unresolved};
 
 #[cfg(test)]
 mod tests;

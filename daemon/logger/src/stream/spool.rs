@@ -4,7 +4,7 @@ use bytes::Bytes;
 use peernet_clock::WallTime;
 
 use super::counts::HandedIn;
-use super::{Chain, Gap, StreamId};
+use super::{Chain, Gap, StreamId, Unresolved};
 
 /// Events and the bytes they take.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -91,6 +91,9 @@ pub struct SpoolState {
     pub reached: Vec<Reached>,
     /// Events of earlier processes that were dropped or lost with them, and that no gap reports yet.
     pub unreported: Vec<Gap>,
+    /// The end of an earlier process of which only the aggregator knows what is stored. No loss is reported before that is
+    /// known.
+    pub unresolved: Option<Unresolved>,
 }
 
 impl SpoolState {
@@ -109,6 +112,7 @@ impl SpoolState {
             totals: Totals::default(),
             reached: Vec::new(),
             unreported: Vec::new(),
+            unresolved: None,
         }
     }
 }
@@ -144,4 +148,6 @@ pub struct Totals {
     /// How far the process at hand comes with this; `None` while it has not met the aggregator: what the spool says of
     /// it and of others then stays.
     pub reached: Option<Reached>,
+    /// With it, [`SpoolState::unresolved`] is resolved, and these are the losses which no gap reports yet.
+    pub unreported: Option<Vec<Gap>>,
 }

@@ -22,7 +22,7 @@ fn invented_hosts_leave_pages_and_metrics_bounded() {
     }
     let mut proven = 0;
     for (n, stranger) in (0..).zip(&crowd[..10]) {
-        for m in 0..40 {
+        for m in 0..20 {
             Introduced::new(&format!("proven-{n}-{m}"), &mut chance).enter(stranger);
             proven += 1;
         }

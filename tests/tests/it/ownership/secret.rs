@@ -70,7 +70,8 @@ fn impostor_does_not_keep_the_robot_out() {
     fleet.deliver(0).balances();
     let ledger = fleet.stop();
     assert_eq!(ledger.lacks(fleet.agents[0].spooled()), 0, "{ledger:?}");
-    assert_eq!((ledger.hosts["edge"].streams, ledger.hosts["edge"].gaps), (1, 0), "{ledger:?}");
+    // What it had not spooled when it was killed may be missing, and is a gap then.
+    assert_eq!(ledger.hosts["edge"].streams, 1, "{ledger:?}");
 }
 
 #[test]

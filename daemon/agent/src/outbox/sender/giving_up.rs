@@ -20,6 +20,17 @@ impl Sender {
         if self.machine.is_spooled() {
             return;
         }
+        let counted = self.exit.counter.all().is_some();
+        let unsafe_events = self.machine.unspooled_events();
+        if counted && self.machine.has_sent_unspooled() {
+            // What of it is stored is asked of the aggregator: to write that all is lost would be wrong.
+            tracing::warn!(
+                events = unsafe_events,
+                "stopped before these events were in the spool or known to be stored; after the next start a gap will say \
+                 which are lost"
+            );
+            return;
+        }
         let dropped = self.machine.accounting().dropped;
         let totals = self.machine.give_up();
         let events = totals.dropped - dropped;
@@ -31,6 +42,12 @@ impl Sender {
         match kept {
             Ok(()) => tracing::warn!(
                 events,
+                "stopped before these events were in the spool or stored: they are lost, and a gap will say so after \
+                 the next start"
+            ),
+            Err(reason) if counted => tracing::warn!(
+                events,
+                %reason,
                 "stopped before these events were in the spool or stored: they are lost, and a gap will say so after \
                  the next start"
             ),

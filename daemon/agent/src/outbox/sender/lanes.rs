@@ -38,7 +38,9 @@ impl Sender {
         while let Some(action) = self.machine.next(self.clock.mono()) {
             let order = match action {
                 Action::Send(frame) => {
-                    self.exit.counter.sent_unspooled(self.machine.sent_unspooled());
+                    if let Some(sent) = self.machine.sent_unspooled() {
+                        self.exit.counter.sent_unspooled(sent);
+                    }
                     self.held.push_back(frame);
                     continue;
                 }

@@ -18,7 +18,9 @@ use super::open::chain;
 use super::reserve::Reserve;
 use super::statements::{checkpoint, delete, give_all_back, insert, vacuum};
 use super::sync::ended;
+use super::tail;
 use crate::lock::FileLock;
+use crate::outbox::counter;
 
 /// A spool file that is open, of one stream of one host.
 #[derive(Debug)]
@@ -72,6 +74,10 @@ impl SpoolFile {
         if !self.reserve.take() && !batches.is_empty() {
             return Err(Trouble::Full { action: ACTION, path: self.path.clone() });
         }
+        let resolved = match totals.unreported {
+            Some(_) => tail::unresolved_counter(&mut self.connection).await.map_err(self.trouble(ACTION))?,
+            None => None,
+        };
         match self.try_to_append(ACTION, batches, totals).await {
             Err(Trouble::Full { .. }) if batches.is_empty() && self.reserve.release() => {
                 let appended = self.append_on_full_disk(ACTION, totals).await;
@@ -79,6 +85,9 @@ impl SpoolFile {
                 appended?;
             }
             appended => appended?,
+        }
+        if let Some(counter) = resolved {
+            counter::remove(&counter);
         }
         if batches.is_empty() {
             // What is sent next may be stored over there: a power cut must not make the file forget who sent it.

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use peernet_clock::{SharedClock, WallTime};
 use peernet_logger::HostId;
-use peernet_logger::stream::{Chain, Gap, HandedIn, Reached, SpoolState, StreamId, Totals, Usage};
+use peernet_logger::stream::{Chain, HandedIn, Reached, SpoolState, StreamId, Totals, Usage};
 use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::sqlite::{SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, FromRow, SqliteConnection};
@@ -173,9 +173,10 @@ async fn prepare(
     }
     let held = held(connection).await.map_err(cannot_open)?;
     let reached = reached(connection).await.map_err(cannot_open)?;
-    let unreported = tail::unreported(connection).await.map_err(cannot_open)?;
-    let state = row.state(held, reached, unreported);
+    let state = row.state(held, reached);
     let mut state = state.map_err(|what| SpoolError::Damaged { path: path.to_owned(), what })?;
+    state.unreported = tail::unreported(connection).await.map_err(cannot_open)?;
+    state.unresolved = tail::unresolved(connection).await.map_err(cannot_open)?;
     let counter = match counts {
         true => tail::begin(connection, &mut state).await.map_err(cannot_open)?,
         false => EventCounter::default(),
@@ -274,7 +275,7 @@ async fn reached(connection: &mut SqliteConnection) -> Result<Vec<Reached>, sqlx
 }
 
 impl StreamRow {
-    fn state(self, held: Held, reached: Vec<Reached>, unreported: Vec<Gap>) -> Result<SpoolState, String> {
+    fn state(self, held: Held, reached: Vec<Reached>) -> Result<SpoolState, String> {
         let id = |text: &str| text.parse().map_err(|_| format!("{text:?} is no id of a stream"));
         let before = chain(&self.chain)?;
         let acknowledged = self.acknowledged.cast_unsigned();
@@ -313,9 +314,11 @@ impl StreamRow {
                 told: self.told.cast_unsigned(),
                 handed_in: HandedIn::default(),
                 reached: None,
+                unreported: None,
             },
             reached,
-            unreported,
+            unreported: Vec::new(),
+            unresolved: None,
         })
     }
 }

@@ -32,23 +32,27 @@ pub(super) async fn insert(
         .execute(&mut *connection)
         .await?;
     }
-    let handed_in = &totals.handed_in;
+    let settled = counts.then(|| totals.handed_in.settled());
     sqlx::query(
         "UPDATE stream SET produced = ?, dropped = ?, gaps = ?, told = ?, counted = coalesce(?, counted), \
-         counted_ns = coalesce(?, counted_ns) WHERE id = 1",
+         taken = coalesce(?, taken), counted_ns = coalesce(?, counted_ns) WHERE id = 1",
     )
     .bind(totals.produced.cast_signed())
     .bind(totals.dropped.cast_signed())
     .bind(totals.gaps.cast_signed())
     .bind(totals.told.cast_signed())
-    .bind(counts.then(|| tail::encoded(&handed_in.settled())))
-    .bind(handed_in.last.filter(|_| counts).map(WallTime::unix_nanos))
+    .bind(settled.as_ref().map(|settled| tail::encoded(&settled.events)))
+    .bind(settled.as_ref().map(|settled| settled.taken.cast_signed()))
+    .bind(settled.and_then(|settled| settled.last).map(WallTime::unix_nanos))
     .execute(&mut *connection)
     .await?;
     sqlx::query("DELETE FROM unreported WHERE told_through <= ?")
         .bind(totals.told.cast_signed())
         .execute(&mut *connection)
         .await?;
+    if let Some(unreported) = &totals.unreported {
+        tail::resolve(connection, totals.told, unreported).await?;
+    }
     let Some(reached) = totals.reached else { return Ok(()) };
     sqlx::query("INSERT OR REPLACE INTO reached (process, number) VALUES (?, ?)")
         .bind(reached.process.cast_signed())

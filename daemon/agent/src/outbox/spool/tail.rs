@@ -2,7 +2,7 @@
 
 use peernet_clock::WallTime;
 use peernet_logger::RunId;
-use peernet_logger::stream::{Gap, RunCounts, SpoolState};
+use peernet_logger::stream::{Gap, RunCounts, Settled, SpoolState, Unresolved};
 use sqlx::{FromRow, SqliteConnection};
 
 use crate::outbox::counter::{self, EventCounter};
@@ -12,7 +12,18 @@ use crate::outbox::counter::{self, EventCounter};
 struct Before {
     counter: Option<String>,
     counted: Option<Vec<u8>>,
+    taken: Option<i64>,
     counted_ns: Option<i64>,
+}
+
+#[derive(FromRow)]
+struct UnresolvedRow {
+    counter: String,
+    counted: Vec<u8>,
+    taken: i64,
+    counted_ns: Option<i64>,
+    told: i64,
+    events: i64,
 }
 
 /// A loss that no gap reports yet.
@@ -64,26 +75,57 @@ pub(super) async fn unreported(connection: &mut SqliteConnection) -> Result<Vec<
     Ok(rows.into_iter().map(gap).collect())
 }
 
+/// The end of an earlier process that the aggregator has to judge; none where what it counted is gone, after a restart of the
+/// machine.
+pub(super) async fn unresolved(connection: &mut SqliteConnection) -> Result<Option<Unresolved>, sqlx::Error> {
+    let row: Option<UnresolvedRow> =
+        sqlx::query_as("SELECT counter, counted, taken, counted_ns, told, events FROM unresolved")
+            .fetch_optional(connection)
+            .await?;
+    Ok(row.and_then(|row| {
+        Some(Unresolved {
+            counted: counter::read(&row.counter)?,
+            settled: Settled {
+                events: decoded(&row.counted).unwrap_or_default(),
+                taken: row.taken.cast_unsigned(),
+                last: row.counted_ns.map(WallTime::from_unix_nanos),
+            },
+            told: row.told.cast_unsigned(),
+            events: row.events.cast_unsigned(),
+        })
+    }))
+}
+
+/// The name of the file in which that process counted.
+pub(super) async fn unresolved_counter(
+    connection: &mut SqliteConnection,
+) -> Result<Option<String>, sqlx::Error> {
+    sqlx::query_scalar("SELECT counter FROM unresolved").fetch_optional(connection).await
+}
+
 /// Finds out what the process before lost, writes it down, and begins to count anew: one transaction, so that each loss is
 /// told once whoever is killed when. Without shared memory nothing is counted.
 pub(super) async fn begin(
     connection: &mut SqliteConnection,
     state: &mut SpoolState,
 ) -> Result<EventCounter, sqlx::Error> {
-    let before: Before = sqlx::query_as("SELECT counter, counted, counted_ns FROM stream WHERE id = 1")
-        .fetch_one(&mut *connection)
-        .await?;
-    let mut lost = 0;
+    let before: Before =
+        sqlx::query_as("SELECT counter, counted, taken, counted_ns FROM stream WHERE id = 1")
+            .fetch_one(&mut *connection)
+            .await?;
+    let mut lost = Some(0);
     if let Some(counted) = before.counter.as_deref().and_then(counter::read) {
-        let settled = before.counted.as_deref().and_then(decoded).unwrap_or_default();
-        lost = state.lose_tail(&counted, &settled, before.counted_ns.map(WallTime::from_unix_nanos));
+        let events = before.counted.as_deref().and_then(decoded).unwrap_or_default();
+        let taken = before.taken.unwrap_or_default().cast_unsigned();
+        let last = before.counted_ns.map(WallTime::from_unix_nanos);
+        lost = state.lose_tail(counted, Settled { events, taken, last });
     }
     let counter = EventCounter::create().unwrap_or_else(|error| {
         tracing::warn!(%error, "there is no shared memory to count events in: what is lost when the agent is killed is not reported");
         EventCounter::default()
     });
     sqlx::query("BEGIN IMMEDIATE").execute(&mut *connection).await?;
-    let written = match write(connection, state, &counter).await {
+    let written = match write(connection, state, lost.is_none(), &counter).await {
         Ok(()) => sqlx::query("COMMIT").execute(&mut *connection).await.map(drop),
         failed => failed,
     };
@@ -94,26 +136,50 @@ pub(super) async fn begin(
         }
         return Err(error);
     }
-    if let Some(name) = &before.counter {
-        counter::remove(name);
-    }
-    if lost > 0 {
-        tracing::warn!(
-            events = lost,
-            "the agent was killed before these events reached its spool; a gap reports them"
-        );
+    match (lost, &before.counter) {
+        (None, _) => tracing::warn!(
+            "the agent was killed while it sent events that its spool could not take: the aggregator will say which of them \
+             are stored, and a gap reports the others"
+        ),
+        (Some(lost), Some(name)) => {
+            counter::remove(name);
+            if lost > 0 {
+                tracing::warn!(
+                    events = lost,
+                    "the agent was killed before these events reached its spool; a gap reports them"
+                );
+            }
+        }
+        (Some(_), None) => {}
     }
     Ok(counter)
 }
 
+/// `leaves_doubt` says that the process before has become [`SpoolState::unresolved`].
 async fn write(
     connection: &mut SqliteConnection,
     state: &SpoolState,
+    leaves_doubt: bool,
     counter: &EventCounter,
 ) -> Result<(), sqlx::Error> {
+    match &state.unresolved {
+        None => sqlx::query("DELETE FROM unresolved").execute(&mut *connection).await.map(drop)?,
+        Some(unresolved) if leaves_doubt => {
+            sqlx::query(
+                "INSERT OR REPLACE INTO unresolved (id, counter, counted, taken, counted_ns, told, events) \
+                 SELECT id, counter, coalesce(counted, ?), coalesce(taken, 0), counted_ns, ?, ? FROM stream",
+            )
+            .bind(encoded(&RunCounts::default()))
+            .bind(unresolved.told.cast_signed())
+            .bind(unresolved.events.cast_signed())
+            .execute(&mut *connection)
+            .await?;
+        }
+        Some(_) => {}
+    }
     sqlx::query(
-        "UPDATE stream SET produced = ?, dropped = ?, told = ?, counter = ?, counted = NULL, counted_ns = NULL \
-         WHERE id = 1",
+        "UPDATE stream SET produced = ?, dropped = ?, told = ?, counter = ?, counted = NULL, taken = NULL, \
+         counted_ns = NULL WHERE id = 1",
     )
     .bind(state.totals.produced.cast_signed())
     .bind(state.totals.dropped.cast_signed())
@@ -121,9 +187,16 @@ async fn write(
     .bind(counter.name())
     .execute(&mut *connection)
     .await?;
+    write_unreported(connection, state.totals.told, &state.unreported).await
+}
+
+async fn write_unreported(
+    connection: &mut SqliteConnection,
+    mut told: u64,
+    unreported: &[Gap],
+) -> Result<(), sqlx::Error> {
     sqlx::query("DELETE FROM unreported").execute(&mut *connection).await?;
-    let mut told = state.totals.told;
-    for gap in &state.unreported {
+    for gap in unreported {
         told += gap.count;
         sqlx::query(
             "INSERT INTO unreported (told_through, pipeline, run, from_ns, to_ns, count, reason) \
@@ -140,6 +213,16 @@ async fn write(
         .await?;
     }
     Ok(())
+}
+
+/// In the transaction at hand: the end of the earlier process is no longer unresolved, and these losses are to be reported.
+pub(super) async fn resolve(
+    connection: &mut SqliteConnection,
+    told: u64,
+    unreported: &[Gap],
+) -> Result<(), sqlx::Error> {
+    sqlx::query("DELETE FROM unresolved").execute(&mut *connection).await?;
+    write_unreported(connection, told, unreported).await
 }
 
 #[cfg(test)]

@@ -181,11 +181,10 @@ pub enum Arrival {
     Duplicate(ToAgent),
     /// It was accepted and is about to be stored.
     Pending,
-    /// Batches before it are missing, or it was damaged on its way; to be asked for, unless that was done. Or it
-    /// contradicts what was accepted, which shows when that is stored.
+    /// Batches before it are missing, or it was damaged on its way; to be asked for, unless that was done.
     Hole(Option<ToAgent>),
-    /// No such process has said hello here with that stream, or the batch does not follow the one before it; to be
-    /// told to say hello.
+    /// No such process has said hello here with that stream, or the batch contradicts what was accepted; to be told to
+    /// say hello.
     Unknown(ToAgent),
 }
 
@@ -244,7 +243,9 @@ impl Receiving {
             }
             Admission::Later => return Greeting::Wait,
         }
-        if self.has_too_much_unsettled(host, stream) {
+        // What an earlier process of the host sent is stored first, so that what the answer says of it remains true.
+        let unsettled = |progress: &Progress| progress.awaits_other_than(hello.process);
+        if self.has_too_much_unsettled(host, stream) || self.streams.get(&stream).is_some_and(unsettled) {
             return Greeting::Wait;
         }
         let is_new = !known.came && mark.is_none() && !self.streams.contains_key(&stream);

@@ -33,6 +33,8 @@ impl From<Mark> for Position {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Progress {
     pub(super) host: HostId,
+    /// The process that said hello last.
+    process: u64,
     /// What the database has of the stream; without it, `stored` is where the stream begins.
     mark: Option<Mark>,
     stored: Position,
@@ -42,8 +44,6 @@ pub(super) struct Progress {
     confirmed: u64,
     /// What was accepted and is not both stored and confirmed, ascending; of a gap the last number only.
     pending: VecDeque<(u64, Chain)>,
-    /// The connected agent has other batches than those that were accepted: it is to compare again.
-    is_disputed: bool,
     /// The number from which batches were asked for again, until the first of them comes.
     asked: Option<u64>,
     /// A batch that came damaged, and how often in a row.
@@ -60,12 +60,12 @@ impl Progress {
         let stored = mark.map_or(begin, Position::from);
         Self {
             host: hello.host.id,
+            process: hello.process,
             mark,
             stored,
             accepted: stored,
             confirmed: stored.number,
             pending: VecDeque::new(),
-            is_disputed: false,
             asked: None,
             damaged: None,
         }
@@ -83,7 +83,7 @@ impl Progress {
         if !same {
             self.confirmed = self.stored.number;
         }
-        (self.asked, self.is_disputed) = (None, false);
+        (self.asked, self.process) = (None, hello.process);
         let through = hello.oldest.saturating_sub(1);
         (through > self.accepted.number).then(|| {
             let (host, stream, from) = (self.host, hello.stream, self.next());
@@ -116,39 +116,28 @@ impl Progress {
         } else if self.follows(head) {
             self.accept(number, head.chain, head.events_through());
             Arrival::Accept
-        } else if self.is_settled() {
-            Arrival::Unknown(ToAgent::Unknown)
         } else {
-            self.dispute()
+            Arrival::Unknown(ToAgent::Unknown)
         }
     }
 
-    /// A number that was accepted before: from this process, or from another that may have had another batch.
+    /// A number that was accepted before.
     fn again(&mut self, head: &BatchHead, window: u32) -> Arrival {
         let number = head.number;
         let known = self.pending.iter().find(|(pending, _)| *pending == number);
         let Some((_, chain)) = known else {
             return Arrival::Pending;
         };
-        let is_stored = number <= self.stored.number;
-        if *chain == head.chain {
-            // The chain stands for every batch before it as well.
-            self.confirmed = self.confirmed.max(number);
-            self.drop_settled();
-        } else if !is_stored {
-            return self.dispute();
+        if *chain != head.chain {
+            return Arrival::Unknown(ToAgent::Unknown);
         }
-        match is_stored {
+        // The chain stands for every batch before it as well.
+        self.confirmed = self.confirmed.max(number);
+        self.drop_settled();
+        match number <= self.stored.number {
+            true => Arrival::Duplicate(self.acknowledgement(head.stream, window)),
             false => Arrival::Pending,
-            true if number <= self.confirmed => Arrival::Duplicate(self.acknowledgement(head.stream, window)),
-            true => Arrival::Unknown(ToAgent::Unknown),
         }
-    }
-
-    /// What was accepted may still fail to be stored; until then there is nothing to compare.
-    fn dispute(&mut self) -> Arrival {
-        self.is_disputed = true;
-        Arrival::Hole(None)
     }
 
     /// The next batch does not match its hash: damaged on its way, or in the spool.
@@ -187,9 +176,6 @@ impl Progress {
     pub(super) fn settle(&mut self, stream: StreamId, mark: Mark, window: u32) -> Option<ToAgent> {
         let before = self.settled();
         self.take(mark);
-        if std::mem::take(&mut self.is_disputed) {
-            return Some(ToAgent::Unknown);
-        }
         (self.settled() > before).then(|| self.acknowledgement(stream, window))
     }
 
@@ -214,7 +200,7 @@ impl Progress {
         self.accepted = self.stored;
         self.confirmed = self.confirmed.min(self.stored.number);
         self.pending.retain(|(number, _)| *number <= self.stored.number);
-        (self.is_disputed, self.damaged) = (false, None);
+        self.damaged = None;
         self.asked = Some(self.next());
         ToAgent::Resend { stream, from: self.next() }
     }
@@ -235,6 +221,11 @@ impl Progress {
     /// Whether nothing waits to be stored.
     pub(super) const fn is_settled(&self) -> bool {
         self.accepted.number == self.stored.number
+    }
+
+    /// Whether something waits that another process sent.
+    pub(super) const fn awaits_other_than(&self, process: u64) -> bool {
+        !self.is_settled() && self.process != process
     }
 
     /// Whether as much waits to be stored or confirmed as may.

@@ -42,8 +42,8 @@ pub(super) struct Backlog {
     held: Usage,
     /// The newest that was ever sent by this process.
     sent: u64,
-    /// How far batches were sent that are in memory only.
-    sent_unspooled: SentUnspooled,
+    /// The last that was sent while it was in memory only.
+    sent_unspooled: Option<SentUnspooled>,
     /// Events of the batches that were sent and are still held.
     sent_events: u64,
     /// When the first event of the oldest batch came, while that is in the file only.
@@ -88,7 +88,7 @@ impl Backlog {
             newest,
             held: if newest.0 < oldest { Usage::default() } else { spool.held },
             sent: 0,
-            sent_unspooled: SentUnspooled::default(),
+            sent_unspooled: None,
             sent_events: 0,
             since: spool.since,
             budget,
@@ -132,7 +132,7 @@ impl Backlog {
         self.sent_events
     }
 
-    pub(super) const fn sent_unspooled(&self) -> SentUnspooled {
+    pub(super) const fn sent_unspooled(&self) -> Option<SentUnspooled> {
         self.sent_unspooled
     }
 
@@ -280,9 +280,9 @@ impl Backlog {
         if number > self.spooled.0
             && let Some(pending) = self.pending.iter().find(|pending| pending.batch.number == number)
         {
-            let Totals { told, handed_in, .. } = &pending.totals;
-            self.sent_unspooled =
-                SentUnspooled { events: handed_in.taken.all + handed_in.dropped.all, told: *told };
+            let Totals { produced, dropped, told, handed_in, .. } = &pending.totals;
+            let (taken, events) = (handed_in.taken.all, produced - dropped);
+            self.sent_unspooled = Some(SentUnspooled { process, number, taken, told: *told, events });
         }
         if number > self.sent {
             self.sent = number;

@@ -258,6 +258,7 @@ impl Sending {
             }
             _ => return,
         }
+        self.resolve_earlier(welcome.stored, welcome.process);
         if welcome.stored > self.backlog.newest() {
             return self.leave(&welcome, now);
         }

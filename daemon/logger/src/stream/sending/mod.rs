@@ -4,6 +4,7 @@ mod action;
 mod backlog;
 mod config;
 mod durable;
+mod earlier;
 mod flow;
 mod job;
 mod link;
@@ -20,6 +21,7 @@ use peernet_clock::{MonoTime, Stamp, WallTime};
 pub use self::action::{Action, Notice};
 use self::backlog::Backlog;
 pub use self::config::{Compression, SendingConfig};
+use self::earlier::Earlier;
 use self::flow::Flow;
 use self::link::Link;
 use self::pace::Pace;
@@ -62,6 +64,8 @@ pub struct Sending {
     met: bool,
     /// How far the processes before this one came.
     reached_before: Vec<Reached>,
+    /// What became of the end of one of them.
+    earlier: Earlier,
     /// What may be under way, in units of batches, by the aggregator's word.
     window: u32,
     /// The proof that the aggregator asked for, to be sent at once.
@@ -96,16 +100,18 @@ impl Sending {
         // What is held was produced, whatever the file says.
         let held = backlog.held().events;
         let produced = produced.max(dropped.saturating_add(held));
-        let totals = Totals { produced, reached: None, handed_in: HandedIn::default(), ..spool.totals };
+        let totals =
+            Totals { produced, reached: None, handed_in: HandedIn::default(), ..spool.totals.clone() };
         Self {
             spooling: Spooling::new(&spool, backlog.acknowledged().0, totals.clone()),
-            intake: Intake::new(config, totals, spool.unreported),
+            intake: Intake::new(config, totals, spool.unreported, spool.unresolved.is_some()),
             backlog,
             link: Link::Down,
             renewal: None,
             hole: None,
             met: false,
             reached_before: spool.reached,
+            earlier: Earlier::new(spool.unresolved),
             window: 1,
             proof: None,
             greetings: 0,
@@ -177,7 +183,18 @@ impl Sending {
     pub fn give_up(&mut self) -> Totals {
         let lost = self.backlog.give_up();
         self.intake.give_up(lost, &self.backlog.settled().handed_in.taken);
-        self.safe_totals()
+        let unreported = self.earlier.unwritten().cloned();
+        Totals { unreported, ..self.safe_totals().with(self.earlier.resolved()) }
+    }
+
+    /// Whether something was sent that may be stored, although it is neither in the spool nor acknowledged.
+    pub fn has_sent_unspooled(&self) -> bool {
+        self.backlog.sent() > self.backlog.spooled().max(self.backlog.oldest() - 1)
+    }
+
+    /// Events that are in memory only.
+    pub fn unspooled_events(&self) -> u64 {
+        self.intake.usage().events + self.backlog.pending().events
     }
 
     /// The frame that says goodbye; `None` when nobody knows us, so that a refused copy cannot say it in our name.
@@ -221,7 +238,8 @@ impl Sending {
     /// What became of the events.
     pub fn accounting(&self) -> Accounting {
         let (open, held, pending) = (self.intake.usage(), self.backlog.held(), self.backlog.pending());
-        let &Totals { produced, dropped, gaps, .. } = self.intake.counted();
+        let (produced, dropped) = self.earlier.count(self.intake.counted());
+        let gaps = self.intake.counted().gaps;
         let waiting = open.events + held.events;
         debug_assert_eq!(produced, self.stored + waiting + dropped, "an event is not accounted for");
         Accounting {
@@ -262,10 +280,10 @@ impl Sending {
         handed_in.taken.all + handed_in.dropped.all
     }
 
-    /// How far batches were sent that are not in the spool, because it cannot be written. To be kept where it outlives the
-    /// process before their frames go out.
-    pub const fn sent_unspooled(&self) -> SentUnspooled {
-        self.backlog.sent_unspooled()
+    /// The batch that was sent last without being in the spool, because that cannot be written. To be kept where it outlives
+    /// the process before its frame goes out.
+    pub fn sent_unspooled(&self) -> Option<SentUnspooled> {
+        self.backlog.sent_unspooled().map(|sent| self.earlier.place(sent))
     }
 
     /// A run that has ended is no longer counted separately.
@@ -286,7 +304,7 @@ impl Sending {
     /// What was counted, without what is in memory only: true also when that is lost.
     fn safe_totals(&self) -> Totals {
         let (counted, settled) = (self.intake.counted(), self.backlog.settled());
-        let only_here = self.intake.usage().events + self.backlog.pending().events;
+        let only_here = self.unspooled_events();
         let handed_in = HandedIn { dropped: counted.handed_in.dropped.clone(), ..settled.handed_in.clone() };
         Totals {
             produced: counted.produced - only_here,
@@ -295,6 +313,7 @@ impl Sending {
             told: settled.told,
             handed_in,
             reached: self.spooling.written.reached,
+            unreported: None,
         }
     }
 

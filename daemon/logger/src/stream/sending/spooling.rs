@@ -51,7 +51,9 @@ struct Appending {
     bytes: u64,
     /// Of those, bytes of batches that were stored over there meanwhile.
     freed: u64,
+    /// What is counted up to the last of them, without what [`Totals::with`] adds.
     totals: Totals,
+    resolves: bool,
 }
 
 #[derive(Clone, Debug)]
@@ -140,6 +142,9 @@ impl Sending {
         let appending = self.spooling.append.end()?;
         let reached = appending.totals.reached.or(self.spooling.written.reached);
         self.spooling.written = Totals { reached, ..appending.totals };
+        if appending.resolves {
+            self.resolution_written();
+        }
         if let Some((last, chain)) = appending.last {
             self.backlog.appended(last, chain);
             self.spooling.bytes += appending.bytes;
@@ -306,15 +311,20 @@ impl Sending {
         let last = batches.last().map(|batch| (batch.number, batch.chain));
         let bytes = batches.iter().map(|batch| batch.body.len() as u64).sum();
         (self.spooling.begun, self.spooling.refused) = (now, false);
-        self.spooling.append.begin(Appending { last, bytes, freed: 0, totals: totals.clone() });
+        let unreported = self.earlier.unwritten().cloned();
+        let resolves = unreported.is_some();
+        self.spooling.append.begin(Appending { last, bytes, freed: 0, totals: totals.clone(), resolves });
+        let totals = Totals { unreported, ..totals.with(self.earlier.resolved()) };
         Some(Action::Append { batches, totals })
     }
 
     /// What is to be written now.
     fn to_append(&self, now: MonoTime) -> Option<(Vec<SpooledBatch>, Totals)> {
         let (written, spooled) = (&self.spooling.written, self.backlog.spooled());
-        if self.met && !self.is_marked() {
-            return Some((Vec::new(), Totals { reached: self.reaches(spooled), ..written.clone() }));
+        let resolves = self.earlier.unwritten().is_some();
+        if resolves || self.met && !self.is_marked() {
+            let reached = self.reaches(spooled).filter(|_| self.met);
+            return Some((Vec::new(), Totals { reached, ..written.clone() }));
         }
         if self.spooling.refused && self.intake.counted().dropped != written.dropped {
             return Some((Vec::new(), self.safe_totals()));
@@ -348,8 +358,9 @@ impl Sending {
     fn renew(&mut self, now: MonoTime) -> Option<Action> {
         let stream = self.renewal?;
         let (through, _) = self.backlog.acknowledged();
-        // What the new stream does not hold is gone before.
-        if !self.spooling.renew.is_free(now) || through > self.spooling.deleted {
+        // What the new stream does not hold is gone before; and what the old one says of an earlier process is known.
+        let waits = through > self.spooling.deleted || self.earlier.unwritten().is_some();
+        if waits || !self.spooling.renew.is_free(now) {
             return None;
         }
         self.spooling.renew.begin(stream);

@@ -134,41 +134,36 @@ fn another_stream_or_a_batch_that_does_not_follow_is_answered_by_a_call_for_a_he
 }
 
 #[test]
-fn what_a_dead_process_sent_is_acknowledged_to_the_next_only_when_that_holds_the_same() {
+fn what_a_dead_process_sent_is_settled_before_the_next_is_let_in() {
     let mut end = End::with(0);
     (1..=3).for_each(|number| assert_eq!(end.batch(number), Arrival::Accept));
     end.stored(1);
+    assert!(matches!(end.restarted(1), Greeting::Wait), "batches 2 and 3 may still be stored");
+    end.stored(3);
+    let Greeting::Welcome { reply: ToAgent::Welcome { stored, .. }, .. } = end.restarted(1) else {
+        panic!("nothing waits any more")
+    };
+    assert_eq!(stored, 3);
+
+    // When storing fails there is nothing that speaks against what the next process has.
+    let mut end = End::with(1);
+    assert_eq!(end.batch(2), Arrival::Accept);
+    assert!(matches!(end.restarted(1), Greeting::Wait));
+    end.end.failed(end.stream);
     welcomed(&end.restarted(1));
-    assert_eq!(end.stored(2), None, "the new process has not shown its second batch");
-    assert_eq!(end.batch(2), Arrival::Duplicate(end.ack(2)));
-    assert_eq!(end.batch(3), Arrival::Pending);
-    let ack = end.ack(3);
-    assert_eq!(end.stored(3), Some(ack));
+    let other = BatchHead { chain: chain(9), process: 2, ..end.head(2) };
+    assert_eq!(end.end.batch(&other, true, at(5_001).mono), Arrival::Accept);
 }
 
 #[test]
-fn a_process_that_holds_others_than_a_dead_one_sent_is_told_to_compare() {
+fn two_batches_of_one_number_are_answered_by_a_call_for_a_hello() {
     let mut end = End::with(1);
     (2..=3).for_each(|number| assert_eq!(end.batch(number), Arrival::Accept));
-    welcomed(&end.restarted(1));
     let other = BatchHead { chain: chain(9), ..end.head(2) };
     let next = BatchHead { before: chain(9), chain: chain(10), ..end.head(4) };
     for head in [other, next] {
-        assert_eq!(
-            end.end.batch(&head, true, at(5_001).mono),
-            Arrival::Hole(None),
-            "nothing to compare with yet"
-        );
+        assert_eq!(end.end.batch(&head, true, at(5_001).mono), UNKNOWN);
     }
-    assert_eq!(end.stored(3), Some(ToAgent::Unknown));
-    assert_eq!(end.end.batch(&other, true, at(5_002).mono), UNKNOWN);
-    // When storing fails there is nothing that speaks against its own.
-    let mut end = End::with(1);
-    assert_eq!(end.batch(2), Arrival::Accept);
-    welcomed(&end.restarted(1));
-    assert_eq!(end.end.failed(end.stream), Some((end.id, end.resend(2))));
-    let other = BatchHead { chain: chain(9), ..end.head(2) };
-    assert_eq!(end.end.batch(&other, true, at(5_001).mono), Arrival::Accept);
 }
 
 #[test]

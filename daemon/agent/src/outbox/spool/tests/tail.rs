@@ -1,6 +1,6 @@
 //! What a killed process took with it.
 
-use peernet_logger::stream::{HandedIn, KILLED};
+use peernet_logger::stream::{HandedIn, KILLED, SentUnspooled};
 use peernet_logger::{RunId, Slug};
 
 use super::*;
@@ -57,6 +57,39 @@ async fn killed_process_leaves_its_losses_until_they_are_told() {
 
     let (_, state) = place.sound().await;
     assert_eq!(lost(&state), both[1..], "what was told is not told again");
+}
+
+#[tokio::test]
+async fn what_was_sent_without_the_spool_stays_open_until_it_is_resolved() {
+    let (place, run) = (Place::new(), RunId::random());
+    let OpenSpool { mut file, state, counter, .. } = place.open().await.expect("opens");
+    hand_in(&counter, run, 10);
+    file.append(&batches(Chain::START, 1..=2, 10), &settled(run, 6, 0, &state.totals))
+        .await
+        .expect("appends");
+    counter.sent_unspooled(SentUnspooled { process: 7, number: 3, taken: 8, told: 0, events: 8 });
+    drop((file, counter));
+
+    let OpenSpool { file, state, counter, .. } = place.open().await.expect("opens");
+    let unresolved = state.unresolved.expect("batch 3 may be stored");
+    assert_eq!((unresolved.counted.all, unresolved.settled.events.of(run)), (10, 6));
+    assert_eq!((unresolved.settled.taken, unresolved.events), (6, 6));
+    assert_eq!((state.totals.dropped, state.unreported.len()), (0, 0));
+    // Killed before the aggregator answered.
+    hand_in(&counter, run, 1);
+    drop((file, counter));
+
+    let OpenSpool { mut file, state, counter, .. } = place.open().await.expect("opens");
+    assert_eq!(state.unresolved.as_ref(), Some(&unresolved));
+    assert_eq!((state.totals.dropped, state.unreported.len()), (1, 1));
+    let mut lost = state.unreported[0].clone();
+    lost.count = 3;
+    let resolved = Totals { dropped: 3, unreported: Some(vec![lost.clone()]), ..state.totals };
+    file.append(&[], &resolved).await.expect("appends");
+    drop((file, counter));
+
+    let (_, state) = place.sound().await;
+    assert_eq!((state.unresolved, state.unreported, state.totals.dropped), (None, vec![lost], 3));
 }
 
 #[tokio::test]

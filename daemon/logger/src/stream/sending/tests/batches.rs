@@ -50,10 +50,11 @@ fn batches_follow_one_another_and_are_in_the_file_when_they_are_sent() {
             gaps: 0,
             told: 0,
             handed_in: totals.handed_in.clone(),
-            reached: Some(Reached { process: 1, number: 4 })
+            reached: Some(Reached { process: 1, number: 4 }),
+            unreported: None,
         }
     );
-    assert_eq!(totals.handed_in.settled().all, 4);
+    assert_eq!(totals.handed_in.settled().events.all, 4);
     agent.ack(3);
     assert_eq!(agent.numbers(), [0; 0], "it is not known to be written");
     agent.perform(Action::Append { batches, totals });

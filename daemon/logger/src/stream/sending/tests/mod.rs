@@ -101,6 +101,7 @@ impl File {
             totals: self.totals.clone(),
             reached: self.reached.clone(),
             unreported: Vec::new(),
+            unresolved: None,
         }
     }
 

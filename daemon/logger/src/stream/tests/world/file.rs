@@ -17,6 +17,7 @@ pub(in super::super) struct SpoolFile {
     reached: Vec<Reached>,
     /// Losses that no gap reports yet, each with what is told once one does.
     unreported: Vec<(u64, Gap)>,
+    unresolved: Option<Unresolved>,
     /// What outlives the process in shared memory.
     pub(super) counted: CountedEvents,
     pub(in super::super) batches: BTreeMap<u64, SpooledBatch>,
@@ -34,6 +35,7 @@ impl SpoolFile {
             totals: Totals::default(),
             reached: Vec::new(),
             unreported: Vec::new(),
+            unresolved: None,
             counted: CountedEvents::default(),
             batches: BTreeMap::new(),
         }
@@ -54,24 +56,38 @@ impl SpoolFile {
             totals: self.totals.clone(),
             reached: self.reached.clone(),
             unreported: self.unreported.iter().map(|(_, gap)| gap.clone()).collect(),
+            unresolved: self.unresolved.clone(),
         }
     }
 
     /// A process opens it: what the one before took with it is written down, and counting begins anew.
     pub(super) fn start(&mut self) -> SpoolState {
         let mut state = self.open();
-        let settled = &self.totals.handed_in;
-        state.lose_tail(&self.counted, &settled.settled(), settled.last);
+        state.lose_tail(std::mem::take(&mut self.counted), self.totals.handed_in.settled());
         state.totals.handed_in = HandedIn::default();
         self.totals = state.totals.clone();
-        let mut told = self.totals.told;
-        let told_through = |gap: &Gap| (told += gap.count, (told, gap.clone())).1;
-        self.unreported = state.unreported.iter().map(told_through).collect();
-        self.counted = CountedEvents::default();
+        self.unresolved = state.unresolved.clone();
+        self.tell(&state.unreported);
         state
     }
 
-    pub(super) fn append(&mut self, batches: &[SpooledBatch], totals: Totals) {
+    /// These losses are to be reported.
+    fn tell(&mut self, unreported: &[Gap]) {
+        let mut told = self.totals.told;
+        let told_through = |gap: &Gap| (told += gap.count, (told, gap.clone())).1;
+        self.unreported = unreported.iter().map(told_through).collect();
+    }
+
+    /// A batch goes out that is not in the file.
+    pub(super) fn sends(&mut self, sent: SentUnspooled) {
+        let all = &mut self.counted.sent;
+        all.retain(|other| {
+            other.number % MOST_SENT_UNSPOOLED as u64 != sent.number % MOST_SENT_UNSPOOLED as u64
+        });
+        all.push(sent);
+    }
+
+    pub(super) fn append(&mut self, batches: &[SpooledBatch], mut totals: Totals) {
         self.unreported.retain(|(told_through, _)| *told_through > totals.told);
         for batch in batches {
             let (newest, chain) = self.newest;
@@ -84,7 +100,12 @@ impl SpoolFile {
             self.reached.retain(|other| other.process != reached.process);
             self.reached.push(reached);
         }
+        let unreported = totals.unreported.take();
         self.totals = totals;
+        if let Some(unreported) = unreported {
+            self.unresolved = None;
+            self.tell(&unreported);
+        }
     }
 
     pub(super) fn load(&self, from: u64, bytes: usize) -> Vec<SpooledBatch> {

@@ -79,7 +79,9 @@ impl World {
         while let Some(action) = self.sending.next(at(self.now).mono) {
             match action {
                 Action::Send(frame) => {
-                    self.sites[self.site].counted.sent = self.sending.sent_unspooled();
+                    if let Some(sent) = self.sending.sent_unspooled() {
+                        self.sites[self.site].sends(sent);
+                    }
                     let frame = Bytes::from(frame);
                     self.truth.sent(&frame);
                     self.up.push((self.connection, frame));
@@ -252,8 +254,6 @@ impl World {
         self.site = site;
         self.processes += 1;
         self.connection += 1;
-        let counted = &self.file().counted;
-        self.truth.doubtful |= counted.sent != SentUnspooled::default();
         let spool = self.sites[self.site].start();
         self.sending =
             Sending::new(self.config, super::host(self.host, "edge"), SECRET, self.processes, spool);

@@ -28,8 +28,6 @@ pub(in super::super) struct Truth {
     pub(super) copied: bool,
     /// The database was replaced by an older copy.
     pub(super) restored: bool,
-    /// A process was killed while batches were sent that the spool could not take: nobody knows which of them are stored.
-    pub(super) doubtful: bool,
 }
 
 impl Truth {
@@ -130,11 +128,7 @@ impl Truth {
                 Entry::Gap { .. } => 0,
             };
         }
-        // What a process sent that its failing spool could not take, and the gaps in it, may be counted again by the next.
-        assert!(
-            self.doubtful || stored + missing == offered,
-            "{stored} stored and {missing} in gaps of {offered}"
-        );
+        assert_eq!(stored + missing, offered, "{stored} stored and {missing} in gaps");
     }
 
     /// A gap says how many events its batches held. Of two copies nobody knows which batches the database lacks.
