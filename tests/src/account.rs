@@ -4,8 +4,9 @@ use chrono::{DateTime, Utc};
 use peernet_clock::WallTime;
 use serde_json::Value;
 
+use crate::process::patiently;
 use crate::time::wall;
-use crate::{Api, until};
+use crate::{Api, PATIENCE};
 
 /// One host's account: the agent's own word, and what the aggregator stored of it.
 #[derive(Clone, Debug)]
@@ -78,9 +79,12 @@ impl Account {
     /// # Panics
     /// When that takes longer than [`crate::PATIENCE`].
     pub fn until(api: &Api, host: &str, what: &str, mut holds: impl FnMut(&Self) -> bool) -> Self {
-        until(&format!("{host}: {what}"), || {
-            Self::of(api, host).filter(|account| account.connected && holds(account))
-        })
+        let mut last = None;
+        let account = patiently(|| {
+            last = Self::of(api, host);
+            last.clone().filter(|account| account.connected && holds(account))
+        });
+        account.unwrap_or_else(|| panic!("waited {PATIENCE:?} in vain for {host}: {what}; now {last:?}"))
     }
 
     /// Waits until nothing waits on a host that measures nothing, however long, as long as there is progress, and

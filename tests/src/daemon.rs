@@ -1,8 +1,9 @@
 //! A `peernetd` that lives more than once.
 
+use peernet_clock::Span;
 use rustix::process::Signal;
 
-use crate::{Ended, Process, Site, Spooled};
+use crate::{Ended, FalseTime, Process, Site, Spooled};
 
 /// One configuration file and the process that runs it at the moment; what its earlier lives said is kept.
 #[derive(Debug)]
@@ -11,6 +12,8 @@ pub struct Daemon {
     pub name: String,
     configuration: String,
     process: Option<Process>,
+    /// What it is shown as the time; the kernel's when there is none.
+    time: Option<FalseTime>,
     spooled: Vec<Spooled>,
 }
 
@@ -18,7 +21,7 @@ impl Daemon {
     /// Writes the configuration; starts nothing.
     pub fn new(site: &Site, name: &str, configuration: &str) -> Self {
         let (name, spooled) = (name.to_owned(), Vec::new());
-        let mut daemon = Self { name, configuration: String::new(), process: None, spooled };
+        let mut daemon = Self { name, configuration: String::new(), process: None, time: None, spooled };
         daemon.configure(site, configuration);
         daemon
     }
@@ -61,7 +64,33 @@ impl Daemon {
 
     fn start_from(&mut self, site: &Site, file: &str) {
         assert!(self.process.is_none(), "{} runs already", self.name);
-        self.process = Some(site.start(file));
+        let time = self.time.as_ref().map(FalseTime::environment);
+        self.process = Some(site.start_with(file, time.as_ref().map_or(&[], |time| &time[..])));
+    }
+
+    /// Shows it another time than the kernel's, from its next start on.
+    pub fn show_time(&mut self, site: &Site, ahead: Span) {
+        match &self.time {
+            Some(time) => time.show(ahead),
+            None => {
+                self.time = Some(FalseTime::new(&site.folder().join(format!("{}-time", self.name)), ahead))
+            }
+        }
+    }
+
+    /// Waits until it is ready. One that ends instead, because of something in its surroundings that `mend` sets right, is
+    /// started again, as a service manager does. Returns how often that was.
+    pub fn is_ready(&mut self, site: &Site, mut mend: impl FnMut()) -> u32 {
+        let mut ended = 0;
+        while !self.process().says("ready") {
+            let process = self.take().ended();
+            assert!(process.status.code().is_some_and(|code| code != 0), "{}:\n{}", self.name, process.log);
+            self.keep(&process);
+            mend();
+            self.start(site);
+            ended += 1;
+        }
+        ended
     }
 
     /// Whether it was started and neither stopped nor killed.

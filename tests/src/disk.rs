@@ -1,11 +1,12 @@
 //! Disks of a test's own: one that is small enough to be filled, one that can be unmounted and set read-only.
 
 use std::fs::File;
-use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
 
+use rustix::fs::{FallocateFlags, fallocate};
+use rustix::io::Errno;
 use rustix::mount::{MountFlags, UnmountFlags, mount, unmount};
 use rustix::process::geteuid;
 
@@ -34,35 +35,13 @@ impl SmallDisk {
     }
 
     /// Takes all the room that is left.
-    ///
-    /// # Panics
-    /// When writing fails for another reason than a full disk.
     pub fn fill(&self) {
-        let mut file = File::options()
-            .create(true)
-            .append(true)
-            .open(self.ballast())
-            .expect("an empty file needs no room");
-        let mut block = vec![0; 64 << 10];
-        while !block.is_empty() {
-            match file.write(&block) {
-                Ok(_) => {}
-                Err(error) if error.kind() == ErrorKind::StorageFull => block.truncate(block.len() / 2),
-                Err(error) => panic!("cannot fill {}: {error}", self.folder.display()),
-            }
-        }
+        fill(&self.folder);
     }
 
     /// Gives that room back.
-    ///
-    /// # Panics
-    /// When it was not taken.
     pub fn free(&self) {
-        std::fs::remove_file(self.ballast()).expect("the disk was filled");
-    }
-
-    fn ballast(&self) -> PathBuf {
-        self.folder.join("ballast")
+        free(&self.folder);
     }
 }
 
@@ -114,6 +93,16 @@ impl ImageDisk {
         unmount(&self.folder, UnmountFlags::DETACH).expect("it is mounted");
     }
 
+    /// Takes all the room that is left.
+    pub fn fill(&self) {
+        fill(&self.folder);
+    }
+
+    /// Gives that room back.
+    pub fn free(&self) {
+        free(&self.folder);
+    }
+
     /// Whether its device still has a file system on it that is in use.
     pub fn is_in_use(&self) -> bool {
         !run("losetup", &["--associated", &text(&self.image)]).trim().is_empty()
@@ -148,6 +137,29 @@ impl SecondMount {
     pub fn folder(&self) -> &Path {
         &self.folder
     }
+}
+
+/// Takes all the room of the disk that a folder is on.
+fn fill(folder: &Path) {
+    let file = File::options().create(true).append(true).open(ballast(folder));
+    let file = file.expect("an empty file needs no room");
+    let (mut length, mut part) = (0, 1 << 30);
+    while part >= 512 {
+        match fallocate(&file, FallocateFlags::empty(), length, part) {
+            Ok(()) => length += part,
+            Err(Errno::NOSPC) => part /= 2,
+            Err(error) => panic!("cannot fill {}: {error}", folder.display()),
+        }
+    }
+}
+
+/// Gives that room back.
+fn free(folder: &Path) {
+    std::fs::remove_file(ballast(folder)).expect("the disk was filled");
+}
+
+fn ballast(folder: &Path) -> PathBuf {
+    folder.join("ballast")
 }
 
 /// An empty folder to mount something in.

@@ -23,6 +23,7 @@ impl FalseTime {
             .map(|folder| folder.path().join("faketime/libfaketimeMT.so.1"))
             .filter(|path| path.exists());
         let library = found.next().expect("libfaketime is installed: run `deploy/install-tools.sh test`");
+        std::fs::create_dir_all(folder).expect("the temporary folder is writable");
         let time = Self { library: library.display().to_string(), file: folder.join("ahead") };
         time.show(ahead);
         time

@@ -113,6 +113,24 @@ impl Process {
         })
     }
 
+    /// Waits until a line holds `text` or the program ends; returns which.
+    ///
+    /// # Panics
+    /// When [`PATIENCE`] passes before.
+    pub fn says(&self, text: &str) -> bool {
+        let said = |lines: &[String]| lines.iter().any(|line| line.contains(text));
+        let guard = self.log.lines.lock().expect("no reader panics");
+        let (guard, timeout) = self
+            .log
+            .changed
+            .wait_timeout_while(guard, PATIENCE, |(lines, ended)| !said(lines) && *ended < self.readers.len())
+            .expect("no reader panics");
+        let says = said(&guard.0);
+        drop(guard);
+        assert!(!timeout.timed_out(), "{} neither ended nor said {text:?}:\n{}", self.name, self.log());
+        says
+    }
+
     /// Sends SIGTERM.
     pub fn terminate(&self) {
         self.signal(Signal::TERM);
@@ -201,15 +219,20 @@ impl Ended {
 ///
 /// # Panics
 /// When [`PATIENCE`] passes before.
-pub fn until<T>(what: &str, mut question: impl FnMut() -> Option<T>) -> T {
+pub fn until<T>(what: &str, question: impl FnMut() -> Option<T>) -> T {
+    patiently(question).unwrap_or_else(|| panic!("waited {PATIENCE:?} in vain for {what}"))
+}
+
+/// The same; `None` when [`PATIENCE`] passes before.
+pub(crate) fn patiently<T>(mut question: impl FnMut() -> Option<T>) -> Option<T> {
     let pause = Duration::from_millis(50);
     for _ in 0..PATIENCE.as_millis() / pause.as_millis() {
         if let Some(answer) = question() {
-            return answer;
+            return Some(answer);
         }
         std::thread::sleep(pause);
     }
-    panic!("waited {PATIENCE:?} in vain for {what}");
+    None
 }
 
 /// Asks for a figure until it has reached `enough`, however long that takes, as long as it grows.

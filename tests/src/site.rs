@@ -74,14 +74,25 @@ impl Site {
 
     /// Starts `peernetd run` on a configuration that was written under `name` before.
     pub fn start(&self, name: &str) -> Process {
-        self.peernetd(&["run", name])
+        self.start_with(name, &[])
+    }
+
+    /// The same with further environment variables.
+    pub fn start_with(&self, name: &str, environment: &[(&str, &str)]) -> Process {
+        self.peernetd_with(&["run", name], environment)
     }
 
     /// Starts `peernetd` with given arguments in the site's folder.
     pub fn peernetd(&self, arguments: &[&str]) -> Process {
+        self.peernetd_with(arguments, &[])
+    }
+
+    fn peernetd_with(&self, arguments: &[&str], environment: &[(&str, &str)]) -> Process {
         let library = crate::onnxruntime().join("libonnxruntime.so");
         let library = library.display().to_string();
-        Process::start(&program("peernetd"), arguments, self.folder(), &[("ORT_DYLIB_PATH", &library)])
+        let environment: Vec<_> =
+            environment.iter().copied().chain([("ORT_DYLIB_PATH", &*library)]).collect();
+        Process::start(&program("peernetd"), arguments, self.folder(), &environment)
     }
 
     /// Writes and starts an agent that reports to the site's aggregator; `tables` follow its table `[agent]`.

@@ -1,12 +1,13 @@
 //! Who may speak, and what becomes of each frame. No sockets here: frames in, replies and news out.
 
-use std::collections::{HashMap, HashSet};
+mod greeting;
+
+use std::collections::HashSet;
 
 use bytes::Bytes;
 use peernet_clock::{MonoTime, Span, Stamp};
 use peernet_logger::stream::{
-    Arrival, BatchHead, Challenges, Greeting, Hello, HostSecret, LiveUpdate, Nonce, Proof, Proven, Receiving,
-    ToAgent, ToAggregator, codec,
+    Arrival, BatchHead, Challenges, LiveUpdate, Receiving, ToAgent, ToAggregator, codec,
 };
 use peernet_logger::{HostId, RunId};
 use peernet_networks::{ConnectionId, Peer};
@@ -14,17 +15,14 @@ use peernet_networks::{ConnectionId, Peer};
 use super::committing::StoreEvent;
 use super::hosts::{Hosts, Newcomer};
 use super::queue::{Incoming, Queue};
-use crate::live::{News, bounds};
+use super::routes::{Admission, Routes};
+use crate::live::News;
 use crate::log_throttle::LogThrottle;
-use crate::picture::RefusedHost;
 use crate::store::opening::StoredState;
-use crate::store::write::{Aside, Committed, Introduction, RunName, Streams, Work};
+use crate::store::write::{Aside, Committed, RunName, Streams, Work};
 
 /// A host that was silent for so long is asked to say hello again.
 const FORGET_SESSIONS: Span = Span::from_seconds(60);
-/// Hosts that may say hello on one connection: an agent needs one. There is no limit for all together: whoever
-/// reached it would lock the others out, and the picture has one of its own.
-const MOST_PER_CONNECTION: usize = 64;
 /// A host of which nothing is stored leaves after this silence: agents speak four times a second.
 const FORGET_NEWCOMERS: Span = Span::from_seconds(10);
 /// Runs that wait for the live lane to name them.
@@ -45,15 +43,6 @@ pub(crate) struct Untaken {
     pub(crate) strangers: u64,
 }
 
-/// What a connection may send from now on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Admission {
-    /// A host's hello was accepted on it.
-    Admit(ConnectionId),
-    /// It has no host any more.
-    Demote(ConnectionId),
-}
-
 /// Decides about every frame.
 #[derive(Debug)]
 pub(crate) struct Desk {
@@ -61,8 +50,7 @@ pub(crate) struct Desk {
     challenges: Challenges<ConnectionId>,
     hosts: Hosts,
     queue: Queue,
-    /// The connection on which each host said hello.
-    routes: HashMap<HostId, ConnectionId>,
+    routes: Routes,
     streams: Streams,
     /// Runs of which the store knows iterations only, by their hosts.
     unknown: HashSet<(HostId, RunId)>,
@@ -70,7 +58,6 @@ pub(crate) struct Desk {
     is_database_open: bool,
     refusals: LogThrottle,
     replies: Vec<(ConnectionId, ToAgent)>,
-    admissions: Vec<Admission>,
     news: Vec<News>,
     untaken: Untaken,
 }
@@ -91,13 +78,12 @@ impl Desk {
             challenges,
             hosts,
             queue,
-            routes: HashMap::new(),
+            routes: Routes::default(),
             streams,
             unknown: unknown.into_iter().collect(),
             is_database_open: true,
             refusals: LogThrottle::default(),
             replies: Vec::new(),
-            admissions: Vec::new(),
             news: Vec::new(),
             untaken: Untaken::default(),
         }
@@ -135,7 +121,7 @@ impl Desk {
             Ok(ToAggregator::Goodbye(host)) => {
                 if self.knows(from, host) && !self.forget_newcomer(host) {
                     self.receiving.goodbye(host);
-                    self.leave(host);
+                    self.routes.leave(host);
                     // Without room the next hello of the host ends its runs.
                     if let Some(place) = self.queue.place(0) {
                         place.put(Incoming::Work(Work::Goodbye(host)), now.mono);
@@ -170,7 +156,7 @@ impl Desk {
 
     /// Whether the host said hello on that connection; one that did not is asked to.
     fn knows(&mut self, from: &Peer, host: HostId) -> bool {
-        let known = self.routes.get(&host) == Some(&from.connection);
+        let known = self.routes.of(host) == Some(from.connection);
         if !known {
             self.untaken.strangers += 1;
             self.news.push(News::Stranger);
@@ -179,173 +165,13 @@ impl Desk {
         known
     }
 
-    /// Somebody says that it is a host. Nothing of that host changes before this is proven.
-    fn hello(&mut self, from: &Peer, mut hello: Hello, now: Stamp) {
-        let host = hello.host.id;
-        // It is kept before anybody knows whose it is: no more than is shown.
-        bounds::description(&mut hello.host, &mut 0);
-        let reason = Receiving::refuses_version(&hello)
-            .or_else(|| self.too_many(from, host))
-            .or_else(|| self.hosts.refuses(host));
-        if let Some(reason) = reason {
-            self.refuse(from, &hello, reason, now);
-            return;
-        }
-        let enrol = self.hosts.secret(host).is_none();
-        let reply = self.challenges.challenge(from.connection, hello, enrol, Nonce::random(), now.mono);
-        self.replies.push((from.connection, reply));
-    }
-
-    fn proof(&mut self, from: &Peer, proof: Proof, now: Stamp) {
-        let known = self.hosts.secret(proof.host).cloned();
-        match self.challenges.prove(&from.connection, proof, known.as_ref()) {
-            Proven::Yes { hello, enrolled } => {
-                let secret = known.or(enrolled);
-                self.enter(from, *hello, secret, now);
-            }
-            Proven::No(hello) => {
-                let host = hello.host.id;
-                // An operator may have cleared it since it was read.
-                if self.hosts.is_to_be_checked(host, now.mono)
-                    && let Some(place) = self.queue.place(0)
-                {
-                    place.put(Incoming::Work(Work::Secret(host)), now.mono);
-                }
-                self.refuse(from, &hello, wrong_secret(host), now);
-            }
-            Proven::Unasked => {
-                self.untaken.strangers += 1;
-                self.news.push(News::Stranger);
-                self.replies.push((from.connection, ToAgent::Unknown));
-            }
-        }
-    }
-
-    /// A host has proven that it is who it says.
-    fn enter(&mut self, from: &Peer, hello: Hello, secret: Option<HostSecret>, now: Stamp) {
-        let host = hello.host.id;
-        if let Some(reason) = self.hosts.refuses(host) {
-            self.refuse(from, &hello, reason, now);
-            return;
-        }
-        // Without room for what follows from it, a greeting counts as lost; the agent repeats it.
-        let (Some(greeting), Some(hole)) = (self.queue.place(0), self.queue.place(0)) else {
-            self.untaken.deferred += 1;
-            return;
-        };
-        let known = self.streams.known(&hello, self.hosts.seniority(host));
-        // A welcome acknowledges what the stream's mark says, and whether that will be there is not known now.
-        if !self.is_database_open && known.mark.is_some_and(|mark| hello.oldest <= mark.stored) {
-            return;
-        }
-        match self.receiving.hello(&hello, known, now.mono) {
-            Greeting::Welcome { reply, missing, replaced, lacking, displaced } => {
-                let Hello { host: description, process, stream, previous, first, .. } = hello;
-                let name = &description.name;
-                if let Some(replaced) = replaced {
-                    tracing::warn!(
-                        host = %name, %stream, %replaced,
-                        "the spool of this host was deleted or replaced: what it still held is lost"
-                    );
-                }
-                if let Some(lacking) = lacking {
-                    tracing::warn!(
-                        host = %name, stream = %lacking.stream, from = lacking.from, through = lacking.through,
-                        events = ?lacking.events,
-                        "batches of this host were stored in a newer database than this one"
-                    );
-                }
-                if let Some(missing) = missing {
-                    // An agent lets go of what was acknowledged only; nothing was lost on the way here.
-                    tracing::info!(
-                        host = %name, from = missing.from, through = missing.through, events = ?missing.events,
-                        "batches of this host are not in this database and will not come: they were acknowledged by \
-                         another aggregator, or by this one with another database"
-                    );
-                }
-                tracing::info!(host = %name, id = %host, stored = ?known.mark.map(|mark| mark.stored), "a host connected");
-                let introduction = Introduction {
-                    host: description.clone(),
-                    process,
-                    stream,
-                    previous,
-                    first,
-                    replaced,
-                    lacking,
-                    secret,
-                };
-                let gone = if self.hosts.is_stored(host) {
-                    if let Some(secret) = &introduction.secret {
-                        self.hosts.enrol(host, secret);
-                    }
-                    greeting.put(Incoming::Work(Work::Hello(Box::new(introduction))), now.mono);
-                    match missing {
-                        Some(missing) => hole.put(Incoming::Work(Work::Missing(missing)), now.mono),
-                        None => drop(hole),
-                    }
-                    self.streams.came(host, stream);
-                    None
-                } else {
-                    drop((greeting, hole));
-                    self.hosts.welcome(introduction, missing)
-                };
-                if let Some(gone) = gone {
-                    self.left(gone);
-                }
-                if let Some(displaced) = displaced {
-                    tracing::warn!(host = %description.name, %displaced, "a host took back its name from another that used it");
-                    self.leave(displaced);
-                    self.forget_newcomer(displaced);
-                }
-                let previous = self.routes.insert(host, from.connection);
-                self.admissions.push(Admission::Admit(from.connection));
-                self.admissions.extend(without_hosts(&self.routes, previous));
-                self.replies.push((from.connection, reply));
-                self.news.push(News::Hello(Box::new(description), process));
-            }
-            Greeting::Refused { reason, .. } => {
-                drop((greeting, hole));
-                self.refuse(from, &hello, reason, now);
-            }
-            Greeting::Wait => {}
-        }
-    }
-
-    /// A host is gone.
-    fn leave(&mut self, host: HostId) {
-        let previous = self.routes.remove(&host);
-        self.admissions.extend(without_hosts(&self.routes, previous));
-    }
-
     /// A connection has ended. Its hosts say hello again on their next one; of newcomers nothing is kept.
     pub(super) fn gone(&mut self, connection: ConnectionId) {
         self.challenges.forget(&connection);
         let routes = &self.routes;
-        for host in self.hosts.newcomers_that(|host| routes.get(&host) == Some(&connection)) {
+        for host in self.hosts.newcomers_that(|host| routes.of(host) == Some(connection)) {
             self.forget_newcomer(host);
         }
-    }
-
-    /// What speaks against one more host.
-    fn too_many(&self, from: &Peer, host: HostId) -> Option<String> {
-        if self.routes.contains_key(&host) {
-            return None;
-        }
-        let here = self.routes.values().filter(|route| **route == from.connection).count();
-        (here >= MOST_PER_CONNECTION)
-            .then(|| format!("{here} hosts said hello on this connection: let each agent open its own"))
-    }
-
-    fn refuse(&mut self, from: &Peer, hello: &Hello, reason: String, now: Stamp) {
-        let ip = from.address.map(|address| address.ip());
-        let address = from.address.map(|address| address.to_string());
-        if let Some(times) = self.refusals.count(&reason, ip, now.mono) {
-            let (host, id) = (&hello.host.name, &hello.host.id);
-            tracing::warn!(%host, %id, ?address, %reason, times, "a host was refused");
-        }
-        self.replies.push((from.connection, ToAgent::Refused { reason: reason.clone() }));
-        let refused = RefusedHost { name: hello.host.name.clone(), address, reason, at: now.wall };
-        self.news.push(News::Refused(refused));
     }
 
     fn batch(&mut self, from: &Peer, head: BatchHead, frame: &Bytes, now: Stamp) {
@@ -420,7 +246,7 @@ impl Desk {
         }
         if !self.hosts.is_newcomer(host) {
             self.receiving.goodbye(host);
-            self.leave(host);
+            self.routes.leave(host);
             self.news.push(News::Forget(host));
         }
     }
@@ -435,8 +261,8 @@ impl Desk {
     /// Asks for what found no room, as far as there is some now.
     fn ask_for_deferred(&mut self) {
         for (host, request) in self.receiving.room(self.queue.room_for(USUAL_BATCH)) {
-            if let Some(route) = self.routes.get(&host) {
-                self.replies.push((*route, request));
+            if let Some(route) = self.routes.of(host) {
+                self.replies.push((route, request));
             }
         }
     }
@@ -456,9 +282,9 @@ impl Desk {
             self.streams.marks.insert(stream, mark);
             let listener = self.receiving.stored(stream, mark);
             if let Some((route, reply)) =
-                listener.and_then(|(host, reply)| Some((self.routes.get(&host)?, reply)))
+                listener.and_then(|(host, reply)| Some((self.routes.of(host)?, reply)))
             {
-                self.replies.push((*route, reply));
+                self.replies.push((route, reply));
             }
         }
         self.ask_for_deferred();
@@ -489,9 +315,8 @@ impl Desk {
         self.queue.begin_generation();
         self.streams = streams;
         self.unknown = unknown.into_iter().collect();
-        for (_, route) in self.routes.drain() {
+        for route in self.routes.clear() {
             self.replies.push((route, ToAgent::Unknown));
-            self.admissions.push(Admission::Demote(route));
         }
         self.news.push(News::Reopened { runs, hosts });
     }
@@ -506,9 +331,9 @@ impl Desk {
         }
         self.receiving.forget_silent(FORGET_SESSIONS, now.mono);
         let is_silent = |host: &HostId| !self.receiving.is_alive(*host, FORGET_SESSIONS, now.mono);
-        let silent: Vec<HostId> = self.routes.keys().copied().filter(is_silent).collect();
+        let silent: Vec<HostId> = self.routes.hosts().filter(is_silent).collect();
         for host in silent {
-            self.leave(host);
+            self.routes.leave(host);
         }
         for (reason, address, times) in self.refusals.age(now.mono) {
             tracing::warn!(?address, %reason, times, "hosts were refused");
@@ -522,7 +347,7 @@ impl Desk {
 
     /// Which connections have a host from now on, and which have none any more.
     pub(super) fn take_admissions(&mut self) -> Vec<Admission> {
-        std::mem::take(&mut self.admissions)
+        self.routes.take_admissions()
     }
 
     /// What the live picture should know.
@@ -539,20 +364,4 @@ impl Desk {
     pub(super) fn close(&mut self) {
         self.queue.close();
     }
-}
-
-/// Demotes a connection that a host left, unless there are others on it.
-fn without_hosts(routes: &HashMap<HostId, ConnectionId>, left: Option<ConnectionId>) -> Option<Admission> {
-    let left = left.filter(|left| !routes.values().any(|route| route == left))?;
-    Some(Admission::Demote(left))
-}
-
-/// What an agent is told that does not have the secret of its host id, and what to do.
-fn wrong_secret(host: HostId) -> String {
-    format!(
-        "this agent does not have the secret that belongs to the host id {host}. If its state directory is a copy of another \
-         host's, give it another [agent] state_dir. If this really is that host, whose file host-secret was lost, run \
-         `peernetd clear-host-secret --config CONFIG {host}` on the aggregator's machine. Nothing has to be deleted: what is \
-         not stored stays in the spool until then"
-    )
 }

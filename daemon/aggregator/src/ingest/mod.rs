@@ -1,4 +1,4 @@
-//! From the socket to the store: who may speak ([`desk`], [`hosts`]), the socket itself ([`socket`]), a bounded [`queue`], the
+//! From the socket to the store: who may speak ([`desk`], [`hosts`], [`routes`]), the socket itself ([`socket`]), a bounded [`queue`], the
 //! thread that makes rows of what was let in ([`preparing`]), and the task that commits them ([`committing`]), which opens
 //! the database anew when its file fails or is replaced ([`reopening`]).
 
@@ -8,6 +8,7 @@ mod hosts;
 pub(crate) mod preparing;
 mod queue;
 mod reopening;
+mod routes;
 pub(crate) mod socket;
 
 pub(crate) use self::committing::Errand;

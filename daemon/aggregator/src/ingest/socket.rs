@@ -12,7 +12,8 @@ use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
 use super::committing::StoreEvent;
-use super::desk::{Admission, Desk, Untaken};
+use super::desk::{Desk, Untaken};
+use super::routes::Admission;
 use crate::config::AggregatorConfig;
 use crate::error::{Failure, Problem, StartError};
 use crate::live::News;

@@ -5,5 +5,6 @@ mod damaged_page;
 mod database_file;
 mod lost_events;
 mod memory;
+mod storm;
 
 use super::stream::{setting, turn};

@@ -163,9 +163,9 @@ pub struct Lacking {
     pub stream: StreamId,
     /// The first; 1 where nothing is known of the stream, wherever it began.
     pub from: u64,
-    /// The last.
+    /// The last that is known of.
     pub through: u64,
-    /// How many events they held; `None` when it is not known.
+    /// How many events they held, with those behind the last that is known of; `None` when it is not known.
     pub events: Option<u64>,
 }
 
@@ -256,7 +256,9 @@ impl Receiving {
             let stored = known.previous.map_or(Some(0), |mark| mark.events);
             let events =
                 hello.events_before_first.zip(stored).map(|(all, stored)| all.saturating_sub(stored));
-            (from <= through).then_some(Lacking { stream: previous, from, through, events })
+            // Batches behind the last that the spool held may have been stored from the memory of a dead process.
+            let lacks = from <= through || events.is_some_and(|events| events > 0);
+            lacks.then_some(Lacking { stream: previous, from, through: through.max(from), events })
         });
         let displaced = self.take_back_name(hello, now);
         let left = self.hosts.insert(host, Session::of(hello, seniority, now));

@@ -188,6 +188,11 @@ fn what_an_older_database_lacks_of_a_stream_that_was_left_is_noticed_once() {
         assert_eq!(lacking(end.hello(&renewed, came, at(2).mono)), None, "recorded");
         end.goodbye(id);
     }
+    // Batches behind the seventh came from the memory of a dead process, and were stored in another database only.
+    let renewed = Hello { events_before_first: Some(9), ..renewed };
+    let before = previous(Some(mark(id, 7)));
+    let expected = Lacking { stream: old, from: 8, through: 8, events: Some(2) };
+    assert_eq!(lacking(end.hello(&renewed, before, at(3).mono)), Some(expected));
 }
 
 #[test]

@@ -1,0 +1,166 @@
+//! How a host gets in: its hello, the proof that it is who it says, and what is noted when it is welcomed.
+
+use peernet_clock::Stamp;
+use peernet_logger::HostId;
+use peernet_logger::stream::{Greeting, Hello, HostSecret, Nonce, Proof, Proven, Receiving, ToAgent};
+use peernet_networks::Peer;
+
+use super::Desk;
+use crate::ingest::queue::Incoming;
+use crate::live::{News, bounds};
+use crate::picture::RefusedHost;
+use crate::store::write::{Introduction, Work};
+
+impl Desk {
+    /// Somebody says that it is a host. Nothing of that host changes before this is proven.
+    pub(super) fn hello(&mut self, from: &Peer, mut hello: Hello, now: Stamp) {
+        let host = hello.host.id;
+        // It is kept before anybody knows whose it is: no more than is shown.
+        bounds::description(&mut hello.host, &mut 0);
+        let reason = Receiving::refuses_version(&hello)
+            .or_else(|| self.routes.too_many(from.connection, host))
+            .or_else(|| self.hosts.refuses(host));
+        if let Some(reason) = reason {
+            self.refuse(from, &hello, reason, now);
+            return;
+        }
+        let enrol = self.hosts.secret(host).is_none();
+        let reply = self.challenges.challenge(from.connection, hello, enrol, Nonce::random(), now.mono);
+        self.replies.push((from.connection, reply));
+    }
+
+    pub(super) fn proof(&mut self, from: &Peer, proof: Proof, now: Stamp) {
+        let known = self.hosts.secret(proof.host).cloned();
+        match self.challenges.prove(&from.connection, proof, known.as_ref()) {
+            Proven::Yes { hello, enrolled } => {
+                let secret = known.or(enrolled);
+                self.enter(from, *hello, secret, now);
+            }
+            Proven::No(hello) => {
+                let host = hello.host.id;
+                // An operator may have cleared it since it was read.
+                if self.hosts.is_to_be_checked(host, now.mono)
+                    && let Some(place) = self.queue.place(0)
+                {
+                    place.put(Incoming::Work(Work::Secret(host)), now.mono);
+                }
+                self.refuse(from, &hello, wrong_secret(host), now);
+            }
+            Proven::Unasked => {
+                self.untaken.strangers += 1;
+                self.news.push(News::Stranger);
+                self.replies.push((from.connection, ToAgent::Unknown));
+            }
+        }
+    }
+
+    /// A host has proven that it is who it says.
+    fn enter(&mut self, from: &Peer, hello: Hello, secret: Option<HostSecret>, now: Stamp) {
+        let host = hello.host.id;
+        if let Some(reason) = self.hosts.refuses(host) {
+            self.refuse(from, &hello, reason, now);
+            return;
+        }
+        // Without room for what follows from it, a greeting counts as lost; the agent repeats it.
+        let (Some(greeting), Some(hole)) = (self.queue.place(0), self.queue.place(0)) else {
+            self.untaken.deferred += 1;
+            return;
+        };
+        let known = self.streams.known(&hello, self.hosts.seniority(host));
+        // A welcome acknowledges what the stream's mark says, and whether that will be there is not known now.
+        if !self.is_database_open && known.mark.is_some_and(|mark| hello.oldest <= mark.stored) {
+            return;
+        }
+        match self.receiving.hello(&hello, known, now.mono) {
+            Greeting::Welcome { reply, missing, replaced, lacking, displaced } => {
+                let Hello { host: description, process, stream, previous, first, .. } = hello;
+                let name = &description.name;
+                if let Some(replaced) = replaced {
+                    tracing::warn!(
+                        host = %name, %stream, %replaced,
+                        "the spool of this host was deleted or replaced: what it still held is lost"
+                    );
+                }
+                if let Some(lacking) = lacking {
+                    tracing::warn!(
+                        host = %name, stream = %lacking.stream, from = lacking.from, through = lacking.through,
+                        events = ?lacking.events,
+                        "batches of this host were stored in a newer database than this one"
+                    );
+                }
+                if let Some(missing) = missing {
+                    // An agent lets go of what was acknowledged only; nothing was lost on the way here.
+                    tracing::info!(
+                        host = %name, from = missing.from, through = missing.through, events = ?missing.events,
+                        "batches of this host are not in this database and will not come: they were acknowledged by \
+                         another aggregator, or by this one with another database"
+                    );
+                }
+                tracing::info!(host = %name, id = %host, stored = ?known.mark.map(|mark| mark.stored), "a host connected");
+                let introduction = Introduction {
+                    host: description.clone(),
+                    process,
+                    stream,
+                    previous,
+                    first,
+                    replaced,
+                    lacking,
+                    secret,
+                };
+                let gone = if self.hosts.is_stored(host) {
+                    if let Some(secret) = &introduction.secret {
+                        self.hosts.enrol(host, secret);
+                    }
+                    greeting.put(Incoming::Work(Work::Hello(Box::new(introduction))), now.mono);
+                    match missing {
+                        Some(missing) => hole.put(Incoming::Work(Work::Missing(missing)), now.mono),
+                        None => drop(hole),
+                    }
+                    self.streams.came(host, stream);
+                    None
+                } else {
+                    drop((greeting, hole));
+                    self.hosts.welcome(introduction, missing)
+                };
+                if let Some(gone) = gone {
+                    self.left(gone);
+                }
+                if let Some(displaced) = displaced {
+                    tracing::warn!(host = %description.name, %displaced, "a host took back its name from another that used it");
+                    self.routes.leave(displaced);
+                    self.forget_newcomer(displaced);
+                }
+                self.routes.enter(host, from.connection);
+                self.replies.push((from.connection, reply));
+                self.news.push(News::Hello(Box::new(description), process));
+            }
+            Greeting::Refused { reason, .. } => {
+                drop((greeting, hole));
+                self.refuse(from, &hello, reason, now);
+            }
+            Greeting::Wait => {}
+        }
+    }
+
+    fn refuse(&mut self, from: &Peer, hello: &Hello, reason: String, now: Stamp) {
+        let ip = from.address.map(|address| address.ip());
+        let address = from.address.map(|address| address.to_string());
+        if let Some(times) = self.refusals.count(&reason, ip, now.mono) {
+            let (host, id) = (&hello.host.name, &hello.host.id);
+            tracing::warn!(%host, %id, ?address, %reason, times, "a host was refused");
+        }
+        self.replies.push((from.connection, ToAgent::Refused { reason: reason.clone() }));
+        let refused = RefusedHost { name: hello.host.name.clone(), address, reason, at: now.wall };
+        self.news.push(News::Refused(refused));
+    }
+}
+
+/// What an agent is told that does not have the secret of its host id, and what to do.
+fn wrong_secret(host: HostId) -> String {
+    format!(
+        "this agent does not have the secret that belongs to the host id {host}. If its state directory is a copy of another \
+         host's, give it another [agent] state_dir. If this really is that host, whose file host-secret was lost, run \
+         `peernetd clear-host-secret --config CONFIG {host}` on the aggregator's machine. Nothing has to be deleted: what is \
+         not stored stays in the spool until then"
+    )
+}

@@ -1,0 +1,218 @@
+//! Everything at once: kills of agents and aggregator while disks fill up, become read-only and are remounted and clocks jump.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use peernet_clock::Span;
+use peernet_tests::fleet::{echo, edge_in, rate};
+use peernet_tests::{Chance, Fleet, ImageDisk, Since, measured, thousands, until};
+
+use super::{setting, turn};
+
+const AGENTS: [&str; 2] = ["left", "right"];
+const HZ: f64 = 200.0;
+
+/// How long things go on between two events, at most.
+const PAUSE: Duration = Duration::from_millis(700);
+
+/// How far a clock jumps, at most.
+const JUMP: Span = Span::from_seconds(40 * 86_400);
+
+/// What befalls a machine, until it is mended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Trouble {
+    /// The aggregator's disk is full.
+    StoreFull,
+    /// The agents' disk is full.
+    SpoolsFull,
+    /// The database cannot be written.
+    StoreReadOnly,
+    /// The spool of an agent cannot be written.
+    SpoolReadOnly(usize),
+    /// The aggregator's disk is not mounted.
+    StoreAway,
+    /// The clock of the aggregator jumps.
+    AggregatorClock,
+    /// The clock of an agent jumps.
+    AgentClock(usize),
+}
+
+struct Storm {
+    fleet: Fleet,
+    store: ImageDisk,
+    spools: ImageDisk,
+    troubles: Vec<Trouble>,
+    /// Answers in the logs of the lives that are over.
+    answers: u64,
+    kills: [u64; 2],
+    /// How often a process could not start before something was mended.
+    ended: u32,
+}
+
+impl Storm {
+    fn new() -> Self {
+        let (store, spools) = (ImageDisk::new(512 << 20), ImageDisk::new(128 << 20));
+        let state = spools.folder().join("NAME").display().to_string();
+        let pipeline = echo("loop", &format!("{}\nactuator = {{ kind = \"log\" }}", rate(HZ)));
+        let database = store.folder().join("aggregator.sqlite").display().to_string();
+        let mut fleet = Fleet::storing_in(&database, &AGENTS, &edge_in(&state, "", &pipeline));
+        fleet.aggregator.stop();
+        let Fleet { site, aggregator, agents, .. } = &mut fleet;
+        for daemon in agents.iter_mut().chain([aggregator]) {
+            daemon.show_time(site, Span::ZERO);
+        }
+        fleet.aggregator_returns();
+        fleet.start_all();
+        Self { fleet, store, spools, troubles: Vec::new(), answers: 0, kills: [0; 2], ended: 0 }
+    }
+
+    /// Files of the database or of a spool that processes write to with system calls: the third one is mapped into memory, and
+    /// the kernel ends a process that writes to a mapping of an immutable file.
+    fn files(&self, trouble: Trouble) -> Vec<PathBuf> {
+        let main = match trouble {
+            Trouble::SpoolReadOnly(agent) => {
+                self.spools.folder().join(&self.fleet.agents[agent].name).join("spool.sqlite")
+            }
+            _ => self.fleet.database().to_owned(),
+        };
+        vec![main.clone(), format!("{}-wal", main.display()).into()]
+    }
+
+    fn strike(&mut self, trouble: Trouble, chance: &mut Chance) {
+        let jump = Span::from_seconds(chance.below(2 * JUMP.seconds() as usize) as i64) - JUMP;
+        match trouble {
+            Trouble::StoreFull => self.store.fill(),
+            Trouble::SpoolsFull => self.spools.fill(),
+            Trouble::StoreReadOnly => self.store.set_immutable(&self.files(trouble), true),
+            Trouble::SpoolReadOnly(_) => self.spools.set_immutable(&self.files(trouble), true),
+            Trouble::StoreAway => self.store.unmount(),
+            Trouble::AggregatorClock => self.fleet.aggregator.show_time(&self.fleet.site, jump),
+            Trouble::AgentClock(agent) => self.fleet.agents[agent].show_time(&self.fleet.site, jump),
+        }
+        self.troubles.push(trouble);
+    }
+
+    /// Sets right what can be set right: clocks stay as they are.
+    fn mend(&mut self) {
+        for trouble in std::mem::take(&mut self.troubles) {
+            match trouble {
+                Trouble::StoreFull => self.store.free(),
+                Trouble::SpoolsFull => self.spools.free(),
+                Trouble::StoreReadOnly => self.store.set_immutable(&self.files(trouble), false),
+                Trouble::SpoolReadOnly(_) => self.spools.set_immutable(&self.files(trouble), false),
+                Trouble::StoreAway => {
+                    // Two mounts of one image would write over one another.
+                    until("the device is free", || (!self.store.is_in_use()).then_some(()));
+                    self.store.mount();
+                }
+                Trouble::AggregatorClock | Trouble::AgentClock(_) => {}
+            }
+        }
+    }
+
+    /// Troubles that can stand beside one another.
+    fn pick(chance: &mut Chance) -> Vec<Trouble> {
+        let agent = chance.below(AGENTS.len());
+        let store =
+            [Trouble::StoreFull, Trouble::StoreReadOnly, Trouble::StoreAway, Trouble::AggregatorClock];
+        let spool = [Trouble::SpoolsFull, Trouble::SpoolReadOnly(agent), Trouble::AgentClock(agent)];
+        let (store, spool) = (store[chance.below(store.len())], spool[chance.below(spool.len())]);
+        match chance.below(4) {
+            0 => vec![store],
+            1 => vec![spool],
+            2 => vec![store, spool],
+            _ => vec![spool, store],
+        }
+    }
+
+    /// Troubles, a kill in the middle of them, and a start in the middle of them or after.
+    fn round(&mut self, chance: &mut Chance) {
+        for trouble in Self::pick(chance) {
+            self.strike(trouble, chance);
+            chance.linger(PAUSE);
+        }
+        let (agent, who) = (chance.below(AGENTS.len()), chance.below(5));
+        let (kills_aggregator, kills_agent) = (who < 2, who > 0);
+        if kills_aggregator {
+            self.fleet.aggregator.kill();
+            self.kills[1] += 1;
+        }
+        if kills_agent {
+            self.answers += answers(&self.fleet.agents[agent].kill().log);
+            self.kills[0] += 1;
+        }
+        chance.linger(PAUSE);
+        // An aggregator that is started where its disk should be mounted begins a database there.
+        let needs_disk = kills_aggregator && self.troubles.contains(&Trouble::StoreAway);
+        if needs_disk || chance.once_in(2) {
+            self.mend();
+        }
+        if kills_agent {
+            self.fleet.start(agent);
+        }
+        if kills_aggregator {
+            self.fleet.aggregator.start(&self.fleet.site);
+        }
+        chance.linger(PAUSE);
+        self.mend();
+        let Fleet { site, aggregator, agents, .. } = &mut self.fleet;
+        for daemon in agents.iter_mut().chain([aggregator]) {
+            self.ended += daemon.is_ready(site, || {});
+        }
+        chance.linger(PAUSE);
+    }
+}
+
+/// Iterations that were acted upon.
+fn answers(log: &str) -> u64 {
+    log.matches(" answer ").count() as u64
+}
+
+#[test]
+fn kills_amid_failing_disks_and_jumping_clocks_lose_nothing_uncounted() {
+    let _turn = turn();
+    let (mut chance, began) = (Chance::new("storm"), Since::now());
+    let mut storm = Storm::new();
+    let kills = setting("PEERNET_KILLS", 6);
+    while storm.kills.iter().sum::<u64>() < kills {
+        storm.round(&mut chance);
+    }
+    let Storm { mut fleet, mut answers, kills, ended, store: _store, spools: _spools, .. } = storm;
+    let Fleet { site, aggregator, agents, .. } = &mut fleet;
+    for daemon in agents.iter_mut().chain([aggregator]) {
+        daemon.show_time(site, Span::ZERO);
+    }
+    let mut accounts = Vec::new();
+    for agent in 0..AGENTS.len() {
+        answers += self::answers(&fleet.agents[agent].stop().log);
+        accounts.push(fleet.deliver(agent));
+    }
+    let ledger = fleet.stop();
+    for (agent, account) in fleet.agents.iter().zip(&accounts) {
+        account.balances();
+        let host = &ledger.hosts[&agent.name];
+        assert_eq!(ledger.lacks(agent.spooled()), 0, "what was spooled is stored: {account:?}, {host:?}");
+        assert_eq!(host.quarantined, 0, "{account:?}, {host:?}");
+        // To the last event, by the agents' own counts.
+        assert_eq!((account.waiting, account.dropped), (0, host.missing), "{account:?}, {host:?}");
+        assert_eq!(account.produced, host.events + host.missing, "{account:?}, {host:?}");
+    }
+    // And by what they were seen to do: a kill may hit an iteration that was acted upon and is not handed in yet.
+    let missing: u64 = ledger.hosts.values().map(|host| host.missing).sum();
+    let known = ledger.iterations() + missing;
+    assert!(known + kills[0] >= answers, "{answers} answers, {known} accounted for");
+    let number = |count: u64| thousands(count as f64);
+    measured(
+        "kills amid failing disks and jumping clocks",
+        &[
+            ("kills of agents", number(kills[0])),
+            ("kills of the aggregator", number(kills[1])),
+            ("starts that failed until something was mended", number(ended.into())),
+            ("answers in the logs", number(answers)),
+            ("iterations stored", number(ledger.iterations())),
+            ("lost and reported", number(missing)),
+            ("lost and not reported", number(0)),
+            ("seconds", number(began.elapsed().as_secs())),
+        ],
+    );
+}
