@@ -3,7 +3,7 @@
 use std::fmt::Display;
 use std::time::Duration;
 
-use peernet_clock::SharedClock;
+use peernet_clock::{SharedClock, Stamp};
 use peernet_logger::HostId;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::time::MissedTickBehavior;
@@ -16,6 +16,7 @@ use crate::readiness::Readiness;
 use crate::store::integrity::Integrity;
 use crate::store::opening::{OpenDatabase, StoredState};
 use crate::store::retention::Step;
+use crate::store::types::AggregatorIncidentKind;
 use crate::store::write::{CommitError, Committed, PendingIncidents, Work, Writer};
 
 /// The first pause after a failed attempt, and the longest.
@@ -116,6 +117,8 @@ struct Carried {
     backoff: Backoff,
     /// Of the aggregator itself.
     incidents: PendingIncidents,
+    /// Since when nothing can be stored, and why; `None` while it can.
+    outage: Option<(Stamp, String)>,
 }
 
 impl Carried {
@@ -123,6 +126,22 @@ impl Carried {
     /// before; only that a host has left is true of any.
     fn is_current(&self, queued: &Queued) -> bool {
         queued.generation == self.generation || matches!(queued.work, Work::Goodbye(_))
+    }
+
+    /// Nothing can be stored.
+    fn fails(&mut self, error: &CommitError, now: Stamp) {
+        self.outage.get_or_insert_with(|| (now, error.to_string()));
+    }
+
+    /// Something was stored. An outage that anybody could notice is an incident.
+    fn works(&mut self, now: Stamp) {
+        self.backoff = Backoff::new();
+        let Some((since, reason)) = self.outage.take() else { return };
+        let seconds = (now.mono - since.mono).seconds();
+        if seconds >= 1.0 {
+            let text = format!("nothing could be stored for {seconds:.0} s: {reason}");
+            self.incidents.add(AggregatorIncidentKind::Storage, since.wall, text);
+        }
     }
 }
 
@@ -139,11 +158,13 @@ pub(crate) async fn run(
     reopening: Reopening,
 ) -> Option<OpenDatabase> {
     let incidents = PendingIncidents::new(wires.clock.stamp());
-    let mut carried = Carried { generation: 0, departed: Vec::new(), backoff: Backoff::new(), incidents };
+    let mut carried =
+        Carried { generation: 0, departed: Vec::new(), backoff: Backoff::new(), incidents, outage: None };
     loop {
         match serve(&mut database.writer, &mut wires, grouping, &mut carried).await {
             Ended::Finished => return Some(database),
             Ended::Failed(error) => {
+                carried.fails(&error, wires.clock.stamp());
                 database = reopening.reopen(database, &error, &mut wires, &mut carried.backoff).await?;
                 carried.generation += 1;
             }
@@ -194,7 +215,7 @@ async fn serve(writer: &mut Writer, wires: &mut Wires, grouping: Grouping, carri
         if work.is_empty() {
             continue;
         }
-        match store(writer, &work, wires, &mut carried.backoff).await {
+        match store(writer, &work, wires, carried).await {
             Ok(true) => {}
             Ok(false) => return Ended::Finished,
             Err(error) => {
@@ -260,12 +281,12 @@ async fn store(
     writer: &mut Writer,
     work: &[Work],
     wires: &mut Wires,
-    backoff: &mut Backoff,
+    carried: &mut Carried,
 ) -> Result<bool, CommitError> {
     loop {
         let error = match commit(writer, work, wires).await {
             Ok(stored) => {
-                *backoff = Backoff::new();
+                carried.works(wires.clock.stamp());
                 set(&wires.ready, Readiness::Ready);
                 for (head, reason) in &stored.quarantined {
                     tracing::error!(host = %head.host, number = head.number, %reason, "a batch was put aside");
@@ -283,8 +304,9 @@ async fn store(
         if !error.leaves_connection_usable() {
             return Err(error);
         }
+        carried.fails(&error, wires.clock.stamp());
         set(&wires.ready, why_not(&error));
-        let again = tokio::time::sleep(backoff.next());
+        let again = tokio::time::sleep(carried.backoff.next());
         tokio::pin!(again);
         loop {
             tokio::select! {

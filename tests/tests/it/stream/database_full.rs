@@ -34,6 +34,11 @@ fn a_full_disk_stops_the_storing_but_not_the_picture_and_nothing_is_lost() {
     disk.free();
     until("ready", || fleet.api.get("/readyz").filter(|(status, _)| *status == 200));
     fleet.account(0, "what waited is stored", |account| account.events > kept.events + kept.waiting);
+    let outage = fleet.api.until("/api/v1/incidents", |list| {
+        let storage = list["incidents"].as_array()?.iter().find(|incident| incident["kind"] == "storage")?;
+        storage["text"].as_str().map(str::to_owned)
+    });
+    assert!(outage.starts_with("nothing could be stored for ") && outage.contains("full"), "{outage}");
     fleet.agents[0].stop();
     let account = fleet.deliver(0);
     account.balances();
