@@ -98,8 +98,14 @@ impl OpenDatabase {
             return Err(ReopenError::ForeignLog(log));
         }
         let (mut database, state) = Self::with(lock, path, retention, integrity).await?;
-        let probe = database.writer.write_nothing().await;
-        probe.map_err(|source| StartError::Open { path: path.to_owned(), source })?;
+        if let Err(source) = database.writer.write_nothing().await {
+            // What is only dropped keeps the file, and with it the lock and the file system, for some time.
+            let (_, closed) = database.close().await;
+            if let Err(error) = closed {
+                tracing::debug!(%error, database = %path.display(), "the database was not closed well");
+            }
+            return Err(StartError::Open { path: path.to_owned(), source }.into());
+        }
         Ok((database, state))
     }
 

@@ -9,9 +9,9 @@ use std::time::Duration;
 
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
-use tokio::task::JoinHandle;
 use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
+use tokio_util::task::AbortOnDropHandle;
 
 use super::{Integrity, PageCheck, is_damage};
 use crate::store::database::BUSY;
@@ -31,7 +31,8 @@ const PAUSE: Duration = Duration::from_secs(2);
 #[derive(Debug)]
 pub(crate) struct IntegrityCheck {
     stop: CancellationToken,
-    task: JoinHandle<()>,
+    /// Dropped, it lets the file go soon as well.
+    task: AbortOnDropHandle<()>,
 }
 
 impl IntegrityCheck {
@@ -39,7 +40,7 @@ impl IntegrityCheck {
     pub(crate) fn start(integrity: Integrity, file: Arc<File>) -> Self {
         let stop = CancellationToken::new();
         let stopped = stop.clone();
-        let task = tokio::spawn(async move {
+        let task = AbortOnDropHandle::new(tokio::spawn(async move {
             let checked = async {
                 if integrity.damage().is_some() {
                     confirm_earlier_damage(&integrity, &stopped).await;
@@ -50,7 +51,7 @@ impl IntegrityCheck {
                 }
             };
             let _stopped = stopped.run_until_cancelled(checked).await;
-        });
+        }));
         Self { stop, task }
     }
 
