@@ -263,4 +263,6 @@ fn malformed(error: &rmp_serde::decode::Error) -> CodecError {
 }
 
 #[cfg(test)]
+mod fixtures;
+#[cfg(test)]
 mod tests;

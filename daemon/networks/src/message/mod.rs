@@ -18,6 +18,8 @@ mod hello;
 mod tree;
 
 #[cfg(test)]
+mod fixtures;
+#[cfg(test)]
 pub(crate) mod strategies;
 
 pub(crate) use header::{

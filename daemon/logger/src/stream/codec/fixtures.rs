@@ -1,0 +1,158 @@
+//! The files in `tests/fixtures/wire/event-stream`: the bytes of every message of the event stream and of every event.
+//!
+//! Names of variants are on the wire, and the order of fields decides what a value means. These files notice when a renamed
+//! variant or a moved field changes the bytes, which neither the compiler nor a test that encodes and decodes notices.
+//!
+//! A file is `MESSAGE.bin` or `MESSAGE.DETAIL.bin`. A new message or variant gets a value in [`messages`] or [`events`] with
+//! a `DETAIL` of its own; `write_missing_fixtures` writes its file and never changes one that is there. A file is deleted
+//! only together with a new [`PROTOCOL`](super::super::PROTOCOL), because agents of the old version still send those bytes.
+
+mod events;
+mod messages;
+mod trees;
+mod variants;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use super::*;
+
+/// Files by name.
+type Files = BTreeMap<String, Bytes>;
+
+fn folder() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/wire/event-stream")
+}
+
+fn files() -> Files {
+    let folder = folder();
+    let entries = fs::read_dir(&folder).unwrap_or_else(|error| panic!("{}: {error}", folder.display()));
+    entries
+        .map(|entry| {
+            let entry = entry.expect("the folder of the fixtures can be listed");
+            let bytes = fs::read(entry.path()).expect("a fixture can be read");
+            (entry.file_name().to_string_lossy().into_owned(), bytes.into())
+        })
+        .collect()
+}
+
+/// What a file holds.
+enum Content {
+    ToAggregator(Box<ToAggregator>),
+    ToAgent(ToAgent),
+    Batch(BatchHead, Vec<Event>),
+    Part(Part),
+}
+
+impl Content {
+    /// Decodes a frame. Batches and parts are recognised as the receiver recognises them; which end a message is for is
+    /// known from the connection, and here from the file's name.
+    fn decode(file: &str, frame: &Bytes) -> Self {
+        if let Some(head) = batch_head(frame) {
+            let body = readable(file, batch_body(frame.clone()));
+            return Self::Batch(head, readable(file, events(&body, head.events)));
+        }
+        if let Some(part) = part(frame) {
+            return Self::Part(part);
+        }
+        if file.starts_with("to-agent-") {
+            return Self::ToAgent(readable(file, decode(frame)));
+        }
+        Self::ToAggregator(Box::new(readable(file, decode(frame))))
+    }
+
+    /// Returns its frame, not compressed.
+    fn encode(&self) -> Vec<u8> {
+        match self {
+            Self::ToAggregator(message) => encode(&**message),
+            Self::ToAgent(message) => encode(message),
+            Self::Batch(head, events) => batch_frame(head, &body_of(events), false),
+            Self::Part(part) => part_frame(part),
+        }
+    }
+
+    /// Returns the part of the file's name that stands before the first dot.
+    fn name(&self) -> &'static str {
+        match self {
+            Self::ToAggregator(message) => variants::to_aggregator_name(message),
+            Self::ToAgent(message) => variants::to_agent_name(message),
+            Self::Batch(..) => variants::BATCH_NAME,
+            Self::Part(_) => variants::PART_NAME,
+        }
+    }
+}
+
+fn readable<T>(file: &str, result: Result<T, CodecError>) -> T {
+    result.unwrap_or_else(|error| panic!("{file} cannot be read any more: {error}"))
+}
+
+fn body_of(events: &[Event]) -> Vec<u8> {
+    let mut body = Vec::new();
+    events.iter().for_each(|event| append(&mut body, event));
+    body
+}
+
+/// Returns a frame as it is when it is not compressed.
+///
+/// Frames are compared in this form: another version of zstd may compress to other bytes, which every version reads.
+fn uncompressed(file: &str, frame: &Bytes) -> Vec<u8> {
+    if let Some(packed) = frame.strip_prefix(&[BATCH, PACKED]) {
+        return readable(file, unpack(packed));
+    }
+    if !frame.starts_with(&[BATCH, ZSTD]) {
+        return frame.to_vec();
+    }
+    let body = readable(file, batch_body(frame.clone()));
+    [&[BATCH, PLAIN][..], &frame[2..BATCH_HEAD_BYTES], &body[..]].concat()
+}
+
+#[test]
+#[ignore = "writes the files of new messages"]
+fn write_missing_fixtures() {
+    fs::create_dir_all(folder()).expect("the folder of the fixtures can be made");
+    for (file, frame) in messages::files() {
+        let path = folder().join(file);
+        if !path.exists() {
+            fs::write(path, frame).expect("a fixture can be written");
+        }
+    }
+}
+
+#[test]
+fn decoded_fixture_is_encoded_to_same_bytes() {
+    for (file, frame) in files() {
+        let content = Content::decode(&file, &frame);
+        assert_eq!(file.split('.').next(), Some(content.name()), "{file} holds another message");
+        assert!(
+            content.encode() == uncompressed(&file, &frame),
+            "{file}: decoding loses or changes something"
+        );
+    }
+}
+
+/// Notices two fields of one type that changed places: those are encoded to the bytes that were decoded all the same.
+#[test]
+fn value_is_encoded_as_in_its_fixture() {
+    let files = files();
+    let values = messages::files();
+    assert_eq!(
+        files.keys().collect::<Vec<_>>(),
+        values.keys().collect::<Vec<_>>(),
+        "a file or a value is missing"
+    );
+    for (file, frame) in &values {
+        assert!(
+            uncompressed(file, frame) == uncompressed(file, &files[file]),
+            "the bytes of {file} changed: other versions cannot read them"
+        );
+    }
+}
+
+#[test]
+fn compressed_fixtures_are_really_compressed() {
+    let form = |file: &str| files().get(file).map(|frame| [frame[0], frame[1]]);
+    assert_eq!(form("batch.filled.bin"), Some([BATCH, PLAIN]));
+    assert_eq!(form("batch.compressed.bin"), Some([BATCH, ZSTD]));
+    assert_eq!(form("to-aggregator-live.compressed.bin"), Some([BATCH, PACKED]));
+}
