@@ -1,4 +1,4 @@
-//! How a session behaves.
+//! Timeouts and limits of a session.
 
 use std::time::Duration;
 
@@ -12,6 +12,17 @@ const MAX_IN_FLIGHT: u32 = 4_096;
 
 /// Most bytes in flight that can be set: 1 TiB.
 const MAX_IN_FLIGHT_BYTES: u64 = 1 << 40;
+
+/// Most sessions that can be set.
+const MAX_SESSIONS: u32 = 65_536;
+
+/// The least and the most that the other keys can be set to.
+const OPEN_TIMEOUT_MS: (u64, u64) = (1, MAX_TIME_MS);
+const TIME_MS: (u64, u64) = (10, MAX_TIME_MS);
+const CLOSE_TIMEOUT_MS: (u64, u64) = (0, MAX_TIME_MS);
+const MESSAGE_BYTES: (u64, u64) = (4 << 10, 4 << 30);
+const IN_FLIGHT_BYTES: (u64, u64) = (4 << 10, MAX_IN_FLIGHT_BYTES);
+const UNFINISHED_BYTES: (u64, u64) = (64 << 10, MAX_IN_FLIGHT_BYTES);
 
 /// Time limits and bounds of a session; both ends have their own, and where a bound concerns both, the tighter
 /// one holds.
@@ -35,12 +46,12 @@ pub struct SessionSettings {
     /// further ones as overloaded.
     pub max_in_flight: u32,
     /// Bytes that the requests of all sessions of a listener may take together, from their arrival until they are
-    /// answered; further ones are answered as overloaded. One request alone is always taken.
+    /// answered; further ones are answered as overloaded. A single request is taken also when it is larger.
     pub max_in_flight_bytes: u64,
     /// Bytes that the unfinished messages of all sessions of a listener may take together; a connection whose message
     /// finds no room is closed. One message alone is always taken. A connection without a session may hold 64 KiB.
     pub max_unfinished_bytes: u64,
-    /// Sessions that a listener holds at once. One host may hold half of those that other hosts leave free.
+    /// Sessions that a listener holds at once. A host may have at most as many as stay free beside it.
     pub max_sessions: u32,
 }
 
@@ -79,22 +90,22 @@ impl SessionSettings {
     /// # Errors
     /// When a session with these settings could never work; names the key and what it may be.
     pub fn check(&self) -> Result<(), InvalidSettings> {
-        let between = |key, value: u64, least: u64, most: u64| {
+        let between = |key, value: u64, (least, most): (u64, u64)| {
             if (least..=most).contains(&value) {
                 return Ok(());
             }
             Err(InvalidSettings { key, value, problem: format!("must be between {least} and {most}") })
         };
-        between("open_timeout_ms", self.open_timeout_ms, 1, MAX_TIME_MS)?;
-        between("hello_timeout_ms", self.hello_timeout_ms, 10, MAX_TIME_MS)?;
-        between("heartbeat_interval_ms", self.heartbeat_interval_ms, 10, MAX_TIME_MS)?;
-        between("heartbeat_timeout_ms", self.heartbeat_timeout_ms, 10, MAX_TIME_MS)?;
-        between("close_timeout_ms", self.close_timeout_ms, 0, MAX_TIME_MS)?;
-        between("max_message_bytes", self.max_message_bytes, 4 * 1024, 4 * 1024 * 1024 * 1024)?;
-        between("max_in_flight", u64::from(self.max_in_flight), 1, u64::from(MAX_IN_FLIGHT))?;
-        between("max_in_flight_bytes", self.max_in_flight_bytes, 4 * 1024, MAX_IN_FLIGHT_BYTES)?;
-        between("max_unfinished_bytes", self.max_unfinished_bytes, 64 * 1024, MAX_IN_FLIGHT_BYTES)?;
-        between("max_sessions", u64::from(self.max_sessions), 1, 65_536)?;
+        between("open_timeout_ms", self.open_timeout_ms, OPEN_TIMEOUT_MS)?;
+        between("hello_timeout_ms", self.hello_timeout_ms, TIME_MS)?;
+        between("heartbeat_interval_ms", self.heartbeat_interval_ms, TIME_MS)?;
+        between("heartbeat_timeout_ms", self.heartbeat_timeout_ms, TIME_MS)?;
+        between("close_timeout_ms", self.close_timeout_ms, CLOSE_TIMEOUT_MS)?;
+        between("max_message_bytes", self.max_message_bytes, MESSAGE_BYTES)?;
+        between("max_in_flight", u64::from(self.max_in_flight), (1, u64::from(MAX_IN_FLIGHT)))?;
+        between("max_in_flight_bytes", self.max_in_flight_bytes, IN_FLIGHT_BYTES)?;
+        between("max_unfinished_bytes", self.max_unfinished_bytes, UNFINISHED_BYTES)?;
+        between("max_sessions", u64::from(self.max_sessions), (1, u64::from(MAX_SESSIONS)))?;
         if self.heartbeat_timeout_ms < self.heartbeat_interval_ms.saturating_mul(2) {
             return Err(InvalidSettings {
                 key: "heartbeat_timeout_ms",
@@ -108,15 +119,22 @@ impl SessionSettings {
         Ok(())
     }
 
-    /// The same with every value brought to where it cannot do harm; what was checked stays as it is.
-    pub(crate) fn clamped(mut self) -> Self {
-        self.open_timeout_ms = self.open_timeout_ms.clamp(1, MAX_TIME_MS);
-        self.hello_timeout_ms = self.hello_timeout_ms.clamp(10, MAX_TIME_MS);
-        self.heartbeat_interval_ms = self.heartbeat_interval_ms.clamp(10, MAX_TIME_MS);
-        self.heartbeat_timeout_ms = self.heartbeat_timeout_ms.clamp(10, MAX_TIME_MS);
-        self.close_timeout_ms = self.close_timeout_ms.min(MAX_TIME_MS);
-        self.max_in_flight = self.max_in_flight.clamp(1, MAX_IN_FLIGHT);
-        self
+    /// The same with every value brought into the limits of [`check`](Self::check).
+    pub(crate) fn clamped(self) -> Self {
+        let clamped = |value: u64, (least, most): (u64, u64)| value.clamp(least, most);
+        let heartbeat_interval_ms = clamped(self.heartbeat_interval_ms, (TIME_MS.0, TIME_MS.1 / 2));
+        Self {
+            open_timeout_ms: clamped(self.open_timeout_ms, OPEN_TIMEOUT_MS),
+            hello_timeout_ms: clamped(self.hello_timeout_ms, TIME_MS),
+            heartbeat_interval_ms,
+            heartbeat_timeout_ms: clamped(self.heartbeat_timeout_ms, (2 * heartbeat_interval_ms, TIME_MS.1)),
+            close_timeout_ms: clamped(self.close_timeout_ms, CLOSE_TIMEOUT_MS),
+            max_message_bytes: clamped(self.max_message_bytes, MESSAGE_BYTES),
+            max_in_flight: self.max_in_flight.clamp(1, MAX_IN_FLIGHT),
+            max_in_flight_bytes: clamped(self.max_in_flight_bytes, IN_FLIGHT_BYTES),
+            max_unfinished_bytes: clamped(self.max_unfinished_bytes, UNFINISHED_BYTES),
+            max_sessions: self.max_sessions.clamp(1, MAX_SESSIONS),
+        }
     }
 
     pub(crate) const fn open_timeout(&self) -> Duration {
@@ -168,6 +186,7 @@ mod tests {
             (with(|s| s.max_sessions = 0), "max_sessions"),
         ] {
             assert_eq!(settings.check().expect_err(key).key, key);
+            assert_eq!(settings.clamped().check(), Ok(()), "{key}");
         }
     }
 }

@@ -29,6 +29,9 @@ const MOST_FIRST_BYTES: usize = 2 * 1024 * 1024;
 /// Rests of frames from this length on are read from the kernel straight into the frame's own buffer.
 const DIRECT_READ_BYTES: usize = 8 * 1024;
 
+/// The most that one such read takes: while the kernel copies more, it takes in nothing, and the sender waits.
+const MOST_DIRECT_READ_BYTES: usize = 64 * 1024;
+
 /// What a connection may send at the moment.
 #[derive(Debug)]
 pub(super) struct Allowance {
@@ -119,7 +122,7 @@ impl Framer {
             grow(buffer, capacity, self.finished_bytes, &mut self.reserved, allowance)?;
         }
         let room = (*length).min(buffer.capacity()) - buffer.len();
-        Ok(Some(buffer.limit(room)))
+        Ok(Some(buffer.limit(room.min(MOST_DIRECT_READ_BYTES))))
     }
 
     /// Bytes were read into the [direct buffer](Self::direct_buffer).
