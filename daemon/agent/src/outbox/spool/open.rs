@@ -21,7 +21,7 @@ use super::{PutAside, SpoolError, tail};
 use crate::lock::FileLock;
 use crate::outbox::EventCounter;
 
-static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations/spool");
+pub(super) static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations/spool");
 
 /// How long it is waited for another program that looks into the file.
 const BUSY: Duration = Duration::from_secs(1);

@@ -8,6 +8,7 @@ mod clocks;
 mod ends;
 mod episodes;
 mod experiments;
+mod fixtures;
 #[path = "../../../tests/it/generate.rs"]
 #[expect(unreachable_pub, reason = "shared with the integration tests and the benchmark")]
 mod generate;

@@ -3,6 +3,7 @@
 mod damage;
 mod disk;
 mod file;
+mod fixtures;
 mod growth;
 mod tail;
 mod tally;

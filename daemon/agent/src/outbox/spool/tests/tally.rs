@@ -24,7 +24,7 @@ fn iteration(clock: &SharedClock, run: RunId, number: u64) -> Event {
 }
 
 /// What the state machine makes of events.
-fn batch(clock: &SharedClock, state: SpoolState, events: &[Event]) -> SpooledBatch {
+pub(super) fn batch(clock: &SharedClock, state: SpoolState, events: &[Event]) -> SpooledBatch {
     let description = HostDescription {
         id: host(),
         name: "edge".parse().expect("a name"),

@@ -1,0 +1,108 @@
+//! The spools in `tests/fixtures/spools`, one of each migration, as SQL text: what waits in them is still sent.
+//!
+//! After a new migration, `cargo test -p peernet-agent write_missing_fixtures -- --ignored` writes its file. A file that is there
+//! is never written again.
+
+use std::borrow::Cow;
+use std::fs;
+use std::process::Command;
+
+use peernet_logger::stream::{Event, Incident, IncidentKind, codec};
+use sqlx::migrate::Migrator;
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
+
+use super::super::look::APPLICATION_ID;
+use super::super::open::MIGRATIONS;
+use super::tally::batch;
+use super::*;
+
+/// The texts of the events in each of them.
+const WAITING: [&str; 4] = ["first", "second", "third", "fourth"];
+
+fn fixtures() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/spools")
+}
+
+fn fixture(version: i64) -> PathBuf {
+    fixtures().join(format!("{version:04}.sql"))
+}
+
+async fn connect(path: &Path) -> SqliteConnection {
+    SqliteConnectOptions::new().filename(path).create_if_missing(true).connect().await.expect("opens")
+}
+
+fn event(text: &str) -> Event {
+    Event::Incident(Incident {
+        at: WallTime::from_unix_nanos(1_750_000_000_000_000_000),
+        kind: IncidentKind::Connected,
+        pipeline: None,
+        run: None,
+        peer: None,
+        text: text.to_owned(),
+    })
+}
+
+/// The same in a file as the program of that migration left it.
+async fn as_of_version(new: &Path, old: &Path, version: i64) {
+    let mut connection = connect(old).await;
+    let migrations = MIGRATIONS.iter().filter(|migration| migration.version <= version).cloned().collect();
+    let migrator = Migrator { migrations: Cow::Owned(migrations), ..Migrator::DEFAULT };
+    migrator.run_direct(None, &mut connection, false).await.expect("makes the old schema");
+    let attached = sqlx::query("ATTACH ? AS new").bind(new.to_string_lossy().into_owned());
+    attached.execute(&mut connection).await.expect("opens");
+    let tables: Vec<(String, String)> = sqlx::query_as(
+        "SELECT s.name, (SELECT group_concat(name, ', ') FROM pragma_table_info(s.name, 'main')) \
+         FROM main.sqlite_schema AS s WHERE type = 'table' AND name NOT LIKE '\\_%' ESCAPE '\\'",
+    )
+    .fetch_all(&mut connection)
+    .await
+    .expect("lists");
+    for (table, columns) in tables {
+        let copy = format!("INSERT INTO main.{table} ({columns}) SELECT {columns} FROM new.{table}");
+        sqlx::raw_sql(AssertSqlSafe(copy)).execute(&mut connection).await.expect("copies");
+    }
+    connection.close().await.expect("closes");
+}
+
+#[tokio::test]
+#[ignore = "writes the files of new migrations"]
+async fn write_missing_fixtures() {
+    let place = Place::new();
+    let (mut file, state) = place.sound().await;
+    let batch = batch(&clock(), state, &WAITING.map(event));
+    file.append(&[batch], &Totals { produced: 4, ..Totals::default() }).await.expect("appends");
+    file.close().await.expect("closes");
+    fs::create_dir_all(fixtures()).expect("a folder");
+    for migration in MIGRATIONS.iter().filter(|migration| !fixture(migration.version).exists()) {
+        let old = place.folder.path().join(format!("{}.sqlite", migration.version));
+        as_of_version(&place.path(), &old, migration.version).await;
+        let dump = Command::new("sqlite3").arg(&old).arg(".dump").output().expect("sqlite3 is installed");
+        assert!(dump.status.success(), "{}", String::from_utf8_lossy(&dump.stderr));
+        let text = String::from_utf8(dump.stdout).expect("SQL is text");
+        let text = format!("PRAGMA application_id = {APPLICATION_ID};\n{text}");
+        fs::write(fixture(migration.version), text).expect("writes");
+    }
+}
+
+#[tokio::test]
+async fn spool_of_each_migration_is_readable() {
+    for migration in MIGRATIONS.iter() {
+        let text = fs::read_to_string(fixture(migration.version));
+        let text = text.unwrap_or_else(|error| panic!("the fixture of {}: {error}", migration.version));
+        let place = Place::new();
+        let mut connection = connect(&place.path()).await;
+        sqlx::raw_sql(AssertSqlSafe(text)).execute(&mut connection).await.expect("is SQL");
+        connection.close().await.expect("closes");
+
+        let (mut file, state) = place.sound().await;
+        assert_eq!((state.oldest, state.newest.0, state.held.events), (1, 1, 4));
+        assert_eq!(state.totals.produced, 4);
+        let loaded = file.load(1, usize::MAX).await.expect("reads");
+        assert_eq!(loaded.rotten, None);
+        let events =
+            loaded.batches.iter().flat_map(|batch| codec::events(&batch.body, batch.events).expect("events"));
+        let expected: Vec<Event> = WAITING.into_iter().map(event).collect();
+        assert_eq!(events.collect::<Vec<_>>(), expected, "migration {}", migration.version);
+    }
+}
