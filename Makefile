@@ -75,7 +75,8 @@ package: deb
 	@deploy/debian/test.sh target/debian/*.deb
 
 deb: setup
-	$(CARGO) deb --locked --package peernetd
+	$(CARGO) build --release --locked --package peernetd
+	@deploy/debian/build.sh
 
 # --- measurements ---------------------------------------------------------------------------------------------
 

@@ -1,0 +1,102 @@
+#!/bin/sh
+# Makes target/debian/peernet_VERSION_ARCHITECTURE.deb of the release binaries and of ONNX Runtime's library, with Debian's
+# own programs. Usage: build.sh      (after `make setup` and `cargo build --release --package peernetd`)
+set -eu
+
+root=$(cd "$(dirname "$0")/../.." && pwd)
+here=$root/deploy/debian
+out=$root/target/debian
+stage=$out/peernet
+cd "$root"
+
+fail() { echo "build.sh: $*" >&2; exit 69; }
+for tool in dpkg-deb dpkg-shlibdeps strip; do
+    command -v "$tool" >/dev/null || fail "$tool is not there: deploy/install-tools.sh test"
+done
+for file in target/release/peernetd target/release/peernet onnxruntime/lib/libonnxruntime.so; do
+    [ -e "$file" ] || fail "$file is not there: use make deb"
+done
+
+version=$(sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml | head -1)-1
+architecture=$(dpkg --print-architecture)
+rm -rf "$stage"
+
+# put MODE FOLDER FILE…
+put() {
+    mode=$1 folder=$stage/$2
+    shift 2
+    install -d -m 755 "$folder"
+    install -m "$mode" "$@" "$folder"
+}
+
+put 755 usr/bin target/release/peernetd target/release/peernet
+strip --strip-unneeded "$stage"/usr/bin/*
+ln -s peernet "$stage/usr/bin/PEERNet"
+ln -s peernet "$stage/usr/bin/peernet_cli"
+
+put 644 etc/peernet "$here"/etc/*.toml
+put 644 usr/lib/systemd/system deploy/systemd/*.service
+put 644 usr/lib/sysusers.d deploy/sysusers.d/peernet.conf
+put 644 usr/lib/tmpfiles.d deploy/tmpfiles.d/peernet.conf
+
+# The library with its links, and the part that GPU providers of another build would share.
+install -d -m 755 "$stage/usr/lib/peernet"
+cp --no-dereference onnxruntime/lib/libonnxruntime*.so* "$stage/usr/lib/peernet"
+
+put 755 usr/share/peernet models/export_torchvision.py
+put 644 usr/share/peernet/models/quality-control models/quality-control/model.onnx models/quality-control/model.toml
+
+doc=usr/share/doc/peernet
+put 644 $doc README.md CHANGELOG.md
+install -m 644 deploy/README.md "$stage/$doc/deploy.md"
+put 644 $doc/onnxruntime onnxruntime/lib/LICENSE onnxruntime/lib/ThirdPartyNotices.txt
+put 644 $doc/examples configs/*.toml
+put 644 $doc/examples/experiments configs/experiments/*.toml
+put 644 $doc/examples/experiments/networks configs/experiments/networks/*.yaml
+put 644 $doc/examples/python configs/python/*.py
+{
+    printf 'Copyright: the PEERNet authors\nLicense: MIT or Apache-2.0, whichever you choose\n\n'
+    cat LICENSE-MIT LICENSE-APACHE
+} >"$stage/$doc/copyright"
+chmod 644 "$stage/$doc/copyright"
+
+# Which packages have the libraries that these programs are linked with.
+sources=$(mktemp -d)
+trap 'rm -rf "$sources"' EXIT
+mkdir "$sources/debian"
+printf 'Source: peernet\n\nPackage: peernet\nArchitecture: any\n' >"$sources/debian/control"
+libraries=$(cd "$sources" && dpkg-shlibdeps -O "$stage"/usr/bin/peernetd "$stage"/usr/bin/peernet \
+    "$stage"/usr/lib/peernet/libonnxruntime.so | sed -n 's/^shlibs:Depends=//p')
+[ -n "$libraries" ] || fail "dpkg-shlibdeps found no library"
+
+install -d -m 755 "$stage/DEBIAN"
+install -m 755 "$here/postinst" "$here/prerm" "$here/postrm" "$stage/DEBIAN"
+(cd "$stage" && find etc -type f | sed 's|^|/|') >"$stage/DEBIAN/conffiles"
+(cd "$stage" && find usr -type f -print0 | xargs -0 md5sum) >"$stage/DEBIAN/md5sums"
+cat >"$stage/DEBIAN/control" <<END
+Package: peernet
+Version: $version
+Architecture: $architecture
+Maintainer: The PEERNet authors <maintainers@peernet.invalid>
+Installed-Size: $(du -sk --exclude=DEBIAN "$stage" | cut -f1)
+Depends: $libraries, systemd, init-system-helpers, passwd
+Suggests: chrony
+Section: net
+Priority: optional
+Description: profiles networked robots, live and stage by stage
+ PEERNet measures the whole loop of a networked robot: sensing, both directions
+ of the network, inference on a remote machine, and actuation. One-way delays
+ carry an interval that contains the truth.
+ .
+ This package holds the daemon peernetd with its two roles (the agent for robots
+ and computing servers, the aggregator with dashboard and REST API), the command
+ line peernet, their systemd units, a CPU build of ONNX Runtime and the
+ quality-control demo model.
+END
+chmod 644 "$stage/DEBIAN/control" "$stage/DEBIAN/conffiles" "$stage/DEBIAN/md5sums"
+
+package=$out/peernet_${version}_$architecture.deb
+rm -f "$out"/*.deb
+dpkg-deb --build --root-owner-group "$stage" "$package" >/dev/null
+rm -rf "$stage"
+echo "$package"
