@@ -20,6 +20,8 @@ AIM = 1.2
 HZ = 100
 SIZE = 150_000
 BYTES_PER_SECOND = 2_000_000
+# Longer than PEERNet waits for a hello.
+LIFE_S = 6
 # The ports of PEERNet, and those of a process that reads and discards.
 PORTS = {"events": 5550, "data": 5551, "http": 8040, "probes": 8620}
 DISCARD_PORTS = {name: port + 10_000 for name, port in PORTS.items()}
@@ -36,8 +38,8 @@ def measure(quick: bool) -> Section:
     section.say(
         f"Edge and cloud in two network namespaces, aggregator and dashboard beside the cloud; {SIZE // 1000} kB at "
         f"{HZ} Hz, echoed, stored. A third host on a cable of its own to the cloud sends garbage, silence, false sizes "
-        f"and unfinished frames, {BYTES_PER_SECOND / 1e6:g} MB/s in all and 60 connections of each kind: to every port "
-        "of PEERNet, or at the same rate to a process on the cloud that reads and discards it. "
+        f"and unfinished frames, {BYTES_PER_SECOND / 1e6:g} MB/s in all and 60 connections of each kind, each replaced "
+        f"after {LIFE_S} s: to every port of PEERNet, or at the same rate to a process on the cloud that reads and discards it. "
         f"{repeats} repeats of {seconds} s in turn; medians, ratios repeat by repeat."
     )
     totals: dict[str, list[dict[str, float]]] = {"discarded": [], "attacked": []}
@@ -72,7 +74,7 @@ def _slice(
         ports = PORTS if name == "attacked" else DISCARD_PORTS
         with _discarding(it, cloud, faces, name == "discarded"):
             attack = [sys.executable, "-B", ATTACK, "attack", faces, *_flags(ports), "--seconds", seconds]
-            attack += ["--bytes-per-second", BYTES_PER_SECOND]
+            attack += ["--bytes-per-second", BYTES_PER_SECOND, "--life", LIFE_S]
             counts = json.loads(output(third.inside(attack), timeout_s=seconds + 60))
         edge_agent.wait_until("the run is stored", lambda: it.is_stored("loop"), seconds + 60)
         peak = max(_peak(program.pid) for program in (aggregator, agent))

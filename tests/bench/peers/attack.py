@@ -1,6 +1,7 @@
 """An unknown host that sends what no host should, on every port of PEERNet, for a bounded time at a bounded rate.
 
     attack.py attack ADDRESS --events PORT --data PORT --http PORT --probes PORT --seconds N [--bytes-per-second N]
+                     [--life SECONDS]
     attack.py discard ADDRESS --events PORT …      reads the same traffic and does nothing with it
 
 `attack` prints one line of JSON at its end: bytes sent, connections made, refused and closed by the other side.
@@ -62,8 +63,9 @@ class Rate:
 class Attack:
     """All senders against one host."""
 
-    def __init__(self, address: str, seconds: float, bytes_per_second: float) -> None:
+    def __init__(self, address: str, seconds: float, bytes_per_second: float, life_s: float) -> None:
         self.address = address
+        self.life_s = life_s
         self.until = time.monotonic() + seconds
         self.rate = Rate(bytes_per_second)
         self.counts = Counts()
@@ -71,26 +73,42 @@ class Attack:
     def goes_on(self) -> bool:
         return time.monotonic() < self.until
 
-    async def again_and_again(self, port: int, story: Callable[[Connection], Awaitable[None]]) -> None:
-        """Opens a connection, does `story` on it, and holds it until it is closed over there; then another one."""
+    async def again_and_again(self, port: int, story: Callable[[Connection], Awaitable[None]], share: float) -> None:
+        """Opens a connection, does `story` on it, and then opens another one.
+
+        Without a life it does so as soon as the other side closes it. With one, it does so whenever a life is over and never
+        before, beginning at a `share` of it: then the traffic does not depend on what the other side does.
+        """
+        loop = asyncio.get_running_loop()
+        end = loop.time() + share * self.life_s
         while self.goes_on():
-            try:
-                reader, writer = await asyncio.wait_for(asyncio.open_connection(self.address, port), 5)
-            except (OSError, TimeoutError):
-                self.counts.refused += 1
-                await asyncio.sleep(0.2)
+            if not self.life_s:
+                await self._one(port, story)
+                # What a connection costs its kernel and both programs counts as a kilobyte.
+                await self.rate.take(1_000)
                 continue
-            self.counts.connections += 1
-            connection = Connection(self, reader, writer)
-            try:
-                await story(connection)
-                await connection.hold()
-            except (OSError, EOFError):
-                self.counts.closed_by_peer += 1
-            finally:
-                writer.close()
-            # What a connection costs its kernel and both programs counts as a kilobyte.
-            await self.rate.take(1_000)
+            await asyncio.sleep(max(0.0, end - loop.time()))
+            end = loop.time() + self.life_s
+            with suppress(TimeoutError):
+                async with asyncio.timeout_at(end):
+                    await self._one(port, story)
+
+    async def _one(self, port: int, story: Callable[[Connection], Awaitable[None]]) -> None:
+        try:
+            reader, writer = await asyncio.open_connection(self.address, port)
+        except OSError:
+            self.counts.refused += 1
+            await asyncio.sleep(0.2)
+            return
+        self.counts.connections += 1
+        connection = Connection(self, reader, writer)
+        try:
+            await story(connection)
+            await connection.hold()
+        except (OSError, EOFError):
+            self.counts.closed_by_peer += 1
+        finally:
+            writer.close()
 
     async def datagrams(self, port: int) -> None:
         """Probes of nobody: 44 random bytes each, at a tenth of the rate of all connections."""
@@ -181,10 +199,12 @@ HTTP = (silence, garbage, unfinished_headers, claimed_body)
 
 
 async def attack(arguments: argparse.Namespace) -> None:
-    it = Attack(arguments.address, arguments.seconds, arguments.bytes_per_second)
+    it = Attack(arguments.address, arguments.seconds, arguments.bytes_per_second, arguments.life)
     ports = [(arguments.events, ZMTP), (arguments.data, ZMTP), (arguments.http, HTTP)]
+    slots = [(port, story) for port, stories in ports for story in stories for _ in range(HELD)]
     jobs = [
-        it.again_and_again(port, story) for port, stories in ports for story in stories for _ in range(HELD)
+        it.again_and_again(port, story, number / len(slots))
+        for number, (port, story) in enumerate(slots)
     ]
     await asyncio.gather(*jobs, it.datagrams(arguments.probes))
     print(json.dumps(asdict(it.counts)))
@@ -213,6 +233,7 @@ def main() -> int:
         parser.add_argument(f"--{port}", type=int, required=True)
     parser.add_argument("--seconds", type=float, default=60)
     parser.add_argument("--bytes-per-second", type=float, default=4_000_000)
+    parser.add_argument("--life", type=float, default=0, help="seconds after which each connection is replaced")
     arguments = parser.parse_args()
     with suppress(KeyboardInterrupt):
         asyncio.run({"attack": attack, "discard": discard}[arguments.what](arguments))
