@@ -1,14 +1,13 @@
-//! The secret key by which this host tells commands apart without telling their arguments.
+//! The key of the fingerprints that stand in the place of programs' arguments, which may be secret.
 
-use std::fs::{self, File};
-use std::io::{self, Write};
-use std::os::unix::fs::OpenOptionsExt;
+use std::fs;
+use std::io;
 use std::path::Path;
 
 use peernet_external::exec::FingerprintKey;
 use uuid::Uuid;
 
-use crate::identity::{IdentityError, cannot};
+use crate::identity::{IdentityError, cannot, kept_value};
 
 /// The file in the state folder.
 const FILE: &str = "argument-key";
@@ -21,59 +20,43 @@ const BYTES: usize = 32;
 /// # Errors
 /// When the folder cannot be used or the file holds no key.
 pub fn argument_key(folder: &Path) -> Result<FingerprintKey, IdentityError> {
-    read_or_make(folder, || {
-        let random = [Uuid::new_v4(), Uuid::new_v4()].map(Uuid::into_bytes);
-        let mut key = [0; BYTES];
-        key.copy_from_slice(random.as_flattened());
-        key
-    })
-    .map(FingerprintKey::new)
+    kept_value(folder, FILE, existing, || hexadecimal(&random())).map(FingerprintKey::new)
 }
 
-/// Gives the agent with its state in `to` the key in `from`, unless it has one: what both tell can be compared then.
+/// Gives the agent with its state in `to` the key in `from`, unless it has one, so that the fingerprints of both can be
+/// compared.
 ///
 /// # Errors
 /// As [`argument_key`].
 pub fn share_argument_key(from: &Path, to: &Path) -> Result<(), IdentityError> {
-    argument_key(from)?;
-    let key = read(from)?;
-    read_or_make(to, || key).map(drop)
+    let key = kept_value(from, FILE, existing, || hexadecimal(&random()))?;
+    kept_value(to, FILE, existing, || hexadecimal(&key)).map(drop)
 }
 
-fn read_or_make(folder: &Path, make: impl FnOnce() -> [u8; BYTES]) -> Result<[u8; BYTES], IdentityError> {
-    match read(folder) {
-        Err(IdentityError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => {}
-        other => return other,
-    }
-    fs::create_dir_all(folder).map_err(cannot("make", folder))?;
-    let path = folder.join(FILE);
-    let draft = folder.join(format!("{FILE}.{}", Uuid::new_v4()));
-    let text: String = make().iter().map(|byte| format!("{byte:02x}")).collect();
-    let written = File::options()
-        .write(true)
-        .create_new(true)
-        .mode(0o600)
-        .open(&draft)
-        .and_then(|mut file| writeln!(file, "{text}").and_then(|()| file.sync_all()))
-        .map_err(cannot("write", &draft));
-    // Linking, unlike renaming, fails when another process was first: then its key is the one.
-    let linked = written.and_then(|()| match fs::hard_link(&draft, &path) {
-        Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(cannot("write", &path)(error)),
-        _ => Ok(()),
-    });
-    let removed = fs::remove_file(&draft).map_err(cannot("remove", &draft));
-    linked?;
-    removed?;
-    read(folder)
+/// 244 random bits: a UUID has 122.
+fn random() -> [u8; BYTES] {
+    let mut key = [0; BYTES];
+    key.copy_from_slice([Uuid::new_v4(), Uuid::new_v4()].map(Uuid::into_bytes).as_flattened());
+    key
 }
 
-fn read(folder: &Path) -> Result<[u8; BYTES], IdentityError> {
+fn hexadecimal(key: &[u8; BYTES]) -> String {
+    key.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn existing(folder: &Path) -> Result<Option<[u8; BYTES]>, IdentityError> {
     let path = folder.join(FILE);
-    let text = fs::read_to_string(&path).map_err(cannot("read", &path))?;
-    parse(text.trim()).ok_or_else(|| {
+    let no_key = || {
         let reason = "it holds no key of 64 hexadecimal digits; remove it, and a new one is made";
         cannot("use", &path)(io::Error::new(io::ErrorKind::InvalidData, reason))
-    })
+    };
+    match fs::read_to_string(&path) {
+        Ok(text) => parse(text.trim()).map(Some).ok_or_else(no_key),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        // Bytes that are no text.
+        Err(error) if error.kind() == io::ErrorKind::InvalidData => Err(no_key()),
+        Err(error) => Err(cannot("read", &path)(error)),
+    }
 }
 
 fn parse(text: &str) -> Option<[u8; BYTES]> {
@@ -98,16 +81,16 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let state = folder.path().join("state");
         argument_key(&state).expect("made");
-        let first = read(&state).expect("is there");
+        let first = existing(&state).expect("is readable");
         argument_key(&state).expect("found");
-        assert_eq!(read(&state).expect("is there"), first);
+        assert!(first.is_some() && existing(&state).expect("is readable") == first);
         let mode = fs::metadata(state.join(FILE)).expect("is there").permissions().mode();
         assert_eq!(mode & 0o777, 0o600);
         assert_eq!(fs::read_dir(&state).expect("is there").count(), 1, "no drafts");
 
         let other = folder.path().join("other");
         share_argument_key(&state, &other).expect("shared");
-        assert_eq!(read(&other).expect("is there"), first);
+        assert_eq!(existing(&other).expect("is readable"), first);
     }
 
     #[test]

@@ -75,7 +75,7 @@ pub fn host_secret(state_dir: &Path) -> Result<HostSecret, IdentityError> {
 }
 
 /// What `existing` reads from the file `name` in `state_dir`; `fresh` is written there first when there is no such file.
-fn kept_value<T>(
+pub(crate) fn kept_value<T>(
     state_dir: &Path,
     name: &'static str,
     existing: impl Fn(&Path) -> Result<Option<T>, IdentityError>,

@@ -6,8 +6,7 @@ use peernet_logger::{HostId, RunId, Slug};
 
 use crate::outbox::Feed;
 
-/// How far a clock was set, without its sign: seconds, but milliseconds below one, where seconds would be nothing but
-/// zeros.
+/// How far a clock was set, without its sign: in seconds with milliseconds, and below a millisecond in the unit that fits.
 pub(crate) fn far_in_words(by: Span) -> String {
     let far = by.abs();
     if far < Span::from_millis(1) { far.to_string() } else { format!("{:.3} s", far.seconds()) }

@@ -131,9 +131,12 @@ fn wrong_database(path: &Path) -> Option<String> {
     let folders =
         path.ancestors().skip(1).map(|folder| if folder.as_os_str().is_empty() { here } else { folder });
     let folder = folders.into_iter().find(|folder| folder.exists()).unwrap_or(here);
-    let target = if path.exists() { path } else { folder };
-    let denied = rustix::fs::access(target, rustix::fs::Access::WRITE_OK).err().map(|error| {
-        format!("cannot write to {}: {error}; choose another file or change its owner", target.display())
+    // SQLite makes files beside the database.
+    let (write, enter) = (rustix::fs::Access::WRITE_OK, rustix::fs::Access::EXEC_OK);
+    let file = path.exists().then_some((path, write));
+    let denied = [(folder, write | enter)].into_iter().chain(file).find_map(|(path, access)| {
+        let error = rustix::fs::access(path, access).err()?;
+        Some(format!("cannot write to {}: {error}; choose another file or change its owner", path.display()))
     });
     let not_a_folder =
         || (!folder.is_dir()).then(|| format!("{} is not a folder; choose another path", folder.display()));

@@ -21,7 +21,8 @@ pub(super) fn check_spool(report: &mut Report, config: &AgentConfig) {
         report.add("spool.limit_bytes", format!("{limit} is too little; at least {MIN_LIMIT_BYTES}"));
     } else if limit < 4 * batch {
         let text = format!(
-            "{limit} is too little for batches of {batch} bytes; at least four of them, or lower agent.batch_bytes"
+            "{limit} is too little: it must hold at least four batches, {} bytes; raise it or lower agent.batch_bytes",
+            4 * batch
         );
         report.add("spool.limit_bytes", text);
     }
@@ -29,11 +30,8 @@ pub(super) fn check_spool(report: &mut Report, config: &AgentConfig) {
     // Without a name of its own the file is in the state_dir, which is checked.
     if let Some(file) = &spool.file {
         if file.as_os_str().is_empty() {
-            report.add("spool.file", "a file has a name; remove the key for spool.sqlite in state_dir");
-        } else if file.is_dir() {
-            let text = format!("{} is a folder; name a file, such as spool.sqlite, in it", file.display());
-            report.add("spool.file", text);
-        } else {
+            report.add("spool.file", "is empty; give a path, or remove the key for spool.sqlite in state_dir");
+        } else if !file.is_dir() {
             let folder = file.parent().unwrap_or_else(|| Path::new("."));
             report.unless_ok("spool.file", usable(folder, "spool file"));
         }
@@ -41,11 +39,16 @@ pub(super) fn check_spool(report: &mut Report, config: &AgentConfig) {
     check_content(report, config);
 }
 
-/// What is there already. What is no spool at all is put aside at the start where it has the name of the agent's own.
+/// What stands at the path already. A file that is not a spool is renamed at the start if it has the default path; elsewhere it
+/// is an error.
 fn check_content(report: &mut Report, config: &AgentConfig) {
     let path = config.spool.path(&config.agent.state_dir);
     let kept_by_agent = path == SpoolConfig::default().path(&config.agent.state_dir);
-    if config.agent.aggregator.is_none() || path.as_os_str().is_empty() || path.is_dir() {
+    if path.is_dir() {
+        let text = format!("{} is a folder; name a file, such as spool.sqlite, in it", path.display());
+        return report.add("spool.file", text);
+    }
+    if config.agent.aggregator.is_none() || path.as_os_str().is_empty() {
         return;
     }
     if path.exists() && !path.is_file() {

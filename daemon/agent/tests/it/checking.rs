@@ -130,7 +130,7 @@ fn a_spool_that_could_not_work_is_named_with_a_remedy() {
         ("limit_bytes = 1048575".to_owned(), "spool.limit_bytes: 1048575 is too little; at least 1048576"),
         (
             "limit_bytes = 3999999".to_owned(),
-            "spool.limit_bytes: 3999999 is too little for batches of 1000000 bytes",
+            "spool.limit_bytes: 3999999 is too little: it must hold at least four batches, 4000000 bytes",
         ),
         (format!("file = '{folder}'"), "is a folder; name a file"),
         (format!("file = '{folder}/file/spool.sqlite'"), "file is not a folder; choose another spool file"),

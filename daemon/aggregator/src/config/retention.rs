@@ -63,8 +63,7 @@ impl RetentionConfig {
                 problems.push((key, format!("{days} is outside 0 to {MOST_DAYS}; 0 is for ever")));
             }
         }
-        for pair in widths.windows(2) {
-            let [(finer, days), (coarser, at_least)] = pair else { continue };
+        for [(finer, days), (coarser, at_least)] in widths.array_windows() {
             if kept_s(*days).unwrap_or(i64::MAX) > kept_s(*at_least).unwrap_or(i64::MAX) {
                 let finer = finer.trim_start_matches("retention.");
                 let wrong =

@@ -291,9 +291,8 @@ impl Desk {
         for (host, (stored, newest)) in committed.hosts {
             self.news.push(News::Stored(host, stored, newest));
         }
-        if self.unknown.len() < MOST_UNKNOWN {
-            self.unknown.extend(committed.unknown);
-        }
+        let room = MOST_UNKNOWN.saturating_sub(self.unknown.len());
+        self.unknown.extend(committed.unknown.into_iter().take(room));
         for (host, secret) in committed.secrets {
             self.hosts.checked(host, secret);
         }

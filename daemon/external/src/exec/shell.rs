@@ -1,4 +1,4 @@
-//! What can be told of a line for the shell by looking at it.
+//! What a command line for the shell says without being run.
 
 /// The program of a line that is one program and its arguments; `None` where that cannot be told by looking.
 pub(super) fn only_program(line: &str) -> Option<&str> {
@@ -20,7 +20,14 @@ pub(super) fn split(line: &str) -> Vec<String> {
                 word.get_or_insert_default();
             }
             (Some(open), char) if char == open => quote = None,
-            (None | Some('"'), '\\') => word.get_or_insert_default().extend(chars.next()),
+            (None | Some('"'), '\\') => match (quote, chars.next()) {
+                (_, Some('\n')) => {}
+                // Between double quotes a backslash stands for itself before other characters.
+                (Some(_), Some(next)) if !r#"$`"\"#.contains(next) => {
+                    word.get_or_insert_default().extend(['\\', next]);
+                }
+                (_, next) => word.get_or_insert_default().extend(next),
+            },
             (_, char) => word.get_or_insert_default().push(char),
         }
     }
@@ -28,19 +35,48 @@ pub(super) fn split(line: &str) -> Vec<String> {
     words
 }
 
-/// Programs, without the version behind their names, that run the first file among their arguments.
-const INTERPRETERS: [&str; 20] = [
-    "sh", "bash", "dash", "ash", "ksh", "zsh", "fish", "env", "python", "pypy", "perl", "ruby", "node",
-    "deno", "bun", "php", "lua", "luajit", "julia", "Rscript",
+/// Programs, without the version behind their names, that run the first file among their arguments, each with the letters of
+/// those options by which the code stands on the command line instead.
+const INTERPRETERS: [(&str, &str); 20] = [
+    ("sh", "c"),
+    ("bash", "c"),
+    ("dash", "c"),
+    ("ash", "c"),
+    ("ksh", "c"),
+    ("zsh", "c"),
+    ("fish", "c"),
+    ("env", "S"),
+    ("python", "cm"),
+    ("pypy", "cm"),
+    ("perl", "eE"),
+    ("ruby", "e"),
+    ("node", "epr"),
+    ("deno", "e"),
+    ("bun", "epr"),
+    ("php", "rBRE"),
+    ("lua", "el"),
+    ("luajit", "el"),
+    ("julia", "eE"),
+    ("Rscript", "e"),
 ];
 
-/// The script that an interpreter is given; `None` of other programs, and behind `-c`, which says what to run itself.
+/// Long options of the same meaning.
+const INLINE: [&str; 4] = ["--eval", "--print", "--command", "--split-string"];
+
+/// The script that an interpreter is given; `None` of other programs, and where the code may stand on the command line: the
+/// files behind it are arguments, and may be secret.
 pub(super) fn script(words: &[String], is_file: impl Fn(&str) -> bool) -> Option<&String> {
     let (program, arguments) = words.split_first()?;
     let name = program.rsplit('/').next().unwrap_or(program);
     let name = name.trim_end_matches(|char: char| char.is_ascii_digit() || char == '.');
-    let mut arguments = arguments.iter().take_while(|argument| *argument != "-c");
-    arguments.find(|argument| is_file(argument)).filter(|_| INTERPRETERS.contains(&name))
+    let (_, inline) = INTERPRETERS.iter().find(|(interpreter, _)| *interpreter == name)?;
+    let is_inline = |argument: &String| {
+        let letters = argument.strip_prefix('-').filter(|rest| !rest.starts_with('-'));
+        letters.is_some_and(|letters| letters.contains(|letter| inline.contains(letter)))
+            || INLINE.iter().any(|option| argument.starts_with(option))
+    };
+    let before = arguments.iter().take_while(|argument| !is_inline(argument));
+    before.into_iter().find(|argument| is_file(argument))
 }
 
 #[cfg(test)]
@@ -54,9 +90,29 @@ mod tests {
             ("python3 'my model.py' \"a \\\"b\\\"\"", &["python3", "my model.py", "a \"b\""]),
             (r"./my\ model ''", &["./my model", ""]),
             ("cat 'open", &["cat", "open"]),
+            (r#"echo "a\nb" "\$x""#, &["echo", r"a\nb", "$x"]),
+            ("echo a\\\nb", &["echo", "ab"]),
             ("  ", &[]),
         ] {
             assert_eq!(split(line), words, "{line}");
+        }
+    }
+
+    #[test]
+    fn script_is_the_first_file_unless_code_is_given() {
+        for (line, expected) in [
+            ("python3.11 -u own.py data", Some("own.py")),
+            ("bash -e own.sh", Some("own.sh")),
+            ("/usr/bin/env python3 own.py", Some("own.py")),
+            ("bash -lc 'cat own.sh' own.sh", None),
+            ("python -m module own.py", None),
+            ("perl -ne print own.txt", None),
+            ("node --eval 1 own.js", None),
+            ("cat own.txt", None),
+        ] {
+            let words = split(line);
+            let script = script(&words, |word| word.starts_with("own."));
+            assert_eq!(script.map(String::as_str), expected, "{line}");
         }
     }
 }

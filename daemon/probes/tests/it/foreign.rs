@@ -9,7 +9,7 @@ use peernet_probes::{Key, ProbeResult, ReflectorConfig, Stamps};
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::support::{Probing, Running, prober_config, reflector_config, system_clock};
+use crate::support::{PATIENCE, Probing, Running, prober_config, reflector_config, system_clock};
 
 fn stamp_suite() -> Command {
     let program = std::env::var_os("PEERNET_STAMP_SUITE").unwrap_or_else(|| "stamp-suite".into());
@@ -159,9 +159,12 @@ async fn answered_by_their_reflector(
     config.padding_bytes = 50;
     let mut probing = Probing::start(config, 100.0, system_clock("edge"));
     let mut results = Vec::new();
-    while results.iter().filter(|result| matches!(result, ProbeResult::Answered(_))).count() < 30 {
-        results.push(probing.next().await);
-    }
+    let answered = async {
+        while results.iter().filter(|result| matches!(result, ProbeResult::Answered(_))).count() < 30 {
+            results.push(probing.next().await);
+        }
+    };
+    tokio::time::timeout(PATIENCE, answered).await.expect("it answers");
     probing.stop().await;
     results
 }

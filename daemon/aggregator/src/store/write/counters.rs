@@ -15,8 +15,9 @@ use crate::picture::Stored;
 use crate::store::column::{column, count};
 use crate::store::extent::Extent;
 
-/// Hosts whose counters are kept in memory; beyond, all are forgotten and read again when needed.
-const MOST_HOSTS: usize = 10_000;
+/// Hosts whose counters are kept in memory, as many as `[aggregator] max_hosts` may allow; beyond, all are forgotten and read
+/// again when needed.
+const MOST_HOSTS: usize = 65_536;
 
 /// Skipped starts that a run may have: an agent may claim any number, and no column and no sum of runs may overflow.
 const MOST_SKIPPED: u64 = 1 << 53;
