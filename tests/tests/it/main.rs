@@ -11,6 +11,7 @@ mod durability;
 mod experiments;
 mod external;
 mod figures;
+mod fixtures;
 mod floors;
 mod lifecycle;
 mod limits;
