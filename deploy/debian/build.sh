@@ -1,6 +1,6 @@
 #!/bin/sh
-# Makes target/debian/peernet_VERSION_ARCHITECTURE.deb of the release binaries and of ONNX Runtime's library, with Debian's
-# own programs. Usage: build.sh      (after `make setup` and `cargo build --release --package peernetd`)
+# Makes target/debian/peernet_VERSION_ARCHITECTURE.deb of the programs in a folder, target/release unless another is named, and
+# of ONNX Runtime's library, with Debian's own programs. Usage: build.sh [FOLDER]      (`make deb` builds both first)
 set -eu
 
 root=$(cd "$(dirname "$0")/../.." && pwd)
@@ -8,13 +8,14 @@ here=$root/deploy/debian
 out=$root/target/debian
 stage=$out/peernet
 cd "$root"
+programs=${1:-target/release}
 
 fail() { echo "build.sh: $*" >&2; exit 69; }
 for tool in dpkg-deb dpkg-shlibdeps strip; do
     command -v "$tool" >/dev/null || fail "$tool is not there: deploy/install-tools.sh test"
 done
-for file in target/release/peernetd target/release/peernet onnxruntime/lib/libonnxruntime.so; do
-    [ -e "$file" ] || fail "$file is not there: use make deb"
+for file in "$programs/peernetd" "$programs/peernet" onnxruntime/lib/libonnxruntime.so; do
+    [ -e "$file" ] || fail "$file is not there: make deb builds it"
 done
 
 version=$(sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml | head -1)-1
@@ -29,7 +30,7 @@ put() {
     install -m "$mode" "$@" "$folder"
 }
 
-put 755 usr/bin target/release/peernetd target/release/peernet
+put 755 usr/bin "$programs/peernetd" "$programs/peernet"
 strip --strip-unneeded "$stage"/usr/bin/*
 ln -s peernet "$stage/usr/bin/PEERNet"
 ln -s peernet "$stage/usr/bin/peernet_cli"
@@ -97,6 +98,6 @@ chmod 644 "$stage/DEBIAN/control" "$stage/DEBIAN/conffiles" "$stage/DEBIAN/md5su
 
 package=$out/peernet_${version}_$architecture.deb
 rm -f "$out"/*.deb
-dpkg-deb --build --root-owner-group "$stage" "$package" >/dev/null
+dpkg-deb --build --root-owner-group -Zzstd "$stage" "$package" >/dev/null
 rm -rf "$stage"
 echo "$package"

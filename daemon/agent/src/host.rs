@@ -24,7 +24,7 @@ pub(crate) struct Host {
     pub(crate) version: &'static str,
     pub(crate) clock: SharedClock,
     pub(crate) bank: Arc<Bank>,
-    /// What the arguments of programs are told by.
+    /// Key of the fingerprints of programs' arguments.
     pub(crate) fingerprints: FingerprintKey,
     pub(crate) feed: Feed,
     pub(crate) incidents: Incidents,
@@ -32,6 +32,6 @@ pub(crate) struct Host {
     /// What is known of this host's own clock.
     pub(crate) own: watch::Receiver<HostClock>,
     pub(crate) links: Links,
-    /// Where to look what can disturb a run.
+    /// Paths in /proc and /sys that show what can disturb a run.
     pub(crate) places: Arc<Places>,
 }

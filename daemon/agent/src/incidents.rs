@@ -1,4 +1,4 @@
-//! What happens beside the measurements: to the log and to the aggregator in one call.
+//! Writes incidents to the log and queues them for the aggregator.
 
 use peernet_clock::{SharedClock, Span};
 use peernet_logger::stream::{Event, Incident, IncidentKind};

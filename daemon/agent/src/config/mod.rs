@@ -1,4 +1,4 @@
-//! What an agent can be told.
+//! Configuration of the agent.
 //!
 //! The doc comments here are the reference of the configuration: one per key, with unit and default.
 

@@ -16,7 +16,7 @@ pub(super) struct Knowledge {
     peer: HostId,
     name: Slug,
     relation: Relation,
-    /// Names the relation until a clock is stepped.
+    /// Random id of the clock window at hand; another after each step.
     window: u64,
     /// What was learnt is void: another window begins as soon as a time is known to close the second at.
     void: bool,
@@ -31,7 +31,7 @@ pub(super) struct Knowledge {
     told_beyond: bool,
 }
 
-/// What is to be told.
+/// Samples and restarts to report.
 #[derive(Debug, Default)]
 #[must_use]
 pub(super) struct News {

@@ -18,7 +18,7 @@ use super::shared::Session;
 
 /// A probe without an answer for so long is lost.
 const TIMEOUT: Duration = Duration::from_secs(2);
-/// What a probe could not be sent for is tried again after this.
+/// Pause before the prober is opened again.
 const RETRY: Duration = Duration::from_secs(10);
 /// Results that may wait; they are taken at once.
 const RESULTS: usize = 64;
@@ -67,7 +67,7 @@ async fn tend_by(link: &Arc<Link>, session: Session, sessions: &mut watch::Recei
             never = &mut probing => match never {},
         }
     }
-    // Nobody waits any more for those that are still under way: each that was sent is answered or lost.
+    // The session is over: probes that are not answered count as lost: each that was sent is answered or lost.
     while let Ok(result) = arriving.try_recv() {
         link.probed(&result);
         answers.note(&result, link);

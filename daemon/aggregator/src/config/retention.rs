@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 const DAY_S: i64 = 86_400;
 /// A hundred years.
 const MOST_DAYS: u32 = 36_525;
-/// Below, a file is full before a run has begun.
+/// Smallest size limit that a run fits into.
 const LEAST_BYTES: u64 = 16 << 20;
 
 /// The `[aggregator.retention]` table. Ages count from when something was stored, in time during which an aggregator ran

@@ -8,7 +8,7 @@ pub(super) fn only_program(line: &str) -> Option<&str> {
     (program.bytes().all(is_plain) && !line.contains(more)).then_some(program)
 }
 
-/// The words of a line, without what quotes them; what a shell would put in the place of `$NAME` or `*` is not known.
+/// The words of a line, without what quotes them; `$NAME` and `*` stay as they are.
 pub(super) fn split(line: &str) -> Vec<String> {
     let (mut words, mut word, mut quote) = (Vec::new(), None::<String>, None);
     let mut chars = line.chars();

@@ -70,7 +70,7 @@ impl Folders {
     /// The model of this name, or in this folder if the name contains a slash.
     ///
     /// # Errors
-    /// When there is none. A model with something wrong is found; its card tells.
+    /// When there is none. A model with an error is returned as well; its card holds the error.
     pub fn find(&self, name: &str) -> Result<Found, LoadError> {
         if name.contains('/') {
             return Found::in_folder(Path::new(name));
@@ -141,7 +141,7 @@ fn names(place: &Path) -> std::io::Result<Vec<Slug>> {
     let mut names = Vec::new();
     for entry in std::fs::read_dir(place)? {
         let entry = entry?;
-        // What cannot be a name cannot be asked for.
+        // Folders whose names are no slugs are skipped.
         if let Some(Ok(name)) = entry.file_name().to_str().map(str::parse)
             && is_model(&entry.path())
         {

@@ -16,7 +16,7 @@ pub struct Usage {
 }
 
 impl Usage {
-    /// Whether neither exceeds the other's.
+    /// Whether both are within a limit.
     pub(super) const fn fits(self, limit: Self) -> bool {
         self.events <= limit.events && self.bytes <= limit.bytes
     }
@@ -24,7 +24,7 @@ impl Usage {
 
 impl std::ops::Sub for Usage {
     type Output = Self;
-    /// Never below nothing.
+    /// Saturates at zero.
     fn sub(self, other: Self) -> Self {
         let (events, bytes) =
             (self.events.saturating_sub(other.events), self.bytes.saturating_sub(other.bytes));
@@ -68,7 +68,7 @@ impl SpooledBatch {
 pub struct SpoolState {
     /// The stream that its numbers belong to.
     pub stream: StreamId,
-    /// The stream that was left for it.
+    /// The stream that this one replaced.
     pub previous: Option<StreamId>,
     /// Number of the stream's first batch.
     pub first: u64,

@@ -13,7 +13,7 @@ use super::uncertainty::{self, AGREEMENT};
 /// Probes that are remembered at most, waiting or answered; a further one pushes out the oldest.
 const MAX_PENDING: usize = 1024;
 
-/// Longer than this after the program's stamp no packet leaves.
+/// Longest time between the program's stamp and the kernel's that is believed.
 const LONGEST_DEPARTURE: Span = Span::from_seconds(1);
 
 /// Whom a sender asks, and how.
@@ -113,7 +113,7 @@ impl Sending {
     pub fn new(config: SendingConfig) -> Self {
         let SendingConfig { key, instance, ssid, first, padding_bytes, timeout } = config;
         let mut packet = vec![0; Mode::of(key.as_ref()).base_bytes()];
-        // The room that the reflector fills.
+        // Empty TLVs that the reflector fills in.
         tlv::push(&mut packet, tlv::FOLLOW_UP, &[0; FollowUp::BYTES]);
         tlv::push(&mut packet, tlv::ORIGIN, &Origin::default().to_value());
         if key.is_some() {

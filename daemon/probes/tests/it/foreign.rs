@@ -1,4 +1,4 @@
-//! With an implementation that is not ours, in both roles: stamp-suite.
+//! Interoperability with stamp-suite, in both roles.
 
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};

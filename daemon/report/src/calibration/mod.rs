@@ -1,4 +1,4 @@
-//! The calibration of a link: one-way delay against size, what is left at no size at all, and what the clocks allow.
+//! The calibration of a link: one-way delay against size, the intercept of the linear fit, and what the clocks allow.
 //!
 //! The published study (IROS 2024, section on network timing) sent payloads of several sizes, fitted a line to the
 //! differences of the two hosts' stamps and read its intercept, −2.01 ms, as the error of every delay. Here the same is

@@ -152,7 +152,7 @@ async fn statistics_that_were_spoilt_hold_nothing_up_and_are_healed() {
         assert!(committed.quarantined.is_empty(), "{number}: {:?}", committed.quarantined);
     }
     let stages = bed.store.statistics_of(1).await.expect("answers").stages;
-    assert!(stages.iter().any(|known| known.figures.max > 1e140), "still spoilt");
+    assert!(stages.iter().any(|known| known.figures.max > 1e140), "it was not changed");
 
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
     let stages = bed.store.statistics_of(1).await.expect("answers").stages;

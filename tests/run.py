@@ -1,0 +1,131 @@
+#!/usr/bin/env python3
+"""Runs the tests of the whole workspace and lists the slowest.
+
+    run.py [FILTER]…
+
+All packages are built by one command, because cargo builds the dependencies anew for another choice of packages. Then the test
+programs of the crates run side by side, after them the end-to-end tests, more of them at once than there are cores, because most
+of them wait, and last the examples in the documentation. FILTER: names of tests, as for `cargo test`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+import tomllib
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+CARGO = os.environ.get("CARGO", "cargo")
+SLOWEST = 10
+END_TO_END = "peernet-tests"
+RESULT = re.compile(r"^test (.+) \.\.\. (\w+) <([0-9.]+)s>$")
+
+
+@dataclass(frozen=True)
+class Program:
+    """A test program and where cargo would run it."""
+
+    package: str
+    name: str
+    path: str
+    folder: Path
+
+
+@dataclass(frozen=True)
+class Run:
+    """What became of one."""
+
+    program: Program
+    code: int
+    seconds: float
+    output: str
+
+    def tests(self) -> list[tuple[float, str]]:
+        """Seconds and names of its tests."""
+        found = (RESULT.match(line) for line in self.output.splitlines())
+        return [(float(match[3]), f"{self.program.package} {match[1]}") for match in found if match]
+
+    def report(self) -> None:
+        """Says how it went; all that it wrote when it failed."""
+        if self.code:
+            print(self.output)
+        print(f"{self.program.package} {self.program.name}: {len(self.tests())} tests in {self.seconds:.1f} s", flush=True)
+
+
+def build() -> list[Program]:
+    """Builds all test programs."""
+    command = [CARGO, "test", "--workspace", "--locked", "--no-run", "--message-format=json-render-diagnostics"]
+    output = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True).stdout
+    programs = []
+    for line in output.splitlines():
+        message = json.loads(line)
+        if message["reason"] == "compiler-artifact" and message["profile"]["test"] and message["executable"]:
+            folder = Path(message["manifest_path"]).parent
+            programs.append(Program(package_in(folder), message["target"]["name"], message["executable"], folder))
+    return programs
+
+
+def package_in(folder: Path) -> str:
+    """The name that a manifest has."""
+    with (folder / "Cargo.toml").open("rb") as manifest:
+        return tomllib.load(manifest)["package"]["name"]
+
+
+def run(program: Program, threads: int, filters: list[str], *, shows: bool = False) -> Run:
+    """Runs one and, if asked for, shows each result when it is there.
+
+    The times of tests are an unstable feature of the test harness, which it has on this condition.
+    """
+    command = [program.path, "-Zunstable-options", "--report-time", "--test-threads", str(threads), *filters]
+    begin = time.monotonic()
+    lines = []
+    with subprocess.Popen(
+        command,
+        cwd=program.folder,
+        env={**os.environ, "RUSTC_BOOTSTRAP": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        errors="replace",
+    ) as process:
+        for line in process.stdout or ():
+            lines.append(line)
+            if shows and RESULT.match(line):
+                print(f"  {line}", end="", flush=True)
+    return Run(program, process.returncode, time.monotonic() - begin, "".join(lines))
+
+
+def main() -> int:
+    filters, cores = sys.argv[1:], os.cpu_count() or 1
+    programs = build()
+    crates = [program for program in programs if program.package != END_TO_END]
+    runs = []
+    with ThreadPoolExecutor(cores) as pool:
+        for ended in pool.map(lambda program: run(program, cores, filters), crates):
+            ended.report()
+            runs.append(ended)
+    for program in programs:
+        if program.package == END_TO_END:
+            ended = run(program, 2 * cores, filters, shows=True)
+            ended.report()
+            runs.append(ended)
+    failed = [f"{ended.program.package} {ended.program.name}" for ended in runs if ended.code]
+    examples = subprocess.run([CARGO, "test", "--workspace", "--locked", "--doc", "--quiet", "--", *filters], cwd=ROOT, check=False)
+    if examples.returncode:
+        failed.append("the examples in the documentation")
+    slowest = sorted((test for ended in runs for test in ended.tests()), reverse=True)[:SLOWEST]
+    print("the slowest:", *(f"  {seconds:6.1f} s  {name}" for seconds, name in slowest), sep="\n")
+    if failed:
+        print(f"failed: {', '.join(failed)}", file=sys.stderr)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
