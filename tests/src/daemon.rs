@@ -73,7 +73,7 @@ impl Daemon {
         match &self.time {
             Some(time) => time.show(ahead),
             None => {
-                self.time = Some(FalseTime::new(&site.folder().join(format!("{}-time", self.name)), ahead))
+                self.time = Some(FalseTime::new(&site.folder().join(format!("{}-time", self.name)), ahead));
             }
         }
     }

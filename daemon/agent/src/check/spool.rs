@@ -30,7 +30,8 @@ pub(super) fn check_spool(report: &mut Report, config: &AgentConfig) {
     // Without a name of its own the file is in the state_dir, which is checked.
     if let Some(file) = &spool.file {
         if file.as_os_str().is_empty() {
-            report.add("spool.file", "is empty; give a path, or remove the key for spool.sqlite in state_dir");
+            report
+                .add("spool.file", "is empty; give a path, or remove the key for spool.sqlite in state_dir");
         } else if !file.is_dir() {
             let folder = file.parent().unwrap_or_else(|| Path::new("."));
             report.unless_ok("spool.file", usable(folder, "spool file"));

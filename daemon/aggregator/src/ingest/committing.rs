@@ -165,7 +165,9 @@ pub(crate) async fn run(
             Ended::Finished => return Some(database),
             Ended::Failed(error) => {
                 carried.fails(&error, wires.clock.stamp());
-                database = reopening.reopen(database, &error, &mut wires, &mut carried.backoff).await?;
+                let reopened = reopening.reopen(database, &error, &mut wires, &mut carried.backoff);
+                // Large, and rarely needed.
+                database = Box::pin(reopened).await?;
                 carried.generation += 1;
             }
         }
