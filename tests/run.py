@@ -113,12 +113,13 @@ def main() -> int:
             runs.append(ended)
     for program in programs:
         if program.package == END_TO_END:
-            ended = run(program, 2 * cores, filters, shows=True)
-            ended.report()
-            runs.append(ended)
+            runs.append(run(program, 2 * cores, filters, shows=True))
+            runs[-1].report()
     failed = [f"{ended.program.package} {ended.program.name}" for ended in runs if ended.code]
-    examples = subprocess.run([CARGO, "test", "--workspace", "--locked", "--doc", "--quiet", "--", *filters], cwd=ROOT, check=False)
-    if examples.returncode:
+    examples = [CARGO, "test", "--workspace", "--locked", "--doc", "--quiet", "--", *filters]
+    ended = subprocess.run(examples, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
+    if ended.returncode:
+        print(ended.stdout)
         failed.append("the examples in the documentation")
     slowest = sorted((test for ended in runs for test in ended.tests()), reverse=True)[:SLOWEST]
     print("the slowest:", *(f"  {seconds:6.1f} s  {name}" for seconds, name in slowest), sep="\n")

@@ -96,7 +96,7 @@ mod tests {
         let own = state.join("spool.sqlite");
         std::fs::write(&own, "spoilt by its disk").expect("it can be written");
         assert!(problems(state, &own).is_empty());
-        assert!(problems(state, Path::new("")).join(" ").contains("a name"));
+        assert!(problems(state, Path::new("")).join(" ").contains("give a path"));
         assert!(problems(state, state).join(" ").contains("is a folder"));
     }
 }
