@@ -17,8 +17,8 @@ use crate::view::chip::{Chip, Tone};
 use crate::view::compare::{
     Address, Axes, BoxRow, Changed, Comparison, Distributions, LeftOut, Lengths, MOST_RUNS, OverTime, Pair,
     StackRow, Table, Throughput, UsersRow, Which, accuracy, answers, boxes, commands, difference,
-    distributions, gather, lengths, open, over_time, pairs, payload, run_courses, skipped, stacks,
-    throughput, title, too_short, unknown_labels, users,
+    distributions, doubts, gather, lengths, open, over_time, pairs, payload, run_courses, stacks, throughput,
+    title, too_short, unknown_labels, users,
 };
 use crate::view::counted;
 use crate::view::shell::{Place, Shell};
@@ -45,8 +45,8 @@ struct Compare {
     cut: Option<u32>,
     left_out: Vec<LeftOut>,
     table: Table,
-    /// That starts were skipped.
-    skipped: Option<(Chip, String)>,
+    /// What speaks against the means.
+    doubts: Option<(Chip, String)>,
     /// What the table does not show of how they differ.
     also: String,
     /// Of samples without a score.
@@ -165,7 +165,9 @@ fn assemble(
         cut: comparison.cut.then_some(MOST_RUNS),
         left_out: comparison.left_out.clone(),
         table: Table::of(comparison),
-        skipped: skipped(comparison).map(|said| (Chip::new(Tone::Warn, "remark", "to be said"), said)),
+        doubts: Some(doubts(comparison).join(" "))
+            .filter(|said| !said.is_empty())
+            .map(|said| (Chip::new(Tone::Warn, "remark", "to be said"), said)),
         also: comparison.also.join(", "),
         unknown: unknown_labels(comparison),
         stacks,

@@ -228,7 +228,7 @@ async fn what_wants_to_be_looked_at_comes_worst_first() {
     assert!(html.contains("No pipeline is running, 5 to look at"), "{html}");
     let at = |text: &str| html.find(text).unwrap_or_else(|| panic!("{text} is missing: {html}"));
     assert!(at("stopped: no pictures in /data") < at("has not reported since 12:01:07"));
-    assert!(at("dropped 1,050 events") < at("waits: rack-a does not answer"));
+    assert!(at("lacks 1,050 events") < at("waits: rack-a does not answer"));
     assert!(html.contains("stores 35\u{202f}s behind measuring"));
 }
 

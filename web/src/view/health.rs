@@ -101,7 +101,7 @@ fn host_notes(host: &HostPicture, zone: Zone) -> Vec<Note> {
     }
     if missing > 0 {
         let text = format!(
-            "dropped {} events: there was no room for them. Nothing is shown for them.",
+            "lacks {} events: the gaps of its runs say why. Nothing is shown for them.",
             count(missing)
         );
         notes.push(note(Chip::new(Tone::Warn, "gap", "gap"), text));

@@ -69,7 +69,7 @@ impl EventCounter {
             return Err(io::Error::other(format!("{SHARED_MEMORY} is not in memory")));
         }
         let name = format!("peernet-{}.count", Uuid::new_v4());
-        let file = File::options().write(true).create_new(true).mode(0o600).open(folder.join(&name))?;
+        let file = create_file(&name)?;
         // All of it now: memory that is full later is no trouble of ours.
         let mut bytes = vec![0; FILE_BYTES];
         bytes[..MAGIC.len()].copy_from_slice(MAGIC);
@@ -117,6 +117,14 @@ impl EventCounter {
         counted == events
     }
 
+    /// Makes the file anew when somebody has deleted it.
+    pub(super) fn keep(&self) {
+        if let Some(mut counting) = self.counting() {
+            let kept = counting.keep();
+            counting.check(kept);
+        }
+    }
+
     /// All events that were counted; `None` when they are not.
     pub(super) fn all(&self) -> Option<u64> {
         self.counting().map(|counting| counting.all)
@@ -161,6 +169,22 @@ impl Counting {
         Ok(())
     }
 
+    fn keep(&mut self) -> io::Result<()> {
+        if self.failed || self.file.metadata()?.nlink() > 0 {
+            return Ok(());
+        }
+        let mut bytes = vec![0; FILE_BYTES];
+        self.file.read_exact_at(&mut bytes, 0)?;
+        let file = create_file(&self.name)?;
+        file.write_all_at(&bytes, 0)?;
+        self.file = file;
+        tracing::warn!(
+            "{SHARED_MEMORY}/{} was deleted while the agent counted its events there, and is made again",
+            self.name
+        );
+        Ok(())
+    }
+
     fn check(&mut self, written: io::Result<()>) {
         if let Err(error) = written
             && !std::mem::replace(&mut self.failed, true)
@@ -174,15 +198,21 @@ impl Counting {
     }
 }
 
+fn create_file(name: &str) -> io::Result<File> {
+    let path = Path::new(SHARED_MEMORY).join(name);
+    File::options().read(true).write(true).create_new(true).mode(0o600).open(path)
+}
+
 /// What an earlier process counted in the file of this name; `None` when there is none of ours.
 pub(super) fn read(name: &str) -> Option<CountedEvents> {
     let ours = |file: &File| {
         let metadata = file.metadata().ok()?;
         (metadata.is_file() && metadata.uid() == rustix::process::geteuid().as_raw()).then_some(())
     };
-    let nofollow = i32::try_from(OFlags::NOFOLLOW.bits()).ok()?;
+    // A FIFO that somebody put there would keep its reader waiting.
+    let flags = i32::try_from((OFlags::NOFOLLOW | OFlags::NONBLOCK).bits()).ok()?;
     let path = Path::new(SHARED_MEMORY).join(Path::new(name).file_name()?);
-    let file = File::options().read(true).custom_flags(nofollow).open(path).ok()?;
+    let file = File::options().read(true).custom_flags(flags).open(path).ok()?;
     ours(&file)?;
     let mut bytes = vec![0; FILE_BYTES];
     file.read_exact_at(&mut bytes, 0).ok()?;
@@ -265,6 +295,28 @@ mod tests {
         assert_eq!((counted.all, counted.runs.len()), (7, 0));
         counter.remove();
         assert_eq!(read(&name), None);
+    }
+
+    #[test]
+    fn deleted_file_is_made_again() {
+        let counter = EventCounter::create().expect("shared memory");
+        let (name, run) = (counter.name().expect("a file"), RunId::random());
+        counter.count(None, Some(run), at(1));
+        remove(&name);
+        counter.keep();
+        counter.count(None, Some(run), at(2));
+        let counted = read(&name).expect("is there");
+        assert_eq!((counted.all, counted.runs[0].events), (2, 2));
+        counter.remove();
+    }
+
+    #[test]
+    fn other_files_of_the_name_are_not_read() {
+        let name = format!("peernet-{}.count", Uuid::new_v4());
+        let path = Path::new(SHARED_MEMORY).join(&name);
+        let made = std::process::Command::new("mkfifo").arg(&path).status().expect("coreutils");
+        assert!(made.success() && read(&name).is_none());
+        fs::remove_file(path).expect("is there");
     }
 
     #[test]

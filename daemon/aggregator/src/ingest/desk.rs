@@ -335,7 +335,7 @@ impl Desk {
             self.routes.leave(host);
         }
         for (reason, address, times) in self.refusals.age(now.mono) {
-            tracing::warn!(?address, %reason, times, "hosts were refused");
+            tracing::warn!(address = address.map(tracing::field::display), %reason, times, "hosts were refused");
         }
     }
 

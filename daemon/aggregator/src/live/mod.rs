@@ -277,11 +277,11 @@ impl Live {
     }
 }
 
-/// Adds what came to be stored of a host from one account of it to the next.
-fn add(total: &mut Stored, before: Stored, now: Stored) {
-    total.events += now.events.saturating_sub(before.events);
-    total.nodes += now.nodes.saturating_sub(before.nodes);
-    total.gaps += now.gaps.saturating_sub(before.gaps);
-    total.missing += now.missing.saturating_sub(before.missing);
-    total.quarantined += now.quarantined.saturating_sub(before.quarantined);
+/// Adds what came to be stored of a host from one account of it to the next. A host may claim any number.
+const fn add(total: &mut Stored, before: Stored, now: Stored) {
+    total.events = total.events.saturating_add(now.events.saturating_sub(before.events));
+    total.nodes = total.nodes.saturating_add(now.nodes.saturating_sub(before.nodes));
+    total.gaps = total.gaps.saturating_add(now.gaps.saturating_sub(before.gaps));
+    total.missing = total.missing.saturating_add(now.missing.saturating_sub(before.missing));
+    total.quarantined = total.quarantined.saturating_add(now.quarantined.saturating_sub(before.quarantined));
 }

@@ -140,7 +140,7 @@ impl Comparison {
                     certain: found.is_certain(),
                 })
                 .collect(),
-            doubts: compare::skipped(comparison).into_iter().collect(),
+            doubts: compare::doubts(comparison),
             left_out: comparison.left_out.iter().map(left_out).collect(),
             cut: comparison.cut,
         }

@@ -1,17 +1,37 @@
 //! What the means of stored runs leave open: starts that were skipped, samples without a score, and how to ask of every
 //! iteration.
 
+use peernet_logger::stream::OutcomeCounts;
 use peernet_report::accuracy::{UNKNOWN_LABEL, UnknownLabels};
 use peernet_report::compare::skipped_starts;
 
 use super::Comparison;
+use crate::numbers::count;
 
 /// Where a dashboard is when a request does not say it in plain letters.
 const USUAL: &str = "127.0.0.1:8040";
 
-/// That starts were skipped, and of which configurations; `None` where all took place.
-pub(crate) fn skipped(comparison: &Comparison) -> Option<String> {
-    skipped_starts(comparison.configurations.iter().map(|one| (one.letter.clone(), one.starts())))
+/// What speaks against the means: starts that were skipped, and iterations without an answer.
+pub(crate) fn doubts(comparison: &Comparison) -> Vec<String> {
+    let configurations = &comparison.configurations;
+    let skipped = skipped_starts(configurations.iter().map(|one| (one.letter.clone(), one.starts())));
+    let unanswered = configurations.iter().filter_map(|one| {
+        let counts = one.runs.iter().map(|run| run.counts);
+        let (answered, all) = counts.fold((0, 0), |(answered, all), counts| {
+            let OutcomeCounts { ok, failed, lost, timeout } = counts;
+            (answered + ok, all + ok + failed + lost + timeout)
+        });
+        let without = all - answered;
+        (without > 0).then(|| {
+            format!(
+                "{}: {} of {} iterations have no answer; the figures are those of the others.",
+                one.letter,
+                count(without),
+                count(all)
+            )
+        })
+    });
+    skipped.into_iter().chain(unanswered).collect()
 }
 
 /// A sentence for each configuration with samples whose label is no class of its model.
@@ -71,10 +91,11 @@ mod tests {
         (run.counts.ok, run.counts.timeout, run.skipped_starts) = (90, 37, 73);
         other.runs[0].counts.ok = 0;
         other.runs.push(run);
-        assert_eq!(skipped(&comparison(vec![one.clone()])), None);
+        assert!(doubts(&comparison(vec![one.clone()])).is_empty());
         let text = "Starts were skipped, because the pipeline was too far behind; these latencies are not those of the rate \
                     that was ordered: B: 73 of 200 starts (36.5 %).";
-        assert_eq!(skipped(&comparison(vec![one, other])).as_deref(), Some(text));
+        let unanswered = "B: 37 of 127 iterations have no answer; the figures are those of the others.";
+        assert_eq!(doubts(&comparison(vec![one, other])), [text, unanswered]);
     }
 
     #[test]

@@ -19,7 +19,7 @@ pub(crate) mod tests;
 mod throughput;
 mod users;
 
-pub(crate) use ask::{commands, skipped, unknown_labels};
+pub(crate) use ask::{commands, doubts, unknown_labels};
 pub(crate) use distributions::{Address, Distributions, distributions};
 pub(crate) use gather::{MOST_RUNS, Which, gather};
 pub(crate) use lengths::{Lengths, answers, lengths};

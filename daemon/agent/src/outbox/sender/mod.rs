@@ -134,6 +134,7 @@ impl Sender {
                 }
                 _ = shows.tick() => {
                     self.due = true;
+                    self.exit.counter.keep();
                     self.take();
                 }
                 done = self.spool.done() => {

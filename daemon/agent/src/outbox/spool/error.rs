@@ -110,7 +110,7 @@ impl SpoolError {
 #[derive(Debug, thiserror::Error)]
 pub(in crate::outbox) enum Trouble {
     /// The path names another file or none: what is written now is lost when this process ends.
-    #[error("the spool {} was deleted, moved or replaced while it was in use; put it back, or restart the agent", .0.display())]
+    #[error("the spool {} was deleted, moved or replaced while it was in use; put it back. A restart of the agent begins a new one, and what the old one held and was not stored is lost with it", .0.display())]
     Moved(PathBuf),
     /// The disk is full.
     #[error("cannot {action} the spool {}: the disk is full; free some room, it is tried again", .path.display())]

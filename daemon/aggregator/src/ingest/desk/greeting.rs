@@ -84,19 +84,19 @@ impl Desk {
                 if let Some(lacking) = lacking {
                     tracing::warn!(
                         host = %name, stream = %lacking.stream, from = lacking.from, through = lacking.through,
-                        events = ?lacking.events,
+                        events = lacking.events,
                         "batches of this host were stored in a newer database than this one"
                     );
                 }
                 if let Some(missing) = missing {
                     // An agent lets go of what was acknowledged only; nothing was lost on the way here.
                     tracing::info!(
-                        host = %name, from = missing.from, through = missing.through, events = ?missing.events,
+                        host = %name, from = missing.from, through = missing.through, events = missing.events,
                         "batches of this host are not in this database and will not come: they were acknowledged by \
                          another aggregator, or by this one with another database"
                     );
                 }
-                tracing::info!(host = %name, id = %host, stored = ?known.mark.map(|mark| mark.stored), "a host connected");
+                tracing::info!(host = %name, id = %host, stored = known.mark.map(|mark| mark.stored), "a host connected");
                 let introduction = Introduction {
                     host: description.clone(),
                     process,
@@ -147,7 +147,7 @@ impl Desk {
         let address = from.address.map(|address| address.to_string());
         if let Some(times) = self.refusals.count(&reason, ip, now.mono) {
             let (host, id) = (&hello.host.name, &hello.host.id);
-            tracing::warn!(%host, %id, ?address, %reason, times, "a host was refused");
+            tracing::warn!(%host, %id, address, %reason, times, "a host was refused");
         }
         self.replies.push((from.connection, ToAgent::Refused { reason: reason.clone() }));
         let refused = RefusedHost { name: hello.host.name.clone(), address, reason, at: now.wall };
@@ -159,8 +159,8 @@ impl Desk {
 fn wrong_secret(host: HostId) -> String {
     format!(
         "this agent does not have the secret that belongs to the host id {host}. If its state directory is a copy of another \
-         host's, give it another [agent] state_dir. If this really is that host, whose file host-secret was lost, run \
-         `peernetd clear-host-secret --config CONFIG {host}` on the aggregator's machine. Nothing has to be deleted: what is \
-         not stored stays in the spool until then"
+         host's, give it another [agent] state_dir. If this really is that host, and its file host-secret was lost or the \
+         aggregator's database is an older copy, run `peernetd clear-host-secret --config CONFIG {host}` on the aggregator's \
+         machine. Nothing has to be deleted: until the host is let in again, its events wait in its spool"
     )
 }

@@ -24,6 +24,9 @@ use crate::store::extent::Extent;
 
 pub(super) use self::iteration::position;
 
+/// Most events that a gap may say are missing: a host may claim any number, and no sum in the database may overflow.
+const MOST_MISSING: u64 = 1 << 40;
+
 /// A batch ready to be inserted.
 #[derive(Debug)]
 pub(crate) struct Prepared {
@@ -153,7 +156,10 @@ impl Preparing {
         }
     }
 
-    fn add(&mut self, event: Event) -> Result<(), String> {
+    fn add(&mut self, mut event: Event) -> Result<(), String> {
+        if let Event::Gap(gap) = &mut event {
+            gap.count = gap.count.min(MOST_MISSING);
+        }
         let Claim { run, reporter } = event.claim();
         if let Some(other) = reporter.filter(|reporter| *reporter != self.batch.head.host) {
             return Err(format!("an event was measured on another host, {other}"));
