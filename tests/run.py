@@ -4,8 +4,8 @@
     run.py [FILTER]…
 
 All packages are built by one command, because cargo builds the dependencies anew for another choice of packages. Then the test
-programs of the crates run side by side, after them the end-to-end tests, more of them at once than there are cores, because most
-of them wait, and last the examples in the documentation. FILTER: names of tests, as for `cargo test`.
+programs of the crates run side by side, after them the end-to-end tests, which need the machine for themselves, and last the
+examples in the documentation. FILTER: names of tests, as for `cargo test`.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def main() -> int:
             runs.append(ended)
     for program in programs:
         if program.package == END_TO_END:
-            runs.append(run(program, 2 * cores, filters, shows=True))
+            runs.append(run(program, cores, filters, shows=True))
             runs[-1].report()
     failed = [f"{ended.program.package} {ended.program.name}" for ended in runs if ended.code]
     examples = [CARGO, "test", "--workspace", "--locked", "--doc", "--quiet", "--", *filters]
