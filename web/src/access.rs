@@ -1,12 +1,11 @@
 //! Who may ask. So far everyone who reaches the address, which is why that is this machine alone unless the
 //! configuration says otherwise. Tokens with roles will be checked here, in front of every route.
 
-use std::net::{IpAddr, SocketAddr};
+use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 
 use axum::extract::{Request, State};
 use axum::http::header::{HOST, ORIGIN};
-use axum::http::uri::Authority;
-use axum::http::{HeaderMap, HeaderName, Method, Version};
+use axum::http::{HeaderMap, HeaderName, Method};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
@@ -35,11 +34,32 @@ pub(crate) fn listen_address(config: &WebConfig) -> Result<SocketAddr, Problem> 
 
 /// What is wrong with a configured name, if anything.
 pub(crate) fn wrong_name(name: &str) -> Option<String> {
-    let plain = name.parse::<Authority>().is_ok_and(|authority| authority.host() == name);
-    let letters =
-        name.chars().all(|letter| letter.is_ascii_alphanumeric() || matches!(letter, '.' | '-' | '_'));
-    (!plain || !letters)
+    (!is_name(name))
         .then(|| format!("{name:?} is not a host name: write it like robot.example.org, without a port"))
+}
+
+/// Whether a text has the form of a host name or an IPv4 address.
+fn is_name(text: &str) -> bool {
+    let letter = |letter: u8| letter.is_ascii_alphanumeric() || matches!(letter, b'.' | b'-' | b'_');
+    !text.is_empty() && text.bytes().all(letter)
+}
+
+/// The host of `HOST[:PORT]`, where `HOST` is a name, an IPv4 address or an IPv6 address in brackets, and nothing else.
+fn host_of(authority: &str) -> Option<&str> {
+    let end =
+        authority.find(']').map_or_else(|| authority.find(':').unwrap_or(authority.len()), |end| end + 1);
+    let (host, port) = authority.split_at(end);
+    let valid = match host.strip_prefix('[') {
+        Some(rest) => rest.strip_suffix(']')?.parse::<Ipv6Addr>().is_ok(),
+        None => is_name(host),
+    };
+    let port = port.is_empty() || port.strip_prefix(':').is_some_and(is_port);
+    (valid && port).then_some(host)
+}
+
+/// Whether a text is a number from 0 to 65535; one with a sign is not.
+fn is_port(text: &str) -> bool {
+    text.bytes().all(|digit| digit.is_ascii_digit()) && text.parse::<u16>().is_ok()
 }
 
 /// The names under which requests are answered, beside IP addresses and `localhost`.
@@ -69,31 +89,31 @@ impl ServerNames {
     }
 }
 
-/// The host that a request names; `None` for one of HTTP/1.0 that names none, which no browser sends.
-fn requested_host(request: &Request) -> Result<Option<String>, WebError> {
+/// The host that a request names.
+fn requested_host(request: &Request) -> Result<&str, WebError> {
     let refused = |text: &str| WebError::BadRequest(text.to_owned());
     let mut hosts = request.headers().get_all(HOST).iter();
-    let (host, more) = (hosts.next(), hosts.next());
-    if more.is_some() {
-        return Err(refused("the request has several Host headers; send one"));
+    let host = match (hosts.next(), hosts.next()) {
+        (Some(host), None) => host,
+        (None, _) => return Err(refused("the request has no Host header; send one")),
+        (Some(_), Some(_)) => return Err(refused("the request has several Host headers; send one")),
+    };
+    let named = host.to_str().ok().and_then(|text| Some((text, host_of(text)?)));
+    let (authority, host) =
+        named.ok_or_else(|| refused("the Host header is not a name or address with an optional port"))?;
+    // A request to a proxy names the server in its target, too (RFC 9112, 3.2.2): both are checked by checking one.
+    match request.uri().authority() {
+        Some(target) if !target.as_str().eq_ignore_ascii_case(authority) => {
+            Err(refused("the Host header and the request's target name different servers"))
+        }
+        _ => Ok(host),
     }
-    if host.is_none() && request.version() != Version::HTTP_10 {
-        return Err(refused("the request has no Host header; send one"));
-    }
-    let named = host.map(|host| {
-        let authority =
-            Authority::try_from(host.as_bytes()).ok().filter(|_| !host.as_bytes().contains(&b'@'));
-        authority.ok_or_else(|| refused("the Host header is not a name or address with an optional port"))
-    });
-    // A request to a proxy names the host in its target, which counts then (RFC 9112, 3.2.2).
-    let named = request.uri().authority().cloned().map(Ok).or(named).transpose()?;
-    Ok(named.map(|authority| authority.host().to_owned()))
 }
 
 /// Answers only to the names of this server.
 pub(crate) async fn guard(State(app): State<App>, request: Request, next: Next) -> Response {
     match requested_host(&request) {
-        Ok(Some(host)) if !app.names.contains(&host) => WebError::OtherHost(host).into_response(),
+        Ok(host) if !app.names.contains(host) => WebError::OtherHost(host.to_owned()).into_response(),
         Ok(_) => next.run(request).await,
         Err(error) => error.into_response(),
     }
@@ -124,7 +144,7 @@ fn is_own(headers: &HeaderMap) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use axum::http::HeaderValue;
+    use axum::http::{HeaderValue, Version};
 
     use super::*;
 
@@ -152,10 +172,6 @@ mod tests {
         }
     }
 
-    fn host_of(request: axum::http::request::Builder) -> Result<Option<String>, WebError> {
-        requested_host(&request.body(axum::body::Body::empty()).expect("a request"))
-    }
-
     #[test]
     fn addresses_and_known_names_pass_others_do_not() {
         let config = WebConfig { server_names: vec!["Dash.example.org".to_owned()], ..WebConfig::default() };
@@ -179,21 +195,74 @@ mod tests {
     }
 
     #[test]
-    fn request_names_exactly_one_host() {
-        let get = || Request::get("/");
-        assert_eq!(host_of(get().header(HOST, "a.example:8040")).expect("one"), Some("a.example".to_owned()));
-        assert_eq!(host_of(get().header(HOST, "[::1]:8040")).expect("one"), Some("[::1]".to_owned()));
-        assert_eq!(host_of(get().version(Version::HTTP_10)).expect("none is needed"), None);
-        let proxied = Request::get("http://evil.example/").header(HOST, "127.0.0.1");
-        assert_eq!(host_of(proxied).expect("the target's"), Some("evil.example".to_owned()));
-        for wrong in [
-            get(),
-            get().header(HOST, "a.example").header(HOST, "a.example"),
-            get().header(HOST, "a b"),
-            get().header(HOST, ""),
-            get().header(HOST, "a.example@127.0.0.1"),
+    fn host_is_a_name_or_address_and_at_most_a_port() {
+        for (authority, host) in [
+            ("a.example", "a.example"),
+            ("a.example:0", "a.example"),
+            ("127.0.0.1:65535", "127.0.0.1"),
+            ("[::1]", "[::1]"),
+            ("[2001:db8::1]:8040", "[2001:db8::1]"),
+            ("robot_7.local.:8040", "robot_7.local."),
         ] {
-            assert!(matches!(host_of(wrong), Err(WebError::BadRequest(_))));
+            assert_eq!(host_of(authority), Some(host), "{authority}");
+        }
+        for wrong in [
+            "",
+            ":8040",
+            "[::1]evil.example",
+            "[::1].evil.example",
+            "[::1]]",
+            "[[::1]]",
+            "[::1",
+            "::1",
+            "::1]",
+            "evil.example[::1]",
+            "[evil.example]",
+            "[127.0.0.1]",
+            "[fe80::1%25eth0]",
+            "localhost:",
+            "localhost:65536",
+            "localhost:99999999",
+            "localhost:+80",
+            "localhost:80:80",
+            "localhost:80/",
+            "localhost:http",
+            "localhost/",
+            "localhost?",
+            "localhost,evil.example",
+            "evil.example@localhost",
+            "a b",
+            "%6cocalhost",
+            "localhost\\evil.example",
+        ] {
+            assert_eq!(host_of(wrong), None, "{wrong}");
+        }
+    }
+
+    #[test]
+    fn request_names_exactly_one_host() {
+        let host = |request: axum::http::request::Builder| {
+            let request = request.body(axum::body::Body::empty()).expect("a request");
+            requested_host(&request).map(str::to_owned)
+        };
+        let get = |target: &str| Request::get(target);
+        assert_eq!(host(get("/").header(HOST, "a.example:8040")).expect("one"), "a.example");
+        assert_eq!(host(get("http://[::1]:80/").header(HOST, "[::1]:80")).expect("the same"), "[::1]");
+        assert_eq!(host(get("http://A.example/").header(HOST, "a.example")).expect("the same"), "a.example");
+        for wrong in [
+            get("/"),
+            get("/").version(Version::HTTP_10),
+            get("/").header(HOST, "a.example").header(HOST, "a.example"),
+            get("/").header(HOST, "a b"),
+            get("/").header(HOST, ""),
+            get("/").header(HOST, "a.example@127.0.0.1"),
+            get("http://127.0.0.1/"),
+            get("http://127.0.0.1/").header(HOST, "evil.example"),
+            get("http://evil.example/").header(HOST, "127.0.0.1"),
+            get("http://127.0.0.1:80/").header(HOST, "127.0.0.1:81"),
+            get("http://evil.example@127.0.0.1/").header(HOST, "127.0.0.1"),
+        ] {
+            assert!(matches!(host(wrong), Err(WebError::BadRequest(_))));
         }
     }
 }

@@ -11,7 +11,8 @@ use super::*;
 
 const HOUR: Duration = Duration::from_secs(3_600);
 const SOON: Duration = Duration::from_millis(20);
-const PATIENT: Limits = Limits { connections: 8, per_address: 8, silence: HOUR, grace: HOUR };
+const PATIENT: Limits =
+    Limits { connections: 8, per_address: 8, streams: 8, streams_per_address: 8, silence: HOUR, grace: HOUR };
 
 /// A server whose `/wait` answers when it is let go.
 struct Server {
@@ -183,6 +184,36 @@ async fn connections_of_one_address_beyond_its_limit_are_closed() {
             break;
         }
     }
+}
+
+#[test]
+fn streams_take_a_quarter_of_the_connections_at_most() {
+    let of = |connections| {
+        let limits = Limits::server(connections);
+        (limits.streams, limits.streams_per_address)
+    };
+    assert_eq!([of(1_024), of(110), of(16), of(1)], [(256, 32), (27, 13), (4, 2), (1, 1)]);
+}
+
+#[test]
+fn streams_are_limited_by_address_and_in_all() {
+    let all = Streams::new(Limits { streams: 3, streams_per_address: 2, ..PATIENT });
+    let of = |address: &str| {
+        Streams { address: counted(address.parse().expect("an address")), ..all.clone() }.take()
+    };
+    let refused = |address| of(address).expect_err("too many").to_string();
+    let held = [of("2001:db8::1"), of("2001:db8::2")].map(|place| place.expect("free"));
+    assert!(refused("2001:db8::3").starts_with("2 live streams are open from this address"));
+    let other = of("192.0.2.1").expect("free");
+    for address in ["192.0.2.1", "192.0.2.2"] {
+        assert!(refused(address).starts_with("3 live streams are open, "), "{address}");
+    }
+    drop(other);
+    drop(held);
+    let again = [of("2001:db8::1"), of("2001:db8::2"), of("192.0.2.2")].map(|place| place.expect("free"));
+    drop(again);
+    // What was refused for want of room in all is not counted under its address either.
+    assert!(all.open.open.lock().expect("whole").is_empty());
 }
 
 #[test]

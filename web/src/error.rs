@@ -51,6 +51,9 @@ pub(crate) enum WebError {
     /// An answer could not be written as text.
     #[error("cannot write an answer as text")]
     Text(#[from] fmt::Error),
+    /// No more streams may be open; the text says of whom.
+    #[error("{0}")]
+    TooManyStreams(String),
     /// The answer took too long.
     #[error("no answer within {0} s")]
     TookTooLong(u64),
@@ -92,6 +95,7 @@ impl WebError {
             Self::OtherSite(_) => StatusCode::FORBIDDEN,
             Self::OtherHost(_) => StatusCode::MISDIRECTED_REQUEST,
             Self::TookTooLong(_)
+            | Self::TooManyStreams(_)
             | Self::Store(StoreError::TooLong { .. } | StoreError::Busy { .. } | StoreError::Closed { .. }) => {
                 StatusCode::SERVICE_UNAVAILABLE
             }
@@ -106,6 +110,12 @@ impl WebError {
         let status = self.status();
         if !status.is_server_error() {
             return ProblemDetails::new(status, self.to_string(), None);
+        }
+        if let Self::TooManyStreams(text) = self {
+            if let Some(times) = app.count_failure(text) {
+                tracing::warn!(times, error = text, "a live stream was refused");
+            }
+            return ProblemDetails::new(status, text.clone(), None);
         }
         if let Self::Store(
             error @ (StoreError::TooLong { .. } | StoreError::Busy { .. } | StoreError::Closed { .. }),

@@ -9,6 +9,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 use std::time::Duration;
 
+use axum::Extension;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderName};
 use axum::response::sse::{Event, KeepAlive, Sse};
@@ -23,6 +24,7 @@ use utoipa::IntoParams;
 
 use super::parameters::Parameters;
 use super::schema::{PictureEvent, PipelineList, StatusEvent};
+use crate::connections::{Place, Streams};
 use crate::error::{ProblemDetails, WebError};
 use crate::pages::{Update, host, hosts, link, links, overview, pipeline, pipelines};
 use crate::state::{App, AppState};
@@ -101,12 +103,14 @@ impl Topic {
 
 /// Live figures as server-sent events: `status` always, `picture` and `page` by topic. At most four of each a
 /// second, fewer where they make more than 512 KiB a second; a listener that cannot follow gets the newest and misses those between.
+/// Of one address at most 32 streams are open, in all a quarter of the server's connections; further ones are answered with 503.
 #[utoipa::path(get, path = "/api/v1/live", operation_id = "streamLive", tag = "pipelines", params(Query), responses(
     (status = 200, description = "`event: status` (StatusEvent), `event: picture` (PictureEvent), `event: page`, `event: heartbeat`", body = String, content_type = "text/event-stream"),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
 pub(crate) async fn stream(
     State(app): State<App>,
+    streams: Option<Extension<Streams>>,
     headers: HeaderMap,
     Parameters(query): Parameters<Query>,
 ) -> Result<impl IntoResponse, WebError> {
@@ -114,10 +118,12 @@ pub(crate) async fn stream(
     let after =
         query.last_event_id.as_deref().or(header).filter(|id| !id.is_empty()).map(event_time).transpose()?;
     let topics = topics(query.topics.as_deref().unwrap_or("picture"))?;
+    // There is none without a socket.
+    let place = streams.map(|Extension(streams)| streams.take()).transpose()?;
     let keep_alive = KeepAlive::new().interval(HEARTBEAT).event(Event::default().event("heartbeat").data(""));
     // Proxies that collect answers before they pass them on would make live figures late.
     let unbuffered = AppendHeaders([(HeaderName::from_static("x-accel-buffering"), "no")]);
-    Ok((unbuffered, Sse::new(events(app, topics, after)).keep_alive(keep_alive)))
+    Ok((unbuffered, Sse::new(events(app, topics, after, place)).keep_alive(keep_alive)))
 }
 
 /// The time of the picture that an event was made of, by the event's id.
@@ -164,12 +170,15 @@ struct Listener {
     after: Option<WallTime>,
     /// What was sent last of each part of each topic's page.
     sent: HashMap<(usize, &'static str), u64>,
+    /// Held for as long as the stream is open.
+    _place: Option<Place>,
 }
 
 fn events(
     app: App,
     topics: Vec<Topic>,
     after: Option<WallTime>,
+    place: Option<Place>,
 ) -> impl Stream<Item = Result<Event, Infallible>> {
     let mut pictures = app.aggregator.live();
     // The first picture goes out at once.
@@ -177,7 +186,8 @@ fn events(
     let stop = app.stop.clone();
     let ready = app.aggregator.readiness();
     let sent = HashMap::new();
-    let listener = Listener { app, topics, pictures, ready, next: Instant::now(), after, sent };
+    let listener =
+        Listener { app, topics, pictures, ready, next: Instant::now(), after, sent, _place: place };
     let batches = stream::unfold(listener, |mut listener| async move {
         tokio::time::sleep_until(listener.next).await;
         tokio::select! {

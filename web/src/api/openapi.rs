@@ -33,7 +33,11 @@ const ERRORS: [(&str, &str, &str); 4] = [
     ("400", "BadRequest", "a parameter or the Host header is wrong; the detail names it"),
     ("421", "MisdirectedRequest", "the Host header names another server"),
     ("500", "InternalServerError", "the cause is in the aggregator's log under the id"),
-    ("503", "ServiceUnavailable", "no answer in time, or too many questions at once; try again"),
+    (
+        "503",
+        "ServiceUnavailable",
+        "no answer in time, or too many questions or live streams at once; try again",
+    ),
 ];
 /// The same of operations that change something.
 const FORBIDDEN: (&str, &str, &str) = ("403", "Forbidden", "the request comes from a page of another site");

@@ -4,7 +4,7 @@ use axum::body::Body;
 use axum::http::{Request, StatusCode};
 use peernet_web::{StartError, WebConfig};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::net::TcpStream;
+use tokio::net::{TcpSocket, TcpStream};
 use tokio_util::sync::CancellationToken;
 
 use crate::bed::Bed;
@@ -33,6 +33,88 @@ async fn a_server_stops_with_a_stream_open() {
     server.join().await.expect("ends when asked to");
     let mut rest = Vec::new();
     listener.read_to_end(&mut rest).await.expect("the connection is closed");
+}
+
+/// A connection from this address of this machine that asked for something.
+async fn asked(server: std::net::SocketAddr, from: &str, head: &str) -> TcpStream {
+    let socket = TcpSocket::new_v4().expect("a socket");
+    socket.bind(format!("{from}:0").parse().expect("an address")).expect("binds");
+    let mut stream = socket.connect(server).await.expect("connects");
+    stream.write_all(format!("{head}\r\n\r\n").as_bytes()).await.expect("sends");
+    stream
+}
+
+/// What is heard until it contains this.
+async fn until(stream: &mut TcpStream, sign: &str) -> String {
+    let mut heard = String::new();
+    while !heard.contains(sign) {
+        let mut chunk = [0; 4096];
+        let length = stream.read(&mut chunk).await.expect("reads");
+        assert_ne!(length, 0, "closed early: {heard}");
+        heard.push_str(&String::from_utf8_lossy(&chunk[..length]));
+    }
+    heard
+}
+
+#[tokio::test]
+async fn streams_leave_connections_to_other_requests() {
+    const LIVE: &str = "GET /api/v1/live HTTP/1.1\r\nHost: localhost";
+    let bed = Bed::empty().await;
+    let (config, aggregator, clock) = (bed.config.clone(), bed.aggregator.clone(), bed.clock.clone());
+    let server =
+        peernet_web::serve(config, aggregator, clock, bed.stop.clone(), 16).await.expect("serves").address();
+    let mut open = Vec::new();
+    for from in ["127.0.0.1", "127.0.0.1", "127.0.0.2", "127.0.0.2"] {
+        let mut stream = asked(server, from, LIVE).await;
+        assert!(until(&mut stream, "event: status").await.starts_with("HTTP/1.1 200"), "{from}");
+        if open.len() == 2 {
+            // Of its address there may be no more, although two are free.
+            let heard = until(&mut asked(server, "127.0.0.1", LIVE).await, "from this address").await;
+            assert!(heard.starts_with("HTTP/1.1 503") && heard.contains("retry-after: 2"), "{heard}");
+            assert!(heard.contains("application/problem+json"), "{heard}");
+        }
+        open.push(stream);
+    }
+    let heard = until(&mut asked(server, "127.0.0.3", LIVE).await, "4 live streams are open, ").await;
+    assert!(heard.starts_with("HTTP/1.1 503"), "{heard}");
+    for (from, path) in [("127.0.0.1", "/"), ("127.0.0.2", "/readyz"), ("127.0.0.3", "/metrics")] {
+        let head = format!("GET {path} HTTP/1.1\r\nHost: localhost");
+        assert!(
+            until(&mut asked(server, from, &head).await, "\r\n").await.starts_with("HTTP/1.1 200"),
+            "{path}"
+        );
+    }
+    // A stream that its listener closes makes room for another.
+    drop(open);
+    loop {
+        let heard = until(&mut asked(server, "127.0.0.3", LIVE).await, "\r\n").await;
+        if heard.starts_with("HTTP/1.1 200") {
+            break;
+        }
+        tokio::time::sleep(std::time::Duration::from_millis(10)).await;
+    }
+}
+
+#[tokio::test]
+async fn host_that_is_no_name_or_address_is_refused() {
+    let bed = Bed::empty().await;
+    let (config, aggregator, clock) = (bed.config.clone(), bed.aggregator.clone(), bed.clock.clone());
+    let server =
+        peernet_web::serve(config, aggregator, clock, bed.stop.clone(), 16).await.expect("serves").address();
+    for (head, status) in [
+        ("GET /healthz HTTP/1.1\r\nHost: [::1]:8040", 200),
+        ("GET /healthz HTTP/1.0\r\nHost: localhost", 200),
+        ("GET http://localhost/healthz HTTP/1.1\r\nHost: localhost", 200),
+        ("GET /healthz HTTP/1.1\r\nHost: [::1]evil.example", 400),
+        ("GET /healthz HTTP/1.1\r\nHost: localhost:99999999", 400),
+        ("GET http://localhost/healthz HTTP/1.1\r\nHost: evil.example", 400),
+        ("GET http://evil.example/healthz HTTP/1.1\r\nHost: localhost", 400),
+        ("GET http://evil.example/healthz HTTP/1.1\r\nHost: evil.example", 421),
+        ("GET /healthz HTTP/1.0", 400),
+    ] {
+        let heard = until(&mut asked(server, "127.0.0.1", head).await, "\r\n").await;
+        assert!(heard.split(' ').nth(1) == Some(&status.to_string()), "{head}: {heard}");
+    }
 }
 
 #[tokio::test]
