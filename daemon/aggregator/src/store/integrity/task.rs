@@ -11,7 +11,7 @@ use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
 use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
-use tokio_util::task::AbortOnDropHandle;
+use tokio_util::task::{AbortOnDropHandle, TaskTracker};
 
 use super::{Integrity, PageCheck, is_damage};
 use crate::store::database::BUSY;
@@ -33,6 +33,8 @@ pub(crate) struct IntegrityCheck {
     stop: CancellationToken,
     /// Dropped, it lets the file go soon as well.
     task: AbortOnDropHandle<()>,
+    /// Reads under way on other threads, which hold the file as well.
+    reads: TaskTracker,
 }
 
 impl IntegrityCheck {
@@ -40,6 +42,8 @@ impl IntegrityCheck {
     pub(crate) fn start(integrity: Integrity, file: Arc<File>) -> Self {
         let stop = CancellationToken::new();
         let stopped = stop.clone();
+        let reads = TaskTracker::new();
+        let of_task = reads.clone();
         let task = AbortOnDropHandle::new(tokio::spawn(async move {
             let checked = async {
                 if integrity.damage().is_some() {
@@ -47,12 +51,12 @@ impl IntegrityCheck {
                 }
                 tokio::select! {
                     () = integrity.damaged() => {}
-                    () = check_for_ever(&integrity, &file, &stopped) => {}
+                    () = check_for_ever(&integrity, &file, &of_task, &stopped) => {}
                 }
             };
             let _stopped = stopped.run_until_cancelled(checked).await;
         }));
-        Self { stop, task }
+        Self { stop, task, reads }
     }
 
     /// Ends it; the file is let go when this returns.
@@ -61,6 +65,8 @@ impl IntegrityCheck {
         if let Err(error) = self.task.await {
             tracing::error!(%error, "the check of the database died");
         }
+        self.reads.close();
+        self.reads.wait().await;
     }
 }
 
@@ -89,13 +95,18 @@ async fn confirm_earlier_damage(integrity: &Integrity, stop: &CancellationToken)
     }
 }
 
-async fn check_for_ever(integrity: &Integrity, file: &Arc<File>, stop: &CancellationToken) {
+async fn check_for_ever(
+    integrity: &Integrity,
+    file: &Arc<File>,
+    reads: &TaskTracker,
+    stop: &CancellationToken,
+) {
     let mut rate = FIRST_RATE;
     // Pages that look malformed and that SQLite does not read.
     let mut unused = HashSet::new();
     let mut failed = false;
     loop {
-        match pass(integrity, file, rate, &mut unused, stop).await {
+        match pass(integrity, (file, reads), rate, &mut unused, stop).await {
             Ok(()) => failed = false,
             Err(error) if !failed => {
                 tracing::warn!(%error, database = %integrity.database.display(), "cannot check the database for damage, tried again by itself");
@@ -111,26 +122,26 @@ async fn check_for_ever(integrity: &Integrity, file: &Arc<File>, stop: &Cancella
 /// Reads the file once.
 async fn pass(
     integrity: &Integrity,
-    file: &Arc<File>,
+    (file, reads): (&Arc<File>, &TaskTracker),
     rate: u64,
     unused: &mut HashSet<u32>,
     stop: &CancellationToken,
 ) -> Result<(), sqlx::Error> {
     let file = Arc::clone(file);
-    let malformed = match blocking(move || PageCheck::begin(file)).await? {
+    let malformed = match blocking(reads, move || PageCheck::begin(file)).await? {
         Some(mut check) => {
             let mut ticks = tokio::time::interval(Duration::from_micros(1_000_000 * STEP / rate));
             ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
             let mut more = true;
             while more {
                 ticks.tick().await;
-                (check, more) = blocking(move || {
+                (check, more) = blocking(reads, move || {
                     let more = check.step(STEP)?;
                     Ok((check, more))
                 })
                 .await?;
             }
-            blocking(move || check.finish()).await?
+            blocking(reads, move || check.finish()).await?
         }
         None => vec![1],
     };
@@ -150,9 +161,10 @@ async fn pass(
 }
 
 async fn blocking<T: Send + 'static>(
+    reads: &TaskTracker,
     work: impl FnOnce() -> io::Result<T> + Send + 'static,
 ) -> Result<T, sqlx::Error> {
-    let done = tokio::task::spawn_blocking(work).await;
+    let done = reads.spawn_blocking(work).await;
     Ok(done.map_err(|_| sqlx::Error::WorkerCrashed)??)
 }
 
