@@ -84,7 +84,8 @@ impl Daemon {
         let mut ended = 0;
         while !self.process().says("ready") {
             let process = self.take().ended();
-            assert!(process.status.code().is_some_and(|code| code != 0), "{}:\n{}", self.name, process.log);
+            let failed = process.status.code().is_some_and(|code| code != 0);
+            assert!(failed, "{} ended with {}:\n{}", self.name, process.status, process.log);
             self.keep(&process);
             mend();
             self.start(site);
