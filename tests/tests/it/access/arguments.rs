@@ -58,6 +58,8 @@ fn arguments_are_told_by_fingerprints_alone() {
         let ended = runs.len() == 4 && runs.iter().all(|run| !run["reason"].is_null());
         ended.then(|| runs.iter().map(|run| run["number"].as_i64().expect("has one")).collect::<Vec<_>>())
     });
+    // So short a run may be stored before its pipeline has reported itself.
+    api.until("/api/v1/pipelines", |told| (told["pipelines"].as_array()?.len() == 4).then_some(()));
     let details: Vec<Value> = runs.iter().map(|run| api.json(&format!("/api/v1/runs/{run}"))).collect();
     let of = |pipeline: &str| details.iter().find(|run| run["pipeline"] == pipeline).expect("is there");
 
