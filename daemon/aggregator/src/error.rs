@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use crate::store::foreign_log::ForeignLog;
 use crate::store::integrity::is_partial_damage;
 use crate::store::lock::LockError;
 
@@ -59,6 +60,9 @@ pub enum StartError {
     /// Another process has the database.
     #[error("cannot start the aggregator: {0}")]
     Lock(#[from] LockError),
+    /// Beside the database is the log of another one.
+    #[error(transparent)]
+    ForeignLog(#[from] ForeignLog),
     /// The database was written by a newer version.
     #[error("the database {} was written by a newer version (its schema {found}, known here {known}); update this program or choose another file with `database`", path.display())]
     NewerSchema {

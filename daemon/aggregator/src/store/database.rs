@@ -8,6 +8,7 @@ use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
 use sqlx::{ConnectOptions, SqliteConnection};
 
 use super::contents::Contents;
+use super::foreign_log::mark;
 use super::integrity::is_damage;
 use super::rebuild::make_coarser;
 use crate::error::StartError;
@@ -78,5 +79,9 @@ async fn prepare(path: &Path, options: SqliteConnectOptions) -> Result<SqliteCon
         path: path.to_owned(),
         source: MigrateError::Execute(source),
     })?;
+    // On a full disk, say, the file is still good for reading, and the first commit tells.
+    if let Err(error) = mark(&mut connection).await {
+        tracing::warn!(%error, database = %path.display(), "cannot write to the database yet");
+    }
     Ok(connection)
 }

@@ -4,6 +4,7 @@ mod column;
 pub(crate) mod contents;
 pub(crate) mod database;
 mod extent;
+pub(crate) mod foreign_log;
 pub(crate) mod integrity;
 pub(crate) mod lock;
 pub mod maintenance;

@@ -6,6 +6,7 @@ use peernet_logger::stream::HostSecret;
 use peernet_logger::{HostId, RunId};
 
 use super::database;
+use super::foreign_log::{ForeignLog, refuse_foreign_log};
 use super::integrity::{Integrity, IntegrityCheck};
 use super::lock::{DatabaseLock, LockError};
 use super::write::{
@@ -54,8 +55,8 @@ pub(crate) enum ReopenError {
     #[error("the database file {} is empty; put the right one there, or restart to begin with this one", .0.display())]
     Empty(PathBuf),
     /// The log at the path belongs to the file that was there before. SQLite would apply it to the new one.
-    #[error("the log {} belongs to the database that was there before; move it to where that file went, or delete it", .0.display())]
-    ForeignLog(PathBuf),
+    #[error(transparent)]
+    ForeignLog(ForeignLog),
     /// Another process has it, or it cannot be opened for writing.
     #[error(transparent)]
     Lock(#[from] LockError),
@@ -95,7 +96,7 @@ impl OpenDatabase {
             return Err(ReopenError::Empty(path.to_owned()));
         }
         if let Some(log) = former.log_beside_another_file() {
-            return Err(ReopenError::ForeignLog(log));
+            return Err(ReopenError::ForeignLog(ForeignLog(log)));
         }
         let (mut database, state) = Self::with(lock, path, retention, integrity).await?;
         if let Err(source) = database.writer.write_nothing().await {
@@ -117,6 +118,7 @@ impl OpenDatabase {
     ) -> Result<(Self, StoredState), StartError> {
         let cannot_open = |source| StartError::opening(path, source);
         integrity.recall().map_err(|error| cannot_open(error.into()))?;
+        refuse_foreign_log(path, &lock.file())?;
         // The lock has made it; one that has gone since then must not be made.
         let mut connection = database::open_existing(path).await?;
         let runs = newest_runs(&mut connection, RUNS).await.map_err(cannot_open)?;

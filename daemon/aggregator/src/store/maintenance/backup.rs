@@ -11,6 +11,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::{Contents, free_bytes, reading};
 use crate::store::column::count;
+use crate::store::foreign_log::{ForeignLog, mark_copy, refuse_foreign_log_of};
 
 /// Instructions of SQLite's machine between two looks at whether to stop.
 const INSTRUCTIONS: i32 = 10_000;
@@ -37,6 +38,9 @@ pub enum BackupError {
         /// What it is.
         what: &'static str,
     },
+    /// Beside it is the log of another one.
+    #[error(transparent)]
+    ForeignLog(#[from] ForeignLog),
     /// The copy has the name of another file.
     #[error("{} exists already; name a file that does not", .0.display())]
     Exists(PathBuf),
@@ -112,6 +116,7 @@ impl Backup {
             return Err(BackupError::Exists(target.to_owned()));
         }
         let read = |source| BackupError::Read { path: database.to_owned(), source };
+        refuse_foreign_log_of(database)?;
         let mut connection = reading(database).connect().await.map_err(read)?;
         let contents = Contents::of(&mut connection).await.map_err(read)?;
         if let Some(what) = contents.instead_of_database() {
@@ -198,9 +203,10 @@ impl Partial {
         Ok(Self { path, file, published: false })
     }
 
-    /// To the disk, then to its name, then the name to the disk.
+    /// Its own number, to the disk, then to its name, then the name to the disk.
     fn publish(&mut self, target: &Path) -> Result<u64, BackupError> {
         let failed = |source| BackupError::Write { path: target.to_owned(), source };
+        mark_copy(&self.file).map_err(failed)?;
         self.file.sync_all().map_err(failed)?;
         let bytes = self.file.metadata().map_err(failed)?.len();
         rename(&self.path, target).map_err(|error| match error.kind() {

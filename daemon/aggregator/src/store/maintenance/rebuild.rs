@@ -6,6 +6,7 @@ use sqlx::Connection;
 
 use crate::error::StartError;
 use crate::store::database;
+use crate::store::foreign_log::refuse_foreign_log;
 use crate::store::lock::{DatabaseLock, LockError};
 pub use crate::store::rebuild::Rebuilt;
 use crate::store::rebuild::rebuild;
@@ -53,7 +54,8 @@ pub async fn rebuild_rollups(
     if !path.is_file() {
         return Err(RebuildError::Missing(path.to_owned()));
     }
-    let _lock = DatabaseLock::take(path)?;
+    let lock = DatabaseLock::take(path)?;
+    refuse_foreign_log(path, &lock.file()).map_err(StartError::from)?;
     let failed = |source| RebuildError::Database { path: path.to_owned(), source };
     let mut connection = database::open(path).await?;
     if let Some(run) = run {

@@ -8,6 +8,7 @@ use sqlx::{ConnectOptions, Connection};
 use super::BUSY;
 use crate::store::contents::Contents;
 use crate::store::database;
+use crate::store::foreign_log::{ForeignLog, refuse_foreign_log_of};
 
 /// Why a host's secret was not cleared.
 #[derive(Debug, thiserror::Error)]
@@ -23,6 +24,9 @@ pub enum ClearSecretError {
         /// What it is instead.
         what: &'static str,
     },
+    /// Beside the file is the log of another one.
+    #[error(transparent)]
+    ForeignLog(#[from] ForeignLog),
     /// No host has that id or name.
     #[error("the database {} has no host {host}; /api/v1/hosts lists names and ids", .path.display())]
     NoHost {
@@ -69,6 +73,7 @@ pub async fn clear_host_secret(path: &Path, host: &str) -> Result<ClearedSecret,
     if !path.is_file() {
         return Err(ClearSecretError::Missing(path.to_owned()));
     }
+    refuse_foreign_log_of(path)?;
     let failed = |source| ClearSecretError::Database { path: path.to_owned(), source };
     let options = database::writing(path).create_if_missing(false).busy_timeout(BUSY);
     let mut connection = options.connect().await.map_err(failed)?;

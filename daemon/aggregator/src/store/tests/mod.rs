@@ -9,6 +9,7 @@ mod ends;
 mod episodes;
 mod experiments;
 mod fixtures;
+mod foreign_log;
 #[path = "../../../tests/it/generate.rs"]
 #[expect(unreachable_pub, reason = "shared with the integration tests and the benchmark")]
 mod generate;

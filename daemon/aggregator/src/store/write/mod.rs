@@ -42,6 +42,7 @@ pub(crate) use self::streams::Streams;
 use self::transaction::Staging;
 pub(crate) use self::work::{Aside, Introduction, Refusal, RunName, Work};
 use super::database;
+use super::foreign_log::mark;
 use super::retention::{self, Retention, Step};
 use crate::config::RetentionConfig;
 use crate::picture::Stored;
@@ -217,9 +218,7 @@ impl Writer {
 
     /// Writes something that changes nothing, to see that writing works.
     pub(crate) async fn write_nothing(&mut self) -> Result<(), sqlx::Error> {
-        let version: i64 = sqlx::query_scalar("PRAGMA user_version").fetch_one(&mut self.connection).await?;
-        let same = format!("PRAGMA user_version = {version}");
-        sqlx::raw_sql(sqlx::AssertSqlSafe(same)).execute(&mut self.connection).await?;
+        mark(&mut self.connection).await?;
         self.file.remember_log();
         Ok(())
     }

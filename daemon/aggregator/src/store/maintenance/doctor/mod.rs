@@ -15,6 +15,7 @@ pub use self::report::{
 use super::{Contents, free_bytes, reading};
 use crate::store::column::count;
 use crate::store::database::MIGRATIONS;
+use crate::store::foreign_log::{ForeignLog, refuse_foreign_log_of};
 use crate::store::integrity::{PageCheck, is_damage, remembered};
 
 /// A disk with less room is as good as full.
@@ -31,6 +32,9 @@ pub enum DoctorError {
     /// There is none.
     #[error("there is no database {}; name the file of [aggregator] database", .0.display())]
     Missing(PathBuf),
+    /// Beside it is the log of another one.
+    #[error(transparent)]
+    ForeignLog(#[from] ForeignLog),
     /// It cannot be opened.
     #[error("cannot open the database {}: {source}; check that this user may read it and write in its folder", path.display())]
     Open {
@@ -61,6 +65,7 @@ pub async fn examine(database: &Path, how: Examination) -> Result<Report, Doctor
     let cannot_open = |source| DoctorError::Open { path: database.to_owned(), source };
     let mut report = Report { database: database.to_owned(), ..Report::default() };
     // Before SQLite has it open: see `PageFile`.
+    refuse_foreign_log_of(database)?;
     report.malformed_pages(database);
     let opened = async {
         let mut connection = reading(database).connect().await?;

@@ -22,6 +22,7 @@ use self::rows::{CopiedTable, Table, Value, values};
 use self::tree::{Item, Walk};
 use super::{BUSY, free_bytes};
 use crate::store::database::MIGRATIONS;
+use crate::store::foreign_log::{ForeignLog, mark, refuse_foreign_log};
 use crate::store::integrity::pages::PageFile;
 use crate::store::integrity::{forget, is_damage, remembered, sqlite_finds};
 use crate::store::lock::{DatabaseLock, LockError};
@@ -39,6 +40,9 @@ pub enum RepairError {
     /// Another process has it, most likely the aggregator.
     #[error("cannot repair while another process may store: {0}")]
     Lock(#[from] LockError),
+    /// Beside it is the log of another one.
+    #[error(transparent)]
+    ForeignLog(#[from] ForeignLog),
     /// Its header or its list of tables cannot be read.
     #[error("cannot repair {}: {what} cannot be read, and without it no row can be found; restore the newest backup: agents send again what they still have in their spools", path.display())]
     Unreadable {
@@ -131,7 +135,8 @@ pub async fn repair(
     if !database.is_file() {
         return Err(RepairError::Missing(database.to_owned()));
     }
-    let _lock = DatabaseLock::take(database)?;
+    let lock = DatabaseLock::take(database)?;
+    refuse_foreign_log(database, &lock.file())?;
     // Beside the database itself, also when it is named by a link.
     let path = fs::canonicalize(database).map_err(|source| file_error(database, source))?;
     let remembered = remembered(&path).map_err(|source| file_error(&path, source))?;
@@ -254,6 +259,7 @@ async fn salvage(
         .disable_statement_logging();
     let mut connection = options.connect().await.map_err(failed)?;
     let written = fill(&mut connection, old, now, progress).await.map_err(failed)?;
+    mark(&mut connection).await.map_err(failed)?;
     connection.close().await.map_err(failed)?;
     if let Some(what) = sqlite_finds(new, &CancellationToken::new()).await.map_err(failed)? {
         return Err(RepairError::Failing { path: new.to_owned(), what });

@@ -42,6 +42,8 @@ fn exit(error: &ClearSecretError) -> Exit {
     match error {
         ClearSecretError::NoHost { .. } | ClearSecretError::SeveralHosts { .. } => Exit::Usage,
         ClearSecretError::NotADatabase { .. } => Exit::Data,
-        ClearSecretError::Missing(_) | ClearSecretError::Database { .. } => Exit::Unavailable,
+        ClearSecretError::Missing(_)
+        | ClearSecretError::ForeignLog(_)
+        | ClearSecretError::Database { .. } => Exit::Unavailable,
     }
 }

@@ -66,6 +66,7 @@ fn exit(error: &RepairError) -> Exit {
         }
         RepairError::Missing(_)
         | RepairError::Lock(_)
+        | RepairError::ForeignLog(_)
         | RepairError::NoRoom { .. }
         | RepairError::File { .. }
         | RepairError::Write { .. } => Exit::Unavailable,

@@ -1,0 +1,141 @@
+//! Whether the log beside a database is its own. SQLite applies whatever `-wal` lies there: that of another file, which a
+//! backup took the place of, would spoil the backup and be gone itself. So each file has a number of its own, in the header
+//! field that SQLite leaves to programs (`user_version`). <https://www.sqlite.org/fileformat2.html#the_write_ahead_log>
+
+use std::ffi::OsString;
+use std::fs::{self, File};
+use std::io::{self, ErrorKind};
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+
+use sqlx::{AssertSqlSafe, SqliteConnection};
+use uuid::Uuid;
+
+use super::integrity::pages::be32;
+
+/// Where page 1, and so the file, has the number.
+const ID_AT: usize = 60;
+/// The log's first word. Its lowest bit says in which order the bytes of a word are added up.
+const MAGIC: u32 = 0x377f_0682;
+const LOG_HEADER: usize = 32;
+const FRAME_HEADER: usize = 24;
+
+/// The log at the path belongs to the file that was there before.
+#[derive(Debug, thiserror::Error)]
+#[error("the log {} belongs to the database that was there before; move it to where that file went, or delete it", .0.display())]
+pub struct ForeignLog(pub(crate) PathBuf);
+
+/// Gives the file a number if it has none. Writes page 1 in any case, so that the log tells whose it is: pages that
+/// change in place, as those of an aggregator without agents, do not bring page 1 along.
+pub(crate) async fn mark(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
+    let id: i32 = sqlx::query_scalar("PRAGMA user_version").fetch_one(&mut *connection).await?;
+    let id = if id == 0 { random_id() } else { id };
+    sqlx::raw_sql(AssertSqlSafe(format!("PRAGMA user_version = {id}"))).execute(connection).await?;
+    Ok(())
+}
+
+/// Gives a whole file without a log another number than that of the file it was copied from. No connection has it open.
+pub(crate) fn mark_copy(file: &File) -> io::Result<()> {
+    file.write_all_at(&random_id().to_be_bytes(), ID_AT as u64)
+}
+
+fn random_id() -> i32 {
+    ((Uuid::new_v4().as_u128() & 0x7fff_ffff) as i32).max(1)
+}
+
+/// To be asked before SQLite opens the file, with a descriptor that stays open as long as SQLite's (see
+/// [`DatabaseLock`](super::lock::DatabaseLock)). A file without a number, of an earlier version, is not checked. What cannot
+/// be read is for SQLite to tell.
+pub(crate) fn refuse_foreign_log(database: &Path, file: &File) -> Result<(), ForeignLog> {
+    let mut log = fs::canonicalize(database).map_or_else(|_| database.into(), OsString::from);
+    log.push("-wal");
+    let log = PathBuf::from(log);
+    match own_id(file).and_then(|own| own.map_or(Ok(false), |own| is_foreign(&log, own))) {
+        Ok(false) => Ok(()),
+        Ok(true) => Err(ForeignLog(log)),
+        Err(error) => {
+            tracing::warn!(%error, log = %log.display(), "cannot see whether the log belongs to the database");
+            Ok(())
+        }
+    }
+}
+
+/// The same of a file that no connection of this process has open.
+pub(crate) fn refuse_foreign_log_of(database: &Path) -> Result<(), ForeignLog> {
+    File::open(database).map_or(Ok(()), |file| refuse_foreign_log(database, &file))
+}
+
+/// The number of a database, if it is one and has one.
+fn own_id(file: &File) -> io::Result<Option<u32>> {
+    let mut header = [0; 100];
+    let is_database = read_whole(file, &mut header, 0)? && header.starts_with(b"SQLite format 3\0");
+    Ok(Some(be32(&header, ID_AT)).filter(|id| is_database && *id != 0))
+}
+
+/// Whether SQLite would apply pages 1 with another number, and none with this one.
+fn is_foreign(log: &Path, own: u32) -> io::Result<bool> {
+    let log = match File::open(log) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(false),
+        log => log?,
+    };
+    let mut header = [0; LOG_HEADER];
+    if !read_whole(&log, &mut header, 0)? {
+        return Ok(false);
+    }
+    let (magic, page_bytes) = (be32(&header, 0), be32(&header, 8) as usize);
+    let mut sum = Checksum { big_endian: magic & 1 == 1, words: (0, 0) };
+    sum.add(&header[..24]);
+    let is_log = magic & !1 == MAGIC && page_bytes.is_power_of_two() && (512..=65_536).contains(&page_bytes);
+    if !is_log || !sum.stands_in(&header[24..]) {
+        return Ok(false);
+    }
+    let (mut frame, mut at, mut foreign) = (vec![0; FRAME_HEADER + page_bytes], LOG_HEADER as u64, false);
+    while read_whole(&log, &mut frame, at)? {
+        let (head, page) = frame.split_at(FRAME_HEADER);
+        sum.add(&head[..8]);
+        sum.add(page);
+        // What follows is older than the log's begin, or was not written whole: SQLite stops here, too.
+        if head[8..16] != header[16..24] || !sum.stands_in(&head[16..]) {
+            break;
+        }
+        match be32(page, ID_AT) {
+            id if be32(head, 0) != 1 || id == 0 => {}
+            id if id == own => return Ok(false),
+            _ => foreign = true,
+        }
+        at += frame.len() as u64;
+    }
+    Ok(foreign)
+}
+
+/// SQLite's sum over all that the log has up to a frame.
+struct Checksum {
+    big_endian: bool,
+    words: (u32, u32),
+}
+
+impl Checksum {
+    fn add(&mut self, bytes: &[u8]) {
+        let (mut first, mut second) = self.words;
+        for pair in bytes.chunks_exact(8) {
+            let (one, other) = (be32(pair, 0), be32(pair, 4));
+            let (one, other) =
+                if self.big_endian { (one, other) } else { (one.swap_bytes(), other.swap_bytes()) };
+            first = first.wrapping_add(one).wrapping_add(second);
+            second = second.wrapping_add(other).wrapping_add(first);
+        }
+        self.words = (first, second);
+    }
+
+    fn stands_in(&self, bytes: &[u8]) -> bool {
+        (be32(bytes, 0), be32(bytes, 4)) == self.words
+    }
+}
+
+/// Whether there are so many bytes.
+fn read_whole(file: &File, bytes: &mut [u8], at: u64) -> io::Result<bool> {
+    match file.read_exact_at(bytes, at) {
+        Err(error) if error.kind() == ErrorKind::UnexpectedEof => Ok(false),
+        read => read.map(|()| true),
+    }
+}
