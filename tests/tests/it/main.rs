@@ -12,7 +12,7 @@ mod experiments;
 mod external;
 mod figures;
 mod fixtures;
-mod floors;
+mod layers;
 mod lifecycle;
 mod limits;
 mod maintenance;

@@ -67,8 +67,8 @@ fn damaged_page_stops_storing_until_repaired() {
     let why = why_not_ready(&fleet);
     assert!(why.contains("damaged") && why.contains("peernetd doctor --repair"), "{why}");
     // The agent tells a moment later what was acknowledged last.
-    let then = fleet
-        .account(0, "events wait", |account| account.waiting > 100 && account.stored == account.events);
+    let then =
+        fleet.account(0, "events wait", |account| account.waiting > 100 && account.stored == account.events);
     let later = fleet.account(0, "more events wait", |account| account.waiting > then.waiting + 400);
     assert_eq!((later.events, later.stored), (then.events, then.stored), "nothing more is acknowledged");
     let (status, page) = fleet.api.get("/").expect("the dashboard answers");

@@ -1,0 +1,43 @@
+//! Modules that name each other in a circle.
+
+use std::collections::BTreeSet;
+
+use super::modules::Uses;
+
+/// The sets of modules of which each leads to each other.
+pub(super) fn cycles(uses: &Uses) -> Vec<BTreeSet<String>> {
+    let reached: Vec<(&String, BTreeSet<&String>)> =
+        uses.keys().map(|from| (from, reachable(uses, from))).collect();
+    let mut cycles: Vec<BTreeSet<String>> = Vec::new();
+    for (module, to) in &reached {
+        let back = |other: &&String| reached.iter().any(|(name, to)| name == other && to.contains(module));
+        let cycle: BTreeSet<String> = to.iter().copied().filter(back).cloned().collect();
+        if cycle.len() > 1 && !cycles.contains(&cycle) {
+            cycles.push(cycle);
+        }
+    }
+    cycles
+}
+
+/// The modules that one leads to, itself only if something leads back.
+fn reachable<'a>(uses: &'a Uses, from: &String) -> BTreeSet<&'a String> {
+    let mut found = BTreeSet::new();
+    let mut next: Vec<&String> = uses[from].keys().collect();
+    while let Some(module) = next.pop() {
+        if found.insert(module) {
+            next.extend(uses[module].keys());
+        }
+    }
+    found
+}
+
+/// Who names whom inside a cycle, for the report.
+pub(super) fn explain(uses: &Uses, cycle: &BTreeSet<String>) -> String {
+    let mut lines = String::new();
+    for module in cycle {
+        for (other, file) in uses[module].iter().filter(|(other, _)| cycle.contains(*other)) {
+            lines.push_str(&format!("    {module} -> {other}: {}\n", file.display()));
+        }
+    }
+    lines
+}

@@ -1,0 +1,235 @@
+//! The modules of a crate, read from its syntax trees, and which of them name which others.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use proc_macro2::{TokenStream, TokenTree};
+use syn::visit::Visit;
+use syn::{Attribute, Item, ItemUse, UseTree, Visibility};
+
+/// For each top-level module those that it names, each with the first file where it does.
+pub(super) type Uses = BTreeMap<String, BTreeMap<String, PathBuf>>;
+
+/// A path as it is written in a module: `["super", "time", "Span"]`.
+type Segments = Vec<String>;
+
+/// What one file says.
+struct SourceFile {
+    path: PathBuf,
+    /// Modules from the crate's root to this one.
+    module: Segments,
+    /// Paths that begin with `crate`, `super` or `self`.
+    names: Vec<Segments>,
+}
+
+/// Reads a crate from its root file on, without what is compiled for tests only.
+pub(super) fn uses(root: &Path) -> Uses {
+    let mut reader = Reader::default();
+    reader.read(root, &[], root.parent().expect("in a folder"));
+    let top: BTreeSet<&String> =
+        reader.files.iter().filter(|file| file.module.len() == 1).map(|file| &file.module[0]).collect();
+    let mut uses: Uses = top.iter().map(|name| ((*name).clone(), BTreeMap::new())).collect();
+    for file in &reader.files {
+        let Some(own) = file.module.first() else { continue };
+        for name in &file.names {
+            let Some(target) = file.resolve(name) else { continue };
+            let target = reader.exported.get(&target).unwrap_or(&target);
+            if target != own && top.contains(target) {
+                let of_own = uses.get_mut(own).expect("each module has an entry");
+                of_own.entry(target.clone()).or_insert_with(|| file.path.clone());
+            }
+        }
+    }
+    uses
+}
+
+impl SourceFile {
+    /// The name right below the crate's root that a path leads to.
+    fn resolve(&self, name: &[String]) -> Option<String> {
+        let mut at = self.module.clone();
+        let mut rest = name.iter();
+        for segment in rest.by_ref() {
+            match segment.as_str() {
+                "crate" => at.clear(),
+                "self" => {}
+                "super" => {
+                    at.pop()?;
+                }
+                other => {
+                    at.push(other.to_owned());
+                    break;
+                }
+            }
+        }
+        at.into_iter().next()
+    }
+}
+
+#[derive(Default)]
+struct Reader {
+    files: Vec<SourceFile>,
+    /// Names that the root hands on, and the modules where they are.
+    exported: BTreeMap<String, String>,
+}
+
+impl Reader {
+    /// Reads a file and the modules that it declares, which are in `folder`.
+    fn read(&mut self, path: &Path, module: &[String], folder: &Path) {
+        let text =
+            std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        let file = syn::parse_file(&text).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        self.items(&file.items, path, module, folder);
+    }
+
+    fn items(&mut self, items: &[Item], path: &Path, module: &[String], folder: &Path) {
+        let mut names = Names::default();
+        for item in items.iter().filter(|item| !is_for_tests(attributes(item))) {
+            match item {
+                Item::Mod(inner) => {
+                    let name = inner.ident.to_string();
+                    let below: Segments = module.iter().cloned().chain([name.clone()]).collect();
+                    if let Some((_, items)) = &inner.content {
+                        self.items(items, path, &below, &folder.join(&name));
+                    } else if let Some(file) = path_attribute(&inner.attrs) {
+                        let file = path.parent().expect("in a folder").join(file);
+                        self.read(&file, &below, file.parent().expect("in a folder"));
+                    } else {
+                        let alone = folder.join(format!("{name}.rs"));
+                        let inside = folder.join(&name);
+                        let file = if alone.is_file() { alone } else { inside.join("mod.rs") };
+                        self.read(&file, &below, &inside);
+                    }
+                }
+                Item::Use(used) if module.is_empty() => self.export(used),
+                item => names.visit_item(item),
+            }
+        }
+        self.files.push(SourceFile { path: path.to_owned(), module: module.to_vec(), names: names.0 });
+    }
+
+    /// Notes the names that the root hands on.
+    fn export(&mut self, used: &ItemUse) {
+        if matches!(used.vis, Visibility::Inherited) {
+            return;
+        }
+        for mut path in leaves(&used.tree) {
+            path.retain(|segment| segment != "crate" && segment != "self");
+            if let (Some(first), Some(last)) = (path.first(), path.last()) {
+                self.exported.insert(last.clone(), first.clone());
+            }
+        }
+    }
+}
+
+/// All paths of some items that begin inside the crate.
+#[derive(Default)]
+struct Names(Vec<Segments>);
+
+impl Names {
+    fn add(&mut self, path: Segments) {
+        if matches!(path.first().map(String::as_str), Some("crate" | "self" | "super")) && path.len() > 1 {
+            self.0.push(path);
+        }
+    }
+
+    /// Paths in what a macro is given, whose syntax only the macro knows.
+    fn tokens(&mut self, tokens: TokenStream) {
+        let mut path = Segments::new();
+        let mut colons = 0;
+        for token in tokens {
+            match token {
+                TokenTree::Ident(name) => {
+                    if colons != 2 {
+                        self.add(std::mem::take(&mut path));
+                    }
+                    path.push(name.to_string());
+                    colons = 0;
+                }
+                TokenTree::Punct(mark) if mark.as_char() == ':' => colons += 1,
+                other => {
+                    self.add(std::mem::take(&mut path));
+                    colons = 0;
+                    if let TokenTree::Group(group) = other {
+                        self.tokens(group.stream());
+                    }
+                }
+            }
+        }
+        self.add(path);
+    }
+}
+
+impl<'ast> Visit<'ast> for Names {
+    fn visit_item(&mut self, item: &'ast Item) {
+        if !is_for_tests(attributes(item)) {
+            syn::visit::visit_item(self, item);
+        }
+    }
+
+    fn visit_item_use(&mut self, used: &'ast ItemUse) {
+        for path in leaves(&used.tree) {
+            self.add(path);
+        }
+    }
+
+    fn visit_path(&mut self, path: &'ast syn::Path) {
+        self.add(path.segments.iter().map(|segment| segment.ident.to_string()).collect());
+        syn::visit::visit_path(self, path);
+    }
+
+    fn visit_macro(&mut self, called: &'ast syn::Macro) {
+        self.visit_path(&called.path);
+        self.tokens(called.tokens.clone());
+    }
+
+    fn visit_visibility(&mut self, _visibility: &'ast Visibility) {
+        // `pub(in crate::store)` uses nothing.
+    }
+}
+
+/// The paths that a `use` names.
+fn leaves(tree: &UseTree) -> Vec<Segments> {
+    match tree {
+        UseTree::Path(path) => {
+            let first = path.ident.to_string();
+            leaves(&path.tree).into_iter().map(|rest| [vec![first.clone()], rest].concat()).collect()
+        }
+        UseTree::Name(name) => vec![vec![name.ident.to_string()]],
+        UseTree::Rename(name) => vec![vec![name.ident.to_string()]],
+        UseTree::Glob(_) => vec![vec!["*".to_owned()]],
+        UseTree::Group(group) => group.items.iter().flat_map(leaves).collect(),
+    }
+}
+
+fn attributes(item: &Item) -> &[Attribute] {
+    match item {
+        Item::Const(item) => &item.attrs,
+        Item::Enum(item) => &item.attrs,
+        Item::Fn(item) => &item.attrs,
+        Item::Impl(item) => &item.attrs,
+        Item::Mod(item) => &item.attrs,
+        Item::Static(item) => &item.attrs,
+        Item::Struct(item) => &item.attrs,
+        Item::Trait(item) => &item.attrs,
+        Item::Type(item) => &item.attrs,
+        Item::Use(item) => &item.attrs,
+        _ => &[],
+    }
+}
+
+/// `#[cfg(test)]`, alone or with another condition, and `#[cfg(fuzzing)]`.
+fn is_for_tests(attributes: &[Attribute]) -> bool {
+    attributes.iter().filter(|attribute| attribute.path().is_ident("cfg")).any(|attribute| {
+        let syn::Meta::List(list) = &attribute.meta else { return false };
+        let condition = list.tokens.to_string();
+        !condition.contains("not") && (condition.contains("test") || condition.contains("fuzzing"))
+    })
+}
+
+fn path_attribute(attributes: &[Attribute]) -> Option<String> {
+    attributes.iter().find(|attribute| attribute.path().is_ident("path")).and_then(|attribute| {
+        let syn::Meta::NameValue(pair) = &attribute.meta else { return None };
+        let syn::Expr::Lit(syn::ExprLit { lit: syn::Lit::Str(text), .. }) = &pair.value else { return None };
+        Some(text.value())
+    })
+}
