@@ -1,4 +1,4 @@
 //! Any bytes as a batch of the event stream.
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|data: &[u8]| peernet_logger::fuzzing::any_batch(data));
+libfuzzer_sys::fuzz_target!(|data: &[u8]| peernet_stream::fuzzing::any_batch(data));

@@ -7,7 +7,7 @@ use std::time::Duration;
 use bytes::Bytes;
 use peernet_clock::ClockIdentity;
 use peernet_logger::HostId;
-use peernet_logger::stream::{
+use peernet_stream::{
     BatchHead, Chain, Event, Hardware, Hello, HostDescription, HostSecret, Incident, IncidentKind, PROTOCOL,
     Proof, StreamId, ToAgent, ToAggregator, codec,
 };

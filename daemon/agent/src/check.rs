@@ -14,8 +14,8 @@ use peernet_actuators::ActuatorConfig;
 use peernet_clock::SharedClock;
 use peernet_inference::{Bank, LoadError};
 use peernet_logger::Slug;
-use peernet_logger::limits::MAX_PIPELINES;
 use peernet_networks::SessionSettings;
+use peernet_stream::limits::MAX_PIPELINES;
 use rustix::fs::{Access, access};
 
 use crate::config::{AgentConfig, HostConfig, PipelineConfig, PlacementConfig, ServeConfig};

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use peernet_clock::SharedClock;
 use peernet_external::exec::FingerprintKey;
 use peernet_inference::Bank;
-use peernet_logger::stream::HostClock;
 use peernet_logger::{HostId, Slug};
+use peernet_stream::HostClock;
 use tokio::sync::watch;
 
 use crate::conditions::Places;

@@ -6,7 +6,7 @@ use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 use peernet_logger::HostId;
-use peernet_logger::stream::HostSecret;
+use peernet_stream::HostSecret;
 
 use crate::lock::FileLock;
 

@@ -1,8 +1,8 @@
 //! Writes incidents to the log and queues them for the aggregator.
 
 use peernet_clock::{SharedClock, Span};
-use peernet_logger::stream::{Event, Incident, IncidentKind};
 use peernet_logger::{HostId, RunId, Slug};
+use peernet_stream::{Event, Incident, IncidentKind};
 
 use crate::outbox::Feed;
 

@@ -2,7 +2,7 @@
 //!
 //! It composes the four modules, which do not know each other: sensors, networks, inference and actuators make
 //! [pipelines](config::PipelineConfig); models and a network make a [server](config::ServeConfig). What it
-//! measures goes to the aggregator as the event stream of `peernet_logger::stream`: live summaries of each
+//! measures goes to the aggregator as the event stream of `peernet_stream`: live summaries of each
 //! second, and every finished iteration through the outbox. Measuring never waits for storing.
 //!
 //! ```text

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use peernet_logger::stream::{Event, RunDescription};
 use peernet_logger::{RunId, Slug};
+use peernet_stream::{Event, RunDescription};
 
 /// Runs by pipeline; clones are the same.
 #[derive(Clone, Debug, Default)]

@@ -5,8 +5,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use peernet_clock::{SharedClock, Span};
-use peernet_logger::stream::{Challenges, Receiving, ReceivingConfig};
 use peernet_networks::zmtp::RejectionCounts;
+use peernet_stream::{Challenges, Receiving, ReceivingConfig};
 use tokio::runtime::Handle;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::{Id, JoinError, JoinSet};

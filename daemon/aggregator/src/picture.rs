@@ -6,11 +6,11 @@
 use std::sync::Arc;
 
 use peernet_clock::{Offset, Span, Verdict, WallTime};
-use peernet_logger::stream::{
+use peernet_logger::{HostId, Name, RunId, Slug};
+use peernet_stream::{
     Accounting, DelaySecond, HostClock, HostDescription, HostMetrics, LinkLive, OutcomeCounts, PipelineState,
     Placement, ProbeCounts, RoundTrip,
 };
-use peernet_logger::{HostId, Name, RunId, Slug};
 use serde::Serialize;
 
 use crate::figures::{Bound, Figures};

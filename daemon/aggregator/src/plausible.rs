@@ -2,7 +2,7 @@
 //! the same.
 
 use peernet_clock::{DelaySource, Interval, Offset};
-use peernet_logger::stream::{DelayPoint, DelaySecond};
+use peernet_stream::{DelayPoint, DelaySecond};
 
 /// The offset with each source once; `None` when its bounds are no interval or exclude the estimate.
 pub(crate) fn offset(offset: &Offset) -> Option<Offset> {

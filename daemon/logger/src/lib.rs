@@ -1,5 +1,4 @@
-//! The logger: a tree of typed nodes per iteration, its text, CSV and wire forms, and the messages of the
-//! event stream that carries finished trees from agents to the aggregator.
+//! The logger: a tree of typed nodes per iteration, and its text, CSV and wire forms.
 //!
 //! No I/O. From the ground up:
 //!
@@ -9,11 +8,8 @@
 //!   instruments of a user's own ([`Meter`]).
 //! - [`Stages`]: what the stages of a finished tree add up to.
 //! - [`wire`], `text`, [`csv`]: a tree for machines, for people, and as a row of a table.
-//! - [`stream`]: what agents and the aggregator say to each other, and the state machines of both ends.
 
 pub mod csv;
-#[doc(hidden)]
-pub mod fuzzing;
 mod guard;
 mod host;
 pub mod limits;
@@ -23,7 +19,6 @@ mod name;
 mod recorder;
 pub mod stage;
 mod stages;
-pub mod stream;
 mod text;
 mod tree;
 pub mod wire;

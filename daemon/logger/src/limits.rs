@@ -19,12 +19,3 @@ pub const MAX_NAME_BYTES: usize = 128;
 
 /// Bytes of the wire form of a tree or a growth.
 pub const MAX_BYTES: usize = 1024 * 1024;
-
-/// Links of a live update.
-pub const MAX_LINKS: usize = 1024;
-
-/// Kinds of network of a link.
-pub const MAX_NETWORKS: usize = 64;
-
-/// Pipelines of a host, which may all use one link.
-pub const MAX_PIPELINES: usize = 256;

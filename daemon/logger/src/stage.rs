@@ -33,6 +33,11 @@ macro_rules! standard_names {
     };
 }
 
+/// All standard names, in the order of the numbers that stand for them on the wire.
+pub fn all() -> impl Iterator<Item = Name> {
+    NAMES.iter().copied().map(Name::from_static)
+}
+
 /// The standard name of a number on the wire.
 pub(crate) fn decode(code: u64) -> Option<Name> {
     NAMES.get(usize::try_from(code).ok()?).copied().map(Name::from_static)

@@ -275,7 +275,10 @@ impl Tree {
     }
 
     /// Checks the nodes from position `from` on, the others being known to be good.
-    pub(crate) fn check(&self, from: usize) -> Result<(), TreeError> {
+    ///
+    /// # Errors
+    /// The first that is wrong: the wire form of such a tree is refused.
+    pub fn check(&self, from: usize) -> Result<(), TreeError> {
         if self.nodes.is_empty() {
             return Err(TreeError::Orphan(0));
         }

@@ -17,13 +17,13 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use peernet_clock::{ClockIdentity, SharedClock, Span, SystemClock};
-use peernet_logger::stream::Hardware;
 use peernet_logger::{HostId, Measure, Recorder, Slug};
 use peernet_networks::{
     Address, Incoming, Listener, NetworkKind, PROTOCOL, PeerClock, Session, SessionAccepted, SessionHello,
     SessionSettings,
 };
 use peernet_sample::{Description, Sample};
+use peernet_stream::Hardware;
 
 type Anyhow<T> = Result<T, Box<dyn Error + Send + Sync>>;
 

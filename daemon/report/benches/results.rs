@@ -6,11 +6,11 @@ use std::hint::black_box;
 use std::sync::Arc;
 
 use peernet_clock::{Clock, ClockIdentity, DelaySource, Interval, OneWayDelay, Span, SystemClock, Verdict};
-use peernet_logger::stream::{Iteration, Outcome};
 use peernet_logger::{Anchor, HostId, Measure, NodeId, Rate, RunId, Transit, Tree, Unit, stage};
 use peernet_report::compare::{Comparison, Differences, is_compared};
 use peernet_report::results::{Loaded, Overwrite, ResultFolder, Row, Rows, RunRecord, Summary};
 use peernet_report::trust::{Evidence, Report};
+use peernet_stream::{Iteration, Outcome};
 
 fn main() {
     let clock = Arc::new(SystemClock::new(ClockIdentity::new("bench", "system")));

@@ -17,11 +17,11 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use bytes::Bytes;
 use peernet_clock::{Clock, ClockIdentity, Span, SystemClock};
-use peernet_logger::stream::{
+use peernet_logger::{HostId, RunId};
+use peernet_stream::{
     Action, Compression, Event, HostSecret, Sending, SendingConfig, SpoolState, SpooledBatch, StreamId,
     ToAgent, ToAggregator, Usage, codec,
 };
-use peernet_logger::{HostId, RunId};
 use serde_json::json;
 use tokio::time::{Instant, sleep_until};
 use zeromq::options::WorkloadProfile;

@@ -2,7 +2,7 @@
 
 use peernet_aggregator::PipelinePicture;
 use peernet_logger::stage;
-use peernet_logger::stream::PipelineState;
+use peernet_stream::PipelineState;
 
 use super::scrape::Scrape;
 use super::table::{Sample, Sink};

@@ -4,7 +4,7 @@ use askama::Template;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use peernet_aggregator::{HostPicture, HostRow, Picture};
-use peernet_logger::stream::{HostClock, HostDescription};
+use peernet_stream::{HostClock, HostDescription};
 
 use super::{Page, Update, page, path};
 use crate::error::WebError;

@@ -4,8 +4,8 @@ use askama::Template;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use peernet_aggregator::{Figures, Picture, PipelinePicture, RunFilter, RunSummary, Window};
-use peernet_logger::stream::{PipelineState, PlacementKind};
 use peernet_logger::{Slug, stage};
+use peernet_stream::{PipelineState, PlacementKind};
 use serde::Deserialize;
 
 use super::{Page, Update, overview, page, path};

@@ -3,7 +3,7 @@
 use askama::Template;
 use axum::extract::State;
 use peernet_aggregator::{Picture, PipelinePicture};
-use peernet_logger::stream::PipelineState;
+use peernet_stream::PipelineState;
 
 use super::{Page, Update, page};
 use crate::error::WebError;

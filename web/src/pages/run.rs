@@ -5,8 +5,8 @@ use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use peernet_aggregator::{IterationFilter, RunDetail, RunStatistics, StageStatistics};
 use peernet_logger::stage;
-use peernet_logger::stream::ExperimentPlace;
 use peernet_report::trust::{Report, Starts};
+use peernet_stream::ExperimentPlace;
 use serde::Deserialize;
 
 use super::{Page, page, path};

@@ -8,7 +8,7 @@ mod over_time;
 
 use peernet_clock::{Span, Verdict};
 use peernet_logger::Name;
-use peernet_logger::stream::{PipelineState, PlacementKind};
+use peernet_stream::{PipelineState, PlacementKind};
 
 use self::clocks::linked;
 use super::*;
@@ -197,9 +197,9 @@ async fn hostile_texts_are_escaped_everywhere() {
     let (app, _folder) = samples::app().await;
     let mut hostile = samples::link(Some(0.00065), &[]);
     hostile.live.networks = vec![HOSTILE.into()];
-    hostile.live.probing = peernet_logger::stream::Probing::Off(HOSTILE.into());
+    hostile.live.probing = peernet_stream::Probing::Off(HOSTILE.into());
     hostile.live.edge =
-        hostile.live.edge.map(|clock| peernet_logger::stream::HostClock { text: HOSTILE.into(), ..clock });
+        hostile.live.edge.map(|clock| peernet_stream::HostClock { text: HOSTILE.into(), ..clock });
     shown.links.push(std::sync::Arc::new(hostile));
     for update in [
         pipelines::update(&app, &shown),
@@ -272,7 +272,7 @@ async fn a_local_pipeline_has_nothing_to_bound() {
 #[tokio::test]
 async fn a_sensor_alone_is_called_so_and_has_no_model() {
     let mut alone = pipeline("study", 30.0, 1.0, Verdict::Ok, &[]);
-    alone.placement = peernet_logger::stream::Placement::sensor_alone();
+    alone.placement = peernet_stream::Placement::sensor_alone();
     let html = overview_of(&picture(vec![host("cam-1", "Orin")], vec![alone]), Vec::new()).await;
     assert!(html.contains("sensor alone") && !html.contains("none on board"), "{html}");
     assert!(html.contains("one host: nothing is sent"), "{html}");

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use peernet_aggregator::{LiveSecond, Picture, PipelinePicture};
 use peernet_clock::WallTime;
 use peernet_logger::stage;
-use peernet_logger::stream::PlacementKind;
+use peernet_stream::PlacementKind;
 use serde::Serialize;
 
 use super::data::{JsonBlock, Short};
@@ -160,7 +160,7 @@ impl ChartData {
         if !data.remote
             && let Some(host) = picture.hosts.iter().find(|host| host.id == pipeline.host)
         {
-            let points = |of: fn(&peernet_logger::stream::HostMetrics) -> Option<f64>| {
+            let points = |of: fn(&peernet_stream::HostMetrics) -> Option<f64>| {
                 let shown = host.history.iter().filter(|point| of(&point.metrics).is_some());
                 shown
                     .map(|point| {

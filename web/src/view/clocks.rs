@@ -2,7 +2,7 @@
 
 use peernet_aggregator::Bound;
 use peernet_clock::Verdict;
-use peernet_logger::stream::PlacementKind;
+use peernet_stream::PlacementKind;
 
 use super::chip::{Chip, severity};
 use crate::numbers::bound_ms;

@@ -34,7 +34,7 @@ pub(crate) fn unanswered(known: &Episodes, run: &RunSummary) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
-    use peernet_logger::stream::{OutcomeCounts, PlacementKind};
+    use peernet_stream::{OutcomeCounts, PlacementKind};
 
     use super::*;
     use crate::view::compare::tests::run;

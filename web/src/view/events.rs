@@ -4,7 +4,7 @@ use std::cmp::Reverse;
 
 use peernet_aggregator::{Arrivals, HostPicture, Stored};
 use peernet_clock::Span;
-use peernet_logger::stream::Accounting;
+use peernet_stream::Accounting;
 
 use super::chip::{Chip, Tone};
 use super::counted;

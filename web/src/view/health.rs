@@ -2,8 +2,8 @@
 
 use peernet_aggregator::{HostPicture, Picture, PipelinePicture};
 use peernet_clock::WallTime;
-use peernet_logger::stream::PipelineState;
 use peernet_logger::{Name, stage};
+use peernet_stream::PipelineState;
 
 use super::chip::{Chip, Tone};
 use super::events::FAR_BEHIND;

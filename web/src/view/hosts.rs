@@ -2,7 +2,7 @@
 
 use peernet_aggregator::{HostPicture, MetricsPoint, Picture};
 use peernet_clock::{ClockIdentity, Span};
-use peernet_logger::stream::{Hardware, HostMetrics};
+use peernet_stream::{Hardware, HostMetrics};
 
 use super::chip::{Chip, Tone};
 use super::events::{self, FAR_BEHIND, Remark};

@@ -2,7 +2,7 @@
 
 use peernet_aggregator::{Figures, PipelinePicture, Window};
 use peernet_logger::stage;
-use peernet_logger::stream::PipelineState;
+use peernet_stream::PipelineState;
 
 use super::chip::{Chip, Tone};
 use super::clocks::ClockCell;

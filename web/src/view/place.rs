@@ -2,7 +2,7 @@
 
 use peernet_aggregator::{RunSummary, Window};
 use peernet_logger::stage;
-use peernet_logger::stream::{Placement, PlacementKind};
+use peernet_stream::{Placement, PlacementKind};
 
 use crate::numbers::bytes;
 

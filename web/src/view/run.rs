@@ -250,7 +250,7 @@ impl Stored<'_> {
 mod tests {
     use peernet_aggregator::{SeriesPoint, StageSeries};
     use peernet_logger::stage;
-    use peernet_logger::stream::PlacementKind;
+    use peernet_stream::PlacementKind;
 
     use super::*;
     use crate::view::compare::tests::run;

@@ -2,7 +2,7 @@
 
 use peernet_aggregator::{GapRow, Picture, RetentionConfig, RunSummary};
 use peernet_clock::WallTime;
-use peernet_logger::stream::ExperimentPlace;
+use peernet_stream::ExperimentPlace;
 
 use super::chip::{Chip, Tone};
 use super::notes::Note;

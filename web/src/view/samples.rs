@@ -10,11 +10,11 @@ use peernet_aggregator::{
 use peernet_clock::{
     ClockIdentity, DelaySource, ExchangeCounts, Interval, ManualClock, Offset, Span, Verdict, WallTime,
 };
-use peernet_logger::stream::{
+use peernet_logger::{Anchor, HostId, Name, Slug, Tree, stage};
+use peernet_stream::{
     Accounting, ClockSample, DelayPoint, DelaySecond, Hardware, HostClock, HostDescription, HostMetrics,
     LinkLive, OutcomeCounts, PipelineState, Placement, PlacementKind, ProbeCounts, Probing, RoundTrip,
 };
-use peernet_logger::{Anchor, HostId, Name, Slug, Tree, stage};
 use tokio_util::sync::CancellationToken;
 
 use crate::config::WebConfig;

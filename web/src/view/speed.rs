@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use peernet_aggregator::{LiveSecond, Window};
 use peernet_clock::Verdict;
-use peernet_logger::stream::PlacementKind;
+use peernet_stream::PlacementKind;
 
 use super::clocks;
 use super::now::Cell;

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use peernet_logger::stream::Grade;
+use peernet_stream::Grade;
 
 use super::{Finding, Places};
 

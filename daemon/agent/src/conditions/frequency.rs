@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use peernet_logger::stream::Grade;
+use peernet_stream::Grade;
 
 use super::files::{processors, text, value};
 use super::{Finding, Places};

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use peernet_logger::stream::Grade;
+use peernet_stream::Grade;
 
 use super::files::{entries, processors, text, value};
 use super::{Finding, Places};

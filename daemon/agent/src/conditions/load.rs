@@ -3,7 +3,7 @@
 use std::thread;
 use std::time::Duration;
 
-use peernet_logger::stream::Grade;
+use peernet_stream::Grade;
 
 use super::files::{entries, processors, text};
 use super::{Finding, Places};

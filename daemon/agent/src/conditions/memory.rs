@@ -1,6 +1,6 @@
 //! Whether memory is short.
 
-use peernet_logger::stream::Grade;
+use peernet_stream::Grade;
 
 use super::files::{keyed, text};
 use super::{Finding, Places};

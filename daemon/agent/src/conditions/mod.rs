@@ -17,7 +17,7 @@ mod wireless;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use peernet_logger::stream::{Condition, Grade};
+use peernet_stream::{Condition, Grade};
 
 use crate::config::AgentConfig;
 

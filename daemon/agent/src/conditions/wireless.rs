@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use peernet_logger::stream::Grade;
+use peernet_stream::Grade;
 
 use super::files::{entries, text};
 use super::{Finding, Places};

@@ -5,9 +5,9 @@ use std::time::Duration;
 
 use peernet_actuators::ActuatorConfig;
 use peernet_logger::Slug;
-use peernet_logger::stream::ExperimentPlace;
 use peernet_networks::{Address, NetworkKind, SessionSettings};
 use peernet_sensors::{SensorConfig, TransformConfig};
+use peernet_stream::ExperimentPlace;
 use serde::{Deserialize, Serialize};
 
 /// `[[pipeline]]`: sensor → transforms → placement → actuator, and how often.

@@ -4,7 +4,7 @@ use std::num::{NonZeroU32, NonZeroU64};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use peernet_logger::stream::Compression;
+use peernet_stream::Compression;
 use serde::{Deserialize, Serialize};
 
 /// `[spool]`: where events wait for the aggregator. Without `[agent] aggregator` there is none.

@@ -20,7 +20,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use peernet_clock::{SharedClock, SystemClock};
-use peernet_logger::stream::HostClock;
+use peernet_stream::HostClock;
 use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 

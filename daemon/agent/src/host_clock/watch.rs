@@ -1,7 +1,7 @@
 //! Looks whether the wall clock still goes as it should.
 
 use peernet_clock::{Disturbance, MonoTime, SharedClock, Span, Watch};
-use peernet_logger::stream::IncidentKind;
+use peernet_stream::IncidentKind;
 
 use crate::incidents::{Concerning, Incidents, far_in_words};
 
@@ -74,7 +74,7 @@ mod tests {
     use std::sync::Arc;
 
     use peernet_clock::{ClockIdentity, ManualClock, RehearsalDescription, RehearsedClock, WallTime};
-    use peernet_logger::stream::Event;
+    use peernet_stream::Event;
     use tokio::sync::mpsc;
 
     use super::*;

@@ -1,8 +1,8 @@
 //! Whether probes come back, and what is known when they do not.
 
-use peernet_logger::stream::Probing;
 use peernet_probes::ProbeResult;
 use peernet_probes::stamp::sender::{ANOTHER_PROCESS, NOT_OURS};
+use peernet_stream::Probing;
 
 use super::pair::Link;
 

@@ -3,9 +3,9 @@
 use peernet_clock::{
     Direction, Judged, Learned, Offset, OneWayDelay, Relation, Span, Verdict, WallTime, Witnessed,
 };
-use peernet_logger::stream::{ClockSample, HostClock};
 use peernet_logger::{HostId, Slug};
 use peernet_probes::ProbeResult;
+use peernet_stream::{ClockSample, HostClock};
 use uuid::Uuid;
 
 use super::second::Second;

@@ -3,10 +3,10 @@
 use std::sync::{Arc, Mutex};
 
 use peernet_clock::{ClockIdentity, Direction, MonoTime, OneWayDelay, Relation, Span, Stamp, Witnessed};
-use peernet_logger::stream::{Event, HostClock, IncidentKind, LinkLive, Probing};
 use peernet_logger::{HostId, Measure, NodeId, Recorder, Slug, Tree};
 use peernet_networks::{Exchange, PeerClock, SessionAccepted};
 use peernet_probes::ProbeResult;
+use peernet_stream::{Event, HostClock, IncidentKind, LinkLive, Probing};
 use tokio::sync::watch;
 
 use super::correction::{bits, correct};

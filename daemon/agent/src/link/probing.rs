@@ -6,9 +6,9 @@ use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
 
-use peernet_logger::stream::Probing;
 use peernet_networks::PeerClock;
 use peernet_probes::{ProbeResult, Prober, ProberConfig};
+use peernet_stream::Probing;
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 

@@ -6,9 +6,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use futures::FutureExt;
-use peernet_logger::stream::{Hardware, LinkLive};
 use peernet_logger::{HostId, Slug};
 use peernet_networks::{Address, NetworkKind, SessionAccepted};
+use peernet_stream::{Hardware, LinkLive};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;

@@ -1,7 +1,7 @@
 //! What happened on a link within one second. No I/O.
 
 use peernet_clock::{Direction, Exchange, OneWayDelay, Span, Verdict, WallTime};
-use peernet_logger::stream::{DelayPoint, DelaySecond, ProbeCounts, RoundTrip};
+use peernet_stream::{DelayPoint, DelaySecond, ProbeCounts, RoundTrip};
 
 use super::thinned::Thinned;
 

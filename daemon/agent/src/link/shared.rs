@@ -4,9 +4,9 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use peernet_clock::{RelationSettings, SharedClock};
 use peernet_logger::Slug;
-use peernet_logger::stream::HostClock;
 use peernet_networks::{NetworkKind, PeerClock};
 use peernet_probes::{Key, KeyError, Stamps};
+use peernet_stream::HostClock;
 use tokio::sync::watch;
 
 use crate::config::{ClockConfig, ProbesConfig, Timestamps};

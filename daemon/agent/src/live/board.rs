@@ -3,8 +3,8 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use peernet_clock::MonoTime;
-use peernet_logger::stream::{Outcome, PipelineLive, PipelineState, Placement};
 use peernet_logger::{RunId, Slug, Tree};
+use peernet_stream::{Outcome, PipelineLive, PipelineState, Placement};
 
 use super::ring::{Ring, Shown};
 

@@ -1,9 +1,9 @@
 //! The statistics of one second.
 
 use peernet_clock::Interval;
-use peernet_logger::stream::{Outcome, OutcomeCounts, Second};
 use peernet_logger::{Measure, Name, Node, Tree};
 use peernet_statistics::Summary;
+use peernet_stream::{Outcome, OutcomeCounts, Second};
 
 /// Names per second at most: a peer adds nodes of its own choice, and the memory for them must be bounded.
 const MOST_NAMES: usize = 64;

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use peernet_logger::Tree;
-use peernet_logger::stream::{Outcome, Second};
+use peernet_stream::{Outcome, Second};
 
 use super::cell::Cell;
 

@@ -37,7 +37,7 @@ impl Connection {
         let options = Options::default()
             .workload_profile(WorkloadProfile::Latency)
             .send_hwm(QUEUE)
-            .max_message_size(peernet_logger::stream::codec::MAX_MESSAGE_BYTES)
+            .max_message_size(peernet_stream::codec::MAX_MESSAGE_BYTES)
             .heartbeat_interval(HEARTBEAT)
             .heartbeat_timeout(SILENCE)
             .tcp_user_timeout(SILENCE)

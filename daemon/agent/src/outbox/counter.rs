@@ -16,10 +16,8 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use peernet_clock::WallTime;
-use peernet_logger::stream::{
-    CountedEvents, CountedRun, MOST_COUNTED_RUNS, MOST_SENT_UNSPOOLED, SentUnspooled,
-};
 use peernet_logger::{RunId, Slug};
+use peernet_stream::{CountedEvents, CountedRun, MOST_COUNTED_RUNS, MOST_SENT_UNSPOOLED, SentUnspooled};
 use rustix::fs::{OFlags, statfs};
 use uuid::Uuid;
 

@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use peernet_clock::SharedClock;
-use peernet_logger::stream::{Event, Gap, Iteration};
 use peernet_logger::{RunId, Slug};
+use peernet_stream::{Event, Gap, Iteration};
 use tokio::sync::mpsc;
 
 use super::counter::EventCounter;
@@ -161,8 +161,8 @@ impl Overflow {
 #[cfg(test)]
 mod tests {
     use peernet_clock::{Clock, ClockIdentity, ManualClock, Span, WallTime};
-    use peernet_logger::stream::{Outcome, RunEnded};
     use peernet_logger::{HostId, Recorder};
+    use peernet_stream::{Outcome, RunEnded};
 
     use super::*;
 

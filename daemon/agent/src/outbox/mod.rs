@@ -1,7 +1,7 @@
 //! The way to the aggregator: events that must all arrive, and live figures that must be fresh.
 //!
 //! Pipelines hand their events to the [`Feed`] and go on. One task takes them from there, drives the sending end
-//! of the event stream (`peernet_logger::stream::Sending`, which batches, numbers and repeats), and owns the
+//! of the event stream (`peernet_stream::Sending`, which batches, numbers and repeats), and owns the
 //! connection. A second one owns the [spool], the file in which batches are safe until the aggregator has them.
 
 mod connection;
@@ -23,10 +23,8 @@ pub(crate) use tap::Tap;
 
 use peernet_clock::{SharedClock, Span};
 use peernet_logger::HostId;
-use peernet_logger::stream::{
-    Accounting, HostDescription, HostMetrics, HostSecret, Sending, SendingConfig, Usage,
-};
 use peernet_networks::Address;
+use peernet_stream::{Accounting, HostDescription, HostMetrics, HostSecret, Sending, SendingConfig, Usage};
 use tokio::sync::{oneshot, watch};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;

@@ -2,8 +2,8 @@
 
 use peernet_clock::MonoTime;
 use peernet_logger::Slug;
-use peernet_logger::stream::{Accounting, IncidentKind};
 use peernet_networks::Address;
+use peernet_stream::{Accounting, IncidentKind};
 
 use super::dropping::{Dropping, Said};
 use super::spool::PutAside;

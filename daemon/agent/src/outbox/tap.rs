@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use peernet_logger::stream::Event;
+use peernet_stream::Event;
 use tokio::sync::mpsc;
 
 /// The way to the program; clones are the same. Measuring does not wait for it either.
@@ -37,7 +37,7 @@ mod tests {
 
     use peernet_clock::{ClockIdentity, ManualClock, WallTime};
     use peernet_logger::RunId;
-    use peernet_logger::stream::RunEnded;
+    use peernet_stream::RunEnded;
 
     use super::super::Feed;
     use super::*;

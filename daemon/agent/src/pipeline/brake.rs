@@ -1,7 +1,7 @@
 //! Keeps a closed loop from spinning while everything fails. No I/O.
 
 use peernet_clock::{MonoTime, Span};
-use peernet_logger::stream::Outcome;
+use peernet_stream::Outcome;
 
 /// A closed loop goes on at once after an answer. When there is none, because a model's queue is full or
 /// every picture is broken, it would go on as fast as it can fail; so it waits longer and longer instead.

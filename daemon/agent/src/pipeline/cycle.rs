@@ -1,8 +1,8 @@
 //! The state of a pipeline's inner loop and its transitions; waiting is in `drive`.
 
 use peernet_clock::{MonoTime, Span, Stamp};
-use peernet_logger::stream::{IncidentKind, Outcome};
 use peernet_logger::{Recorder, RunId};
+use peernet_stream::{IncidentKind, Outcome};
 use tokio::sync::oneshot;
 
 use super::accuracy;

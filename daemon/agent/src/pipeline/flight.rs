@@ -3,9 +3,9 @@
 use std::time::Duration;
 
 use peernet_clock::{MonoTime, Span};
-use peernet_logger::stream::Outcome;
 use peernet_logger::{NodeId, Recorder, stage};
 use peernet_sample::Sample;
+use peernet_stream::Outcome;
 
 use super::acting::Acting;
 use super::load::Start;

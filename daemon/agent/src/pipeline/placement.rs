@@ -5,12 +5,12 @@ use std::time::Duration;
 
 use peernet_clock::Span;
 use peernet_inference::{Done, Job, LoadError, Pool};
-use peernet_logger::stream::{Condition, Outcome, Placement as Description, PlacementKind};
 use peernet_logger::{HostId, Recorder, Slug};
 use peernet_networks::{
     CloseReason, OpenError, PROTOCOL, RequestError, Session, SessionHello, SessionSettings,
 };
 use peernet_sample::Sample;
+use peernet_stream::{Condition, Outcome, Placement as Description, PlacementKind};
 use tokio::sync::oneshot;
 
 use crate::conditions::{Places, look_soon};

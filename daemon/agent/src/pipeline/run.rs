@@ -2,10 +2,10 @@
 
 use peernet_clock::{MonoTime, Stamp, WallTime};
 use peernet_external::exec::hide_arguments;
-use peernet_logger::stream::{
+use peernet_logger::{RunId, Slug, Tree};
+use peernet_stream::{
     Condition, Event, Iteration, Outcome, Placement as Description, RunDescription, RunEnded,
 };
-use peernet_logger::{RunId, Slug, Tree};
 
 use super::cycle::Ended;
 use super::progress::{Position, Progress};

@@ -7,8 +7,8 @@ use std::time::Duration;
 
 use futures::FutureExt;
 use peernet_logger::RunId;
-use peernet_logger::stream::{IncidentKind, PipelineState};
 use peernet_networks::Address;
+use peernet_stream::{IncidentKind, PipelineState};
 use tokio_util::sync::CancellationToken;
 
 use super::cycle::Ended;

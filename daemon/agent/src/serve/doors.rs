@@ -4,9 +4,9 @@ use std::sync::Arc;
 
 use peernet_inference::{EchoConfig, ModelConfig};
 use peernet_logger::Slug;
-use peernet_logger::stream::HostClock;
 use peernet_networks::{Address, Listener, PeerClock};
 use peernet_probes::Reflector;
+use peernet_stream::HostClock;
 use uuid::Uuid;
 
 use super::reflector;

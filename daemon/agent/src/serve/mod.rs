@@ -15,13 +15,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use peernet_inference::{Done, InferenceError, Job, LoadError, Pool};
-use peernet_logger::stream::{Condition, Hardware, HostClock, IncidentKind};
 use peernet_logger::{HostId, Slug};
 use peernet_networks::{
     Announcer, Failure, Incoming, IncomingRequest, Listener, MAX_CONDITIONS, OpenRequest, SessionAccepted,
     SessionId,
 };
 use peernet_probes::Reflector;
+use peernet_stream::{Condition, Hardware, HostClock, IncidentKind};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use peernet_logger::stream::Hardware;
+use peernet_stream::Hardware;
 use sysinfo::{CpuRefreshKind, MemoryRefreshKind, System};
 
 /// Describes this machine; what cannot be read stays empty.

@@ -9,7 +9,7 @@ pub(crate) use hardware::hardware;
 use std::time::Duration;
 
 use peernet_clock::SharedClock;
-use peernet_logger::stream::HostMetrics;
+use peernet_stream::HostMetrics;
 use tokio::sync::watch;
 use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;

@@ -1,7 +1,7 @@
 //! Reads the host's figures.
 
 use peernet_clock::SharedClock;
-use peernet_logger::stream::HostMetrics;
+use peernet_stream::HostMetrics;
 use sysinfo::{Components, CpuRefreshKind, MemoryRefreshKind, System};
 
 use super::own::Own;

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use peernet_logger::stream::{Outcome, PipelineState};
+use peernet_stream::{Outcome, PipelineState};
 
 use crate::harness::{Aggregator, TestAgent};
 

@@ -1,6 +1,6 @@
 //! The built-in model that `peernet calibrate` measures with.
 
-use peernet_logger::stream::{Outcome, PipelineState};
+use peernet_stream::{Outcome, PipelineState};
 
 use crate::harness::{Aggregator, TestAgent, value};
 

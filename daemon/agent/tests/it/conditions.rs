@@ -1,6 +1,6 @@
 //! What is found of the hosts stands in the run's description.
 
-use peernet_logger::stream::Condition;
+use peernet_stream::Condition;
 
 use crate::harness::{Aggregator, TestAgent};
 

@@ -1,6 +1,6 @@
 //! Closed loops on one host: numbers, warm-up, limits, episodes, the tree.
 
-use peernet_logger::stream::{Outcome, PipelineState, PlacementKind};
+use peernet_stream::{Outcome, PipelineState, PlacementKind};
 
 use crate::harness::{Aggregator, TestAgent, assert_adds_up, assert_contiguous, value};
 
@@ -62,7 +62,7 @@ async fn live_figures_are_bounded_and_leave_the_warm_up_out() {
     let keys = "warm_up = { iterations = 7 }\nlimit = { iterations = 500 }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), &line(keys)).await;
     // A later update of a second replaces an earlier one.
-    let total = |lives: &[peernet_logger::stream::LiveUpdate]| {
+    let total = |lives: &[peernet_stream::LiveUpdate]| {
         let mut seconds = std::collections::BTreeMap::new();
         for second in lives.iter().flat_map(|live| &live.pipelines).flat_map(|pipeline| &pipeline.seconds) {
             seconds.insert(second.at, second.clone());

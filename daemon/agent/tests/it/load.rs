@@ -1,6 +1,6 @@
 //! Rates that cannot be kept: nothing is hidden.
 
-use peernet_logger::stream::{Iteration, Outcome};
+use peernet_stream::{Iteration, Outcome};
 
 use crate::harness::{Aggregator, TestAgent, assert_adds_up, assert_contiguous, value};
 

@@ -1,6 +1,6 @@
 //! Clouds that are not there, go away and come back.
 
-use peernet_logger::stream::{IncidentKind, Outcome, PipelineState};
+use peernet_stream::{IncidentKind, Outcome, PipelineState};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::{JoinHandle, JoinSet};
 

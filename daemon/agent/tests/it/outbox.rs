@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use peernet_logger::stream::IncidentKind;
+use peernet_stream::IncidentKind;
 
 use crate::harness::{Aggregator, Manners, TestAgent, assert_contiguous};
 

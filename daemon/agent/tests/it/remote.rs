@@ -2,7 +2,7 @@
 
 use peernet_clock::{DelaySource, Verdict};
 use peernet_logger::Measure;
-use peernet_logger::stream::{IncidentKind, Iteration, Outcome, PlacementKind};
+use peernet_stream::{IncidentKind, Iteration, Outcome, PlacementKind};
 
 use crate::harness::{Aggregator, TestAgent, VERSION, assert_adds_up, assert_contiguous, value};
 

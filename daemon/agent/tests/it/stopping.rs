@@ -1,6 +1,6 @@
 //! Stopping: what has begun is finished and handed over.
 
-use peernet_logger::stream::Outcome;
+use peernet_stream::Outcome;
 
 use crate::harness::{Aggregator, TestAgent, assert_contiguous};
 
@@ -18,7 +18,7 @@ async fn what_is_under_way_is_finished_and_handed_over() {
     let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
     assert_eq!(seen.goodbyes, [host]);
     let last = seen.lives.last().expect("it told of itself");
-    assert_eq!(last.pipelines[0].state, peernet_logger::stream::PipelineState::Finished);
+    assert_eq!(last.pipelines[0].state, peernet_stream::PipelineState::Finished);
     assert_eq!((last.accounting.waiting, last.accounting.stored), (0, last.accounting.produced));
     assert_eq!(seen.ended()[0].reason, "stopped");
     assert_contiguous(&seen.iterations());
@@ -59,6 +59,6 @@ async fn a_model_that_computes_for_long_is_not_waited_for() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn without_an_aggregator_the_agent_measures_and_stops_all_the_same() {
     let agent = TestAgent::start("edge", None, SLOW).await;
-    agent.until_state(|state| *state == peernet_logger::stream::PipelineState::Running).await;
+    agent.until_state(|state| *state == peernet_stream::PipelineState::Running).await;
     agent.stop().await.expect("stops well");
 }

@@ -3,7 +3,7 @@
 use std::num::NonZeroU64;
 
 use peernet_agent::Agent;
-use peernet_logger::stream::{Event, PipelineState};
+use peernet_stream::{Event, PipelineState};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 

@@ -1,6 +1,6 @@
 //! Things that fail beside the network.
 
-use peernet_logger::stream::{IncidentKind, Outcome, PipelineState};
+use peernet_stream::{IncidentKind, Outcome, PipelineState};
 
 use crate::harness::{Aggregator, PATIENCE, TestAgent, assert_contiguous};
 

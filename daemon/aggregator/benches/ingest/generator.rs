@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
-use peernet_logger::stream::codec::{decode, encode};
-use peernet_logger::stream::{HostSecret, Proof, ToAgent, ToAggregator};
+use peernet_stream::codec::{decode, encode};
+use peernet_stream::{HostSecret, Proof, ToAgent, ToAggregator};
 use tokio::time::{Instant, sleep_until};
 use zeromq::{Message, Options, Socket, SocketType};
 

@@ -5,10 +5,10 @@ use std::fmt;
 
 use bytes::Bytes;
 use peernet_clock::WallTime;
-use peernet_logger::stream::{
+use peernet_logger::{HostId, RunId};
+use peernet_stream::{
     BatchHead, Chain, Event, Hello, MOST_UNDER_WAY, PROTOCOL, StreamId, batch_weight, codec,
 };
-use peernet_logger::{HostId, RunId};
 
 use crate::generate;
 

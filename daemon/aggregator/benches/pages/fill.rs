@@ -4,11 +4,11 @@ use std::path::Path;
 
 use bytes::Bytes;
 use peernet_clock::{SharedClock, Span};
-use peernet_logger::stream::{
+use peernet_logger::{HostId, RunId};
+use peernet_stream::{
     BatchHead, Chain, Event, ExperimentPlace, Hello, HostSecret, Incident, IncidentKind, Outcome, PROTOCOL,
     Proof, StreamId, ToAgent, ToAggregator, codec,
 };
-use peernet_logger::{HostId, RunId};
 use tokio_util::sync::CancellationToken;
 use zeromq::{Message, Options, Socket, SocketType};
 

@@ -6,11 +6,9 @@ use std::collections::HashSet;
 
 use bytes::Bytes;
 use peernet_clock::{MonoTime, Span, Stamp};
-use peernet_logger::stream::{
-    Arrival, BatchHead, Challenges, LiveUpdate, Receiving, ToAgent, ToAggregator, codec,
-};
 use peernet_logger::{HostId, RunId};
 use peernet_networks::{ConnectionId, Peer};
+use peernet_stream::{Arrival, BatchHead, Challenges, LiveUpdate, Receiving, ToAgent, ToAggregator, codec};
 
 use super::committing::StoreEvent;
 use super::hosts::{Hosts, Newcomer};

@@ -9,7 +9,7 @@ use std::collections::HashMap;
 
 use peernet_clock::{MonoTime, Span};
 use peernet_logger::HostId;
-use peernet_logger::stream::{HostSecret, Missing};
+use peernet_stream::{HostSecret, Missing};
 
 use crate::store::write::Introduction;
 
@@ -174,7 +174,7 @@ impl Hosts {
 #[cfg(test)]
 mod tests {
     use peernet_clock::ClockIdentity;
-    use peernet_logger::stream::{Hardware, HostDescription, StreamId};
+    use peernet_stream::{Hardware, HostDescription, StreamId};
 
     use super::*;
 

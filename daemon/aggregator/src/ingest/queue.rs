@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use peernet_clock::MonoTime;
-use peernet_logger::stream::BatchHead;
+use peernet_stream::BatchHead;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 
 use crate::store::write::Work;

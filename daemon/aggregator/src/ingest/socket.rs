@@ -4,10 +4,10 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use peernet_clock::SharedClock;
-use peernet_logger::stream::codec::{self, MAX_MESSAGE_BYTES};
 use peernet_networks::descriptors::DescriptorShare;
 use peernet_networks::zmtp::{ListenerLimits, ZmtpListener, ZmtpSender};
 use peernet_networks::{Address, Arrival};
+use peernet_stream::codec::{self, MAX_MESSAGE_BYTES};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 

@@ -1,8 +1,6 @@
 //! What an agent says, cut to what the picture takes: its memory is bounded whatever is sent.
 
-use peernet_logger::stream::{
-    Accounting, HostClock, HostDescription, LinkLive, PipelineState, Placement, Probing,
-};
+use peernet_stream::{Accounting, HostClock, HostDescription, LinkLive, PipelineState, Placement, Probing};
 
 use crate::plausible;
 

@@ -1,9 +1,9 @@
 //! One second of one pipeline, and how seconds add up to windows.
 
 use peernet_clock::Verdict;
-use peernet_logger::stream::{OutcomeCounts, Second};
 use peernet_logger::{Name, stage};
 use peernet_statistics::{Merge, Summary};
+use peernet_stream::{OutcomeCounts, Second};
 
 use super::MOST_NAMES;
 use crate::figures::{Bound, Figures, rank};

@@ -4,8 +4,8 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use peernet_clock::{MonoTime, Span, Stamp, WallTime};
-use peernet_logger::stream::{Accounting, HostClock, HostDescription, HostMetrics, LinkLive, LiveUpdate};
 use peernet_logger::{HostId, RunId, Slug};
+use peernet_stream::{Accounting, HostClock, HostDescription, HostMetrics, LinkLive, LiveUpdate};
 
 use super::bounds;
 use super::catching_up::Lag;

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use peernet_clock::{MonoTime, Span, Stamp, WallTime};
-use peernet_logger::stream::{ClockSample, LinkLive};
 use peernet_logger::{HostId, Slug};
+use peernet_stream::{ClockSample, LinkLive};
 
 use super::bounds;
 use crate::picture::{ClockPoint, LinkPicture};

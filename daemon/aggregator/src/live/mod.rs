@@ -18,8 +18,8 @@ use std::collections::{BTreeMap, HashMap, HashSet, VecDeque};
 use std::sync::Arc;
 
 use peernet_clock::{Span, Stamp, WallTime};
-use peernet_logger::stream::{HostDescription, LiveUpdate};
-use peernet_logger::{HostId, RunId, Slug, limits};
+use peernet_logger::{HostId, RunId, Slug};
+use peernet_stream::{HostDescription, LiveUpdate};
 
 use self::host::Host;
 use crate::picture::{Picture, RefusedHost, Stored, Totals};
@@ -29,7 +29,7 @@ const MOST_HOSTS: usize = 4_096;
 /// A host of which nothing is stored leaves the picture after this silence.
 const FORGET_STRANGERS: Span = Span::from_seconds(600);
 /// Pipelines of one host.
-const MOST_PIPELINES: usize = limits::MAX_PIPELINES;
+const MOST_PIPELINES: usize = peernet_stream::limits::MAX_PIPELINES;
 /// Links of one host.
 const MOST_LINKS: usize = 64;
 /// Names of one pipeline within one window.

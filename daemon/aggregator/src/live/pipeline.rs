@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use peernet_clock::{MonoTime, Span, Stamp, WallTime};
-use peernet_logger::stream::{PipelineLive, PipelineState, Placement};
 use peernet_logger::{HostId, RunId, Slug};
 use peernet_statistics::{Merge, Windows};
+use peernet_stream::{PipelineLive, PipelineState, Placement};
 
 use super::bounds;
 use super::cell::Cell;

@@ -19,8 +19,8 @@ pub(crate) mod types;
 pub(crate) mod write;
 
 use peernet_clock::WallTime;
-use peernet_logger::stream::Iteration;
 use peernet_logger::{HostId, Name};
+use peernet_stream::Iteration;
 
 use crate::error::StoreError;
 use readers::Readers;

@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use peernet_logger::stream::HostSecret;
 use peernet_logger::{HostId, RunId};
+use peernet_stream::HostSecret;
 
 use super::database;
 use super::foreign_log::{ForeignLog, refuse_foreign_log};

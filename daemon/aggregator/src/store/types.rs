@@ -12,8 +12,8 @@ pub(in crate::store) use statistics::Known;
 pub use statistics::{Kept, RunStatistics, StageStatistics};
 
 use peernet_clock::{DelaySource, Verdict, WallTime};
-use peernet_logger::stream::{Condition, ExperimentPlace, HostDescription, OutcomeCounts, Placement};
 use peernet_logger::{HostId, Name, RunId, Slug, Tree};
+use peernet_stream::{Condition, ExperimentPlace, HostDescription, OutcomeCounts, Placement};
 use serde::Serialize;
 
 use crate::figures::Figures;

@@ -5,8 +5,8 @@ use std::time::Duration;
 use bytes::Bytes;
 use peernet_clock::{SharedClock, Span};
 use peernet_logger::HostId;
-use peernet_logger::stream::codec::{decode, encode};
-use peernet_logger::stream::{
+use peernet_stream::codec::{decode, encode};
+use peernet_stream::{
     Accounting, Action, Event, Hello, HostClock, HostMetrics, HostSecret, LinkLive, LiveUpdate, Notice,
     PipelineLive, Proof, Sending, SendingConfig, ToAgent, ToAggregator,
 };

@@ -2,7 +2,7 @@
 
 use peernet_clock::{DelaySource, Exchange, ExchangeCounts, Interval, Offset, Span, Verdict};
 use peernet_logger::HostId;
-use peernet_logger::stream::{
+use peernet_stream::{
     ClockSample, DelayPoint, DelaySecond, HostClock, LinkLive, ProbeCounts, Probing, RoundTrip,
 };
 

@@ -1,11 +1,11 @@
 //! Hosts, runs and iterations as an agent would send them; for tests and the benchmark.
 
 use peernet_clock::{ClockIdentity, Interval, OneWayDelay, Span, Verdict, WallTime};
-use peernet_logger::stream::{
-    Event, Hardware, HostDescription, Iteration, Outcome, Placement, PlacementKind, RunDescription,
-};
 use peernet_logger::{
     Anchor, HostId, HostIndex, Measure, Name, Node, NodeId, Rate, RunId, Transit, Tree, Unit, stage,
+};
+use peernet_stream::{
+    Event, Hardware, HostDescription, Iteration, Outcome, Placement, PlacementKind, RunDescription,
 };
 
 /// A small generator of reproducible numbers (SplitMix64).

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use peernet_aggregator::Readiness;
 use peernet_clock::{Interval, OneWayDelay, Span, WallTime};
-use peernet_logger::stream::{Event, HostClock, ToAgent, ToAggregator};
 use peernet_logger::{HostId, Measure, RunId};
+use peernet_stream::{Event, HostClock, ToAgent, ToAggregator};
 use tokio::io::AsyncReadExt;
 use tokio::net::TcpStream;
 use tokio::sync::Semaphore;

@@ -1,11 +1,11 @@
 //! Both lanes from agents to readers.
 
 use peernet_aggregator::{Readiness, RunFilter};
-use peernet_logger::stream::{
-    ClockSample, Event, HostClock, Iteration, OutcomeCounts, PipelineLive, PipelineState, RunEnded, Second,
-};
 use peernet_logger::{HostId, RunId, stage};
 use peernet_statistics::Summary;
+use peernet_stream::{
+    ClockSample, Event, HostClock, Iteration, OutcomeCounts, PipelineLive, PipelineState, RunEnded, Second,
+};
 
 use crate::bed::Bed;
 use crate::{clocks, generate};

@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use peernet_logger::stream::{BatchHead, Chain, Event, Hello, PROTOCOL, StreamId, ToAgent, codec};
 use peernet_logger::{HostId, RunId};
+use peernet_stream::{BatchHead, Chain, Event, Hello, PROTOCOL, StreamId, ToAgent, codec};
 
 use crate::agent::Wire;
 use crate::bed::Bed;

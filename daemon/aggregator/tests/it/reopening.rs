@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use peernet_aggregator::{Readiness, StoreError};
-use peernet_logger::stream::Event;
 use peernet_logger::{HostId, RunId};
+use peernet_stream::Event;
 use sqlx::{AssertSqlSafe, Connection};
 
 use crate::agent::Agent;

@@ -1,7 +1,7 @@
 //! More than there is room for, and data that comes late.
 
-use peernet_logger::stream::{Event, Incident, IncidentKind};
 use peernet_logger::{HostId, RunId};
+use peernet_stream::{Event, Incident, IncidentKind};
 
 use crate::bed::Bed;
 use crate::generate;
@@ -56,15 +56,15 @@ async fn what_finds_no_room_is_asked_for_when_there_is_some() {
     let mut resent = 0;
     loop {
         match agents[2].wire.receive().await {
-            peernet_logger::stream::ToAgent::Resend { from, .. } => {
+            peernet_stream::ToAgent::Resend { from, .. } => {
                 resent += 1;
                 let again = [&late, &deferred];
                 for frame in &again[usize::try_from(from).expect("small") - 2..] {
                     agents[2].wire.send_frame((*frame).clone()).await;
                 }
             }
-            peernet_logger::stream::ToAgent::Ack { through: 3, .. } => break,
-            peernet_logger::stream::ToAgent::Ack { .. } => {}
+            peernet_stream::ToAgent::Ack { through: 3, .. } => break,
+            peernet_stream::ToAgent::Ack { .. } => {}
             other => panic!("{other:?}"),
         }
     }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use peernet_clock::Stamp;
-use peernet_logger::stream::{
+use peernet_stream::{
     Action, Chain, Notice, Reached, Sending, SpoolState, SpooledBatch, StreamId, Totals, Usage,
 };
 

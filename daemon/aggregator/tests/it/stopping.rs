@@ -1,8 +1,8 @@
 //! Stopping: what is left behind.
 
 use peernet_aggregator::RunFilter;
-use peernet_logger::stream::Event;
 use peernet_logger::{HostId, RunId};
+use peernet_stream::Event;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, SqliteConnection};
 

@@ -1,7 +1,7 @@
 //! Agents that are refused, crash, repeat themselves or send nonsense.
 
 use peernet_logger::RunId;
-use peernet_logger::stream::{Chain, Hello, Notice, StreamId, ToAgent, ToAggregator};
+use peernet_stream::{Chain, Hello, Notice, StreamId, ToAgent, ToAggregator};
 use sqlx::Connection;
 
 use crate::agent::Agent;

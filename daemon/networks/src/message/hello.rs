@@ -3,8 +3,8 @@
 use std::fmt;
 
 use peernet_clock::{ClockIdentity, Discipline, RehearsalDescription};
-use peernet_logger::stream::{Condition, Hardware};
 use peernet_logger::{HostId, Slug};
+use peernet_stream::{Condition, Hardware};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 use uuid::Uuid;

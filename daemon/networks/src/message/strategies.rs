@@ -3,9 +3,9 @@
 use peernet_clock::{
     ClockIdentity, DelaySource, Discipline, Interval, RehearsalDescription, RehearsedStep, Span, WallTime,
 };
-use peernet_logger::stream::{Condition, Grade, Hardware};
 use peernet_logger::{HostId, Slug};
 use peernet_sample::{Description, ElementType, MediaType, PixelFormat};
+use peernet_stream::{Condition, Grade, Hardware};
 use proptest::prelude::*;
 
 use super::{

@@ -5,13 +5,13 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
-use peernet_logger::stream::Hardware;
 use peernet_logger::{HostId, Recorder};
 use peernet_networks::{
     Address, Exchange, Incoming, IncomingRequest, Listener, NetworkKind, OpenError, OpenRequest, PROTOCOL,
     PeerClock, Session, SessionAccepted, SessionHello, SessionId, SessionSettings,
 };
 use peernet_sample::{Description, Sample};
+use peernet_stream::Hardware;
 
 /// Far more than anything here needs; a test that hangs fails.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(20);

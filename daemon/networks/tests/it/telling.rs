@@ -1,7 +1,7 @@
 //! What hello and its answer carry beside identities.
 
-use peernet_logger::stream::{Condition, Grade, Hardware};
 use peernet_networks::{MAX_CONDITIONS, PROTOCOL};
+use peernet_stream::{Condition, Grade, Hardware};
 use zeromq::Options;
 
 use crate::fake_cloud::FakeCloud;

@@ -1,9 +1,9 @@
 //! Results that look like those of robots: late messages, two clusters of answers, a slow start, losses.
 
-use peernet_logger::stream::ExperimentPlace;
 use peernet_report::results::{
     Column, HostRecord, Loaded, ModelRecord, Outcome, Placement, Row, Rows, RunRecord,
 };
+use peernet_stream::ExperimentPlace;
 
 /// The same numbers every time: SplitMix64.
 pub(crate) struct Dice(u64);

@@ -1,7 +1,7 @@
 //! What became of the two clocks during the study.
 
 use peernet_clock::Span;
-use peernet_logger::stream::ClockSample;
+use peernet_stream::ClockSample;
 use serde::Serialize;
 
 use super::sample::Sample;

@@ -22,7 +22,7 @@ pub use verdict::{Kind, Verdict};
 use std::path::{Path, PathBuf};
 
 use peernet_clock::Direction;
-use peernet_logger::stream::ClockSample;
+use peernet_stream::ClockSample;
 use serde::Serialize;
 
 use crate::WriteError;

@@ -2,7 +2,7 @@
 
 use peernet_clock::Direction;
 use peernet_logger::stage;
-use peernet_logger::stream::{Iteration, Outcome};
+use peernet_stream::{Iteration, Outcome};
 
 use crate::Passage;
 

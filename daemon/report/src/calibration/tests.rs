@@ -1,6 +1,6 @@
 use peernet_clock::{DelaySource, Interval, Offset, OneWayDelay, Span, Verdict as Delay, WallTime};
 use peernet_logger::HostId;
-use peernet_logger::stream::ProbeCounts;
+use peernet_stream::ProbeCounts;
 
 use super::*;
 use crate::Passage;

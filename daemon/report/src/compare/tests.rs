@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use peernet_logger::stream::ExperimentPlace;
+use peernet_stream::ExperimentPlace;
 
 use super::*;
 use crate::results::{HostRecord, ModelRecord, Outcome, Placement, Row, RowRef, RunRecord};

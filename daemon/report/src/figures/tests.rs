@@ -4,7 +4,7 @@ mod extremes;
 mod holes;
 mod missing;
 
-use peernet_logger::stream::ExperimentPlace;
+use peernet_stream::ExperimentPlace;
 
 use super::*;
 use crate::figure::{Hatch, UNATTRIBUTED};

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 use peernet_clock::Span;
-use peernet_logger::stream;
+use peernet_stream as stream;
 use serde::{Deserialize, Serialize};
 
 use super::columns;

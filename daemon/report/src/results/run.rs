@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use chrono::{DateTime, Utc};
 use peernet_clock::WallTime;
-use peernet_logger::stream::{Condition, ExperimentPlace, Hardware};
 use peernet_logger::{HostId, RunId};
+use peernet_stream::{Condition, ExperimentPlace, Hardware};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use peernet_logger::stream::Iteration;
+use peernet_stream::Iteration;
 use serde::{Deserialize, Serialize};
 
 use super::{Row, columns};

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use peernet_clock::Verdict;
-use peernet_logger::stream::Condition;
 use peernet_logger::{Name, stage};
+use peernet_stream::Condition;
 
 use super::early::broken;
 use super::{Came, Course, Early, Limits, Load, Restarts, Starts};

@@ -29,7 +29,7 @@ pub use restarts::Restarts;
 
 use std::cmp::Reverse;
 
-use peernet_logger::stream::Grade;
+use peernet_stream::Grade;
 use serde::{Deserialize, Serialize};
 
 /// Whether figures of a run can stand in a publication.

@@ -1,5 +1,5 @@
 use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict};
-use peernet_logger::stream::Condition;
+use peernet_stream::Condition;
 
 use super::testing::Noise;
 use super::*;

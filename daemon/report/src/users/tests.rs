@@ -1,6 +1,6 @@
 //! What edges that measured at once show.
 
-use peernet_logger::stream::ExperimentPlace;
+use peernet_stream::ExperimentPlace;
 
 use super::*;
 use crate::results::{HostRecord, Outcome, Row, RunRecord};

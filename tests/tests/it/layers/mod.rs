@@ -9,9 +9,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use cargo_metadata::{DependencyKind, Metadata, MetadataCommand, TargetKind};
 
 /// From the lowest. The same stands in ARCHITECTURE.md.
-const LAYERS: [&[&str]; 6] = [
+const LAYERS: [&[&str]; 7] = [
     &["peernet-clock", "peernet-permissions", "peernet-sample", "peernet-statistics"],
     &["peernet-logger", "peernet-imaging", "peernet-external"],
+    &["peernet-stream"],
     &[
         "peernet-sensors",
         "peernet-networks",

@@ -3,12 +3,12 @@
 use std::sync::Arc;
 
 use peernet_clock::{ClockIdentity, SystemClock};
-use peernet_logger::stream::{
+use peernet_logger::{HostId, Recorder, RunId};
+use peernet_stream::{
     Accounting, ClockSample, Event, Gap, HostClock, HostMetrics, Incident, IncidentKind, Iteration,
     LiveUpdate, Outcome, PipelineLive, PipelineState, Placement, ProbeCounts, RunDescription, RunEnded,
     ToAggregator,
 };
-use peernet_logger::{HostId, Recorder, RunId};
 use peernet_tests::truth::ask;
 use peernet_tests::{Chance, Fleet, Introduced, Ledger, Stranger, measured, until, wall};
 

@@ -1,6 +1,6 @@
 //! Hosts that somebody invents.
 
-use peernet_logger::stream::ToAggregator;
+use peernet_stream::ToAggregator;
 use peernet_tests::truth::ask;
 use peernet_tests::{Chance, Introduced, Stranger, measured, thousands, until};
 

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use peernet_logger::HostId;
-use peernet_logger::stream::{ToAgent, ToAggregator};
+use peernet_stream::{ToAgent, ToAggregator};
 use peernet_tests::truth::ask;
 use peernet_tests::{Chance, Fleet, Introduced, Stranger, until};
 

@@ -1,6 +1,6 @@
 //! Peers that send whatever they like to a real aggregator, with a good agent beside them.
 
-use peernet_logger::stream::{ToAgent, ToAggregator, codec};
+use peernet_stream::{ToAgent, ToAggregator, codec};
 use peernet_tests::fleet::{echo, edge, rate};
 use peernet_tests::{Chance, Fleet, Introduced, Stranger, measured, thousands, until};
 

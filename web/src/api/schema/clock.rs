@@ -2,7 +2,7 @@
 
 use peernet_aggregator as aggregator;
 use peernet_clock::{DelaySource, Discipline, Interval, Offset, RehearsalDescription, Span};
-use peernet_logger::stream::{self, DelayPoint, DelaySecond, ProbeCounts};
+use peernet_stream::{self as stream, DelayPoint, DelaySecond, ProbeCounts};
 use serde::Serialize;
 use utoipa::ToSchema;
 

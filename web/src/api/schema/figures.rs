@@ -2,7 +2,7 @@
 
 use peernet_aggregator as aggregator;
 use peernet_logger::Name;
-use peernet_logger::stream;
+use peernet_stream as stream;
 use serde::Serialize;
 use utoipa::ToSchema;
 

@@ -2,7 +2,7 @@
 
 use peernet_aggregator::{Arrivals, HostPicture, HostRow, IncidentRow};
 use peernet_clock::Span;
-use peernet_logger::stream::{Accounting, HostDescription, HostMetrics};
+use peernet_stream::{Accounting, HostDescription, HostMetrics};
 use serde::Serialize;
 use utoipa::ToSchema;
 

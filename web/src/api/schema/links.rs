@@ -2,7 +2,7 @@
 
 use peernet_aggregator::{ClockPoint, ClockSeries, LinkPicture, LinkRow};
 use peernet_clock::ExchangeCounts;
-use peernet_logger::stream;
+use peernet_stream as stream;
 use serde::Serialize;
 use utoipa::ToSchema;
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use peernet_aggregator::{LiveSecond, Picture, PipelinePicture, Readiness};
-use peernet_logger::stream::PipelineState;
+use peernet_stream::PipelineState;
 use serde::Serialize;
 use utoipa::ToSchema;
 

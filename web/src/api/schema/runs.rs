@@ -1,7 +1,7 @@
 //! Stored runs.
 
 use peernet_aggregator as aggregator;
-use peernet_logger::stream;
+use peernet_stream as stream;
 use serde::Serialize;
 use utoipa::ToSchema;
 

@@ -1,7 +1,7 @@
 //! Whether a run can be published, and what was found of its hosts.
 
-use peernet_logger::stream;
 use peernet_report::trust;
+use peernet_stream as stream;
 use serde::Serialize;
 use utoipa::ToSchema;
 

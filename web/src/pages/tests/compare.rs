@@ -5,9 +5,9 @@ use std::sync::Arc;
 use peernet_aggregator::{Kept, RunSummary};
 use peernet_clock::Verdict;
 use peernet_logger::stage;
-use peernet_logger::stream::ExperimentPlace;
-use peernet_logger::stream::PlacementKind::{Local, Remote};
 use peernet_statistics::Summary;
+use peernet_stream::ExperimentPlace;
+use peernet_stream::PlacementKind::{Local, Remote};
 
 use super::super::compare::rendered;
 use super::check;

@@ -16,7 +16,7 @@ async fn what_became_of_events_is_shown_whatever_it_was() {
     told.newest_stored = Some(samples::NOW);
     told.arrivals = peernet_aggregator::Arrivals { deferred: 7, damaged: 2 };
     let mut broken = host("cam-2", "Orin");
-    broken.accounting = peernet_logger::stream::Accounting {
+    broken.accounting = peernet_stream::Accounting {
         trouble: Some(HOSTILE.into()),
         compressed: true,
         spool_bytes: 1 << 31,

@@ -1,6 +1,6 @@
 //! Response length against latency, on the page that compares.
 
-use peernet_logger::stream::PlacementKind::Remote;
+use peernet_stream::PlacementKind::Remote;
 
 use super::super::compare::rendered;
 use super::check;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use peernet_aggregator::{Episodes, Kept, RunSummary};
 use peernet_clock::Span;
 use peernet_logger::stage;
-use peernet_logger::stream::PlacementKind::{Local, Remote};
+use peernet_stream::PlacementKind::{Local, Remote};
 
 use super::super::compare::rendered;
 use super::check;

@@ -1,9 +1,9 @@
 //! What the means of stored runs leave open: starts that were skipped, samples without a score, and how to ask of every
 //! iteration.
 
-use peernet_logger::stream::OutcomeCounts;
 use peernet_report::accuracy::{UNKNOWN_LABEL, UnknownLabels};
 use peernet_report::compare::skipped_starts;
+use peernet_stream::OutcomeCounts;
 
 use super::Comparison;
 use crate::numbers::count;
@@ -62,7 +62,7 @@ pub(crate) fn commands(comparison: &Comparison, host: &str) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use peernet_logger::Name;
-    use peernet_logger::stream::PlacementKind::Local;
+    use peernet_stream::PlacementKind::Local;
 
     use super::super::tests::{comparison, configuration};
     use super::*;

@@ -1,8 +1,8 @@
 //! What the runs of a comparison differ in.
 
 use peernet_aggregator::RunDetail;
-use peernet_logger::stream::ExperimentPlace;
 use peernet_report::compare::is_opaque;
+use peernet_stream::ExperimentPlace;
 
 use crate::numbers::NONE;
 use crate::view::place;
@@ -76,7 +76,7 @@ fn known(run: &RunDetail) -> Vec<(String, String)> {
 
 #[cfg(test)]
 mod tests {
-    use peernet_logger::stream::PlacementKind;
+    use peernet_stream::PlacementKind;
 
     use super::super::tests::run;
     use super::*;

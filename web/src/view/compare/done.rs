@@ -36,7 +36,7 @@ fn is_again(before: &RunSummary, run: &RunSummary) -> bool {
 #[cfg(test)]
 mod tests {
     use peernet_logger::HostId;
-    use peernet_logger::stream::{ExperimentPlace, PlacementKind};
+    use peernet_stream::{ExperimentPlace, PlacementKind};
 
     use super::*;
     use crate::view::compare::tests::run;

@@ -35,9 +35,9 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use peernet_aggregator::{Bound, Figures, Kept, RunSummary, StageStatistics};
-use peernet_logger::stream::PlacementKind;
 use peernet_report::trust::Starts;
 use peernet_statistics::Summary;
+use peernet_stream::PlacementKind;
 
 use crate::view::trust;
 
@@ -112,7 +112,7 @@ impl Configuration {
         })
     }
 
-    fn placement(&self) -> Option<&peernet_logger::stream::Placement> {
+    fn placement(&self) -> Option<&peernet_stream::Placement> {
         self.runs.first().map(|run| &run.placement)
     }
 

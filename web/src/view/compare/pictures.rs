@@ -1,7 +1,7 @@
 //! Pictures of a comparison: stacks, pairs of local and cloud.
 
 use peernet_logger::stage;
-use peernet_logger::stream::{Placement, PlacementKind};
+use peernet_stream::{Placement, PlacementKind};
 use std::slice;
 
 use super::{Comparison, Configuration, order};

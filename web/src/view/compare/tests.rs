@@ -1,7 +1,7 @@
 use peernet_aggregator::{Bound, Episodes, MeanBucket, Series, SeriesPoint, StageMeans, StageSeries};
 use peernet_clock::{Span, Verdict};
-use peernet_logger::stream::{OutcomeCounts, Placement};
 use peernet_logger::{HostId, Name, RunId, stage};
+use peernet_stream::{OutcomeCounts, Placement};
 
 use super::series::{RunCourse, RunCourses};
 use super::*;

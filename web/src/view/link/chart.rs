@@ -221,7 +221,7 @@ fn round_trips(plan: &Plan<'_>) -> Track {
     let mut track = Track::new("probe round trip, ms".to_owned(), &ruler);
     track.note = "strong: smallest · faint: median · ticks: lost probes, by their share".to_owned();
     track.beyond = beyond(medians(), &ruler, "ms");
-    let line = |of: fn(&peernet_logger::stream::RoundTrip) -> Span| {
+    let line = |of: fn(&peernet_stream::RoundTrip) -> Span| {
         pen::line(plan.broken(points, |x, point| {
             Some((x, ruler.below(of(point.round_trip.as_ref()?).seconds() * 1e3)))
         }))

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use peernet_aggregator::{ClockPoint, ClockSeries};
 use peernet_clock::{Interval, Offset, Span, WallTime};
-use peernet_logger::stream::{DelaySecond, ProbeCounts, RoundTrip};
+use peernet_stream::{DelaySecond, ProbeCounts, RoundTrip};
 
 use super::super::chip::severity;
 use super::super::speed::Way;

@@ -2,7 +2,7 @@
 
 use peernet_aggregator::ClockPoint;
 use peernet_clock::Verdict;
-use peernet_logger::stream::{DelayPoint, DelaySecond};
+use peernet_stream::{DelayPoint, DelaySecond};
 
 use super::super::chip::{Chip, severity};
 use super::super::clocks;

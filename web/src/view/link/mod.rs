@@ -17,7 +17,7 @@ use std::sync::Arc;
 use peernet_aggregator::{ClockPoint, LinkPicture, LinkRow, Picture};
 use peernet_clock::{Offset, Span, Verdict, WallTime};
 use peernet_logger::HostId;
-use peernet_logger::stream::{Placement, PlacementKind};
+use peernet_stream::{Placement, PlacementKind};
 
 use super::speed::Way;
 use delays::Delays;

@@ -1,7 +1,7 @@
 //! Where the bound of an offset comes from, and what would narrow it.
 
 use peernet_clock::{DelaySource, Interval, Offset};
-use peernet_logger::stream::{HostClock, Probing};
+use peernet_stream::{HostClock, Probing};
 
 use super::course::Course;
 use super::list::TOO_YOUNG;

@@ -1,6 +1,6 @@
 //! How a link is probed, what its hosts' time daemons say, what was refused.
 
-use peernet_logger::stream::{HostClock, Probing};
+use peernet_stream::{HostClock, Probing};
 
 use super::super::{counted, rehearsal};
 use super::Subject;

@@ -1,6 +1,6 @@
 //! The figures of a link, now.
 
-use peernet_logger::stream::ProbeCounts;
+use peernet_stream::ProbeCounts;
 
 use super::super::chip::Chip;
 use super::super::speed::Way;

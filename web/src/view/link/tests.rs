@@ -1,5 +1,5 @@
 use peernet_clock::{DelaySource, Interval};
-use peernet_logger::stream::{DelayPoint, DelaySecond, HostClock, Probing};
+use peernet_stream::{DelayPoint, DelaySecond, HostClock, Probing};
 
 use super::chart::{OffsetView, tracks};
 use super::course::Course;

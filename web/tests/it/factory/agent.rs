@@ -6,8 +6,8 @@ use std::time::Duration;
 use bytes::Bytes;
 use peernet_clock::{SharedClock, Span};
 use peernet_logger::HostId;
-use peernet_logger::stream::codec::{decode, encode};
-use peernet_logger::stream::{
+use peernet_stream::codec::{decode, encode};
+use peernet_stream::{
     Accounting, Action, Event, HostDescription, HostSecret, LiveUpdate, Sending, SendingConfig, SpoolState,
     SpooledBatch, StreamId, ToAgent, ToAggregator, Usage,
 };

@@ -1,7 +1,7 @@
 //! Accounts of agents that are in trouble, for looking at them.
 
 use peernet_clock::{Span, WallTime};
-use peernet_logger::stream::Accounting;
+use peernet_stream::Accounting;
 
 /// Seconds that storing was behind at first, and by how many of them it catches up in a second.
 const BEHIND_S: f64 = 14_400.0;

@@ -4,10 +4,10 @@ use peernet_clock::{
     DelaySource, Discipline, Exchange, ExchangeCounts, Interval, Offset, RehearsalDescription, Span, Verdict,
     WallTime,
 };
-use peernet_logger::stream::{
+use peernet_logger::{HostId, stage};
+use peernet_stream::{
     ClockSample, DelayPoint, DelaySecond, HostClock, LinkLive, ProbeCounts, Probing, RoundTrip,
 };
-use peernet_logger::{HostId, stage};
 
 use super::{Clocks, Line, Numbers, slug};
 

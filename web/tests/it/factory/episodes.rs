@@ -1,7 +1,7 @@
 //! Runs that are parted into episodes.
 
 use peernet_logger::RunId;
-use peernet_logger::stream::{Event, ExperimentPlace, Outcome};
+use peernet_stream::{Event, ExperimentPlace, Outcome};
 
 use super::Factory;
 

@@ -1,9 +1,9 @@
 //! One pipeline: how long its stages take.
 
 use peernet_clock::WallTime;
-use peernet_logger::stream::{OutcomeCounts, Placement, PlacementKind, Second};
 use peernet_logger::{Name, RunId, stage};
 use peernet_statistics::Summary;
+use peernet_stream::{OutcomeCounts, Placement, PlacementKind, Second};
 
 use super::Numbers;
 

@@ -15,11 +15,11 @@ pub(crate) use line::{Clocks, Line};
 pub(crate) use numbers::Numbers;
 
 use peernet_clock::{ClockIdentity, SharedClock, Span, WallTime};
-use peernet_logger::stream::{
+use peernet_logger::{HostId, Name, RunId, stage};
+use peernet_stream::{
     Condition, Event, ExperimentPlace, Gap, Grade, Hardware, HostDescription, HostMetrics, Incident,
     IncidentKind, Iteration, LiveUpdate, Outcome, PipelineLive, PipelineState, RunDescription, RunEnded,
 };
-use peernet_logger::{HostId, Name, RunId, stage};
 
 /// The cameras' pipelines and the rack that serves two of them.
 pub(crate) struct Factory {

@@ -1,8 +1,8 @@
 //! A pipeline that is too slow for its rate.
 
 use peernet_clock::Span;
-use peernet_logger::stream::{Event, Outcome};
 use peernet_logger::{Measure, NodeId, RunId, Unit};
+use peernet_stream::{Event, Outcome};
 
 use super::Factory;
 

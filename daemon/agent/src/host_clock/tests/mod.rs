@@ -7,7 +7,7 @@ mod real_chrony;
 use std::sync::Arc;
 
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
-use peernet_logger::stream::HostClock;
+use peernet_stream::HostClock;
 use tokio::sync::watch;
 use tokio_util::sync::{CancellationToken, DropGuard};
 

@@ -1,7 +1,7 @@
 //! What a real chrony says becomes an interval that contains the truth, with the right sign.
 
 use peernet_clock::{DelaySource, Span};
-use peernet_logger::stream::HostClock;
+use peernet_stream::HostClock;
 use tokio::sync::watch;
 
 use super::chronyd::Chronyd;

@@ -1,6 +1,6 @@
 //! What became of the events, in this machine and before it.
 
-use peernet_logger::stream::Accounting;
+use peernet_stream::Accounting;
 
 use super::Sender;
 use crate::outbox::farewell::Standing;

@@ -1,6 +1,6 @@
 //! What the aggregator says, and what the machine makes of it.
 
-use peernet_logger::stream::{Event, Notice, ToAgent, codec};
+use peernet_stream::{Event, Notice, ToAgent, codec};
 
 use super::Sender;
 

@@ -1,7 +1,7 @@
 //! The two lanes: events on their way through the machine, the spool and the connection; live figures beside them.
 
 use peernet_clock::Stamp;
-use peernet_logger::stream::{Action, Event, LiveUpdate, ToAggregator, codec};
+use peernet_stream::{Action, Event, LiveUpdate, ToAggregator, codec};
 
 use super::Sender;
 use crate::live::Receipt;

@@ -10,8 +10,8 @@ use std::pin::pin;
 use std::time::Duration;
 
 use peernet_clock::{MonoTime, SharedClock, Span};
-use peernet_logger::stream::{Accounting, HostClock, HostMetrics, Sending};
 use peernet_networks::Address;
+use peernet_stream::{Accounting, HostClock, HostMetrics, Sending};
 use tokio::sync::{oneshot, watch};
 use tokio::time::{Instant, MissedTickBehavior};
 

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use bytes::Bytes;
 use peernet_clock::WallTime;
-use peernet_logger::stream::{Chain, SpooledBatch, StreamId, Totals};
+use peernet_stream::{Chain, SpooledBatch, StreamId, Totals};
 use sqlx::{Connection, SqliteConnection};
 use tokio::task::JoinHandle;
 

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use peernet_clock::{SharedClock, WallTime};
 use peernet_logger::HostId;
-use peernet_logger::stream::{Chain, HandedIn, Reached, SpoolState, StreamId, Totals, Usage};
+use peernet_stream::{Chain, HandedIn, Reached, SpoolState, StreamId, Totals, Usage};
 use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::sqlite::{SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, FromRow, SqliteConnection};

@@ -1,7 +1,7 @@
 //! The statements that change the file.
 
 use peernet_clock::WallTime;
-use peernet_logger::stream::{Chain, SpooledBatch, Totals};
+use peernet_stream::{Chain, SpooledBatch, Totals};
 use sqlx::SqliteConnection;
 
 use super::tail;

@@ -2,7 +2,7 @@
 
 use peernet_clock::WallTime;
 use peernet_logger::RunId;
-use peernet_logger::stream::{Gap, RunCounts, Settled, SpoolState, Unresolved};
+use peernet_stream::{Gap, RunCounts, Settled, SpoolState, Unresolved};
 use sqlx::{FromRow, SqliteConnection};
 
 use crate::outbox::counter::{self, EventCounter};

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use peernet_logger::RunId;
-use peernet_logger::stream::{Event, SpooledBatch, codec};
+use peernet_stream::{Event, SpooledBatch, codec};
 use tracing::Level;
 
 /// The log's name for it.

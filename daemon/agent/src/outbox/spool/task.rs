@@ -3,7 +3,7 @@
 use std::io;
 use std::time::Duration;
 
-use peernet_logger::stream::{Chain, SpooledBatch, StreamId, Totals};
+use peernet_stream::{Chain, SpooledBatch, StreamId, Totals};
 use tokio::sync::mpsc::{self, error::TrySendError};
 use tokio::time::MissedTickBehavior;
 use tokio_util::task::AbortOnDropHandle;

@@ -7,8 +7,8 @@ use peernet_clock::{Clock, ClockIdentity, MonoTime, SharedClock, SystemClock, Wa
 use peernet_external::exec::FingerprintKey;
 use peernet_inference::Bank;
 use peernet_logger::HostId;
-use peernet_logger::stream::{Event, HostClock, Outcome};
 use peernet_sample::{Description, Sample};
+use peernet_stream::{Event, HostClock, Outcome};
 use tokio::sync::{oneshot, watch};
 
 use super::super::cycle::{Awaited, Cycle};

@@ -2,11 +2,11 @@
 
 use peernet_clock::{ClockIdentity, SharedClock};
 use peernet_logger::HostId;
-use peernet_logger::stream::{Hardware, Probing};
 use peernet_networks::{
     Incoming, Listener, NetworkKind, OpenRequest, PeerClock, SessionAccepted, SessionSettings,
 };
 use peernet_probes::{Reflector, ReflectorConfig, Stamps};
+use peernet_stream::{Hardware, Probing};
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
@@ -116,7 +116,7 @@ async fn a_cloud_that_was_started_anew_is_known_by_nothing_while_a_session_of_be
     before.accept(open);
     let before = before.stay();
     let shows = |name: &'static str| {
-        move |live: &peernet_logger::stream::LiveUpdate| {
+        move |live: &peernet_stream::LiveUpdate| {
             live.links.iter().any(|link| link.pipelines.iter().any(|pipeline| pipeline.as_str() == name))
         }
     };

@@ -2,7 +2,7 @@
 
 use peernet_clock::{DelaySource, Span, Verdict};
 use peernet_logger::Slug;
-use peernet_logger::stream::Probing;
+use peernet_stream::Probing;
 
 use super::{CLOUD, line};
 use crate::harness::{TestAgent, config};

@@ -11,7 +11,7 @@ mod steps;
 
 use peernet_clock::{OneWayDelay, RehearsalDescription, Span, WallTime};
 use peernet_logger::Measure;
-use peernet_logger::stream::Iteration;
+use peernet_stream::Iteration;
 
 use crate::harness::TestAgent;
 

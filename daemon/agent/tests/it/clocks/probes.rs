@@ -6,7 +6,7 @@ use std::os::unix::fs::PermissionsExt;
 
 use peernet_agent::{Agent, StartError};
 use peernet_clock::Verdict;
-use peernet_logger::stream::Probing;
+use peernet_stream::Probing;
 use tokio_util::sync::CancellationToken;
 
 use super::{CLOUD, FIRST, WAYS, assert_holds, delay, line};

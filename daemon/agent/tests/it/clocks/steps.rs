@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use peernet_clock::{RehearsalDescription, RehearsedStep, SharedClock, Span, Verdict, WallTime};
-use peernet_logger::stream::{IncidentKind, LiveUpdate};
+use peernet_stream::{IncidentKind, LiveUpdate};
 
 use super::{CLOUD, assert_holds, line, transit, wrong};
 use crate::harness::{Aggregator, Late, Seen, TestAgent, assert_adds_up, clock, config, value};

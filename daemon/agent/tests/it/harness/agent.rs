@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use peernet_agent::{Agent, AgentConfig, Failure, Running, StartError};
 use peernet_clock::{ClockIdentity, RehearsalDescription, RehearsedClock, SharedClock, SystemClock};
-use peernet_logger::stream::{LiveUpdate, PipelineLive, PipelineState};
+use peernet_stream::{LiveUpdate, PipelineLive, PipelineState};
 use tempfile::TempDir;
 use tokio_util::sync::CancellationToken;
 

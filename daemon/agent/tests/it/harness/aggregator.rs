@@ -7,7 +7,7 @@ use std::time::Duration;
 use bytes::Bytes;
 use peernet_clock::{MonoTime, SharedClock};
 use peernet_logger::HostId;
-use peernet_logger::stream::{
+use peernet_stream::{
     Arrival, BatchHead, ClockSample, Event, Gap, Greeting, Hello, Incident, IncidentKind, Iteration, Known,
     LiveUpdate, Mark, Missing, Receiving, ReceivingConfig, RunDescription, RunEnded, StreamId, ToAgent,
     ToAggregator, codec,

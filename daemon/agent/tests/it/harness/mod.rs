@@ -11,7 +11,7 @@ pub(crate) use late::Late;
 use std::time::Duration;
 
 use peernet_logger::Tree;
-use peernet_logger::stream::Iteration;
+use peernet_stream::Iteration;
 
 /// What the agents of tests say of the program that they belong to.
 pub(crate) const VERSION: &str = "1.2.3 (a commit)";

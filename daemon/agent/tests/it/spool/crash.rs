@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use peernet_logger::stream::{Event, PipelineState};
+use peernet_stream::{Event, PipelineState};
 
 use super::{idle, line, nobody, spooled, state};
 use crate::harness::{Aggregator, Manners, TestAgent, assert_contiguous};

@@ -3,7 +3,7 @@
 use std::num::NonZeroU64;
 
 use peernet_logger::Slug;
-use peernet_logger::stream::Gap;
+use peernet_stream::Gap;
 
 use super::{line, nobody, state};
 use crate::harness::{Aggregator, TestAgent};

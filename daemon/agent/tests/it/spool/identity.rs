@@ -1,7 +1,7 @@
 //! Spools that are gone, broken, or somebody else's.
 
 use peernet_agent::StartError;
-use peernet_logger::stream::IncidentKind;
+use peernet_stream::IncidentKind;
 
 use super::{idle, line, state};
 use crate::harness::{Aggregator, TestAgent, clock};

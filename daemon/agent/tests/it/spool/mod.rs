@@ -8,7 +8,7 @@ mod trouble;
 use std::path::Path;
 
 use peernet_agent::AgentConfig;
-use peernet_logger::stream::{Event, codec};
+use peernet_stream::{Event, codec};
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection};
 

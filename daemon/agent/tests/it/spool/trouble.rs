@@ -2,7 +2,7 @@
 
 use std::num::NonZeroUsize;
 
-use peernet_logger::stream::{IncidentKind, Iteration, PipelineState};
+use peernet_stream::{IncidentKind, Iteration, PipelineState};
 
 use super::{idle, line, nobody, state};
 use crate::harness::{Aggregator, TestAgent, assert_contiguous, value};

@@ -2,8 +2,8 @@
 
 use peernet_clock::Stamp;
 use peernet_logger::HostId;
-use peernet_logger::stream::{Greeting, Hello, HostSecret, Nonce, Proof, Proven, Receiving, ToAgent};
 use peernet_networks::Peer;
+use peernet_stream::{Greeting, Hello, HostSecret, Nonce, Proof, Proven, Receiving, ToAgent};
 
 use super::Desk;
 use crate::ingest::queue::Incoming;

@@ -3,7 +3,7 @@
 use peernet_clock::{
     DelaySource, ExchangeCounts, Interval, Offset, RehearsalDescription, RehearsedStep, Verdict,
 };
-use peernet_logger::stream::{ClockSample, DelayPoint, DelaySecond, LinkLive, ProbeCounts, Probing};
+use peernet_stream::{ClockSample, DelayPoint, DelaySecond, LinkLive, ProbeCounts, Probing};
 
 use super::*;
 use crate::live::MOST_LINKS;

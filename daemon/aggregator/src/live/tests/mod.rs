@@ -7,12 +7,12 @@ mod links;
 use std::sync::Arc;
 
 use peernet_clock::{ClockIdentity, MonoTime, Span, Stamp, Verdict, WallTime};
-use peernet_logger::stream::{
+use peernet_logger::{HostId, Name, RunId, Slug, stage};
+use peernet_statistics::Summary;
+use peernet_stream::{
     Accounting, Hardware, HostClock, HostDescription, HostMetrics, LiveUpdate, OutcomeCounts, PipelineLive,
     PipelineState, Placement, PlacementKind, Second,
 };
-use peernet_logger::{HostId, Name, RunId, Slug, stage};
-use peernet_statistics::Summary;
 use proptest::prelude::*;
 
 use super::{Live, MOST_NAMES, MOST_PIPELINES, MOST_RUNS, News};

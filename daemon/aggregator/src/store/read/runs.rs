@@ -3,7 +3,7 @@
 use peernet_clock::WallTime;
 use peernet_external::exec::{hide_arguments, hide_arguments_in_facts};
 use peernet_logger::stage;
-use peernet_logger::stream::{OutcomeCounts, Placement, PlacementKind};
+use peernet_stream::{OutcomeCounts, Placement, PlacementKind};
 use serde::de::DeserializeOwned;
 use sqlx::FromRow;
 

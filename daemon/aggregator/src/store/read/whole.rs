@@ -1,6 +1,6 @@
 //! Iterations as the agent sent them, many at a time.
 
-use peernet_logger::stream::{Iteration, Outcome};
+use peernet_stream::{Iteration, Outcome};
 
 use super::iterations::Row;
 use super::{corrupt, count, sql, tree, wall};

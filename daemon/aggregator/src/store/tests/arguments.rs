@@ -1,7 +1,7 @@
 //! Arguments of programs that earlier builds of agents told.
 
 use peernet_logger::RunId;
-use peernet_logger::stream::{Event, RunDescription};
+use peernet_stream::{Event, RunDescription};
 
 use super::{Bed, generate};
 

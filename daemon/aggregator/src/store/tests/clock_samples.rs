@@ -1,8 +1,8 @@
 //! Clock samples: what an agent said is what readers are told, by the second and by the bucket.
 
 use peernet_clock::{DelaySource, Span, Verdict, WallTime};
-use peernet_logger::stream::{ClockSample, Event, HostDescription, Iteration};
 use peernet_logger::{HostId, RunId};
+use peernet_stream::{ClockSample, Event, HostDescription, Iteration};
 
 use super::clocks::{link, micros, sample};
 use super::{Bed, NOW, generate};

@@ -1,7 +1,7 @@
 //! Runs whose agent was killed, runs known by their iterations only, and what a batch put aside leaves behind.
 
 use peernet_logger::RunId;
-use peernet_logger::stream::{BatchHead, Event, RunEnded, codec};
+use peernet_stream::{BatchHead, Event, RunEnded, codec};
 
 use super::{Bed, NOW, STAMP, Work, generate, open};
 use crate::picture::Stored;

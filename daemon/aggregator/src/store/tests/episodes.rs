@@ -2,7 +2,7 @@
 
 use peernet_clock::WallTime;
 use peernet_logger::RunId;
-use peernet_logger::stream::{Event, Iteration, Outcome};
+use peernet_stream::{Event, Iteration, Outcome};
 
 use super::{Bed, generate};
 use crate::store::types::Episodes;

@@ -1,8 +1,8 @@
 //! Runs that were declared together, and what was found of their hosts.
 
 use peernet_logger::stage;
-use peernet_logger::stream::{Condition, Event, ExperimentPlace, Grade, RunDescription};
 use peernet_logger::{Name, RunId};
+use peernet_stream::{Condition, Event, ExperimentPlace, Grade, RunDescription};
 
 use super::{Bed, generate};
 use crate::store::types::{MeanBucket, RunFilter};

@@ -7,7 +7,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use peernet_logger::stream::{Event, Gap, Incident, IncidentKind, RunEnded};
+use peernet_stream::{Event, Gap, Incident, IncidentKind, RunEnded};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
 
 use super::clocks::sample;

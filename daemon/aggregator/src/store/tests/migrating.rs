@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 use peernet_logger::stage;
-use peernet_logger::stream::Event;
+use peernet_stream::Event;
 use sqlx::migrate::Migrator;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
 

@@ -38,8 +38,8 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use peernet_clock::{ClockIdentity, MonoTime, Stamp, SystemClock, WallTime};
-use peernet_logger::stream::{BatchHead, Chain, Event, HostDescription, StreamId};
 use peernet_logger::{HostId, RunId};
+use peernet_stream::{BatchHead, Chain, Event, HostDescription, StreamId};
 use sqlx::{ConnectOptions, SqliteConnection};
 use tempfile::TempDir;
 

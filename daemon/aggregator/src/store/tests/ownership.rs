@@ -1,6 +1,6 @@
 //! Whose data it is: what hosts say of the runs of others, and their secrets.
 
-use peernet_logger::stream::{Gap, HostSecret, Incident, IncidentKind, RunEnded};
+use peernet_stream::{Gap, HostSecret, Incident, IncidentKind, RunEnded};
 
 use super::*;
 use crate::store::maintenance::{ClearSecretError, clear_host_secret};

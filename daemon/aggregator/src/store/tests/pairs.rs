@@ -1,8 +1,8 @@
 //! Two values of single iterations: which are looked at, and what an iteration with several nodes has.
 
 use peernet_clock::Span;
-use peernet_logger::stream::{Event, Iteration, Outcome};
 use peernet_logger::{Measure, NodeId, RunId, Unit, stage};
+use peernet_stream::{Event, Iteration, Outcome};
 
 use super::retention::{day, short, two_runs, work_off};
 use super::{Bed, NOW, generate};

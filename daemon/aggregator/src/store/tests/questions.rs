@@ -1,9 +1,9 @@
 //! What readers are told.
 
 use peernet_clock::{DelaySource, OneWayDelay, Span, Verdict};
-use peernet_logger::stream::{Event, Incident, IncidentKind, Iteration, Outcome, RunEnded};
 use peernet_logger::{HostId, Measure, Name, NodeId, RunId, stage};
 use peernet_statistics::Summary;
+use peernet_stream::{Event, Incident, IncidentKind, Iteration, Outcome, RunEnded};
 
 use super::{Bed, generate};
 use crate::figures::Figures;

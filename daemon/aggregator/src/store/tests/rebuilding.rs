@@ -1,8 +1,8 @@
 //! Roll-ups made from the nodes are those that grew with them.
 
 use peernet_clock::Span;
-use peernet_logger::stream::{Event, Iteration, Outcome};
 use peernet_logger::{Measure, NodeId, RunId, Unit, stage};
+use peernet_stream::{Event, Iteration, Outcome};
 use sqlx::Connection;
 
 use super::generate::{self, Numbers};

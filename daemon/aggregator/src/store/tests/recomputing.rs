@@ -2,7 +2,7 @@
 
 use peernet_clock::{DelaySource, Direction, Discipline, OneWayDelay, Span, Verdict};
 use peernet_logger::RunId;
-use peernet_logger::stream::{Event, Iteration, Outcome};
+use peernet_stream::{Event, Iteration, Outcome};
 
 use super::simulation::{Simulation, delays};
 use super::{Bed, generate};

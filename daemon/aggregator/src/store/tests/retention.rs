@@ -1,8 +1,8 @@
 //! What is old goes in its time, a little at a time, and nothing else does. Age is time on the storage clock.
 
 use peernet_clock::{MonoTime, Span, Stamp, WallTime};
-use peernet_logger::stream::{Event, RunEnded};
 use peernet_logger::{RunId, stage};
+use peernet_stream::{Event, RunEnded};
 use sqlx::SqliteConnection;
 
 use super::clocks::sample;

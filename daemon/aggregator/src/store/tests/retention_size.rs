@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use peernet_logger::RunId;
-use peernet_logger::stream::Event;
+use peernet_stream::Event;
 
 use super::Bed;
 use super::generate::{self, Numbers, at};

@@ -5,8 +5,8 @@ use peernet_clock::{
     ClockIdentity, Discipline, Exchange, Interval, Judged, Learned, OneWayDelay, Relation, RelationSettings,
     Span, WallTime, Witnessed,
 };
-use peernet_logger::stream::{ClockSample, Event, Iteration, ProbeCounts};
 use peernet_logger::{HostId, Measure, RunId, Transit};
+use peernet_stream::{ClockSample, Event, Iteration, ProbeCounts};
 
 use super::clocks::micros;
 use super::generate::{self, Numbers};

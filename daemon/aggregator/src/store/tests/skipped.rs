@@ -1,8 +1,8 @@
 //! Starts that were skipped count whatever became of the iterations that tell of them.
 
 use peernet_clock::Span;
-use peernet_logger::stream::{Event, Iteration, Outcome};
 use peernet_logger::{Measure, NodeId, RunId, Unit};
+use peernet_stream::{Event, Iteration, Outcome};
 
 use super::{Bed, NOW, generate};
 use crate::store::rebuild::rebuild;

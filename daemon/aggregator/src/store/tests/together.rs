@@ -1,8 +1,8 @@
 //! Several runs taken together are what all their iterations are.
 
 use peernet_clock::Span;
-use peernet_logger::stream::Event;
 use peernet_logger::{Measure, NodeId, RunId, Unit, stage};
+use peernet_stream::Event;
 
 use super::{Bed, NOW, generate};
 use crate::store::types::RunStatistics;

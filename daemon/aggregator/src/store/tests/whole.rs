@@ -1,8 +1,8 @@
 //! Iterations are read back as they were sent.
 
 use peernet_clock::Span;
-use peernet_logger::stream::{Event, Iteration, Outcome};
 use peernet_logger::{HostId, Measure, NodeId, RunId};
+use peernet_stream::{Event, Iteration, Outcome};
 
 use super::{Bed, generate};
 use crate::store::types::RunSummary;

@@ -1,9 +1,9 @@
 //! What the writer promises: each batch exactly once, a bad one aside, nothing half done.
 
-use peernet_logger::stream::{
+use peernet_logger::{HostId, RunId};
+use peernet_stream::{
     Chain, Event, Gap, Hello, Iteration, Known, Lacking, Mark, Missing, PROTOCOL, StreamId,
 };
-use peernet_logger::{HostId, RunId};
 
 use super::rollups::{assert_same, table};
 use super::{Bed, NOW, STAMP, Work, generate, open};

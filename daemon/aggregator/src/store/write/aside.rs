@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use bytes::Bytes;
 use peernet_clock::WallTime;
 use peernet_logger::RunId;
-use peernet_logger::stream::{BatchHead, Event, Gap, codec};
+use peernet_stream::{BatchHead, Event, Gap, codec};
 use sqlx::SqliteConnection;
 
 use super::entities::{Entities, Reporter};

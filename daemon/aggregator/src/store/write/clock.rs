@@ -3,8 +3,8 @@
 use std::collections::HashMap;
 
 use peernet_clock::{DelaySource, Exchange, Interval, Offset, Verdict, WallTime};
-use peernet_logger::stream::{ClockSample, DelaySecond};
 use peernet_logger::{HostId, Slug};
+use peernet_stream::{ClockSample, DelaySecond};
 use sqlx::error::BoxDynError;
 use sqlx::sqlite::SqliteArguments;
 use sqlx::{Arguments, SqliteConnection};

@@ -5,7 +5,7 @@ use std::collections::hash_map::Entry;
 
 use peernet_clock::WallTime;
 use peernet_logger::HostId;
-use peernet_logger::stream::OutcomeCounts;
+use peernet_stream::OutcomeCounts;
 use sqlx::{Arguments, SqliteConnection};
 
 use super::ends::LEFT;

@@ -4,8 +4,8 @@ use std::collections::HashMap;
 use std::str::FromStr;
 
 use peernet_clock::WallTime;
-use peernet_logger::stream::{HostDescription, PlacementKind, RunDescription, RunEnded};
 use peernet_logger::{HostId, RunId};
+use peernet_stream::{HostDescription, PlacementKind, RunDescription, RunEnded};
 use serde::Serialize;
 use sqlx::SqliteConnection;
 

@@ -26,8 +26,8 @@ use std::collections::HashMap;
 use std::path::PathBuf;
 
 use peernet_clock::{Stamp, WallTime};
-use peernet_logger::stream::{BatchHead, HostSecret, Mark, StreamId};
 use peernet_logger::{HostId, RunId};
+use peernet_stream::{BatchHead, HostSecret, Mark, StreamId};
 use sqlx::{Connection, SqliteConnection};
 
 pub(crate) use self::entities::{UNKNOWN, newest_runs, placement_word, stored_hosts, unknown_runs};

@@ -3,7 +3,7 @@
 use bytes::Bytes;
 use peernet_clock::WallTime;
 use peernet_logger::RunId;
-use peernet_logger::stream::{BatchHead, Gap, Incident, Missing};
+use peernet_stream::{BatchHead, Gap, Incident, Missing};
 use sqlx::SqliteConnection;
 
 use super::Refusal;

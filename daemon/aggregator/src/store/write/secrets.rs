@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use peernet_clock::WallTime;
 use peernet_logger::HostId;
-use peernet_logger::stream::HostSecret;
+use peernet_stream::HostSecret;
 use sqlx::SqliteConnection;
 
 use super::entities::id;

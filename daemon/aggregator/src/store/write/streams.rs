@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 
 use peernet_clock::WallTime;
 use peernet_logger::HostId;
-use peernet_logger::stream::{BatchHead, Chain, Hello, Known, Lacking, Mark, StreamId};
+use peernet_stream::{BatchHead, Chain, Hello, Known, Lacking, Mark, StreamId};
 use sqlx::{Arguments, FromRow, SqliteConnection};
 
 use super::entities::id;

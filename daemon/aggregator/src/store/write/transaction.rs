@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use peernet_clock::{Stamp, WallTime};
-use peernet_logger::stream::{BatchHead, Event, Mark, Missing, StreamId};
+use peernet_stream::{BatchHead, Event, Mark, Missing, StreamId};
 use sqlx::SqliteConnection;
 
 use super::aside::Rejected;

@@ -4,8 +4,8 @@
 use std::collections::{BTreeSet, HashMap, HashSet};
 
 use peernet_clock::WallTime;
-use peernet_logger::stream::IncidentKind;
 use peernet_logger::{HostId, RunId};
+use peernet_stream::IncidentKind;
 use sqlx::SqliteConnection;
 
 use super::Refusal;

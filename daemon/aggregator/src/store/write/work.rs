@@ -1,10 +1,8 @@
 //! What the writer is given, and why something of it is not stored.
 
 use bytes::Bytes;
-use peernet_logger::stream::{
-    BatchHead, HostDescription, HostSecret, Lacking, Missing, Placement, StreamId, codec,
-};
 use peernet_logger::{HostId, RunId, Slug};
+use peernet_stream::{BatchHead, HostDescription, HostSecret, Lacking, Missing, Placement, StreamId, codec};
 
 use super::prepared::Prepared;
 

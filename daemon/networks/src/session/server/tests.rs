@@ -2,7 +2,7 @@
 
 use peernet_clock::ClockIdentity;
 use peernet_logger::HostId;
-use peernet_logger::stream::Hardware;
+use peernet_stream::Hardware;
 use proptest::prelude::*;
 
 use super::*;

@@ -7,8 +7,8 @@ mod published;
 mod summary;
 
 use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict, WallTime};
-use peernet_logger::stream::{Iteration, Outcome as Ended};
 use peernet_logger::{Anchor, HostId, Measure, Name, Rate, RunId, Transit, Tree, Unit, stage};
+use peernet_stream::{Iteration, Outcome as Ended};
 
 use super::*;
 

@@ -1,6 +1,6 @@
 //! Whether every answer was judged right or wrong, where some were.
 
-use peernet_logger::stream::Grade;
+use peernet_stream::Grade;
 
 use super::{advise, iterations, percent, say};
 use crate::accuracy::Accuracy;

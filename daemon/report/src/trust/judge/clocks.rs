@@ -1,7 +1,7 @@
 //! How well the one-way delays are known. The total does not depend on it: it is measured on the edge alone.
 
 use peernet_clock::Verdict;
-use peernet_logger::stream::Grade;
+use peernet_stream::Grade;
 
 use super::{advise, percent, say};
 use crate::number::{bound_milliseconds, milliseconds};

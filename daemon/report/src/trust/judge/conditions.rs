@@ -1,6 +1,6 @@
 //! What was found of the hosts before the run: what is as it should be in one sentence per host, the rest one by one.
 
-use peernet_logger::stream::{Condition, Grade};
+use peernet_stream::{Condition, Grade};
 
 use super::{advise, say};
 use crate::trust::Sentence;

@@ -1,6 +1,6 @@
 //! Whether the run stayed what it was: trend, beginning, outliers, and what no stage accounts for.
 
-use peernet_logger::stream::Grade;
+use peernet_stream::Grade;
 
 use super::{advise, ms, percent, say};
 use crate::number::{counted, fixed, significant};

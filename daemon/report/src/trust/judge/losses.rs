@@ -1,6 +1,6 @@
 //! Whether everything is there.
 
-use peernet_logger::stream::Grade;
+use peernet_stream::Grade;
 
 use super::{END, advise, iterations, percent, say};
 use crate::number::{counted, fixed, significant};

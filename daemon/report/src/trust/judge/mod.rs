@@ -7,7 +7,7 @@ mod course;
 mod losses;
 mod restarts;
 
-use peernet_logger::stream::Grade;
+use peernet_stream::Grade;
 
 use super::{Evidence, Sentence};
 use crate::number::{counted, fixed, significant};

@@ -1,6 +1,6 @@
 //! Whether successful iterations waited for a process that had died before them.
 
-use peernet_logger::stream::Grade;
+use peernet_stream::Grade;
 
 use super::{advise, iterations, ms, percent, say};
 use crate::number::fixed;

@@ -1,8 +1,8 @@
 use std::sync::Arc;
 
 use peernet_aggregator::{Figures, Kept};
-use peernet_logger::stream::PlacementKind::Remote;
 use peernet_logger::{Name, stage};
+use peernet_stream::PlacementKind::Remote;
 
 use super::super::tests::{comparison, configuration};
 use super::*;

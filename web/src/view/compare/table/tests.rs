@@ -1,4 +1,4 @@
-use peernet_logger::stream::PlacementKind::{Local, Remote};
+use peernet_stream::PlacementKind::{Local, Remote};
 
 use super::super::spread::boxes;
 use super::super::tests::{comparison, configuration, course};

@@ -3,7 +3,7 @@
 use std::fs;
 use std::os::unix::fs::MetadataExt;
 
-use peernet_logger::stream::Chain;
+use peernet_stream::Chain;
 
 use super::*;
 

@@ -1,6 +1,6 @@
 //! What is written is there again.
 
-use peernet_logger::stream::{Chain, Reached, StreamId, Usage};
+use peernet_stream::{Chain, Reached, StreamId, Usage};
 
 use super::*;
 

@@ -7,7 +7,7 @@ use std::borrow::Cow;
 use std::fs;
 use std::process::Command;
 
-use peernet_logger::stream::{Event, Incident, IncidentKind, codec};
+use peernet_stream::{Event, Incident, IncidentKind, codec};
 use sqlx::migrate::Migrator;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};

@@ -1,6 +1,6 @@
 //! How much of the disk it takes.
 
-use peernet_logger::stream::Chain;
+use peernet_stream::Chain;
 
 use super::*;
 

@@ -15,7 +15,7 @@ use std::sync::Arc;
 use bytes::Bytes;
 use peernet_clock::{ClockIdentity, ManualClock, SharedClock, WallTime};
 use peernet_logger::HostId;
-use peernet_logger::stream::{Chain, SpoolState, SpooledBatch, Totals};
+use peernet_stream::{Chain, SpoolState, SpooledBatch, Totals};
 use tempfile::TempDir;
 
 use super::file::SpoolFile;

@@ -1,7 +1,7 @@
 //! What a killed process took with it.
 
-use peernet_logger::stream::{HandedIn, KILLED, SentUnspooled};
 use peernet_logger::{RunId, Slug};
+use peernet_stream::{HandedIn, KILLED, SentUnspooled};
 
 use super::*;
 use crate::outbox::EventCounter;

@@ -1,10 +1,10 @@
 //! What the log says is safe.
 
 use peernet_clock::Stamp;
-use peernet_logger::stream::{
+use peernet_logger::{Recorder, RunId};
+use peernet_stream::{
     Action, Event, HostDescription, Iteration, Outcome, Sending, SendingConfig, SpoolState,
 };
-use peernet_logger::{Recorder, RunId};
 
 use super::super::tally::ranges;
 use super::*;
@@ -34,13 +34,8 @@ pub(super) fn batch(clock: &SharedClock, state: SpoolState, events: &[Event]) ->
         serves: None,
         models: Vec::new(),
     };
-    let mut machine = Sending::new(
-        SendingConfig::default(),
-        description,
-        peernet_logger::stream::HostSecret::random(),
-        1,
-        state,
-    );
+    let mut machine =
+        Sending::new(SendingConfig::default(), description, peernet_stream::HostSecret::random(), 1, state);
     let now: Stamp = clock.stamp();
     events.iter().for_each(|event| machine.offer(event, now));
     machine.flush(now.wall);

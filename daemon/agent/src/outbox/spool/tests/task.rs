@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use peernet_logger::stream::{Chain, StreamId};
+use peernet_stream::{Chain, StreamId};
 
 use super::super::task::{Done, Order, SpoolTask};
 use super::*;

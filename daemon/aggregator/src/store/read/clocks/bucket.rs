@@ -1,7 +1,7 @@
 //! Several seconds as one point.
 
 use peernet_clock::{Offset, Span, Verdict, WallTime};
-use peernet_logger::stream::{DelayPoint, DelaySecond, ProbeCounts, RoundTrip};
+use peernet_stream::{DelayPoint, DelaySecond, ProbeCounts, RoundTrip};
 
 use super::{Row, wall};
 use crate::error::StoreError;

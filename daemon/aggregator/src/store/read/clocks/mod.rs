@@ -8,7 +8,7 @@ use std::iter::successors;
 use futures::TryStreamExt;
 use peernet_clock::{DelaySource, Interval, Offset, Span, Verdict, WallTime};
 use peernet_logger::HostId;
-use peernet_logger::stream::{DelayPoint, DelaySecond, RoundTrip};
+use peernet_stream::{DelayPoint, DelaySecond, RoundTrip};
 use serde::Deserialize;
 use sqlx::FromRow;
 

@@ -1,8 +1,8 @@
 //! From a tree to rows and statistics.
 
 use peernet_clock::{DelaySource, Verdict, WallTime};
-use peernet_logger::stream::{Iteration, Outcome, OutcomeCounts};
 use peernet_logger::{HostId, Measure, NodeId, Transit, Tree, stage};
+use peernet_stream::{Iteration, Outcome, OutcomeCounts};
 
 use super::{AnchorRow, IterationRow, NodeRow, Preparing, RunPart, Step, TransitRow};
 use crate::store::extent::Extent;

@@ -11,8 +11,8 @@ use std::collections::{BTreeSet, HashMap, HashSet};
 
 use bytes::Bytes;
 use peernet_clock::WallTime;
-use peernet_logger::stream::{BatchHead, Claim, Event, OutcomeCounts, codec};
 use peernet_logger::{HostId, RunId};
+use peernet_stream::{BatchHead, Claim, Event, OutcomeCounts, codec};
 
 use self::names::LocalNames;
 pub(super) use self::names::NameKey;

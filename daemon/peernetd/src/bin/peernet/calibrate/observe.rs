@@ -4,10 +4,10 @@ use std::collections::BTreeSet;
 
 use peernet_agent::Running;
 use peernet_clock::{MonoTime, SharedClock, Span};
-use peernet_logger::stream::{ClockSample, Event, HostClock, IncidentKind, Outcome};
 use peernet_networks::OpenError;
 use peernet_report::calibration::Sample;
 use peernet_report::number::bytes;
+use peernet_stream::{ClockSample, Event, HostClock, IncidentKind, Outcome};
 
 use super::plan::Plan;
 use super::sweep::Sweep;

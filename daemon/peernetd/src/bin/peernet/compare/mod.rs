@@ -148,8 +148,8 @@ pub(crate) fn joined(first: String, others: impl Iterator<Item = String>) -> Str
 
 #[cfg(test)]
 mod tests {
-    use peernet_logger::stream::ExperimentPlace;
     use peernet_report::results::{Rows, RunRecord};
+    use peernet_stream::ExperimentPlace;
 
     use super::*;
 

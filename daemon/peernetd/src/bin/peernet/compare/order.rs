@@ -38,8 +38,8 @@ pub(super) fn as_declared(runs: &[Loaded], experiments: &Experiments) -> Vec<usi
 
 #[cfg(test)]
 mod tests {
-    use peernet_logger::stream::ExperimentPlace;
     use peernet_report::results::{Rows, RunRecord};
+    use peernet_stream::ExperimentPlace;
     use serde_json::json;
 
     use std::fs;

@@ -33,7 +33,7 @@ use std::time::Duration;
 use anyhow::{Context, anyhow};
 use peernet_agent::{Agent, AgentConfig, IdentityError, Running, StartError};
 use peernet_clock::SharedClock;
-use peernet_logger::stream::Event;
+use peernet_stream::Event;
 use peernetd::exit::{Exit, Failure};
 use peernetd::output::complain;
 use peernetd::{VERSION, clock};

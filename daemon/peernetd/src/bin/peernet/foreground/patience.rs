@@ -2,7 +2,7 @@
 
 use peernet_agent::Running;
 use peernet_clock::{MonoTime, Span};
-use peernet_logger::stream::PipelineState;
+use peernet_stream::PipelineState;
 
 /// How long it may stay silent before the user is told.
 const SILENCE: Span = Span::from_seconds(3);

@@ -1,6 +1,6 @@
 //! What spoils measurements, as it is told before or while they are made.
 
-use peernet_logger::stream::Condition;
+use peernet_stream::Condition;
 
 /// What was found of a host, and what can be done about it.
 pub(crate) fn remark(condition: &Condition) -> String {

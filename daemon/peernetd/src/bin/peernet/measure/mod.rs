@@ -31,11 +31,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
 use peernet_agent::conditions;
-use peernet_logger::stream::Condition;
 use peernet_report::figures;
 use peernet_report::results::{Rows, RunRecord};
 use peernet_report::sensor_study::SensorStudy;
 use peernet_report::trust::{Evidence, Report};
+use peernet_stream::Condition;
 use peernetd::exit::{Exit, Failure};
 
 use crate::foreground::{Ended, Ready, Watched};

@@ -5,11 +5,11 @@ use std::collections::BTreeMap;
 use peernet_agent::AgentConfig;
 use peernet_external::environment;
 use peernet_inference::MODEL_HASH;
-use peernet_logger::stream::{Placement as Told, PlacementKind};
 use peernet_report::accuracy::Accuracy;
 use peernet_report::results::{
     Clocks, Counts, FORMAT, HostRecord, ModelRecord, Placement, RunRecord, instant,
 };
+use peernet_stream::{Placement as Told, PlacementKind};
 use peernetd::VERSION;
 use serde_json::{Map, Value};
 

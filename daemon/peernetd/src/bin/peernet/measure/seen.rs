@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use peernet_logger::stream::Condition;
+use peernet_stream::Condition;
 use serde::{Deserialize, Serialize};
 
 use crate::foreground::{duration, told};

@@ -6,12 +6,10 @@ use peernet_agent::config::{Limit, PipelineConfig, PlacementConfig};
 use peernet_agent::{Cloud, Running};
 use peernet_clock::{MonoTime, SharedClock, Span, WallTime};
 use peernet_logger::Slug;
-use peernet_logger::stream::{
-    Event, HostClock, HostDescription, IncidentKind, PipelineState, RunDescription,
-};
 use peernet_networks::OpenError;
 use peernet_report::results::{Outcome, Row, RowWriter, Rows, Units};
 use peernet_statistics::Sketch;
+use peernet_stream::{Event, HostClock, HostDescription, IncidentKind, PipelineState, RunDescription};
 
 use super::{Phase, Seen, Watcher};
 use crate::foreground::{Ended, Eyes, Patience, Standing, p99};

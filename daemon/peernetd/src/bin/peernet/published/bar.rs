@@ -1,7 +1,7 @@
 //! How far a client is.
 
 use peernet_clock::SharedClock;
-use peernet_logger::stream::{Condition, Grade};
+use peernet_stream::{Condition, Grade};
 
 use crate::foreground::{Progress, remark};
 use crate::measure::{Phase, Seen, Watcher};

@@ -5,8 +5,8 @@ use peernet_agent::Running;
 use peernet_clock::{MonoTime, SharedClock};
 use peernet_inference::LoadError;
 use peernet_logger::Slug;
-use peernet_logger::stream::Event;
 use peernet_report::number::counted;
+use peernet_stream::Event;
 use tokio::task::JoinHandle;
 
 use super::Arguments;

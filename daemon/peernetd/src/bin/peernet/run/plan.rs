@@ -2,7 +2,7 @@
 
 use peernet_agent::config::PipelineConfig;
 use peernet_logger::Slug;
-use peernet_logger::stream::ExperimentPlace;
+use peernet_stream::ExperimentPlace;
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;

@@ -5,7 +5,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use anyhow::anyhow;
-use peernet_logger::stream::Grade;
 use peernet_report::WriteError;
 use peernet_report::compare::{Comparison, SEED};
 use peernet_report::figures::{self, Columns, Kind, PlotError};
@@ -13,6 +12,7 @@ use peernet_report::results::{Loaded, ResultFolder};
 use peernet_report::table::Captioned;
 use peernet_report::trust::Publish;
 use peernet_report::users::Users;
+use peernet_stream::Grade;
 use peernetd::exit::{Exit, Failure};
 
 use super::folder::Folder;

@@ -8,9 +8,9 @@ use peernet_actuators::ActuatorConfig;
 use peernet_agent::config::{Limit, LoadConfig, PlacementConfig, WarmUp};
 use peernet_clock::SharedClock;
 use peernet_inference::Scratch;
-use peernet_logger::stream::{Condition, Grade};
 use peernet_networks::Address;
 use peernet_report::results::{Overwrite, ResultFolder, RunRecord};
+use peernet_stream::{Condition, Grade};
 use peernetd::exit::{Exit, Failure};
 
 use super::children::{self, Exited, News};

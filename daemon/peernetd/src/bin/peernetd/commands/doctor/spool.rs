@@ -6,7 +6,7 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use futures::TryStreamExt;
 use peernet_aggregator::maintenance::{Contents, Finding, Severity, free_bytes};
-use peernet_logger::stream::Chain;
+use peernet_stream::Chain;
 use serde::Serialize;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection, SqliteConnection};

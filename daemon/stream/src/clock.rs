@@ -1,0 +1,148 @@
+//! What is told of clocks: the relation of two hosts' wall clocks, and what each host's time daemon says.
+
+use peernet_clock::{
+    Discipline, Exchange, ExchangeCounts, Interval, Offset, RehearsalDescription, Span, Verdict, WallTime,
+};
+use serde::{Deserialize, Serialize};
+
+use super::bounded::at_most;
+use crate::limits::{MAX_NETWORKS, MAX_PIPELINES};
+use peernet_logger::{HostId, Slug};
+
+/// One second of the relation between an edge's wall clock and a cloud's. Stored, so that the delays of a past run
+/// can be computed again with what was learnt after it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ClockSample {
+    /// The cloud.
+    pub peer: HostId,
+    /// Its name.
+    pub peer_name: Slug,
+    /// The end of the second, on the edge's wall clock.
+    pub at: WallTime,
+    /// A random number per relation, which changes when either clock is stepped: exchanges of different windows
+    /// say nothing about each other.
+    pub window: u64,
+    /// The limit of drift that the bounds rest on, parts per million.
+    pub max_drift_ppm: f64,
+    /// Of this second's exchanges the one that bounds the offset best from above; `None` when there was none.
+    pub upper: Option<Exchange>,
+    /// The one that bounds it best from below.
+    pub lower: Option<Exchange>,
+    /// What was known at the end of the second; `None` while nothing is.
+    pub offset: Option<Offset>,
+    /// Probes of this second.
+    pub probes: ProbeCounts,
+    /// What became of all exchanges so far.
+    pub exchanges: ExchangeCounts,
+    /// Round trips of this second's probes; `None` when none came back.
+    pub round_trip: Option<RoundTrip>,
+    /// Delays of data from edge to cloud, judged in this second; `None` when there were none.
+    pub up: Option<DelaySecond>,
+    /// From cloud to edge.
+    pub down: Option<DelaySecond>,
+}
+
+/// The delays of data in one direction within a second.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct DelaySecond {
+    /// How many were judged.
+    pub count: u32,
+    /// The median of those that have a value, with the bounds of that very one; `None` when none has.
+    pub median: Option<DelayPoint>,
+    /// The worst verdict that at least a twentieth of them were given.
+    pub verdict: Verdict,
+}
+
+/// A delay as a point with its error bar.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct DelayPoint {
+    /// The estimate.
+    pub value: Span,
+    /// Contains the truth.
+    pub bounds: Interval,
+    /// Bits per second over the estimate; `None` when the size is not known.
+    pub bits_per_second: Option<f64>,
+}
+
+/// What became of the probes of a second.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ProbeCounts {
+    /// Sent.
+    pub sent: u32,
+    /// Came back.
+    pub answered: u32,
+    /// Did not come back in time.
+    pub lost: u32,
+}
+
+/// Round trips of probes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RoundTrip {
+    /// The shortest.
+    pub min: Span,
+    /// The median.
+    pub median: Span,
+}
+
+/// A link of an agent, now: the relation to one cloud, fed by all of the agent's pipelines and probes to it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LinkLive {
+    /// The cloud.
+    pub peer: HostId,
+    /// Its name.
+    pub peer_name: Slug,
+    /// Kinds of network in use, such as `zmq-tcp`; at most [`MAX_NETWORKS`].
+    #[serde(deserialize_with = "at_most::<MAX_NETWORKS, _, _>")]
+    pub networks: Vec<String>,
+    /// The pipelines that use it, at most [`MAX_PIPELINES`].
+    #[serde(deserialize_with = "at_most::<MAX_PIPELINES, _, _>")]
+    pub pipelines: Vec<Slug>,
+    /// Whether both hosts read one clock.
+    pub same_clock: bool,
+    /// How it is probed.
+    pub probing: Probing,
+    /// What the edge's time daemon says.
+    pub edge: Option<HostClock>,
+    /// What the cloud's says.
+    pub cloud: Option<HostClock>,
+    /// The last second, or as much of it as has passed.
+    pub now: ClockSample,
+}
+
+/// How a link is probed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Probing {
+    /// Probes go out.
+    On {
+        /// Where to: `udp://host:port`.
+        address: String,
+        /// How many per second now.
+        rate_hz: f64,
+        /// Where the stamps are made, in words: `kernel, send and receive`, `kernel, receive only`, `program`.
+        stamps: String,
+    },
+    /// Probes go out and none has come back lately: blocked, or the reflector is gone.
+    Unanswered {
+        /// Where to.
+        address: String,
+        /// What is known to be wrong, such as a key that only one end has; `None` when nothing is.
+        #[serde(default)]
+        reason: Option<String>,
+    },
+    /// No probes; the text says why.
+    Off(String),
+}
+
+/// What is known of one host's wall clock.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct HostClock {
+    /// What the host's time daemon, or the kernel, claims; `None` when the clock is not synchronised or nobody says.
+    pub discipline: Option<Discipline>,
+    /// In words: `chrony, stratum 2, to 10.0.0.1`, `kernel, synchronised`, `not synchronised`.
+    pub text: String,
+    /// How often the clock was found stepped, run off or asleep, since the agent started.
+    pub epoch: u32,
+    /// How the clock is made wrong on purpose.
+    pub rehearsal: Option<RehearsalDescription>,
+}

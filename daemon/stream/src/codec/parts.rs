@@ -1,0 +1,75 @@
+//! A batch's frame in parts, for ways on which it would take long.
+//!
+//! | bytes | what |
+//! | --- | --- |
+//! | 1, 1 | `0xC1`, 2 |
+//! | 16 | host |
+//! | 4, 4 | bytes of the batch's frame before this part, and in all; big-endian |
+//! | rest | the part |
+
+use bytes::{Buf, Bytes};
+
+use super::{BATCH, MAX_MESSAGE_BYTES, PART};
+use peernet_logger::HostId;
+
+/// Bytes of a part before what it carries.
+pub(in super::super) const PART_HEAD_BYTES: usize = 2 + 16 + 4 + 4;
+
+/// A piece of a batch's frame.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Part {
+    /// Whose.
+    pub host: HostId,
+    /// Bytes of the frame before it.
+    pub offset: u32,
+    /// Bytes of the whole frame; at most [`MAX_MESSAGE_BYTES`], and no less than end with this part.
+    pub total: u32,
+    /// What it carries; not empty.
+    pub bytes: Bytes,
+}
+
+/// The frame of a part.
+pub fn part_frame(part: &Part) -> Vec<u8> {
+    let mut frame = Vec::with_capacity(PART_HEAD_BYTES + part.bytes.len());
+    frame.extend([BATCH, PART]);
+    frame.extend(part.host.as_bytes());
+    frame.extend(part.offset.to_be_bytes());
+    frame.extend(part.total.to_be_bytes());
+    frame.extend(&part.bytes);
+    frame
+}
+
+/// The part in a frame; `None` for any other message, and for a part of what nothing can be a part of.
+pub fn part(frame: &Bytes) -> Option<Part> {
+    let rest = frame.strip_prefix(&[BATCH, PART])?;
+    let (&host, rest) = rest.split_first_chunk()?;
+    let (&offset, rest) = rest.split_first_chunk()?;
+    let (&total, _) = rest.split_first_chunk()?;
+    let (offset, total) = (u32::from_be_bytes(offset), u32::from_be_bytes(total));
+    let mut bytes = frame.clone();
+    bytes.advance(PART_HEAD_BYTES);
+    let end = (offset as usize).checked_add(bytes.len())?;
+    let sound = !bytes.is_empty() && end <= total as usize && total as usize <= MAX_MESSAGE_BYTES;
+    sound.then_some(Part { host: HostId::from_bytes(host), offset, total, bytes })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::batch_head;
+    use super::*;
+
+    #[test]
+    fn a_part_is_read_as_it_was_written_and_taken_for_nothing_else() {
+        let host = HostId::from_bytes([7; 16]);
+        let written = Part { host, offset: 300, total: 303, bytes: Bytes::from_static(b"end") };
+        let frame = Bytes::from(part_frame(&written));
+        assert_eq!(frame.len(), PART_HEAD_BYTES + 3);
+        assert_eq!(part(&frame), Some(written.clone()));
+        assert_eq!(batch_head(&[&frame[..], &[0; 200]].concat()), None);
+        assert_eq!(part(&frame.slice(..PART_HEAD_BYTES)), None, "of nothing");
+        let beyond = Part { offset: 301, ..written.clone() };
+        assert_eq!(part(&part_frame(&beyond).into()), None, "beyond the end");
+        let huge = Part { total: MAX_MESSAGE_BYTES as u32 + 1, ..written };
+        assert_eq!(part(&part_frame(&huge).into()), None, "of more than a message");
+    }
+}

@@ -1,0 +1,248 @@
+//! Both state machines with anything said to them, in any order.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use bytes::Bytes;
+use peernet_clock::{MonoTime, Span, Stamp};
+
+use super::script::{Script, beginning, host};
+use crate::codec;
+use crate::{
+    Accounting, Action, Arrival, Chain, Event, Greeting, HostSecret, Incident, IncidentKind, Known, Nonce,
+    Receiving, ReceivingConfig, Sending, SendingConfig, SpoolState, SpooledBatch, StreamId, ToAgent,
+    ToAggregator, Usage,
+};
+use peernet_logger::HostId;
+
+/// Steps of one script, at most.
+const MOST_STEPS: usize = 2_000;
+
+/// The first byte chooses the end, the others are what happens to it: frames, decisions of its owner, and time.
+///
+/// # Panics
+/// When a promise is broken: batches of a stream that are accepted out of order, a window of nothing, events that are
+/// not accounted for.
+pub fn any_conversation(data: &[u8]) {
+    let Some((&end, script)) = data.split_first() else { return };
+    let mut script = Script(script);
+    if end & 1 == 0 { at_an_aggregator(&mut script) } else { at_an_agent(&mut script) }
+}
+
+fn at_an_aggregator(script: &mut Script<'_>) {
+    let mut end = Receiving::new(ReceivingConfig::new("base".parse().expect("a name")));
+    // Where the stream is that a host says it sends, as far as that was said.
+    let mut accepted: BTreeMap<StreamId, u64> = BTreeMap::new();
+    let mut now = MonoTime::from_nanos(0);
+    for _ in 0..MOST_STEPS {
+        if script.is_over() {
+            return;
+        }
+        match script.byte() % 10 {
+            0 => {
+                let hello = script.hello();
+                let mark = (script.byte() & 1 == 0).then(|| script.host()).map(|owner| script.mark(owner));
+                let last = (script.byte() & 1 == 0).then(|| script.stream());
+                let (came, previous) = (last == Some(hello.stream), mark.filter(|mark| mark.stored & 1 == 0));
+                let known = Known { mark, came, last, previous, seniority: mark.map(|mark| mark.stored) };
+                if let Greeting::Welcome { reply, missing, .. } = end.hello(&hello, known, now) {
+                    assert!(matches!(reply, ToAgent::Welcome { window: 1.., .. }));
+                    // The mark may be ahead of what came: from here on it is followed again.
+                    accepted.remove(&hello.stream);
+                    if let Some(missing) = missing {
+                        assert!(missing.from <= missing.through && missing.through < hello.oldest);
+                        accepted.insert(hello.stream, missing.through);
+                    }
+                }
+            }
+            1..=5 => {
+                let (head, intact) = (script.head(), !script.byte().is_multiple_of(4));
+                let arrival = end.batch(&head, intact, now);
+                if matches!(arrival, Arrival::Accept | Arrival::AcceptDamaged) {
+                    let before = accepted.insert(head.stream, head.number);
+                    assert!(before.is_none_or(|before| head.number == before + 1), "accepted out of order");
+                    assert!(intact == (arrival == Arrival::Accept));
+                }
+                if let Arrival::Duplicate(reply) = arrival {
+                    assert!(
+                        matches!(reply, ToAgent::Ack { window: 1.., through, .. } if through >= head.number)
+                    );
+                }
+            }
+            6 => {
+                let (stream, owner) = (script.stream(), script.host());
+                let mark = script.mark(owner);
+                end.stored(stream, mark);
+                accepted.entry(stream).and_modify(|number| *number = mark.stored.max(*number));
+            }
+            7 => {
+                let stream = script.stream();
+                end.failed(stream);
+                accepted.remove(&stream);
+            }
+            8 => {
+                let stream = script.stream();
+                end.deferred(stream);
+                let most = usize::from(script.byte() % 4);
+                assert!(end.room(most).len() <= most);
+            }
+            _ => {
+                now = now + Span::from_millis(i64::from(script.byte()) * 4);
+                end.forget_silent(Span::from_millis(400), now);
+                end.live(script.host(), now);
+                if script.byte() & 1 == 0 {
+                    end.goodbye(script.host());
+                }
+                accepted.clear();
+            }
+        }
+    }
+}
+
+/// An agent and a spool that does what it is asked, or fails.
+struct Agent {
+    sending: Sending,
+    jobs: VecDeque<Action>,
+    spool: Vec<SpooledBatch>,
+    now: Stamp,
+    /// The echo that was last asked for.
+    echo: u64,
+}
+
+fn at_an_agent(script: &mut Script<'_>) {
+    let config = SendingConfig {
+        batch_nodes: 2,
+        spool_bytes: 2_000,
+        memory: Usage { events: 40, bytes: 2_000 },
+        reserve_events: 2,
+        ..SendingConfig::default()
+    };
+    let stream = StreamId::from_bytes([1; 16]);
+    let state = SpoolState::new(stream);
+    let now = Stamp { wall: beginning(), mono: MonoTime::from_nanos(0) };
+    let sending =
+        Sending::new(config, host(HostId::from_bytes([1; 16])), HostSecret::from_bytes([9; 32]), 1, state);
+    let mut agent = Agent { sending, jobs: VecDeque::new(), spool: Vec::new(), now, echo: 0 };
+    let mut sent = (stream, Chain::START, 0);
+    for _ in 0..MOST_STEPS {
+        if script.is_over() {
+            return;
+        }
+        agent.step(script, sent);
+        while let Some(action) = agent.sending.next(agent.now.mono) {
+            match action {
+                Action::Send(frame) => match codec::batch_head(&frame) {
+                    Some(head) => sent = (head.stream, head.chain, head.number),
+                    None if codec::part(&Bytes::from(frame.clone())).is_some() => {}
+                    None => match codec::decode(&frame) {
+                        Ok(ToAggregator::Hello(hello)) => {
+                            sent = (hello.stream, hello.before, hello.oldest - 1);
+                        }
+                        Ok(ToAggregator::Proof(_)) => {}
+                        Ok(ToAggregator::Echo { bytes, .. }) => agent.echo = bytes,
+                        message => panic!("{message:?} was sent"),
+                    },
+                },
+                job => agent.jobs.push_back(job),
+            }
+        }
+        let Accounting { produced, stored, waiting, dropped, .. } = agent.sending.accounting();
+        assert_eq!(produced, stored + waiting + dropped, "every event is accounted for");
+    }
+}
+
+impl Agent {
+    /// `sent` is what was sent last: its stream, chain and number.
+    fn step(&mut self, script: &mut Script<'_>, sent: (StreamId, Chain, u64)) {
+        let now = self.now;
+        match script.byte() % 10 {
+            0 | 1 => self.sending.offer(&incident(script.byte()), now),
+            2 | 3 => self.work(script.byte().is_multiple_of(5)),
+            4 => {
+                let span = Span::from_millis(i64::from(script.byte()) * 8);
+                self.now = Stamp { wall: now.wall + span, mono: now.mono + span };
+                self.sending.tick(self.now);
+            }
+            5 => match script.byte() % 8 {
+                2 => self.sending.shown(usize::from(script.byte()) * 64),
+                3 | 4 => drop(self.sending.received(&ToAgent::Echo { bytes: self.echo }, now)),
+                0 => self.sending.disconnected(),
+                1 => self.sending.flush(now.wall),
+                _ => self.sending.connected(now.mono),
+            },
+            6 => {
+                if let Ok(message) = codec::decode(&script.bytes()) {
+                    self.sending.received(&message, now);
+                }
+            }
+            _ => {
+                let message = message(script, sent);
+                self.sending.received(&message, now);
+            }
+        }
+    }
+
+    fn work(&mut self, fails: bool) {
+        let now = self.now;
+        let reason = || "the disk fails".to_owned();
+        match self.jobs.pop_front() {
+            Some(Action::Append { .. }) if fails => drop(self.sending.append_failed(reason(), now)),
+            Some(Action::Append { batches, .. }) => {
+                self.spool.extend(batches);
+                self.sending.appended(now);
+            }
+            Some(Action::Load { .. }) if fails => drop(self.sending.load_failed(reason(), now)),
+            Some(Action::Load { from, .. }) => {
+                let found = self.spool.iter().skip_while(|batch| batch.number < from).take(2);
+                let found: Vec<_> = found.filter(|batch| batch.number <= from + 1).cloned().collect();
+                self.sending.loaded(found, now);
+            }
+            Some(Action::Delete { .. }) if fails => drop(self.sending.delete_failed(reason(), now)),
+            Some(Action::Delete { through, .. }) => {
+                self.spool.retain(|batch| batch.number > through);
+                self.sending.deleted();
+            }
+            Some(Action::Renew { .. }) if fails => drop(self.sending.renew_failed(reason(), now)),
+            Some(Action::Renew { .. }) => self.sending.renewed(now),
+            Some(Action::Send(_)) | None => {}
+        }
+    }
+}
+
+fn message(script: &mut Script<'_>, (mut stream, chain, number): (StreamId, Chain, u64)) -> ToAgent {
+    let choice = script.byte();
+    let (mut number, mut chain, window) = (number, Some(chain), u32::from(script.byte()));
+    // As a rule what an aggregator says that stored all that was sent.
+    if choice & 0x40 != 0 {
+        number = script.number();
+        chain = (choice & 0x20 != 0).then(|| script.chain(number));
+    }
+    if choice >= 0xf0 {
+        stream = script.stream();
+    }
+    match choice % 6 {
+        0 | 1 => {
+            let aggregator = "base".parse().expect("a name");
+            let process = Some(u64::from(choice >> 3 & 3));
+            ToAgent::Welcome { aggregator, stream, stored: number, chain, process, window }
+        }
+        2 | 3 => ToAgent::Ack { stream, through: number, window },
+        4 => ToAgent::Resend { stream, from: number },
+        _ if choice & 0x30 == 0x30 => {
+            let (aggregator, nonce) = ("base".parse().expect("a name"), Nonce::from_bytes([choice; 32]));
+            ToAgent::Challenge { aggregator, stream, nonce, enrol: choice & 8 != 0 }
+        }
+        _ if choice & 0x10 != 0 => ToAgent::Refused { reason: "no".into() },
+        _ => ToAgent::Unknown,
+    }
+}
+
+fn incident(length: u8) -> Event {
+    Event::Incident(Incident {
+        at: beginning(),
+        kind: IncidentKind::Control,
+        pipeline: None,
+        run: None,
+        peer: None,
+        text: "x".repeat(length.into()),
+    })
+}

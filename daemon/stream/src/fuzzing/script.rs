@@ -1,0 +1,106 @@
+//! Bytes as a list of decisions.
+
+use peernet_clock::{ClockIdentity, WallTime};
+
+use crate::{BatchHead, Chain, Hardware, Hello, HostDescription, Mark, PROTOCOL, StreamId};
+use peernet_logger::HostId;
+
+/// Reads decisions from bytes; zeros at their end.
+pub(super) struct Script<'a>(pub(super) &'a [u8]);
+
+impl Script<'_> {
+    pub(super) fn is_over(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    pub(super) fn byte(&mut self) -> u8 {
+        let Some((&byte, rest)) = self.0.split_first() else { return 0 };
+        self.0 = rest;
+        byte
+    }
+
+    pub(super) fn bytes(&mut self) -> Vec<u8> {
+        let count = usize::from(self.byte()).min(self.0.len());
+        let (bytes, rest) = self.0.split_at(count);
+        self.0 = rest;
+        bytes.to_vec()
+    }
+
+    /// Small as a rule, so that some follow one another; or near an end of what there is.
+    pub(super) fn number(&mut self) -> u64 {
+        match self.byte() {
+            small @ 0..200 => u64::from(small % 16),
+            near @ 200..228 => u64::MAX - u64::from(near - 200),
+            near => i64::MAX as u64 + u64::from(near) - 242,
+        }
+    }
+
+    pub(super) fn host(&mut self) -> HostId {
+        HostId::from_bytes([self.byte() % 3; 16])
+    }
+
+    pub(super) fn stream(&mut self) -> StreamId {
+        StreamId::from_bytes([self.byte() % 4; 16])
+    }
+
+    /// Of a batch with a number, so that some agree; or another.
+    pub(super) fn chain(&mut self, number: u64) -> Chain {
+        let mut bytes = [0; 16];
+        let (head, tail) = bytes.split_at_mut(8);
+        head.copy_from_slice(&number.to_be_bytes());
+        if let other @ 224.. = self.byte() {
+            tail.fill(other);
+        }
+        Chain::from_bytes(bytes)
+    }
+
+    pub(super) fn mark(&mut self, host: HostId) -> Mark {
+        let stored = self.number();
+        let (chain, process) = (self.chain(stored), (stored & 4 == 0).then_some(stored & 3));
+        Mark { host, stored, chain, process, events: (stored & 8 == 0).then(|| self.number()) }
+    }
+
+    pub(super) fn head(&mut self) -> BatchHead {
+        let (host, stream, number) = (self.host(), self.stream(), self.number());
+        let (before, chain) = (self.chain(number.wrapping_sub(1)), self.chain(number));
+        let events = self.byte();
+        let process = u64::from(events >> 6);
+        let events_before = self.number();
+        BatchHead { host, stream, process, number, before, chain, events: events.into(), events_before }
+    }
+
+    pub(super) fn hello(&mut self) -> Hello {
+        let (id, stream, oldest) = (self.host(), self.stream(), self.number());
+        let choice = self.byte();
+        Hello {
+            protocol: if choice == 255 { 0 } else { PROTOCOL },
+            host: host(id),
+            stream,
+            previous: (choice & 1 != 0).then(|| self.stream()),
+            first: if choice & 2 == 0 { 1 } else { self.number() },
+            oldest,
+            before: self.chain(oldest.wrapping_sub(1)),
+            events_before_oldest: self.number(),
+            events_before_first: (choice & 4 == 0).then(|| self.number()),
+            batch_bytes: u32::from(choice) << (choice % 25),
+            process: u64::from(choice >> 6),
+        }
+    }
+}
+
+pub(super) fn host(id: HostId) -> HostDescription {
+    HostDescription {
+        id,
+        name: format!("host-{}", id.as_bytes()[0]).parse().expect("a name"),
+        clock: ClockIdentity::new("boot", "system"),
+        version: "0".into(),
+        hardware: Hardware::default(),
+        serves: None,
+        models: Vec::new(),
+    }
+}
+
+/// When nothing has happened yet.
+pub(super) fn beginning() -> WallTime {
+    WallTime::from_unix_nanos(1_800_000_000_000_000_000)
+}

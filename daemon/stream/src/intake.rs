@@ -1,0 +1,394 @@
+//! From events to batches: the agent's side before anything is numbered.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use bytes::Bytes;
+use peernet_clock::{MonoTime, Stamp, WallTime};
+
+use super::losses::Losses;
+use super::spool::{Totals, Usage};
+use super::unresolved::Resolved;
+use super::{Event, Gap, MOST_COUNTED_RUNS, RunCounts, SendingConfig, Unresolved, codec};
+use peernet_logger::limits::MAX_BYTES;
+use peernet_logger::{RunId, Slug};
+
+/// Room that a report of a loss takes.
+const GAP: Usage = Usage { events: 1, bytes: 512 };
+
+/// Longest event: the largest tree and what surrounds it.
+const MAX_EVENT_BYTES: usize = MAX_BYTES + 16 * 1024;
+
+/// Longest batch, whatever is configured: its frame must be read over there.
+const MOST_BATCH_BYTES: usize = codec::MAX_MESSAGE_BYTES - codec::BATCH_HEAD_BYTES;
+
+/// Takes events, counts them, and cuts them into batches that are still to be numbered.
+#[derive(Clone, Debug)]
+pub(super) struct Intake {
+    config: SendingConfig,
+    totals: Totals,
+    open: OpenBatch,
+    /// Batches that were cut and not collected yet.
+    cut: Vec<CutBatch>,
+    cut_usage: Usage,
+    /// The event at hand, encoded; kept to reuse its memory.
+    encoded: Vec<u8>,
+    losses: Losses,
+    /// Losses of earlier processes that are still to be reported, before all others.
+    owed: VecDeque<Gap>,
+    /// Events that a process before this one dropped and did not tell of otherwise.
+    untold: u64,
+    /// No loss is reported before it is known what became of the end of an earlier process.
+    is_unresolved: bool,
+    /// Runs whose end was handed in and that are still counted separately.
+    ended: Vec<RunId>,
+    /// Pipelines of the runs under way: an iteration names its run only.
+    pipelines: BTreeMap<RunId, Slug>,
+}
+
+/// A batch under construction.
+#[derive(Clone, Debug, Default)]
+struct OpenBatch {
+    body: Vec<u8>,
+    events: u32,
+    nodes: usize,
+    since: Option<Stamp>,
+}
+
+/// A batch that waits for its number.
+#[derive(Clone, Debug)]
+pub(super) struct CutBatch {
+    pub(super) since: WallTime,
+    pub(super) events: u32,
+    pub(super) body: Bytes,
+    /// What was counted up to its last event.
+    pub(super) totals: Totals,
+}
+
+/// What may still be taken in.
+#[derive(Clone, Debug)]
+pub(super) struct Room {
+    /// In memory.
+    pub(super) memory: Usage,
+    /// Bytes in the spool.
+    pub(super) spool_bytes: u64,
+    /// Why the spool is not written, when it is not.
+    pub(super) spool_fails: bool,
+}
+
+impl Room {
+    fn fits(&self, usage: Usage) -> bool {
+        usage.fits(self.memory) && usage.bytes <= self.spool_bytes
+    }
+
+    fn lacks(&self, usage: Usage) -> &'static str {
+        match () {
+            () if usage.bytes > self.spool_bytes => "the agent's spool was full",
+            () if self.spool_fails => "the agent's spool could not be written and its memory was full",
+            () => "the agent's memory was full: events came faster than the spool takes them",
+        }
+    }
+}
+
+impl Intake {
+    /// What was counted before goes on.
+    pub(super) fn new(config: SendingConfig, totals: Totals, owed: Vec<Gap>, is_unresolved: bool) -> Self {
+        let told = owed.iter().fold(totals.told, |told, gap| told.saturating_add(gap.count));
+        Self {
+            untold: totals.dropped.saturating_sub(told),
+            is_unresolved,
+            config,
+            totals,
+            open: OpenBatch::default(),
+            cut: Vec::new(),
+            cut_usage: Usage::default(),
+            encoded: Vec::new(),
+            losses: Losses::default(),
+            owed: owed.into(),
+            ended: Vec::new(),
+            pipelines: BTreeMap::new(),
+        }
+    }
+
+    pub(super) fn offer(&mut self, event: &Event, room: &Room, now: Stamp) {
+        self.lose_untold(now);
+        self.encoded.clear();
+        codec::append(&mut self.encoded, event);
+        let run = event.run();
+        match self.refusal(event, room) {
+            None => {
+                self.report_losses(room, now);
+                if let Event::RunEnded(ended) = event {
+                    self.report_ended(Some(ended.run), room, now);
+                }
+                self.take(weight(event), now);
+                self.totals.handed_in.taken.add(run, 1);
+            }
+            Some(reason) => {
+                self.totals.produced += 1;
+                self.totals.handed_in.dropped.add(run, 1);
+                let (pipeline, run) = self.scope(event);
+                self.lose(pipeline, run, 1, reason, now);
+            }
+        }
+        self.totals.handed_in.last = Some(now.wall);
+        self.remember(event);
+    }
+
+    /// Counts events that are lost.
+    pub(super) fn lose(
+        &mut self,
+        pipeline: Option<Slug>,
+        run: Option<RunId>,
+        count: u64,
+        reason: String,
+        now: Stamp,
+    ) {
+        self.totals.dropped += count;
+        self.losses.add(pipeline, run, now, count, reason);
+    }
+
+    /// Counts events that were dropped before they came here.
+    pub(super) fn lost(&mut self, gap: &Gap, now: Stamp) {
+        self.totals.produced += gap.count;
+        self.totals.dropped += gap.count;
+        self.totals.handed_in.dropped.add(gap.run, gap.count);
+        self.totals.handed_in.last = Some(now.wall);
+        self.losses.add_gap(gap.clone(), now);
+    }
+
+    /// What was dropped before the start is told with the first that happens after it.
+    fn lose_untold(&mut self, now: Stamp) {
+        if self.is_unresolved {
+            return;
+        }
+        let count = std::mem::take(&mut self.untold);
+        if count > 0 {
+            let reason = "dropped before the agent last ended, for want of room in its spool";
+            self.losses.add(None, None, now, count, reason.to_owned());
+        }
+    }
+
+    /// Why the event at hand cannot be taken.
+    fn refusal(&self, event: &Event, room: &Room) -> Option<String> {
+        let mut more = Usage { events: 1, bytes: self.encoded.len() as u64 };
+        if let Event::Iteration(iteration) = event {
+            // One that the aggregator would refuse must not hold up everything behind it.
+            if let Err(error) = iteration.tree.check(0) {
+                return Some(format!("the iteration cannot be sent: {error}"));
+            }
+            more = more + self.reserve();
+        }
+        if self.encoded.len() > MAX_EVENT_BYTES {
+            return Some(format!("the event is longer than {MAX_EVENT_BYTES} bytes"));
+        }
+        let wanted = self.usage() + more + self.reports();
+        (!room.fits(wanted)).then(|| room.lacks(wanted).to_owned())
+    }
+
+    /// What iterations leave to the other events.
+    fn reserve(&self) -> Usage {
+        let events = self.config.reserve_events;
+        // As much of the bytes as of the places, so that neither is used up alone.
+        let share = |bytes: u64| bytes / (self.config.memory.events / events.max(1)).max(8);
+        let bytes = share(self.config.memory.bytes).min(share(self.config.spool_bytes));
+        Usage { events, bytes: if events > 0 { bytes } else { 0 } }
+    }
+
+    /// Puts gaps that are due where the lost events would have been, as far as there is room.
+    pub(super) fn report_losses(&mut self, room: &Room, now: Stamp) {
+        while self.has_room_for_report(room)
+            && let Some(gap) = self.owed.pop_front().or_else(|| self.losses.take_due(now.mono))
+        {
+            self.report(gap, now);
+        }
+    }
+
+    /// The same for all losses of a run that ends, or of all that end.
+    fn report_ended(&mut self, run: Option<RunId>, room: &Room, now: Stamp) {
+        // What earlier processes lost goes first: by the number of events told the spool knows which of it is reported.
+        while self.has_room_for_report(room)
+            && let Some(gap) = self.owed.pop_front().or_else(|| self.losses.take_ended(run, now.mono))
+        {
+            self.report(gap, now);
+        }
+    }
+
+    /// Whether nothing is to be reported, now or later.
+    #[cfg(test)]
+    pub(super) fn has_reported_all(&self) -> bool {
+        self.owed.is_empty() && self.losses.len() == 0 && self.untold == 0
+    }
+
+    fn has_room_for_report(&self, room: &Room) -> bool {
+        !self.is_unresolved && room.fits(self.usage() + GAP)
+    }
+
+    /// It is known what became of the end of an earlier process. Returns the losses of all earlier ones that no gap reports;
+    /// they are reported once the spool has them ([`Self::resolution_written`]).
+    pub(super) fn resolve(&mut self, unresolved: &Unresolved, resolved: &Resolved) -> Vec<Gap> {
+        unresolved.unreported(resolved, &mut self.owed, &mut self.untold);
+        self.owed.iter().cloned().collect()
+    }
+
+    pub(super) const fn resolution_written(&mut self) {
+        self.is_unresolved = false;
+    }
+
+    fn report(&mut self, gap: Gap, now: Stamp) {
+        let event = std::mem::take(&mut self.encoded);
+        let count = gap.count;
+        codec::append(&mut self.encoded, &Event::Gap(gap));
+        self.take(1, now);
+        self.totals.gaps += 1;
+        self.totals.told += count;
+        self.encoded = event;
+    }
+
+    /// Adds the event at hand to the batch.
+    fn take(&mut self, nodes: usize, now: Stamp) {
+        let most = self.config.batch_bytes.min(MOST_BATCH_BYTES);
+        let full = self.open.body.len() + self.encoded.len() > most
+            || self.open.nodes + nodes > self.config.batch_nodes;
+        if full {
+            self.cut();
+        }
+        // Counted after the cut: the totals of a batch are those up to its last event.
+        self.totals.produced += 1;
+        self.open.since.get_or_insert(now);
+        self.open.body.extend_from_slice(&self.encoded);
+        self.open.events += 1;
+        self.open.nodes += nodes;
+    }
+
+    /// Reports what is not reported yet and cuts the batch under construction: before a stop.
+    pub(super) fn flush(&mut self, room: &Room, now: WallTime) {
+        // How long a loss was not reported does not matter: all are.
+        let now = Stamp { wall: now, mono: self.open.since.map_or(MonoTime::default(), |since| since.mono) };
+        self.report_ended(None, room, now);
+        self.cut();
+    }
+
+    fn cut(&mut self) {
+        let Some(since) = self.open.since else { return };
+        self.cut_usage = self.cut_usage + self.open_usage();
+        let OpenBatch { body, events, .. } = std::mem::take(&mut self.open);
+        self.cut.push(CutBatch {
+            since: since.wall,
+            events,
+            body: Bytes::from(body.into_boxed_slice()),
+            totals: self.totals.clone(),
+        });
+    }
+
+    /// The batches that were cut since the last call.
+    pub(super) fn take_cut(&mut self) -> Vec<CutBatch> {
+        self.cut_usage = Usage::default();
+        std::mem::take(&mut self.cut)
+    }
+
+    pub(super) fn tick(&mut self, room: &Room, now: Stamp) {
+        self.lose_untold(now);
+        if self.batch_deadline().is_some_and(|deadline| now.mono >= deadline) {
+            self.cut();
+        }
+        self.report_losses(room, now);
+    }
+
+    /// When the batch under construction is old enough, or a loss is to be reported.
+    pub(super) fn deadline(&self, room: &Room) -> Option<MonoTime> {
+        // Without room there is nothing to do: an acknowledgement makes some.
+        let due = || match self.owed.is_empty() {
+            true => self.losses.due(),
+            false => Some(MonoTime::default()),
+        };
+        let report = self.has_room_for_report(room).then(due).flatten();
+        self.batch_deadline().into_iter().chain(report).min()
+    }
+
+    fn batch_deadline(&self) -> Option<MonoTime> {
+        self.open.since.map(|since| since.mono + self.config.batch_age)
+    }
+
+    /// What is in the batch under construction and so many more events are lost; `kept` is what remains of what was
+    /// handed in.
+    pub(super) fn give_up(&mut self, more: u64, kept: &RunCounts) {
+        self.totals.dropped += u64::from(self.open.events) + more;
+        self.totals.handed_in.give_up(kept);
+        self.open = OpenBatch::default();
+    }
+
+    /// Everything that was counted.
+    pub(super) const fn counted(&self) -> &Totals {
+        &self.totals
+    }
+
+    /// Runs that have ended and are still counted separately.
+    pub(super) fn ended(&self) -> &[RunId] {
+        &self.ended
+    }
+
+    /// The events of a run that has ended are no longer counted separately.
+    pub(super) fn forget_run(&mut self, run: RunId) {
+        self.ended.retain(|ended| *ended != run);
+        self.totals.handed_in.forget(run);
+    }
+
+    /// When the first event that is not numbered came.
+    pub(super) fn since(&self) -> Option<WallTime> {
+        self.open.since.map(|since| since.wall)
+    }
+
+    /// What is held here.
+    pub(super) fn usage(&self) -> Usage {
+        self.open_usage() + self.cut_usage
+    }
+
+    fn open_usage(&self) -> Usage {
+        Usage { events: u64::from(self.open.events), bytes: self.open.body.len() as u64 }
+    }
+
+    /// Room for what there is to report.
+    fn reports(&self) -> Usage {
+        let gaps = (self.losses.len() + self.owed.len()) as u64;
+        Usage { events: gaps * GAP.events, bytes: gaps * GAP.bytes }
+    }
+
+    /// The pipeline and run that an event concerns.
+    fn scope(&self, event: &Event) -> (Option<Slug>, Option<RunId>) {
+        let of_run = |run: &RunId| (self.pipelines.get(run).cloned(), Some(*run));
+        match event {
+            Event::RunStarted(started) => (Some(started.pipeline.clone()), Some(started.run)),
+            Event::RunEnded(ended) => of_run(&ended.run),
+            Event::Iteration(iteration) => of_run(&iteration.run),
+            Event::Incident(incident) => (incident.pipeline.clone(), incident.run),
+            Event::Gap(gap) => (gap.pipeline.clone(), gap.run),
+            Event::Clock(_) => (None, None),
+        }
+    }
+
+    fn remember(&mut self, event: &Event) {
+        match event {
+            Event::RunStarted(started) => {
+                if self.pipelines.len() >= MOST_COUNTED_RUNS {
+                    self.pipelines.pop_first();
+                }
+                self.pipelines.insert(started.run, started.pipeline.clone());
+            }
+            Event::RunEnded(ended) => {
+                self.pipelines.remove(&ended.run);
+                if self.ended.len() < MOST_COUNTED_RUNS {
+                    self.ended.push(ended.run);
+                }
+            }
+            _ => {}
+        }
+    }
+}
+
+/// What an event counts when batches are cut by nodes.
+fn weight(event: &Event) -> usize {
+    match event {
+        Event::Iteration(iteration) => iteration.tree.nodes().len(),
+        _ => 1,
+    }
+}

@@ -1,0 +1,57 @@
+//! The event stream between an agent and the aggregator: its messages and the state machines of both ends.
+//!
+//! Two lanes over one connection. The live lane is lossy and small: the agent's own one-second summaries,
+//! sent every 250 ms, newest first. The durable lane is numbered batches of finished events, acknowledged
+//! after they are stored. The state machines of both ends, [`Sending`] and [`Receiving`], do no I/O: they are told
+//! what happened and say what to do.
+//!
+//! What the durable lane promises: what is in the agent's spool is stored exactly once and in order, whatever
+//! the transport loses, repeats or reorders and whichever end is started anew, as long as the aggregator keeps a
+//! batch and its stream's mark in one transaction. Two things are excepted, in which nothing is lost but some may be stored
+//! twice, in two streams: when a spool was copied, what both copies hold; when it was set back to an old copy, what it
+//! holds again. What did not fit into the spool is counted, and a gap stands in
+//! its place.
+
+mod bounded;
+mod chain;
+mod clock;
+pub mod codec;
+mod counts;
+mod event;
+mod experiment;
+#[doc(hidden)]
+pub mod fuzzing;
+mod host;
+mod intake;
+pub mod limits;
+mod live;
+mod losses;
+mod message;
+mod receiving;
+mod secret;
+mod sending;
+mod spool;
+mod unresolved;
+
+pub use chain::Chain;
+pub use clock::{ClockSample, DelayPoint, DelaySecond, HostClock, LinkLive, ProbeCounts, Probing, RoundTrip};
+pub use counts::{CountedEvents, CountedRun, HandedIn, KILLED, MOST_COUNTED_RUNS, RunCounts, Settled};
+pub use event::{Claim, Event, Gap, Incident, IncidentKind, Iteration, Outcome, RunDescription, RunEnded};
+pub use experiment::{Condition, ExperimentPlace, Grade};
+pub use host::{Hardware, HostDescription, HostMetrics};
+pub use live::{
+    Accounting, LiveUpdate, OutcomeCounts, PipelineLive, PipelineState, Placement, PlacementKind, Second,
+};
+pub use message::{
+    Batch, BatchHead, Hello, MOST_UNDER_WAY, PROTOCOL, Proof, StreamId, ToAgent, ToAggregator, batch_weight,
+};
+pub use receiving::{
+    Arrival, Challenges, Greeting, Known, Lacking, Mark, Missing, Proven, Receiving, ReceivingConfig,
+};
+pub use secret::{HostSecret, InvalidSecret, Nonce, ProofCode};
+pub use sending::{Action, Compression, Notice, Sending, SendingConfig};
+pub use spool::{Reached, SpoolState, SpooledBatch, Totals, Usage};
+pub use unresolved::{MOST_SENT_UNSPOOLED, SentUnspooled, Unresolved};
+
+#[cfg(test)]
+mod tests;

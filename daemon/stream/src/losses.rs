@@ -1,0 +1,161 @@
+//! What was dropped and has not been reported yet.
+
+use peernet_clock::{MonoTime, Span, Stamp};
+
+use super::Gap;
+use peernet_logger::{RunId, Slug};
+
+/// Kinds of losses told apart; beyond that they are counted together. An agent has few pipelines and few reasons.
+const MOST: usize = 64;
+
+/// A loss that goes on is reported this often and at its end: its neighbouring gaps are one.
+const REPORT_EVERY: Span = Span::from_seconds(1);
+
+/// Dropped events by pipeline, run and reason.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Losses {
+    known: Vec<Loss>,
+}
+
+/// A loss that may go on.
+#[derive(Clone, Debug)]
+struct Loss {
+    /// What is not reported yet; nothing when it counts none.
+    gap: Gap,
+    /// When it was last reported.
+    reported: Option<MonoTime>,
+}
+
+impl Losses {
+    /// Counts `count` events dropped now.
+    pub(super) fn add(
+        &mut self,
+        pipeline: Option<Slug>,
+        run: Option<RunId>,
+        now: Stamp,
+        count: u64,
+        reason: String,
+    ) {
+        let same = |loss: &&mut Loss| {
+            let gap = &loss.gap;
+            gap.pipeline == pipeline && gap.run == run && gap.reason == reason
+        };
+        if let Some(loss) = self.known.iter_mut().find(same) {
+            loss.extend(now, count);
+            return;
+        }
+        if self.known.len() >= MOST {
+            self.known.retain(|loss| loss.gap.count > 0);
+        }
+        if self.known.len() < MOST {
+            let gap = Gap { pipeline, run, from: now.wall, to: now.wall, count, reason };
+            self.known.push(Loss { gap, reported: None });
+        } else {
+            let loss = &mut self.known[MOST - 1];
+            (loss.gap.pipeline, loss.gap.run, loss.gap.reason) = (None, None, "many different losses".into());
+            loss.extend(now, count);
+        }
+    }
+
+    /// Counts what was dropped elsewhere and is not reported yet.
+    pub(super) fn add_gap(&mut self, gap: Gap, now: Stamp) {
+        let Gap { pipeline, run, from, count, reason, .. } = gap;
+        self.add(pipeline.clone(), run, now, count, reason.clone());
+        let same = |loss: &&mut Loss| {
+            let known = &loss.gap;
+            known.pipeline == pipeline && known.run == run && known.reason == reason
+        };
+        if let Some(loss) = self.known.iter_mut().find(same) {
+            loss.gap.from = loss.gap.from.min(from);
+        }
+    }
+
+    /// How many gaps there are to report, now or later.
+    pub(super) fn len(&self) -> usize {
+        self.known.iter().filter(|loss| loss.gap.count > 0).count()
+    }
+
+    /// When there is something to report; what is rare is due at once.
+    pub(super) fn due(&self) -> Option<MonoTime> {
+        let open = self.known.iter().filter(|loss| loss.gap.count > 0);
+        open.map(|loss| loss.reported.map_or(MonoTime::default(), |at| at + REPORT_EVERY)).min()
+    }
+
+    /// The next gap that is due; it then counts as reported.
+    pub(super) fn take_due(&mut self, now: MonoTime) -> Option<Gap> {
+        self.known.retain(|loss| loss.gap.count > 0 || !loss.is_due(now));
+        let due = self.known.iter_mut().find(|loss| loss.gap.count > 0 && loss.is_due(now));
+        due.map(|loss| loss.take(now))
+    }
+
+    /// The next gap of losses that end now: those of a run, or all.
+    pub(super) fn take_ended(&mut self, run: Option<RunId>, now: MonoTime) -> Option<Gap> {
+        let ended = |loss: &&mut Loss| loss.gap.count > 0 && (run.is_none() || loss.gap.run == run);
+        self.known.iter_mut().find(ended).map(|loss| loss.take(now))
+    }
+}
+
+impl Loss {
+    fn extend(&mut self, now: Stamp, count: u64) {
+        if self.gap.count == 0 {
+            self.gap.from = now.wall;
+        }
+        self.gap.to = now.wall;
+        self.gap.count += count;
+    }
+
+    fn is_due(&self, now: MonoTime) -> bool {
+        self.reported.is_none_or(|at| now - at >= REPORT_EVERY)
+    }
+
+    fn take(&mut self, now: MonoTime) -> Gap {
+        self.reported = Some(now);
+        let left = Gap { count: 0, ..self.gap.clone() };
+        std::mem::replace(&mut self.gap, left)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::WallTime;
+
+    use super::*;
+
+    fn at(millis: i64) -> Stamp {
+        let span = Span::from_millis(millis);
+        Stamp { wall: WallTime::from_unix_nanos(0) + span, mono: MonoTime::from_nanos(0) + span }
+    }
+
+    #[test]
+    fn losses_are_told_apart_until_there_are_too_many_and_none_goes_uncounted() {
+        let mut losses = Losses::default();
+        for n in 0..200 {
+            losses.add(None, Some(RunId::random()), at(n), 2, "full".into());
+        }
+        assert_eq!(losses.len(), MOST);
+        let gaps: Vec<_> = std::iter::from_fn(|| losses.take_due(at(200).mono)).collect();
+        assert_eq!(gaps.iter().map(|gap| gap.count).sum::<u64>(), 400);
+        assert_eq!(gaps[MOST - 1].to, at(199).wall);
+        assert_eq!((losses.len(), losses.due()), (0, None));
+        // What was reported makes room for others.
+        losses.add(None, None, at(300), 1, "another".into());
+        assert_eq!(losses.take_ended(None, at(300).mono).expect("a gap").reason, "another");
+    }
+
+    #[test]
+    fn a_loss_that_goes_on_is_one_gap_a_second() {
+        let (mut losses, run) = (Losses::default(), Some(RunId::random()));
+        let mut gaps = Vec::new();
+        // One of two events is dropped for three seconds.
+        for n in 0..1_500 {
+            losses.add(None, run, at(2 * n), 1, "full".into());
+            gaps.extend(losses.take_due(at(2 * n + 1).mono));
+        }
+        assert_eq!(losses.due(), Some(at(3_001).mono));
+        assert!(losses.take_ended(Some(RunId::random()), at(3_000).mono).is_none());
+        gaps.extend(losses.take_ended(run, at(3_000).mono));
+        assert_eq!(gaps.iter().map(|gap| gap.count).collect::<Vec<_>>(), [1, 500, 500, 499]);
+        assert!(gaps.windows(2).all(|pair| pair[0].to < pair[1].from));
+        assert_eq!(losses.len(), 0);
+    }
+}

@@ -1,0 +1,143 @@
+//! Who may speak.
+
+use peernet_clock::MonoTime;
+
+use super::super::codec::MAX_MESSAGE_BYTES;
+use super::super::{PROTOCOL, batch_weight};
+use super::progress::LAST_BATCH;
+use super::{Hello, Known, Receiving, StreamId};
+use peernet_logger::{HostId, Slug};
+
+/// What speaks against an agent of another version than this; it would understand nothing else.
+pub(super) fn wrong_version(hello: &Hello) -> Option<String> {
+    let protocol = hello.protocol;
+    (protocol != PROTOCOL).then(|| {
+        format!(
+            "the agent speaks version {protocol} of the event stream, the aggregator version {PROTOCOL}: install the same \
+             release on both"
+        )
+    })
+}
+
+/// Whether a host has been stored for longer than another; one that is not stored never has.
+const fn is_senior(host: Option<u64>, other: Option<u64>) -> bool {
+    match (host, other) {
+        (Some(host), Some(other)) => host < other,
+        (host, other) => host.is_some() && other.is_none(),
+    }
+}
+
+/// A host that said hello.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Session {
+    name: Slug,
+    seniority: Option<u64>,
+    pub(super) process: u64,
+    pub(super) stream: StreamId,
+    pub(super) heard: MonoTime,
+    /// What a batch of the usual length counts in a window, by its word; what is longer than a message counts as a
+    /// message.
+    pub(super) batch_bytes: u64,
+    /// Another process that wants to be this host, and when it first said so.
+    challenger: Option<(u64, MonoTime)>,
+}
+
+impl Session {
+    pub(super) fn of(hello: &Hello, seniority: Option<u64>, now: MonoTime) -> Self {
+        Self {
+            name: hello.host.name.clone(),
+            seniority,
+            process: hello.process,
+            stream: hello.stream,
+            heard: now,
+            batch_bytes: batch_weight(MAX_MESSAGE_BYTES.min(hello.batch_bytes as usize)),
+            challenger: None,
+        }
+    }
+}
+
+/// Whether a host gets in.
+pub(super) enum Admission {
+    Granted,
+    Refused(String),
+    /// It shows by the next hello.
+    Later,
+}
+
+impl Receiving {
+    pub(super) fn admission(&mut self, hello: &Hello, known: Known, now: MonoTime) -> Admission {
+        match self.objection(hello, known, now) {
+            Some(reason) => Admission::Refused(reason),
+            None => self.challenge(hello, now),
+        }
+    }
+
+    /// What speaks against a hello whoever is connected under its host id.
+    fn objection(&self, hello: &Hello, known: Known, now: MonoTime) -> Option<String> {
+        if let Some(reason) = wrong_version(hello) {
+            return Some(reason);
+        }
+        let (first, oldest) = (hello.first, hello.oldest);
+        if first == 0 || oldest < first || oldest > LAST_BATCH {
+            return Some(format!(
+                "a stream that begins with batch {first} and of which {oldest} is the oldest cannot be: the spool of \
+                 this agent is damaged; stop the agent, move the spool's files to another folder, keep them, and start \
+                 the agent again"
+            ));
+        }
+        let named =
+            self.namesake(hello, now).filter(|(_, session)| !is_senior(known.seniority, session.seniority));
+        if let Some((other, _)) = named {
+            let name = &hello.host.name;
+            return Some(format!(
+                "the name {name} is taken by the host with the id {other}: give one of the two another name"
+            ));
+        }
+        let here = self.streams.get(&hello.stream).map(|progress| progress.host);
+        let owner = here.or(known.mark.map(|mark| mark.host)).filter(|owner| *owner != hello.host.id)?;
+        Some(format!(
+            "the spool of this agent belongs to the host with the id {owner}: if this agent's state directory is a copy, \
+             give this agent another [agent] state_dir; keep the spool for that host, it may hold events that are not \
+             stored"
+        ))
+    }
+
+    /// Another host with the name of this one that was heard a moment ago.
+    fn namesake(&self, hello: &Hello, now: MonoTime) -> Option<(HostId, &Session)> {
+        let host = &hello.host;
+        let held =
+            |session: &Session| session.name == host.name && now - session.heard <= self.config.name_held;
+        let named = self.hosts.iter().find(|(other, session)| **other != host.id && held(session));
+        named.map(|(other, session)| (*other, session))
+    }
+
+    /// A host that has been stored for longer takes its name back from one that used it meanwhile. Returns the other.
+    pub(super) fn take_back_name(&mut self, hello: &Hello, now: MonoTime) -> Option<HostId> {
+        let (other, _) = self.namesake(hello, now)?;
+        self.goodbye(other);
+        Some(other)
+    }
+
+    /// A process takes over from another that is silent. While the other is heard they are one copied host.
+    fn challenge(&mut self, hello: &Hello, now: MonoTime) -> Admission {
+        let host: HostId = hello.host.id;
+        let silence = self.config.silence;
+        let other = self.hosts.get_mut(&host).filter(|session| session.process != hello.process);
+        let Some(session) = other.filter(|session| now - session.heard <= silence) else {
+            return Admission::Granted;
+        };
+        match session.challenger {
+            Some((process, since)) if process == hello.process && session.heard > since => {
+                session.challenger = None;
+                return Admission::Refused(format!(
+                    "another agent with the host id {host} is running: one of the two uses a copy of the other's state \
+                     directory; stop the copy and give it another [agent] state_dir, so that it gets a host id of its \
+                     own. Nothing has to be deleted"
+                ));
+            }
+            Some((process, _)) if process == hello.process => {}
+            _ => session.challenger = Some((hello.process, now)),
+        }
+        Admission::Later
+    }
+}

@@ -1,0 +1,255 @@
+//! How far a stream has come, and which batch is next.
+
+use std::collections::VecDeque;
+
+use super::super::MOST_UNDER_WAY;
+use super::{Arrival, BatchHead, Chain, Hello, Mark, Missing, StreamId, ToAgent};
+use peernet_logger::HostId;
+
+/// Largest batch number that is believed: SQLite's integers end there.
+pub(super) const LAST_BATCH: u64 = i64::MAX as u64;
+
+/// A batch whose bytes do not match its hash is given up when it came so often.
+const DAMAGED_TIMES: u32 = 3;
+
+/// Batches that may be accepted and not stored: an agent that keeps to its window needs half of it.
+const MOST_PENDING: usize = 2 * (MOST_UNDER_WAY + 1);
+
+/// A batch by its number; its chain, and the number of events up to it, where they are known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Position {
+    number: u64,
+    chain: Option<Chain>,
+    events: Option<u64>,
+}
+
+impl From<Mark> for Position {
+    fn from(mark: Mark) -> Self {
+        Self { number: mark.stored, chain: Some(mark.chain), events: mark.events }
+    }
+}
+
+/// How far a stream is accepted and stored.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Progress {
+    pub(super) host: HostId,
+    /// The process that said hello last.
+    process: u64,
+    /// What the database has of the stream; without it, `stored` is where the stream begins.
+    mark: Option<Mark>,
+    stored: Position,
+    accepted: Position,
+    /// The connected agent is known to hold the same batches as we do, up to here: it compared them when it was
+    /// welcomed, or sent them since.
+    confirmed: u64,
+    /// What was accepted and is not both stored and confirmed, ascending; of a gap the last number only.
+    pending: VecDeque<(u64, Chain)>,
+    /// The number from which batches were asked for again, until the first of them comes.
+    asked: Option<u64>,
+    /// A batch that came damaged, and how often in a row.
+    damaged: Option<(BatchHead, u32)>,
+}
+
+impl Progress {
+    pub(super) fn new(hello: &Hello, mark: Option<Mark>) -> Self {
+        let begin = Position {
+            number: hello.first.saturating_sub(1),
+            chain: (hello.oldest == hello.first).then_some(hello.before),
+            events: hello.events_before_first,
+        };
+        let stored = mark.map_or(begin, Position::from);
+        Self {
+            host: hello.host.id,
+            process: hello.process,
+            mark,
+            stored,
+            accepted: stored,
+            confirmed: stored.number,
+            pending: VecDeque::new(),
+            asked: None,
+            damaged: None,
+        }
+    }
+
+    /// An agent that holds the stream was let in; `same` when it is the process that was here before. Returns what
+    /// neither has.
+    pub(super) fn greet(&mut self, hello: &Hello, mark: Option<Mark>, same: bool) -> Option<Missing> {
+        if let Some(mark) = mark {
+            self.take(mark);
+        }
+        if self.mark.is_none() && self.is_settled() {
+            *self = Self::new(hello, None);
+        }
+        if !same {
+            self.confirmed = self.stored.number;
+        }
+        (self.asked, self.process) = (None, hello.process);
+        let through = hello.oldest.saturating_sub(1);
+        (through > self.accepted.number).then(|| {
+            let (host, stream, from) = (self.host, hello.stream, self.next());
+            let (chain, process, events_through) = (hello.before, hello.process, hello.events_before_oldest);
+            let events = self.accepted.events.map(|stored| events_through.saturating_sub(stored));
+            self.accept(through, chain, events_through);
+            Missing { host, stream, from, through, chain, process, events, events_through }
+        })
+    }
+
+    /// The last batch that is stored, and the mark for the agent to compare; one before the first when none is.
+    pub(super) const fn stored(&self) -> (u64, Option<Mark>) {
+        (self.stored.number, self.mark)
+    }
+
+    /// A batch of the stream came from the connected agent.
+    pub(super) fn arrive(&mut self, head: &BatchHead, intact: bool, window: u32) -> Arrival {
+        let number = head.number;
+        if number <= self.settled() {
+            Arrival::Duplicate(self.acknowledgement(head.stream, window))
+        } else if number <= self.accepted.number {
+            self.again(head, window)
+        } else if number > LAST_BATCH || self.is_full() {
+            // Only an agent that ignores its window gets here.
+            Arrival::Hole(None)
+        } else if number > self.next() {
+            Arrival::Hole(self.ask(head.stream))
+        } else if !intact {
+            self.arrive_damaged(head)
+        } else if self.follows(head) {
+            self.accept(number, head.chain, head.events_through());
+            Arrival::Accept
+        } else {
+            Arrival::Unknown(ToAgent::Unknown)
+        }
+    }
+
+    /// A number that was accepted before.
+    fn again(&mut self, head: &BatchHead, window: u32) -> Arrival {
+        let number = head.number;
+        let known = self.pending.iter().find(|(pending, _)| *pending == number);
+        let Some((_, chain)) = known else {
+            return Arrival::Pending;
+        };
+        if *chain != head.chain {
+            return Arrival::Unknown(ToAgent::Unknown);
+        }
+        // The chain stands for every batch before it as well.
+        self.confirmed = self.confirmed.max(number);
+        self.drop_settled();
+        match number <= self.stored.number {
+            true => Arrival::Duplicate(self.acknowledgement(head.stream, window)),
+            false => Arrival::Pending,
+        }
+    }
+
+    /// The next batch does not match its hash: damaged on its way, or in the spool.
+    fn arrive_damaged(&mut self, head: &BatchHead) -> Arrival {
+        let before = self.damaged.filter(|(damaged, _)| damaged == head);
+        let times = before.map_or(0, |(_, times)| times) + 1;
+        if times < DAMAGED_TIMES {
+            self.damaged = Some((*head, times));
+            // It came in answer to the last request, so that there has to be another.
+            self.asked = None;
+            return Arrival::Hole(self.ask(head.stream));
+        }
+        self.damaged = None;
+        if self.follows(head) {
+            self.accept(head.number, head.chain, head.events_through());
+            Arrival::AcceptDamaged
+        } else {
+            // The chains in the spool are damaged: when the agent compares them it sees.
+            Arrival::Unknown(ToAgent::Unknown)
+        }
+    }
+
+    fn follows(&self, head: &BatchHead) -> bool {
+        self.accepted.chain == Some(head.before)
+    }
+
+    fn accept(&mut self, number: u64, chain: Chain, events: u64) {
+        self.accepted = Position { number, chain: Some(chain), events: Some(events) };
+        self.confirmed = number;
+        self.pending.push_back((number, chain));
+        (self.asked, self.damaged) = (None, None);
+        self.drop_settled();
+    }
+
+    /// The mark is on disk. Returns what the connected agent is to be told.
+    pub(super) fn settle(&mut self, stream: StreamId, mark: Mark, window: u32) -> Option<ToAgent> {
+        let before = self.settled();
+        self.take(mark);
+        (self.settled() > before).then(|| self.acknowledgement(stream, window))
+    }
+
+    /// What the database says.
+    fn take(&mut self, mark: Mark) {
+        if self.mark.is_some() && mark.stored <= self.stored.number {
+            return;
+        }
+        self.mark = Some(mark);
+        self.stored = mark.into();
+        if mark.stored >= self.accepted.number {
+            if mark.stored > self.accepted.number {
+                self.pending.push_back((mark.stored, mark.chain));
+            }
+            self.accepted = self.stored;
+        }
+        self.drop_settled();
+    }
+
+    /// Storing failed.
+    pub(super) fn fail(&mut self, stream: StreamId) -> ToAgent {
+        self.accepted = self.stored;
+        self.confirmed = self.confirmed.min(self.stored.number);
+        self.pending.retain(|(number, _)| *number <= self.stored.number);
+        self.damaged = None;
+        self.asked = Some(self.next());
+        ToAgent::Resend { stream, from: self.next() }
+    }
+
+    /// Asks for the next batch, unless that was done.
+    pub(super) fn ask(&mut self, stream: StreamId) -> Option<ToAgent> {
+        let from = self.next();
+        let is_new = self.asked != Some(from);
+        self.asked = Some(from);
+        is_new.then_some(ToAgent::Resend { stream, from })
+    }
+
+    /// What came in answer to the last request could not be taken.
+    pub(super) const fn forget_asking(&mut self) {
+        self.asked = None;
+    }
+
+    /// Whether nothing waits to be stored.
+    pub(super) const fn is_settled(&self) -> bool {
+        self.accepted.number == self.stored.number
+    }
+
+    /// Whether something waits that another process sent.
+    pub(super) const fn awaits_other_than(&self, process: u64) -> bool {
+        !self.is_settled() && self.process != process
+    }
+
+    /// Whether as much waits to be stored or confirmed as may.
+    pub(super) fn is_full(&self) -> bool {
+        self.pending.len() >= MOST_PENDING
+    }
+
+    const fn next(&self) -> u64 {
+        self.accepted.number.saturating_add(1)
+    }
+
+    /// What is stored and known to be what the agent holds.
+    fn settled(&self) -> u64 {
+        self.stored.number.min(self.confirmed)
+    }
+
+    fn drop_settled(&mut self) {
+        let settled = self.settled();
+        while self.pending.front().is_some_and(|(number, _)| *number <= settled) {
+            self.pending.pop_front();
+        }
+    }
+
+    fn acknowledgement(&self, stream: StreamId, window: u32) -> ToAgent {
+        ToAgent::Ack { stream, through: self.settled(), window }
+    }
+}

@@ -1,0 +1,186 @@
+//! Host secrets, and the proof that an agent has the one that belongs to its host id.
+//!
+//! The aggregator answers a hello with a challenge; the agent answers that with a proof: HMAC-SHA-256 (RFC 2104) with its
+//! secret as the key over the challenge's nonce and over what the hello claims. The secret itself is sent only when the
+//! aggregator asks to be told it, because it knows none of that host (trust on first use). Until the event stream is
+//! encrypted, that message can be read by whoever can read the network at that moment.
+
+use std::fmt;
+use std::str::FromStr;
+
+use hmac::{Hmac, KeyInit, Mac};
+use serde::{Deserialize, Serialize};
+use sha2::Sha256;
+
+use super::{Hello, PROTOCOL};
+use peernet_logger::Slug;
+
+/// Keeps these codes apart from any other use of the same secret.
+const DOMAIN: &[u8] = b"peernet event stream: proof of a host secret\0";
+
+/// Bytes of a secret, of a nonce and of a proof.
+const BYTES: usize = 32;
+
+/// A random secret beside the host id, which proves that an agent is the host it says it is. `Debug` does not show it.
+#[derive(Clone, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct HostSecret(#[serde(with = "serde_bytes")] [u8; BYTES]);
+
+/// A text that is not a host secret.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("a host secret is written as {} hexadecimal digits", 2 * BYTES)]
+pub struct InvalidSecret;
+
+/// A random number that is used once: a proof that was overheard proves nothing later.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Nonce(#[serde(with = "serde_bytes")] [u8; BYTES]);
+
+/// A message authentication code. It is compared by [`HostSecret::verify`] only, in constant time.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct ProofCode(#[serde(with = "serde_bytes")] [u8; BYTES]);
+
+impl HostSecret {
+    /// A new random secret.
+    pub fn random() -> Self {
+        Self(rand::random())
+    }
+
+    /// The secret of these bytes.
+    pub const fn from_bytes(bytes: [u8; BYTES]) -> Self {
+        Self(bytes)
+    }
+
+    /// The bytes, to be kept where nobody else can read them.
+    pub const fn expose_bytes(&self) -> &[u8; BYTES] {
+        &self.0
+    }
+
+    /// The secret as hexadecimal digits, to be kept where nobody else can read them.
+    pub fn expose_text(&self) -> String {
+        self.0.iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+
+    /// Returns the proof that whoever has this secret says this hello to the aggregator of this name now.
+    pub fn prove(&self, nonce: &Nonce, hello: &Hello, aggregator: &Slug) -> ProofCode {
+        ProofCode(self.code(nonce, hello, aggregator).finalize().into_bytes().into())
+    }
+
+    /// Whether a proof was made with this secret for this nonce, hello and aggregator. Takes constant time.
+    pub fn verify(&self, proof: &ProofCode, nonce: &Nonce, hello: &Hello, aggregator: &Slug) -> bool {
+        self.code(nonce, hello, aggregator).verify_slice(&proof.0).is_ok()
+    }
+
+    fn code(&self, nonce: &Nonce, hello: &Hello, aggregator: &Slug) -> Hmac<Sha256> {
+        let mut code =
+            <Hmac<Sha256> as KeyInit>::new_from_slice(&self.0).expect("HMAC takes keys of any length");
+        code.update(DOMAIN);
+        code.update(&PROTOCOL.to_be_bytes());
+        code.update(&nonce.0);
+        code.update(hello.host.id.as_bytes());
+        code.update(&hello.process.to_be_bytes());
+        code.update(hello.stream.as_bytes());
+        // The only part of variable length comes last.
+        code.update(aggregator.as_str().as_bytes());
+        code
+    }
+}
+
+impl fmt::Debug for HostSecret {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("HostSecret(not shown)")
+    }
+}
+
+impl PartialEq for HostSecret {
+    /// Takes constant time.
+    fn eq(&self, other: &Self) -> bool {
+        self.0.iter().zip(&other.0).fold(0, |different, (a, b)| different | (a ^ b)) == 0
+    }
+}
+
+impl Eq for HostSecret {}
+
+impl FromStr for HostSecret {
+    type Err = InvalidSecret;
+
+    /// Reads what [`expose_text`](Self::expose_text) writes.
+    fn from_str(text: &str) -> Result<Self, InvalidSecret> {
+        let digits = text.as_bytes();
+        if digits.len() != 2 * BYTES || !digits.iter().all(u8::is_ascii_hexdigit) {
+            return Err(InvalidSecret);
+        }
+        let mut bytes = [0; BYTES];
+        for (byte, pair) in bytes.iter_mut().zip(text.as_bytes().chunks_exact(2)) {
+            let pair = std::str::from_utf8(pair).map_err(|_| InvalidSecret)?;
+            *byte = u8::from_str_radix(pair, 16).map_err(|_| InvalidSecret)?;
+        }
+        Ok(Self(bytes))
+    }
+}
+
+impl Nonce {
+    /// A new random nonce.
+    pub fn random() -> Self {
+        Self(rand::random())
+    }
+
+    /// The nonce of these bytes.
+    pub const fn from_bytes(bytes: [u8; BYTES]) -> Self {
+        Self(bytes)
+    }
+}
+
+impl ProofCode {
+    /// The code of these bytes.
+    pub const fn from_bytes(bytes: [u8; BYTES]) -> Self {
+        Self(bytes)
+    }
+}
+
+impl PartialEq for ProofCode {
+    /// Takes constant time.
+    fn eq(&self, other: &Self) -> bool {
+        HostSecret(self.0) == HostSecret(other.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::StreamId;
+    use super::super::tests::hello;
+    use super::*;
+    use peernet_logger::HostId;
+
+    #[test]
+    fn proof_holds_for_its_own_claim_only() {
+        let (secret, nonce) = (HostSecret::random(), Nonce::random());
+        let hello = hello(HostId::random(), "edge", 1, StreamId::random(), 1);
+        let aggregator: Slug = "base".parse().expect("a name");
+        let proof = secret.prove(&nonce, &hello, &aggregator);
+        let holds = |secret: &HostSecret, nonce: &Nonce, hello: &Hello, name: &str| {
+            secret.verify(&proof, nonce, hello, &name.parse().expect("a name"))
+        };
+        assert!(holds(&secret, &nonce, &hello, "base"));
+        assert!(!holds(&HostSecret::random(), &nonce, &hello, "base"));
+        assert!(!holds(&secret, &Nonce::random(), &hello, "base"));
+        assert!(!holds(&secret, &nonce, &hello, "other"));
+        assert!(!holds(&secret, &nonce, &Hello { process: 2, ..hello.clone() }, "base"));
+        assert!(!holds(&secret, &nonce, &Hello { stream: StreamId::random(), ..hello.clone() }, "base"));
+        let mut other = hello;
+        other.host.id = HostId::random();
+        assert!(!holds(&secret, &nonce, &other, "base"));
+    }
+
+    #[test]
+    fn secret_is_read_as_written_and_never_shown() {
+        let secret = HostSecret::random();
+        let text = secret.expose_text();
+        assert_eq!(text.parse(), Ok(secret.clone()));
+        assert!(!format!("{secret:?}").contains(&text[..8]));
+        for wrong in ["", "ab", &text[1..], &format!("{text}0"), &format!("+{}", &text[1..])] {
+            assert_eq!(wrong.parse::<HostSecret>(), Err(InvalidSecret), "{wrong}");
+        }
+    }
+}

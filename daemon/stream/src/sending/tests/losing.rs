@@ -1,0 +1,82 @@
+//! What does not fit is counted, and everything is accounted for.
+
+use super::super::super::RunEnded;
+use super::*;
+use peernet_logger::RunId;
+
+#[test]
+fn a_full_spool_drops_the_newest_and_a_gap_takes_their_place() {
+    let mut agent = Agent::new(SendingConfig { spool_bytes: 4_000, ..config() });
+    agent.offer(200);
+    let is = agent.accounting();
+    assert!(is.dropped > 10 && is.waiting > 10 && is.spool_bytes <= 4_000, "{is:?}");
+    assert_eq!((is.spool_limit_bytes, is.gaps), (4_000, 0));
+    let (kept, dropped) = (is.waiting, is.dropped);
+    agent.connect();
+    agent.welcome(0, None);
+    agent.deliver();
+    agent.pass(1_000);
+    agent.deliver();
+    let is = agent.accounting();
+    assert_eq!((is.stored, is.dropped, is.gaps, is.waiting), (kept + 1, dropped, 1, 0));
+}
+
+#[test]
+fn deletion_makes_room_for_what_is_new() {
+    let mut agent = Agent::up(SendingConfig { spool_bytes: 4_000, ..config() });
+    for _ in 0..100 {
+        agent.offer(1);
+        agent.deliver();
+    }
+    assert_eq!(agent.accounting().dropped, 0, "a deletion was not asked for in time");
+}
+
+#[test]
+fn events_that_come_faster_than_the_disk_takes_them_wait_in_memory_up_to_its_limit() {
+    let memory = Usage { events: 1_000, bytes: 2_000 };
+    let mut agent = Agent::new(SendingConfig { memory, batch_nodes: 100, ..config() });
+    // The first batch is being written all the time.
+    (0..200).for_each(|n| agent.sending.offer(&incident(&n.to_string()), agent.now()));
+    let is = agent.accounting();
+    assert!(is.memory_bytes <= 2_000 && is.waiting > 10 && is.dropped > 100, "{is:?}");
+}
+
+#[test]
+fn totals_go_on_after_a_restart() {
+    let mut agent = Agent::up(SendingConfig { spool_bytes: 4_000, ..config() });
+    agent.sending.disconnected();
+    agent.offer(200);
+    agent.sending.flush(agent.now().wall);
+    agent.settle();
+    let before = agent.accounting();
+    let mut agent = agent.restart();
+    assert_eq!(agent.accounting().dropped, before.dropped, "a stop writes what was dropped last");
+    assert_eq!(agent.accounting(), Accounting { sent: agent.accounting().stored, ..before });
+    agent.connect();
+    agent.welcome(0, None);
+    agent.deliver();
+    let stored = agent.accounting().stored;
+    assert_eq!(stored, before.waiting);
+    agent.pass(1_000);
+    let agent = agent.restart();
+    assert_eq!((agent.accounting().stored, agent.accounting().waiting), (stored, 0));
+}
+
+#[test]
+fn the_end_of_a_run_reports_what_it_lost() {
+    let run = RunId::random();
+    let memory = Usage { events: 4, bytes: 1 << 20 };
+    let mut agent = Agent::new(SendingConfig { memory, batch_nodes: 100, ..config() });
+    agent.offer(8);
+    assert_eq!(agent.accounting().dropped, 4);
+    agent.pass(200);
+    let ended = RunEnded { run, ended: agent.now().wall, reason: "finished".into() };
+    agent.sending.offer(&Event::RunEnded(ended), agent.now());
+    agent.sending.flush(agent.now().wall);
+    agent.settle();
+    let is = agent.accounting();
+    assert_eq!((is.gaps, is.waiting), (1, 6));
+    let batch = agent.file.batches.values().next_back().expect("a batch");
+    let events = codec::events(&batch.body, batch.events).expect("readable");
+    assert!(matches!(&events[0], Event::Gap(gap) if gap.count == 4), "{events:?}");
+}

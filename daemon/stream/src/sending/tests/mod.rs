@@ -1,0 +1,376 @@
+//! The agent's end by hand, with a spool file that can be broken and an aggregator that says what the test wants.
+
+mod batches;
+mod catching_up;
+mod comparing;
+mod degraded;
+mod fast;
+mod holes;
+mod hostile;
+mod link;
+mod losing;
+mod model;
+mod proving;
+mod slow;
+mod window;
+
+use std::collections::BTreeMap;
+
+use bytes::Bytes;
+use peernet_clock::{ClockIdentity, MonoTime, Span, Stamp, WallTime};
+
+use super::super::spool::{Reached, SpoolState, SpooledBatch, Totals, Usage};
+use super::super::{
+    Accounting, BatchHead, Chain, Event, Hardware, Hello, HostDescription, HostSecret, Incident,
+    IncidentKind, Proof, StreamId, ToAgent, ToAggregator, codec,
+};
+use super::{Action, Notice, Sending, SendingConfig};
+use peernet_logger::HostId;
+
+fn at(millis: i64) -> Stamp {
+    let span = Span::from_millis(millis);
+    Stamp { wall: WallTime::from_unix_nanos(0) + span, mono: MonoTime::from_nanos(0) + span }
+}
+
+fn incident(text: &str) -> Event {
+    Event::Incident(Incident {
+        at: WallTime::from_unix_nanos(0),
+        kind: IncidentKind::Control,
+        pipeline: None,
+        run: None,
+        peer: None,
+        text: text.into(),
+    })
+}
+
+/// One event a batch, so that events and batches can be counted alike; and each counts as one in a window.
+fn config() -> SendingConfig {
+    SendingConfig {
+        batch_nodes: 1,
+        batch_bytes: 1_024,
+        window: 3,
+        reserve_events: 2,
+        ..SendingConfig::default()
+    }
+}
+
+/// What the spool keeps when the process ends.
+#[derive(Clone, Debug)]
+struct File {
+    stream: StreamId,
+    previous: Option<StreamId>,
+    first: u64,
+    events_before_first: Option<u64>,
+    before: Chain,
+    newest: (u64, Chain),
+    totals: Totals,
+    reached: Vec<Reached>,
+    /// How many processes opened it.
+    processes: u64,
+    batches: BTreeMap<u64, SpooledBatch>,
+}
+
+impl File {
+    fn new() -> Self {
+        Self {
+            stream: StreamId::random(),
+            previous: None,
+            first: 1,
+            events_before_first: Some(0),
+            before: Chain::START,
+            newest: (0, Chain::START),
+            totals: Totals::default(),
+            reached: Vec::new(),
+            processes: 0,
+            batches: BTreeMap::new(),
+        }
+    }
+
+    fn state(&self) -> SpoolState {
+        let oldest = self.batches.values().next();
+        SpoolState {
+            stream: self.stream,
+            previous: self.previous,
+            first: self.first,
+            events_before_first: self.events_before_first,
+            oldest: oldest.map_or(self.newest.0 + 1, |batch| batch.number),
+            before: if oldest.is_some() { self.before } else { self.newest.1 },
+            newest: self.newest,
+            since: oldest.map(|batch| batch.since),
+            held: self.batches.values().fold(Usage::default(), |sum, batch| sum + batch.usage()),
+            totals: self.totals.clone(),
+            reached: self.reached.clone(),
+            unreported: Vec::new(),
+            unresolved: None,
+        }
+    }
+
+    fn append(&mut self, batches: Vec<SpooledBatch>, totals: Totals) {
+        for batch in batches {
+            assert_eq!(batch.number, self.newest.0 + 1, "contiguous");
+            assert_eq!(batch.chain, self.newest.1.then(batch.events, &batch.body));
+            self.newest = (batch.number, batch.chain);
+            self.batches.insert(batch.number, batch);
+        }
+        self.reached.retain(|reached| totals.reached.is_none_or(|now| now.process != reached.process));
+        self.reached.extend(totals.reached);
+        self.totals = totals;
+    }
+
+    fn load(&self, from: u64, bytes: usize) -> Vec<SpooledBatch> {
+        let mut taken = 0;
+        let contiguous = (from..).map_while(|number| self.batches.get(&number));
+        let wanted = contiguous.take_while(|batch| {
+            let first = taken == 0;
+            taken += batch.body.len();
+            first || taken <= bytes
+        });
+        wanted.cloned().collect()
+    }
+
+    fn delete(&mut self, through: u64, chain: Chain) {
+        self.batches = self.batches.split_off(&(through + 1));
+        self.before = chain;
+        if through > self.newest.0 {
+            self.newest = (through, chain);
+        }
+    }
+}
+
+/// An agent, its spool, and what it said.
+struct Agent {
+    config: SendingConfig,
+    host: HostId,
+    file: File,
+    sending: Sending,
+    millis: i64,
+    /// The spool fails.
+    broken: bool,
+    /// It takes no batches.
+    full: bool,
+    sent: Vec<BatchHead>,
+    /// What came of a batch in parts.
+    parts: Vec<u8>,
+    hellos: Vec<Hello>,
+    proofs: Vec<Proof>,
+    notices: Vec<Notice>,
+    /// What was asked of the spool.
+    actions: Vec<Action>,
+}
+
+impl Agent {
+    fn new(config: SendingConfig) -> Self {
+        Self::open(config, HostId::random(), File::new())
+    }
+
+    fn open(config: SendingConfig, host: HostId, mut file: File) -> Self {
+        file.processes += 1;
+        let description = HostDescription {
+            id: host,
+            name: "edge".parse().expect("a name"),
+            clock: ClockIdentity::new("boot", "system"),
+            version: "0.1.0".into(),
+            hardware: Hardware::default(),
+            serves: None,
+            models: Vec::new(),
+        };
+        let sending = Sending::new(config, description, HostSecret::random(), file.processes, file.state());
+        let (sent, parts, hellos, proofs, notices, actions) = Default::default();
+        Self {
+            config,
+            host,
+            file,
+            sending,
+            millis: 0,
+            broken: false,
+            full: false,
+            sent,
+            parts,
+            hellos,
+            proofs,
+            notices,
+            actions,
+        }
+    }
+
+    /// An agent that is connected and welcomed.
+    fn up(config: SendingConfig) -> Self {
+        let mut agent = Self::new(config);
+        agent.connect();
+        agent.welcome(0, None);
+        agent
+    }
+
+    /// The process is killed and started anew.
+    fn restart(self) -> Self {
+        Self::open(self.config, self.host, self.file)
+    }
+
+    fn now(&self) -> Stamp {
+        at(self.millis)
+    }
+
+    /// Does all there is to do.
+    fn settle(&mut self) {
+        while let Some(action) = self.sending.next(self.now().mono) {
+            let _ = self.accounting();
+            match action {
+                Action::Send(frame) => self.sent(frame.into()),
+                action => {
+                    self.actions.push(action.clone());
+                    self.perform(action);
+                }
+            }
+        }
+        let due = self.sending.deadline().is_some_and(|deadline| deadline < self.now().mono);
+        assert!(
+            !due || self.sending.deadline() != Some(MonoTime::default()),
+            "a deadline in the past does nothing"
+        );
+    }
+
+    fn sent(&mut self, frame: Bytes) {
+        if let Some(part) = codec::part(&frame) {
+            if part.offset == 0 {
+                self.parts.clear();
+            }
+            assert_eq!(self.parts.len(), part.offset as usize, "parts follow one another");
+            self.parts.extend_from_slice(&part.bytes);
+            if self.parts.len() == part.total as usize {
+                let whole = std::mem::take(&mut self.parts);
+                self.sent(whole.into());
+            }
+            return;
+        }
+        match codec::batch_head(&frame) {
+            Some(head) => {
+                codec::batch_body(frame).expect("intact");
+                self.sent.push(head);
+            }
+            None => match codec::decode(&frame) {
+                Ok(ToAggregator::Hello(hello)) => self.hellos.push(hello),
+                Ok(ToAggregator::Proof(proof)) => self.proofs.push(proof),
+                // The way is short.
+                Ok(ToAggregator::Echo { bytes, .. }) => {
+                    self.sending.received(&ToAgent::Echo { bytes }, self.now());
+                }
+                other => panic!("{other:?} was sent"),
+            },
+        }
+    }
+
+    fn perform(&mut self, action: Action) {
+        let (now, why) = (self.now(), "the disk is full".to_owned());
+        let notice = match action {
+            Action::Append { batches, .. } if self.broken || self.full && !batches.is_empty() => {
+                self.sending.append_failed(why, now)
+            }
+            Action::Load { .. } if self.broken => self.sending.load_failed(why, now),
+            Action::Delete { .. } if self.broken => self.sending.delete_failed(why, now),
+            Action::Renew { .. } if self.broken => self.sending.renew_failed(why, now),
+            Action::Append { batches, totals } => {
+                self.file.append(batches, totals);
+                self.sending.appended(now)
+            }
+            Action::Load { from, bytes } => self.sending.loaded(self.file.load(from, bytes), now),
+            Action::Delete { through, chain } => {
+                self.file.delete(through, chain);
+                self.sending.deleted();
+                None
+            }
+            Action::Renew { stream, previous, first, events_before_first } => {
+                self.file.events_before_first = Some(events_before_first);
+                assert_eq!((previous, first), (self.file.stream, self.file.state().oldest));
+                (self.file.stream, self.file.previous, self.file.first) = (stream, Some(previous), first);
+                self.sending.renewed(now);
+                None
+            }
+            Action::Send(_) => unreachable!("not the spool's"),
+        };
+        self.notices.extend(notice);
+    }
+
+    fn offer(&mut self, events: usize) {
+        for n in 0..events {
+            self.sending.offer(&incident(&format!("event {n}")), self.now());
+        }
+        self.settle();
+    }
+
+    /// Offers events, one a batch, and cuts the last.
+    fn cut(&mut self, batches: usize) {
+        self.offer(batches);
+        self.pass(self.config.batch_age.nanos() / 1_000_000);
+    }
+
+    fn pass(&mut self, millis: i64) {
+        self.millis += millis;
+        self.sending.tick(self.now());
+        self.settle();
+    }
+
+    fn connect(&mut self) {
+        self.sending.connected(self.now().mono);
+        self.settle();
+    }
+
+    fn receive(&mut self, message: &ToAgent) {
+        let notice = self.sending.received(message, self.now());
+        self.notices.extend(notice);
+        self.settle();
+    }
+
+    fn welcome(&mut self, stored: u64, chain: Option<Chain>) {
+        self.welcome_after(stored, chain, None);
+    }
+
+    /// The batch that is stored last came from this process.
+    fn welcome_after(&mut self, stored: u64, chain: Option<Chain>, process: Option<u64>) {
+        let (aggregator, stream) = ("base".parse().expect("a name"), self.stream());
+        self.receive(&ToAgent::Welcome { aggregator, stream, stored, chain, process, window: 100 });
+    }
+
+    fn ack(&mut self, through: u64) {
+        let stream = self.stream();
+        self.receive(&ToAgent::Ack { stream, through, window: 100 });
+    }
+
+    /// The stream it speaks of.
+    fn stream(&self) -> StreamId {
+        self.hellos.last().map_or(self.file.stream, |hello| hello.stream)
+    }
+
+    /// Numbers of the batches that were sent since the last call.
+    fn numbers(&mut self) -> Vec<u64> {
+        self.sent.drain(..).map(|head| head.number).collect()
+    }
+
+    /// What became of the events; it must add up.
+    fn accounting(&self) -> Accounting {
+        let is = self.sending.accounting();
+        assert_eq!(is.produced, is.stored + is.waiting + is.dropped, "{is:?}");
+        assert!(is.stored <= is.spooled && is.spooled <= is.produced, "{is:?}");
+        is
+    }
+
+    /// Acknowledges whatever is sent until nothing is.
+    fn deliver(&mut self) -> Vec<u64> {
+        let mut delivered: Vec<u64> = Vec::new();
+        loop {
+            let numbers = self.numbers();
+            let Some(last) = numbers.last() else { return delivered };
+            let last = *last;
+            delivered.extend(numbers);
+            self.ack(last);
+        }
+    }
+
+    /// Chain of a batch in the file.
+    fn chain(&self, number: u64) -> Option<Chain> {
+        self.file.batches.get(&number).map(|batch| batch.chain)
+    }
+
+    fn asked(&self, wanted: impl Fn(&Action) -> bool) -> usize {
+        self.actions.iter().filter(|action| wanted(action)).count()
+    }
+}

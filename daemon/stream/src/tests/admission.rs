@@ -1,0 +1,229 @@
+//! The aggregator's end alone: who gets in.
+
+use super::*;
+
+pub(crate) fn hello(id: HostId, name: &str, process: u64, stream: StreamId, oldest: u64) -> Hello {
+    Hello {
+        protocol: PROTOCOL,
+        host: host(id, name),
+        stream,
+        previous: None,
+        first: 1,
+        oldest,
+        before: chain(oldest - 1),
+        events_before_oldest: oldest - 1,
+        events_before_first: Some(0),
+        batch_bytes: 512 * 1024,
+        process,
+    }
+}
+
+/// The chain of a batch with this number, in the stream that all of these tests speak of.
+pub(super) fn chain(number: u64) -> Chain {
+    (0..number).fold(Chain::START, |chain, _| chain.then(1, b"event"))
+}
+
+pub(super) fn mark(host: HostId, stored: u64) -> Mark {
+    Mark { host, stored, chain: chain(stored), process: Some(1), events: Some(stored) }
+}
+
+/// What a database knows of one stream.
+pub(super) fn known(mark: Option<Mark>) -> Known {
+    Known { mark, came: mark.is_some(), ..Known::default() }
+}
+
+pub(super) fn reason(greeting: Greeting) -> String {
+    match greeting {
+        Greeting::Refused { reply: ToAgent::Refused { reason: said }, reason } if said == reason => reason,
+        other => panic!("expected a refusal, got {other:?}"),
+    }
+}
+
+/// Number and chain of the last batch stored, and the window, of a welcome that found nothing unusual.
+pub(super) fn welcomed(greeting: &Greeting) -> (u64, Option<Chain>, u32) {
+    match greeting {
+        Greeting::Welcome {
+            reply: ToAgent::Welcome { stored, chain, window, .. },
+            missing: None,
+            replaced: None,
+            lacking: None,
+            displaced: None,
+        } => (*stored, *chain, *window),
+        other => panic!("expected a welcome, got {other:?}"),
+    }
+}
+
+#[test]
+fn strangers_are_asked_to_say_hello() {
+    let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
+    assert_eq!(end.live(id, at(0).mono), Some(ToAgent::Unknown));
+    welcomed(&end.hello(&hello(id, "edge", 1, stream, 1), known(None), at(0).mono));
+    assert_eq!(end.live(id, at(0).mono), None);
+    end.forget_silent(Span::from_seconds(60), at(60_001).mono);
+    assert_eq!(end.live(id, at(60_001).mono), Some(ToAgent::Unknown));
+}
+
+#[test]
+fn another_version_is_refused_with_both_numbers() {
+    let mut other = hello(HostId::random(), "edge", 1, StreamId::random(), 1);
+    other.protocol = 99;
+    let reason = reason(receiving().hello(&other, known(None), at(0).mono));
+    assert!(reason.contains("version 99") && reason.contains(&format!("version {PROTOCOL}")), "{reason}");
+}
+
+#[test]
+fn numbers_that_cannot_be_are_refused() {
+    let good = hello(HostId::random(), "edge", 1, StreamId::random(), 1);
+    for (first, oldest) in [(0, 0), (0, 1), (5, 4), (u64::MAX, u64::MAX), (1, u64::MAX), (1, 1 << 63)] {
+        let bad = Hello { first, oldest, ..good.clone() };
+        let reason = reason(receiving().hello(&bad, known(None), at(0).mono));
+        assert!(reason.contains("spool of this agent is damaged"), "{reason}");
+    }
+}
+
+#[test]
+fn two_hosts_cannot_have_one_name_while_both_are_there() {
+    let (mut end, first, second) = (receiving(), HostId::random(), HostId::random());
+    end.hello(&hello(first, "edge", 1, StreamId::random(), 1), known(None), at(0).mono);
+    let late = hello(second, "edge", 2, StreamId::random(), 1);
+    let reason = reason(end.hello(&late, known(None), at(9_000).mono));
+    assert!(reason.contains("the name edge") && reason.contains(&first.to_string()), "{reason}");
+    welcomed(&end.hello(&late, known(None), at(10_001).mono));
+}
+
+#[test]
+fn a_goodbye_frees_name_and_host_id_at_once() {
+    let (mut end, id) = (receiving(), HostId::random());
+    end.hello(&hello(id, "edge", 1, StreamId::random(), 1), known(None), at(0).mono);
+    end.goodbye(id);
+    welcomed(&end.hello(&hello(id, "edge", 2, StreamId::random(), 1), known(None), at(1).mono));
+    end.goodbye(id);
+    welcomed(&end.hello(&hello(HostId::random(), "edge", 3, StreamId::random(), 1), known(None), at(2).mono));
+}
+
+#[test]
+fn a_second_process_with_the_same_host_id_is_refused_while_the_first_lives() {
+    let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
+    end.hello(&hello(id, "edge", 1, stream, 1), known(None), at(0).mono);
+    // A cloned machine has the same stream as well.
+    let copy = hello(id, "edge", 2, stream, 1);
+    assert_eq!(end.live(id, at(200).mono), None);
+    assert_eq!(end.hello(&copy, known(None), at(300).mono), Greeting::Wait);
+    assert_eq!(end.live(id, at(450).mono), None);
+    assert!(reason(end.hello(&copy, known(None), at(550).mono)).contains("another agent with the host id"));
+    assert_eq!(end.live(id, at(700).mono), None);
+}
+
+#[test]
+fn a_crashed_agent_gets_in_as_soon_as_its_silence_shows() {
+    let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
+    end.hello(&hello(id, "edge", 1, stream, 1), known(None), at(0).mono);
+    end.live(id, at(200).mono);
+    let again = hello(id, "edge", 2, stream, 1);
+    assert_eq!(end.hello(&again, known(None), at(300).mono), Greeting::Wait);
+    assert_eq!(end.hello(&again, known(None), at(550).mono), Greeting::Wait);
+    welcomed(&end.hello(&again, known(None), at(1_050).mono));
+    // Long after a crash nothing is waited for.
+    welcomed(&end.hello(&hello(id, "edge", 3, stream, 1), known(None), at(9_000).mono));
+}
+
+#[test]
+fn a_spool_that_another_host_owns_is_refused_whether_that_host_is_here_or_in_the_database() {
+    let (mut end, stream, owner) = (receiving(), StreamId::random(), HostId::random());
+    let copy = hello(HostId::random(), "edge-2", 2, stream, 1);
+    let words = format!("the spool of this agent belongs to the host with the id {owner}");
+    let stored = Some(mark(owner, 5));
+    assert!(reason(end.hello(&copy, known(stored), at(0).mono)).contains(&words));
+    end.hello(&hello(owner, "edge", 1, stream, 1), known(None), at(0).mono);
+    assert!(reason(end.hello(&copy, known(None), at(1).mono)).contains(&words));
+}
+
+#[test]
+fn a_spool_that_was_deleted_or_replaced_is_noticed_once() {
+    let (mut end, id) = (receiving(), HostId::random());
+    let (old, new) = (StreamId::random(), StreamId::random());
+    let replaced = |greeting| match greeting {
+        Greeting::Welcome { replaced, .. } => replaced,
+        other => panic!("expected a welcome, got {other:?}"),
+    };
+    let last = |last| Known { last, ..Known::default() };
+    let first = hello(id, "edge", 1, old, 1);
+    assert_eq!(replaced(end.hello(&first, known(None), at(0).mono)), None);
+    end.goodbye(id);
+    assert_eq!(replaced(end.hello(&first, last(Some(old)), at(1).mono)), None);
+    end.goodbye(id);
+    let second = hello(id, "edge", 2, new, 1);
+    assert_eq!(replaced(end.hello(&second, last(Some(old)), at(2).mono)), Some(old));
+    assert_eq!(replaced(end.hello(&second, last(Some(old)), at(3).mono)), None);
+    end.goodbye(id);
+    // A stream that goes on from the other, and ones that are known: nothing is missing.
+    let renewed = Hello { previous: Some(old), ..second.clone() };
+    assert_eq!(replaced(end.hello(&renewed, last(Some(old)), at(4).mono)), None);
+    end.goodbye(id);
+    let stored = Known { mark: Some(mark(id, 3)), ..last(Some(old)) };
+    assert_eq!(replaced(end.hello(&second, stored, at(5).mono)), None);
+    end.goodbye(id);
+    let came = Known { came: true, ..last(Some(old)) };
+    assert_eq!(replaced(end.hello(&hello(id, "edge", 3, new, 1), came, at(6).mono)), None);
+}
+
+#[test]
+fn what_an_older_database_lacks_of_a_stream_that_was_left_is_noticed_once() {
+    let (mut end, id) = (receiving(), HostId::random());
+    let (old, new) = (StreamId::random(), StreamId::random());
+    let lacking = |greeting| match greeting {
+        Greeting::Welcome { lacking, .. } => lacking,
+        other => panic!("expected a welcome, got {other:?}"),
+    };
+    let renewed =
+        Hello { previous: Some(old), first: 8, events_before_first: Some(7), ..hello(id, "edge", 1, new, 8) };
+    let previous = |previous| Known { last: Some(old), previous, ..Known::default() };
+    let expected = |from| Some(Lacking { stream: old, from, through: 7, events: Some(8 - from) });
+    for (stored, lacks) in [(Some(3), expected(4)), (None, expected(1)), (Some(7), None), (Some(9), None)] {
+        let before = previous(stored.map(|stored| mark(id, stored)));
+        assert_eq!(lacking(end.hello(&renewed, before, at(0).mono)), lacks);
+        assert_eq!(lacking(end.hello(&renewed, before, at(1).mono)), None, "said");
+        end.goodbye(id);
+        let came = Known { came: true, ..before };
+        assert_eq!(lacking(end.hello(&renewed, came, at(2).mono)), None, "recorded");
+        end.goodbye(id);
+    }
+    // Batches behind the seventh came from the memory of a dead process, and were stored in another database only.
+    let renewed = Hello { events_before_first: Some(9), ..renewed };
+    let before = previous(Some(mark(id, 7)));
+    let expected = Lacking { stream: old, from: 8, through: 8, events: Some(2) };
+    assert_eq!(lacking(end.hello(&renewed, before, at(3).mono)), Some(expected));
+}
+
+#[test]
+fn a_host_that_changes_its_streams_waits_for_the_writer() {
+    let (mut end, id) = (receiving(), HostId::random());
+    let mut streams: Vec<StreamId> = Vec::new();
+    while let Greeting::Welcome { missing, .. } =
+        end.hello(&hello(id, "edge", 1, StreamId::random(), 5), known(None), at(0).mono)
+    {
+        streams.push(missing.expect("four batches that are nowhere").stream);
+        assert!(streams.len() < 100, "memory grows with what one host says");
+    }
+    streams.iter().for_each(|stream| drop(end.stored(*stream, mark(id, 4))));
+    let next = hello(id, "edge", 1, StreamId::random(), 1);
+    welcomed(&end.hello(&next, known(None), at(1).mono));
+}
+
+#[test]
+fn windows_share_what_the_aggregator_is_ready_to_hold() {
+    let mut end = receiving();
+    let window = |end: &mut Receiving, n: u64, batch_bytes| {
+        let name = format!("edge-{n}");
+        let hello = Hello { batch_bytes, ..hello(HostId::random(), &name, n, StreamId::random(), 1) };
+        welcomed(&end.hello(&hello, known(None), at(0).mono)).2
+    };
+    assert_eq!(window(&mut end, 0, 512 * 1024), 8);
+    assert_eq!(window(&mut end, 1, 0), 8);
+    assert_eq!(window(&mut end, 2, u32::MAX), 5);
+    (3..32).for_each(|n| _ = window(&mut end, n, 512 * 1024));
+    assert_eq!(window(&mut end, 32, 512 * 1024), 3);
+    (33..1_000).for_each(|n| _ = window(&mut end, n, 512 * 1024));
+    assert_eq!(window(&mut end, 1_000, 512 * 1024), 1);
+    assert_eq!(window(&mut end, 1_001, 1_000), 8);
+}

@@ -1,0 +1,50 @@
+//! Both ends: each by hand for what is worth reading, together by the thousand in a [`world`] of faults, and on a
+//! small model in every order there is.
+
+mod admission;
+mod challenges;
+mod disturbed;
+mod exhaustive;
+mod limits;
+mod progress;
+mod random;
+mod world;
+
+pub(super) use self::admission::hello;
+
+use peernet_clock::{ClockIdentity, MonoTime, Span, Stamp, WallTime};
+
+use super::*;
+use peernet_logger::HostId;
+
+fn host(id: HostId, name: &str) -> HostDescription {
+    HostDescription {
+        id,
+        name: name.parse().expect("a name"),
+        clock: ClockIdentity::new("boot", "system"),
+        version: "0.1.0".into(),
+        hardware: Hardware::default(),
+        serves: None,
+        models: Vec::new(),
+    }
+}
+
+fn at(millis: i64) -> Stamp {
+    let span = Span::from_millis(millis);
+    Stamp { wall: WallTime::from_unix_nanos(0) + span, mono: MonoTime::from_nanos(0) + span }
+}
+
+fn incident(text: &str) -> Event {
+    Event::Incident(Incident {
+        at: WallTime::from_unix_nanos(0),
+        kind: IncidentKind::Control,
+        pipeline: None,
+        run: None,
+        peer: None,
+        text: text.into(),
+    })
+}
+
+fn receiving() -> Receiving {
+    Receiving::new(ReceivingConfig::new("base".parse().expect("a name")))
+}

@@ -1,0 +1,191 @@
+//! What a process sent while its spool could not be written, and took with it when it was killed: whether that is stored, the
+//! aggregator's first answer says.
+
+use std::collections::VecDeque;
+
+use super::spool::Totals;
+use super::{CountedEvents, Gap, MOST_UNDER_WAY, Settled};
+
+/// Of how many batches [`SentUnspooled`] is to be kept: those that may be under way, and the last that is acknowledged.
+pub const MOST_SENT_UNSPOOLED: usize = MOST_UNDER_WAY + 1;
+
+/// A batch that was sent and is not in the spool. All numbers count up to its last event.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SentUnspooled {
+    /// The process that sent it ([`super::Hello::process`]).
+    pub process: u64,
+    /// Its number.
+    pub number: u64,
+    /// Events that were handed in to that process and are in batches.
+    pub taken: u64,
+    /// Dropped events that gaps have reported, as [`super::Totals::told`].
+    pub told: u64,
+    /// Events in batches since the spool was made, with the gaps.
+    pub events: u64,
+}
+
+/// The end of a process of which part may be stored that its spool does not have.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Unresolved {
+    /// What it counted.
+    pub counted: CountedEvents,
+    /// What the spool has of that.
+    pub settled: Settled,
+    /// As [`super::Totals::told`], when it was killed.
+    pub told: u64,
+    /// Events in all batches that came into the spool by then.
+    pub events: u64,
+}
+
+/// What became of it. Added to the [`Totals`] of the spool.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Resolved {
+    /// Events of batches that are stored and never came into the spool.
+    pub(super) stored: u64,
+    /// Events that are lost.
+    pub(super) lost: u64,
+    /// Events that were dropped and that a stored gap reports.
+    pub(super) told: u64,
+    /// Events that were handed in and are stored.
+    taken: u64,
+}
+
+impl CountedEvents {
+    /// Whether anything was sent that is not in the spool.
+    pub(super) fn may_be_stored(&self, settled: &Settled, totals: &Totals) -> bool {
+        self.sent.iter().any(|sent| sent.taken > settled.taken || sent.told > totals.told)
+    }
+}
+
+impl Unresolved {
+    pub(super) fn new(counted: CountedEvents, settled: Settled, totals: &Totals) -> Self {
+        let events = totals.produced.saturating_sub(totals.dropped);
+        Self { counted, settled, told: totals.told, events }
+    }
+
+    /// The aggregator has all up to the batch of this number, which that process sent.
+    pub(super) fn resolve(&self, number: u64, process: Option<u64>) -> Resolved {
+        let is_last = |sent: &&SentUnspooled| Some(sent.process) == process && sent.number == number;
+        let sent = self.counted.sent.iter().find(is_last).copied().unwrap_or_default();
+        let taken = sent.taken.saturating_sub(self.settled.taken);
+        Resolved {
+            stored: sent.events.saturating_sub(self.events),
+            lost: self.counted.all.saturating_sub(self.settled.events.all + taken),
+            told: sent.told.saturating_sub(self.told),
+            taken,
+        }
+    }
+
+    /// The losses that no gap reports yet: those in `owed` and so many `untold` ones of before that, which stay, and those of
+    /// the process itself. What its stored gaps reported is left out, the oldest first.
+    pub(super) fn unreported(&self, resolved: &Resolved, owed: &mut VecDeque<Gap>, untold: &mut u64) {
+        let mut told = resolved.told;
+        while let Some(gap) = owed.pop_front_if(|gap| gap.count <= told) {
+            told -= gap.count;
+        }
+        let of_before = told.min(*untold);
+        *untold -= of_before;
+        told -= of_before;
+        let lost = resolved.lost.saturating_sub(told);
+        owed.extend(self.counted.gaps(&self.settled, resolved.taken + told, lost));
+    }
+}
+
+impl Totals {
+    /// These with what became of the process before.
+    pub(super) fn with(self, resolved: &Resolved) -> Self {
+        Self {
+            produced: self.produced + resolved.stored + resolved.lost,
+            dropped: self.dropped + resolved.lost,
+            told: self.told + resolved.told,
+            ..self
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::WallTime;
+
+    use super::*;
+    use crate::{CountedRun, KILLED, RunCounts, SpoolState, StreamId};
+    use peernet_logger::RunId;
+
+    const PROCESS: u64 = 7;
+
+    /// The spool has batches up to 3 with 10 of 30 events; 4 and 5 were sent, with 6 events and then 3 more and a gap of 2.
+    fn unresolved(run: RunId) -> (SpoolState, Unresolved) {
+        let mut state = SpoolState::new(StreamId::random());
+        (state.totals.produced, state.totals.dropped, state.totals.told) = (15, 3, 1);
+        let sent =
+            |number, taken, told, events| SentUnspooled { process: PROCESS, number, taken, told, events };
+        let last = WallTime::from_unix_nanos(9);
+        let runs = vec![CountedRun { run, pipeline: None, events: 26, last }];
+        let sent = vec![sent(4, 14, 1, 18), sent(5, 17, 3, 22)];
+        let counted = CountedEvents { all: 30, last, sent, runs };
+        let events = RunCounts { all: 10, runs: [(run, 9)].into() };
+        assert_eq!(state.lose_tail(counted, Settled { events, taken: 8, last: None }), None);
+        let unresolved = state.unresolved.clone().expect("what was sent may be stored");
+        (state, unresolved)
+    }
+
+    /// The counts of the gaps that name a run and of those that name none.
+    fn gaps(unresolved: &Unresolved, resolved: &Resolved, mut untold: u64) -> (u64, u64) {
+        let mut owed = VecDeque::new();
+        unresolved.unreported(resolved, &mut owed, &mut untold);
+        assert!(owed.iter().all(|gap| gap.reason == KILLED));
+        let (named, unnamed): (Vec<_>, Vec<_>) = owed.iter().partition(|gap| gap.run.is_some());
+        let sum = |gaps: Vec<&Gap>| gaps.iter().map(|gap| gap.count).sum();
+        (sum(named), untold + sum(unnamed))
+    }
+
+    #[test]
+    fn aggregator_says_which_events_are_lost() {
+        let (state, unresolved) = unresolved(RunId::random());
+        // Untold are 3 - 1 events; handed in and neither stored nor told are 20.
+        let none = unresolved.resolve(3, Some(PROCESS));
+        assert_eq!((none.stored, none.lost, none.told), (0, 20, 0));
+        assert_eq!(gaps(&unresolved, &none, 2), (17, 2 + 3));
+        assert_eq!(unresolved.resolve(5, Some(PROCESS + 1)), none, "another process has batch 5");
+
+        let one = unresolved.resolve(4, Some(PROCESS));
+        assert_eq!((one.stored, one.lost, one.told), (6, 14, 0));
+        let (named, unnamed) = gaps(&unresolved, &one, 2);
+        assert_eq!((named, named + unnamed), (11, 2 + 14), "of 6 stored events the run is not known");
+
+        let both = unresolved.resolve(5, Some(PROCESS));
+        assert_eq!((both.stored, both.lost, both.told), (10, 11, 2));
+        let (named, unnamed) = gaps(&unresolved, &both, 2);
+        assert_eq!(named + unnamed, 11, "the gap in batch 5 told of both that were untold");
+        let totals = state.totals.with(&both);
+        assert_eq!((totals.produced, totals.dropped, totals.told), (36, 14, 3));
+    }
+
+    #[test]
+    fn what_a_stored_gap_reports_is_not_reported_again() {
+        let (_, unresolved) = unresolved(RunId::random());
+        let gap = |count| Gap {
+            pipeline: None,
+            run: None,
+            from: WallTime::from_unix_nanos(1),
+            to: WallTime::from_unix_nanos(1),
+            count,
+            reason: "full".to_owned(),
+        };
+        let (mut owed, mut untold) = (VecDeque::from([gap(1), gap(4)]), 0);
+        unresolved.unreported(&unresolved.resolve(5, Some(PROCESS)), &mut owed, &mut untold);
+        assert_eq!(owed.front().map(|gap| gap.count), Some(4));
+        assert_eq!(owed.iter().map(|gap| gap.count).sum::<u64>(), 5 + 11 - 2);
+    }
+
+    #[test]
+    fn another_process_that_is_killed_before_the_answer_leaves_it_open() {
+        let run = RunId::random();
+        let (mut state, first) = unresolved(run);
+        let counted = CountedEvents { all: 2, ..first.counted.clone() };
+        let nothing_sent = CountedEvents { sent: Vec::new(), runs: Vec::new(), ..counted };
+        assert_eq!(state.lose_tail(nothing_sent, Settled::default()), Some(2));
+        assert_eq!(state.unresolved, Some(first));
+        assert_eq!((state.totals.dropped, state.unreported.len()), (5, 1));
+    }
+}
