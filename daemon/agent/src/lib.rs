@@ -43,6 +43,12 @@ pub use config::AgentConfig;
 pub use error::StartError;
 pub use identity::{IdentityError, host_id, host_secret};
 pub use link::Cloud;
-pub use outbox::SpoolError;
 pub use serve::{ReflectorError, Served};
 pub use tasks::Failure;
+
+/// The file in which events wait for the aggregator.
+pub mod spool {
+    pub use crate::outbox::{
+        InspectError, Inspection, SpoolDamage, SpoolError, SpoolReadError, inspect, waiting_events,
+    };
+}

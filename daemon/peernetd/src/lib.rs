@@ -1,14 +1,33 @@
-//! What the programs `peernetd` and `peernet` share: clocks, exit codes, what is wrong with a value, the terminal and what it is told of long texts,
-//! the log's form, what is a wish to end, the version.
+//! The daemon: composes the roles that a configuration file switches on, and looks after their databases.
 
-pub mod clock;
-pub mod exit;
-pub mod expected;
-pub mod log;
-pub mod output;
-pub mod short;
-pub mod small_file;
-pub mod wish;
+mod arguments;
+mod commands;
+mod configuration;
+mod lifecycle;
+mod log;
 
-/// Version with the commit it was built from.
-pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), " (", env!("PEERNET_COMMIT"), ")");
+use std::process::ExitCode;
+
+use clap::Parser;
+
+use self::arguments::{Arguments, Command};
+use peernet_cli::output;
+
+/// The program `peernetd`: carries out what its command line asks for.
+pub fn main() -> ExitCode {
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => return output::explain(error).into(),
+    };
+    // Before there are threads. Databases, spools and backups hold what is nobody else's business.
+    peernet_permissions::create_without_others();
+    let exit = match arguments.command {
+        Command::Run { config } => commands::run(&config),
+        Command::Check { configs } => commands::check(&configs),
+        Command::Backup { database, file } => commands::backup(database, &file),
+        Command::RebuildRollups { database, run } => commands::rebuild(database, run),
+        Command::ClearHostSecret { database, host } => commands::clear_secret(database, &host),
+        Command::Doctor(arguments) => commands::doctor(arguments),
+    };
+    output::kept(exit).into()
+}

@@ -17,7 +17,7 @@ mod tap;
 
 pub(crate) use counter::EventCounter;
 pub(crate) use feed::{Exit, Feed};
-pub use spool::SpoolError;
+pub use spool::{InspectError, Inspection, SpoolDamage, SpoolError, SpoolReadError, inspect, waiting_events};
 pub(crate) use spool::{Look, OpenSpool};
 pub(crate) use tap::Tap;
 

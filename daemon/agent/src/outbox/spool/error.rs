@@ -158,7 +158,7 @@ pub(super) fn is_full(error: &sqlx::Error) -> bool {
 }
 
 /// Whether SQLite says that the file itself is broken.
-fn is_corrupt(error: &sqlx::Error) -> bool {
+pub(super) fn is_corrupt(error: &sqlx::Error) -> bool {
     matches!(code(error), Some(CORRUPT | NOT_A_DATABASE))
 }
 

@@ -8,6 +8,7 @@
 mod aside;
 mod error;
 mod file;
+mod inspect;
 mod look;
 mod open;
 mod reserve;
@@ -22,6 +23,7 @@ mod tests;
 
 pub(in crate::outbox) use aside::PutAside;
 pub use error::SpoolError;
+pub use inspect::{InspectError, Inspection, SpoolDamage, SpoolReadError, inspect, waiting_events};
 pub(crate) use look::Look;
 pub(crate) use open::OpenSpool;
 pub(in crate::outbox) use task::{Done, Order, SpoolTask};

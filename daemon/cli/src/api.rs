@@ -1,0 +1,116 @@
+//! Asking an aggregator's REST API.
+
+use std::time::Duration;
+
+use crate::exit::{Exit, Failure};
+use anyhow::{Context, anyhow, bail};
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+
+use crate::foreground::duration;
+
+/// How long what an aggregator knows may take, from the look-up of its name to the last byte.
+const KNOWN: Duration = Duration::from_secs(5);
+/// How long it may take when the aggregator has to compute first.
+const COMPUTED: Duration = Duration::from_secs(60);
+
+/// Where to ask.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Api {
+    /// Address of the dashboard.
+    #[arg(long, default_value = "http://127.0.0.1:8040", env = "PEERNET_URL")]
+    url: String,
+}
+
+/// What a problem says of itself (RFC 9457).
+#[derive(Debug, Deserialize)]
+struct Problem {
+    detail: String,
+}
+
+impl Api {
+    /// The document at a path below the dashboard's address.
+    ///
+    /// # Errors
+    /// When nobody answers there (69), or not with what was expected.
+    pub(crate) fn get<T: DeserializeOwned>(&self, path: &str) -> Result<T, Failure> {
+        self.ask(path, KNOWN).map_err(|error| Failure::new(Exit::Unavailable, error))
+    }
+
+    /// As [`Self::get`], where the answer has to be computed first.
+    ///
+    /// # Errors
+    /// Those of [`Self::get`].
+    pub(crate) fn compute<T: DeserializeOwned>(&self, path: &str) -> Result<T, Failure> {
+        self.ask(path, COMPUTED).map_err(|error| Failure::new(Exit::Unavailable, error))
+    }
+
+    fn ask<T: DeserializeOwned>(&self, path: &str, within: Duration) -> anyhow::Result<T> {
+        let config = ureq::Agent::config_builder().timeout_global(Some(within)).http_status_as_error(false);
+        let agent: ureq::Agent = config.build().into();
+        let url = format!("{}{path}", self.url.trim_end_matches('/'));
+        let why = |error: ureq::Error| match error {
+            ureq::Error::Timeout(_) => {
+                anyhow!("waited {} for the whole answer", duration(within.as_secs_f64()))
+            }
+            error => error.into(),
+        };
+        let mut response = agent.get(&url).call().map_err(why).with_context(|| {
+            format!(
+                "cannot ask {url}; is an aggregator with a table [web] running there? give its address with --url"
+            )
+        })?;
+        let text = response
+            .body_mut()
+            .read_to_string()
+            .map_err(why)
+            .with_context(|| format!("cannot read the answer of {url}"))?;
+        let status = response.status();
+        if !status.is_success() {
+            match serde_json::from_str::<Problem>(&text) {
+                Ok(problem) => bail!("{url}: {}", problem.detail),
+                Err(_) => bail!("{url} answers {status}; is it a dashboard of this version?"),
+            }
+        }
+        serde_json::from_str(&text)
+            .map_err(|error| anyhow!("{url} does not answer as this version expects: {error}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+    use std::net::TcpListener;
+
+    use super::*;
+
+    #[test]
+    fn headers_without_an_end_are_waited_for_as_long_as_is_said() {
+        let server = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
+        let url = format!("http://{}", server.local_addr().expect("bound"));
+        let answering = std::thread::spawn(move || {
+            let (mut peer, _) = server.accept().expect("asked");
+            let drops = std::iter::once("HTTP/1.1 200 OK\r\n").chain(std::iter::repeat("X-More: 1\r\n"));
+            // Until the one who asks has gone.
+            for text in drops {
+                if peer.write_all(text.as_bytes()).is_err() {
+                    return;
+                }
+                std::thread::sleep(Duration::from_millis(50));
+            }
+        });
+        let error = Api { url }.ask::<()>("/x", Duration::from_millis(300)).expect_err("in vain");
+        answering.join().expect("no panic");
+        assert!(format!("{error:#}").contains("waited 0.3 s for the whole answer"), "{error:#}");
+    }
+
+    #[test]
+    fn a_server_that_says_nothing_is_waited_for_as_long_as_is_said() {
+        // The system accepts for it.
+        let server = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
+        let url = format!("http://{}", server.local_addr().expect("bound"));
+        let error = Api { url }.ask::<()>("/x", Duration::from_millis(300)).expect_err("in vain");
+        let told = format!("{error:#}");
+        assert!(told.starts_with("cannot ask") && told.contains("waited 0.3 s"), "{told}");
+    }
+}

@@ -1,0 +1,75 @@
+//! Where the results go.
+
+use std::path::{Path, PathBuf};
+
+use crate::exit::{Exit, Failure};
+use anyhow::anyhow;
+use peernet_clock::WallTime;
+use peernet_networks::Address;
+
+use super::Arguments;
+
+/// A folder that is there and can be written to before anything is measured.
+pub(super) struct Folder {
+    path: PathBuf,
+    made: bool,
+}
+
+impl Folder {
+    /// The folder that was asked for, or one named after peer and time.
+    ///
+    /// # Errors
+    /// When it holds something already (64) or cannot be made (73).
+    pub(super) fn make(arguments: &Arguments, peer: &Address, at: WallTime) -> Result<Self, Failure> {
+        let path = arguments.result_loc.clone().unwrap_or_else(|| default(peer, at));
+        let entries = std::fs::read_dir(&path);
+        let made = entries.is_err();
+        if entries.is_ok_and(|mut entries| entries.next().is_some()) && !arguments.overwrite {
+            let text = anyhow!(
+                "{} holds files already; name another with --result-loc, or add --overwrite",
+                path.display()
+            );
+            return Err(Failure::new(Exit::Usage, text));
+        }
+        let made_or_there = std::fs::create_dir_all(&path);
+        made_or_there.map_err(|error| {
+            Failure::new(Exit::Unwritten, anyhow!("cannot make the folder {}: {error}", path.display()))
+        })?;
+        Ok(Self { path, made })
+    }
+
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Takes it away again if it was made here: there is nothing to keep.
+    pub(super) fn discard(self) {
+        if self.made {
+            // Only an empty folder goes; if even that fails, it stays and does no harm.
+            let _ = std::fs::remove_dir(self.path);
+        }
+    }
+}
+
+fn default(peer: &Address, at: WallTime) -> PathBuf {
+    let at = chrono::DateTime::from_timestamp_nanos(at.unix_nanos()).format("%Y-%m-%d-%H%M%S");
+    let peer: String = peer
+        .host()
+        .chars()
+        .map(|char| if char.is_ascii_alphanumeric() || ".-_".contains(char) { char } else { '-' })
+        .collect();
+    PathBuf::from(format!("calibration-{peer}-{at}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_folder_is_named_after_peer_and_time() {
+        let at = WallTime::from_unix_nanos(1_795_179_293_000_000_000);
+        let name = |peer: &str| default(&peer.parse().expect("an address"), at).display().to_string();
+        assert_eq!(name("tcp://cloud.lab:5551"), "calibration-cloud.lab-2026-11-20-125453");
+        assert_eq!(name("tcp://[fe80::1]:5551"), "calibration-fe80--1-2026-11-20-125453");
+    }
+}

@@ -1,0 +1,104 @@
+//! `peernet calibrate`: the published study of a link as a command.
+//!
+//! A payload sweep is a run of the `synthetic` sensor: an agent in the foreground sends payloads of all sizes to a
+//! peer's model `calibration`, which answers with what it was given, and [`peernet_report`] makes a study of it.
+
+mod arguments;
+mod folder;
+mod observe;
+mod plan;
+mod sweep;
+
+pub(crate) use arguments::Arguments;
+
+use crate::VERSION;
+use crate::exit::{Exit, Failure};
+use crate::output::{complain, say};
+use anyhow::{Context, anyhow};
+use peernet_clock::WallTime;
+use peernet_inference::Scratch;
+use peernet_report::calibration::{Setting, Study};
+
+use crate::foreground::{Ended, Ready, Shows, Watched, listen};
+use folder::Folder;
+use observe::{Unfit, Watch};
+use plan::Plan;
+
+/// Studies the link, prints the study and writes its files.
+///
+/// # Errors
+/// When the peer cannot be reached or does not take part (69), the study has no result (69), the configuration is wrong
+/// (78), the results cannot be written (73), or the user ended it early (130).
+pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
+    listen(Shows::Itself)?;
+    let plan = Plan::new(arguments).map_err(|error| Failure::new(Exit::Usage, error))?;
+    let state = Scratch::new("agent")
+        .context("cannot make a temporary folder; TMPDIR names another place")
+        .map_err(unavailable)?;
+    let config = plan.agent(arguments.config.as_deref(), state.path())?;
+
+    let ready = Ready::new(config)?;
+    let started = ready.truth.wall();
+    let folder = Folder::make(arguments, &arguments.peer, started)?;
+
+    let mut watch = Watch::new(&plan, ready.clock.clone(), arguments.quiet);
+    let Watched { ended, name: edge, missed } = ready.watch(&mut watch)?;
+    let observed = watch.seen;
+    let failed = match &ended {
+        Ended::Finished => None,
+        Ended::Interrupted => Some(Failure::new(
+            Exit::Interrupted,
+            anyhow!("ended early: what was measured until then is above"),
+        )),
+        Ended::Own(Unfit(reason)) | Ended::Failed(reason) => Some(unavailable(anyhow!("{reason}"))),
+    };
+    if observed.samples.is_empty() || matches!(ended, Ended::Own(_)) {
+        folder.discard();
+        return match failed {
+            Some(Failure { exit: Exit::Interrupted, .. }) => {
+                Err(Failure::new(Exit::Interrupted, anyhow!("ended before anything was measured")))
+            }
+            Some(failure) => Err(failure),
+            None => Err(unavailable(anyhow!("nothing was measured"))),
+        };
+    }
+    let setting = Setting {
+        peer: arguments.peer.to_string(),
+        edge,
+        cloud: observed.cloud,
+        network: arguments.network.name().to_owned(),
+        started: rfc3339(started),
+        version: VERSION.to_owned(),
+        sizes_bytes: plan.sizes().to_vec(),
+        repeats: arguments.repeats.get(),
+        interrupted: ended != Ended::Finished,
+        ended: match &ended {
+            Ended::Failed(reason) => Some(reason.clone()),
+            _ => None,
+        },
+        reconnections: observed.reconnections,
+        rehearsed: observed.rehearsed,
+    };
+    let study = Study::new(setting, observed.samples, &observed.clocks);
+    // Said first: a disk that is full must not take the result away.
+    say(study.text());
+    let written = study.write(folder.path()).map_err(|error| {
+        let told = "the result is above, but not all of its files are written";
+        Failure::new(Exit::Unwritten, anyhow::Error::from(error).context(told))
+    })?;
+    let names: Vec<_> = written.iter().filter_map(|path| path.file_name()?.to_str()).collect();
+    say(format_args!("\n{}: {}", folder.path().display(), names.join(", ")));
+    if missed > 0 {
+        complain(format_args!("{missed} iterations went by unseen: this machine is too busy"));
+    }
+    match failed {
+        Some(failure) => Err(failure),
+        None if study.verdict.kind.is_result() => Ok(()),
+        None => Err(unavailable(anyhow!("the study has no result: {}", study.verdict.sentence))),
+    }
+}
+
+fn rfc3339(at: WallTime) -> String {
+    chrono::DateTime::from_timestamp_nanos(at.unix_nanos()).to_rfc3339_opts(chrono::SecondsFormat::Secs, true)
+}

@@ -1,0 +1,157 @@
+//! The sweep: which sizes, in which order, as the configuration of an agent.
+
+use std::path::Path;
+
+use crate::exit::{Exit, Failure};
+use anyhow::{Context, bail};
+use peernet_agent::AgentConfig;
+use rand::SeedableRng;
+use rand::rngs::StdRng;
+use rand::seq::SliceRandom;
+use serde_json::json;
+
+use super::Arguments;
+use crate::foreground::tables;
+
+/// Rounds in random order before they repeat; enough that size and time have nothing in common.
+const ROUNDS: u64 = 64;
+/// What the order follows from.
+const SEED: u64 = 1;
+/// How long to wait for an answer: the largest payloads are slow over some links. Milliseconds.
+const TIMEOUT_MS: u64 = 60_000;
+/// How long connecting may take. Milliseconds.
+const OPEN_TIMEOUT_MS: u64 = 10_000;
+/// Largest message unless a payload needs more, and what it has beside the payload. Bytes.
+const MESSAGE_BYTES: u64 = 64 << 20;
+const BESIDE_PAYLOAD: u64 = 1 << 20;
+
+/// The sweep.
+pub(super) struct Plan {
+    sizes: Vec<u64>,
+    /// Sizes in the order in which they are sent, over and over.
+    order: Vec<u64>,
+    warm_up: u64,
+    /// Iterations that count.
+    pub(super) iterations: u64,
+    /// When it ends at the latest, seconds.
+    pub(super) seconds: f64,
+    pipeline: serde_json::Value,
+}
+
+impl Plan {
+    /// # Errors
+    /// With fewer than three sizes there is no line.
+    pub(super) fn new(arguments: &Arguments) -> anyhow::Result<Self> {
+        let mut sizes = arguments.sizes.clone();
+        sizes.sort_unstable();
+        sizes.dedup();
+        if sizes.len() < 3 {
+            bail!("--sizes needs at least three different sizes for a line");
+        }
+        let mut random = StdRng::seed_from_u64(SEED);
+        let rounds = arguments.repeats.get().saturating_add(arguments.warm_up).min(ROUNDS);
+        let round = |_| {
+            let mut round = sizes.clone();
+            round.shuffle(&mut random);
+            round
+        };
+        let order: Vec<u64> = (0..rounds).flat_map(round).collect();
+        let per_round = sizes.len() as u64;
+        let largest = sizes.last().copied().unwrap_or_default();
+        let iterations = arguments.repeats.get().saturating_mul(per_round);
+        let warm_up = arguments.warm_up.saturating_mul(per_round);
+        let pipeline = json!({
+            "name": "calibration",
+            "sensor": { "kind": "synthetic", "sizes_bytes": order },
+            "placement": {
+                "kind": "remote",
+                "peer": arguments.peer,
+                "network": arguments.network,
+                "model": "calibration",
+                "session": {
+                    "open_timeout_ms": OPEN_TIMEOUT_MS,
+                    "max_message_bytes": MESSAGE_BYTES.max(largest + BESIDE_PAYLOAD),
+                },
+            },
+            "load": { "mode": "closed" },
+            "timeout_ms": TIMEOUT_MS,
+            "warm_up": { "iterations": warm_up },
+            "limit": { "iterations": iterations, "duration_s": arguments.seconds },
+        });
+        Ok(Self { sizes, order, warm_up, iterations, seconds: arguments.seconds, pipeline })
+    }
+
+    /// Sizes, smallest first.
+    pub(super) fn sizes(&self) -> &[u64] {
+        &self.sizes
+    }
+
+    /// Iterations with those of the warm-up.
+    pub(super) fn all(&self) -> u64 {
+        self.iterations.saturating_add(self.warm_up)
+    }
+
+    /// The payload of an iteration, counted from 1.
+    pub(super) fn payload(&self, number: u64) -> u64 {
+        let at = number.saturating_sub(1) % self.order.len() as u64;
+        self.order[at as usize]
+    }
+
+    /// An agent that does this and nothing else; what relates the clocks is taken from a file, if one is named.
+    ///
+    /// # Errors
+    /// When the file cannot be read (66) or its tables are wrong (78).
+    pub(super) fn agent(&self, file: Option<&Path>, state_dir: &Path) -> Result<AgentConfig, Failure> {
+        let mut config = tables(file)?;
+        state_dir.clone_into(&mut config.agent.state_dir);
+        let pipeline = serde_json::from_value(self.pipeline.clone()).context("cannot set up the sweep");
+        config.pipelines = vec![pipeline.map_err(|error| Failure::new(Exit::Configuration, error))?];
+        Ok(config)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Line {
+        #[command(flatten)]
+        arguments: Arguments,
+    }
+
+    fn plan(line: &str) -> anyhow::Result<Plan> {
+        let words = std::iter::once("calibrate").chain(line.split_whitespace());
+        Plan::new(&Line::try_parse_from(words).expect("a command line").arguments)
+    }
+
+    #[test]
+    fn every_round_has_every_size_in_another_order() {
+        let plan = plan("cloud --sizes 1kB,100,1MB,100,10kB --repeats 50 --warm-up 1").expect("four sizes");
+        assert_eq!(
+            (plan.sizes(), plan.iterations, plan.all()),
+            (&[100, 1_000, 10_000, 1_000_000][..], 200, 204)
+        );
+        let rounds: Vec<Vec<u64>> = plan
+            .order
+            .chunks(4)
+            .map(|round| {
+                let mut round = round.to_vec();
+                round.sort_unstable();
+                round
+            })
+            .collect();
+        assert!(rounds.len() == 51 && rounds.iter().all(|round| round == plan.sizes()));
+        let firsts: std::collections::BTreeSet<u64> = plan.order.chunks(4).map(|round| round[0]).collect();
+        assert_eq!(firsts.len(), 4, "no size always comes first");
+        assert_eq!((plan.payload(1), plan.payload(205)), (plan.order[0], plan.order[0]));
+        assert!(
+            super::Plan::new(
+                &Line::try_parse_from(["c", "cloud", "--sizes", "1,2,2"]).expect("reads").arguments
+            )
+            .is_err()
+        );
+    }
+}

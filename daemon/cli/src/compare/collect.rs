@@ -1,0 +1,197 @@
+//! The runs that are compared.
+
+use std::path::{Path, PathBuf};
+
+use crate::exit::{Exit, Failure};
+use crate::output::complain;
+use anyhow::anyhow;
+use peernet_report::results::{FolderError, Loaded, ResultFolder};
+
+use super::copies::Copies;
+use super::experiment::Experiments;
+use super::order::as_declared;
+use super::undone::Chosen;
+use crate::measure::put_aside;
+
+/// Runs, each once.
+pub(crate) struct Collected {
+    pub(crate) runs: Vec<Loaded>,
+    /// Which of them is the baseline, if one was named.
+    pub(crate) baseline: Option<usize>,
+    /// What is not among them, because it is not done or a copy, and what is not known of them, in sentences.
+    pub(crate) left_out: Vec<String>,
+}
+
+/// Reads the columns that are wanted of all results in the places, in their order; the runs of an experiment in that of its
+/// file. Those that are not done are left out, unless they are named themselves, and so are copies. A baseline that is not
+/// among them comes first.
+///
+/// # Errors
+/// When a place holds no results or nothing is left (66), or some cannot be read (65).
+pub(crate) fn collect(
+    places: &[PathBuf],
+    baseline: Option<&Path>,
+    wanted: &dyn Fn(&str) -> bool,
+) -> Result<Collected, Failure> {
+    let baseline = baseline.map(|path| if path.is_file() { folder_of(path) } else { path });
+    let found = distinct(places).into_iter().map(|place| find(&place).map(|found| (place, found)));
+    let found: Vec<(PathBuf, Vec<PathBuf>)> = found.collect::<Result<_, Failure>>()?;
+    let all = found.iter().flat_map(|(_, found)| found).map(PathBuf::as_path).chain(baseline);
+    let experiments = Experiments::of(all);
+    let Chosen { mut paths, left_out } = Chosen::of(&found, baseline, &experiments);
+    let baseline = baseline.map(|path| {
+        paths.iter().position(|other| is_same(other, path)).unwrap_or_else(|| {
+            paths.insert(0, path.to_owned());
+            0
+        })
+    });
+    left_out.iter().for_each(|left_out| complain(&left_out.remark));
+    let mut left_out: Vec<String> = left_out.into_iter().map(|left_out| left_out.what).collect();
+    if paths.is_empty() {
+        let places: Vec<String> = places.iter().map(|place| place.display().to_string()).collect();
+        let text = format!("nothing is left of {}; name a run's own folder to see it", places.join(", "));
+        return Err(Failure::new(Exit::NoInput, anyhow!("{text}")));
+    }
+    let runs = paths.iter().map(|path| open(path, wanted)).collect::<Result<Vec<Loaded>, Failure>>()?;
+    let copies = Copies::among(&runs, baseline, &experiments);
+    let unknown = experiments.unknown(paths.iter().map(PathBuf::as_path));
+    for told in unknown.into_iter().chain(copies.told(&runs)) {
+        complain(&told);
+        left_out.push(sentence(&told));
+    }
+    let is_kept = |at: usize| !copies.has(at);
+    let kept = runs.iter().enumerate().filter(|(at, _)| is_kept(*at));
+    kept.filter_map(|(_, run)| doubt(run, &experiments)).for_each(complain);
+    let order: Vec<usize> = as_declared(&runs, &experiments).into_iter().filter(|at| is_kept(*at)).collect();
+    let baseline = baseline.and_then(|baseline| order.iter().position(|run| *run == baseline));
+    let mut runs: Vec<Option<Loaded>> = runs.into_iter().map(Some).collect();
+    let runs = order.into_iter().filter_map(|run| runs[run].take()).collect();
+    Ok(Collected { runs, baseline, left_out })
+}
+
+/// A remark as it stands below a table.
+fn sentence(remark: &str) -> String {
+    let mut letters = remark.chars();
+    let first = letters.next().into_iter().flat_map(char::to_uppercase);
+    first.chain(letters).chain(['.']).collect()
+}
+
+/// What results that are read lack of a whole run.
+fn doubt(run: &Loaded, experiments: &Experiments) -> Option<String> {
+    let folder = run.folder.display();
+    if let Some(damage) = run.damage() {
+        return Some(format!("{folder} is not whole: {damage}"));
+    }
+    if let Some(kept) = put_aside(&run.folder) {
+        return Some(format!(
+            "{folder} is not whole: a run is under way there or was killed; the earlier results are in {} and come back with the next run there, if it was killed",
+            kept.display()
+        ));
+    }
+    match experiments.run(&run.folder).filter(|run| !run.is_done()) {
+        Some(of) => Some(format!(
+            "{folder} is of a run that is not done, {}: no table or figure of its experiment has it; {} does it",
+            of.fate(),
+            of.experiment.remedy()
+        )),
+        None => Some(format!("{folder} is not whole: {}", run.lacking()?)),
+    }
+}
+
+/// The places, each once.
+pub(crate) fn distinct(places: &[PathBuf]) -> Vec<PathBuf> {
+    let mut once: Vec<PathBuf> = Vec::new();
+    for place in places {
+        if !once.iter().any(|other| is_same(other, place)) {
+            once.push(place.clone());
+        }
+    }
+    once
+}
+
+fn find(place: &Path) -> Result<Vec<PathBuf>, Failure> {
+    if place.is_file() {
+        return Ok(vec![folder_of(place).to_owned()]);
+    }
+    let found = ResultFolder::find(place);
+    if found.is_empty() {
+        let what = if place.is_dir() { "there is no data.csv in it or below" } else { "it is not there" };
+        return Err(Failure::new(Exit::NoInput, anyhow!("no results in {}: {what}", place.display())));
+    }
+    Ok(found)
+}
+
+/// What a file of rows is opened as: that of a folder of results is the folder.
+fn folder_of(file: &Path) -> &Path {
+    let folder = file.parent().filter(|folder| file.ends_with("data.csv") && *folder != Path::new(""));
+    folder.unwrap_or(file)
+}
+
+fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, Failure> {
+    ResultFolder::open_columns(path, wanted).map_err(|error| match error {
+        FolderError::NoResults(_) => Failure::new(Exit::NoInput, error),
+        _ => Failure::new(Exit::Data, error),
+    })
+}
+
+/// Whether both lead to one place, however they are written.
+pub(super) fn is_same(a: &Path, b: &Path) -> bool {
+    a == b || a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_place_that_is_named_twice_counts_once() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let run = folder.path().join("run");
+        std::fs::create_dir(&run).expect("made");
+        let again = folder.path().join("run/../run");
+        assert_eq!(
+            distinct(&[run.clone(), again, folder.path().to_owned()]),
+            [run, folder.path().to_owned()]
+        );
+    }
+
+    #[test]
+    fn a_baseline_may_be_named_by_its_file_of_rows() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let runs = ["a", "b"].map(|name| folder.path().join(name));
+        for run in &runs {
+            std::fs::create_dir(run).expect("made");
+            std::fs::write(run.join("data.csv"), "iteration,inference\n1,0.1\n").expect("written");
+        }
+        for baseline in [runs[1].clone(), runs[1].join("data.csv")] {
+            let found = collect(&runs, Some(&baseline), &|_| true).expect("they are there");
+            assert_eq!((found.runs.len(), found.baseline), (2, Some(1)), "{}", baseline.display());
+        }
+    }
+
+    #[test]
+    fn what_lacks_something_of_a_whole_run_is_told() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let data = folder.path().join("data.csv");
+        std::fs::write(&data, "iteration,inference,warm-up,outcome\n1,0.1,0,ok\n").expect("written");
+        let told = || {
+            let run = open(folder.path(), &|_| true).expect("readable");
+            doubt(&run, &Experiments::of(std::iter::once(folder.path())))
+        };
+        assert!(told().is_some_and(|told| told.contains("under way or was killed")), "{:?}", told());
+        let record = |reason: &str| {
+            let text = format!(
+                r#"{{"format":1,"reason":"{reason}","pipeline":{{"limit":{{"total":9}}}},"counts":{{"ok":1}}}}"#
+            );
+            std::fs::write(folder.path().join("run.json"), text).expect("written");
+        };
+        record("stopped");
+        assert!(
+            told().is_some_and(|told| told.ends_with("interrupted after 1 of 9 iterations")),
+            "{:?}",
+            told()
+        );
+        record("finished");
+        assert_eq!(told(), None);
+    }
+}

@@ -1,0 +1,169 @@
+//! The experiments that results belong to.
+
+use std::collections::BTreeMap;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+
+use crate::short::plain;
+use crate::small_file;
+use peernet_report::number::counted;
+use serde::Deserialize;
+
+use crate::run::{FORMAT, LARGEST_RECORD, RECORD, RUNS, Stage};
+
+/// How many folders above its results an experiment's is looked for: `runs`, the run's, a user's.
+const HIGHEST: usize = 4;
+
+/// Experiments by their folders, or why their records cannot be read: then their runs are compared as others are.
+pub(super) struct Experiments(BTreeMap<PathBuf, Result<Experiment, String>>);
+
+/// What is needed of `experiment.json`.
+#[derive(Deserialize)]
+pub(super) struct Experiment {
+    format: u32,
+    pub(super) id: String,
+    #[serde(default)]
+    pub(super) name: String,
+    /// The file that declares it, as it was typed.
+    #[serde(default)]
+    file: String,
+    /// How the runs fare, in their order.
+    #[serde(default)]
+    states: Vec<State>,
+    pub(super) plan: Plan,
+}
+
+#[derive(Deserialize)]
+pub(super) struct Plan {
+    pub(super) configurations: Vec<Configuration>,
+    #[serde(default)]
+    runs: Vec<Run>,
+}
+
+#[derive(Deserialize)]
+pub(super) struct Configuration {
+    pub(super) labels: Vec<(String, String)>,
+}
+
+#[derive(Deserialize)]
+struct Run {
+    folder: String,
+}
+
+#[derive(Deserialize)]
+struct State {
+    stage: Stage,
+    reason: Option<String>,
+}
+
+/// A run of an experiment.
+#[derive(Clone, Copy)]
+pub(super) struct RunOf<'a> {
+    /// Where the experiment is.
+    pub(super) home: &'a Path,
+    pub(super) experiment: &'a Experiment,
+    run: &'a Run,
+    state: &'a State,
+}
+
+impl Experiments {
+    /// Those that have one of these results.
+    pub(super) fn of<'a>(results: impl Iterator<Item = &'a Path>) -> Self {
+        let mut read = BTreeMap::new();
+        for folder in results.flat_map(above) {
+            read.entry(folder).or_insert_with_key(|folder| self::read(&folder.join(RECORD)));
+        }
+        Self(read.into_iter().filter_map(|(folder, read)| Some((folder, read.transpose()?))).collect())
+    }
+
+    /// What is not known of these results, because the records of their experiments cannot be read.
+    pub(super) fn unknown<'a>(&self, results: impl Iterator<Item = &'a Path>) -> Vec<String> {
+        let results: Vec<PathBuf> = results.filter_map(|path| path.canonicalize().ok()).collect();
+        let unread = self.0.iter().filter_map(|(home, read)| Some((home, read.as_ref().err()?)));
+        let has_runs = |home: &Path| results.iter().any(|path| path.starts_with(home.join(RUNS)));
+        unread
+            .filter(|(home, _)| has_runs(home))
+            .map(|(home, why)| {
+                let (record, why) = (home.join(RECORD), plain(why));
+                format!("cannot read {}: {why}; which of its runs are done is not known", record.display())
+            })
+            .collect()
+    }
+
+    /// The execution of that id that results belong to.
+    pub(super) fn execution(&self, results: &Path, id: &str) -> Option<&Experiment> {
+        let read = |folder: &PathBuf| self.0.get(folder)?.as_ref().ok();
+        above(results).iter().filter_map(read).find(|experiment| experiment.id == id)
+    }
+
+    /// The run that results are of, by their place.
+    pub(super) fn run(&self, results: &Path) -> Option<RunOf<'_>> {
+        let path = results.canonicalize().ok()?;
+        above(results).iter().find_map(|folder| {
+            let (home, read) = self.0.get_key_value(folder)?;
+            let experiment = read.as_ref().ok()?;
+            let name = path.strip_prefix(home.join(RUNS)).ok()?.iter().next()?;
+            let at = experiment.plan.runs.iter().position(|run| *run.folder == *name)?;
+            let (run, state) = (&experiment.plan.runs[at], experiment.states.get(at)?);
+            Some(RunOf { home, experiment, run, state })
+        })
+    }
+}
+
+impl Experiment {
+    /// Its runs' folders, and how the runs fare.
+    pub(super) fn runs(&self) -> impl Iterator<Item = (&str, Stage)> {
+        self.plan.runs.iter().zip(&self.states).map(|(run, state)| (&*run.folder, state.stage))
+    }
+
+    /// What is to be typed, so that all of them are done.
+    pub(super) fn remedy(&self) -> String {
+        format!("`peernet run {}` again, with the options that it had,", plain(&self.file))
+    }
+}
+
+impl RunOf<'_> {
+    /// Its own folder.
+    pub(super) fn folder(&self) -> PathBuf {
+        self.home.join(RUNS).join(&self.run.folder)
+    }
+
+    pub(super) fn is_done(&self) -> bool {
+        self.state.stage.is_done()
+    }
+
+    /// What became of it, and why it failed.
+    pub(super) fn fate(&self) -> String {
+        let State { stage, reason } = self.state;
+        let why = reason.as_deref().filter(|_| *stage == Stage::Failed);
+        format!("{}{}", stage.left_as(), why.map_or_else(String::new, |why| format!(" ({})", plain(why))))
+    }
+}
+
+/// The folders in which an experiment with these results may be.
+fn above(results: &Path) -> Vec<PathBuf> {
+    let folder = results.canonicalize().unwrap_or_default();
+    folder.ancestors().skip(1).take(HIGHEST).map(Path::to_owned).collect()
+}
+
+/// A record that is there.
+///
+/// # Errors
+/// Why it tells nothing.
+fn read(record: &Path) -> Result<Option<Experiment>, String> {
+    let text = match small_file::read_found(record, LARGEST_RECORD) {
+        Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
+            return Ok(None);
+        }
+        read => read.map_err(|error| error.to_string())?,
+    };
+    let experiment: Experiment = serde_json::from_str(&text).map_err(|error| error.to_string())?;
+    if experiment.format != FORMAT {
+        return Err(format!("its format is {}, this program knows {FORMAT}", experiment.format));
+    }
+    let (runs, states) = (experiment.plan.runs.len(), experiment.states.len());
+    if runs != states {
+        return Err(format!("it has {}, and how {states} of them fare", counted(runs as u64, "run")));
+    }
+    Ok(Some(experiment))
+}

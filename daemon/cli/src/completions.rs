@@ -1,0 +1,28 @@
+//! `peernet completions`
+
+use crate::exit::{Exit, Failure};
+use crate::output::say;
+use anyhow::Context;
+use clap::CommandFactory;
+use clap_complete::Shell;
+
+use crate::Line;
+
+/// What `peernet completions` can be told.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Arguments {
+    /// Which shell.
+    shell: Shell,
+}
+
+/// Prints the script.
+///
+/// # Errors
+/// Never, as long as the program's own words are text (70).
+pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let mut script = Vec::new();
+    clap_complete::generate(arguments.shell, &mut Line::command(), "peernet", &mut script);
+    let script = String::from_utf8(script).context("the script is not text");
+    say(script.map_err(|error| Failure::new(Exit::Software, error))?.trim_end());
+    Ok(())
+}

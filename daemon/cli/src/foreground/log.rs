@@ -1,0 +1,122 @@
+//! What users' own code prints, and with `PEERNET_LOG` the log.
+//!
+//! On a terminal it stands above the progress. A run that is one of an experiment's hands it to the program that shows
+//! the progress: on standard output, each line a text of JSON.
+
+use std::fmt::{self, Write as _};
+use std::io::{self, Write};
+
+use crate::exit::{Exit, Failure};
+use crate::log::{Line, VARIABLE};
+use crate::output::say;
+use tracing::field::{Field, Visit};
+use tracing::{Event, Subscriber};
+use tracing_subscriber::filter::EnvFilter;
+use tracing_subscriber::fmt::format::Writer;
+use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields};
+use tracing_subscriber::registry::LookupSpan;
+use tracing_subscriber::util::SubscriberInitExt;
+
+use super::progress::above_the_bar;
+
+/// Where users' lines come from.
+const USERS: [&str; 2] = ["peernet_external::python", "peernet_external::exec"];
+
+/// Who shows the lines.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Shows {
+    /// This program, on standard error.
+    Itself,
+    /// The one that started it and reads its standard output.
+    Parent,
+}
+
+/// Passes on what users' code prints; the log itself only as far as `PEERNET_LOG` says.
+///
+/// # Errors
+/// When the variable holds no level (78).
+pub(crate) fn listen(shows: Shows) -> Result<(), Failure> {
+    let wrong = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
+    let level =
+        std::env::var(VARIABLE).unwrap_or_else(|_| format!("off,{}=info,{}=info", USERS[0], USERS[1]));
+    let filter = EnvFilter::try_new(&level).map_err(|error| {
+        wrong(anyhow::anyhow!(
+            "{level:?} (from {VARIABLE}) is not a log level: {error}; use error, warn, info, debug or trace"
+        ))
+    })?;
+    let log =
+        tracing_subscriber::fmt().with_env_filter(filter).with_writer(move || To(shows)).with_ansi(false);
+    // It would print them to standard error itself, through the bar.
+    let log = log.log_internal_errors(false).event_format(Form { other: Line::default() }).finish();
+    log.try_init().map_err(|error| wrong(error.into()))
+}
+
+/// Takes the log, one whole line at a time.
+struct To(Shows);
+
+impl Write for To {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match self.0 {
+            Shows::Itself => above_the_bar(|| io::stderr().lock().write(bytes)),
+            Shows::Parent => {
+                let text = String::from_utf8_lossy(bytes);
+                say(serde_json::Value::from(text.trim_end()));
+                Ok(bytes.len())
+            }
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        match self.0 {
+            Shows::Itself => io::stderr().lock().flush(),
+            Shows::Parent => Ok(()),
+        }
+    }
+}
+
+/// `model my_model-Net: the line` for users, the form of the log for the rest.
+struct Form {
+    other: Line,
+}
+
+impl<S, N> FormatEvent<S, N> for Form
+where
+    S: Subscriber + for<'a> LookupSpan<'a>,
+    N: for<'a> FormatFields<'a> + 'static,
+{
+    fn format_event(
+        &self,
+        context: &FmtContext<'_, S, N>,
+        mut writer: Writer<'_>,
+        event: &Event<'_>,
+    ) -> fmt::Result {
+        if !USERS.contains(&event.metadata().target()) {
+            return self.other.format_event(context, writer, event);
+        }
+        let mut said = Said::default();
+        event.record(&mut said);
+        writeln!(writer, "{}: {}", said.name, said.line)
+    }
+}
+
+/// Who said what.
+#[derive(Default)]
+struct Said {
+    name: String,
+    line: String,
+}
+
+impl Visit for Said {
+    fn record_str(&mut self, field: &Field, value: &str) {
+        if field.name() == "name" {
+            value.clone_into(&mut self.name);
+        }
+    }
+
+    fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
+        if field.name() == "message" {
+            // A text takes all that is written to it.
+            let _ = write!(self.line, "{value:?}");
+        }
+    }
+}

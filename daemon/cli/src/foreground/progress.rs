@@ -1,0 +1,98 @@
+//! How far it is: a bar on a terminal, now and then a line elsewhere.
+
+use std::fmt::Display;
+use std::io::IsTerminal;
+use std::sync::{Mutex, PoisonError};
+
+use crate::output::complain;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use peernet_clock::{MonoTime, Span};
+
+/// Between two lines where there is no terminal.
+const LINE: Span = Span::from_seconds(5);
+/// Steps of the bar.
+const STEPS: u64 = 1000;
+
+/// The bar on the terminal, for those who write there without knowing of it: the log is one for the whole program.
+static BAR: Mutex<Option<ProgressBar>> = Mutex::new(None);
+
+/// Writes to standard error with the bar out of the way, if there is one.
+pub(super) fn above_the_bar<T>(write: impl FnOnce() -> T) -> T {
+    let bar = BAR.lock().unwrap_or_else(PoisonError::into_inner).clone();
+    match bar {
+        Some(bar) => bar.suspend(write),
+        None => write(),
+    }
+}
+
+/// Shows how far something is on standard error.
+pub(crate) struct Progress {
+    shown: Shown,
+    said: MonoTime,
+    /// Whether there was trouble at the last look.
+    troubled: bool,
+}
+
+enum Shown {
+    Bar(ProgressBar),
+    Lines,
+    Nothing,
+}
+
+impl Progress {
+    /// Nothing is done yet.
+    pub(crate) fn new(quiet: bool, now: MonoTime) -> Self {
+        let shown = match (quiet, std::io::stderr().is_terminal()) {
+            (true, _) => Shown::Nothing,
+            (false, false) => Shown::Lines,
+            (false, true) => {
+                let bar = ProgressBar::with_draw_target(Some(STEPS), ProgressDrawTarget::stderr());
+                let style = ProgressStyle::with_template("{wide_bar} {msg}");
+                let bar = bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+                BAR.lock().unwrap_or_else(PoisonError::into_inner).replace(bar.clone());
+                Shown::Bar(bar)
+            }
+        };
+        Self { shown, said: now, troubled: false }
+    }
+
+    /// Shows the state at `now` and how much of the whole is done, 0 to 1, or in the state's place what it waits for.
+    pub(crate) fn show(
+        &mut self,
+        now: MonoTime,
+        trouble: Option<String>,
+        state: impl FnOnce() -> (String, f64),
+    ) {
+        let is_news = trouble.is_some() && !self.troubled;
+        self.troubled = trouble.is_some();
+        match &self.shown {
+            Shown::Nothing => {}
+            Shown::Bar(bar) => {
+                let (text, share) = state();
+                bar.set_position((share.clamp(0.0, 1.0) * STEPS as f64) as u64);
+                bar.set_message(trouble.unwrap_or(text));
+            }
+            Shown::Lines if now - self.said < LINE && !is_news => {}
+            Shown::Lines => {
+                complain(trouble.unwrap_or_else(|| state().0));
+                self.said = now;
+            }
+        }
+    }
+
+    /// Says something that stays, above the bar.
+    pub(crate) fn say(&self, text: impl Display) {
+        match &self.shown {
+            Shown::Bar(bar) => bar.suspend(|| complain(text)),
+            Shown::Lines | Shown::Nothing => complain(text),
+        }
+    }
+
+    /// Takes the bar away.
+    pub(crate) fn end(&self) {
+        if let Shown::Bar(bar) = &self.shown {
+            bar.finish_and_clear();
+            BAR.lock().unwrap_or_else(PoisonError::into_inner).take();
+        }
+    }
+}

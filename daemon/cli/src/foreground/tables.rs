@@ -1,0 +1,69 @@
+//! What a foreground run takes from an agent's configuration file.
+
+use std::path::Path;
+
+use crate::exit::{Exit, Failure};
+use crate::expected::told;
+use crate::small_file;
+use anyhow::anyhow;
+use peernet_agent::AgentConfig;
+
+/// The tables that hold here, too.
+const TABLES: [&str; 4] = ["clock", "probes", "rehearsal", "onnxruntime"];
+
+/// The tables of an agent's configuration that relate the clocks and name the library, with its name and clock.
+/// Nothing without a file.
+///
+/// # Errors
+/// When the file cannot be read (66) or its tables are wrong (78).
+pub(crate) fn tables(file: Option<&Path>) -> Result<AgentConfig, Failure> {
+    let Some(file) = file else { return Ok(AgentConfig::default()) };
+    let text = small_file::read(file, small_file::LARGEST)
+        .map_err(|error| anyhow!("cannot read the configuration {}: {error}", file.display()))
+        .map_err(|error| Failure::new(Exit::NoInput, error))?;
+    read(&text, file).map_err(|error| Failure::new(Exit::Configuration, error))
+}
+
+fn read(text: &str, file: &Path) -> anyhow::Result<AgentConfig> {
+    let mut document: toml::Table =
+        text.parse().map_err(|error: toml::de::Error| anyhow!("{}: {}", file.display(), told(&error)))?;
+    let agent = document.get("agent").and_then(toml::Value::as_table);
+    let agent: toml::Table = ["name", "clock_identity"]
+        .iter()
+        .filter_map(|key| Some(((*key).to_owned(), agent?.get(*key)?.clone())))
+        .collect();
+    document.retain(|key, _| TABLES.contains(&key));
+    document.insert("agent".to_owned(), toml::Value::Table(agent));
+    serde_path_to_error::deserialize(document)
+        .map_err(|error| anyhow!("{}: {}: {}", file.display(), error.path(), told(error.inner())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_relates_the_clocks_is_taken_from_a_file_and_nothing_else() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("edge.toml");
+        let text = "[agent]\nname = 'edge'\naggregator = 'tcp://a:1'\n[clock]\nmax_drift_ppm = 150\n\
+                    [rehearsal]\noffset_ms = 1000\n[web]\nlisten = 'x'\n[serve]\n";
+        std::fs::write(&file, text).expect("writable");
+        let config = tables(Some(&file)).expect("reads");
+        assert_eq!(
+            (config.clock.max_drift_ppm, config.rehearsal.map(|r| r.offset_ms)),
+            (150.0, Some(1000.0))
+        );
+        assert_eq!(
+            (config.agent.name.map(|name| name.to_string()), config.agent.aggregator),
+            (Some("edge".into()), None)
+        );
+        assert!(config.serve.is_none() && config.pipelines.is_empty());
+
+        std::fs::write(&file, "[clock]\nmax_drift = 150\n").expect("writable");
+        let error = tables(Some(&file)).expect_err("misspelt");
+        assert!(error.exit == Exit::Configuration && error.to_string().contains("max_drift"), "{error}");
+        let missing = tables(Some(&folder.path().join("no.toml"))).expect_err("not there");
+        assert!(missing.exit == Exit::NoInput && missing.to_string().contains("no.toml"), "{missing}");
+    }
+}

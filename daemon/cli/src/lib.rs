@@ -1,0 +1,109 @@
+//! The command `peernet`, and what it shares with the daemon's: clocks, exit codes, what is wrong with a value, the
+//! terminal and what it is told of long texts, the log's form, what is a wish to end, the version.
+
+mod address;
+mod api;
+mod calibrate;
+pub mod clock;
+mod compare;
+mod completions;
+pub mod exit;
+pub mod expected;
+mod foreground;
+pub mod log;
+mod measure;
+mod models;
+mod network;
+pub mod output;
+mod plot;
+mod published;
+mod recompute;
+#[cfg(test)]
+mod reference;
+mod run;
+pub mod short;
+pub mod small_file;
+mod status;
+pub mod wish;
+
+use std::process::ExitCode;
+
+use crate::exit::Failure;
+use clap::{Parser, Subcommand};
+
+/// Version with the commit it was built from.
+pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), " (", env!("PEERNET_COMMIT"), ")");
+
+/// PEERNet's command line: the published experiments, measured links, a running aggregator's answers.
+#[derive(Debug, Parser)]
+#[command(
+    name = "peernet",
+    version = VERSION,
+    max_term_width = 100,
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true,
+    arg_required_else_help = true,
+    after_help = "To begin: `peernetd run configs/cloud.toml` in one terminal, `peernet run configs/experiments/demo.toml` in another; the package has the files of configs/ in /usr/share/doc/peernet/examples/. `peernet COMMAND --help` has the options of a command, docs/cli.md all of them."
+)]
+struct Line {
+    #[command(subcommand)]
+    command: Option<Command>,
+    /// As the paper types it: `peernet --server …`, `peernet --client …`.
+    #[command(flatten)]
+    published: Option<published::Arguments>,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Show what runs where and how it fares: the last ten seconds of every pipeline, with quantiles of the total and means
+    /// of the stages, and the hosts.
+    Status(status::Arguments),
+    /// Study a link: one-way delay against payload size, both ways, and whether the clocks can be trusted.
+    Calibrate(calibrate::Arguments),
+    /// Carry out an experiment: a matrix of runs from one file, with tables and figures at the end.
+    Run(run::Arguments),
+    /// Put runs side by side: the paper's table, and how far differences between two runs are known.
+    Compare(compare::Arguments),
+    /// Draw figures of results, as PNG and SVG.
+    Plot(plot::Arguments),
+    /// Compute the one-way delays of a stored run again, with what was learnt of the clocks after it.
+    Recompute(recompute::Arguments),
+    /// List, show, check and measure the models on this machine.
+    Models(models::Arguments),
+    /// Print a script that completes commands and options in a shell.
+    Completions(completions::Arguments),
+    /// Execute one run in this process, as `peernet run` does for each of its runs.
+    #[command(hide = true)]
+    Measure(measure::Arguments),
+}
+
+impl Command {
+    fn run(&self) -> Result<(), Failure> {
+        match self {
+            Self::Status(arguments) => status::run(arguments),
+            Self::Calibrate(arguments) => calibrate::run(arguments),
+            Self::Run(arguments) => run::run(arguments),
+            Self::Compare(arguments) => compare::run(arguments),
+            Self::Plot(arguments) => plot::run(arguments),
+            Self::Recompute(arguments) => recompute::run(arguments),
+            Self::Models(arguments) => models::run(arguments),
+            Self::Completions(arguments) => completions::run(arguments),
+            Self::Measure(arguments) => measure::run(arguments),
+        }
+    }
+}
+
+/// The program `peernet`: carries out what its command line asks for.
+pub fn main() -> ExitCode {
+    let line = match Line::try_parse() {
+        Ok(line) => line,
+        Err(error) => return output::explain(error).into(),
+    };
+    let done = match line {
+        Line { command: Some(command), .. } => command.run(),
+        Line { published: Some(published), .. } => published::run(&published),
+        // The parser lets neither through: one of both is required.
+        Line { .. } => Ok(()),
+    };
+    output::end(done).into()
+}

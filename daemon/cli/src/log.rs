@@ -1,0 +1,69 @@
+//! The form of a line of the log, which journald understands when it listens.
+
+use tracing::{Event, Level, Subscriber};
+use tracing_subscriber::fmt::format::Writer;
+use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields};
+use tracing_subscriber::registry::LookupSpan;
+
+/// The variable that sets the level.
+pub const VARIABLE: &str = "PEERNET_LOG";
+
+/// `12:00:00 INFO agent: text key=value`, or with a priority instead of the time under journald.
+#[derive(Debug)]
+pub struct Line {
+    journald: bool,
+}
+
+impl Default for Line {
+    fn default() -> Self {
+        // journald stamps each line itself and reads a leading <N> as the priority.
+        Self { journald: std::env::var_os("JOURNAL_STREAM").is_some() }
+    }
+}
+
+impl<S, N> FormatEvent<S, N> for Line
+where
+    S: Subscriber + for<'a> LookupSpan<'a>,
+    N: for<'a> FormatFields<'a> + 'static,
+{
+    fn format_event(
+        &self,
+        context: &FmtContext<'_, S, N>,
+        mut writer: Writer<'_>,
+        event: &Event<'_>,
+    ) -> std::fmt::Result {
+        let level = *event.metadata().level();
+        let room = event.metadata().target().split("::").next().unwrap_or_default();
+        let room = room.strip_prefix("peernet_").unwrap_or(room);
+        if self.journald {
+            write!(writer, "<{}>", priority(level))?;
+        } else {
+            use tracing_subscriber::fmt::time::FormatTime;
+            tracing_subscriber::fmt::time::SystemTime.format_time(&mut writer)?;
+            let (on, off) = if writer.has_ansi_escapes() { (colour(level), "\x1b[0m") } else { ("", "") };
+            write!(writer, " {on}{level:>5}{off} ")?;
+        }
+        write!(writer, "{room}: ")?;
+        context.format_fields(writer.by_ref(), event)?;
+        writeln!(writer)
+    }
+}
+
+/// syslog(3) priorities.
+fn priority(level: Level) -> u8 {
+    match level {
+        Level::ERROR => 3,
+        Level::WARN => 4,
+        Level::INFO => 6,
+        _ => 7,
+    }
+}
+
+fn colour(level: Level) -> &'static str {
+    match level {
+        Level::ERROR => "\x1b[31m",
+        Level::WARN => "\x1b[33m",
+        Level::INFO => "\x1b[32m",
+        _ => "\x1b[2m",
+    }
+}

@@ -1,0 +1,340 @@
+//! Earlier results, while it is not sure yet that there will be others.
+//!
+//! A run can be killed at any moment. So that what it leaves can be told apart, `run.json` is the first file that is moved
+//! aside, the last that comes back, and the last of a new run's that matters: where there is one in the folder, the results
+//! there are whole, and what was put aside is of no use any more.
+
+use std::fs::{File, read_dir, remove_file, rename};
+use std::io::{BufRead, BufReader, ErrorKind};
+use std::path::{Path, PathBuf};
+
+use crate::exit::{Exit, Failure};
+use crate::output::complain;
+use anyhow::Context;
+use peernet_report::results::ResultFolder;
+use tempfile::TempDir;
+
+/// How folders begin that hold results which were moved out of the way.
+const PREFIX: &str = ".replaced-";
+/// The file that makes results whole.
+const RECORD: &str = "run.json";
+const DATA: &str = "data.csv";
+/// What the rows are called of runs that came to nothing: killed, or without room for their results.
+const NOTHING: [&str; 2] = [KILLED, UNFINISHED];
+const KILLED: &str = "killed";
+const UNFINISHED: &str = "unfinished";
+
+/// Results that were moved out of the way. Dropping it puts them back.
+#[derive(Debug)]
+pub(super) struct Aside {
+    home: PathBuf,
+    /// A folder in it; `None` when there is nothing to put back.
+    kept: Option<TempDir>,
+}
+
+impl Aside {
+    /// Moves the results in a folder aside.
+    ///
+    /// # Errors
+    /// When they cannot be moved (73).
+    pub(super) fn put(home: &Path) -> Result<Self, Failure> {
+        let mut aside = Self { home: home.to_owned(), kept: None };
+        if !ResultFolder::replaced(home).any(|name| home.join(name).is_file()) {
+            return Ok(aside);
+        }
+        let kept = tempfile::Builder::new().prefix(PREFIX).tempdir_in(home);
+        let kept = kept.with_context(|| format!("cannot write to {}", home.display())).map_err(unwritten)?;
+        let kept = aside.kept.insert(kept).path().to_owned();
+        for name in record_first(home) {
+            let from = home.join(&name);
+            moved(&from, &kept.join(&name))
+                .with_context(|| format!("cannot replace {}", from.display()))
+                .map_err(unwritten)?;
+        }
+        Ok(aside)
+    }
+
+    /// Whether a run was killed here that had moved results aside, or is under way.
+    pub(super) fn is_left(home: &Path) -> bool {
+        left(home).next().is_some()
+    }
+
+    /// Puts results back that a killed run had moved aside, or takes them away where it was done but for that. What it had
+    /// measured until then stays beside them. Nobody else may write to the folder meanwhile.
+    ///
+    /// # Errors
+    /// When they cannot be moved (73).
+    pub(super) fn recover(home: &Path) -> Result<(), Failure> {
+        let mut folders: Vec<PathBuf> = left(home).collect();
+        folders.sort_by_key(|folder| !folder.join(RECORD).is_file());
+        let Some(kept) = folders.first() else { return Ok(()) };
+        for other in &folders[1..] {
+            complain(format_args!("results that were put aside are in {} as well", other.display()));
+        }
+        let failed = |error: std::io::Error| {
+            let text = format!("cannot put the results of {} back", kept.display());
+            unwritten(anyhow::Error::new(error).context(text))
+        };
+        if home.join(RECORD).is_file() {
+            std::fs::remove_dir_all(kept).map_err(failed)?;
+            complain(format_args!(
+                "a run was killed that had replaced the results in {}; what was left of the earlier ones is removed",
+                home.display()
+            ));
+            return Ok(());
+        }
+        let measured =
+            if kept.join(DATA).is_file() { keep_measured(home, KILLED).map_err(failed)? } else { None };
+        put_back(kept, home).and_then(|()| std::fs::remove_dir_all(kept)).map_err(failed)?;
+        let measured = measured.map_or_else(String::new, |name| format!("; what it measured is in {name}"));
+        complain(format_args!(
+            "a run was killed that was to replace the results in {}: they are back{measured}",
+            home.display()
+        ));
+        Ok(())
+    }
+
+    /// The rows that stand in their place are nowhere else: gives them a name under which they stay when the earlier ones
+    /// come back. `None` when there are none, or nothing comes back.
+    pub(super) fn keep_rows(&self) -> Option<String> {
+        self.kept.as_ref()?;
+        keep_measured(&self.home, UNFINISHED).unwrap_or_else(|error| {
+            complain(format_args!("the new data.csv cannot be given another name: {error}"));
+            None
+        })
+    }
+
+    /// The new ones could not all be written: the earlier ones come back, and what there is of the new ones goes. Says so,
+    /// to be put behind a message; empty when there were none.
+    pub(super) fn give_back(mut self) -> String {
+        let Some(kept) = self.kept.take() else { return String::new() };
+        let removed =
+            record_first(&self.home).iter().try_for_each(|name| match remove_file(self.home.join(name)) {
+                Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
+                _ => Ok(()),
+            });
+        match removed.and_then(|()| put_back(kept.path(), &self.home)) {
+            Ok(()) => "; the earlier results are back".to_owned(),
+            Err(error) => format!("; the earlier results are in {}: {error}", kept.keep().display()),
+        }
+    }
+
+    /// There are others in their place: they are removed, and with them the rows of runs that came to nothing here.
+    pub(super) fn remove(&mut self) {
+        let closed = self.kept.take().map_or(Ok(()), TempDir::close);
+        let removed = of_nothing(&self.home).into_iter().try_for_each(remove_file);
+        if let Err(error) = closed.and(removed) {
+            complain(format_args!("the results that were replaced are not all removed: {error}"));
+        }
+    }
+}
+
+impl Drop for Aside {
+    fn drop(&mut self) {
+        let Some(kept) = self.kept.take() else { return };
+        if std::thread::panicking() {
+            // Rows may stand in their place by now.
+            let folder = kept.keep();
+            return complain(format_args!("the earlier results are in {}", folder.display()));
+        }
+        if let Err(error) = put_back(kept.path(), &self.home) {
+            let folder = kept.keep();
+            complain(format_args!("the earlier results are in {}: {error}", folder.display()));
+        }
+    }
+}
+
+fn unwritten(error: anyhow::Error) -> Failure {
+    Failure::new(Exit::Unwritten, error)
+}
+
+/// Where the results of a folder are, as long as the run that is to replace them is under way or was killed.
+pub(crate) fn put_aside(home: &Path) -> Option<PathBuf> {
+    left(home).find(|kept| kept.join(RECORD).is_file() && !home.join(RECORD).is_file())
+}
+
+/// Files with the rows of runs that came to nothing.
+fn of_nothing(home: &Path) -> Vec<PathBuf> {
+    let is_one = |path: &PathBuf| {
+        let stem = path.file_name().and_then(|name| name.to_str()?.strip_suffix(".csv"));
+        let rest = stem.and_then(|stem| NOTHING.iter().find_map(|name| stem.strip_prefix(name)));
+        rest.is_some_and(|rest| {
+            rest.is_empty() || rest.strip_prefix('-').is_some_and(|number| number.parse::<u32>().is_ok())
+        })
+    };
+    let entries = read_dir(home).into_iter().flatten().filter_map(Result::ok);
+    entries.map(|entry| entry.path()).filter(is_one).collect()
+}
+
+/// Folders in it with results that were moved aside.
+fn left(home: &Path) -> impl Iterator<Item = PathBuf> {
+    let entries = read_dir(home).into_iter().flatten().filter_map(Result::ok);
+    let is_aside = |name: &std::ffi::OsStr| name.to_string_lossy().starts_with(PREFIX);
+    entries.filter(move |entry| is_aside(&entry.file_name())).map(|entry| entry.path())
+}
+
+/// The names of what is replaced in a folder, in the order in which it is moved aside.
+fn record_first(dir: &Path) -> Vec<String> {
+    let mut names: Vec<String> = ResultFolder::replaced(dir).collect();
+    names.sort_by_key(|name| name != RECORD);
+    names
+}
+
+fn put_back(kept: &Path, home: &Path) -> std::io::Result<()> {
+    record_first(kept).iter().rev().try_for_each(|name| moved(&kept.join(name), &home.join(name)))
+}
+
+/// Moves a file if it is there.
+fn moved(from: &Path, to: &Path) -> std::io::Result<()> {
+    match rename(from, to) {
+        Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
+}
+
+/// Gives the rows of a run that has no results another name, `killed.csv` for `killed`, if there are any.
+fn keep_measured(home: &Path, stem: &str) -> std::io::Result<Option<String>> {
+    let data = home.join(DATA);
+    let rows = File::open(&data).map(|file| BufReader::new(file).lines().nth(1).is_some());
+    if !rows.unwrap_or(false) {
+        return Ok(None);
+    }
+    let free = |name: &String| !home.join(name).exists();
+    let numbered = (2_u32..).map(|number| format!("{stem}-{number}.csv"));
+    let name = std::iter::once(format!("{stem}.csv")).chain(numbered).find(free);
+    if let Some(name) = &name {
+        rename(&data, home.join(name))?;
+    }
+    Ok(name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn results_come_back_unless_there_are_others() {
+        let home = tempfile::tempdir().expect("a folder");
+        let (data, mine) = (home.path().join("data.csv"), home.path().join("mine.txt"));
+        std::fs::write(&data, "earlier").expect("writable");
+        std::fs::write(&mine, "mine").expect("writable");
+        let aside = Aside::put(home.path()).expect("moved");
+        assert!(!data.exists() && mine.exists());
+        drop(aside);
+        assert_eq!(std::fs::read_to_string(&data).expect("is back"), "earlier");
+
+        let mut aside = Aside::put(home.path()).expect("moved");
+        std::fs::write(&data, "later").expect("writable");
+        aside.remove();
+        drop(aside);
+        assert_eq!(std::fs::read_to_string(&data).expect("is there"), "later");
+        assert_eq!(std::fs::read_dir(home.path()).expect("a folder").count(), 2, "nothing is left over");
+    }
+
+    #[test]
+    fn results_that_others_could_not_replace_come_back_and_no_row_is_lost() {
+        let home = tempfile::tempdir().expect("a folder");
+        let read = |name: &str| std::fs::read_to_string(home.path().join(name)).expect("it is there");
+        for name in [DATA, RECORD] {
+            std::fs::write(home.path().join(name), "earlier").expect("writable");
+        }
+        let begin = || {
+            let aside = Aside::put(home.path()).expect("moved");
+            for (name, text) in [(DATA, "iteration\n1\n"), (RECORD, "{"), ("summary.md", "#")] {
+                std::fs::write(home.path().join(name), text).expect("writable");
+            }
+            aside
+        };
+        // All rows are elsewhere.
+        assert_eq!(begin().give_back(), "; the earlier results are back");
+        assert_eq!((names(home.path()), read(DATA).as_str()), (vec![DATA.into(), RECORD.into()], "earlier"));
+        let aside = begin();
+        assert_eq!(aside.keep_rows().as_deref(), Some("unfinished.csv"));
+        assert_eq!(aside.give_back(), "; the earlier results are back");
+        assert_eq!(names(home.path()), [DATA, RECORD, "unfinished.csv"]);
+        let texts = ["unfinished.csv", DATA, RECORD].map(read);
+        assert_eq!(texts, ["iteration\n1\n", "earlier", "earlier"]);
+        let empty = tempfile::tempdir().expect("a folder");
+        let aside = Aside::put(empty.path()).expect("nothing to move");
+        std::fs::write(empty.path().join(DATA), "iteration\n1\n").expect("writable");
+        assert_eq!((aside.keep_rows(), aside.give_back()), (None, String::new()));
+        assert_eq!(names(empty.path()), [DATA], "there were none");
+    }
+
+    /// What a run leaves in a folder when it is killed: nobody drops anything.
+    fn killed(home: &Path, measured: &str) {
+        let mut aside = Aside::put(home).expect("moved");
+        let _ = aside.kept.take().map(TempDir::keep);
+        std::fs::write(home.join(DATA), measured).expect("writable");
+    }
+
+    fn names(home: &Path) -> Vec<String> {
+        let mut names: Vec<String> = read_dir(home)
+            .expect("a folder")
+            .map(|entry| entry.expect("readable").file_name().to_string_lossy().into_owned())
+            .collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn what_a_killed_run_had_put_aside_comes_back() {
+        let home = tempfile::tempdir().expect("a folder");
+        let read = |name: &str| std::fs::read_to_string(home.path().join(name)).expect("it is there");
+        for name in [DATA, RECORD] {
+            std::fs::write(home.path().join(name), "earlier").expect("writable");
+        }
+        assert!(!Aside::is_left(home.path()));
+        killed(home.path(), "iteration\n");
+        assert!(Aside::is_left(home.path()));
+        Aside::recover(home.path()).expect("recovered");
+        assert_eq!(
+            (names(home.path()), read(DATA)),
+            (vec![DATA.to_owned(), RECORD.to_owned()], "earlier".to_owned())
+        );
+        for (name, rows) in [("killed.csv", "iteration\n1\n"), ("killed-2.csv", "iteration\n1\n2")] {
+            killed(home.path(), rows);
+            Aside::recover(home.path()).expect("recovered");
+            assert_eq!((read(DATA).as_str(), read(name).as_str()), ("earlier", rows));
+        }
+        assert_eq!(names(home.path()), [DATA, "killed-2.csv", "killed.csv", RECORD]);
+        let mine = home.path().join("killed-by-me.csv");
+        std::fs::write(&mine, "mine").expect("writable");
+        let mut aside = Aside::put(home.path()).expect("moved");
+        std::fs::write(home.path().join(DATA), "later").expect("writable");
+        assert!(put_aside(home.path()).is_some(), "the earlier ones are hidden");
+        std::fs::write(home.path().join(RECORD), "later").expect("writable");
+        aside.remove();
+        assert_eq!(names(home.path()), [DATA, "killed-by-me.csv", RECORD], "later ones take all places");
+        assert_eq!(put_aside(home.path()), None);
+    }
+
+    #[test]
+    fn a_run_that_was_killed_when_it_was_done_has_replaced_them() {
+        let home = tempfile::tempdir().expect("a folder");
+        std::fs::write(home.path().join(DATA), "earlier").expect("writable");
+        killed(home.path(), "later");
+        std::fs::write(home.path().join(RECORD), "later").expect("writable");
+        Aside::recover(home.path()).expect("recovered");
+        assert_eq!(names(home.path()), [DATA, RECORD]);
+        assert_eq!(std::fs::read_to_string(home.path().join(DATA)).expect("there"), "later");
+    }
+
+    #[test]
+    fn a_run_that_was_killed_while_it_moved_them_has_lost_none() {
+        let home = tempfile::tempdir().expect("a folder");
+        for name in [DATA, RECORD, "summary.md"] {
+            std::fs::write(home.path().join(name), name).expect("writable");
+        }
+        let kept = home.path().join(format!("{PREFIX}x"));
+        std::fs::create_dir(&kept).expect("made");
+        for name in record_first(home.path()).into_iter().take(2) {
+            moved(&home.path().join(&name), &kept.join(&name)).expect("moved");
+            let before = names(home.path());
+            Aside::recover(home.path()).expect("recovered");
+            assert_eq!(names(home.path()), [DATA, RECORD, "summary.md"], "after {name}, of {before:?}");
+            std::fs::create_dir(&kept).expect("made anew");
+            moved(&home.path().join(RECORD), &kept.join(RECORD)).expect("moved");
+        }
+    }
+}

@@ -1,0 +1,139 @@
+//! How a run ended, and what a script is told of it.
+
+use crate::exit::{Exit, Failure};
+use anyhow::anyhow;
+use peernet_report::number::counted;
+use peernet_report::results::{Outcome, Rows};
+
+use super::unavailable;
+use crate::foreground::Ended;
+
+impl Ended {
+    /// As it stands in `run.json`.
+    pub(super) fn reason(&self) -> String {
+        match self {
+            Self::Finished => "finished".to_owned(),
+            Self::Interrupted => "stopped".to_owned(),
+            Self::Failed(reason) => reason.clone(),
+            Self::Own(never) => match *never {},
+        }
+    }
+
+    /// What is told when there is nothing to write.
+    pub(super) fn without_rows(self) -> Failure {
+        match self {
+            Self::Finished => unavailable("nothing was measured: the sensor has no samples"),
+            Self::Interrupted => {
+                Failure::new(Exit::Interrupted, anyhow!("ended before anything was measured"))
+            }
+            Self::Failed(reason) => unavailable(&reason),
+        }
+    }
+
+    /// Why the program is not to end well, although there are results; `unseen` iterations have no row.
+    pub(super) fn failure(&self, rows: &Rows, unseen: u64) -> Option<Failure> {
+        let incomplete = |text: String| Some(Failure::new(Exit::Incomplete, anyhow!("{text}")));
+        match self {
+            Self::Interrupted => Some(Failure::new(
+                Exit::Interrupted,
+                anyhow!("ended early: the results hold what was measured until then"),
+            )),
+            Self::Failed(reason) => {
+                incomplete(format!("{reason}; the results hold what was measured until then"))
+            }
+            Self::Finished if unseen > 0 => incomplete(format!(
+                "{} measured and {} no row: this machine is too busy to take them down",
+                if unseen == 1 { "1 iteration was".to_owned() } else { format!("{unseen} iterations were") },
+                has(unseen)
+            )),
+            Self::Finished => {
+                let mut bad = rows.iter().filter(|row| row.outcome() != Outcome::Ok).peekable();
+                let first = bad.peek()?;
+                let reason = first.reason().map_or("no answer in time", once);
+                let text = format!(
+                    "iteration {} {}: {reason}",
+                    first.iteration(),
+                    match first.outcome() {
+                        Outcome::Timeout => "timed out",
+                        Outcome::Lost => "was lost",
+                        Outcome::Failed | Outcome::Ok => "failed",
+                    }
+                );
+                let (bad, all) = (bad.count() as u64, counted(rows.len() as u64, "iteration"));
+                incomplete(format!("{bad} of {all} {} no answer; {text}", has(bad)))
+            }
+            Self::Own(never) => match *never {},
+        }
+    }
+}
+
+/// What stands between an exception and where it was raised.
+const TRACEBACK: &str = " Traceback (most recent call last):";
+
+/// A traceback ends with the exception that it begins with here.
+fn once(reason: &str) -> &str {
+    let exception = reason.split_once(TRACEBACK).map_or("", |(exception, _)| exception.trim_end());
+    reason.strip_suffix(exception).map_or(reason, str::trim_end)
+}
+
+const fn has(count: u64) -> &'static str {
+    if count == 1 { "has" } else { "have" }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_report::results::Row;
+
+    use super::*;
+
+    fn row(iteration: u64, outcome: Outcome) -> Row {
+        Row {
+            iteration,
+            at: 0.0,
+            episode: 0,
+            step: 0,
+            warm_up: false,
+            outcome,
+            reason: (outcome == Outcome::Lost).then(|| "it went away".to_owned()),
+            values: Vec::new(),
+            upload: None,
+            download: None,
+        }
+    }
+
+    #[test]
+    fn an_exception_is_told_once() {
+        let all = "E: dark Traceback (most recent call last):   File x, line 7     raise E E: dark";
+        assert_eq!(once(all), "E: dark Traceback (most recent call last):   File x, line 7     raise E");
+        let others = ["it went away", "", "E: a Traceback (most recent call last):  …"];
+        assert_eq!(others.map(once), others);
+    }
+
+    #[test]
+    fn a_script_is_told_how_it_went() {
+        let well = Rows::from_iter([row(1, Outcome::Ok)]);
+        assert!(Ended::Finished.failure(&well, 0).is_none());
+        let code = |ended: Ended| ended.failure(&well, 0).map(|failure| failure.exit);
+        assert_eq!(code(Ended::Interrupted), Some(Exit::Interrupted));
+        assert_eq!(code(Ended::Failed("x".into())), Some(Exit::Incomplete));
+
+        let some = [row(1, Outcome::Ok), row(2, Outcome::Lost), row(3, Outcome::Timeout)];
+        let some = Rows::from_iter(some);
+        let failure = Ended::Finished.failure(&some, 0).expect("two have no answer");
+        let text = "2 of 3 iterations have no answer; iteration 2 was lost: it went away";
+        assert_eq!((failure.exit, failure.to_string().as_str()), (Exit::Incomplete, text));
+
+        let lost = Rows::from_iter([row(1, Outcome::Lost)]);
+        let failure = Ended::Finished.failure(&lost, 0).expect("it has none").to_string();
+        assert!(failure.starts_with("1 of 1 iteration has no answer; iteration 1 was lost"), "{failure}");
+
+        let unseen = Ended::Finished.failure(&well, 3).expect("three are missing");
+        assert!(
+            unseen.exit == Exit::Incomplete && unseen.to_string().starts_with("3 iterations"),
+            "{unseen}"
+        );
+
+        assert_eq!(Ended::Failed("x".into()).without_rows().exit, Exit::Unavailable);
+        assert_eq!(Ended::Interrupted.without_rows().exit, Exit::Interrupted);
+    }
+}

@@ -1,0 +1,92 @@
+//! Where the agent of a foreground run keeps what it must remember.
+
+use std::path::{Path, PathBuf};
+
+use crate::exit::{Exit, Failure};
+use anyhow::{Context, anyhow};
+use peernet_actuators::ActuatorConfig;
+use peernet_agent::config::HostConfig;
+use peernet_agent::{AgentConfig, share_argument_key};
+use peernet_inference::{ModelConfig, Scratch};
+use peernet_sensors::SensorConfig;
+
+use super::spools;
+
+/// A folder for the agent's state: one that stays where an aggregator is to know the host again, or else one that goes
+/// with the run.
+pub(crate) enum Home {
+    Stays(PathBuf),
+    Goes(Scratch),
+}
+
+impl Home {
+    /// The folder of this agent.
+    ///
+    /// # Errors
+    /// When there is no place for it (69).
+    pub(crate) fn of(agent: &HostConfig) -> Result<Self, Failure> {
+        let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
+        if agent.aggregator.is_none() {
+            let folder = Scratch::new("agent");
+            let folder = folder.context("cannot make a temporary folder; TMPDIR names another place");
+            return folder.map(Self::Goes).map_err(unavailable);
+        }
+        let name = agent.name.as_ref().map_or("unnamed", |name| name.as_str());
+        let state = state_root().ok_or_else(|| {
+            unavailable(anyhow!(
+                "there is no place for the host's id, by which an aggregator knows it again; set HOME or XDG_STATE_HOME"
+            ))
+        })?;
+        Ok(Self::Stays(state.join(name)))
+    }
+
+    /// Lets an agent keep its state here.
+    ///
+    /// # Errors
+    /// When the spool of an older version cannot be taken over, or the key for the arguments of programs not be had (69).
+    pub(crate) fn house(&self, config: &mut AgentConfig) -> Result<(), Failure> {
+        self.folder().clone_into(&mut config.agent.state_dir);
+        // One for all runs of this user, so that equal programs of different runs are told alike.
+        if let Some(root) = state_root().filter(|_| has_programs(config)) {
+            share_argument_key(&root, self.folder())
+                .map_err(|error| Failure::new(Exit::Unavailable, error))?;
+        }
+        if let (Self::Stays(folder), Some(aggregator), None) =
+            (self, &config.agent.aggregator, &config.spool.file)
+        {
+            let spool = spools::of(folder, aggregator)
+                .with_context(|| format!("cannot take over the spool in {}", folder.display()))
+                .map_err(|error| Failure::new(Exit::Unavailable, error))?;
+            config.spool.file = Some(spool);
+        }
+        Ok(())
+    }
+
+    pub(crate) fn folder(&self) -> &Path {
+        match self {
+            Self::Stays(folder) => folder,
+            Self::Goes(folder) => folder.path(),
+        }
+    }
+}
+
+/// Whether the agent runs programs of the user's own.
+fn has_programs(config: &AgentConfig) -> bool {
+    let is_program = |model: &ModelConfig| matches!(model, ModelConfig::Exec(_));
+    config.models.iter().any(is_program)
+        || config.pipelines.iter().any(|pipeline| {
+            matches!(pipeline.sensor, SensorConfig::Exec(_))
+                || matches!(pipeline.actuator, ActuatorConfig::Exec(_))
+        })
+}
+
+/// The folder of this user for what outlives a run.
+fn state_root() -> Option<PathBuf> {
+    let absolute = |variable: &str| {
+        let path = std::env::var_os(variable).map(PathBuf::from);
+        path.filter(|path| path.is_absolute())
+    };
+    // The XDG Base Directory Specification, version 0.8: relative paths are to be ignored.
+    let state = absolute("XDG_STATE_HOME").or_else(|| absolute("HOME").map(|home| home.join(".local/state")));
+    state.map(|state| state.join("peernet"))
+}

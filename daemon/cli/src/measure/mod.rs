@@ -1,0 +1,137 @@
+//! One run in the foreground: an agent with one pipeline, and a folder of results that fills while it measures.
+//!
+//! ```text
+//! Order ── Ready ── agent ── events ── Taking ─┬─ data.csv, row by row
+//!                                    │         └─ Seen, for whoever shows the progress (Watcher)
+//!                                    └─ record ── run.json, summary.*
+//! ```
+//!
+//! The published client calls [`measure`] itself; an experiment starts one process for each of its runs
+//! (`peernet measure --order FILE`), so that a crash is one run's.
+
+mod aside;
+mod command;
+mod ended;
+mod home;
+mod order;
+mod record;
+mod results;
+mod seen;
+mod spools;
+mod taking;
+
+pub(crate) use aside::put_aside;
+pub(crate) use command::{Arguments, run};
+pub(crate) use home::Home;
+pub(crate) use order::Order;
+pub(crate) use seen::{Phase, Seen, Watcher};
+pub(crate) use spools::{OF_AGENT, Waiting, undelivered, undelivered_in};
+
+use std::path::{Path, PathBuf};
+
+use crate::exit::{Exit, Failure};
+use anyhow::anyhow;
+use peernet_agent::conditions;
+use peernet_report::figures;
+use peernet_report::results::{Rows, RunRecord};
+use peernet_report::sensor_study::SensorStudy;
+use peernet_report::trust::{Evidence, Report};
+use peernet_stream::Condition;
+
+use crate::foreground::{Ended, Ready, Watched};
+use results::{Results, Written};
+use taking::Taking;
+
+/// A run that has rows.
+pub(crate) struct Measured {
+    /// How it ended.
+    pub(crate) ended: Ended,
+    /// One per iteration.
+    pub(crate) rows: Rows,
+    /// Everything else about it.
+    pub(crate) record: RunRecord,
+    /// The folder of its results: the one that was ordered, or a temporary one when that could not be written.
+    pub(crate) folder: PathBuf,
+    /// The files in it.
+    pub(crate) files: Vec<PathBuf>,
+    /// Why the results are not where they were to be.
+    trouble: Option<String>,
+}
+
+impl Measured {
+    /// Why the program is not to end well, although there are results.
+    pub(crate) fn failure(&self) -> Option<Failure> {
+        let unwritten = |trouble: &String| Failure::new(Exit::Unwritten, anyhow!("{trouble}"));
+        self.trouble
+            .as_ref()
+            .map(unwritten)
+            .or_else(|| self.ended.failure(&self.rows, self.record.counts.unseen))
+    }
+}
+
+/// Executes an order and writes its results.
+///
+/// # Errors
+/// When the configuration is wrong (78), the agent cannot start (69), there is nothing to write because the peer or the
+/// agent did not take part (69) or the user ended it before (130), or the folder for the results cannot be had (64, 73).
+pub(crate) fn measure(order: &Order, watcher: &mut dyn Watcher) -> Result<Measured, Failure> {
+    let pipeline = order.pipeline()?;
+    let home = Home::of(&order.agent.agent)?;
+    let mut config = order.agent.clone();
+    home.house(&mut config)?;
+    let ready = Ready::new(config)?;
+    let mut results = Results::begin(order)?;
+    let room = conditions::room("results", results.path(), "");
+    let mut taking = Taking::new(pipeline, order.patience(), results.writer()?, ready.clock.clone(), watcher);
+    let watched = ready.watch(&mut taking);
+    let (Watched { ended, name, missed }, taken) = match (watched, taking.finish()) {
+        (Ok(watched), taken) => (watched, taken),
+        (Err(failure), taken) if taken.rows.is_empty() => {
+            results.discard();
+            return Err(failure);
+        }
+        (Err(failure), taken) => {
+            (Watched { ended: Ended::Failed(failure.to_string()), name: String::new(), missed: 0 }, taken)
+        }
+    };
+    if taken.rows.is_empty() {
+        results.discard();
+        return Err(ended.without_rows());
+    }
+    let mut record = record::of(order, &taken, &ended, name, missed);
+    record.edge.conditions.push(Condition { host: record.edge.name.clone(), ..room });
+    record.trust = Some(Report::of(&Evidence::of_run(&record, &taken.rows)));
+    let Written { folder, mut files, mut trouble } = results.finish(&record, &taken.rows);
+    let is_written = !files.is_empty();
+    // Where the rows found no room, the folder may hold earlier results again.
+    match is_written.then(|| study(&record, &taken.rows, &folder)).transpose() {
+        Ok(written) => files.extend(written.flatten()),
+        Err(error) => trouble = trouble.or(Some(error)),
+    }
+    if order.plots && !is_written {
+        // They would take the room that rows did not get.
+        trouble = trouble.map(|trouble| format!("{trouble}; no figure is drawn"));
+    } else if order.plots {
+        match figures::of_run(&record, &taken.rows, &folder) {
+            Ok(drawn) => files.extend(drawn),
+            Err(error) => trouble = trouble.or(Some(format!("not all figures are drawn: {error}"))),
+        }
+    }
+    Ok(Measured { ended, rows: taken.rows, record, folder, files, trouble })
+}
+
+/// Writes what a sensor alone showed of itself.
+fn study(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Option<PathBuf>, String> {
+    if !record.is_sensor_alone() {
+        return Ok(None);
+    }
+    let Some(study) = SensorStudy::of(rows) else { return Ok(None) };
+    let path = folder.join("sensor.txt");
+    std::fs::write(&path, format!("{}\n", study.text().trim_end()))
+        .map_err(|error| format!("cannot write {}: {error}", path.display()))?;
+    Ok(Some(path))
+}
+
+fn unavailable(text: &str) -> Failure {
+    Failure::new(Exit::Unavailable, anyhow!("{text}"))
+}

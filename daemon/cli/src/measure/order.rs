@@ -1,0 +1,114 @@
+//! What is to be measured.
+
+use std::path::PathBuf;
+
+use crate::exit::{Exit, Failure};
+use anyhow::anyhow;
+use peernet_agent::AgentConfig;
+use peernet_agent::config::PipelineConfig;
+use peernet_clock::Span;
+use peernet_report::results::{NetworkConfig, Overwrite, User};
+use serde::{Deserialize, Serialize};
+
+use crate::foreground::Patience;
+
+/// One run.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Order {
+    /// The agent, with one pipeline that has a limit.
+    pub(crate) agent: AgentConfig,
+    /// For people: the title of figures and tables.
+    pub(crate) title: String,
+    /// Where the results go.
+    #[serde(with = "any_path")]
+    pub(crate) folder: PathBuf,
+    /// What becomes of results that are there already.
+    pub(crate) overwrite: Overwrite,
+    /// Whether to draw the figures.
+    #[serde(default)]
+    pub(crate) plots: bool,
+    /// The command that was typed.
+    pub(crate) command: String,
+    /// The file of devices that it names.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) network_config: Option<NetworkConfig>,
+    /// Which edge it is, where several ask at once.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) user: Option<User>,
+    /// Which iterations are warm-up, in words.
+    pub(crate) warm_up: String,
+    /// How long a peer that is away is waited for, before the run and during it; seconds. Default: 90.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) patience_s: Option<f64>,
+}
+
+impl Order {
+    /// The pipeline.
+    ///
+    /// # Errors
+    /// When there is not exactly one, or it would run for ever (78).
+    pub(super) fn pipeline(&self) -> Result<&PipelineConfig, Failure> {
+        let wrong = |text: &str| Failure::new(Exit::Configuration, anyhow!("{text}"));
+        match self.agent.pipelines.as_slice() {
+            [pipeline] if !pipeline.limit.is_none() => Ok(pipeline),
+            [_] => Err(wrong("the pipeline has no limit: a run in the foreground needs an end")),
+            _ => Err(wrong("a run in the foreground has exactly one pipeline")),
+        }
+    }
+
+    /// How long a peer that is away is waited for.
+    pub(super) fn patience(&self) -> Span {
+        self.patience_s.map_or(Patience::USUAL, Span::from_seconds_f64)
+    }
+}
+
+/// A path as text, or as its bytes where it is none: JSON has only text, and Linux takes any bytes.
+mod any_path {
+    use std::ffi::OsString;
+    use std::path::{Path, PathBuf};
+
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum Written {
+        Text(String),
+        Bytes(OsString),
+    }
+
+    pub(super) fn serialize<S: Serializer>(path: &Path, to: S) -> Result<S::Ok, S::Error> {
+        match path.to_str() {
+            Some(text) => text.serialize(to),
+            None => path.as_os_str().serialize(to),
+        }
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<PathBuf, D::Error> {
+        Ok(match Written::deserialize(from)? {
+            Written::Text(text) => text.into(),
+            Written::Bytes(bytes) => bytes.into(),
+        })
+    }
+
+    #[cfg(test)]
+    mod tests {
+        use std::os::unix::ffi::OsStringExt;
+
+        use super::*;
+
+        #[derive(Debug, PartialEq, Serialize, serde::Deserialize)]
+        struct Holder(#[serde(with = "super")] PathBuf);
+
+        #[test]
+        fn any_path_is_understood_by_the_process_that_measures() {
+            for bytes in [&b"results/a"[..], b"res\xff\xfe"] {
+                let path = Holder(OsString::from_vec(bytes.to_vec()).into());
+                let text = serde_json::to_string(&path).expect("can be written");
+                assert_eq!(serde_json::from_str::<Holder>(&text).expect("is understood"), path, "{text}");
+            }
+            let text = Holder("results/a".into());
+            assert_eq!(serde_json::to_string(&text).expect("can be written"), "\"results/a\"");
+        }
+    }
+}

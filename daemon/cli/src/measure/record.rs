@@ -1,0 +1,138 @@
+//! `run.json`: everything that is needed to do the run again.
+
+use std::collections::BTreeMap;
+
+use crate::VERSION;
+use peernet_agent::AgentConfig;
+use peernet_external::environment;
+use peernet_inference::MODEL_HASH;
+use peernet_report::accuracy::Accuracy;
+use peernet_report::results::{
+    Clocks, Counts, FORMAT, HostRecord, ModelRecord, Placement, RunRecord, instant,
+};
+use peernet_stream::{Placement as Told, PlacementKind};
+use serde_json::{Map, Value};
+
+use super::Order;
+use super::taking::Taken;
+use crate::foreground::Ended;
+
+/// The record of a run that has rows.
+pub(super) fn of(order: &Order, taken: &Taken, ended: &Ended, edge: String, missed: u64) -> RunRecord {
+    let description = taken.description.as_ref();
+    let facts = description.map(|run| run.facts.clone()).unwrap_or_default();
+    let conditions = description.map(|run| run.conditions.clone()).unwrap_or_default();
+    let placement = description.map(|run| &run.placement);
+    let cloud = placement.and_then(|placement| placement.peer.as_ref()).map(|name| HostRecord {
+        name: name.to_string(),
+        id: taken.cloud.as_ref().map(|cloud| cloud.id),
+        version: taken.cloud.as_ref().map(|cloud| cloud.version.clone()).unwrap_or_default(),
+        hardware: taken.cloud.as_ref().map(|cloud| cloud.hardware.clone()),
+        clock: taken.cloud_clock.clone().unwrap_or_default(),
+        conditions: conditions.iter().filter(|found| found.host == *name.as_str()).cloned().collect(),
+    });
+    let conditions =
+        conditions.into_iter().filter(|found| cloud.as_ref().is_none_or(|cloud| found.host != cloud.name));
+    let config = order.agent.publishable();
+    let pipeline = config.pipelines.first();
+    RunRecord {
+        format: FORMAT,
+        name: pipeline.map(|pipeline| pipeline.name.to_string()).unwrap_or_default(),
+        title: order.title.clone(),
+        run: description.map(|run| run.run),
+        started: description.map(|run| instant(run.started)),
+        ended: taken.ended.map(instant),
+        reason: ended.reason(),
+        version: VERSION.to_owned(),
+        command: order.command.clone(),
+        folder: std::env::current_dir().map(|folder| folder.display().to_string()).unwrap_or_default(),
+        environment: environment(),
+        network_config: order.network_config.clone(),
+        edge: HostRecord {
+            name: edge,
+            id: taken.edge.as_ref().map(|edge| edge.id),
+            version: VERSION.to_owned(),
+            hardware: taken.edge.as_ref().map(|edge| edge.hardware.clone()),
+            clock: taken.edge_clock.clone().unwrap_or_default(),
+            conditions: conditions.collect(),
+        },
+        cloud,
+        placement: placement.map(where_it_computed).unwrap_or_default(),
+        model: placement.filter(|placement| placement.kind != PlacementKind::None).map(|placement| {
+            ModelRecord {
+                name: placement.model.to_string(),
+                device: placement.device.clone(),
+                sha256: sha256(&facts),
+            }
+        }),
+        facts,
+        pipeline: pipeline.map_or(Value::Null, json),
+        agent: agent(&config),
+        experiment: pipeline.and_then(|pipeline| pipeline.experiment.clone()),
+        user: order.user,
+        patience_s: Some(order.patience().seconds()),
+        seeds: pipeline.map(|pipeline| seeds(&json(pipeline))).unwrap_or_default(),
+        warm_up: order.warm_up.clone(),
+        counts: Counts::of(&taken.rows, missed),
+        clocks: Clocks::of(&taken.rows),
+        accuracy: Accuracy::of_each(&taken.rows),
+        units: taken.units.clone(),
+        trust: None,
+    }
+}
+
+fn where_it_computed(told: &Told) -> Placement {
+    Placement {
+        kind: match told.kind {
+            PlacementKind::Local => "local",
+            PlacementKind::Remote => "remote",
+            PlacementKind::None => "none",
+        }
+        .to_owned(),
+        network: told.network.clone(),
+        address: told.address.clone(),
+    }
+}
+
+/// The hash of the model's file, as its host tells it.
+fn sha256(facts: &[(String, String)]) -> Option<String> {
+    let told = facts.iter().find(|(name, _)| name == MODEL_HASH);
+    told.map(|(_, hash)| hash.clone())
+}
+
+/// The agent's tables without the pipeline, which stands beside them, and without where this one run kept its state.
+fn agent(config: &AgentConfig) -> Value {
+    let mut tables = json(config);
+    if let Value::Object(tables) = &mut tables {
+        tables.remove("pipeline");
+        if let Some(Value::Object(agent)) = tables.get_mut("agent") {
+            agent.remove("state_dir");
+        }
+    }
+    tables
+}
+
+/// Every number called `seed`, by the path of its table.
+fn seeds(pipeline: &Value) -> BTreeMap<String, u64> {
+    fn gather(path: &str, table: &Map<String, Value>, seeds: &mut BTreeMap<String, u64>) {
+        for (key, value) in table {
+            match value {
+                Value::Number(seed) if key == "seed" => {
+                    seeds.extend(seed.as_u64().map(|seed| (path.to_owned(), seed)));
+                }
+                Value::Object(inner) => gather(key, inner, seeds),
+                _ => {}
+            }
+        }
+    }
+    let mut seeds = BTreeMap::new();
+    if let Value::Object(table) = pipeline {
+        gather("pipeline", table, &mut seeds);
+    }
+    seeds
+}
+
+fn json(what: &impl serde::Serialize) -> Value {
+    serde_json::to_value(what)
+        .unwrap_or_else(|error| Value::String(format!("cannot be written down: {error}")))
+}

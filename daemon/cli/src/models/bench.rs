@@ -1,0 +1,183 @@
+//! `peernet models bench`
+
+use std::num::NonZeroU64;
+use std::path::PathBuf;
+
+use crate::exit::{Exit, Failure};
+use crate::output::say;
+use peernet_logger::Tree;
+use peernet_report::number::{bytes, counted, milliseconds};
+use peernet_report::order::{ENOUGH_FOR_P95, ENOUGH_FOR_P99, Ordered};
+use peernet_report::table::text;
+use serde_json::{Value, json};
+
+use super::Wanted;
+use super::input::Input;
+use super::running::{Options, Running};
+use crate::foreground::Progress;
+
+/// The stages of a model, in their order.
+const STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
+/// The quantiles that are told, with the fewest samples that each needs.
+const QUANTILES: [(&str, f64, usize); 3] =
+    [("p50", 0.5, 1), ("p95", 0.95, ENOUGH_FOR_P95), ("p99", 0.99, ENOUGH_FOR_P99)];
+
+/// What `peernet models bench` can be told.
+#[derive(Debug, clap::Args)]
+pub(super) struct Arguments {
+    #[command(flatten)]
+    wanted: Wanted,
+    #[command(flatten)]
+    options: Options,
+    /// Samples that count; p99 needs 300, p95 60.
+    #[arg(long, value_name = "N", default_value = "300")]
+    iterations: NonZeroU64,
+    /// Samples before them that do not.
+    #[arg(long, value_name = "N", default_value = "10")]
+    warm_up: u64,
+    /// A picture or a folder of pictures, taken in turn [default: the model's own, else made-up pixels].
+    #[arg(long, value_name = "PATH")]
+    pictures: Option<PathBuf>,
+    /// Print JSON; seconds and bytes.
+    #[arg(long)]
+    json: bool,
+    /// Do not show the progress.
+    #[arg(long, short)]
+    quiet: bool,
+}
+
+/// What was measured. Seconds and bytes.
+struct Measured {
+    device: String,
+    input: String,
+    loaded_in: f64,
+    stages: Vec<(&'static str, Ordered)>,
+    /// Of the whole process when the model was not there yet, and at the end.
+    memory: [Option<u64>; 2],
+    peak: Option<u64>,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let found = arguments.wanted.find()?;
+    let before = memory("VmRSS:");
+    let running = Running::load(&found, &arguments.options)?;
+    let input = Input::pictures(&found, arguments.pictures.as_deref(), running.clock())?;
+    let input = input.filter(|input| !input.samples.is_empty()).unwrap_or_else(Input::made_up);
+    let stages = measure(arguments, &running, &input)?;
+    let measured = Measured {
+        device: running.pool().device(),
+        input: input.what,
+        loaded_in: running.pool().loaded_in().seconds(),
+        stages,
+        memory: [before, memory("VmRSS:")],
+        peak: memory("VmHWM:"),
+    };
+    if arguments.json {
+        say(object(found.name.as_str(), &measured));
+    } else {
+        show(found.name.as_str(), arguments, &measured);
+    }
+    Ok(())
+}
+
+fn measure(
+    arguments: &Arguments,
+    running: &Running,
+    input: &Input,
+) -> Result<Vec<(&'static str, Ordered)>, Failure> {
+    let all = arguments.warm_up.saturating_add(arguments.iterations.get());
+    let mut progress = Progress::new(arguments.quiet, running.clock().mono());
+    let mut taken: [Vec<f64>; 4] = Default::default();
+    // Taken in turn, for as long as it lasts; there is at least one.
+    for (done, sample) in (0..all).zip(input.samples.iter().cycle()) {
+        let begun = running.clock().mono();
+        let (answer, tree) = running.infer(sample.clone());
+        let whole = (running.clock().mono() - begun).seconds();
+        answer.map_err(|error| Failure::new(Exit::Unavailable, error))?;
+        if done >= arguments.warm_up {
+            for (values, stage) in taken.iter_mut().zip(STAGES) {
+                values.extend(seconds(&tree, stage));
+            }
+            taken[3].push(whole);
+        }
+        let state = || (format!("{} of {all}", done + 1), (done + 1) as f64 / all as f64);
+        progress.show(running.clock().mono(), None, state);
+    }
+    progress.end();
+    let names = STAGES.into_iter().chain(["all"]);
+    Ok(names.zip(taken).map(|(name, values)| (name, values.into_iter().collect())).collect())
+}
+
+fn seconds(tree: &Tree, stage: &str) -> Option<f64> {
+    tree.find(&[stage]).and_then(|(_, node)| node.measure.value())
+}
+
+fn quantile(values: &Ordered, (_, p, fewest): (&str, f64, usize)) -> Option<f64> {
+    values.quantile(p).filter(|_| values.len() >= fewest)
+}
+
+fn show(name: &str, arguments: &Arguments, measured: &Measured) {
+    let threads = arguments.options.intra_threads;
+    say(format_args!(
+        "{name} on {}, {} within an operator, one sample at a time",
+        measured.device,
+        counted(threads.get() as u64, "thread")
+    ));
+    say(format_args!(
+        "{} samples after {} of warm-up: {}",
+        arguments.iterations, arguments.warm_up, measured.input
+    ));
+    say("");
+    let row = |(stage, values): &(&str, Ordered)| {
+        let cells = QUANTILES.map(|one| quantile(values, one).map_or_else(|| "–".to_owned(), milliseconds));
+        [vec![(*stage).to_owned()], cells.into()].concat()
+    };
+    let header = ["stage", "p50 ms", "p95 ms", "p99 ms"];
+    say(text(&header, &measured.stages.iter().map(row).collect::<Vec<_>>()));
+    let told = |bytes_of: Option<u64>| bytes_of.map_or_else(|| "?".to_owned(), |of| bytes(of as f64));
+    say(format_args!("loaded in {} ms", milliseconds(measured.loaded_in)));
+    say(format_args!(
+        "memory of this process: {} before, {} with the model, {} at most; an accelerator's own is not in it",
+        told(measured.memory[0]),
+        told(measured.memory[1]),
+        told(measured.peak)
+    ));
+}
+
+fn object(name: &str, measured: &Measured) -> Value {
+    let stage = |(stage, values): &(&str, Ordered)| {
+        let quantiles = QUANTILES.map(|one| (one.0.to_owned(), json!(quantile(values, one))));
+        let mut figures = serde_json::Map::from_iter(quantiles);
+        figures.insert("count".to_owned(), values.len().into());
+        ((*stage).to_owned(), Value::Object(figures))
+    };
+    json!({
+        "model": name,
+        "device": measured.device,
+        "input": measured.input,
+        "loaded_in": measured.loaded_in,
+        "seconds": serde_json::Map::from_iter(measured.stages.iter().map(stage)),
+        "memory_bytes": {
+            "before": measured.memory[0], "with_model": measured.memory[1], "peak": measured.peak,
+        },
+    })
+}
+
+/// A figure of this process' memory, bytes; see proc(5).
+fn memory(key: &str) -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix(key))?;
+    line.trim().strip_suffix(" kB")?.parse::<u64>().ok().map(|kib| kib * 1024)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn memory_is_read_and_a_tail_needs_enough_samples() {
+        assert!(memory("VmRSS:").is_some_and(|bytes| bytes > 1 << 20));
+        let few: Ordered = (0..100).map(f64::from).collect();
+        assert_eq!(QUANTILES.map(|one| quantile(&few, one).is_some()), [true, true, false]);
+    }
+}

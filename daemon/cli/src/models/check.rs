@@ -1,0 +1,103 @@
+//! `peernet models check`
+
+use std::collections::HashSet;
+use std::path::PathBuf;
+
+use crate::exit::{Exit, Failure};
+use crate::output::{complain, say};
+use anyhow::anyhow;
+use peernet_report::number::{counted, fixed};
+use peernet_sample::{Sample, plain_label};
+use serde::Deserialize;
+
+use super::input::Input;
+use super::running::{Options, Running};
+use super::{Wanted, failure, other_file};
+
+/// What `peernet models check` can be told.
+#[derive(Debug, clap::Args)]
+pub(super) struct Arguments {
+    #[command(flatten)]
+    wanted: Wanted,
+    #[command(flatten)]
+    options: Options,
+    /// A picture, or a folder of pictures with or without a labels.csv, in the place of the model's own.
+    #[arg(long, value_name = "PATH")]
+    pictures: Option<PathBuf>,
+}
+
+/// A classifier's answer, as far as it matters here.
+#[derive(Deserialize)]
+struct Answer {
+    label: String,
+    score: f64,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let found = arguments.wanted.find()?;
+    if let Ok(card) = &found.card
+        && let Some(text) = other_file(card, &found.hash().map_err(failure)?)
+    {
+        complain(text);
+    }
+    let classes = found.card.as_ref().map(|card| card.labels.as_slice()).unwrap_or_default();
+    let classes: HashSet<String> = classes.iter().map(|class| plain_label(class)).collect();
+    let running = Running::load(&found, &arguments.options)?;
+    let pool = running.pool();
+    say(format_args!(
+        "loaded on {} in {} s and run on zeros",
+        pool.device(),
+        fixed(pool.loaded_in().seconds(), 2)
+    ));
+    let Some(input) = Input::pictures(&found, arguments.pictures.as_deref(), running.clock())? else {
+        say("no test pictures: none in its folder `pictures`, none named with --pictures");
+        return Ok(());
+    };
+    let (mut right, mut labelled, mut foreign, mut failed) = (0, 0, 0, 0);
+    let all = input.samples.len() as u64;
+    let alone = all == 1;
+    for sample in input.samples {
+        let (source, label) = (sample.source.clone(), sample.label.clone());
+        let answer =
+            running.infer(sample).0.map_err(|error| error.to_string()).and_then(|answer| read(&answer));
+        match answer {
+            Err(reason) => {
+                complain(reason);
+                failed += 1;
+            }
+            Ok(answer) => {
+                match label.map(|label| plain_label(&label)) {
+                    Some(label) if classes.contains(&label) => {
+                        labelled += 1;
+                        right += usize::from(label == plain_label(&answer.label));
+                    }
+                    // No answer could be right.
+                    Some(_) => foreign += 1,
+                    None => {}
+                }
+                if alone {
+                    say(format_args!("{source}: {} ({})", answer.label, fixed(answer.score, 3)));
+                }
+            }
+        }
+    }
+    let accuracy = if labelled > 0 { format!("; {right} of {labelled} labels right") } else { String::new() };
+    let unknown = match foreign {
+        0 => String::new(),
+        1 => "; 1 label is no class of the model".to_owned(),
+        foreign => format!("; {foreign} labels are no classes of the model"),
+    };
+    let of = if failed > 0 { format!("{} of ", all - failed) } else { String::new() };
+    say(format_args!("answered {of}{}{accuracy}{unknown}", input.what));
+    if failed > 0 {
+        let were = if failed == 1 { "was" } else { "were" };
+        let error = anyhow!("{} {were} not answered; the lines above say why", counted(failed, "picture"));
+        return Err(Failure::new(Exit::Unavailable, error));
+    }
+    Ok(())
+}
+
+fn read(answer: &Sample) -> Result<Answer, String> {
+    let bytes = answer.parts.first().map(|part| part.bytes.as_ref()).unwrap_or_default();
+    serde_json::from_slice(bytes).map_err(|error| format!("its answer cannot be read: {error}"))
+}

@@ -1,0 +1,65 @@
+//! What a model is tried on.
+
+use std::path::{Path, PathBuf};
+
+use crate::exit::{Exit, Failure};
+use peernet_clock::SharedClock;
+use peernet_inference::bank::Found;
+use peernet_logger::{HostId, Recorder};
+use peernet_sample::{Description, PixelFormat, Sample};
+use peernet_sensors::{Order, SensorConfig};
+
+/// The folder of test pictures in a model's folder.
+const PICTURES: &str = "pictures";
+/// Pixels of the made-up picture, a usual camera's.
+const SIZE: (u32, u32) = (1280, 720);
+
+/// Samples and what they are.
+pub(super) struct Input {
+    pub(super) samples: Vec<Sample>,
+    pub(super) what: String,
+}
+
+impl Input {
+    /// The pictures of a file or folder, else the model's own, with their labels; `None` when it has none.
+    pub(super) fn pictures(
+        found: &Found,
+        given: Option<&Path>,
+        clock: &SharedClock,
+    ) -> Result<Option<Self>, Failure> {
+        let own = found.folder.join(PICTURES);
+        match given {
+            Some(path) => read(path.to_owned(), clock).map(Some),
+            None if own.is_dir() => read(own, clock).map(Some),
+            None => Ok(None),
+        }
+    }
+
+    /// A picture that is made up: pixels, so that nothing is decoded.
+    pub(super) fn made_up() -> Self {
+        let (width, height) = SIZE;
+        let pixels: Vec<u8> =
+            (0..width * height * 3).map(|at| (at.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+        let description = Description::pixels(PixelFormat::Rgb8, width, height);
+        Self {
+            samples: vec![Sample::of(description, pixels.into())],
+            what: format!("made-up pixels, {width} × {height}: preprocessing has nothing to decode"),
+        }
+    }
+}
+
+fn read(path: PathBuf, clock: &SharedClock) -> Result<Input, Failure> {
+    let unusable = |error| Failure::new(Exit::NoInput, error);
+    let what = path.display().to_string();
+    let config = SensorConfig::Images { path, order: Order::default(), seed: 1, repeat: false, labels: None };
+    let mut sensor = peernet_sensors::open(&config, clock).map_err(unusable)?;
+    let mut log = Recorder::begin(std::sync::Arc::clone(clock), HostId::random());
+    let mut samples = Vec::new();
+    while let Some(sample) = sensor.sample(&mut log).map_err(unusable)? {
+        samples.push(sample);
+    }
+    Ok(Input {
+        what: if samples.len() == 1 { what } else { format!("{} pictures of {what}", samples.len()) },
+        samples,
+    })
+}

@@ -1,0 +1,99 @@
+//! `peernet models list`
+
+use crate::exit::Failure;
+use crate::output::{complain, say};
+use crate::short::plain;
+use peernet_inference::bank::Found;
+use peernet_report::table::text;
+use serde_json::{Value, json};
+
+use super::Places;
+
+/// What `peernet models list` can be told.
+#[derive(Debug, clap::Args)]
+pub(super) struct Arguments {
+    #[command(flatten)]
+    places: Places,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let folders = arguments.places.folders()?;
+    for error in folders.check() {
+        complain(error);
+    }
+    let found = folders.list();
+    if arguments.json {
+        say(Value::from_iter(found.iter().map(object)));
+        return Ok(());
+    }
+    if found.is_empty() {
+        let places: Vec<String> = folders.places().iter().map(|place| place.display().to_string()).collect();
+        say(format_args!(
+            "no model in {}; export one with models/export_torchvision.py, or name a folder with --models-dir",
+            places.join(", ")
+        ));
+        return Ok(());
+    }
+    let header = ["model", "task", "input", "size", "version", "folder", "wrong"];
+    say(text(&header, &found.iter().map(row).collect::<Vec<_>>()));
+    Ok(())
+}
+
+fn row(found: &Found) -> Vec<String> {
+    let (task, input, version) = match &found.card {
+        Ok(card) => (card.task.clone(), card.input.clone(), card.version.clone()),
+        Err(_) => Default::default(),
+    };
+    let size = size(found).map(|bytes| peernet_report::number::bytes(bytes as f64)).unwrap_or_default();
+    let folder = found.folder.display().to_string();
+    let cells =
+        [found.name.to_string(), task, input, size, version, folder, wrong(found).unwrap_or_default()];
+    cells.map(|cell| plain(&cell).into_owned()).to_vec()
+}
+
+/// What keeps the model from being used.
+fn wrong(found: &Found) -> Option<String> {
+    match (&found.card, &found.hidden_by) {
+        // The parser of TOML speaks in several lines.
+        (Err(error), _) => Some(error.to_string().split_whitespace().collect::<Vec<_>>().join(" ")),
+        (Ok(_), Some(other)) => Some(format!("hidden by {}", other.display())),
+        (Ok(_), None) => None,
+    }
+}
+
+/// Bytes of `model.onnx`.
+fn size(found: &Found) -> Option<u64> {
+    std::fs::metadata(found.folder.join("model.onnx")).ok().map(|known| known.len())
+}
+
+fn object(found: &Found) -> Value {
+    json!({
+        "model": found.name.to_string(),
+        "folder": found.folder.display().to_string(),
+        "bytes": size(found),
+        "card": found.card.as_ref().ok(),
+        "wrong": wrong(found),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_inference::bank::Folders;
+
+    use super::*;
+
+    #[test]
+    fn a_broken_model_is_listed_in_one_line_with_its_reason() {
+        let models = tempfile::tempdir().expect("a folder");
+        std::fs::create_dir(models.path().join("torn_card")).expect("made");
+        std::fs::write(models.path().join("torn_card/model.toml"), "name = 'x'\ntask = 7\n")
+            .expect("written");
+        let found = Folders::of([models.path().to_owned()]).list();
+        let row = row(&found[0]);
+        assert_eq!((row[0].as_str(), row.len()), ("torn_card", 7));
+        assert!(row[6].contains("model.toml") && !row[6].contains('\n'), "{row:?}");
+    }
+}

@@ -1,0 +1,99 @@
+//! `peernet models`: the models on this machine, and how they fare.
+
+mod bench;
+mod check;
+mod input;
+mod list;
+mod running;
+mod show;
+
+use std::path::PathBuf;
+
+use crate::exit::{Exit, Failure};
+use anyhow::anyhow;
+use peernet_inference::bank::{Folders, Found};
+use peernet_inference::{CardSummary, LoadError};
+
+/// What `peernet models` can be told.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    /// List the models of all folders that are searched.
+    List(list::Arguments),
+    /// Show a model's card and the hash of its file.
+    Show(show::Arguments),
+    /// Load a model and run it: on zeros, and on its own test pictures if it has some.
+    Check(check::Arguments),
+    /// Measure how long each stage of a model takes, and how much memory.
+    Bench(bench::Arguments),
+}
+
+/// Does as told.
+///
+/// # Errors
+/// When there is no such model (66), or it cannot be used (69).
+pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    match &arguments.command {
+        Command::List(arguments) => list::run(arguments),
+        Command::Show(arguments) => show::run(arguments),
+        Command::Check(arguments) => check::run(arguments),
+        Command::Bench(arguments) => bench::run(arguments),
+    }
+}
+
+/// Where to look for models.
+#[derive(Debug, clap::Args)]
+struct Places {
+    /// A folder of models to be searched before PEERNET_MODELS, /var/lib/peernet/models and models; may be given several
+    /// times.
+    #[arg(long, value_name = "DIR")]
+    models_dir: Vec<PathBuf>,
+}
+
+impl Places {
+    fn folders(&self) -> Result<Folders, Failure> {
+        if let Some(folder) = self.models_dir.iter().find(|folder| !folder.is_dir()) {
+            return Err(Failure::new(Exit::NoInput, anyhow!("there is no folder {}", folder.display())));
+        }
+        Ok(Folders::search(&self.models_dir))
+    }
+
+    fn find(&self, name: &str) -> Result<Found, Failure> {
+        self.folders()?.find(name).map_err(failure)
+    }
+}
+
+/// A model of these folders.
+#[derive(Debug, clap::Args)]
+struct Wanted {
+    /// The name of the model's folder, or a path to it with a slash.
+    name: String,
+    #[command(flatten)]
+    places: Places,
+}
+
+impl Wanted {
+    fn find(&self) -> Result<Found, Failure> {
+        self.places.find(&self.name)
+    }
+}
+
+/// What is to be said when the card's own hash is that of another file than this one.
+fn other_file(card: &CardSummary, hash: &str) -> Option<String> {
+    let (_, theirs) = card.provenance.iter().find(|(key, _)| key == "sha256")?;
+    (theirs != hash).then(|| format!("the card was written for another model.onnx, of SHA-256 {theirs}"))
+}
+
+fn failure(error: LoadError) -> Failure {
+    let exit = match &error {
+        LoadError::NotFound { .. } | LoadError::File { .. } => Exit::NoInput,
+        LoadError::NoSuchDevice(_) | LoadError::TooMuch { .. } => Exit::Usage,
+        _ => Exit::Unavailable,
+    };
+    Failure::new(exit, error)
+}

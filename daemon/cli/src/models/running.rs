@@ -1,0 +1,80 @@
+//! A loaded model and its stages, timed as an agent times them.
+
+use std::sync::Arc;
+use std::sync::mpsc::sync_channel;
+
+use crate::clock;
+use crate::exit::{Exit, Failure};
+use peernet_clock::{ClockIdentity, SharedClock};
+use peernet_inference::bank::Found;
+use peernet_inference::{Bank, InferenceError, Job, ModelConfig, OnnxRuntimeConfig, Pool};
+use peernet_logger::{HostId, Recorder, Tree};
+use peernet_sample::Sample;
+
+use super::failure;
+
+/// How a model is to be loaded.
+#[derive(Debug, clap::Args)]
+pub(super) struct Options {
+    /// The device: cpu, cuda:N, tensorrt:N or openvino:DEVICE.
+    #[arg(long, default_value = "cpu")]
+    device: String,
+    /// Threads within one operator of the model, as `intra_threads` of a [[model]].
+    #[arg(long, value_name = "N", default_value = "1")]
+    pub(super) intra_threads: std::num::NonZeroUsize,
+}
+
+/// A model with one worker.
+pub(super) struct Running {
+    pool: Arc<Pool>,
+    clock: SharedClock,
+    host: HostId,
+}
+
+impl Running {
+    /// Loads the model, which runs it on zeros once.
+    pub(super) fn load(found: &Found, options: &Options) -> Result<Self, Failure> {
+        let clock =
+            clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
+        let mut config = found.configuration(&options.device);
+        config.intra_threads = options.intra_threads;
+        let bank =
+            Bank::new(vec![ModelConfig::Onnx(config)], OnnxRuntimeConfig::default(), Arc::clone(&clock));
+        if let Some((_, error)) = bank.check().into_iter().next() {
+            return Err(failure(error));
+        }
+        let pool = bank.load(&found.name, None).map_err(failure)?;
+        Ok(Self { pool, clock, host: HostId::random() })
+    }
+
+    /// The model.
+    pub(super) fn pool(&self) -> &Pool {
+        &self.pool
+    }
+
+    /// This machine's clock.
+    pub(super) fn clock(&self) -> &SharedClock {
+        &self.clock
+    }
+
+    /// The answer to a sample and what was timed on the way.
+    pub(super) fn infer(&self, sample: Sample) -> (Result<Sample, InferenceError>, Tree) {
+        let (sender, receiver) = sync_channel(1);
+        // Nobody listens any more only when this function has ended by a panic.
+        let reply = Box::new(move |done| drop(sender.send(done)));
+        let log = Recorder::begin(Arc::clone(&self.clock), self.host);
+        let received = self.clock.mono();
+        if let Err(refused) = self.pool.submit(Job { sample, log, received, reply }) {
+            return (Err(refused.reason), refused.job.log.finish());
+        }
+        match receiver.recv() {
+            Ok(done) => (done.result, done.log.finish()),
+            Err(_) => {
+                let reason = "its thread dropped the sample".to_owned();
+                let log = Recorder::begin(Arc::clone(&self.clock), self.host);
+                let model = self.pool.name().to_string();
+                (Err(InferenceError::Failed { model, reason }), log.finish())
+            }
+        }
+    }
+}

@@ -1,0 +1,70 @@
+//! `peernet models show`
+
+use crate::exit::Failure;
+use crate::output::say;
+use crate::short::plain;
+use peernet_report::number;
+use serde_json::json;
+
+use super::{Wanted, failure, other_file};
+
+/// Labels that are shown of many.
+const LABELS: usize = 8;
+
+/// What `peernet models show` can be told.
+#[derive(Debug, clap::Args)]
+pub(super) struct Arguments {
+    #[command(flatten)]
+    wanted: Wanted,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let found = arguments.wanted.find()?;
+    let hash = found.hash().map_err(failure)?;
+    let (name, folder) = (found.name, found.folder);
+    let card = found.card.map_err(failure)?;
+    let other_file = other_file(&card, &hash);
+    let size = std::fs::metadata(folder.join("model.onnx")).map_or(0, |known| known.len());
+    if arguments.json {
+        say(
+            json!({ "model": name.to_string(), "folder": folder.display().to_string(), "bytes": size, "sha256": hash, "card": card }),
+        );
+        return Ok(());
+    }
+    let first: Vec<&str> = card.labels.iter().take(LABELS).map(String::as_str).collect();
+    let more = if card.labels.len() > LABELS { ", …" } else { "" };
+    let mut lines = vec![
+        ("model".to_owned(), name.to_string()),
+        ("folder".to_owned(), plain(&folder.display().to_string()).into_owned()),
+        ("name".to_owned(), format!("{} {}", card.name, card.version)),
+        ("what it does".to_owned(), card.description),
+        ("task".to_owned(), card.task),
+        ("input".to_owned(), card.input),
+    ];
+    lines.extend(card.preprocessing.into_iter().map(|step| ("  then".to_owned(), step)));
+    lines.extend([
+        ("output".to_owned(), card.output),
+        ("labels".to_owned(), format!("{}{more}", first.join(", "))),
+        ("model.onnx".to_owned(), number::bytes(size as f64)),
+        ("SHA-256".to_owned(), hash),
+    ]);
+    // Of the hash only what is wrong with it.
+    lines.extend(card.provenance.into_iter().filter(|(key, _)| key != "sha256").map(explained));
+    lines.extend(other_file.map(|text| ("but".to_owned(), text)));
+    for (key, value) in lines.iter().filter(|(_, value)| !value.trim().is_empty()) {
+        let value = value.lines().map(str::trim).collect::<Vec<_>>().join(" ");
+        say(format_args!("{:<14}{}", plain(key), plain(value.trim())));
+    }
+    Ok(())
+}
+
+/// Says what the card's accuracy is of.
+fn explained((key, value): (String, String)) -> (String, String) {
+    if key != "accuracy" {
+        return (key, value);
+    }
+    (key, format!("{value} of samples kept out of training are answered rightly, by the card's account"))
+}

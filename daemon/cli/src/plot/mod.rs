@@ -1,0 +1,188 @@
+//! `peernet plot`: results as figures.
+
+mod places;
+
+use std::path::{Path, PathBuf};
+
+use crate::exit::{Exit, Failure};
+use crate::output::{complain, say};
+use anyhow::anyhow;
+use clap::ValueEnum;
+use peernet_report::figures::{self, Columns, PlotError};
+use peernet_report::number::counted;
+use peernet_report::results::Loaded;
+
+use crate::compare::{Collected, collect, distinct};
+use places::Places;
+
+/// What `peernet plot` can be told.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Arguments {
+    /// Folders of results; folders that hold some, at any depth, such as an experiment's; or files of rows (data.csv),
+    /// those of the published program as well.
+    #[arg(required = true, value_name = "RUN|DIR")]
+    runs: Vec<PathBuf>,
+    /// Which figures to draw.
+    #[arg(long, value_enum, default_value_t = Kind::All)]
+    kind: Kind,
+    /// The folder that they are written to; with several runs, those of each go to a folder in it [default: beside the
+    /// results: a run's in its folder, those of several runs in the folder that was named, or if several were, in the
+    /// current one].
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Column of data.csv along the horizontal axis: the length for --kind length (else tokens, or download-bytes); for
+    /// --kind histograms the one column to draw.
+    #[arg(long, value_name = "COLUMN")]
+    x: Option<String>,
+    /// Column of data.csv along the vertical axis, for --kind length and --kind paired: a latency (else inference).
+    #[arg(long, value_name = "COLUMN")]
+    y: Option<String>,
+}
+
+/// Which figures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Kind {
+    /// All for which there is data.
+    All,
+    /// Of each run: the six of the published program, sensing-time to download-throughput.
+    Histograms,
+    /// Of all runs: what the stages add up to, a bar for each configuration.
+    Stacked,
+    /// Of all runs: top-1 accuracy of each configuration against its latency.
+    Accuracy,
+    /// Of all runs: each model's inference here and there.
+    Paired,
+    /// Of all runs: latency and throughput against payload, with fit and intercept.
+    Payload,
+    /// Of all runs: latency and fairness against the number of edges that share one cloud.
+    Users,
+    /// Of each run: response length against latency.
+    Length,
+    /// Of each run: total and stages over time.
+    Series,
+}
+
+impl Kind {
+    fn drawn(self) -> Vec<figures::Kind> {
+        match self {
+            Self::All => figures::Kind::ALL.to_vec(),
+            Self::Histograms => vec![figures::Kind::Histograms],
+            Self::Stacked => vec![figures::Kind::Stacked],
+            Self::Accuracy => vec![figures::Kind::Accuracy],
+            Self::Paired => vec![figures::Kind::Paired],
+            Self::Payload => vec![figures::Kind::Payload],
+            Self::Users => vec![figures::Kind::Users],
+            Self::Length => vec![figures::Kind::Length],
+            Self::Series => vec![figures::Kind::Series],
+        }
+    }
+}
+
+/// Draws the figures and says where they are.
+///
+/// # Errors
+/// When there are no results (66), they cannot be read or lack what the kind shows (65), an option has no meaning for the
+/// kind (64), or a file cannot be written (73).
+pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    check(arguments)?;
+    let named = distinct(&arguments.runs);
+    let Collected { runs, .. } = collect(&named, None, &|_| true)?;
+    let places = Places::of(&named, &runs, arguments.out.as_deref());
+    let columns = Columns { x: arguments.x.clone(), y: arguments.y.clone() };
+    let mut lacking = Vec::new();
+    let mut files = Vec::new();
+    let mut one = |kind: figures::Kind, runs: &[Loaded], folder: &Path| -> Result<(), Failure> {
+        match figures::draw(kind, runs, &columns, folder) {
+            Ok(written) => {
+                written.missing.iter().for_each(complain);
+                files.extend(written.files);
+            }
+            Err(error @ PlotError::Lacking(..)) => lacking.push((folder.to_owned(), error)),
+            Err(error) => return Err(Failure::new(Exit::Unwritten, error)),
+        }
+        Ok(())
+    };
+    for kind in arguments.kind.drawn() {
+        if kind.is_of_one_run() {
+            for (run, folder) in runs.iter().zip(&places.runs) {
+                one(kind, std::slice::from_ref(run), folder)?;
+            }
+        } else if arguments.kind != Kind::All || kind.is_worth_drawing(&runs) {
+            one(kind, &runs, &places.together)?;
+        }
+    }
+    if arguments.kind == Kind::All {
+        // Of all kinds some never are.
+        lacking.retain(|(_, error)| matches!(error, PlotError::Lacking(kind, _) if kind.is_expected()));
+    } else if let (true, Some(reasons)) = (files.is_empty(), reasons(&lacking)) {
+        // One kind was asked for and is not there: a failure.
+        return Err(Failure::new(Exit::Data, anyhow!("{reasons}")));
+    }
+    lacking.iter().for_each(|(folder, error)| complain(format_args!("{}: {error}", folder.display())));
+    files.iter().for_each(|file| say(file.display()));
+    Ok(())
+}
+
+/// Why nothing was drawn: of several runs each reason once, with how many have it. `None` where there is none.
+fn reasons(lacking: &[(PathBuf, PlotError)]) -> Option<String> {
+    let mut reasons: Vec<(String, usize)> = Vec::new();
+    for (_, error) in lacking {
+        let reason = error.to_string();
+        match reasons.iter_mut().find(|(known, _)| *known == reason) {
+            Some((_, count)) => *count += 1,
+            None => reasons.push((reason, 1)),
+        }
+    }
+    if let [(reason, _)] = reasons.as_slice() {
+        return Some(reason.clone());
+    }
+    let told = reasons.iter().map(|(reason, count)| format!("{}: {reason}", counted(*count as u64, "run")));
+    (!reasons.is_empty()).then(|| told.collect::<Vec<_>>().join("; "))
+}
+
+/// Whether the options have a meaning together.
+fn check(arguments: &Arguments) -> Result<(), Failure> {
+    let usage = |text: &str| Err(Failure::new(Exit::Usage, anyhow!("{text}")));
+    match arguments.kind {
+        Kind::Length => Ok(()),
+        Kind::Paired if arguments.x.is_none() => Ok(()),
+        Kind::Histograms if arguments.y.is_none() => Ok(()),
+        _ if arguments.x.is_none() && arguments.y.is_none() => Ok(()),
+        _ => usage(
+            "--x is for --kind length and --kind histograms, --y for --kind length and --kind paired: name the kind",
+        ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn where_nothing_can_be_drawn_nothing_is_made() {
+        let folder = tempfile::tempdir().expect("a folder");
+        std::fs::write(folder.path().join("data.csv"), "iteration,sensing\n1,0.5\n2,0.5\n")
+            .expect("writable");
+        let out = folder.path().join("out");
+        for kind in [Kind::Accuracy, Kind::Payload, Kind::Users, Kind::Length] {
+            let runs = vec![folder.path().to_owned()];
+            let failure = run(&Arguments { runs, kind, out: Some(out.clone()), x: None, y: None });
+            assert_eq!(failure.map_err(|failure| failure.exit), Err(Exit::Data), "{kind:?}");
+            assert!(!out.exists(), "{kind:?}");
+        }
+    }
+
+    #[test]
+    fn of_several_runs_each_reason_is_told() {
+        let lacking = |reasons: &[&str]| -> Vec<(PathBuf, PlotError)> {
+            let error = |reason: &&str| PlotError::Lacking(figures::Kind::Length, (*reason).to_owned());
+            reasons.iter().map(|reason| (PathBuf::new(), error(reason))).collect()
+        };
+        assert_eq!(reasons(&[]), None);
+        assert_eq!(reasons(&lacking(&["no n", "no n"])).as_deref(), Some("cannot draw length: no n"));
+        assert_eq!(
+            reasons(&lacking(&["no n", "one length", "one length"])).as_deref(),
+            Some("1 run: cannot draw length: no n; 2 runs: cannot draw length: one length")
+        );
+    }
+}

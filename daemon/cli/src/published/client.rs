@@ -1,0 +1,116 @@
+//! `peernet --client`: senses, asks the server, writes the results.
+
+use std::path::PathBuf;
+
+use crate::clock;
+use crate::exit::{Exit, Failure};
+use crate::output::{complain, say};
+use crate::short::plain;
+use anyhow::Context;
+use peernet_agent::config::{HostConfig, PipelineConfig};
+use peernet_clock::ClockIdentity;
+use peernet_networks::Address;
+use peernet_report::results::{Overwrite, Summary};
+use serde_json::json;
+
+use super::bar::Bar;
+use super::devices::Devices;
+use super::{Arguments, sensor};
+use crate::foreground::{tables, typed, where_seen};
+use crate::measure::{Home, Measured, Order, measure, undelivered};
+
+/// Iterations that the published plots drop.
+const WARM_UP: u64 = 5;
+/// How long to wait for an answer: the largest model on a slow processor takes its time. Milliseconds.
+const TIMEOUT_MS: u64 = 60_000;
+/// How long connecting may take, in which the server may load its model. Milliseconds.
+const OPEN_TIMEOUT_MS: u64 = 60_000;
+/// Where results go that nobody gave a place.
+const RESULTS: &str = "results";
+
+/// Measures and writes the results.
+///
+/// # Errors
+/// Those of [`measure`]; when the data set is not there (66); when some iterations have no answer (75) or the user ended
+/// it early (130).
+pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failure> {
+    let order = order(arguments, devices)?;
+    let clock =
+        clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
+    let measured = measure(&order, &mut Bar::new(arguments.quiet, clock))?;
+    tell(&measured);
+    if let Some(aggregator) = &arguments.aggregator {
+        tell_streamed(&order.agent.agent, arguments, aggregator)?;
+    }
+    measured.failure().map_or(Ok(()), Err)
+}
+
+/// What is to be measured.
+fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
+    let (sensor, transforms) = sensor::of(arguments)?;
+    let pipeline = json!({
+        "name": arguments.name,
+        "sensor": sensor,
+        "transforms": transforms,
+        "placement": {
+            "kind": "remote",
+            "peer": devices.address,
+            "network": arguments.network,
+            "session": { "open_timeout_ms": OPEN_TIMEOUT_MS },
+        },
+        "load": { "mode": "closed" },
+        "timeout_ms": TIMEOUT_MS,
+        "warm_up": { "iterations": WARM_UP },
+        "limit": { "total": arguments.iterations },
+    });
+    let pipeline: PipelineConfig = serde_json::from_value(pipeline)
+        .context("cannot set up the pipeline")
+        .map_err(|error| Failure::new(Exit::Software, error))?;
+    let mut agent = tables(arguments.config.as_deref())?;
+    agent.agent.name = Some(arguments.name.clone());
+    agent.agent.aggregator.clone_from(&arguments.aggregator);
+    agent.pipelines = vec![pipeline];
+    let (folder, overwrite) = match (&arguments.result_loc, arguments.overwrite) {
+        (folder, true) => (folder.clone(), Overwrite::Replace),
+        (Some(folder), false) => (Some(folder.clone()), Overwrite::Refuse),
+        (None, false) => (None, Overwrite::Subfolder),
+    };
+    Ok(Order {
+        agent,
+        title: format!("{} → {}, {}", arguments.name, devices.server, arguments.network.name()),
+        folder: folder.unwrap_or_else(|| PathBuf::from(RESULTS)),
+        overwrite,
+        plots: arguments.generate_plots,
+        command: typed(),
+        network_config: Some(devices.config.clone()),
+        user: None,
+        warm_up: format!("the first {WARM_UP} iterations"),
+        patience_s: Some(arguments.patience),
+    })
+}
+
+/// Says what came of it, and where it is.
+fn tell(measured: &Measured) {
+    say(Summary::of(&measured.rows).about(&measured.record).text());
+    if let Some(trust) = &measured.record.trust {
+        say(format_args!("\n{}", trust.text()));
+    }
+    let files: Vec<_> = measured.files.iter().filter_map(|path| path.file_name()?.to_str()).collect();
+    let folder = measured.folder.display().to_string();
+    say(format_args!("\n{}: {}", plain(&folder), files.join(", ")));
+}
+
+/// Says where the run is seen that was streamed as well, and what aggregators have not taken, of this run or of others.
+fn tell_streamed(agent: &HostConfig, arguments: &Arguments, aggregator: &Address) -> Result<(), Failure> {
+    let home = Home::of(agent)?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+    let runtime = runtime
+        .context("cannot start the runtime")
+        .map_err(|error| Failure::new(Exit::Unavailable, error))?;
+    let waiting = runtime.block_on(undelivered(home.folder()));
+    let name = &arguments.name;
+    let has_all = !waiting.iter().any(|waiting| waiting.is_for(aggregator));
+    say(where_seen(format_args!("host {name}, pipeline {name},"), aggregator, has_all));
+    waiting.iter().for_each(complain);
+    Ok(())
+}

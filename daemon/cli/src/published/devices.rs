@@ -1,0 +1,189 @@
+//! The network configuration: who is where, and who serves.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use crate::exit::{Exit, Failure};
+use crate::output::complain;
+use crate::small_file;
+use anyhow::{Context, anyhow};
+use peernet_logger::Slug;
+use peernet_networks::Address;
+use peernet_report::results::NetworkConfig;
+use serde::Deserialize;
+use serde::de::IgnoredAny;
+
+use crate::address::{DEFAULT_PORT, address};
+
+/// The file, as published.
+#[derive(Debug, Deserialize)]
+struct File {
+    devices: BTreeMap<String, String>,
+    server: Option<String>,
+    start_port: Option<u16>,
+    #[serde(flatten)]
+    other: BTreeMap<String, IgnoredAny>,
+}
+
+impl File {
+    fn read(text: &str, file: &str) -> anyhow::Result<Self> {
+        let read: Self = serde_saphyr::from_str(text).map_err(|error| anyhow!("{file}: {error}"))?;
+        if !read.other.is_empty() {
+            let keys: Vec<&str> = read.other.keys().map(String::as_str).collect();
+            complain(format_args!(
+                "{file}: passing over {}; there is devices, server and start_port",
+                keys.join(", ")
+            ));
+        }
+        Ok(read)
+    }
+
+    /// Where the device `name` listens, which is said to be `at`.
+    fn address(&self, name: &str, at: &str) -> Result<Address, String> {
+        let address = address(at, self.start_port.unwrap_or(DEFAULT_PORT))
+            .map_err(|problem| format!("{at:?} is no address of the device {name}: {problem}"))?;
+        if address.port() == 0 {
+            return Err(format!(
+                "the device {name} has port 0, at which nobody could ask it: give start_port a number from 1"
+            ));
+        }
+        Ok(address)
+    }
+}
+
+/// Where each device of the file listens, whoever serves; and the file.
+///
+/// # Errors
+/// When the file cannot be read (66) or does not say what it must (78).
+pub(crate) fn addresses(path: &Path) -> Result<(BTreeMap<String, Address>, NetworkConfig), Failure> {
+    let (file, text) = (path.display().to_string(), text(path)?);
+    let wrong = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
+    let read = File::read(&text, &file).map_err(wrong)?;
+    let addresses = read.devices.iter().map(|(name, at)| Ok((name.clone(), read.address(name, at)?)));
+    let addresses = addresses.collect::<Result<_, String>>();
+    let addresses = addresses.map_err(|problem| wrong(anyhow!("{file}: {problem}")))?;
+    Ok((addresses, NetworkConfig { file, text }))
+}
+
+fn text(path: &Path) -> Result<String, Failure> {
+    small_file::read(path, small_file::LARGEST)
+        .with_context(|| format!("cannot read the network configuration {}", path.display()))
+        .map_err(|error| Failure::new(Exit::NoInput, error))
+}
+
+/// Who is where, and who serves.
+#[derive(Debug)]
+pub(super) struct Devices {
+    /// The one that serves.
+    pub(super) server: String,
+    /// Its address.
+    pub(super) address: Address,
+    /// The file.
+    pub(super) config: NetworkConfig,
+    known: Vec<String>,
+}
+
+impl Devices {
+    /// Reads the file.
+    ///
+    /// # Errors
+    /// When it cannot be read (66) or does not say what it must (78).
+    pub(super) fn read(path: &Path) -> Result<Self, Failure> {
+        let file = path.display().to_string();
+        let text = text(path)?;
+        Self::parse(&text, &file).map_err(|error| Failure::new(Exit::Configuration, error))
+    }
+
+    fn parse(text: &str, file: &str) -> anyhow::Result<Self> {
+        let read = File::read(text, file)?;
+        let known: Vec<String> = read.devices.keys().cloned().collect();
+        let server = read.server.clone().ok_or_else(|| {
+            anyhow!("{file} does not say who serves; add a line server: with the name of a device")
+        })?;
+        let at = read.devices.get(&server).ok_or_else(|| {
+            anyhow!("{file}: the server {server} is none of its devices; there is {}", listed(&known))
+        })?;
+        let address = read.address(&server, at).map_err(|problem| anyhow!("{file}: {problem}"))?;
+        let config = NetworkConfig { file: file.to_owned(), text: text.to_owned() };
+        Ok(Self { server, address, config, known })
+    }
+
+    /// Checks that this device may be started in this role.
+    ///
+    /// # Errors
+    /// When it is not in the file, or the file has the roles the other way round (78).
+    pub(super) fn check(&self, name: &Slug, serves: bool) -> Result<(), Failure> {
+        let (file, server) = (&self.config.file, &self.server);
+        let wrong = |text: String| Err(Failure::new(Exit::Configuration, anyhow!("{text}")));
+        if !self.known.iter().any(|known| known == name.as_str()) {
+            return wrong(format!(
+                "{file} has no device {name}; there is {}: use one of them as --name, or add it",
+                listed(&self.known)
+            ));
+        }
+        match (serves, server == name.as_str()) {
+            (true, false) => wrong(format!(
+                "{file} says that {server} serves, not {name}: clients would ask there; change its line server:, or start this device with --client"
+            )),
+            (false, true) => wrong(format!(
+                "{file} says that {name} serves: start it with --server, or change the line server:"
+            )),
+            _ => Ok(()),
+        }
+    }
+}
+
+fn listed(known: &[String]) -> String {
+    if known.is_empty() { "no device at all".to_owned() } else { known.join(", ") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PUBLISHED: &str = "\
+devices:
+  jetson-orin: 192.168.1.20
+  cluster: cluster.lab.example
+server: cluster
+";
+
+    fn wrong(text: &str) -> String {
+        Devices::parse(text, "net.yaml").expect_err("something is wrong").to_string()
+    }
+
+    #[test]
+    fn the_published_file_is_read() {
+        let devices = Devices::parse(PUBLISHED, "net.yaml").expect("reads");
+        assert_eq!(devices.address.to_string(), "tcp://cluster.lab.example:5551");
+        let text = format!("{PUBLISHED}start_port: 6000\nsomething: [1, 2]\n");
+        let devices = Devices::parse(&text, "net.yaml").expect("reads");
+        assert_eq!(devices.address.to_string(), "tcp://cluster.lab.example:6000");
+    }
+
+    #[test]
+    fn who_may_be_started_how() {
+        let devices = Devices::parse(PUBLISHED, "net.yaml").expect("reads");
+        let check = |name: &str, serves| {
+            let name = name.parse().expect("a name");
+            devices.check(&name, serves).map_err(|failure| failure.to_string())
+        };
+        assert_eq!((check("cluster", true), check("jetson-orin", false)), (Ok(()), Ok(())));
+        let unknown = check("jetson", false).expect_err("not there");
+        assert!(
+            unknown.contains("no device jetson") && unknown.contains("cluster, jetson-orin"),
+            "{unknown}"
+        );
+        assert!(check("jetson-orin", true).expect_err("a client").contains("cluster serves"));
+        assert!(check("cluster", false).expect_err("a server").contains("--server"));
+    }
+
+    #[test]
+    fn what_is_missing_is_told() {
+        assert!(wrong("devices: {a: 10.0.0.1}").contains("server:"));
+        assert!(wrong("devices: {a: 10.0.0.1}\nserver: b").contains("there is a"));
+        assert!(wrong("server: b").contains("devices"));
+        assert!(wrong("devices: {a: 'x y'}\nserver: a").contains("no address"));
+        assert!(wrong("devices: [").contains("net.yaml"));
+    }
+}

@@ -1,0 +1,49 @@
+//! The published commands: `peernet --server …` on the device that serves, `peernet --client …` on the one that senses.
+//!
+//! The same pipeline code as the daemon's, in the foreground, set up by the published options.
+
+mod arguments;
+mod bar;
+mod client;
+mod devices;
+mod encoding;
+mod model;
+mod sensor;
+mod server;
+mod serving;
+
+pub(crate) use arguments::Arguments;
+pub(crate) use devices::addresses;
+
+use crate::exit::{Exit, Failure};
+use crate::output::complain;
+use anyhow::anyhow;
+
+use devices::Devices;
+
+use crate::foreground::{Shows, listen};
+
+/// Serves or measures, as the options say.
+///
+/// # Errors
+/// Each kind with its exit code: `docs/cli.md`.
+pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let devices = Devices::read(&arguments.network_config)?;
+    let serves = !arguments.client;
+    devices.check(&arguments.name, serves)?;
+    complain(
+        "plain mode: nothing is encrypted and nobody is asked for a password; use it in networks that you trust",
+    );
+    listen(Shows::Itself)?;
+    if serves { server::run(arguments, &devices) } else { client::run(arguments, &devices) }
+}
+
+/// The command of `exec:COMMAND`; `None` of what is not written so.
+fn program(wanted: &str) -> Result<Option<&str>, Failure> {
+    match wanted.strip_prefix("exec:") {
+        Some(command) if command.trim().is_empty() => {
+            Err(Failure::new(Exit::Usage, anyhow!("{wanted:?} names no program: write exec:COMMAND")))
+        }
+        command => Ok(command),
+    }
+}

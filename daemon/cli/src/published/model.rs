@@ -1,0 +1,130 @@
+//! What the server serves.
+
+use crate::clock;
+use crate::exit::{Exit, Failure};
+use anyhow::anyhow;
+use peernet_clock::{ClockIdentity, SharedClock};
+use peernet_inference::bank::Folders;
+use peernet_inference::{Bank, LoadError, ModelConfig, OnnxRuntimeConfig};
+use peernet_logger::Slug;
+use serde_json::{Value, json};
+
+use super::Arguments;
+
+/// What a model of the bank runs on unless something else is said: the published default.
+const DEVICE: &str = "cuda:0";
+
+/// The model, with its files and its device checked.
+///
+/// # Errors
+/// When it is not there (66), or cannot run on this device (69).
+pub(super) fn of(arguments: &Arguments, runtime: &OnnxRuntimeConfig) -> Result<ModelConfig, Failure> {
+    let config = configuration(arguments)?;
+    let clock =
+        clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
+    match check(&config, runtime, clock) {
+        None => Ok(config),
+        Some(error) => Err(failure(error)),
+    }
+}
+
+fn configuration(arguments: &Arguments) -> Result<ModelConfig, Failure> {
+    let (wanted, given) = (arguments.model_name.as_str(), arguments.device.as_deref());
+    if wanted == "dummy" {
+        return read(json!({ "kind": "sleep", "name": wanted }));
+    }
+    if wanted == "echo" {
+        return read(json!({ "kind": "echo", "name": wanted }));
+    }
+    let device = device(given.unwrap_or(DEVICE));
+    // A user's own program or object is run because this very command line names it.
+    let mut external = match super::program(wanted)? {
+        Some(command) => json!({ "kind": "exec", "name": slug(program_of(command)), "command": command }),
+        None if wanted.contains("::") => json!({
+            "kind": "python", "name": slug(wanted), "object": wanted, "pickle": arguments.pickle,
+        }),
+        None => {
+            let found = Folders::search(&arguments.models_dir).find(wanted);
+            let found = found.map_err(|error| Failure::new(Exit::NoInput, error))?;
+            return Ok(ModelConfig::Onnx(found.configuration(device)));
+        }
+    };
+    if given.is_some() {
+        external["device"] = device.into();
+    }
+    read(external)
+}
+
+/// The name of a device, as the bank has it.
+fn device(given: &str) -> &str {
+    match given {
+        "cuda" => "cuda:0",
+        "tensorrt" => "tensorrt:0",
+        other => other,
+    }
+}
+
+fn check(config: &ModelConfig, runtime: &OnnxRuntimeConfig, clock: SharedClock) -> Option<LoadError> {
+    let bank = Bank::new(vec![config.clone()], runtime.clone(), clock);
+    bank.check().into_iter().next().map(|(_, error)| error)
+}
+
+/// What went wrong, with the way out that the published default often needs.
+pub(super) fn failure(error: LoadError) -> Failure {
+    let exit = match &error {
+        error if error.is_missing() => Exit::NoInput,
+        error if error.is_misnamed() => Exit::Usage,
+        LoadError::NoSuchDevice(_) | LoadError::TooMuch { .. } => Exit::Usage,
+        _ => Exit::Unavailable,
+    };
+    if let LoadError::NoProvider { device, .. } | LoadError::Session { device, .. } = &error
+        && device != "cpu"
+    {
+        return Failure::new(exit, anyhow!("{error}; --device cpu computes on the processor"));
+    }
+    Failure::new(exit, error)
+}
+
+/// The program of a command, whose arguments may be secret and so stand in no name.
+fn program_of(command: &str) -> &str {
+    let program = command.split_ascii_whitespace().next().unwrap_or(command);
+    if program.contains('=') { "sh" } else { program }
+}
+
+/// A name that can stand in results and on pages: `my_model::Net` becomes `my_model-Net`.
+fn slug(text: &str) -> String {
+    let mut name = String::new();
+    for char in text.chars() {
+        let char = if char.is_ascii_alphanumeric() || "._-".contains(char) { char } else { '-' };
+        if char != '-' || !name.ends_with('-') {
+            name.push(char);
+        }
+    }
+    let name = name.trim_matches(|char: char| !char.is_ascii_alphanumeric());
+    let name: String = name.chars().take(64).collect();
+    if name.parse::<Slug>().is_ok() { name } else { "model".to_owned() }
+}
+
+fn read(config: Value) -> Result<ModelConfig, Failure> {
+    serde_json::from_value(config).map_err(|error| Failure::new(Exit::Usage, error))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_objects_and_commands_become_names_of_models() {
+        let text = ["my_model::Net", program_of("./infer --token x"), "::", &"x".repeat(80)].map(slug);
+        assert_eq!(text, ["my_model-Net", "infer", "model", &"x".repeat(64)]);
+        assert_eq!(program_of("TOKEN=x ./infer"), "sh");
+    }
+
+    #[test]
+    fn devices_have_numbers() {
+        assert_eq!(
+            ["cpu", "cuda", "cuda:6", "tensorrt"].map(device),
+            ["cpu", "cuda:0", "cuda:6", "tensorrt:0"]
+        );
+    }
+}

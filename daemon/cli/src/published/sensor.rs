@@ -1,0 +1,123 @@
+//! What the client senses.
+
+use crate::clock;
+use crate::exit::{Exit, Failure};
+use anyhow::anyhow;
+use peernet_clock::ClockIdentity;
+use peernet_sensors::{SensorConfig, SensorError, TransformConfig};
+use serde_json::{Value, json};
+
+use super::Arguments;
+
+/// What the client senses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum SensorType {
+    /// A picture, or those of a folder.
+    Image,
+    /// Random text.
+    Text,
+    /// The user's own object or program.
+    External,
+    /// Random bytes.
+    Synthetic,
+}
+
+impl SensorType {
+    pub(super) fn read(text: &str) -> Result<Self, String> {
+        match text {
+            "image" => Ok(Self::Image),
+            "random string" => Ok(Self::Text),
+            "external" => Ok(Self::External),
+            "synthetic" => Ok(Self::Synthetic),
+            _ => Err("there is image, \"random string\", external and synthetic".to_owned()),
+        }
+    }
+}
+
+/// The sensor and what is done with its samples.
+///
+/// # Errors
+/// When an option is missing (64), or the data set is not there (66).
+pub(super) fn of(arguments: &Arguments) -> Result<(SensorConfig, Vec<TransformConfig>), Failure> {
+    let missing = |text: &str| Failure::new(Exit::Usage, anyhow!("{text}"));
+    // Naming an object is asking for it.
+    let kind = match (&arguments.sensor_object, arguments.sensor_type) {
+        (Some(_), SensorType::Image) => SensorType::External,
+        (_, kind) => kind,
+    };
+    let size = arguments.text_size;
+    let (config, transforms) = match kind {
+        SensorType::Image => {
+            let path = arguments.dataset_loc.as_deref().ok_or_else(|| {
+                missing("the sensor image needs --dataset-loc: a picture or a folder of pictures")
+            })?;
+            let path = path.to_str().ok_or_else(|| {
+                let path = path.display();
+                missing(&format!("--dataset-loc {path}: run.json cannot hold a name that is not UTF-8; rename it, or name a link to it"))
+            })?;
+            (read(json!({ "kind": "images", "path": path }))?, arguments.encoding.transforms())
+        }
+        SensorType::Synthetic => (read(json!({ "kind": "synthetic", "size_bytes": size }))?, Vec::new()),
+        SensorType::Text => (read(json!({ "kind": "text", "length": size }))?, Vec::new()),
+        SensorType::External => {
+            let object = arguments.sensor_object.as_deref().ok_or_else(|| {
+                missing("the sensor external needs --sensor-object: module::object or exec:COMMAND")
+            })?;
+            (external(object, arguments.pickle)?, Vec::new())
+        }
+    };
+    Ok((checked(config)?, transforms))
+}
+
+/// A sensor that is there.
+fn checked(config: SensorConfig) -> Result<SensorConfig, Failure> {
+    let clock =
+        clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
+    peernet_sensors::check(&config, &clock).map_err(|error| {
+        let is_typed = error.is_misnamed() || matches!(error, SensorError::Config(_));
+        let exit = if is_typed { Exit::Usage } else { Exit::NoInput };
+        Failure::new(exit, error)
+    })?;
+    Ok(config)
+}
+
+/// A user's own object or program, which is to be run because this very command line names it.
+fn external(object: &str, pickle: bool) -> Result<SensorConfig, Failure> {
+    let config = match super::program(object)? {
+        Some(command) => json!({ "kind": "exec", "command": command }),
+        None => json!({ "kind": "python", "object": object, "pickle": pickle }),
+    };
+    read(config)
+}
+
+fn read(config: Value) -> Result<SensorConfig, Failure> {
+    serde_json::from_value(config).map_err(|error| Failure::new(Exit::Usage, error))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::ffi::OsString;
+    use std::os::unix::ffi::OsStringExt;
+
+    use clap::Parser;
+
+    use super::*;
+    use crate::Line;
+
+    #[test]
+    fn what_cannot_be_a_sensor_by_its_options_alone_is_a_wrong_command_line() {
+        let refused = |words: [OsString; 2]| {
+            let line = "peernet --client --name a --network-config b.yaml --iterations 7 --sensor-type";
+            let kind = if words[0] == "--text-size" { "random string" } else { "image" };
+            let words = line.split(' ').map(OsString::from).chain([kind.into()]).chain(words);
+            let line = Line::try_parse_from(words).expect("a published command line");
+            let failure = of(&line.published.expect("its options")).expect_err("refused");
+            (failure.exit, failure.to_string())
+        };
+        let (exit, told) = refused(["--dataset-loc".into(), OsString::from_vec(b"pic\xff".to_vec())]);
+        assert!(exit == Exit::Usage && told.contains("not UTF-8"), "{told}");
+        let (exit, told) = refused(["--text-size".into(), "99999999999999".into()]);
+        assert!(exit == Exit::Usage && told.contains("lower its length"), "{told}");
+        assert_eq!(refused(["--dataset-loc".into(), "nowhere".into()]).0, Exit::NoInput);
+    }
+}

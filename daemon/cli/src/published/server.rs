@@ -1,0 +1,67 @@
+//! `peernet --server`: serves one model, and ends after so many answers.
+
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
+
+use crate::exit::{Exit, Failure};
+use crate::output::complain;
+use anyhow::anyhow;
+use peernet_agent::config::ServeConfig;
+use peernet_networks::Address;
+
+use super::devices::Devices;
+use super::serving::Serving;
+use super::{Arguments, model};
+use crate::foreground::{Ended, Ready, tables};
+use crate::measure::Home;
+
+/// Serves until there were so many answers or no more will be asked for, or Ctrl-C.
+///
+/// # Errors
+/// When the model is not there (66), cannot run (69), or the port is taken (69); when clients have ended their runs and
+/// not asked for all (75); when the user ended it early (130).
+pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failure> {
+    let mut config = tables(arguments.config.as_deref())?;
+    let model = model::of(arguments, &config.onnxruntime)?;
+    let name = model.name().clone();
+    config.agent.name = Some(arguments.name.clone());
+    config.serve = Some(ServeConfig {
+        listen: everywhere(&devices.address),
+        network: arguments.network,
+        ..ServeConfig::default()
+    });
+    config.bank.folders.clear();
+    config.models = vec![model];
+    let home = Home::of(&config.agent)?;
+    home.house(&mut config)?;
+    let ready = Ready::new(config)?;
+    let mut serving = Serving::new(name, arguments, ready.clock.clone());
+    let port = devices.address.port();
+    let watched = ready.watch(&mut serving).map_err(|Failure { exit, error }| {
+        let file = arguments.network_config.display();
+        Failure::new(exit, error.context(format!("cannot serve at port {port}, the start_port of {file}")))
+    })?;
+    if serving.answered() || matches!(watched.ended, Ended::Finished | Ended::Interrupted) {
+        complain(serving.summary());
+    }
+    match watched.ended {
+        Ended::Finished => match serving.shortfall() {
+            None => Ok(()),
+            Some(text) => Err(Failure::new(Exit::Incomplete, anyhow!("{text}"))),
+        },
+        Ended::Interrupted => {
+            Err(Failure::new(Exit::Interrupted, anyhow!("ended before all answers were given")))
+        }
+        Ended::Own(error) => Err(model::failure(error)),
+        Ended::Failed(reason) => Err(Failure::new(Exit::Software, anyhow!("{reason}"))),
+    }
+}
+
+/// All interfaces of this machine, at the port of the network configuration: its name for this device may be one that
+/// only the others know it by.
+fn everywhere(address: &Address) -> Address {
+    let ip = match address.host().trim_matches(['[', ']']).parse() {
+        Ok(IpAddr::V6(_)) => IpAddr::V6(Ipv6Addr::UNSPECIFIED),
+        _ => IpAddr::V4(Ipv4Addr::UNSPECIFIED),
+    };
+    Address::of_ip(ip, address.port())
+}

@@ -1,0 +1,221 @@
+//! `peernet recompute`
+
+use crate::exit::Failure;
+use crate::output::say;
+use peernet_report::number::{bound_milliseconds, decimals_within, fixed};
+use peernet_report::table::text;
+use serde::Deserialize;
+use serde_json::Value;
+
+use crate::api::Api;
+
+/// What `peernet recompute` can be told.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Arguments {
+    /// Number of the run, as on its page.
+    run: i64,
+    #[command(flatten)]
+    api: Api,
+    /// Print what the aggregator answers, as JSON in SI units.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Deserialize)]
+struct Recomputed {
+    samples: u64,
+    stages: Vec<Stage>,
+}
+
+/// What was told of the run when it began.
+#[derive(Debug, Deserialize)]
+struct Run {
+    facts: Vec<Fact>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Fact {
+    name: String,
+    value: String,
+}
+
+#[derive(Debug, Deserialize)]
+struct Stage {
+    stage: String,
+    before: Judgement,
+    after: Judgement,
+}
+
+#[derive(Debug, Deserialize)]
+struct Judgement {
+    delay: Option<Figures>,
+    half_width: Option<Figures>,
+    verdicts: Vec<VerdictCount>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Figures {
+    mean: f64,
+    std: Option<f64>,
+    p50: f64,
+    p95: Option<f64>,
+    max: f64,
+}
+
+#[derive(Debug, Deserialize)]
+struct VerdictCount {
+    verdict: String,
+    count: u64,
+}
+
+/// Prints the delays before and after, side by side.
+///
+/// # Errors
+/// When the aggregator does not answer, or has no such run.
+pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let path = format!("/api/v1/runs/{}/recomputed", arguments.run);
+    if arguments.json {
+        let answer: Value = arguments.api.compute(&path)?;
+        say(format_args!("{answer:#}"));
+        return Ok(());
+    }
+    let recomputed: Recomputed = arguments.api.compute(&path)?;
+    let run: Run = arguments.api.get(&format!("/api/v1/runs/{}", arguments.run))?;
+    say(describe(arguments.run, &recomputed));
+    if let Some(rehearsal) = rehearsal(&run.facts) {
+        say(format_args!(
+            "\nREHEARSAL: run {} was made with a clock that was wrong on purpose: {rehearsal}",
+            arguments.run
+        ));
+    }
+    Ok(())
+}
+
+/// Whose clock was made wrong on purpose and how, by the facts of a run; `None` for an ordinary run.
+fn rehearsal(facts: &[Fact]) -> Option<String> {
+    let whose = |name: &str| match name.strip_prefix("Rehearsal") {
+        Some("") => Some("the edge's".to_owned()),
+        Some(rest) => rest.strip_prefix(" of ").map(|cloud| format!("{cloud}'s")),
+        None => None,
+    };
+    let told: Vec<String> =
+        facts.iter().filter_map(|fact| Some(format!("{} ({})", whose(&fact.name)?, fact.value))).collect();
+    (!told.is_empty()).then(|| told.join(", "))
+}
+
+fn describe(run: i64, recomputed: &Recomputed) -> String {
+    let Recomputed { samples, stages } = recomputed;
+    if stages.is_empty() {
+        return format!("run {run} has no one-way delays: nothing of it travelled between two hosts");
+    }
+    let header = ["delay", "", "mean ± std ms", "median ms", "p95 ms", "bound ms", "verdicts"];
+    let rows: Vec<Vec<String>> = stages
+        .iter()
+        .flat_map(|Stage { stage, before, after }| {
+            let bounds =
+                [before, after].map(|judgement| judgement.half_width.as_ref().map(|width| width.p50));
+            let decimals = bounds.into_iter().map(decimals_within).max().unwrap_or_default();
+            [row(stage, "before", before, decimals), row("", "after", after, decimals)]
+        })
+        .collect();
+    let table = text(&header, &rows);
+    let clocks = match samples {
+        _ if is_exact(stages) => {
+            "both hosts read one clock, so that its delays are exact: there was nothing to learn".to_owned()
+        }
+        0 => "nothing was learnt of the two clocks that could be used".to_owned(),
+        samples => format!(
+            "computed again with {samples} seconds of what was learnt of the two clocks, during the run and after it"
+        ),
+    };
+    format!("{table}\n\nrun {run}: {clocks}; nothing stored was changed")
+}
+
+/// Whether no delay can be off at all.
+fn is_exact(stages: &[Stage]) -> bool {
+    let exact = |stage: &Stage| stage.after.half_width.as_ref().is_some_and(|width| width.max == 0.0);
+    stages.iter().all(exact)
+}
+
+fn row(stage: &str, when: &str, judgement: &Judgement, decimals: usize) -> Vec<String> {
+    let delay = judgement.delay.as_ref();
+    let milliseconds = |seconds: f64| fixed(seconds * 1e3, decimals);
+    let verdicts: Vec<String> = judgement
+        .verdicts
+        .iter()
+        .map(|VerdictCount { verdict, count }| format!("{count} {verdict}"))
+        .collect();
+    let spread = |figures: &Figures| match figures.std {
+        Some(std) => format!("{} ± {}", milliseconds(figures.mean), milliseconds(std)),
+        None => milliseconds(figures.mean),
+    };
+    vec![
+        stage.to_owned(),
+        when.to_owned(),
+        known(delay.map(spread)),
+        known(delay.map(|figures| milliseconds(figures.p50))),
+        known(delay.and_then(|figures| figures.p95).map(milliseconds)),
+        known(judgement.half_width.as_ref().map(|figures| bound_milliseconds(figures.p50))),
+        known(Some(verdicts.join(", ")).filter(|verdicts| !verdicts.is_empty())),
+    ]
+}
+
+fn known(figure: Option<String>) -> String {
+    figure.unwrap_or_else(|| "—".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn before_and_after_stand_side_by_side() {
+        let recomputed: Recomputed = serde_json::from_value(serde_json::json!({
+            "run": 7, "samples": 60,
+            "stages": [{
+                "stage": "upload",
+                "before": { "delay": null, "half_width": null, "verdicts": [{ "verdict": "unsynchronised", "count": 40 }] },
+                "after": {
+                    "delay": { "count": 40, "mean": 0.00631, "std": 0.0004, "min": 0.006, "p50": 0.0062, "p95": null, "p99": null, "max": 0.009 },
+                    "half_width": { "count": 40, "mean": 6e-5, "std": null, "min": 6e-5, "p50": 6e-5, "p95": null, "p99": null, "max": 6e-5 },
+                    "verdicts": [{ "verdict": "ok", "count": 39 }, { "verdict": "limited", "count": 1 }],
+                },
+            }],
+        }))
+        .expect("as the API answers");
+        let expected = "\
+delay           mean ± std ms  median ms  p95 ms  bound ms          verdicts
+upload  before              —          —       —         —  40 unsynchronised
+         after   6.310 ± 0.400    6.200       —    ±0.060   39 ok, 1 limited
+
+run 7: computed again with 60 seconds of what was learnt of the two clocks, during the run and after it; nothing stored was changed";
+        let squeeze = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert_eq!(squeeze(&describe(7, &recomputed)), squeeze(expected));
+
+        let mut stages = recomputed.stages;
+        let after = &mut stages[0].after;
+        for figures in [&mut after.delay, &mut after.half_width].into_iter().flatten() {
+            *figures = Figures { std: figures.std, mean: 0.0, p50: 0.0, p95: None, max: 0.0 };
+        }
+        if let Some(delay) = &mut stages[0].after.delay {
+            (delay.mean, delay.std, delay.p50) = (1.2e-3, Some(15.02e-3), 59.5e-6);
+        }
+        let one_clock = describe(7, &Recomputed { samples: 0, stages });
+        assert!(one_clock.contains("1.200 ± 15.020") && one_clock.contains(" 0.060 "), "{one_clock}");
+        assert!(one_clock.contains(" exact ") && one_clock.contains("nothing to learn"), "{one_clock}");
+        assert!(!one_clock.contains("0 seconds"), "{one_clock}");
+        let empty = Recomputed { samples: 0, stages: Vec::new() };
+        assert!(describe(7, &empty).contains("no one-way delays"));
+    }
+
+    #[test]
+    fn a_rehearsal_is_told_by_the_facts() {
+        let fact = |(name, value): (&str, &str)| Fact { name: name.to_owned(), value: value.to_owned() };
+        let facts = |facts: &[(&str, &str)]| rehearsal(&facts.iter().copied().map(fact).collect::<Vec<_>>());
+        assert_eq!(facts(&[("Sensor", "synthetic"), ("Rehearsals", "3")]), None);
+        assert_eq!(
+            facts(&[("Rehearsal of cloud", "offset +1000 ms"), ("Rehearsal", "offset -5 ms")]).as_deref(),
+            Some("cloud's (offset +1000 ms), the edge's (offset -5 ms)")
+        );
+    }
+}

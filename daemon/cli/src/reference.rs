@@ -1,0 +1,96 @@
+//! `docs/cli.md`: made from the command line's own words, so that it cannot be out of date.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use clap::{Arg, ArgAction, Command, CommandFactory};
+
+use crate::Line;
+
+/// The document, from the root of the checkout.
+const FILE: &str = "docs/cli.md";
+/// What stands above the part that is made.
+const MARK: &str = "<!-- From here on made from the program's own words: PEERNET_WRITE_DOCS=1 cargo test -p peernet-cli reference -->\n";
+/// Options of every command, which say what everybody knows.
+const USUAL: [&str; 2] = ["help", "version"];
+
+#[test]
+fn the_command_line_is_well_formed() {
+    Line::command().debug_assert();
+}
+
+#[test]
+fn the_reference_says_what_the_program_says() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(FILE);
+    let text = std::fs::read_to_string(&file).expect("the checkout has the document");
+    let (above, found) = text.split_once(MARK).expect("the document has the mark");
+    let made = reference();
+    if std::env::var_os("PEERNET_WRITE_DOCS").is_some() {
+        std::fs::write(&file, format!("{above}{MARK}{made}")).expect("the checkout can be written to");
+    } else {
+        assert!(
+            found == made,
+            "{FILE} is out of date: run PEERNET_WRITE_DOCS=1 cargo test -p peernet-cli reference"
+        );
+    }
+}
+
+/// All commands, one section each.
+fn reference() -> String {
+    let mut command = Line::command();
+    command.build();
+    let mut text = String::new();
+    section(&mut text, &command, "peernet");
+    text
+}
+
+fn section(text: &mut String, command: &Command, path: &str) {
+    let level = "#".repeat(1 + path.split(' ').count());
+    let about = command.get_long_about().or(command.get_about()).map(ToString::to_string);
+    let _ = write!(text, "\n{level} `{path}`\n\n{}.\n", about.unwrap_or_default().trim_end_matches('.'));
+    let shown = |arg: &&Arg| !arg.is_hide_set() && !USUAL.contains(&arg.get_id().as_str());
+    let arguments: Vec<&Arg> = command.get_arguments().filter(shown).collect();
+    if !arguments.is_empty() {
+        text.push_str("\n| argument | what | default |\n| --- | --- | --- |\n");
+        arguments.into_iter().for_each(|argument| row(text, argument));
+    }
+    let commands = command.get_subcommands();
+    for inner in commands.filter(|inner| !inner.is_hide_set() && inner.get_name() != "help") {
+        section(text, inner, &format!("{path} {}", inner.get_name()));
+    }
+}
+
+fn row(text: &mut String, argument: &Arg) {
+    let takes = !matches!(argument.get_action(), ArgAction::SetTrue | ArgAction::Count | ArgAction::SetFalse);
+    let values: Vec<String> =
+        argument.get_value_names().unwrap_or_default().iter().map(|name| format!("<{name}>")).collect();
+    let name = match argument.get_long() {
+        Some(long) if takes => format!("--{long} {}", values.join(" ")),
+        Some(long) => format!("--{long}"),
+        None => values.join(" "),
+    };
+    let short = argument.get_short().map(|short| format!("`-{short}`, ")).unwrap_or_default();
+    let help = argument.get_long_help().or(argument.get_help()).map(ToString::to_string).unwrap_or_default();
+    let help = format!("{help}{}", if takes { choice(argument) } else { String::new() });
+    let help = help.split_whitespace().collect::<Vec<_>>().join(" ").replace('|', "\\|");
+    let default: Vec<_> = argument.get_default_values().iter().map(|value| value.to_string_lossy()).collect();
+    let from = argument.get_env().map(|name| format!("`${}`", name.to_string_lossy()));
+    let default = (!default.is_empty() && takes).then(|| format!("`{}`", default.join(" ")));
+    let default = match (from, default) {
+        (None, None) if argument.is_required_set() => "required".to_owned(),
+        (from, default) => from.into_iter().chain(default).collect::<Vec<_>>().join(", else "),
+    };
+    let name = name.replace('|', "\\|");
+    let _ = writeln!(text, "| {short}`{name}` | {help} | {default} |");
+}
+
+/// What an argument can be, where that is one of a few.
+fn choice(argument: &Arg) -> String {
+    let values = argument.get_possible_values();
+    let values = values.iter().filter(|value| !value.is_hide_set()).map(|value| match value.get_help() {
+        Some(help) => format!("`{}` ({help})", value.get_name()),
+        None => format!("`{}`", value.get_name()),
+    });
+    let values: Vec<String> = values.collect();
+    if values.is_empty() { String::new() } else { format!(": {}", values.join(", ")) }
+}

@@ -1,0 +1,111 @@
+//! What `peernet run` can be told.
+
+use std::path::PathBuf;
+
+use crate::short::value;
+
+use super::file::Set;
+use super::plan::{Plan, Run};
+
+/// What `peernet run` can be told.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Arguments {
+    /// File of the experiment, TOML; docs/experiments.md describes it, configs/experiments has examples. A pipe is read, too:
+    /// `/dev/stdin`.
+    #[arg(value_name = "FILE")]
+    pub(super) file: PathBuf,
+    /// Put a value in the place of the file's, such as experiment.iterations=100; may be given several times. What an axis
+    /// sets goes before it.
+    #[arg(long, value_name = "FIELD=VALUE", value_parser = Set::read)]
+    pub(super) set: Vec<Set>,
+    /// Folder for the results; an experiment that was begun there goes on [default: results/NAME].
+    #[arg(long, value_name = "DIR")]
+    pub(super) result_loc: Option<PathBuf>,
+    /// Check the file alone: no peer is asked, no model is loaded, nothing is written.
+    #[arg(long, conflicts_with = "dry_run")]
+    pub(super) check: bool,
+    /// Try all peers and models, show the runs and how long they will take, and measure nothing.
+    #[arg(long)]
+    pub(super) dry_run: bool,
+    /// What the order of the runs and the payloads follow from, in the place of the file's seed.
+    #[arg(long)]
+    pub(super) seed: Option<u64>,
+    /// Only runs with this label, or the run of this number; may be given several times. Labels of one axis add up, those
+    /// of different axes must all fit. The others can be done later.
+    #[arg(long, value_name = "AXIS=LABEL|NUMBER", value_parser = Only::read)]
+    pub(super) only: Vec<Only>,
+    /// Begin without asking.
+    #[arg(long, short)]
+    pub(super) yes: bool,
+    /// Remove what was measured in the folder, and begin anew.
+    #[arg(long)]
+    pub(super) restart: bool,
+    /// Folder of models that is searched before the others; may be given several times.
+    #[arg(long, value_name = "DIR")]
+    pub(super) models_dir: Vec<PathBuf>,
+    /// Do not show the progress.
+    #[arg(long, short)]
+    pub(super) quiet: bool,
+}
+
+/// Which runs are wanted.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Only {
+    /// Those with this label of this axis.
+    Label(String, String),
+    /// The one of this number.
+    Number(usize),
+}
+
+impl Only {
+    fn read(text: &str) -> Result<Self, String> {
+        match (text.split_once('='), text.parse()) {
+            (Some((axis, label)), _) => Ok(Self::Label(axis.trim().to_owned(), label.trim().to_owned())),
+            (None, Ok(number)) => Ok(Self::Number(number)),
+            (None, Err(_)) => Err("write AXIS=LABEL or the number of a run".to_owned()),
+        }
+    }
+
+    /// Whether a run is one of those that are wanted; without any wishes all are.
+    pub(super) fn wants(these: &[Self], plan: &Plan, run: &Run) -> bool {
+        let numbers: Vec<usize> = these
+            .iter()
+            .filter_map(|only| match only {
+                Self::Number(number) => Some(*number),
+                Self::Label(..) => None,
+            })
+            .collect();
+        let labels = &plan.configuration(run).labels;
+        let fits = |axis: &str| {
+            let has = |label: &str| labels.iter().any(|(name, value)| name == axis && value == label);
+            these.iter().any(|only| matches!(only, Self::Label(name, label) if name == axis && has(label)))
+        };
+        let all = these.iter().all(|only| match only {
+            Self::Label(axis, _) => fits(axis),
+            Self::Number(_) => true,
+        });
+        all && (numbers.is_empty() || numbers.contains(&run.number))
+    }
+
+    /// The first wish that no run can fulfil, in words.
+    pub(super) fn unknown(these: &[Self], plan: &Plan) -> Option<String> {
+        these.iter().find_map(|only| match only {
+            Self::Number(number) if (1..=plan.runs.len()).contains(number) => None,
+            Self::Number(number) => Some(format!("there is no run {number}; there are {}", plan.runs.len())),
+            Self::Label(axis, label) => {
+                let labels = || plan.configurations.iter().flat_map(|configuration| &configuration.labels);
+                let mut known: Vec<&str> = Vec::new();
+                for (_, label) in labels().filter(|(name, _)| name == axis) {
+                    if !known.contains(&label.as_str()) {
+                        known.push(label);
+                    }
+                }
+                match known.as_slice() {
+                    [] => Some(format!("there is no axis {}", value(axis))),
+                    known if known.contains(&label.as_str()) => None,
+                    known => Some(format!("{axis} is never {}; there is {}", value(label), known.join(", "))),
+                }
+            }
+        })
+    }
+}

@@ -1,0 +1,53 @@
+//! What can be found wrong before anything is tried.
+
+use std::path::Path;
+
+use crate::exit::{Exit, Failure};
+use anyhow::anyhow;
+use peernet_agent::{Agent, AgentConfig};
+use peernet_clock::SharedClock;
+
+use super::file::Configuration;
+use super::plan::in_words;
+
+/// Keys about what is on this machine and not in the file: pictures, models, programs.
+const MACHINE: [&str; 4] = ["pipeline[0].sensor", "pipeline[0].placement", "pipeline[0].actuator", "bank"];
+
+/// What an agent says is wrong with its only pipeline, with the key that it has in an experiment's file.
+pub(super) fn as_written(problem: &str) -> String {
+    problem.replacen("pipeline[0]", "pipeline", 1)
+}
+
+/// Checks every configuration of a file as an agent would; returns what this machine lacks, each thing once.
+///
+/// # Errors
+/// When something is wrong wherever it runs (78).
+pub(super) fn configurations(
+    file: &Path,
+    configurations: &[Configuration],
+    clock: &SharedClock,
+) -> Result<Vec<String>, Failure> {
+    let (mut wrong, mut lacking): (Vec<String>, Vec<String>) = (Vec::new(), Vec::new());
+    let folder = std::env::temp_dir();
+    for configuration in configurations {
+        let mut agent: AgentConfig = configuration.agent.clone();
+        agent.agent.state_dir.clone_from(&folder);
+        for problem in Agent::check(&agent, clock) {
+            let missing = MACHINE.contains(&problem.key.as_str())
+                || problem.key.starts_with("model[") && problem.key.ends_with(']')
+                || MACHINE.iter().any(|key| problem.key.starts_with(&format!("{key}.")));
+            let labels = in_words(&configuration.labels);
+            let with = if labels.is_empty() { String::new() } else { format!(" (with {labels})") };
+            let text = as_written(&problem.to_string());
+            let list = if missing { &mut lacking } else { &mut wrong };
+            if !list.iter().any(|other| other.starts_with(&text)) {
+                list.push(format!("{text}{with}"));
+            }
+        }
+    }
+    if wrong.is_empty() {
+        return Ok(lacking);
+    }
+    let wrong: Vec<String> = wrong.iter().map(|text| format!("{}: {text}", file.display())).collect();
+    Err(Failure::new(Exit::Configuration, anyhow!("{}", wrong.join("\n"))))
+}

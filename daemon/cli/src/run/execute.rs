@@ -1,0 +1,171 @@
+//! Run after run.
+
+use crate::exit::{Exit, Failure};
+use peernet_clock::SharedClock;
+use peernet_report::results::{Overwrite, ResultFolder, User};
+
+use super::beside::Beside;
+use super::children::{self, Exited, News};
+use super::estimate::Estimates;
+use super::folder::Folder;
+use super::plan::Run;
+use super::state::{Ended, Record, Stage};
+use crate::foreground::{Progress, Signals, duration, typed};
+use crate::measure::{Order, Seen};
+
+/// Everything that the runs need.
+pub(super) struct Execution<'a> {
+    pub(super) folder: &'a Folder,
+    pub(super) record: &'a mut Record,
+    pub(super) estimates: Estimates,
+    pub(super) clock: &'a SharedClock,
+    pub(super) beside: &'a Beside,
+    pub(super) quiet: bool,
+}
+
+impl Execution<'_> {
+    /// Does these runs, in their order, until they are done or the user has had enough; says whether the latter.
+    ///
+    /// # Errors
+    /// When it cannot be written down how far it is (73).
+    pub(super) async fn all(&mut self, runs: &[Run], signals: &mut Signals) -> Result<bool, Failure> {
+        for (done, run) in runs.iter().enumerate() {
+            if self.one(runs, done, run, signals).await? {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    async fn one(
+        &mut self,
+        runs: &[Run],
+        done: usize,
+        run: &Run,
+        signals: &mut Signals,
+    ) -> Result<bool, Failure> {
+        self.folder.remove(run)?;
+        self.record.begin(run);
+        self.folder.save(self.record)?;
+        let mut progress = Progress::new(self.quiet, self.clock.mono());
+        let orders = self.orders(run);
+        let began = self.clock.mono();
+        let name = format!(
+            "run {} of {} ({})",
+            run.number,
+            self.record.plan.runs.len(),
+            self.record.plan.words(run)
+        );
+        let later = self.left(&runs[done + 1..]);
+        let (share, own) = (done as f64 / runs.len() as f64, 1.0 / runs.len() as f64);
+        if !self.quiet {
+            progress.say(format_args!("{name}: begins"));
+        }
+        let ended = children::execute(&orders, signals, |news| {
+            let seen = match news {
+                News::Line(user, line) if orders.len() > 1 => {
+                    return progress.say(format_args!("user {}: {line}", user + 1));
+                }
+                News::Line(_, line) | News::Ending(line) => return progress.say(line),
+                News::Seen(seen) => together(seen),
+            };
+            let Some(seen) = seen else { return };
+            let part = seen.of.map_or(0.0, |of| seen.done as f64 / of.max(1) as f64);
+            let left = seen.left_s.zip(later).map(|(now, later)| duration(now + later));
+            let left = left.map_or_else(String::new, |left| format!(", {left} left for all"));
+            let trouble = seen.trouble.as_ref().map(|trouble| format!("{name}: {trouble}"));
+            let state =
+                || (format!("{name}: {}{left}", Seen { left_s: None, ..seen.clone() }), share + part * own);
+            progress.show(self.clock.mono(), trouble, state);
+        })
+        .await;
+        progress.end();
+        let seconds = (self.clock.mono() - began).seconds();
+        let interrupted = ended.interrupted;
+        let ended = self.judge(run, &ended, seconds);
+        if ended.stage == Stage::Finished {
+            self.estimates.learn(run.configuration, seconds);
+        }
+        let why = ended.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));
+        if !self.quiet || ended.stage != Stage::Finished || !why.is_empty() {
+            progress.say(format_args!("{name}: {} after {}{why}", ended.stage.name(), duration(seconds)));
+        }
+        self.record.end(run, ended);
+        self.folder.save(self.record)?;
+        Ok(interrupted)
+    }
+
+    /// One order for each user.
+    fn orders(&self, run: &Run) -> Vec<Order> {
+        let plan = &self.record.plan;
+        let configuration = plan.configuration(run);
+        let of = configuration.users;
+        let order = |(user, folder)| {
+            let mut agent = configuration.agent.clone();
+            agent.agent.name = plan.agent_name(run, user);
+            agent.pipelines = plan.pipeline(run, user, &self.record.id).into_iter().collect();
+            Order {
+                agent,
+                title: plan.title(run),
+                folder,
+                overwrite: Overwrite::Replace,
+                plots: self.beside.plots,
+                command: typed(),
+                network_config: self.beside.network(run).cloned(),
+                user: (of > 1).then(|| User { number: user + 1, of }),
+                warm_up: configuration.warm_up.clone(),
+                patience_s: configuration.patience_s,
+            }
+        };
+        (0..).zip(self.folder.results(plan, run)).map(order).collect()
+    }
+
+    /// What became of a run.
+    fn judge(&self, run: &Run, ended: &children::Ended, seconds: f64) -> Ended {
+        let bad = ended.exits.iter().enumerate().find(|(_, exit)| !exit.is_well());
+        let Some((user, exit)) = bad else {
+            return Ended { stage: Stage::Finished, exit: Some(0), reason: None, seconds };
+        };
+        let folders = self.folder.results(&self.record.plan, run);
+        let whole = |(exit, folder): (&Exited, &std::path::PathBuf)| {
+            // Some iterations may have no answer although all were tried.
+            let incomplete = exit.code == Some(i32::from(Exit::Incomplete as u8));
+            let record = || ResultFolder::open(folder).ok().map(|loaded| loaded.record);
+            exit.is_well() || incomplete && record().is_some_and(|record| record.reason == "finished")
+        };
+        let stage = match ended.interrupted {
+            true => Stage::Interrupted,
+            false if ended.exits.iter().zip(&folders).all(whole) => Stage::Finished,
+            false => Stage::Failed,
+        };
+        let who = if ended.exits.len() > 1 { format!("user {}: ", user + 1) } else { String::new() };
+        let reason = exit.reason.as_ref().map(|reason| format!("{who}{reason}"));
+        Ended { stage, exit: exit.code, reason, seconds }
+    }
+
+    /// What runs will take, as far as that can be told.
+    fn left(&self, runs: &[Run]) -> Option<f64> {
+        runs.iter().map(|run| self.estimates.of(run.configuration)).sum()
+    }
+}
+
+/// Several users in one look: what they do together, the median of the median user, the 99th percentile of the worst.
+fn together(seen: &[Option<Seen>]) -> Option<Seen> {
+    let all: Vec<&Seen> = seen.iter().flatten().collect();
+    let (first, rest) = all.split_first()?;
+    if rest.is_empty() {
+        return Some((*first).clone());
+    }
+    let mut medians: Vec<f64> = all.iter().filter_map(|seen| seen.p50).collect();
+    medians.sort_unstable_by(f64::total_cmp);
+    Some(Seen {
+        phase: first.phase,
+        done: all.iter().map(|seen| seen.done).sum(),
+        of: all.iter().map(|seen| seen.of).sum(),
+        rate: all.iter().map(|seen| seen.rate).sum(),
+        p50: medians.get(medians.len() / 2).copied(),
+        p99: all.iter().filter_map(|seen| seen.p99).reduce(f64::max),
+        left_s: all.iter().filter_map(|seen| seen.left_s).reduce(f64::max),
+        trouble: all.iter().find_map(|seen| seen.trouble.clone()),
+    })
+}

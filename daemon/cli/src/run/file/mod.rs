@@ -1,0 +1,150 @@
+//! The file of an experiment: what is common to all runs, and the axes along which they differ.
+//!
+//! Every combination of the axes' values is put into a copy of the document, which is then read as an agent's
+//! configuration: whatever an agent can be told can be an axis.
+
+mod axis;
+mod configuration;
+mod experiment;
+mod field;
+mod matrix;
+mod peers;
+mod set;
+
+pub(super) use axis::Axis;
+pub(super) use configuration::Configuration;
+pub(super) use experiment::{Experiment, Order};
+pub(super) use set::Set;
+
+use std::path::{Path, PathBuf};
+
+use crate::exit::{Exit, Failure};
+use crate::expected::told;
+use crate::small_file;
+use anyhow::{Context, anyhow};
+use peernet_report::results::NetworkConfig;
+use toml::{Table, Value};
+
+use axis::AxisTable;
+
+/// Tables of the file beside those of an agent.
+const OWN: [&str; 4] = ["experiment", "network", "pipeline", "axis"];
+/// Tables of an agent's configuration that hold here, too.
+const AGENT: [&str; 8] = ["agent", "spool", "clock", "probes", "rehearsal", "model", "bank", "onnxruntime"];
+
+/// An experiment's file.
+pub(super) struct File {
+    /// What is common to all runs.
+    pub(super) experiment: Experiment,
+    /// The dimensions.
+    pub(super) axes: Vec<Axis>,
+    path: PathBuf,
+    /// The whole without the axes.
+    document: Table,
+}
+
+impl File {
+    /// Reads a file, and puts these values in the places of its own.
+    ///
+    /// # Errors
+    /// When it is not there (66), something is wrong with it (78), or a value has no effect (64).
+    pub(super) fn read(path: &Path, sets: &[Set]) -> Result<Self, Failure> {
+        let text = small_file::read(path, small_file::LARGEST)
+            .with_context(|| format!("cannot read the experiment {}", path.display()))
+            .map_err(|error| Failure::new(Exit::NoInput, error))?;
+        let at = |error: String| Failure::new(Exit::Configuration, anyhow!("{}: {error}", path.display()));
+        let mut document: Table = text.parse().map_err(|error: toml::de::Error| at(error.to_string()))?;
+        for set in sets {
+            set.apply(&mut document).map_err(|error| Failure::new(Exit::Usage, anyhow!("--set: {error}")))?;
+        }
+        let file = Self::parse(document, path).map_err(at)?;
+        match sets.iter().find_map(|set| set.in_vain(&file.axes)) {
+            Some(problem) => Err(Failure::new(Exit::Usage, anyhow!("--set: {problem}"))),
+            None => Ok(file),
+        }
+    }
+
+    /// Its configurations, every combination of the axes' values that is not left out, the last axis changing fastest; and of
+    /// each the file that names its peer. `models` are the folders that are searched unless `[bank]` names others.
+    ///
+    /// # Errors
+    /// What is wrong, each with its key (78).
+    pub(super) fn configurations(
+        &self,
+        models: &[PathBuf],
+    ) -> Result<(Vec<Configuration>, Vec<Option<NetworkConfig>>), Failure> {
+        let wrong = |text: String| Failure::new(Exit::Configuration, anyhow!("{text}"));
+        let at = |text: String| wrong(format!("{}: {text}", self.path.display()));
+        let combinations = matrix::combinations(&self.axes, &self.experiment.exclude).map_err(at)?;
+        self.bounded(combinations.len()).map_err(at)?;
+        let (mut configurations, mut networks) = (Vec::new(), Vec::new());
+        let (mut problems, mut files) = (Vec::<String>::new(), peers::Files::default());
+        for combination in combinations {
+            match self.configuration(&combination, models, &mut files) {
+                Ok((configuration, network)) => {
+                    configurations.push(configuration);
+                    networks.push(network);
+                }
+                // The same mistake in every combination is one.
+                Err(problem) if problems.contains(&problem) => {}
+                Err(problem) => problems.push(problem),
+            }
+        }
+        if problems.is_empty() {
+            return Ok((configurations, networks));
+        }
+        let file = self.path.display();
+        Err(wrong(problems.iter().map(|problem| format!("{file}: {problem}")).collect::<Vec<_>>().join("\n")))
+    }
+
+    /// Checks that so many configurations make no more runs than there may be, before any is planned.
+    fn bounded(&self, configurations: usize) -> Result<(), String> {
+        let repeats = self.experiment.repeats.get();
+        let runs = configurations as u64 * u64::from(repeats);
+        if runs <= matrix::MOST as u64 {
+            return Ok(());
+        }
+        Err(format!("experiment.repeats: so many repeats make {runs} runs; there may be {}", matrix::MOST))
+    }
+
+    fn parse(mut document: Table, path: &Path) -> Result<Self, String> {
+        if let Some(key) =
+            document.keys().find(|key| !OWN.contains(&key.as_str()) && !AGENT.contains(&key.as_str()))
+        {
+            return Err(format!(
+                "{key}: an experiment has no such table; there is {} and {}",
+                OWN.join(", "),
+                AGENT.join(", ")
+            ));
+        }
+        let axes = document.remove("axis").unwrap_or_else(|| Value::Array(Vec::new()));
+        let tables: Vec<AxisTable> = typed(axes).map_err(|error| format!("axis{error}"))?;
+        let experiment = document.get("experiment").cloned();
+        let experiment = experiment.ok_or_else(|| "there is no table [experiment]".to_owned())?;
+        let experiment = typed(experiment).map_err(|error| format!("experiment.{error}"))?;
+        let mut axes: Vec<Axis> = Vec::new();
+        for (index, table) in tables.into_iter().enumerate() {
+            let axis = Axis::read(table).map_err(|error| format!("axis[{index}]: {error}"))?;
+            if axes.iter().any(|other| other.name == axis.name) {
+                return Err(format!("axis[{index}].name: there is an axis {} already", axis.name));
+            }
+            if let Some(other) = axes.iter().find(|other| axis.overwrites(other)) {
+                return Err(format!(
+                    "axis[{index}]: {} overwrites what {} sets; an axis may change a part of what one before it sets, so put {} first or give each its own fields",
+                    axis.name, other.name, axis.name
+                ));
+            }
+            axes.push(axis);
+        }
+        Ok(Self { experiment, axes, path: path.to_owned(), document })
+    }
+}
+
+/// A value as what it is meant to be; an error begins with the path of the key.
+fn typed<T: serde::de::DeserializeOwned>(value: impl Into<Value>) -> Result<T, String> {
+    serde_path_to_error::deserialize(value.into())
+        .map_err(|error| format!("{}: {}", error.path(), told(error.inner())).replace(".: ", ": "))
+}
+
+#[cfg(test)]
+mod tests;

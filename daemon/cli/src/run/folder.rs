@@ -1,0 +1,228 @@
+//! The folder of an experiment: `experiment.json`, and the runs below it.
+
+use std::ffi::OsStr;
+use std::fs::{self, File, TryLockError};
+use std::io::{ErrorKind, Write};
+use std::path::{Path, PathBuf};
+
+use crate::exit::{Exit, Failure};
+use crate::small_file;
+use anyhow::anyhow;
+use peernet_report::figures;
+
+use super::difference::differences;
+use super::plan::{Plan, Run};
+use super::state::{FORMAT, Record};
+
+/// How far an experiment is.
+pub(crate) const RECORD: &str = "experiment.json";
+/// Bytes of the largest record that is read: most runs, each of a configuration of its own, have less.
+pub(crate) const LARGEST_RECORD: u64 = 256 << 20;
+/// Names of the tables over all runs, and the forms that they are written in.
+const TABLES: [&str; 3] = ["compare", "users", "sensors"];
+const KINDS: [&str; 4] = ["txt", "md", "csv", "tex"];
+const LOCK: &str = ".lock";
+/// How a record begins its name until it is whole. A program that is killed meanwhile leaves it behind.
+const DRAFT: &str = ".experiment-";
+/// The folder in an experiment's that has those of its runs.
+pub(crate) const RUNS: &str = "runs";
+
+/// A folder that this program alone writes to.
+pub(super) struct Folder {
+    path: PathBuf,
+    /// Released when it is closed, however the program ends.
+    _lock: File,
+}
+
+impl Folder {
+    /// Makes the folder or takes it over.
+    ///
+    /// # Errors
+    /// When another program uses it (69), it holds something else (64) or cannot be made (73).
+    pub(super) fn open(path: &Path) -> Result<Self, Failure> {
+        let unwritten = |error: std::io::Error| {
+            let error = dangling(path).unwrap_or_else(|| error.to_string());
+            Failure::new(Exit::Unwritten, anyhow!("cannot make the folder {}: {error}", path.display()))
+        };
+        let entries = fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
+        let is_own = |name: &OsStr| name == LOCK || name == RUNS || is_draft(name);
+        let foreign = entries.map(|entry| entry.file_name()).any(|name| !is_own(&name));
+        if foreign && !path.join(RECORD).exists() {
+            let text = format!(
+                "{} holds files, but no {RECORD}: it is no experiment's folder; name another with --result-loc",
+                path.display()
+            );
+            return Err(Failure::new(Exit::Usage, anyhow!("{text}")));
+        }
+        fs::create_dir_all(path.join(RUNS)).map_err(unwritten)?;
+        let lock = File::create(path.join(LOCK)).map_err(unwritten)?;
+        match lock.try_lock() {
+            Ok(()) => {
+                drafts(path).for_each(|draft| drop(fs::remove_file(draft)));
+                Ok(Self { path: path.to_owned(), _lock: lock })
+            }
+            Err(TryLockError::WouldBlock) => {
+                let text =
+                    format!("another peernet run is at work in {}; wait for it or end it", path.display());
+                Err(Failure::new(Exit::Unavailable, anyhow!("{text}")))
+            }
+            Err(TryLockError::Error(error)) => Err(unwritten(error)),
+        }
+    }
+
+    /// Where it is.
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Where a run's results are; with several users one folder for each, from 0.
+    pub(super) fn results(&self, plan: &Plan, run: &Run) -> Vec<PathBuf> {
+        let folder = self.run(run);
+        match plan.configuration(run).users {
+            1 => vec![folder],
+            users => (1..=users).map(|user| folder.join(format!("user-{user}"))).collect(),
+        }
+    }
+
+    /// What is known of the experiment from before.
+    ///
+    /// # Errors
+    /// When it cannot be read (65).
+    pub(super) fn load(&self) -> Result<Option<Record>, Failure> {
+        load(&self.path)
+    }
+
+    /// Writes down how far it is, all or nothing.
+    ///
+    /// # Errors
+    /// When it cannot be written (73).
+    pub(super) fn save(&self, record: &Record) -> Result<(), Failure> {
+        let path = self.path.join(RECORD);
+        let write = || {
+            let mut file = tempfile::Builder::new().prefix(DRAFT).tempfile_in(&self.path)?;
+            serde_json::to_writer_pretty(&mut file, record)?;
+            writeln!(file)?;
+            file.as_file().sync_all()?;
+            file.persist(&path).map_err(|error| error.error)?;
+            Ok(())
+        };
+        write().map_err(|error: std::io::Error| {
+            Failure::new(Exit::Unwritten, anyhow!("cannot write {}: {error}", path.display()))
+        })
+    }
+
+    /// Takes away the tables and figures that were made of runs together.
+    ///
+    /// # Errors
+    /// When something cannot be removed (73).
+    pub(super) fn clear_made(&self) -> Result<(), Failure> {
+        let tables = TABLES.iter().flat_map(|table| KINDS.map(|kind| format!("{table}.{kind}")));
+        for path in tables.chain(figures::files_in(&self.path)).map(|name| self.path.join(name)) {
+            match fs::remove_file(&path) {
+                Err(error) if error.kind() != ErrorKind::NotFound => {
+                    return Err(cannot_remove(&path, &error));
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// Takes away all runs and the record.
+    ///
+    /// # Errors
+    /// When something cannot be removed (73).
+    pub(super) fn clear(&self, record: &Record) -> Result<(), Failure> {
+        record.plan.runs.iter().try_for_each(|run| self.remove(run))?;
+        let path = self.path.join(RECORD);
+        fs::remove_file(&path).map_err(|error| cannot_remove(&path, &error))
+    }
+
+    /// Takes away what a run left behind that is done again.
+    ///
+    /// # Errors
+    /// When something cannot be removed (73).
+    pub(super) fn remove(&self, run: &Run) -> Result<(), Failure> {
+        let folder = self.run(run);
+        match fs::remove_dir_all(&folder) {
+            Err(error) if error.kind() != ErrorKind::NotFound => Err(cannot_remove(&folder, &error)),
+            _ => Ok(()),
+        }
+    }
+
+    /// Takes away the folder if nothing came to be in it.
+    pub(super) fn discard(self) {
+        // What cannot be removed stays and does no harm.
+        let _ = fs::remove_file(self.path.join(LOCK));
+        let _ = fs::remove_dir(self.path.join(RUNS));
+        let _ = fs::remove_dir(&self.path);
+    }
+
+    fn run(&self, run: &Run) -> PathBuf {
+        self.path.join(RUNS).join(&run.folder)
+    }
+}
+
+fn is_draft(name: &OsStr) -> bool {
+    name.to_string_lossy().starts_with(DRAFT)
+}
+
+/// What programs that were killed left of records that were not whole yet.
+fn drafts(path: &Path) -> impl Iterator<Item = PathBuf> {
+    let entries = fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
+    entries.filter(|entry| is_draft(&entry.file_name())).map(|entry| entry.path())
+}
+
+/// What a folder knows of an experiment, if it is one's.
+///
+/// # Errors
+/// When it cannot be read (65).
+pub(super) fn load(path: &Path) -> Result<Option<Record>, Failure> {
+    let path = path.join(RECORD);
+    let damaged = |why: String| {
+        let text = format!("cannot read {}: {why}; --restart begins anew", path.display());
+        Failure::new(Exit::Data, anyhow!("{text}"))
+    };
+    let text = match small_file::read_found(&path, LARGEST_RECORD) {
+        Ok(text) => text,
+        Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
+            return Ok(None);
+        }
+        Err(error) => return Err(damaged(error.to_string())),
+    };
+    let record: Record = serde_json::from_str(&text).map_err(|error| damaged(error.to_string()))?;
+    if record.format != FORMAT {
+        return Err(damaged(format!("its format is {}, this program knows {FORMAT}", record.format)));
+    }
+    if !record.is_sound() {
+        return Err(damaged("it names runs or configurations that it does not have".to_owned()));
+    }
+    Ok(Some(record))
+}
+
+/// Checks that the experiment is still the one that was begun.
+///
+/// # Errors
+/// What has changed (78).
+pub(super) fn unchanged(record: &Record, plan: &Plan) -> Result<(), Failure> {
+    if record.plan == *plan {
+        return Ok(());
+    }
+    let json = |plan: &Plan| serde_json::to_value(plan).unwrap_or_default();
+    let text = format!(
+        "the experiment has changed since it was begun:\n  {}\ngo on with the old file and options, begin anew with --restart, which removes the runs, or name another folder with --result-loc",
+        differences(&json(&record.plan), &json(plan)).join("\n  ")
+    );
+    Err(Failure::new(Exit::Configuration, anyhow!("{text}")))
+}
+
+/// A link on the path that leads nowhere, in words: no folder can be made in its place.
+fn dangling(path: &Path) -> Option<String> {
+    let link = path.ancestors().find(|part| part.is_symlink() && !part.exists())?;
+    let to = link.read_link().ok()?;
+    Some(format!("{} is a link to {}, which is not there", link.display(), to.display()))
+}
+
+fn cannot_remove(path: &Path, error: &std::io::Error) -> Failure {
+    Failure::new(Exit::Unwritten, anyhow!("cannot remove {}: {error}", path.display()))
+}

@@ -1,0 +1,306 @@
+//! `peernet run`: an experiment from one file.
+//!
+//! ```text
+//! File ── configurations ── Plan ─┬─ trial        a few iterations of each, before the first run
+//!                                 ├─ Record       experiment.json: how far it is, replaced after every step
+//!                                 ├─ execute      one process per run and user (`peernet measure`)
+//!                                 └─ report       compare.*, users.*, sensors.*, figures
+//! ```
+
+mod again;
+mod arguments;
+mod beside;
+mod check;
+mod children;
+mod difference;
+mod ending;
+mod estimate;
+mod execute;
+mod file;
+mod folder;
+mod homes;
+mod origin;
+mod plan;
+mod report;
+mod sensors;
+mod state;
+mod table;
+mod trial;
+mod undone;
+
+pub(crate) use arguments::Arguments;
+pub(crate) use folder::{LARGEST_RECORD, RECORD, RUNS};
+pub(crate) use state::{FORMAT, Stage};
+pub(crate) use undone::left_out;
+
+use std::collections::BTreeSet;
+use std::io::{BufRead, IsTerminal, Write};
+use std::path::{Path, PathBuf};
+
+use crate::exit::{Exit, Failure};
+use crate::output::{complain, say};
+use crate::short::plain;
+use crate::{VERSION, clock};
+use anyhow::{Context, anyhow};
+use peernet_clock::{ClockIdentity, SharedClock};
+use peernet_networks::Address;
+
+use crate::foreground::{Signals, remark, where_seen};
+use again::{settle, two_builds};
+use arguments::Only;
+use beside::Beside;
+use children::Exited;
+use estimate::{Estimates, expected};
+use execute::Execution;
+use file::File;
+use folder::Folder;
+use homes::{Homes, untaken};
+use origin::origin_of_missing;
+use plan::{Plan, Run};
+use state::Record;
+use trial::Tried;
+
+/// Where experiments go that nobody gave a place.
+const RESULTS: &str = "results";
+
+/// Carries out an experiment, or goes on with one.
+///
+/// # Errors
+/// When the file is not there (66) or wrong (78), something that it names cannot be had (69), the folder is not its own
+/// (64), results cannot be written (73), some runs failed (75), or the user ended it early (130).
+pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let file = File::read(&arguments.file, &arguments.set)?;
+    let (configurations, networks) = file.configurations(&arguments.models_dir)?;
+    let beside = Beside { plots: file.experiment.plots, networks };
+    let clock =
+        clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
+    let remarks = check::configurations(&arguments.file, &configurations, &clock)?;
+    let path = arguments.result_loc.clone();
+    let path = path.unwrap_or_else(|| PathBuf::from(RESULTS).join(file.experiment.name.as_str()));
+    // A broken record can be begun anew, and is nothing against the file.
+    let before = if arguments.restart || arguments.check { None } else { folder::load(&path)? };
+    let seed = arguments.seed.or_else(|| before.as_ref().map(|record| record.plan.seed));
+    let plan = Plan::new(&file.experiment, seed, configurations);
+    if let Some(unknown) = Only::unknown(&arguments.only, &plan) {
+        return Err(Failure::new(Exit::Usage, anyhow!("--only: {unknown}")));
+    }
+    if arguments.check {
+        let runs = table::count(plan.runs.len(), "run");
+        let configurations = table::count(plan.configurations.len(), "configuration");
+        remarks.iter().for_each(|remark| complain(format_args!("not on this machine: {remark}")));
+        origin_of_missing(remarks.iter().map(String::as_str)).iter().for_each(complain);
+        say(format_args!("{}: {runs} of {configurations}", arguments.file.display()));
+        return Ok(());
+    }
+    let record = match before {
+        Some(record) => {
+            folder::unchanged(&record, &plan)?;
+            record
+        }
+        None => Record::new(plan, id(), arguments.file.display().to_string(), VERSION.to_owned()),
+    };
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+    let runtime = runtime
+        .context("cannot start the runtime")
+        .map_err(|error| Failure::new(Exit::Unavailable, error))?;
+    let done = runtime.block_on(carry_out(arguments, record, path, &clock, &beside));
+    // A question that nobody answers is not waited for.
+    runtime.shutdown_background();
+    done
+}
+
+async fn carry_out(
+    arguments: &Arguments,
+    mut record: Record,
+    path: PathBuf,
+    clock: &SharedClock,
+    beside: &Beside,
+) -> Result<(), Failure> {
+    let mut signals = Signals::new().map_err(|error| Failure::new(Exit::Unavailable, error))?;
+    let folder = if arguments.dry_run { None } else { Some(Folder::open(&path)?) };
+    if let Some(folder) = &folder {
+        settle(folder, &mut record, beside);
+    }
+    let to_do = record.to_do(|run| Only::wants(&arguments.only, &record.plan, run));
+    two_builds(&record, &to_do, VERSION).iter().for_each(complain);
+    let _homes = match folder.as_ref().map(|_| Homes::take(&record.plan, &to_do)).transpose() {
+        Ok(homes) => homes,
+        Err(failure) => {
+            discard(folder, &record);
+            return Err(failure);
+        }
+    };
+    let wanted: BTreeSet<usize> = to_do.iter().map(|run| run.configuration).collect();
+    let tried = match trial::configurations(&record.plan, &wanted, clock, &mut signals, arguments.quiet).await
+    {
+        Ok(tried) => tried,
+        Err(failure) => {
+            discard(folder, &record);
+            return Err(failure);
+        }
+    };
+    let estimates = estimates(&record, &tried);
+    say(table::runs(&record, &estimates));
+    let place = path.display().to_string();
+    let place = plain(&place);
+    say(format_args!("\n{}; results in {place}", table::outlook(&to_do, &record, &estimates)));
+    for condition in &tried.conditions {
+        complain(remark(condition));
+    }
+    if let Some(failure) = missing(&tried, &arguments.file) {
+        discard(folder, &record);
+        return Err(failure);
+    }
+    let Some(folder) = folder else { return Ok(()) };
+    if !to_do.is_empty() && !arguments.yes && !agreed(&mut signals).await {
+        discard(Some(folder), &record);
+        return Err(Failure::new(Exit::Interrupted, anyhow!("not begun")));
+    }
+    if arguments.restart {
+        // Not before: what cannot be measured again is better kept.
+        clear(&folder)?;
+    }
+    folder.save(&record)?;
+    let mut execution =
+        Execution { folder: &folder, record: &mut record, estimates, clock, beside, quiet: arguments.quiet };
+    let interrupted = execution.all(&to_do, &mut signals).await?;
+    let told = report::write(&folder, &record, beside.plots)?;
+    say(format_args!("\n{told}"));
+    say(format_args!("\n{place}: {}", summary(&record)));
+    let waiting = untaken(&record.plan).await?;
+    for aggregator in aggregators(&record.plan) {
+        let runs = format_args!("the runs of experiment {}", record.plan.name);
+        let has_all = !waiting.iter().any(|waiting| waiting.is_for(aggregator));
+        say(where_seen(runs, aggregator, has_all));
+    }
+    waiting.iter().for_each(complain);
+    // Those that were finished before as well: the same command tells the same.
+    let wanted: Vec<Run> = record
+        .runs()
+        .map(|(run, _)| run.clone())
+        .filter(|run| Only::wants(&arguments.only, &record.plan, run))
+        .collect();
+    verdict(&record, &wanted, interrupted)
+}
+
+/// Takes away what is begun anew.
+fn clear(folder: &Folder) -> Result<(), Failure> {
+    folder.clear_made()?;
+    match folder.load() {
+        Ok(Some(old)) => return folder.clear(&old),
+        Ok(None) => {}
+        // What it names is not known; its runs are replaced one by one.
+        Err(failure) => complain(failure),
+    }
+    Ok(())
+}
+
+fn estimates(record: &Record, tried: &Tried) -> Estimates {
+    let expected = record.plan.configurations.iter().zip(&tried.paces).map(|(configuration, pace)| {
+        configuration.agent.pipelines.first().and_then(|pipeline| expected(pipeline, *pace))
+    });
+    let mut estimates = Estimates::new(expected.collect());
+    for (run, state) in record.runs().filter(|(_, state)| state.stage == Stage::Finished) {
+        state.seconds.into_iter().for_each(|seconds| estimates.learn(run.configuration, seconds));
+    }
+    estimates
+}
+
+/// Everything that the trials lacked, at once: each reason, and the configurations below.
+fn missing(tried: &Tried, file: &Path) -> Option<Failure> {
+    let (_, first) = tried.missing.first()?;
+    let is_wrong = |exit: &Exited| exit.code == Some(i32::from(Exit::Configuration as u8));
+    let exit = if is_wrong(first) { Exit::Configuration } else { Exit::Unavailable };
+    let mut reasons: Vec<&str> = Vec::new();
+    let reason = |exit: &Exited| match &exit.reason {
+        Some(reason) if is_wrong(exit) => format!("{}: {}", file.display(), check::as_written(reason)),
+        Some(reason) => reason.clone(),
+        None => "it said nothing".to_owned(),
+    };
+    let all: Vec<(String, String)> =
+        tried.missing.iter().map(|(configuration, exit)| (reason(exit), configuration.clone())).collect();
+    for (reason, _) in &all {
+        if !reasons.contains(&reason.as_str()) {
+            reasons.push(reason);
+        }
+    }
+    let origin = origin_of_missing(reasons.iter().copied());
+    let lines = reasons.into_iter().flat_map(|reason| {
+        let those = all.iter().filter(move |(other, words)| other == reason && !words.is_empty());
+        std::iter::once(format!("  {reason}")).chain(those.map(|(_, words)| format!("    {words}")))
+    });
+    let (count, lines) = (all.len(), lines.chain(origin).collect::<Vec<_>>().join("\n"));
+    let of = table::count(tried.wanted, "configuration");
+    Some(Failure::new(exit, anyhow!("{count} of {of} cannot be measured, nothing was begun:\n{lines}")))
+}
+
+/// Asks, where somebody can answer.
+async fn agreed(signals: &mut Signals) -> bool {
+    if !std::io::stdin().is_terminal() {
+        return true;
+    }
+    let answer = tokio::task::spawn_blocking(|| {
+        // A question that cannot be written cannot be answered either.
+        let mut errors = std::io::stderr();
+        let _ = write!(errors, "begin? [Y/n] ").and_then(|()| errors.flush());
+        let mut answer = String::new();
+        let read = std::io::stdin().lock().read_line(&mut answer).unwrap_or_default();
+        read > 0 && !answer.trim().to_lowercase().starts_with('n')
+    });
+    tokio::select! {
+        answer = answer => answer.unwrap_or(false),
+        () = signals.next() => false,
+    }
+}
+
+/// An experiment that was not begun leaves no folder behind.
+fn discard(folder: Option<Folder>, record: &Record) {
+    if let Some(folder) = folder.filter(|_| record.states.iter().all(|state| state.attempts == 0)) {
+        folder.discard();
+    }
+}
+
+/// Where the runs were streamed to.
+fn aggregators(plan: &Plan) -> Vec<&Address> {
+    let mut each = Vec::new();
+    for aggregator in plan.configurations.iter().filter_map(|one| one.agent.agent.aggregator.as_ref()) {
+        if !each.contains(&aggregator) {
+            each.push(aggregator);
+        }
+    }
+    each
+}
+
+fn summary(record: &Record) -> String {
+    let others = [Stage::Failed, Stage::Interrupted, Stage::Running, Stage::Pending];
+    let others = others.map(|stage| (record.count(stage), stage));
+    let others = others.iter().filter(|(count, _)| *count > 0);
+    let others: Vec<String> = others.map(|(count, stage)| format!(", {count} {}", stage.name())).collect();
+    let runs = table::count(record.plan.runs.len(), "run");
+    format!("{} of {runs} finished{}", record.count(Stage::Finished), others.concat())
+}
+
+/// What a script is told of the runs that were wanted.
+fn verdict(record: &Record, wanted: &[Run], interrupted: bool) -> Result<(), Failure> {
+    if interrupted {
+        let text = "ended early; the same command goes on where it ended";
+        return Err(Failure::new(Exit::Interrupted, anyhow!("{text}")));
+    }
+    let states = || wanted.iter().filter_map(|run| record.states.get(run.number - 1));
+    let failed = states().filter(|state| state.stage == Stage::Failed).count();
+    let lossy = states().filter(|state| state.stage == Stage::Finished && state.exit != Some(0)).count();
+    let text = match (failed, lossy) {
+        (0, 0) => return Ok(()),
+        (0, lossy) => format!("{} with iterations that have no answer", table::count(lossy, "run")),
+        (failed, _) => format!("{} failed; the same command tries again", table::count(failed, "run")),
+    };
+    Err(Failure::new(Exit::Incomplete, anyhow!("{text}")))
+}
+
+/// A random name for this execution.
+fn id() -> String {
+    format!("{:016x}", rand::random::<u64>())
+}
+
+#[cfg(test)]
+mod tests;

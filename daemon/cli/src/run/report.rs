@@ -1,0 +1,146 @@
+//! What is made of the runs: the tables of the comparison, those of many users, and the figures.
+
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use crate::exit::{Exit, Failure};
+use anyhow::anyhow;
+use peernet_report::WriteError;
+use peernet_report::compare::{Comparison, SEED};
+use peernet_report::figures::{self, Columns, Kind, PlotError};
+use peernet_report::results::{Loaded, ResultFolder};
+use peernet_report::table::Captioned;
+use peernet_report::trust::Publish;
+use peernet_report::users::Users;
+use peernet_stream::Grade;
+
+use super::folder::Folder;
+use super::plan::Run;
+use super::sensors::Sensors;
+use super::state::Record;
+use super::table;
+use super::undone::left_out;
+use crate::compare::{below, differences, first_of_two, joined};
+
+/// Writes everything that compares finished runs, with `plots` also as figures; returns what is to be printed.
+///
+/// # Errors
+/// When results cannot be read (65), or tables or figures cannot be written (73).
+pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<String, Failure> {
+    let mut runs: Vec<&Run> =
+        record.runs().filter(|(_, state)| state.stage.is_done()).map(|(run, _)| run).collect();
+    if runs.is_empty() {
+        return Ok(String::new());
+    }
+    // As the file has them, whatever the order in which they came.
+    runs.sort_by_key(|run| (run.configuration, run.repeat));
+    let loaded = runs.iter().map(|run| load(folder, record, run)).collect::<Result<Vec<_>, _>>()?;
+    let (sensors, trust) = (Sensors::of(&record.plan, &runs, &loaded), trust(&loaded));
+    let all: Vec<Loaded> = loaded.into_iter().flatten().collect();
+    let users = Users::of(&all);
+    let mut comparison = Comparison::of(&all);
+    let stages = record.runs().map(|(run, state)| (&*run.folder, state.stage));
+    comparison
+        .doubts
+        .extend(left_out(record.name.as_str(), stages).map(|without| format!("Shown {without}.")));
+    // As `peernet compare` gives them.
+    let differences = differences(&comparison, &all, first_of_two(&comparison), SEED);
+    let tables = below(&comparison, &differences);
+    let forms = [
+        ("txt", joined(comparison.text(), tables.iter().map(Captioned::text))),
+        ("md", joined(comparison.markdown(), tables.iter().map(Captioned::markdown))),
+        ("csv", comparison.csv()),
+        ("tex", joined(comparison.latex(), tables.iter().map(Captioned::latex))),
+    ];
+    save(folder.path(), "compare", &forms)?;
+    if plots {
+        figures(&all, comparison.lines.len(), folder.path())
+            .map_err(|error| Failure::new(Exit::Unwritten, error))?;
+    }
+    let mut told = vec![comparison.text()];
+    if let Some(users) = users {
+        let forms =
+            [("txt", users.text()), ("md", users.markdown()), ("csv", users.csv()), ("tex", users.latex())];
+        save(folder.path(), "users", &forms)?;
+        told.push(users.text());
+    }
+    if let Some(sensors) = sensors {
+        let forms = [("txt", sensors.text()), ("md", sensors.markdown()), ("tex", sensors.latex())];
+        save(folder.path(), "sensors", &forms)?;
+        if sensors.are_all {
+            // Stages beyond the sensor are empty, and the shortest sensing is not the best sensor.
+            told.clear();
+        }
+        told.push(sensors.text());
+    }
+    told.push(trust);
+    Ok(told.iter().map(|part| part.trim_end()).collect::<Vec<_>>().join("\n\n"))
+}
+
+/// Draws what the configurations have together. Bars side by side need more than one.
+fn figures(all: &[Loaded], lines: usize, folder: &Path) -> Result<(), WriteError> {
+    if lines > 1 {
+        return figures::of_experiment(all, folder).map(drop);
+    }
+    match figures::draw(Kind::Payload, all, &Columns::default(), folder) {
+        Err(PlotError::Write(error)) => Err(error),
+        Ok(_) | Err(PlotError::Lacking(..)) => Ok(()),
+    }
+}
+
+/// Whether the runs can be published, and in how many of them what speaks against it. A run is as good as the worst of
+/// its edges.
+fn trust(runs: &[Vec<Loaded>]) -> String {
+    let worst = |edges: &Vec<Loaded>| {
+        let verdicts = edges.iter().map(|edge| edge.record.trust.as_ref().map(|trust| trust.verdict));
+        let known: Option<Vec<Publish>> = verdicts.collect();
+        known.and_then(|known| known.into_iter().max())
+    };
+    let count = |verdict| runs.iter().filter(|edges| worst(edges) == Some(verdict)).count();
+    let [yes, remarks, no] = [Publish::Yes, Publish::WithRemarks, Publish::No].map(count);
+    let mut lines =
+        vec![format!("Can they be published? {yes} as they are, {remarks} with remarks, {no} not.")];
+    let (bad, doubtful) = (against(runs, Grade::Bad), against(runs, Grade::Doubtful));
+    for (sign, found) in [("✗", &bad), ("!", &doubtful)] {
+        lines.extend(
+            found.iter().map(|(about, count)| format!("  {sign} {about}: {}", table::count(*count, "run"))),
+        );
+    }
+    if lines.len() > 1 {
+        lines.push("  run.json of each run has the sentences and what to do, under trust".to_owned());
+    }
+    lines.join("\n")
+}
+
+/// What was found to be so bad, and in how many runs: the most frequent first.
+fn against(runs: &[Vec<Loaded>], grade: Grade) -> Vec<(&str, usize)> {
+    let mut found: BTreeMap<&str, usize> = BTreeMap::new();
+    for edges in runs {
+        let sentences =
+            edges.iter().filter_map(|edge| edge.record.trust.as_ref()).flat_map(|trust| &trust.sentences);
+        let about: BTreeSet<&str> = sentences
+            .filter(|sentence| sentence.grade == grade)
+            .map(|sentence| sentence.about.as_str())
+            .collect();
+        about.into_iter().for_each(|about| *found.entry(about).or_default() += 1);
+    }
+    let mut found: Vec<(&str, usize)> = found.into_iter().collect();
+    found.sort_by_key(|(_, count)| Reverse(*count));
+    found
+}
+
+fn load(folder: &Folder, record: &Record, run: &Run) -> Result<Vec<Loaded>, Failure> {
+    let open = |path| ResultFolder::open(path).map_err(|error| Failure::new(Exit::Data, error));
+    folder.results(&record.plan, run).iter().map(|path| open(path)).collect()
+}
+
+fn save(folder: &Path, name: &str, forms: &[(&str, String)]) -> Result<(), Failure> {
+    for (kind, text) in forms {
+        let path = folder.join(format!("{name}.{kind}"));
+        std::fs::write(&path, format!("{}\n", text.trim_end())).map_err(|error| {
+            Failure::new(Exit::Unwritten, anyhow!("cannot write {}: {error}", path.display()))
+        })?;
+    }
+    Ok(())
+}

@@ -1,0 +1,260 @@
+//! A few iterations of each configuration before the first run: one refusal now is better than one after an hour.
+
+use std::collections::BTreeSet;
+use std::num::NonZeroU64;
+
+use crate::exit::{Exit, Failure};
+use anyhow::{Context, anyhow};
+use peernet_actuators::ActuatorConfig;
+use peernet_agent::config::{Limit, LoadConfig, PlacementConfig, WarmUp};
+use peernet_clock::SharedClock;
+use peernet_inference::Scratch;
+use peernet_networks::Address;
+use peernet_report::results::{Overwrite, ResultFolder, RunRecord};
+use peernet_stream::{Condition, Grade};
+
+use super::children::{self, Exited, News};
+use super::estimate::Pace;
+use super::file::Configuration;
+use super::plan::{Plan, in_words};
+use crate::foreground::{Progress, Signals, duration};
+use crate::measure::Order;
+
+/// Iterations of a trial: the first may be slow, of the others the pace is taken.
+const ITERATIONS: u64 = 3;
+/// How long a peer is waited for unless the file says otherwise; seconds. It may have to load its model.
+const PATIENCE_S: f64 = 30.0;
+
+/// What the trials showed.
+pub(super) struct Tried {
+    /// One for each configuration; `None` where it was not tried or did not work.
+    pub(super) paces: Vec<Option<Pace>>,
+    /// How many configurations were to be tried.
+    pub(super) wanted: usize,
+    /// What is missing: every configuration that cannot be measured, in words, and why.
+    pub(super) missing: Vec<(String, Exited)>,
+    /// What spoils measurements on a host, each once.
+    pub(super) conditions: Vec<Condition>,
+}
+
+/// A trial, and the places of all configurations that are alike in it.
+struct Trial {
+    order: Order,
+    configurations: Vec<usize>,
+}
+
+/// Tries the configurations at these places, those that are alike once.
+///
+/// # Errors
+/// When there is no place for files (69) or the user ended it (130).
+pub(super) async fn configurations(
+    plan: &Plan,
+    wanted: &BTreeSet<usize>,
+    clock: &SharedClock,
+    signals: &mut Signals,
+    quiet: bool,
+) -> Result<Tried, Failure> {
+    let folder = Scratch::new("trial")
+        .context("cannot make a temporary folder; TMPDIR names another place")
+        .map_err(|error| Failure::new(Exit::Unavailable, error))?;
+    let mut tried = Tried {
+        paces: vec![None; plan.configurations.len()],
+        wanted: wanted.len(),
+        missing: Vec::new(),
+        conditions: Vec::new(),
+    };
+    // Nobody is waited for twice.
+    let mut away: Vec<(Address, Exited)> = Vec::new();
+    let trials = trials(plan, wanted);
+    let mut progress = Progress::new(quiet, clock.mono());
+    for (done, Trial { order, configurations }) in trials.iter().enumerate() {
+        let words = || configurations.iter().map(|index| words(plan, *index));
+        let state = format!("trying {} of {}: {}", done + 1, trials.len(), alike(words()));
+        let peer = peer(order);
+        if let Some((address, exit)) = away.iter().find(|(other, _)| Some(other) == peer.as_ref()) {
+            if !quiet {
+                progress.say(format_args!("{state}: left out, {address} is away"));
+            }
+            tried.missing.extend(words().map(|words| (words, exit.clone())));
+            continue;
+        }
+        if !quiet {
+            progress.say(&state);
+        }
+        let at = folder.path().join(done.to_string());
+        let began = clock.mono();
+        let orders = [Order { folder: at.clone(), ..order.clone() }];
+        let share = done as f64 / trials.len() as f64;
+        let mut ended = children::execute(&orders, signals, |news| match news {
+            News::Line(_, line) | News::Ending(line) => progress.say(line),
+            News::Seen(seen) => {
+                let (now, trouble) =
+                    (clock.mono(), seen.iter().flatten().find_map(|seen| seen.trouble.clone()));
+                let since = duration((now - began).seconds());
+                progress.show(now, trouble, || (format!("{state}, for {since}"), share));
+            }
+        })
+        .await;
+        if ended.interrupted {
+            progress.end();
+            return Err(Failure::new(Exit::Interrupted, anyhow!("ended before the first run")));
+        }
+        let loaded = ResultFolder::open(&at).ok();
+        let took = (clock.mono() - began).seconds();
+        match ended.exits.pop() {
+            Some(exit) if exit.is_well() => {
+                let moments = loaded.iter().flat_map(|loaded| &loaded.rows).map(|row| row.at());
+                let pace = pace(&moments.collect::<Vec<_>>(), took);
+                configurations.iter().for_each(|index| tried.paces[*index] = pace);
+            }
+            Some(exit) => {
+                if took >= order.patience_s.unwrap_or(PATIENCE_S) {
+                    away.extend(peer.map(|peer| (peer, exit.clone())));
+                }
+                tried.missing.extend(words().map(|words| (words, exit.clone())));
+            }
+            None => {}
+        }
+        if let Some(loaded) = loaded {
+            tell(&loaded.record, &mut tried.conditions);
+        }
+    }
+    progress.end();
+    Ok(tried)
+}
+
+/// The trials that differ, in the order of the configurations.
+fn trials(plan: &Plan, wanted: &BTreeSet<usize>) -> Vec<Trial> {
+    let mut trials: Vec<Trial> = Vec::new();
+    let configurations = wanted.iter().filter_map(|index| Some((*index, plan.configurations.get(*index)?)));
+    for (index, configuration) in configurations {
+        let order = order(configuration);
+        match trials.iter_mut().find(|trial| trial.order.agent == order.agent) {
+            Some(trial) => trial.configurations.push(index),
+            None => trials.push(Trial { order, configurations: vec![index] }),
+        }
+    }
+    trials
+}
+
+/// A configuration in words; without axes the experiment's name.
+fn words(plan: &Plan, index: usize) -> String {
+    let words = plan.configurations.get(index).map(|configuration| in_words(&configuration.labels));
+    words.filter(|words| !words.is_empty()).unwrap_or_else(|| plan.name.to_string())
+}
+
+/// Configurations in few words: the first, and how many others are like it.
+fn alike(mut words: impl ExactSizeIterator<Item = String>) -> String {
+    let first = words.next().unwrap_or_default();
+    match words.len() {
+        0 => first,
+        1 => format!("{first} (and 1 configuration like it)"),
+        more => format!("{first} (and {more} configurations like it)"),
+    }
+}
+
+/// Who is asked.
+fn peer(order: &Order) -> Option<Address> {
+    match &order.agent.pipelines.first()?.placement {
+        PlacementConfig::Remote(remote) => Some(remote.peer.clone()),
+        PlacementConfig::Local { .. } | PlacementConfig::None {} => None,
+    }
+}
+
+/// The configuration, short, and acting upon nothing.
+fn order(configuration: &Configuration) -> Order {
+    let mut agent = configuration.agent.clone();
+    agent.agent.aggregator = None;
+    for pipeline in &mut agent.pipelines {
+        pipeline.limit = Limit { total: NonZeroU64::new(ITERATIONS), ..Limit::default() };
+        pipeline.warm_up = WarmUp { iterations: 0, episodes: 0, steps: 0 };
+        pipeline.episode_steps = None;
+        pipeline.load = LoadConfig::Closed {};
+        pipeline.actuator = ActuatorConfig::default();
+    }
+    Order {
+        agent,
+        title: in_words(&configuration.labels),
+        folder: std::path::PathBuf::new(),
+        overwrite: Overwrite::Refuse,
+        plots: false,
+        command: String::new(),
+        network_config: None,
+        user: None,
+        warm_up: String::new(),
+        patience_s: Some(configuration.patience_s.unwrap_or(PATIENCE_S)),
+    }
+}
+
+/// The pace, from the moments at which iterations began and the time that all took.
+fn pace(moments: &[f64], took: f64) -> Option<Pace> {
+    let intervals = moments.windows(2).map(|pair| pair[1] - pair[0]);
+    let iteration_s = intervals.filter(|interval| *interval > 0.0).reduce(f64::min)?;
+    Some(Pace { iteration_s, beside_s: (took - iteration_s * moments.len() as f64).max(0.0) })
+}
+
+/// What spoils measurements, unless it was told before.
+fn tell(record: &RunRecord, conditions: &mut Vec<Condition>) {
+    let hosts = std::iter::once(&record.edge).chain(&record.cloud);
+    let found = hosts.flat_map(|host| &host.conditions).filter(|found| found.grade >= Grade::Doubtful);
+    for condition in found {
+        let same = |other: &Condition| (&other.host, &other.about) == (&condition.host, &condition.about);
+        if !conditions.iter().any(same) {
+            conditions.push(condition.clone());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::run::tests::plan;
+
+    const FILE: &str = "\
+[experiment]
+name = 'e'
+iterations = 10
+[pipeline]
+sensor = { kind = 'text', length = 10 }
+placement = { kind = 'none' }
+[[axis]]
+name = 'Length'
+field = 'pipeline.sensor.length'
+values = [1, 2]
+[[axis]]
+name = 'Rate'
+[[axis.value]]
+label = 'closed'
+[[axis.value]]
+label = '5'
+set = { 'pipeline.load' = { mode = 'rate', hz = 5.0 } }
+[[axis.value]]
+label = '9'
+set = { 'pipeline.load' = { mode = 'rate', hz = 9.0 } }
+";
+
+    #[test]
+    fn configurations_that_are_alike_in_a_trial_share_one_and_all_have_a_name() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let whole = plan(folder.path(), FILE);
+        let places = |wanted: &[usize]| -> Vec<Vec<usize>> {
+            let trials = trials(&whole, &wanted.iter().copied().collect());
+            trials.into_iter().map(|trial| trial.configurations).collect()
+        };
+        assert_eq!(places(&[0, 1, 2, 3, 4, 5]), [[0, 1, 2], [3, 4, 5]]);
+        assert_eq!(places(&[2, 3, 5]), [vec![2], vec![3, 5]]);
+        let told = |indices: &[usize]| alike(indices.iter().map(|index| words(&whole, *index)));
+        assert_eq!(told(&[2]), "Length = 1, Rate = 9");
+        assert_eq!(told(&[3, 5]), "Length = 2, Rate = closed (and 1 configuration like it)");
+        assert_eq!(told(&[0, 1, 2]), "Length = 1, Rate = closed (and 2 configurations like it)");
+        let single = plan(folder.path(), FILE.split("[[axis]]").next().expect("what is before the axes"));
+        assert_eq!(words(&single, 0), "e");
+    }
+
+    #[test]
+    fn the_pace_is_that_of_the_iterations_after_the_first() {
+        let pace = pace(&[10.0, 12.0, 12.5], 4.0).expect("three iterations");
+        assert_eq!(pace, Pace { iteration_s: 0.5, beside_s: 2.5 });
+        assert_eq!(super::pace(&[10.0], 1.0), None);
+    }
+}

@@ -1,0 +1,241 @@
+//! `peernet status`
+
+mod rehearsed;
+
+use crate::exit::Failure;
+use crate::output::say;
+use chrono::{DateTime, SecondsFormat};
+use peernet_report::table::text;
+use serde::Deserialize;
+
+use crate::api::Api;
+use rehearsed::{Clock, Links, Rehearsed, marked, rehearsed};
+
+/// What `peernet status` can be told.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Arguments {
+    #[command(flatten)]
+    api: Api,
+}
+
+#[derive(Debug, Deserialize)]
+struct Pipelines {
+    pipelines: Vec<Pipeline>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Pipeline {
+    host: String,
+    name: String,
+    state: String,
+    reason: Option<String>,
+    placement: Placement,
+    windows: Vec<Window>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Placement {
+    kind: String,
+    peer: Option<String>,
+    address: Option<String>,
+    model: String,
+}
+
+#[derive(Debug, Deserialize)]
+struct Window {
+    seconds: u32,
+    rate_hz: f64,
+    lost_fraction: Option<f64>,
+    values: Vec<Figures>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Figures {
+    name: String,
+    mean: f64,
+    p50: Option<f64>,
+    p95: Option<f64>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Hosts {
+    hosts: Vec<Host>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Host {
+    name: String,
+    connected: bool,
+    last_seen: Option<String>,
+    now: Option<Now>,
+    clock: Option<Clock>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Now {
+    cpu: Option<f64>,
+    events: Events,
+}
+
+#[derive(Debug, Deserialize)]
+struct Events {
+    waiting: u64,
+    dropped: u64,
+}
+
+/// The window that the table shows: long enough to be steady, short enough to be now.
+const WINDOW_S: u32 = 10;
+
+/// Prints both tables.
+///
+/// # Errors
+/// When the aggregator does not answer.
+pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let Pipelines { pipelines } = arguments.api.get("/api/v1/pipelines")?;
+    let Hosts { hosts } = arguments.api.get("/api/v1/hosts")?;
+    let Links { links } = arguments.api.get("/api/v1/links")?;
+    let rehearsed = rehearsed(&hosts, &links);
+    if pipelines.is_empty() {
+        say("no pipeline yet: start an agent with a [[pipeline]] whose [agent] aggregator is this one");
+    } else {
+        let header = [
+            "pipeline",
+            "where",
+            "state",
+            "rate /s",
+            "lost %",
+            "p50 ms",
+            "p95 ms",
+            "upload ms",
+            "inference ms",
+            "download ms",
+        ];
+        say(text(&header, &pipelines.iter().map(|one| pipeline_row(one, &rehearsed)).collect::<Vec<_>>()));
+        say(format_args!(
+            "the last {WINDOW_S} s; p50 and p95 are quantiles of the total, the stages are means"
+        ));
+        // Below the table: a reason is a sentence and would tear the columns apart.
+        for pipeline in &pipelines {
+            if let Some(reason) = &pipeline.reason {
+                say(format_args!("{}/{} is {}: {reason}", pipeline.host, pipeline.name, pipeline.state));
+            }
+        }
+    }
+    say("");
+    let header = ["host", "state", "CPU %", "waiting", "dropped"];
+    say(text(&header, &hosts.iter().map(|one| host_row(one, &rehearsed)).collect::<Vec<_>>()));
+    for (name, how) in &rehearsed {
+        say(format_args!(
+            "\nREHEARSAL: {name}'s clock is made wrong on purpose ({how}); its delays should not move"
+        ));
+    }
+    Ok(())
+}
+
+fn pipeline_row(pipeline: &Pipeline, rehearsed: &Rehearsed) -> Vec<String> {
+    let window = pipeline.windows.iter().find(|window| window.seconds == WINDOW_S);
+    let of = |name: &str| window.and_then(|window| window.values.iter().find(|figures| figures.name == name));
+    let mean = |name: &str| milliseconds(of(name).map(|figures| figures.mean));
+    let total = of("total");
+    let Placement { kind, peer, address, model } = &pipeline.placement;
+    let place = match peer.as_ref().or(address.as_ref()) {
+        Some(there) => format!("{model} on {there}"),
+        None if kind == "none" => "sensor alone".to_owned(),
+        None if kind == "local" => format!("{model} on board"),
+        None => model.clone(),
+    };
+    let ends = [Some(&pipeline.host), peer.as_ref()];
+    let is_rehearsed = ends.into_iter().flatten().any(|host| rehearsed.contains_key(host));
+    vec![
+        format!("{}/{}", pipeline.host, pipeline.name),
+        place,
+        marked(&pipeline.state, is_rehearsed),
+        known(window.map(|window| format!("{:.1}", window.rate_hz))),
+        known(window.and_then(|window| window.lost_fraction).map(percent)),
+        milliseconds(total.and_then(|figures| figures.p50)),
+        milliseconds(total.and_then(|figures| figures.p95)),
+        mean("upload"),
+        mean("inference"),
+        mean("download"),
+    ]
+}
+
+fn host_row(host: &Host, rehearsed: &Rehearsed) -> Vec<String> {
+    let state = match (&host.connected, &host.last_seen) {
+        (true, _) => "connected".to_owned(),
+        (false, Some(seen)) => format!("last seen {}", to_the_second(seen)),
+        (false, None) => "never seen".to_owned(),
+    };
+    let now = host.now.as_ref();
+    vec![
+        host.name.clone(),
+        marked(&state, rehearsed.contains_key(&host.name)),
+        known(now.and_then(|now| now.cpu).map(percent)),
+        known(now.map(|now| now.events.waiting.to_string())),
+        known(now.map(|now| now.events.dropped.to_string())),
+    ]
+}
+
+/// A moment without fractions of a second; as it came where it is none.
+fn to_the_second(moment: &str) -> String {
+    let read = DateTime::parse_from_rfc3339(moment);
+    read.map_or_else(|_| moment.to_owned(), |read| read.to_rfc3339_opts(SecondsFormat::Secs, true))
+}
+
+fn milliseconds(seconds: Option<f64>) -> String {
+    known(seconds.map(|seconds| format!("{:.2}", seconds * 1e3)))
+}
+
+fn percent(fraction: f64) -> String {
+    format!("{:.1}", fraction * 100.0)
+}
+
+fn known(figure: Option<String>) -> String {
+    figure.unwrap_or_else(|| "—".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::rehearsed::Link;
+    use super::*;
+
+    #[test]
+    fn nobody_needs_the_nanosecond_at_which_a_host_was_seen() {
+        assert_eq!(to_the_second("2026-11-20T22:41:07.123456789Z"), "2026-11-20T22:41:07Z");
+    }
+
+    #[test]
+    fn what_a_rehearsed_clock_touches_is_marked() {
+        let clock = json!({ "rehearsal": {
+            "offset_s": 1.0, "drift_ppm": -50.0, "steps": [{ "at_s": 20.0, "by_s": 0.3 }], "since": "x",
+        } });
+        let host = |name: &str, clock: serde_json::Value| {
+            let host =
+                json!({ "name": name, "connected": true, "last_seen": null, "now": null, "clock": clock });
+            serde_json::from_value::<Host>(host).expect("as the API answers")
+        };
+        let link = json!({ "cloud": "away", "connected": true, "now": { "cloud_clock": clock } });
+        let link: Link = serde_json::from_value(link).expect("as the API answers");
+        let hosts = [host("edge", clock), host("cloud", json!({ "rehearsal": null }))];
+        let rehearsed = rehearsed(&hosts, &[link]);
+        assert_eq!(rehearsed.keys().collect::<Vec<_>>(), ["away", "edge"]);
+        let how = "offset +1000 ms, drift -50 ppm, step +300 ms after 20 s";
+        assert_eq!(rehearsed["edge"].to_string(), how);
+        let states = hosts.map(|host| host_row(&host, &rehearsed)[1].clone());
+        assert_eq!(states, ["connected, rehearsed", "connected"]);
+
+        let state = |host: &str, peer: &str| {
+            let pipeline = json!({
+                "host": host, "name": "p", "state": "running", "reason": null, "windows": [],
+                "placement": { "kind": "remote", "peer": peer, "address": null, "model": "echo" },
+            });
+            let pipeline: Pipeline = serde_json::from_value(pipeline).expect("as the API answers");
+            pipeline_row(&pipeline, &rehearsed)[2].clone()
+        };
+        assert_eq!(state("edge", "cloud"), "running, rehearsed");
+        assert_eq!(state("other", "away"), "running, rehearsed");
+        assert_eq!(state("other", "cloud"), "running");
+    }
+}

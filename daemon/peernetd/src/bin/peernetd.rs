@@ -1,0 +1,7 @@
+//! `peernetd`: the daemon.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    peernetd::main()
+}

@@ -1,0 +1,85 @@
+//! `peernetd backup`
+
+use std::io::IsTerminal;
+use std::path::Path;
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use peernet_aggregator::maintenance::{Backup, BackupError, Copied};
+use peernet_cli::exit::{Exit, Failure};
+use peernet_cli::output::{complain, say};
+use peernet_report::number::bytes;
+use tokio::signal::unix::{SignalKind, signal};
+use tokio_util::sync::CancellationToken;
+
+use super::Database;
+use crate::log;
+
+/// How often the growing copy is looked at.
+const LOOK: Duration = Duration::from_millis(200);
+
+/// Copies the database to a file that does not exist yet.
+pub(crate) fn backup(database: Database, target: &Path) -> Exit {
+    let _log = log::temporary();
+    let made = database.path().and_then(|database| {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+        let runtime = runtime.map_err(|error| Failure::new(Exit::Unavailable, error))?;
+        runtime.block_on(copy(&database, target))
+    });
+    match made {
+        Ok(copied) => {
+            say(format_args!("{} ({})", copied.path.display(), bytes(copied.bytes as f64)));
+            Exit::Ok
+        }
+        Err(failure) => {
+            complain(&failure);
+            failure.exit
+        }
+    }
+}
+
+async fn copy(database: &Path, target: &Path) -> Result<Copied, Failure> {
+    let failed = |error: BackupError| {
+        let exit = match error {
+            BackupError::Stopped => Exit::Interrupted,
+            BackupError::NotADatabase { .. } => Exit::Data,
+            _ => Exit::Unavailable,
+        };
+        Failure::new(exit, error)
+    };
+    let signals = |kind| signal(kind).map_err(|error| Failure::new(Exit::Unavailable, error));
+    let (mut interrupts, mut terminations) =
+        (signals(SignalKind::interrupt())?, signals(SignalKind::terminate())?);
+    let backup = Backup::prepare(database, target).await.map_err(failed)?;
+    let bar = bar(backup.expected_bytes());
+    let partial = backup.partial().to_owned();
+    let stop = CancellationToken::new();
+    let made = backup.run(stop.clone());
+    tokio::pin!(made);
+    let mut look = tokio::time::interval(LOOK);
+    loop {
+        tokio::select! {
+            made = &mut made => {
+                bar.finish_and_clear();
+                return made.map_err(failed);
+            }
+            _ = interrupts.recv() => stop.cancel(),
+            _ = terminations.recv() => stop.cancel(),
+            _ = look.tick() => {
+                if let Ok(file) = std::fs::metadata(&partial) {
+                    bar.set_position(file.len());
+                }
+            }
+        }
+    }
+}
+
+/// How much of the copy is there; nothing where nobody looks.
+fn bar(expected: u64) -> ProgressBar {
+    if !std::io::stderr().is_terminal() {
+        return ProgressBar::hidden();
+    }
+    let bar = ProgressBar::with_draw_target(Some(expected), ProgressDrawTarget::stderr());
+    let style = ProgressStyle::with_template("{wide_bar} {bytes} of about {total_bytes}, {eta} left");
+    bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+}

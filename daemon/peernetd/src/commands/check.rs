@@ -1,0 +1,31 @@
+//! `peernetd check`
+
+use std::path::PathBuf;
+
+use peernet_agent::Agent;
+
+use crate::configuration::load;
+use peernet_cli::exit::Exit;
+use peernet_cli::output::{complain, say};
+
+/// Checks each file and reports every problem.
+pub(crate) fn check(files: &[PathBuf]) -> Exit {
+    let mut exit = Exit::Ok;
+    for file in files {
+        match load(file) {
+            Ok(configuration) => {
+                say(format_args!("{}: ok", file.display()));
+                for remark in configuration.agent.iter().flat_map(Agent::remarks) {
+                    say(format_args!("{}: note: {remark}", file.display()));
+                }
+            }
+            Err(problems) => {
+                for problem in problems {
+                    complain(problem);
+                }
+                exit = Exit::Configuration;
+            }
+        }
+    }
+    exit
+}

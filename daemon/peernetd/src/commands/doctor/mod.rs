@@ -1,0 +1,151 @@
+//! `peernetd doctor`
+
+mod print;
+mod repair;
+mod spool;
+
+use std::path::PathBuf;
+
+use clap::ArgGroup;
+use peernet_aggregator::maintenance::{Examination, Finding, Report, Severity, examine};
+use peernet_cli::clock;
+use peernet_cli::exit::{Exit, Failure, in_one_line};
+use peernet_cli::output::{complain, say};
+use peernet_clock::{ClockIdentity, WallTime};
+use serde::Serialize;
+
+use self::spool::SpoolReport;
+use super::place::wrong_configuration;
+use crate::configuration::{Places, places};
+use crate::log;
+
+/// What `peernetd doctor` can be told.
+#[derive(Debug, clap::Args)]
+#[group(skip)]
+#[command(group = ArgGroup::new("files").required(true).multiple(true).args(["config", "database", "spool"]))]
+pub(crate) struct Arguments {
+    /// The configuration file: its [aggregator]'s database and its agent's spool are looked at, as far as it has them.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["database", "spool"])]
+    config: Option<PathBuf>,
+    /// An aggregator's database.
+    #[arg(long, value_name = "FILE")]
+    database: Option<PathBuf>,
+    /// An agent's spool.
+    #[arg(long, value_name = "FILE")]
+    spool: Option<PathBuf>,
+    /// Compare indexes with their tables and follow references, too: takes several times as long.
+    #[arg(long)]
+    full: bool,
+    /// Repair a damaged database while the aggregator is stopped: all rows that can be read go to a new file that takes its
+    /// place, and the damaged one is kept beside it.
+    #[arg(long, conflicts_with_all = ["spool", "full", "json"])]
+    repair: bool,
+    /// Print one JSON object; fields named _ns are nanoseconds since 1970 UTC.
+    #[arg(long)]
+    json: bool,
+}
+
+/// All that was looked at.
+#[derive(Debug, Default, Serialize)]
+struct Examined {
+    healthy: bool,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    database: Option<Report>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    spool: Option<SpoolReport>,
+    /// What could not be looked at, and why.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    unavailable: Vec<String>,
+}
+
+/// Looks at what is stored, and tells by the exit code whether something is wrong.
+pub(crate) fn doctor(arguments: Arguments) -> Exit {
+    let _log = log::temporary();
+    let (full, json, repair) = (arguments.full, arguments.json, arguments.repair);
+    let looked = arguments.places().and_then(|places| {
+        let unavailable = |error: std::io::Error| Failure::new(Exit::Unavailable, error);
+        let now = clock::system(ClockIdentity::SYSTEM).map_err(unavailable)?.wall();
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+        let runtime = runtime.map_err(unavailable)?;
+        if repair {
+            let database = places.database.ok_or_else(no_database)?;
+            return runtime.block_on(repair::repair_database(&database, now));
+        }
+        let examined = runtime.block_on(Examined::look(places, Examination { full, now }));
+        tell(&examined, now, json)?;
+        Ok(examined.exit())
+    });
+    looked.unwrap_or_else(|failure| {
+        complain(&failure);
+        failure.exit
+    })
+}
+
+impl Arguments {
+    fn places(self) -> Result<Places, Failure> {
+        let Some(config) = self.config else {
+            return Ok(Places { database: self.database, spool: self.spool });
+        };
+        let places = places(&config).map_err(|problems| wrong_configuration(&problems))?;
+        if places.database.is_none() && places.spool.is_none() {
+            let error = anyhow::anyhow!(
+                "{} names neither a database nor a spool: it has no table [aggregator], and no [agent] aggregator",
+                config.display()
+            );
+            return Err(Failure::new(Exit::Configuration, error));
+        }
+        Ok(places)
+    }
+}
+
+fn no_database() -> Failure {
+    let error =
+        anyhow::anyhow!("the configuration has no table [aggregator], so it names no database to repair");
+    Failure::new(Exit::Configuration, error)
+}
+
+fn tell(examined: &Examined, now: WallTime, json: bool) -> Result<(), Failure> {
+    if json {
+        let text = serde_json::to_string_pretty(examined);
+        say(text.map_err(|error| Failure::new(Exit::Software, error))?);
+    } else {
+        print::print(examined, now);
+    }
+    examined.unavailable.iter().for_each(complain);
+    Ok(())
+}
+
+impl Examined {
+    async fn look(places: Places, how: Examination) -> Self {
+        let mut all = Self::default();
+        if let Some(path) = &places.database {
+            match examine(path, how).await {
+                Ok(report) => all.database = Some(report),
+                Err(error) => all.unavailable.push(error.to_string()),
+            }
+        }
+        if let Some(path) = &places.spool {
+            match spool::examine(path).await {
+                Ok(report) => all.spool = Some(report),
+                Err(error) => all.unavailable.push(in_one_line(&error)),
+            }
+        }
+        all.healthy = all.exit() == Exit::Ok;
+        all
+    }
+
+    fn findings(&self) -> impl Iterator<Item = &Finding> {
+        let database = self.database.iter().flat_map(|report| &report.findings);
+        database.chain(self.spool.iter().flat_map(|report| &report.findings))
+    }
+
+    fn exit(&self) -> Exit {
+        if self.findings().any(|finding| finding.severity == Severity::Problem) {
+            Exit::Data
+        } else if !self.unavailable.is_empty() {
+            Exit::Unavailable
+        } else {
+            Exit::Ok
+        }
+    }
+}

@@ -1,0 +1,161 @@
+//! What was found, for people.
+
+use peernet_aggregator::maintenance::{Report, Severity};
+use peernet_cli::output::say;
+use peernet_clock::WallTime;
+use peernet_report::number::{bytes, fixed};
+use peernet_report::table::text;
+
+use super::Examined;
+use super::spool::SpoolReport;
+
+/// Lines of one table; all stand in the JSON form.
+const LINES: usize = 20;
+/// Of what SQLite finds broken, and of findings.
+const FEW: usize = 10;
+
+pub(super) fn print(examined: &Examined, now: WallTime) {
+    if let Some(report) = &examined.database {
+        database(report, now);
+    }
+    if let Some(report) = &examined.spool {
+        spool(report, now);
+    }
+    for finding in examined.findings().take(FEW) {
+        let severity = match finding.severity {
+            Severity::Problem => "PROBLEM",
+            Severity::Notice => "notice",
+        };
+        say(format_args!("{severity}: {}\n  → {}", finding.what, finding.advice));
+    }
+    if let Some(more) = examined.findings().count().checked_sub(FEW + 1) {
+        say(format_args!("… and {} more (--json shows all)", more + 1));
+    }
+    let problems = examined.findings().filter(|finding| finding.severity == Severity::Problem).count();
+    let notices = examined.findings().count() - problems;
+    match (problems, examined.unavailable.is_empty()) {
+        (0, true) if notices == 0 => say("healthy"),
+        (0, true) => say("healthy; see the notices above"),
+        (0, false) => {}
+        (1, _) => say("1 problem"),
+        (n, _) => say(format_args!("{n} problems")),
+    }
+}
+
+fn database(report: &Report, now: WallTime) {
+    let file = &report.file;
+    say(format_args!(
+        "database {}\n  {}, of it {} free for reuse; the log beside it {}; room on the disk {}",
+        report.database.display(),
+        size(file.bytes),
+        size(file.free_bytes),
+        size(file.wal_bytes),
+        size(file.disk_free_bytes)
+    ));
+    if let Some(schema) = report.schema {
+        say(format_args!("  schema {} (this program's is {})", schema.found, schema.known));
+    }
+    let how = if report.integrity.full { "full check" } else { "quick check" };
+    let said = match report.integrity.problems.as_slice() {
+        [] if report.is_healthy() => "ok".to_owned(),
+        [] => "nothing found, but see below".to_owned(),
+        problems if problems.len() > FEW => {
+            let more = problems.len() - FEW;
+            format!("{}\n    … and {more} more (--json shows all)", problems[..FEW].join("\n    "))
+        }
+        problems => problems.join("\n    "),
+    };
+    say(format_args!("  {how}: {said}\n"));
+    let rows = report.tables.iter().map(|table| {
+        let about = if table.estimated { "about " } else { "" };
+        vec![table.table.to_owned(), format!("{about}{}", fixed(table.rows as f64, 0))]
+    });
+    section(&["table", "rows"], rows);
+    let rows = report.streams.iter().map(|stream| {
+        let host = stream.host.clone().unwrap_or_else(|| "unknown".to_owned());
+        vec![host, stream.stream.clone(), fixed(stream.stored as f64, 0), ago(stream.last_seen_ns, now)]
+    });
+    section(&["host", "stream", "stored up to batch", "last"], rows);
+    let rows = report.rollups.iter().map(|extent| {
+        let at = |second: Option<i64>| {
+            second.map_or_else(|| "—".to_owned(), |second| ago(second.saturating_mul(1_000_000_000), now))
+        };
+        vec![format!("{} s", fixed(extent.resolution_s as f64, 0)), at(extent.oldest_s), at(extent.newest_s)]
+    });
+    section(&["roll-ups of", "oldest begins", "newest begins"], rows);
+    let rows = report.gaps.iter().map(|gap| {
+        let host = gap.host.clone().unwrap_or_else(|| "unknown".to_owned());
+        let events = if gap.uncounted > 0 { format!("≥ {}", gap.events) } else { gap.events.to_string() };
+        vec![gap.reason.clone(), host, gap.gaps.to_string(), events, ago(gap.to_ns, now)]
+    });
+    section(&["never arrived because", "host", "gaps", "events", "last"], rows);
+    let rows = report.quarantine.iter().map(|group| {
+        let host = group.host.clone().unwrap_or_else(|| "unknown".to_owned());
+        vec![group.reason.clone(), host, group.batches.to_string(), ago(group.last_ns, now)]
+    });
+    section(&["put aside because", "host", "batches", "last"], rows);
+    let rows = report.open_runs.iter().map(|run| {
+        let host = run.host.clone().unwrap_or_else(|| "unknown".to_owned());
+        vec![format!("#{}", run.number), format!("{host}/{}", run.pipeline), ago(run.last_seen_ns, now)]
+    });
+    section(&["run without end", "pipeline", "host heard of"], rows);
+}
+
+fn spool(report: &SpoolReport, now: WallTime) {
+    say(format_args!(
+        "spool {}\n  {}; room on the disk {}",
+        report.spool.display(),
+        size(report.file_bytes),
+        size(report.disk_free_bytes)
+    ));
+    let found = &report.inspection;
+    if found.stream.is_empty() {
+        return say("");
+    }
+    say(format_args!(
+        "  stream {} of host {}\n  stored by the aggregator up to batch {}\n  {} events handed in, {} dropped",
+        found.stream,
+        found.host,
+        fixed(found.acknowledged as f64, 0),
+        fixed(found.produced as f64, 0),
+        fixed(found.dropped as f64, 0)
+    ));
+    match (found.waiting, found.oldest_ns) {
+        (Some((first, last)), Some(oldest)) => say(format_args!(
+            "  waiting: batches {first} to {last}, {} events, {}, the oldest of {}\n",
+            fixed(found.events as f64, 0),
+            size(found.bytes),
+            ago(oldest, now)
+        )),
+        _ => say("  nothing waits\n"),
+    }
+}
+
+/// A table with an empty line after it; nothing for no rows.
+fn section(header: &[&str], rows: impl Iterator<Item = Vec<String>>) {
+    let rows: Vec<Vec<String>> = rows.collect();
+    let Some(more) = (!rows.is_empty()).then(|| rows.len().saturating_sub(LINES)) else { return };
+    say(text(header, &rows[..rows.len() - more]));
+    if more > 0 {
+        say(format_args!("… and {more} more (--json shows all)"));
+    }
+    say("");
+}
+
+fn size(length: u64) -> String {
+    bytes(length as f64)
+}
+
+/// `3 min ago`, to the largest unit that fits.
+fn ago(nanos: i64, now: WallTime) -> String {
+    let seconds = (now - WallTime::from_unix_nanos(nanos)).seconds();
+    let (value, unit) = match seconds.abs() {
+        s if s < 100.0 => (s, "s"),
+        s if s < 6_000.0 => (s / 60.0, "min"),
+        s if s < 172_800.0 => (s / 3_600.0, "h"),
+        s => (s / 86_400.0, "days"),
+    };
+    // Hosts' clocks may be ahead of this machine's.
+    let when = if seconds < -1.0 { "ahead" } else { "ago" };
+    format!("{value:.0} {unit} {when}")
+}

@@ -1,0 +1,74 @@
+//! `peernetd doctor --repair`
+
+use std::io::IsTerminal;
+use std::path::Path;
+
+use chrono::{DateTime, Utc};
+use peernet_aggregator::maintenance::{RepairError, Repaired, repair};
+use peernet_cli::exit::{Exit, Failure};
+use peernet_cli::output::say;
+use peernet_clock::WallTime;
+use peernet_report::number::fixed;
+use peernet_report::table::text;
+
+/// Repairs a database and says what became of each table.
+pub(super) async fn repair_database(database: &Path, now: WallTime) -> Result<Exit, Failure> {
+    let stamp = DateTime::<Utc>::from_timestamp_nanos(now.unix_nanos()).format("%Y%m%dT%H%M%SZ").to_string();
+    let progress = |what: &str| {
+        if std::io::stderr().is_terminal() {
+            tracing::info!("salvaging {what}");
+        }
+    };
+    let repaired = repair(database, now, &stamp, progress).await;
+    match repaired.map_err(|error| Failure::new(exit(&error), error))? {
+        Some(repaired) => print(database, &repaired),
+        None => say(format_args!("database {}: not damaged, nothing to repair", database.display())),
+    }
+    Ok(Exit::Ok)
+}
+
+fn print(database: &Path, repaired: &Repaired) {
+    say(format_args!(
+        "repaired {}\n  the damaged file is kept as {}\n",
+        database.display(),
+        repaired.damaged.display()
+    ));
+    let iterations = fixed(repaired.lost_iterations as f64, 0);
+    let rows: Vec<Vec<String>> = repaired
+        .tables
+        .iter()
+        .filter(|table| table.rows > 0 || table.unreadable > 0)
+        .map(|table| {
+            let lost = match (table.table.as_str(), table.unreadable) {
+                ("iteration", _) => iterations.clone(),
+                (_, 0) => "0".to_owned(),
+                (_, 1) => "unknown, in 1 place".to_owned(),
+                (_, places) => format!("unknown, in {places} places"),
+            };
+            vec![table.table.clone(), fixed(table.rows as f64, 0), lost]
+        })
+        .collect();
+    say(text(&["table", "rows salvaged", "rows lost"], &rows));
+    if repaired.lost_iterations > 0 {
+        say(format_args!(
+            "\n{iterations} iterations are lost; each run that lacks some has a gap that says so"
+        ));
+    }
+    if repaired.without_log {
+        say("\nthe log beside it (-wal) could not be taken over: what was stored last is missing");
+    }
+}
+
+fn exit(error: &RepairError) -> Exit {
+    match error {
+        RepairError::Unreadable { .. } | RepairError::NewerSchema { .. } | RepairError::Failing { .. } => {
+            Exit::Data
+        }
+        RepairError::Missing(_)
+        | RepairError::Lock(_)
+        | RepairError::ForeignLog(_)
+        | RepairError::NoRoom { .. }
+        | RepairError::File { .. }
+        | RepairError::Write { .. } => Exit::Unavailable,
+    }
+}

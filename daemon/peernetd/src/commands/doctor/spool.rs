@@ -1,0 +1,100 @@
+//! An agent's spool: what waits in it, whether each batch is what it was, and how much room is left.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use peernet_agent::spool::{InspectError, Inspection, SpoolDamage, inspect};
+use peernet_aggregator::maintenance::{Finding, Severity, free_bytes};
+use serde::Serialize;
+
+/// A disk with less room is as good as full.
+const LITTLE_ROOM: u64 = 16 << 20;
+/// What to do about a damaged spool.
+const RENEW: &str = "stop the agent, move the file with its -wal to another folder and keep it, start the agent again: it \
+                     makes a new one, and the aggregator records what was lost as a gap";
+/// What to do about a disk without room.
+const MAKE_ROOM: &str = "make room: what is measured while the aggregator is away and does not fit into the agent's \
+                         memory is lost, and counted";
+
+/// The state of a spool.
+#[derive(Clone, Debug, Default, Serialize)]
+pub(super) struct SpoolReport {
+    pub(super) spool: PathBuf,
+    #[serde(flatten)]
+    pub(super) inspection: Inspection,
+    /// Size of the file and its log.
+    pub(super) file_bytes: u64,
+    /// Room that is left on its disk, beside what the agent holds there for deleting.
+    pub(super) disk_free_bytes: u64,
+    pub(super) findings: Vec<Finding>,
+}
+
+/// Reads the whole spool at one moment, beside a running agent if there is one.
+pub(super) async fn examine(path: &Path) -> anyhow::Result<SpoolReport> {
+    if !path.is_file() {
+        bail!(
+            "there is no spool {}; an agent makes it when it starts with [agent] aggregator",
+            path.display()
+        );
+    }
+    let mut report = SpoolReport { spool: path.to_owned(), ..SpoolReport::default() };
+    let length = |path: &Path| std::fs::metadata(path).map_or(0, |file| file.len());
+    let mut log = path.as_os_str().to_owned();
+    log.push("-wal");
+    report.file_bytes = length(path) + length(Path::new(&log));
+    report.room(path);
+    match inspect(path).await {
+        Ok(inspection) => report.take(inspection),
+        // SQLite needs some room even to read.
+        Err(InspectError::Read(error)) if report.disk_free_bytes < LITTLE_ROOM => {
+            report.problem(format!("the spool cannot be read: {error}"), MAKE_ROOM);
+        }
+        Err(InspectError::Read(error)) => {
+            return Err(error).with_context(|| format!("cannot read the spool {}", path.display()));
+        }
+        Err(other) => {
+            let advice = match other {
+                InspectError::Database => "look at it with `peernetd doctor --database FILE`",
+                InspectError::Empty => "start its agent, which makes it",
+                _ => "name the file of [spool] file",
+            };
+            report.problem(other.to_string(), advice);
+        }
+    }
+    Ok(report)
+}
+
+impl SpoolReport {
+    fn room(&mut self, path: &Path) {
+        match free_bytes(path) {
+            Ok(bytes) => {
+                self.disk_free_bytes = bytes;
+                if bytes < LITTLE_ROOM {
+                    self.problem(format!("its disk has only {} KiB of room", bytes >> 10), MAKE_ROOM);
+                }
+            }
+            Err(error) => self.problem(format!("cannot tell how full its disk is: {error}"), "look at `df`"),
+        }
+    }
+
+    fn take(&mut self, inspection: Inspection) {
+        for what in inspection.damages.iter().map(SpoolDamage::to_string) {
+            self.problem(what, RENEW);
+        }
+        if inspection.dropped > 0 {
+            self.findings.push(Finding {
+                severity: Severity::Notice,
+                what: format!(
+                    "{} events were dropped for want of room, and are told of as gaps",
+                    inspection.dropped
+                ),
+                advice: "raise [spool] limit_bytes, or look why the aggregator was away".to_owned(),
+            });
+        }
+        self.inspection = inspection;
+    }
+
+    fn problem(&mut self, what: String, advice: &str) {
+        self.findings.push(Finding { severity: Severity::Problem, what, advice: advice.to_owned() });
+    }
+}

@@ -1,0 +1,47 @@
+//! Which database a command is about.
+
+use std::path::PathBuf;
+
+use anyhow::anyhow;
+use peernet_cli::exit::{Exit, Failure};
+
+use crate::configuration::{Problem, places};
+
+/// The aggregator's database, by itself or as a configuration names it.
+#[derive(Debug, clap::Args)]
+#[group(required = true, multiple = false)]
+pub(crate) struct Database {
+    /// The configuration file whose [aggregator] names the database.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// The database itself.
+    #[arg(long, value_name = "FILE")]
+    database: Option<PathBuf>,
+}
+
+impl Database {
+    /// The path of the database.
+    ///
+    /// # Errors
+    /// When the configuration cannot be read or has no aggregator.
+    pub(crate) fn path(self) -> Result<PathBuf, Failure> {
+        match (self.database, self.config) {
+            (Some(path), _) => Ok(path),
+            (None, Some(config)) => places(&config)
+                .map_err(|problems| wrong_configuration(&problems))?
+                .database
+                .ok_or_else(|| {
+                    let error =
+                        anyhow!("{} has no table [aggregator], so it names no database", config.display());
+                    Failure::new(Exit::Configuration, error)
+                }),
+            (None, None) => Err(Failure::new(Exit::Usage, anyhow!("name a --config or a --database"))),
+        }
+    }
+}
+
+/// All that is wrong with a configuration, a line each.
+pub(super) fn wrong_configuration(problems: &[Problem]) -> Failure {
+    let lines: Vec<String> = problems.iter().map(ToString::to_string).collect();
+    Failure::new(Exit::Configuration, anyhow!(lines.join("\n")))
+}

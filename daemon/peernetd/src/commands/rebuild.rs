@@ -1,0 +1,75 @@
+//! `peernetd rebuild-rollups`
+
+use std::io::IsTerminal;
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use peernet_aggregator::StartError;
+use peernet_aggregator::maintenance::{RebuildError, Rebuilt, rebuild_rollups};
+use peernet_cli::exit::{Exit, Failure};
+use peernet_cli::output::{complain, say};
+use peernet_report::number::fixed;
+
+use super::Database;
+use crate::log;
+
+/// Computes roll-ups again from the nodes that are stored.
+pub(crate) fn rebuild(database: Database, run: Option<i64>) -> Exit {
+    let _log = log::temporary();
+    let bar = spinner();
+    let rebuilt = database.path().and_then(|database| {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+        let runtime = runtime.map_err(|error| Failure::new(Exit::Unavailable, error))?;
+        let progress = |rebuilt: &Rebuilt| {
+            bar.set_message(format!(
+                "{} runs, {} iterations",
+                fixed(rebuilt.runs as f64, 0),
+                fixed(rebuilt.iterations as f64, 0)
+            ));
+            bar.tick();
+        };
+        let rebuilt = runtime.block_on(rebuild_rollups(&database, run, progress));
+        rebuilt.map_err(|error| Failure::new(exit(&error), error))
+    });
+    bar.finish_and_clear();
+    match rebuilt {
+        Ok(rebuilt) => {
+            say(format_args!(
+                "rebuilt the roll-ups of {} runs from {} iterations",
+                fixed(rebuilt.runs as f64, 0),
+                fixed(rebuilt.iterations as f64, 0)
+            ));
+            if rebuilt.in_part > 0 {
+                say(format_args!(
+                    "{} of them in part: of times whose nodes were deleted the roll-ups are as before",
+                    fixed(rebuilt.in_part as f64, 0)
+                ));
+            }
+            Exit::Ok
+        }
+        Err(failure) => {
+            complain(&failure);
+            failure.exit
+        }
+    }
+}
+
+fn exit(error: &RebuildError) -> Exit {
+    match error {
+        RebuildError::NoRun { .. } => Exit::Usage,
+        RebuildError::Open(StartError::NotADatabase { .. }) => Exit::Data,
+        RebuildError::Missing(_)
+        | RebuildError::Lock(_)
+        | RebuildError::Open(_)
+        | RebuildError::Database { .. } => Exit::Unavailable,
+    }
+}
+
+/// What is done so far; nothing where nobody looks.
+fn spinner() -> ProgressBar {
+    if !std::io::stderr().is_terminal() {
+        return ProgressBar::hidden();
+    }
+    let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
+    let style = ProgressStyle::with_template("{spinner} {msg}, {elapsed}");
+    bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()))
+}

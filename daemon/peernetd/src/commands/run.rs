@@ -1,0 +1,109 @@
+//! `peernetd run`: a fixed order. Temporary log, configuration with all checks, real log, runtime, parts, READY.
+
+use std::path::Path;
+use std::time::Duration;
+
+use futures::{FutureExt, TryFutureExt};
+use peernet_agent::Agent;
+use peernet_aggregator::Aggregator;
+use peernet_networks::descriptors::{DescriptorShare, raise_limit};
+use tracing::{info, warn};
+
+use crate::configuration::{Configuration, load};
+use crate::lifecycle::Lifecycle;
+use crate::log;
+use peernet_cli::VERSION;
+use peernet_cli::exit::{Exit, Failure, in_one_line};
+use peernet_cli::output::complain;
+
+/// How long threads that block may take to end after everything else has.
+const LAST_MOMENTS: Duration = Duration::from_secs(1);
+
+/// Runs the roles of a configuration file until a signal comes.
+pub(crate) fn run(file: &Path) -> Exit {
+    let temporary = log::temporary();
+    let configuration = match load(file) {
+        Ok(configuration) => configuration,
+        Err(problems) => {
+            for problem in problems {
+                complain(problem);
+            }
+            return Exit::Configuration;
+        }
+    };
+    drop(temporary);
+    if let Err(error) = log::install(&configuration.log) {
+        complain(format_args!("{}: {}", file.display(), in_one_line(&error)));
+        return Exit::Configuration;
+    }
+    info!("peernetd {VERSION} with {}", file.display());
+    // Before any port takes its share.
+    if let Err(error) = raise_limit() {
+        warn!("cannot raise the number of files that this process may open, going on with fewer: {error}");
+    }
+
+    let runtime =
+        match tokio::runtime::Builder::new_multi_thread().thread_name("peernetd").enable_all().build() {
+            Ok(runtime) => runtime,
+            Err(error) => {
+                tracing::error!("cannot start the threads of the runtime: {error}");
+                return Exit::Unavailable;
+            }
+        };
+    let exit = runtime.block_on(live(configuration)).unwrap_or_else(|failure| {
+        tracing::error!("{failure}");
+        failure.exit
+    });
+    runtime.shutdown_timeout(LAST_MOMENTS);
+    exit
+}
+
+/// Starts the parts from the ground up: who receives before who sends.
+async fn live(configuration: Configuration) -> Result<Exit, Failure> {
+    let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
+    let clock = configuration.clock().map_err(|error| unavailable(error.into()))?;
+    let agent_clock = configuration.agent_clock(&clock).map_err(|error| unavailable(error.into()))?;
+    let mut lifecycle =
+        Lifecycle::new(&configuration.lifecycle).map_err(|error| unavailable(error.into()))?;
+
+    if let Some(config) = configuration.aggregator {
+        let mut handle = None;
+        let with = clock.clone();
+        lifecycle
+            .start("aggregator", async |stop| {
+                let running = Aggregator::start(config, with, stop).await?;
+                handle = Some(running.handle.clone());
+                Ok(running.join().map_err(anyhow::Error::new).boxed())
+            })
+            .await
+            .map_err(unavailable)?;
+        if let (Some(config), Some(aggregator)) = (configuration.web, handle) {
+            let with = clock.clone();
+            lifecycle
+                .start("web server", async |stop| {
+                    let connections = DescriptorShare::Web.connections();
+                    let running = peernet_web::serve(config, aggregator, with, stop, connections).await?;
+                    info!("dashboard: http://{}", running.address());
+                    Ok(running.join().map_err(anyhow::Error::new).boxed())
+                })
+                .await
+                .map_err(unavailable)?;
+        }
+    }
+    if let Some(config) = configuration.agent {
+        if let Some(rehearsal) = agent_clock.rehearsal() {
+            warn!(
+                "REHEARSAL: this agent's wall clock is made wrong on purpose ({rehearsal}); for a host in earnest use remove the table [rehearsal]"
+            );
+        }
+        lifecycle
+            .start("agent", async |stop| {
+                let running = Agent::start(config, VERSION, agent_clock, stop).await?;
+                Ok(running.join().map_err(anyhow::Error::new).boxed())
+            })
+            .await
+            .map_err(unavailable)?;
+    }
+    info!("ready");
+    Ok(lifecycle.run().await)
+}

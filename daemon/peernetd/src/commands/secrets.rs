@@ -1,0 +1,49 @@
+//! `peernetd clear-host-secret`
+
+use peernet_aggregator::maintenance::{ClearSecretError, clear_host_secret};
+use peernet_cli::exit::{Exit, Failure};
+use peernet_cli::output::{complain, say};
+
+use super::Database;
+use crate::log;
+
+/// Clears the secret of a host, so that the next agent with its id is enrolled.
+pub(crate) fn clear_secret(database: Database, host: &str) -> Exit {
+    let _log = log::temporary();
+    let cleared = database.path().and_then(|database| {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+        let runtime = runtime.map_err(|error| Failure::new(Exit::Unavailable, error))?;
+        let cleared = runtime.block_on(clear_host_secret(&database, host));
+        cleared.map_err(|error| Failure::new(exit(&error), error))
+    });
+    match cleared {
+        Ok(cleared) if cleared.existed => {
+            say(format_args!(
+                "cleared the secret of {} ({}); the next agent that comes with this host id is enrolled",
+                cleared.name, cleared.host
+            ));
+            Exit::Ok
+        }
+        Ok(cleared) => {
+            say(format_args!(
+                "{} ({}) has no secret; the next agent that comes with this host id is enrolled",
+                cleared.name, cleared.host
+            ));
+            Exit::Ok
+        }
+        Err(failure) => {
+            complain(&failure);
+            failure.exit
+        }
+    }
+}
+
+fn exit(error: &ClearSecretError) -> Exit {
+    match error {
+        ClearSecretError::NoHost { .. } | ClearSecretError::SeveralHosts { .. } => Exit::Usage,
+        ClearSecretError::NotADatabase { .. } => Exit::Data,
+        ClearSecretError::Missing(_)
+        | ClearSecretError::ForeignLog(_)
+        | ClearSecretError::Database { .. } => Exit::Unavailable,
+    }
+}

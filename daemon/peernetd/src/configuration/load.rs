@@ -1,0 +1,314 @@
+//! Reading the file and checking everything it names.
+
+use std::path::{Path, PathBuf};
+use std::{fmt, io};
+
+use peernet_agent::Agent;
+use peernet_agent::config::{
+    AgentConfig, ClockConfig, HostConfig, PipelineConfig, ProbesConfig, RehearsalConfig, ServeConfig,
+    SpoolConfig,
+};
+use peernet_aggregator::{Aggregator, AggregatorConfig};
+use peernet_cli::expected::told;
+use peernet_cli::{clock, small_file};
+use peernet_clock::{ClockIdentity, SharedClock};
+use peernet_inference::{BankConfig, ModelConfig, OnnxRuntimeConfig};
+use peernet_web::WebConfig;
+use serde::Deserialize;
+
+use super::Locator;
+use crate::lifecycle::LifecycleConfig;
+use crate::log::LogConfig;
+
+/// Bytes of the largest configuration file that is read.
+const LARGEST_FILE: u64 = 4 << 20;
+
+/// Tables that belong into another one, and what to write.
+const MISPLACED: [(&str, &str); 1] = [("retention", "did you mean [aggregator.retention]?")];
+
+/// The whole file.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    #[serde(default)]
+    log: LogConfig,
+    #[serde(default)]
+    lifecycle: LifecycleConfig,
+    aggregator: Option<AggregatorConfig>,
+    web: Option<WebConfig>,
+    agent: Option<HostConfig>,
+    spool: Option<SpoolConfig>,
+    clock: Option<ClockConfig>,
+    probes: Option<ProbesConfig>,
+    rehearsal: Option<RehearsalConfig>,
+    serve: Option<ServeConfig>,
+    #[serde(default)]
+    model: Vec<ModelConfig>,
+    bank: Option<BankConfig>,
+    onnxruntime: Option<OnnxRuntimeConfig>,
+    #[serde(default)]
+    pipeline: Vec<PipelineConfig>,
+}
+
+/// What a configuration file switches on.
+#[derive(Debug)]
+pub(crate) struct Configuration {
+    pub(crate) log: LogConfig,
+    pub(crate) lifecycle: LifecycleConfig,
+    pub(crate) aggregator: Option<AggregatorConfig>,
+    pub(crate) web: Option<WebConfig>,
+    pub(crate) agent: Option<AgentConfig>,
+}
+
+/// Something in a configuration file that cannot work.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct Problem {
+    file: PathBuf,
+    line: Option<usize>,
+    key: String,
+    text: String,
+}
+
+impl fmt::Display for Problem {
+    /// `FILE:LINE: KEY: what is wrong and what to do`
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.file.display())?;
+        if let Some(line) = self.line {
+            write!(f, ":{line}")?;
+        }
+        if !self.key.is_empty() {
+            write!(f, ": {}", self.key)?;
+        }
+        write!(f, ": {}", self.text)
+    }
+}
+
+/// Reads a configuration file and checks everything that it names without starting anything.
+///
+/// # Errors
+/// All problems found; more than one where the file could be read.
+pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
+    let text = small_file::read(path, LARGEST_FILE).map_err(|error| vec![unreadable(path, &error)])?;
+    let file = parse(path, &text)?;
+    let found = roles(&file).into_iter().map(|(key, text)| (key.to_owned(), text.to_owned()));
+    let configuration = Configuration::from(file);
+    let problems: Vec<(String, String)> = found.chain(configuration.check()).collect();
+    if problems.is_empty() {
+        return Ok(configuration);
+    }
+    let locator = Locator::new(&text);
+    let problem = |(key, text): (String, String)| Problem {
+        file: path.to_owned(),
+        line: locator.line(&key),
+        key,
+        text,
+    };
+    Err(problems.into_iter().map(problem).collect())
+}
+
+/// Reads a configuration file without checking what it names.
+///
+/// # Errors
+/// When it cannot be read or understood.
+pub(super) fn read_unchecked(path: &Path) -> Result<Configuration, Vec<Problem>> {
+    let text = small_file::read(path, LARGEST_FILE).map_err(|error| vec![unreadable(path, &error)])?;
+    parse(path, &text).map(Configuration::from)
+}
+
+fn unreadable(path: &Path, error: &io::Error) -> Problem {
+    let text = format!("cannot read the configuration: {error}");
+    Problem { file: path.to_owned(), line: None, key: String::new(), text }
+}
+
+fn parse(path: &Path, text: &str) -> Result<File, Vec<Problem>> {
+    let locator = Locator::new(text);
+    read(text).map_err(|(key, error)| {
+        // Within tables that are told apart by their `kind` the span is that of the first of them; the key knows better.
+        let line = error.span().map(|span| locator.line_at(span.start)).max(locator.line(&key));
+        let mut text = told(&error);
+        if text.starts_with("unknown field")
+            && let Some((_, hint)) = MISPLACED.iter().find(|(table, _)| *table == key)
+        {
+            text = format!("{hint} ({text})");
+        }
+        vec![Problem { file: path.to_owned(), line, key, text }]
+    })
+}
+
+/// The file's content, or the key that could not be read and why.
+fn read(text: &str) -> Result<File, (String, toml::de::Error)> {
+    let document = toml::Deserializer::parse(text).map_err(|error| (String::new(), error))?;
+    serde_path_to_error::deserialize(document).map_err(|error| {
+        let key = error.path().to_string();
+        (if key == "." { String::new() } else { key }, error.into_inner())
+    })
+}
+
+/// Tables that make no sense together or alone: a key and what is wrong.
+fn roles(file: &File) -> Option<(&'static str, &'static str)> {
+    if file.agent.is_none() && file.aggregator.is_none() {
+        return Some(("", "no role is switched on: add a table [agent], a table [aggregator], or both"));
+    }
+    let for_agent = file.spool.is_some()
+        || file.clock.is_some()
+        || file.probes.is_some()
+        || file.rehearsal.is_some()
+        || file.serve.is_some()
+        || file.bank.is_some()
+        || file.onnxruntime.is_some()
+        || !file.model.is_empty()
+        || !file.pipeline.is_empty();
+    if file.agent.is_none() && for_agent {
+        return Some((
+            "",
+            "[spool], [clock], [probes], [rehearsal], [serve], [[model]], [bank], [onnxruntime] and [[pipeline]] belong to an agent: add a table [agent]",
+        ));
+    }
+    if file.aggregator.is_none() && file.web.is_some() {
+        return Some(("", "[web] shows what an aggregator has: add a table [aggregator], or remove [web]"));
+    }
+    if file.spool.is_some() && file.agent.as_ref().is_some_and(|agent| agent.aggregator.is_none()) {
+        return Some((
+            "spool",
+            "there is no spool without an aggregator: name one with [agent] aggregator, or remove [spool]",
+        ));
+    }
+    None
+}
+
+impl From<File> for Configuration {
+    fn from(file: File) -> Self {
+        let agent = file.agent.map(|agent| AgentConfig {
+            agent,
+            spool: file.spool.unwrap_or_default(),
+            clock: file.clock.unwrap_or_default(),
+            probes: file.probes.unwrap_or_default(),
+            rehearsal: file.rehearsal,
+            serve: file.serve,
+            models: file.model,
+            bank: file.bank.unwrap_or_default(),
+            onnxruntime: file.onnxruntime.unwrap_or_default(),
+            pipelines: file.pipeline,
+        });
+        Self { log: file.log, lifecycle: file.lifecycle, aggregator: file.aggregator, web: file.web, agent }
+    }
+}
+
+impl Configuration {
+    /// This machine's clock, under the identity that the agent's table gives it.
+    ///
+    /// # Errors
+    /// When the kernel's boot id cannot be read.
+    pub(crate) fn clock(&self) -> io::Result<SharedClock> {
+        clock::system(self.agent.as_ref().map_or(ClockIdentity::SYSTEM, |agent| &agent.agent.clock_identity))
+    }
+
+    /// The clock that the agent reads: `truth`, or what `[rehearsal]` makes of it from now on.
+    ///
+    /// # Errors
+    /// When the kernel's boot id cannot be read.
+    pub(crate) fn agent_clock(&self, truth: &SharedClock) -> io::Result<SharedClock> {
+        clock::rehearsed(truth, self.agent.as_ref().and_then(|agent| agent.rehearsal.as_ref()))
+    }
+
+    /// Key and text of everything that each role finds wrong with its tables.
+    fn check(&self) -> Vec<(String, String)> {
+        let mut problems = Vec::new();
+        if let Err(error) = self.log.check() {
+            problems.push(("log.level".to_owned(), error));
+        }
+        if let Err(error) = self.lifecycle.check() {
+            problems.push(("lifecycle.shutdown_deadline_s".to_owned(), error));
+        }
+        let (deadline_s, agent_ms) = (
+            self.lifecycle.shutdown_deadline_s,
+            self.agent.as_ref().map(|config| config.agent.stop_timeout_ms),
+        );
+        if let Some(agent_ms) = agent_ms.filter(|ms| *ms > deadline_s.saturating_mul(1000)) {
+            let text = format!(
+                "{agent_ms} ms is more than lifecycle.shutdown_deadline_s = {deadline_s} s allows; shorten it or raise the other"
+            );
+            problems.push(("agent.stop_timeout_ms".to_owned(), text));
+        }
+        if let Some(config) = &self.aggregator {
+            let found = Aggregator::check(config).into_iter();
+            problems.extend(found.map(|problem| (format!("aggregator.{}", problem.key), problem.message)));
+        }
+        if let Some(config) = &self.web {
+            let found = config.check().into_iter();
+            problems.extend(found.map(|problem| (format!("web.{}", problem.key), problem.message)));
+        }
+        match (&self.agent, self.clock()) {
+            (Some(config), Ok(clock)) => {
+                let found = Agent::check(config, &clock).into_iter();
+                problems.extend(found.map(|problem| (problem.key, problem.text)));
+            }
+            (Some(_), Err(error)) => problems.push(("agent.clock_identity".to_owned(), error.to_string())),
+            (None, _) => {}
+        }
+        problems
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use peernet_clock::Span;
+
+    use super::*;
+
+    /// The true clock and the agent's.
+    fn clocks(tables: &str) -> (SharedClock, SharedClock) {
+        let folder = tempfile::tempdir().expect("there is room for a temporary folder");
+        let file = folder.path().join("it.toml");
+        let state = folder.path().join("state");
+        std::fs::write(&file, format!("[agent]\nname = \"edge\"\nstate_dir = {state:?}\n{tables}"))
+            .expect("the temporary folder is writable");
+        let configuration = load(&file).expect("nothing is wrong with it");
+        let truth = configuration.clock().expect("linux has a boot id");
+        let agents = configuration.agent_clock(&truth).expect("linux has a boot id");
+        (truth, agents)
+    }
+
+    fn said(text: &str) -> String {
+        let folder = tempfile::tempdir().expect("there is room for a temporary folder");
+        let file = folder.path().join("it.toml");
+        std::fs::write(&file, text).expect("the temporary folder is writable");
+        let problems = load(&file).expect_err("something is wrong with it");
+        problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n")
+    }
+
+    #[test]
+    fn tables_in_the_wrong_place_are_named_with_the_right_one() {
+        let text = said("[aggregator]\n[retention]\nnodes_days = 1\n");
+        assert!(text.contains("did you mean [aggregator.retention]?"), "{text}");
+        let folder = tempfile::tempdir().expect("there is room for a temporary folder");
+        let text = said(&format!("[agent]\nname = 'a'\nstate_dir = {:?}\n[spool]\n", folder.path()));
+        assert!(text.contains(":4: spool: ") && text.contains("[agent] aggregator"), "{text}");
+    }
+
+    #[test]
+    fn a_deadline_that_no_clock_can_reach_is_refused() {
+        let text = said("[lifecycle]\nshutdown_deadline_s = 9223372036854775807\n[aggregator]\n");
+        assert!(text.contains(":2: lifecycle.shutdown_deadline_s: ") && text.contains("a day"), "{text}");
+    }
+
+    #[test]
+    fn without_a_rehearsal_there_is_one_clock() {
+        let (truth, agents) = clocks("");
+        assert!(Arc::ptr_eq(&truth, &agents));
+    }
+
+    #[test]
+    fn a_rehearsed_agent_reads_another_clock_than_the_rest_of_the_process() {
+        let (truth, agents) = clocks("[rehearsal]\noffset_ms = 86400000\n");
+        assert_eq!(truth.identity().clock.as_ref(), ClockIdentity::SYSTEM);
+        assert!(agents.identity().clock.starts_with("rehearsal-"), "{:?}", agents.identity());
+        assert!(agents.wall() - truth.wall() > Span::from_seconds(80_000));
+        assert_eq!(truth.rehearsal(), None);
+
+        let (_, named) = clocks("clock_identity = \"mine\"\n[rehearsal]\n");
+        assert_eq!(named.identity().clock.as_ref(), "mine");
+    }
+}

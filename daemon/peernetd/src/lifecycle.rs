@@ -1,0 +1,231 @@
+//! The life of the process: parts started in order, watched, and stopped in reverse order.
+//!
+//! One signal (SIGTERM, SIGINT) asks the parts to finish what they have begun; a second wish to end, or the deadline,
+//! ends the process at once with an exit code that says so. A part that ends by itself is an error: a daemon
+//! that has lost one of its tasks must not look healthy.
+
+use std::io;
+use std::time::Duration;
+
+use anyhow::Context;
+use futures::future::BoxFuture;
+use sd_notify::NotifyState;
+use serde::{Deserialize, Serialize};
+use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::task::JoinHandle;
+use tokio::time::{Instant, timeout_at};
+use tokio_util::sync::CancellationToken;
+use tracing::{debug, error, info, warn};
+
+use peernet_cli::exit::{Exit, in_one_line};
+use peernet_cli::wish::Wishes;
+
+/// `[lifecycle]`
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(crate) struct LifecycleConfig {
+    /// How long stopping may take before the process ends without waiting further; seconds, up to a day.
+    pub(crate) shutdown_deadline_s: u64,
+}
+
+impl LifecycleConfig {
+    /// A day.
+    const LONGEST_S: u64 = 86_400;
+
+    /// Whether the deadline is one.
+    ///
+    /// # Errors
+    /// What is possible.
+    pub(crate) fn check(&self) -> Result<(), String> {
+        match self.shutdown_deadline_s {
+            ..=Self::LONGEST_S => Ok(()),
+            seconds => Err(format!("{seconds} s is too long; at most {} s, a day", Self::LONGEST_S)),
+        }
+    }
+}
+
+impl Default for LifecycleConfig {
+    fn default() -> Self {
+        Self { shutdown_deadline_s: 10 }
+    }
+}
+
+/// What is kept of the deadline for each part that is still to be stopped.
+const LAST_SHARE: Duration = Duration::from_secs(1);
+
+/// A part of the process that runs until it is told to stop.
+struct Part {
+    name: &'static str,
+    stop: CancellationToken,
+    /// Cancelled when the task is over, however it ended.
+    ended: CancellationToken,
+    task: JoinHandle<anyhow::Result<()>>,
+}
+
+/// Owns the parts, the signals and the conversation with the service manager.
+pub(crate) struct Lifecycle {
+    parts: Vec<Part>,
+    signals: Signals,
+    deadline: Duration,
+}
+
+struct Signals {
+    terminate: Signal,
+    interrupt: Signal,
+    wishes: Wishes,
+}
+
+impl Signals {
+    async fn next(&mut self) -> &'static str {
+        loop {
+            let (kind, name) = tokio::select! {
+                _ = self.terminate.recv() => (SignalKind::terminate(), "SIGTERM"),
+                _ = self.interrupt.recv() => (SignalKind::interrupt(), "SIGINT"),
+            };
+            if self.wishes.is_another(kind, Instant::now()) {
+                return name;
+            }
+        }
+    }
+}
+
+impl Lifecycle {
+    /// Takes over the signals.
+    ///
+    /// # Errors
+    /// When the signal handlers cannot be installed.
+    pub(crate) fn new(config: &LifecycleConfig) -> io::Result<Self> {
+        Ok(Self {
+            parts: Vec::new(),
+            signals: Signals {
+                terminate: signal(SignalKind::terminate())?,
+                interrupt: signal(SignalKind::interrupt())?,
+                wishes: Wishes::default(),
+            },
+            deadline: Duration::from_secs(config.shutdown_deadline_s),
+        })
+    }
+
+    /// Starts a part: `begin` is given the token that will ask it to stop, and returns the future that ends
+    /// when the part has ended. A signal that arrives while it starts is not lost: it is seen by [`run`](Self::run).
+    ///
+    /// # Errors
+    /// When the part cannot start.
+    pub(crate) async fn start<F>(&mut self, name: &'static str, begin: F) -> anyhow::Result<()>
+    where
+        F: AsyncFnOnce(CancellationToken) -> anyhow::Result<BoxFuture<'static, anyhow::Result<()>>>,
+    {
+        let stop = CancellationToken::new();
+        let ending = begin(stop.clone()).await.with_context(|| format!("cannot start the {name}"))?;
+        let ended = CancellationToken::new();
+        let over = ended.clone().drop_guard();
+        let task = tokio::spawn(async move {
+            let _over = over;
+            ending.await
+        });
+        self.parts.push(Part { name, stop, ended, task });
+        debug!("the {name} has started");
+        Ok(())
+    }
+
+    /// Says READY, watches until a signal comes or a part ends, stops everything, and returns how it went.
+    pub(crate) async fn run(mut self) -> Exit {
+        notify(&[NotifyState::Ready]);
+        let mut exit = self.watch().await;
+        notify(&[NotifyState::Stopping]);
+
+        let Self { parts, mut signals, deadline } = self;
+        tokio::select! {
+            stopped = stop_in_reverse(parts, deadline) => exit = if stopped == Exit::Ok { exit } else { stopped },
+            name = signals.next() => {
+                warn!("second {name}: ending at once, what was under way is given up");
+                exit = Exit::Software;
+            }
+        }
+        exit
+    }
+
+    async fn watch(&mut self) -> Exit {
+        let mut watchdog = watchdog();
+        loop {
+            tokio::select! {
+                name = self.signals.next() => {
+                    info!("{name}: stopping");
+                    return Exit::Ok;
+                }
+                name = first_end(&self.parts) => {
+                    error!("the {name} ended by itself: stopping");
+                    return Exit::Software;
+                }
+                () = tick(&mut watchdog) => notify(&[NotifyState::Watchdog]),
+            }
+        }
+    }
+}
+
+/// Ends with the name of the first part whose task is over, by its own end or by a panic.
+async fn first_end(parts: &[Part]) -> &'static str {
+    if parts.is_empty() {
+        return std::future::pending().await;
+    }
+    let ends = parts.iter().map(|part| {
+        Box::pin(async {
+            part.ended.cancelled().await;
+            part.name
+        })
+    });
+    futures::future::select_all(ends).await.0
+}
+
+/// Last started, first stopped: an agent delivers its events before the aggregator beside it goes. A part that
+/// takes too long is left behind, so that those after it still have their moment.
+async fn stop_in_reverse(parts: Vec<Part>, deadline: Duration) -> Exit {
+    let end = Instant::now() + deadline;
+    let mut exit = Exit::Ok;
+    for (after, mut part) in parts.into_iter().enumerate().rev() {
+        part.stop.cancel();
+        let reserved = LAST_SHARE * u32::try_from(after).unwrap_or(u32::MAX);
+        match timeout_at(end.checked_sub(reserved).unwrap_or(end), &mut part.task).await {
+            Ok(Ok(Ok(()))) => debug!("the {} has stopped", part.name),
+            Ok(Ok(Err(problem))) => {
+                error!("the {} failed: {}", part.name, in_one_line(&problem));
+                exit = Exit::Software;
+            }
+            Ok(Err(panic)) => {
+                error!("the {} died: {panic}", part.name);
+                exit = Exit::Software;
+            }
+            Err(_elapsed) => {
+                error!(
+                    "the {} did not stop within its part of lifecycle.shutdown_deadline_s = {} s: going on without it",
+                    part.name,
+                    deadline.as_secs()
+                );
+                part.task.abort();
+                exit = Exit::Software;
+            }
+        }
+    }
+    exit
+}
+
+/// Fires at half the interval that the service manager's watchdog demands, if it has one.
+fn watchdog() -> Option<tokio::time::Interval> {
+    sd_notify::watchdog_enabled().map(|timeout| tokio::time::interval(timeout / 2))
+}
+
+async fn tick(watchdog: &mut Option<tokio::time::Interval>) {
+    match watchdog {
+        Some(interval) => {
+            interval.tick().await;
+        }
+        None => std::future::pending().await,
+    }
+}
+
+/// Tells the service manager; without one this does nothing.
+fn notify(states: &[NotifyState<'_>]) {
+    if let Err(error) = sd_notify::notify(states) {
+        warn!("cannot notify the service manager through NOTIFY_SOCKET: {error}");
+    }
+}
