@@ -182,7 +182,7 @@ fn check_pipeline(
 ) {
     report.unless_ok(format!("{at}.sensor"), peernet_sensors::check(&pipeline.sensor, clock));
     for (index, transform) in pipeline.transforms.iter().enumerate() {
-        report.unless_ok(format!("{at}.transforms[{index}]"), transform.build());
+        report.unless_ok(format!("{at}.transforms[{index}]"), peernet_sensors::build_transform(transform));
     }
     report.unless_ok(format!("{at}.actuator"), pipeline.actuator.check());
     report.at_most(&format!("{at}.max_in_flight"), pipeline.max_in_flight.get() as u64, MAX_IN_FLIGHT);

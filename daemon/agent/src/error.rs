@@ -3,12 +3,11 @@
 use std::io;
 
 use peernet_logger::InvalidName;
-use peernet_networks::BindError;
+use peernet_networks::{Address, BindError};
 use peernet_probes::KeyError;
 
 use crate::identity::IdentityError;
 use crate::outbox::SpoolError;
-use crate::serve::ReflectorError;
 
 /// Why an agent did not start.
 #[derive(Debug, thiserror::Error)]
@@ -34,4 +33,20 @@ pub enum StartError {
     /// The key for probes could not be read.
     #[error("{0}; [probes] key_file names it")]
     Key(#[from] KeyError),
+}
+
+/// Why peers' probes cannot be answered.
+#[derive(Debug, thiserror::Error)]
+pub enum ReflectorError {
+    /// The port could not be had.
+    #[error("{0} ([probes] port, or reflect = false to answer none)")]
+    Bind(#[from] peernet_probes::BindError),
+    /// The name to listen on leads nowhere.
+    #[error("cannot answer probes on {listen}: {reason}; give [serve] listen an address of this machine")]
+    Address {
+        /// Where the host listens for peers.
+        listen: Address,
+        /// What is wrong with it.
+        reason: String,
+    },
 }

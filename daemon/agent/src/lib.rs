@@ -40,10 +40,10 @@ pub use agent::{Agent, Running};
 pub use argument_key::{argument_key, share_argument_key};
 pub use check::Problem;
 pub use config::AgentConfig;
-pub use error::StartError;
+pub use error::{ReflectorError, StartError};
 pub use identity::{IdentityError, host_id, host_secret};
 pub use link::Cloud;
-pub use serve::{ReflectorError, Served};
+pub use serve::Served;
 pub use tasks::Failure;
 
 /// The file in which events wait for the aggregator.

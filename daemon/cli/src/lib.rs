@@ -9,6 +9,7 @@ mod compare;
 mod completions;
 pub mod exit;
 pub mod expected;
+mod experiment;
 mod foreground;
 pub mod log;
 mod measure;

@@ -7,7 +7,8 @@
 //! From the ground up:
 //!
 //! - `time`: [`WallTime`], [`MonoTime`] and their difference, [`Span`].
-//! - `source`: the [`Clock`] and the system's; `manual`, one that tests move; `rehearsal`, one that is wrong on purpose.
+//! - `source`: the [`Clock`] and the system's; `manual`, one that tests move; `rehearsed`, one that is wrong on
+//!   purpose, by what `rehearsal` describes.
 //! - `steps`: notices that a wall clock was set, runs off, or slept.
 //! - `exchange`: four stamps and the bounds of the offset that follow; `discipline`: what a time daemon claims.
 //! - `band`: what all exchanges together prove, as an interval over time, and the best guess in it.
@@ -21,6 +22,7 @@ mod exchange;
 mod identity;
 mod manual;
 mod rehearsal;
+mod rehearsed;
 mod relation;
 #[cfg(test)]
 mod simulation;
@@ -33,7 +35,8 @@ pub use discipline::Discipline;
 pub use exchange::{Exchange, Witnessed};
 pub use identity::ClockIdentity;
 pub use manual::ManualClock;
-pub use rehearsal::{RehearsalDescription, RehearsedClock, RehearsedStep};
+pub use rehearsal::{RehearsalDescription, RehearsedStep};
+pub use rehearsed::RehearsedClock;
 pub use relation::{Direction, ExchangeCounts, Judged, Learned, Offset, Refusal, Relation, RelationSettings};
 pub use source::{Clock, SharedClock, Stamp, SystemClock};
 pub use steps::{Disturbance, Readings, Watch};

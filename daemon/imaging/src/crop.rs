@@ -1,6 +1,6 @@
 //! Rectangles of a picture.
 
-use crate::probe::check_size;
+use crate::size::check_size;
 use crate::{ImageError, Picture};
 
 /// A rectangle to be cut out.

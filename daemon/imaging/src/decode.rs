@@ -14,8 +14,21 @@ use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
-use crate::probe::{MAX_SIDE, check_size, pixels_size, recognise};
+use crate::limits::MAX_SIDE;
+use crate::size::{check_size, pixels_size};
 use crate::{ImageError, Picture};
+
+const JPEG: &[u8] = &[0xff, 0xd8, 0xff];
+const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
+
+/// The format of a file by its first bytes, whatever its name or description says.
+pub(crate) fn recognise(file: &[u8]) -> Result<MediaType, ImageError> {
+    match file {
+        file if file.starts_with(JPEG) => Ok(MediaType::Jpeg),
+        file if file.starts_with(PNG) => Ok(MediaType::Png),
+        _ => Err(ImageError::UnknownFormat),
+    }
+}
 
 /// Decodes a JPEG or PNG file into `picture`, in the wanted order of channels.
 ///

@@ -2,7 +2,7 @@
 
 use peernet_sample::MediaType;
 
-use crate::{MAX_PIXELS, MAX_SIDE};
+use crate::limits::{MAX_PIXELS, MAX_SIDE};
 
 /// Why a picture could not be read, changed or written.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

@@ -9,14 +9,17 @@ mod crop;
 mod decode;
 mod encode;
 mod error;
+mod limits;
 mod picture;
 mod probe;
 mod resize;
+mod size;
 
 pub use crop::{Crop, crop};
 pub use decode::{decode, read_part};
 pub use encode::{Encoding, encode};
 pub use error::ImageError;
+pub use limits::{MAX_PIXELS, MAX_SIDE};
 pub use picture::Picture;
-pub use probe::{Header, MAX_PIXELS, MAX_SIDE, probe, probe_part};
+pub use probe::{Header, probe, probe_part};
 pub use resize::{Filter, Resizer, Scaling};

@@ -4,7 +4,7 @@ use bytes::Bytes;
 use peernet_sample::{Description, Part, PixelFormat};
 
 use crate::ImageError;
-use crate::probe::check_size;
+use crate::size::{check_length, length};
 
 /// Decoded pixels, rows from top to bottom, without padding, one byte per channel.
 ///
@@ -98,25 +98,6 @@ impl Picture {
 fn luma([r, g, b]: [u8; 3]) -> u8 {
     let sum = 19_595 * u32::from(r) + 38_470 * u32::from(g) + 7_471 * u32::from(b);
     ((sum + 0x8000) >> 16) as u8
-}
-
-fn length(format: PixelFormat, width: u32, height: u32) -> u64 {
-    u64::from(width) * u64::from(height) * u64::from(format.channels())
-}
-
-/// Checks that a description of decoded pixels is possible and fits their bytes.
-pub(crate) fn check_length(
-    format: PixelFormat,
-    width: u32,
-    height: u32,
-    actual: usize,
-) -> Result<(), ImageError> {
-    check_size(u64::from(width), u64::from(height))?;
-    let (expected, actual) = (length(format, width, height), actual as u64);
-    if expected != actual {
-        return Err(ImageError::Length { width, height, channels: format.channels(), expected, actual });
-    }
-    Ok(())
 }
 
 #[cfg(test)]

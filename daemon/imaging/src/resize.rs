@@ -6,7 +6,7 @@ use fast_image_resize as fir;
 use peernet_sample::PixelFormat;
 use serde::{Deserialize, Serialize};
 
-use crate::probe::check_size;
+use crate::size::check_size;
 use crate::{ImageError, Picture};
 
 /// How pixels are combined when a picture is scaled. Scaling down, all but `nearest` average over every pixel that

@@ -7,6 +7,7 @@ use peernet_external::hide_values;
 use peernet_logger::Slug;
 use serde::{Deserialize, Serialize};
 
+use crate::defaults::{cpu, one, sixteen};
 use crate::{ExecModelConfig, LoadError, PythonModelConfig};
 
 /// Most threads that compute samples of one model.
@@ -195,18 +196,6 @@ impl ModelConfig {
 }
 
 /// The defaults of keys that several kinds have.
-pub(crate) fn cpu() -> String {
-    "cpu".to_owned()
-}
-
-pub(crate) const fn one() -> NonZeroUsize {
-    NonZeroUsize::MIN
-}
-
-pub(crate) const fn sixteen() -> NonZeroUsize {
-    NonZeroUsize::MIN.saturating_add(15)
-}
-
 const fn ten_ms() -> u32 {
     10
 }

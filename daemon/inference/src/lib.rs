@@ -7,6 +7,7 @@
 
 pub mod bank;
 mod config;
+mod defaults;
 mod echo;
 mod error;
 mod exec;

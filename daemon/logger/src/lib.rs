@@ -10,25 +10,24 @@
 //! - [`wire`], `text`, [`csv`]: a tree for machines, for people, and as a row of a table.
 
 pub mod csv;
-mod guard;
 mod host;
 pub mod limits;
 mod measure;
 mod meter;
 mod name;
 mod recorder;
-pub mod stage;
 mod stages;
 mod text;
 mod tree;
+mod tree_error;
 pub mod wire;
 
-pub use guard::{Measuring, Timing, Tokens};
 pub use host::{HostId, InvalidName, RunId, Slug};
 pub use measure::{Measure, Rate, Transit};
 pub use meter::Meter;
-pub use name::{Name, Unit};
-pub use recorder::Recorder;
+pub use name::{Name, Unit, stage};
+pub use recorder::{Measuring, Recorder, Timing, Tokens};
 pub use stages::Stages;
 pub use text::Text;
-pub use tree::{Anchor, Growth, HostIndex, Node, NodeId, Tree, TreeError};
+pub use tree::{Anchor, Growth, HostIndex, Node, NodeId, Tree};
+pub use tree_error::TreeError;

@@ -1,5 +1,7 @@
 //! Names of nodes, kinds and units.
 
+pub mod stage;
+
 use std::borrow::Borrow;
 use std::fmt;
 use std::hash::{Hash, Hasher};
@@ -8,7 +10,6 @@ use std::sync::Arc;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::limits::MAX_NAME_BYTES;
-use crate::stage;
 
 /// A short text that is cloned without copying: static for the standard names, shared for all others.
 ///

@@ -1,8 +1,11 @@
 //! Growing a tree while an iteration runs.
 
+mod guard;
+
+pub use self::guard::{Measuring, Timing, Tokens};
+
 use peernet_clock::{MonoTime, SharedClock, Span, Stamp, WallTime};
 
-use crate::guard::{Measuring, Timing, Tokens};
 use crate::limits::{MAX_ANCHORS, MAX_DEPTH, MAX_NODES, RESERVED_NODES};
 use crate::{
     Anchor, Growth, HostId, HostIndex, Measure, Meter, Name, Node, NodeId, Transit, Tree, TreeError, Unit,

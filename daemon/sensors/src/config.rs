@@ -8,8 +8,6 @@ use peernet_external::python::PythonConfig;
 use peernet_imaging::Filter;
 use serde::{Deserialize, Serialize};
 
-use crate::{SensorError, Transform, build_transform};
-
 /// `sensor` in the configuration of a pipeline.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
@@ -141,16 +139,6 @@ pub enum Format {
     Jpeg,
     /// Lossless.
     Png,
-}
-
-impl TransformConfig {
-    /// The transform; the same as [`build_transform`].
-    ///
-    /// # Errors
-    /// When the configuration contradicts itself.
-    pub fn build(&self) -> Result<Box<dyn Transform>, SensorError> {
-        build_transform(self)
-    }
 }
 
 const fn one() -> u64 {

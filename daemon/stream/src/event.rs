@@ -219,3 +219,17 @@ pub struct Gap {
     /// Why.
     pub reason: String,
 }
+
+impl Event {
+    /// The run that it belongs to.
+    pub const fn run(&self) -> Option<RunId> {
+        match self {
+            Self::RunStarted(started) => Some(started.run),
+            Self::RunEnded(ended) => Some(ended.run),
+            Self::Iteration(iteration) => Some(iteration.run),
+            Self::Incident(incident) => incident.run,
+            Self::Gap(gap) => gap.run,
+            Self::Clock(_) => None,
+        }
+    }
+}

@@ -21,37 +21,39 @@ mod event;
 mod experiment;
 #[doc(hidden)]
 pub mod fuzzing;
+mod hello;
 mod host;
-mod intake;
 pub mod limits;
 mod live;
-mod losses;
 mod message;
 mod receiving;
 mod secret;
 mod sending;
 mod spool;
+mod totals;
 mod unresolved;
 
 pub use chain::Chain;
 pub use clock::{ClockSample, DelayPoint, DelaySecond, HostClock, LinkLive, ProbeCounts, Probing, RoundTrip};
-pub use counts::{CountedEvents, CountedRun, HandedIn, KILLED, MOST_COUNTED_RUNS, RunCounts, Settled};
+pub use counts::{
+    CountedEvents, CountedRun, HandedIn, KILLED, MOST_COUNTED_RUNS, RunCounts, SentUnspooled, Settled,
+};
 pub use event::{Claim, Event, Gap, Incident, IncidentKind, Iteration, Outcome, RunDescription, RunEnded};
 pub use experiment::{Condition, ExperimentPlace, Grade};
+pub use hello::{Hello, PROTOCOL, StreamId};
 pub use host::{Hardware, HostDescription, HostMetrics};
 pub use live::{
     Accounting, LiveUpdate, OutcomeCounts, PipelineLive, PipelineState, Placement, PlacementKind, Second,
 };
-pub use message::{
-    Batch, BatchHead, Hello, MOST_UNDER_WAY, PROTOCOL, Proof, StreamId, ToAgent, ToAggregator, batch_weight,
-};
+pub use message::{Batch, BatchHead, MOST_UNDER_WAY, Proof, ToAgent, ToAggregator, batch_weight};
 pub use receiving::{
     Arrival, Challenges, Greeting, Known, Lacking, Mark, Missing, Proven, Receiving, ReceivingConfig,
 };
 pub use secret::{HostSecret, InvalidSecret, Nonce, ProofCode};
 pub use sending::{Action, Compression, Notice, Sending, SendingConfig};
-pub use spool::{Reached, SpoolState, SpooledBatch, Totals, Usage};
-pub use unresolved::{MOST_SENT_UNSPOOLED, SentUnspooled, Unresolved};
+pub use spool::{SpoolState, SpooledBatch, Usage};
+pub use totals::{Reached, Totals};
+pub use unresolved::{MOST_SENT_UNSPOOLED, Unresolved};
 
 #[cfg(test)]
 mod tests;

@@ -2,11 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Chain, Event, HostDescription, HostSecret, LiveUpdate, Nonce, ProofCode};
-use peernet_logger::{HostId, Slug, random_id};
+use peernet_logger::{HostId, Slug};
 
-/// Version of the event stream's messages. Both ends must agree.
-pub const PROTOCOL: u16 = 5;
+use crate::{Chain, Event, Hello, HostSecret, LiveUpdate, Nonce, ProofCode, StreamId};
 
 /// Batches of one agent that may be under way at once, however small they are.
 pub const MOST_UNDER_WAY: usize = 1_024;
@@ -15,11 +13,6 @@ pub const MOST_UNDER_WAY: usize = 1_024;
 /// place in memory and in queues as well.
 pub fn batch_weight(body_bytes: usize) -> u64 {
     body_bytes.max(1_024) as u64
-}
-
-random_id! {
-    /// A stream of batches: made with the agent's spool, so that a new or copied spool is recognised.
-    StreamId
 }
 
 /// From agent to aggregator. The host id is in the message, never in the transport's routing id.
@@ -44,33 +37,6 @@ pub enum ToAggregator {
     },
     /// The agent is about to stop; nothing more will come.
     Goodbye(HostId),
-}
-
-/// Who connects.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Hello {
-    /// [`PROTOCOL`] of the agent.
-    pub protocol: u16,
-    /// The host and what it is.
-    pub host: HostDescription,
-    /// The stream its batches belong to.
-    pub stream: StreamId,
-    /// The stream that this one goes on from, where the agent had to leave one: nothing is missing between the two.
-    pub previous: Option<StreamId>,
-    /// Number of the first batch that there ever was in the stream.
-    pub first: u64,
-    /// Number of the oldest batch the agent still holds; one more than the newest when it holds none.
-    pub oldest: u64,
-    /// Chain of the batch before `oldest`.
-    pub before: Chain,
-    /// Number of events in all batches of the spool before `oldest`: by it the aggregator knows how many it lacks.
-    pub events_before_oldest: u64,
-    /// Number of events in all batches of the spool before `first`, in earlier streams; `None` when it is not known.
-    pub events_before_first: Option<u64>,
-    /// Longest body of a batch that the agent cuts, as a rule; bytes. Windows are counted in the weight of such a batch.
-    pub batch_bytes: u32,
-    /// A random number made at process start: tells a reconnect from a second process with a copied host id.
-    pub process: u64,
 }
 
 /// That the host of a hello has the secret that belongs to its id.

@@ -3,8 +3,12 @@
 use bytes::Bytes;
 use peernet_clock::WallTime;
 
-use super::counts::HandedIn;
-use super::{Chain, Gap, StreamId, Unresolved};
+use crate::counts::{CountedEvents, Settled};
+use crate::totals::{Reached, Totals};
+use crate::{Chain, Gap, StreamId, Unresolved};
+
+/// Gaps of earlier processes that are kept apart, at most.
+const MOST_UNREPORTED: usize = 64;
 
 /// Events and the bytes they take.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -117,37 +121,106 @@ impl SpoolState {
     }
 }
 
-/// How far a process came.
-///
-/// It is written before anything is sent, with the number of the process that will send it. What is in the file up to
-/// this number is what that process sent under these numbers, or was sent before it. So when the aggregator has a later
-/// batch of that process, all of it is stored: the file lost its end (a power cut, a disk that failed), or is a copy
-/// of before. When the aggregator has a batch of a process that the file does not know, nothing is known.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Reached {
-    /// The process ([`super::Hello::process`]).
-    pub process: u64,
-    /// Number of the newest batch that it may have sent.
-    pub number: u64,
+impl SpoolState {
+    /// Takes into account that an earlier process counted these events when they were handed in, of which the spool has
+    /// `settled`: what is missing was lost with that process. Returns how many events that are; `None` when it sent batches
+    /// that are not in the spool, so that only the aggregator knows what is missing ([`Self::unresolved`]).
+    ///
+    /// The number is exact; a run that was not counted separately leaves its losses to a gap that names no run.
+    pub fn lose_tail(&mut self, counted: CountedEvents, settled: Settled) -> Option<u64> {
+        if self.unresolved.is_none() && counted.may_be_stored(&settled, &self.totals) {
+            self.unresolved = Some(Unresolved::new(counted, settled, &self.totals));
+            return None;
+        }
+        let lost = counted.all.saturating_sub(settled.events.all);
+        for gap in counted.gaps(&settled, 0, lost) {
+            self.lose(gap);
+        }
+        self.totals.produced += lost;
+        self.totals.dropped += lost;
+        Some(lost)
+    }
+
+    fn lose(&mut self, lost: Gap) {
+        let same = |gap: &&mut Gap| {
+            (&gap.pipeline, gap.run, &gap.reason) == (&lost.pipeline, lost.run, &lost.reason)
+        };
+        let merge = |gap: &mut Gap| {
+            gap.count += lost.count;
+            (gap.from, gap.to) = (gap.from.min(lost.from), gap.to.max(lost.to));
+        };
+        if let Some(gap) = self.unreported.iter_mut().find(same) {
+            return merge(gap);
+        }
+        let full = self.unreported.len() >= MOST_UNREPORTED;
+        match self.unreported.last_mut().filter(|_| full) {
+            Some(gap) => {
+                (gap.pipeline, gap.run) = (None, None);
+                merge(gap);
+            }
+            None => self.unreported.push(lost),
+        }
+    }
 }
 
-/// Counted since the spool was made; all of it is kept with the batches, so that they agree whenever the
-/// process is killed.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Totals {
-    /// Events that were handed in.
-    pub produced: u64,
-    /// Events that were dropped.
-    pub dropped: u64,
-    /// Gaps that were reported.
-    pub gaps: u64,
-    /// Of the events that were dropped, those that stand in a gap: the others are still to be told, after a restart as well.
-    pub told: u64,
-    /// Events that were handed in to the process at hand.
-    pub handed_in: HandedIn,
-    /// How far the process at hand comes with this; `None` while it has not met the aggregator: what the spool says of
-    /// it and of others then stays.
-    pub reached: Option<Reached>,
-    /// With it, [`SpoolState::unresolved`] is resolved, and these are the losses which no gap reports yet.
-    pub unreported: Option<Vec<Gap>>,
+#[cfg(test)]
+mod tests {
+    use peernet_logger::RunId;
+
+    use super::*;
+    use crate::{CountedRun, RunCounts};
+
+    fn at(seconds: i64) -> WallTime {
+        WallTime::from_unix_nanos(seconds * 1_000_000_000)
+    }
+
+    fn counted(all: u64, runs: &[(RunId, u64)]) -> CountedEvents {
+        let run = |&(run, events)| CountedRun { run, pipeline: "line".parse().ok(), events, last: at(9) };
+        CountedEvents { all, last: at(10), sent: Vec::new(), runs: runs.iter().map(run).collect() }
+    }
+
+    fn settled(all: u64, runs: &[(RunId, u64)], last: Option<WallTime>) -> Settled {
+        Settled { events: RunCounts { all, runs: runs.iter().copied().collect() }, taken: all, last }
+    }
+
+    #[test]
+    fn lost_tail_is_split_by_run() {
+        let (first, second, ended) = (RunId::random(), RunId::random(), RunId::random());
+        let mut state = SpoolState::new(StreamId::random());
+        state.totals.produced = 100;
+        let counted = counted(115, &[(first, 70), (second, 4)]);
+        let settled = settled(100, &[(first, 60), (ended, 30)], Some(at(8)));
+        assert_eq!(state.lose_tail(counted.clone(), settled), Some(15));
+        assert_eq!((state.totals.produced, state.totals.dropped, state.totals.told), (115, 15, 0));
+        let gaps: Vec<_> =
+            state.unreported.iter().map(|gap| (gap.run, gap.count, gap.from, gap.to)).collect();
+        let expected =
+            [(Some(first), 10, at(8), at(9)), (Some(second), 4, at(8), at(9)), (None, 1, at(8), at(10))];
+        assert_eq!(gaps, expected);
+        // Another process that is killed at once changes only how many they are.
+        let next = CountedEvents { all: 2, ..counted };
+        assert_eq!(state.lose_tail(next, Settled::default()), Some(2));
+        assert_eq!((state.unreported.len(), state.unreported[0].count), (3, 12));
+    }
+
+    #[test]
+    fn nothing_is_lost_when_everything_is_settled() {
+        let (run, mut state) = (RunId::random(), SpoolState::new(StreamId::random()));
+        let settled = settled(7, &[(run, 5)], None);
+        assert_eq!(state.lose_tail(counted(7, &[(run, 5)]), settled.clone()), Some(0));
+        // A counter that is behind the spool proves nothing.
+        assert_eq!(state.lose_tail(counted(3, &[(run, 6)]), settled), Some(0));
+        assert_eq!(state, SpoolState::new(state.stream));
+    }
+
+    #[test]
+    fn many_losses_of_earlier_processes_stay_few_gaps() {
+        let mut state = SpoolState::new(StreamId::random());
+        for _ in 0..500 {
+            let run = RunId::random();
+            state.lose_tail(counted(3, &[(run, 3)]), Settled::default());
+        }
+        assert_eq!(state.unreported.len(), MOST_UNREPORTED);
+        assert_eq!(state.unreported.iter().map(|gap| gap.count).sum::<u64>(), 1_500);
+    }
 }

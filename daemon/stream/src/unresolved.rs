@@ -3,26 +3,12 @@
 
 use std::collections::VecDeque;
 
-use super::spool::Totals;
-use super::{CountedEvents, Gap, MOST_UNDER_WAY, Settled};
+use crate::counts::{CountedEvents, SentUnspooled, Settled};
+use crate::totals::Totals;
+use crate::{Gap, MOST_UNDER_WAY};
 
 /// Of how many batches [`SentUnspooled`] is to be kept: those that may be under way, and the last that is acknowledged.
 pub const MOST_SENT_UNSPOOLED: usize = MOST_UNDER_WAY + 1;
-
-/// A batch that was sent and is not in the spool. All numbers count up to its last event.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct SentUnspooled {
-    /// The process that sent it ([`super::Hello::process`]).
-    pub process: u64,
-    /// Its number.
-    pub number: u64,
-    /// Events that were handed in to that process and are in batches.
-    pub taken: u64,
-    /// Dropped events that gaps have reported, as [`super::Totals::told`].
-    pub told: u64,
-    /// Events in batches since the spool was made, with the gaps.
-    pub events: u64,
-}
 
 /// The end of a process of which part may be stored that its spool does not have.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -6,7 +6,6 @@ mod reflector;
 mod served;
 
 pub(crate) use doors::{Doors, calibration};
-pub use reflector::ReflectorError;
 pub use served::Served;
 
 use std::collections::HashMap;

@@ -6,26 +6,11 @@ use std::sync::Arc;
 
 use peernet_clock::SharedClock;
 use peernet_networks::Address;
-use peernet_probes::{BindError, Reflector, ReflectorConfig};
+use peernet_probes::{Reflector, ReflectorConfig};
 
 use crate::config::ProbesConfig;
+use crate::error::ReflectorError;
 use crate::link::ProbeSettings;
-
-/// Why peers' probes cannot be answered.
-#[derive(Debug, thiserror::Error)]
-pub enum ReflectorError {
-    /// The port could not be had.
-    #[error("{0} ([probes] port, or reflect = false to answer none)")]
-    Bind(#[from] BindError),
-    /// The name to listen on leads nowhere.
-    #[error("cannot answer probes on {listen}: {reason}; give [serve] listen an address of this machine")]
-    Address {
-        /// Where the host listens for peers.
-        listen: Address,
-        /// What is wrong with it.
-        reason: String,
-    },
-}
 
 /// Binds to the address at which peers are awaited. The standard port may be another program's, as long as nobody
 /// insists on it: peers are told which one it is.
@@ -52,7 +37,7 @@ pub(super) async fn bind(
         Reflector::bind(config, Arc::clone(clock))
     };
     let reflector = match bind(at) {
-        Err(BindError::InUse(_)) if config.port.is_none() => {
+        Err(peernet_probes::BindError::InUse(_)) if config.port.is_none() => {
             let any = bind(SocketAddr::new(at.ip(), 0))?;
             tracing::info!(taken = %at, instead = %any.address(), "the usual port for probes is taken");
             any

@@ -63,7 +63,7 @@ mod tests {
     use serde_json::json;
 
     use crate::compare::{Collected, collect};
-    use crate::run::RECORD;
+    use crate::experiment::RECORD;
 
     const ID: &str = "285ef326-f4f1-4f29-bdd3-c62b42cfe2f4";
 

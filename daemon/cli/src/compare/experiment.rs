@@ -9,7 +9,7 @@ use crate::small_file;
 use peernet_report::number::counted;
 use serde::Deserialize;
 
-use crate::run::{FORMAT, LARGEST_RECORD, RECORD, RUNS, Stage};
+use crate::experiment::{FORMAT, LARGEST_RECORD, RECORD, RUNS, Stage};
 
 /// How many folders above its results an experiment's is looked for: `runs`, the run's, a user's.
 const HIGHEST: usize = 4;

@@ -45,7 +45,7 @@ mod tests {
     use std::fs;
 
     use super::*;
-    use crate::run::RECORD;
+    use crate::experiment::RECORD;
 
     fn as_declared(runs: &[Loaded]) -> Vec<usize> {
         super::as_declared(runs, &Experiments::of(runs.iter().map(|run| &*run.folder)))

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::collect::is_same;
 use super::experiment::{Experiment, Experiments};
-use crate::run::{RUNS, left_out};
+use crate::experiment::{RUNS, left_out};
 
 /// What was found, without the runs of experiments that are not done.
 pub(super) struct Chosen {
@@ -83,7 +83,7 @@ mod tests {
 
     use super::*;
     use crate::compare::{Collected, collect};
-    use crate::run::RECORD;
+    use crate::experiment::RECORD;
 
     /// An experiment of four runs, of which one is done and the last has not begun.
     fn experiment(home: &Path) {

@@ -10,7 +10,8 @@ use peernet_report::results::{Counts, ResultFolder, RunRecord};
 use super::Beside;
 use super::folder::Folder;
 use super::plan::Run;
-use super::state::{Record, Stage};
+use super::state::Record;
+use crate::experiment::Stage;
 
 /// What was taken away is to be done again; what was measured with another file of devices is told.
 pub(super) fn settle(folder: &Folder, record: &mut Record, beside: &Beside) {

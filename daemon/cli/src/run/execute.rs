@@ -9,7 +9,8 @@ use super::children::{self, Exited, News};
 use super::estimate::Estimates;
 use super::folder::Folder;
 use super::plan::Run;
-use super::state::{Ended, Record, Stage};
+use super::state::{Ended, Record};
+use crate::experiment::Stage;
 use crate::foreground::{Progress, Signals, duration, typed};
 use crate::measure::{Order, Seen};
 

@@ -12,21 +12,15 @@ use peernet_report::figures;
 
 use super::difference::differences;
 use super::plan::{Plan, Run};
-use super::state::{FORMAT, Record};
+use super::state::Record;
+use crate::experiment::{FORMAT, LARGEST_RECORD, RECORD, RUNS};
 
-/// How far an experiment is.
-pub(crate) const RECORD: &str = "experiment.json";
-/// Bytes of the largest record that is read: most runs, each of a configuration of its own, have less.
-pub(crate) const LARGEST_RECORD: u64 = 256 << 20;
 /// Names of the tables over all runs, and the forms that they are written in.
 const TABLES: [&str; 3] = ["compare", "users", "sensors"];
 const KINDS: [&str; 4] = ["txt", "md", "csv", "tex"];
 const LOCK: &str = ".lock";
 /// How a record begins its name until it is whole. A program that is killed meanwhile leaves it behind.
 const DRAFT: &str = ".experiment-";
-/// The folder in an experiment's that has those of its runs.
-pub(crate) const RUNS: &str = "runs";
-
 /// A folder that this program alone writes to.
 pub(super) struct Folder {
     path: PathBuf,

@@ -26,18 +26,15 @@ mod sensors;
 mod state;
 mod table;
 mod trial;
-mod undone;
 
 pub(crate) use arguments::Arguments;
-pub(crate) use folder::{LARGEST_RECORD, RECORD, RUNS};
-pub(crate) use state::{FORMAT, Stage};
-pub(crate) use undone::left_out;
 
 use std::collections::BTreeSet;
 use std::io::{BufRead, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
 use crate::exit::{Exit, Failure};
+use crate::experiment::Stage;
 use crate::output::{complain, say};
 use crate::short::plain;
 use crate::{VERSION, clock};

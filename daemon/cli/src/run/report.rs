@@ -20,8 +20,8 @@ use super::plan::Run;
 use super::sensors::Sensors;
 use super::state::Record;
 use super::table;
-use super::undone::left_out;
 use crate::compare::{below, differences, first_of_two, joined};
+use crate::experiment::left_out;
 
 /// Writes everything that compares finished runs, with `plots` also as figures; returns what is to be printed.
 ///

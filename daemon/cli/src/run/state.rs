@@ -6,9 +6,7 @@ use peernet_logger::Slug;
 use serde::{Deserialize, Serialize};
 
 use super::plan::{Plan, Run};
-
-/// The form that this program writes.
-pub(crate) const FORMAT: u32 = 1;
+use crate::experiment::{FORMAT, Stage};
 
 /// The whole of an experiment.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -47,49 +45,6 @@ pub(super) struct State {
     /// How long it took from the start of its process to its end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) seconds: Option<f64>,
-}
-
-/// What became of a run.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub(crate) enum Stage {
-    /// Its turn has not come.
-    #[default]
-    Pending,
-    /// It is under way; or the program was killed while it was.
-    Running,
-    /// All was measured.
-    Finished,
-    /// It could not be measured, or not to its end.
-    Failed,
-    /// The user ended it.
-    Interrupted,
-}
-
-impl Stage {
-    /// Whether its results count, in tables and figures, and nobody does it again.
-    pub(crate) const fn is_done(self) -> bool {
-        matches!(self, Self::Finished)
-    }
-
-    /// As people read it who do not know whether the experiment is under way.
-    pub(crate) const fn left_as(self) -> &'static str {
-        match self {
-            Self::Running => "under way or killed",
-            other => other.name(),
-        }
-    }
-
-    /// As people read it.
-    pub(super) const fn name(self) -> &'static str {
-        match self {
-            Self::Pending => "to do",
-            Self::Running => "cut off",
-            Self::Finished => "finished",
-            Self::Failed => "failed",
-            Self::Interrupted => "interrupted",
-        }
-    }
 }
 
 /// How a run ended.

@@ -4,7 +4,8 @@ use peernet_report::table::Table;
 
 use super::estimate::Estimates;
 use super::plan::Run;
-use super::state::{Record, Stage};
+use super::state::Record;
+use crate::experiment::Stage;
 use crate::foreground::duration;
 
 /// What stands where nobody can tell.

@@ -6,6 +6,7 @@ use serde_json::{Value, json};
 use super::again::found;
 use super::state::Ended;
 use super::*;
+use crate::experiment::RECORD;
 
 #[derive(Debug, Parser)]
 struct Line {

@@ -8,7 +8,7 @@ use peernet_external::exec::{CommandLine, ExecConfig};
 use peernet_logger::Slug;
 use serde::{Deserialize, Serialize};
 
-use crate::config::{cpu, one, sixteen};
+use crate::defaults::{cpu, one, sixteen};
 
 /// `kind = "exec"`: a program of the user's own, one process for each worker.
 ///

@@ -8,7 +8,7 @@ use peernet_external::python::{Images, PythonConfig};
 use peernet_logger::Slug;
 use serde::{Deserialize, Serialize};
 
-use crate::config::{cpu, one, sixteen};
+use crate::defaults::{cpu, one, sixteen};
 
 /// `kind = "python"`: a Python object of the user's own, each worker in a process of its own.
 ///

@@ -1,6 +1,6 @@
 use peernet_imaging::{Encoding, Filter, Header, Picture, encode, probe_part};
 use peernet_sample::{Description, MediaType, Part, PixelFormat, Sample};
-use peernet_sensors::{Format, SensorError, TransformConfig};
+use peernet_sensors::{Format, SensorError, TransformConfig, build_transform};
 
 use super::recorder;
 
@@ -13,7 +13,9 @@ fn photograph(width: u32, height: u32) -> Sample {
 
 fn apply(sample: Sample, transforms: &[TransformConfig]) -> Result<Sample, SensorError> {
     let mut log = recorder();
-    transforms.iter().try_fold(sample, |sample, transform| transform.build()?.apply(sample, &mut log))
+    transforms
+        .iter()
+        .try_fold(sample, |sample, transform| build_transform(transform)?.apply(sample, &mut log))
 }
 
 fn header(sample: &Sample) -> Header {
@@ -82,8 +84,8 @@ fn impossible_settings_are_refused_when_built() {
         encode(Format::Jpeg, Some(101)),
         encode(Format::Png, Some(80)),
     ] {
-        assert!(matches!(wrong.build(), Err(SensorError::Config(_))), "{wrong:?}");
+        assert!(matches!(build_transform(&wrong), Err(SensorError::Config(_))), "{wrong:?}");
     }
-    assert!(encode(Format::Png, None).build().is_ok());
-    assert_eq!(RESIZE.build().expect("is right").describe(), "resize to 32 × 24");
+    assert!(build_transform(&encode(Format::Png, None)).is_ok());
+    assert_eq!(build_transform(&RESIZE).expect("is right").describe(), "resize to 32 × 24");
 }

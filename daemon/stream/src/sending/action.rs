@@ -1,9 +1,10 @@
 //! What the machine asks of its owner, and what it tells it.
 
-use super::super::spool::{SpooledBatch, Totals};
 use super::super::{Chain, StreamId};
 #[cfg(doc)]
 use super::Sending;
+use crate::spool::SpooledBatch;
+use crate::totals::Totals;
 use peernet_logger::Slug;
 
 /// What the owner is to do, in this order. Every action but `Send` is answered by one of the calls named in it; until

@@ -5,9 +5,10 @@ use std::collections::VecDeque;
 use bytes::Bytes;
 use peernet_clock::WallTime;
 
-use super::super::intake::CutBatch;
-use super::super::spool::{SpoolState, SpooledBatch, Totals, Usage};
 use super::super::{BatchHead, Chain, HandedIn, SentUnspooled, StreamId};
+use super::intake::CutBatch;
+use crate::spool::{SpoolState, SpooledBatch, Usage};
+use crate::totals::Totals;
 use peernet_logger::HostId;
 
 /// Batches from the oldest that is not acknowledged to the newest.

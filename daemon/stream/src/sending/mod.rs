@@ -6,8 +6,10 @@ mod config;
 mod durable;
 mod earlier;
 mod flow;
+mod intake;
 mod job;
 mod link;
+mod losses;
 mod pace;
 mod rest;
 mod skim;
@@ -23,14 +25,15 @@ use self::backlog::Backlog;
 pub use self::config::{Compression, SendingConfig};
 use self::earlier::Earlier;
 use self::flow::Flow;
+use self::intake::{Intake, Room};
 use self::link::Link;
 use self::pace::Pace;
 use self::rest::Rest;
 use self::skim::Hole;
 use self::spooling::Spooling;
 use self::under_way::UnderWay;
-use super::intake::{Intake, Room};
-use super::spool::{Reached, SpoolState, Totals};
+use super::spool::SpoolState;
+use super::totals::{Reached, Totals};
 use super::{
     Accounting, Event, Gap, HandedIn, HostDescription, HostSecret, SentUnspooled, StreamId, ToAggregator,
     codec,

@@ -3,10 +3,11 @@
 use peernet_clock::{MonoTime, Span, Stamp};
 
 use super::super::Chain;
-use super::super::spool::{Reached, SpoolState, SpooledBatch, Totals};
 use super::backlog::Freed;
 use super::job::Job;
 use super::{Action, Notice, Sending, StreamId};
+use crate::spool::{SpoolState, SpooledBatch};
+use crate::totals::{Reached, Totals};
 
 /// Batches of one transaction, and their bytes, at most: what waits behind it is not kept waiting for long.
 const MOST_APPENDED: usize = 256;

@@ -22,23 +22,14 @@ const LAYERS: [&[&str]; 7] = [
         "peernet-report",
     ],
     &["peernet-aggregator", "peernet-agent"],
-    &["peernet-web"],
+    &["peernet-web", "peernet-cli"],
     &["peernetd"],
 ];
 
 /// Cycles that are still there: the crate or program, and its modules. To be shortened only.
-const CYCLES: [(&str, &[&str]); 13] = [
-    ("peernet_clock", &["rehearsal", "source"]),
-    ("peernet_logger", &["guard", "recorder"]),
-    ("peernet_logger", &["measure", "tree"]),
-    ("peernet_logger", &["name", "stage"]),
-    ("peernet_agent", &["error", "serve"]),
+const CYCLES: [(&str, &[&str]); 4] = [
     ("peernet_agent", &["host", "incidents", "link", "outbox"]),
-    ("peernet_inference", &["config", "exec", "python"]),
-    ("peernet_imaging", &["decode", "error", "picture", "probe"]),
-    ("peernet_sensors", &["config", "transform"]),
     ("peernet_aggregator", &["config", "error", "store"]),
-    ("peernet", &["compare", "run"]),
     ("peernet_report", &["accuracy", "compare", "figure", "figures", "results", "trust", "users"]),
     (
         "peernet_web",

@@ -19,12 +19,13 @@ use std::collections::BTreeMap;
 use bytes::Bytes;
 use peernet_clock::{ClockIdentity, MonoTime, Span, Stamp, WallTime};
 
-use super::super::spool::{Reached, SpoolState, SpooledBatch, Totals, Usage};
 use super::super::{
     Accounting, BatchHead, Chain, Event, Hardware, Hello, HostDescription, HostSecret, Incident,
     IncidentKind, Proof, StreamId, ToAgent, ToAggregator, codec,
 };
 use super::{Action, Notice, Sending, SendingConfig};
+use crate::spool::{SpoolState, SpooledBatch, Usage};
+use crate::totals::{Reached, Totals};
 use peernet_logger::HostId;
 
 fn at(millis: i64) -> Stamp {

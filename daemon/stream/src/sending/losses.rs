@@ -2,7 +2,7 @@
 
 use peernet_clock::{MonoTime, Span, Stamp};
 
-use super::Gap;
+use crate::Gap;
 use peernet_logger::{RunId, Slug};
 
 /// Kinds of losses told apart; beyond that they are counted together. An agent has few pipelines and few reasons.

@@ -1,6 +1,6 @@
 //! Runs of an experiment that no table and no figure has, because they are not done.
 
-use super::state::Stage;
+use super::Stage;
 
 /// Most runs that are named.
 const MOST: usize = 8;

@@ -5,10 +5,12 @@ use std::collections::{BTreeMap, VecDeque};
 use bytes::Bytes;
 use peernet_clock::{MonoTime, Stamp, WallTime};
 
+use super::SendingConfig;
 use super::losses::Losses;
-use super::spool::{Totals, Usage};
-use super::unresolved::Resolved;
-use super::{Event, Gap, MOST_COUNTED_RUNS, RunCounts, SendingConfig, Unresolved, codec};
+use crate::spool::Usage;
+use crate::totals::Totals;
+use crate::unresolved::Resolved;
+use crate::{Event, Gap, MOST_COUNTED_RUNS, RunCounts, Unresolved, codec};
 use peernet_logger::limits::MAX_BYTES;
 use peernet_logger::{RunId, Slug};
 

@@ -1,0 +1,60 @@
+//! What an experiment's folder holds, as those know it who make it and those who read it.
+
+mod undone;
+
+pub(crate) use undone::left_out;
+
+use serde::{Deserialize, Serialize};
+
+/// The form that this program writes.
+pub(crate) const FORMAT: u32 = 1;
+
+/// How far an experiment is.
+pub(crate) const RECORD: &str = "experiment.json";
+/// Bytes of the largest record that is read: most runs, each of a configuration of its own, have less.
+pub(crate) const LARGEST_RECORD: u64 = 256 << 20;
+/// The folder in an experiment's that has those of its runs.
+pub(crate) const RUNS: &str = "runs";
+
+/// What became of a run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum Stage {
+    /// Its turn has not come.
+    #[default]
+    Pending,
+    /// It is under way; or the program was killed while it was.
+    Running,
+    /// All was measured.
+    Finished,
+    /// It could not be measured, or not to its end.
+    Failed,
+    /// The user ended it.
+    Interrupted,
+}
+
+impl Stage {
+    /// Whether its results count, in tables and figures, and nobody does it again.
+    pub(crate) const fn is_done(self) -> bool {
+        matches!(self, Self::Finished)
+    }
+
+    /// As people read it who do not know whether the experiment is under way.
+    pub(crate) const fn left_as(self) -> &'static str {
+        match self {
+            Self::Running => "under way or killed",
+            other => other.name(),
+        }
+    }
+
+    /// As people read it.
+    pub(super) const fn name(self) -> &'static str {
+        match self {
+            Self::Pending => "to do",
+            Self::Running => "cut off",
+            Self::Finished => "finished",
+            Self::Failed => "failed",
+            Self::Interrupted => "interrupted",
+        }
+    }
+}

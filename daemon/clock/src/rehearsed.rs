@@ -1,0 +1,198 @@
+//! A wall clock that is wrong on purpose.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use crate::rehearsal::{RehearsalDescription, RehearsedStep};
+use crate::{Clock, ClockIdentity, MonoTime, Readings, SharedClock, Span, WallTime};
+
+/// A clock whose wall is wrong on purpose; its monotonic clock is untouched.
+#[derive(Debug)]
+pub struct RehearsedClock {
+    inner: SharedClock,
+    identity: ClockIdentity,
+    description: RehearsalDescription,
+    seen: Mutex<Seen>,
+}
+
+/// Steps of both kinds, as of the last look.
+#[derive(Debug, Default)]
+struct Seen {
+    inner: u32,
+    rehearsed: u32,
+    last_step: Option<Span>,
+}
+
+impl RehearsedClock {
+    /// `inner`, made wrong as described.
+    pub fn new(inner: SharedClock, identity: ClockIdentity, description: RehearsalDescription) -> Self {
+        let seen = Mutex::new(Seen { inner: inner.epoch(), ..Seen::default() });
+        Self { inner, identity, description, seen }
+    }
+
+    /// Rehearsed steps are known, not found: they count from the moment they are due, and for ever.
+    fn look(&self) -> MutexGuard<'_, Seen> {
+        let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
+        let inner = self.inner.epoch();
+        let now = self.inner.wall();
+        let due = self.description.steps_until(now).count() as u32;
+        if inner > seen.inner {
+            seen.inner = inner;
+            seen.last_step = self.inner.last_step();
+        }
+        if due > seen.rehearsed {
+            seen.rehearsed = due;
+            seen.last_step = self.description.steps_until(now).max_by_key(|step| step.at).map(|step| step.by);
+        }
+        seen
+    }
+}
+
+impl Clock for RehearsedClock {
+    fn wall(&self) -> WallTime {
+        self.description.shown(self.inner.wall())
+    }
+
+    fn mono(&self) -> MonoTime {
+        self.inner.mono()
+    }
+
+    fn identity(&self) -> &ClockIdentity {
+        &self.identity
+    }
+
+    fn readings(&self) -> Readings {
+        let inner = self.inner.readings();
+        Readings { wall: self.description.shown(inner.wall), ..inner }
+    }
+
+    fn epoch(&self) -> u32 {
+        let seen = self.look();
+        seen.inner + seen.rehearsed
+    }
+
+    fn begin_epoch(&self) {
+        self.inner.begin_epoch();
+    }
+
+    fn last_step(&self) -> Option<Span> {
+        self.look().last_step
+    }
+
+    fn adopt(&self, system: WallTime) -> WallTime {
+        self.description.shown(system)
+    }
+
+    fn rehearsal(&self) -> Option<&RehearsalDescription> {
+        Some(&self.description)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::ManualClock;
+
+    fn step(at: i64, by: i64) -> RehearsedStep {
+        RehearsedStep { at: Span::from_seconds(at), by: Span::from_millis(by) }
+    }
+
+    fn described(steps: &[RehearsedStep]) -> RehearsalDescription {
+        RehearsalDescription {
+            offset: Span::from_millis(137),
+            drift_ppm: 50.0,
+            steps: steps.to_vec(),
+            since: WallTime::from_unix_nanos(1_000_000_000_000),
+        }
+    }
+
+    #[test]
+    fn what_is_shown_is_offset_drift_and_the_steps_so_far_in_any_order() {
+        let description = described(&[step(20, -500), step(10, 3000)]);
+        let error = |seconds| description.error_at(description.since + Span::from_seconds(seconds));
+        assert_eq!(error(0), Span::from_millis(137));
+        assert_eq!(error(2), Span::from_micros(137_100));
+        assert_eq!(error(-2), Span::from_micros(136_900));
+        assert_eq!(error(10), Span::from_micros(3_137_500));
+        assert_eq!(error(20), Span::from_micros(2_638_000));
+    }
+
+    #[test]
+    fn rehearsed_steps_and_those_of_the_clock_behind_are_counted_by_the_first_look() {
+        let description = described(&[step(20, -500), step(10, 3000)]);
+        let inner = Arc::new(ManualClock::new(description.since, ClockIdentity::new("boot", "system")));
+        let clock = RehearsedClock::new(inner.clone(), ClockIdentity::new("boot", "rehearsal"), description);
+        assert_eq!((clock.epoch(), clock.last_step()), (0, None));
+        inner.advance(Span::from_seconds(10));
+        assert_eq!((clock.epoch(), clock.last_step()), (1, Some(Span::from_seconds(3))));
+        inner.step_wall(Span::from_millis(-20));
+        assert_eq!((clock.epoch(), clock.last_step()), (2, Some(Span::from_millis(-20))));
+        clock.begin_epoch();
+        inner.advance(Span::from_seconds(11));
+        assert_eq!((clock.epoch(), clock.last_step()), (4, Some(Span::from_millis(-500))));
+        assert_eq!(clock.readings().wall, clock.wall());
+        assert_eq!(clock.adopt(inner.wall()), clock.wall());
+        assert_eq!(clock.mono(), inner.mono());
+        assert!(clock.rehearsal().is_some());
+    }
+
+    proptest! {
+        #[test]
+        fn what_was_shown_leads_back_to_the_truth(elapsed in 0i64..100_000_000_000, ppm in -500.0..500.0f64, by in 0i64..5000) {
+            let description = RehearsalDescription { drift_ppm: ppm, ..described(&[step(60, 10), step(30, by)]) };
+            let truth = description.since + Span::from_nanos(elapsed);
+            let back = description.true_of(description.shown(truth));
+            prop_assert!((back - truth).abs() <= Span::from_nanos(1), "{}", back - truth);
+        }
+
+        #[test]
+        fn of_two_times_that_showed_the_same_it_is_the_later(elapsed in 0i64..60_000_000_000) {
+            let description = described(&[step(30, -10)]);
+            let truth = description.since + Span::from_nanos(elapsed);
+            let back = description.true_of(description.shown(truth));
+            let twice = (truth + Span::from_millis(10) - description.since).nanos() >= 30_000_000_000 && elapsed < 30_000_000_000;
+            let later = truth + Span::from_millis(if twice { 10 } else { 0 });
+            prop_assert!((back - later).abs() <= Span::from_nanos(1000), "{}", back - later);
+        }
+    }
+
+    #[test]
+    fn a_time_that_was_left_out_is_that_of_the_step() {
+        let description = described(&[step(30, 10)]);
+        let begin = description.since + Span::from_seconds(30);
+        let left_out = description.shown(begin) - Span::from_millis(5);
+        assert_eq!(description.true_of(left_out), begin);
+    }
+
+    #[test]
+    fn the_words_name_all_that_is_wrong() {
+        let mut rehearsal = RehearsalDescription {
+            offset: Span::from_millis(-500),
+            drift_ppm: 0.0,
+            steps: Vec::new(),
+            since: WallTime::from_unix_nanos(0),
+        };
+        assert_eq!(rehearsal.to_string(), "offset -500 ms");
+        rehearsal.drift_ppm = 50.5;
+        rehearsal.steps.push(RehearsedStep { at: Span::from_millis(1500), by: Span::from_seconds(3) });
+        assert_eq!(rehearsal.to_string(), "offset -500 ms, drift +50.5 ppm, step +3000 ms after 1.5 s");
+    }
+
+    #[test]
+    fn the_words_are_the_figures_that_were_written() {
+        let step = |at, by| RehearsedStep { at: Span::from_seconds(at), by: Span::from_micros(by) };
+        let rehearsal = RehearsalDescription {
+            offset: Span::from_micros(-123_300),
+            drift_ppm: 0.1,
+            steps: (1..2000).map(|at| step(at, at * 100)).collect(),
+            since: WallTime::from_unix_nanos(0),
+        };
+        let text = rehearsal.to_string();
+        let longest = text.split([' ', ',']).map(str::len).max();
+        assert!(longest.is_some_and(|longest| longest <= "+199.9".len()), "{text}");
+        assert!(text.contains("step +6 ms after 60 s, step +6.1 ms after 61 s,"), "{text}");
+    }
+}

@@ -1,0 +1,49 @@
+//! Sizes of pictures, checked before memory is taken for them.
+
+use peernet_sample::{Part, PixelFormat};
+
+use crate::ImageError;
+use crate::limits::{MAX_PIXELS, MAX_SIDE};
+
+/// Bytes of decoded pixels.
+pub(crate) fn length(format: PixelFormat, width: u32, height: u32) -> u64 {
+    u64::from(width) * u64::from(height) * u64::from(format.channels())
+}
+
+/// Checks that a description of decoded pixels is possible and fits their bytes.
+pub(crate) fn check_length(
+    format: PixelFormat,
+    width: u32,
+    height: u32,
+    actual: usize,
+) -> Result<(), ImageError> {
+    check_size(u64::from(width), u64::from(height))?;
+    let (expected, actual) = (length(format, width, height), actual as u64);
+    if expected != actual {
+        return Err(ImageError::Length { width, height, channels: format.channels(), expected, actual });
+    }
+    Ok(())
+}
+
+/// Width and height of decoded pixels, checked against their bytes.
+pub(crate) fn pixels_size(part: &Part, format: PixelFormat) -> Result<(u32, u32), ImageError> {
+    let shape = &part.description.shape;
+    let &[height, width, channels] = shape.as_slice() else {
+        return Err(ImageError::Shape(shape.clone()));
+    };
+    if channels != format.channels() {
+        return Err(ImageError::Shape(shape.clone()));
+    }
+    check_length(format, width, height, part.bytes.len())?;
+    Ok((width, height))
+}
+
+/// Refuses sizes that no picture has or that would take too much memory.
+pub(crate) fn check_size(width: u64, height: u64) -> Result<(), ImageError> {
+    let sides = 1..=MAX_SIDE;
+    if sides.contains(&width) && sides.contains(&height) && width * height <= MAX_PIXELS {
+        Ok(())
+    } else {
+        Err(ImageError::Size { width, height })
+    }
+}
