@@ -16,6 +16,7 @@ mod numbers;
 mod pages;
 mod router;
 mod serve;
+mod server_names;
 mod state;
 mod svg;
 mod view;
