@@ -1,7 +1,7 @@
 //! Who may ask. So far everyone who reaches the address, which is why that is this machine alone unless the
 //! configuration says otherwise. Tokens with roles will be checked here, in front of every route.
 
-use std::net::{IpAddr, Ipv6Addr, SocketAddr};
+use std::net::Ipv6Addr;
 
 use axum::extract::{Request, State};
 use axum::http::header::{HOST, ORIGIN};
@@ -9,40 +9,9 @@ use axum::http::{HeaderMap, HeaderName, Method};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
-use crate::config::{Problem, WebConfig};
 use crate::error::WebError;
+use crate::server_names::is_name;
 use crate::state::App;
-
-/// The address to listen on, if the configuration allows it.
-pub(crate) fn listen_address(config: &WebConfig) -> Result<SocketAddr, Problem> {
-    let problem = |message| Problem { key: "listen", message };
-    let address: SocketAddr = config.listen.parse().map_err(|_| {
-        problem(format!(
-            "{:?} is not an address with a port: write it like 127.0.0.1:8040 or [::1]:8040",
-            config.listen
-        ))
-    })?;
-    if address.ip().is_loopback() || config.allow_unauthenticated {
-        return Ok(address);
-    }
-    Err(problem(format!(
-        "{address} can be reached from other machines, and access is not restricted yet: everyone who reaches \
-         it could read all hosts, configurations and measurements; listen on 127.0.0.1, or set \
-         allow_unauthenticated = true if that is intended"
-    )))
-}
-
-/// What is wrong with a configured name, if anything.
-pub(crate) fn wrong_name(name: &str) -> Option<String> {
-    (!is_name(name))
-        .then(|| format!("{name:?} is not a host name: write it like robot.example.org, without a port"))
-}
-
-/// Whether a text has the form of a host name or an IPv4 address.
-fn is_name(text: &str) -> bool {
-    let letter = |letter: u8| letter.is_ascii_alphanumeric() || matches!(letter, b'.' | b'-' | b'_');
-    !text.is_empty() && text.bytes().all(letter)
-}
 
 /// The host of `HOST[:PORT]`, where `HOST` is a name, an IPv4 address or an IPv6 address in brackets, and nothing else.
 fn host_of(authority: &str) -> Option<&str> {
@@ -60,33 +29,6 @@ fn host_of(authority: &str) -> Option<&str> {
 /// Whether a text is a number from 0 to 65535; one with a sign is not.
 fn is_port(text: &str) -> bool {
     text.bytes().all(|digit| digit.is_ascii_digit()) && text.parse::<u16>().is_ok()
-}
-
-/// The names under which requests are answered, beside IP addresses and `localhost`.
-///
-/// A page from elsewhere whose name was made to point here (DNS rebinding) would otherwise read and change everything
-/// through the browser of whoever opened it. It cannot do so under an address: a browser that opens one asks no name server.
-#[derive(Clone, Debug)]
-pub(crate) struct ServerNames(Vec<String>);
-
-impl ServerNames {
-    /// The configured names, and the machine's own with and without `.local` (multicast DNS).
-    pub(crate) fn new(config: &WebConfig) -> Self {
-        let machine = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
-        let machine = machine.trim();
-        let own =
-            [machine.to_owned(), format!("{machine}.local")].into_iter().filter(|_| !machine.is_empty());
-        Self(config.server_names.iter().cloned().chain(own).collect())
-    }
-
-    fn contains(&self, host: &str) -> bool {
-        let name = host.strip_suffix('.').unwrap_or(host).to_ascii_lowercase();
-        let address = name.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')).unwrap_or(&name);
-        address.parse::<IpAddr>().is_ok()
-            || name == "localhost"
-            || name.ends_with(".localhost")
-            || self.0.iter().any(|known| known.eq_ignore_ascii_case(&name))
-    }
 }
 
 /// The host that a request names.
@@ -169,28 +111,6 @@ mod tests {
         assert!(!own(&[("sec-fetch-site", "same-origin"), ("origin", "http://evil.example")]));
         for origin in ["http://evil.example", "http://localhost:9999", "null", "localhost:8040"] {
             assert!(!own(&[("origin", origin)]), "{origin}");
-        }
-    }
-
-    #[test]
-    fn addresses_and_known_names_pass_others_do_not() {
-        let config = WebConfig { server_names: vec!["Dash.example.org".to_owned()], ..WebConfig::default() };
-        let names = ServerNames::new(&config);
-        for host in [
-            "127.0.0.1",
-            "192.0.2.7",
-            "[2001:db8::1]",
-            "localhost",
-            "LOCALHOST.",
-            "demo.localhost",
-            "dash.example.org",
-        ] {
-            assert!(names.contains(host), "{host}");
-        }
-        for host in
-            ["evil.example", "localhost.evil.example", "example.org", "127.0.0.1.evil.example", "[x]", ""]
-        {
-            assert!(!names.contains(host), "{host}");
         }
     }
 

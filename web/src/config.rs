@@ -1,8 +1,10 @@
 //! The `[web]` table of the configuration file, and what can be checked before starting.
 
+use std::net::SocketAddr;
+
 use serde::{Deserialize, Serialize};
 
-use crate::access;
+use crate::server_names;
 use crate::zone::Zone;
 
 /// Where and how the dashboard and the REST API are served.
@@ -43,9 +45,28 @@ impl Default for WebConfig {
 impl WebConfig {
     /// Everything about the configuration that can be checked without starting.
     pub fn check(&self) -> Vec<Problem> {
-        let names = self.server_names.iter().filter_map(|name| access::wrong_name(name));
+        let names = self.server_names.iter().filter_map(|name| server_names::wrong_name(name));
         let names = names.map(|message| Problem { key: "server_names", message });
-        access::listen_address(self).err().into_iter().chain(names).collect()
+        self.listen_address().err().into_iter().chain(names).collect()
+    }
+
+    /// The address to listen on, if the configuration allows it.
+    pub(crate) fn listen_address(&self) -> Result<SocketAddr, Problem> {
+        let problem = |message| Problem { key: "listen", message };
+        let address: SocketAddr = self.listen.parse().map_err(|_| {
+            problem(format!(
+                "{:?} is not an address with a port: write it like 127.0.0.1:8040 or [::1]:8040",
+                self.listen
+            ))
+        })?;
+        if address.ip().is_loopback() || self.allow_unauthenticated {
+            return Ok(address);
+        }
+        Err(problem(format!(
+            "{address} can be reached from other machines, and access is not restricted yet: everyone who reaches \
+             it could read all hosts, configurations and measurements; listen on 127.0.0.1, or set \
+             allow_unauthenticated = true if that is intended"
+        )))
     }
 }
 

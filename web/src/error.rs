@@ -1,21 +1,17 @@
-//! The one error of all handlers: problem+json (RFC 9457) under `/api`, a page elsewhere. What went wrong
+//! The one error of all handlers, and the problem details (RFC 9457) that clients receive of it. What went wrong
 //! inside is logged under an id and never shown.
 
 use std::fmt;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 
-use axum::extract::{Request, State};
-use axum::http::header::{ALLOW, CONTENT_TYPE, RETRY_AFTER};
-use axum::http::{HeaderValue, StatusCode};
-use axum::middleware::Next;
+use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use peernet_aggregator::StoreError;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use crate::pages;
-use crate::state::{App, AppState};
+use crate::state::AppState;
 
 /// Why a request has no answer.
 #[derive(Debug, thiserror::Error)]
@@ -80,7 +76,7 @@ pub(crate) struct ProblemDetails {
 }
 
 impl ProblemDetails {
-    fn new(status: StatusCode, detail: String, id: Option<String>) -> Self {
+    pub(crate) fn new(status: StatusCode, detail: String, id: Option<String>) -> Self {
         let title = status.canonical_reason().unwrap_or("Unknown").to_owned();
         Self { kind: "about:blank", title, status: status.as_u16(), detail, id }
     }
@@ -169,59 +165,12 @@ impl fmt::Display for Chain<'_> {
 }
 
 impl IntoResponse for WebError {
-    /// A response without a body: [`dress`] gives it the form that the path asks for.
+    /// A response without a body: the router renders it in the form that the path asks for.
     fn into_response(self) -> Response {
         let mut response = self.status().into_response();
         response.extensions_mut().insert(Arc::new(self));
         response
     }
-}
-
-/// Gives errors their form by the path they belong to, those of the router itself included.
-pub(crate) async fn dress(State(app): State<App>, request: Request, next: Next) -> Response {
-    let path = request.uri().path().to_owned();
-    let mut response = next.run(request).await;
-    let status = response.status();
-    let problem = match response.extensions_mut().remove::<Arc<WebError>>() {
-        Some(error) => error.to_problem(&app),
-        None if status == StatusCode::METHOD_NOT_ALLOWED => {
-            let allowed = response.headers().get(ALLOW).and_then(|methods| methods.to_str().ok());
-            let text =
-                format!("this address answers {} and nothing else", allowed.unwrap_or("other methods"));
-            ProblemDetails::new(status, text, None)
-        }
-        None => return response,
-    };
-    let (form, body) = if path == "/api" || path.starts_with("/api/") {
-        let body = serde_json::to_string(&problem).unwrap_or_default();
-        ("application/problem+json", body)
-    } else {
-        ("text/html; charset=utf-8", pages::error::render(&app, &problem))
-    };
-    let mut dressed = (status, [(CONTENT_TYPE, form)], body).into_response();
-    if let Some(allowed) = response.headers().get(ALLOW) {
-        dressed.headers_mut().insert(ALLOW, allowed.clone());
-    }
-    if status == StatusCode::SERVICE_UNAVAILABLE {
-        dressed.headers_mut().insert(RETRY_AFTER, HeaderValue::from_static("2"));
-    }
-    dressed
-}
-
-/// The answer for an address that is not there.
-pub(crate) async fn no_such_page(request: Request) -> WebError {
-    let path = request.uri().path();
-    // Who has an edge and a cloud at hand writes them as a folder and a file.
-    let link = path
-        .strip_prefix("/api/v1")
-        .unwrap_or(path)
-        .strip_prefix("/links/")
-        .and_then(|it| it.split_once('/'));
-    let hint = link.map_or_else(String::new, |(edge, rest)| {
-        let cloud = rest.split('/').next().unwrap_or_default();
-        format!("; a link is named EDGE~CLOUD, {edge}~{cloud} perhaps")
-    });
-    WebError::NotFound(format!("there is nothing at {path}{hint}"))
 }
 
 impl ProblemDetails {

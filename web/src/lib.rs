@@ -14,10 +14,13 @@ mod look;
 mod metrics;
 mod numbers;
 mod pages;
+mod parameters;
 mod router;
 mod serve;
+mod server_names;
 mod state;
 mod svg;
+mod timeline;
 mod view;
 mod zone;
 

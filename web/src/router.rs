@@ -1,13 +1,15 @@
 //! All routes, and what surrounds them.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Router;
-use axum::extract::Request;
-use axum::http::HeaderValue;
+use axum::extract::{Request, State};
 use axum::http::header::{
-    CONTENT_SECURITY_POLICY, HeaderName, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
+    ALLOW, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, REFERRER_POLICY, RETRY_AFTER,
+    X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
 };
+use axum::http::{HeaderValue, StatusCode};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
@@ -17,7 +19,7 @@ use tower_http::compression::predicate::{DefaultPredicate, NotForContentType, Pr
 use tower_http::set_header::SetResponseHeaderLayer;
 use tower_http::trace::TraceLayer;
 
-use crate::error::{self, WebError};
+use crate::error::{ProblemDetails, WebError};
 use crate::state::App;
 use crate::{access, api, assets, pages};
 
@@ -38,12 +40,12 @@ pub(crate) fn build(app: App) -> Router {
         .merge(pages::routes())
         .merge(api::routes())
         .route("/static/{version}/{name}", get(assets::serve))
-        .fallback(error::no_such_page)
+        .fallback(no_such_page)
         .layer(middleware::from_fn(patience))
         .layer(CatchPanicLayer::custom(panicked))
         .layer(middleware::from_fn(access::own_site))
         .layer(middleware::from_fn_with_state(app.clone(), access::guard))
-        .layer(middleware::from_fn_with_state(app.clone(), error::dress))
+        .layer(middleware::from_fn_with_state(app.clone(), render_error))
         .layer(CompressionLayer::new().compress_when(compressed))
         .layer(header(CONTENT_SECURITY_POLICY, POLICY))
         .layer(header(X_CONTENT_TYPE_OPTIONS, "nosniff"))
@@ -67,4 +69,51 @@ fn panicked(panic: Box<dyn std::any::Any + Send>) -> Response {
     let text = panic.downcast_ref::<String>().map(String::as_str);
     let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("without words");
     WebError::Panicked(text.to_owned()).into_response()
+}
+
+/// Renders an error by its path, as problem+json under `/api` and as a page elsewhere, those of the router itself included.
+async fn render_error(State(app): State<App>, request: Request, next: Next) -> Response {
+    let path = request.uri().path().to_owned();
+    let mut response = next.run(request).await;
+    let status = response.status();
+    let problem = match response.extensions_mut().remove::<Arc<WebError>>() {
+        Some(error) => error.to_problem(&app),
+        None if status == StatusCode::METHOD_NOT_ALLOWED => {
+            let allowed = response.headers().get(ALLOW).and_then(|methods| methods.to_str().ok());
+            let text =
+                format!("this address answers {} and nothing else", allowed.unwrap_or("other methods"));
+            ProblemDetails::new(status, text, None)
+        }
+        None => return response,
+    };
+    let (form, body) = if path == "/api" || path.starts_with("/api/") {
+        let body = serde_json::to_string(&problem).unwrap_or_default();
+        ("application/problem+json", body)
+    } else {
+        ("text/html; charset=utf-8", pages::error::render(&app, &problem))
+    };
+    let mut rendered = (status, [(CONTENT_TYPE, form)], body).into_response();
+    if let Some(allowed) = response.headers().get(ALLOW) {
+        rendered.headers_mut().insert(ALLOW, allowed.clone());
+    }
+    if status == StatusCode::SERVICE_UNAVAILABLE {
+        rendered.headers_mut().insert(RETRY_AFTER, HeaderValue::from_static("2"));
+    }
+    rendered
+}
+
+/// The answer for an address that is not there.
+async fn no_such_page(request: Request) -> WebError {
+    let path = request.uri().path();
+    // Who has an edge and a cloud at hand writes them as a folder and a file.
+    let link = path
+        .strip_prefix("/api/v1")
+        .unwrap_or(path)
+        .strip_prefix("/links/")
+        .and_then(|it| it.split_once('/'));
+    let hint = link.map_or_else(String::new, |(edge, rest)| {
+        let cloud = rest.split('/').next().unwrap_or_default();
+        format!("; a link is named EDGE~CLOUD, {edge}~{cloud} perhaps")
+    });
+    WebError::NotFound(format!("there is nothing at {path}{hint}"))
 }

@@ -10,10 +10,10 @@ use tokio::net::TcpListener;
 use tokio::task::{JoinError, JoinHandle};
 use tokio_util::sync::CancellationToken;
 
+use crate::assets;
 use crate::config::{Problem, WebConfig};
 use crate::connections::{self, Limits};
 use crate::state::AppState;
-use crate::{access, assets};
 
 /// Why the server did not start.
 #[derive(Debug, thiserror::Error)]
@@ -86,7 +86,7 @@ pub async fn serve(
     stop: CancellationToken,
     connections: usize,
 ) -> Result<Running, StartError> {
-    let address = access::listen_address(&config)?;
+    let address = config.listen_address()?;
     let listening = |source| StartError::Listen { address, source };
     let listener = TcpListener::bind(address).await.map_err(listening)?;
     let address = listener.local_addr().map_err(listening)?;

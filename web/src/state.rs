@@ -7,8 +7,8 @@ use peernet_clock::{MonoTime, SharedClock, Span, WallTime};
 use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
 
-use crate::access::ServerNames;
 use crate::config::WebConfig;
+use crate::server_names::ServerNames;
 use crate::zone::Zone;
 
 /// Shared by all handlers.
@@ -46,7 +46,7 @@ impl AppState {
         Arc::new(Self {
             aggregator,
             zone: config.time_zone,
-            names: ServerNames::new(config),
+            names: ServerNames::new(&config.server_names),
             since: clock.wall(),
             clock,
             stop,

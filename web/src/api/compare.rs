@@ -5,12 +5,11 @@ use axum::extract::State;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use super::parameters::{Parameters, bounded};
 use super::schema::{Comparison, Experiment, ExperimentList};
 use crate::error::{ProblemDetails, WebError};
-use crate::pages::compare::courses;
+use crate::parameters::{Parameters, bounded};
 use crate::state::App;
-use crate::view::compare::{Which, difference, gather};
+use crate::view::compare::{Which, courses, difference, gather};
 
 /// Which runs; either of both.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]

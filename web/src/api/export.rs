@@ -12,9 +12,9 @@ use peernet_report::results::{Header, Row};
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 
-use super::parameters::{Parameters, path};
 use super::run::no_run;
 use crate::error::{ProblemDetails, WebError};
+use crate::parameters::{Parameters, path};
 use crate::state::App;
 
 /// The form of a table.

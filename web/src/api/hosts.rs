@@ -6,9 +6,9 @@ use axum::Json;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 
-use super::parameters::path;
 use super::schema::{Host, HostList, RefusedHost};
 use crate::error::{ProblemDetails, WebError};
+use crate::parameters::path;
 use crate::state::{App, AppState};
 
 /// Every host that reports or is stored, by name, and those that were turned away.

@@ -5,9 +5,9 @@ use axum::extract::State;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use super::parameters::{Parameters, bounded};
 use super::schema::{Incident, IncidentList};
 use crate::error::{ProblemDetails, WebError};
+use crate::parameters::{Parameters, bounded};
 use crate::state::App;
 
 /// Which incidents.

@@ -7,11 +7,12 @@ use peernet_aggregator::IterationFilter;
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 
-use super::parameters::{Parameters, bounded, path};
-use super::run::{deleted, no_run};
+use super::run::no_run;
 use super::schema::{Iteration, IterationList, IterationSummary};
 use crate::error::{ProblemDetails, WebError};
+use crate::parameters::{Parameters, bounded, path};
 use crate::state::App;
+use crate::view::runs::reject_deleted;
 
 /// The order of a list.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, ToSchema)]
@@ -87,9 +88,7 @@ pub(crate) async fn one(
 ) -> Result<Json<Iteration>, WebError> {
     let (run, number) = path(numbers)?;
     let known = app.store().run(run).await?.ok_or_else(|| no_run(run))?;
-    if let Some(gone) = deleted(&app, &known.summary, number) {
-        return Err(gone);
-    }
+    reject_deleted(&known.summary, number, app.aggregator.retention())?;
     let found = app.store().iteration(run, number).await?;
     let found =
         found.ok_or_else(|| WebError::NotFound(format!("run {run} has no stored iteration {number}")))?;

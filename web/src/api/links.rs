@@ -8,12 +8,11 @@ use peernet_logger::HostId;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use super::parameters::{Parameters, bounded, moment, path};
 use super::schema::{Link, LinkList, LinkSeries};
 use crate::error::{ProblemDetails, WebError};
-use crate::pages::link::no_link;
+use crate::parameters::{Parameters, bounded, moment, path};
 use crate::state::{App, AppState};
-use crate::view::link::{Subject, find, name};
+use crate::view::link::{Subject, find, name, no_link};
 
 /// Every link that reports or is stored, by the edge's and the cloud's name.
 #[utoipa::path(get, path = "/api/v1/links", operation_id = "listLinks", tag = "links", responses(

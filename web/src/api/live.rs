@@ -22,11 +22,11 @@ use tokio::sync::watch;
 use tokio::time::Instant;
 use utoipa::IntoParams;
 
-use super::parameters::Parameters;
 use super::schema::{PictureEvent, PipelineList, StatusEvent};
 use crate::connections::{Place, Streams};
 use crate::error::{ProblemDetails, WebError};
 use crate::pages::{Update, host, hosts, link, links, overview, pipeline, pipelines};
+use crate::parameters::Parameters;
 use crate::state::{App, AppState};
 
 /// Time between two pictures.

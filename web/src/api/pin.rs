@@ -4,9 +4,9 @@ use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use axum::http::StatusCode;
 
-use super::parameters::path;
 use super::run::no_run;
 use crate::error::{ProblemDetails, WebError};
+use crate::parameters::path;
 use crate::state::{App, AppState};
 
 /// Keeps (pins) a run: retention deletes nothing of it.

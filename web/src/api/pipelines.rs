@@ -8,9 +8,9 @@ use peernet_logger::Name;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use super::parameters::{Parameters, names, path};
 use super::schema::{Pipeline, PipelineList};
 use crate::error::{ProblemDetails, WebError};
+use crate::parameters::{Parameters, names, path};
 use crate::state::App;
 
 /// Lengths of the windows, seconds.

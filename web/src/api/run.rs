@@ -3,31 +3,18 @@
 use axum::Json;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
-use peernet_aggregator::RunSummary;
 use peernet_logger::stage;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use super::parameters::{Parameters, bounded, names, path};
 use super::schema::{Bound, Histogram, Recomputed, RunDetail, Series, Stage, StageList};
 use crate::error::{ProblemDetails, WebError};
+use crate::parameters::{Parameters, bounded, names, path};
 use crate::state::{App, AppState};
-use crate::view::runs::why_deleted;
 
 /// The error for a run that is not there.
 pub(super) fn no_run(number: i64) -> WebError {
     WebError::NotFound(format!("no run {number} is stored"))
-}
-
-/// The error for an iteration whose tree retention deleted.
-pub(crate) fn deleted(app: &AppState, run: &RunSummary, iteration: u64) -> Option<WebError> {
-    (iteration > 0 && iteration <= run.nodes_from).then(|| {
-        let (number, last, why) = (run.number, run.nodes_from, why_deleted(app.aggregator.retention()));
-        WebError::Gone(format!(
-            "iterations 1 to {last} of run {number} were deleted {why}, iteration {iteration} among them; the \
-             statistics of the run remain"
-        ))
-    })
 }
 
 /// Refuses to answer about a run that is not there.

@@ -6,9 +6,9 @@ use peernet_aggregator::RunFilter;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use super::parameters::{Parameters, bounded, slug};
 use super::schema::{Run, RunList};
 use crate::error::{ProblemDetails, WebError};
+use crate::parameters::{Parameters, bounded, slug};
 use crate::state::App;
 
 /// Which runs.

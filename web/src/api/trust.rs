@@ -4,10 +4,10 @@ use axum::Json;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 
-use super::parameters::path;
 use super::run::no_run;
 use super::schema::Trust;
 use crate::error::{ProblemDetails, WebError};
+use crate::parameters::path;
 use crate::state::App;
 use crate::view::trust;
 

@@ -4,21 +4,20 @@ use askama::Template;
 use axum::extract::State;
 use axum::http::HeaderMap;
 use axum::http::header::HOST;
-use peernet_aggregator::{ExperimentSummary, StageMeans, Store};
-use peernet_logger::{Name, stage};
+use peernet_aggregator::ExperimentSummary;
+use peernet_logger::stage;
 
 use super::{Page, page};
-use crate::api::parameters::Parameters;
-use crate::error::WebError;
 use crate::numbers::NONE;
+use crate::parameters::Parameters;
 use crate::state::App;
 use crate::svg::Scatter;
 use crate::view::chip::{Chip, Tone};
 use crate::view::compare::{
-    Address, Axes, BoxRow, Changed, Comparison, Distributions, LeftOut, Lengths, MOST_RUNS, OverTime, Pair,
-    StackRow, Table, Throughput, UsersRow, Which, accuracy, answers, boxes, commands, difference,
-    distributions, doubts, gather, lengths, open, over_time, pairs, payload, run_courses, stacks, throughput,
-    title, too_short, unknown_labels, users,
+    Address, Axes, BoxRow, Changed, Comparison, Courses, Distributions, LeftOut, Lengths, MOST_RUNS,
+    OverTime, Pair, StackRow, Table, Throughput, UsersRow, Which, accuracy, answers, boxes, commands,
+    courses, difference, distributions, doubts, gather, lengths, open, over_time, pairs, payload,
+    run_courses, stacks, throughput, title, too_short, unknown_labels, users,
 };
 use crate::view::counted;
 use crate::view::shell::{Place, Shell};
@@ -31,8 +30,6 @@ const OFFERED: u32 = 50;
 const SHORT: usize = 24;
 /// Most runs that are left out and named.
 const LISTED: usize = 8;
-/// Most buckets that a run's course is read in.
-const BUCKETS: usize = 120;
 
 #[derive(Template)]
 #[template(path = "pages/compare.html")]
@@ -105,26 +102,6 @@ pub(crate) async fn show(
     let lengths = lengths(&comparison, &answers(store, &comparison).await?);
     let compare = assemble(shell("Compare"), &comparison, courses.as_ref(), distributions, host);
     page(&Compare { over_time, lengths, ..compare })
-}
-
-/// The means of each run of a configuration over time.
-pub(crate) type Courses = Vec<Vec<StageMeans>>;
-
-/// The courses of both configurations where there are two.
-pub(crate) async fn courses(
-    store: &Store,
-    comparison: &Comparison,
-) -> Result<Option<(Courses, Courses)>, WebError> {
-    let [first, second] = comparison.configurations.as_slice() else { return Ok(None) };
-    let names: Vec<Name> = [stage::TOTAL, stage::STAGES_TOTAL].into_iter().chain(stage::ORDER).collect();
-    let mut both = [Vec::new(), Vec::new()];
-    for (one, read) in [first, second].into_iter().zip(&mut both) {
-        for run in &one.runs {
-            read.push(store.means(run.number, &names, BUCKETS).await?);
-        }
-    }
-    let [first, second] = both;
-    Ok(Some((first, second)))
 }
 
 fn assemble(
@@ -203,7 +180,7 @@ pub(super) fn rendered(
     comparison: &Comparison,
     courses: Option<&(Courses, Courses)>,
     asked: Option<&str>,
-) -> Result<String, WebError> {
+) -> Result<String, crate::error::WebError> {
     let distributions = distributions(comparison, asked)?;
     let over_time = over_time(comparison, &crate::view::compare::tests::run_courses(comparison));
     let compare = assemble(shell, comparison, courses, distributions, "localhost:8040");

@@ -5,7 +5,7 @@ use axum::extract::State;
 use serde::Deserialize;
 
 use super::{Page, page};
-use crate::api::parameters::Parameters;
+use crate::parameters::Parameters;
 use crate::state::App;
 use crate::view::incidents::IncidentLine;
 use crate::view::shell::{Place, Shell};

@@ -6,15 +6,15 @@ use axum::extract::{Path, State};
 use peernet_aggregator::{Blame, IterationDetail, IterationRow, RunDetail, RunSummary};
 
 use super::{Page, page, path};
-use crate::api::run::deleted;
 use crate::error::WebError;
 use crate::numbers::{NONE, count, duration, times};
 use crate::state::{App, AppState};
 use crate::svg::{Axis, Lanes, Scale};
+use crate::timeline::Timeline;
 use crate::view::bytes::{Beside, ByteRow};
 use crate::view::chip::Chip;
+use crate::view::runs::reject_deleted;
 use crate::view::shell::{Place, Shell};
-use crate::view::timeline::Timeline;
 use crate::view::waterfall::{DelayRow, Row, delays, footnote, journey, rows};
 use crate::view::{link, place, rehearsal};
 
@@ -52,9 +52,7 @@ pub(crate) async fn show(State(app): State<App>, numbers: Result<Path<(i64, u64)
     let store = app.store();
     let run = store.run(run_number).await?;
     let run = run.ok_or_else(|| WebError::NotFound(format!("no run #{run_number} is stored")))?;
-    if let Some(gone) = deleted(&app, &run.summary, number) {
-        return Err(gone);
-    }
+    reject_deleted(&run.summary, number, app.aggregator.retention())?;
     let detail = store.iteration(run_number, number).await?;
     let detail = detail
         .ok_or_else(|| WebError::NotFound(format!("run #{run_number} has no stored iteration {number}")))?;

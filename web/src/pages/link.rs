@@ -8,8 +8,8 @@ use peernet_clock::Span;
 use serde::Deserialize;
 
 use super::{Page, Update, page, path};
-use crate::api::parameters::Parameters;
 use crate::error::WebError;
+use crate::parameters::Parameters;
 use crate::state::{App, AppState};
 use crate::svg::Tracks;
 use crate::view::chip::Chip;
@@ -21,7 +21,7 @@ use crate::view::link::origin::Origin;
 use crate::view::link::panels::{self, HostRow, Pairs};
 use crate::view::link::stats::{self, Stat};
 use crate::view::link::table::Row;
-use crate::view::link::{Subject, find, name};
+use crate::view::link::{Subject, find, name, no_link};
 use crate::view::rehearsal::{self, Rehearsed};
 use crate::view::shell::{Place, Shell};
 
@@ -146,10 +146,6 @@ pub(crate) async fn show(
     let course = stored(&app, &subject, query.range).await?;
     let subject = subject.remembering(&course);
     page(&link_page(&app, &picture, &subject, &course, None, query, &incidents))
-}
-
-pub(crate) fn no_link(wanted: &str) -> WebError {
-    WebError::NotFound(format!("no link {wanted} has ever been told of here; a link is named EDGE~CLOUD"))
 }
 
 async fn stored(app: &AppState, subject: &Subject<'_>, range: Range) -> Result<Course, WebError> {

@@ -27,7 +27,7 @@ use serde::Serialize;
 
 use crate::error::WebError;
 use crate::state::App;
-use crate::view::chart::Obstacles;
+use crate::view::chart::{Mark, Obstacles};
 
 /// A rendered page.
 pub(crate) type Page = Result<Html<String>, WebError>;
@@ -77,17 +77,4 @@ impl Update {
     fn new(title: String, parts: Vec<(&'static str, String)>) -> Self {
         Self { layout: String::new(), title, parts, marks: Vec::new(), obstacles: Vec::new() }
     }
-}
-
-/// An incident on a time axis.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub(crate) struct Mark {
-    /// Unix time, milliseconds.
-    pub at: i64,
-    /// Name of its sign.
-    pub sign: &'static str,
-    /// Whose charts it stands in: the reporting host.
-    pub host: String,
-    /// The pipeline alone that it concerns, if one.
-    pub pipeline: Option<String>,
 }

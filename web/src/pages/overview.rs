@@ -5,11 +5,11 @@ use axum::extract::State;
 use peernet_aggregator::{IncidentRow, Picture, PipelinePicture};
 use peernet_stream::PipelineState;
 
-use super::{Mark, Page, Update, page};
+use super::{Page, Update, page};
 use crate::error::WebError;
 use crate::state::{App, AppState};
 use crate::view::awaited;
-use crate::view::chart::ChartCard;
+use crate::view::chart::{ChartCard, Mark};
 use crate::view::cut;
 use crate::view::data::JsonBlock;
 use crate::view::health::Health;

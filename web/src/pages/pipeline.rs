@@ -9,13 +9,13 @@ use peernet_stream::{PipelineState, PlacementKind};
 use serde::Deserialize;
 
 use super::{Page, Update, overview, page, path};
-use crate::api::parameters::Parameters;
 use crate::error::WebError;
 use crate::look;
 use crate::numbers::{NONE, SPACE, count, duration, length, milliseconds, percent, rate, share};
+use crate::parameters::Parameters;
 use crate::state::{App, AppState};
 use crate::svg::Bar;
-use crate::view::chart::ChartCard;
+use crate::view::chart::{ChartCard, Mark};
 use crate::view::clocks::ClockCell;
 use crate::view::data::JsonBlock;
 use crate::view::notes::Note;
@@ -194,7 +194,7 @@ fn pipeline_page(
     pipeline: &PipelinePicture,
     seconds: u32,
     runs: &[RunSummary],
-    marks: &[super::Mark],
+    marks: &[Mark],
 ) -> Result<PipelinePage, WebError> {
     let window = pipeline.window(seconds).ok_or_else(|| {
         WebError::BadRequest(format!("window: figures are taken over 1, 10 or 60 seconds, not {seconds}"))

@@ -10,10 +10,10 @@ use peernet_stream::ExperimentPlace;
 use serde::Deserialize;
 
 use super::{Page, page, path};
-use crate::api::parameters::Parameters;
 use crate::error::WebError;
 use crate::look;
 use crate::numbers::{NONE, SPACE, count, figure, mean_std_ms, percent, rate, share};
+use crate::parameters::Parameters;
 use crate::state::{App, AppState};
 use crate::svg::{Axis, Bar, DistributionView, HistogramPlot};
 use crate::view::chip::Chip;

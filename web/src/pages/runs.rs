@@ -6,8 +6,8 @@ use peernet_aggregator::RunFilter;
 use serde::Deserialize;
 
 use super::{Page, page};
-use crate::api::parameters::{self, Parameters};
 use crate::numbers::count;
+use crate::parameters::{self, Parameters};
 use crate::state::App;
 use crate::view::runs::RunLine;
 use crate::view::shell::{Place, Shell};

@@ -5,7 +5,7 @@ use askama::Template;
 use super::{Percent, Scale};
 use crate::look;
 use crate::numbers::stage_ms;
-use crate::view::timeline::{Placed, Timeline, Visit, Where};
+use crate::timeline::{Placed, Timeline, Visit, Where};
 
 /// Narrower bars would not be seen.
 const THINNEST: f64 = 0.2;

@@ -14,11 +14,23 @@ use super::speed::{self, Way};
 use super::stack::Stack;
 use crate::look;
 use crate::numbers::{NONE, count, stage_ms};
-use crate::pages::Mark;
 use crate::zone::{Moment, Zone};
 
 /// Why there is no single figure for the upward and the downward throughput.
 pub(crate) type Obstacles = [Option<&'static str>; 2];
+
+/// An incident on a time axis.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub(crate) struct Mark {
+    /// Unix time, milliseconds.
+    pub at: i64,
+    /// Name of its sign.
+    pub sign: &'static str,
+    /// Whose charts it stands in: the reporting host.
+    pub host: String,
+    /// The pipeline alone that it concerns, if one.
+    pub pipeline: Option<String>,
+}
 
 /// One chart with its table view.
 #[derive(Clone, Debug, PartialEq)]

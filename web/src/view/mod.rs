@@ -28,7 +28,6 @@ pub(crate) mod speed;
 pub(crate) mod stack;
 pub(crate) mod stages;
 pub(crate) mod storing;
-pub(crate) mod timeline;
 pub(crate) mod trust;
 pub(crate) mod waterfall;
 

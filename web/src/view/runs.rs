@@ -7,6 +7,7 @@ use peernet_stream::ExperimentPlace;
 use super::chip::{Chip, Tone};
 use super::notes::Note;
 use super::{counted, place, rehearsal};
+use crate::error::WebError;
 use crate::numbers::{NONE, count, length, listed_ms, percent};
 use crate::zone::{Moment, Zone};
 
@@ -76,12 +77,28 @@ pub(crate) struct RunLine {
 }
 
 /// Why iterations are deleted: `after 7 days`.
-pub(crate) fn why_deleted(retention: &RetentionConfig) -> String {
+fn why_deleted(retention: &RetentionConfig) -> String {
     match (retention.nodes_days, retention.size_limit_bytes) {
         (1, 0) => "after 1 day".to_owned(),
         (days, 0) if days > 0 => format!("after {} days", count(days.into())),
         _ => "because of their age or for want of room".to_owned(),
     }
+}
+
+/// Refuses an iteration whose tree retention deleted.
+pub(crate) fn reject_deleted(
+    run: &RunSummary,
+    iteration: u64,
+    retention: &RetentionConfig,
+) -> Result<(), WebError> {
+    if iteration == 0 || iteration > run.nodes_from {
+        return Ok(());
+    }
+    let (number, last, why) = (run.number, run.nodes_from, why_deleted(retention));
+    Err(WebError::Gone(format!(
+        "iterations 1 to {last} of run {number} were deleted {why}, iteration {iteration} among them; the statistics \
+         of the run remain"
+    )))
 }
 
 /// What retention deleted of a run: which iterations, and what of them.

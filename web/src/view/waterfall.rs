@@ -3,13 +3,13 @@
 use peernet_aggregator::IterationDetail;
 
 use super::chip::Chip;
-use super::timeline::{Placed, Timeline, Where};
 use crate::look;
 use crate::numbers::{
     EXACT, NONE, SPACE, difference_ms, ends_ms, fixed, interval_ms, shift_ms, signed_within_ms, stage_ms,
     within_ms,
 };
 use crate::svg::{Scale, WaterfallRow};
+use crate::timeline::{Placed, Timeline, Where};
 
 /// One node in the waterfall and in its table. Times in ms.
 #[derive(Clone, Debug, PartialEq)]

@@ -27,26 +27,10 @@ const LAYERS: [&[&str]; 7] = [
 ];
 
 /// Cycles that are still there: the crate or program, and its modules. To be shortened only.
-const CYCLES: [(&str, &[&str]); 4] = [
+const CYCLES: [(&str, &[&str]); 3] = [
     ("peernet_agent", &["host", "incidents", "link", "outbox"]),
     ("peernet_aggregator", &["config", "error", "store"]),
     ("peernet_report", &["accuracy", "compare", "figure", "figures", "results", "trust", "users"]),
-    (
-        "peernet_web",
-        &[
-            "access",
-            "api",
-            "assets",
-            "config",
-            "connections",
-            "error",
-            "metrics",
-            "pages",
-            "state",
-            "svg",
-            "view",
-        ],
-    ),
 ];
 
 fn metadata() -> Metadata {

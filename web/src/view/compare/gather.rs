@@ -3,7 +3,8 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use peernet_aggregator::{Kept, RunDetail, RunStatistics, RunSummary, Store};
+use peernet_aggregator::{Kept, RunDetail, RunStatistics, RunSummary, StageMeans, Store};
+use peernet_logger::{Name, stage};
 
 use super::differing::Differing;
 use super::{Comparison, Configuration, done, letter, order};
@@ -13,6 +14,8 @@ use crate::error::WebError;
 pub(crate) const MOST_TYPED: usize = 12;
 /// Most runs of an experiment that are compared.
 pub(crate) const MOST_RUNS: u32 = 200;
+/// Most buckets that a run's course is read in.
+const BUCKETS: usize = 120;
 
 /// What an address asks to compare.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -116,6 +119,29 @@ pub(crate) async fn gather(store: &Store, which: &Which) -> Result<Comparison, W
         Configuration { letter: letter(at), values: group.values, runs: group.runs, stages, bounds, kept }
     });
     Ok(Comparison { experiment, axes, also, configurations: configurations.collect(), kept, left_out, cut })
+}
+
+/// The means of each run of a configuration over time.
+pub(crate) type Courses = Vec<Vec<StageMeans>>;
+
+/// Reads the courses of both configurations where there are two.
+///
+/// # Errors
+/// When the store cannot be read.
+pub(crate) async fn courses(
+    store: &Store,
+    comparison: &Comparison,
+) -> Result<Option<(Courses, Courses)>, WebError> {
+    let [first, second] = comparison.configurations.as_slice() else { return Ok(None) };
+    let names: Vec<Name> = [stage::TOTAL, stage::STAGES_TOTAL].into_iter().chain(stage::ORDER).collect();
+    let mut both = [Vec::new(), Vec::new()];
+    for (one, read) in [first, second].into_iter().zip(&mut both) {
+        for run in &one.runs {
+            read.push(store.means(run.number, &names, BUCKETS).await?);
+        }
+    }
+    let [first, second] = both;
+    Ok(Some((first, second)))
 }
 
 struct Group {

@@ -21,7 +21,7 @@ mod users;
 
 pub(crate) use ask::{commands, doubts, unknown_labels};
 pub(crate) use distributions::{Address, Distributions, distributions};
-pub(crate) use gather::{MOST_RUNS, Which, gather};
+pub(crate) use gather::{Courses, MOST_RUNS, Which, courses, gather};
 pub(crate) use lengths::{Lengths, answers, lengths};
 pub(crate) use payload::{accuracy, payload};
 pub(crate) use pictures::{Axes, Pair, StackRow, pairs, stacks};

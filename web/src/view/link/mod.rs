@@ -20,6 +20,7 @@ use peernet_logger::HostId;
 use peernet_stream::{Placement, PlacementKind};
 
 use super::speed::Way;
+use crate::error::WebError;
 use delays::Delays;
 
 /// Figures are of so many seconds.
@@ -50,6 +51,11 @@ pub(crate) fn find<'a>(picture: &'a Picture, wanted: &str) -> Option<&'a LinkPic
     let matches =
         |link: &&LinkPicture| link.edge_name.as_str() == edge && link.live.peer_name.as_str() == cloud;
     picture.links.iter().map(|link| &**link).find(matches)
+}
+
+/// The error for a link that is neither in a picture nor stored.
+pub(crate) fn no_link(wanted: &str) -> WebError {
+    WebError::NotFound(format!("no link {wanted} has ever been told of here; a link is named EDGE~CLOUD"))
 }
 
 /// What is shown of a link: as it is now, or as it was when it was last heard of.
