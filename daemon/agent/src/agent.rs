@@ -21,13 +21,14 @@ use crate::check::{Problem, check, remarks};
 use crate::conditions::Places;
 use crate::config::{AgentConfig, PipelineConfig, StartMode};
 use crate::error::StartError;
+use crate::feed::Tap;
 use crate::host::Host;
 use crate::identity::{StateLock, host_id, host_secret};
 use crate::incidents::{Concerning, Incidents};
 use crate::io::IoThreads;
 use crate::link::{Cloud, Links, Near, ProbeSettings};
 use crate::live::{Board, Display};
-use crate::outbox::{Outbox, Tap};
+use crate::outbox::{LiveSources, Outbox, Sources};
 use crate::runs::Runs;
 use crate::serve::{Doors, Served};
 use crate::tasks::{Failure, Tasks};
@@ -111,7 +112,7 @@ async fn start(
     let fingerprints = argument_key(&config.agent.state_dir)?;
     let spool = crate::outbox::open_spool(&config, id, &clock).await?;
     let counter = spool.as_ref().map(|spool| spool.counter.clone()).unwrap_or_default();
-    let (feed, exit) = crate::outbox::entrance(&config.agent, &clock, counter);
+    let (feed, exit) = crate::feed::entrance(&config.agent, &clock, counter);
     let feed = feed.tapped(tap.clone());
     let incidents = Incidents::new(Arc::clone(&clock), feed.clone());
     let bank = Arc::new(bank(&config, &clock, fingerprints.clone(), incidents.clone()));
@@ -176,9 +177,12 @@ async fn start(
     let outbox = match (exit, spool, &config.agent.aggregator) {
         (Some(exit), Some(spool), Some(address)) => {
             let description = describe(&host, serves.as_ref());
-            let live = (board.clone(), metrics.clone());
             let identity = (description, host_secret(&config.agent.state_dir)?);
-            Some(Outbox::start(&config, address.clone(), exit, spool, identity, live, &host))
+            let (links, clock) = (host.links.clone(), host.own.clone());
+            let live = LiveSources { board: board.clone(), metrics: metrics.clone(), links, clock };
+            let (clock, incidents) = (SharedClock::clone(&host.clock), host.incidents.clone());
+            let sources = Sources { clock, incidents, runs: host.runs.clone(), live };
+            Some(Outbox::start(&config, address.clone(), exit, spool, identity, sources))
         }
         _ => None,
     };

@@ -10,9 +10,9 @@ use peernet_stream::HostClock;
 use tokio::sync::watch;
 
 use crate::conditions::Places;
+use crate::feed::Feed;
 use crate::incidents::Incidents;
 use crate::link::Links;
-use crate::outbox::Feed;
 use crate::runs::Runs;
 
 /// This host as its own parts see it.

@@ -4,7 +4,7 @@ use peernet_clock::{SharedClock, Span};
 use peernet_logger::{HostId, RunId, Slug};
 use peernet_stream::{Event, Incident, IncidentKind};
 
-use crate::outbox::Feed;
+use crate::feed::Feed;
 
 /// How far a clock was set, without its sign: in seconds with milliseconds, and below a millisecond in the unit that fits.
 pub(crate) fn far_in_words(by: Span) -> String {

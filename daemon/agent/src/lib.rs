@@ -19,6 +19,7 @@ mod check;
 pub mod conditions;
 pub mod config;
 mod error;
+mod feed;
 mod host;
 mod host_clock;
 mod identity;

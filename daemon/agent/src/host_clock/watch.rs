@@ -78,7 +78,7 @@ mod tests {
     use tokio::sync::mpsc;
 
     use super::*;
-    use crate::outbox::{Feed, Tap};
+    use crate::feed::{Feed, Tap};
 
     /// A clock that moves when told to, with a drift, under watch.
     struct Scene {

@@ -10,8 +10,8 @@ use peernet_stream::HostClock;
 use tokio::sync::watch;
 
 use crate::config::{ClockConfig, ProbesConfig, Timestamps};
+use crate::feed::Feed;
 use crate::incidents::Incidents;
-use crate::outbox::Feed;
 
 /// What links need of their host.
 #[derive(Clone, Debug)]

@@ -5,26 +5,22 @@
 //! connection. A second one owns the [spool], the file in which batches are safe until the aggregator has them.
 
 mod connection;
-mod counter;
 mod dropping;
 mod farewell;
-mod feed;
 mod line;
+mod live_sources;
 mod reports;
 mod sender;
 mod spool;
-mod tap;
 
-pub(crate) use counter::EventCounter;
-pub(crate) use feed::{Exit, Feed};
+pub(crate) use live_sources::LiveSources;
 pub use spool::{InspectError, Inspection, SpoolDamage, SpoolError, SpoolReadError, inspect, waiting_events};
 pub(crate) use spool::{Look, OpenSpool};
-pub(crate) use tap::Tap;
 
 use peernet_clock::{SharedClock, Span};
 use peernet_logger::HostId;
 use peernet_networks::Address;
-use peernet_stream::{Accounting, HostDescription, HostMetrics, HostSecret, Sending, SendingConfig, Usage};
+use peernet_stream::{Accounting, HostDescription, HostSecret, Sending, SendingConfig, Usage};
 use tokio::sync::{oneshot, watch};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
@@ -34,10 +30,11 @@ use uuid::Uuid;
 use self::reports::Reports;
 use self::sender::Sender;
 use self::spool::SpoolTask;
-use crate::config::{AgentConfig, HostConfig, SpoolConfig};
-use crate::host::Host;
-use crate::live::Board;
+use crate::config::{AgentConfig, SpoolConfig};
+use crate::feed::Exit;
+use crate::incidents::Incidents;
 use crate::pauses::Pauses;
+use crate::runs::Runs;
 use crate::tasks::Failure;
 
 /// What may be under way at once, in batches of the usual length: enough to keep the aggregator busy over one round trip and one write to its disk,
@@ -45,20 +42,6 @@ use crate::tasks::Failure;
 const WINDOW: u32 = 32;
 /// Places in memory that iterations leave to the other events.
 const RESERVE: u64 = 1024;
-
-/// Where events go in, counted by `counter`, and the end at which [`Outbox::start`] takes them out; nowhere without an
-/// aggregator.
-pub(crate) fn entrance(
-    config: &HostConfig,
-    clock: &SharedClock,
-    counter: EventCounter,
-) -> (Feed, Option<Exit>) {
-    if config.aggregator.is_none() {
-        return (Feed::nowhere(), None);
-    }
-    let (feed, exit) = feed::channel(SharedClock::clone(clock), counter);
-    (feed, Some(exit))
-}
 
 /// The spool of this host; none without an aggregator.
 ///
@@ -75,6 +58,16 @@ pub(crate) async fn open_spool(
     let path = config.spool.path(&config.agent.state_dir);
     let kept_by_agent = path == SpoolConfig::default().path(&config.agent.state_dir);
     OpenSpool::open(&path, host, kept_by_agent, clock).await.map(Some)
+}
+
+/// What the rest of the agent knows, and the outbox tells the aggregator.
+#[derive(Debug)]
+pub(crate) struct Sources {
+    pub(crate) clock: SharedClock,
+    /// Where it reports what happens to itself.
+    pub(crate) incidents: Incidents,
+    pub(crate) runs: Runs,
+    pub(crate) live: LiveSources,
 }
 
 /// The outbox task; it ends with this, as it would in a crash.
@@ -95,21 +88,22 @@ impl Outbox {
         exit: Exit,
         spool: OpenSpool,
         (description, secret): (HostDescription, HostSecret),
-        live: (Board, watch::Receiver<HostMetrics>),
-        host: &Host,
+        sources: Sources,
     ) -> Self {
         let OpenSpool { file, state, aside, counter: _ } = spool;
-        let reports = Reports::new(host.incidents.clone());
+        let Sources { clock, incidents, runs, live } = sources;
+        let reports = Reports::new(incidents);
         if let Some(aside) = &aside {
             reports.put_aside(aside);
         }
         let process = Uuid::new_v4().as_u64_pair().0;
+        let pauses = Pauses::new(description.id);
         let machine = Sending::new(sending(config), description, secret, process, state);
         let (publish, accounting) = watch::channel(machine.accounting());
         let ((stop, told), ended) = (oneshot::channel(), CancellationToken::new());
         let spool = SpoolTask::start(file, config.spool.sync_interval());
-        let sender = Sender::new(machine, spool, exit, live, publish, reports, host);
-        let work = sender.run(address, Pauses::new(host.id), told);
+        let sender = Sender::new(machine, spool, exit, publish, reports, clock, (runs, live));
+        let work = sender.run(address, pauses, told);
         let guard = ended.clone().drop_guard();
         let task = tokio::spawn(async move {
             let _ended = guard;

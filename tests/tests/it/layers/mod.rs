@@ -27,8 +27,7 @@ const LAYERS: [&[&str]; 7] = [
 ];
 
 /// Cycles that are still there: the crate or program, and its modules. To be shortened only.
-const CYCLES: [(&str, &[&str]); 3] = [
-    ("peernet_agent", &["host", "incidents", "link", "outbox"]),
+const CYCLES: [(&str, &[&str]); 2] = [
     ("peernet_aggregator", &["config", "error", "store"]),
     ("peernet_report", &["accuracy", "compare", "figure", "figures", "results", "trust", "users"]),
 ];

@@ -26,7 +26,7 @@ fn watched(
     clock: &SharedClock,
 ) -> (watch::Receiver<HostClock>, DropGuard) {
     let (feed, _) =
-        crate::outbox::entrance(&HostConfig::default(), clock, crate::outbox::EventCounter::default());
+        crate::feed::entrance(&HostConfig::default(), clock, crate::feed::EventCounter::default());
     let incidents = Incidents::new(Arc::clone(clock), feed);
     let (publish, published) = watch::channel(not_asked_yet(clock));
     let stop = CancellationToken::new();

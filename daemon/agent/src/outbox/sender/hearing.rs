@@ -25,7 +25,7 @@ impl Sender {
             Notice::Welcomed { aggregator, stored, lacks } => {
                 self.reports.welcomed(&aggregator, stored, lacks, self.count().waiting);
                 // It may have been started anew and know no second of ours.
-                self.board.start_over();
+                self.live.board.start_over();
                 if lacks {
                     self.tell_of_runs();
                 }

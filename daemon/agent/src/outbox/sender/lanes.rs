@@ -1,7 +1,7 @@
 //! The two lanes: events on their way through the machine, the spool and the connection; live figures beside them.
 
 use peernet_clock::Stamp;
-use peernet_stream::{Action, Event, LiveUpdate, ToAggregator, codec};
+use peernet_stream::{Action, Event, ToAggregator, codec};
 
 use super::Sender;
 use crate::live::Receipt;
@@ -123,22 +123,14 @@ impl Sender {
         if !self.blocked {
             self.due = false;
             self.machine.shown(bytes);
-            self.board.delivered(&receipt);
+            self.live.board.delivered(&receipt);
         }
     }
 
     /// How everything is now.
     fn update(&self) -> (Vec<u8>, Receipt) {
-        let (pipelines, receipt) = self.board.look();
-        let message = ToAggregator::Live(LiveUpdate {
-            host: self.machine.host(),
-            sent: self.clock.wall(),
-            pipelines,
-            links: self.links.live(),
-            clock: self.own.borrow().clone(),
-            metrics: self.metrics.borrow().clone(),
-            accounting: self.count(),
-        });
+        let (update, receipt) = self.live.update(self.machine.host(), self.clock.wall(), self.count());
+        let message = ToAggregator::Live(update);
         let frame =
             if self.machine.compresses() { codec::encode_packed(&message) } else { codec::encode(&message) };
         (frame, receipt)

@@ -11,18 +11,17 @@ use std::time::Duration;
 
 use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_networks::Address;
-use peernet_stream::{Accounting, HostClock, HostMetrics, Sending};
+use peernet_stream::{Accounting, Sending};
 use tokio::sync::{oneshot, watch};
 use tokio::time::{Instant, MissedTickBehavior};
 
 use super::farewell::Farewell;
-use super::feed::Exit;
 use super::line::{Happened, Line};
+use super::live_sources::LiveSources;
 use super::reports::Reports;
 use super::spool::SpoolTask;
-use crate::host::Host;
-use crate::link::Links;
-use crate::live::{self, Board};
+use crate::feed::Exit;
+use crate::live;
 use crate::pauses::Pauses;
 use crate::runs::Runs;
 
@@ -48,13 +47,10 @@ pub(super) struct Sender {
     machine: Sending,
     spool: SpoolTask,
     exit: Exit,
-    board: Board,
-    metrics: watch::Receiver<HostMetrics>,
+    live: LiveSources,
     accounting: watch::Sender<Accounting>,
     clock: SharedClock,
     runs: Runs,
-    links: Links,
-    own: watch::Receiver<HostClock>,
     reports: Reports,
     /// When the feed last held an event.
     fed: MonoTime,
@@ -73,32 +69,13 @@ impl Sender {
         machine: Sending,
         spool: SpoolTask,
         exit: Exit,
-        (board, metrics): (Board, watch::Receiver<HostMetrics>),
         accounting: watch::Sender<Accounting>,
         reports: Reports,
-        host: &Host,
+        clock: SharedClock,
+        (runs, live): (Runs, LiveSources),
     ) -> Self {
-        let (clock, runs) = (SharedClock::clone(&host.clock), host.runs.clone());
-        let (links, own) = (host.links.clone(), host.own.clone());
         let (fed, held, due, blocked, away) = (clock.mono(), VecDeque::new(), false, false, false);
-        Self {
-            machine,
-            spool,
-            exit,
-            board,
-            metrics,
-            accounting,
-            clock,
-            runs,
-            links,
-            own,
-            reports,
-            fed,
-            held,
-            due,
-            blocked,
-            away,
-        }
+        Self { machine, spool, exit, live, accounting, clock, runs, reports, fed, held, due, blocked, away }
     }
 
     /// Sends until it is told to stop, and by when: then what is left is made safe, and sent as long as it is taken.

@@ -19,8 +19,8 @@ use super::reserve::Reserve;
 use super::statements::{checkpoint, delete, give_all_back, insert, vacuum};
 use super::sync::ended;
 use super::tail;
+use crate::feed::counter;
 use crate::lock::FileLock;
-use crate::outbox::counter;
 
 /// A spool file that is open, of one stream of one host.
 #[derive(Debug)]

@@ -5,7 +5,7 @@ use peernet_logger::RunId;
 use peernet_stream::{Gap, RunCounts, Settled, SpoolState, Unresolved};
 use sqlx::{FromRow, SqliteConnection};
 
-use crate::outbox::counter::{self, EventCounter};
+use crate::feed::counter::{self, EventCounter};
 
 /// What the file says of the process before.
 #[derive(FromRow)]

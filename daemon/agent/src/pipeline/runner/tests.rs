@@ -17,9 +17,9 @@ use super::super::load::Start;
 use super::super::sensing::Sensed;
 use super::*;
 use crate::config::{AgentConfig, HostConfig};
+use crate::feed::{EventCounter, Exit};
 use crate::incidents::Incidents;
 use crate::link::{Links, Near, ProbeSettings};
-use crate::outbox::{EventCounter, Exit};
 use crate::runs::Runs;
 
 const PIPELINE: &str = "line";
@@ -65,7 +65,7 @@ fn host(sensor: &str, clock: SharedClock) -> (Host, Arc<PipelineConfig>, Arc<Dis
     let config: AgentConfig = toml::from_str(&tables).expect("reads");
     let aggregator = Some("tcp://127.0.0.1:1".parse().expect("an address"));
     let of_host = HostConfig { aggregator, ..HostConfig::default() };
-    let (feed, exit) = crate::outbox::entrance(&of_host, &clock, EventCounter::default());
+    let (feed, exit) = crate::feed::entrance(&of_host, &clock, EventCounter::default());
     let incidents = Incidents::new(Arc::clone(&clock), feed.clone());
     let (_own, own) = watch::channel(HostClock::default());
     let near = Near {

@@ -1,5 +1,11 @@
 //! Where measuring hands over its events: never waiting, never losing one uncounted.
 
+pub(crate) mod counter;
+mod tap;
+
+pub(crate) use self::counter::EventCounter;
+pub(crate) use self::tap::Tap;
+
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -9,8 +15,7 @@ use peernet_logger::{RunId, Slug};
 use peernet_stream::{Event, Gap, Iteration};
 use tokio::sync::mpsc;
 
-use super::counter::EventCounter;
-use super::tap::Tap;
+use crate::config::HostConfig;
 
 /// Iterations between the pipelines and the outbox task, which looks every few milliseconds.
 const PLACES: usize = 4096;
@@ -36,14 +41,14 @@ struct Entrance {
 /// The outbox task's end: what came in, and what did not fit.
 #[derive(Debug)]
 pub(crate) struct Exit {
-    pub(super) queue: mpsc::Receiver<Event>,
-    pub(super) overflow: Arc<Overflow>,
-    pub(super) counter: EventCounter,
+    pub(crate) queue: mpsc::Receiver<Event>,
+    pub(crate) overflow: Arc<Overflow>,
+    pub(crate) counter: EventCounter,
 }
 
 /// What was dropped for want of a place.
 #[derive(Debug)]
-pub(super) struct Overflow {
+pub(crate) struct Overflow {
     clock: SharedClock,
     /// How many since they were last taken.
     dropped: AtomicU64,
@@ -115,6 +120,20 @@ impl Entrance {
     }
 }
 
+/// Where events go in, counted by `counter`, and the end at which the outbox takes them out; nowhere without an
+/// aggregator.
+pub(crate) fn entrance(
+    config: &HostConfig,
+    clock: &SharedClock,
+    counter: EventCounter,
+) -> (Feed, Option<Exit>) {
+    if config.aggregator.is_none() {
+        return (Feed::nowhere(), None);
+    }
+    let (feed, exit) = channel(SharedClock::clone(clock), counter);
+    (feed, Some(exit))
+}
+
 #[cfg(test)]
 impl Exit {
     /// The next event.
@@ -125,12 +144,12 @@ impl Exit {
 
 impl Overflow {
     /// Events that were dropped and not taken yet.
-    pub(super) fn dropped(&self) -> u64 {
+    pub(crate) fn dropped(&self) -> u64 {
         self.dropped.load(Ordering::Relaxed)
     }
 
     /// Takes what was dropped since the last call, to be reported.
-    pub(super) fn take_gaps(&self) -> Vec<Gap> {
+    pub(crate) fn take_gaps(&self) -> Vec<Gap> {
         // Nearly always nothing was dropped: no lock then.
         if self.dropped() == 0 {
             return Vec::new();

@@ -61,7 +61,7 @@ impl EventCounter {
     ///
     /// # Errors
     /// When there is none.
-    pub(super) fn create() -> io::Result<Self> {
+    pub(crate) fn create() -> io::Result<Self> {
         let folder = Path::new(SHARED_MEMORY);
         if statfs(folder)?.f_type != TMPFS_MAGIC {
             return Err(io::Error::other(format!("{SHARED_MEMORY} is not in memory")));
@@ -79,7 +79,7 @@ impl EventCounter {
     }
 
     /// The name of the file, by which the next process finds it.
-    pub(super) fn name(&self) -> Option<String> {
+    pub(crate) fn name(&self) -> Option<String> {
         self.counting().map(|counting| counting.name.clone())
     }
 
@@ -92,7 +92,7 @@ impl EventCounter {
     }
 
     /// Notes a batch that is about to be sent and is not in the spool.
-    pub(super) fn sent_unspooled(&self, sent: SentUnspooled) {
+    pub(crate) fn sent_unspooled(&self, sent: SentUnspooled) {
         if let Some(mut counting) = self.counting().filter(|counting| counting.sent != Some(sent)) {
             counting.sent = Some(sent);
             let SentUnspooled { process, number, taken, told, events } = sent;
@@ -105,7 +105,7 @@ impl EventCounter {
 
     /// A run has ended, and the spool accounts for so many of its events: when these are all, its place is free. Returns
     /// whether it is.
-    pub(super) fn release(&self, run: RunId, events: u64) -> bool {
+    pub(crate) fn release(&self, run: RunId, events: u64) -> bool {
         let Some(mut counting) = self.counting() else { return true };
         let Some((place, counted)) = counting.runs.get(&run).copied() else { return true };
         if counted == events {
@@ -116,7 +116,7 @@ impl EventCounter {
     }
 
     /// Makes the file anew when somebody has deleted it.
-    pub(super) fn keep(&self) {
+    pub(crate) fn keep(&self) {
         if let Some(mut counting) = self.counting() {
             let kept = counting.keep();
             counting.check(kept);
@@ -124,12 +124,12 @@ impl EventCounter {
     }
 
     /// All events that were counted; `None` when they are not.
-    pub(super) fn all(&self) -> Option<u64> {
+    pub(crate) fn all(&self) -> Option<u64> {
         self.counting().map(|counting| counting.all)
     }
 
     /// Removes the file: nothing that was counted can be lost any more.
-    pub(super) fn remove(&self) {
+    pub(crate) fn remove(&self) {
         if let Some(name) = self.name() {
             remove(&name);
         }
@@ -202,7 +202,7 @@ fn create_file(name: &str) -> io::Result<File> {
 }
 
 /// What an earlier process counted in the file of this name; `None` when there is none of ours.
-pub(super) fn read(name: &str) -> Option<CountedEvents> {
+pub(crate) fn read(name: &str) -> Option<CountedEvents> {
     let ours = |file: &File| {
         let metadata = file.metadata().ok()?;
         (metadata.is_file() && metadata.uid() == rustix::process::geteuid().as_raw()).then_some(())
@@ -249,7 +249,7 @@ pub(super) fn read(name: &str) -> Option<CountedEvents> {
 }
 
 /// Removes the file of this name in shared memory.
-pub(super) fn remove(name: &str) {
+pub(crate) fn remove(name: &str) {
     let Some(name) = Path::new(name).file_name() else { return };
     match fs::remove_file(Path::new(SHARED_MEMORY).join(name)) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => {

@@ -64,7 +64,7 @@ mod tests {
     fn the_outbox_gets_its_own() {
         let clock: peernet_clock::SharedClock =
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(5), ClockIdentity::new("boot", "system")));
-        let (feed, mut exit) = super::super::feed::channel(clock, super::super::EventCounter::default());
+        let (feed, mut exit) = super::super::channel(clock, super::super::EventCounter::default());
         let (sender, mut listener) = mpsc::channel(4);
         let feed = feed.tapped(Some(Tap::new(sender)));
         let event = ended();
