@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
-use peernet_aggregator::StoreError;
+use peernet_store::StoreError;
 use serde::Serialize;
 use utoipa::ToSchema;
 

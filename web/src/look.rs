@@ -19,7 +19,7 @@ pub(crate) const STACK: [&str; 12] = [
 ];
 
 /// Both directions of the network together, where the clocks cannot tell them apart.
-pub(crate) const NETWORK: &str = peernet_aggregator::BOTH_WAYS;
+pub(crate) const NETWORK: &str = peernet_store::BOTH_WAYS;
 
 /// What is left of an iteration when neither the directions nor what no stage accounts for are known.
 pub(crate) const NETWORK_AND_REST: &str = "upload + download + unattributed";

@@ -4,9 +4,9 @@
 //! each other; where they lie as a whole follows from the one-way delay of the message that brought the
 //! iteration there, and is exactly as uncertain.
 
-use peernet_aggregator::{Figures, IterationDetail};
 use peernet_clock::{DelaySource, Span, Verdict};
 use peernet_logger::{HostIndex, Measure, Name, Node, NodeId, Transit, Tree};
+use peernet_store::{Figures, IterationDetail};
 
 /// A node that takes time, on the edge's time line. Seconds.
 #[derive(Clone, Debug, PartialEq)]

@@ -12,16 +12,14 @@ use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::{Id, JoinError, JoinSet};
 use tokio_util::sync::CancellationToken;
 
-use crate::config::{AggregatorConfig, RetentionConfig};
-use crate::error::{Failure, Problem, StartError, StoreError};
+use crate::config::AggregatorConfig;
+use crate::error::{Failure, Problem, StartError};
 use crate::ingest::{self, Desk, Errand, Hosts, Reopening, committing, preparing, socket};
 use crate::live::{self, Live, News};
 use crate::picture::Picture;
 use crate::readiness::Readiness;
-use crate::store::Store;
-use crate::store::integrity::Integrity;
-use crate::store::opening::{OpenDatabase, StoredState};
-use crate::store::readers::Readers;
+use peernet_store::writing::{Integrity, OpenDatabase, Readers, StoredState};
+use peernet_store::{OpenError, RetentionConfig, Store, StoreError};
 
 /// News that wait for the live picture's task; it waits for nothing, so few are enough.
 const NEWS: usize = 1_024;
@@ -73,9 +71,9 @@ impl Aggregator {
             return Err(problem.into());
         }
         let name = config.name();
-        let cannot_open = |source| StartError::Open { path: config.database.clone(), source };
         if let Some(folder) = config.database.parent() {
-            std::fs::create_dir_all(folder).map_err(|error| cannot_open(error.into()))?;
+            let no_folder = |error| OpenError::no_folder(&config.database, error);
+            std::fs::create_dir_all(folder).map_err(no_folder)?;
         }
         peernet_permissions::log_changes(&peernet_permissions::close_database(&config.database));
         let integrity = Integrity::of(&config.database);
@@ -182,12 +180,10 @@ impl Aggregator {
     /// When the database cannot be written now.
     pub async fn pin(&self, run: i64, pinned: bool) -> Result<bool, StoreError> {
         let (answer, answered) = oneshot::channel();
-        let asked = self.errands.send(Errand::Pin(run, pinned, answer)).await;
-        let result = match asked {
-            Ok(()) => answered.await.unwrap_or(Err(sqlx::Error::WorkerCrashed)),
-            Err(_) => Err(sqlx::Error::WorkerCrashed),
-        };
-        result.map_err(|source| StoreError::Write { what: "whether a run is kept", source })
+        match self.errands.send(Errand::Pin(run, pinned, answer)).await {
+            Ok(()) => answered.await.unwrap_or_else(|_| Err(StoreError::no_writer())),
+            Err(_) => Err(StoreError::no_writer()),
+        }
     }
 
     /// How long what is stored is kept.

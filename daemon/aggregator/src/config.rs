@@ -1,7 +1,5 @@
 //! The aggregator's table of the configuration file, and what can be checked before starting.
 
-pub(crate) mod retention;
-
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -9,7 +7,7 @@ use peernet_logger::Slug;
 use peernet_networks::Address;
 use serde::{Deserialize, Serialize};
 
-pub use self::retention::RetentionConfig;
+use peernet_store::RetentionConfig;
 
 use crate::error::Problem;
 

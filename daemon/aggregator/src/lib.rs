@@ -17,30 +17,18 @@
 mod aggregator;
 mod config;
 mod error;
-mod figures;
 mod ingest;
 mod live;
 mod log_throttle;
 mod picture;
-mod plausible;
 mod readiness;
-mod store;
 
 pub use aggregator::{Aggregator, Running};
-pub use config::{AggregatorConfig, RetentionConfig};
-pub use error::{Failure, Problem, StartError, StoreError};
-pub use figures::{Bound, Figures, P95_NEEDS, P99_NEEDS, rank};
+pub use config::AggregatorConfig;
+pub use error::{Failure, Problem, StartError};
 pub use log_throttle::LogThrottle;
 pub use picture::{
-    Arrivals, CatchingUp, ClockPoint, HostPicture, LinkPicture, LiveSecond, MetricsPoint, Picture,
-    PipelinePicture, RefusedFrames, RefusedHost, Stored, Totals, Window,
+    Arrivals, CatchingUp, HostPicture, LinkPicture, LiveSecond, MetricsPoint, Picture, PipelinePicture,
+    RefusedFrames, RefusedHost, Totals, Window,
 };
 pub use readiness::Readiness;
-pub use store::lock::{DatabaseLock, LockError};
-pub use store::types::{
-    AggregatorIncidentKind, BOTH_WAYS, Blame, ClockSeries, DelayRow, Episodes, ExperimentSummary, GapRow,
-    Histogram, HostRow, IncidentRow, IterationDetail, IterationFilter, IterationRow, Judgement, Kept,
-    LinkRow, MeanBucket, Pairs, Recomputed, RecomputedStage, RunDetail, RunFilter, RunStatistics, RunSummary,
-    Series, SeriesPoint, StageCourse, StageMeans, StageSeries, StageStatistics,
-};
-pub use store::{Store, maintenance};

@@ -5,15 +5,14 @@
 
 use std::sync::Arc;
 
-use peernet_clock::{Offset, Span, Verdict, WallTime};
+use peernet_clock::{Span, Verdict, WallTime};
 use peernet_logger::{HostId, Name, RunId, Slug};
 use peernet_stream::{
-    Accounting, DelaySecond, HostClock, HostDescription, HostMetrics, LinkLive, OutcomeCounts, PipelineState,
-    Placement, ProbeCounts, RoundTrip,
+    Accounting, HostClock, HostDescription, HostMetrics, LinkLive, OutcomeCounts, PipelineState, Placement,
 };
 use serde::Serialize;
 
-use crate::figures::{Bound, Figures};
+use peernet_store::{Bound, ClockPoint, Figures, Stored};
 
 /// All agents, now.
 #[derive(Clone, Debug, Serialize)]
@@ -96,25 +95,6 @@ pub struct LinkPicture {
     pub history: Vec<Arc<ClockPoint>>,
 }
 
-/// What was known of two clocks at one time, and what the network did meanwhile.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct ClockPoint {
-    /// The end of the second (or of the bucket), on the edge's wall clock.
-    pub at: WallTime,
-    /// Changes when a clock was stepped.
-    pub window: u64,
-    /// Cloud minus edge with its bounds; `None` while nothing was known. Of a bucket the widest bounds.
-    pub offset: Option<Offset>,
-    /// Probes.
-    pub probes: ProbeCounts,
-    /// Round trips of probes.
-    pub round_trip: Option<RoundTrip>,
-    /// Delays of data, edge to cloud.
-    pub up: Option<DelaySecond>,
-    /// Cloud to edge.
-    pub down: Option<DelaySecond>,
-}
-
 /// A host that was turned away.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct RefusedHost {
@@ -175,23 +155,6 @@ pub struct MetricsPoint {
     pub at: WallTime,
     /// How it fared.
     pub metrics: HostMetrics,
-}
-
-/// What the database holds of one host, since it first came.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Stored {
-    /// Events of all kinds.
-    pub events: u64,
-    /// Nodes of iterations.
-    pub nodes: u64,
-    /// Gaps that the host reported or that were noticed in its streams.
-    pub gaps: u64,
-    /// Events missing in those gaps, as far as they could be counted.
-    pub missing: u64,
-    /// Batches that came more than once and were stored once; since the aggregator started.
-    pub duplicates: u64,
-    /// Batches put aside because they could not be stored as they were.
-    pub quarantined: u64,
 }
 
 /// One pipeline, now.

@@ -87,7 +87,7 @@ impl RehearsalDescription {
         ahead - Span::from_nanos(drift.round() as i64)
     }
 
-    fn steps_until(&self, truth: WallTime) -> impl Iterator<Item = &RehearsedStep> {
+    pub(crate) fn steps_until(&self, truth: WallTime) -> impl Iterator<Item = &RehearsedStep> {
         let elapsed = truth - self.since;
         self.steps.iter().filter(move |step| step.at <= elapsed)
     }

@@ -2,7 +2,7 @@
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use crate::rehearsal::{RehearsalDescription, RehearsedStep};
+use crate::rehearsal::RehearsalDescription;
 use crate::{Clock, ClockIdentity, MonoTime, Readings, SharedClock, Span, WallTime};
 
 /// A clock whose wall is wrong on purpose; its monotonic clock is untouched.
@@ -94,7 +94,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::ManualClock;
+    use crate::{ManualClock, RehearsedStep};
 
     fn step(at: i64, by: i64) -> RehearsedStep {
         RehearsedStep { at: Span::from_seconds(at), by: Span::from_millis(by) }

@@ -7,8 +7,8 @@ use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use futures::stream;
-use peernet_aggregator::{RunSummary, Store};
 use peernet_report::results::{Header, Row};
+use peernet_store::{RunSummary, Store};
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 

@@ -3,7 +3,7 @@
 use axum::Json;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
-use peernet_aggregator::IterationFilter;
+use peernet_store::IterationFilter;
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 

@@ -96,7 +96,7 @@ async fn all(app: &AppState) -> Result<Vec<Link>, WebError> {
     let stored = app.store().links().await?;
     let picture = app.picture();
     let mut links: Vec<Link> = picture.links.iter().map(|link| Link::from(&**link)).collect();
-    let live = |row: &&peernet_aggregator::LinkRow| {
+    let live = |row: &&peernet_store::LinkRow| {
         picture.links.iter().any(|link| link.edge == row.edge && link.live.peer == row.cloud)
     };
     links.extend(stored.iter().filter(|row| !live(row)).map(Link::from));

@@ -2,7 +2,7 @@
 
 use axum::Json;
 use axum::extract::State;
-use peernet_aggregator::RunFilter;
+use peernet_store::RunFilter;
 use serde::Deserialize;
 use utoipa::IntoParams;
 

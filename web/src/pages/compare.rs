@@ -4,8 +4,8 @@ use askama::Template;
 use axum::extract::State;
 use axum::http::HeaderMap;
 use axum::http::header::HOST;
-use peernet_aggregator::ExperimentSummary;
 use peernet_logger::stage;
+use peernet_store::ExperimentSummary;
 
 use super::{Page, page};
 use crate::numbers::NONE;

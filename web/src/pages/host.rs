@@ -3,7 +3,8 @@
 use askama::Template;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
-use peernet_aggregator::{HostPicture, HostRow, Picture};
+use peernet_aggregator::{HostPicture, Picture};
+use peernet_store::HostRow;
 use peernet_stream::{HostClock, HostDescription};
 
 use super::{Page, Update, page, path};

@@ -4,7 +4,8 @@ use std::collections::HashSet;
 
 use askama::Template;
 use axum::extract::State;
-use peernet_aggregator::{HostRow, Picture};
+use peernet_aggregator::Picture;
+use peernet_store::HostRow;
 
 use super::{Page, Update, page};
 use crate::error::WebError;

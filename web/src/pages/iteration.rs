@@ -3,7 +3,7 @@
 use askama::Template;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
-use peernet_aggregator::{Blame, IterationDetail, IterationRow, RunDetail, RunSummary};
+use peernet_store::{Blame, IterationDetail, IterationRow, RunDetail, RunSummary};
 
 use super::{Page, page, path};
 use crate::error::WebError;

@@ -3,8 +3,9 @@
 use askama::Template;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
-use peernet_aggregator::{IncidentRow, Picture};
+use peernet_aggregator::Picture;
 use peernet_clock::Span;
+use peernet_store::IncidentRow;
 use serde::Deserialize;
 
 use super::{Page, Update, page, path};

@@ -2,7 +2,8 @@
 
 use askama::Template;
 use axum::extract::State;
-use peernet_aggregator::{LinkRow, Picture};
+use peernet_aggregator::Picture;
+use peernet_store::LinkRow;
 
 use super::{Page, Update, page};
 use crate::error::WebError;

@@ -2,7 +2,8 @@
 
 use askama::Template;
 use axum::extract::State;
-use peernet_aggregator::{IncidentRow, Picture, PipelinePicture};
+use peernet_aggregator::{Picture, PipelinePicture};
+use peernet_store::IncidentRow;
 use peernet_stream::PipelineState;
 
 use super::{Page, Update, page};

@@ -3,8 +3,9 @@
 use askama::Template;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
-use peernet_aggregator::{Figures, Picture, PipelinePicture, RunFilter, RunSummary, Window};
+use peernet_aggregator::{Picture, PipelinePicture, Window};
 use peernet_logger::{Slug, stage};
+use peernet_store::{Figures, RunFilter, RunSummary};
 use peernet_stream::{PipelineState, PlacementKind};
 use serde::Deserialize;
 

@@ -3,9 +3,9 @@
 use askama::Template;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
-use peernet_aggregator::{IterationFilter, RunDetail, RunStatistics, StageStatistics};
 use peernet_logger::stage;
 use peernet_report::trust::{Report, Starts};
+use peernet_store::{IterationFilter, RunDetail, RunStatistics, StageStatistics};
 use peernet_stream::ExperimentPlace;
 use serde::Deserialize;
 

@@ -2,7 +2,7 @@
 
 use askama::Template;
 use axum::extract::State;
-use peernet_aggregator::RunFilter;
+use peernet_store::RunFilter;
 use serde::Deserialize;
 
 use super::{Page, page};

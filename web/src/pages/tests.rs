@@ -33,7 +33,7 @@ fn check(html: &str) {
 
 async fn overview_of(
     picture: &peernet_aggregator::Picture,
-    incidents: Vec<peernet_aggregator::IncidentRow>,
+    incidents: Vec<peernet_store::IncidentRow>,
 ) -> String {
     let (app, _folder) = samples::app().await;
     let page = overview::overview(&app, picture, Ok(incidents)).expect("assembles");

@@ -1,8 +1,8 @@
 //! A distribution in five numbers, lying, under others on the same scale.
 
 use askama::Template;
-use peernet_aggregator::P95_NEEDS;
 use peernet_statistics::Summary;
+use peernet_store::P95_NEEDS;
 
 use super::{Percent, Scale};
 use crate::numbers::{SPACE, count, listed_ms};

@@ -1,7 +1,7 @@
 //! A distribution with its median and quantiles.
 
 use askama::Template;
-use peernet_aggregator::Histogram;
+use peernet_store::Histogram;
 use serde::Deserialize;
 
 use super::{Axis, Percent, Scale, fit};
@@ -177,8 +177,8 @@ fn ticks(lo: f64, hi: f64) -> Vec<(f64, String)> {
 
 #[cfg(test)]
 mod tests {
-    use peernet_aggregator::Figures;
     use peernet_logger::stage;
+    use peernet_store::Figures;
 
     use super::*;
 

@@ -1,7 +1,7 @@
 //! How often a model was right, out of roll-ups.
 
-use peernet_aggregator::Figures;
 use peernet_report::accuracy::Accuracy;
+use peernet_store::Figures;
 
 use crate::numbers::{SPACE, share};
 

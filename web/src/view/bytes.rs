@@ -1,8 +1,8 @@
 //! Sizes and throughputs of one iteration, and what else was measured in it.
 
-use peernet_aggregator::{Figures, IterationDetail};
 use peernet_clock::Verdict;
 use peernet_logger::{Measure, Name, Node, NodeId};
+use peernet_store::{Figures, IterationDetail};
 
 use crate::numbers::{NONE, SPACE, bytes, figure, throughput, times};
 use crate::svg::shown_in;

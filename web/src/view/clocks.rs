@@ -1,7 +1,7 @@
 //! How well one-way delays are known, in a cell of a table.
 
-use peernet_aggregator::Bound;
 use peernet_clock::Verdict;
+use peernet_store::Bound;
 use peernet_stream::PlacementKind;
 
 use super::chip::{Chip, severity};

@@ -1,6 +1,6 @@
 //! What stands beside the course of a run over time, in words.
 
-use peernet_aggregator::{Episodes, RunSummary};
+use peernet_store::{Episodes, RunSummary};
 
 use super::counted;
 use crate::numbers::count;

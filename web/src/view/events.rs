@@ -2,8 +2,9 @@
 
 use std::cmp::Reverse;
 
-use peernet_aggregator::{Arrivals, HostPicture, Stored};
+use peernet_aggregator::{Arrivals, HostPicture};
 use peernet_clock::Span;
+use peernet_store::Stored;
 use peernet_stream::Accounting;
 
 use super::chip::{Chip, Tone};

@@ -1,6 +1,6 @@
 //! Incidents in a list.
 
-use peernet_aggregator::IncidentRow;
+use peernet_store::IncidentRow;
 
 use super::chip::Tone;
 use crate::zone::{Moment, Zone};

@@ -1,8 +1,8 @@
 //! Things to look at, in sentences.
 
-use peernet_aggregator::{Bound, Figures};
 use peernet_clock::Verdict;
 use peernet_logger::Name;
+use peernet_store::{Bound, Figures};
 
 use super::chip::Chip;
 use super::clocks;

@@ -1,7 +1,8 @@
 //! Where the time goes now: pipelines as stage bars on one scale, with their figures.
 
-use peernet_aggregator::{Figures, PipelinePicture, Window};
+use peernet_aggregator::{PipelinePicture, Window};
 use peernet_logger::stage;
+use peernet_store::Figures;
 use peernet_stream::PipelineState;
 
 use super::chip::{Chip, Tone};
@@ -138,8 +139,8 @@ impl NowRow {
     ) -> Self {
         let host = pipeline.host_name.as_str();
         let minute = pipeline.window(QUANTILES).and_then(|window| window.value(&stage::TOTAL));
-        let (p95, p95_cell) = quantile(minute, peernet_aggregator::P95_NEEDS, |total| total.p95);
-        let (p99, p99_cell) = quantile(minute, peernet_aggregator::P99_NEEDS, |total| total.p99);
+        let (p95, p95_cell) = quantile(minute, peernet_store::P95_NEEDS, |total| total.p95);
+        let (p99, p99_cell) = quantile(minute, peernet_store::P99_NEEDS, |total| total.p99);
         let part = |name: &str| stack.parts.iter().find(|part| part.name == name);
         let mean =
             |name: &&'static str| part(name).map_or_else(|| NONE.to_owned(), |part| stage_ms(part.seconds));

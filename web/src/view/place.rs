@@ -1,7 +1,8 @@
 //! Where a pipeline computes, in words.
 
-use peernet_aggregator::{RunSummary, Window};
+use peernet_aggregator::Window;
 use peernet_logger::stage;
+use peernet_store::RunSummary;
 use peernet_stream::{Placement, PlacementKind};
 
 use crate::numbers::bytes;

@@ -1,9 +1,9 @@
 //! What the page of a run shows of the store's answers.
 
-use peernet_aggregator::{Episodes, IterationRow, RunDetail, RunStatistics, Series, StageStatistics};
 use peernet_clock::{Span, Verdict, WallTime};
 use peernet_report::accuracy::{ACCURACIES, UNKNOWN_LABEL};
 use peernet_report::results::SKIPPED_STARTS;
+use peernet_store::{Episodes, IterationRow, RunDetail, RunStatistics, Series, StageStatistics};
 use serde::Serialize;
 
 use super::clocks;
@@ -248,8 +248,8 @@ impl Stored<'_> {
 
 #[cfg(test)]
 mod tests {
-    use peernet_aggregator::{SeriesPoint, StageSeries};
     use peernet_logger::stage;
+    use peernet_store::{SeriesPoint, StageSeries};
     use peernet_stream::PlacementKind;
 
     use super::*;

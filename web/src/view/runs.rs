@@ -1,7 +1,8 @@
 //! Runs in a list.
 
-use peernet_aggregator::{GapRow, Picture, RetentionConfig, RunSummary};
+use peernet_aggregator::Picture;
 use peernet_clock::WallTime;
+use peernet_store::{GapRow, RetentionConfig, RunSummary};
 use peernet_stream::ExperimentPlace;
 
 use super::chip::{Chip, Tone};

@@ -3,14 +3,14 @@
 use std::sync::Arc;
 
 use peernet_aggregator::{
-    Aggregator, AggregatorConfig, Arrivals, Bound, ClockPoint, Figures, HostPicture, IncidentRow,
-    IterationDetail, IterationRow, LinkPicture, LiveSecond, MetricsPoint, Picture, PipelinePicture,
-    RefusedHost, Stored, Totals, Window,
+    Aggregator, AggregatorConfig, Arrivals, HostPicture, LinkPicture, LiveSecond, MetricsPoint, Picture,
+    PipelinePicture, RefusedHost, Totals, Window,
 };
 use peernet_clock::{
     ClockIdentity, DelaySource, ExchangeCounts, Interval, ManualClock, Offset, Span, Verdict, WallTime,
 };
 use peernet_logger::{Anchor, HostId, Name, Slug, Tree, stage};
+use peernet_store::{Bound, ClockPoint, Figures, IncidentRow, IterationDetail, IterationRow, Stored};
 use peernet_stream::{
     Accounting, ClockSample, DelayPoint, DelaySecond, Hardware, HostClock, HostDescription, HostMetrics,
     LinkLive, OutcomeCounts, PipelineState, Placement, PlacementKind, ProbeCounts, Probing, RoundTrip,

@@ -1,7 +1,8 @@
 //! Means of stages that add up to the mean of the total.
 
-use peernet_aggregator::{Bound, Figures, IterationRow, StageStatistics, Window};
+use peernet_aggregator::Window;
 use peernet_logger::{Name, stage};
+use peernet_store::{Bound, Figures, IterationRow, StageStatistics};
 
 use crate::look;
 use crate::numbers::{duration, figure};

@@ -1,6 +1,7 @@
 //! The table of stages, live or stored.
 
-use peernet_aggregator::{Bound, Figures, StageStatistics, Window, rank};
+use peernet_aggregator::Window;
+use peernet_store::{Bound, Figures, StageStatistics, rank};
 
 use super::chip::{Chip, Sign};
 use super::clocks;

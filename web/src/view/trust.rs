@@ -1,12 +1,12 @@
 //! "Can I publish this run?", from what the store knows of it.
 
-use peernet_aggregator::{RunDetail, RunStatistics, RunSummary, StageCourse, Store, StoreError};
 use peernet_logger::{Name, stage};
 use peernet_report::accuracy::{ACCURACIES, UNKNOWN_LABEL, UnknownLabels};
 use peernet_report::results::LATENESS;
 use peernet_report::trust::{
     Came, Clocks, Counts, Course, Early, Evidence, Limits, Load, Missing, Publish, Report, Restarts, Starts,
 };
+use peernet_store::{RunDetail, RunStatistics, RunSummary, StageCourse, Store, StoreError};
 use peernet_stream::Grade;
 use serde::Deserialize;
 
@@ -194,8 +194,8 @@ const fn chip(grade: Grade) -> Chip {
 
 #[cfg(test)]
 mod tests {
-    use peernet_aggregator::GapRow;
     use peernet_clock::Span;
+    use peernet_store::GapRow;
     use peernet_stream::PlacementKind;
 
     use super::*;

@@ -1,6 +1,6 @@
 //! The rows and sentences of an iteration's page.
 
-use peernet_aggregator::IterationDetail;
+use peernet_store::IterationDetail;
 
 use super::chip::Chip;
 use crate::look;

@@ -2,9 +2,9 @@
 
 use std::future::Future;
 
-use peernet_aggregator::{IterationFilter, RunFilter, Store, StoreError};
 use peernet_clock::{SharedClock, Span};
 use peernet_logger::{Name, stage};
+use peernet_store::{IterationFilter, RunFilter, Store, StoreError};
 
 /// How often each is asked.
 const TIMES: usize = 20;

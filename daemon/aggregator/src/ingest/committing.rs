@@ -13,11 +13,10 @@ use super::preparing::Queued;
 use super::reopening::Reopening;
 use crate::config::AggregatorConfig;
 use crate::readiness::Readiness;
-use crate::store::integrity::Integrity;
-use crate::store::opening::{OpenDatabase, StoredState};
-use crate::store::retention::Step;
-use crate::store::types::AggregatorIncidentKind;
-use crate::store::write::{CommitError, Committed, PendingIncidents, Work, Writer};
+use peernet_store::writing::{
+    CommitError, Committed, Integrity, OpenDatabase, PendingIncidents, Step, StoredState, Work, Writer,
+};
+use peernet_store::{AggregatorIncidentKind, StoreError};
 
 /// The first pause after a failed attempt, and the longest.
 const FIRST_PAUSE: Duration = Duration::from_millis(200);
@@ -57,7 +56,7 @@ impl Grouping {
 #[derive(Debug)]
 pub(crate) enum Errand {
     /// Keep a run whatever its age, or no longer; answers whether there is such a run.
-    Pin(i64, bool, oneshot::Sender<Result<bool, sqlx::Error>>),
+    Pin(i64, bool, oneshot::Sender<Result<bool, StoreError>>),
 }
 
 /// What the writer tells ingest, in the order in which it happened.
@@ -341,10 +340,7 @@ fn undamaged(integrity: &Integrity) -> Result<(), CommitError> {
 async fn run_errand(writer: &mut Writer, errand: Errand, integrity: &Integrity) {
     match errand {
         Errand::Pin(run, pinned, answer) => {
-            let answered = match integrity.refusal() {
-                Some(refusal) => Err(sqlx::Error::Protocol(refusal)),
-                None => writer.pin(run, pinned).await.inspect_err(|error| integrity.note(error)),
-            };
+            let answered = writer.pin(run, pinned, integrity).await;
             // Whoever asked may have gone.
             let _gone = answer.send(answered);
         }

@@ -16,8 +16,7 @@ use super::queue::{Incoming, Queue};
 use super::routes::{Admission, Routes};
 use crate::live::News;
 use crate::log_throttle::LogThrottle;
-use crate::store::opening::StoredState;
-use crate::store::write::{Aside, Committed, RunName, Streams, Work};
+use peernet_store::writing::{Aside, Committed, RunName, StoredState, Streams, Work};
 
 /// A host that was silent for so long is asked to say hello again.
 const FORGET_SESSIONS: Span = Span::from_seconds(60);

@@ -11,7 +11,7 @@ use peernet_clock::{MonoTime, Span};
 use peernet_logger::HostId;
 use peernet_stream::{HostSecret, Missing};
 
-use crate::store::write::Introduction;
+use peernet_store::writing::Introduction;
 
 /// How often the secret of one host is read from the database again because a proof was wrong.
 const CHECK_EVERY: Span = Span::from_seconds(1);

@@ -9,7 +9,7 @@ use tokio::runtime::Handle;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 
 use super::queue::{Incoming, Waiting};
-use crate::store::write::Work;
+use peernet_store::writing::Work;
 
 /// Prepared pieces of work that may wait for the writer; bounded by nodes beside that.
 const PIECES: usize = 4_096;

@@ -10,7 +10,7 @@ use peernet_clock::MonoTime;
 use peernet_stream::BatchHead;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 
-use crate::store::write::Work;
+use peernet_store::writing::Work;
 
 /// Bytes of batches that may wait, from their arrival until they are stored.
 pub(crate) const ROOM_BYTES: usize = 96 * 1024 * 1024;

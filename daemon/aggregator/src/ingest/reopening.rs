@@ -4,12 +4,9 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use super::committing::{Backoff, Errand, StoreEvent, Wires, not_storing, set};
-use crate::config::RetentionConfig;
 use crate::readiness::Readiness;
-use crate::store::Store;
-use crate::store::integrity::Integrity;
-use crate::store::opening::OpenDatabase;
-use crate::store::write::CommitError;
+use peernet_store::writing::{CommitError, Integrity, OpenDatabase};
+use peernet_store::{RetentionConfig, Store, StoreError};
 
 /// What is needed to open the database anew.
 #[derive(Debug)]
@@ -70,11 +67,10 @@ async fn pause(pause: Duration, wires: &mut Wires) -> Option<()> {
 }
 
 fn refuse(errand: Errand) {
-    let error = || std::io::Error::other("the database is not open now");
     match errand {
         Errand::Pin(_, _, answer) => {
             // Whoever asked may have gone.
-            let _gone = answer.send(Err(error().into()));
+            let _gone = answer.send(Err(StoreError::no_database()));
         }
     }
 }

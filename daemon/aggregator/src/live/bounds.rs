@@ -2,7 +2,7 @@
 
 use peernet_stream::{Accounting, HostClock, HostDescription, LinkLive, PipelineState, Placement, Probing};
 
-use crate::plausible;
+use peernet_store::plausible;
 
 /// Items of a list: kinds of network, accelerators, steps of a rehearsal.
 const MOST_LISTED: usize = 32;

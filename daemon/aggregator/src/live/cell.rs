@@ -6,8 +6,8 @@ use peernet_statistics::{Merge, Summary};
 use peernet_stream::{OutcomeCounts, Second};
 
 use super::MOST_NAMES;
-use crate::figures::{Bound, Figures, rank};
 use crate::picture::{LiveSecond, Window};
+use peernet_store::{Bound, Figures, rank};
 
 /// What happened within some seconds. Names are few: a list is faster than a map.
 #[derive(Clone, Debug, Default)]

@@ -12,7 +12,8 @@ use super::catching_up::Lag;
 use super::link::Link;
 use super::pipeline::Pipeline;
 use super::{MOST_LINKS, MOST_PIPELINES};
-use crate::picture::{Arrivals, HostPicture, LinkPicture, MetricsPoint, PipelinePicture, Stored};
+use crate::picture::{Arrivals, HostPicture, LinkPicture, MetricsPoint, PipelinePicture};
+use peernet_store::Stored;
 
 /// A host that sent nothing for so long counts as disconnected; it sends four times a second.
 const CONNECTED_WITHIN: Span = Span::from_seconds(3);

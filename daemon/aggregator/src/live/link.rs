@@ -8,7 +8,8 @@ use peernet_logger::{HostId, Slug};
 use peernet_stream::{ClockSample, LinkLive};
 
 use super::bounds;
-use crate::picture::{ClockPoint, LinkPicture};
+use crate::picture::LinkPicture;
+use peernet_store::ClockPoint;
 
 /// Seconds of the history.
 const HISTORY_S: i64 = 600;

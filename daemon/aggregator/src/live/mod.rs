@@ -22,7 +22,8 @@ use peernet_logger::{HostId, RunId, Slug};
 use peernet_stream::{HostDescription, LiveUpdate};
 
 use self::host::Host;
-use crate::picture::{Picture, RefusedHost, Stored, Totals};
+use crate::picture::{Picture, RefusedHost, Totals};
+use peernet_store::Stored;
 
 /// Hosts in the picture; beyond, the one that was silent for longest gives way.
 const MOST_HOSTS: usize = 4_096;

@@ -1,8 +1,9 @@
 //! Both lanes from agents to readers.
 
-use peernet_aggregator::{Readiness, RunFilter};
+use peernet_aggregator::Readiness;
 use peernet_logger::{HostId, RunId, stage};
 use peernet_statistics::Summary;
+use peernet_store::RunFilter;
 use peernet_stream::{
     ClockSample, Event, HostClock, Iteration, OutcomeCounts, PipelineLive, PipelineState, RunEnded, Second,
 };

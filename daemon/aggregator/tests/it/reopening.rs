@@ -2,8 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use peernet_aggregator::{Readiness, StoreError};
+use peernet_aggregator::Readiness;
 use peernet_logger::{HostId, RunId};
+use peernet_store::StoreError;
 use peernet_stream::Event;
 use sqlx::{AssertSqlSafe, Connection};
 

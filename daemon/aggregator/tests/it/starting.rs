@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use peernet_aggregator::{Aggregator, AggregatorConfig, StartError};
+use peernet_store::OpenError;
 use tokio_util::sync::CancellationToken;
 
 use crate::bed::Bed;
@@ -32,7 +33,7 @@ async fn an_unwritable_database_is_named() {
         .expect("writes");
     let config = AggregatorConfig { database: file.clone(), listen: listen.clone(), ..bed.config() };
     let error = refusal(&bed, config).await;
-    assert!(matches!(&error, StartError::Open { path, .. } if *path == file), "{error}");
+    assert!(matches!(&error, StartError::Database(OpenError::Open { path, .. }) if *path == file), "{error}");
     let below = file.join("peernet.sqlite");
     let config = AggregatorConfig { database: below, listen, ..bed.config() };
     assert_eq!(

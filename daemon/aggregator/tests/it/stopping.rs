@@ -1,7 +1,7 @@
 //! Stopping: what is left behind.
 
-use peernet_aggregator::RunFilter;
 use peernet_logger::{HostId, RunId};
+use peernet_store::RunFilter;
 use peernet_stream::Event;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, SqliteConnection};

@@ -5,10 +5,10 @@ use std::path::Path;
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use peernet_aggregator::maintenance::{Backup, BackupError, Copied};
 use peernet_cli::exit::{Exit, Failure};
 use peernet_cli::output::{complain, say};
 use peernet_report::number::bytes;
+use peernet_store::maintenance::{Backup, BackupError, Copied};
 use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 

@@ -3,11 +3,11 @@
 use std::io::IsTerminal;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use peernet_aggregator::StartError;
-use peernet_aggregator::maintenance::{RebuildError, Rebuilt, rebuild_rollups};
 use peernet_cli::exit::{Exit, Failure};
 use peernet_cli::output::{complain, say};
 use peernet_report::number::fixed;
+use peernet_store::OpenError;
+use peernet_store::maintenance::{RebuildError, Rebuilt, rebuild_rollups};
 
 use super::Database;
 use crate::log;
@@ -56,7 +56,7 @@ pub(crate) fn rebuild(database: Database, run: Option<i64>) -> Exit {
 fn exit(error: &RebuildError) -> Exit {
     match error {
         RebuildError::NoRun { .. } => Exit::Usage,
-        RebuildError::Open(StartError::NotADatabase { .. }) => Exit::Data,
+        RebuildError::Open(OpenError::NotADatabase { .. }) => Exit::Data,
         RebuildError::Missing(_)
         | RebuildError::Lock(_)
         | RebuildError::Open(_)

@@ -1,8 +1,8 @@
 //! `peernetd clear-host-secret`
 
-use peernet_aggregator::maintenance::{ClearSecretError, clear_host_secret};
 use peernet_cli::exit::{Exit, Failure};
 use peernet_cli::output::{complain, say};
+use peernet_store::maintenance::{ClearSecretError, clear_host_secret};
 
 use super::Database;
 use crate::log;

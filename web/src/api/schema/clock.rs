@@ -1,7 +1,7 @@
 //! What is known of hosts' wall clocks.
 
-use peernet_aggregator as aggregator;
 use peernet_clock::{DelaySource, Discipline, Interval, Offset, RehearsalDescription, Span};
+use peernet_store as store;
 use peernet_stream::{self as stream, DelayPoint, DelaySecond, ProbeCounts};
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -234,8 +234,8 @@ pub(crate) struct Judgement {
     pub verdicts: Vec<VerdictCount>,
 }
 
-impl From<&aggregator::Judgement> for Judgement {
-    fn from(judgement: &aggregator::Judgement) -> Self {
+impl From<&store::Judgement> for Judgement {
+    fn from(judgement: &store::Judgement) -> Self {
         let verdicts = judgement.verdicts.iter();
         Self {
             delay: judgement.delay.map(Figures::from),
@@ -247,8 +247,8 @@ impl From<&aggregator::Judgement> for Judgement {
     }
 }
 
-impl From<&aggregator::Recomputed> for Recomputed {
-    fn from(recomputed: &aggregator::Recomputed) -> Self {
+impl From<&store::Recomputed> for Recomputed {
+    fn from(recomputed: &store::Recomputed) -> Self {
         let stages = recomputed.stages.iter().map(|stage| RecomputedStage {
             stage: stage.stage.to_string(),
             before: Judgement::from(&stage.before),

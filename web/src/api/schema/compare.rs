@@ -1,8 +1,8 @@
 //! Runs side by side, and experiments.
 
-use peernet_aggregator as aggregator;
 use peernet_logger::Name;
 use peernet_report::batches;
+use peernet_store as store;
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -33,9 +33,9 @@ pub(crate) struct Experiment {
     pub started: String,
 }
 
-impl From<&aggregator::ExperimentSummary> for Experiment {
-    fn from(known: &aggregator::ExperimentSummary) -> Self {
-        let aggregator::ExperimentSummary { id, name, runs, open, oldest, newest, started } = known.clone();
+impl From<&store::ExperimentSummary> for Experiment {
+    fn from(known: &store::ExperimentSummary) -> Self {
+        let store::ExperimentSummary { id, name, runs, open, oldest, newest, started } = known.clone();
         Self { id, name, runs, open, oldest, newest, started: time(started) }
     }
 }
@@ -112,7 +112,7 @@ impl Comparison {
         comparison: &compare::Comparison,
         differences: &[(Name, Option<batches::Difference>, compare::Changed)],
     ) -> Self {
-        let stage = |stage: &aggregator::StageStatistics| ComparedStage {
+        let stage = |stage: &store::StageStatistics| ComparedStage {
             name: stage.stage.to_string(),
             unit: stage.unit.clone(),
             figures: stage.figures.into(),

@@ -1,7 +1,7 @@
 //! Figures, bounds, counts and placements.
 
-use peernet_aggregator as aggregator;
 use peernet_logger::Name;
+use peernet_store as store;
 use peernet_stream as stream;
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -23,9 +23,9 @@ pub(crate) struct Figures {
     pub max: f64,
 }
 
-impl From<aggregator::Figures> for Figures {
-    fn from(figures: aggregator::Figures) -> Self {
-        let aggregator::Figures { count, mean, std, min, p50, p95, p99, max } = figures;
+impl From<store::Figures> for Figures {
+    fn from(figures: store::Figures) -> Self {
+        let store::Figures { count, mean, std, min, p50, p95, p99, max } = figures;
         Self { count, mean, std, min, p50, p95, p99, max }
     }
 }
@@ -40,7 +40,7 @@ pub(crate) struct NodeFigures {
 }
 
 impl NodeFigures {
-    pub(crate) fn all(values: &[(Name, aggregator::Figures)]) -> Vec<Self> {
+    pub(crate) fn all(values: &[(Name, store::Figures)]) -> Vec<Self> {
         values
             .iter()
             .map(|(name, figures)| Self { name: name.to_string(), figures: (*figures).into() })
@@ -66,8 +66,8 @@ pub(crate) struct VerdictCount {
     pub count: u64,
 }
 
-impl From<&aggregator::Bound> for Bound {
-    fn from(bound: &aggregator::Bound) -> Self {
+impl From<&store::Bound> for Bound {
+    fn from(bound: &store::Bound) -> Self {
         let verdicts = bound.verdicts.iter();
         Self {
             stage: bound.stage.to_string(),

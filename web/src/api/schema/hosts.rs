@@ -1,7 +1,8 @@
 //! Hosts and incidents.
 
-use peernet_aggregator::{Arrivals, HostPicture, HostRow, IncidentRow};
+use peernet_aggregator::{Arrivals, HostPicture};
 use peernet_clock::Span;
+use peernet_store::{HostRow, IncidentRow};
 use peernet_stream::{Accounting, HostDescription, HostMetrics};
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -197,8 +198,8 @@ pub(crate) struct Stored {
 }
 
 impl Stored {
-    fn new(stored: peernet_aggregator::Stored, arrivals: Arrivals) -> Self {
-        let peernet_aggregator::Stored { events, nodes, gaps, missing, duplicates, quarantined } = stored;
+    fn new(stored: peernet_store::Stored, arrivals: Arrivals) -> Self {
+        let peernet_store::Stored { events, nodes, gaps, missing, duplicates, quarantined } = stored;
         let Arrivals { deferred, damaged } = arrivals;
         Self { events, nodes, gaps, missing, duplicates, quarantined, deferred, damaged }
     }

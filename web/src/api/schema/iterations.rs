@@ -1,7 +1,7 @@
 //! Iterations of a run.
 
-use peernet_aggregator as aggregator;
 use peernet_logger::{Name, stage};
+use peernet_store as store;
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -68,7 +68,7 @@ pub(crate) struct StageDelay {
 
 impl StageDelay {
     /// Of the iteration's one delay of that stage; several of one stage are added up, so that none stands for them.
-    pub(crate) fn of(row: &aggregator::IterationRow, stage: &Name) -> Option<Self> {
+    pub(crate) fn of(row: &store::IterationRow, stage: &Name) -> Option<Self> {
         let mut same = row.delays.iter().filter(|delay| delay.stage == *stage);
         let delay = same.next().filter(|_| same.next().is_none())?;
         // Nothing arrives before it was sent.
@@ -85,7 +85,7 @@ impl StageDelay {
 
 impl StageTime {
     /// The stages of an iteration in their order, those included of which only a raw difference is known.
-    fn all(row: &aggregator::IterationRow) -> Vec<Self> {
+    fn all(row: &store::IterationRow) -> Vec<Self> {
         let of = |stage: Name| {
             let known = row.stages.iter().find(|(name, _)| *name == stage).map(|(_, seconds)| *seconds);
             let judged = row.delays.iter().any(|delay| delay.stage == stage);
@@ -105,8 +105,8 @@ pub(crate) struct Blame {
     pub median: f64,
 }
 
-impl From<&aggregator::IterationRow> for IterationSummary {
-    fn from(row: &aggregator::IterationRow) -> Self {
+impl From<&store::IterationRow> for IterationSummary {
+    fn from(row: &store::IterationRow) -> Self {
         Self {
             number: row.number,
             episode: row.episode,
@@ -148,9 +148,9 @@ pub(crate) struct Iteration {
     pub run_figures: Vec<NodeFigures>,
 }
 
-impl TryFrom<&aggregator::IterationDetail> for Iteration {
+impl TryFrom<&store::IterationDetail> for Iteration {
     type Error = serde_json::Error;
-    fn try_from(detail: &aggregator::IterationDetail) -> Result<Self, serde_json::Error> {
+    fn try_from(detail: &store::IterationDetail) -> Result<Self, serde_json::Error> {
         Ok(Self {
             summary: IterationSummary::from(&detail.row),
             tree: serde_json::to_value(&detail.tree)?,

@@ -1,7 +1,8 @@
 //! Links: the relation between two hosts' clocks, and what the network does between them.
 
-use peernet_aggregator::{ClockPoint, ClockSeries, LinkPicture, LinkRow};
+use peernet_aggregator::LinkPicture;
 use peernet_clock::ExchangeCounts;
+use peernet_store::{ClockPoint, ClockSeries, LinkRow};
 use peernet_stream as stream;
 use serde::Serialize;
 use utoipa::ToSchema;

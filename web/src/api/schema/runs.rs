@@ -1,6 +1,6 @@
 //! Stored runs.
 
-use peernet_aggregator as aggregator;
+use peernet_store as store;
 use peernet_stream as stream;
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -72,8 +72,8 @@ impl From<&stream::ExperimentPlace> for ExperimentPlace {
     }
 }
 
-impl From<&aggregator::RunSummary> for Run {
-    fn from(run: &aggregator::RunSummary) -> Self {
+impl From<&store::RunSummary> for Run {
+    fn from(run: &store::RunSummary) -> Self {
         Self {
             number: run.number,
             id: run.id.to_string(),
@@ -129,14 +129,14 @@ pub(crate) struct Gap {
     pub reason: String,
 }
 
-impl From<&aggregator::GapRow> for Gap {
-    fn from(gap: &aggregator::GapRow) -> Self {
+impl From<&store::GapRow> for Gap {
+    fn from(gap: &store::GapRow) -> Self {
         Self { from: time(gap.from), to: time(gap.to), count: gap.count, reason: gap.reason.clone() }
     }
 }
 
-impl From<&aggregator::RunDetail> for RunDetail {
-    fn from(detail: &aggregator::RunDetail) -> Self {
+impl From<&store::RunDetail> for RunDetail {
+    fn from(detail: &store::RunDetail) -> Self {
         let facts = detail.facts.iter();
         Self {
             run: Run::from(&detail.summary),
@@ -172,8 +172,8 @@ pub(crate) struct Stage {
     pub bound: Option<Bound>,
 }
 
-impl From<&aggregator::StageStatistics> for Stage {
-    fn from(stage: &aggregator::StageStatistics) -> Self {
+impl From<&store::StageStatistics> for Stage {
+    fn from(stage: &store::StageStatistics) -> Self {
         Self {
             name: stage.stage.to_string(),
             unit: stage.unit.clone(),
@@ -199,8 +199,8 @@ pub(crate) struct Histogram {
     pub figures: Figures,
 }
 
-impl From<aggregator::Histogram> for Histogram {
-    fn from(histogram: aggregator::Histogram) -> Self {
+impl From<store::Histogram> for Histogram {
+    fn from(histogram: store::Histogram) -> Self {
         Self {
             name: histogram.stage.to_string(),
             unit: histogram.unit,
@@ -241,9 +241,9 @@ pub(crate) struct Point {
     pub p95: Option<f64>,
 }
 
-impl From<&aggregator::Series> for Series {
-    fn from(series: &aggregator::Series) -> Self {
-        let point = |point: &aggregator::SeriesPoint| Point {
+impl From<&store::Series> for Series {
+    fn from(series: &store::Series) -> Self {
+        let point = |point: &store::SeriesPoint| Point {
             at: time(point.at),
             count: point.count,
             mean: point.mean,

@@ -41,7 +41,7 @@ async fn a_link_that_is_only_stored_keeps_its_page() {
     use crate::view::link::Subject;
     use crate::view::link::course::Course;
     let (app, _folder) = samples::app().await;
-    let row = peernet_aggregator::LinkRow {
+    let row = peernet_store::LinkRow {
         edge: peernet_logger::HostId::from_bytes([7; 16]),
         edge_name: samples::slug("cam-1"),
         cloud: peernet_logger::HostId::from_bytes([9; 16]),
@@ -52,8 +52,7 @@ async fn a_link_that_is_only_stored_keeps_its_page() {
     for points in [Vec::new(), vec![samples::clock_point(samples::NOW, 1, Some(0.00065))]] {
         let subject = Subject::past(&row);
         let from = samples::NOW - Span::from_seconds(600);
-        let course =
-            Course::stored(peernet_aggregator::ClockSeries { bucket_s: 1, points }, from, samples::NOW);
+        let course = Course::stored(peernet_store::ClockSeries { bucket_s: 1, points }, from, samples::NOW);
         let shown = picture(Vec::new(), Vec::new());
         let page = link::link_page(&app, &shown, &subject, &course, None, link::Query::default(), &[]);
         let html = askama::Template::render(&page).expect("renders");

@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use peernet_aggregator::{Kept, RunSummary};
 use peernet_clock::Verdict;
 use peernet_logger::stage;
 use peernet_statistics::Summary;
+use peernet_store::{Kept, RunSummary};
 use peernet_stream::ExperimentPlace;
 use peernet_stream::PlacementKind::{Local, Remote};
 

@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use peernet_aggregator::{Episodes, Kept, RunSummary};
 use peernet_clock::Span;
 use peernet_logger::stage;
+use peernet_store::{Episodes, Kept, RunSummary};
 use peernet_stream::PlacementKind::{Local, Remote};
 
 use super::super::compare::rendered;

@@ -1,6 +1,6 @@
 //! Which runs are drawn where there are too many for a picture each.
 
-use peernet_aggregator::RunSummary;
+use peernet_store::RunSummary;
 
 use super::{Comparison, Configuration};
 use crate::numbers::count;

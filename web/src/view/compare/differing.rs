@@ -1,7 +1,7 @@
 //! What the runs of a comparison differ in.
 
-use peernet_aggregator::RunDetail;
 use peernet_report::compare::is_opaque;
+use peernet_store::RunDetail;
 use peernet_stream::ExperimentPlace;
 
 use crate::numbers::NONE;

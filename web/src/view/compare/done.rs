@@ -1,7 +1,7 @@
 //! Which runs of an experiment count: those that `peernet run` takes as done. One that was interrupted is done again in
 //! the same experiment, and so is one that was finished and lost its results, or one of several users.
 
-use peernet_aggregator::RunSummary;
+use peernet_store::RunSummary;
 
 use super::LeftOut;
 

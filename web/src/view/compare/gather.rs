@@ -3,8 +3,8 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use peernet_aggregator::{Kept, RunDetail, RunStatistics, RunSummary, StageMeans, Store};
 use peernet_logger::{Name, stage};
+use peernet_store::{Kept, RunDetail, RunStatistics, RunSummary, StageMeans, Store};
 
 use super::differing::Differing;
 use super::{Comparison, Configuration, done, letter, order};

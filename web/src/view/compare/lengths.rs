@@ -4,9 +4,9 @@ mod growth;
 #[cfg(test)]
 pub(crate) mod tests;
 
-use peernet_aggregator::{RunSummary, StageStatistics, Store};
 use peernet_report::figures::{LATENCY, answer_length, is_tokens, varies};
 use peernet_statistics::Summary;
+use peernet_store::{RunSummary, StageStatistics, Store};
 
 use growth::Growth;
 

@@ -1,8 +1,8 @@
 //! The median of a quantity in one run, and how well the hosts' clocks let it be known.
 
-use peernet_aggregator::Kept;
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
+use peernet_store::Kept;
 
 use crate::numbers::{SPACE, figure, interval_ms, listed_ms, throughput, within_ms};
 use crate::svg::shown_in;

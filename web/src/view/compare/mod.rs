@@ -34,9 +34,9 @@ pub(crate) use users::{UsersRow, users};
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use peernet_aggregator::{Bound, Figures, Kept, RunSummary, StageStatistics};
 use peernet_report::trust::Starts;
 use peernet_statistics::Summary;
+use peernet_store::{Bound, Figures, Kept, RunSummary, StageStatistics};
 use peernet_stream::PlacementKind;
 
 use crate::view::trust;

@@ -2,9 +2,9 @@
 
 use std::collections::HashMap;
 
-use peernet_aggregator::{Episodes, MeanBucket, RunSummary, Series, SeriesPoint, StageMeans, Store};
 use peernet_clock::WallTime;
 use peernet_logger::{Name, stage};
+use peernet_store::{Episodes, MeanBucket, RunSummary, Series, SeriesPoint, StageMeans, Store};
 
 use super::choice::{Chosen, chosen, without_answer};
 use super::{Comparison, Configuration};

@@ -1,9 +1,9 @@
 //! Figures per configuration, and the difference of two.
 
-use peernet_aggregator::{Figures, StageMeans};
 use peernet_logger::{Name, stage};
 use peernet_report::batches::{Difference, FEWEST};
 use peernet_report::trust::batch_means;
+use peernet_store::{Figures, StageMeans};
 
 use super::{Comparison, Configuration};
 use crate::look;

@@ -1,6 +1,6 @@
-use peernet_aggregator::{Bound, Episodes, MeanBucket, Series, SeriesPoint, StageMeans, StageSeries};
 use peernet_clock::{Span, Verdict};
 use peernet_logger::{HostId, Name, RunId, stage};
+use peernet_store::{Bound, Episodes, MeanBucket, Series, SeriesPoint, StageMeans, StageSeries};
 use peernet_stream::{OutcomeCounts, Placement};
 
 use super::series::{RunCourse, RunCourses};

@@ -1,8 +1,8 @@
 //! Latency against the number of users that measured at once, and how evenly they were served.
 
-use peernet_aggregator::RunSummary;
 use peernet_logger::stage;
 use peernet_report::users::{Curve, Share, Totals, Users, UsersLine};
+use peernet_store::RunSummary;
 
 use super::{Comparison, Configuration};
 use crate::look;

@@ -1,7 +1,7 @@
 //! The picture of a link over time.
 
-use peernet_aggregator::{ClockPoint, IncidentRow};
 use peernet_clock::{Span, Verdict, WallTime};
+use peernet_store::{ClockPoint, IncidentRow};
 use serde::Deserialize;
 
 use super::super::chip::{Chip, severity};

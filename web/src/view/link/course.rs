@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use peernet_aggregator::{ClockPoint, ClockSeries};
 use peernet_clock::{Interval, Offset, Span, WallTime};
+use peernet_store::{ClockPoint, ClockSeries};
 use peernet_stream::{DelaySecond, ProbeCounts, RoundTrip};
 
 use super::super::chip::severity;

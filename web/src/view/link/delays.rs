@@ -1,7 +1,7 @@
 //! The one-way delays of one direction over a few seconds.
 
-use peernet_aggregator::ClockPoint;
 use peernet_clock::Verdict;
+use peernet_store::ClockPoint;
 use peernet_stream::{DelayPoint, DelaySecond};
 
 use super::super::chip::{Chip, severity};

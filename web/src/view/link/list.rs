@@ -1,7 +1,8 @@
 //! Links in a list.
 
-use peernet_aggregator::{LinkPicture, LinkRow, Picture};
+use peernet_aggregator::{LinkPicture, Picture};
 use peernet_clock::Verdict;
+use peernet_store::LinkRow;
 
 use super::super::chip::{Chip, severity};
 use super::super::now::Cell;

@@ -14,9 +14,10 @@ mod trend;
 
 use std::sync::Arc;
 
-use peernet_aggregator::{ClockPoint, LinkPicture, LinkRow, Picture};
+use peernet_aggregator::{LinkPicture, Picture};
 use peernet_clock::{Offset, Span, Verdict, WallTime};
 use peernet_logger::HostId;
+use peernet_store::{ClockPoint, LinkRow};
 use peernet_stream::{Placement, PlacementKind};
 
 use super::speed::Way;

@@ -1,7 +1,7 @@
 //! The clock offset of a link over time: the band that is certain, the estimate in it, what other sources say.
 
-use peernet_aggregator::ClockPoint;
 use peernet_clock::{DelaySource, Interval, Span};
+use peernet_store::ClockPoint;
 
 use super::chart::{OffsetView, Plan, beyond, reach};
 use super::known;

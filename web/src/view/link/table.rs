@@ -1,6 +1,6 @@
 //! The course of a link as a table: the same numbers as in its picture.
 
-use peernet_aggregator::ClockPoint;
+use peernet_store::ClockPoint;
 
 use super::super::chip::Sign;
 use super::super::speed::Way;

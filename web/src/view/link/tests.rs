@@ -304,7 +304,7 @@ fn a_link_that_fell_silent_keeps_what_it_told() {
     let origin = Origin::of(&subject, &course(&away));
     assert_eq!(origin.title, "Where ±0.65\u{202f}ms came from");
 
-    let row = peernet_aggregator::LinkRow {
+    let row = peernet_store::LinkRow {
         edge: away.edge,
         edge_name: away.edge_name.clone(),
         cloud: away.live.peer,

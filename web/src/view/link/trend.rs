@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use peernet_aggregator::ClockPoint;
 use peernet_clock::WallTime;
+use peernet_store::ClockPoint;
 
 use super::known;
 

@@ -9,7 +9,7 @@ use super::Desk;
 use crate::ingest::queue::Incoming;
 use crate::live::{News, bounds};
 use crate::picture::RefusedHost;
-use crate::store::write::{Introduction, Work};
+use peernet_store::writing::{Introduction, Work};
 
 impl Desk {
     /// Somebody says that it is a host. Nothing of that host changes before this is proven.

@@ -16,7 +16,8 @@ use peernet_stream::{
 use proptest::prelude::*;
 
 use super::{Live, MOST_NAMES, MOST_PIPELINES, MOST_RUNS, News};
-use crate::picture::{Picture, RefusedFrames, RefusedHost, Stored};
+use crate::picture::{Picture, RefusedFrames, RefusedHost};
+use peernet_store::Stored;
 
 const START: i64 = 1_750_000_000;
 

@@ -7,11 +7,11 @@ mod spool;
 use std::path::PathBuf;
 
 use clap::ArgGroup;
-use peernet_aggregator::maintenance::{Examination, Finding, Report, Severity, examine};
 use peernet_cli::clock;
 use peernet_cli::exit::{Exit, Failure, in_one_line};
 use peernet_cli::output::{complain, say};
 use peernet_clock::{ClockIdentity, WallTime};
+use peernet_store::maintenance::{Examination, Finding, Report, Severity, examine};
 use serde::Serialize;
 
 use self::spool::SpoolReport;

@@ -1,10 +1,10 @@
 //! What was found, for people.
 
-use peernet_aggregator::maintenance::{Report, Severity};
 use peernet_cli::output::say;
 use peernet_clock::WallTime;
 use peernet_report::number::{bytes, fixed};
 use peernet_report::table::text;
+use peernet_store::maintenance::{Report, Severity};
 
 use super::Examined;
 use super::spool::SpoolReport;

@@ -4,12 +4,12 @@ use std::io::IsTerminal;
 use std::path::Path;
 
 use chrono::{DateTime, Utc};
-use peernet_aggregator::maintenance::{RepairError, Repaired, repair};
 use peernet_cli::exit::{Exit, Failure};
 use peernet_cli::output::say;
 use peernet_clock::WallTime;
 use peernet_report::number::fixed;
 use peernet_report::table::text;
+use peernet_store::maintenance::{RepairError, Repaired, repair};
 
 /// Repairs a database and says what became of each table.
 pub(super) async fn repair_database(database: &Path, now: WallTime) -> Result<Exit, Failure> {

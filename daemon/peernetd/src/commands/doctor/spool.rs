@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use peernet_agent::spool::{InspectError, Inspection, SpoolDamage, inspect};
-use peernet_aggregator::maintenance::{Finding, Severity, free_bytes};
+use peernet_store::maintenance::{Finding, Severity, free_bytes};
 use serde::Serialize;
 
 /// A disk with less room is as good as full.

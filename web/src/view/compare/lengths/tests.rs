@@ -1,7 +1,7 @@
 use std::sync::Arc;
 
-use peernet_aggregator::{Figures, Kept};
 use peernet_logger::{Name, stage};
+use peernet_store::{Figures, Kept};
 use peernet_stream::PlacementKind::Remote;
 
 use super::super::tests::{comparison, configuration};

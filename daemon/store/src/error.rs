@@ -1,0 +1,146 @@
+//! What can go wrong, in words that say what was tried, on what, and what to do.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use crate::foreign_log::ForeignLog;
+use crate::integrity::is_partial_damage;
+use crate::lock::LockError;
+
+/// Why a database cannot be had.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// The database cannot be opened.
+    #[error("cannot open the database {}: {source}; check that its folder exists and that this user may write there", path.display())]
+    Open {
+        /// The configured file.
+        path: PathBuf,
+        /// SQLite's own words.
+        source: sqlx::Error,
+    },
+    /// Some of what is needed to start is damaged.
+    #[error("cannot open the database {path}: it is damaged: {source}; agents keep their events; run `peernetd doctor --repair --database {path}`", path = path.display())]
+    Damaged {
+        /// The configured file.
+        path: PathBuf,
+        /// SQLite's own words.
+        source: sqlx::Error,
+    },
+    /// The file is something else.
+    #[error("{} is {what} and not an aggregator's database; choose another file with `database`", path.display())]
+    NotADatabase {
+        /// The configured file.
+        path: PathBuf,
+        /// What it is.
+        what: &'static str,
+    },
+    /// Another process has the database.
+    #[error("cannot start the aggregator: {0}")]
+    Lock(#[from] LockError),
+    /// Beside the database is the log of another one.
+    #[error(transparent)]
+    ForeignLog(#[from] ForeignLog),
+    /// The database was written by a newer version.
+    #[error("the database {} was written by a newer version (its schema {found}, known here {known}); update this program or choose another file with `database`", path.display())]
+    NewerSchema {
+        /// The configured file.
+        path: PathBuf,
+        /// Schema in the file.
+        found: i64,
+        /// Newest schema that this version knows.
+        known: i64,
+    },
+    /// The schema cannot be brought up to date.
+    #[error("cannot bring the schema of the database {} up to date: {source}; keep the file, and restore a backup or choose another file with `database`", path.display())]
+    Migrate {
+        /// The configured file.
+        path: PathBuf,
+        /// The failed step in sqlx's words.
+        source: sqlx::migrate::MigrateError,
+    },
+}
+
+impl OpenError {
+    /// The folder of the database cannot be made.
+    pub fn no_folder(database: &Path, error: std::io::Error) -> Self {
+        Self::Open { path: database.to_owned(), source: error.into() }
+    }
+
+    /// SQLite could not open or read the database.
+    pub(crate) fn opening(path: &Path, source: sqlx::Error) -> Self {
+        let path = path.to_owned();
+        if is_partial_damage(&source) { Self::Damaged { path, source } } else { Self::Open { path, source } }
+    }
+}
+
+/// Why a question to the store has no answer, or a wish was not fulfilled.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// The database refused.
+    #[error("cannot read {what} from the database: {source}")]
+    Database {
+        /// What was asked for.
+        what: &'static str,
+        /// SQLite's own words.
+        source: sqlx::Error,
+    },
+    /// The database refused to take something, or the task that writes is gone.
+    #[error(
+        "cannot write {what} to the database: {source}; the aggregator's log tells whether it stores at all"
+    )]
+    Write {
+        /// What was to be written.
+        what: &'static str,
+        /// SQLite's own words.
+        source: sqlx::Error,
+    },
+    /// It took longer than a reader's statement may.
+    #[error(
+        "reading {what} from the database took longer than the {} s of [aggregator] question_limit_ms and was stopped; ask for less, or raise the limit",
+        limit.as_secs_f64()
+    )]
+    TooLong {
+        /// What was asked for.
+        what: &'static str,
+        /// How long it may take.
+        limit: Duration,
+    },
+    /// No connection was free for some seconds.
+    #[error(
+        "cannot read {what} from the database: all connections of [aggregator] readers are busy; ask again, or raise their number"
+    )]
+    Busy {
+        /// What was asked for.
+        what: &'static str,
+    },
+    /// The database is away, or its file cannot be used now.
+    #[error("cannot read {what}: the database is not open now; /readyz says why")]
+    Closed {
+        /// What was asked for.
+        what: &'static str,
+    },
+    /// The database holds something that this version cannot have written.
+    #[error("cannot make sense of {what} in the database: {detail}")]
+    Corrupt {
+        /// What was asked for.
+        what: &'static str,
+        /// What is wrong with it.
+        detail: String,
+    },
+}
+
+impl StoreError {
+    /// The task that writes is gone.
+    pub fn no_writer() -> Self {
+        Self::pinning(sqlx::Error::WorkerCrashed)
+    }
+
+    /// The database is not open.
+    pub fn no_database() -> Self {
+        Self::pinning(std::io::Error::other("the database is not open now").into())
+    }
+
+    pub(crate) fn pinning(source: sqlx::Error) -> Self {
+        Self::Write { what: "whether a run is kept", source }
+    }
+}

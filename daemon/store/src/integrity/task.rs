@@ -1,0 +1,213 @@
+//! The task that reads the database's file again and again, slowly.
+
+use std::collections::HashSet;
+use std::fs::File;
+use std::io;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
+use tokio::time::MissedTickBehavior;
+use tokio_util::sync::CancellationToken;
+use tokio_util::task::{AbortOnDropHandle, TaskTracker};
+
+use super::{Integrity, PageCheck, is_damage};
+use crate::database::BUSY;
+
+/// Bytes that are read at once.
+const STEP: u64 = 1 << 20;
+/// Bytes per second of the first pass, when the file may have been damaged while nobody looked.
+const FIRST_RATE: u64 = 128 << 20;
+/// Bytes per second later: 1 GiB takes a minute, of which a processor core is busy for two seconds.
+const RATE: u64 = 16 << 20;
+/// Instructions of SQLite's machine between two looks at whether to stop.
+const INSTRUCTIONS: i32 = 10_000;
+/// The pause between two passes.
+const PAUSE: Duration = Duration::from_secs(2);
+
+/// The check of one database that is open, which goes on until it is told to stop.
+#[derive(Debug)]
+pub(crate) struct IntegrityCheck {
+    stop: CancellationToken,
+    /// Dropped, it lets the file go soon as well.
+    task: AbortOnDropHandle<()>,
+    /// Reads under way on other threads, which hold the file as well.
+    reads: TaskTracker,
+}
+
+impl IntegrityCheck {
+    /// Begins. Ends the storing when it finds damage; takes back what an earlier process found when there is none.
+    pub(crate) fn start(integrity: Integrity, file: Arc<File>) -> Self {
+        let stop = CancellationToken::new();
+        let stopped = stop.clone();
+        let reads = TaskTracker::new();
+        let of_task = reads.clone();
+        let task = AbortOnDropHandle::new(tokio::spawn(async move {
+            let checked = async {
+                if integrity.damage().is_some() {
+                    confirm_earlier_damage(&integrity, &stopped).await;
+                }
+                tokio::select! {
+                    () = integrity.damaged() => {}
+                    () = check_for_ever(&integrity, &file, &of_task, &stopped) => {}
+                }
+            };
+            let _stopped = stopped.run_until_cancelled(checked).await;
+        }));
+        Self { stop, task, reads }
+    }
+
+    /// Ends it; the file is let go when this returns.
+    pub(crate) async fn stop(self) {
+        self.stop.cancel();
+        if let Err(error) = self.task.await {
+            tracing::error!(%error, "the check of the database died");
+        }
+        self.reads.close();
+        self.reads.wait().await;
+    }
+}
+
+/// Checks the whole database because an earlier process found it damaged.
+async fn confirm_earlier_damage(integrity: &Integrity, stop: &CancellationToken) {
+    tracing::warn!(database = %integrity.database.display(), "checking the whole database, in which damage was found earlier");
+    loop {
+        match sqlite_finds(&integrity.database, stop).await {
+            Ok(Some(what)) => {
+                tracing::error!("{}; found now: {what}", integrity.refusal().unwrap_or_default());
+                return;
+            }
+            Ok(None) => match integrity.cleared() {
+                Ok(()) => {
+                    tracing::info!(database = %integrity.database.display(), "the database is not damaged");
+                    return;
+                }
+                Err(error) => tracing::error!(
+                    %error, database = %integrity.database.display(),
+                    "cannot remove the file that says that the database is damaged, which it is not"
+                ),
+            },
+            Err(error) => tracing::warn!(%error, "cannot check the database, tried again by itself"),
+        }
+        tokio::time::sleep(PAUSE).await;
+    }
+}
+
+async fn check_for_ever(
+    integrity: &Integrity,
+    file: &Arc<File>,
+    reads: &TaskTracker,
+    stop: &CancellationToken,
+) {
+    let mut rate = FIRST_RATE;
+    // Pages that look malformed and that SQLite does not read.
+    let mut unused = HashSet::new();
+    let mut failed = false;
+    loop {
+        match pass(integrity, (file, reads), rate, &mut unused, stop).await {
+            Ok(()) => failed = false,
+            Err(error) if !failed => {
+                tracing::warn!(%error, database = %integrity.database.display(), "cannot check the database for damage, tried again by itself");
+                failed = true;
+            }
+            Err(_) => {}
+        }
+        rate = RATE;
+        tokio::time::sleep(PAUSE).await;
+    }
+}
+
+/// Reads the file once.
+async fn pass(
+    integrity: &Integrity,
+    (file, reads): (&Arc<File>, &TaskTracker),
+    rate: u64,
+    unused: &mut HashSet<u32>,
+    stop: &CancellationToken,
+) -> Result<(), sqlx::Error> {
+    let file = Arc::clone(file);
+    let malformed = match blocking(reads, move || PageCheck::begin(file)).await? {
+        Some(mut check) => {
+            let mut ticks = tokio::time::interval(Duration::from_micros(1_000_000 * STEP / rate));
+            ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+            let mut more = true;
+            while more {
+                ticks.tick().await;
+                (check, more) = blocking(reads, move || {
+                    let more = check.step(STEP)?;
+                    Ok((check, more))
+                })
+                .await?;
+            }
+            blocking(reads, move || check.finish()).await?
+        }
+        None => vec![1],
+    };
+    unused.retain(|page| malformed.contains(page));
+    let Some(first) = malformed.iter().find(|page| !unused.contains(page)) else { return Ok(()) };
+    tracing::info!(
+        page = first,
+        pages = malformed.len(),
+        "pages of the database look malformed, checking all of it"
+    );
+    match sqlite_finds(&integrity.database, stop).await? {
+        Some(what) => integrity.found(format!("page {first} is malformed ({what})")),
+        // The log has a newer one, or nothing refers to it.
+        None => *unused = malformed.into_iter().collect(),
+    }
+    Ok(())
+}
+
+async fn blocking<T: Send + 'static>(
+    reads: &TaskTracker,
+    work: impl FnOnce() -> io::Result<T> + Send + 'static,
+) -> Result<T, sqlx::Error> {
+    let done = reads.spawn_blocking(work).await;
+    Ok(done.map_err(|_| sqlx::Error::WorkerCrashed)??)
+}
+
+/// The first thing that SQLite finds wrong in the whole file, read anew over a connection of its own.
+///
+/// # Errors
+/// When that cannot be told now, or it was told to stop.
+pub(crate) async fn sqlite_finds(
+    database: &Path,
+    stop: &CancellationToken,
+) -> Result<Option<String>, sqlx::Error> {
+    let options = SqliteConnectOptions::new()
+        .filename(database)
+        .read_only(true)
+        .busy_timeout(BUSY)
+        .disable_statement_logging();
+    let found = match options.connect().await {
+        Ok(mut connection) => {
+            let found = first_finding(&mut connection, stop.clone()).await;
+            // What can be read was read.
+            let _closed = connection.close().await;
+            found
+        }
+        Err(error) => Err(error),
+    };
+    match found {
+        Err(error) if is_damage(&error) => Ok(Some(error.to_string())),
+        found => found,
+    }
+}
+
+async fn first_finding(
+    connection: &mut SqliteConnection,
+    stop: CancellationToken,
+) -> Result<Option<String>, sqlx::Error> {
+    connection.lock_handle().await?.set_progress_handler(INSTRUCTIONS, move || !stop.is_cancelled());
+    // The first takes a fraction of the time of the second, and finds most of it.
+    for pragma in ["PRAGMA quick_check(1)", "PRAGMA integrity_check(1)"] {
+        let said: Vec<String> = sqlx::query_scalar(AssertSqlSafe(pragma)).fetch_all(&mut *connection).await?;
+        if let Some(what) = said.into_iter().find(|line| line != "ok") {
+            // The first line is a heading, if there are several.
+            return Ok(what.lines().last().map(str::to_owned));
+        }
+    }
+    Ok(None)
+}

@@ -1,0 +1,240 @@
+//! A copy of the database at one moment, made while the aggregator goes on storing.
+
+use std::fs::{self, File, TryLockError};
+use std::io::{self, ErrorKind};
+use std::path::{Path, PathBuf};
+
+use rustix::fs::{CWD, RenameFlags, renameat_with};
+use rustix::io::Errno;
+use sqlx::{ConnectOptions, Connection, SqliteConnection};
+use tokio_util::sync::CancellationToken;
+
+use super::{Contents, free_bytes, reading};
+use crate::column::count;
+use crate::foreign_log::{ForeignLog, mark_copy, refuse_foreign_log_of};
+
+/// Instructions of SQLite's machine between two looks at whether to stop.
+const INSTRUCTIONS: i32 = 10_000;
+
+/// Why there is no copy.
+#[derive(Debug, thiserror::Error)]
+pub enum BackupError {
+    /// There is no such database.
+    #[error("there is no database {}; name the file of [aggregator] database", .0.display())]
+    Missing(PathBuf),
+    /// It cannot be read.
+    #[error("cannot read the database {}: {source}", path.display())]
+    Read {
+        /// The database.
+        path: PathBuf,
+        /// SQLite's own words.
+        source: sqlx::Error,
+    },
+    /// It is something else.
+    #[error("{} is {what} and not an aggregator's database; name the file of [aggregator] database", path.display())]
+    NotADatabase {
+        /// The file.
+        path: PathBuf,
+        /// What it is.
+        what: &'static str,
+    },
+    /// Beside it is the log of another one.
+    #[error(transparent)]
+    ForeignLog(#[from] ForeignLog),
+    /// The copy has the name of another file.
+    #[error("{} exists already; name a file that does not", .0.display())]
+    Exists(PathBuf),
+    /// Another process writes the same copy.
+    #[error("another backup writes to {}; wait for it, or name another file", .0.display())]
+    UnderWay(PathBuf),
+    /// The path cannot be given to SQLite.
+    #[error("{} is not UTF-8; name another file", .0.display())]
+    Name(PathBuf),
+    /// The copy would not fit.
+    #[error("{} has {free} bytes of room and the copy needs {needed}; make room, or name a file on another disk", folder.display())]
+    NoRoom {
+        /// Where it would lie.
+        folder: PathBuf,
+        /// Bytes needed.
+        needed: u64,
+        /// Bytes free.
+        free: u64,
+    },
+    /// The copy cannot be written.
+    #[error("cannot write {}: {source}", path.display())]
+    Write {
+        /// The copy.
+        path: PathBuf,
+        /// The system's own words.
+        source: io::Error,
+    },
+    /// SQLite could not read the one or write the other.
+    #[error("cannot copy {} to {}: {source}", from.display(), to.display())]
+    Copy {
+        /// The database.
+        from: PathBuf,
+        /// The unfinished copy.
+        to: PathBuf,
+        /// SQLite's own words.
+        source: sqlx::Error,
+    },
+    /// It was asked to stop.
+    #[error("stopped; there is no copy")]
+    Stopped,
+}
+
+/// A finished copy.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Copied {
+    /// Where it lies.
+    pub path: PathBuf,
+    /// Its size.
+    pub bytes: u64,
+}
+
+/// A copy that can be made: all that can be checked before was.
+#[derive(Debug)]
+pub struct Backup {
+    database: PathBuf,
+    target: PathBuf,
+    connection: SqliteConnection,
+    partial: Partial,
+    expected: u64,
+}
+
+impl Backup {
+    /// Looks whether `database` can be read, and `target` does not exist and has room. It is written under the name
+    /// `<target>.partial` first.
+    ///
+    /// # Errors
+    /// When one of them is not so.
+    pub async fn prepare(database: &Path, target: &Path) -> Result<Self, BackupError> {
+        if !database.is_file() {
+            return Err(BackupError::Missing(database.to_owned()));
+        }
+        if target.symlink_metadata().is_ok() {
+            return Err(BackupError::Exists(target.to_owned()));
+        }
+        let read = |source| BackupError::Read { path: database.to_owned(), source };
+        refuse_foreign_log_of(database)?;
+        let mut connection = reading(database).connect().await.map_err(read)?;
+        let contents = Contents::of(&mut connection).await.map_err(read)?;
+        if let Some(what) = contents.instead_of_database() {
+            return Err(BackupError::NotADatabase { path: database.to_owned(), what });
+        }
+        let used: i64 = sqlx::query_scalar(
+            "SELECT (page_count - freelist_count) * page_size \
+             FROM pragma_page_count, pragma_freelist_count, pragma_page_size",
+        )
+        .fetch_one(&mut connection)
+        .await
+        .map_err(read)?;
+        let expected = count(used);
+        let target = std::path::absolute(target)
+            .map_err(|source| BackupError::Write { path: target.to_owned(), source })?;
+        let folder = target.parent().unwrap_or(&target).to_owned();
+        let free =
+            free_bytes(&folder).map_err(|source| BackupError::Write { path: folder.clone(), source })?;
+        if free < expected {
+            return Err(BackupError::NoRoom { folder, needed: expected, free });
+        }
+        let partial = Partial::claim(&target)?;
+        Ok(Self { database: database.to_owned(), target, connection, partial, expected })
+    }
+
+    /// About how large the copy will be.
+    pub fn expected_bytes(&self) -> u64 {
+        self.expected
+    }
+
+    /// The file that grows meanwhile.
+    pub fn partial(&self) -> &Path {
+        &self.partial.path
+    }
+
+    /// Makes the copy; it is on the disk, under its name, when this returns. Whatever else happens leaves no file.
+    ///
+    /// # Errors
+    /// When `stop` is cancelled before the end, or the copy cannot be written.
+    pub async fn run(self, stop: CancellationToken) -> Result<Copied, BackupError> {
+        let Self { database, target, mut connection, mut partial, .. } = self;
+        let name = partial.path.to_str().ok_or_else(|| BackupError::Name(partial.path.clone()))?;
+        let stopped = stop.clone();
+        let copied = async {
+            let goes_on = move || !stopped.is_cancelled();
+            connection.lock_handle().await?.set_progress_handler(INSTRUCTIONS, goes_on);
+            sqlx::query("VACUUM INTO ?1").bind(name).execute(&mut connection).await?;
+            connection.close().await
+        };
+        let copied = copied.await;
+        if stop.is_cancelled() {
+            return Err(BackupError::Stopped);
+        }
+        copied.map_err(|source| BackupError::Copy { from: database, to: partial.path.clone(), source })?;
+        let bytes = partial.publish(&target)?;
+        Ok(Copied { path: target, bytes })
+    }
+}
+
+/// The unfinished copy: no other process writes to it, and it is removed unless it gets its name.
+#[derive(Debug)]
+struct Partial {
+    path: PathBuf,
+    file: File,
+    published: bool,
+}
+
+impl Partial {
+    /// What a process that was killed left behind is taken over; what a living one writes is not.
+    fn claim(target: &Path) -> Result<Self, BackupError> {
+        let mut path = target.as_os_str().to_owned();
+        path.push(".partial");
+        let path = PathBuf::from(path);
+        let failed = |source| BackupError::Write { path: path.clone(), source };
+        let options = File::options().create(true).truncate(false).read(true).write(true).open(&path);
+        let file = options.map_err(failed)?;
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => return Err(BackupError::UnderWay(path)),
+            Err(TryLockError::Error(error)) => return Err(failed(error)),
+        }
+        // SQLite takes an empty file, and no other.
+        file.set_len(0).map_err(failed)?;
+        Ok(Self { path, file, published: false })
+    }
+
+    /// Its own number, to the disk, then to its name, then the name to the disk.
+    fn publish(&mut self, target: &Path) -> Result<u64, BackupError> {
+        let failed = |source| BackupError::Write { path: target.to_owned(), source };
+        mark_copy(&self.file).map_err(failed)?;
+        self.file.sync_all().map_err(failed)?;
+        let bytes = self.file.metadata().map_err(failed)?.len();
+        rename(&self.path, target).map_err(|error| match error.kind() {
+            ErrorKind::AlreadyExists => BackupError::Exists(target.to_owned()),
+            _ => failed(error),
+        })?;
+        self.published = true;
+        let folder = target.parent().unwrap_or(target);
+        File::open(folder).and_then(|folder| folder.sync_all()).map_err(failed)?;
+        Ok(bytes)
+    }
+}
+
+impl Drop for Partial {
+    fn drop(&mut self) {
+        if !self.published
+            && let Err(error) = fs::remove_file(&self.path)
+        {
+            tracing::warn!(%error, file = %self.path.display(), "cannot remove an unfinished backup");
+        }
+    }
+}
+
+/// Renames without taking the place of another file.
+fn rename(from: &Path, to: &Path) -> io::Result<()> {
+    match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
+        // Some file systems cannot promise that; the name was free a moment ago.
+        Err(Errno::INVAL) if to.symlink_metadata().is_err() => fs::rename(from, to),
+        renamed => renamed.map_err(io::Error::from),
+    }
+}

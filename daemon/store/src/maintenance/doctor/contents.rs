@@ -1,0 +1,131 @@
+//! What the tables say, without reading the large ones.
+
+use peernet_clock::{Span, WallTime};
+use sqlx::{AssertSqlSafe, SqliteConnection};
+
+use super::report::{OpenRun, Report, TableRows};
+use crate::column::count;
+
+/// A host that says nothing for so long is not measuring.
+const SILENT: Span = Span::from_seconds(3_600);
+/// Tables that are small enough to be counted.
+const SMALL: [&str; 8] = ["host", "pipeline", "stream", "run", "name", "incident", "gap", "quarantine"];
+
+const STREAMS: &str = "SELECT host.name AS host, stream.uuid AS stream, stream.stored, stream.previous, stream.last_seen_ns \
+     FROM stream JOIN host ON host.id = stream.host ORDER BY stream.last_seen_ns DESC LIMIT 1000";
+const GAPS: &str = "SELECT host.name AS host, gap.reason, count(*) AS gaps, sum(gap.count) AS events, \
+     sum(gap.count = 0) AS uncounted, min(gap.from_ns) AS from_ns, max(gap.to_ns) AS to_ns \
+     FROM gap JOIN host ON host.id = gap.host GROUP BY gap.host, gap.reason ORDER BY events DESC, gaps DESC LIMIT 1000";
+const QUARANTINE: &str = "SELECT host.name AS host, quarantine.reason, count(*) AS batches, max(quarantine.received_ns) AS last_ns \
+     FROM quarantine JOIN host ON host.id = quarantine.host \
+     GROUP BY quarantine.host, quarantine.reason ORDER BY batches DESC";
+/// Two look-ups per run and width.
+const ROLLUPS: &str = "SELECT width.column1 AS resolution_s, \
+     min((SELECT min(bucket_s) FROM rollup WHERE rollup.run = run.number AND resolution_s = width.column1)) AS oldest_s, \
+     max((SELECT max(bucket_s) FROM rollup WHERE rollup.run = run.number AND resolution_s = width.column1)) AS newest_s \
+     FROM (VALUES (1), (10), (60), (3600)) AS width LEFT JOIN run GROUP BY width.column1 ORDER BY width.column1";
+/// ?1 heard of before.
+const OPEN_RUNS: &str = "SELECT run.number, pipeline.name AS pipeline, host.name AS host, host.last_seen_ns \
+     FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
+     WHERE run.ended_ns IS NULL AND host.last_seen_ns < ?1 ORDER BY run.number LIMIT 1000";
+/// Iterations and nodes that are stored now: per run from its first number to its last, at most what was counted, with as
+/// many nodes as the newest 20 have on average. Some look-ups per run.
+const STORED: &str = "WITH kept AS ( \
+       SELECT number AS run, ok + failed + lost + timeout + warm_up AS counted, \
+         (SELECT min(iteration.number) FROM iteration WHERE iteration.run = run.number) AS oldest, \
+         (SELECT max(iteration.number) FROM iteration WHERE iteration.run = run.number) AS newest FROM run \
+     ), sampled AS ( \
+       SELECT min(newest - oldest + 1, counted) AS iterations, \
+         (SELECT count(*) FROM iteration WHERE iteration.run = kept.run AND number > newest - 20) AS some, \
+         (SELECT count(*) FROM node WHERE node.run = kept.run AND iteration > newest - 20) AS nodes \
+       FROM kept WHERE newest IS NOT NULL \
+     ) SELECT coalesce(sum(iterations), 0), coalesce(sum(iterations * nodes / some), 0) FROM sampled";
+const TRIMMED: &str = "SELECT what, count FROM retention_note";
+/// The last deletion.
+const DELETED: &str = "SELECT strftime('%Y-%m-%d %H:%M:%S', at_ns / 1000000000, 'unixepoch'), text FROM incident INDEXED BY incident_of_aggregator \
+     WHERE host IS NULL AND kind = 'retention' ORDER BY id DESC LIMIT 1";
+const DEBTS: &str = "SELECT count(*) FROM rollup_debt";
+
+pub(super) async fn read(report: &mut Report, connection: &mut SqliteConnection, now: WallTime) {
+    tables(report, connection).await;
+    let answer = sqlx::query_as(STREAMS).fetch_all(&mut *connection).await;
+    report.streams = report.or_problem("the streams", answer);
+    let answer = sqlx::query_as(GAPS).fetch_all(&mut *connection).await;
+    report.gaps = report.or_problem("the gaps", answer);
+    let answer = sqlx::query_as(QUARANTINE).fetch_all(&mut *connection).await;
+    report.quarantine = report.or_problem("the quarantine", answer);
+    let answer = sqlx::query_as(ROLLUPS).fetch_all(&mut *connection).await;
+    report.rollups = report.or_problem("the roll-ups", answer);
+    let answer =
+        sqlx::query_as(OPEN_RUNS).bind((now - SILENT).unix_nanos()).fetch_all(&mut *connection).await;
+    let open: Vec<OpenRun> = report.or_problem("the open runs", answer);
+    report.open_runs = open;
+    let answer = sqlx::query_as(TRIMMED).fetch_all(&mut *connection).await;
+    let trimmed: Vec<(String, i64)> = report.or_problem("what retention did", answer);
+    let answer = sqlx::query_as(DELETED).fetch_optional(&mut *connection).await;
+    let deleted: Option<(String, String)> = report.or_problem("what retention deleted last", answer);
+    if let Some((at, text)) = deleted {
+        report.notice(
+            format!("retention {text}, within an hour from {at} UTC"),
+            "nothing, if [aggregator.retention] keeps what is wanted; pin runs that must stay",
+        );
+    }
+    let answer = sqlx::query_scalar(DEBTS).fetch_one(connection).await;
+    let debts: i64 = report.or_problem("what is left of the last update", answer);
+    judge(report, &trimmed, debts);
+}
+
+async fn tables(report: &mut Report, connection: &mut SqliteConnection) {
+    for table in SMALL {
+        let statement = format!("SELECT count(*) FROM {table}");
+        let answer = sqlx::query_scalar(AssertSqlSafe(statement)).fetch_one(&mut *connection).await;
+        let rows: i64 = report.or_problem(&format!("the table {table}"), answer);
+        report.tables.push(TableRows { table, rows: count(rows), estimated: false });
+    }
+    let answer = sqlx::query_as(STORED).fetch_one(connection).await;
+    let (iterations, nodes): (i64, i64) = report.or_problem("the iterations", answer);
+    for (table, rows) in [("iteration", iterations), ("node", nodes)] {
+        report.tables.push(TableRows { table, rows: count(rows), estimated: true });
+    }
+}
+
+/// What of this matters.
+fn judge(report: &mut Report, trimmed: &[(String, i64)], debts: i64) {
+    let gaps: i64 = report.gaps.iter().map(|group| group.gaps).sum();
+    // A host may have claimed any number.
+    let events = report.gaps.iter().fold(0_i64, |events, group| events.saturating_add(group.events));
+    if gaps > 0 {
+        report.notice(
+            format!("{gaps} gaps: {events} events or more never arrived"),
+            "the table of gaps says when and why; figures of those times rest on what did arrive",
+        );
+    }
+    let aside: i64 = report.quarantine.iter().map(|group| group.batches).sum();
+    if aside > 0 {
+        report.notice(
+            format!("{aside} batches could not be stored and were put aside (table quarantine)"),
+            "the table of reasons tells whether an agent is of another version or its disk or memory is failing",
+        );
+    }
+    if let [first, ..] = report.open_runs.as_slice() {
+        let what = format!(
+            "{} runs have no end and hosts that have been silent for an hour, the first is #{}",
+            report.open_runs.len(),
+            first.number
+        );
+        report
+            .notice(what, "start the agents again: they end their runs, and send what waits in their spools");
+    }
+    for (what, rows) in trimmed {
+        report.notice(
+            format!("retention deleted {rows} rows before their time ({what})"),
+            "raise [aggregator.retention] size_limit_bytes, or shorten the periods",
+        );
+    }
+    if debts > 0 {
+        report.notice(
+            format!("{debts} runs of an older version have roll-ups of 10 s alone"),
+            "the aggregator makes the others at its next start",
+        );
+    }
+}

@@ -1,0 +1,264 @@
+//! A database's health, from a connection that changes nothing.
+
+mod contents;
+mod report;
+
+use std::path::{Path, PathBuf};
+
+use peernet_clock::WallTime;
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
+
+pub use self::report::{
+    FileFigures, Finding, GapGroup, Integrity, OpenRun, QuarantineGroup, Report, RollupExtent, Schema,
+    Severity, StreamState, TableRows,
+};
+use super::{Contents, free_bytes, reading};
+use crate::column::count;
+use crate::database::MIGRATIONS;
+use crate::foreign_log::{ForeignLog, refuse_foreign_log_of};
+use crate::integrity::{PageCheck, is_damage, remembered};
+
+/// A disk with less room is as good as full.
+const LITTLE_ROOM: u64 = 512 << 20;
+/// A log beside the database that is larger is not being taken over.
+const LARGE_LOG: u64 = 512 << 20;
+/// What to do about a damaged file.
+const RESTORE: &str = "stop the aggregator and run this again with --repair, which salvages what can be read and keeps the \
+                       damaged file; or restore the newest backup. Agents send what they still have in their spools";
+
+/// Why a database cannot be examined at all.
+#[derive(Debug, thiserror::Error)]
+pub enum DoctorError {
+    /// There is none.
+    #[error("there is no database {}; name the file of [aggregator] database", .0.display())]
+    Missing(PathBuf),
+    /// Beside it is the log of another one.
+    #[error(transparent)]
+    ForeignLog(#[from] ForeignLog),
+    /// It cannot be opened.
+    #[error("cannot open the database {}: {source}; check that this user may read it and write in its folder", path.display())]
+    Open {
+        /// The file.
+        path: PathBuf,
+        /// SQLite's or the system's own words.
+        source: sqlx::Error,
+    },
+}
+
+/// How to examine.
+#[derive(Clone, Copy, Debug)]
+pub struct Examination {
+    /// Whether indexes are compared with their tables and references followed, too: takes several times as long.
+    pub full: bool,
+    /// Now, on this machine's wall clock.
+    pub now: WallTime,
+}
+
+/// Looks at everything there is to see. Reads the whole file once, beside a running aggregator if there is one.
+///
+/// # Errors
+/// When there is no such file or it cannot be opened. What is wrong within it stands in the report.
+pub async fn examine(database: &Path, how: Examination) -> Result<Report, DoctorError> {
+    if !database.is_file() {
+        return Err(DoctorError::Missing(database.to_owned()));
+    }
+    let cannot_open = |source| DoctorError::Open { path: database.to_owned(), source };
+    let mut report = Report { database: database.to_owned(), ..Report::default() };
+    // Before SQLite has it open: see `PageFile`.
+    refuse_foreign_log_of(database)?;
+    report.malformed_pages(database);
+    let opened = async {
+        let mut connection = reading(database).connect().await?;
+        let contents = Contents::of(&mut connection).await?;
+        Ok((connection, contents))
+    };
+    match opened.await {
+        Ok((mut connection, Contents::Database)) => {
+            report.sizes(&mut connection, database).await;
+            report.check(&mut connection, how.full || !report.malformed_pages.is_empty()).await;
+            report.earlier_damage(database);
+            if report.tables_are_known(&mut connection).await {
+                contents::read(&mut report, &mut connection, how.now).await;
+            }
+            let _ = connection.close().await;
+        }
+        Ok((mut connection, contents)) => {
+            report.sizes(&mut connection, database).await;
+            let what = contents.instead_of_database().unwrap_or_default();
+            let advice = if contents == Contents::Spool {
+                "look at it with `peernetd doctor --spool FILE`"
+            } else {
+                "name the file of [aggregator] database"
+            };
+            report.problem(format!("it is {what} and not an aggregator's database"), advice);
+            let _ = connection.close().await;
+        }
+        Err(error) if is_damage(&error) => {
+            report.lengths(database);
+            report.problem(format!("it is damaged, or no database: {error}"), RESTORE);
+        }
+        Err(error) => return Err(cannot_open(error)),
+    }
+    Ok(report)
+}
+
+impl Report {
+    /// Whether nothing is wrong.
+    pub fn is_healthy(&self) -> bool {
+        self.findings.iter().all(|finding| finding.severity != Severity::Problem)
+    }
+
+    fn problem(&mut self, what: String, advice: &str) {
+        self.findings.push(Finding { severity: Severity::Problem, what, advice: advice.to_owned() });
+    }
+
+    fn notice(&mut self, what: String, advice: &str) {
+        self.findings.push(Finding { severity: Severity::Notice, what, advice: advice.to_owned() });
+    }
+
+    /// The rows of an answer; none, and a finding, where the file cannot give one.
+    fn or_problem<T: Default>(&mut self, what: &str, answer: Result<T, sqlx::Error>) -> T {
+        answer.unwrap_or_else(|error| {
+            if is_damage(&error) {
+                self.problem(format!("it is damaged: cannot read {what}: {error}"), RESTORE);
+            } else {
+                self.problem(
+                    format!("cannot read {what}: {error}"),
+                    "run this again; if it stays, restore a backup",
+                );
+            }
+            T::default()
+        })
+    }
+
+    async fn sizes(&mut self, connection: &mut SqliteConnection, database: &Path) {
+        let answer = sqlx::query_scalar(
+            "SELECT freelist_count * page_size FROM pragma_freelist_count, pragma_page_size",
+        );
+        let answer: Result<i64, _> = answer.fetch_one(connection).await;
+        let free = self.or_problem("the file's size", answer);
+        self.file.free_bytes = count(free);
+        self.lengths(database);
+        if self.file.disk_free_bytes < LITTLE_ROOM {
+            let megabytes = self.file.disk_free_bytes >> 20;
+            self.problem(
+                format!("its disk has only {megabytes} MiB of room"),
+                "make room: nothing is stored when it is full; agents keep their events meanwhile. Retention \
+                 ([aggregator.retention]) keeps the file small",
+            );
+        }
+        if self.file.wal_bytes > LARGE_LOG {
+            let megabytes = self.file.wal_bytes >> 20;
+            self.notice(
+                format!("the log beside it has {megabytes} MiB"),
+                "some program reads the file for very long, a backup or a shell: end it, and the log is reused",
+            );
+        }
+    }
+
+    /// What the file system says, whatever is in the file.
+    fn lengths(&mut self, database: &Path) {
+        let length = |path: &Path| std::fs::metadata(path).map_or(0, |file| file.len());
+        let mut log =
+            std::fs::canonicalize(database).unwrap_or_else(|_| database.to_owned()).into_os_string();
+        log.push("-wal");
+        (self.file.bytes, self.file.wal_bytes) = (length(database), length(Path::new(&log)));
+        match free_bytes(database) {
+            Ok(bytes) => self.file.disk_free_bytes = bytes,
+            Err(error) => self.problem(format!("cannot tell how full its disk is: {error}"), "look at `df`"),
+        }
+    }
+
+    /// Looks at the pages themselves. Whether a malformed one is in use is for SQLite to tell.
+    fn malformed_pages(&mut self, database: &Path) {
+        match PageCheck::of(database) {
+            Ok(pages) => self.malformed_pages = pages,
+            Err(error) => self.problem(format!("its pages cannot be read: {error}"), RESTORE),
+        }
+    }
+
+    /// What an aggregator found.
+    fn earlier_damage(&mut self, database: &Path) {
+        match remembered(database) {
+            Ok(Some(what)) if self.is_healthy() => self.notice(
+                format!("the aggregator found it damaged ({what}), and it is not, or no longer"),
+                "start the aggregator: it checks the whole file and goes on storing",
+            ),
+            Ok(_) => {}
+            Err(error) => {
+                let what = format!("cannot read whether the aggregator found it damaged: {error}");
+                self.problem(what, "check that this user may read the file that ends in -damaged beside it");
+            }
+        }
+    }
+
+    async fn check(&mut self, connection: &mut SqliteConnection, full: bool) {
+        self.integrity.full = full;
+        // The second takes several times as long, and finds in damaged trees nothing that the first does not.
+        let before = self.findings.len();
+        for pragma in [Some("PRAGMA quick_check(100)"), full.then_some("PRAGMA integrity_check(100)")] {
+            let unharmed = self.integrity.problems.is_empty() && self.findings.len() == before;
+            let Some(pragma) = pragma.filter(|_| unharmed) else { continue };
+            let answer: Result<Vec<String>, _> =
+                sqlx::query_scalar(AssertSqlSafe(pragma)).fetch_all(&mut *connection).await;
+            let said = self.or_problem("the whole file", answer);
+            self.integrity.problems = said.into_iter().filter(|line| line != "ok").collect();
+        }
+        if full && self.findings.len() == before {
+            let answer = sqlx::query_as(
+                "SELECT \"table\", parent, count(*) FROM pragma_foreign_key_check GROUP BY 1, 2",
+            );
+            let answer: Result<Vec<(String, String, i64)>, _> = answer.fetch_all(connection).await;
+            let lost = self.or_problem("references between tables", answer);
+            let lines = lost.into_iter().map(|(table, parent, rows)| {
+                format!("{rows} rows of {table} refer to rows of {parent} that are not there")
+            });
+            self.integrity.problems.extend(lines);
+        }
+        if let Some(first) = self.integrity.problems.first() {
+            let what = match self.integrity.problems.len() {
+                1 => format!("it is damaged: {first}"),
+                n => format!("it is damaged in {n} places, the first: {first}"),
+            };
+            self.problem(what, RESTORE);
+        }
+        if let (Some(first), true) = (self.malformed_pages.first(), self.findings.len() > before) {
+            let what =
+                format!("{} of its pages are malformed, the first is {first}", self.malformed_pages.len());
+            self.problem(what, RESTORE);
+        }
+    }
+
+    /// Whether this program knows what the tables mean.
+    async fn tables_are_known(&mut self, connection: &mut SqliteConnection) -> bool {
+        let known = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
+        let answer = sqlx::query_as("SELECT max(version), min(success) FROM _sqlx_migrations");
+        let answer: Result<(Option<i64>, Option<bool>), _> = answer.fetch_one(connection).await;
+        let (found, whole) = match answer {
+            Ok((Some(found), whole)) => (found, whole != Some(false)),
+            Err(error) if is_damage(&error) => {
+                self.problem(format!("it is damaged: cannot read which version wrote it: {error}"), RESTORE);
+                return false;
+            }
+            _ => {
+                self.problem(
+                    "it is not an aggregator's database".to_owned(),
+                    "name the file of [aggregator] database",
+                );
+                return false;
+            }
+        };
+        self.schema = Some(Schema { found, known });
+        if !whole {
+            let what = format!("bringing its schema up to {found} was interrupted");
+            self.problem(what, "restore the backup from before the update");
+        } else if found > known {
+            let what = format!("a newer version wrote it (its schema is {found}, known here is {known})");
+            self.problem(what, "update this program");
+        } else if found < known {
+            let what = format!("an older version wrote it (its schema is {found}, known here is {known})");
+            self.notice(what, "make a backup; its content is looked at after the aggregator has brought it up to date at its next start");
+        }
+        whole && found == known
+    }
+}

@@ -1,0 +1,403 @@
+//! A damaged database: all that can be read of it, in a new file that takes its place.
+
+mod mend;
+mod rows;
+mod tree;
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io;
+use std::os::unix::fs::{MetadataExt, chown};
+use std::path::{Path, PathBuf};
+
+use peernet_clock::WallTime;
+use sqlx::migrate::{MigrateError, Migrator};
+use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
+use tokio_util::sync::CancellationToken;
+
+use self::mend::Mending;
+use self::rows::{CopiedTable, Table, Value, values};
+use self::tree::{Item, Walk};
+use super::{BUSY, free_bytes};
+use crate::database::MIGRATIONS;
+use crate::foreign_log::{ForeignLog, mark, refuse_foreign_log};
+use crate::integrity::pages::PageFile;
+use crate::integrity::{forget, is_damage, remembered, sqlite_finds};
+use crate::lock::{DatabaseLock, LockError};
+use crate::rebuild::rebuild;
+
+/// Where the program notes which migrations a database has.
+const MIGRATIONS_TABLE: &str = "_sqlx_migrations";
+
+/// Why a database was not repaired. It is as it was.
+#[derive(Debug, thiserror::Error)]
+pub enum RepairError {
+    /// There is no such database.
+    #[error("there is no database {}; name the file of [aggregator] database", .0.display())]
+    Missing(PathBuf),
+    /// Another process has it, most likely the aggregator.
+    #[error("cannot repair while another process may store: {0}")]
+    Lock(#[from] LockError),
+    /// Beside it is the log of another one.
+    #[error(transparent)]
+    ForeignLog(#[from] ForeignLog),
+    /// Its header or its list of tables cannot be read.
+    #[error("cannot repair {}: {what} cannot be read, and without it no row can be found; restore the newest backup: agents send again what they still have in their spools", path.display())]
+    Unreadable {
+        /// The database.
+        path: PathBuf,
+        /// What is needed.
+        what: &'static str,
+    },
+    /// It was written by a newer version.
+    #[error("cannot repair {}: a newer version wrote it (its schema is {found}, known here is {known}); update this program", path.display())]
+    NewerSchema {
+        /// The database.
+        path: PathBuf,
+        /// Schema in the file.
+        found: i64,
+        /// Newest schema that this version knows.
+        known: i64,
+    },
+    /// The new file would not fit.
+    #[error("{} has {free} bytes of room and the new file needs up to {needed}; make room", folder.display())]
+    NoRoom {
+        /// Where it would lie.
+        folder: PathBuf,
+        /// Bytes needed.
+        needed: u64,
+        /// Bytes free.
+        free: u64,
+    },
+    /// A file cannot be read, written or renamed.
+    #[error("cannot repair the database: {}: {source}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// The system's own words.
+        source: io::Error,
+    },
+    /// The new file cannot be written.
+    #[error("cannot write {}: {source}", path.display())]
+    Write {
+        /// The new file.
+        path: PathBuf,
+        /// SQLite's own words.
+        source: sqlx::Error,
+    },
+    /// What was written is not whole.
+    #[error("{} is damaged, too: {what}; the disk or the memory of this machine fails", path.display())]
+    Failing {
+        /// The new file.
+        path: PathBuf,
+        /// What is wrong with it.
+        what: String,
+    },
+}
+
+/// What a repair did.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Repaired {
+    /// Where the damaged file lies now.
+    pub damaged: PathBuf,
+    /// What became of each table, by name.
+    pub tables: Vec<SalvagedTable>,
+    /// Iterations that are lost, as far as the counters of their runs and holes between their numbers tell.
+    pub lost_iterations: u64,
+    /// Whether the log beside the database could not be taken over: what was stored last is missing.
+    pub without_log: bool,
+}
+
+/// One table.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SalvagedTable {
+    /// Its name.
+    pub table: String,
+    /// Rows that are in the new file.
+    pub rows: u64,
+    /// Places at which rows could not be read: one page or several that follow upon each other.
+    pub unreadable: u64,
+}
+
+/// Puts a new file with all that can be read in the place of a damaged database; `None` when it is not damaged. The damaged
+/// file is kept as `<database>.damaged-<stamp>`. `progress` is told of each table before it is read.
+///
+/// # Errors
+/// When the aggregator runs, nothing can be read, or the new file cannot be written; the database is as it was then.
+pub async fn repair(
+    database: &Path,
+    now: WallTime,
+    stamp: &str,
+    mut progress: impl FnMut(&str),
+) -> Result<Option<Repaired>, RepairError> {
+    if !database.is_file() {
+        return Err(RepairError::Missing(database.to_owned()));
+    }
+    let lock = DatabaseLock::take(database)?;
+    refuse_foreign_log(database, &lock.file())?;
+    // Beside the database itself, also when it is named by a link.
+    let path = fs::canonicalize(database).map_err(|source| file_error(database, source))?;
+    let remembered = remembered(&path).map_err(|source| file_error(&path, source))?;
+    let without_log = !take_over_log(&path).await?;
+    let found = sqlite_finds(&path, &CancellationToken::new())
+        .await
+        .map_err(|source| RepairError::Write { path: path.clone(), source })?;
+    if found.is_none() && !without_log {
+        if remembered.is_some() {
+            forget(&path).map_err(|source| file_error(&path, source))?;
+        }
+        return Ok(None);
+    }
+    let old = OldFile::open(&path)?;
+    let new = beside(&path, ".repaired");
+    remove(&new)?;
+    let salvaged = salvage(&old, &new, now, &mut progress).await;
+    let (tables, lost) = match salvaged {
+        Ok(salvaged) => salvaged,
+        Err(error) => {
+            remove(&new)?;
+            return Err(error);
+        }
+    };
+    let damaged = put_in_place(&path, &new, stamp).map_err(|source| file_error(&path, source))?;
+    forget(&path).map_err(|source| file_error(&path, source))?;
+    Ok(Some(Repaired { damaged, tables, lost_iterations: u64::try_from(lost).unwrap_or(0), without_log }))
+}
+
+/// The damaged file, read without SQLite.
+struct OldFile {
+    file: PageFile,
+    /// Root page of each table.
+    roots: BTreeMap<String, u32>,
+    /// The newest migration it has; `None` when that cannot be read.
+    version: Option<i64>,
+}
+
+impl OldFile {
+    fn open(path: &Path) -> Result<Self, RepairError> {
+        let unreadable = |what| RepairError::Unreadable { path: path.to_owned(), what };
+        let file = PageFile::open(path).map_err(|source| file_error(path, source))?;
+        let file = file.ok_or_else(|| unreadable("the file's header"))?;
+        let mut roots = BTreeMap::new();
+        for item in Walk::from(&file, 1, true) {
+            let Item::Row(_, record) = item else { continue };
+            let columns = values(&record).unwrap_or_default();
+            let [Value::Text(kind), Value::Text(name), _, Value::Integer(root), ..] = columns.as_slice()
+            else {
+                continue;
+            };
+            if let (true, Ok(root)) = (kind == "table", u32::try_from(*root)) {
+                roots.insert(name.clone(), root);
+            }
+        }
+        if roots.is_empty() {
+            return Err(unreadable("the list of its tables"));
+        }
+        let migrations = roots.get(MIGRATIONS_TABLE).map(|root| Walk::from(&file, *root, true));
+        let versions = migrations.into_iter().flatten().filter_map(|item| match item {
+            Item::Row(_, record) => match values(&record)?.first()? {
+                Value::Integer(version) => Some(*version),
+                _ => None,
+            },
+            Item::Unreadable => None,
+        });
+        let version = versions.max();
+        let known = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
+        if let Some(found) = version.filter(|found| *found > known) {
+            return Err(RepairError::NewerSchema { path: path.to_owned(), found, known });
+        }
+        Ok(Self { file, roots, version })
+    }
+
+    /// The root page of a table. Where that is not known it is as in the new file, if all that are known are: the same
+    /// migrations made both.
+    fn root(&self, table: &str, new: &BTreeMap<String, u32>) -> Option<u32> {
+        let alike = || self.roots.iter().all(|(table, root)| new.get(table).is_none_or(|new| new == root));
+        self.roots.get(table).copied().or_else(|| new.get(table).copied().filter(|_| alike()))
+    }
+}
+
+/// Carries the log over into the file, as the next start of the aggregator would. Whether nothing of it is left.
+async fn take_over_log(path: &Path) -> Result<bool, RepairError> {
+    let options = SqliteConnectOptions::new().filename(path).busy_timeout(BUSY).disable_statement_logging();
+    let taken = async {
+        let mut connection = options.connect().await?;
+        sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut connection).await?;
+        connection.close().await
+    };
+    match taken.await {
+        Ok(()) => {}
+        Err(error) if is_damage(&error) => {}
+        Err(source) => return Err(RepairError::Write { path: path.to_owned(), source }),
+    }
+    Ok(fs::metadata(beside(path, "-wal")).map_or(true, |log| log.len() == 0))
+}
+
+/// Writes the new file.
+async fn salvage(
+    old: &OldFile,
+    new: &Path,
+    now: WallTime,
+    progress: &mut impl FnMut(&str),
+) -> Result<(Vec<SalvagedTable>, i64), RepairError> {
+    let needed = u64::from(old.file.pages) * old.file.page_bytes as u64;
+    let folder = new.parent().unwrap_or(new).to_owned();
+    let free = free_bytes(&folder).map_err(|source| file_error(&folder, source))?;
+    if free < needed {
+        return Err(RepairError::NoRoom { folder, needed, free });
+    }
+    let failed = |source| RepairError::Write { path: new.to_owned(), source };
+    let options = SqliteConnectOptions::new()
+        .filename(new)
+        .create_if_missing(true)
+        // Synced once, when it is whole; nobody looks at it before.
+        .journal_mode(SqliteJournalMode::Memory)
+        .synchronous(SqliteSynchronous::Off)
+        .foreign_keys(false)
+        .disable_statement_logging();
+    let mut connection = options.connect().await.map_err(failed)?;
+    let written = fill(&mut connection, old, now, progress).await.map_err(failed)?;
+    mark(&mut connection).await.map_err(failed)?;
+    connection.close().await.map_err(failed)?;
+    if let Some(what) = sqlite_finds(new, &CancellationToken::new()).await.map_err(failed)? {
+        return Err(RepairError::Failing { path: new.to_owned(), what });
+    }
+    Ok(written)
+}
+
+async fn fill(
+    connection: &mut SqliteConnection,
+    old: &OldFile,
+    now: WallTime,
+    progress: &mut impl FnMut(&str),
+) -> Result<(Vec<SalvagedTable>, i64), sqlx::Error> {
+    let same =
+        MIGRATIONS.iter().filter(|migration| old.version.is_none_or(|version| migration.version <= version));
+    let migrator = Migrator { migrations: Cow::Owned(same.cloned().collect()), ..Migrator::DEFAULT };
+    migrator.run_direct(None, &mut *connection, false).await.map_err(|error| match error {
+        MigrateError::Execute(error) => error,
+        error => sqlx::Error::Protocol(error.to_string()),
+    })?;
+    // Rows come as they were: nothing follows from them. Indexes are faster made of what is there.
+    let later: Vec<(String, String, String)> = sqlx::query_as(
+        "SELECT type, name, sql FROM sqlite_schema WHERE type IN ('trigger', 'index') AND sql IS NOT NULL",
+    )
+    .fetch_all(&mut *connection)
+    .await?;
+    let roots: Vec<(String, u32)> = sqlx::query_as(
+        "SELECT name, rootpage FROM sqlite_schema WHERE type = 'table' AND name NOT LIKE 'sqlite\\_%' ESCAPE '\\' AND name <> ?1 ORDER BY name",
+    )
+    .bind(MIGRATIONS_TABLE)
+    .fetch_all(&mut *connection)
+    .await?;
+    let roots: BTreeMap<String, u32> = roots.into_iter().collect();
+    sqlx::query("BEGIN").execute(&mut *connection).await?;
+    for (kind, name, _) in &later {
+        sqlx::query(AssertSqlSafe(format!("DROP {kind} \"{name}\""))).execute(&mut *connection).await?;
+    }
+    let mut tables = BTreeMap::new();
+    for name in roots.keys() {
+        progress(name);
+        let table = Table::of(connection, name.clone()).await?;
+        let copied = table.copy(connection, &old.file, old.root(name, &roots)).await?;
+        tables.insert(table.name, copied);
+    }
+    numbers_go_on(connection, old).await?;
+    for (_, _, sql) in later.iter().filter(|(kind, ..)| kind == "index") {
+        sqlx::query(AssertSqlSafe(sql.as_str())).execute(&mut *connection).await?;
+    }
+    progress("what refers to each other");
+    let now_ns = now.unix_nanos();
+    let lost = Mending { connection: &mut *connection, tables: &tables, now_ns }.run().await?;
+    for (_, _, sql) in later.iter().filter(|(kind, ..)| kind == "trigger") {
+        sqlx::query(AssertSqlSafe(sql.as_str())).execute(&mut *connection).await?;
+    }
+    sqlx::query("COMMIT").execute(&mut *connection).await?;
+    let lacks = |table: &str| tables.get(table).is_some_and(|table: &CopiedTable| !table.holes.is_empty());
+    if lacks("rollup") || lacks("verdict_count") {
+        progress("statistics from the nodes");
+        rebuild(connection, None, |_| {}).await?;
+    }
+    let mut salvaged = Vec::new();
+    for (table, copied) in tables {
+        let statement = AssertSqlSafe(format!("SELECT count(*) FROM \"{table}\""));
+        let rows: i64 = sqlx::query_scalar(statement).fetch_one(&mut *connection).await?;
+        let rows = u64::try_from(rows).unwrap_or(0);
+        salvaged.push(SalvagedTable { table, rows, unreadable: copied.holes.len() as u64 });
+    }
+    Ok((salvaged, lost))
+}
+
+/// Numbers that were given to rows that are lost are not given again.
+async fn numbers_go_on(connection: &mut SqliteConnection, old: &OldFile) -> Result<(), sqlx::Error> {
+    let Some(root) = old.roots.get("sqlite_sequence") else { return Ok(()) };
+    for item in Walk::from(&old.file, *root, true) {
+        let Item::Row(_, record) = item else { continue };
+        let row = values(&record).unwrap_or_default();
+        let [Value::Text(table), Value::Integer(last)] = row.as_slice() else { continue };
+        sqlx::query("DELETE FROM sqlite_sequence WHERE name = ?1 AND seq < ?2")
+            .bind(table)
+            .bind(last)
+            .execute(&mut *connection)
+            .await?;
+        sqlx::query(
+            "INSERT INTO sqlite_sequence (name, seq) SELECT ?1, ?2 \
+             WHERE NOT EXISTS (SELECT 1 FROM sqlite_sequence WHERE name = ?1)",
+        )
+        .bind(table)
+        .bind(last)
+        .execute(&mut *connection)
+        .await?;
+    }
+    Ok(())
+}
+
+/// Gives the new file the name of the database, which exists at any time, and the damaged one another. Returns that.
+fn put_in_place(path: &Path, new: &Path, stamp: &str) -> io::Result<PathBuf> {
+    let of = fs::metadata(path)?;
+    fs::set_permissions(new, of.permissions())?;
+    let made = fs::metadata(new)?;
+    if (made.uid(), made.gid()) != (of.uid(), of.gid()) {
+        chown(new, Some(of.uid()), Some(of.gid()))?;
+    }
+    File::open(new)?.sync_all()?;
+    let damaged = beside(path, &format!(".damaged-{stamp}"));
+    fs::hard_link(path, &damaged)?;
+    // A log that stays beside the new file would be carried over into it.
+    let log = beside(path, "-wal");
+    match fs::metadata(&log).map(|log| log.len()) {
+        Ok(0) | Err(_) => remove_if_there(&log)?,
+        Ok(_) => fs::rename(&log, beside(&damaged, "-wal"))?,
+    }
+    remove_if_there(&beside(path, "-shm"))?;
+    fs::rename(new, path)?;
+    File::open(path.parent().unwrap_or(path))?.sync_all()?;
+    Ok(damaged)
+}
+
+fn beside(path: &Path, suffix: &str) -> PathBuf {
+    let mut path = path.as_os_str().to_owned();
+    path.push(suffix);
+    path.into()
+}
+
+/// Removes what a repair that was ended early left behind.
+fn remove(new: &Path) -> Result<(), RepairError> {
+    for path in [new.to_owned(), beside(new, "-wal"), beside(new, "-shm"), beside(new, "-journal")] {
+        remove_if_there(&path).map_err(|source| file_error(&path, source))?;
+    }
+    Ok(())
+}
+
+fn remove_if_there(path: &Path) -> io::Result<()> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
+}
+
+fn file_error(path: &Path, source: io::Error) -> RepairError {
+    RepairError::File { path: path.to_owned(), source }
+}

@@ -1,0 +1,275 @@
+//! Records as values of a table's columns, and their way into the new database.
+
+use sqlx::error::BoxDynError;
+use sqlx::sqlite::SqliteArguments;
+use sqlx::{Arguments, AssertSqlSafe, SqliteConnection};
+
+use super::tree::{Item, Walk};
+use crate::integrity::pages::{PageFile, column_bytes, varint};
+
+/// Values of one statement at most: SQLite takes 32,766.
+const MOST_VALUES: usize = 16_384;
+
+/// One value.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Value {
+    Null,
+    Integer(i64),
+    Real(f64),
+    Text(String),
+    Blob(Vec<u8>),
+}
+
+/// A table that is filled with what an old file holds.
+#[derive(Debug)]
+pub(super) struct Table {
+    pub(super) name: String,
+    columns: Vec<Column>,
+    /// Columns in the order in which a record has them.
+    stored: Vec<usize>,
+    /// The column that is the row's number.
+    rowid: Option<usize>,
+    pub(super) has_rowids: bool,
+    /// Whether the migrations put rows into it.
+    is_seeded: bool,
+}
+
+#[derive(Debug)]
+struct Column {
+    name: String,
+    kind: String,
+    not_null: bool,
+    /// The value in rows from before the column was added.
+    default: Value,
+}
+
+/// What stands on both sides of something that could not be read: the first three columns of the rows' keys.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Hole {
+    pub(super) before: Option<[i64; 3]>,
+    pub(super) after: Option<[i64; 3]>,
+}
+
+/// What became of a table.
+#[derive(Debug, Default)]
+pub(super) struct CopiedTable {
+    pub(super) holes: Vec<Hole>,
+}
+
+#[derive(sqlx::FromRow)]
+struct Described {
+    name: String,
+    r#type: String,
+    notnull: bool,
+    dflt_value: Option<String>,
+    pk: i64,
+}
+
+impl Table {
+    /// A table of the new database.
+    pub(super) async fn of(connection: &mut SqliteConnection, name: String) -> Result<Self, sqlx::Error> {
+        let clustered: bool =
+            sqlx::query_scalar("SELECT wr FROM pragma_table_list(?1) WHERE schema = 'main'")
+                .bind(&name)
+                .fetch_one(&mut *connection)
+                .await?;
+        let described: Vec<Described> = sqlx::query_as(
+            "SELECT name, type, \"notnull\", dflt_value, pk FROM pragma_table_info(?1) ORDER BY cid",
+        )
+        .bind(&name)
+        .fetch_all(&mut *connection)
+        .await?;
+        let mut keys: Vec<usize> = (0..described.len()).filter(|at| described[*at].pk > 0).collect();
+        keys.sort_by_key(|at| described[*at].pk);
+        let rowid = match keys.as_slice() {
+            [key] if !clustered && described[*key].r#type.eq_ignore_ascii_case("INTEGER") => Some(*key),
+            _ => None,
+        };
+        // A clustered table's records begin with its key.
+        let mut stored = if clustered { keys } else { Vec::new() };
+        let others: Vec<usize> = (0..described.len()).filter(|at| !stored.contains(at)).collect();
+        stored.extend(others);
+        let mut columns = Vec::with_capacity(described.len());
+        for column in described {
+            let default = match &column.dflt_value {
+                Some(text) => default(connection, text).await?,
+                None => Value::Null,
+            };
+            let not_null = column.notnull || (clustered && column.pk > 0);
+            columns.push(Column { name: column.name, kind: column.r#type, not_null, default });
+        }
+        let statement = AssertSqlSafe(format!("SELECT EXISTS (SELECT 1 FROM \"{name}\")"));
+        let is_seeded = sqlx::query_scalar(statement).fetch_one(connection).await?;
+        Ok(Self { name, columns, stored, rowid, has_rowids: !clustered, is_seeded })
+    }
+
+    /// Copies all rows that can be read from the tree with that root; `None` as root when nobody knows it.
+    pub(super) async fn copy(
+        &self,
+        connection: &mut SqliteConnection,
+        file: &PageFile,
+        root: Option<u32>,
+    ) -> Result<CopiedTable, sqlx::Error> {
+        let mut copied = CopiedTable::default();
+        let Some(root) = root else {
+            copied.holes.push(Hole { before: None, after: None });
+            return Ok(copied);
+        };
+        let mut last = None;
+        let mut in_hole = false;
+        let most = MOST_VALUES / self.columns.len();
+        let mut rows = Vec::with_capacity(most);
+        for item in Walk::from(file, root, self.has_rowids) {
+            let row = match item {
+                Item::Row(rowid, record) => self.decode(&record, rowid),
+                Item::Unreadable => None,
+            };
+            let Some(row) = row else {
+                if !in_hole {
+                    copied.holes.push(Hole { before: last, after: None });
+                }
+                in_hole = true;
+                continue;
+            };
+            last = Some(self.key(&row));
+            if std::mem::take(&mut in_hole)
+                && let Some(hole) = copied.holes.last_mut()
+            {
+                hole.after = last;
+            }
+            rows.push(row);
+            if rows.len() == most {
+                self.insert(connection, &rows).await?;
+                rows.clear();
+            }
+        }
+        self.insert(connection, &rows).await?;
+        Ok(copied)
+    }
+
+    async fn insert(
+        &self,
+        connection: &mut SqliteConnection,
+        rows: &[Vec<Value>],
+    ) -> Result<(), sqlx::Error> {
+        if rows.is_empty() {
+            return Ok(());
+        }
+        let names: Vec<String> = self.columns.iter().map(|column| format!("\"{}\"", column.name)).collect();
+        let one = format!("({})", vec!["?"; self.columns.len()].join(","));
+        // What is there twice is there once; what the migrations put there gives way.
+        let on_conflict = if self.is_seeded { "REPLACE" } else { "IGNORE" };
+        let statement = format!(
+            "INSERT OR {on_conflict} INTO \"{}\" ({}) VALUES {}",
+            self.name,
+            names.join(","),
+            vec![one.as_str(); rows.len()].join(",")
+        );
+        let mut arguments = SqliteArguments::default();
+        rows.iter()
+            .flatten()
+            .try_for_each(|value| value.bind(&mut arguments))
+            .map_err(sqlx::Error::Encode)?;
+        sqlx::query_with(AssertSqlSafe(statement), arguments).execute(connection).await?;
+        Ok(())
+    }
+
+    /// A row in the order of the table's columns; `None` when a value is not of its column's type.
+    fn decode(&self, record: &[u8], rowid: Option<i64>) -> Option<Vec<Value>> {
+        let mut row: Vec<Value> = self.columns.iter().map(|column| column.default.clone()).collect();
+        let values = values(record)?;
+        if values.len() > self.stored.len() {
+            return None;
+        }
+        for (at, value) in self.stored.iter().zip(values) {
+            row[*at] = value;
+        }
+        if let Some(at) = self.rowid {
+            row[at] = Value::Integer(rowid?);
+        }
+        for (column, value) in self.columns.iter().zip(&mut row) {
+            column.accept(value)?;
+        }
+        Some(row)
+    }
+
+    fn key(&self, row: &[Value]) -> [i64; 3] {
+        let part = |at: usize| match self.stored.get(at).map(|at| &row[*at]) {
+            Some(Value::Integer(value)) => *value,
+            _ => 0,
+        };
+        [part(0), part(1), part(2)]
+    }
+}
+
+impl Column {
+    /// Takes a value of the column's type. Numbers without a fraction are stored as integers in columns of any number.
+    fn accept(&self, value: &mut Value) -> Option<()> {
+        if let (Value::Integer(integer), "REAL") = (&*value, self.kind.as_str()) {
+            *value = Value::Real(*integer as f64);
+        }
+        let fits = match value {
+            Value::Null => !self.not_null,
+            Value::Integer(_) => matches!(self.kind.as_str(), "INTEGER" | "INT"),
+            Value::Real(_) => self.kind == "REAL",
+            Value::Text(_) => self.kind == "TEXT",
+            Value::Blob(_) => self.kind == "BLOB",
+        };
+        fits.then_some(())
+    }
+}
+
+impl Value {
+    fn bind(&self, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
+        match self {
+            Self::Null => to.add(None::<i64>),
+            Self::Integer(value) => to.add(*value),
+            Self::Real(value) => to.add(*value),
+            Self::Text(value) => to.add(value.clone()),
+            Self::Blob(value) => to.add(value.clone()),
+        }
+    }
+}
+
+/// The values of a record; `None` when it is none.
+pub(super) fn values(record: &[u8]) -> Option<Vec<Value>> {
+    let (header, rest) = varint(record)?;
+    let mut types = record.get(record.len() - rest.len()..usize::try_from(header).ok()?)?;
+    let mut body = record.get(usize::try_from(header).ok()?..)?;
+    let mut values = Vec::new();
+    while !types.is_empty() {
+        let (code, after) = varint(types)?;
+        types = after;
+        let (bytes, after) = body.split_at_checked(column_bytes(code)?)?;
+        body = after;
+        values.push(match code {
+            0 => Value::Null,
+            1..=6 => {
+                let negative = bytes.first().is_some_and(|byte| byte & 0x80 != 0);
+                let start = if negative { -1 } else { 0 };
+                Value::Integer(bytes.iter().fold(start, |value, byte| value << 8 | i64::from(*byte)))
+            }
+            7 => Value::Real(f64::from_be_bytes(bytes.try_into().ok()?)),
+            8 => Value::Integer(0),
+            9 => Value::Integer(1),
+            code if code % 2 == 0 => Value::Blob(bytes.to_vec()),
+            _ => Value::Text(String::from_utf8(bytes.to_vec()).ok()?),
+        });
+    }
+    body.is_empty().then_some(values)
+}
+
+/// The value of a `DEFAULT`.
+async fn default(connection: &mut SqliteConnection, text: &str) -> Result<Value, sqlx::Error> {
+    let statement = AssertSqlSafe(format!("SELECT typeof({text}), CAST({text} AS TEXT)"));
+    let (kind, text): (String, Option<String>) = sqlx::query_as(statement).fetch_one(connection).await?;
+    let text = text.unwrap_or_default();
+    let wrong = |_| sqlx::Error::Protocol(format!("a column's default is {kind} {text}"));
+    Ok(match kind.as_str() {
+        "integer" => Value::Integer(text.parse().map_err(|_| wrong(()))?),
+        "real" => Value::Real(text.parse().map_err(|_| wrong(()))?),
+        "text" => Value::Text(text),
+        "null" => Value::Null,
+        _ => return Err(wrong(())),
+    })
+}

@@ -1,0 +1,106 @@
+//! The rows of one b-tree, in the order of their keys, around what cannot be read.
+
+use std::collections::HashSet;
+
+use crate::integrity::pages::{BtreePage, Cell, PageFile};
+
+/// What a walk meets.
+#[derive(Debug)]
+pub(super) enum Item {
+    /// A row: its number, in a table that has them, and its record.
+    Row(Option<i64>, Vec<u8>),
+    /// A page with all that is below it, or a part of one.
+    Unreadable,
+}
+
+/// A walk over a b-tree.
+pub(super) struct Walk<'a> {
+    file: &'a PageFile,
+    /// Whether it is a table with row ids.
+    is_table: bool,
+    /// A damaged page may name any other.
+    visited: HashSet<u32>,
+    stack: Vec<Level>,
+    /// Whether the root was unreadable, and that was not told yet.
+    no_root: bool,
+}
+
+struct Level {
+    page: BtreePage,
+    /// On a leaf the next cell; on an interior page twice that, and one more for the cell after its child.
+    step: usize,
+}
+
+impl<'a> Walk<'a> {
+    /// Begins at the root of a table with row ids, or of one without them.
+    pub(super) fn from(file: &'a PageFile, root: u32, is_table: bool) -> Self {
+        let mut walk = Self { file, is_table, visited: HashSet::new(), stack: Vec::new(), no_root: false };
+        walk.no_root = !walk.descend(root);
+        walk
+    }
+
+    /// Goes on with a page; whether it can be read and is one of this tree.
+    fn descend(&mut self, number: u32) -> bool {
+        if !self.visited.insert(number) {
+            return false;
+        }
+        // A sector that the disk cannot read is damage like any other.
+        let page = self.file.read_btree_page(number).ok().flatten();
+        match page.filter(|page| page.kind.is_table() == self.is_table) {
+            Some(page) => {
+                self.stack.push(Level { page, step: 0 });
+                true
+            }
+            None => false,
+        }
+    }
+
+    fn row(&self, cell: &Cell<'_>) -> Item {
+        match self.file.record(cell) {
+            Ok(Some(record)) => Item::Row(cell.rowid, record),
+            Ok(None) | Err(_) => Item::Unreadable,
+        }
+    }
+}
+
+impl Iterator for Walk<'_> {
+    type Item = Item;
+
+    fn next(&mut self) -> Option<Item> {
+        if std::mem::take(&mut self.no_root) {
+            return Some(Item::Unreadable);
+        }
+        loop {
+            let mut level = self.stack.pop()?;
+            let step = level.step;
+            level.step += 1;
+            if !level.page.kind.is_interior() {
+                if step >= level.page.cells {
+                    continue;
+                }
+                let item = level.page.cell(step).map_or(Item::Unreadable, |cell| self.row(&cell));
+                self.stack.push(level);
+                return Some(item);
+            }
+            let (index, after_child) = (step / 2, step % 2 == 1);
+            if after_child {
+                // In a table with row ids the cells of interior pages are keys alone.
+                let item = level.page.cell(index).filter(|_| !self.is_table).map(|cell| self.row(&cell));
+                self.stack.push(level);
+                if item.is_some() {
+                    return item;
+                }
+                continue;
+            }
+            let child = match index.cmp(&level.page.cells) {
+                std::cmp::Ordering::Less => level.page.cell(index).and_then(|cell| cell.child),
+                std::cmp::Ordering::Equal => level.page.right_child,
+                std::cmp::Ordering::Greater => continue,
+            };
+            self.stack.push(level);
+            if !child.is_some_and(|child| self.descend(child)) {
+                return Some(Item::Unreadable);
+            }
+        }
+    }
+}

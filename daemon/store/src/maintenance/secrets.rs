@@ -1,0 +1,107 @@
+//! Host secrets, cleared by an operator.
+
+use std::path::{Path, PathBuf};
+
+use peernet_logger::HostId;
+use sqlx::{ConnectOptions, Connection};
+
+use super::BUSY;
+use crate::contents::Contents;
+use crate::database;
+use crate::foreign_log::{ForeignLog, refuse_foreign_log_of};
+
+/// Why a host's secret was not cleared.
+#[derive(Debug, thiserror::Error)]
+pub enum ClearSecretError {
+    /// There is no such database.
+    #[error("there is no database {}; name the file of [aggregator] database", .0.display())]
+    Missing(PathBuf),
+    /// The file is something else.
+    #[error("cannot clear a host's secret in {}: the file is {what}", .path.display())]
+    NotADatabase {
+        /// The file.
+        path: PathBuf,
+        /// What it is instead.
+        what: &'static str,
+    },
+    /// Beside the file is the log of another one.
+    #[error(transparent)]
+    ForeignLog(#[from] ForeignLog),
+    /// No host has that id or name.
+    #[error("the database {} has no host {host}; /api/v1/hosts lists names and ids", .path.display())]
+    NoHost {
+        /// The database.
+        path: PathBuf,
+        /// What was asked for.
+        host: String,
+    },
+    /// Several hosts have that name.
+    #[error("{} hosts have had the name {name}; name one by its id: {}", .ids.len(), .ids.join(", "))]
+    SeveralHosts {
+        /// The name.
+        name: String,
+        /// Their ids.
+        ids: Vec<String>,
+    },
+    /// SQLite refused.
+    #[error("cannot clear a host's secret in the database {}: {source}", .path.display())]
+    Database {
+        /// The database.
+        path: PathBuf,
+        /// SQLite's own words.
+        source: sqlx::Error,
+    },
+}
+
+/// A host whose secret was asked to be cleared.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ClearedSecret {
+    /// Its id.
+    pub host: String,
+    /// Its name.
+    pub name: String,
+    /// Whether there was a secret.
+    pub existed: bool,
+}
+
+/// Clears the secret of the host with this id or name: the next agent that comes with its host id is enrolled. A running
+/// aggregator reads the database again when the host proves another secret than it knows.
+///
+/// # Errors
+/// When there is no such database or host, or the database cannot be written.
+pub async fn clear_host_secret(path: &Path, host: &str) -> Result<ClearedSecret, ClearSecretError> {
+    if !path.is_file() {
+        return Err(ClearSecretError::Missing(path.to_owned()));
+    }
+    refuse_foreign_log_of(path)?;
+    let failed = |source| ClearSecretError::Database { path: path.to_owned(), source };
+    let options = database::writing(path).create_if_missing(false).busy_timeout(BUSY);
+    let mut connection = options.connect().await.map_err(failed)?;
+    let contents = Contents::of(&mut connection).await.map_err(failed)?;
+    if let Some(what) = contents.instead_of_database() {
+        return Err(ClearSecretError::NotADatabase { path: path.to_owned(), what });
+    }
+    let id = host.parse::<HostId>().ok().map(|id| id.to_string());
+    let found: Vec<(i64, String, String)> = sqlx::query_as(
+        "SELECT id, uuid, coalesce(name, uuid) FROM host WHERE uuid = coalesce(?1, '') OR (?1 IS NULL AND name = ?2)",
+    )
+    .bind(id)
+    .bind(host)
+    .fetch_all(&mut connection)
+    .await
+    .map_err(failed)?;
+    let (row, uuid, name) = match <[_; 1]>::try_from(found) {
+        Ok([one]) => one,
+        Err(found) if found.is_empty() => {
+            return Err(ClearSecretError::NoHost { path: path.to_owned(), host: host.to_owned() });
+        }
+        Err(found) => {
+            let ids = found.into_iter().map(|(_, uuid, _)| uuid).collect();
+            return Err(ClearSecretError::SeveralHosts { name: host.to_owned(), ids });
+        }
+    };
+    let cleared = sqlx::query("DELETE FROM host_secret WHERE host = ?").bind(row);
+    let cleared = cleared.execute(&mut connection).await.map_err(failed)?;
+    connection.close().await.map_err(failed)?;
+    Ok(ClearedSecret { host: uuid, name, existed: cleared.rows_affected() > 0 })
+}

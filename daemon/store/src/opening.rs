@@ -1,0 +1,149 @@
+//! The database open for writing: taken, checked, and read as far as memory has to agree with it.
+
+use std::path::{Path, PathBuf};
+
+use peernet_logger::{HostId, RunId};
+use peernet_stream::HostSecret;
+
+use super::database;
+use super::foreign_log::{ForeignLog, refuse_foreign_log};
+use super::integrity::{Integrity, IntegrityCheck};
+use super::lock::{DatabaseLock, LockError};
+use super::write::{
+    CommitError, FormerFiles, Streams, Writer, known_hosts, newest_runs, stored_hosts, unknown_runs,
+};
+use crate::error::OpenError;
+use crate::retention_config::RetentionConfig;
+use crate::stored::Stored;
+
+/// Runs whose numbers are known from the start: those that agents may still be executing.
+const RUNS: u32 = 1_000;
+/// Hosts whose stored counts are known from the start.
+const HOSTS: u32 = 4_096;
+
+/// A database that this process may write.
+#[derive(Debug)]
+pub struct OpenDatabase {
+    /// The one connection that writes.
+    pub writer: Writer,
+    check: IntegrityCheck,
+    /// Let go after the connection: see [`DatabaseLock`].
+    lock: DatabaseLock,
+}
+
+/// What a database held when it was opened: what ingest and the live picture begin with.
+#[derive(Debug)]
+pub struct StoredState {
+    /// How far each stream is stored.
+    pub streams: Streams,
+    /// The newest runs and their numbers.
+    pub runs: Vec<(HostId, RunId, i64)>,
+    /// Open runs of which only iterations are stored.
+    pub unknown: Vec<(HostId, RunId)>,
+    /// What is stored of each host.
+    pub hosts: Vec<(HostId, Stored)>,
+    /// Every host of which something is stored, those first that came first, and its secret.
+    pub known: Vec<(HostId, Option<HostSecret>)>,
+}
+
+/// Why a database that was in use could not be opened again.
+#[derive(Debug, thiserror::Error)]
+pub enum ReopenError {
+    /// The path names no file.
+    #[error(transparent)]
+    Missing(CommitError),
+    /// The path names a file without anything in it.
+    #[error("the database file {} is empty; put the right one there, or restart to begin with this one", .0.display())]
+    Empty(PathBuf),
+    /// The log at the path belongs to the file that was there before. SQLite would apply it to the new one.
+    #[error(transparent)]
+    ForeignLog(ForeignLog),
+    /// Another process has it, or it cannot be opened for writing.
+    #[error(transparent)]
+    Lock(#[from] LockError),
+    /// The same reasons as at the start.
+    #[error(transparent)]
+    Start(#[from] OpenError),
+}
+
+impl OpenDatabase {
+    /// Opens a database, which is made when missing, and brings its schema up to date.
+    pub async fn open(
+        path: &Path,
+        retention: RetentionConfig,
+        integrity: &Integrity,
+    ) -> Result<(Self, StoredState), OpenError> {
+        let lock = DatabaseLock::take(path)?;
+        Self::with(lock, path, retention, integrity).await
+    }
+
+    /// Opens what stands now at the path of a database that was in use: the same file, or another one in its place. An
+    /// empty one is refused: it would hide that the right one is missing.
+    pub async fn reopen(
+        path: &Path,
+        retention: RetentionConfig,
+        integrity: &Integrity,
+        former: &FormerFiles,
+    ) -> Result<(Self, StoredState), ReopenError> {
+        let lock = match DatabaseLock::take_existing(path) {
+            Err(LockError::Failed { source, .. }) if source.kind() == std::io::ErrorKind::NotFound => {
+                return Err(ReopenError::Missing(CommitError::Moved(path.to_owned())));
+            }
+            taken => taken?,
+        };
+        let cannot_open =
+            |error: std::io::Error| OpenError::Open { path: path.to_owned(), source: error.into() };
+        if std::fs::metadata(path).map_err(cannot_open)?.len() == 0 {
+            return Err(ReopenError::Empty(path.to_owned()));
+        }
+        if let Some(log) = former.log_beside_another_file() {
+            return Err(ReopenError::ForeignLog(ForeignLog(log)));
+        }
+        let (mut database, state) = Self::with(lock, path, retention, integrity).await?;
+        if let Err(source) = database.writer.write_nothing().await {
+            // What is only dropped keeps the file, and with it the lock and the file system, for some time.
+            let (_, closed) = database.close().await;
+            if let Err(error) = closed {
+                tracing::debug!(%error, database = %path.display(), "the database was not closed well");
+            }
+            return Err(OpenError::Open { path: path.to_owned(), source }.into());
+        }
+        Ok((database, state))
+    }
+
+    async fn with(
+        lock: DatabaseLock,
+        path: &Path,
+        retention: RetentionConfig,
+        integrity: &Integrity,
+    ) -> Result<(Self, StoredState), OpenError> {
+        let cannot_open = |source| OpenError::opening(path, source);
+        integrity.recall().map_err(|error| cannot_open(error.into()))?;
+        refuse_foreign_log(path, &lock.file())?;
+        // The lock has made it; one that has gone since then must not be made.
+        let mut connection = database::open_existing(path).await?;
+        let runs = newest_runs(&mut connection, RUNS).await.map_err(cannot_open)?;
+        let unknown = unknown_runs(&mut connection, RUNS).await.map_err(cannot_open)?;
+        let known = known_hosts(&mut connection).await.map_err(cannot_open)?;
+        let hosts = stored_hosts(&mut connection, HOSTS).await.map_err(cannot_open)?;
+        let writer = Writer::new(path.to_owned(), connection, retention).await.map_err(cannot_open)?;
+        // The file that was locked could have been replaced before it was opened.
+        if !lock.is_of(path).map_err(|error| cannot_open(error.into()))? {
+            let moved = CommitError::Moved(path.to_owned()).to_string();
+            return Err(cannot_open(std::io::Error::other(moved).into()));
+        }
+        let state = StoredState { streams: writer.streams().clone(), runs, unknown, hosts, known };
+        let check = IntegrityCheck::start(integrity.clone(), lock.file());
+        Ok((Self { writer, check, lock }, state))
+    }
+
+    /// Closes the connection and lets the file go. When it is the last one to the file, SQLite carries its log over into
+    /// it and removes it. Returns which files they were.
+    pub async fn close(self) -> (FormerFiles, Result<(), sqlx::Error>) {
+        let Self { writer, check, lock } = self;
+        check.stop().await;
+        let closed = writer.close().await;
+        drop(lock);
+        closed
+    }
+}

@@ -1,0 +1,273 @@
+//! Links and what was known of their clocks.
+
+mod bucket;
+mod repeats;
+
+use std::iter::successors;
+
+use futures::TryStreamExt;
+use peernet_clock::{DelaySource, Interval, Offset, Span, Verdict, WallTime};
+use peernet_logger::HostId;
+use peernet_stream::{DelayPoint, DelaySecond, RoundTrip};
+use serde::Deserialize;
+use sqlx::FromRow;
+
+use self::bucket::Bucket;
+use self::repeats::Repeats;
+use super::{corrupt, count, known, parse, sql, wall};
+use crate::error::StoreError;
+use crate::readers::Readers;
+use crate::stored::ClockPoint;
+use crate::types::{ClockSeries, LinkRow};
+use crate::write::UNKNOWN;
+
+const WHAT: &str = "clock samples";
+/// Points of one answer.
+const MOST_POINTS: u32 = 10_000;
+/// Widths that a bucket may have, seconds; beyond the last, twice as wide each.
+const WIDTHS_S: [u32; 12] = [1, 2, 5, 10, 30, 60, 300, 600, 1_800, 3_600, 21_600, 86_400];
+
+#[derive(FromRow)]
+struct Link {
+    edge: String,
+    edge_name: Option<String>,
+    cloud: String,
+    cloud_name: String,
+    first_ns: Option<i64>,
+    last_ns: Option<i64>,
+}
+
+/// One stored second. In JSON it is an array, in this order.
+#[derive(FromRow, Deserialize)]
+struct Row {
+    at_ns: i64,
+    window: i64,
+    offset_ns: Option<i64>,
+    offset_lo_ns: Option<i64>,
+    offset_hi_ns: Option<i64>,
+    offset_source: Option<u8>,
+    offset_verdict: Option<u8>,
+    offset_sources: Option<String>,
+    skew_ppm: Option<f64>,
+    exchanges: Option<i64>,
+    age_ns: Option<i64>,
+    probes_sent: u32,
+    probes_answered: u32,
+    probes_lost: u32,
+    round_trip_min_ns: Option<i64>,
+    round_trip_median_ns: Option<i64>,
+    up_count: Option<u32>,
+    up_ns: Option<i64>,
+    up_lo_ns: Option<i64>,
+    up_hi_ns: Option<i64>,
+    up_bits_per_second: Option<f64>,
+    up_verdict: Option<u8>,
+    down_count: Option<u32>,
+    down_ns: Option<i64>,
+    down_lo_ns: Option<i64>,
+    down_hi_ns: Option<i64>,
+    down_bits_per_second: Option<f64>,
+    down_verdict: Option<u8>,
+}
+
+pub(crate) async fn links(readers: &Readers) -> Result<Vec<LinkRow>, StoreError> {
+    const WHAT: &str = "links";
+    let rows: Vec<Link> =
+        sqlx::query_as(sql::LINKS).fetch_all(&readers.pool()).await.map_err(readers.failed(WHAT))?;
+    let mut links = Vec::with_capacity(rows.len());
+    for row in rows {
+        let (Some(first), Some(last)) = (row.first_ns, row.last_ns) else { continue };
+        links.push(LinkRow {
+            edge: parse(WHAT, &row.edge)?,
+            edge_name: parse(WHAT, row.edge_name.as_deref().unwrap_or(UNKNOWN))?,
+            cloud: parse(WHAT, &row.cloud)?,
+            cloud_name: parse(WHAT, &row.cloud_name)?,
+            first: wall(first),
+            last: wall(last),
+        });
+    }
+    Ok(links)
+}
+
+pub(crate) async fn series(
+    readers: &Readers,
+    (edge, cloud): (HostId, HostId),
+    (from, to): (WallTime, WallTime),
+    most_points: u32,
+) -> Result<ClockSeries, StoreError> {
+    let nothing = ClockSeries { bucket_s: WIDTHS_S[0], points: Vec::new() };
+    let link: Option<i64> = sqlx::query_scalar(sql::LINK)
+        .bind(edge.to_string())
+        .bind(cloud.to_string())
+        .fetch_optional(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
+    let Some(link) = link else { return Ok(nothing) };
+    let extent: (Option<i64>, Option<i64>) = sqlx::query_as(sql::CLOCK_EXTENT)
+        .bind(link)
+        .bind(from.unix_nanos())
+        .bind(to.unix_nanos())
+        .fetch_one(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
+    let (Some(first), Some(last)) = extent else { return Ok(nothing) };
+    let width = width(first, last, most_points.clamp(1, MOST_POINTS));
+    let repeats = Repeats::read(readers, link, (first, last)).await?;
+    let mut points = Points { width, repeats, points: Vec::new(), bucket: None };
+    let pool = readers.pool();
+    if width == 1 {
+        let rows = sqlx::query_as::<_, Row>(sql::CLOCK_SAMPLES).bind(link).bind(first).bind(last);
+        let mut rows = rows.fetch(&pool);
+        while let Some(row) = rows.try_next().await.map_err(readers.failed(WHAT))? {
+            points.add(&row)?;
+        }
+    } else {
+        let parts =
+            sqlx::query_scalar::<_, String>(sql::CLOCK_PARTS).bind(link).bind(parts(first, last, width)?);
+        let mut parts = parts.fetch(&pool);
+        while let Some(part) = parts.try_next().await.map_err(readers.failed(WHAT))? {
+            let mut rows: Vec<Row> = serde_json::from_str(&part).map_err(|error| corrupt(WHAT, error))?;
+            // As they stand in the table; SQLite does not promise to keep that within an aggregate.
+            rows.sort_by_key(|row| (row.at_ns, row.window));
+            rows.iter().try_for_each(|row| points.add(row))?;
+        }
+    }
+    Ok(ClockSeries { bucket_s: width, points: points.done() })
+}
+
+/// The first and the last moment of each bucket, as JSON. A row of SQLite's for each of them costs far less than one
+/// for each second.
+fn parts(first: i64, last: i64, width: u32) -> Result<String, StoreError> {
+    let nanos = i64::from(width) * 1_000_000_000;
+    let mut from = first;
+    let parts = (index(first, width)..=index(last, width)).map(|index| {
+        let through = index.saturating_add(1).saturating_mul(nanos).min(last);
+        [std::mem::replace(&mut from, through.saturating_add(1)), through]
+    });
+    let parts: Vec<[i64; 2]> = parts.collect();
+    serde_json::to_string(&parts).map_err(|error| corrupt(WHAT, error))
+}
+
+/// Points under construction.
+struct Points {
+    width: u32,
+    repeats: Repeats,
+    points: Vec<ClockPoint>,
+    bucket: Option<Bucket>,
+}
+
+impl Points {
+    /// Adds the second that follows.
+    fn add(&mut self, row: &Row) -> Result<(), StoreError> {
+        if self.repeats.supersede(row.window, row.at_ns) {
+            return Ok(());
+        }
+        let index = index(row.at_ns, self.width);
+        if self.bucket.as_ref().is_some_and(|bucket| bucket.index() != index) {
+            self.finish();
+        }
+        self.bucket.get_or_insert_with(|| Bucket::new(index)).add(row)
+    }
+
+    fn finish(&mut self) {
+        let point = self.bucket.take().and_then(|bucket| bucket.point(self.width));
+        self.points.extend(point);
+    }
+
+    fn done(mut self) -> Vec<ClockPoint> {
+        self.finish();
+        self.points
+    }
+}
+
+/// The narrowest buckets of which so few are enough.
+fn width(first: i64, last: i64, most_points: u32) -> u32 {
+    let [.., day] = WIDTHS_S;
+    let wider = successors(day.checked_mul(2), |width| width.checked_mul(2));
+    let fits = |width: &u32| {
+        u64::try_from(index(last, *width) - index(first, *width))
+            .is_ok_and(|more| more < u64::from(most_points))
+    };
+    WIDTHS_S.into_iter().chain(wider.clone()).find(fits).or_else(|| wider.last()).unwrap_or(day)
+}
+
+/// The bucket that a second's end belongs to: the end of a bucket is its own.
+fn index(at_ns: i64, width: u32) -> i64 {
+    at_ns.saturating_sub(1).div_euclid(i64::from(width) * 1_000_000_000)
+}
+
+impl Row {
+    fn bounds(&self) -> Option<Interval> {
+        interval(self.offset_lo_ns, self.offset_hi_ns)
+    }
+
+    fn round_trip(&self) -> Option<RoundTrip> {
+        let (min, median) = self.round_trip_min_ns.zip(self.round_trip_median_ns)?;
+        Some(RoundTrip { min: Span::from_nanos(min), median: Span::from_nanos(median) })
+    }
+
+    fn up(&self) -> Result<Option<DelaySecond>, StoreError> {
+        let median = (self.up_ns, self.up_lo_ns, self.up_hi_ns, self.up_bits_per_second);
+        delays((self.up_count, self.up_verdict), median)
+    }
+
+    fn down(&self) -> Result<Option<DelaySecond>, StoreError> {
+        let median = (self.down_ns, self.down_lo_ns, self.down_hi_ns, self.down_bits_per_second);
+        delays((self.down_count, self.down_verdict), median)
+    }
+
+    fn offset(&self) -> Result<Option<Offset>, StoreError> {
+        let (Some(estimate), Some(bounds), Some(source), Some(verdict)) =
+            (self.offset_ns, self.bounds(), self.offset_source, self.offset_verdict)
+        else {
+            return Ok(None);
+        };
+        let source = known(WHAT, DelaySource::ALL, source)?;
+        let sources = match &self.offset_sources {
+            Some(json) => sources(json)?,
+            None => vec![(source, bounds)],
+        };
+        Ok(Some(Offset {
+            at: wall(self.at_ns),
+            estimate: Span::from_nanos(estimate),
+            bounds,
+            source,
+            sources,
+            verdict: known(WHAT, Verdict::ALL, verdict)?,
+            skew_ppm: self.skew_ppm,
+            exchanges: count(self.exchanges.unwrap_or(0)),
+            age: self.age_ns.map(Span::from_nanos),
+        }))
+    }
+}
+
+/// What each source says alone, from the column `offset_sources`.
+pub(super) fn sources(json: &str) -> Result<Vec<(DelaySource, Interval)>, StoreError> {
+    let rows: Vec<(String, i64, i64)> = serde_json::from_str(json).map_err(|error| corrupt(WHAT, error))?;
+    rows.into_iter()
+        .map(|(name, lo, hi)| {
+            let source = DelaySource::from_name(&name);
+            let source = source.ok_or_else(|| corrupt(WHAT, format_args!("source {name:?}")))?;
+            Ok((source, Interval { lo: Span::from_nanos(lo), hi: Span::from_nanos(hi) }))
+        })
+        .collect()
+}
+
+fn interval(lo: Option<i64>, hi: Option<i64>) -> Option<Interval> {
+    lo.zip(hi).map(|(lo, hi)| Interval { lo: Span::from_nanos(lo), hi: Span::from_nanos(hi) })
+}
+
+type Median = (Option<i64>, Option<i64>, Option<i64>, Option<f64>);
+
+fn delays(
+    (count, verdict): (Option<u32>, Option<u8>),
+    (value, lo, hi, bits_per_second): Median,
+) -> Result<Option<DelaySecond>, StoreError> {
+    let Some((count, verdict)) = count.zip(verdict) else { return Ok(None) };
+    let median = value.zip(interval(lo, hi)).map(|(value, bounds)| DelayPoint {
+        value: Span::from_nanos(value),
+        bounds,
+        bits_per_second,
+    });
+    Ok(Some(DelaySecond { count, median, verdict: known(WHAT, Verdict::ALL, verdict)? }))
+}

@@ -1,0 +1,94 @@
+//! Incidents and hosts.
+
+use sqlx::FromRow;
+
+use super::{corrupt, count, parse, sql, wall};
+use crate::error::StoreError;
+use crate::readers::Readers;
+use crate::stored::Stored;
+use crate::types::{HostRow, IncidentRow};
+use crate::write::UNKNOWN;
+
+#[derive(FromRow)]
+struct Incident {
+    id: i64,
+    at_ns: i64,
+    kind: String,
+    host: Option<String>,
+    host_name: Option<String>,
+    pipeline: Option<String>,
+    run: Option<i64>,
+    peer: Option<String>,
+    text: String,
+}
+
+#[derive(FromRow)]
+struct Host {
+    uuid: String,
+    name: String,
+    description: String,
+    first_seen_ns: i64,
+    last_seen_ns: i64,
+    events: i64,
+    nodes: i64,
+    gaps: i64,
+    missing: i64,
+    quarantined: i64,
+}
+
+pub(crate) async fn incidents(
+    readers: &Readers,
+    limit: u32,
+    before: Option<i64>,
+) -> Result<Vec<IncidentRow>, StoreError> {
+    const WHAT: &str = "incidents";
+    let rows: Vec<Incident> = sqlx::query_as(sql::INCIDENTS)
+        .bind(limit.clamp(1, 1_000))
+        .bind(before)
+        .fetch_all(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
+    rows.into_iter()
+        .map(|row| {
+            Ok(IncidentRow {
+                id: row.id,
+                at: wall(row.at_ns),
+                kind: row.kind,
+                host_name: match row.host {
+                    Some(_) => Some(parse(WHAT, row.host_name.as_deref().unwrap_or(UNKNOWN))?),
+                    None => None,
+                },
+                host: row.host.map(|host| parse(WHAT, &host)).transpose()?,
+                pipeline: row.pipeline,
+                run: row.run,
+                peer: row.peer,
+                text: row.text,
+            })
+        })
+        .collect()
+}
+
+pub(crate) async fn hosts(readers: &Readers) -> Result<Vec<HostRow>, StoreError> {
+    const WHAT: &str = "hosts";
+    let rows: Vec<Host> =
+        sqlx::query_as(sql::HOSTS).fetch_all(&readers.pool()).await.map_err(readers.failed(WHAT))?;
+    rows.into_iter()
+        .map(|row| {
+            Ok(HostRow {
+                id: parse(WHAT, &row.uuid)?,
+                name: parse(WHAT, &row.name)?,
+                description: serde_json::from_str(&row.description).map_err(|error| corrupt(WHAT, error))?,
+                first_seen: wall(row.first_seen_ns),
+                last_seen: wall(row.last_seen_ns),
+                stored: Stored {
+                    events: count(row.events),
+                    nodes: count(row.nodes),
+                    gaps: count(row.gaps),
+                    missing: count(row.missing),
+                    duplicates: 0,
+                    quarantined: count(row.quarantined),
+                },
+            })
+        })
+        .collect()
+}

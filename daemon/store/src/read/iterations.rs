@@ -1,0 +1,241 @@
+//! Iterations.
+
+use std::collections::HashMap;
+
+use peernet_clock::{DelaySource, Span, Verdict};
+use peernet_logger::{Name, stage};
+use sqlx::FromRow;
+
+use super::comparison::Comparison;
+use super::{corrupt, count, known, sql, statistics, tree, wall};
+use crate::column::column;
+use crate::error::StoreError;
+use crate::readers::Readers;
+use crate::types::{DelayRow, IterationDetail, IterationFilter, IterationRow};
+
+const WHAT: &str = "iterations";
+/// Names of the rows of the table `outcome`.
+const OUTCOMES: [&str; 4] = ["ok", "failed", "lost", "timeout"];
+/// How far down an iteration's place among the slowest is counted.
+const RANKED: i64 = 1_000;
+
+#[derive(FromRow)]
+pub(super) struct Row {
+    pub(super) number: i64,
+    pub(super) episode: u32,
+    pub(super) step: u32,
+    pub(super) warm_up: bool,
+    pub(super) outcome: u8,
+    pub(super) reason: Option<String>,
+    pub(super) started_ns: i64,
+    total: Option<f64>,
+}
+
+#[derive(FromRow)]
+struct Duration {
+    iteration: i64,
+    text: String,
+    value: f64,
+}
+
+#[derive(FromRow)]
+struct Delay {
+    iteration: i64,
+    text: String,
+    value: Option<f64>,
+    lo: Option<f64>,
+    hi: Option<f64>,
+    raw_ns: i64,
+    source: u8,
+    verdict: u8,
+}
+
+/// A place among the slowest, and who stands beside it.
+#[derive(Default)]
+struct Place {
+    rank: Option<u64>,
+    slower: Option<u64>,
+    faster: Option<u64>,
+}
+
+pub(crate) async fn slowest(readers: &Readers, run: i64, n: u32) -> Result<Vec<IterationRow>, StoreError> {
+    let rows: Vec<Row> = sqlx::query_as(sql::SLOWEST)
+        .bind(run)
+        .bind(n.min(1_000))
+        .fetch_all(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
+    compared(readers, run, rows).await
+}
+
+pub(crate) async fn iterations(
+    readers: &Readers,
+    run: i64,
+    filter: &IterationFilter,
+) -> Result<Vec<IterationRow>, StoreError> {
+    let statement = if filter.unsuccessful { sql::ITERATIONS_WITHOUT_ANSWER } else { sql::ITERATIONS };
+    let rows: Vec<Row> = sqlx::query_as(statement)
+        .bind(run)
+        .bind(column(filter.after))
+        .bind(filter.limit.clamp(1, 1_000))
+        .fetch_all(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
+    compared(readers, run, rows).await
+}
+
+pub(crate) async fn iteration(
+    readers: &Readers,
+    run: i64,
+    number: u64,
+) -> Result<Option<IterationDetail>, StoreError> {
+    let Ok(number) = i64::try_from(number) else { return Ok(None) };
+    let row: Option<Row> = sqlx::query_as(sql::ITERATION)
+        .bind(run)
+        .bind(number)
+        .fetch_optional(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
+    let Some(row) = row else { return Ok(None) };
+    let trees = tree::trees(readers, run, &[(number, wall(row.started_ns))]).await?;
+    let Some((tree, hosts)) = trees.into_iter().flatten().next() else { return Ok(None) };
+    let comparison = Comparison(statistics::figures(readers, run).await?);
+    let place = match row.total {
+        Some(total) if row.outcome == 0 && !row.warm_up => place(readers, run, (total, number)).await?,
+        _ => Place::default(),
+    };
+    let neighbour = async |statement: &'static str| {
+        let number: Option<i64> = sqlx::query_scalar(statement)
+            .bind(run)
+            .bind(number)
+            .fetch_one(&readers.pool())
+            .await
+            .map_err(readers.failed(WHAT))?;
+        Ok(number.map(count))
+    };
+    let (previous, next) = (neighbour(sql::PREVIOUS).await?, neighbour(sql::NEXT).await?);
+    let Some(row) = complete(readers, run, vec![row], &comparison).await?.pop() else { return Ok(None) };
+    let Place { rank, slower, faster } = place;
+    let run_figures = comparison.0;
+    Ok(Some(IterationDetail { row, tree, hosts, rank, previous, next, slower, faster, run_figures }))
+}
+
+/// Where a successful iteration stands among the slowest.
+async fn place(readers: &Readers, run: i64, (total, number): (f64, i64)) -> Result<Place, StoreError> {
+    let slower: i64 = sqlx::query_scalar(sql::SLOWER)
+        .bind(run)
+        .bind(total)
+        .fetch_one(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
+    if slower >= RANKED {
+        return Ok(Place::default());
+    }
+    let beside = async |statement: &'static str| {
+        let number: Option<i64> = sqlx::query_scalar(statement)
+            .bind(run)
+            .bind(total)
+            .bind(number)
+            .fetch_optional(&readers.pool())
+            .await
+            .map_err(readers.failed(WHAT))?;
+        Ok(number.map(count))
+    };
+    let rank = Some(count(slower) + 1);
+    Ok(Place { rank, slower: beside(sql::ONE_SLOWER).await?, faster: beside(sql::ONE_FASTER).await? })
+}
+
+async fn compared(readers: &Readers, run: i64, rows: Vec<Row>) -> Result<Vec<IterationRow>, StoreError> {
+    complete(readers, run, rows, &Comparison(statistics::figures(readers, run).await?)).await
+}
+
+/// Adds what the trees say: two questions for all rows together.
+async fn complete(
+    readers: &Readers,
+    run: i64,
+    rows: Vec<Row>,
+    comparison: &Comparison,
+) -> Result<Vec<IterationRow>, StoreError> {
+    let numbers: Vec<i64> = rows.iter().map(|row| row.number).collect();
+    let numbers = serde_json::to_string(&numbers).map_err(|error| corrupt(WHAT, error))?;
+    let durations: Vec<Duration> = sqlx::query_as(sql::DURATIONS)
+        .bind(run)
+        .bind(&numbers)
+        .fetch_all(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
+    let delays: Vec<Delay> = sqlx::query_as(sql::DELAYS)
+        .bind(run)
+        .bind(&numbers)
+        .fetch_all(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
+    let mut parts: HashMap<i64, (Vec<Duration>, Vec<DelayRow>)> = HashMap::with_capacity(rows.len());
+    for duration in durations {
+        parts.entry(duration.iteration).or_default().0.push(duration);
+    }
+    for delay in delays {
+        parts.entry(delay.iteration).or_default().1.push(delay.row()?);
+    }
+    rows.into_iter()
+        .map(|row| {
+            let (durations, delays) = parts.remove(&row.number).unwrap_or_default();
+            complete_row(row, &durations, delays, comparison)
+        })
+        .collect()
+}
+
+fn complete_row(
+    row: Row,
+    durations: &[Duration],
+    delays: Vec<DelayRow>,
+    comparison: &Comparison,
+) -> Result<IterationRow, StoreError> {
+    let seconds_of = |stage: &Name| {
+        let of_stage = durations.iter().filter(|duration| stage == duration.text.as_str());
+        let values: Vec<f64> = of_stage.map(|duration| duration.value).collect();
+        (!values.is_empty()).then(|| values.iter().sum::<f64>())
+    };
+    let stages: Vec<(Name, f64)> =
+        stage::ORDER.into_iter().filter_map(|stage| Some((stage.clone(), seconds_of(&stage)?))).collect();
+    let unattributed = seconds_of(&stage::UNATTRIBUTED);
+    let both_ways = delays.iter().any(|delay| delay.value.is_none()).then(|| {
+        let ways = [stage::UPLOAD, stage::DOWNLOAD];
+        let others = stages.iter().filter(|(stage, _)| !ways.contains(stage));
+        let others: f64 = others.map(|(_, seconds)| seconds).sum();
+        Some((row.total? - others - unattributed?).max(0.0))
+    });
+    let both_ways = both_ways.flatten();
+    let outcome = OUTCOMES
+        .get(usize::from(row.outcome))
+        .ok_or_else(|| corrupt(WHAT, format_args!("outcome {}", row.outcome)))?;
+    Ok(IterationRow {
+        number: count(row.number),
+        episode: row.episode,
+        step: row.step,
+        warm_up: row.warm_up,
+        outcome: (*outcome).to_owned(),
+        reason: row.reason,
+        started: wall(row.started_ns),
+        total: row.total,
+        factor: comparison.factor(row.total),
+        blame: comparison.blame(&stages, unattributed, both_ways),
+        stages,
+        unattributed,
+        both_ways,
+        delays,
+    })
+}
+
+impl Delay {
+    fn row(self) -> Result<DelayRow, StoreError> {
+        Ok(DelayRow {
+            stage: Name::from(self.text.as_str()),
+            value: self.value,
+            bounds: self.lo.zip(self.hi),
+            raw: Span::from_nanos(self.raw_ns).seconds(),
+            source: known(WHAT, DelaySource::ALL, self.source)?,
+            verdict: known(WHAT, Verdict::ALL, self.verdict)?,
+        })
+    }
+}

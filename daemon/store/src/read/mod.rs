@@ -1,0 +1,75 @@
+//! Answers to questions, one file per subject. The statements stand together in [`sql`], where a test looks at
+//! all of their plans.
+
+pub(super) mod clocks;
+mod comparison;
+pub(super) mod episodes;
+pub(super) mod incidents;
+pub(super) mod iterations;
+pub(super) mod pairs;
+pub(crate) mod recompute;
+pub(super) mod runs;
+pub(crate) mod sql;
+pub(super) mod statistics;
+pub(super) mod tree;
+pub(super) mod whole;
+
+use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict, WallTime};
+use peernet_logger::Slug;
+
+use crate::column::count;
+use crate::error::StoreError;
+
+pub(super) fn corrupt(what: &'static str, detail: impl std::fmt::Display) -> StoreError {
+    StoreError::Corrupt { what, detail: detail.to_string() }
+}
+
+/// Reads a text as what it must be.
+pub(super) fn parse<T: std::str::FromStr<Err: std::fmt::Display>>(
+    what: &'static str,
+    text: &str,
+) -> Result<T, StoreError> {
+    text.parse().map_err(|error| corrupt(what, error))
+}
+
+pub(super) fn name(what: &'static str, text: Option<&str>) -> Result<Option<Slug>, StoreError> {
+    text.map(|text| parse(what, text)).transpose()
+}
+
+/// The value behind a number of the tables `source` and `verdict`, which stand in the order of declaration.
+pub(super) fn known<T: Copy>(what: &'static str, all: &[T], number: u8) -> Result<T, StoreError> {
+    let value = all.get(usize::from(number)).copied();
+    value.ok_or_else(|| corrupt(what, format_args!("source or verdict {number}")))
+}
+
+/// What the tables `node` and `transit` hold of a one-way delay.
+pub(super) struct StoredDelay {
+    pub(super) raw_ns: Option<i64>,
+    pub(super) source: Option<u8>,
+    pub(super) verdict: Option<u8>,
+    /// Seconds.
+    pub(super) value: Option<f64>,
+    /// Seconds.
+    pub(super) bounds: Option<(f64, f64)>,
+}
+
+impl StoredDelay {
+    /// The delay; `None` where it was never judged.
+    pub(super) fn judged(self, what: &'static str) -> Result<Option<OneWayDelay>, StoreError> {
+        let (Some(raw), Some(source), Some(verdict)) = (self.raw_ns, self.source, self.verdict) else {
+            return Ok(None);
+        };
+        let span = Span::from_seconds_f64;
+        Ok(Some(OneWayDelay {
+            raw: Span::from_nanos(raw),
+            value: self.value.map(span),
+            bounds: self.bounds.map(|(lo, hi)| Interval { lo: span(lo), hi: span(hi) }),
+            source: known(what, DelaySource::ALL, source)?,
+            verdict: known(what, Verdict::ALL, verdict)?,
+        }))
+    }
+}
+
+pub(super) fn wall(nanos: i64) -> WallTime {
+    WallTime::from_unix_nanos(nanos)
+}

@@ -1,0 +1,146 @@
+//! Two quantities of single iterations, of a sample of them: a run may have ten million.
+
+use std::collections::BTreeMap;
+
+use sqlx::FromRow;
+
+use super::{corrupt, sql};
+use crate::error::StoreError;
+use crate::figures::rank;
+use crate::readers::Readers;
+use crate::types::Pairs;
+
+const WHAT: &str = "pairs of values";
+/// Turned by this share of a stretch from one stretch to the next, places in them never repeat: the golden ratio.
+const TURN: f64 = 0.618_033_988_749_895;
+
+/// A node of one of the two names.
+#[derive(FromRow)]
+struct Row {
+    iteration: i64,
+    node: u32,
+    parent: Option<u32>,
+    value: Option<f64>,
+    is_x: bool,
+    is_y: bool,
+}
+
+/// What an iteration has of a name: one number, whatever the number of nodes.
+#[derive(Default)]
+struct Found {
+    /// The first node of the name, and its value.
+    first: Option<(u32, Option<f64>)>,
+    /// Of those directly below the root.
+    sum: Option<f64>,
+}
+
+impl Found {
+    fn add(&mut self, row: &Row) {
+        if self.first.is_none_or(|(node, _)| row.node < node) {
+            self.first = Some((row.node, row.value));
+        }
+        if row.parent == Some(0) {
+            self.sum = row.value.map(|value| value + self.sum.unwrap_or_default()).or(self.sum);
+        }
+    }
+
+    /// As a row of `data.csv` has it: of a standard name the sum, as in `stages-total`; of what users added the first
+    /// one, because each further one has a column of its own.
+    fn value(&self, is_standard: bool) -> Option<f64> {
+        if is_standard { self.sum } else { self.first.and_then(|(_, value)| value) }
+    }
+}
+
+pub(crate) async fn pairs(
+    readers: &Readers,
+    run: i64,
+    [x, y]: [&str; 2],
+    most: u32,
+) -> Result<Pairs, StoreError> {
+    let end = async |statement: &'static str, from: i64| {
+        let number: Option<i64> = sqlx::query_scalar(statement)
+            .bind(run)
+            .bind(from)
+            .fetch_one(&readers.pool())
+            .await
+            .map_err(readers.failed(WHAT))?;
+        Ok(number)
+    };
+    let ends = end(sql::NEXT, 0).await?.zip(end(sql::PREVIOUS, i64::MAX).await?);
+    let Some((first, last)) = ends else { return Ok(Pairs::default()) };
+    let numbers = spread(first, last, most);
+    let rows: Vec<Row> = sqlx::query_as(sql::PAIRS)
+        .bind(run)
+        .bind(serde_json::to_string(&numbers).map_err(|error| corrupt(WHAT, error))?)
+        .bind(x)
+        .bind(y)
+        .fetch_all(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
+    let mut found = BTreeMap::<i64, [Found; 2]>::new();
+    for row in rows {
+        let both = found.entry(row.iteration).or_default();
+        let wanted = both.iter_mut().zip([row.is_x, row.is_y]).filter(|(_, is_wanted)| *is_wanted);
+        wanted.for_each(|(one, _)| one.add(&row));
+    }
+    let is_standard = [x, y].map(|name| rank(name).0 < usize::MAX);
+    let point = |[x, y]: &[Found; 2]| Some((x.value(is_standard[0])?, y.value(is_standard[1])?));
+    Ok(Pairs {
+        points: found.values().filter_map(point).collect(),
+        asked: numbers.len() as u64,
+        of: length(first, last),
+    })
+}
+
+const fn length(first: i64, last: i64) -> u64 {
+    last.abs_diff(first).saturating_add(1)
+}
+
+/// At most so many numbers from the first to the last, by rising order: all, or one of each of as many stretches of
+/// equal length. Where in its stretch changes from one to the next, because evenly spaced ones would meet the same few
+/// samples of a data set that repeats.
+fn spread(first: i64, last: i64, most: u32) -> Vec<i64> {
+    let all = length(first, last);
+    if all <= u64::from(most) {
+        return (first..=last).collect();
+    }
+    let begin = |stretch: u32| (u128::from(all) * u128::from(stretch) / u128::from(most)) as u64;
+    let number = |stretch: u32| {
+        let (from, to) = (begin(stretch), begin(stretch + 1));
+        let within = ((to - from) as f64 * (f64::from(stretch) * TURN).fract()) as u64;
+        first.saturating_add_unsigned(from + within.min(to - from - 1))
+    };
+    (0..most).map(number).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::HashSet;
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn a_data_set_that_repeats_is_seen_whole() {
+        for period in [7, 30, 100] {
+            let numbers = spread(1, 1_500 * period, 1_500);
+            let places: HashSet<i64> = numbers.iter().map(|number| number % period).collect();
+            assert_eq!(places.len() as i64, period);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn every_stretch_has_one_number(first in 1i64..i64::MAX, all in 1i64..3_000_000, most in 0u32..4_000) {
+            let last = first.saturating_add(all - 1);
+            let (numbers, all) = (spread(first, last, most), length(first, last));
+            prop_assert_eq!(numbers.len() as u64, all.min(u64::from(most)));
+            prop_assert!(numbers.windows(2).all(|pair| pair[0] < pair[1]));
+            prop_assert!(numbers.iter().all(|number| (first..=last).contains(number)));
+            let stretch = all as f64 / f64::from(most.max(1));
+            let far = numbers.windows(2).any(|pair| (pair[1] - pair[0]) as f64 > 2.0 * stretch + 2.0);
+            prop_assert!(!far, "no hole is wider than two stretches");
+        }
+    }
+}

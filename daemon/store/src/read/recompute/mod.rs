@@ -1,0 +1,195 @@
+//! The one-way delays of a run judged again with the exchanges that came after them too.
+//!
+//! What was stamped stays as it was, and so does what was known: the new bounds are what the stored exchanges and the
+//! bounds of then have in common, so that none gets wider. A delay stays as it was judged where nothing can be added:
+//! both ends on one clock, near a step, no samples of that time.
+
+mod clouds;
+mod rolling;
+mod tally;
+mod windows;
+
+use peernet_clock::{DelaySource, Direction, OneWayDelay, Span, Verdict, WallTime};
+use peernet_logger::stage;
+use sqlx::FromRow;
+
+use self::clouds::Clouds;
+use self::tally::Tally;
+use super::{StoredDelay, sql, wall};
+use crate::error::StoreError;
+use crate::readers::Readers;
+use crate::types::{Recomputed, RecomputedStage};
+
+const WHAT: &str = "a run's delays";
+/// Delays that are read at once.
+const PAGE: u32 = 2_000;
+
+/// One stored delay.
+#[derive(FromRow)]
+struct Row {
+    iteration: i64,
+    node: i64,
+    text: String,
+    sent_ns: i64,
+    received_ns: Option<i64>,
+    raw_ns: Option<i64>,
+    source: Option<u8>,
+    verdict: Option<u8>,
+    value: Option<f64>,
+    lo: Option<f64>,
+    hi: Option<f64>,
+    cloud: Option<i64>,
+}
+
+/// Seconds of the buckets by which a run's times are looked up.
+const MINUTE_S: i64 = 60;
+
+/// The edge of a run, and between what times it ran.
+#[derive(FromRow)]
+struct Extent {
+    host: i64,
+    first_ns: Option<i64>,
+    last_ns: Option<i64>,
+    first_s: Option<i64>,
+    last_s: Option<i64>,
+}
+
+impl Extent {
+    /// When the earliest iteration began and when the latest one did, on the edge's wall clock: to the minute where its
+    /// clock was set back in between.
+    fn times(&self) -> (WallTime, WallTime) {
+        let nanos = |seconds: i64| seconds.saturating_mul(1_000_000_000);
+        let (first, last) = (self.first_ns.unwrap_or(0), self.last_ns.unwrap_or(0));
+        let (mut from, mut to) = (first.min(last), first.max(last));
+        if let Some(begin) = self.first_s.filter(|begin| nanos(begin + MINUTE_S) <= from) {
+            from = nanos(begin);
+        }
+        if let Some(begin) = self.last_s.filter(|begin| nanos(*begin) > to) {
+            to = nanos(begin + MINUTE_S);
+        }
+        (wall(from), wall(to))
+    }
+}
+
+/// A delay, then and now.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Rejudged {
+    pub(crate) direction: Direction,
+    pub(crate) before: Option<OneWayDelay>,
+    pub(crate) after: Option<OneWayDelay>,
+}
+
+pub(crate) async fn recompute(readers: &Readers, run: i64) -> Result<Option<Recomputed>, StoreError> {
+    let mut stages = [
+        (Direction::Up, stage::UPLOAD, Tally::default(), Tally::default()),
+        (Direction::Down, stage::DOWNLOAD, Tally::default(), Tally::default()),
+    ];
+    let samples = judge_again(readers, run, |delay| {
+        let of_direction = stages.iter_mut().filter(|(direction, ..)| *direction == delay.direction);
+        of_direction.for_each(|(_, _, old, new)| {
+            old.add(delay.before.as_ref());
+            new.add(delay.after.as_ref());
+        });
+    })
+    .await?;
+    let Some(samples) = samples else { return Ok(None) };
+    let stages = stages
+        .into_iter()
+        .filter(|(_, _, old, new)| !old.is_empty() || !new.is_empty())
+        .map(|(_, stage, old, new)| RecomputedStage {
+            stage,
+            before: old.judgement(),
+            after: new.judgement(),
+        })
+        .collect();
+    Ok(Some(Recomputed { number: run, samples, stages }))
+}
+
+/// Hands over each delay of a run that statistics are made of, in the order of iterations and nodes. Returns how many
+/// samples were used, or `None` when there is no such run.
+pub(crate) async fn judge_again(
+    readers: &Readers,
+    run: i64,
+    mut each: impl FnMut(Rejudged),
+) -> Result<Option<u64>, StoreError> {
+    let extent: Option<Extent> = sqlx::query_as(sql::RUN_EXTENT)
+        .bind(run)
+        .fetch_optional(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
+    let Some(extent) = extent else { return Ok(None) };
+    let mut clouds = Clouds::new(readers, extent.host, extent.times());
+    let mut page_ends = (i64::MIN, i64::MIN);
+    loop {
+        let rows: Vec<Row> = sqlx::query_as(sql::RUN_DELAYS)
+            .bind(run)
+            .bind(page_ends.0)
+            .bind(page_ends.1)
+            .bind(PAGE)
+            .fetch_all(&readers.pool())
+            .await
+            .map_err(readers.failed(WHAT))?;
+        let Some(last) = rows.last() else { return Ok(Some(clouds.samples())) };
+        page_ends = (last.iteration, last.node);
+        for row in &rows {
+            let direction = if stage::UPLOAD == row.text.as_str() { Direction::Up } else { Direction::Down };
+            let before = row.judged()?;
+            let after = again(&mut clouds, row, direction, before).await?;
+            each(Rejudged { direction, before, after });
+        }
+    }
+}
+
+/// A delay as it is judged now.
+async fn again(
+    clouds: &mut Clouds<'_>,
+    row: &Row,
+    direction: Direction,
+    before: Option<OneWayDelay>,
+) -> Result<Option<OneWayDelay>, StoreError> {
+    let (Some(cloud), Some(received)) = (row.cloud, row.received_ns.map(WallTime::from_unix_nanos)) else {
+        return Ok(before);
+    };
+    // A stepped delay stays one: that its own exchange was refused shows in no sample.
+    if before.is_some_and(|it| it.source == DelaySource::SameClock || it.verdict == Verdict::Stepped) {
+        return Ok(before);
+    }
+    let sent = wall(row.sent_ns);
+    let at = match direction {
+        Direction::Up => sent,
+        Direction::Down => received,
+    };
+    let Some(relation) = clouds.relation(cloud, at).await? else { return Ok(before) };
+    Ok(Some(joined(before, relation.delay(direction, sent, received))))
+}
+
+/// What was known then and what is known now.
+fn joined(before: Option<OneWayDelay>, now: OneWayDelay) -> OneWayDelay {
+    let Some(before) = before else { return now };
+    let of_then = before.bounds.filter(|_| before.verdict != Verdict::Inconsistent);
+    let (then, of_now) = match (of_then, now.bounds.filter(|_| now.verdict != Verdict::Inconsistent)) {
+        (Some(then), Some(of_now)) => (then, of_now),
+        (Some(_), None) if now.verdict == Verdict::Unsynchronised => return before,
+        _ => return now,
+    };
+    let Some(bounds) = then.intersection(of_now) else {
+        let bounds = Some(then.hull(of_now));
+        return OneWayDelay { value: None, bounds, verdict: Verdict::Inconsistent, ..now };
+    };
+    let value = now.value.or(before.value).map(|value| value.clamp(bounds.lo, bounds.hi));
+    let wide = value.is_none_or(|value| bounds.width() > Span::from_nanos(value.nanos() / 2));
+    let verdict = match (before.verdict, now.verdict) {
+        (Verdict::Stale, Verdict::Stale) => Verdict::Stale,
+        _ if wide => Verdict::Limited,
+        _ => Verdict::Ok,
+    };
+    OneWayDelay { value, bounds: Some(bounds), verdict, ..now }
+}
+
+impl Row {
+    /// The delay as stored; `None` where it was never judged.
+    fn judged(&self) -> Result<Option<OneWayDelay>, StoreError> {
+        let Self { raw_ns, source, verdict, value, .. } = *self;
+        StoredDelay { raw_ns, source, verdict, value, bounds: self.lo.zip(self.hi) }.judged(WHAT)
+    }
+}

@@ -1,0 +1,189 @@
+//! A relation that is fed with stored exchanges as time goes on.
+
+use std::collections::VecDeque;
+
+use peernet_clock::{
+    ClockIdentity, DelaySource, Discipline, Exchange, Interval, Relation, RelationSettings, Span, WallTime,
+    Witnessed,
+};
+use sqlx::FromRow;
+
+use super::super::clocks::sources;
+use super::super::{known, sql, wall};
+use crate::error::StoreError;
+use crate::readers::Readers;
+
+const WHAT: &str = "clock samples";
+/// How far exchanges are looked for on both sides of a time. The agent itself looks back as far.
+pub(super) const SPAN: Span = Span::from_seconds(600);
+/// Delays are judged nearly in the order of time: an iteration may take so long.
+const DISORDER: Span = Span::from_seconds(60);
+/// Samples that are read at once.
+const PAGE: u32 = 1_000;
+
+/// One stored second.
+#[derive(FromRow)]
+struct Row {
+    at_ns: i64,
+    max_drift_ppm: f64,
+    upper_sent_ns: Option<i64>,
+    upper_received_ns: Option<i64>,
+    upper_replied_ns: Option<i64>,
+    upper_returned_ns: Option<i64>,
+    upper_uncertainty_ns: Option<i64>,
+    lower_sent_ns: Option<i64>,
+    lower_received_ns: Option<i64>,
+    lower_replied_ns: Option<i64>,
+    lower_returned_ns: Option<i64>,
+    lower_uncertainty_ns: Option<i64>,
+    offset_lo_ns: Option<i64>,
+    offset_hi_ns: Option<i64>,
+    offset_source: Option<u8>,
+    offset_sources: Option<String>,
+}
+
+/// What two time daemons together claimed of the offset.
+type Claim = Option<(DelaySource, Interval)>;
+
+/// The exchanges of one window around the current time.
+pub(super) struct Rolling {
+    link: i64,
+    window: i64,
+    /// Made with the first sample, whose limit of drift is that of all.
+    relation: Option<Relation>,
+    /// Read and not learnt yet.
+    ahead: VecDeque<Row>,
+    read: i64,
+    complete: bool,
+    /// By the end of the second that they are of.
+    claims: VecDeque<(WallTime, Claim)>,
+    claim: Claim,
+}
+
+impl Rolling {
+    /// Begins a little before the first time asked for.
+    pub(super) fn new(link: i64, window: i64, at: WallTime) -> Self {
+        Self {
+            link,
+            window,
+            relation: None,
+            ahead: VecDeque::new(),
+            read: (at - SPAN - DISORDER).unix_nanos(),
+            complete: false,
+            claims: VecDeque::new(),
+            claim: None,
+        }
+    }
+
+    /// What is known of a time; times are asked for nearly in their order.
+    pub(super) async fn at(
+        &mut self,
+        readers: &Readers,
+        at: WallTime,
+    ) -> Result<Option<&Relation>, StoreError> {
+        let until = (at + SPAN).unix_nanos();
+        loop {
+            while let Some(row) = self.ahead.pop_front_if(|row| row.at_ns <= until) {
+                self.learn(&row)?;
+            }
+            if self.complete || !self.ahead.is_empty() {
+                break;
+            }
+            self.read(readers).await?;
+        }
+        while self.claims.pop_front_if(|(end, _)| *end < at).is_some() {}
+        if let (Some(relation), Some((_, claim))) = (&mut self.relation, self.claims.front())
+            && *claim != self.claim
+        {
+            self.claim = *claim;
+            let said = |error: fn(Interval) -> Interval| {
+                claim.map(|(source, offset)| Discipline { source, error: error(offset) })
+            };
+            // The stored claim is one of the offset: as if the edge's clock were exact.
+            relation.set_disciplines(said(|_| Interval::exactly(Span::ZERO)), said(|offset| offset));
+        }
+        Ok(self.relation.as_ref())
+    }
+
+    async fn read(&mut self, readers: &Readers) -> Result<(), StoreError> {
+        let rows: Vec<Row> = sqlx::query_as(sql::CLOCK_EXCHANGES)
+            .bind(self.link)
+            .bind(self.window)
+            .bind(self.read)
+            .bind(PAGE)
+            .fetch_all(&readers.pool())
+            .await
+            .map_err(readers.failed(WHAT))?;
+        self.complete = rows.len() < PAGE as usize;
+        self.read = rows.last().map_or(self.read, |row| row.at_ns);
+        self.ahead.extend(rows);
+        Ok(())
+    }
+
+    fn learn(&mut self, row: &Row) -> Result<(), StoreError> {
+        let relation = self.relation.get_or_insert_with(|| {
+            let settings = RelationSettings {
+                max_drift_ppm: row.max_drift_ppm,
+                window: SPAN + SPAN + DISORDER,
+                ..RelationSettings::default()
+            };
+            // Delays of hosts that read one clock are not judged again.
+            Relation::new(&ClockIdentity::new("", "edge"), &ClockIdentity::new("", "cloud"), settings)
+        });
+        for exchange in [row.upper(), row.lower()].into_iter().flatten() {
+            relation.learn(&Witnessed {
+                exchange,
+                edge_elapsed: None,
+                cloud_elapsed: None,
+                edge_epoch: 1,
+                cloud_epoch: Some(1),
+            });
+        }
+        self.claims.push_back((wall(row.at_ns), row.claim()?));
+        Ok(())
+    }
+}
+
+impl Row {
+    fn upper(&self) -> Option<Exchange> {
+        exchange([
+            self.upper_sent_ns,
+            self.upper_received_ns,
+            self.upper_replied_ns,
+            self.upper_returned_ns,
+            self.upper_uncertainty_ns,
+        ])
+    }
+
+    fn lower(&self) -> Option<Exchange> {
+        exchange([
+            self.lower_sent_ns,
+            self.lower_received_ns,
+            self.lower_replied_ns,
+            self.lower_returned_ns,
+            self.lower_uncertainty_ns,
+        ])
+    }
+
+    fn claim(&self) -> Result<Claim, StoreError> {
+        let daemons = |source: &DelaySource| matches!(source, DelaySource::Kernel | DelaySource::Chrony);
+        if let Some(json) = &self.offset_sources {
+            return Ok(sources(json)?.into_iter().find(|(source, _)| daemons(source)));
+        }
+        let source = self.offset_source.map(|number| known(WHAT, DelaySource::ALL, number)).transpose()?;
+        let bounds = self.offset_lo_ns.zip(self.offset_hi_ns);
+        let interval = |(lo, hi)| Interval { lo: Span::from_nanos(lo), hi: Span::from_nanos(hi) };
+        Ok(source.filter(daemons).zip(bounds.map(interval)))
+    }
+}
+
+fn exchange(stamps: [Option<i64>; 5]) -> Option<Exchange> {
+    let [sent, received, replied, returned, uncertainty] = stamps;
+    Some(Exchange {
+        sent: wall(sent?),
+        received: wall(received?),
+        replied: wall(replied?),
+        returned: wall(returned?),
+        uncertainty: Span::from_nanos(uncertainty?),
+    })
+}

@@ -1,0 +1,43 @@
+//! Delays and how well they are known, summed up.
+
+use peernet_clock::{OneWayDelay, Verdict};
+use peernet_statistics::Summary;
+
+use crate::figures::Figures;
+use crate::types::Judgement;
+
+/// The delays of one direction.
+#[derive(Debug, Default)]
+pub(super) struct Tally {
+    delay: Summary,
+    half_width: Summary,
+    verdicts: [u64; Verdict::ALL.len()],
+}
+
+impl Tally {
+    /// Adds a delay; nothing is added of one that was never judged.
+    pub(super) fn add(&mut self, delay: Option<&OneWayDelay>) {
+        let Some(delay) = delay else { return };
+        if let Some(value) = delay.value {
+            self.delay.record(value.seconds());
+        }
+        if let Some(bounds) = delay.bounds {
+            self.half_width.record((bounds.hi.seconds() - bounds.lo.seconds()) / 2.0);
+        }
+        let verdicts = Verdict::ALL.iter().zip(&mut self.verdicts);
+        verdicts.filter(|(known, _)| **known == delay.verdict).for_each(|(_, times)| *times += 1);
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.verdicts == [0; Verdict::ALL.len()]
+    }
+
+    pub(super) fn judgement(&self) -> Judgement {
+        let verdicts = Verdict::ALL.iter().copied().zip(self.verdicts);
+        Judgement {
+            delay: Figures::of(&self.delay),
+            half_width: Figures::of(&self.half_width),
+            verdicts: verdicts.filter(|(_, times)| *times > 0).collect(),
+        }
+    }
+}

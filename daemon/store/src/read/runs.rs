@@ -1,0 +1,204 @@
+//! Runs.
+
+use peernet_clock::WallTime;
+use peernet_external::exec::{hide_arguments, hide_arguments_in_facts};
+use peernet_logger::stage;
+use peernet_stream::{OutcomeCounts, Placement, PlacementKind};
+use serde::de::DeserializeOwned;
+use sqlx::FromRow;
+
+use super::{corrupt, count, name, parse, sql, statistics, wall};
+use crate::error::StoreError;
+use crate::readers::Readers;
+use crate::types::{ExperimentSummary, GapRow, Known, RunDetail, RunFilter, RunSummary};
+use crate::write::{UNKNOWN, placement_word};
+
+const WHAT: &str = "runs";
+
+#[derive(FromRow)]
+struct RunRow {
+    number: i64,
+    uuid: String,
+    host_uuid: String,
+    host_name: Option<String>,
+    pipeline: String,
+    placement: String,
+    peer: Option<String>,
+    network: Option<String>,
+    address: Option<String>,
+    model: String,
+    device: Option<String>,
+    started_ns: i64,
+    ended_ns: Option<i64>,
+    end_reason: Option<String>,
+    last_iteration_ns: Option<i64>,
+    warm_up: i64,
+    ok: i64,
+    failed: i64,
+    lost: i64,
+    timeout: i64,
+    skipped_starts: i64,
+    facts: String,
+    configuration: String,
+    version: String,
+    pinned: bool,
+    nodes_from: i64,
+    experiment: Option<String>,
+    conditions: Option<String>,
+}
+
+#[derive(FromRow)]
+struct ExperimentRow {
+    newest: i64,
+    oldest: i64,
+    name: Option<String>,
+    id: String,
+    runs: i64,
+    open: i64,
+    started_ns: i64,
+}
+
+pub(crate) async fn runs(readers: &Readers, filter: &RunFilter) -> Result<Vec<RunSummary>, StoreError> {
+    let before = filter.before.unwrap_or(i64::MAX);
+    let limit = filter.limit.clamp(1, 1_000);
+    let rows: Vec<RunRow> = if filter.pipeline.is_none() && filter.host.is_none() {
+        sqlx::query_as(sql::RUNS).bind(before).bind(limit).fetch_all(&readers.pool()).await
+    } else {
+        sqlx::query_as(sql::RUNS_FILTERED)
+            .bind(before)
+            .bind(limit)
+            .bind(filter.pipeline.as_ref().map(ToString::to_string))
+            .bind(filter.host.map(|host| host.to_string()))
+            .fetch_all(&readers.pool())
+            .await
+    }
+    .map_err(readers.failed(WHAT))?;
+    summaries(readers, &rows).await
+}
+
+/// The runs of an experiment, oldest first.
+pub(crate) async fn runs_of_experiment(
+    readers: &Readers,
+    id: &str,
+    limit: u32,
+) -> Result<Vec<RunSummary>, StoreError> {
+    let rows: Vec<RunRow> = sqlx::query_as(sql::RUNS_OF_EXPERIMENT)
+        .bind(id)
+        .bind(limit.clamp(1, 1_000))
+        .fetch_all(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
+    summaries(readers, &rows).await
+}
+
+/// Experiments, the one with the newest run first.
+pub(crate) async fn experiments(readers: &Readers, limit: u32) -> Result<Vec<ExperimentSummary>, StoreError> {
+    let rows: Vec<ExperimentRow> = sqlx::query_as(sql::EXPERIMENTS)
+        .bind(limit.clamp(1, 1_000))
+        .fetch_all(&readers.pool())
+        .await
+        .map_err(readers.failed("experiments"))?;
+    let summary = |row: ExperimentRow| ExperimentSummary {
+        id: row.id,
+        name: row.name.unwrap_or_default(),
+        runs: count(row.runs),
+        open: count(row.open),
+        oldest: row.oldest,
+        newest: row.newest,
+        started: wall(row.started_ns),
+    };
+    Ok(rows.into_iter().map(summary).collect())
+}
+
+async fn summaries(readers: &Readers, rows: &[RunRow]) -> Result<Vec<RunSummary>, StoreError> {
+    let numbers: Vec<i64> = rows.iter().map(|row| row.number).collect();
+    let totals = statistics::whole_runs(readers, &numbers, &stage::TOTAL).await?;
+    rows.iter().map(|row| summary(row, totals.get(&row.number))).collect()
+}
+
+pub(crate) async fn run(readers: &Readers, number: i64) -> Result<Option<RunDetail>, StoreError> {
+    let row: Option<RunRow> = sqlx::query_as(sql::RUN)
+        .bind(number)
+        .fetch_optional(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
+    let Some(row) = row else { return Ok(None) };
+    let totals = statistics::whole_runs(readers, &[number], &stage::TOTAL).await?;
+    Ok(Some(RunDetail {
+        summary: summary(&row, totals.get(&number))?,
+        facts: facts(&row)?,
+        conditions: row.conditions.as_deref().map(json).transpose()?.unwrap_or_default(),
+        // Earlier builds stored the arguments of programs.
+        configuration: hide_arguments(&row.configuration),
+        version: row.version,
+        gaps: gaps(readers, number).await?,
+    }))
+}
+
+/// What is missing of a run, oldest first.
+pub(crate) async fn gaps(readers: &Readers, run: i64) -> Result<Vec<GapRow>, StoreError> {
+    let rows: Vec<(i64, i64, i64, String)> = sqlx::query_as(sql::GAPS)
+        .bind(run)
+        .fetch_all(&readers.pool())
+        .await
+        .map_err(readers.failed("gaps"))?;
+    let row = |(from, to, missing, reason)| GapRow {
+        from: wall(from),
+        to: wall(to),
+        count: count(missing),
+        reason,
+    };
+    Ok(rows.into_iter().map(row).collect())
+}
+
+fn facts(row: &RunRow) -> Result<Vec<(String, String)>, StoreError> {
+    let mut facts: Vec<(String, String)> = json(&row.facts)?;
+    hide_arguments_in_facts(&mut facts);
+    Ok(facts)
+}
+
+fn json<T: DeserializeOwned>(text: &str) -> Result<T, StoreError> {
+    serde_json::from_str(text).map_err(|error| corrupt(WHAT, error))
+}
+
+fn summary(row: &RunRow, total: Option<&Known>) -> Result<RunSummary, StoreError> {
+    let kind = [PlacementKind::Local, PlacementKind::Remote, PlacementKind::None]
+        .into_iter()
+        .find(|kind| placement_word(*kind) == row.placement)
+        .ok_or_else(|| corrupt(WHAT, format_args!("placement {:?}", row.placement)))?;
+    Ok(RunSummary {
+        number: row.number,
+        id: parse(WHAT, &row.uuid)?,
+        host: parse(WHAT, &row.host_uuid)?,
+        host_name: parse(WHAT, row.host_name.as_deref().unwrap_or(UNKNOWN))?,
+        pipeline: parse(WHAT, &row.pipeline)?,
+        placement: Placement {
+            kind,
+            peer: name(WHAT, row.peer.as_deref())?,
+            network: row.network.clone(),
+            address: row.address.clone(),
+            model: parse(WHAT, &row.model)?,
+            device: row.device.clone(),
+        },
+        started: wall(row.started_ns),
+        ended: row.ended_ns.map(WallTime::from_unix_nanos),
+        reason: row.end_reason.clone(),
+        last_iteration: row.last_iteration_ns.map(WallTime::from_unix_nanos),
+        counts: OutcomeCounts {
+            ok: count(row.ok),
+            failed: count(row.failed),
+            lost: count(row.lost),
+            timeout: count(row.timeout),
+        },
+        warm_up: count(row.warm_up),
+        skipped_starts: count(row.skipped_starts),
+        total: total.and_then(Known::figures),
+        // Of the edge itself, and of each cloud by its name.
+        rehearsed: facts(row)?
+            .iter()
+            .any(|(fact, _)| fact == "Rehearsal" || fact.starts_with("Rehearsal of ")),
+        pinned: row.pinned,
+        nodes_from: count(row.nodes_from),
+        experiment: row.experiment.as_deref().map(json).transpose()?,
+    })
+}

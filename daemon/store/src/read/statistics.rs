@@ -1,0 +1,113 @@
+//! Figures of runs, from the roll-ups alone: their cost does not depend on the number of nodes.
+
+mod means;
+mod runs;
+mod series;
+
+use std::collections::HashMap;
+
+use peernet_logger::Name;
+use peernet_statistics::{Moments, Sketch, Summary};
+use sqlx::FromRow;
+
+use super::{corrupt, count, sql};
+use crate::error::StoreError;
+use crate::figures::Figures;
+use crate::readers::Readers;
+use crate::types::{Histogram, Known};
+
+pub(crate) use self::means::means;
+pub(crate) use self::runs::statistics;
+pub(crate) use self::series::{course, series};
+
+const WHAT: &str = "statistics";
+/// Above this quantile a histogram only counts, so that one straggler does not squeeze all others into a bin.
+const AXIS_ENDS_AT: f64 = 0.99;
+/// The axis goes on beyond that quantile by this share of its length.
+const AXIS_MARGIN: f64 = 0.1;
+
+#[derive(FromRow)]
+struct RollupRow {
+    run: i64,
+    text: String,
+    unit: String,
+    quantity: i64,
+    count: i64,
+    mean: f64,
+    m2: f64,
+    min: f64,
+    max: f64,
+    sketch: Vec<u8>,
+}
+
+impl RollupRow {
+    fn summary(&self) -> Result<Summary, StoreError> {
+        let sketch = Sketch::from_bytes(&self.sketch).map_err(|error| corrupt(WHAT, error))?;
+        let moments =
+            Moments { count: count(self.count), mean: self.mean, m2: self.m2, min: self.min, max: self.max };
+        Ok(Summary { moments, sketch })
+    }
+}
+
+/// One name over whole runs, by run. A name that was used with several kinds is taken together.
+pub(super) async fn whole_runs(
+    readers: &Readers,
+    runs: &[i64],
+    name: &str,
+) -> Result<HashMap<i64, Known>, StoreError> {
+    let rows: Vec<RollupRow> = sqlx::query_as(sql::ROLLUPS_OF_NAME)
+        .bind(list(runs)?)
+        .bind(name)
+        .fetch_all(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
+    let mut found = HashMap::<i64, Known>::new();
+    for row in rows {
+        let summary = row.summary()?;
+        found.entry(row.run).or_insert_with(|| Known::of_unit(&row.unit)).summary.merge(&summary);
+    }
+    Ok(found)
+}
+
+/// Numbers as statements take them: a JSON array.
+fn list(numbers: &[i64]) -> Result<String, StoreError> {
+    serde_json::to_string(numbers).map_err(|error| corrupt(WHAT, error))
+}
+
+pub(crate) async fn histogram(
+    readers: &Readers,
+    run: i64,
+    stage: &str,
+    bins: usize,
+) -> Result<Option<Histogram>, StoreError> {
+    let Some(known) = whole_runs(readers, &[run], stage).await?.remove(&run) else { return Ok(None) };
+    let Some(figures) = known.figures() else { return Ok(None) };
+    let bins = bins.clamp(1, 500);
+    let low = figures.min;
+    let typical = known.summary.quantile(AXIS_ENDS_AT).unwrap_or(figures.max);
+    let high = (typical + (typical - low) * AXIS_MARGIN).min(figures.max);
+    // All samples equal: one bin of a width that can be drawn.
+    let high = if high > low { high } else { low + low.abs().max(1e-9) * 0.01 };
+    let edges: Vec<f64> = (0..=bins).map(|at| low + (high - low) * at as f64 / bins as f64).collect();
+    // Extremes are exact, the sketch's bins are not: what it sees outside the first edge belongs to the first bin.
+    let mut sums: Vec<f64> = edges.iter().map(|edge| known.summary.sketch.count_below(*edge)).collect();
+    if let Some(first) = sums.first_mut() {
+        *first = 0.0;
+    }
+    let beyond_starts =
+        if high < figures.max { sums.last().copied().unwrap_or(0.0) } else { figures.count as f64 };
+    if let Some(last) = sums.last_mut() {
+        *last = beyond_starts;
+    }
+    // Sums are rounded, not bins: the bins then add up to the number of samples.
+    let rounded: Vec<u64> = sums.iter().map(|sum| (sum.round() as u64).min(figures.count)).collect();
+    let counts: Vec<u64> = rounded.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
+    let beyond = figures.count - counts.iter().sum::<u64>().min(figures.count);
+    Ok(Some(Histogram { stage: stage.into(), unit: known.unit, edges, counts, beyond, figures }))
+}
+
+/// Figures of all names of a run, in the order of tables.
+pub(super) async fn figures(readers: &Readers, run: i64) -> Result<Vec<(Name, Figures)>, StoreError> {
+    let found = statistics(readers, &[run]).await?;
+    Ok(found.into_iter().flat_map(|run| run.stages).map(|known| (known.stage, known.figures)).collect())
+}

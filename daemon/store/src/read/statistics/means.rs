@@ -1,0 +1,50 @@
+//! Means over the time of a run: the database adds them up, and no sketch is read.
+
+use peernet_logger::Name;
+
+use super::super::{sql, wall};
+use super::WHAT;
+use super::series::{Known, Stored};
+use crate::error::StoreError;
+use crate::readers::Readers;
+use crate::types::{MeanBucket, StageMeans};
+
+/// What the statement gives: name, point, samples and their sum.
+type Row = (i64, i64, i64, f64);
+
+pub(crate) async fn means(
+    readers: &Readers,
+    run: i64,
+    stages: &[Name],
+    most_buckets: usize,
+) -> Result<Vec<StageMeans>, StoreError> {
+    let (width_s, stored_s) = Stored::of(readers, run).await?.choose(most_buckets);
+    let known = Known::of(readers, stages).await?;
+    let rows: Vec<Row> = sqlx::query_as(sql::SUMS_OVER_TIME)
+        .bind(run)
+        .bind(stored_s)
+        .bind(known.ids()?)
+        .bind(width_s)
+        .fetch_all(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
+    // By name and point; a name of several kinds has several rows in one.
+    let mut sums: Vec<Vec<(i64, u64, f64)>> = vec![Vec::new(); stages.len()];
+    for (name, point, count, sum) in rows {
+        let Some(points) = known.places.get(&name).and_then(|at| sums.get_mut(*at)) else { continue };
+        let count = u64::try_from(count).unwrap_or_default();
+        match points.last_mut() {
+            Some((open, all, total)) if *open == point => (*all, *total) = (*all + count, *total + sum),
+            _ => points.push((point, count, sum)),
+        }
+    }
+    let mean = |(point, count, sum): &(i64, u64, f64)| {
+        let at = wall(point.saturating_mul(width_s).saturating_mul(1_000_000_000));
+        (*count > 0).then(|| MeanBucket { at, count: *count, mean: sum / *count as f64 })
+    };
+    let means = stages.iter().zip(sums).map(|(stage, points)| StageMeans {
+        stage: stage.clone(),
+        buckets: points.iter().filter_map(mean).collect(),
+    });
+    Ok(means.filter(|means| !means.buckets.is_empty()).collect())
+}

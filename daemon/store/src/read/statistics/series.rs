@@ -1,0 +1,266 @@
+//! Figures over the time of a run, from buckets of the width that fits: how many rows are read depends on the number of
+//! points and names, not on the length of the run.
+
+use std::collections::HashMap;
+
+use futures::TryStreamExt as _;
+use peernet_logger::Name;
+use peernet_statistics::Summary;
+
+use super::super::{corrupt, runs, sql, wall};
+use super::WHAT;
+use crate::error::StoreError;
+use crate::figures::Figures;
+use crate::readers::Readers;
+use crate::types::{Series, SeriesPoint, StageCourse, StageSeries};
+use crate::write::rollups::{RollupRow, WIDTHS_S, bucket};
+
+/// Widths that a point may have, each a multiple of a stored one, up to the next one of at most fifteen of them.
+const POINTS_S: [i64; 15] = [1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 900, 3_600, 7_200, 21_600, 86_400];
+const DAY_S: i64 = 86_400;
+
+pub(crate) async fn series(
+    readers: &Readers,
+    run: i64,
+    stages: &[Name],
+    max_points: usize,
+) -> Result<Series, StoreError> {
+    let stored = Stored::of(readers, run).await?;
+    let (width_s, stored_s) = stored.choose(max_points);
+    let bucket_s = u32::try_from(width_s).unwrap_or(u32::MAX);
+    let stages = points(readers, run, stages, (width_s, stored_s)).await?;
+    Ok(Series { bucket_s, stages, gaps: runs::gaps(readers, run).await? })
+}
+
+/// What there is of one stored width.
+#[derive(Clone, Copy, Debug)]
+struct Width {
+    width_s: i64,
+    /// First and last bucket.
+    extent: Option<(i64, i64)>,
+    /// Nothing was deleted.
+    whole: bool,
+}
+
+/// What there is of a run.
+pub(super) struct Stored([Width; WIDTHS_S.len()]);
+
+impl Stored {
+    pub(super) async fn of(readers: &Readers, run: i64) -> Result<Self, StoreError> {
+        let trimmed: Vec<(i64, i64)> = sqlx::query_as(sql::TRIMMED)
+            .bind(run)
+            .fetch_all(&readers.pool())
+            .await
+            .map_err(readers.failed(WHAT))?;
+        let mut widths = WIDTHS_S.map(|width_s| Width { width_s, extent: None, whole: true });
+        for width in &mut widths {
+            let (first, last): (Option<i64>, Option<i64>) = sqlx::query_as(sql::EXTENT)
+                .bind(run)
+                .bind(width.width_s)
+                .fetch_one(&readers.pool())
+                .await
+                .map_err(readers.failed(WHAT))?;
+            width.extent = first.zip(last);
+            width.whole = !trimmed.iter().any(|(kind, _)| *kind == width.width_s);
+        }
+        Ok(Self(widths))
+    }
+
+    /// The smallest width of which there are few enough points over the whole run, and the stored one that they are made
+    /// of: the coarsest that divides it. One that was deleted for a part of the run is passed over, so that a line is
+    /// made of one kind all along; hours are taken as far as they reach.
+    pub(super) fn choose(&self, max_points: usize) -> (i64, i64) {
+        let whole = self.0.iter().filter(|width| width.whole).find_map(|width| width.extent);
+        let all = || {
+            let extents = self.0.iter().filter_map(|width| width.extent);
+            extents.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
+        };
+        let (from, to) = whole.or_else(all).unwrap_or((0, 0));
+        let most = i64::try_from(max_points.max(1)).unwrap_or(i64::MAX);
+        let hour = WIDTHS_S[WIDTHS_S.len() - 1];
+        for width_s in POINTS_S {
+            let fits = to.div_euclid(width_s) - from.div_euclid(width_s) < most;
+            let stored = self.0.iter().rfind(|stored| width_s % stored.width_s == 0);
+            if let Some(stored) = stored.filter(|stored| fits && (stored.whole || stored.width_s == hour)) {
+                return (width_s, stored.width_s);
+            }
+        }
+        // Longer than any run: a clock was wrong.
+        (((to - from) / most / DAY_S + 2) * DAY_S, hour)
+    }
+}
+
+/// The points of each name that has any, in the order asked for.
+async fn points(
+    readers: &Readers,
+    run: i64,
+    stages: &[Name],
+    widths: (i64, i64),
+) -> Result<Vec<StageSeries>, StoreError> {
+    let lines = lines(readers, run, stages, widths).await?;
+    let series = lines.into_iter().map(|line| StageSeries {
+        points: line.points.iter().filter_map(point).collect(),
+        stage: line.stage,
+        unit: line.unit,
+    });
+    Ok(series.filter(|series| !series.points.is_empty()).collect())
+}
+
+/// As [`series`], with all that is known of each bucket.
+pub(crate) async fn course(
+    readers: &Readers,
+    run: i64,
+    stages: &[Name],
+    most_buckets: usize,
+) -> Result<Vec<StageCourse>, StoreError> {
+    let widths = Stored::of(readers, run).await?.choose(most_buckets);
+    let lines = lines(readers, run, stages, widths).await?;
+    let courses = lines.into_iter().map(|line| StageCourse {
+        buckets: line.points.into_iter().map(|(_, summary)| summary).collect(),
+        stage: line.stage,
+        unit: line.unit,
+    });
+    Ok(courses.filter(|course| !course.buckets.is_empty()).collect())
+}
+
+/// A line for each name, in the order asked for.
+async fn lines(
+    readers: &Readers,
+    run: i64,
+    stages: &[Name],
+    (width_s, stored_s): (i64, i64),
+) -> Result<Vec<Line>, StoreError> {
+    let known = Known::of(readers, stages).await?;
+    let line = |(at, stage): (usize, &Name)| Line {
+        stage: stage.clone(),
+        unit: known.units[at].clone(),
+        width_s,
+        points: Vec::new(),
+    };
+    let mut lines: Vec<Line> = stages.iter().enumerate().map(line).collect();
+    let pool = readers.pool();
+    let mut rows = sqlx::query_as::<_, RollupRow>(sql::ROLLUPS_OVER_TIME)
+        .bind(run)
+        .bind(stored_s)
+        .bind(known.ids()?)
+        .fetch(&pool);
+    while let Some(row) = rows.try_next().await.map_err(readers.failed(WHAT))? {
+        let line = known.places.get(&row.name).and_then(|at| lines.get_mut(*at));
+        if let Some(line) = line {
+            line.add(&row)?;
+        }
+    }
+    Ok(lines)
+}
+
+/// How the database calls names.
+pub(super) struct Known {
+    /// Where in the list asked for an id stands. A name that was used with several kinds has several, and is taken
+    /// together.
+    pub(super) places: HashMap<i64, usize>,
+    /// Units, in the order asked for.
+    units: Vec<String>,
+}
+
+impl Known {
+    pub(super) async fn of(readers: &Readers, stages: &[Name]) -> Result<Self, StoreError> {
+        let texts: Vec<&str> = stages.iter().map(|stage| &**stage).collect();
+        let names: Vec<(i64, String, String)> = sqlx::query_as(sql::NAMES)
+            .bind(serde_json::to_string(&texts).map_err(|error| corrupt(WHAT, error))?)
+            .fetch_all(&readers.pool())
+            .await
+            .map_err(readers.failed(WHAT))?;
+        let mut known = Self { places: HashMap::new(), units: vec![String::new(); stages.len()] };
+        for (id, text, unit) in names {
+            if let Some(at) = texts.iter().position(|asked| *asked == text) {
+                known.units[at] = unit;
+                known.places.insert(id, at);
+            }
+        }
+        Ok(known)
+    }
+
+    /// The list of ids, as statements take it.
+    pub(super) fn ids(&self) -> Result<String, StoreError> {
+        let ids: Vec<i64> = self.places.keys().copied().collect();
+        serde_json::to_string(&ids).map_err(|error| corrupt(WHAT, error))
+    }
+}
+
+/// A bucket as a page shows it; `None` without samples.
+fn point((begin, summary): &(i64, Summary)) -> Option<SeriesPoint> {
+    Figures::of(summary).map(|figures| SeriesPoint {
+        at: wall(begin.saturating_mul(1_000_000_000)),
+        count: figures.count,
+        mean: figures.mean,
+        p50: figures.p50,
+        p95: figures.p95,
+    })
+}
+
+/// What is known of one name, from rows by rising time.
+struct Line {
+    stage: Name,
+    unit: String,
+    width_s: i64,
+    /// Begin and contents of each bucket; the last one may grow.
+    points: Vec<(i64, Summary)>,
+}
+
+impl Line {
+    fn add(&mut self, row: &RollupRow) -> Result<(), StoreError> {
+        let summary = row.summary().map_err(|error| corrupt(WHAT, error))?;
+        let begin = bucket(row.bucket_s, self.width_s);
+        match self.points.last_mut() {
+            Some((open, all)) if *open == begin => all.merge(&summary),
+            _ => self.points.push((begin, summary)),
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WEEK_S: i64 = 7 * DAY_S;
+
+    /// A run from an hour's beginning on, of which nothing was deleted except of these widths.
+    fn stored(length_s: i64, deleted: &[i64]) -> Stored {
+        Stored(WIDTHS_S.map(|width_s| Width {
+            width_s,
+            extent: Some((0, bucket(length_s - 1, width_s))),
+            whole: !deleted.contains(&width_s),
+        }))
+    }
+
+    #[test]
+    fn points_are_made_of_the_coarsest_buckets_that_divide_them() {
+        for (length_s, points, choice) in [
+            (100, 240, (1, 1)),
+            (241, 240, (2, 1)),
+            (1_200, 240, (5, 1)),
+            (2_400, 240, (10, 10)),
+            (14_400, 240, (60, 60)),
+            (DAY_S, 240, (600, 60)),
+            (2 * DAY_S, 240, (900, 60)),
+            (WEEK_S, 240, (3_600, 3_600)),
+            (WEEK_S, 7, (DAY_S, 3_600)),
+        ] {
+            assert_eq!(stored(length_s, &[]).choose(points), choice, "{length_s} s in {points} points");
+        }
+        // However wrong a clock was.
+        let (width_s, stored_s) = stored(i64::MAX / 1_000_000_000, &[]).choose(240);
+        assert!(i64::MAX / 1_000_000_000 / width_s < 240 && width_s % stored_s == 0);
+    }
+
+    #[test]
+    fn what_is_not_whole_is_passed_over() {
+        assert_eq!(stored(100, &[1]).choose(240), (10, 10));
+        assert_eq!(stored(100, &[1, 10]).choose(240), (60, 60));
+        assert_eq!(stored(7_200, &[1, 10, 60]).choose(240), (3_600, 3_600));
+        // Hours are the last that go: what is left of them is shown.
+        assert_eq!(stored(WEEK_S, &[1, 10, 60, 3_600]).choose(240), (3_600, 3_600));
+        assert_eq!(Stored(stored(0, &[]).0.map(|width| Width { extent: None, ..width })).choose(240), (1, 1));
+    }
+}

@@ -1,0 +1,171 @@
+//! From rows back to a tree.
+
+use peernet_clock::{OneWayDelay, Span, WallTime};
+use peernet_logger::{Anchor, HostIndex, Measure, Name, Node, NodeId, Rate, Slug, Transit, Tree, Unit};
+use sqlx::FromRow;
+
+use super::{StoredDelay, corrupt, name, parse, sql, wall};
+use crate::error::StoreError;
+use crate::readers::Readers;
+
+const WHAT: &str = "an iteration's tree";
+
+#[derive(FromRow)]
+struct NodeRow {
+    iteration: i64,
+    node: u32,
+    parent: Option<u32>,
+    host: u8,
+    start_ns: i64,
+    value: Option<f64>,
+    lo: Option<f64>,
+    hi: Option<f64>,
+    text: String,
+    kind: String,
+    custom: bool,
+    unit: String,
+}
+
+#[derive(FromRow)]
+struct TransitRow {
+    iteration: i64,
+    node: u32,
+    sent_ns: i64,
+    received_ns: Option<i64>,
+    raw_ns: Option<i64>,
+    source: Option<u8>,
+    verdict: Option<u8>,
+}
+
+#[derive(FromRow)]
+struct AnchorRow {
+    iteration: i64,
+    uuid: String,
+    name: Option<String>,
+    wall_ns: i64,
+}
+
+/// The host that senses, and the name of the one that serves it: the tree's second host.
+#[derive(FromRow)]
+struct Ends {
+    uuid: String,
+    name: Option<String>,
+    peer: Option<String>,
+}
+
+/// A tree, and the names of its anchors' hosts.
+pub(super) type Stored = (Tree, Vec<Option<Slug>>);
+
+/// Trees of iterations as they were sent, and the names of their hosts; each iteration by its number and begin, in
+/// rising order. `None` of one that is deleted meanwhile.
+pub(super) async fn trees(
+    readers: &Readers,
+    run: i64,
+    iterations: &[(i64, WallTime)],
+) -> Result<Vec<Option<Stored>>, StoreError> {
+    let numbers: Vec<i64> = iterations.iter().map(|(number, _)| *number).collect();
+    let numbers = serde_json::to_string(&numbers).map_err(|error| corrupt(WHAT, error))?;
+    let ends: Ends =
+        sqlx::query_as(sql::ENDS).bind(run).fetch_one(&readers.pool()).await.map_err(readers.failed(WHAT))?;
+    let anchors: Vec<AnchorRow> = sqlx::query_as(sql::ANCHORS)
+        .bind(run)
+        .bind(&numbers)
+        .fetch_all(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
+    let transits: Vec<TransitRow> = sqlx::query_as(sql::TRANSITS)
+        .bind(run)
+        .bind(&numbers)
+        .fetch_all(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
+    // Last: where retention was faster, an iteration has no nodes, but never nodes without their stamps.
+    let nodes: Vec<NodeRow> = sqlx::query_as(sql::NODES)
+        .bind(run)
+        .bind(&numbers)
+        .fetch_all(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
+    let (mut anchors, mut nodes, mut transits) = (&anchors[..], &nodes[..], &transits[..]);
+    let mut trees = Vec::with_capacity(iterations.len());
+    for (number, started) in iterations {
+        let (others, nodes, transits) = (
+            take(&mut anchors, |row| row.iteration == *number),
+            take(&mut nodes, |row| row.iteration == *number),
+            take(&mut transits, |row| row.iteration == *number),
+        );
+        let is_there = !nodes.is_empty();
+        trees.push(is_there.then(|| tree(&ends, *started, others, nodes, transits)).transpose()?);
+    }
+    Ok(trees)
+}
+
+/// The rows at the begin that are meant.
+fn take<'a, T>(rows: &mut &'a [T], is_meant: impl Fn(&T) -> bool) -> &'a [T] {
+    let (taken, rest) = rows.split_at(rows.iter().take_while(|row| is_meant(row)).count());
+    *rows = rest;
+    taken
+}
+
+fn tree(
+    ends: &Ends,
+    started: WallTime,
+    others: &[AnchorRow],
+    nodes: &[NodeRow],
+    transits: &[TransitRow],
+) -> Result<Stored, StoreError> {
+    let mut anchors = vec![Anchor { host: parse(WHAT, &ends.uuid)?, wall: started }];
+    let mut hosts = vec![name(WHAT, ends.name.as_deref())?];
+    for (at, other) in others.iter().enumerate() {
+        anchors.push(Anchor { host: parse(WHAT, &other.uuid)?, wall: wall(other.wall_ns) });
+        // A server that reports to no aggregator, or to another one, is known by what the edge calls it.
+        let peer = ends.peer.as_ref().filter(|_| at == 0);
+        hosts.push(name(WHAT, other.name.as_ref().or(peer).map(String::as_str))?);
+    }
+    let mut nodes_again = Vec::with_capacity(nodes.len());
+    for row in nodes {
+        let transit = transits.iter().find(|transit| transit.node == row.node);
+        nodes_again.push(Node {
+            parent: row.parent.map(NodeId),
+            name: row.text.as_str().into(),
+            host: HostIndex(row.host),
+            start: Span::from_nanos(row.start_ns),
+            measure: measure(row, transit)?,
+        });
+    }
+    let tree = Tree::from_parts(anchors, nodes_again).map_err(|error| corrupt(WHAT, error))?;
+    Ok((tree, hosts))
+}
+
+/// What was measured. Seconds go back to nanoseconds without loss for durations up to 17 days.
+fn measure(row: &NodeRow, transit: Option<&TransitRow>) -> Result<Measure, StoreError> {
+    let unit = || Unit::new(&row.unit);
+    // SQLite keeps not-a-number as NULL.
+    let number = || row.value.unwrap_or(f64::NAN);
+    if row.custom {
+        return Ok(Measure::Custom(Name::from(row.kind.as_str()), unit(), row.value));
+    }
+    Ok(match row.kind.as_str() {
+        "container" => Measure::Container,
+        "timer" => Measure::Timer(row.value.map(Span::from_seconds_f64)),
+        "value" => Measure::Value(number(), unit()),
+        "throughput" => Measure::Throughput(Rate { value: row.value, bounds: row.lo.zip(row.hi) }),
+        "token-rate" => Measure::TokenRate(row.value),
+        "transit" => {
+            let stamps =
+                transit.ok_or_else(|| corrupt(WHAT, format_args!("node {} has no stamps", row.node)))?;
+            Measure::Transit(Box::new(Transit {
+                sent: wall(stamps.sent_ns),
+                received: stamps.received_ns.map(WallTime::from_unix_nanos),
+                delay: delay(row, stamps)?,
+            }))
+        }
+        kind => return Err(corrupt(WHAT, format_args!("node {} is of an unknown kind, {kind:?}", row.node))),
+    })
+}
+
+fn delay(row: &NodeRow, stamps: &TransitRow) -> Result<Option<OneWayDelay>, StoreError> {
+    let TransitRow { raw_ns, source, verdict, .. } = *stamps;
+    let stored = StoredDelay { raw_ns, source, verdict, value: row.value, bounds: row.lo.zip(row.hi) };
+    stored.judged(WHAT)
+}

@@ -1,0 +1,102 @@
+//! Iterations as the agent sent them, many at a time.
+
+use peernet_stream::{Iteration, Outcome};
+
+use super::iterations::Row;
+use super::{corrupt, count, sql, tree, wall};
+use crate::column::column;
+use crate::error::StoreError;
+use crate::readers::Readers;
+use crate::types::RunSummary;
+
+const WHAT: &str = "whole iterations";
+/// Most iterations that are read at a time: a tree may be large.
+const MOST: u32 = 200;
+/// Iterations whose shapes are looked at together.
+const SHAPED: u32 = 5_000;
+
+pub(crate) async fn whole(
+    readers: &Readers,
+    run: &RunSummary,
+    after: u64,
+) -> Result<Option<(u64, Vec<Iteration>)>, StoreError> {
+    let rows: Vec<Row> = sqlx::query_as(sql::ITERATIONS)
+        .bind(run.number)
+        .bind(column(after))
+        .bind(MOST)
+        .fetch_all(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
+    let Some(last) = rows.last().map(|row| count(row.number)) else { return Ok(None) };
+    Ok(Some((last, with_trees(readers, run, rows).await?)))
+}
+
+pub(crate) async fn shapes(
+    readers: &Readers,
+    run: &RunSummary,
+    after: u64,
+) -> Result<Option<(u64, Vec<Iteration>)>, StoreError> {
+    let last: Option<i64> = sqlx::query_scalar(sql::LAST_OF_NEXT)
+        .bind(run.number)
+        .bind(column(after))
+        .bind(SHAPED)
+        .fetch_one(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
+    let Some(last) = last else { return Ok(None) };
+    let firsts: Vec<i64> = sqlx::query_scalar(sql::SHAPES)
+        .bind(run.number)
+        .bind(column(after))
+        .bind(last)
+        .fetch_all(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
+    let mut found = Vec::with_capacity(firsts.len());
+    for some in firsts.chunks(MOST as usize) {
+        let numbers = serde_json::to_string(some).map_err(|error| corrupt(WHAT, error))?;
+        let rows: Vec<Row> = sqlx::query_as(sql::ITERATIONS_OF)
+            .bind(run.number)
+            .bind(numbers)
+            .fetch_all(&readers.pool())
+            .await
+            .map_err(readers.failed(WHAT))?;
+        found.extend(with_trees(readers, run, rows).await?);
+    }
+    Ok(Some((count(last), found)))
+}
+
+async fn with_trees(
+    readers: &Readers,
+    run: &RunSummary,
+    rows: Vec<Row>,
+) -> Result<Vec<Iteration>, StoreError> {
+    let begins: Vec<_> = rows.iter().map(|row| (row.number, wall(row.started_ns))).collect();
+    let trees = tree::trees(readers, run.number, &begins).await?;
+    rows.into_iter()
+        .zip(trees)
+        .filter_map(|(row, stored)| Some((row, stored?.0)))
+        .map(|(row, tree)| {
+            Ok(Iteration {
+                run: run.id,
+                number: count(row.number),
+                episode: row.episode,
+                step: row.step,
+                warm_up: row.warm_up,
+                outcome: outcome(row.outcome, row.reason)?,
+                tree,
+            })
+        })
+        .collect()
+}
+
+/// The outcome behind a number of the table `outcome`.
+fn outcome(number: u8, reason: Option<String>) -> Result<Outcome, StoreError> {
+    let reason = reason.unwrap_or_default();
+    Ok(match number {
+        0 => Outcome::Ok,
+        1 => Outcome::Failed(reason),
+        2 => Outcome::Lost(reason),
+        3 => Outcome::Timeout,
+        number => return Err(corrupt(WHAT, format_args!("outcome {number}"))),
+    })
+}

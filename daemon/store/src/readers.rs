@@ -1,0 +1,116 @@
+//! The connections that answer questions: read-only, few, and none of them for longer than a limit.
+
+use std::path::Path;
+use std::sync::{Arc, PoisonError, RwLock};
+use std::time::Duration;
+
+use futures::future::BoxFuture;
+use peernet_clock::{SharedClock, Span};
+use sqlx::sqlite::{SqliteConnectOptions, SqlitePoolOptions};
+use sqlx::{ConnectOptions, SqliteConnection, SqlitePool};
+
+use super::database::BUSY;
+use super::integrity::Integrity;
+use crate::error::StoreError;
+
+/// How long a question waits for a connection.
+const ACQUIRE: Duration = Duration::from_secs(5);
+/// Instructions of SQLite's machine between two looks at the clock: some tens of microseconds.
+const INSTRUCTIONS: i32 = 2_000;
+/// SQLite's code for a statement that was stopped (SQLITE_INTERRUPT).
+const INTERRUPTED: &str = "9";
+
+/// Read-only connections, opened when needed. SQLite itself interrupts a statement that goes on for longer than the
+/// limit; the connection is as good as before.
+#[derive(Clone, Debug)]
+pub struct Readers {
+    /// Closed while the database is.
+    pool: Arc<RwLock<SqlitePool>>,
+    limit: Duration,
+    integrity: Integrity,
+}
+
+impl Readers {
+    /// At most so many connections to the file, which is opened at the first question, and so long for each statement,
+    /// from getting the connection until its last row was taken. What damage they meet is taken down.
+    pub fn open(
+        path: &Path,
+        connections: u32,
+        limit: Duration,
+        clock: SharedClock,
+        integrity: Integrity,
+    ) -> Self {
+        let options = SqliteConnectOptions::new()
+            .filename(path)
+            .read_only(true)
+            .busy_timeout(BUSY)
+            .disable_statement_logging();
+        let within = Span::from_nanos(i64::try_from(limit.as_nanos()).unwrap_or(i64::MAX));
+        let deadline = Deadline { limit: within, clock };
+        let again = deadline.clone();
+        let pool = SqlitePoolOptions::new()
+            .max_connections(connections)
+            .acquire_timeout(ACQUIRE)
+            .test_before_acquire(false)
+            .after_connect(move |connection, _| deadline.clone().set(connection))
+            .before_acquire(move |connection, _| {
+                let set = again.clone().set(connection);
+                Box::pin(async move { set.await.map(|()| true) })
+            })
+            .connect_lazy_with(options);
+        Self { pool: Arc::new(RwLock::new(pool)), limit, integrity }
+    }
+
+    /// The connections, as they are now.
+    pub(super) fn pool(&self) -> SqlitePool {
+        self.pool.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Closes the connections when the questions under way are answered; later ones are refused.
+    pub(super) async fn close(&self) {
+        self.pool().close().await;
+    }
+
+    /// Takes new connections in place of those that were closed.
+    pub(super) fn reopen(&self) {
+        let mut pool = self.pool.write().unwrap_or_else(PoisonError::into_inner);
+        let options = pool.connect_options().as_ref().clone();
+        *pool = pool.options().clone().connect_lazy_with(options);
+    }
+
+    /// Turns a failed statement into an error that says what was asked for.
+    pub(super) fn failed(&self, what: &'static str) -> impl Fn(sqlx::Error) -> StoreError + Copy + use<'_> {
+        let Self { limit, integrity, .. } = self;
+        let limit = *limit;
+        move |source| match source {
+            sqlx::Error::PoolTimedOut => StoreError::Busy { what },
+            sqlx::Error::PoolClosed => StoreError::Closed { what },
+            sqlx::Error::Database(error) if error.code().as_deref() == Some(INTERRUPTED) => {
+                StoreError::TooLong { what, limit }
+            }
+            source => {
+                integrity.note(&source);
+                StoreError::Database { what, source }
+            }
+        }
+    }
+}
+
+/// When the statement that a connection is given out for must have ended.
+#[derive(Clone)]
+struct Deadline {
+    limit: Span,
+    clock: SharedClock,
+}
+
+impl Deadline {
+    fn set(self, connection: &mut SqliteConnection) -> BoxFuture<'_, Result<(), sqlx::Error>> {
+        Box::pin(async move {
+            let Self { limit, clock } = self;
+            let begin = clock.mono();
+            let goes_on = move || clock.mono() - begin < limit;
+            connection.lock_handle().await?.set_progress_handler(INSTRUCTIONS, goes_on);
+            Ok(())
+        })
+    }
+}

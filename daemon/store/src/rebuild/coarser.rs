@@ -1,0 +1,73 @@
+//! Minutes and hours for runs that were stored when there were buckets of ten seconds alone. SQL cannot merge
+//! quantile sketches, so the migration leaves a list of runs behind, and this works it off when the file is opened:
+//! before anything is written or read, so that no one else has to know of it.
+
+use sqlx::{Connection, SqliteConnection};
+
+use crate::write::rollups::{RollupRow, Rollups, Scope, bucket};
+
+/// Width of the buckets that are there.
+const STORED_S: i64 = 10;
+const HOUR_S: i64 = 3600;
+/// Runs between two lines of the log.
+const RUNS_TOLD: u64 = 100;
+
+/// The rows of the first hour that has any after a moment: ?1 run, ?2 begin, ?3 end.
+pub(super) const TENS: &str = "SELECT run, resolution_s, bucket_s, name, quantity, count, mean, m2, min, max, sketch \
+     FROM rollup WHERE run = ?1 AND resolution_s = 10 AND bucket_s >= ?2 AND bucket_s < ?3";
+
+/// Makes what is missing; each run in a transaction of its own, so that it goes on where it was stopped.
+///
+/// # Errors
+/// When the database cannot be read or written.
+pub(crate) async fn make_coarser(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
+    let runs: i64 =
+        sqlx::query_scalar("SELECT count(*) FROM rollup_debt").fetch_one(&mut *connection).await?;
+    if runs == 0 {
+        return Ok(());
+    }
+    tracing::info!(runs, "making statistics per minute and hour of runs that a version before stored");
+    for done in 1.. {
+        let run: Option<i64> =
+            sqlx::query_scalar("SELECT min(run) FROM rollup_debt").fetch_one(&mut *connection).await?;
+        let Some(run) = run else { break };
+        // Rolled back when it is dropped.
+        let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
+        one_run(&mut transaction, run).await?;
+        transaction.commit().await?;
+        if done % RUNS_TOLD == 0 {
+            tracing::info!(done, runs, "making statistics per minute and hour");
+        }
+    }
+    tracing::info!(runs, "statistics per minute and hour are there");
+    Ok(())
+}
+
+async fn one_run(connection: &mut SqliteConnection, run: i64) -> Result<(), sqlx::Error> {
+    sqlx::query("DELETE FROM rollup WHERE run = ? AND resolution_s IN (60, 3600)")
+        .bind(run)
+        .execute(&mut *connection)
+        .await?;
+    let mut rollups = Rollups::of(Scope::Coarser);
+    let mut from = i64::MIN;
+    loop {
+        let first: Option<i64> = sqlx::query_scalar(
+            "SELECT min(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND bucket_s >= ?3",
+        )
+        .bind(run)
+        .bind(STORED_S)
+        .bind(from)
+        .fetch_one(&mut *connection)
+        .await?;
+        let Some(first) = first else { break };
+        from = bucket(first, HOUR_S).saturating_add(HOUR_S);
+        let rows: Vec<RollupRow> =
+            sqlx::query_as(TENS).bind(run).bind(first).bind(from).fetch_all(&mut *connection).await?;
+        for row in rows {
+            rollups.merge(run, row.name, row.quantity(), row.bucket_s, &row.summary()?);
+        }
+        rollups.write(connection).await?;
+    }
+    sqlx::query("DELETE FROM rollup_debt WHERE run = ?").bind(run).execute(connection).await?;
+    Ok(())
+}

@@ -1,0 +1,140 @@
+//! Roll-ups made anew: from the nodes, or coarser ones from finer ones. Nobody else may write meanwhile.
+
+mod coarser;
+mod nodes;
+
+use sqlx::{Connection, SqliteConnection};
+
+pub(crate) use self::coarser::make_coarser;
+use crate::retention::{Kind, release};
+use crate::write::rollups::{Rollups, Scope, WHOLE_RUN, WIDTHS_S};
+
+/// What a rebuild has done so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Rebuilt {
+    /// Runs that are done.
+    pub runs: u64,
+    /// Successful iterations of them that were read, without the warm-up.
+    pub iterations: u64,
+    /// Those of the runs of which some nodes were deleted: their statistics over the whole run, and buckets that are no
+    /// longer wholly covered by nodes, were left as they are.
+    pub in_part: u64,
+}
+
+/// ?1 the run before.
+const NEXT_RUN: &str = "SELECT min(number) FROM run WHERE number > ?1";
+/// Up to where nodes are gone: ?1 run.
+const FLOOR: &str = "SELECT before_s FROM trimmed WHERE run = ?1 AND kind = 0";
+/// Starts that were skipped before the iterations of a run, as the migration that made the column counts them: ?1 run. Those
+/// before answered iterations stand in the roll-up of the whole run.
+const SKIPPED_STARTS: &str = "UPDATE run SET skipped_starts = CAST(coalesce(max(0.0, min(9007199254740992.0, round( \
+     (SELECT total(rollup.count * rollup.mean) FROM rollup \
+     WHERE rollup.run = run.number AND rollup.resolution_s = 0 AND rollup.bucket_s = 0 AND rollup.quantity = 0 \
+     AND rollup.name IN (SELECT id FROM name WHERE text = 'skipped-starts')) \
+     + (SELECT total(node.value) FROM iteration INDEXED BY iteration_without_answer \
+     CROSS JOIN node ON node.run = iteration.run AND node.iteration = iteration.number \
+     WHERE iteration.run = run.number AND iteration.outcome <> 0 AND iteration.warm_up = 0 \
+     AND node.value > 0 AND node.name IN (SELECT id FROM name WHERE text = 'skipped-starts')) \
+     ))), 0.0) AS INTEGER) \
+     WHERE number = ?1";
+
+/// Makes the roll-ups of a run, or of all, from its nodes, as far as they still exist: each run in a transaction of its
+/// own, so that each has its old statistics or its new ones. `progress` is told after every few thousand summaries.
+///
+/// # Errors
+/// When the database cannot be read or written; runs that are done stay done.
+pub(crate) async fn rebuild(
+    connection: &mut SqliteConnection,
+    run: Option<i64>,
+    mut progress: impl FnMut(&Rebuilt),
+) -> Result<Rebuilt, sqlx::Error> {
+    let mut rebuilt = Rebuilt::default();
+    let mut before = run.map_or(i64::MIN, |run| run - 1);
+    loop {
+        let next: Option<i64> = sqlx::query_scalar(NEXT_RUN).bind(before).fetch_one(&mut *connection).await?;
+        let Some(next) = next.filter(|next| run.is_none_or(|run| run == *next)) else {
+            return Ok(rebuilt);
+        };
+        // Rolled back when it is dropped.
+        let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
+        one_run(&mut transaction, next, &mut rebuilt, &mut progress).await?;
+        transaction.commit().await?;
+        rebuilt.runs += 1;
+        progress(&rebuilt);
+        before = next;
+    }
+}
+
+async fn one_run(
+    connection: &mut SqliteConnection,
+    run: i64,
+    rebuilt: &mut Rebuilt,
+    progress: &mut impl FnMut(&Rebuilt),
+) -> Result<(), sqlx::Error> {
+    let floor: Option<i64> = sqlx::query_scalar(FLOOR).bind(run).fetch_optional(&mut *connection).await?;
+    let scope = floor.map_or(Scope::All, Scope::From);
+    for width_s in WIDTHS_S {
+        sqlx::query("DELETE FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND bucket_s >= ?3")
+            .bind(run)
+            .bind(width_s)
+            .bind(floor.unwrap_or(i64::MIN))
+            .execute(&mut *connection)
+            .await?;
+    }
+    if floor.is_none() {
+        sqlx::query("DELETE FROM rollup WHERE run = ?1 AND resolution_s = ?2")
+            .bind(run)
+            .bind(WHOLE_RUN)
+            .execute(&mut *connection)
+            .await?;
+        sqlx::query("DELETE FROM verdict_count WHERE run = ?").bind(run).execute(&mut *connection).await?;
+    } else {
+        rebuilt.in_part += 1;
+    }
+    let mut rollups = Rollups::of(scope);
+    nodes::sum_up(connection, run, floor, &mut rollups, |iterations| {
+        rebuilt.iterations += iterations;
+        progress(rebuilt);
+    })
+    .await?;
+    // Where nodes are missing, nobody can count again what was skipped before them.
+    if floor.is_none() {
+        sqlx::query(SKIPPED_STARTS).bind(run).execute(&mut *connection).await?;
+    }
+    complete(connection, run, floor).await
+}
+
+/// What was made again is there again, and has to go again in its time.
+async fn complete(
+    connection: &mut SqliteConnection,
+    run: i64,
+    floor: Option<i64>,
+) -> Result<(), sqlx::Error> {
+    for width_s in WIDTHS_S {
+        match floor {
+            None => sqlx::query("DELETE FROM trimmed WHERE run = ?1 AND kind = ?2").bind(run).bind(width_s),
+            Some(floor) => {
+                let whole = floor.saturating_add(width_s - 1);
+                sqlx::query("UPDATE trimmed SET before_s = min(before_s, ?3) WHERE run = ?1 AND kind = ?2")
+                    .bind(run)
+                    .bind(width_s)
+                    .bind(whole - whole.rem_euclid(width_s))
+            }
+        }
+        .execute(&mut *connection)
+        .await?;
+        release(connection, Kind::Buckets(width_s), run).await?;
+    }
+    Ok(())
+}
+
+/// What a rebuild asks: a test looks at the plans.
+#[cfg(test)]
+pub(crate) const QUESTIONS: [(&str, &str); 6] = [
+    ("NEXT_RUN", NEXT_RUN),
+    ("FLOOR", FLOOR),
+    ("SKIPPED_STARTS", SKIPPED_STARTS),
+    ("PAGE", nodes::PAGE),
+    ("NUMBERS", nodes::NUMBERS),
+    ("TENS", coarser::TENS),
+];

@@ -1,0 +1,86 @@
+//! Summaries of nodes as they are stored, by the rules of those that grow with them.
+
+use std::collections::HashMap;
+
+use futures::TryStreamExt as _;
+use peernet_statistics::Summary;
+use sqlx::{FromRow, SqliteConnection};
+
+use crate::write::rollups::{Quantity, Rollups};
+
+/// Iterations that are read at a time.
+const ITERATIONS: i64 = 500;
+/// Summaries that wait before they are written.
+const SUMMARIES: usize = 20_000;
+
+/// The last iteration of a page, and how many of it count: ?1 run, ?2 the last of the page before, ?3 limit.
+pub(super) const PAGE: &str = "SELECT max(number), count(*) FILTER (WHERE warm_up = 0 AND outcome = 0) FROM \
+     (SELECT number, warm_up, outcome FROM iteration WHERE run = ?1 AND number > ?2 ORDER BY number LIMIT ?3)";
+/// The numbers of the successful iterations of a page, the warm-up left out: ?1 run, ?2 and ?3 first and last iteration.
+/// The order of the joins is that of all four tables.
+pub(super) const NUMBERS: &str = "SELECT iteration.started_ns, node.name, node.value, node.lo, node.hi, transit.verdict \
+     FROM iteration CROSS JOIN node ON node.run = iteration.run AND node.iteration = iteration.number \
+     LEFT JOIN transit ON transit.run = node.run AND transit.iteration = node.iteration AND transit.node = node.node \
+     WHERE iteration.run = ?1 AND iteration.number > ?2 AND iteration.number <= ?3 \
+     AND +iteration.warm_up = 0 AND +iteration.outcome = 0";
+
+#[derive(FromRow)]
+struct NodeRow {
+    started_ns: i64,
+    name: i64,
+    value: Option<f64>,
+    lo: Option<f64>,
+    hi: Option<f64>,
+    verdict: Option<u8>,
+}
+
+/// Writes the roll-ups of all nodes of a run of which nothing in this bucket is missing; `done` is told of iterations.
+/// Verdicts count over the whole run: only where no node is missing.
+pub(super) async fn sum_up(
+    connection: &mut SqliteConnection,
+    run: i64,
+    floor: Option<i64>,
+    rollups: &mut Rollups,
+    mut done: impl FnMut(u64),
+) -> Result<(), sqlx::Error> {
+    let mut before = i64::MIN;
+    loop {
+        let (last, counted): (Option<i64>, i64) =
+            sqlx::query_as(PAGE).bind(run).bind(before).bind(ITERATIONS).fetch_one(&mut *connection).await?;
+        let Some(last) = last else { break };
+        let mut summaries = HashMap::<(i64, Quantity, i64), Summary>::new();
+        let mut verdicts = HashMap::<(i64, u8), u64>::new();
+        let mut rows = sqlx::query_as(NUMBERS).bind(run).bind(before).bind(last).fetch(&mut *connection);
+        while let Some(row) = rows.try_next().await? {
+            let NodeRow { started_ns, name, value, lo, hi, verdict } = row;
+            let second_s = started_ns.div_euclid(1_000_000_000);
+            let mut record = |quantity, value| {
+                summaries.entry((name, quantity, second_s)).or_default().record(value);
+            };
+            if let Some(value) = value {
+                record(Quantity::Value, value);
+            }
+            if let Some(verdict) = verdict {
+                *verdicts.entry((name, verdict)).or_default() += 1;
+                if let (Some(lo), Some(hi)) = (lo, hi) {
+                    record(Quantity::HalfWidth, (hi - lo) / 2.0);
+                }
+            }
+        }
+        drop(rows);
+        for ((name, quantity, second_s), summary) in summaries {
+            rollups.merge(run, name, quantity, second_s, &summary);
+        }
+        if floor.is_none() {
+            for ((name, verdict), count) in verdicts {
+                rollups.judge(run, name, verdict, count);
+            }
+        }
+        if rollups.waiting() >= SUMMARIES {
+            rollups.write(connection).await?;
+        }
+        done(counted.unsigned_abs());
+        before = last;
+    }
+    rollups.write(connection).await
+}

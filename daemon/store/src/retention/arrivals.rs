@@ -1,0 +1,216 @@
+//! The table `arrival`: what is next to be deleted, and what of it may go.
+
+use sqlx::SqliteConnection;
+
+use super::deletions::{Cause, Deletion};
+use super::{Deleted, Kind, buckets, clocks, nodes};
+use crate::extent::Extent;
+use crate::write::rollups::bucket;
+
+/// Rows of the table that one transaction looks at.
+const ROWS: usize = 64;
+
+/// Triggers see to the table `arrival`: ?1 run, ?2 0 or 1.
+const PIN: &str = "UPDATE run SET pinned = ?2 WHERE number = ?1";
+/// ?1 kind, ?2 run.
+const RELEASE: &str = "INSERT INTO arrival (kind, owner, from_s, to_s, first, last) \
+     SELECT ?1, number, 0, coalesce((SELECT elapsed_ns / 1000000000 FROM storage_clock), 0), \
+       -9223372036854775808, 9223372036854775807 FROM run WHERE number = ?2 AND pinned = 0 \
+     ON CONFLICT (kind, owner, from_s) DO UPDATE SET to_s = excluded.to_s, first = excluded.first, last = excluded.last";
+/// The one whose period began first: ?1 kind, ?2 at this second or before.
+const NEXT: &str =
+    "SELECT owner, from_s, first, last FROM arrival WHERE kind = ?1 AND to_s <= ?2 ORDER BY to_s LIMIT 1";
+/// What arrived later and overlaps: ?1 kind, ?2 owner, ?3 from, ?4 and ?5 first and last.
+const LATER: &str = "SELECT first, last FROM arrival WHERE kind = ?1 AND owner = ?2 AND from_s > ?3 \
+     AND first <= ?5 AND last >= ?4";
+/// ?1 run.
+const ARRIVING_RUN: &str = "SELECT arriving_first_number, arriving_last_number, arriving_first_s, arriving_last_s \
+     FROM run WHERE number = ?1 AND arriving_from_s IS NOT NULL";
+/// ?1 link.
+const ARRIVING_LINK: &str =
+    "SELECT arriving_first_ns, arriving_last_ns FROM link WHERE id = ?1 AND arriving_from_s IS NOT NULL";
+/// ?1 kind, ?2 owner, ?3 from.
+const REMOVE: &str = "DELETE FROM arrival WHERE kind = ?1 AND owner = ?2 AND from_s = ?3";
+/// ?1 kind, ?2 owner, ?3 from, ?4 now.
+const POSTPONE: &str = "UPDATE arrival SET to_s = ?4 WHERE kind = ?1 AND owner = ?2 AND from_s = ?3";
+
+#[cfg(test)]
+pub(super) const STATEMENTS: [(&str, &str); 8] = [
+    ("PIN", PIN),
+    ("RELEASE", RELEASE),
+    ("NEXT", NEXT),
+    ("LATER", LATER),
+    ("ARRIVING_RUN", ARRIVING_RUN),
+    ("ARRIVING_LINK", ARRIVING_LINK),
+    ("REMOVE", REMOVE),
+    ("POSTPONE", POSTPONE),
+];
+
+/// Pins a run, so that nothing of it is deleted, or lets it go: its periods count from now then. False when there is no
+/// such run. What was deleted before stays deleted.
+pub(crate) async fn pin(
+    connection: &mut SqliteConnection,
+    run: i64,
+    pinned: bool,
+) -> Result<bool, sqlx::Error> {
+    let done = sqlx::query(PIN).bind(run).bind(pinned).execute(connection).await?;
+    Ok(done.rows_affected() > 0)
+}
+
+/// All of this kind that is there of a run, and did not arrive since, has to go in its time, counted from now, unless
+/// the run is pinned.
+pub(crate) async fn release(
+    connection: &mut SqliteConnection,
+    kind: Kind,
+    run: i64,
+) -> Result<(), sqlx::Error> {
+    sqlx::query(RELEASE).bind(kind.number()).bind(run).execute(connection).await?;
+    Ok(())
+}
+
+/// A row of the table.
+#[derive(Clone, Copy, Debug)]
+struct Arrival {
+    kind: Kind,
+    owner: i64,
+    from_s: i64,
+    extent: Extent,
+}
+
+/// Whether something of this kind had arrived by a second of the storage clock.
+pub(super) async fn due(
+    connection: &mut SqliteConnection,
+    kind: Kind,
+    before_s: i64,
+) -> Result<bool, sqlx::Error> {
+    Ok(next(connection, kind, before_s).await?.is_some())
+}
+
+async fn next(
+    connection: &mut SqliteConnection,
+    kind: Kind,
+    before_s: i64,
+) -> Result<Option<Arrival>, sqlx::Error> {
+    let row: Option<(i64, i64, i64, i64)> =
+        sqlx::query_as(NEXT).bind(kind.number()).bind(before_s).fetch_optional(connection).await?;
+    Ok(row.map(|(owner, from_s, first, last)| Arrival {
+        kind,
+        owner,
+        from_s,
+        extent: Extent { first, last },
+    }))
+}
+
+/// What was done with what is due.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Trimmed {
+    /// Deleted, in the cost of a small row.
+    pub(super) rows: u64,
+    /// Nothing is due any more.
+    pub(super) through: bool,
+}
+
+/// Deletes what had arrived by a second of the storage clock, in the order of arrival, about so many rows.
+pub(super) async fn trim(
+    connection: &mut SqliteConnection,
+    (kind, cause): (Kind, Cause),
+    before_s: i64,
+    now_s: i64,
+    rows: u64,
+    deletions: &mut Vec<Deletion>,
+) -> Result<Trimmed, sqlx::Error> {
+    let mut deleted = 0;
+    for _ in 0..ROWS {
+        let left = rows.saturating_sub(deleted);
+        if left == 0 {
+            break;
+        }
+        let Some(arrival) = next(connection, kind, before_s).await? else {
+            return Ok(Trimmed { rows: deleted, through: true });
+        };
+        let gone = arrival.delete(connection, now_s, left).await?;
+        deleted += gone.rows;
+        if gone.items > 0 {
+            deletions.push(Deletion { cause, kind, owner: arrival.owner, items: gone.items });
+        }
+    }
+    Ok(Trimmed { rows: deleted, through: false })
+}
+
+impl Arrival {
+    /// Deletes what it holds and nothing that arrived later does, about so many rows. When that is complete the row goes, or waits for
+    /// another period where something is kept.
+    async fn delete(
+        self,
+        connection: &mut SqliteConnection,
+        now_s: i64,
+        rows: u64,
+    ) -> Result<Deleted, sqlx::Error> {
+        let mut others = self.later(connection).await?;
+        let pinned = match self.kind {
+            Kind::ClockSamples => clocks::pinned(connection, self.owner).await?,
+            _ => Vec::new(),
+        };
+        others.extend(&pinned);
+        let mut deleted = Deleted::default();
+        for part in self.extent.without(others) {
+            loop {
+                let left = rows.saturating_sub(deleted.rows);
+                if left == 0 {
+                    return Ok(deleted);
+                }
+                let gone = match self.kind {
+                    Kind::Nodes => nodes::delete(connection, self.owner, part, left).await?,
+                    Kind::Buckets(width_s) => {
+                        buckets::delete(connection, self.owner, width_s, part, left).await?
+                    }
+                    Kind::ClockSamples => clocks::delete(connection, self.owner, part, left).await?,
+                };
+                deleted.rows += gone.rows;
+                deleted.items += gone.items;
+                if gone.complete {
+                    break;
+                }
+            }
+        }
+        let mut kept = false;
+        for Extent { first, last } in pinned {
+            let part = Extent { first: first.max(self.extent.first), last: last.min(self.extent.last) };
+            kept = kept || (part.first <= part.last && clocks::any(connection, self.owner, part).await?);
+        }
+        let statement = if kept { POSTPONE } else { REMOVE };
+        let statement = sqlx::query(statement).bind(self.kind.number()).bind(self.owner).bind(self.from_s);
+        if kept { statement.bind(now_s) } else { statement }.execute(connection).await?;
+        Ok(Deleted { complete: true, ..deleted })
+    }
+
+    /// What of its extent arrived later as well.
+    async fn later(self, connection: &mut SqliteConnection) -> Result<Vec<Extent>, sqlx::Error> {
+        let rows: Vec<(i64, i64)> = sqlx::query_as(LATER)
+            .bind(self.kind.number())
+            .bind(self.owner)
+            .bind(self.from_s)
+            .bind(self.extent.first)
+            .bind(self.extent.last)
+            .fetch_all(&mut *connection)
+            .await?;
+        let mut later: Vec<Extent> = rows.into_iter().map(|(first, last)| Extent { first, last }).collect();
+        let arriving = match self.kind {
+            Kind::ClockSamples => {
+                let row = sqlx::query_as(ARRIVING_LINK).bind(self.owner).fetch_optional(connection).await?;
+                row.map(|(first, last): (i64, i64)| Extent { first, last })
+            }
+            kind => {
+                let row = sqlx::query_as(ARRIVING_RUN).bind(self.owner).fetch_optional(connection).await?;
+                row.map(|(first, last, first_s, last_s): (i64, i64, i64, i64)| match kind {
+                    Kind::Buckets(width_s) => {
+                        Extent { first: bucket(first_s, width_s), last: bucket(last_s, width_s) }
+                    }
+                    _ => Extent { first, last },
+                })
+            }
+        };
+        later.extend(arriving);
+        Ok(later)
+    }
+}

@@ -1,0 +1,127 @@
+//! What arrived of late becomes a row of the table `arrival` for each kind.
+//!
+//! The writer notes with each transaction which iterations came of a run and which samples of a link. When that has gone
+//! on for long enough it becomes a row, or extends the newest one, so that each kind has few rows within its period.
+
+use sqlx::{FromRow, SqliteConnection};
+
+use super::{Kind, Periods};
+use crate::extent::Extent;
+use crate::write::rollups::bucket;
+
+/// Whether something has been arriving since this second of the storage clock or before: ?1 second.
+const ANY: &str = "SELECT EXISTS (SELECT 1 FROM run INDEXED BY run_arriving WHERE arriving_from_s <= ?1) \
+     OR EXISTS (SELECT 1 FROM link INDEXED BY link_arriving WHERE arriving_from_s <= ?1)";
+/// ?1 second, ?2 limit.
+const RUNS: &str = "SELECT number, pinned, arriving_from_s AS from_s, arriving_first_number AS first_number, \
+       arriving_last_number AS last_number, arriving_first_s AS first_s, arriving_last_s AS last_s \
+     FROM run INDEXED BY run_arriving WHERE arriving_from_s <= ?1 ORDER BY arriving_from_s LIMIT ?2";
+/// ?1 second, ?2 limit.
+const LINKS: &str = "SELECT id, arriving_from_s, arriving_first_ns, arriving_last_ns \
+     FROM link INDEXED BY link_arriving WHERE arriving_from_s <= ?1 ORDER BY arriving_from_s LIMIT ?2";
+/// ?1 run.
+const RUN_DONE: &str = "UPDATE run SET arriving_from_s = NULL, arriving_first_number = NULL, arriving_last_number = NULL, \
+     arriving_first_s = NULL, arriving_last_s = NULL WHERE number = ?1";
+/// ?1 link.
+const LINK_DONE: &str =
+    "UPDATE link SET arriving_from_s = NULL, arriving_first_ns = NULL, arriving_last_ns = NULL WHERE id = ?1";
+/// ?1 kind, ?2 owner, ?3 now, ?4 and ?5 first and last, ?6 only if the row began after this second.
+const EXTEND: &str = "UPDATE arrival SET to_s = max(to_s, ?3), first = min(first, ?4), last = max(last, ?5) \
+     WHERE kind = ?1 AND owner = ?2 AND from_s > ?6 \
+       AND from_s = (SELECT max(newest.from_s) FROM arrival AS newest WHERE newest.kind = ?1 AND newest.owner = ?2)";
+/// ?1 kind, ?2 owner, ?3 from, ?4 now, ?5 and ?6 first and last. The row may be there: that of all that came before.
+const INSERT: &str = "INSERT INTO arrival (kind, owner, from_s, to_s, first, last) VALUES (?1, ?2, ?3, ?4, ?5, ?6) \
+     ON CONFLICT (kind, owner, from_s) DO UPDATE SET to_s = max(to_s, excluded.to_s), \
+     first = min(first, excluded.first), last = max(last, excluded.last)";
+
+#[cfg(test)]
+pub(super) const STATEMENTS: [(&str, &str); 7] = [
+    ("ANY", ANY),
+    ("RUNS", RUNS),
+    ("LINKS", LINKS),
+    ("RUN_DONE", RUN_DONE),
+    ("LINK_DONE", LINK_DONE),
+    ("EXTEND", EXTEND),
+    ("INSERT", INSERT),
+];
+
+#[derive(FromRow)]
+struct Run {
+    number: i64,
+    pinned: bool,
+    from_s: i64,
+    first_number: i64,
+    last_number: i64,
+    first_s: i64,
+    last_s: i64,
+}
+
+/// Whether something has been arriving since this second or before.
+pub(super) async fn any(connection: &mut SqliteConnection, since_s: i64) -> Result<bool, sqlx::Error> {
+    sqlx::query_scalar(ANY).bind(since_s).fetch_one(connection).await
+}
+
+/// Makes rows of what has been arriving since this second or before, of so many runs and links; of how many there was.
+pub(super) async fn close(
+    connection: &mut SqliteConnection,
+    periods: &Periods,
+    since_s: i64,
+    now_s: i64,
+    limit: u32,
+) -> Result<usize, sqlx::Error> {
+    let runs: Vec<Run> = sqlx::query_as(RUNS).bind(since_s).bind(limit).fetch_all(&mut *connection).await?;
+    for run in &runs {
+        let numbers = Extent { first: run.first_number, last: run.last_number };
+        for kind in Kind::OF_RUNS {
+            let extent = match kind {
+                Kind::Buckets(width_s) => {
+                    Extent { first: bucket(run.first_s, width_s), last: bucket(run.last_s, width_s) }
+                }
+                _ => numbers,
+            };
+            if !run.pinned {
+                append(connection, periods, kind, run.number, (run.from_s, now_s), extent).await?;
+            }
+        }
+        sqlx::query(RUN_DONE).bind(run.number).execute(&mut *connection).await?;
+    }
+    let links: Vec<(i64, i64, i64, i64)> =
+        sqlx::query_as(LINKS).bind(since_s).bind(limit).fetch_all(&mut *connection).await?;
+    for (link, from_s, first, last) in &links {
+        let extent = Extent { first: *first, last: *last };
+        append(connection, periods, Kind::ClockSamples, *link, (*from_s, now_s), extent).await?;
+        sqlx::query(LINK_DONE).bind(link).execute(&mut *connection).await?;
+    }
+    Ok(runs.len() + links.len())
+}
+
+async fn append(
+    connection: &mut SqliteConnection,
+    periods: &Periods,
+    kind: Kind,
+    owner: i64,
+    (from_s, now_s): (i64, i64),
+    extent: Extent,
+) -> Result<(), sqlx::Error> {
+    let extended = sqlx::query(EXTEND)
+        .bind(kind.number())
+        .bind(owner)
+        .bind(now_s)
+        .bind(extent.first)
+        .bind(extent.last)
+        .bind(now_s - periods.resolution_s(kind))
+        .execute(&mut *connection)
+        .await?;
+    if extended.rows_affected() == 0 {
+        sqlx::query(INSERT)
+            .bind(kind.number())
+            .bind(owner)
+            .bind(from_s)
+            .bind(now_s)
+            .bind(extent.first)
+            .bind(extent.last)
+            .execute(connection)
+            .await?;
+    }
+    Ok(())
+}

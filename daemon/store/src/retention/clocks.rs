@@ -1,0 +1,90 @@
+//! Samples of the relation between two hosts' clocks. Those from the time of a pinned run of the link's edge stay, so that
+//! its delays can be judged again.
+
+use sqlx::SqliteConnection;
+
+use super::Deleted;
+use crate::column::column;
+use crate::extent::Extent;
+
+/// Samples stay so long before and after a pinned run.
+const AROUND_NS: i64 = 3_600_000_000_000;
+/// What a row costs, in nodes: it is some times as long.
+const ROW: u64 = 5;
+
+/// The oldest sample: ?1 link, ?2 and ?3 first and last.
+const OLDEST: &str = "SELECT min(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3";
+/// Pinned runs of a link's edge: ?1 link.
+const PINNED: &str = "SELECT run.started_ns, coalesce(max(run.ended_ns, run.last_iteration_ns), run.ended_ns, 9223372036854775807) \
+     FROM run INDEXED BY run_pinned CROSS JOIN pipeline ON pipeline.id = run.pipeline \
+     WHERE run.pinned = 1 AND pipeline.host = (SELECT edge FROM link WHERE id = ?1)";
+/// The sample after so many: ?1 link, ?2 and ?3 first and last, ?4 rows.
+const AFTER: &str = "SELECT at_ns FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3 \
+     ORDER BY at_ns LIMIT 1 OFFSET ?4";
+/// ?1 link, ?2 and ?3 first and last.
+const DELETE: &str = "DELETE FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3";
+/// Windows of which no sample is left; the last one may go on: ?1 link, ?2 end.
+const WINDOWS: &str = "DELETE FROM clock_window WHERE link = ?1 AND last_ns <= ?2 \
+     AND id <> (SELECT max(id) FROM clock_window WHERE link = ?1) \
+     AND NOT EXISTS (SELECT 1 FROM clock_sample WHERE clock_sample.link = clock_window.link \
+       AND clock_sample.at_ns BETWEEN clock_window.first_ns AND clock_window.last_ns \
+       AND clock_sample.window = clock_window.window)";
+
+#[cfg(test)]
+pub(super) const STATEMENTS: [(&str, &str); 5] = [
+    ("CLOCK_OLDEST", OLDEST),
+    ("PINNED", PINNED),
+    ("CLOCK_AFTER", AFTER),
+    ("CLOCK_DELETE", DELETE),
+    ("WINDOWS", WINDOWS),
+];
+
+/// The times around pinned runs of a link's edge.
+pub(super) async fn pinned(connection: &mut SqliteConnection, link: i64) -> Result<Vec<Extent>, sqlx::Error> {
+    let runs: Vec<(i64, i64)> = sqlx::query_as(PINNED).bind(link).fetch_all(connection).await?;
+    let around = |(begin, end): (i64, i64)| Extent {
+        first: begin.saturating_sub(AROUND_NS),
+        last: end.max(begin).saturating_add(AROUND_NS),
+    };
+    Ok(runs.into_iter().map(around).collect())
+}
+
+/// Whether there are samples between two times, both included.
+pub(super) async fn any(
+    connection: &mut SqliteConnection,
+    link: i64,
+    times: Extent,
+) -> Result<bool, sqlx::Error> {
+    let oldest = sqlx::query_scalar(OLDEST).bind(link).bind(times.first).bind(times.last);
+    let oldest: Option<i64> = oldest.fetch_one(connection).await?;
+    Ok(oldest.is_some())
+}
+
+/// Deletes samples by rising time, of about so many rows.
+pub(super) async fn delete(
+    connection: &mut SqliteConnection,
+    link: i64,
+    times: Extent,
+    rows: u64,
+) -> Result<Deleted, sqlx::Error> {
+    let first: Option<i64> = sqlx::query_scalar(OLDEST)
+        .bind(link)
+        .bind(times.first)
+        .bind(times.last)
+        .fetch_one(&mut *connection)
+        .await?;
+    let Some(first) = first else { return Ok(Deleted { complete: true, ..Deleted::default() }) };
+    let after: Option<i64> = sqlx::query_scalar(AFTER)
+        .bind(link)
+        .bind(first)
+        .bind(times.last)
+        .bind(column((rows / ROW).max(1)))
+        .fetch_optional(&mut *connection)
+        .await?;
+    // Samples of one moment, in several windows, go together.
+    let through = after.map_or(times.last, |after| (after - 1).max(first));
+    let gone = sqlx::query(DELETE).bind(link).bind(first).bind(through);
+    let items = gone.execute(&mut *connection).await?.rows_affected();
+    sqlx::query(WINDOWS).bind(link).bind(through).execute(connection).await?;
+    Ok(Deleted { rows: items * ROW, items, complete: after.is_none() })
+}

@@ -1,0 +1,162 @@
+//! What was deleted, as incidents and log lines: one an hour at most, which grows.
+
+use std::collections::{BTreeMap, HashSet};
+use std::fmt::Write;
+
+use peernet_clock::WallTime;
+use sqlx::SqliteConnection;
+
+use super::Kind;
+use crate::retention_config::RetentionConfig;
+use crate::types::AggregatorIncidentKind;
+use crate::write::incidents;
+
+/// An incident grows for so long on the storage clock.
+const GROUP_S: i64 = 3_600;
+
+/// ?1 incident, ?2 text.
+const UPDATE: &str = "UPDATE incident SET text = ?2 WHERE id = ?1";
+
+/// Which limit something was deleted for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Cause {
+    /// It was older than its period.
+    Age,
+    /// The database was larger than its limit.
+    Size,
+}
+
+/// What a transaction deleted of a run or link.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Deletion {
+    pub(super) cause: Cause,
+    pub(super) kind: Kind,
+    /// A run's number, or a link's id.
+    pub(super) owner: i64,
+    /// Iterations, rows of statistics, or samples.
+    pub(super) items: u64,
+}
+
+/// Keeps the incident that grows.
+#[derive(Debug)]
+pub(super) struct Deletions {
+    config: RetentionConfig,
+    group: Option<Group>,
+}
+
+/// What one incident tells.
+#[derive(Debug)]
+struct Group {
+    incident: i64,
+    /// Storage clock, seconds.
+    from_s: i64,
+    counts: BTreeMap<(Cause, Kind), Count>,
+    /// What the log was told last.
+    logged: Option<String>,
+}
+
+#[derive(Debug, Default)]
+struct Count {
+    items: u64,
+    owners: HashSet<i64>,
+}
+
+impl Deletions {
+    pub(super) const fn new(config: RetentionConfig) -> Self {
+        Self { config, group: None }
+    }
+
+    /// Tells of what this transaction deletes.
+    pub(super) async fn record(
+        &mut self,
+        connection: &mut SqliteConnection,
+        deletions: &[Deletion],
+        (now_s, now): (i64, WallTime),
+    ) -> Result<(), sqlx::Error> {
+        if deletions.is_empty() {
+            return Ok(());
+        }
+        self.end_if_old(now_s);
+        let mut group = match self.group.take() {
+            Some(group) => group,
+            None => {
+                let kind = AggregatorIncidentKind::Retention;
+                let incident = incidents::record(connection, kind, now, "").await?;
+                Group { incident, from_s: now_s, counts: BTreeMap::new(), logged: None }
+            }
+        };
+        for Deletion { cause, kind, owner, items } in deletions {
+            let count = group.counts.entry((*cause, *kind)).or_default();
+            count.items += items;
+            count.owners.insert(*owner);
+        }
+        let text = group.in_words(&self.config);
+        sqlx::query(UPDATE).bind(group.incident).bind(text).execute(connection).await?;
+        self.group = Some(group);
+        Ok(())
+    }
+
+    /// The transaction was rolled back: what follows becomes another incident.
+    pub(super) fn forget(&mut self) {
+        self.group = None;
+    }
+
+    /// There is nothing to delete for now: the log is told of the first deletions of the hour, and of all at its end.
+    pub(super) fn rest(&mut self, now_s: i64) {
+        if let Some(group) = &mut self.group
+            && group.logged.is_none()
+        {
+            group.log(&self.config);
+        }
+        self.end_if_old(now_s);
+    }
+
+    /// No more follow.
+    pub(super) fn end(&mut self) {
+        if let Some(mut group) = self.group.take() {
+            group.log(&self.config);
+        }
+    }
+
+    fn end_if_old(&mut self, now_s: i64) {
+        if self.group.as_ref().is_some_and(|group| now_s - group.from_s >= GROUP_S) {
+            self.end();
+        }
+    }
+}
+
+impl Group {
+    fn log(&mut self, config: &RetentionConfig) {
+        let text = self.in_words(config);
+        if self.logged.as_ref() != Some(&text) {
+            tracing::info!("retention {text}");
+            self.logged = Some(text);
+        }
+    }
+
+    fn in_words(&self, config: &RetentionConfig) -> String {
+        let mut text = "deleted".to_owned();
+        let mut last = None;
+        for ((cause, kind), Count { items, owners }) in &self.counts {
+            let separator = match last {
+                None => " ",
+                Some(before) if before == cause => ", ",
+                Some(_) => "; ",
+            };
+            last = Some(cause);
+            let owners = owners.len();
+            let plural = if owners == 1 { "" } else { "s" };
+            let (what, owner) = (kind.in_words(), kind.owner_in_words());
+            // Writing to a string cannot fail.
+            let _ = write!(text, "{separator}{items} {what} of {owners} {owner}{plural}");
+            let _ = match cause {
+                Cause::Age => write!(text, " ({} = {})", kind.key(), kind.days(config)),
+                Cause::Size => write!(text, " (size_limit_bytes = {})", config.size_limit_bytes),
+            };
+        }
+        text
+    }
+}
+
+#[cfg(test)]
+pub(super) const STATEMENTS: [(&str, &str); 1] = [("UPDATE_INCIDENT", UPDATE)];

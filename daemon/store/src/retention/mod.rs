@@ -1,0 +1,306 @@
+//! Deleting what is old, by the task that writes and between its commits: a little at a time, so that nothing waits
+//! for it, and without looking through all runs.
+//!
+//! Age is counted on the storage clock from when something arrived, so no wall clock can make data old: not the
+//! aggregator's, and not a robot's. The table `arrival` says what arrived when, for each run or link and each kind of data.
+//! An index gives the next that is due, so a step with nothing to do asks a few questions of an index and no more, at most
+//! once a second. Where each run was trimmed stands in `trimmed`, for readers and for a rebuild; what was deleted is an
+//! incident.
+
+mod arrivals;
+mod arriving;
+mod buckets;
+mod clocks;
+mod deletions;
+mod nodes;
+mod size;
+mod trimmed;
+
+use peernet_clock::{MonoTime, Span, Stamp};
+use sqlx::{Connection, SqliteConnection};
+
+pub(crate) use self::arrivals::{pin, release};
+use self::deletions::{Cause, Deletion, Deletions};
+use self::size::SizeLimit;
+use super::write::rollups::WIDTHS_S;
+use super::write::storage_clock::StorageClock;
+use crate::retention_config::{RetentionConfig, kept_s};
+
+/// Rows that a step deletes, as a hint for its caller: some tens of milliseconds.
+pub(crate) const ROWS: u32 = 20_000;
+/// When there was nothing to do, it is not looked again for so long.
+const IDLE: Span = Span::from_seconds(1);
+/// What arrives within this part of a period is deleted together, so that a kind has few rows in the table `arrival`.
+const PARTS: i64 = 64;
+/// The same of what is kept for ever, seconds: for the limit of the size, and for a period that is configured later.
+const UNLIMITED_RESOLUTION_S: i64 = 3_600;
+/// Runs and links of which one transaction takes what arrived.
+const ARRIVING: u32 = 64;
+
+/// What a step leaves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Step {
+    /// There is nothing to do for now.
+    Done,
+    /// Another step would find something to do.
+    More,
+}
+
+/// What is deleted separately.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Kind {
+    /// Iterations with all that belongs to them.
+    Nodes,
+    /// Roll-ups of this width, seconds.
+    Buckets(i64),
+    /// Samples of the relation between two hosts' clocks.
+    ClockSamples,
+}
+
+impl Kind {
+    const OF_RUNS: [Self; WIDTHS_S.len() + 1] =
+        [Self::Nodes, Self::Buckets(1), Self::Buckets(10), Self::Buckets(60), Self::Buckets(3600)];
+    const ALL: [Self; WIDTHS_S.len() + 2] = [
+        Self::Nodes,
+        Self::Buckets(1),
+        Self::Buckets(10),
+        Self::Buckets(60),
+        Self::Buckets(3600),
+        Self::ClockSamples,
+    ];
+
+    /// As in the tables `arrival` and `trimmed`.
+    const fn number(self) -> i64 {
+        match self {
+            Self::Nodes => 0,
+            Self::Buckets(width_s) => width_s,
+            Self::ClockSamples => -1,
+        }
+    }
+
+    /// For how many days it is kept; 0: for ever.
+    const fn days(self, config: &RetentionConfig) -> u32 {
+        match self {
+            Self::Nodes => config.nodes_days,
+            Self::Buckets(1) => config.seconds_days,
+            Self::Buckets(10) => config.ten_seconds_days,
+            Self::Buckets(60) => config.minutes_days,
+            Self::Buckets(_) => config.hours_days,
+            Self::ClockSamples => config.clock_samples_days,
+        }
+    }
+
+    /// The key of the configuration that says so.
+    const fn key(self) -> &'static str {
+        match self {
+            Self::Nodes => "nodes_days",
+            Self::Buckets(1) => "seconds_days",
+            Self::Buckets(10) => "ten_seconds_days",
+            Self::Buckets(60) => "minutes_days",
+            Self::Buckets(_) => "hours_days",
+            Self::ClockSamples => "clock_samples_days",
+        }
+    }
+
+    /// What its items are, for people.
+    const fn in_words(self) -> &'static str {
+        match self {
+            Self::Nodes => "iterations with their trees",
+            Self::Buckets(1) => "statistics per second",
+            Self::Buckets(10) => "statistics per ten seconds",
+            Self::Buckets(60) => "statistics per minute",
+            Self::Buckets(_) => "statistics per hour",
+            Self::ClockSamples => "clock samples",
+        }
+    }
+
+    /// What they belong to.
+    const fn owner_in_words(self) -> &'static str {
+        if matches!(self, Self::ClockSamples) { "link" } else { "run" }
+    }
+}
+
+/// How long each kind is kept, seconds of the storage clock.
+#[derive(Debug)]
+struct Periods(RetentionConfig);
+
+impl Periods {
+    /// `None`: for ever.
+    fn kept_s(&self, kind: Kind) -> Option<i64> {
+        kept_s(kind.days(&self.0))
+    }
+
+    /// What arrives within so many seconds is deleted together.
+    fn resolution_s(&self, kind: Kind) -> i64 {
+        self.kept_s(kind).map_or(UNLIMITED_RESOLUTION_S, |kept_s| (kept_s / PARTS).max(1))
+    }
+
+    fn finest_resolution_s(&self) -> i64 {
+        Kind::ALL.map(|kind| self.resolution_s(kind)).into_iter().min().unwrap_or(UNLIMITED_RESOLUTION_S)
+    }
+}
+
+/// What was deleted of a kind of a run or link.
+#[derive(Clone, Copy, Debug, Default)]
+struct Deleted {
+    /// In the cost of a small row.
+    rows: u64,
+    /// Iterations, rows of statistics, or samples.
+    items: u64,
+    /// All that was asked for is gone.
+    complete: bool,
+}
+
+/// Deletes what is old.
+#[derive(Debug)]
+pub(crate) struct Retention {
+    periods: Periods,
+    /// When there was last nothing to do.
+    idle: Option<MonoTime>,
+    size: SizeLimit,
+    deletions: Deletions,
+}
+
+impl Retention {
+    pub(crate) fn new(config: RetentionConfig) -> Self {
+        Self {
+            periods: Periods(config),
+            idle: None,
+            size: SizeLimit::new(config.size_limit_bytes),
+            deletions: Deletions::new(config),
+        }
+    }
+
+    /// Deletes about `rows` rows at most, in a transaction of its own; none must be open.
+    ///
+    /// # Errors
+    /// When the database cannot be read or written now; the step can be tried again.
+    pub(crate) async fn step(
+        &mut self,
+        connection: &mut SqliteConnection,
+        storage_clock: &mut StorageClock,
+        now: Stamp,
+        rows: u32,
+    ) -> Result<Step, sqlx::Error> {
+        if self.idle.is_some_and(|idle| now.mono - idle < IDLE) {
+            return Ok(Step::Done);
+        }
+        let now_s = seconds(storage_clock.read(connection, now.mono).await?);
+        let Some(work) = self.look(connection, now_s, now.mono).await? else {
+            self.idle = Some(now.mono);
+            self.deletions.rest(now_s);
+            return Ok(Step::Done);
+        };
+        self.idle = None;
+        let done = self.transaction(connection, storage_clock, work, now, rows.into()).await;
+        match &done {
+            Ok(()) => storage_clock.committed(now.mono),
+            Err(_) => self.deletions.forget(),
+        }
+        done.map(|()| Step::More)
+    }
+
+    /// Nothing more is deleted: tells the log what it was not told yet.
+    pub(crate) fn end(&mut self) {
+        self.deletions.end();
+    }
+
+    async fn transaction(
+        &mut self,
+        connection: &mut SqliteConnection,
+        storage_clock: &StorageClock,
+        work: Work,
+        now: Stamp,
+        rows: u64,
+    ) -> Result<(), sqlx::Error> {
+        // Rolled back when it is dropped.
+        let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
+        let now_s = seconds(storage_clock.advance(&mut transaction, now).await?);
+        let mut deletions = Vec::new();
+        self.perform(&mut transaction, work, (now_s, now), rows, &mut deletions).await?;
+        self.deletions.record(&mut transaction, &deletions, (now_s, now.wall)).await?;
+        transaction.commit().await
+    }
+
+    /// The next thing to do.
+    async fn look(
+        &mut self,
+        connection: &mut SqliteConnection,
+        now_s: i64,
+        now: MonoTime,
+    ) -> Result<Option<Work>, sqlx::Error> {
+        let since_s = now_s - self.periods.finest_resolution_s();
+        if arriving::any(connection, since_s).await? {
+            return Ok(Some(Work::Arriving { since_s }));
+        }
+        for kind in Kind::ALL {
+            if let Some(kept_s) = self.periods.kept_s(kind)
+                && arrivals::due(connection, kind, now_s - kept_s).await?
+            {
+                return Ok(Some(Work::Aged { kind, before_s: now_s - kept_s }));
+            }
+        }
+        Ok(self.size.exceeded(connection, now).await?.then_some(Work::TooLarge))
+    }
+
+    async fn perform(
+        &mut self,
+        connection: &mut SqliteConnection,
+        work: Work,
+        (now_s, now): (i64, Stamp),
+        rows: u64,
+        deletions: &mut Vec<Deletion>,
+    ) -> Result<(), sqlx::Error> {
+        match work {
+            Work::Arriving { since_s } => {
+                arriving::close(connection, &self.periods, since_s, now_s, ARRIVING).await?;
+            }
+            Work::Aged { kind, before_s } => {
+                let what = (kind, Cause::Age);
+                arrivals::trim(connection, what, before_s, now_s, rows, deletions).await?;
+            }
+            Work::TooLarge => {
+                // What has just arrived may go as well, once no older iterations are left.
+                if !arrivals::due(connection, Kind::Nodes, i64::MAX).await? {
+                    arriving::close(connection, &self.periods, i64::MAX, now_s, ARRIVING).await?;
+                }
+                if !self.size.reduce(connection, (now_s, now.wall), rows, deletions).await? {
+                    self.size.give_up(now.mono);
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What a transaction does.
+#[derive(Debug)]
+enum Work {
+    /// What has been arriving since this second of the storage clock becomes rows of the table `arrival`.
+    Arriving { since_s: i64 },
+    /// Some of this kind had arrived by this second, a whole period ago.
+    Aged { kind: Kind, before_s: i64 },
+    /// The file uses more than it may.
+    TooLarge,
+}
+
+const fn seconds(elapsed: Span) -> i64 {
+    elapsed.nanos().div_euclid(1_000_000_000)
+}
+
+/// What a step asks: a test looks at the plans.
+#[cfg(test)]
+pub(crate) fn statements() -> Vec<(&'static str, &'static str)> {
+    [
+        &arrivals::STATEMENTS[..],
+        &arriving::STATEMENTS,
+        &nodes::STATEMENTS,
+        &buckets::STATEMENTS,
+        &clocks::STATEMENTS,
+        &deletions::STATEMENTS,
+        &trimmed::STATEMENTS,
+        &super::write::incidents::STATEMENTS,
+        &super::write::storage_clock::STATEMENTS,
+    ]
+    .concat()
+}

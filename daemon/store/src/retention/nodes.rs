@@ -1,0 +1,82 @@
+//! Iterations of a run, with all that belongs to them.
+
+use sqlx::SqliteConnection;
+
+use super::trimmed::trimmed;
+use super::{Deleted, Kind};
+use crate::extent::Extent;
+
+/// Iterations looked at together.
+const PAGE: i64 = 500;
+/// Nodes of an iteration, as a first guess.
+const NODES: u64 = 32;
+/// What an iteration costs beside its nodes, in nodes: two indexes and two more tables.
+const ITERATION: u64 = 4;
+
+/// ?1 run, ?2 and ?3 first and last number, ?4 limit.
+const OLDEST: &str = "SELECT number, started_ns FROM iteration WHERE run = ?1 AND number BETWEEN ?2 AND ?3 \
+     ORDER BY number LIMIT ?4";
+/// ?1 run, ?2 and ?3 first and last iteration; so for the others.
+const NODE: &str = "DELETE FROM node WHERE run = ?1 AND iteration BETWEEN ?2 AND ?3";
+const TRANSIT: &str = "DELETE FROM transit WHERE run = ?1 AND iteration BETWEEN ?2 AND ?3";
+const ANCHOR: &str = "DELETE FROM anchor WHERE run = ?1 AND iteration BETWEEN ?2 AND ?3";
+const ITERATIONS: &str = "DELETE FROM iteration WHERE run = ?1 AND number BETWEEN ?2 AND ?3";
+/// ?1 run, ?2 the last iteration that is gone.
+const NODES_FROM: &str = "UPDATE run SET nodes_from = max(nodes_from, ?2) WHERE number = ?1";
+
+#[cfg(test)]
+pub(super) const STATEMENTS: [(&str, &str); 6] = [
+    ("OLDEST", OLDEST),
+    ("NODE", NODE),
+    ("TRANSIT", TRANSIT),
+    ("ANCHOR", ANCHOR),
+    ("ITERATIONS", ITERATIONS),
+    ("NODES_FROM", NODES_FROM),
+];
+
+/// Deletes iterations by rising number, of about so many rows.
+pub(super) async fn delete(
+    connection: &mut SqliteConnection,
+    run: i64,
+    numbers: Extent,
+    rows: u64,
+) -> Result<Deleted, sqlx::Error> {
+    let mut deleted = Deleted::default();
+    let mut per_iteration = NODES;
+    loop {
+        let page: Vec<(i64, i64)> = sqlx::query_as(OLDEST)
+            .bind(run)
+            .bind(numbers.first)
+            .bind(numbers.last)
+            .bind(PAGE)
+            .fetch_all(&mut *connection)
+            .await?;
+        if page.is_empty() {
+            return Ok(Deleted { complete: true, ..deleted });
+        }
+        let mut old = &page[..];
+        while let Some((from, _)) = old.first() {
+            if deleted.rows >= rows {
+                return Ok(deleted);
+            }
+            let together = usize::try_from((rows - deleted.rows) / per_iteration)
+                .unwrap_or(usize::MAX)
+                .clamp(1, old.len());
+            let (now, later) = old.split_at(together);
+            let through = now.last().map_or(*from, |(number, _)| *number);
+            let mut gone = now.len() as u64 * ITERATION;
+            for table in [NODE, TRANSIT, ANCHOR, ITERATIONS] {
+                let done = sqlx::query(table).bind(run).bind(from).bind(through);
+                gone += done.execute(&mut *connection).await?.rows_affected();
+            }
+            let seconds = now.iter().map(|(_, started_ns)| started_ns.div_euclid(1_000_000_000));
+            let newest_s = seconds.max().unwrap_or(i64::MIN);
+            trimmed(connection, Kind::Nodes, run, newest_s.saturating_add(1)).await?;
+            sqlx::query(NODES_FROM).bind(run).bind(through).execute(&mut *connection).await?;
+            per_iteration = (gone / now.len() as u64).max(1);
+            deleted.rows += gone;
+            deleted.items += now.len() as u64;
+            old = later;
+        }
+    }
+}

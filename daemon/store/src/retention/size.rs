@@ -1,0 +1,109 @@
+//! The limit of the file's size.
+
+use peernet_clock::{MonoTime, Span, WallTime};
+use sqlx::SqliteConnection;
+
+use super::Kind;
+use super::arrivals::{self, Trimmed};
+use super::deletions::{Cause, Deletion};
+use crate::column::{column, count};
+
+/// What goes, in this order. Hours and whole runs stay.
+const ORDER: [Kind; 4] = [Kind::Nodes, Kind::Buckets(1), Kind::Buckets(10), Kind::Buckets(60)];
+/// When there is nothing left to delete, it is not looked again for so long.
+const PAUSE: Span = Span::from_seconds(60);
+
+/// Bytes in use; free pages are used again before the file grows.
+const USED: &str = "SELECT (page_count - freelist_count) * page_size \
+     FROM pragma_page_count, pragma_freelist_count, pragma_page_size";
+
+/// Keeps what the file uses below a limit.
+#[derive(Debug)]
+pub(super) struct SizeLimit {
+    /// Bytes; 0 for none.
+    limit: u64,
+    told: bool,
+    told_in_vain: bool,
+    /// When nothing was found to delete.
+    in_vain: Option<MonoTime>,
+}
+
+impl SizeLimit {
+    pub(super) const fn new(limit: u64) -> Self {
+        Self { limit, told: false, told_in_vain: false, in_vain: None }
+    }
+
+    /// Whether something has to go.
+    pub(super) async fn exceeded(
+        &self,
+        connection: &mut SqliteConnection,
+        now: MonoTime,
+    ) -> Result<bool, sqlx::Error> {
+        let in_vain = self.in_vain.is_some_and(|at| now - at < PAUSE);
+        Ok(self.limit > 0 && !in_vain && used_bytes(connection).await? > self.limit)
+    }
+
+    /// Deletes what arrived first of what may go, of all runs, whatever its age. Returns whether something is left that
+    /// may go.
+    pub(super) async fn reduce(
+        &mut self,
+        connection: &mut SqliteConnection,
+        (now_s, now): (i64, WallTime),
+        rows: u64,
+        deletions: &mut Vec<Deletion>,
+    ) -> Result<bool, sqlx::Error> {
+        for kind in ORDER {
+            let Trimmed { rows: deleted, through } =
+                arrivals::trim(connection, (kind, Cause::Size), i64::MAX, now_s, rows, deletions).await?;
+            if deleted > 0 {
+                if !self.told {
+                    tracing::warn!(
+                        limit_bytes = self.limit,
+                        "the database is at [aggregator.retention] size_limit_bytes: the oldest data is deleted before \
+                         its time; raise the limit, or ask for shorter periods"
+                    );
+                    self.told = true;
+                }
+                self.in_vain = None;
+                note(connection, now, deleted).await?;
+                return Ok(true);
+            }
+            if !through {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// There is nothing that may go.
+    pub(super) fn give_up(&mut self, now: MonoTime) {
+        if !self.told_in_vain {
+            tracing::warn!(
+                limit_bytes = self.limit,
+                "the database is above [aggregator.retention] size_limit_bytes, and nothing is left that may be deleted: \
+                 the rest is pinned runs and statistics of hours and whole runs; unpin runs or raise the limit"
+            );
+            self.told_in_vain = true;
+        }
+        self.in_vain = Some(now);
+    }
+}
+
+/// Bytes that the file uses, free pages left out.
+async fn used_bytes(connection: &mut SqliteConnection) -> Result<u64, sqlx::Error> {
+    let bytes: i64 = sqlx::query_scalar(USED).fetch_one(connection).await?;
+    Ok(count(bytes))
+}
+
+/// For `peernetd doctor`.
+async fn note(connection: &mut SqliteConnection, now: WallTime, rows: u64) -> Result<(), sqlx::Error> {
+    sqlx::query(
+        "INSERT INTO retention_note (what, first_ns, last_ns, count) VALUES ('size-limit', ?1, ?1, ?2) \
+         ON CONFLICT DO UPDATE SET last_ns = excluded.last_ns, count = count + excluded.count",
+    )
+    .bind(now.unix_nanos())
+    .bind(column(rows))
+    .execute(connection)
+    .await?;
+    Ok(())
+}

@@ -1,0 +1,120 @@
+//! How long what is stored is kept: the `[aggregator.retention]` table.
+
+use serde::{Deserialize, Serialize};
+
+const DAY_S: i64 = 86_400;
+/// A hundred years.
+const MOST_DAYS: u32 = 36_525;
+/// Smallest size limit that a run fits into.
+const LEAST_BYTES: u64 = 16 << 20;
+
+/// The `[aggregator.retention]` table. Ages count from when something was stored, in time during which an aggregator ran
+/// and stored into the database: no wall clock makes data old. Runs that are pinned are left alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RetentionConfig {
+    /// Iterations with their trees of nodes, days; 0 for ever, as for all of these.
+    pub nodes_days: u32,
+    /// Statistics per second.
+    pub seconds_days: u32,
+    /// Statistics per ten seconds.
+    pub ten_seconds_days: u32,
+    /// Statistics per minute.
+    pub minutes_days: u32,
+    /// Statistics per hour. Those of whole runs stay for ever.
+    pub hours_days: u32,
+    /// What was known of the relation between two hosts' clocks, second by second.
+    pub clock_samples_days: u32,
+    /// Bytes that the database may use; 0 for no limit. Above, the oldest nodes go, then the oldest of the finer
+    /// statistics, however young.
+    pub size_limit_bytes: u64,
+}
+
+impl Default for RetentionConfig {
+    fn default() -> Self {
+        Self {
+            nodes_days: 7,
+            seconds_days: 1,
+            ten_seconds_days: 7,
+            minutes_days: 90,
+            hours_days: 0,
+            clock_samples_days: 7,
+            size_limit_bytes: 0,
+        }
+    }
+}
+
+impl RetentionConfig {
+    /// What cannot work, by key.
+    pub fn problems(&self) -> Vec<(&'static str, String)> {
+        let mut problems = Vec::new();
+        let widths = [
+            ("retention.seconds_days", self.seconds_days),
+            ("retention.ten_seconds_days", self.ten_seconds_days),
+            ("retention.minutes_days", self.minutes_days),
+            ("retention.hours_days", self.hours_days),
+        ];
+        let others = [
+            ("retention.nodes_days", self.nodes_days),
+            ("retention.clock_samples_days", self.clock_samples_days),
+        ];
+        for (key, days) in widths.into_iter().chain(others) {
+            if days > MOST_DAYS {
+                problems.push((key, format!("{days} is outside 0 to {MOST_DAYS}; 0 is for ever")));
+            }
+        }
+        for [(finer, days), (coarser, at_least)] in widths.array_windows() {
+            if kept_s(*days).unwrap_or(i64::MAX) > kept_s(*at_least).unwrap_or(i64::MAX) {
+                let finer = finer.trim_start_matches("retention.");
+                let wrong =
+                    format!("must not be shorter than {finer}: a page over a long time is made of it");
+                problems.push((coarser, wrong));
+            }
+        }
+        let limit = self.size_limit_bytes;
+        if limit > 0 && limit < LEAST_BYTES {
+            problems.push((
+                "retention.size_limit_bytes",
+                format!("{limit} is below {LEAST_BYTES}; 0 is for no limit"),
+            ));
+        }
+        problems
+    }
+}
+
+/// Days as seconds; none for what is kept for ever.
+pub(crate) fn kept_s(days: u32) -> Option<i64> {
+    (days > 0).then(|| i64::from(days) * DAY_S)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn problems(change: impl FnOnce(&mut RetentionConfig)) -> Vec<&'static str> {
+        let mut config = RetentionConfig::default();
+        change(&mut config);
+        config.problems().into_iter().map(|(key, _)| key).collect()
+    }
+
+    #[test]
+    fn what_cannot_work_is_named_by_its_key() {
+        assert!(problems(|_| {}).is_empty());
+        assert!(problems(|config| (config.nodes_days, config.size_limit_bytes) = (0, 1 << 30)).is_empty());
+        assert_eq!(problems(|config| config.nodes_days = 40_000), ["retention.nodes_days"]);
+        assert_eq!(problems(|config| config.size_limit_bytes = 1), ["retention.size_limit_bytes"]);
+        // The coarser ones carry the pages over what the finer ones no longer have.
+        assert_eq!(problems(|config| config.seconds_days = 8), ["retention.ten_seconds_days"]);
+        assert_eq!(problems(|config| config.minutes_days = 0), Vec::<&str>::new());
+        assert_eq!(
+            problems(|config| (config.minutes_days, config.hours_days) = (0, 90)),
+            ["retention.hours_days"]
+        );
+    }
+
+    #[test]
+    fn unknown_keys_are_refused() {
+        assert!(serde_json::from_str::<RetentionConfig>(r#"{"nodes_days": 3}"#).is_ok());
+        assert!(serde_json::from_str::<RetentionConfig>(r#"{"node_days": 3}"#).is_err());
+    }
+}

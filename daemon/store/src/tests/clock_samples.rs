@@ -1,0 +1,291 @@
+//! Clock samples: what an agent said is what readers are told, by the second and by the bucket.
+
+use peernet_clock::{DelaySource, Span, Verdict, WallTime};
+use peernet_logger::{HostId, RunId};
+use peernet_stream::{ClockSample, Event, HostDescription, Iteration};
+
+use super::clocks::{link, micros, sample};
+use super::{Bed, NOW, generate};
+use crate::stored::ClockPoint;
+use crate::types::ClockSeries;
+
+const ALWAYS: (WallTime, WallTime) =
+    (WallTime::from_unix_nanos(i64::MIN), WallTime::from_unix_nanos(i64::MAX));
+
+fn event(sample: ClockSample) -> Event {
+    Event::Clock(Box::new(sample))
+}
+
+fn point(sample: ClockSample) -> ClockPoint {
+    let ClockSample { at, window, offset, probes, round_trip, up, down, .. } = sample;
+    ClockPoint { at, window, offset, probes, round_trip, up, down }
+}
+
+async fn store(bed: &mut Bed, samples: impl IntoIterator<Item = ClockSample>) {
+    let work = bed.batch(samples.into_iter().map(event).collect());
+    let committed = bed.commit(&[work]).await;
+    assert!(committed.quarantined.is_empty(), "{:?}", committed.quarantined);
+}
+
+async fn series(bed: &Bed, most_points: u32) -> ClockSeries {
+    let (from, to) = ALWAYS;
+    bed.store.clock_series(bed.edge, bed.cloud, from, to, most_points).await.expect("answers")
+}
+
+#[tokio::test]
+async fn a_sample_comes_back_as_it_was_sent_whether_full_or_empty() {
+    let mut bed = Bed::new().await;
+    let full = sample(bed.cloud, 1, 40);
+    let mut in_band = sample(bed.cloud, 2, 50);
+    let offset = in_band.offset.as_mut().expect("known");
+    (offset.source, offset.sources) = (DelaySource::InBand, vec![(DelaySource::InBand, offset.bounds)]);
+    in_band.up.as_mut().expect("judged").median = None;
+    let mut empty = sample(bed.cloud, 3, 40);
+    (empty.upper, empty.lower, empty.offset, empty.round_trip) = (None, None, None, None);
+    (empty.up, empty.down) = (None, None);
+    let samples = [full, in_band, empty];
+    store(&mut bed, samples.clone()).await;
+
+    let series = series(&bed, 1_000).await;
+    assert_eq!(series.bucket_s, 1);
+    assert_eq!(series.points, samples.map(point));
+    let links = bed.store.links().await.expect("answers");
+    let [link] = &links[..] else { panic!("one link: {links:?}") };
+    assert_eq!((link.edge, link.cloud), (bed.edge, bed.cloud));
+    assert_eq!((link.edge_name.as_str(), link.cloud_name.as_str()), ("edge", "cloud"));
+    assert_eq!((link.first, link.last), (generate::at(1.0), generate::at(3.0)));
+    // What a later judgement needs is there too.
+    assert_eq!(
+        bed.count(
+            "SELECT count(*) FROM clock_sample WHERE max_drift_ppm = 50 AND upper_received_ns - upper_sent_ns = 250040000 \
+             AND lower_returned_ns - lower_sent_ns = 82000 AND upper_uncertainty_ns = 2 AND (taken, restarts) = (9, 4)"
+        )
+        .await,
+        1
+    );
+    assert_eq!(
+        bed.count(
+            "SELECT count(*) FROM clock_ms WHERE edge = 'edge' AND cloud = 'cloud' AND refused = 6 AND offset_ms = 250 \
+             AND at_utc = '2025-01-01 00:00:01.000' AND source = 'intersection' AND lo_ms = 249.96 AND up_ms = 4"
+        )
+        .await,
+        1
+    );
+}
+
+#[tokio::test]
+async fn only_what_was_asked_for_is_told() {
+    let mut bed = Bed::new().await;
+    let cloud = bed.cloud;
+    store(&mut bed, (1..=100).map(|second| sample(cloud, second, 40))).await;
+    let (from, to) = (generate::at(10.0), generate::at(19.0));
+    let some = bed.store.clock_series(bed.edge, cloud, from, to, 10).await.expect("answers");
+    assert_eq!((some.bucket_s, some.points.len()), (1, 10));
+    assert_eq!((some.points[0].at, some.points[9].at), (from, to));
+    let strange = bed.store.clock_series(cloud, bed.edge, from, to, 10).await.expect("answers");
+    assert_eq!(strange, ClockSeries { bucket_s: 1, points: vec![] });
+    let later = bed.store.clock_series(bed.edge, cloud, generate::at(200.0), ALWAYS.1, 10).await;
+    assert!(later.expect("answers").points.is_empty());
+}
+
+#[tokio::test]
+async fn a_second_that_comes_again_replaces_itself_and_spares_that_of_another_window() {
+    let mut bed = Bed::new().await;
+    let mut again = sample(bed.cloud, 1, 60);
+    again.probes.lost = 5;
+    let mut stepped = sample(bed.cloud, 1, 70);
+    stepped.window = 7;
+    let samples = [sample(bed.cloud, 1, 40), again, stepped];
+    store(&mut bed, samples.clone()).await;
+    assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 2);
+    assert_eq!(bed.count("SELECT probes_lost FROM clock_sample WHERE window <> 7").await, 5);
+    // The same batch once more is no second that comes again.
+    let work = bed.batch_numbered(1, samples.map(event));
+    bed.commit(&[work]).await;
+    assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 2);
+    assert_eq!(bed.count("SELECT events FROM host WHERE name = 'edge'").await, 3);
+}
+
+#[tokio::test]
+async fn of_seconds_that_a_clock_shows_twice_the_later_window_counts() {
+    // Numbers of windows are random: whichever is greater, the one that came later is the later one.
+    for (before, after) in [(1, u64::MAX), (u64::MAX, 1), (3, 2)] {
+        let mut bed = Bed::new().await;
+        let cloud = bed.cloud;
+        let of = |window, second, width| ClockSample { window, ..sample(cloud, second, width) };
+        store(&mut bed, (1..=10).map(|second| of(before, second, 90))).await;
+        // Set back by five seconds.
+        let set_back: Vec<_> = (6..=12).map(|second| of(after, second, 40)).collect();
+        store(&mut bed, set_back.clone()).await;
+        let told = series(&bed, 1_000).await.points;
+        let expected = (1..=5).map(|second| of(before, second, 90)).chain(set_back);
+        assert_eq!(told, expected.map(point).collect::<Vec<_>>());
+        // A bucket that holds the step tells what holds after it.
+        for point in series(&bed, 2).await.points {
+            let width = point.offset.as_ref().map(|offset| offset.bounds.width());
+            let own = if point.window == before { 90 } else { 40 };
+            assert_eq!(width, of(1, 1, own).offset.map(|offset| offset.bounds.width()), "{point:?}");
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_minute_in_1970_hides_nothing_once_it_is_over() {
+    let mut bed = Bed::new().await;
+    let cloud = bed.cloud;
+    let of = |window, second| ClockSample { window, ..sample(cloud, second, 40) };
+    // A host without a battery: its clock begins far back, and is set when it finds a time server.
+    for (window, seconds) in [(1, 1_000..1_010), (2, 10..20), (3, 1_020..1_030)] {
+        store(&mut bed, seconds.map(|second| of(window, second))).await;
+    }
+    let windows: Vec<u64> = series(&bed, 10_000).await.points.iter().map(|point| point.window).collect();
+    assert_eq!(windows, [2, 1, 3].map(|window| [window; 10]).concat());
+}
+
+#[tokio::test]
+async fn buckets_hold_the_widest_bounds_all_probes_and_the_median_delay() {
+    let mut bed = Bed::new().await;
+    let cloud = bed.cloud;
+    let samples = (1..=1_000).map(|second| {
+        let mut sample = sample(cloud, second, 40 + second % 10);
+        let up = sample.up.as_mut().expect("judged");
+        up.median.as_mut().expect("has one").value = Span::from_micros(3_990 + second % 10);
+        up.verdict = if second % 10 == 0 { Verdict::Stale } else { Verdict::Ok };
+        sample
+    });
+    store(&mut bed, samples).await;
+    for (most, width) in
+        [(1_000, 1), (999, 2), (500, 2), (200, 5), (199, 10), (34, 30), (1, 1_800), (0, 1_800)]
+    {
+        let series = series(&bed, most).await;
+        assert_eq!(series.bucket_s, width);
+        assert!(series.points.len() <= most.max(1) as usize);
+        let sent: u32 = series.points.iter().map(|point| point.probes.sent).sum();
+        assert_eq!(sent, 10_000);
+    }
+    let series = series(&bed, 100).await;
+    assert_eq!(series.points.len(), 100);
+    // Zero is a multiple of ten: the buckets are 1 to 10, 11 to 20 …
+    let second = &series.points[1];
+    assert_eq!((second.at, second.probes.lost), (generate::at(20.0), 10));
+    let offset = second.offset.as_ref().expect("known");
+    assert_eq!((offset.bounds, offset.at), (micros(249_951, 250_049), generate::at(19.0)));
+    let trip = second.round_trip.expect("measured");
+    assert_eq!((trip.min, trip.median), (Span::from_micros(80), Span::from_micros(3 * 44)));
+    let (up, down) = (second.up.expect("judged"), second.down.expect("judged"));
+    assert_eq!((up.count, down.count), (50, 40));
+    let median = up.median.expect("has one");
+    assert_eq!(median.value, Span::from_micros(3_994));
+    let rate = |point: &ClockPoint| point.up.and_then(|up| up.median).and_then(|it| it.bits_per_second);
+    let (told, sent) = (median.bits_per_second, rate(&point(sample(cloud, 14, 44))));
+    assert_eq!(told, sent.map(f64::trunc), "to the bit");
+    assert_eq!((up.verdict, down.verdict), (Verdict::Stale, Verdict::Limited), "a tenth is enough");
+    let wide =
+        bed.store.clock_series(bed.edge, cloud, generate::at(1.0), ALWAYS.1, 20).await.expect("answers");
+    assert_eq!(wide.points[1].up.expect("judged").verdict, Verdict::Stale);
+}
+
+#[tokio::test]
+async fn what_cannot_be_is_not_known_and_puts_no_batch_aside() {
+    let mut bed = Bed::new().await;
+    let cloud = bed.cloud;
+    let of = |second, change: fn(&mut ClockSample)| {
+        let mut sample = sample(cloud, second, 40);
+        change(&mut sample);
+        sample
+    };
+    let extreme = WallTime::from_unix_nanos(i64::MIN);
+    let mut wild = sample(cloud, 9, 40);
+    wild.at = WallTime::from_unix_nanos(i64::MAX);
+    for exchange in [&mut wild.upper, &mut wild.lower].into_iter().flatten() {
+        (exchange.sent, exchange.replied, exchange.uncertainty) =
+            (extreme, extreme, Span::from_nanos(i64::MIN));
+    }
+    wild.exchanges.taken = u64::MAX;
+    let samples = [
+        of(1, |it| {
+            it.max_drift_ppm = f64::NAN;
+            it.offset.as_mut().expect("known").skew_ppm = Some(f64::INFINITY);
+        }),
+        of(2, |it| it.offset.as_mut().expect("known").bounds = micros(9, -9)),
+        of(3, |it| it.offset.as_mut().expect("known").estimate = Span::from_nanos(i64::MAX)),
+        of(4, |it| {
+            let sources = &mut it.offset.as_mut().expect("known").sources;
+            let one = sources[0];
+            sources.extend((0..100_000).map(|_| one));
+            sources.push((DelaySource::Kernel, micros(9, -9)));
+        }),
+        of(5, |it| {
+            for second in [&mut it.up, &mut it.down].into_iter().flatten() {
+                let median = second.median.as_mut().expect("has one");
+                (median.value, median.bounds) = (Span::from_millis(-4), micros(-4_001, -3_999));
+            }
+        }),
+        of(6, |it| {
+            it.up.as_mut().expect("judged").median.as_mut().expect("has one").bits_per_second =
+                Some(f64::NAN);
+        }),
+        ClockSample { at: extreme, ..sample(cloud, 7, 40) },
+        wild,
+    ];
+    store(&mut bed, samples).await;
+    assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 8);
+    assert_eq!(bed.count("SELECT count(*) FROM clock_sample WHERE max_drift_ppm IS NULL").await, 1);
+    assert!(bed.count("SELECT max(length(offset_sources)) FROM clock_sample").await < 100);
+    let (from, to) = (generate::at(0.0), generate::at(100.0));
+    let points = bed.store.clock_series(bed.edge, cloud, from, to, 100).await.expect("answers").points;
+    let known = |at: usize| points[at].offset.as_ref();
+    assert_eq!(known(0).expect("known").skew_ppm, None);
+    assert_eq!((known(1), known(2)), (None, None));
+    assert_eq!(known(3).expect("known").sources.len(), 2);
+    assert_eq!((points[4].up.expect("judged").median, points[4].down.expect("judged").median), (None, None));
+    assert_eq!(points[5].up.expect("judged").median.expect("has one").bits_per_second, None);
+    // The whole range of time is answered too, in few points.
+    assert!(series(&bed, 1_000).await.points.len() <= 1_000);
+    assert_eq!(bed.store.links().await.expect("answers").len(), 1);
+}
+
+#[tokio::test]
+async fn a_cloud_that_never_reported_here_has_the_name_that_the_edge_gave_it_last() {
+    let mut bed = Bed::new().await;
+    bed.cloud = HostId::random();
+    let named = |name: &str, second| ClockSample {
+        peer_name: name.parse().expect("a name"),
+        ..sample(bed.cloud, second, 40)
+    };
+    let samples = [named("far", 1), named("farther", 2)];
+    store(&mut bed, samples).await;
+    let name = async |bed: &Bed| {
+        let links = bed.store.links().await.expect("answers");
+        assert_eq!(links.len(), 1);
+        links[0].cloud_name.to_string()
+    };
+    assert_eq!(name(&bed).await, "farther");
+    let host: HostDescription = generate::host(bed.cloud, "base");
+    bed.commit(&[super::hello(host, 1)]).await;
+    assert_eq!(name(&bed).await, "base");
+    assert_eq!(series(&bed, 10).await.points.len(), 2);
+}
+
+#[tokio::test]
+async fn what_was_put_aside_is_missing_with_its_time_and_leaves_nothing_behind() {
+    let mut bed = Bed::new().await;
+    let mut numbers = generate::Numbers(1);
+    let foreign: Iteration =
+        generate::iteration(RunId::random(), 9, (HostId::random(), bed.cloud), &mut numbers);
+    let live = link(sample(bed.cloud, 3, 40));
+    let bad = bed.batch(vec![event(sample(bed.cloud, 2, 40)), Event::Iteration(foreign)]);
+    let good = bed.batch(vec![event(live.now)]);
+    let committed = bed.commit(&[bad, good]).await;
+    assert_eq!(committed.quarantined.len(), 1);
+    assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 1);
+    assert_eq!(
+        bed.count("SELECT count(*) FROM clock_sample JOIN link ON link.id = clock_sample.link").await,
+        1
+    );
+    assert_eq!(
+        bed.count("SELECT count(*) FROM gap WHERE run IS NULL AND count = 2 AND from_ns = 1735689602000000000 - 200000000").await,
+        1
+    );
+    assert!(committed.hosts[&bed.edge].1 < Some(NOW));
+}

@@ -1,0 +1,178 @@
+//! Where the episodes of a run begin, and what stands beside them.
+
+use peernet_clock::WallTime;
+use peernet_logger::RunId;
+use peernet_stream::{Event, Iteration, Outcome};
+
+use super::{Bed, generate};
+use crate::types::Episodes;
+
+/// Numbers an iteration as an agent does.
+fn placed(iteration: &mut Iteration, steps: u64) {
+    let before = iteration.number - 1;
+    (iteration.episode, iteration.step) = ((before / steps) as u32, (before % steps) as u32);
+}
+
+/// Stores a run of so many iterations, five a second, each changed by `change`; those it refuses never arrive.
+async fn stored(bed: &mut Bed, iterations: u64, change: impl Fn(&mut Iteration) -> bool) {
+    let (run, hosts, mut numbers) = (RunId::random(), bed.hosts(), generate::Numbers(7));
+    let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
+    for number in 1..=iterations {
+        let mut iteration = generate::iteration(run, number, hosts, &mut numbers);
+        if change(&mut iteration) {
+            events.push(Event::Iteration(iteration));
+        }
+    }
+    let work: Vec<_> = events.chunks(100).map(<[Event]>::to_vec).map(|events| bed.batch(events)).collect();
+    bed.commit(&work).await;
+}
+
+fn began(numbers: impl IntoIterator<Item = u64>) -> Vec<WallTime> {
+    numbers.into_iter().map(|number| generate::at(number as f64 * 0.2)).collect()
+}
+
+#[tokio::test]
+async fn borders_stand_where_episodes_began() {
+    let mut bed = Bed::new().await;
+    stored(&mut bed, 95, |iteration| {
+        placed(iteration, 30);
+        iteration.warm_up = iteration.number <= 30 || iteration.step == 0;
+        true
+    })
+    .await;
+    let known = bed.store.episodes(1).await.expect("answers");
+    let expected = Episodes {
+        first: Some(generate::at(0.2)),
+        count: 4,
+        steps: Some(30),
+        borders: began([31, 61, 91]),
+        warm_up_until: Some(generate::at(32.0 * 0.2)),
+        unanswered: Vec::new(),
+        without_answer: 0,
+    };
+    assert_eq!(known, expected);
+    assert_eq!(bed.store.episodes(9).await.expect("answers"), Episodes::default(), "there is no such run");
+}
+
+#[tokio::test]
+async fn a_run_of_one_episode_has_no_border() {
+    let mut bed = Bed::new().await;
+    stored(&mut bed, 40, |_| true).await;
+    let known = bed.store.episodes(1).await.expect("answers");
+    assert_eq!((known.count, known.steps, known.borders.len(), known.warm_up_until), (1, None, 0, None));
+    // All of it is warm-up still.
+    stored(&mut bed, 5, |iteration| {
+        iteration.warm_up = true;
+        true
+    })
+    .await;
+    assert_eq!(bed.store.episodes(2).await.expect("answers").warm_up_until, None);
+}
+
+#[tokio::test]
+async fn a_border_that_never_arrived_is_left_out_and_the_others_stay() {
+    let mut bed = Bed::new().await;
+    stored(&mut bed, 95, |iteration| {
+        placed(iteration, 30);
+        ![1, 61].contains(&iteration.number)
+    })
+    .await;
+    let known = bed.store.episodes(1).await.expect("answers");
+    assert_eq!((known.count, known.first, known.borders), (4, None, began([31, 91])));
+}
+
+#[tokio::test]
+async fn what_was_deleted_has_no_border() {
+    let mut bed = Bed::new().await;
+    stored(&mut bed, 95, |iteration| {
+        placed(iteration, 30);
+        if [4, 70].contains(&iteration.number) {
+            iteration.outcome = Outcome::Timeout;
+        }
+        true
+    })
+    .await;
+    let known = bed.store.episodes(1).await.expect("answers");
+    assert_eq!((known.unanswered, known.without_answer), (began([4, 70]), 2));
+    let mut other = bed.other().await;
+    sqlx::query("DELETE FROM iteration WHERE run = 1 AND number <= 40")
+        .execute(&mut other)
+        .await
+        .expect("deletes");
+    let known = bed.store.episodes(1).await.expect("answers");
+    assert_eq!((known.count, known.steps, known.first), (4, Some(30), None));
+    assert_eq!((known.borders, known.unanswered, known.without_answer), (began([61, 91]), began([70]), 1));
+}
+
+#[tokio::test]
+async fn places_that_no_number_of_steps_explains_have_no_border() {
+    let mut bed = Bed::new().await;
+    stored(&mut bed, 40, |iteration| {
+        (iteration.episode, iteration.step) = (iteration.number as u32 / 10, iteration.number as u32 % 7);
+        true
+    })
+    .await;
+    let known = bed.store.episodes(1).await.expect("answers");
+    assert_eq!((known.count, known.steps, known.borders), (5, None, Vec::new()));
+}
+
+#[tokio::test]
+async fn too_many_episodes_are_counted_alone() {
+    let mut bed = Bed::new().await;
+    for iterations in [93, 94] {
+        stored(&mut bed, iterations, |iteration| {
+            placed(iteration, 3);
+            true
+        })
+        .await;
+    }
+    let known = bed.store.episodes(1).await.expect("answers");
+    assert_eq!((known.count, known.steps, known.borders), (31, Some(3), began((1..=30).map(|n| n * 3 + 1))));
+    let known = bed.store.episodes(2).await.expect("answers");
+    assert_eq!((known.count, known.steps, known.borders), (32, Some(3), Vec::new()));
+}
+
+#[tokio::test]
+async fn of_very_many_without_an_answer_some_stand_for_all_parts_of_the_run() {
+    let mut bed = Bed::new().await;
+    // Every second one at first, then a single one at the end.
+    stored(&mut bed, 2_000, |iteration| {
+        let is_lost = iteration.number % 2 == 0 && iteration.number <= 1_200 || iteration.number == 1_990;
+        if is_lost {
+            iteration.outcome = Outcome::Lost("connection broke".into());
+        }
+        iteration.warm_up = iteration.number <= 100;
+        true
+    })
+    .await;
+    let known = bed.store.episodes(1).await.expect("answers");
+    assert_eq!(known.without_answer, 601, "those of the warm-up too");
+    let shown = known.unanswered;
+    assert!((150..=Episodes::MOST_UNANSWERED).contains(&shown.len()), "{}", shown.len());
+    assert_eq!((shown[0], shown[shown.len() - 1]), (generate::at(0.4), generate::at(398.0)));
+    assert!(shown.is_sorted());
+}
+
+#[tokio::test]
+async fn those_without_an_answer_are_counted_up_to_a_limit() {
+    let mut bed = Bed::new().await;
+    stored(&mut bed, 1, |_| true).await;
+    let mut other = bed.other().await;
+    let columns = sqlx::query_scalar::<_, String>("SELECT name FROM pragma_table_info('iteration')");
+    let columns = columns.fetch_all(&mut other).await.expect("the columns");
+    let values = columns.iter().map(|name| match name.as_str() {
+        "number" => "2 + value",
+        "outcome" => "1",
+        same => same,
+    });
+    let more = format!(
+        "WITH RECURSIVE counted(value) AS (SELECT 0 UNION ALL SELECT value + 1 FROM counted WHERE value < 10499) \
+         INSERT INTO iteration ({}) SELECT {} FROM iteration, counted WHERE run = 1 AND number = 1",
+        columns.join(", "),
+        values.collect::<Vec<_>>().join(", ")
+    );
+    sqlx::query(sqlx::AssertSqlSafe(more)).execute(&mut other).await.expect("inserts");
+    let known = bed.store.episodes(1).await.expect("answers");
+    assert_eq!(known.without_answer, Episodes::MOST_COUNTED + 1);
+    assert!(known.unanswered.len() <= Episodes::MOST_UNANSWERED);
+}

@@ -1,0 +1,107 @@
+//! Runs that were declared together, and what was found of their hosts.
+
+use peernet_logger::stage;
+use peernet_logger::{Name, RunId};
+use peernet_stream::{Condition, Event, ExperimentPlace, Grade, RunDescription};
+
+use super::{Bed, generate};
+use crate::types::{MeanBucket, RunFilter};
+
+fn place(id: &str, size: &str, repeat: u32) -> ExperimentPlace {
+    ExperimentPlace {
+        name: "sizes".to_owned(),
+        id: id.to_owned(),
+        configuration: vec![("size".to_owned(), size.to_owned()), ("where".to_owned(), "cloud".to_owned())],
+        repeat,
+    }
+}
+
+fn conditions() -> Vec<Condition> {
+    vec![Condition {
+        host: "edge".to_owned(),
+        about: "CPU governor".to_owned(),
+        found: "schedutil, \"quoted\"".to_owned(),
+        grade: Grade::Doubtful,
+        advice: "set it".to_owned(),
+    }]
+}
+
+fn began(experiment: Option<ExperimentPlace>, conditions: Vec<Condition>) -> Event {
+    let Event::RunStarted(run) = generate::run_started(RunId::random(), "line", generate::at(0.0)) else {
+        panic!("a run begins")
+    };
+    Event::RunStarted(RunDescription { experiment: experiment.map(Box::new), conditions, ..run })
+}
+
+#[tokio::test]
+async fn a_run_knows_its_experiment_and_what_was_found_of_its_hosts() {
+    let mut bed = Bed::new().await;
+    let work = bed.batch(vec![began(Some(place("a", "1 kB", 2)), conditions()), began(None, Vec::new())]);
+    bed.commit(&[work]).await;
+    let of = bed.store.run(1).await.expect("answers").expect("exists");
+    assert_eq!((of.summary.experiment, of.conditions), (Some(place("a", "1 kB", 2)), conditions()));
+    let alone = bed.store.run(2).await.expect("answers").expect("exists");
+    assert_eq!((alone.summary.experiment, alone.conditions), (None, Vec::new()));
+    let listed = bed.store.runs(&RunFilter::default()).await.expect("answers");
+    assert_eq!(listed.iter().filter(|run| run.experiment.is_some()).count(), 1);
+}
+
+#[tokio::test]
+async fn experiments_are_listed_with_their_runs() {
+    let mut bed = Bed::new().await;
+    assert!(bed.store.experiments(10).await.expect("answers").is_empty());
+    let events = vec![
+        began(Some(place("a", "1 kB", 0)), Vec::new()),
+        began(Some(place("b", "1 kB", 0)), Vec::new()),
+        began(None, Vec::new()),
+        began(Some(place("a", "2 kB", 0)), Vec::new()),
+    ];
+    let work = bed.batch(events);
+    bed.commit(&[work]).await;
+    let listed = bed.store.experiments(10).await.expect("answers");
+    let told: Vec<_> =
+        listed.iter().map(|it| (it.id.as_str(), it.runs, it.open, it.oldest, it.newest)).collect();
+    // A pipeline that begins a run has ended the one before.
+    assert_eq!(told, [("a", 2, 1, 1, 4), ("b", 1, 0, 2, 2)]);
+    assert_eq!(listed[0].name, "sizes");
+    let runs = bed.store.runs_of_experiment("a", 10).await.expect("answers");
+    assert_eq!(runs.iter().map(|run| run.number).collect::<Vec<_>>(), [1, 4]);
+    assert_eq!(bed.store.runs_of_experiment("a", 1).await.expect("answers").len(), 1);
+    assert!(bed.store.runs_of_experiment("' OR 1", 10).await.expect("answers").is_empty());
+}
+
+#[tokio::test]
+async fn a_course_holds_every_sample_in_order_of_time() {
+    let mut bed = Bed::new().await;
+    bed.run_of(500).await;
+    let asked = [stage::TOTAL, Name::from_static("nothing"), stage::UPLOAD];
+    let courses = bed.store.course(1, &asked, 20).await.expect("answers");
+    assert_eq!(courses.iter().map(|it| it.stage.as_str()).collect::<Vec<_>>(), ["total", "upload"]);
+    let whole = bed.store.statistics_of(1).await.expect("answers").stages;
+    for course in courses {
+        assert!((5..=20).contains(&course.buckets.len()), "{}", course.buckets.len());
+        let figures = whole.iter().find(|known| known.stage == course.stage).expect("known").figures;
+        assert_eq!(course.buckets.iter().map(|bucket| bucket.count()).sum::<u64>(), figures.count);
+        let max = course.buckets.iter().map(|bucket| bucket.moments.max).fold(0.0, f64::max);
+        assert_eq!((max, course.unit.as_str()), (figures.max, "s"));
+    }
+}
+
+#[tokio::test]
+async fn means_are_those_of_the_course() {
+    let mut bed = Bed::new().await;
+    bed.run_of(500).await;
+    let asked = [stage::TOTAL, Name::from_static("nothing"), stage::UPLOAD];
+    for most in [1, 7, 20, 1_000] {
+        let courses = bed.store.course(1, &asked, most).await.expect("answers");
+        let means = bed.store.means(1, &asked, most).await.expect("answers");
+        assert_eq!(means.len(), courses.len(), "{means:?}");
+        for (means, course) in means.iter().zip(&courses) {
+            assert_eq!((&means.stage, means.buckets.len()), (&course.stage, course.buckets.len()));
+            for (MeanBucket { count, mean, .. }, bucket) in means.buckets.iter().zip(&course.buckets) {
+                let same = (mean - bucket.moments.mean).abs() <= 1e-12 * mean.abs();
+                assert!(*count == bucket.count() && same, "{mean} {:?}", bucket.moments);
+            }
+        }
+    }
+}

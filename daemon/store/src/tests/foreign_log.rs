@@ -1,0 +1,192 @@
+//! Logs beside a database that are its own, and one that is not.
+
+use std::fs;
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{ConnectOptions, Connection, SqliteConnection};
+use tempfile::TempDir;
+use tokio_util::sync::CancellationToken;
+
+use super::{Bed, NOW, STAMP, open};
+use crate::RetentionConfig;
+use crate::error::OpenError;
+use crate::integrity::Integrity;
+use crate::maintenance::{
+    Backup, BackupError, ClearSecretError, DoctorError, Examination, RebuildError, RepairError,
+    clear_host_secret, examine, rebuild_rollups, repair,
+};
+use crate::opening::OpenDatabase;
+use crate::write::incidents::PendingIncidents;
+
+async fn connect(path: &Path) -> SqliteConnection {
+    SqliteConnectOptions::new().filename(path).connect().await.expect("opens")
+}
+
+async fn number(path: &Path, sql: &'static str) -> i64 {
+    let mut connection = connect(path).await;
+    let number = sqlx::query_scalar(sql).fetch_one(&mut connection).await.expect("answers");
+    connection.close().await.expect("closes");
+    number
+}
+
+async fn iterations(path: &Path) -> i64 {
+    number(path, "SELECT count(*) FROM iteration").await
+}
+
+/// What stands in the file itself.
+fn id(path: &Path) -> [u8; 4] {
+    fs::read(path).expect("reads")[60..64].try_into().expect("four bytes")
+}
+
+fn log_of(path: &Path) -> PathBuf {
+    PathBuf::from(format!("{}-wal", path.display()))
+}
+
+/// The files as a process that is killed leaves them.
+fn killed(bed: &Bed) -> (TempDir, PathBuf) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("peernet.sqlite");
+    fs::copy(&bed.path, &path).expect("copies");
+    fs::copy(log_of(&bed.path), log_of(&path)).expect("copies");
+    (folder, path)
+}
+
+async fn checkpoint(bed: &Bed) {
+    sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)")
+        .execute(&mut bed.other().await)
+        .await
+        .expect("carries over");
+}
+
+async fn backup(bed: &Bed, name: &str) -> PathBuf {
+    let target = bed.path.with_file_name(name);
+    let backup = Backup::prepare(&bed.path, &target).await.expect("can be read");
+    backup.run(CancellationToken::new()).await.expect("copies").path
+}
+
+async fn start(path: &Path) -> Result<(), OpenError> {
+    let integrity = Integrity::of(path);
+    let (database, _) = OpenDatabase::open(path, RetentionConfig::default(), &integrity).await?;
+    database.close().await.1.expect("closes");
+    Ok(())
+}
+
+#[tokio::test]
+async fn a_backup_is_not_spoilt_by_the_log_of_the_database_before_it() {
+    let mut bed = Bed::new().await;
+    bed.run_of(100).await;
+    checkpoint(&bed).await;
+    let copy = backup(&bed, "copy.sqlite").await;
+    bed.run_of(100).await;
+    let (_folder, path) = killed(&bed);
+    fs::copy(&copy, path.with_file_name("copy.sqlite")).expect("copies");
+    fs::rename(path.with_file_name("copy.sqlite"), &path).expect("takes its place");
+    let files = || (fs::read(&path).expect("is there"), fs::read(log_of(&path)).expect("is there"));
+    let before = files();
+
+    let refused = start(&path).await.expect_err("refuses");
+    assert!(matches!(refused, OpenError::ForeignLog(_)), "{refused}");
+    let words = refused.to_string();
+    assert!(words.contains("peernet.sqlite-wal belongs to the database that was there before"), "{words}");
+    assert!(words.contains("delete it"), "{words}");
+    let examined = examine(&path, Examination { full: false, now: NOW }).await;
+    assert!(matches!(examined, Err(DoctorError::ForeignLog(_))), "{examined:?}");
+    let repaired = repair(&path, NOW, "now", |_| {}).await;
+    assert!(matches!(repaired, Err(RepairError::ForeignLog(_))), "{repaired:?}");
+    let rebuilt = rebuild_rollups(&path, None, |_| {}).await;
+    assert!(matches!(rebuilt, Err(RebuildError::Open(OpenError::ForeignLog(_)))), "{rebuilt:?}");
+    let cleared = clear_host_secret(&path, "edge").await;
+    assert!(matches!(cleared, Err(ClearSecretError::ForeignLog(_))), "{cleared:?}");
+    let again = Backup::prepare(&path, &path.with_file_name("again.sqlite")).await;
+    assert!(matches!(again, Err(BackupError::ForeignLog(_))), "{again:?}");
+    assert!(files() == before, "nothing was written");
+
+    fs::remove_file(log_of(&path)).expect("removes");
+    start(&path).await.expect("opens");
+    assert_eq!(iterations(&path).await, 100);
+    let report = examine(&path, Examination { full: true, now: NOW }).await.expect("opens");
+    assert!(report.is_healthy(), "{report:?}");
+}
+
+#[tokio::test]
+async fn the_log_of_an_idle_aggregator_tells_whose_it_is() {
+    let mut bed = Bed::new().await;
+    bed.run_of(10).await;
+    let copy = backup(&bed, "copy.sqlite").await;
+    bed.writer.close().await.1.expect("closes");
+    bed.store.close().await;
+    bed.writer = open(&bed.path).await;
+    bed.writer.keep_clocks(STAMP, &mut PendingIncidents::new(STAMP)).await.expect("stores");
+    let (_folder, path) = killed(&bed);
+    fs::copy(&copy, &path).expect("takes its place");
+    assert!(matches!(start(&path).await, Err(OpenError::ForeignLog(_))));
+
+    // SQLite does not apply a log whose sums are wrong.
+    let log = fs::File::options().write(true).open(log_of(&path)).expect("opens");
+    log.write_all_at(&[0xa5; 4], 100).expect("writes");
+    start(&path).await.expect("opens");
+    assert_eq!(iterations(&path).await, 10);
+}
+
+#[tokio::test]
+async fn a_database_whose_process_was_killed_opens_with_its_log() {
+    let mut bed = Bed::new().await;
+    // The file itself has no number yet.
+    bed.run_of(100).await;
+    let (_first, path) = killed(&bed);
+    assert_eq!(id(&path), [0; 4]);
+    start(&path).await.expect("opens");
+    assert_eq!(iterations(&path).await, 100);
+
+    checkpoint(&bed).await;
+    bed.run_of(50).await;
+    let (_second, path) = killed(&bed);
+    assert_ne!(id(&path), [0; 4]);
+    start(&path).await.expect("opens");
+    assert_eq!(iterations(&path).await, 150);
+
+    // One of an earlier version, where the log is the first to have a number.
+    bed.writer.close().await.1.expect("closes");
+    bed.store.close().await;
+    fs::File::options()
+        .write(true)
+        .open(&bed.path)
+        .expect("opens")
+        .write_all_at(&[0; 4], 60)
+        .expect("writes");
+    bed.writer = open(&bed.path).await;
+    let (_third, path) = killed(&bed);
+    assert_eq!(id(&path), [0; 4]);
+    start(&path).await.expect("opens");
+    assert_ne!(id(&path), [0; 4]);
+    assert_eq!(iterations(&path).await, 150);
+}
+
+#[tokio::test]
+async fn each_file_has_a_number_of_its_own_and_keeps_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let fresh = folder.path().join("peernet.sqlite");
+    start(&fresh).await.expect("makes it");
+    let first = id(&fresh);
+    assert_ne!(first, [0; 4]);
+    start(&fresh).await.expect("opens");
+    assert_eq!(id(&fresh), first);
+
+    let mut bed = Bed::new().await;
+    bed.run_of(100).await;
+    let (one, other) = (backup(&bed, "one.sqlite").await, backup(&bed, "other.sqlite").await);
+    checkpoint(&bed).await;
+    let mut ids = vec![first, id(&bed.path), id(&one), id(&other)];
+    let root = number(&one, "SELECT rootpage FROM sqlite_schema WHERE name = 'node'").await;
+    let file = fs::File::options().write(true).open(&one).expect("opens");
+    file.write_all_at(&[0xa5; 4096], (root.cast_unsigned() - 1) * 4096).expect("writes");
+    drop(file);
+    repair(&one, NOW, "now", |_| {}).await.expect("repairs").expect("was damaged");
+    ids.push(id(&one));
+    assert!(!ids.contains(&[0; 4]), "{ids:?}");
+    ids.sort_unstable();
+    ids.dedup();
+    assert_eq!(ids.len(), 5);
+}

@@ -1,0 +1,78 @@
+//! Questions that take too long are stopped, and nobody else notices.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use peernet_clock::{ClockIdentity, SystemClock};
+
+use super::Bed;
+use crate::error::StoreError;
+use crate::integrity::Integrity;
+use crate::readers::Readers;
+
+/// Counts for ever.
+const ENDLESS: &str = "WITH RECURSIVE endless (n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM endless) SELECT count(*) FROM endless";
+
+fn impatient(path: &Path) -> Readers {
+    let identity = ClockIdentity::of_this_machine(ClockIdentity::SYSTEM).expect("linux has a boot id");
+    Readers::open(
+        path,
+        1,
+        Duration::from_millis(100),
+        Arc::new(SystemClock::new(identity)),
+        Integrity::of(path),
+    )
+}
+
+#[tokio::test]
+async fn a_question_without_end_is_stopped_while_the_writer_commits() {
+    let mut bed = Bed::new().await;
+    let readers = impatient(&bed.path);
+    let pool = readers.pool();
+    let endless = sqlx::query_scalar::<_, i64>(ENDLESS).fetch_one(&pool);
+    // The writer ends; the question would not.
+    let (endless, _) = tokio::join!(endless, bed.run_of(50));
+    let error = endless.map_err(readers.failed("everything")).expect_err("it has no end");
+    assert!(matches!(error, StoreError::TooLong { what: "everything", .. }), "{error}");
+    assert!(error.to_string().contains("longer than the 0.1 s of [aggregator] question_limit_ms"), "{error}");
+    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 50);
+
+    // The only connection is as good as before, and each question has the whole time for itself.
+    for _ in 0..3 {
+        let seen: i64 = sqlx::query_scalar("SELECT count(*) FROM iteration")
+            .fetch_one(&readers.pool())
+            .await
+            .expect("answers");
+        assert_eq!(seen, 50);
+        sqlx::query_scalar::<_, i64>(ENDLESS).fetch_one(&readers.pool()).await.expect_err("it has no end");
+    }
+}
+
+#[tokio::test]
+async fn readers_cannot_write() {
+    let bed = Bed::new().await;
+    let refused = sqlx::query("DELETE FROM host").execute(&impatient(&bed.path).pool()).await;
+    assert!(refused.is_err_and(|error| error.to_string().contains("readonly")));
+}
+
+#[tokio::test]
+async fn log_is_emptied_after_the_last_reader() {
+    let mut bed = Bed::new().await;
+    let log = bed.path.with_extension("sqlite-wal");
+    let bytes = || std::fs::metadata(&log).expect("it is there").len();
+    let mut reader = bed.other().await;
+    sqlx::raw_sql("BEGIN; SELECT count(*) FROM host").execute(&mut reader).await.expect("reads");
+    bed.run_of(200).await;
+    let grown = bytes();
+    // While somebody reads it stays, and nothing waits.
+    bed.writer.bound_log(grown / 2).await.expect("tries");
+    assert_eq!(bytes(), grown);
+    sqlx::raw_sql("COMMIT").execute(&mut reader).await.expect("ends");
+    bed.writer.bound_log(grown).await.expect("is short enough");
+    assert_eq!(bytes(), grown);
+    bed.writer.bound_log(grown / 2).await.expect("empties it");
+    assert_eq!(bytes(), 0);
+    bed.run_of(10).await;
+    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 210);
+}

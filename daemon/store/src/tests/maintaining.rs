@@ -1,0 +1,166 @@
+//! Copies of the database and looks at its health, beside the writer.
+
+use std::os::unix::fs::FileExt;
+use std::path::Path;
+
+use sqlx::ConnectOptions;
+use sqlx::sqlite::SqliteConnectOptions;
+use tokio_util::sync::CancellationToken;
+
+use super::{Bed, NOW};
+use crate::maintenance::{
+    Backup, BackupError, DoctorError, Examination, Report, Severity, examine, rebuild_rollups,
+};
+
+const QUICK: Examination = Examination { full: false, now: NOW };
+const FULL: Examination = Examination { full: true, now: NOW };
+
+async fn count(path: &Path, table: &str) -> i64 {
+    let mut connection = SqliteConnectOptions::new().filename(path).connect().await.expect("opens");
+    let statement = sqlx::AssertSqlSafe(format!("SELECT count(*) FROM {table}"));
+    sqlx::query_scalar(statement).fetch_one(&mut connection).await.expect("counts")
+}
+
+fn problems(report: &Report) -> Vec<&str> {
+    let all = report.findings.iter().filter(|finding| finding.severity == Severity::Problem);
+    all.map(|finding| finding.what.as_str()).collect()
+}
+
+#[tokio::test]
+async fn a_copy_is_the_database_of_one_moment_and_never_takes_another_files_place() {
+    let mut bed = Bed::new().await;
+    bed.run_of(100).await;
+    let target = bed.path.with_file_name("copy.sqlite");
+    // What a backup that was killed left behind is in nobody's way.
+    std::fs::write(target.with_file_name("copy.sqlite.partial"), b"left behind").expect("writable");
+    let backup = Backup::prepare(&bed.path, &target).await.expect("can be read");
+    assert!(backup.expected_bytes() > 100_000);
+    let twice = Backup::prepare(&bed.path, &target).await.expect_err("one is under way");
+    assert!(matches!(twice, BackupError::UnderWay(_)), "{twice}");
+    let copied = backup.run(CancellationToken::new()).await.expect("copies");
+    bed.run_of(100).await;
+
+    assert_eq!(copied.path, target);
+    assert_eq!(copied.bytes, std::fs::metadata(&target).expect("is there").len());
+    assert!(!target.with_file_name("copy.sqlite.partial").exists());
+    assert_eq!((count(&target, "iteration").await, count(&bed.path, "iteration").await), (100, 200));
+    let report = examine(&target, FULL).await.expect("opens");
+    assert!(report.is_healthy(), "{report:?}");
+
+    let again = Backup::prepare(&bed.path, &target).await.expect_err("it exists");
+    assert!(matches!(again, BackupError::Exists(_)), "{again}");
+    // A name that was taken meanwhile is left to who took it.
+    let other = bed.path.with_file_name("other.sqlite");
+    let backup = Backup::prepare(&bed.path, &other).await.expect("can be read");
+    std::fs::write(&other, b"theirs").expect("writable");
+    backup.run(CancellationToken::new()).await.expect_err("it exists");
+    assert_eq!(std::fs::read(&other).expect("is there"), b"theirs");
+    assert!(!other.with_file_name("other.sqlite.partial").exists());
+}
+
+#[tokio::test]
+async fn a_copy_that_is_stopped_leaves_nothing() {
+    let mut bed = Bed::new().await;
+    bed.run_of(100).await;
+    let target = bed.path.with_file_name("copy.sqlite");
+    let backup = Backup::prepare(&bed.path, &target).await.expect("can be read");
+    let stop = CancellationToken::new();
+    stop.cancel();
+    let stopped = backup.run(stop).await.expect_err("stopped");
+    assert!(matches!(stopped, BackupError::Stopped), "{stopped}");
+    assert!(!target.exists() && !target.with_file_name("copy.sqlite.partial").exists());
+    let missing = Backup::prepare(&target, &bed.path).await.expect_err("no such database");
+    assert!(matches!(missing, BackupError::Missing(_)), "{missing}");
+}
+
+#[tokio::test]
+async fn a_healthy_database_is_described_while_it_is_written() {
+    let mut bed = Bed::new().await;
+    bed.run_of(100).await;
+    let report = examine(&bed.path, QUICK).await.expect("opens");
+    assert!(report.is_healthy(), "{report:?}");
+    let rows = |wanted: &str| report.tables.iter().find(|rows| rows.table == wanted).expect("is there");
+    assert_eq!((rows("run").rows, rows("run").estimated), (1, false));
+    assert_eq!((rows("iteration").rows, rows("iteration").estimated), (100, true));
+    assert_eq!(rows("node").rows, count(&bed.path, "node").await.cast_unsigned());
+    let stream = report.streams.iter().find(|stream| stream.stored > 0).expect("one has batches");
+    assert_eq!((stream.host.as_deref(), stream.stored), (Some("edge"), 3));
+    assert!(report.rollups.iter().any(|extent| extent.oldest_s.is_some()), "{report:?}");
+    assert!(report.file.bytes > 0 && report.file.disk_free_bytes > 0);
+}
+
+#[tokio::test]
+async fn rows_are_told_as_they_are_after_old_ones_were_deleted() {
+    let mut bed = Bed::new().await;
+    bed.run_of(100).await;
+    let mut connection = SqliteConnectOptions::new().filename(&bed.path).connect().await.expect("opens");
+    sqlx::raw_sql("DELETE FROM node WHERE iteration <= 60; DELETE FROM iteration WHERE number <= 60")
+        .execute(&mut connection)
+        .await
+        .expect("deletes");
+    let report = examine(&bed.path, QUICK).await.expect("opens");
+    let left = count(&bed.path, "iteration").await;
+    assert!((1..100).contains(&left), "{left}");
+    for table in ["iteration", "node"] {
+        let told = report.tables.iter().find(|rows| rows.table == table).expect("is there").rows;
+        assert_eq!(told, count(&bed.path, table).await.cast_unsigned(), "{table}");
+    }
+}
+
+#[tokio::test]
+async fn an_agents_spool_is_told_from_a_database() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("spool.sqlite");
+    let options = SqliteConnectOptions::new().filename(&path).create_if_missing(true);
+    let mut connection = options.connect().await.expect("opens");
+    sqlx::raw_sql(include_str!("../../../../migrations/spool/0001_spool.sql"))
+        .execute(&mut connection)
+        .await
+        .expect("makes its tables");
+    let report = examine(&path, QUICK).await.expect("opens");
+    assert!(problems(&report).iter().any(|problem| problem.contains("an agent's spool")), "{report:?}");
+    assert!(report.findings.iter().any(|finding| finding.advice.contains("--spool")), "{report:?}");
+    let refused = Backup::prepare(&path, &folder.path().join("copy.sqlite")).await.expect_err("no database");
+    assert!(refused.to_string().contains("an agent's spool"), "{refused}");
+    let refused = rebuild_rollups(&path, None, |_| {}).await.expect_err("no database");
+    assert!(refused.to_string().contains("an agent's spool"), "{refused}");
+    let tables: i64 = sqlx::query_scalar("SELECT count(*) FROM sqlite_schema WHERE type = 'table'")
+        .fetch_one(&mut connection)
+        .await
+        .expect("reads");
+    assert_eq!(tables, 3, "none was added");
+}
+
+#[tokio::test]
+async fn a_damaged_page_is_found_and_named() {
+    let mut bed = Bed::new().await;
+    bed.run_of(200).await;
+    let copy = bed.path.with_file_name("copy.sqlite");
+    let backup = Backup::prepare(&bed.path, &copy).await.expect("can be read");
+    backup.run(CancellationToken::new()).await.expect("copies");
+    let file = std::fs::File::options().read(true).write(true).open(&copy).expect("opens");
+    let mut connection = SqliteConnectOptions::new().filename(&copy).connect().await.expect("opens");
+    let page: i64 = sqlx::query_scalar("SELECT rootpage FROM sqlite_schema WHERE name = 'node'")
+        .fetch_one(&mut connection)
+        .await
+        .expect("is there");
+    drop(connection);
+    // The head of the table's first page: its type and number of cells.
+    file.write_all_at(&[0xa5; 16], (page.cast_unsigned() - 1) * 4096).expect("writes");
+    let report = examine(&copy, QUICK).await.expect("opens");
+    assert!(problems(&report).iter().any(|problem| problem.contains("damaged")), "{report:?}");
+    assert!(report.findings.iter().all(|finding| !finding.advice.is_empty()));
+
+    // And one that is no database at all, and one that is another program's.
+    file.write_all_at(&[0xa5; 100], 0).expect("writes");
+    let report = examine(&copy, QUICK).await.expect("opens");
+    assert!(problems(&report).iter().any(|problem| problem.contains("no database")), "{report:?}");
+    let other = bed.path.with_file_name("other.sqlite");
+    let options = SqliteConnectOptions::new().filename(&other).create_if_missing(true);
+    let mut connection = options.connect().await.expect("opens");
+    sqlx::query("CREATE TABLE other (id)").execute(&mut connection).await.expect("makes a table");
+    let report = examine(&other, QUICK).await.expect("opens");
+    assert!(problems(&report).iter().any(|problem| problem.contains("not an aggregator's")), "{report:?}");
+    let missing = examine(&bed.path.with_file_name("none.sqlite"), QUICK).await.expect_err("is not there");
+    assert!(matches!(missing, DoctorError::Missing(_)), "{missing}");
+}

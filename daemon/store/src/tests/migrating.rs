@@ -1,0 +1,172 @@
+//! Databases that earlier versions made: everything in them stays, everything new works.
+
+use std::borrow::Cow;
+use std::path::{Path, PathBuf};
+
+use peernet_logger::stage;
+use peernet_stream::Event;
+use sqlx::migrate::Migrator;
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
+
+use super::clocks::sample;
+use super::retention::{day, work_off};
+use super::rollups::{assert_same, table};
+use super::{Bed, database, generate, open};
+use crate::retention::Retention;
+use crate::types::{IterationFilter, RunFilter};
+
+/// The last version with statistics of two widths only.
+const LAST_COARSE: i64 = 4;
+
+/// The same data in a file as a version of before would have left it: what it knew, in the order of its own columns, and
+/// of the statistics those that it kept.
+pub(super) async fn as_of_version(bed: &Bed, version: i64) -> PathBuf {
+    let path = bed.path.with_file_name(format!("version-{version}.sqlite"));
+    let mut old = database::writing(&path).connect().await.expect("makes");
+    let migrations: Vec<_> =
+        database::MIGRATIONS.iter().filter(|migration| migration.version <= version).cloned().collect();
+    let migrator = Migrator { migrations: Cow::Owned(migrations), ..Migrator::DEFAULT };
+    migrator.run_direct(None, &mut old, false).await.expect("makes the old schema");
+    sqlx::query("ATTACH ? AS new")
+        .bind(bed.path.to_string_lossy().into_owned())
+        .execute(&mut old)
+        .await
+        .expect("opens");
+    let tables: Vec<String> = sqlx::query_scalar(
+        "SELECT name FROM main.sqlite_schema WHERE type = 'table' AND name NOT LIKE '\\_%' ESCAPE '\\' \
+         AND name NOT LIKE 'sqlite\\_%' ESCAPE '\\' ORDER BY rowid",
+    )
+    .fetch_all(&mut old)
+    .await
+    .expect("lists");
+    for name in tables {
+        let columns: Vec<String> = sqlx::query_scalar("SELECT name FROM pragma_table_info(?, 'main')")
+            .bind(&name)
+            .fetch_all(&mut old)
+            .await
+            .expect("describes");
+        let kept: Vec<String> = sqlx::query_scalar("SELECT name FROM pragma_table_info(?, 'new')")
+            .bind(&name)
+            .fetch_all(&mut old)
+            .await
+            .expect("describes");
+        // Columns and tables that later versions dropped keep their defaults.
+        let columns: Vec<String> = columns.into_iter().filter(|column| kept.contains(column)).collect();
+        if columns.is_empty() {
+            continue;
+        }
+        let columns = columns.join(", ");
+        let which =
+            if name == "rollup" && version <= LAST_COARSE { "WHERE resolution_s IN (0, 10)" } else { "" };
+        let copy = format!(
+            "INSERT OR REPLACE INTO main.{name} ({columns}) SELECT {columns} FROM new.{name} {which}"
+        );
+        sqlx::raw_sql(AssertSqlSafe(copy)).execute(&mut old).await.expect("copies");
+    }
+    old.close().await.expect("closes");
+    path
+}
+
+/// What pages ask about a run, as text. Series in points of ten seconds, which all versions had.
+async fn answers(bed: &Bed) -> String {
+    let store = &bed.store;
+    let series = store.series(1, &[stage::UPLOAD, stage::TOTAL], 21).await.expect("answers");
+    assert_eq!(series.bucket_s, 10);
+    format!(
+        "{:?}\n{:?}\n{:?}\n{:?}\n{:?}\n{:?}\n{series:?}",
+        store.run(1).await.expect("answers").expect("exists"),
+        store.statistics_of(1).await.expect("answers").stages,
+        store.histogram(1, "upload", 20).await.expect("answers"),
+        store.iterations(1, &IterationFilter::default()).await.expect("answers"),
+        store.iteration(1, 17).await.expect("answers").expect("exists"),
+        store.hosts().await.expect("answers"),
+    )
+}
+
+async fn reopen(bed: &mut Bed, path: &Path) -> SqliteConnection {
+    bed.writer = open(path).await;
+    bed.store = super::Store::new(super::readers(path));
+    database::writing(path).connect().await.expect("opens")
+}
+
+/// Version 5 is the first with statistics of all widths.
+#[tokio::test]
+async fn a_database_without_experiments_goes_on_as_it_was() {
+    let mut bed = Bed::new().await;
+    bed.run_of(200).await;
+    let expected =
+        (bed.store.run(1).await.expect("answers"), bed.store.statistics_of(1).await.expect("answers").stages);
+    let grown = table(&mut bed.other().await).await;
+    let path = as_of_version(&bed, 5).await;
+    let mut connection = reopen(&mut bed, &path).await;
+    let found =
+        (bed.store.run(1).await.expect("answers"), bed.store.statistics_of(1).await.expect("answers").stages);
+    assert_eq!(found, expected);
+    assert_same(&table(&mut connection).await, &grown);
+    bed.run_of(20).await;
+    assert_eq!(bed.store.runs(&RunFilter::default()).await.expect("answers").len(), 2);
+}
+
+#[tokio::test]
+async fn skipped_starts_of_stored_runs_are_counted_once() {
+    for version in [1, 6] {
+        let mut bed = Bed::new().await;
+        bed.run_that_skips().await;
+        bed.run_of(5).await;
+        let path = as_of_version(&bed, version).await;
+        reopen(&mut bed, &path).await;
+        assert_eq!(bed.skipped_starts().await, [super::skipped::SKIPPED, 0], "version {version}");
+        reopen(&mut bed, &path).await;
+        bed.run_that_skips().await;
+        let both = [super::skipped::SKIPPED, 0, super::skipped::SKIPPED];
+        assert_eq!(bed.skipped_starts().await, both, "version {version}");
+    }
+}
+
+#[tokio::test]
+async fn a_database_with_coarse_statistics_goes_on_as_it_was() {
+    for version in 1..=LAST_COARSE {
+        let mut bed = Bed::new().await;
+        bed.run_of(1_000).await;
+        let work = bed.batch(vec![Event::Clock(Box::new(sample(bed.cloud, 0, 40)))]);
+        bed.commit(&[work]).await;
+        let expected = answers(&bed).await;
+        let links = bed.store.links().await.expect("answers");
+        let recomputed = bed.store.recompute(1).await.expect("answers").expect("exists");
+        let grown = table(&mut bed.other().await).await;
+        let path = as_of_version(&bed, version).await;
+
+        let mut connection = reopen(&mut bed, &path).await;
+        assert_eq!(answers(&bed).await, expected, "version {version}");
+        assert_eq!(bed.count("SELECT count(*) FROM node").await, 1_000 * 21);
+        // The coarser statistics were made of those that were there; finer ones there were none.
+        let coarser = grown.into_iter().filter(|((_, width_s, ..), _)| *width_s != 1).collect();
+        assert_same(&table(&mut connection).await, &coarser);
+        assert_eq!(bed.count("SELECT count(*) FROM rollup_debt").await, 0);
+        let minutes = bed.store.series(1, &[stage::TOTAL], 4).await.expect("answers");
+        assert_eq!((minutes.bucket_s, minutes.stages[0].points.len()), (60, 4));
+        let all = bed.store.series(1, &[stage::TOTAL], 1_000).await.expect("answers");
+        assert_eq!(all.bucket_s, 10);
+        if version >= 3 {
+            assert_eq!(bed.store.links().await.expect("answers"), links);
+            assert_eq!(bed.store.recompute(1).await.expect("answers"), Some(recomputed));
+        } else {
+            assert_eq!(bed.store.links().await.expect("answers"), []);
+            let recomputed = bed.store.recompute(1).await.expect("answers").expect("exists");
+            assert_eq!((recomputed.samples, recomputed.stages.len()), (0, 2));
+        }
+        // Who updates has the whole of each period to pin what must stay, however old it is.
+        let mut retention = Retention::new(crate::retention_config::RetentionConfig::default());
+        let steps = work_off(&mut retention, &mut connection, day(0.9)).await;
+        assert_eq!(bed.count("SELECT count(*) FROM node").await, 1_000 * 21, "{steps} steps");
+
+        let work = bed.batch(vec![Event::Clock(Box::new(sample(bed.cloud, 1, 40)))]);
+        bed.commit(&[work]).await;
+        let links = bed.store.links().await.expect("answers");
+        assert_eq!((links.len(), links[0].last), (1, generate::at(1.0)));
+        // Opening it once more changes nothing.
+        let before = table(&mut connection).await;
+        reopen(&mut bed, &path).await;
+        assert_same(&table(&mut connection).await, &before);
+    }
+}

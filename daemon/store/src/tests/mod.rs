@@ -1,0 +1,170 @@
+//! The store with a real file: what the writer wrote is what readers are told.
+
+mod arguments;
+mod clock_samples;
+#[path = "../../../aggregator/tests/it/clocks.rs"]
+#[expect(unreachable_pub, reason = "shared with the integration tests")]
+mod clocks;
+mod ends;
+mod episodes;
+mod experiments;
+mod fixtures;
+mod foreign_log;
+#[path = "../../../aggregator/tests/it/generate.rs"]
+#[expect(unreachable_pub, reason = "shared with the integration tests and the benchmark")]
+mod generate;
+mod limits;
+mod maintaining;
+mod migrating;
+mod ownership;
+mod pairs;
+mod plans;
+mod questions;
+mod rebuilding;
+mod recomputing;
+mod repairing;
+mod retention;
+mod retention_size;
+mod rollups;
+mod simulation;
+mod skipped;
+mod storage_clock;
+mod together;
+mod whole;
+mod writing;
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use bytes::Bytes;
+use peernet_clock::{ClockIdentity, MonoTime, Stamp, SystemClock, WallTime};
+use peernet_logger::{HostId, RunId};
+use peernet_stream::{BatchHead, Chain, Event, HostDescription, StreamId};
+use sqlx::{ConnectOptions, SqliteConnection};
+use tempfile::TempDir;
+
+use super::integrity::Integrity;
+use super::readers::Readers;
+use super::write::{Committed, Introduction, Work, Writer};
+use super::{Store, database};
+use crate::RetentionConfig;
+
+const NOW: WallTime = WallTime::from_unix_nanos(1_750_000_000_000_000_000);
+/// Both clocks of the aggregator.
+const STAMP: Stamp = Stamp { wall: NOW, mono: MonoTime::from_nanos(0) };
+
+/// The process that all batches come from.
+const PROCESS: u64 = u64::MAX - 4;
+
+/// A database in a folder of its own, with one agent that writes to it.
+struct Bed {
+    _folder: TempDir,
+    path: PathBuf,
+    writer: Writer,
+    store: Store,
+    edge: HostId,
+    cloud: HostId,
+    stream: StreamId,
+    next: u64,
+}
+
+impl Bed {
+    async fn new() -> Self {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("peernet.sqlite");
+        let writer = open(&path).await;
+        let store = Store::new(readers(&path));
+        let (edge, cloud, stream) = (HostId::random(), HostId::random(), StreamId::random());
+        let mut bed = Self { _folder: folder, path, writer, store, edge, cloud, stream, next: 1 };
+        bed.commit(&[
+            hello(generate::host(bed.edge, "edge"), 1),
+            hello(generate::host(bed.cloud, "cloud"), 1),
+        ])
+        .await;
+        bed
+    }
+
+    fn hosts(&self) -> (HostId, HostId) {
+        (self.edge, self.cloud)
+    }
+
+    /// The next batch of the stream.
+    fn batch(&mut self, events: Vec<Event>) -> Work {
+        let number = self.next;
+        self.next += 1;
+        self.batch_numbered(number, events)
+    }
+
+    fn batch_numbered(&self, number: u64, events: impl AsRef<[Event]>) -> Work {
+        let events = events.as_ref();
+        let body = Bytes::from(generate::body(events));
+        Work::of_batch(self.head(number, &body, events.len()), body)
+    }
+
+    fn head(&self, number: u64, body: &[u8], events: usize) -> BatchHead {
+        let (host, stream, before, events) = (self.edge, self.stream, Chain::START, events as u32);
+        let (chain, events_before) = (before.then(events, body), 100 * number);
+        BatchHead { host, stream, process: PROCESS, number, before, chain, events, events_before }
+    }
+
+    async fn commit(&mut self, work: &[Work]) -> Committed {
+        self.writer.commit(work, STAMP).await.expect("commits")
+    }
+
+    /// Stores a run of so many iterations.
+    async fn run_of(&mut self, iterations: u64) -> RunId {
+        let run = RunId::random();
+        let mut numbers = generate::Numbers(7);
+        let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
+        let hosts = self.hosts();
+        events.extend(
+            (1..=iterations).map(|n| Event::Iteration(generate::iteration(run, n, hosts, &mut numbers))),
+        );
+        let work: Vec<Work> =
+            events.chunks(50).map(<[Event]>::to_vec).map(|events| self.batch(events)).collect();
+        self.commit(&work).await;
+        run
+    }
+
+    /// A connection of another program that may write.
+    async fn other(&self) -> SqliteConnection {
+        database::writing(&self.path).connect().await.expect("opens")
+    }
+
+    /// One number of the database.
+    async fn count(&self, sql: &'static str) -> i64 {
+        sqlx::query_scalar(sql).fetch_one(&self.store.readers.pool()).await.expect("counts")
+    }
+}
+
+async fn open(path: &std::path::Path) -> Writer {
+    let connection = database::open(path).await.expect("opens");
+    Writer::new(path.to_owned(), connection, RetentionConfig::default()).await.expect("reads the marks")
+}
+
+/// A process of a host introduces itself, with a stream that nothing else of the test uses.
+fn hello(host: HostDescription, process: u64) -> Work {
+    let stream = StreamId::random();
+    Work::Hello(Box::new(Introduction {
+        host,
+        process,
+        stream,
+        previous: None,
+        first: 1,
+        replaced: None,
+        lacking: None,
+        secret: None,
+    }))
+}
+
+/// Readers with a limit that no question of a test reaches.
+fn readers(path: &std::path::Path) -> Readers {
+    let identity = ClockIdentity::of_this_machine(ClockIdentity::SYSTEM).expect("linux has a boot id");
+    Readers::open(
+        path,
+        2,
+        std::time::Duration::from_secs(600),
+        Arc::new(SystemClock::new(identity)),
+        Integrity::of(path),
+    )
+}

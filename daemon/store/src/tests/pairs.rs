@@ -1,0 +1,126 @@
+//! Two values of single iterations: which are looked at, and what an iteration with several nodes has.
+
+use peernet_clock::Span;
+use peernet_logger::{Measure, NodeId, RunId, Unit, stage};
+use peernet_stream::{Event, Iteration, Outcome};
+
+use super::retention::{day, short, two_runs, work_off};
+use super::{Bed, NOW, generate};
+use crate::retention::Retention;
+use crate::types::Pairs;
+
+/// Milliseconds of inference that each of these iterations has beside what the generator gives it.
+const SLOW: f64 = 1_000.0;
+
+impl Bed {
+    /// An iteration whose answer has ten bytes and two tokens for each of its number, and takes as many seconds.
+    fn talking(&self, run: RunId, number: u64) -> Iteration {
+        let mut iteration = generate::iteration(run, number, self.hosts(), &mut generate::Numbers(number));
+        let tree = &mut iteration.tree;
+        let (id, _) = tree.find(&[stage::INFERENCE.as_str()]).expect("a stage");
+        let seconds = Measure::Timer(Some(Span::from_seconds_f64(number as f64)));
+        *tree.measure_mut(id).expect("a node") = seconds;
+        let mut add = |name: &'static str, value: f64| {
+            let measure = Measure::Value(value, Unit::NONE);
+            tree.add(NodeId::ROOT, name.into(), Span::ZERO, measure);
+        };
+        add("download-bytes", 10.0 * number as f64);
+        add("completion-tokens", 2.0 * number as f64);
+        iteration
+    }
+
+    async fn store_talking(&mut self, iterations: impl Iterator<Item = Iteration>) {
+        let mut work = Vec::new();
+        for iteration in iterations {
+            work.push(self.batch(vec![Event::Iteration(iteration)]));
+        }
+        self.commit(&work).await;
+    }
+
+    async fn run_that_talks(&mut self, numbers: std::ops::RangeInclusive<u64>) -> RunId {
+        let run = RunId::random();
+        let work = self.batch(vec![generate::run_started(run, "line", NOW)]);
+        self.commit(&[work]).await;
+        let all: Vec<Iteration> = numbers.map(|number| self.talking(run, number)).collect();
+        self.store_talking(all.into_iter()).await;
+        run
+    }
+
+    async fn pairs(&self, x: &str, most: u32) -> Pairs {
+        self.store.pairs(1, [x, "inference"], most).await.expect("answers")
+    }
+}
+
+#[tokio::test]
+async fn a_sample_is_spread_over_the_run_and_says_of_how_many_it_is() {
+    let mut bed = Bed::new().await;
+    assert_eq!(bed.pairs("download-bytes", 10).await, Pairs::default(), "no such run");
+    bed.run_that_talks(1..=400).await;
+    for (name, each) in [("download-bytes", 10.0), ("completion-tokens", 2.0)] {
+        let whole = bed.pairs(name, 400).await;
+        assert!(whole.is_whole());
+        let wanted: Vec<(f64, f64)> = (1..=400).map(|n| (f64::from(n) * each, f64::from(n))).collect();
+        assert_eq!((whole.points, whole.asked, whole.of), (wanted, 400, 400));
+        let some = bed.pairs(name, 40).await;
+        assert!(!some.is_whole());
+        assert_eq!((some.points.len(), some.asked, some.of), (40, 40, 400));
+        for (stretch, (x, y)) in some.points.iter().enumerate() {
+            assert_eq!(x / each, *y);
+            assert_eq!((y - 1.0) as usize / 10, stretch, "one of each ten");
+        }
+    }
+    assert_eq!(bed.pairs("download-bytes", 0).await.points, []);
+    assert_eq!(bed.pairs("' OR 1", 400).await.points, []);
+}
+
+#[tokio::test]
+async fn what_is_in_no_statistic_is_in_no_sample() {
+    let mut bed = Bed::new().await;
+    let run = bed.run_that_talks(1..=4).await;
+    let warm_up = Iteration { warm_up: true, ..bed.talking(run, 5) };
+    let ends = [Outcome::Failed("no".into()), Outcome::Lost("gone".into()), Outcome::Timeout];
+    let ends = (6..).zip(ends).map(|(number, outcome)| Iteration { outcome, ..bed.talking(run, number) });
+    let mut without = bed.talking(run, 9);
+    let (id, _) = without.tree.find(&["download-bytes"]).expect("a node");
+    *without.tree.measure_mut(id).expect("a node") = Measure::Custom("value".into(), Unit::BYTES, None);
+    let all: Vec<Iteration> = [warm_up, without].into_iter().chain(ends).collect();
+    bed.store_talking(all.into_iter()).await;
+    let found = bed.pairs("download-bytes", 100).await;
+    assert_eq!(found.points, [(10.0, 1.0), (20.0, 2.0), (30.0, 3.0), (40.0, 4.0)]);
+    assert_eq!((found.asked, found.of), (9, 9));
+    assert_eq!(bed.pairs("completion-tokens", 100).await.points.len(), 5, "one has no bytes, but tokens");
+}
+
+#[tokio::test]
+async fn several_nodes_are_one_number_as_in_the_results() {
+    let mut bed = Bed::new().await;
+    let run = bed.run_that_talks(1..=1).await;
+    let mut twice = bed.talking(run, 2);
+    let (model, _) = twice.tree.find(&["inference"]).expect("a stage");
+    let seconds = Measure::Timer(Some(Span::from_millis(SLOW as i64)));
+    twice.tree.add(NodeId::ROOT, stage::INFERENCE, Span::ZERO, seconds.clone());
+    // A part of the model that is called as the whole counts once.
+    twice.tree.add(model, stage::INFERENCE, Span::ZERO, seconds);
+    for (parent, value) in [(model, 77.0), (NodeId::ROOT, 99.0)] {
+        twice.tree.add(parent, "completion-tokens".into(), Span::ZERO, Measure::Value(value, Unit::NONE));
+    }
+    twice.tree.add(NodeId::ROOT, "download-bytes".into(), Span::ZERO, Measure::Value(5.0, Unit::BYTES));
+    bed.store_talking([twice].into_iter()).await;
+    assert_eq!(bed.pairs("download-bytes", 9).await.points, [(10.0, 1.0), (25.0, 3.0)], "sums");
+    assert_eq!(bed.pairs("completion-tokens", 9).await.points, [(2.0, 1.0), (4.0, 3.0)], "the first one");
+}
+
+#[tokio::test]
+async fn what_was_deleted_is_not_asked_for() {
+    let (bed, _) = two_runs().await;
+    let mut connection = bed.other().await;
+    let mut retention = Retention::new(short());
+    work_off(&mut retention, &mut connection, day(0.0)).await;
+    let before = bed.pairs("upload-bytes", 20).await;
+    assert_eq!((before.points.len(), before.of), (20, 288));
+    work_off(&mut retention, &mut connection, day(4.0)).await;
+    let left = bed.count("SELECT 288 - nodes_from FROM run WHERE number = 1").await;
+    assert!((50..200).contains(&left), "{left}");
+    let after = bed.pairs("upload-bytes", 20).await;
+    assert_eq!((after.points.len(), after.of), (20, left as u64), "each of those asked for is there");
+}

@@ -1,0 +1,209 @@
+//! No question may read all nodes, nor all iterations of a run: a page over a hundred million must open at once.
+
+use std::collections::HashSet;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use sqlx::AssertSqlSafe;
+
+use super::Bed;
+use crate::read::sql;
+
+/// Tables that grow with every iteration or second, and what a look-up must name at least to find a few rows of them:
+/// one of these lists of columns, in the order of a key.
+const LARGE: [(&str, &[&str]); 7] = [
+    ("node", &["run=? AND iteration=?"]),
+    ("transit", &["run=? AND iteration=?", "(run,iteration)"]),
+    ("anchor", &["run=? AND iteration=?"]),
+    ("iteration", &["run=? AND number", "run=? AND warm_up=? AND outcome=?"]),
+    ("rollup", &["run=? AND resolution_s=?"]),
+    ("verdict_count", &["run=?"]),
+    ("clock_sample", &["link=? AND at_ns"]),
+];
+
+/// Questions that look up less on purpose, with what stands in for it.
+const EXCEPTIONS: [(&str, &str, &str); 4] = [
+    ("SHAPES", "node", "the nodes of a few thousand iterations, from one number to another"),
+    ("RUN_EXTENT", "iteration", "the first and the last row of the run, LIMIT 1"),
+    ("RUN_DELAYS", "transit", "goes on behind the last row of the page before, LIMIT"),
+    ("LINKS", "clock_sample", "min and max of a key: one row each"),
+];
+
+/// Questions that sort, and why that is a small thing.
+const SORTING: [(&str, &str); 9] = [
+    ("SHAPES", "one row for each of a few thousand iterations"),
+    ("SUMS_OVER_TIME", "at most a thousand buckets of a few names, without their sketches"),
+    ("RUNS_FILTERED", "the runs of the pipelines asked for, without anything of theirs"),
+    ("VERDICTS", "at most a handful of rows"),
+    ("EXPERIMENTS", "one row for each experiment; their runs come in the order of an index"),
+    ("HOSTS", "all hosts are shown"),
+    ("LINKS", "all links are shown"),
+    ("CLOCK_WINDOW_ORDER", "windows begin where a clock is stepped"),
+    ("CLOCK_WINDOWS", "windows begin where a clock is stepped"),
+];
+
+async fn plan(bed: &Bed, name: &str, statement: &str) -> Vec<String> {
+    let explain = AssertSqlSafe(format!("EXPLAIN QUERY PLAN {statement}"));
+    let steps: Vec<(i64, i64, i64, String)> = sqlx::query_as(explain)
+        .fetch_all(&bed.store.readers.pool())
+        .await
+        .unwrap_or_else(|error| panic!("{name}: {error}"));
+    assert!(!steps.is_empty(), "{name} has no plan");
+    steps.into_iter().map(|(_, _, _, step)| step).collect()
+}
+
+/// What is wrong with a plan, and which exceptions it needed.
+fn judged(name: &str, steps: &[String]) -> (Vec<String>, HashSet<String>) {
+    let (mut faults, mut needed) = (Vec::new(), HashSet::new());
+    for step in steps {
+        for (table, enough) in LARGE {
+            if step.split(' ').nth(1) != Some(table) {
+                continue;
+            }
+            let named = enough.iter().any(|columns| step.contains(&format!("({columns}")));
+            if named && !step.starts_with("SCAN") {
+                continue;
+            }
+            let excepted = EXCEPTIONS.iter().any(|(known, of, _)| (*known, *of) == (name, table));
+            if excepted && !step.starts_with("SCAN") {
+                needed.insert(format!("{name} of {table}"));
+            } else {
+                faults.push(format!("{name} reads too much of {table}: {step}"));
+            }
+        }
+        if step.contains("TEMP B-TREE") {
+            if SORTING.iter().any(|(known, _)| *known == name) {
+                needed.insert(format!("{name} sorts"));
+            } else {
+                faults.push(format!("{name} sorts: {step}"));
+            }
+        }
+    }
+    (faults, needed)
+}
+
+#[tokio::test]
+async fn every_question_finds_its_rows_by_an_index() {
+    let bed = Bed::new().await;
+    let (mut wrong, mut needed) = (Vec::new(), HashSet::new());
+    for (name, statement) in sql::ALL {
+        let (faults, exceptions) = judged(name, &plan(&bed, name, statement).await);
+        wrong.extend(faults);
+        needed.extend(exceptions);
+    }
+    let excepted = EXCEPTIONS.iter().map(|(name, table, _)| format!("{name} of {table}"));
+    let allowed = excepted.chain(SORTING.iter().map(|(name, _)| format!("{name} sorts")));
+    wrong.extend(allowed.filter(|one| !needed.contains(one)).map(|one| format!("nobody needs: {one}")));
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[tokio::test]
+async fn a_question_that_reads_a_whole_run_or_sorts_is_found() {
+    let bed = Bed::new().await;
+    for bad in [
+        "SELECT count(*) FROM node",
+        "SELECT max(value) FROM node WHERE run = ?1",
+        "SELECT min(started_ns) FROM iteration WHERE run = ?1",
+        "SELECT number FROM iteration WHERE run = ?1 AND total > 1",
+        "SELECT number FROM iteration WHERE run = ?1 AND number > ?2 ORDER BY started_ns LIMIT 10",
+        "SELECT * FROM clock_sample WHERE link = ?1",
+    ] {
+        assert!(!judged("BAD", &plan(&bed, "BAD", bad).await).0.is_empty(), "{bad}");
+    }
+}
+
+/// Each statement of the readers stands in `sql.rs`, so that the test above sees it.
+#[test]
+fn no_question_is_asked_elsewhere() {
+    let read = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src/store/read");
+    let mut folders = vec![read];
+    let mut seen = 0;
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).expect("a folder of this crate") {
+            let path = entry.expect("an entry").path();
+            if path.is_dir() {
+                folders.push(path);
+                continue;
+            }
+            let text = std::fs::read_to_string(&path).expect("a source file");
+            let calls = text.match_indices("sqlx::query").filter(|(at, _)| {
+                let rest = &text[at + "sqlx::query".len()..];
+                let argument = rest.split_once('(').map_or("", |(_, argument)| argument.trim_start());
+                // `statement` is one of two constants.
+                seen += 1;
+                !argument.starts_with("sql::") && !argument.starts_with("statement)")
+            });
+            let wrong: Vec<&str> =
+                calls.map(|(at, _)| text[at..].lines().next().unwrap_or_default()).collect();
+            assert!(wrong.is_empty(), "{}: {wrong:?}", path.display());
+        }
+    }
+    assert!(seen > 20, "only {seen} questions were found");
+}
+
+#[tokio::test]
+async fn counting_the_slower_ones_and_finding_neighbours_touch_the_index_alone() {
+    let bed = Bed::new().await;
+    for (statement, index) in [
+        (
+            sql::SLOWER,
+            "USING COVERING INDEX iteration_by_total (run=? AND warm_up=? AND outcome=? AND total>?)",
+        ),
+        (
+            sql::ONE_SLOWER,
+            "USING COVERING INDEX iteration_by_total (run=? AND warm_up=? AND outcome=? AND (total,number)>(?,?))",
+        ),
+        (
+            sql::ONE_FASTER,
+            "USING COVERING INDEX iteration_by_total (run=? AND warm_up=? AND outcome=? AND (total,number)<(?,?))",
+        ),
+        (sql::RUNS_OF_EXPERIMENT, "USING INDEX run_of_experiment (<expr>=?)"),
+        (sql::EXPERIMENTS, "USING INDEX run_of_experiment"),
+        (sql::PREVIOUS, "USING PRIMARY KEY (run=? AND number<?)"),
+        (sql::NEXT, "USING PRIMARY KEY (run=? AND number>?)"),
+        (sql::ITERATIONS_WITHOUT_ANSWER, "USING INDEX iteration_without_answer (run=? AND number>?)"),
+        (sql::COUNT_WITHOUT_ANSWER, "INDEX iteration_without_answer (run=? AND number>?)"),
+    ] {
+        let steps = plan(&bed, statement, statement).await;
+        assert!(steps.iter().any(|step| step.contains(index)), "{statement}: {steps:?}");
+    }
+}
+
+/// Instructions of SQLite's machine that a question about a run takes.
+async fn instructions(bed: &Bed, statement: &'static str, numbers: &[i64]) -> u64 {
+    let mut connection = bed.other().await;
+    let counted = Arc::new(AtomicU64::new(0));
+    let counter = Arc::clone(&counted);
+    let count = move || {
+        counter.fetch_add(1, Ordering::Relaxed);
+        true
+    };
+    connection.lock_handle().await.expect("a connection").set_progress_handler(1, count);
+    let mut question = sqlx::query(statement);
+    for number in numbers {
+        question = question.bind(number);
+    }
+    question.fetch_all(&mut connection).await.expect("answers");
+    counted.load(Ordering::Relaxed)
+}
+
+/// The plan alone does not show whether a `min` or a `LIMIT` ends early: the instructions do.
+#[tokio::test]
+async fn extents_cost_the_same_in_a_long_run() {
+    let mut bed = Bed::new().await;
+    let mut costs = Vec::new();
+    for iterations in [20, 1_000] {
+        bed.run_of(iterations).await;
+        let run = bed.count("SELECT max(number) FROM run").await;
+        costs.push([
+            instructions(&bed, sql::RUN_EXTENT, &[run]).await,
+            instructions(&bed, sql::PREVIOUS, &[run, 10]).await,
+            instructions(&bed, sql::NEXT, &[run, 10]).await,
+            instructions(&bed, sql::ITERATIONS, &[run, 3, 10]).await,
+            instructions(&bed, sql::SLOWEST, &[run, 10]).await,
+        ]);
+    }
+    for (short, long) in costs[0].iter().zip(&costs[1]) {
+        assert!(*short > 0 && *long <= short + 50, "{costs:?}");
+    }
+}

@@ -1,0 +1,386 @@
+//! What readers are told.
+
+use peernet_clock::{DelaySource, OneWayDelay, Span, Verdict};
+use peernet_logger::{HostId, Measure, Name, NodeId, RunId, stage};
+use peernet_statistics::Summary;
+use peernet_stream::{Event, Incident, IncidentKind, Iteration, Outcome, RunEnded};
+
+use super::{Bed, generate};
+use crate::figures::Figures;
+use crate::types::{IterationFilter, RunFilter, RunStatistics};
+
+/// The values of one name in the iterations of [`Bed::run_of`].
+fn values(bed: &Bed, run: RunId, iterations: u64, name: &str) -> Vec<f64> {
+    let mut numbers = generate::Numbers(7);
+    (1..=iterations)
+        .map(|n| generate::iteration(run, n, bed.hosts(), &mut numbers))
+        .filter_map(|iteration| iteration.tree.find(&[name]).and_then(|(_, node)| node.measure.value()))
+        .collect()
+}
+
+fn close(a: f64, b: f64) -> bool {
+    (a - b).abs() <= 1e-9 * a.abs().max(b.abs()).max(1e-12)
+}
+
+#[tokio::test]
+async fn a_runs_statistics_are_those_of_its_iterations() {
+    let mut bed = Bed::new().await;
+    let run = bed.run_of(400).await;
+    let stages = bed.store.statistics_of(1).await.expect("answers").stages;
+    for (name, statistics) in stages.iter().map(|known| (&known.stage, known)) {
+        let Some(exact) = Some(values(&bed, run, 400, name)).filter(|values| !values.is_empty()) else {
+            continue;
+        };
+        let mut sorted = exact.clone();
+        sorted.sort_by(f64::total_cmp);
+        let mean = exact.iter().sum::<f64>() / exact.len() as f64;
+        let std = (exact.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (exact.len() - 1) as f64).sqrt();
+        let figures = statistics.figures;
+        assert_eq!(figures.count, 400, "{name}");
+        assert!(close(figures.mean, mean), "{name}: {} {mean}", figures.mean);
+        assert!((figures.std.expect("many") - std).abs() <= 1e-9 * mean.abs(), "{name}");
+        assert_eq!((figures.min, figures.max), (sorted[0], sorted[399]), "{name}");
+        for (q, figure) in [(0.5, Some(figures.p50)), (0.95, figures.p95), (0.99, figures.p99)] {
+            let exact = sorted[(q * 399.0_f64).round() as usize];
+            let figure = figure.expect("enough samples");
+            assert!((figure - exact).abs() <= 0.0101 * exact.abs(), "{name} at {q}: {figure} {exact}");
+        }
+    }
+    let names: Vec<&str> = stages.iter().map(|known| known.stage.as_str()).collect();
+    assert_eq!(&names[..4], ["sensing", "capture", "transform", "encode"]);
+    assert!(names.contains(&"total") && !names.contains(&"tokens-per-second"));
+    let upload = stages.iter().find(|known| known.stage == "upload").expect("there");
+    let bound = upload.bound.as_ref().expect("judged");
+    assert!(close(bound.half_width.expect("bounded").mean, 40e-6));
+    assert_eq!(bound.verdicts, [(peernet_clock::Verdict::Limited, 400)]);
+    assert!(bed.store.statistics_of(1).await.expect("answers").bounds.contains(bound));
+    let of_total: f64 = stages.iter().filter(|known| known.is_stage).filter_map(|known| known.share).sum();
+    assert!(close(of_total, 1.0), "{of_total}");
+}
+
+#[tokio::test]
+async fn runs_asked_for_together_are_what_each_is_alone() {
+    let mut bed = Bed::new().await;
+    for iterations in [40, 30, 20] {
+        bed.run_of(iterations).await;
+    }
+    let together = bed.store.statistics(&[3, 9, 1, 2, 1]).await.expect("answers");
+    let mut alone = Vec::new();
+    for run in [3, 9, 1, 2, 1] {
+        alone.push(bed.store.statistics_of(run).await.expect("answers"));
+    }
+    assert_eq!(together, alone);
+    let total = |known: &RunStatistics| {
+        known.stages.iter().find(|stage| stage.stage == stage::TOTAL).map(|total| total.figures.count)
+    };
+    let counts: Vec<Option<u64>> = together.iter().map(total).collect();
+    assert_eq!(counts, [Some(20), None, Some(40), Some(30), Some(40)]);
+    assert!(together[0].bounds.iter().any(|bound| bound.half_width.is_some() && !bound.verdicts.is_empty()));
+    assert_eq!(together[1], RunStatistics::default(), "there is no such run");
+    let listed = bed.store.runs(&RunFilter::default()).await.expect("answers");
+    let totals: Vec<Option<u64>> = listed.iter().map(|run| run.total.map(|total| total.count)).collect();
+    assert_eq!(totals, [Some(20), Some(30), Some(40)], "each has its own total");
+}
+
+#[tokio::test]
+async fn warm_up_and_failures_are_stored_but_in_no_statistic() {
+    let mut bed = Bed::new().await;
+    let run = RunId::random();
+    let mut numbers = generate::Numbers(1);
+    let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
+    for n in 1..=6 {
+        let mut iteration = generate::iteration(run, n, bed.hosts(), &mut numbers);
+        iteration.warm_up = n == 1;
+        iteration.outcome = match n {
+            3 => Outcome::Lost("connection broke".into()),
+            4 => Outcome::Timeout,
+            5 => Outcome::Failed("not a picture".into()),
+            _ => Outcome::Ok,
+        };
+        events.push(Event::Iteration(iteration));
+    }
+    events.push(Event::RunEnded(RunEnded { run, ended: generate::at(9.0), reason: "finished".into() }));
+    let work = bed.batch(events);
+    bed.commit(&[work]).await;
+
+    let detail = bed.store.run(1).await.expect("answers").expect("exists");
+    let counts = detail.summary.counts;
+    assert_eq!(
+        (counts.ok, counts.failed, counts.lost, counts.timeout, detail.summary.warm_up),
+        (2, 1, 1, 1, 1)
+    );
+    assert_eq!(detail.summary.total.expect("figures").count, 2);
+    assert_eq!(
+        (detail.summary.ended, detail.summary.reason.as_deref()),
+        (Some(generate::at(9.0)), Some("finished"))
+    );
+    assert_eq!(detail.summary.placement, generate::remote());
+    assert_eq!(detail.facts[0], ("Sensor".to_owned(), "30 images".to_owned()));
+    assert_eq!((detail.summary.pipeline.as_str(), detail.summary.host_name.as_str()), ("line", "edge"));
+
+    let all = bed.store.iterations(1, &IterationFilter::default()).await.expect("answers");
+    assert_eq!(all.iter().map(|row| row.number).collect::<Vec<_>>(), [1, 2, 3, 4, 5, 6]);
+    let filter = IterationFilter { unsuccessful: true, after: 3, limit: 10 };
+    let bad = bed.store.iterations(1, &filter).await.expect("answers");
+    let told: Vec<_> =
+        bad.iter().map(|row| (row.number, row.outcome.as_str(), row.reason.as_deref())).collect();
+    assert_eq!(told, [(4, "timeout", None), (5, "failed", Some("not a picture"))]);
+    let lost = bed.store.iteration(1, 3).await.expect("answers").expect("exists");
+    assert_eq!((lost.rank, lost.previous, lost.next), (None, Some(2), Some(4)));
+}
+
+#[tokio::test]
+async fn an_iteration_comes_back_as_it_was_sent() {
+    let mut bed = Bed::new().await;
+    let run = bed.run_of(20).await;
+    let mut numbers = generate::Numbers(7);
+    let sent: Vec<Iteration> =
+        (1..=20).map(|n| generate::iteration(run, n, bed.hosts(), &mut numbers)).collect();
+    for iteration in &sent {
+        let detail = bed.store.iteration(1, iteration.number).await.expect("answers").expect("exists");
+        assert_eq!(detail.tree, iteration.tree);
+        let names: Vec<_> = detail.hosts.iter().flatten().map(|name| name.as_str().to_owned()).collect();
+        assert_eq!(names, ["edge", "cloud"]);
+        assert_eq!((detail.row.episode, detail.row.step), (iteration.episode, iteration.step));
+    }
+    assert_eq!(bed.store.iteration(1, 21).await.expect("answers"), None);
+    assert_eq!(bed.store.iteration(2, 1).await.expect("answers"), None);
+    assert_eq!(bed.store.iteration(1, u64::MAX).await.expect("answers"), None);
+}
+
+#[tokio::test]
+async fn the_slowest_come_first_and_name_their_culprit() {
+    let mut bed = Bed::new().await;
+    let run = bed.run_of(300).await;
+    let mut totals: Vec<(f64, u64)> = values(&bed, run, 300, "total").into_iter().zip(1..).collect();
+    totals.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let slowest = bed.store.slowest(1, 10).await.expect("answers");
+    let numbers: Vec<u64> = slowest.iter().map(|row| row.number).collect();
+    assert_eq!(numbers, totals.iter().take(10).map(|(_, number)| *number).collect::<Vec<_>>());
+    let stages = bed.store.statistics_of(1).await.expect("answers").stages;
+    let median =
+        |name: &Name| stages.iter().find(|known| known.stage == *name).map(|known| known.figures.p50);
+    for row in &slowest {
+        assert!(row.factor.expect("known") > 1.0);
+        let blame = row.blame.as_ref().expect("something took longer");
+        let excess = |(name, value): &(Name, f64)| value - median(name).expect("in the run");
+        let most = row.stages.iter().map(excess).fold(f64::MIN, f64::max);
+        assert!(close(blame.value - blame.median, most), "{row:?}");
+    }
+    let first = bed.store.iteration(1, numbers[0]).await.expect("answers").expect("exists");
+    let tenth = bed.store.iteration(1, numbers[9]).await.expect("answers").expect("exists");
+    assert_eq!((first.rank, tenth.rank), (Some(1), Some(10)));
+    assert_eq!((first.slower, first.faster), (None, Some(numbers[1])));
+    assert_eq!((tenth.slower, tenth.faster), (Some(numbers[8]), Some(totals[10].1)));
+    // Those that took equally long have an order, too.
+    let mut other = bed.other().await;
+    sqlx::query("UPDATE iteration SET total = 9 WHERE number IN (?1, ?2, ?3)")
+        .bind(numbers[3].cast_signed())
+        .bind(numbers[5].cast_signed())
+        .bind(numbers[8].cast_signed())
+        .execute(&mut other)
+        .await
+        .expect("changes");
+    let order: Vec<u64> =
+        bed.store.slowest(1, 5).await.expect("answers").iter().map(|row| row.number).collect();
+    for (place, number) in order.iter().enumerate().take(4) {
+        let detail = bed.store.iteration(1, *number).await.expect("answers").expect("exists");
+        let slower = place.checked_sub(1).map(|place| order[place]);
+        assert_eq!((detail.slower, detail.faster), (slower, Some(order[place + 1])), "{order:?}");
+    }
+}
+
+#[tokio::test]
+async fn a_series_adds_up_to_the_run_whatever_its_buckets() {
+    let mut bed = Bed::new().await;
+    // 1,000 iterations of 0.2 s: 201 seconds, 21 buckets of 10 s.
+    bed.run_of(1_000).await;
+    let names = [stage::UPLOAD, stage::TOTAL, "nonsense".into()];
+    for (points, width) in [(201, 1), (200, 2), (100, 5), (21, 10), (8, 30), (4, 60), (1, 300)] {
+        let series = bed.store.series(1, &names, points).await.expect("answers");
+        assert_eq!((series.bucket_s, series.stages.len()), (width, 2), "{points} points");
+        for stage in &series.stages {
+            assert!(stage.points.len() <= points);
+            assert_eq!(stage.points.iter().map(|point| point.count).sum::<u64>(), 1_000);
+            assert!(stage.points.iter().all(|point| point.at.unix_seconds() % i64::from(width) == 0));
+            let mean = stage.points.iter().map(|p| p.mean * p.count as f64).sum::<f64>() / 1_000.0;
+            let run = bed.store.histogram(1, &stage.stage, 10).await.expect("answers").expect("exists");
+            assert!(close(mean, run.figures.mean));
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_histogram_counts_every_sample_once() {
+    let mut bed = Bed::new().await;
+    let run = bed.run_of(500).await;
+    for (stage, bins) in [("upload", 40), ("total", 1), ("upload-bytes", 20), ("inference", 500)] {
+        let histogram = bed.store.histogram(1, stage, bins).await.expect("answers").expect("exists");
+        assert_eq!((histogram.edges.len(), histogram.counts.len()), (bins + 1, bins));
+        assert_eq!(histogram.counts.iter().sum::<u64>() + histogram.beyond, 500, "{stage}");
+        assert!(histogram.edges.windows(2).all(|pair| pair[0] < pair[1]));
+    }
+    // The middle of the axis lies where the samples' middle lies, within the sketch's 1 %.
+    let histogram = bed.store.histogram(1, "upload", 2).await.expect("answers").expect("exists");
+    let exact =
+        values(&bed, run, 500, "upload").iter().filter(|value| **value < histogram.edges[1]).count() as u64;
+    assert!(histogram.counts[0].abs_diff(exact) < 15, "{} {exact}", histogram.counts[0]);
+    assert_eq!(bed.store.histogram(1, "nonsense", 10).await.expect("answers"), None);
+}
+
+#[tokio::test]
+async fn runs_are_listed_newest_first_in_pages() {
+    let mut bed = Bed::new().await;
+    for n in 0..5 {
+        let pipeline = if n % 2 == 0 { "even" } else { "odd" };
+        let work =
+            bed.batch(vec![generate::run_started(RunId::random(), pipeline, generate::at(f64::from(n)))]);
+        bed.commit(&[work]).await;
+    }
+    let numbers = async |filter: RunFilter| {
+        let runs = bed.store.runs(&filter).await.expect("answers");
+        runs.iter().map(|run| run.number).collect::<Vec<_>>()
+    };
+    assert_eq!(numbers(RunFilter::default()).await, [5, 4, 3, 2, 1]);
+    assert_eq!(numbers(RunFilter { limit: 2, before: Some(4), ..RunFilter::default() }).await, [3, 2]);
+    let odd = RunFilter { pipeline: "odd".parse().ok(), host: Some(bed.edge), ..RunFilter::default() };
+    assert_eq!(numbers(odd).await, [4, 2]);
+    assert!(numbers(RunFilter { host: Some(bed.cloud), ..RunFilter::default() }).await.is_empty());
+    assert_eq!(bed.store.run(6).await.expect("answers"), None);
+}
+
+#[tokio::test]
+async fn a_run_with_a_clock_made_wrong_is_marked_wherever_it_is_told_of() {
+    let mut bed = Bed::new().await;
+    for fact in ["Rehearsal", "Rehearsal of cloud", "Rehearsals"] {
+        let Event::RunStarted(mut run) = generate::run_started(RunId::random(), "line", generate::at(0.0))
+        else {
+            panic!("the start of a run")
+        };
+        run.facts.push((fact.to_owned(), "offset +1000 ms".to_owned()));
+        let work = bed.batch(vec![Event::RunStarted(run)]);
+        bed.commit(&[work]).await;
+    }
+    let runs = bed.store.runs(&RunFilter::default()).await.expect("answers");
+    assert_eq!(runs.iter().map(|run| run.rehearsed).collect::<Vec<_>>(), [false, true, true]);
+    let detail = bed.store.run(1).await.expect("answers").expect("exists");
+    assert!(detail.summary.rehearsed);
+}
+
+#[tokio::test]
+async fn delays_stand_in_the_rows_of_a_list_and_what_both_ways_took_where_they_are_not_known() {
+    let mut bed = Bed::new().await;
+    let run = bed.run_of(100).await;
+    let mut numbers = generate::Numbers(7);
+    let mut stepped = generate::iteration(run, 101, bed.hosts(), &mut numbers);
+    let nodes = ["upload", "download"].map(|name| stepped.tree.find(&[name]).expect("there").0);
+    for node in nodes {
+        let Some(Measure::Transit(transit)) = stepped.tree.measure_mut(node) else { panic!("a transit") };
+        transit.delay = Some(OneWayDelay::stepped(Span::from_seconds(-5), DelaySource::None));
+    }
+    let total = stepped.tree.find(&["total"]).expect("there").0;
+    if let Some(Measure::Timer(total)) = stepped.tree.measure_mut(total) {
+        *total = Some(Span::from_seconds(10));
+    }
+    let known = Measure::Timer(Some(Span::from_millis(1)));
+    stepped.tree.add(NodeId::ROOT, stage::UNATTRIBUTED, Span::ZERO, known);
+    let work = bed.batch(vec![Event::Iteration(stepped)]);
+    bed.commit(&[work]).await;
+
+    let rows = bed.store.iterations(1, &IterationFilter::default()).await.expect("answers");
+    assert_eq!(rows.len(), 100);
+    for row in &rows {
+        let detail = bed.store.iteration(1, row.number).await.expect("answers").expect("exists");
+        assert_eq!((&detail.row, row.both_ways), (row, None));
+        let names: Vec<_> = row.delays.iter().map(|delay| delay.stage.as_str().to_owned()).collect();
+        assert_eq!(names, ["upload", "download"]);
+        for delay in &row.delays {
+            let found = detail.tree.find(&[&delay.stage]).expect("there").1;
+            let Measure::Transit(transit) = &found.measure else { panic!("{found:?}") };
+            let sent = transit.delay.expect("judged");
+            let (lo, hi) = delay.bounds.expect("bounds");
+            assert!(close(lo, sent.bounds.expect("bounds").lo.seconds()) && lo <= hi);
+            assert_eq!(
+                (delay.raw, delay.source, delay.verdict),
+                (sent.raw.seconds(), sent.source, sent.verdict)
+            );
+            assert_eq!(delay.value, sent.value.map(Span::seconds));
+        }
+    }
+    let slowest = bed.store.slowest(1, 1).await.expect("answers").remove(0);
+    assert_eq!(slowest.number, 101);
+    let ways = slowest.both_ways.expect("not known apart");
+    let others: f64 = slowest.stages.iter().map(|(_, seconds)| seconds).sum();
+    assert!(close(others + ways + 0.001, 10.0), "{slowest:?}");
+    let blame = slowest.blame.expect("something took longer");
+    assert_eq!((blame.stage.as_str(), blame.value), ("upload + download", ways));
+    let verdicts: Vec<_> =
+        slowest.delays.iter().map(|delay| (delay.value, delay.bounds, delay.verdict)).collect();
+    assert_eq!(verdicts, [(None, None, Verdict::Stepped); 2]);
+}
+
+#[tokio::test]
+async fn incidents_come_in_the_order_in_which_they_happened() {
+    let mut bed = Bed::new().await;
+    let stranger = HostId::random();
+    let incident = |seconds: f64, text: &str, peer| {
+        Event::Incident(Incident {
+            at: generate::at(seconds),
+            kind: IncidentKind::Disconnected,
+            pipeline: "line".parse().ok(),
+            run: None,
+            peer,
+            text: text.into(),
+        })
+    };
+    let work = bed.batch(vec![
+        incident(2.0, "second", Some(bed.cloud)),
+        incident(3.0, "third", None),
+        incident(1.0, "first, spooled", Some(stranger)),
+    ]);
+    bed.commit(&[work]).await;
+    let all = bed.store.incidents(10, None).await.expect("answers");
+    assert_eq!(
+        all.iter().map(|row| row.text.as_str()).collect::<Vec<_>>(),
+        ["third", "second", "first, spooled"]
+    );
+    let peers = all.iter().map(|row| row.peer.clone()).collect::<Vec<_>>();
+    assert_eq!(peers, [None, Some("cloud".to_owned()), Some(stranger.to_string())]);
+    let page = bed.store.incidents(1, Some(all[0].id)).await.expect("answers");
+    assert_eq!(page[0].text, "second");
+}
+
+#[tokio::test]
+async fn people_with_a_sqlite_shell_find_their_way() {
+    let mut bed = Bed::new().await;
+    bed.run_of(5).await;
+    let stages = "SELECT count(*) FROM stage_ms WHERE run = 1 AND iteration = 3 AND name = 'upload' AND ms > 1 \
+                  AND hi_ms > ms AND verdict = 'limited'";
+    assert_eq!(bed.count(stages).await, 1);
+    let statistics =
+        "SELECT count FROM stage_statistics WHERE run = 1 AND name = 'total' AND unit = 's' AND variance > 0";
+    assert_eq!(bed.count(statistics).await, 5);
+    let runs = "SELECT ok FROM run_list WHERE host = 'edge' AND pipeline = 'line' AND started_utc = '2025-01-01 00:00:00'";
+    assert_eq!(bed.count(runs).await, 5);
+}
+
+#[test]
+fn a_summary_of_many_parts_is_that_of_the_whole() {
+    let mut numbers = generate::Numbers(3);
+    let (mut whole, mut parts) = (Summary::default(), Summary::default());
+    for _ in 0..20 {
+        let mut part = Summary::default();
+        for _ in 0..50 {
+            let value = numbers.between(1_000, 9_000_000) as f64 * 1e-9;
+            whole.record(value);
+            part.record(value);
+        }
+        parts.merge(&part);
+    }
+    let (whole, parts) = (Figures::of(&whole).expect("some"), Figures::of(&parts).expect("some"));
+    assert_eq!(
+        (whole.count, whole.p50, whole.p95, whole.max),
+        (parts.count, parts.p50, parts.p95, parts.max)
+    );
+    assert!(close(whole.mean, parts.mean));
+}

@@ -1,0 +1,166 @@
+//! Roll-ups made from the nodes are those that grew with them.
+
+use peernet_clock::Span;
+use peernet_logger::{Measure, NodeId, RunId, Unit, stage};
+use peernet_stream::{Event, Iteration, Outcome};
+use sqlx::Connection;
+
+use super::generate::{self, Numbers};
+use super::rollups::{assert_same, table};
+use super::{Bed, NOW};
+use crate::rebuild::{Rebuilt, rebuild};
+
+/// Iterations over some hours in any order, some of the warm-up, some without an answer.
+fn iterations(bed: &Bed, run: RunId, count: u64, numbers: &mut Numbers) -> Vec<Event> {
+    let mut all: Vec<Iteration> = (1..=count)
+        .map(|number| {
+            let started = generate::at(number as f64 * 9.7 + numbers.between(0, 3_000) as f64 * 1e-3);
+            let mut iteration = generate::iteration_at(run, number, bed.hosts(), started, numbers);
+            iteration.warm_up = number <= 3;
+            iteration.outcome = match numbers.between(0, 10) {
+                0 => Outcome::Timeout,
+                1 => Outcome::Failed("no".into()),
+                _ => Outcome::Ok,
+            };
+            iteration
+        })
+        .collect();
+    for at in (1..all.len()).rev() {
+        let other = usize::try_from(numbers.between(0, at as i64 + 1)).expect("an index");
+        all.swap(at, other);
+    }
+    all.into_iter().map(Event::Iteration).collect()
+}
+
+/// A database with two runs whose iterations came in any order, in commits of any size.
+async fn mixed(seed: u64) -> Bed {
+    let mut bed = Bed::new().await;
+    let mut numbers = Numbers(seed);
+    let runs = [RunId::random(), RunId::random()];
+    let started = runs.map(|run| generate::run_started(run, "line", NOW));
+    let work = bed.batch(started.into());
+    bed.commit(&[work]).await;
+    let lists = runs.map(|run| iterations(&bed, run, 400, &mut numbers));
+    let mut lists = lists.map(Vec::into_iter);
+    loop {
+        let mut work = Vec::new();
+        for list in &mut lists {
+            let some = usize::try_from(numbers.between(1, 60)).expect("few");
+            let events: Vec<Event> = list.by_ref().take(some).collect();
+            if !events.is_empty() {
+                work.push(bed.batch(events));
+            }
+        }
+        if work.is_empty() {
+            return bed;
+        }
+        bed.commit(&work).await;
+    }
+}
+
+#[tokio::test]
+async fn a_rebuild_equals_what_grew() {
+    for seed in 1..=4 {
+        let bed = mixed(seed).await;
+        let mut connection = bed.other().await;
+        let verdicts = "SELECT run, name, verdict, count FROM verdict_count ORDER BY run, name, verdict";
+        let judged: Vec<(i64, i64, i64, i64)> =
+            sqlx::query_as(verdicts).fetch_all(&mut connection).await.expect("reads");
+        let grown = table(&mut connection).await;
+        assert!(grown.len() > 10_000 && judged.len() == 4, "{} {judged:?}", grown.len());
+        // Something is wrong with all of them, and one is too many.
+        sqlx::raw_sql("UPDATE rollup SET count = count + 1, mean = 7; UPDATE verdict_count SET count = 1")
+            .execute(&mut connection)
+            .await
+            .expect("spoils");
+        sqlx::query("INSERT INTO rollup SELECT run, 60, 60, name, quantity, 1, 1, 0, 1, 1, sketch FROM rollup WHERE run = 1 AND resolution_s = 0")
+            .execute(&mut connection)
+            .await
+            .expect("spoils");
+        let mut told = Vec::new();
+        let rebuilt = rebuild(&mut connection, None, |so_far| told.push(*so_far)).await.expect("rebuilds");
+        assert_same(&table(&mut connection).await, &grown);
+        let again: Vec<(i64, i64, i64, i64)> =
+            sqlx::query_as(verdicts).fetch_all(&mut connection).await.expect("reads");
+        assert_eq!(again, judged);
+        let ok = bed.count("SELECT sum(ok) FROM run").await.unsigned_abs();
+        assert_eq!(rebuilt, Rebuilt { runs: 2, iterations: ok, in_part: 0 });
+        assert_eq!(told.last(), Some(&rebuilt));
+        connection.close().await.expect("closes");
+    }
+}
+
+#[tokio::test]
+async fn one_run_is_rebuilt_alone_and_an_unknown_one_not_at_all() {
+    let bed = mixed(9).await;
+    let mut connection = bed.other().await;
+    let grown = table(&mut connection).await;
+    sqlx::query("DELETE FROM rollup").execute(&mut connection).await.expect("empties");
+    let rebuilt = rebuild(&mut connection, Some(2), |_| {}).await.expect("rebuilds");
+    assert_eq!((rebuilt.runs, rebuilt.in_part), (1, 0));
+    let second = grown.into_iter().filter(|((run, ..), _)| *run == 2).collect();
+    assert_same(&table(&mut connection).await, &second);
+    let rebuilt = rebuild(&mut connection, Some(3), |_| {}).await.expect("looks");
+    assert_eq!(rebuilt, Rebuilt::default());
+}
+
+#[tokio::test]
+async fn readings_beyond_all_reason_are_stored_and_spoil_no_statistics() {
+    let mut bed = Bed::new().await;
+    let (run, mut numbers) = (RunId::random(), Numbers(3));
+    let work = bed.batch(vec![generate::run_started(run, "line", NOW)]);
+    bed.commit(&[work]).await;
+    // What drivers give for "nothing there", among readings.
+    for (at, range) in [f64::MAX, 1.0, -f64::MAX, f64::INFINITY, 3.0].into_iter().enumerate() {
+        let mut iteration = generate::iteration(run, at as u64 + 1, bed.hosts(), &mut numbers);
+        iteration.tree.add(NodeId::ROOT, "range".into(), Span::ZERO, Measure::Value(range, Unit::new("m")));
+        let work = bed.batch(vec![Event::Iteration(iteration)]);
+        let committed = bed.commit(&[work]).await;
+        assert!(committed.quarantined.is_empty(), "{range}: {:?}", committed.quarantined);
+    }
+    let known = bed.store.statistics_of(1).await.expect("answers").stages;
+    let range = known.iter().find(|known| known.stage == *"range").expect("known");
+    assert_eq!((range.figures.count, range.figures.mean, range.figures.max), (2, 2.0, 3.0));
+
+    let mut connection = bed.other().await;
+    let grown = table(&mut connection).await;
+    rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
+    assert_same(&grown, &table(&mut connection).await);
+}
+
+/// A version before counted readings as good as infinite in.
+#[tokio::test]
+async fn statistics_that_were_spoilt_hold_nothing_up_and_are_healed() {
+    let mut bed = Bed::new().await;
+    let run = bed.run_of(60).await;
+    let mut connection = bed.other().await;
+    sqlx::query("UPDATE rollup SET mean = ?1, m2 = ?2, min = ?3, max = ?1 WHERE quantity = 0")
+        .bind(f64::MAX)
+        .bind(f64::INFINITY)
+        .bind(-f64::MAX)
+        .execute(&mut connection)
+        .await
+        .expect("spoils");
+    bed.writer = super::open(&bed.path).await;
+    let mut numbers = Numbers(9);
+    for number in 61..=70 {
+        let iterations = (0..10).map(|at| {
+            Event::Iteration(generate::iteration(run, number * 10 + at, bed.hosts(), &mut numbers))
+        });
+        let work = bed.batch(iterations.collect());
+        let committed = bed.commit(&[work]).await;
+        assert!(committed.quarantined.is_empty(), "{number}: {:?}", committed.quarantined);
+    }
+    let stages = bed.store.statistics_of(1).await.expect("answers").stages;
+    assert!(stages.iter().any(|known| known.figures.max > 1e140), "it was not changed");
+
+    rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
+    let stages = bed.store.statistics_of(1).await.expect("answers").stages;
+    let total = stages.iter().find(|known| known.stage == stage::TOTAL).expect("known").figures;
+    assert_eq!(total.count, 160);
+    for known in stages {
+        let figures = known.figures;
+        let all = [Some(figures.mean), figures.std, Some(figures.min), Some(figures.p50), Some(figures.max)];
+        assert!(all.iter().flatten().all(|number| number.abs() < 1e140), "{}: {figures:?}", known.stage);
+    }
+}

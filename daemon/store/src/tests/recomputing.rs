@@ -1,0 +1,234 @@
+//! A run judged again: never worse than before, raw stamps untouched, nothing claimed where nothing can be added.
+
+use peernet_clock::{DelaySource, Direction, Discipline, OneWayDelay, Span, Verdict};
+use peernet_logger::RunId;
+use peernet_stream::{Event, Iteration, Outcome};
+
+use super::simulation::{Simulation, delays};
+use super::{Bed, generate};
+use crate::read::recompute::judge_again;
+use crate::types::{Judgement, Recomputed, RecomputedStage};
+
+/// So many seconds before, within and after the run.
+const SECONDS: (i64, i64, i64) = (5, 60, 60);
+
+struct Simulated {
+    iterations: Vec<Iteration>,
+    /// The delays of each as they really were.
+    truths: Vec<(Span, Span)>,
+}
+
+/// Stores a run in a simulated world that `change` changes at the begin of each second of the run.
+async fn simulate(
+    bed: &mut Bed,
+    seconds: (i64, i64, i64),
+    mut change: impl FnMut(i64, &mut Simulation),
+) -> Simulated {
+    let run = RunId::random();
+    let mut simulation = Simulation::new(bed.hosts());
+    let mut all = Vec::new();
+    let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
+    let (before, within, after) = seconds;
+    for second in -before..within + after {
+        change(second, &mut simulation);
+        let running = (0..within).contains(&second);
+        let (iterations, sample) = simulation.second(running.then_some(run));
+        events.extend(iterations.iter().cloned().map(Event::Iteration));
+        events.push(sample);
+        all.extend(iterations);
+    }
+    let work: Vec<_> = events.chunks(100).map(<[Event]>::to_vec).map(|events| bed.batch(events)).collect();
+    let committed = bed.commit(&work).await;
+    assert!(committed.quarantined.is_empty(), "{:?}", committed.quarantined);
+    Simulated { iterations: all, truths: simulation.truths }
+}
+
+async fn recompute(bed: &Bed) -> Recomputed {
+    let recomputed = bed.store.recompute(1).await.expect("answers").expect("exists");
+    // What it says of before is what statistics say.
+    let stages = bed.store.statistics_of(1).await.expect("answers").stages;
+    for RecomputedStage { stage, before, .. } in &recomputed.stages {
+        let stored = stages.iter().find(|known| known.stage == *stage).expect("has statistics");
+        let bound = stored.bound.as_ref().expect("judged");
+        assert_eq!(before.verdicts, bound.verdicts);
+        let close = |a: f64, b: f64| (a - b).abs() < 1e-9;
+        let (delay, half_width) = (before.delay.expect("has values"), before.half_width.expect("has bounds"));
+        assert_eq!((delay.count, delay.max), (stored.figures.count, stored.figures.max));
+        assert!(close(delay.mean, stored.figures.mean));
+        assert!(close(half_width.mean, bound.half_width.expect("has bounds").mean));
+    }
+    recomputed
+}
+
+fn stage<'a>(recomputed: &'a Recomputed, name: &str) -> (&'a Judgement, &'a Judgement) {
+    let of_name = recomputed.stages.iter().find(|known| known.stage == name);
+    of_name.map(|known| (&known.before, &known.after)).expect("has the stage")
+}
+
+fn times(judgement: &Judgement, verdict: Verdict) -> u64 {
+    judgement.verdicts.iter().find(|(known, _)| *known == verdict).map_or(0, |(_, times)| *times)
+}
+
+/// Every delay judged again holds the truth, within what was known before.
+async fn assert_sound(bed: &Bed, simulated: &Simulated) {
+    let mut judged = 0;
+    let samples = judge_again(&bed.store.readers, 1, |delay| {
+        let (Some(before), Some(after)) = (delay.before, delay.after) else { panic!("judged: {delay:?}") };
+        let (up, down) = simulated.truths[judged / 2];
+        let truth = if delay.direction == Direction::Up { up } else { down };
+        if let Some(bounds) = after.bounds {
+            assert!(bounds.contains(truth), "{truth} is outside: {delay:?}");
+            assert!(after.value.is_some_and(|value| bounds.contains(value)), "{delay:?}");
+            assert!(before.bounds.is_none_or(|known| known.hull(bounds) == known), "{delay:?}");
+        } else {
+            assert_eq!(after, before);
+        }
+        judged += 1;
+    });
+    assert!(samples.await.expect("answers").expect("exists") > 0);
+    assert_eq!(judged, 2 * simulated.iterations.len());
+}
+
+#[tokio::test]
+async fn what_was_learnt_after_an_iteration_narrows_its_delays() {
+    let mut bed = Bed::new().await;
+    // Probes crawl until the tenth second.
+    let simulated = simulate(&mut bed, SECONDS, |second, simulation| {
+        simulation.congestion = if second < 10 { Span::from_millis(40) } else { Span::ZERO };
+    })
+    .await;
+    let recomputed = recompute(&bed).await;
+    assert_eq!((recomputed.number, recomputed.samples), (1, 125));
+    assert_sound(&bed, &simulated).await;
+    let (before, after) = stage(&recomputed, "upload");
+    let widest = |judgement: &Judgement| judgement.half_width.expect("has bounds").max;
+    assert!(widest(before) > 1e-3 && widest(after) < 0.7e-3, "{before:?} {after:?}");
+    assert!(times(after, Verdict::Ok) > times(before, Verdict::Ok));
+    // What was stamped and judged is as it was sent.
+    for iteration in simulated.iterations.iter().step_by(100) {
+        let stored = bed.store.iteration(1, iteration.number).await.expect("answers").expect("stored");
+        assert_eq!(stored.tree, iteration.tree);
+    }
+}
+
+#[tokio::test]
+async fn a_long_run_is_judged_page_by_page() {
+    let mut bed = Bed::new().await;
+    let simulated = simulate(&mut bed, (5, 1_500, 5), |_, _| {}).await;
+    let recomputed = recompute(&bed).await;
+    assert_eq!(recomputed.samples, 1_510);
+    assert_sound(&bed, &simulated).await;
+    let (_, after) = stage(&recomputed, "download");
+    assert_eq!(after.delay.expect("has values").count, 15_000);
+    assert_eq!(times(after, Verdict::Stale), 0);
+}
+
+#[tokio::test]
+async fn one_clock_needs_no_judging_and_no_samples_add_nothing() {
+    let mut bed = Bed::new().await;
+    bed.run_of(30).await;
+    let recomputed = recompute(&bed).await;
+    assert_eq!((recomputed.samples, recomputed.stages.len()), (0, 2));
+    assert!(recomputed.stages.iter().all(|stage| stage.before == stage.after));
+
+    let mut bed = Bed::new().await;
+    simulate(&mut bed, (5, 20, 0), |_, _| {}).await;
+    assert!(recompute(&bed).await.samples > 0);
+    sqlx::raw_sql("DELETE FROM clock_sample").execute(&mut bed.other().await).await.expect("deletes");
+    let recomputed = recompute(&bed).await;
+    assert_eq!(recomputed.samples, 0);
+    assert!(recomputed.stages.iter().all(|stage| stage.before == stage.after));
+    assert!(bed.store.recompute(2).await.expect("answers").is_none());
+}
+
+#[tokio::test]
+async fn warm_up_and_iterations_without_an_answer_are_left_out() {
+    let mut bed = Bed::new().await;
+    let run = RunId::random();
+    let mut simulation = Simulation::new(bed.hosts());
+    let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
+    for second in 0..10 {
+        let (mut iterations, sample) = simulation.second(Some(run));
+        for iteration in &mut iterations {
+            iteration.warm_up = second < 3;
+            if second == 5 {
+                iteration.outcome = Outcome::Timeout;
+            }
+        }
+        events.extend(iterations.into_iter().map(Event::Iteration));
+        events.push(sample);
+    }
+    let work = bed.batch(events);
+    bed.commit(&[work]).await;
+    let recomputed = recompute(&bed).await;
+    for RecomputedStage { before, after, .. } in &recomputed.stages {
+        for judgement in [before, after] {
+            assert_eq!(judgement.verdicts.iter().map(|(_, times)| times).sum::<u64>(), 60);
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_step_in_the_middle_stays_one_and_both_sides_of_it_are_judged_by_themselves() {
+    type Step = fn(&mut Simulation);
+    let steps: [Step; 6] = [
+        |simulation| simulation.step_cloud(Span::from_seconds(3)),
+        |simulation| simulation.step_cloud(Span::from_millis(-5)),
+        |simulation| simulation.step_edge(Span::from_seconds(7)),
+        |simulation| simulation.step_edge(Span::from_seconds(-7)),
+        // Nobody notices but the exchanges.
+        |simulation| simulation.cloud_ahead += Span::from_seconds(3),
+        |simulation| simulation.edge_ahead += Span::from_seconds(-7),
+    ];
+    for (step, halfway) in steps.into_iter().flat_map(|step| [(step, false), (step, true)]) {
+        let mut bed = Bed::new().await;
+        let simulated = simulate(&mut bed, SECONDS, |second, simulation| {
+            simulation.congestion = if second < 5 { Span::from_millis(40) } else { Span::ZERO };
+            match second {
+                30 if halfway => simulation.halfway = Some(step),
+                30 => step(simulation),
+                _ => {}
+            }
+        })
+        .await;
+        assert_eq!(bed.count("SELECT count(DISTINCT window) FROM clock_sample").await, 2);
+        let recomputed = recompute(&bed).await;
+        assert_sound(&bed, &simulated).await;
+        for stage in &recomputed.stages {
+            assert_eq!(times(&stage.before, Verdict::Stepped), times(&stage.after, Verdict::Stepped));
+        }
+        let (before, after) = stage(&recomputed, "upload");
+        let mean = |judgement: &Judgement| judgement.half_width.expect("has bounds").mean;
+        assert!(mean(after) < mean(before));
+    }
+}
+
+#[tokio::test]
+async fn claims_of_time_daemons_count_again_as_they_did_then() {
+    let claim = |interval| Some(Discipline { source: DelaySource::Chrony, error: interval });
+    for wrong in [0, 50] {
+        let mut bed = Bed::new().await;
+        let judged = simulate(&mut bed, (5, 30, 5), |second, simulation| {
+            simulation.congestion = Span::from_millis(40);
+            let mut interval = simulation.offset_within(200);
+            let off = Span::from_millis(wrong);
+            (interval.lo, interval.hi) = (interval.lo + off, interval.hi + off);
+            simulation.claim((second >= 10).then_some(interval).and_then(claim));
+        })
+        .await;
+        let recomputed = recompute(&bed).await;
+        let (before, after) = stage(&recomputed, "upload");
+        if wrong == 0 {
+            assert_sound(&bed, &judged).await;
+            assert_eq!(times(after, Verdict::Inconsistent), 0);
+            assert_eq!(times(after, Verdict::Ok), 200);
+            assert!(after.half_width.expect("has bounds").min < 0.21e-3);
+        } else {
+            let inconsistent = |delay: &OneWayDelay| delay.verdict == Verdict::Inconsistent;
+            assert_eq!(judged.iterations.iter().flat_map(delays).filter(inconsistent).count(), 400);
+            assert_eq!(times(before, Verdict::Inconsistent), 200);
+            assert_eq!(times(after, Verdict::Inconsistent), 200);
+            assert_eq!(after.delay.expect("has values").count, 100);
+        }
+    }
+}

@@ -1,0 +1,400 @@
+//! What is old goes in its time, a little at a time, and nothing else does. Age is time on the storage clock.
+
+use peernet_clock::{MonoTime, Span, Stamp, WallTime};
+use peernet_logger::{RunId, stage};
+use peernet_stream::{Event, RunEnded};
+use sqlx::SqliteConnection;
+
+use super::clocks::sample;
+use super::generate::{self, Numbers};
+use super::rollups::{assert_same, table};
+use super::{Bed, NOW};
+use crate::maintenance::{Examination, examine};
+use crate::rebuild::rebuild;
+use crate::retention::{Retention, Step, pin};
+use crate::retention_config::RetentionConfig;
+use crate::types::IterationFilter;
+use crate::write::storage_clock::StorageClock;
+
+const DAY: f64 = 86_400.0;
+/// Time between two iterations: a bucket of each width for each of them, nearly.
+const EVERY: f64 = 1_200.0;
+/// Iterations that arrive together.
+const TOGETHER: u64 = 3;
+/// Arrivals are told apart by the hour.
+const RESOLUTION_S: i64 = 3_600;
+
+/// Iterations of a run, one every [`EVERY`] seconds from a day on.
+pub(super) fn iterations(bed: &Bed, run: RunId, numbers: std::ops::RangeInclusive<u64>) -> Vec<Event> {
+    let mut random = Numbers(*numbers.start());
+    numbers
+        .map(|number| {
+            let started = generate::at(number as f64 * EVERY);
+            Event::Iteration(generate::iteration_at(run, number, bed.hosts(), started, &mut random))
+        })
+        .collect()
+}
+
+pub(super) fn day(days: f64) -> WallTime {
+    generate::at(days * DAY)
+}
+
+/// Sets the storage clock of a database to a moment of the test.
+pub(super) async fn set_storage_clock(connection: &mut SqliteConnection, at: WallTime) {
+    let elapsed = at - generate::at(0.0);
+    sqlx::query("UPDATE storage_clock SET elapsed_ns = ?")
+        .bind(elapsed.nanos())
+        .execute(connection)
+        .await
+        .expect("sets");
+}
+
+/// One step at a moment of the storage clock. The aggregator's wall clock stands still.
+pub(super) async fn step(retention: &mut Retention, connection: &mut SqliteConnection, at: WallTime) -> Step {
+    set_storage_clock(connection, at).await;
+    // Nothing has passed since the storage clock was stored.
+    let mono = MonoTime::from_nanos((at - generate::at(0.0)).nanos());
+    let mut clock = StorageClock::default();
+    retention.step(connection, &mut clock, Stamp { wall: NOW, mono }, 300).await.expect("steps")
+}
+
+/// Steps until there is nothing to do; returns how many did something.
+pub(super) async fn work_off(
+    retention: &mut Retention,
+    connection: &mut SqliteConnection,
+    now: WallTime,
+) -> usize {
+    // Behind the second in which it is not looked again.
+    let now = now + Span::from_seconds(2);
+    for steps in 0..10_000 {
+        if step(retention, connection, now).await == Step::Done {
+            return steps;
+        }
+    }
+    panic!("there is no end");
+}
+
+/// Stores events at a moment of the storage clock; what arrived an hour before is an arrival by itself by then.
+pub(super) async fn arrive(bed: &mut Bed, events: Vec<Event>, at: WallTime) {
+    let mut connection = bed.other().await;
+    work_off(&mut Retention::new(for_ever()), &mut connection, at).await;
+    let work = bed.batch(events);
+    bed.commit(&[work]).await;
+}
+
+/// Two runs alike of four days, the second one pinned, neither ended. What was measured arrives each hour.
+pub(super) async fn two_runs() -> (Bed, [RunId; 2]) {
+    let mut bed = Bed::new().await;
+    let runs = [RunId::random(), RunId::random()];
+    let begin = runs.into_iter().zip(["line", "arm"]);
+    let begin = begin.map(|(run, name)| generate::run_started(run, name, day(0.0))).collect();
+    arrive(&mut bed, begin, day(0.0)).await;
+    let mut connection = bed.other().await;
+    assert!(pin(&mut connection, 2, true).await.expect("pins"));
+    assert!(!pin(&mut connection, 3, true).await.expect("looks"));
+    for first in (1..=288).step_by(TOGETHER as usize) {
+        let last = first + TOGETHER - 1;
+        let events = runs.iter().flat_map(|run| iterations(&bed, *run, first..=last)).collect();
+        arrive(&mut bed, events, generate::at(last as f64 * EVERY)).await;
+    }
+    (bed, runs)
+}
+
+pub(super) fn for_ever() -> RetentionConfig {
+    RetentionConfig {
+        nodes_days: 0,
+        seconds_days: 0,
+        ten_seconds_days: 0,
+        minutes_days: 0,
+        clock_samples_days: 0,
+        ..RetentionConfig::default()
+    }
+}
+
+pub(super) fn short() -> RetentionConfig {
+    RetentionConfig {
+        nodes_days: 2,
+        seconds_days: 1,
+        ten_seconds_days: 2,
+        minutes_days: 3,
+        ..RetentionConfig::default()
+    }
+}
+
+#[tokio::test]
+async fn each_kind_goes_in_its_time_and_pinned_runs_stay() {
+    let (bed, _) = two_runs().await;
+    let mut connection = bed.other().await;
+    let before = table(&mut connection).await;
+    let stages = bed.store.statistics_of(1).await.expect("answers").stages;
+    let mut retention = Retention::new(short());
+    work_off(&mut retention, &mut connection, day(4.0)).await;
+
+    let now_s = (day(4.0) + Span::from_seconds(2)).unix_seconds();
+    let kept_s = |width_s: i64| match width_s {
+        1 => 86_400,
+        10 => 2 * 86_400,
+        60 => 3 * 86_400,
+        _ => 1_000 * 86_400,
+    };
+    let left = table(&mut connection).await;
+    let must_stay = |((run, width_s, bucket_s, ..), _): &(&(i64, i64, i64, i64, i64), &_)| {
+        *run == 2 || *width_s == 0 || bucket_s + width_s > now_s - kept_s(*width_s)
+    };
+    // It arrives at most an hour after it began, and goes with what arrived within the next hour.
+    let may_stay = |((_, width_s, bucket_s, ..), _): &(&(i64, i64, i64, i64, i64), &_)| {
+        bucket_s + width_s + 2 * RESOLUTION_S + 60 > now_s - kept_s(*width_s)
+    };
+    let expected = before
+        .iter()
+        .filter(must_stay)
+        .map(|(key, row)| (*key, row.clone()))
+        .collect::<std::collections::BTreeMap<_, _>>();
+    let gone: Vec<_> = before.iter().filter(|(key, _)| !left.contains_key(*key)).collect();
+    assert!(gone.iter().all(|row| !must_stay(row)), "{gone:?}");
+    assert!(gone.len() > 1_000, "{}", gone.len());
+    let too_old: Vec<_> = left.iter().filter(|row| !must_stay(row) && !may_stay(row)).collect();
+    assert!(too_old.is_empty(), "{too_old:?}");
+    let stayed = left
+        .iter()
+        .filter(|(key, _)| expected.contains_key(*key))
+        .map(|(key, row)| (*key, row.clone()))
+        .collect();
+    assert_same(&stayed, &expected);
+
+    let cutoff_ns = (now_s - 2 * 86_400) * 1_000_000_000;
+    let oldest = bed.count("SELECT min(started_ns) FROM iteration WHERE run = 1").await;
+    let slack_ns = (2 * RESOLUTION_S + 60) * 1_000_000_000;
+    assert!(
+        oldest <= cutoff_ns + 1_200_000_000_000 && oldest >= cutoff_ns - slack_ns,
+        "{oldest} {cutoff_ns}"
+    );
+    let first = bed.count("SELECT min(number) FROM iteration WHERE run = 1").await;
+    assert_eq!(bed.count("SELECT nodes_from FROM run WHERE number = 1").await, first - 1);
+    let left = 288 - (first - 1);
+    assert_eq!(bed.count("SELECT count(*) FROM iteration WHERE run = 1").await, left);
+    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 1").await, left * 21);
+    assert_eq!(bed.count("SELECT count(*) FROM transit WHERE run = 1").await, left * 2);
+    assert_eq!(bed.count("SELECT count(*) FROM anchor WHERE run = 1").await, left);
+    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * 21);
+    assert_eq!(bed.count("SELECT count(*) FROM trimmed WHERE run = 1").await, 4);
+    assert_eq!(bed.count("SELECT count(*) FROM trimmed WHERE run = 2").await, 0);
+
+    // What is told of the run is what was told of it before, in wider points.
+    assert_eq!(bed.store.statistics_of(1).await.expect("answers").stages, stages);
+    let filter = IterationFilter::default();
+    let listed = bed.store.iterations(1, &filter).await.expect("answers");
+    assert_eq!(i64::try_from(listed[0].number).expect("small"), first);
+    assert!(bed.store.iteration(1, 1).await.expect("answers").is_none());
+    for (run, width_s) in [(1, 3_600), (2, 60)] {
+        let series = bed.store.series(run, &[stage::TOTAL], 6_000).await.expect("answers");
+        assert_eq!(series.bucket_s, width_s);
+        let counts = series.stages[0].points.iter().map(|point| point.count);
+        assert_eq!(counts.sum::<u64>(), 288);
+    }
+}
+
+#[tokio::test]
+async fn deletions_are_one_incident_with_counts() {
+    let (bed, _) = two_runs().await;
+    let mut connection = bed.other().await;
+    let seconds = "SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s = 1";
+    let before = bed.count(seconds).await;
+    let mut retention = Retention::new(RetentionConfig { seconds_days: 1, nodes_days: 2, ..for_ever() });
+    assert!(work_off(&mut retention, &mut connection, day(4.0)).await > 10);
+    let gone = before - bed.count(seconds).await;
+    let iterations = 288 - bed.count("SELECT count(*) FROM iteration WHERE run = 1").await;
+    assert!(gone > 0 && iterations > 0, "{gone} {iterations}");
+    let told = bed.store.incidents(10, None).await.expect("answers");
+    let [incident] = &told[..] else { panic!("one for all of it: {told:?}") };
+    assert_eq!((incident.kind.as_str(), incident.host), ("retention", None));
+    assert_eq!(
+        incident.text,
+        format!(
+            "deleted {iterations} iterations with their trees of 1 run (nodes_days = 2), {gone} statistics per second of \
+             1 run (seconds_days = 1)"
+        )
+    );
+    let report = examine(&bed.path, Examination { full: false, now: NOW }).await.expect("opens");
+    assert!(report.findings.iter().any(|it| it.what.contains(&incident.text)), "{:?}", report.findings);
+    // A day later it is another one.
+    work_off(&mut retention, &mut connection, day(5.0)).await;
+    assert_eq!(bed.store.incidents(10, None).await.expect("answers").len(), 2);
+}
+
+#[tokio::test]
+async fn jump_of_a_robots_clock_deletes_nothing_early() {
+    for jump in [400.0, -400.0] {
+        let mut bed = Bed::new().await;
+        let run = RunId::random();
+        let mut random = Numbers(5);
+        arrive(&mut bed, vec![generate::run_started(run, "line", day(0.0))], day(0.0)).await;
+        // The robot's clock is wrong in the second of three days.
+        for hour in 0..72_u32 {
+            let arrived = generate::at(f64::from(hour) * 3_600.0);
+            let wrong = if (24..48).contains(&hour) { jump * DAY } else { 0.0 };
+            let began = generate::at(f64::from(hour) * 3_600.0 + wrong);
+            let number = u64::from(hour) + 1;
+            let iteration = generate::iteration_at(run, number, bed.hosts(), began, &mut random);
+            arrive(&mut bed, vec![Event::Iteration(iteration)], arrived).await;
+        }
+        let mut connection = bed.other().await;
+        let config = RetentionConfig { nodes_days: 3, seconds_days: 3, ten_seconds_days: 3, ..for_ever() };
+        let mut retention = Retention::new(config);
+        let stored = "SELECT count(DISTINCT bucket_s) FROM rollup WHERE resolution_s = 1";
+        // Each hour from the third day on, what arrived three days before goes, up to two hours late.
+        for hour in 72..150_i64 {
+            work_off(&mut retention, &mut connection, generate::at(hour as f64 * 3_600.0)).await;
+            let young = (72 - (hour - 72) - 1).clamp(0, 72);
+            for left in [bed.count("SELECT count(*) FROM iteration").await, bed.count(stored).await] {
+                assert!((young..=young + 4).contains(&left), "{jump} days, hour {hour}: {left} of {young}");
+            }
+        }
+        assert_eq!(bed.count("SELECT count(*) FROM node").await, 0);
+        assert_eq!(bed.count("SELECT count(*) FROM rollup WHERE resolution_s IN (1, 10)").await, 0);
+        assert_eq!(bed.count("SELECT count(*) FROM arrival WHERE kind IN (0, 1, 10)").await, 0);
+    }
+}
+
+#[tokio::test]
+async fn a_step_deletes_little_and_nothing_to_do_costs_no_writing() {
+    let (bed, _) = two_runs().await;
+    let mut connection = bed.other().await;
+    let mut retention = Retention::new(short());
+    let rows = "SELECT (SELECT count(*) FROM node) + (SELECT count(*) FROM rollup)";
+    let mut left = bed.count(rows).await;
+    let mut steps = 0;
+    while step(&mut retention, &mut connection, day(5.0)).await == Step::More {
+        let now = bed.count(rows).await;
+        assert!(left - now <= 400, "{left} {now}");
+        left = now;
+        steps += 1;
+    }
+    assert!(steps > 40, "{steps}");
+    // It is told to each connection by itself, of what others wrote.
+    let mut onlooker = bed.other().await;
+    let mut version = async || -> i64 {
+        sqlx::query_scalar("PRAGMA data_version").fetch_one(&mut onlooker).await.expect("tells")
+    };
+    let before = version().await;
+    let mut clock = StorageClock::default();
+    for seconds in 0..100 {
+        let mono = MonoTime::from_nanos(0) + Span::from_seconds(seconds);
+        let stamp = Stamp { wall: NOW, mono };
+        let done = retention.step(&mut connection, &mut clock, stamp, 300).await.expect("steps");
+        assert_eq!(done, Step::Done);
+    }
+    assert_eq!(version().await, before);
+}
+
+#[tokio::test]
+async fn what_arrives_late_is_kept_for_its_period_and_goes_then() {
+    let mut bed = Bed::new().await;
+    let run = RunId::random();
+    // Stored when it was older than any period.
+    let mut events = vec![generate::run_started(run, "line", day(0.0))];
+    events.extend(iterations(&bed, run, 1..=288));
+    events.push(Event::RunEnded(RunEnded { run, ended: day(4.0), reason: "stopped".into() }));
+    arrive(&mut bed, events, day(100.0)).await;
+    let mut connection = bed.other().await;
+    let mut retention = Retention::new(short());
+    work_off(&mut retention, &mut connection, day(100.9)).await;
+    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 1").await, 288 * 21);
+    assert!(bed.count("SELECT count(*) FROM rollup WHERE resolution_s = 1").await > 288);
+    work_off(&mut retention, &mut connection, day(104.0)).await;
+    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 1").await, 0);
+    assert_eq!(
+        bed.count("SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s IN (1, 10, 60)").await,
+        0
+    );
+    assert_eq!(bed.count("SELECT group_concat(kind) = '3600' FROM arrival WHERE owner = 1").await, 1);
+
+    // A batch of iterations from a time that is gone.
+    let events = iterations(&bed, run, 300..=310);
+    arrive(&mut bed, events, day(104.0)).await;
+    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 1").await, 11 * 21);
+    assert_eq!(bed.count("SELECT ok FROM run WHERE number = 1").await, 299);
+    assert!(bed.store.iteration(1, 305).await.expect("answers").is_some());
+    let whole = bed.store.statistics_of(1).await.expect("answers").stages;
+    let series = bed.store.series(1, &[stage::TOTAL], 6_000).await.expect("answers");
+    assert_eq!(series.bucket_s, 3_600);
+    assert_eq!(series.stages[0].points.iter().map(|point| point.count).sum::<u64>(), 299);
+    let rebuilt = rebuild(&mut connection, Some(1), |_| {}).await.expect("rebuilds");
+    assert_eq!(rebuilt.in_part, 1);
+    assert_eq!(bed.store.statistics_of(1).await.expect("answers").stages, whole);
+    // Taken within the hour.
+    work_off(&mut retention, &mut connection, day(104.1)).await;
+    work_off(&mut retention, &mut connection, day(108.0)).await;
+    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 1").await, 0);
+    assert_eq!(bed.count("SELECT nodes_from FROM run WHERE number = 1").await, 310);
+}
+
+#[tokio::test]
+async fn statistics_made_anew_go_again_in_their_time() {
+    let (bed, _) = two_runs().await;
+    let mut connection = bed.other().await;
+    let seconds = "SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s = 1";
+    let before = bed.count(seconds).await;
+    let mut retention = Retention::new(RetentionConfig { seconds_days: 1, ..for_ever() });
+    work_off(&mut retention, &mut connection, day(4.0)).await;
+    let left = bed.count(seconds).await;
+    assert!(left < before / 3, "{left} of {before}");
+    rebuild(&mut connection, Some(1), |_| {}).await.expect("rebuilds");
+    assert_eq!(bed.count(seconds).await, before);
+    // What arrived last is taken within the hour.
+    work_off(&mut retention, &mut connection, day(4.05)).await;
+    work_off(&mut retention, &mut connection, day(4.9)).await;
+    assert!(bed.count(seconds).await >= before - left);
+    work_off(&mut retention, &mut connection, day(5.2)).await;
+    assert_eq!(bed.count(seconds).await, 0);
+}
+
+#[tokio::test]
+async fn a_run_that_is_let_go_has_its_whole_period_before_it() {
+    let (bed, _) = two_runs().await;
+    let mut connection = bed.other().await;
+    // By hand, as with the sqlite3 shell.
+    sqlx::query("UPDATE run SET pinned = 1 WHERE number = 1").execute(&mut connection).await.expect("pins");
+    let mut retention = Retention::new(short());
+    work_off(&mut retention, &mut connection, day(50.0)).await;
+    assert!(pin(&mut connection, 2, false).await.expect("lets go"));
+    work_off(&mut retention, &mut connection, day(51.5)).await;
+    work_off(&mut retention, &mut connection, day(51.9)).await;
+    assert_eq!(bed.count("SELECT count(*) FROM node").await, 2 * 288 * 21);
+    work_off(&mut retention, &mut connection, day(60.0)).await;
+    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 1").await, 288 * 21);
+    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 2").await, 0);
+}
+
+#[tokio::test]
+async fn samples_of_clocks_go_except_those_of_a_pinned_run() {
+    let (mut bed, [_, pinned]) = two_runs().await;
+    let seconds = |from: f64| (0..50).map(move |n| (from * DAY) as i64 + n);
+    // The edge's clock says nothing of when they arrive.
+    for (from, arrived) in [(-1.0, 4.1), (1.0, 4.2), (4.0, 4.3), (6.0, 4.4), (11.9, 11.9)] {
+        let samples = seconds(from).map(|second| Event::Clock(Box::new(sample(bed.cloud, second, 40))));
+        let events = samples.collect();
+        arrive(&mut bed, events, day(arrived)).await;
+        if arrived < 5.0 {
+            continue;
+        }
+        assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 5 * 50);
+    }
+    let mut connection = bed.other().await;
+    let config = RetentionConfig { clock_samples_days: 1, ..for_ever() };
+    let mut retention = Retention::new(config);
+    // The pinned run may go on: of its edge, all stays from its begin on.
+    work_off(&mut retention, &mut connection, day(12.0)).await;
+    assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 4 * 50);
+    let ended = RunEnded { run: pinned, ended: day(4.0), reason: "stopped".into() };
+    let work = bed.batch(vec![Event::RunEnded(ended)]);
+    bed.commit(&[work]).await;
+    // What was kept for it is looked at again a period later.
+    work_off(&mut retention, &mut connection, day(13.2)).await;
+    assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 2 * 50);
+    assert!(pin(&mut connection, 2, false).await.expect("lets go"));
+    work_off(&mut retention, &mut connection, day(14.4)).await;
+    assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 0);
+    assert_eq!(bed.count("SELECT count(*) FROM clock_window").await, 1);
+    assert_eq!(bed.count("SELECT count(*) FROM arrival WHERE kind = -1").await, 0);
+}

@@ -1,0 +1,208 @@
+//! Roll-ups that grow: whatever comes when and whatever is forgotten in between, the table holds what was added.
+
+use std::collections::BTreeMap;
+
+use peernet_statistics::{Moments, Sketch, Summary};
+use proptest::prelude::*;
+use sqlx::{Connection, SqliteConnection};
+
+use crate::database;
+use crate::write::rollups::{Quantity, Rollups, WHOLE_RUN, WIDTHS_S, bucket};
+
+/// Run, width, bucket, name, quantity.
+pub(super) type Key = (i64, i64, i64, i64, i64);
+
+/// The whole table.
+pub(super) async fn table(connection: &mut SqliteConnection) -> BTreeMap<Key, Summary> {
+    type Row = (i64, i64, i64, i64, i64, i64, f64, f64, f64, f64, Vec<u8>);
+    let rows: Vec<Row> = sqlx::query_as(
+        "SELECT run, resolution_s, bucket_s, name, quantity, count, mean, m2, min, max, sketch FROM rollup",
+    )
+    .fetch_all(connection)
+    .await
+    .expect("reads");
+    rows.into_iter()
+        .map(|(run, width, bucket, name, quantity, count, mean, m2, min, max, sketch)| {
+            let moments = Moments { count: count.unsigned_abs(), mean, m2, min, max };
+            let sketch = Sketch::from_bytes(&sketch).expect("a sketch");
+            ((run, width, bucket, name, quantity), Summary { moments, sketch })
+        })
+        .collect()
+}
+
+/// Counts, extremes and bins exactly, moments to 1e-9.
+pub(super) fn assert_same(a: &BTreeMap<Key, Summary>, b: &BTreeMap<Key, Summary>) {
+    assert_eq!(a.keys().collect::<Vec<_>>(), b.keys().collect::<Vec<_>>());
+    for ((key, a), b) in a.iter().zip(b.values()) {
+        assert_eq!(a.sketch, b.sketch, "{key:?}");
+        let (a, b) = (a.moments, b.moments);
+        assert_eq!((a.count, a.min, a.max), (b.count, b.min, b.max), "{key:?}");
+        assert!((a.mean - b.mean).abs() <= 1e-9 * a.mean.abs().max(b.mean.abs()), "{key:?} {a:?} {b:?}");
+        // Beside the numbers' own size: those of a bucket may all be the same.
+        let size = a.m2.max(b.m2).max(a.count as f64 * a.max.abs().max(a.min.abs()).powi(2) * 1e-6);
+        assert!((a.m2 - b.m2).abs() <= 1e-9 * size, "{key:?} {a:?} {b:?}");
+    }
+}
+
+/// A number: run, name, second, value, and whether it is a half width.
+type Number = (i64, i64, i64, f64, bool);
+
+#[derive(Clone, Debug)]
+enum Turn {
+    Commit(Vec<Number>),
+    /// A transaction that does not end well.
+    Abort(Vec<Number>),
+    Restart,
+    /// Memory is short.
+    Evict,
+}
+
+fn number() -> impl Strategy<Value = Number> {
+    // Mostly about now, sometimes late by hours, sometimes before 1970.
+    let second = prop_oneof![5 => 7_195_i64..7_205, 2 => 0_i64..9_000, 1 => -70_i64..70];
+    (1_i64..4, 1_i64..4, second, -1.0..10.0_f64, any::<bool>())
+}
+
+fn turn() -> impl Strategy<Value = Turn> {
+    let numbers = || prop::collection::vec(number(), 1..60);
+    prop_oneof![
+        8 => numbers().prop_map(Turn::Commit),
+        1 => numbers().prop_map(Turn::Abort),
+        1 => Just(Turn::Restart),
+        1 => Just(Turn::Evict),
+    ]
+}
+
+fn summary(value: f64) -> Summary {
+    let mut summary = Summary::default();
+    summary.record(value);
+    summary
+}
+
+fn add(rollups: &mut Rollups, numbers: &[Number]) {
+    for (run, name, second_s, value, half) in numbers {
+        let quantity = if *half { Quantity::HalfWidth } else { Quantity::Value };
+        rollups.merge(*run, *name, quantity, *second_s, &summary(*value));
+        rollups.judge(*run, *name, 1, 1);
+    }
+}
+
+async fn execute(connection: &mut SqliteConnection, sql: &'static str) {
+    sqlx::query(sql).execute(connection).await.expect("executes");
+}
+
+async fn play(turns: Vec<Turn>) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut connection = database::open(&folder.path().join("peernet.sqlite")).await.expect("opens");
+    let mut rollups = Rollups::default();
+    let mut expected = BTreeMap::<Key, Summary>::new();
+    let mut judged = 0;
+    for turn in turns {
+        match turn {
+            Turn::Commit(numbers) => {
+                execute(&mut connection, "BEGIN IMMEDIATE").await;
+                add(&mut rollups, &numbers);
+                rollups.write(&mut connection).await.expect("writes");
+                execute(&mut connection, "COMMIT").await;
+                judged += numbers.len();
+                for (run, name, second_s, value, half) in numbers {
+                    for width_s in WIDTHS_S.into_iter().chain([WHOLE_RUN]) {
+                        let key = (run, width_s, bucket(second_s, width_s), name, half.into());
+                        expected.entry(key).or_default().merge(&summary(value));
+                    }
+                }
+            }
+            Turn::Abort(numbers) => {
+                execute(&mut connection, "BEGIN IMMEDIATE").await;
+                add(&mut rollups, &numbers);
+                rollups.write(&mut connection).await.expect("writes");
+                execute(&mut connection, "ROLLBACK").await;
+                rollups.forget();
+            }
+            Turn::Restart => rollups = Rollups::default(),
+            Turn::Evict => rollups.keep(rollups.bytes() / 2),
+        }
+    }
+    assert_same(&table(&mut connection).await, &expected);
+    let verdicts: i64 = sqlx::query_scalar("SELECT coalesce(sum(count), 0) FROM verdict_count")
+        .fetch_one(&mut connection)
+        .await
+        .expect("counts");
+    assert_eq!(verdicts, i64::try_from(judged).expect("few"));
+    connection.close().await.expect("closes");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+
+    #[test]
+    fn the_table_holds_what_was_added(turns in prop::collection::vec(turn(), 1..25)) {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+        runtime.block_on(play(turns));
+    }
+}
+
+#[tokio::test]
+async fn memory_is_bounded_by_the_newest_buckets_of_each_run() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut connection = database::open(&folder.path().join("peernet.sqlite")).await.expect("opens");
+    let mut rollups = Rollups::default();
+    let mut second_hour = 0;
+    for second_s in 0..7_200 {
+        for name in 1..=3 {
+            rollups.merge(1, name, Quantity::Value, second_s, &summary(second_s as f64));
+        }
+        if second_s % 60 == 59 {
+            rollups.write(&mut connection).await.expect("writes");
+        }
+        if second_s == 5_399 {
+            second_hour = rollups.bytes();
+        }
+    }
+    // Three rows in at most two buckets of four widths and in one of the whole run, a few hundred bytes each.
+    assert!(rollups.bytes() < 27 * 600, "{}", rollups.bytes());
+    assert!(rollups.bytes() < second_hour * 2, "{} {second_hour}", rollups.bytes());
+    rollups.keep(0);
+    assert_eq!(rollups.bytes(), 0);
+}
+
+/// Tables that grow without end.
+const LARGE: [&str; 12] = [
+    "node",
+    "iteration",
+    "transit",
+    "anchor",
+    "rollup",
+    "verdict_count",
+    "clock_sample",
+    "run",
+    "arrival",
+    "link",
+    "incident",
+    "trimmed",
+];
+
+#[tokio::test]
+async fn what_is_read_and_deleted_is_found_by_a_key() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut connection = database::open(&folder.path().join("peernet.sqlite")).await.expect("opens");
+    let questions = crate::write::rollups::QUESTIONS
+        .into_iter()
+        .chain(crate::rebuild::QUESTIONS)
+        .chain(crate::retention::statements());
+    for (name, statement) in questions {
+        let explain = format!("EXPLAIN QUERY PLAN {statement}");
+        let steps: Vec<(i64, i64, i64, String)> = sqlx::query_as(sqlx::AssertSqlSafe(explain))
+            .fetch_all(&mut connection)
+            .await
+            .unwrap_or_else(|error| panic!("{name}: {error}"));
+        for (_, _, _, step) in &steps {
+            let scans = LARGE.iter().any(|table| step.starts_with(&format!("SCAN {table}")));
+            // The few that are pinned are an index of their own, and so are the aggregator's few incidents.
+            let few = step.contains("INDEX run_pinned") || step.contains("INDEX incident_of_aggregator");
+            assert!(!scans || few, "{name}: {step}");
+            let sorts = step.contains("TEMP B-TREE");
+            assert!(!sorts || ["PINNED", "BUCKETS"].contains(&name), "{name} sorts: {step}");
+        }
+    }
+}

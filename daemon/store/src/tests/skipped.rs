@@ -1,0 +1,93 @@
+//! Starts that were skipped count whatever became of the iterations that tell of them.
+
+use peernet_clock::Span;
+use peernet_logger::{Measure, NodeId, RunId, Unit};
+use peernet_stream::{Event, Iteration, Outcome};
+
+use super::{Bed, NOW, generate};
+use crate::rebuild::rebuild;
+
+/// Starts that were skipped in [`Bed::run_that_skips`].
+pub(super) const SKIPPED: u64 = 3 + 4 + 5 + 6;
+
+impl Bed {
+    /// An iteration before which so many starts were skipped.
+    fn late(&self, run: RunId, number: u64, skipped: f64) -> Iteration {
+        let mut iteration = generate::iteration(run, number, self.hosts(), &mut generate::Numbers(number));
+        let measure = Measure::Value(skipped, Unit::NONE);
+        iteration.tree.add(NodeId::ROOT, "skipped-starts".into(), Span::ZERO, measure);
+        iteration
+    }
+
+    /// Stores a run with skipped starts before the warm-up and before iterations of every outcome, in two commits.
+    pub(super) async fn run_that_skips(&mut self) -> RunId {
+        let run = RunId::random();
+        let mut warm_up = self.late(run, 1, 100.0);
+        warm_up.warm_up = true;
+        let mut late_warm_up = self.late(run, 2, 50.0);
+        (late_warm_up.warm_up, late_warm_up.outcome) = (true, Outcome::Timeout);
+        let ends =
+            [Outcome::Ok, Outcome::Timeout, Outcome::Failed("no".into()), Outcome::Lost("gone".into())];
+        let rest = (3..).zip(ends).map(|(number, outcome)| {
+            Event::Iteration(Iteration { outcome, ..self.late(run, number, number as f64) })
+        });
+        let rest: Vec<Event> = rest.collect();
+        let first = [warm_up, late_warm_up].map(Event::Iteration);
+        let work = self.batch([vec![generate::run_started(run, "line", NOW)], first.to_vec()].concat());
+        self.commit(&[work]).await;
+        for events in rest.chunks(3) {
+            let work = self.batch(events.to_vec());
+            self.commit(&[work]).await;
+        }
+        run
+    }
+
+    pub(super) async fn skipped_starts(&self) -> Vec<u64> {
+        let runs = self.store.runs(&crate::RunFilter::default()).await.expect("answers");
+        runs.iter().rev().map(|run| run.skipped_starts).collect()
+    }
+}
+
+#[tokio::test]
+async fn starts_that_were_skipped_before_iterations_without_an_answer_count() {
+    let mut bed = Bed::new().await;
+    bed.run_that_skips().await;
+    bed.run_of(5).await;
+    assert_eq!(bed.skipped_starts().await, [SKIPPED, 0]);
+}
+
+#[tokio::test]
+async fn a_rebuild_counts_skipped_starts_again() {
+    let mut bed = Bed::new().await;
+    bed.run_that_skips().await;
+    bed.run_of(5).await;
+    let mut connection = bed.other().await;
+    sqlx::query("UPDATE run SET skipped_starts = 7").execute(&mut connection).await.expect("spoils");
+    rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
+    assert_eq!(bed.skipped_starts().await, [SKIPPED, 0]);
+
+    // Of a part of the iterations nobody can count them.
+    sqlx::query("INSERT INTO trimmed (run, kind, before_s) VALUES (1, 0, 9000000000)")
+        .execute(&mut connection)
+        .await
+        .expect("trims");
+    sqlx::query("DELETE FROM node WHERE run = 1").execute(&mut connection).await.expect("deletes");
+    rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
+    assert_eq!(bed.skipped_starts().await, [SKIPPED, 0]);
+}
+
+#[tokio::test]
+async fn numbers_that_are_no_counts_hold_nothing_up() {
+    let mut bed = Bed::new().await;
+    let run = RunId::random();
+    let odd = [f64::MAX, f64::MAX, f64::INFINITY, -5.0, f64::NAN, 2.0];
+    for (number, skipped) in (1..).zip(odd) {
+        let iteration = Event::Iteration(bed.late(run, number, skipped));
+        let work = bed.batch(vec![iteration]);
+        let committed = bed.commit(&[work]).await;
+        assert!(committed.quarantined.is_empty(), "{skipped}: {:?}", committed.quarantined);
+    }
+    assert_eq!(bed.skipped_starts().await, [1 << 53]);
+    let mut connection = bed.other().await;
+    rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
+}

@@ -1,0 +1,154 @@
+//! The storage clock, steps of the wall clock, and incidents of the aggregator itself.
+
+use peernet_clock::{Span, Stamp};
+use sqlx::Connection;
+
+use super::{Bed, NOW, STAMP, database, generate, hello, open};
+use crate::retention::Step;
+use crate::types::AggregatorIncidentKind;
+use crate::write::{PendingIncidents, Writer};
+use crate::{IncidentRow, RetentionConfig};
+
+const ELAPSED_S: &str = "SELECT elapsed_ns / 1000000000 FROM storage_clock";
+
+/// So long after the test began, on both clocks.
+fn after(seconds: i64) -> Stamp {
+    let span = Span::from_seconds(seconds);
+    Stamp { wall: STAMP.wall + span, mono: STAMP.mono + span }
+}
+
+async fn incidents(bed: &Bed) -> Vec<IncidentRow> {
+    bed.store.incidents(100, None).await.expect("answers")
+}
+
+#[tokio::test]
+async fn storage_clock_ignores_wall_clock_and_pauses() {
+    let mut bed = Bed::new().await;
+    let mut pending = PendingIncidents::new(STAMP);
+    for seconds in (1..=100).step_by(3) {
+        bed.writer.keep_clocks(after(seconds), &mut pending).await.expect("stores");
+    }
+    let elapsed = bed.count(ELAPSED_S).await;
+    assert!((70..=100).contains(&elapsed), "{elapsed}");
+    // A transaction stores it as well.
+    let work = [hello(generate::host(bed.edge, "edge"), 1)];
+    bed.writer.commit(&work, after(100)).await.expect("commits");
+    assert_eq!(bed.count(ELAPSED_S).await, 100);
+    // The wall clock alone moves.
+    let month = Span::from_seconds(30 * 86_400);
+    for wall in [after(101).wall + month, after(101).wall - month] {
+        bed.writer.keep_clocks(Stamp { wall, ..after(101) }, &mut pending).await.expect("stores");
+    }
+    assert_eq!(bed.count(ELAPSED_S).await, 101);
+    // Nobody was storing for a day.
+    bed.writer.keep_clocks(after(86_400), &mut pending).await.expect("stores");
+    assert_eq!(bed.count(ELAPSED_S).await, 161);
+    // Another process, on a machine that booted later: it goes on from there, with its first transaction.
+    bed.writer = open(&bed.path).await;
+    for seconds in [0, 40] {
+        bed.writer.keep_clocks(after(seconds), &mut pending).await.expect("stores");
+    }
+    assert_eq!(bed.count(ELAPSED_S).await, 201);
+}
+
+#[tokio::test]
+async fn step_of_wall_clock_is_an_incident_of_the_aggregator() {
+    let mut bed = Bed::new().await;
+    let mut pending = PendingIncidents::new(STAMP);
+    bed.writer.keep_clocks(after(1), &mut pending).await.expect("stores");
+    bed.writer
+        .keep_clocks(Stamp { wall: after(2).wall + Span::from_seconds(9), ..after(2) }, &mut pending)
+        .await
+        .expect("stores");
+    assert_eq!(incidents(&bed).await, []);
+    bed.writer
+        .keep_clocks(Stamp { wall: NOW + Span::from_seconds(3_600), ..after(3) }, &mut pending)
+        .await
+        .expect("stores");
+    let told = incidents(&bed).await;
+    let [step] = &told[..] else { panic!("{told:?}") };
+    assert_eq!((step.kind.as_str(), step.host, step.host_name.clone()), ("clock-step", None, None));
+    assert!(step.text.contains("set forward by 3588.0 s"), "{}", step.text);
+
+    // It starts again after the clock was set back.
+    let connection = database::open(&bed.path).await.expect("opens");
+    let config = RetentionConfig::default();
+    bed.writer = Writer::new(bed.path.clone(), connection, config).await.expect("reads");
+    let mut pending = PendingIncidents::new(STAMP);
+    bed.writer.keep_clocks(STAMP, &mut pending).await.expect("stores");
+    let told = incidents(&bed).await;
+    assert_eq!(told.len(), 2);
+    assert!(told.iter().any(|step| step.text.contains("3600.0 s less")), "{told:?}");
+}
+
+#[tokio::test]
+async fn incident_waits_until_the_database_can_be_written() {
+    let mut bed = Bed::new().await;
+    let mut pending = PendingIncidents::new(STAMP);
+    let mut other = bed.other().await;
+    sqlx::raw_sql("BEGIN IMMEDIATE").execute(&mut other).await.expect("locks");
+    pending.add(AggregatorIncidentKind::Storage, NOW, "it refused".to_owned());
+    bed.writer.keep_clocks(after(1), &mut pending).await.expect_err("locked");
+    other.close().await.expect("unlocks");
+    bed.writer.keep_clocks(after(2), &mut pending).await.expect("stores");
+    bed.writer.keep_clocks(after(3), &mut pending).await.expect("stores");
+    let told = incidents(&bed).await;
+    assert_eq!(
+        told.iter().map(|row| (row.kind.as_str(), row.text.as_str())).collect::<Vec<_>>(),
+        [("storage", "it refused")]
+    );
+}
+
+#[tokio::test]
+async fn newest_ten_thousand_incidents_of_the_aggregator_stay() {
+    let mut bed = Bed::new().await;
+    let mut pending = PendingIncidents::new(STAMP);
+    let mut other = bed.other().await;
+    sqlx::raw_sql(
+        "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 10010) \
+         INSERT INTO incident (host, at_ns, kind, text) SELECT NULL, i, 'storage', 'old' FROM n; \
+         INSERT INTO incident (host, at_ns, kind, text) SELECT id, 0, 'gap', 'of a host' FROM host LIMIT 1;",
+    )
+    .execute(&mut other)
+    .await
+    .expect("inserts");
+    pending.add(AggregatorIncidentKind::Storage, NOW, "new".to_owned());
+    bed.writer.keep_clocks(after(1), &mut pending).await.expect("stores");
+    assert_eq!(bed.count("SELECT count(*) FROM incident WHERE host IS NULL").await, 10_000);
+    assert_eq!(bed.count("SELECT count(*) FROM incident WHERE host IS NOT NULL").await, 1);
+    assert_eq!(incidents(&bed).await[0].text, "new");
+}
+
+/// Seconds that really pass, one look each minute: from the first commit to the deletion by an aggregator's writer.
+#[tokio::test]
+async fn data_goes_after_its_period_of_running_time() {
+    let mut bed = Bed::new().await;
+    let mut pending = PendingIncidents::new(STAMP);
+    let config = RetentionConfig { nodes_days: 1, seconds_days: 1, ..RetentionConfig::default() };
+    let connection = database::open(&bed.path).await.expect("opens");
+    bed.writer = Writer::new(bed.path.clone(), connection, config).await.expect("reads");
+    bed.run_of(50).await;
+    let mut look = async |bed: &mut Bed, minutes: std::ops::Range<i64>| {
+        for minute in minutes {
+            // The wall clock runs a thousand times as fast.
+            let stamp = Stamp { wall: NOW + Span::from_seconds(60_000 * minute), ..after(60 * minute) };
+            while bed.writer.retain(stamp).await.expect("steps") == Step::More {}
+            bed.writer.keep_clocks(stamp, &mut pending).await.expect("stores");
+        }
+    };
+    look(&mut bed, 1..24 * 60).await;
+    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 50);
+    let seconds = bed.count("SELECT count(*) FROM rollup WHERE resolution_s = 1").await;
+    // What arrives within a sixty-fourth of the period goes together.
+    look(&mut bed, 24 * 60..24 * 60 + 26).await;
+    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 0);
+    assert_eq!(bed.count("SELECT count(*) FROM rollup WHERE resolution_s = 1").await, 0);
+    let told = bed.store.incidents(1_000, None).await.expect("answers");
+    let deleted: Vec<&str> =
+        told.iter().filter(|row| row.kind == "retention").map(|row| row.text.as_str()).collect();
+    let expected = format!(
+        "deleted 50 iterations with their trees of 1 run (nodes_days = 1), {seconds} statistics per second of 1 run \
+         (seconds_days = 1)"
+    );
+    assert_eq!(deleted, [expected.as_str()]);
+}

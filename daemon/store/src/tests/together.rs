@@ -1,0 +1,71 @@
+//! Several runs taken together are what all their iterations are.
+
+use peernet_clock::Span;
+use peernet_logger::{Measure, NodeId, RunId, Unit, stage};
+use peernet_stream::Event;
+
+use super::{Bed, NOW, generate};
+use crate::types::RunStatistics;
+
+/// Stores a run of these readings, each in an iteration of its own.
+async fn store(bed: &mut Bed, readings: &[f64]) {
+    let (run, mut numbers) = (RunId::random(), generate::Numbers(11));
+    let mut events = vec![generate::run_started(run, "line", NOW)];
+    for (at, reading) in readings.iter().enumerate() {
+        let mut iteration = generate::iteration(run, at as u64 + 1, bed.hosts(), &mut numbers);
+        let measure = Measure::Value(*reading, Unit::new("m"));
+        iteration.tree.add(NodeId::ROOT, "range".into(), Span::ZERO, measure);
+        events.push(Event::Iteration(iteration));
+    }
+    let mut work = Vec::new();
+    for events in events.chunks(50) {
+        work.push(bed.batch(events.to_vec()));
+    }
+    bed.commit(&work).await;
+}
+
+#[tokio::test]
+async fn quantiles_of_several_runs_are_within_one_percent_of_those_of_all_samples() {
+    let mut bed = Bed::new().await;
+    // Three ranges, of which two overlap: no weighing of the runs' own quantiles comes near the true ones.
+    let mut numbers = generate::Numbers(5);
+    let mut readings = |count: usize, lo: i64, hi: i64| {
+        (0..count).map(|_| numbers.between(lo, hi) as f64 / 1e3).collect::<Vec<f64>>()
+    };
+    let runs = [readings(200, 1_000, 2_000), readings(150, 1_800, 5_000), readings(40, 90_000, 100_000)];
+    for run in &runs {
+        store(&mut bed, run).await;
+    }
+    let statistics = bed.store.statistics(&[3, 1, 2]).await.expect("answers");
+    let of = |known: &RunStatistics| {
+        let range = known.stages.iter().find(|known| known.stage == *"range").expect("stored");
+        assert_eq!(range.unit, "m");
+        range.figures
+    };
+    assert_eq!((of(&statistics[0]).p95, of(&statistics[1]).p99), (None, None), "too few of each");
+    let together = RunStatistics::together(&statistics);
+    let figures = of(&together);
+
+    let mut all = runs.concat();
+    all.sort_by(f64::total_cmp);
+    let mean = all.iter().sum::<f64>() / all.len() as f64;
+    let std = (all.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (all.len() - 1) as f64).sqrt();
+    assert_eq!((figures.count, figures.min, figures.max), (390, all[0], all[389]));
+    assert!((figures.mean - mean).abs() < 1e-9 * mean, "{figures:?} {mean}");
+    assert!((figures.std.expect("many") - std).abs() < 1e-9 * std, "{figures:?} {std}");
+    for (q, found) in [(0.5, Some(figures.p50)), (0.95, figures.p95), (0.99, figures.p99)] {
+        let rank = q * 389.0_f64;
+        let (below, above) = (all[rank.floor() as usize], all[rank.ceil() as usize]);
+        let (exact, found) = (below + (above - below) * rank.fract(), found.expect("enough together"));
+        assert!((found - exact).abs() <= 0.0101 * exact, "{q}: {found} {exact}");
+    }
+    let kept = together.kept.known("range").expect("kept");
+    assert_eq!((kept.count(), kept.moments.max), (390, all[389]));
+
+    // Bounds of delays are added up as well.
+    let bound = together.kept.bound(&stage::UPLOAD).expect("judged");
+    let each: Vec<_> = statistics.iter().filter_map(|run| run.kept.bound(&stage::UPLOAD)).collect();
+    assert_eq!(bound.verdicts[0].1, each.iter().map(|bound| bound.verdicts[0].1).sum::<u64>());
+    assert_eq!(bound.half_width.map(|width| width.count), Some(390));
+    assert!(together.bounds.contains(&bound));
+}

@@ -1,0 +1,70 @@
+//! Iterations are read back as they were sent.
+
+use peernet_clock::Span;
+use peernet_logger::{HostId, Measure, NodeId, RunId};
+use peernet_stream::{Event, Iteration, Outcome};
+
+use super::{Bed, generate};
+use crate::types::RunSummary;
+
+async fn run(bed: &Bed) -> RunSummary {
+    bed.store.run(1).await.expect("answers").expect("exists").summary
+}
+
+/// Stores a run of so many, then one that was lost and one with a part more; returns them all.
+async fn stored(bed: &mut Bed, iterations: u64) -> Vec<Iteration> {
+    let run = bed.run_of(iterations).await;
+    let mut numbers = generate::Numbers(7);
+    let mut next = |number| generate::iteration(run, number, bed.hosts(), &mut numbers);
+    let mut all: Vec<Iteration> = (1..=iterations).map(&mut next).collect();
+    let lost = Outcome::Lost("the cable".to_owned());
+    all.push(Iteration { outcome: lost, warm_up: true, episode: 2, ..next(iterations + 1) });
+    let mut more = next(iterations + 3);
+    more.tree.add(NodeId(1), "debayer".into(), Span::ZERO, Measure::Timer(Some(Span::from_micros(70))));
+    all.push(more);
+    let last = all[iterations as usize..].iter().cloned().map(Event::Iteration).collect();
+    let work = bed.batch(last);
+    bed.commit(&[work]).await;
+    all
+}
+
+#[tokio::test]
+async fn whole_iterations_are_what_was_sent() {
+    let mut bed = Bed::new().await;
+    let sent = stored(&mut bed, 450).await;
+    let (run, mut read, mut after, mut pages) = (run(&bed).await, Vec::new(), 0, 0);
+    while let Some((last, some)) = bed.store.whole(&run, after).await.expect("answers") {
+        read.extend(some);
+        (after, pages) = (last, pages + 1);
+    }
+    assert!(read == sent, "{:?}", read.iter().zip(&sent).find(|(read, sent)| read != sent));
+    assert_eq!((pages, after), (3, 453));
+}
+
+#[tokio::test]
+async fn each_shape_of_a_tree_is_found_once_on_a_page() {
+    let mut bed = Bed::new().await;
+    let sent = stored(&mut bed, 40).await;
+    let run = run(&bed).await;
+    let (last, firsts) = bed.store.shapes(&run, 0).await.expect("answers").expect("there are some");
+    assert_eq!((last, firsts), (43, vec![sent[0].clone(), sent[41].clone()]));
+    assert_eq!(bed.store.shapes(&run, 43).await.expect("answers"), None);
+    assert_eq!(bed.store.whole(&run, 43).await.expect("answers"), None);
+}
+
+/// A published server reports to no aggregator: it is known by what the edge calls it.
+#[tokio::test]
+async fn a_server_that_never_reported_has_the_name_of_the_run() {
+    let mut bed = Bed::new().await;
+    let (run, silent) = (RunId::random(), HostId::random());
+    let mut numbers = generate::Numbers(5);
+    let iteration = generate::iteration(run, 1, (bed.edge, silent), &mut numbers);
+    let started = generate::run_started(run, "line", generate::at(0.0));
+    let work = bed.batch(vec![started, Event::Iteration(iteration)]);
+    bed.commit(&[work]).await;
+    let detail = bed.store.iteration(1, 1).await.expect("answers").expect("exists");
+    let names: Vec<Option<String>> =
+        detail.hosts.iter().map(|host| host.as_ref().map(ToString::to_string)).collect();
+    assert_eq!(names, [Some("edge".to_owned()), Some("cloud".to_owned())]);
+    assert_eq!(detail.tree.anchors()[1].host, silent);
+}

@@ -1,0 +1,208 @@
+//! What is known of whole runs.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use peernet_clock::Verdict;
+use peernet_logger::{Name, stage};
+use peernet_statistics::Summary;
+use serde::Serialize;
+
+use crate::figures::{Bound, Figures, rank};
+
+/// Statistics of one node name over whole runs; successful iterations only, warm-up left out.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct StageStatistics {
+    /// The node's name.
+    pub stage: Name,
+    /// Unit of the figures: `s`, `B`, `bit/s` or the user's own.
+    pub unit: String,
+    /// Whether it is one of the stages that add up to `stages-total`.
+    pub is_stage: bool,
+    /// The figures.
+    pub figures: Figures,
+    /// Sum over the sum of `total`, 0 to 1, for durations; a child's share is also its parent's.
+    pub share: Option<f64>,
+    /// How well it is known, for one-way delays.
+    pub bound: Option<Bound>,
+}
+
+/// What is known of a whole run, or of several taken together.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RunStatistics {
+    /// Of each node name, in the order of tables.
+    pub stages: Vec<StageStatistics>,
+    /// How well the one-way delays are known: `upload`, `download`. Also where no delay had a value, so that there are
+    /// no statistics of it.
+    pub bounds: Vec<Bound>,
+    /// What both were made of.
+    pub kept: Arc<Kept>,
+}
+
+impl RunStatistics {
+    /// Several runs as if they were one: counts, means and deviations exact, quantiles within 1 %.
+    pub fn together(runs: &[Self]) -> Self {
+        if let [only] = runs {
+            return only.clone();
+        }
+        let mut all = Kept::default();
+        runs.iter().for_each(|run| all.merge(&run.kept));
+        Self::from(all)
+    }
+}
+
+impl From<Kept> for RunStatistics {
+    fn from(kept: Kept) -> Self {
+        Self { stages: kept.stages(), bounds: kept.bounds(), kept: Arc::new(kept) }
+    }
+}
+
+/// All that is kept of runs: how often, how long, how spread. Adding runs to each other loses nothing.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Kept {
+    values: HashMap<Name, Known>,
+    half_widths: HashMap<Name, Summary>,
+    verdicts: HashMap<Name, Vec<(Verdict, u64)>>,
+}
+
+/// What is known of one node name.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Known {
+    pub(crate) unit: String,
+    pub(crate) summary: Summary,
+}
+
+impl Known {
+    pub(crate) fn of_unit(unit: &str) -> Self {
+        Self { unit: unit.to_owned(), summary: Summary::default() }
+    }
+
+    pub(crate) fn figures(&self) -> Option<Figures> {
+        Figures::of(&self.summary)
+    }
+}
+
+impl Kept {
+    /// The values of a node name, in its SI unit; `None` where there are none.
+    pub fn known(&self, name: &str) -> Option<&Summary> {
+        self.values.get(name).map(|known| &known.summary)
+    }
+
+    /// Adds values of a node name. One that was used with several kinds is taken together.
+    pub fn add(&mut self, name: Name, unit: &str, values: &Summary) {
+        self.values.entry(name).or_insert_with(|| Known::of_unit(unit)).summary.merge(values);
+    }
+
+    /// Adds half the widths, seconds, of the intervals that contain the delays of one direction.
+    pub fn add_half_widths(&mut self, stage: Name, widths: &Summary) {
+        self.half_widths.entry(stage).or_default().merge(widths);
+    }
+
+    /// Adds that delays of one direction were judged so, this many times.
+    pub fn add_verdicts(&mut self, stage: Name, verdict: Verdict, times: u64) {
+        let known = self.verdicts.entry(stage).or_default();
+        match known.iter_mut().find(|(one, _)| *one == verdict) {
+            Some((_, sum)) => *sum += times,
+            None => known.push((verdict, times)),
+        }
+    }
+
+    /// Adds all of another.
+    pub fn merge(&mut self, other: &Self) {
+        for (name, known) in &other.values {
+            self.add(name.clone(), &known.unit, &known.summary);
+        }
+        for (stage, widths) in &other.half_widths {
+            self.add_half_widths(stage.clone(), widths);
+        }
+        for (stage, verdicts) in &other.verdicts {
+            verdicts.iter().for_each(|(verdict, times)| self.add_verdicts(stage.clone(), *verdict, *times));
+        }
+    }
+
+    fn stages(&self) -> Vec<StageStatistics> {
+        let sum = |known: &Known| known.summary.moments.sum();
+        let total = self.values.get(stage::TOTAL.as_str()).map(sum).filter(|total| *total > 0.0);
+        let stages = self.values.iter().filter_map(|(stage, known)| {
+            Some(StageStatistics {
+                stage: stage.clone(),
+                unit: known.unit.clone(),
+                is_stage: stage::ORDER.contains(stage),
+                figures: known.figures()?,
+                share: total.filter(|_| known.unit == "s").map(|total| sum(known) / total),
+                bound: self.bound(stage),
+            })
+        });
+        let mut stages: Vec<StageStatistics> = stages.collect();
+        stages.sort_by(|a, b| rank(&a.stage).cmp(&rank(&b.stage)));
+        stages
+    }
+
+    fn bounds(&self) -> Vec<Bound> {
+        let more = self.half_widths.keys().filter(|name| !self.verdicts.contains_key(*name));
+        let mut bounds: Vec<Bound> =
+            self.verdicts.keys().chain(more).filter_map(|name| self.bound(name)).collect();
+        bounds.sort_by(|a, b| rank(&a.stage).cmp(&rank(&b.stage)));
+        bounds
+    }
+
+    /// How well a one-way delay is known; `None` of what is none.
+    pub fn bound(&self, stage: &Name) -> Option<Bound> {
+        let (half_width, verdicts) = (self.half_widths.get(stage), self.verdicts.get(stage));
+        (half_width.is_some() || verdicts.is_some()).then(|| {
+            let mut verdicts = verdicts.cloned().unwrap_or_default();
+            verdicts.sort_by_key(|(one, _)| Verdict::ALL.iter().position(|known| known == one));
+            Bound { stage: stage.clone(), half_width: half_width.and_then(Figures::of), verdicts }
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run(values: impl Iterator<Item = f64>, verdict: Verdict) -> RunStatistics {
+        let (mut kept, mut total) = (Kept::default(), Summary::default());
+        values.for_each(|value| total.record(value));
+        let mut upload = Summary::default();
+        (0..total.count()).for_each(|_| upload.record(0.002));
+        kept.add(stage::TOTAL, "s", &total);
+        kept.add(stage::UPLOAD, "s", &upload);
+        kept.add_half_widths(stage::UPLOAD, &upload);
+        kept.add_verdicts(stage::UPLOAD, verdict, total.count());
+        RunStatistics::from(kept)
+    }
+
+    #[test]
+    fn several_runs_are_as_one_with_all_their_samples() {
+        let all: Vec<f64> = (0..400).map(|n| 0.01 + f64::from(n % 13) * 1e-3).collect();
+        let part = |some: &[f64], verdict| run(some.iter().copied(), verdict);
+        let parts = [part(&all[..150], Verdict::Stale), part(&all[150..], Verdict::Ok)];
+        let (whole, parts) = (part(&all, Verdict::Ok), RunStatistics::together(&parts));
+        let names: Vec<&Name> = parts.stages.iter().map(|known| &known.stage).collect();
+        assert_eq!(names, [&stage::UPLOAD, &stage::TOTAL]);
+        let (one, other) = (whole.stages[1].figures, parts.stages[1].figures);
+        assert!((one.mean - other.mean).abs() < 1e-12);
+        assert!((one.std.expect("many") - other.std.expect("many")).abs() < 1e-12);
+        assert_eq!(
+            (one.count, one.min, one.p50, one.p95, one.p99, one.max),
+            (other.count, other.min, other.p50, other.p95, other.p99, other.max)
+        );
+        assert!(one.p99.is_some(), "four hundred are enough");
+        let share = 400.0 * 0.002 / all.iter().sum::<f64>();
+        assert!((parts.stages[0].share.expect("a duration") - share).abs() < 1e-9);
+        let bound = parts.stages[0].bound.clone().expect("a delay");
+        assert_eq!(bound.verdicts, [(Verdict::Ok, 250), (Verdict::Stale, 150)], "in the order of all");
+        assert_eq!(bound.half_width.map(|width| width.count), Some(400));
+        assert_eq!(parts.bounds, [bound]);
+    }
+
+    #[test]
+    fn quantiles_of_few_runs_wait_until_there_are_enough_samples_together() {
+        let short = run((0..40).map(|_| 0.01), Verdict::Ok);
+        let of = |runs: &[RunStatistics]| RunStatistics::together(runs).stages[1].figures;
+        assert_eq!(of(std::slice::from_ref(&short)).p95, None);
+        assert!(of(&[short.clone(), short]).p95.is_some(), "eighty together");
+        assert_eq!(RunStatistics::together(&[]), RunStatistics::default());
+    }
+}

@@ -1,0 +1,103 @@
+//! Batches that are put aside: kept as they came, and what is missing because of it.
+
+use std::collections::BTreeMap;
+
+use bytes::Bytes;
+use peernet_clock::WallTime;
+use peernet_logger::RunId;
+use peernet_stream::{BatchHead, Event, Gap, codec};
+use sqlx::SqliteConnection;
+
+use super::entities::{Entities, Reporter};
+use super::prepared::Prepared;
+use super::{Aside, Refusal, records};
+use crate::stored::Stored;
+
+/// A batch to be put aside.
+pub(super) struct Rejected<'a> {
+    pub(super) head: BatchHead,
+    frame: Bytes,
+    events: Option<Vec<Event>>,
+    reason: &'a str,
+}
+
+impl<'a> Rejected<'a> {
+    /// One that was found bad before it reached the database.
+    pub(super) fn aside(aside: &'a Aside) -> Self {
+        let events = aside.body.as_ref().and_then(|body| codec::events(body, aside.head.events).ok());
+        Self { head: aside.head, frame: aside.frame.clone(), events, reason: &aside.reason }
+    }
+
+    /// One that the database refused.
+    pub(super) fn refused(batch: &Prepared, reason: &'a str) -> Self {
+        let (head, body) = (batch.head, &batch.body);
+        let frame = Bytes::from(codec::batch_frame(&head, body, false));
+        Self { head, frame, events: codec::events(body, head.events).ok(), reason }
+    }
+
+    /// Why it cannot be stored.
+    pub(super) fn reason(&self) -> &str {
+        self.reason
+    }
+
+    /// Keeps it and records its events as missing: by run where they can be read, else as many as its head claims, if
+    /// it can hold so many. Returns what that adds to the counters of its host.
+    pub(super) async fn put(
+        self,
+        connection: &mut SqliteConnection,
+        entities: &mut Entities,
+        reporter: Reporter,
+        now: WallTime,
+    ) -> Result<Stored, Refusal> {
+        let kept = (self.events.as_ref().map(Vec::len), &self.frame);
+        records::quarantine(connection, reporter.row, self.head, kept, self.reason, now).await?;
+        let gap = |run, at, count| Gap {
+            pipeline: None,
+            run,
+            from: at,
+            to: at,
+            count,
+            reason: format!("a batch was put aside: {}", self.reason),
+        };
+        let gaps = match &self.events {
+            Some(events) => {
+                let mut runs = BTreeMap::<Option<RunId>, Gap>::new();
+                for event in events {
+                    let (run, at) = (event.claim().run, happened(event));
+                    let run = match run {
+                        Some(run) => entities.known_run(connection, reporter, run).await?.and(Some(run)),
+                        None => None,
+                    };
+                    let at = at.unwrap_or(now);
+                    let known = runs.entry(run).or_insert_with(|| gap(run, at, 0));
+                    (known.from, known.to) = (known.from.min(at), known.to.max(at));
+                    known.count += 1;
+                }
+                runs.into_values().collect()
+            }
+            None => {
+                let claimed = self.head.events as usize;
+                // Each takes a byte at least.
+                let count = if claimed <= self.frame.len() { claimed as u64 } else { 0 };
+                vec![gap(None, now, count)]
+            }
+        };
+        for gap in &gaps {
+            records::gap(connection, entities, reporter, gap).await?;
+        }
+        let missing = gaps.iter().map(|gap| gap.count).sum();
+        Ok(Stored { quarantined: 1, gaps: gaps.len() as u64, missing, ..Stored::default() })
+    }
+}
+
+/// When an event happened, on its host's clock.
+fn happened(event: &Event) -> Option<WallTime> {
+    match event {
+        Event::RunStarted(run) => Some(run.started),
+        Event::RunEnded(end) => Some(end.ended),
+        Event::Iteration(iteration) => iteration.tree.anchors().first().map(|edge| edge.wall),
+        Event::Incident(incident) => Some(incident.at),
+        Event::Gap(gap) => Some(gap.to),
+        Event::Clock(sample) => Some(sample.at),
+    }
+}

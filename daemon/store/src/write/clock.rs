@@ -1,0 +1,198 @@
+//! Links and the samples of their clock relations: one row per link and second.
+
+use std::collections::HashMap;
+
+use peernet_clock::{DelaySource, Exchange, Interval, Offset, Verdict, WallTime};
+use peernet_logger::{HostId, Slug};
+use peernet_stream::{ClockSample, DelaySecond};
+use sqlx::error::BoxDynError;
+use sqlx::sqlite::SqliteArguments;
+use sqlx::{Arguments, SqliteConnection};
+
+use super::Refusal;
+use super::entities::Entities;
+use super::prepared::position;
+use crate::column::column;
+use crate::extent::Extent;
+use crate::plausible;
+
+/// Links kept in memory; beyond, all are forgotten and read again when needed.
+const MOST_LINKS: usize = 10_000;
+
+/// A second that comes again replaces what was stored of it, as in the live picture: each report of it is complete up
+/// to then.
+const INSERT: &str = "INSERT OR REPLACE INTO clock_sample (link, at_ns, window, max_drift_ppm, \
+     upper_sent_ns, upper_received_ns, upper_replied_ns, upper_returned_ns, upper_uncertainty_ns, \
+     lower_sent_ns, lower_received_ns, lower_replied_ns, lower_returned_ns, lower_uncertainty_ns, \
+     offset_ns, offset_lo_ns, offset_hi_ns, offset_source, offset_verdict, offset_sources, skew_ppm, exchanges, age_ns, \
+     probes_sent, probes_answered, probes_lost, round_trip_min_ns, round_trip_median_ns, \
+     up_count, up_ns, up_lo_ns, up_hi_ns, up_bits_per_second, up_verdict, \
+     down_count, down_ns, down_lo_ns, down_hi_ns, down_bits_per_second, down_verdict, \
+     taken, impossible, outliers, stepped, restarts) \
+     VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, \
+     ?, ?, ?, ?, ?, ?, ?, ?, ?)";
+
+const WINDOW: &str = "INSERT INTO clock_window (link, window, first_ns, last_ns) VALUES (?1, ?2, ?3, ?3) \
+     ON CONFLICT (link, window) DO UPDATE SET first_ns = min(first_ns, excluded.first_ns), \
+     last_ns = max(last_ns, excluded.last_ns)";
+
+/// ?1 link, ?2 the storage clock, ?3 and ?4 the first and the last time.
+const ARRIVED: &str = "UPDATE link SET arriving_from_s = coalesce(arriving_from_s, ?2), \
+     arriving_first_ns = min(coalesce(arriving_first_ns, ?3), ?3), \
+     arriving_last_ns = max(coalesce(arriving_last_ns, ?4), ?4) WHERE id = ?1";
+
+/// What the writer remembers of the table `link`: by the edge's row and the cloud, its row and the cloud's name.
+#[derive(Debug, Default)]
+pub(super) struct Links {
+    known: HashMap<(i64, HostId), (i64, Slug)>,
+    /// Times of the samples that the transaction stores, by link.
+    arrived: HashMap<i64, Extent>,
+}
+
+impl Links {
+    /// Stores a second of the relation between an edge's clock and a cloud's, which may never have been heard of.
+    pub(super) async fn store(
+        &mut self,
+        connection: &mut SqliteConnection,
+        entities: &mut Entities,
+        edge: i64,
+        sample: &ClockSample,
+        now: WallTime,
+    ) -> Result<(), Refusal> {
+        let link = self.link(connection, entities, edge, sample, now).await?;
+        let values = values(link, sample).map_err(sqlx::Error::Encode)?;
+        sqlx::query_with(INSERT, values).execute(&mut *connection).await?;
+        sqlx::query(WINDOW)
+            .bind(link)
+            .bind(sample.window.cast_signed())
+            .bind(sample.at.unix_nanos())
+            .execute(connection)
+            .await?;
+        let at = Extent::of(sample.at.unix_nanos());
+        self.arrived.entry(link).and_modify(|known| *known = known.hull(at)).or_insert(at);
+        Ok(())
+    }
+
+    /// Writes what arrived of each link, for retention; `storage_s` is the storage clock.
+    pub(super) async fn write(
+        &mut self,
+        connection: &mut SqliteConnection,
+        storage_s: i64,
+    ) -> Result<(), sqlx::Error> {
+        for (link, Extent { first, last }) in self.arrived.drain() {
+            sqlx::query(ARRIVED)
+                .bind(link)
+                .bind(storage_s)
+                .bind(first)
+                .bind(last)
+                .execute(&mut *connection)
+                .await?;
+        }
+        Ok(())
+    }
+
+    /// Forgets what is only in memory: the transaction did not end well.
+    pub(super) fn forget(&mut self) {
+        self.known.clear();
+        self.arrived.clear();
+    }
+
+    async fn link(
+        &mut self,
+        connection: &mut SqliteConnection,
+        entities: &mut Entities,
+        edge: i64,
+        sample: &ClockSample,
+        now: WallTime,
+    ) -> Result<i64, Refusal> {
+        if let Some((link, name)) = self.known.get(&(edge, sample.peer))
+            && *name == sample.peer_name
+        {
+            return Ok(*link);
+        }
+        let cloud = entities.host(connection, sample.peer, now).await?;
+        let link = sqlx::query_scalar(
+            "INSERT INTO link (edge, cloud, cloud_name) VALUES (?, ?, ?) \
+             ON CONFLICT (edge, cloud) DO UPDATE SET cloud_name = excluded.cloud_name RETURNING id",
+        )
+        .bind(edge)
+        .bind(cloud)
+        .bind(sample.peer_name.as_str())
+        .fetch_one(connection)
+        .await?;
+        if self.known.len() >= MOST_LINKS {
+            self.known.clear();
+        }
+        self.known.insert((edge, sample.peer), (link, sample.peer_name.clone()));
+        Ok(link)
+    }
+}
+
+/// The values of a row. SQLite keeps not-a-number as NULL.
+fn values(link: i64, sample: &ClockSample) -> Result<SqliteArguments, BoxDynError> {
+    let mut to = SqliteArguments::default();
+    to.add(link)?;
+    to.add(sample.at.unix_nanos())?;
+    // SQLite's integers are signed: the bits are kept.
+    to.add(sample.window.cast_signed())?;
+    to.add(sample.max_drift_ppm)?;
+    exchange(sample.upper, &mut to)?;
+    exchange(sample.lower, &mut to)?;
+    offset(sample.offset.as_ref().and_then(plausible::offset).as_ref(), &mut to)?;
+    to.add(sample.probes.sent)?;
+    to.add(sample.probes.answered)?;
+    to.add(sample.probes.lost)?;
+    to.add(sample.round_trip.map(|trip| trip.min.nanos()))?;
+    to.add(sample.round_trip.map(|trip| trip.median.nanos()))?;
+    delay(sample.up, &mut to)?;
+    delay(sample.down, &mut to)?;
+    let counts = &sample.exchanges;
+    for count in [counts.taken, counts.impossible, counts.outliers, counts.stepped] {
+        to.add(column(count))?;
+    }
+    to.add(counts.restarts)?;
+    Ok(to)
+}
+
+fn exchange(exchange: Option<Exchange>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
+    let stamps = |it: Exchange| {
+        let Exchange { sent, received, replied, returned, uncertainty } = it;
+        let [sent, received, replied, returned] =
+            [sent, received, replied, returned].map(WallTime::unix_nanos);
+        [sent, received, replied, returned, uncertainty.nanos()].map(Some)
+    };
+    exchange.map_or([None; 5], stamps).into_iter().try_for_each(|stamp| to.add(stamp))
+}
+
+fn offset(offset: Option<&Offset>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
+    let nanos = |of: fn(&Offset) -> i64| offset.map(of);
+    to.add(nanos(|it| it.estimate.nanos()))?;
+    to.add(nanos(|it| it.bounds.lo.nanos()))?;
+    to.add(nanos(|it| it.bounds.hi.nanos()))?;
+    to.add(offset.and_then(|it| position(DelaySource::ALL, it.source)))?;
+    to.add(offset.and_then(|it| position(Verdict::ALL, it.verdict)))?;
+    to.add(offset.and_then(sources).map(|it| serde_json::to_string(&it)).transpose()?)?;
+    to.add(offset.and_then(|it| it.skew_ppm))?;
+    to.add(offset.map(|it| column(it.exchanges)))?;
+    to.add(offset.and_then(|it| it.age).map(|age| age.nanos()))
+}
+
+/// What each source says alone; nothing when that says no more than the offset itself.
+fn sources(offset: &Offset) -> Option<Vec<(&'static str, i64, i64)>> {
+    if offset.sources == [(offset.source, offset.bounds)] {
+        return None;
+    }
+    let row = |(source, of): &(DelaySource, Interval)| (source.name(), of.lo.nanos(), of.hi.nanos());
+    Some(offset.sources.iter().map(row).collect())
+}
+
+fn delay(second: Option<DelaySecond>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
+    let second = second.map(plausible::delays);
+    let median = second.and_then(|second| second.median);
+    to.add(second.map(|second| second.count))?;
+    to.add(median.map(|median| median.value.nanos()))?;
+    to.add(median.map(|median| median.bounds.lo.nanos()))?;
+    to.add(median.map(|median| median.bounds.hi.nanos()))?;
+    to.add(median.and_then(|median| median.bits_per_second))?;
+    to.add(second.and_then(|second| position(Verdict::ALL, second.verdict)))
+}

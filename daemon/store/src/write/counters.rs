@@ -1,0 +1,195 @@
+//! Counters of hosts and runs: added up over a transaction, written at its end.
+
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
+
+use peernet_clock::WallTime;
+use peernet_logger::HostId;
+use peernet_stream::OutcomeCounts;
+use sqlx::{Arguments, SqliteConnection};
+
+use super::ends::LEFT;
+use super::insert::Insert;
+use super::prepared::RunPart;
+use crate::column::{column, count};
+use crate::extent::Extent;
+use crate::stored::Stored;
+
+/// Hosts whose counters are kept in memory, as many as `[aggregator] max_hosts` may allow; beyond, all are forgotten and read
+/// again when needed.
+const MOST_HOSTS: usize = 65_536;
+
+/// Skipped starts that a run may have: an agent may claim any number, and no column and no sum of runs may overflow.
+const MOST_SKIPPED: u64 = 1 << 53;
+
+/// What a transaction adds to the counters of a host.
+#[derive(Debug, Default)]
+pub(super) struct HostCounts {
+    id: i64,
+    added: Stored,
+    pub(super) newest: Option<WallTime>,
+}
+
+#[derive(Debug, Default)]
+struct RunCounts {
+    outcomes: OutcomeCounts,
+    warm_up: u64,
+    skipped_starts: u64,
+    last: WallTime,
+    /// Numbers and seconds of the iterations.
+    arrived: Option<(Extent, Extent)>,
+}
+
+/// What a transaction adds, and the hosts' counters as they will stand after it.
+#[derive(Debug)]
+pub(super) struct Counters {
+    hosts: HashMap<HostId, HostCounts>,
+    runs: HashMap<i64, RunCounts>,
+    totals: HashMap<i64, Stored>,
+    write_hosts: Insert,
+    write_runs: Insert,
+}
+
+impl Default for Counters {
+    fn default() -> Self {
+        Self {
+            hosts: HashMap::new(),
+            runs: HashMap::new(),
+            totals: HashMap::new(),
+            // Whole counts and no sums: what an agent claims to be missing may not overflow a column.
+            write_hosts: Insert::new(
+                "UPDATE host SET last_seen_ns = now.column2, events = now.column3, nodes = now.column4, \
+                 gaps = now.column5, missing = now.column6, quarantined = now.column7 FROM (",
+                7,
+                ") AS now WHERE host.id = now.column1",
+            ),
+            write_runs: Insert::new(
+                "UPDATE run SET warm_up = warm_up + more.column2, ok = ok + more.column3, \
+                 failed = failed + more.column4, lost = lost + more.column5, timeout = timeout + more.column6, \
+                 last_iteration_ns = max(coalesce(last_iteration_ns, more.column7), more.column7), \
+                 ended_ns = iif(end_reason = more.column8, max(ended_ns, more.column7), ended_ns), \
+                 skipped_starts = min(skipped_starts + more.column9, more.column10), \
+                 arriving_from_s = coalesce(arriving_from_s, more.column11), \
+                 arriving_first_number = min(coalesce(arriving_first_number, more.column12), more.column12), \
+                 arriving_last_number = max(coalesce(arriving_last_number, more.column13), more.column13), \
+                 arriving_first_s = min(coalesce(arriving_first_s, more.column14), more.column14), \
+                 arriving_last_s = max(coalesce(arriving_last_s, more.column15), more.column15) FROM (",
+                15,
+                ") AS more WHERE run.number = more.column1",
+            ),
+        }
+    }
+}
+
+impl Counters {
+    /// What the transaction adds to a host, whose row has that id.
+    pub(super) fn host(&mut self, host: HostId, id: i64) -> &mut HostCounts {
+        let counts = self.hosts.entry(host).or_default();
+        counts.id = id;
+        counts
+    }
+
+    /// Adds to a run.
+    pub(super) fn run(&mut self, run: i64, part: &RunPart) {
+        let counts = self.runs.entry(run).or_default();
+        counts.outcomes.merge(&part.outcomes);
+        counts.warm_up += part.warm_up;
+        counts.skipped_starts = counts.skipped_starts.saturating_add(part.skipped_starts).min(MOST_SKIPPED);
+        counts.last = counts.last.max(part.last);
+        let (numbers, seconds) = counts.arrived.unwrap_or((part.numbers, part.seconds));
+        counts.arrived = Some((numbers.hull(part.numbers), seconds.hull(part.seconds)));
+    }
+
+    /// Writes all of it; returns what the database then holds of the hosts, and their newest moments.
+    pub(super) async fn write(
+        &mut self,
+        connection: &mut SqliteConnection,
+        now: WallTime,
+        storage_s: i64,
+    ) -> Result<HashMap<HostId, (Stored, Option<WallTime>)>, sqlx::Error> {
+        self.write_runs
+            .run(connection, &self.runs, |(run, counts), to| {
+                to.add(*run)?;
+                to.add(column(counts.warm_up))?;
+                to.add(column(counts.outcomes.ok))?;
+                to.add(column(counts.outcomes.failed))?;
+                to.add(column(counts.outcomes.lost))?;
+                to.add(column(counts.outcomes.timeout))?;
+                to.add(counts.last.unix_nanos())?;
+                to.add(LEFT)?;
+                to.add(column(counts.skipped_starts))?;
+                to.add(column(MOST_SKIPPED))?;
+                to.add(counts.arrived.map(|_| storage_s))?;
+                to.add(counts.arrived.map(|(numbers, _)| numbers.first))?;
+                to.add(counts.arrived.map(|(numbers, _)| numbers.last))?;
+                to.add(counts.arrived.map(|(_, seconds)| seconds.first))?;
+                to.add(counts.arrived.map(|(_, seconds)| seconds.last))
+            })
+            .await?;
+        self.runs.clear();
+        if self.totals.len() > MOST_HOSTS {
+            self.totals.clear();
+        }
+        let mut hosts = Vec::with_capacity(self.hosts.len());
+        for (host, counts) in self.hosts.drain() {
+            let total = match self.totals.entry(counts.id) {
+                Entry::Occupied(known) => known.into_mut(),
+                Entry::Vacant(place) => place.insert(total(connection, counts.id).await?),
+            };
+            total.add(&counts.added);
+            hosts.push((host, counts.id, *total, counts.newest));
+        }
+        self.write_hosts
+            .run(connection, &hosts, |(_, id, total, _), to| {
+                to.add(*id)?;
+                to.add(now.unix_nanos())?;
+                to.add(column(total.events))?;
+                to.add(column(total.nodes))?;
+                to.add(column(total.gaps))?;
+                to.add(column(total.missing))?;
+                to.add(column(total.quarantined))
+            })
+            .await?;
+        Ok(hosts.into_iter().map(|(host, _, total, newest)| (host, (total, newest))).collect())
+    }
+
+    /// Forgets what is only in memory: the transaction was rolled back.
+    pub(super) fn forget(&mut self) {
+        self.hosts.clear();
+        self.runs.clear();
+        self.totals.clear();
+    }
+}
+
+impl HostCounts {
+    pub(super) fn add(&mut self, more: &Stored) {
+        self.added.add(more);
+    }
+}
+
+impl Stored {
+    /// From the columns of `host`: events, nodes, gaps, missing, quarantined.
+    pub(super) fn of_columns((events, nodes, gaps, missing, quarantined): (i64, i64, i64, i64, i64)) -> Self {
+        let [events, nodes, gaps, missing, quarantined] =
+            [events, nodes, gaps, missing, quarantined].map(count);
+        Self { events, nodes, gaps, missing, duplicates: 0, quarantined }
+    }
+
+    pub(super) fn add(&mut self, more: &Self) {
+        let Self { events, nodes, gaps, missing, duplicates: _, quarantined } = more;
+        self.events = self.events.saturating_add(*events);
+        self.nodes = self.nodes.saturating_add(*nodes);
+        self.gaps = self.gaps.saturating_add(*gaps);
+        self.missing = self.missing.saturating_add(*missing);
+        self.quarantined = self.quarantined.saturating_add(*quarantined);
+    }
+}
+
+async fn total(connection: &mut SqliteConnection, host: i64) -> Result<Stored, sqlx::Error> {
+    let counts: (i64, i64, i64, i64, i64) =
+        sqlx::query_as("SELECT events, nodes, gaps, missing, quarantined FROM host WHERE id = ?")
+            .bind(host)
+            .fetch_one(connection)
+            .await?;
+    Ok(Stored::of_columns(counts))
+}

@@ -1,0 +1,396 @@
+//! Hosts, pipelines, runs and streams: what the rows of iterations refer to.
+
+use std::collections::HashMap;
+use std::str::FromStr;
+
+use peernet_clock::WallTime;
+use peernet_logger::{HostId, RunId};
+use peernet_stream::{HostDescription, PlacementKind, RunDescription, RunEnded};
+use serde::Serialize;
+use sqlx::SqliteConnection;
+
+use super::{Refusal, RunName};
+use crate::stored::Stored;
+
+/// Runs kept in memory; beyond, all are forgotten and read again when needed.
+const MOST_RUNS: usize = 10_000;
+/// Stands for what is not known of a run whose beginning never arrived.
+pub(crate) const UNKNOWN: &str = "unknown";
+
+/// The host whose batch or message is being stored. Only what belongs to it can be found or changed through it: runs are
+/// looked up by their reporter, whatever kind of event names them.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Reporter {
+    pub(super) id: HostId,
+    /// Its row of the table `host`.
+    pub(super) row: i64,
+}
+
+/// What the writer remembers of the small tables.
+#[derive(Debug, Default)]
+pub(super) struct Entities {
+    hosts: HashMap<HostId, i64>,
+    /// By the reporting host's row, and the id under which it reports the run.
+    runs: HashMap<(i64, RunId), KnownRun>,
+    /// Runs that came into `runs` since they were last asked for.
+    met: Vec<(HostId, RunId, i64)>,
+    /// Runs that were made without their beginning since they were last asked for.
+    unknown: Vec<(HostId, RunId)>,
+}
+
+/// A run that exists in the store.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct KnownRun {
+    pub(super) number: i64,
+    /// Its own id: another than that under which it is reported, where another host used that one before.
+    uuid: RunId,
+}
+
+/// What the store knows of a run id.
+#[derive(Clone, Copy, Debug)]
+struct Lookup {
+    /// The reporter's run of this id.
+    own: Option<KnownRun>,
+    /// Whether another host has a run of this id.
+    is_taken: bool,
+}
+
+impl Entities {
+    /// The row of a host, made when missing.
+    pub(super) async fn host(
+        &mut self,
+        connection: &mut SqliteConnection,
+        host: HostId,
+        now: WallTime,
+    ) -> Result<i64, Refusal> {
+        if let Some(id) = self.hosts.get(&host) {
+            return Ok(*id);
+        }
+        // The update changes nothing: it makes RETURNING answer for a row that was there.
+        let id = sqlx::query_scalar(
+            "INSERT INTO host (uuid, first_seen_ns, last_seen_ns) VALUES (?1, ?2, ?2) \
+             ON CONFLICT (uuid) DO UPDATE SET uuid = uuid RETURNING id",
+        )
+        .bind(host.to_string())
+        .bind(now.unix_nanos())
+        .fetch_one(connection)
+        .await?;
+        self.hosts.insert(host, id);
+        Ok(id)
+    }
+
+    /// The row of a host, if there is one.
+    pub(super) async fn known_host(
+        &self,
+        connection: &mut SqliteConnection,
+        host: HostId,
+    ) -> Result<Option<i64>, Refusal> {
+        if let Some(id) = self.hosts.get(&host) {
+            return Ok(Some(*id));
+        }
+        let id = sqlx::query_scalar("SELECT id FROM host WHERE uuid = ?").bind(host.to_string());
+        Ok(id.fetch_optional(connection).await?)
+    }
+
+    /// Takes down how a host introduced itself.
+    pub(super) async fn introduce(
+        &mut self,
+        connection: &mut SqliteConnection,
+        description: &HostDescription,
+        now: WallTime,
+    ) -> Result<i64, Refusal> {
+        let id = self.host(connection, description.id, now).await?;
+        let json = json(description)?;
+        sqlx::query("UPDATE host SET name = ?, description = ?, last_seen_ns = ? WHERE id = ?")
+            .bind(description.name.as_str())
+            .bind(json)
+            .bind(now.unix_nanos())
+            .bind(id)
+            .execute(connection)
+            .await?;
+        Ok(id)
+    }
+
+    /// The run that rows of the reporter refer to; one is made when its beginning never arrived.
+    pub(super) async fn run_of(
+        &mut self,
+        connection: &mut SqliteConnection,
+        reporter: Reporter,
+        run: RunId,
+        seen: WallTime,
+    ) -> Result<KnownRun, Refusal> {
+        let found = self.look_up(connection, reporter, run).await?;
+        if let Some(own) = found.own {
+            return Ok(own);
+        }
+        let (uuid, reported) = found.ids(run);
+        let pipeline = pipeline(connection, reporter.row, UNKNOWN).await?;
+        let number = sqlx::query_scalar(
+            "INSERT INTO run (uuid, reported_uuid, pipeline, started_ns, placement, model, facts, configuration, version) \
+             VALUES (?1, ?2, ?3, ?4, 'local', ?5, '[]', '', '') RETURNING number",
+        )
+        .bind(uuid.to_string())
+        .bind(reported.map(|run| run.to_string()))
+        .bind(pipeline)
+        .bind(seen.unix_nanos())
+        .bind(UNKNOWN)
+        .fetch_one(connection)
+        .await?;
+        self.unknown.push((reporter.id, run));
+        Ok(self.remember(reporter, run, KnownRun { number, uuid }))
+    }
+
+    /// The reporter's run of this id, if it exists.
+    pub(super) async fn known_run(
+        &mut self,
+        connection: &mut SqliteConnection,
+        reporter: Reporter,
+        run: RunId,
+    ) -> Result<Option<KnownRun>, Refusal> {
+        Ok(self.look_up(connection, reporter, run).await?.own)
+    }
+
+    /// Whether a run of this id belongs to another host and none to the reporter.
+    pub(super) async fn is_foreign(
+        &mut self,
+        connection: &mut SqliteConnection,
+        reporter: Reporter,
+        run: RunId,
+    ) -> Result<bool, Refusal> {
+        let found = self.look_up(connection, reporter, run).await?;
+        Ok(found.own.is_none() && found.is_taken)
+    }
+
+    async fn look_up(
+        &mut self,
+        connection: &mut SqliteConnection,
+        reporter: Reporter,
+        run: RunId,
+    ) -> Result<Lookup, Refusal> {
+        if let Some(known) = self.runs.get(&(reporter.row, run)) {
+            return Ok(Lookup { own: Some(*known), is_taken: false });
+        }
+        let rows: Vec<(i64, String, i64)> = sqlx::query_as(
+            "SELECT run.number, run.uuid, pipeline.host FROM run JOIN pipeline ON pipeline.id = run.pipeline \
+             WHERE run.uuid = ?1 OR run.reported_uuid = ?1",
+        )
+        .bind(run.to_string())
+        .fetch_all(connection)
+        .await?;
+        let is_taken = !rows.is_empty();
+        let own = rows.into_iter().find(|(_, _, host)| *host == reporter.row);
+        let own = own
+            .map(|(number, uuid, _)| Ok::<_, sqlx::Error>(KnownRun { number, uuid: id(&uuid)? }))
+            .transpose()?;
+        let own = own.map(|own| self.remember(reporter, run, own));
+        Ok(Lookup { own, is_taken })
+    }
+
+    /// A run began; or its description arrives after some of its iterations. Returns it and its pipeline.
+    pub(super) async fn run_started(
+        &mut self,
+        connection: &mut SqliteConnection,
+        reporter: Reporter,
+        run: &RunDescription,
+    ) -> Result<(KnownRun, i64), Refusal> {
+        let (uuid, reported) = self.look_up(connection, reporter, run.run).await?.ids(run.run);
+        let pipeline = pipeline(connection, reporter.row, run.pipeline.as_str()).await?;
+        let facts = json(&run.facts)?;
+        let experiment = run.experiment.as_ref().map(json).transpose()?;
+        let conditions = (!run.conditions.is_empty()).then(|| json(&run.conditions)).transpose()?;
+        let placement = &run.placement;
+        let number = sqlx::query_scalar(
+            "INSERT INTO run (uuid, reported_uuid, pipeline, started_ns, placement, peer, network, address, model, device, \
+             facts, configuration, version, experiment, conditions) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) \
+             ON CONFLICT (uuid) DO UPDATE SET pipeline = excluded.pipeline, started_ns = excluded.started_ns, \
+             placement = excluded.placement, peer = excluded.peer, network = excluded.network, \
+             address = excluded.address, model = excluded.model, device = excluded.device, facts = excluded.facts, \
+             configuration = excluded.configuration, version = excluded.version, \
+             experiment = excluded.experiment, conditions = excluded.conditions \
+             RETURNING number",
+        )
+        .bind(uuid.to_string())
+        .bind(reported.map(|run| run.to_string()))
+        .bind(pipeline)
+        .bind(run.started.unix_nanos())
+        .bind(placement_word(placement.kind))
+        .bind(placement.peer.as_ref().map(ToString::to_string))
+        .bind(placement.network.as_deref())
+        .bind(placement.address.as_deref())
+        .bind(placement.model.as_str())
+        .bind(placement.device.as_deref())
+        .bind(facts)
+        .bind(run.configuration.as_str())
+        .bind(run.version.as_str())
+        .bind(experiment)
+        .bind(conditions)
+        .fetch_one(connection)
+        .await?;
+        Ok((self.remember(reporter, run.run, KnownRun { number, uuid }), pipeline))
+    }
+
+    /// The live lane names a run. What its beginning told, or will tell, counts more.
+    pub(super) async fn name_run(
+        &mut self,
+        connection: &mut SqliteConnection,
+        name: &RunName,
+        now: WallTime,
+    ) -> Result<(), Refusal> {
+        let reporter = Reporter { id: name.host, row: self.host(connection, name.host, now).await? };
+        let Some(known) = self.known_run(connection, reporter, name.run).await? else { return Ok(()) };
+        let pipeline = pipeline(connection, reporter.row, name.pipeline.as_str()).await?;
+        let placement = &name.placement;
+        sqlx::query(
+            "UPDATE run SET pipeline = ?, placement = ?, peer = ?, network = ?, address = ?, model = ?, device = ? \
+             WHERE number = ? AND model = ? AND version = ''",
+        )
+        .bind(pipeline)
+        .bind(placement_word(placement.kind))
+        .bind(placement.peer.as_ref().map(ToString::to_string))
+        .bind(placement.network.as_deref())
+        .bind(placement.address.as_deref())
+        .bind(placement.model.as_str())
+        .bind(placement.device.as_deref())
+        .bind(known.number)
+        .bind(UNKNOWN)
+        .execute(connection)
+        .await?;
+        Ok(())
+    }
+
+    /// A run ended.
+    pub(super) async fn run_ended(
+        &mut self,
+        connection: &mut SqliteConnection,
+        reporter: Reporter,
+        end: &RunEnded,
+    ) -> Result<(), Refusal> {
+        let run = self.run_of(connection, reporter, end.run, end.ended).await?;
+        sqlx::query("UPDATE run SET ended_ns = ?, end_reason = ? WHERE number = ?")
+            .bind(end.ended.unix_nanos())
+            .bind(end.reason.as_str())
+            .bind(run.number)
+            .execute(connection)
+            .await?;
+        Ok(())
+    }
+
+    /// Forgets what is only in memory: the transaction did not end well.
+    pub(super) fn forget(&mut self) {
+        self.hosts.clear();
+        self.runs.clear();
+        self.met.clear();
+        self.unknown.clear();
+    }
+
+    fn remember(&mut self, reporter: Reporter, run: RunId, known: KnownRun) -> KnownRun {
+        if self.runs.len() >= MOST_RUNS {
+            self.runs.clear();
+        }
+        self.runs.insert((reporter.row, run), known);
+        self.met.push((reporter.id, run, known.number));
+        known
+    }
+
+    /// Runs that were met since the last time, with their numbers.
+    pub(super) fn take_met(&mut self) -> Vec<(HostId, RunId, i64)> {
+        std::mem::take(&mut self.met)
+    }
+
+    /// Runs that were made without their beginning since the last time.
+    pub(super) fn take_unknown(&mut self) -> Vec<(HostId, RunId)> {
+        std::mem::take(&mut self.unknown)
+    }
+}
+
+impl Lookup {
+    /// The id under which the reporter's run stands or is to stand, and that under which it is reported where that is
+    /// another.
+    fn ids(&self, run: RunId) -> (RunId, Option<RunId>) {
+        let uuid = match self.own {
+            Some(own) => own.uuid,
+            None if self.is_taken => RunId::random(),
+            None => run,
+        };
+        (uuid, (uuid != run).then_some(run))
+    }
+}
+
+/// As in the column `placement`.
+pub(crate) const fn placement_word(kind: PlacementKind) -> &'static str {
+    match kind {
+        PlacementKind::Local => "local",
+        PlacementKind::Remote => "remote",
+        PlacementKind::None => "none",
+    }
+}
+
+fn json<T: Serialize>(value: &T) -> Result<String, Refusal> {
+    serde_json::to_string(value).map_err(|error| Refusal::Batch(error.to_string()))
+}
+
+async fn pipeline(connection: &mut SqliteConnection, host: i64, name: &str) -> Result<i64, Refusal> {
+    let id = sqlx::query_scalar(
+        "INSERT INTO pipeline (host, name) VALUES (?, ?) ON CONFLICT DO UPDATE SET name = name RETURNING id",
+    )
+    .bind(host)
+    .bind(name)
+    .fetch_one(connection)
+    .await?;
+    Ok(id)
+}
+
+/// The newest runs by their hosts and the ids under which these report them, and their numbers.
+pub(crate) async fn newest_runs(
+    connection: &mut SqliteConnection,
+    limit: u32,
+) -> Result<Vec<(HostId, RunId, i64)>, sqlx::Error> {
+    let rows: Vec<(String, String, i64)> = sqlx::query_as(
+        "SELECT host.uuid, coalesce(run.reported_uuid, run.uuid), run.number FROM run \
+         JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
+         ORDER BY run.number DESC LIMIT ?",
+    )
+    .bind(limit)
+    .fetch_all(connection)
+    .await?;
+    rows.into_iter().map(|(host, run, number)| Ok((id(&host)?, id(&run)?, number))).collect()
+}
+
+/// Open runs of which the store knows iterations only, by their hosts.
+pub(crate) async fn unknown_runs(
+    connection: &mut SqliteConnection,
+    limit: u32,
+) -> Result<Vec<(HostId, RunId)>, sqlx::Error> {
+    let rows: Vec<(String, String)> = sqlx::query_as(
+        "SELECT host.uuid, coalesce(run.reported_uuid, run.uuid) FROM run \
+         JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
+         WHERE run.ended_ns IS NULL AND run.model = ? AND run.version = '' ORDER BY run.number DESC LIMIT ?",
+    )
+    .bind(UNKNOWN)
+    .bind(limit)
+    .fetch_all(connection)
+    .await?;
+    rows.iter().map(|(host, run)| Ok((id(host)?, id(run)?))).collect()
+}
+
+/// What is stored of the hosts that were seen last.
+pub(crate) async fn stored_hosts(
+    connection: &mut SqliteConnection,
+    limit: u32,
+) -> Result<Vec<(HostId, Stored)>, sqlx::Error> {
+    let rows: Vec<(String, i64, i64, i64, i64, i64)> = sqlx::query_as(
+        "SELECT uuid, events, nodes, gaps, missing, quarantined FROM host ORDER BY last_seen_ns DESC LIMIT ?",
+    )
+    .bind(limit)
+    .fetch_all(connection)
+    .await?;
+    rows.into_iter()
+        .map(|(uuid, events, nodes, gaps, missing, quarantined)| {
+            Ok((id(&uuid)?, Stored::of_columns((events, nodes, gaps, missing, quarantined))))
+        })
+        .collect()
+}
+
+pub(super) fn id<T: FromStr<Err = uuid::Error>>(text: &str) -> Result<T, sqlx::Error> {
+    text.parse().map_err(|error: uuid::Error| sqlx::Error::Decode(error.into()))
+}

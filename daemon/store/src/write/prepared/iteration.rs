@@ -1,0 +1,164 @@
+//! From a tree to rows and statistics.
+
+use peernet_clock::{DelaySource, Verdict, WallTime};
+use peernet_logger::{HostId, Measure, NodeId, Transit, Tree, stage};
+use peernet_stream::{Iteration, Outcome, OutcomeCounts};
+
+use super::{AnchorRow, IterationRow, NodeRow, Preparing, RunPart, Step, TransitRow};
+use crate::extent::Extent;
+use crate::write::rollups::Quantity;
+
+/// How many starts of an open loop were skipped before an iteration: a node of the agent.
+const SKIPPED_STARTS: &str = "skipped-starts";
+
+impl Preparing {
+    /// Adds an iteration; returns when it began.
+    pub(super) fn iteration(&mut self, iteration: &Iteration) -> Result<WallTime, String> {
+        let number = i64::try_from(iteration.number)
+            .map_err(|_| format!("iteration number {} is too large", iteration.number))?;
+        let tree = &iteration.tree;
+        let [edge, others @ ..] = tree.anchors() else {
+            return Err(format!("iteration {number} has no host"));
+        };
+        let run = self.run(iteration, edge.wall);
+        let at = self.batch.iterations.len() as u32;
+        for (position, anchor) in (1..).zip(others) {
+            let (host, wall_ns) = (self.host(anchor.host), anchor.wall.unix_nanos());
+            self.batch.anchors.push(AnchorRow { iteration: at, position, host, wall_ns });
+        }
+        let counted = iteration.outcome == Outcome::Ok && !iteration.warm_up;
+        let second_s = edge.wall.unix_seconds();
+        for (id, node) in tree.iter() {
+            let name = self.names.position(id.index(), &node.name, &node.measure);
+            let value = node.measure.value().unwrap_or(f64::NAN);
+            let bounds = bounds(&node.measure);
+            let (lo, hi) = bounds.unwrap_or((f64::NAN, f64::NAN));
+            self.batch.nodes.push(NodeRow {
+                iteration: at,
+                node: id.0,
+                parent: node.parent.map(|NodeId(parent)| parent),
+                name,
+                host: node.host.0,
+                start_ns: node.start.nanos(),
+                value,
+                lo,
+                hi,
+            });
+            if counted {
+                self.summaries.record(run, name, Quantity::Value, second_s, value);
+            }
+            if let Measure::Transit(transit) = &node.measure {
+                let row = transit_row(at, id, transit);
+                if let (true, Some(verdict)) = (counted, row.verdict) {
+                    *self.verdicts.entry((run, name, verdict)).or_default() += 1;
+                    self.summaries.record(run, name, Quantity::HalfWidth, second_s, (hi - lo) / 2.0);
+                }
+                self.batch.transits.push(row);
+            }
+        }
+        let total = tree.find(&[stage::TOTAL.as_str()]).and_then(|(_, node)| node.measure.value());
+        self.batch.iterations.push(IterationRow {
+            run,
+            number,
+            episode: iteration.episode,
+            step: iteration.step,
+            warm_up: iteration.warm_up,
+            outcome: outcome_number(&iteration.outcome),
+            reason: iteration.outcome.reason().map(str::to_owned),
+            started_ns: edge.wall.unix_nanos(),
+            total: total.unwrap_or(f64::NAN),
+        });
+        Ok(edge.wall)
+    }
+
+    /// The position of the iteration's run, and the iteration counted.
+    fn run(&mut self, iteration: &Iteration, started: WallTime) -> u32 {
+        let numbers = Extent::of(iteration.number.cast_signed());
+        let seconds = Extent::of(started.unix_seconds());
+        let batch = &mut self.batch;
+        let run = *self.runs.entry(iteration.run).or_insert_with(|| {
+            let run = batch.runs.len() as u32;
+            batch.steps.push(Step::Run(run, started));
+            let outcomes = OutcomeCounts::default();
+            batch.runs.push(RunPart {
+                id: iteration.run,
+                outcomes,
+                warm_up: 0,
+                skipped_starts: 0,
+                last: started,
+                numbers,
+                seconds,
+            });
+            run
+        });
+        let part = &mut batch.runs[run as usize];
+        part.last = part.last.max(started);
+        part.numbers = part.numbers.hull(numbers);
+        part.seconds = part.seconds.hull(seconds);
+        if !iteration.warm_up {
+            part.skipped_starts = part.skipped_starts.saturating_add(skipped_starts(&iteration.tree));
+        }
+        let outcomes = &mut part.outcomes;
+        let counter = match &iteration.outcome {
+            _ if iteration.warm_up => &mut part.warm_up,
+            Outcome::Ok => &mut outcomes.ok,
+            Outcome::Failed(_) => &mut outcomes.failed,
+            Outcome::Lost(_) => &mut outcomes.lost,
+            Outcome::Timeout => &mut outcomes.timeout,
+        };
+        *counter += 1;
+        run
+    }
+
+    /// The position of a host beside the edge.
+    fn host(&mut self, host: HostId) -> u32 {
+        *self.hosts.entry(host).or_insert_with(|| {
+            self.batch.hosts.push(host);
+            self.batch.hosts.len() as u32 - 1
+        })
+    }
+}
+
+fn skipped_starts(tree: &Tree) -> u64 {
+    let value = tree.find(&[SKIPPED_STARTS]).and_then(|(_, node)| node.measure.value());
+    // What no count can be is none, or as many as fit.
+    value.unwrap_or(0.0) as u64
+}
+
+/// Row of the table `outcome`.
+const fn outcome_number(outcome: &Outcome) -> u8 {
+    match outcome {
+        Outcome::Ok => 0,
+        Outcome::Failed(_) => 1,
+        Outcome::Lost(_) => 2,
+        Outcome::Timeout => 3,
+    }
+}
+
+fn bounds(measure: &Measure) -> Option<(f64, f64)> {
+    match measure {
+        Measure::Transit(transit) => {
+            transit.delay?.bounds.map(|bounds| (bounds.lo.seconds(), bounds.hi.seconds()))
+        }
+        Measure::Throughput(rate) => rate.bounds,
+        _ => None,
+    }
+}
+
+fn transit_row(iteration: u32, id: NodeId, transit: &Transit) -> TransitRow {
+    let delay = transit.delay;
+    TransitRow {
+        iteration,
+        node: id.0,
+        sent_ns: transit.sent.unix_nanos(),
+        received_ns: transit.received.map(WallTime::unix_nanos),
+        raw_ns: delay.map(|delay| delay.raw.nanos()),
+        source: delay.and_then(|delay| position(DelaySource::ALL, delay.source)),
+        verdict: delay.and_then(|delay| position(Verdict::ALL, delay.verdict)),
+    }
+}
+
+/// Rows of the tables `source` and `verdict` stand in the order of declaration.
+pub(crate) fn position<T: PartialEq + Copy>(all: &[T], value: T) -> Option<u8> {
+    all.iter().position(|known| *known == value).and_then(|at| u8::try_from(at).ok())
+}

@@ -1,0 +1,55 @@
+//! Rows of the tables that grow with every iteration. What is not known is not-a-number: SQLite keeps that as NULL.
+
+/// One row of `iteration`.
+#[derive(Debug)]
+pub(in crate::write) struct IterationRow {
+    /// Position in the batch's runs.
+    pub(in crate::write) run: u32,
+    pub(in crate::write) number: i64,
+    pub(in crate::write) episode: u32,
+    pub(in crate::write) step: u32,
+    pub(in crate::write) warm_up: bool,
+    pub(in crate::write) outcome: u8,
+    pub(in crate::write) reason: Option<String>,
+    pub(in crate::write) started_ns: i64,
+    pub(in crate::write) total: f64,
+}
+
+/// One row of `node`.
+#[derive(Debug)]
+pub(in crate::write) struct NodeRow {
+    /// Position in the batch's iterations.
+    pub(in crate::write) iteration: u32,
+    pub(in crate::write) node: u32,
+    /// `None` for the root.
+    pub(in crate::write) parent: Option<u32>,
+    /// Position in the batch's names.
+    pub(in crate::write) name: u32,
+    pub(in crate::write) host: u8,
+    pub(in crate::write) start_ns: i64,
+    pub(in crate::write) value: f64,
+    pub(in crate::write) lo: f64,
+    pub(in crate::write) hi: f64,
+}
+
+/// One row of `anchor`.
+#[derive(Debug)]
+pub(in crate::write) struct AnchorRow {
+    pub(in crate::write) iteration: u32,
+    pub(in crate::write) position: u8,
+    /// Position in the batch's hosts.
+    pub(in crate::write) host: u32,
+    pub(in crate::write) wall_ns: i64,
+}
+
+/// One row of `transit`.
+#[derive(Debug)]
+pub(in crate::write) struct TransitRow {
+    pub(in crate::write) iteration: u32,
+    pub(in crate::write) node: u32,
+    pub(in crate::write) sent_ns: i64,
+    pub(in crate::write) received_ns: Option<i64>,
+    pub(in crate::write) raw_ns: Option<i64>,
+    pub(in crate::write) source: Option<u8>,
+    pub(in crate::write) verdict: Option<u8>,
+}

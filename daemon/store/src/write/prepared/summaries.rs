@@ -1,0 +1,53 @@
+//! What a batch adds to the statistics, second by second.
+
+use std::collections::HashMap;
+
+use peernet_statistics::Summary;
+
+use crate::write::rollups::Quantity;
+
+/// What a batch knows of one quantity in one second.
+#[derive(Debug)]
+pub(in crate::write) struct SummaryPart {
+    /// Position in the batch's runs.
+    pub(in crate::write) run: u32,
+    /// Position in the batch's names.
+    pub(in crate::write) name: u32,
+    pub(in crate::write) quantity: Quantity,
+    /// Seconds since 1970 on the edge's clock, by the iteration's start.
+    pub(in crate::write) second_s: i64,
+    pub(in crate::write) summary: Summary,
+}
+
+/// The statistics of a batch.
+#[derive(Debug, Default)]
+pub(super) struct Summaries {
+    pub(super) list: Vec<SummaryPart>,
+    known: HashMap<(u32, u32, Quantity, i64), usize>,
+    /// Where each name's last number went, by quantity: iterations mostly come run by run and second by second.
+    last: Vec<[usize; 2]>,
+}
+
+impl Summaries {
+    /// Adds a number of an iteration that began in `second_s`; one that does not count is left out.
+    pub(super) fn record(&mut self, run: u32, name: u32, quantity: Quantity, second_s: i64, value: f64) {
+        if !Summary::takes(value) {
+            return;
+        }
+        if self.last.len() <= name as usize {
+            self.last.resize(name as usize + 1, [usize::MAX; 2]);
+        }
+        let last = &mut self.last[name as usize][quantity as usize];
+        if let Some(part) = self.list.get_mut(*last)
+            && (part.run, part.second_s) == (run, second_s)
+        {
+            part.summary.record(value);
+            return;
+        }
+        *last = *self.known.entry((run, name, quantity, second_s)).or_insert_with(|| {
+            self.list.push(SummaryPart { run, name, quantity, second_s, summary: Summary::default() });
+            self.list.len() - 1
+        });
+        self.list[*last].summary.record(value);
+    }
+}

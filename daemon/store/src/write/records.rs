@@ -1,0 +1,144 @@
+//! The rows that are written one by one: incidents, gaps, the quarantine.
+
+use bytes::Bytes;
+use peernet_clock::WallTime;
+use peernet_logger::RunId;
+use peernet_stream::{BatchHead, Gap, Incident, Missing};
+use sqlx::SqliteConnection;
+
+use super::Refusal;
+use super::entities::{Entities, Reporter};
+use crate::column::column;
+use crate::stored::Stored;
+
+/// Quarantined batches that are kept.
+const QUARANTINE_KEEPS: i64 = 1_000;
+
+/// Something happened beside the measurements.
+pub(super) async fn incident(
+    connection: &mut SqliteConnection,
+    entities: &mut Entities,
+    reporter: Reporter,
+    incident: &Incident,
+    now: WallTime,
+) -> Result<(), Refusal> {
+    let run = known_number(connection, entities, reporter, incident.run).await?;
+    let peer = match incident.peer {
+        Some(peer) => Some(entities.host(connection, peer, now).await?),
+        None => None,
+    };
+    sqlx::query(
+        "INSERT INTO incident (host, at_ns, kind, pipeline, run, peer, text) VALUES (?, ?, ?, ?, ?, ?, ?)",
+    )
+    .bind(reporter.row)
+    .bind(incident.at.unix_nanos())
+    .bind(incident.kind.name())
+    .bind(incident.pipeline.as_ref().map(ToString::to_string))
+    .bind(run)
+    .bind(peer)
+    .bind(incident.text.as_str())
+    .execute(connection)
+    .await?;
+    Ok(())
+}
+
+/// The agent dropped events.
+pub(super) async fn gap(
+    connection: &mut SqliteConnection,
+    entities: &mut Entities,
+    reporter: Reporter,
+    gap: &Gap,
+) -> Result<(), Refusal> {
+    let run = known_number(connection, entities, reporter, gap.run).await?;
+    sqlx::query(
+        "INSERT INTO gap (host, pipeline, run, from_ns, to_ns, count, reason) VALUES (?, ?, ?, ?, ?, ?, ?)",
+    )
+    .bind(reporter.row)
+    .bind(gap.pipeline.as_ref().map(ToString::to_string))
+    .bind(run)
+    .bind(gap.from.unix_nanos())
+    .bind(gap.to.unix_nanos())
+    .bind(column(gap.count))
+    .bind(gap.reason.as_str())
+    .execute(connection)
+    .await?;
+    Ok(())
+}
+
+async fn known_number(
+    connection: &mut SqliteConnection,
+    entities: &mut Entities,
+    reporter: Reporter,
+    run: Option<RunId>,
+) -> Result<Option<i64>, Refusal> {
+    match run {
+        Some(run) => Ok(entities.known_run(connection, reporter, run).await?.map(|run| run.number)),
+        None => Ok(None),
+    }
+}
+
+/// Batches of a stream will never come.
+pub(super) async fn missing(
+    connection: &mut SqliteConnection,
+    host: i64,
+    missing: &Missing,
+    now: WallTime,
+) -> Result<Stored, Refusal> {
+    let Missing { stream, from, through, events, .. } = missing;
+    let reason = format!(
+        "batches {from} to {through} of stream {stream} never came: they were acknowledged elsewhere"
+    );
+    hole(connection, host, &reason, *events, now).await
+}
+
+/// Records a gap of so many events, of which nobody says to which run they belong; `None` when nobody knows how many they
+/// are, which the table has as 0. Returns what the gap adds to the counters of its host.
+pub(super) async fn hole(
+    connection: &mut SqliteConnection,
+    host: i64,
+    reason: &str,
+    events: Option<u64>,
+    now: WallTime,
+) -> Result<Stored, Refusal> {
+    // Batches that an agent's file lacks: the agent itself reports the events as lost.
+    if events == Some(0) {
+        return Ok(Stored::default());
+    }
+    let missing = events.unwrap_or_default();
+    sqlx::query("INSERT INTO gap (host, from_ns, to_ns, count, reason) VALUES (?1, ?2, ?2, ?3, ?4)")
+        .bind(host)
+        .bind(now.unix_nanos())
+        .bind(column(missing))
+        .bind(reason)
+        .execute(connection)
+        .await?;
+    Ok(Stored { gaps: 1, missing, ..Stored::default() })
+}
+
+/// Puts a batch aside that cannot be stored; `events` as far as they can be read.
+pub(super) async fn quarantine(
+    connection: &mut SqliteConnection,
+    host: i64,
+    head: BatchHead,
+    (events, frame): (Option<usize>, &Bytes),
+    reason: &str,
+    now: WallTime,
+) -> Result<(), Refusal> {
+    sqlx::query(
+        "INSERT INTO quarantine (host, stream, number, received_ns, events, reason, frame) VALUES (?, ?, ?, ?, ?, ?, ?)",
+    )
+    .bind(host)
+    .bind(head.stream.to_string())
+    .bind(column(head.number))
+    .bind(now.unix_nanos())
+    .bind(events.map(|events| events as i64))
+    .bind(reason)
+    .bind(frame.as_ref())
+    .execute(&mut *connection)
+    .await?;
+    sqlx::query("DELETE FROM quarantine WHERE id <= (SELECT max(id) FROM quarantine) - ?")
+        .bind(QUARANTINE_KEEPS)
+        .execute(connection)
+        .await?;
+    Ok(())
+}

@@ -1,0 +1,180 @@
+//! The tables `rollup` and `verdict_count`.
+
+use peernet_statistics::{Moments, Sketch, Summary};
+use sqlx::{Arguments, FromRow, SqliteConnection};
+
+use super::packed::Packed;
+use super::{Quantity, Series, WHOLE_RUN, WIDTHS_S};
+use crate::write::insert::Insert;
+
+/// One row of `rollup`.
+#[derive(Clone, Debug, FromRow)]
+pub(crate) struct RollupRow {
+    run: i64,
+    resolution_s: i64,
+    pub(crate) bucket_s: i64,
+    pub(crate) name: i64,
+    quantity: i64,
+    count: i64,
+    mean: f64,
+    m2: f64,
+    min: f64,
+    max: f64,
+    sketch: Vec<u8>,
+}
+
+impl RollupRow {
+    pub(super) fn new(
+        (run, resolution_s, bucket_s): (i64, i64, i64),
+        (name, quantity): Series,
+        packed: Packed,
+    ) -> Self {
+        let Moments { count, mean, m2, min, max } = packed.moments;
+        // A version before took in numbers as good as infinite. The table takes no NaN, and what comes now must not be
+        // refused for them: such a row stays without bound until a rebuild.
+        let known = |number: f64| if number.is_nan() { f64::INFINITY } else { number };
+        let (mean, m2) = (known(mean), known(m2));
+        Self {
+            run,
+            resolution_s,
+            bucket_s,
+            name,
+            quantity: quantity as i64,
+            count: count.cast_signed(),
+            mean,
+            m2,
+            min,
+            max,
+            sketch: packed.sketch,
+        }
+    }
+
+    /// In the order of the table.
+    pub(super) const fn key(&self) -> (i64, i64, i64, i64, i64) {
+        (self.run, self.resolution_s, self.bucket_s, self.name, self.quantity)
+    }
+
+    pub(crate) const fn quantity(&self) -> Quantity {
+        if self.quantity == 0 { Quantity::Value } else { Quantity::HalfWidth }
+    }
+
+    const fn moments(&self) -> Moments {
+        let Self { count, mean, m2, min, max, .. } = *self;
+        Moments { count: count.unsigned_abs(), mean, m2, min, max }
+    }
+
+    pub(super) fn into_parts(self) -> (i64, Series, Packed) {
+        let series = (self.name, self.quantity());
+        let moments = self.moments();
+        (self.bucket_s, series, Packed { moments, sketch: self.sketch })
+    }
+
+    /// What it says.
+    pub(crate) fn summary(&self) -> Result<Summary, sqlx::Error> {
+        let sketch = Sketch::from_bytes(&self.sketch).map_err(|error| sqlx::Error::Decode(error.into()))?;
+        Ok(Summary { moments: self.moments(), sketch })
+    }
+}
+
+/// The statements that write.
+#[derive(Debug)]
+pub(super) struct Upserts {
+    rollups: Insert,
+    verdicts: Insert,
+}
+
+impl Default for Upserts {
+    fn default() -> Self {
+        Self {
+            rollups: Insert::new(
+                "INSERT INTO rollup (run, resolution_s, bucket_s, name, quantity, count, mean, m2, min, max, sketch)",
+                11,
+                "ON CONFLICT DO UPDATE SET count = excluded.count, mean = excluded.mean, m2 = excluded.m2, \
+                 min = excluded.min, max = excluded.max, sketch = excluded.sketch",
+            ),
+            verdicts: Insert::new(
+                "INSERT INTO verdict_count (run, name, verdict, count)",
+                4,
+                "ON CONFLICT DO UPDATE SET count = count + excluded.count",
+            ),
+        }
+    }
+}
+
+impl Upserts {
+    /// Writes rows as they are now.
+    pub(super) async fn rollups(
+        &self,
+        connection: &mut SqliteConnection,
+        rows: Vec<RollupRow>,
+    ) -> Result<(), sqlx::Error> {
+        self.rollups
+            .run(connection, rows, |row, to| {
+                to.add(row.run)?;
+                to.add(row.resolution_s)?;
+                to.add(row.bucket_s)?;
+                to.add(row.name)?;
+                to.add(row.quantity)?;
+                to.add(row.count)?;
+                to.add(row.mean)?;
+                to.add(row.m2)?;
+                to.add(row.min)?;
+                to.add(row.max)?;
+                to.add(row.sketch)
+            })
+            .await
+    }
+
+    /// Adds to the counts of verdicts.
+    pub(super) async fn verdicts(
+        &self,
+        connection: &mut SqliteConnection,
+        counts: &[((i64, i64, u8), i64)],
+    ) -> Result<(), sqlx::Error> {
+        self.verdicts
+            .run(connection, counts, |((run, name, verdict), count), to| {
+                to.add(*run)?;
+                to.add(*name)?;
+                to.add(*verdict)?;
+                to.add(*count)
+            })
+            .await
+    }
+}
+
+/// ?1 run.
+const NEWEST: &str = "SELECT (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 1), \
+     (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 10), \
+     (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 60), \
+     (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 3600), \
+     (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 0)";
+
+/// The newest bucket of each width, and of the whole run.
+pub(super) async fn newest_buckets(
+    connection: &mut SqliteConnection,
+    run: i64,
+) -> Result<[Option<i64>; WIDTHS_S.len() + 1], sqlx::Error> {
+    const _: () = assert!(WHOLE_RUN == 0);
+    let (second, ten, minute, hour, whole) = sqlx::query_as(NEWEST).bind(run).fetch_one(connection).await?;
+    Ok([second, ten, minute, hour, whole])
+}
+
+/// ?1 run, ?2 width, ?3 begins of the buckets, a JSON array.
+const BUCKETS: &str = "SELECT run, resolution_s, bucket_s, name, quantity, count, mean, m2, min, max, sketch \
+     FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND bucket_s IN (SELECT value FROM json_each(?3)) \
+     ORDER BY bucket_s, name, quantity";
+
+/// All rows of some buckets, in the order of the table.
+pub(super) async fn read_buckets(
+    connection: &mut SqliteConnection,
+    run: i64,
+    width_s: i64,
+    buckets: &[i64],
+) -> Result<Vec<RollupRow>, sqlx::Error> {
+    let buckets = serde_json::to_string(buckets).map_err(|error| sqlx::Error::Encode(error.into()))?;
+    sqlx::query_as(BUCKETS).bind(run).bind(width_s).bind(buckets).fetch_all(connection).await
+}
+
+/// What the writer asks: a test looks at the plans.
+#[cfg(test)]
+pub(crate) const QUESTIONS: [(&str, &str); 2] = [("NEWEST", NEWEST), ("BUCKETS", BUCKETS)];

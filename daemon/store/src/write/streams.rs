@@ -1,0 +1,192 @@
+//! Streams: how far each is stored, and which one a host's batches belong to.
+
+use std::collections::{HashMap, HashSet};
+
+use peernet_clock::WallTime;
+use peernet_logger::HostId;
+use peernet_stream::{BatchHead, Chain, Hello, Known, Lacking, Mark, StreamId};
+use sqlx::{Arguments, FromRow, SqliteConnection};
+
+use super::entities::id;
+use super::insert::Insert;
+use super::{Introduction, Refusal, records};
+use crate::column::{column, count};
+use crate::stored::Stored;
+
+/// What the database knows of streams.
+#[derive(Clone, Debug, Default)]
+pub struct Streams {
+    /// How far each is stored, where any of it is.
+    pub marks: HashMap<StreamId, Mark>,
+    /// All streams that a host ever came with.
+    came: HashSet<StreamId>,
+    /// The stream that each host came with last.
+    last: HashMap<HostId, StreamId>,
+}
+
+/// The streams that a transaction moves.
+#[derive(Debug)]
+pub(super) struct Moved {
+    /// By stream: the host's row and the last batch.
+    marks: HashMap<StreamId, (i64, BatchHead)>,
+    upsert: Insert,
+}
+
+impl Default for Moved {
+    fn default() -> Self {
+        Self {
+            marks: HashMap::new(),
+            upsert: Insert::new(
+                "INSERT INTO stream (uuid, host, stored, chain, process, events, first_seen_ns, last_seen_ns)",
+                8,
+                "ON CONFLICT (uuid) DO UPDATE SET stored = excluded.stored, chain = excluded.chain, \
+                 process = excluded.process, events = excluded.events, last_seen_ns = excluded.last_seen_ns",
+            ),
+        }
+    }
+}
+
+/// A row of the table.
+#[derive(FromRow)]
+struct Row {
+    uuid: String,
+    host: String,
+    stored: i64,
+    chain: Option<Vec<u8>>,
+    process: Option<i64>,
+    events: Option<i64>,
+}
+
+impl Streams {
+    /// What is known when a host says hello that has been stored for so long.
+    pub fn known(&self, hello: &Hello, seniority: Option<u64>) -> Known {
+        let mark_of = |stream| self.marks.get(&stream).copied();
+        Known {
+            mark: mark_of(hello.stream),
+            came: self.came.contains(&hello.stream),
+            last: self.last.get(&hello.host.id).copied(),
+            previous: hello.previous.and_then(mark_of),
+            seniority,
+        }
+    }
+
+    /// A host came with a stream.
+    pub fn came(&mut self, host: HostId, stream: StreamId) {
+        self.came.insert(stream);
+        self.last.insert(host, stream);
+    }
+
+    /// Reads the table.
+    pub(super) async fn load(connection: &mut SqliteConnection) -> Result<Self, sqlx::Error> {
+        let rows: Vec<Row> = sqlx::query_as(
+            "SELECT stream.uuid, host.uuid AS host, stream.stored, stream.chain, stream.process, \
+             stream.events FROM stream JOIN host ON host.id = stream.host ORDER BY stream.last_seen_ns, stream.id",
+        )
+        .fetch_all(connection)
+        .await?;
+        let mut streams = Self::default();
+        for Row { uuid, host, stored, chain, process, events } in rows {
+            let (stream, host) = (id(&uuid)?, id(&host)?);
+            streams.came(host, stream);
+            // Without a chain: nothing of it is stored, or it is of a version whose streams ended with their agents.
+            let Some(chain) = chain else { continue };
+            let chain =
+                <[u8; 16]>::try_from(chain).map_err(|_| wrong("a chain that is not 16 bytes long"))?;
+            let stored = u64::try_from(stored).map_err(|error| sqlx::Error::Decode(error.into()))?;
+            let (chain, process) = (Chain::from_bytes(chain), process.map(i64::cast_unsigned));
+            let events = events.map(count);
+            streams.marks.insert(stream, Mark { host, stored, chain, process, events });
+        }
+        Ok(streams)
+    }
+}
+
+impl Moved {
+    /// A host came with a stream. The first time, a stream leaves gaps that does not go on from the one before, or
+    /// goes on from where nothing is stored: returns how they count.
+    pub(super) async fn introduce(
+        &mut self,
+        connection: &mut SqliteConnection,
+        host: i64,
+        came: &Introduction,
+        now: WallTime,
+    ) -> Result<Stored, Refusal> {
+        let known = sqlx::query("UPDATE stream SET last_seen_ns = ? WHERE uuid = ?")
+            .bind(now.unix_nanos())
+            .bind(came.stream.to_string())
+            .execute(&mut *connection)
+            .await?;
+        if known.rows_affected() > 0 {
+            return Ok(Stored::default());
+        }
+        sqlx::query(
+            "INSERT INTO stream (uuid, host, stored, previous, first_seen_ns, last_seen_ns) \
+             VALUES (?1, ?2, ?3, ?4, ?5, ?5)",
+        )
+        .bind(came.stream.to_string())
+        .bind(host)
+        .bind(column(came.first.saturating_sub(1)))
+        .bind(came.previous.map(|stream| stream.to_string()))
+        .bind(now.unix_nanos())
+        .execute(&mut *connection)
+        .await?;
+        let replaced = came.replaced.map(|replaced| {
+            let reason = format!(
+                "the spool with the stream {replaced} was deleted or replaced: what it still held is unknown and lost"
+            );
+            (reason, None)
+        });
+        let lacking = came.lacking.map(|Lacking { stream, from, through, events }| {
+            let reason = format!(
+                "batches {from} to {through} of stream {stream} are not here: they were stored in a newer database \
+                 than this one, which is an older copy"
+            );
+            (reason, events)
+        });
+        let mut added = Stored::default();
+        for (reason, events) in replaced.into_iter().chain(lacking) {
+            added.add(&records::hole(&mut *connection, host, &reason, events, now).await?);
+        }
+        Ok(added)
+    }
+
+    /// All batches of a stream up to this one are stored with this transaction.
+    pub(super) fn mark(&mut self, host: i64, head: BatchHead) {
+        self.marks.insert(head.stream, (host, head));
+    }
+
+    /// Up to where this transaction stores a stream, if it moves it.
+    pub(super) fn stored(&self, stream: StreamId) -> Option<Mark> {
+        self.marks.get(&stream).map(|(_, head)| Mark::from(*head))
+    }
+
+    /// Writes the marks, and returns them.
+    pub(super) async fn write(
+        &mut self,
+        connection: &mut SqliteConnection,
+        now: WallTime,
+    ) -> Result<HashMap<StreamId, Mark>, sqlx::Error> {
+        self.upsert
+            .run(connection, &self.marks, |(stream, (host, head)), to| {
+                to.add(stream.to_string())?;
+                to.add(*host)?;
+                to.add(column(head.number))?;
+                to.add(head.chain.as_bytes().as_slice())?;
+                to.add(head.process.cast_signed())?;
+                to.add(column(head.events_through()))?;
+                to.add(now.unix_nanos())?;
+                to.add(now.unix_nanos())
+            })
+            .await?;
+        Ok(self.marks.drain().map(|(stream, (_, head))| (stream, Mark::from(head))).collect())
+    }
+
+    /// Forgets what is only in memory: the transaction did not end well.
+    pub(super) fn forget(&mut self) {
+        self.marks.clear();
+    }
+}
+
+fn wrong(what: &'static str) -> sqlx::Error {
+    sqlx::Error::Decode(what.into())
+}
