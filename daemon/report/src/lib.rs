@@ -21,8 +21,11 @@ pub mod number;
 pub mod order;
 mod passage;
 pub mod results;
+pub mod rows;
 pub mod sensor_study;
 pub mod table;
+#[cfg(test)]
+mod testing;
 pub mod trust;
 pub mod users;
 

@@ -1,7 +1,8 @@
 //! Samples whose label is no class of the model: no answer to them could be right, so they are neither right nor wrong.
 
 use crate::number::{counted, fixed};
-use crate::results::{Loaded, Rows};
+use crate::results::Loaded;
+use crate::rows::Rows;
 
 /// The column that is 1 for such a sample.
 pub const UNKNOWN_LABEL: &str = "unknown-label";

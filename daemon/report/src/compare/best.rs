@@ -70,7 +70,7 @@ mod tests {
     use super::super::tests::paper;
     use super::super::{Repeats, SEED};
     use super::*;
-    use crate::results::Outcome;
+    use crate::rows::Outcome;
 
     #[test]
     fn every_other_line_is_compared_with_the_best() {

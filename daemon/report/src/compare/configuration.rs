@@ -265,7 +265,7 @@ pub(super) fn differ(labels: &[String]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::results::Rows;
+    use crate::rows::Rows;
 
     #[test]
     fn runs_are_named_by_their_folders_wherever_these_are() {

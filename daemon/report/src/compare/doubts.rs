@@ -6,7 +6,8 @@ use peernet_statistics::Summary;
 use super::render::named;
 use super::{LATENCIES, Line, NEARLY_ALL};
 use crate::number::counted;
-use crate::results::{Loaded, RowRef};
+use crate::results::Loaded;
+use crate::rows::RowRef;
 use crate::trust::Starts;
 
 /// Starts that were skipped, what folders lack of a whole run and the numbers that are missing without a reason, in sentences.

@@ -23,7 +23,8 @@ pub use doubts::skipped_starts;
 use peernet_statistics::{Moments, Summary};
 
 use crate::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLabels};
-use crate::results::{Loaded, Rows, SKIPPED_STARTS};
+use crate::results::Loaded;
+use crate::rows::{Rows, SKIPPED_STARTS};
 use crate::trust::Starts;
 pub(crate) use configuration::Configurations;
 use configuration::NOTHING;

@@ -5,7 +5,8 @@ use std::path::PathBuf;
 use peernet_stream::ExperimentPlace;
 
 use super::*;
-use crate::results::{HostRecord, ModelRecord, Outcome, Placement, Row, RowRef, RunRecord};
+use crate::results::{HostRecord, ModelRecord, Placement, RunRecord};
+use crate::rows::{Outcome, Row, RowRef};
 
 /// A run in which every stage takes what is said, give or take a microsecond, and the total 1 ms more; `None` for what
 /// did not take place. Milliseconds.

@@ -7,7 +7,8 @@ use crate::accuracy::{ACCURACIES, UnknownLabels, score};
 use crate::figure::{Accuracy, Score, Unit};
 use crate::number::{self, fixed};
 use crate::order::Ordered;
-use crate::results::{Loaded, RowRef};
+use crate::results::Loaded;
+use crate::rows::RowRef;
 
 /// Whether the best class is the label.
 const TOP_1: &str = ACCURACIES[0];

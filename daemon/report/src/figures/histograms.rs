@@ -5,7 +5,8 @@ use super::written::{Drawing, Shown};
 use crate::figure::{Fill, Hatch, Histogram, stage_fill};
 use crate::number::{fixed, megabytes_per_second_between, milliseconds_between};
 use crate::order::Ordered;
-use crate::results::{Loaded, Rows, RunRecord, Scale};
+use crate::results::{Loaded, RunRecord, Scale};
+use crate::rows::Rows;
 
 /// The published histograms: name of the file, column, what it is.
 pub const HISTOGRAMS: [(&str, &str, &str); 6] = [

@@ -9,7 +9,8 @@ use crate::figure::{DOWNLOAD, Mark, Parts, Scaling, Series, UPLOAD, Unit, Value}
 use crate::fit::{Fit, Point, Weighted, least_squares, rate};
 use crate::number::{bytes, counted, fixed, megabytes_per_second_with, milliseconds_with};
 use crate::order::Ordered;
-use crate::results::{Loaded, RowRef, RunRecord};
+use crate::results::{Loaded, RunRecord};
+use crate::rows::RowRef;
 
 /// More sizes than this are taken together, so that each has enough messages.
 const MOST_SIZES: usize = 24;

@@ -8,7 +8,8 @@ use super::configured::{Configured, counted};
 use super::written::{Drawing, Shown};
 use crate::figure::{Bar, Stacked, UNATTRIBUTED, Unit};
 use crate::number::{self, fixed};
-use crate::results::{LATENESS, Loaded, RowRef};
+use crate::results::Loaded;
+use crate::rows::{LATENESS, RowRef};
 
 /// Most bars that one picture has.
 const MOST: usize = 100;

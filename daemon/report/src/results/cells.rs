@@ -4,9 +4,8 @@ use std::collections::HashSet;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
-use super::columns::{FIXED, Holds};
-use super::{Column, Row, Rows};
 use crate::Passage;
+use crate::rows::{Column, FIXED, Holds, Row, Rows};
 
 /// The columns of a `data.csv`: those that every file has, then what this run has beside them.
 #[derive(Clone, Debug)]

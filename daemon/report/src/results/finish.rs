@@ -6,12 +6,12 @@ use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 use super::cells::Header;
-use super::columns::FIXED;
 use super::folder::{DATA, Finished, RECORD, SUMMARIES};
 use super::parse::ends_with_line;
-use super::{RowRef, Rows, RunRecord, Summary};
+use super::{RunRecord, Summary};
 use crate::WriteError;
 use crate::error::write;
+use crate::rows::{FIXED, RowRef, Rows};
 
 /// The permission bits of everybody who is neither the owner nor in the group.
 const OTHERS: u32 = 0o007;

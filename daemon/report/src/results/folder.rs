@@ -6,8 +6,9 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::{FolderError, RowWriter, Rows, RunRecord};
+use super::{FolderError, RowWriter, RunRecord};
 use crate::WriteError;
+use crate::rows::Rows;
 
 /// What to do when the folder holds something.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -6,9 +6,7 @@ use std::path::Path;
 
 use peernet_clock::{DelaySource, Verdict};
 
-use super::columns::{self, FIXED, Holds};
-use super::rows::Line;
-use super::{Column, Outcome, Rows};
+use crate::rows::{Column, FIXED, Holds, Outcome, RowBuilder, Rows, column};
 
 /// The published stages, whose sum the paper calls Total.
 const PUBLISHED_STAGES: [&str; 6] =
@@ -61,7 +59,7 @@ impl Reading {
         let mut reader = csv::Reader::from_reader(file);
         let holds = |name: &str| FIXED.iter().find(|(fixed, _)| *fixed == name).map(|(_, holds)| *holds);
         let cells = |name: &str| Cells {
-            name: columns::column(name.trim()),
+            name: column(name.trim()),
             holds: holds(name.trim()),
             stage: PUBLISHED_STAGES.iter().position(|stage| *stage == name.trim()),
             place: None,
@@ -89,7 +87,7 @@ impl Reading {
     fn row(&mut self, record: &csv::StringRecord, is_warm_up: bool) -> Result<(), Malformed> {
         let line = record.position().map_or(0, csv::Position::line);
         let Self { columns, rows, .. } = self;
-        let mut row = rows.begin();
+        let mut row = rows.build_row();
         row.warm_up = is_warm_up;
         let mut judged = [(None, None); 2];
         let mut stages = [None; PUBLISHED_STAGES.len()];
@@ -136,15 +134,15 @@ impl Reading {
         }
         row.judged = judged.map(|(verdict, source)| verdict.zip(source));
         let number = rows.len() as f64 + 1.0;
-        let iteration = row.place(rows, &columns::column("iteration"));
+        let iteration = row.place(rows, &column("iteration"));
         row.numbers[iteration].get_or_insert(number);
         // What a stage took that is not known is missing in the sum as well.
         let sum: Option<f64> = stages.into_iter().flatten().reduce(|sum, stage| sum + stage);
         if let Some(sum) = sum.filter(|sum| self.sums && sum.is_finite()) {
-            let place = row.place(rows, &columns::column("stages-total"));
+            let place = row.place(rows, &column("stages-total"));
             row.numbers[place] = Some(sum);
         }
-        rows.end(row);
+        rows.push_built(row);
         Ok(())
     }
 }
@@ -170,7 +168,7 @@ impl Cells {
 
 /// Takes what is no number; `None` where it cannot stand there.
 fn take_text(
-    row: &mut Line,
+    row: &mut RowBuilder,
     way: &mut (Option<Verdict>, Option<DelaySource>),
     column: &str,
     text: &str,

@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 
 use super::folder::{DATA, RECORD};
 use super::parse::Reading;
-use super::{Clocks, Counts, FolderError, HostRecord, Loaded, Rows, RunRecord};
+use super::{Clocks, Counts, FolderError, HostRecord, Loaded, RunRecord};
 use crate::accuracy::Accuracy;
+use crate::rows::Rows;
 
 /// Rows at the beginning that the published figures leave out.
 const PUBLISHED_WARM_UP: usize = 5;

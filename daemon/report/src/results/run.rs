@@ -9,9 +9,9 @@ use peernet_stream::{Condition, ExperimentPlace, Hardware};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::{Outcome, Rows, Units};
 use crate::accuracy::Accuracy;
 use crate::order::Ordered;
+use crate::rows::{Outcome, Rows, Units};
 use crate::{Passage, trust};
 
 /// The form that this program writes.

@@ -4,9 +4,9 @@ use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use super::Row;
 use super::cells::{self, Header};
 use crate::WriteError;
+use crate::rows::Row;
 
 /// Seconds of the rows' own time between two writes.
 const EVERY: f64 = 1.0;
@@ -188,8 +188,8 @@ fn whole_rows(bytes: &[u8]) -> usize {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Outcome;
     use super::*;
+    use crate::rows::Outcome;
 
     fn row(iteration: u64) -> Row {
         Row {

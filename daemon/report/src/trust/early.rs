@@ -4,7 +4,8 @@ use serde::Deserialize;
 
 use super::Counts;
 use crate::number::{counted, fixed, significant};
-use crate::results::{Rows, RunRecord};
+use crate::results::RunRecord;
+use crate::rows::Rows;
 
 /// Ends of a run that are no trouble.
 const GOOD_ENDS: [&str; 3] = ["", "finished", "stopped"];

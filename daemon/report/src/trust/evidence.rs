@@ -11,7 +11,8 @@ use super::{Came, Course, Early, Limits, Load, Restarts, Starts};
 use crate::Passage;
 use crate::accuracy::{Accuracy, UnknownLabels};
 use crate::order::Ordered;
-use crate::results::{LATENESS, Outcome, RowRef, Rows, RunRecord};
+use crate::results::RunRecord;
+use crate::rows::{LATENESS, Outcome, RowRef, Rows};
 
 /// How the fact of a run begins that says of a host's clock that it was made wrong on purpose.
 const REHEARSAL: &str = "Rehearsal";

@@ -3,7 +3,8 @@
 use serde::Deserialize;
 
 use crate::number::{counted, fixed};
-use crate::results::{Rows, RunRecord, SKIPPED_STARTS};
+use crate::results::RunRecord;
+use crate::rows::{Rows, SKIPPED_STARTS};
 
 /// How often a run was to begin an iteration: its pipeline's `load`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]

@@ -4,7 +4,8 @@ use peernet_stream::Condition;
 use super::testing::Noise;
 use super::*;
 use crate::Passage;
-use crate::results::{Outcome, Row, Rows, RunRecord};
+use crate::results::RunRecord;
+use crate::rows::{Outcome, Row, Rows};
 
 /// A row whose total is mostly inference.
 fn row(iteration: u64, seconds: f64) -> Row {

@@ -2,7 +2,8 @@
 
 use super::Share;
 use crate::order::Ordered;
-use crate::results::{Loaded, RowRef};
+use crate::results::Loaded;
+use crate::rows::RowRef;
 
 /// The edges of each run, in the order in which they came: those of one repeat of one configuration of an experiment.
 pub(super) fn runs(edges: &[Loaded]) -> Vec<Vec<&Loaded>> {

@@ -6,10 +6,10 @@ pub(crate) use render::Scale;
 
 use peernet_statistics::{self as statistics, Moments};
 
-use super::columns::{FIXED, Holds};
-use super::{Clocks, Column, Counts, Rows, RunRecord, Units};
+use super::{Clocks, Counts, RunRecord};
 use crate::accuracy::UnknownLabels;
 use crate::order::Ordered;
+use crate::rows::{Column, FIXED, Holds, Rows, Units};
 use crate::trust::Starts;
 
 /// What the columns of a run come to, warm-up and iterations without an answer left out.

@@ -7,7 +7,8 @@ use peernet_logger::Unit;
 use super::{Quantity, Summary};
 use crate::accuracy::{ACCURACIES, UNKNOWN_LABEL};
 use crate::number::{bound_milliseconds, decimals, decimals_within, fixed};
-use crate::results::{ClockCounts, Counts, SKIPPED_STARTS, Units};
+use crate::results::{ClockCounts, Counts};
+use crate::rows::{SKIPPED_STARTS, Units};
 use crate::table::{Table, csv_text};
 use crate::trust::Starts;
 

@@ -7,6 +7,24 @@ use proptest::prelude::*;
 use super::*;
 use crate::accuracy::Accuracy;
 
+#[test]
+fn header_names_every_standard_column_before_the_first_row() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
+    let path = folder.writer().expect("writable").end().expect("writable");
+    let text = std::fs::read_to_string(path).expect("it is there at once");
+    let published = published().collect::<Vec<_>>().join(",");
+    assert_eq!(
+        text,
+        format!(
+            "{published},upload-raw,upload-lo,upload-hi,upload-verdict,upload-source,download-raw,download-lo,\
+             download-hi,download-verdict,download-source,upload-throughput-lo,upload-throughput-hi,\
+             download-throughput-lo,download-throughput-hi,capture,transform,encode,send-queue,queue,ipc,actuation,\
+             skipped-starts,lateness,total,stages-total,unattributed,top-1,top-5,at,episode,step,warm-up,outcome,reason\n"
+        )
+    );
+}
+
 fn record() -> RunRecord {
     RunRecord {
         format: FORMAT,

@@ -1,12 +1,22 @@
 //! The rows of a run as columns.
+//!
+//! ```text
+//! iteration ── Row ── Rows ── RowRef
+//! ```
 
 mod chunks;
+mod columns;
 mod numbers;
+mod row;
 mod row_ref;
 #[cfg(test)]
 mod tests;
+mod units;
 
+pub use columns::{FIXED, Holds, LATENESS, PUBLISHED, SKIPPED_STARTS, column, published};
+pub use row::{Column, Outcome, Row};
 pub use row_ref::RowRef;
+pub use units::Units;
 
 use std::collections::HashMap;
 use std::ops::Range;
@@ -14,8 +24,6 @@ use std::sync::Arc;
 
 use peernet_clock::{DelaySource, Verdict};
 
-use super::columns::{FIXED, Holds};
-use super::{Column, Outcome, Row};
 use chunks::Chunks;
 use numbers::Numbers;
 
@@ -35,23 +43,28 @@ pub struct Rows {
     /// Of the rows that have one, in order. Those that follow upon one another are mostly the same.
     reasons: Vec<(usize, Arc<str>)>,
     /// The row that is put in.
-    line: Line,
+    line: RowBuilder,
 }
 
 /// The column of a flag that is kept apart: every statistic asks for it.
 const WARM_UP: &str = "warm-up";
 
 /// The verdict on a delay, and what it rests on.
-pub(super) type Judged = (Verdict, DelaySource);
+pub type Judged = (Verdict, DelaySource);
 
-/// What is no number of a row that is put in, and its numbers by the place of their column.
-#[derive(Clone, Default)]
-pub(super) struct Line {
-    pub(super) numbers: Vec<Option<f64>>,
-    pub(super) outcome: Option<Outcome>,
-    pub(super) warm_up: bool,
-    pub(super) reason: Option<String>,
-    pub(super) judged: [Option<Judged>; 2],
+/// A row that is being put together, cell by cell: its numbers by the place of their column, and what is no number.
+#[derive(Clone, Debug, Default)]
+pub struct RowBuilder {
+    /// The numbers, by [`RowBuilder::place`]; `None` where there is none.
+    pub numbers: Vec<Option<f64>>,
+    /// How it ended; `None` is an answer.
+    pub outcome: Option<Outcome>,
+    /// Kept, but left out of statistics.
+    pub warm_up: bool,
+    /// Why there was no answer, where somebody said so.
+    pub reason: Option<String>,
+    /// What the delays were judged to be, upload and download.
+    pub judged: [Option<Judged>; 2],
 }
 
 impl Default for Rows {
@@ -63,7 +76,7 @@ impl Default for Rows {
             ends: Chunks::default(),
             judged: [Chunks::default(), Chunks::default()],
             reasons: Vec::new(),
-            line: Line::default(),
+            line: RowBuilder::default(),
         };
         for (name, _) in FIXED {
             rows.place(&Column::Borrowed(name));
@@ -85,7 +98,7 @@ impl Rows {
 
     /// Puts a row behind the others.
     pub fn push(&mut self, row: &Row) {
-        let mut line = self.begin();
+        let mut line = self.build_row();
         for (name, holds) in FIXED {
             if holds != Holds::Node && name != WARM_UP {
                 line.numbers[self.places[name]] = row.value(name);
@@ -100,19 +113,19 @@ impl Rows {
         line.reason.clone_from(&row.reason);
         let judged = |way: &crate::Passage| (way.delay.verdict, way.delay.source);
         line.judged = [&row.upload, &row.download].map(|way| way.as_ref().map(judged));
-        self.end(line);
+        self.push_built(line);
     }
 
-    /// A row with nothing in it, to be filled and given to [`Self::end`].
-    pub(super) fn begin(&mut self) -> Line {
+    /// A row with nothing in it, to be filled and given to [`Self::push_built`].
+    pub fn build_row(&mut self) -> RowBuilder {
         let mut line = std::mem::take(&mut self.line);
         line.numbers.clear();
         line.numbers.resize(self.names.len(), None);
-        Line { numbers: line.numbers, ..Line::default() }
+        RowBuilder { numbers: line.numbers, ..RowBuilder::default() }
     }
 
     /// Puts a row behind the others.
-    pub(super) fn end(&mut self, mut line: Line) {
+    pub fn push_built(&mut self, mut line: RowBuilder) {
         for (numbers, number) in self.numbers.iter_mut().zip(&line.numbers) {
             numbers.push(*number);
         }
@@ -127,7 +140,7 @@ impl Rows {
     }
 
     /// The place of a column, which is put behind the others where there is none of that name.
-    pub(super) fn place(&mut self, name: &Column) -> usize {
+    fn place(&mut self, name: &Column) -> usize {
         if let Some(place) = self.places.get(name) {
             return *place;
         }
@@ -181,9 +194,9 @@ impl Rows {
     }
 }
 
-impl Line {
+impl RowBuilder {
     /// The place of a column of the rows that this is to be one of.
-    pub(super) fn place(&mut self, rows: &mut Rows, name: &Column) -> usize {
+    pub fn place(&mut self, rows: &mut Rows, name: &Column) -> usize {
         let place = rows.place(name);
         self.numbers.resize(rows.names.len(), None);
         place

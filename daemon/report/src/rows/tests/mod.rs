@@ -1,7 +1,9 @@
 //! Rows that go in and come out.
 
+mod columns;
+
 use super::*;
-use crate::results::tests::rows as made;
+use crate::testing::rows as made;
 
 #[test]
 fn rows_come_back_as_they_were() {

@@ -13,7 +13,7 @@ pub const LATENESS: &str = "lateness";
 
 /// What a column holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Holds {
+pub enum Holds {
     /// The iteration's place in the run, or how it ended.
     Place,
     /// A node of the tree.
@@ -27,7 +27,7 @@ pub const PUBLISHED: usize = 13;
 
 /// The columns that every file has: the published ones in their order, then ours. Whatever else a run measures stands
 /// behind them.
-pub(super) const FIXED: [(&str, Holds); 47] = [
+pub const FIXED: [(&str, Holds); 47] = [
     ("iteration", Holds::Place),
     ("sensing", Holds::Node),
     ("upload", Holds::Node),
@@ -88,7 +88,7 @@ fn fixed(name: &str) -> Option<usize> {
 }
 
 /// The name of a column, without a copy where every file has it.
-pub(super) fn column(name: &str) -> Column {
+pub fn column(name: &str) -> Column {
     fixed(name).map_or_else(|| Column::Owned(name.to_owned()), |at| Column::Borrowed(FIXED[at].0))
 }
 

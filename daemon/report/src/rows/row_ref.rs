@@ -2,10 +2,9 @@
 
 use peernet_clock::{Interval, OneWayDelay, Span, Verdict};
 
-use super::{Rows, WARM_UP};
+use super::columns::{FIXED, Holds};
+use super::{Column, Outcome, Row, Rows, WARM_UP};
 use crate::Passage;
-use crate::results::columns::{FIXED, Holds};
-use crate::results::{Column, Outcome, Row};
 
 /// The columns that a passage is put together of: its delay, payload and metadata, then what is known of the delay.
 const UPLOAD: [&str; 6] =
