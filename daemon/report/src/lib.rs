@@ -17,12 +17,16 @@ mod error;
 pub mod figure;
 pub mod figures;
 pub mod fit;
+pub mod loaded;
 pub mod number;
 pub mod order;
 mod passage;
+pub mod record;
 pub mod results;
 pub mod rows;
+mod run_evidence;
 pub mod sensor_study;
+pub mod summary;
 pub mod table;
 #[cfg(test)]
 mod testing;

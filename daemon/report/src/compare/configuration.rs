@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use super::columns::{self, Chosen, Column};
-use crate::results::{Loaded, RunRecord};
+use crate::loaded::Loaded;
+use crate::record::RunRecord;
 
 /// What stands where a run has nothing of the kind.
 pub(super) const NOTHING: &str = "—";

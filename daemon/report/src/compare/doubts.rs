@@ -5,8 +5,8 @@ use peernet_statistics::Summary;
 
 use super::render::named;
 use super::{LATENCIES, Line, NEARLY_ALL};
+use crate::loaded::Loaded;
 use crate::number::counted;
-use crate::results::Loaded;
 use crate::rows::RowRef;
 use crate::trust::Starts;
 

@@ -23,7 +23,7 @@ pub use doubts::skipped_starts;
 use peernet_statistics::{Moments, Summary};
 
 use crate::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLabels};
-use crate::results::Loaded;
+use crate::loaded::{Loaded, unknown_labels};
 use crate::rows::{Rows, SKIPPED_STARTS};
 use crate::trust::Starts;
 pub(crate) use configuration::Configurations;
@@ -184,7 +184,7 @@ impl Line {
         let of_line = || self.runs.iter().map(|run| &runs[*run]);
         let rows = || of_line().flat_map(|run| &run.rows);
         self.accuracies = ACCURACIES.map(|column| Accuracy::of(rows(), column));
-        self.unknown_labels = UnknownLabels::of_runs(of_line());
+        self.unknown_labels = unknown_labels(of_line());
         self.latencies = LATENCIES.map(|name| {
             let mut moments = Moments::default();
             let numbers = of_line().flat_map(|run| run.rows.counted(name));

@@ -1,7 +1,7 @@
 //! Runs by configuration.
 
 use crate::compare::Configurations;
-use crate::results::Loaded;
+use crate::loaded::Loaded;
 use crate::rows::RowRef;
 
 /// Runs of one configuration, its repeats, are taken together.

@@ -28,7 +28,8 @@ pub use written::Written;
 use std::path::{Path, PathBuf};
 
 use crate::WriteError;
-use crate::results::{Loaded, RunRecord};
+use crate::loaded::Loaded;
+use crate::record::RunRecord;
 use crate::rows::Rows;
 use written::Drawing;
 

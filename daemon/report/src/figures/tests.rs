@@ -8,7 +8,7 @@ use peernet_stream::ExperimentPlace;
 
 use super::*;
 use crate::figure::{Hatch, UNATTRIBUTED};
-use crate::results::{ModelRecord, Placement};
+use crate::record::{ModelRecord, Placement};
 use crate::rows::{Outcome, Row};
 use written::Shown;
 

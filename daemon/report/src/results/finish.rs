@@ -8,10 +8,11 @@ use std::path::{Path, PathBuf};
 use super::cells::Header;
 use super::folder::{DATA, Finished, RECORD, SUMMARIES};
 use super::parse::ends_with_line;
-use super::{RunRecord, Summary};
 use crate::WriteError;
 use crate::error::write;
+use crate::record::RunRecord;
 use crate::rows::{FIXED, RowRef, Rows};
+use crate::summary::Summary;
 
 /// The permission bits of everybody who is neither the owner nor in the group.
 const OTHERS: u32 = 0o007;

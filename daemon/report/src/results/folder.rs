@@ -6,8 +6,10 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::{FolderError, RowWriter, RunRecord};
+use super::{FolderError, RowWriter};
 use crate::WriteError;
+use crate::loaded::Loaded;
+use crate::record::RunRecord;
 use crate::rows::Rows;
 
 /// What to do when the folder holds something.
@@ -40,17 +42,6 @@ pub struct Finished {
     pub files: Vec<PathBuf>,
     /// Why the folder that was asked for could not be written.
     pub trouble: Option<WriteError>,
-}
-
-/// Results that were read back.
-#[derive(Clone, Debug)]
-pub struct Loaded {
-    /// Where from.
-    pub folder: PathBuf,
-    /// What the run was.
-    pub record: RunRecord,
-    /// Its iterations, in order.
-    pub rows: Rows,
 }
 
 impl ResultFolder {

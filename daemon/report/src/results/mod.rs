@@ -15,25 +15,23 @@ mod folder;
 mod parse;
 mod read;
 mod ready;
-mod run;
 mod summary;
-mod whole;
 mod writer;
 
 pub use cells::Header;
 pub use error::FolderError;
-pub use folder::{Finished, Loaded, Overwrite, ResultFolder};
-pub use run::{
+pub use folder::{Finished, Overwrite, ResultFolder};
+pub use writer::RowWriter;
+
+pub use crate::loaded::Loaded;
+pub use crate::record::{
     Bounded, ClockCounts, Clocks, Counts, FORMAT, HostRecord, ModelRecord, NetworkConfig, Placement,
     RunRecord, User, instant,
 };
-pub(crate) use summary::Scale;
-pub use summary::{Quantity, Summary};
-pub use writer::RowWriter;
-
 pub use crate::rows::{
     Column, LATENESS, Outcome, PUBLISHED, Row, RowRef, Rows, SKIPPED_STARTS, Units, published,
 };
+pub use crate::summary::{Quantity, Summary};
 
 #[cfg(test)]
 mod tests;

@@ -2,17 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
+use super::FolderError;
 use super::folder::{DATA, RECORD};
 use super::parse::Reading;
-use super::{Clocks, Counts, FolderError, HostRecord, Loaded, RunRecord};
 use crate::accuracy::Accuracy;
+use crate::loaded::{Loaded, NO_RECORD};
+use crate::record::{Clocks, Counts, HostRecord, RunRecord};
 use crate::rows::Rows;
 
 /// Rows at the beginning that the published figures leave out.
 const PUBLISHED_WARM_UP: usize = 5;
-/// What can be said of the end of a run whose rows are there and whose record, which is written last, is not.
-pub(super) const UNENDED: &str =
-    "there is no run.json: the run is under way or was killed, or data.csv came here alone";
 
 pub(super) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, FolderError> {
     let (folder, data) = if path.is_file() {
@@ -29,7 +28,7 @@ pub(super) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded,
     let warm_up = if record.is_none() { PUBLISHED_WARM_UP } else { 0 };
     let (rows, flagged) = Reading::of(&data, warm_up, wanted).map_err(failed(&data))?;
     let record = record.unwrap_or_else(|| {
-        let reason = if flagged && data.ends_with(DATA) { UNENDED } else { "" };
+        let reason = if flagged && data.ends_with(DATA) { NO_RECORD } else { "" };
         RunRecord { reason: reason.to_owned(), ..alone(path, &rows, flagged) }
     });
     Ok(Loaded { folder, record, rows })

@@ -3,7 +3,7 @@
 use peernet_stream::ExperimentPlace;
 
 use super::*;
-use crate::results::{HostRecord, RunRecord};
+use crate::record::{HostRecord, RunRecord};
 use crate::rows::{Outcome, Row};
 
 #[test]

@@ -27,7 +27,7 @@ const LAYERS: [&[&str]; 7] = [
 ];
 
 /// Cycles that are still there: the crate or program, and its modules. To be shortened only.
-const CYCLES: [(&str, &[&str]); 13] = [
+const CYCLES: [(&str, &[&str]); 12] = [
     ("peernet_clock", &["rehearsal", "source"]),
     ("peernet_logger", &["guard", "recorder"]),
     ("peernet_logger", &["measure", "tree"]),
@@ -39,7 +39,6 @@ const CYCLES: [(&str, &[&str]); 13] = [
     ("peernet_sensors", &["config", "transform"]),
     ("peernet_aggregator", &["config", "error", "store"]),
     ("peernet", &["compare", "run"]),
-    ("peernet_report", &["accuracy", "compare", "figure", "figures", "results", "trust", "users"]),
     (
         "peernet_web",
         &[

@@ -1,11 +1,10 @@
 //! Results as a whole: rows in, files out, rows back.
 
-mod clocks;
 mod files;
 mod published;
 mod summary;
 
-use peernet_clock::{OneWayDelay, Span, Verdict, WallTime};
+use peernet_clock::WallTime;
 use peernet_logger::{Measure, RunId, Unit};
 use peernet_stream::Outcome as Ended;
 

@@ -2,13 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use peernet_logger::Unit;
-
-use super::{Quantity, Summary};
 use crate::accuracy::{ACCURACIES, UNKNOWN_LABEL};
 use crate::number::{bound_milliseconds, decimals, decimals_within, fixed};
-use crate::results::{ClockCounts, Counts};
+use crate::record::{ClockCounts, Counts};
 use crate::rows::{SKIPPED_STARTS, Units};
+use crate::summary::{Quantity, Scale, Summary};
 use crate::table::{Table, csv_text};
 use crate::trust::Starts;
 
@@ -27,27 +25,6 @@ const TABULATED: [(&str, &str); 10] = [
     ("stages-total", "Total (sum of stages)"),
     ("total", "Total (measured)"),
 ];
-/// Columns that are times, wherever in the tree they are logged and whoever wrote the file.
-const TIMES: [&str; 17] = [
-    "sensing",
-    "upload",
-    "preprocessing",
-    "inference",
-    "postprocessing",
-    "download",
-    "capture",
-    "transform",
-    "encode",
-    "send-queue",
-    "queue",
-    "ipc",
-    "capture-ipc",
-    "restart",
-    "capture-restart",
-    "actuation-restart",
-    "actuation",
-];
-
 /// What columns are called that are not named after their stage.
 const NAMED: [(&str, &str); 5] = [
     ("ipc", "Border to the model's process"),
@@ -56,63 +33,6 @@ const NAMED: [(&str, &str); 5] = [
     ("capture_capture-restart", "Restart of the sensor's process"),
     ("actuation_actuation-restart", "Restart of the actuator's process"),
 ];
-/// What is behind the name of a further column that is one's own value, not the sum of its parts.
-const OWN_VALUE: &str = "_val";
-
-/// How numbers of a column are shown.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Scale {
-    Milliseconds,
-    MegabytesPerSecond,
-    Bytes,
-    AsMeasured,
-}
-
-impl Scale {
-    /// By a standard column's name; for another one by the unit that it was logged with.
-    pub(crate) fn of(column: &str, unit: Option<&str>) -> Self {
-        let total = ["lateness", "total", "stages-total", "unattributed"].contains(&column);
-        let logged_in = |known: &Unit| unit == Some(known.symbol());
-        match column {
-            _ if total || TIMES.contains(&last_part(column)) => Self::Milliseconds,
-            "upload-throughput" | "download-throughput" => Self::MegabytesPerSecond,
-            _ if column.ends_with("-bytes") => Self::Bytes,
-            _ if logged_in(&Unit::SECONDS) => Self::Milliseconds,
-            _ if logged_in(&Unit::BITS_PER_SECOND) => Self::MegabytesPerSecond,
-            _ if logged_in(&Unit::BYTES) => Self::Bytes,
-            _ => Self::AsMeasured,
-        }
-    }
-
-    fn unit<'a>(&self, logged: Option<&'a str>) -> &'a str {
-        match self {
-            Self::Milliseconds => "ms",
-            Self::MegabytesPerSecond => "MB/s",
-            Self::Bytes => "B",
-            Self::AsMeasured => logged.unwrap_or_default(),
-        }
-    }
-
-    /// How the numbers of one row are written, all with as many decimals.
-    fn figure(&self, quantity: &Quantity) -> impl Fn(f64) -> String {
-        let (factor, decimals) = match self {
-            Self::Milliseconds => (1e3, decimals_within(quantity.std)),
-            Self::MegabytesPerSecond => (1.0 / 8e6, decimals(quantity.median / 8e6, 3)),
-            Self::Bytes => (1.0, 0),
-            Self::AsMeasured => (1.0, decimals(quantity.median, 3)),
-        };
-        move |value| if value.is_infinite() { "∞".to_owned() } else { fixed(value * factor, decimals) }
-    }
-}
-
-/// The name of the node that a column is of: without those above it, and without a number behind it.
-fn last_part(column: &str) -> &str {
-    let column = column.strip_suffix(OWN_VALUE).unwrap_or(column);
-    let number = |last: &str| last.bytes().all(|byte| byte.is_ascii_digit());
-    let column = column.rsplit_once('_').filter(|(_, last)| number(last)).map_or(column, |(front, _)| front);
-    column.rsplit_once('_').map_or(column, |(_, last)| last)
-}
-
 impl Summary {
     /// For documents: the table, then what it rests on.
     pub fn markdown(&self) -> String {
@@ -194,7 +114,7 @@ impl Summary {
 fn cells(quantity: &Quantity, name: &str, units: &Units) -> Vec<String> {
     let unit = units.of(&quantity.column);
     let scale = Scale::of(&quantity.column, unit);
-    let figure = scale.figure(quantity);
+    let figure = self::figure(scale, quantity);
     // Of what is right or wrong the mean is the share, and a quantile says nothing.
     let is_share = ACCURACIES.contains(&quantity.column.as_ref());
     let known = |value: Option<f64>| value.filter(|_| !is_share).map_or_else(|| UNKNOWN.to_owned(), &figure);
@@ -209,7 +129,7 @@ fn cells(quantity: &Quantity, name: &str, units: &Units) -> Vec<String> {
     };
     vec![
         name.to_owned(),
-        scale.unit(unit).to_owned(),
+        self::unit(scale, unit).to_owned(),
         fixed(quantity.count as f64, 0),
         mean,
         known(Some(quantity.median)),
@@ -218,6 +138,27 @@ fn cells(quantity: &Quantity, name: &str, units: &Units) -> Vec<String> {
         known(quantity.p99),
         known(Some(quantity.max)),
     ]
+}
+
+/// What stands in the column of units.
+fn unit<'a>(scale: Scale, logged: Option<&'a str>) -> &'a str {
+    match scale {
+        Scale::Milliseconds => "ms",
+        Scale::MegabytesPerSecond => "MB/s",
+        Scale::Bytes => "B",
+        Scale::AsMeasured => logged.unwrap_or_default(),
+    }
+}
+
+/// How the numbers of one row are written, all with as many decimals.
+fn figure(scale: Scale, quantity: &Quantity) -> impl Fn(f64) -> String {
+    let (factor, decimals) = match scale {
+        Scale::Milliseconds => (1e3, decimals_within(quantity.std)),
+        Scale::MegabytesPerSecond => (1.0 / 8e6, decimals(quantity.median / 8e6, 3)),
+        Scale::Bytes => (1.0, 0),
+        Scale::AsMeasured => (1.0, decimals(quantity.median, 3)),
+    };
+    move |value| if value.is_infinite() { "∞".to_owned() } else { fixed(value * factor, decimals) }
 }
 
 /// How the iterations ended, in one sentence.

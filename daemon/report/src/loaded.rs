@@ -1,9 +1,27 @@
-//! Whether results are those of a whole run.
+//! Results of a run as they are read back, and whether they are those of a whole run.
 
-use super::read::UNENDED;
-use super::{Counts, Loaded};
+use std::path::PathBuf;
+
+use crate::accuracy::UnknownLabels;
 use crate::number::counted;
-use crate::trust::cut_short;
+use crate::record::{Counts, RunRecord};
+use crate::rows::Rows;
+use crate::run_evidence::cut_short;
+
+/// The reason for the end of a run whose rows are there and whose record, which is written last, is not.
+pub const NO_RECORD: &str =
+    "there is no run.json: the run is under way or was killed, or data.csv came here alone";
+
+/// Results that were read back.
+#[derive(Clone, Debug)]
+pub struct Loaded {
+    /// Where from.
+    pub folder: PathBuf,
+    /// What the run was.
+    pub record: RunRecord,
+    /// Its iterations, in order.
+    pub rows: Rows,
+}
 
 impl Loaded {
     /// Why the rows are not those of a whole run, in one clause: not all that it measured, or all of a run that was
@@ -11,7 +29,7 @@ impl Loaded {
     /// other programs.
     pub fn lacking(&self) -> Option<String> {
         let reason = &self.record.reason;
-        self.damage().or_else(|| match reason == UNENDED {
+        self.damage().or_else(|| match reason == NO_RECORD {
             true => Some(reason.clone()),
             false => cut_short(&self.record, &self.rows).map(|end| format!("the run {end}")),
         })
@@ -37,4 +55,14 @@ impl Loaded {
             }
         })
     }
+
+    /// Samples that are neither right nor wrong, because their label is no class of the model.
+    fn unknown_labels(&self) -> Option<UnknownLabels> {
+        UnknownLabels::of(&self.rows, &self.record.facts)
+    }
+}
+
+/// Those of several runs together, with the words of the first that has some.
+pub(crate) fn unknown_labels<'a>(runs: impl IntoIterator<Item = &'a Loaded>) -> Option<UnknownLabels> {
+    runs.into_iter().filter_map(Loaded::unknown_labels).reduce(UnknownLabels::with)
 }

@@ -1,6 +1,10 @@
 //! What is told of two clocks.
 
+use peernet_clock::{OneWayDelay, Span, Verdict};
+
 use super::*;
+use crate::rows::Row;
+use crate::testing::{kept, rows};
 
 fn near(found: Option<Bounded>, expected: [f64; 3]) {
     let found = found.expect("is known");

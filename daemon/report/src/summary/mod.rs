@@ -1,14 +1,14 @@
 //! The Tabulated Metrics: what a run's columns come to.
 
-mod render;
+mod scale;
 
-pub(crate) use render::Scale;
+pub use scale::Scale;
 
 use peernet_statistics::{self as statistics, Moments};
 
-use super::{Clocks, Counts, RunRecord};
 use crate::accuracy::UnknownLabels;
 use crate::order::Ordered;
+use crate::record::{Clocks, Counts, RunRecord};
 use crate::rows::{Column, FIXED, Holds, Rows, Units};
 use crate::trust::Starts;
 
@@ -132,3 +132,6 @@ impl Quantity {
         })
     }
 }
+
+#[cfg(test)]
+mod tests;
