@@ -8,7 +8,8 @@ use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use futures::stream;
 use peernet_aggregator::{RunSummary, Store};
-use peernet_report::results::{Header, Row};
+use peernet_report::rows::Row;
+use peernet_results::Header;
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 

@@ -3,7 +3,7 @@
 use peernet_aggregator::{Episodes, IterationRow, RunDetail, RunStatistics, Series, StageStatistics};
 use peernet_clock::{Span, Verdict, WallTime};
 use peernet_report::accuracy::{ACCURACIES, UNKNOWN_LABEL};
-use peernet_report::results::SKIPPED_STARTS;
+use peernet_report::rows::SKIPPED_STARTS;
 use serde::Serialize;
 
 use super::clocks;

@@ -210,8 +210,7 @@ fn values(rows: &Rows, column: &str) -> Vec<f64> {
     rows.counted(column).filter(|value| Summary::takes(*value)).collect()
 }
 
-/// Whether a comparison asks for a column: what [`ResultFolder::open_columns`](crate::results::ResultFolder::open_columns)
-/// is to read.
+/// Whether a comparison asks for a column: what `peernet_results::ResultFolder::open_columns` is to read.
 pub fn is_compared(column: &str) -> bool {
     let bounds = ["upload-lo", "upload-hi", "download-lo", "download-hi"];
     let all = differences::STAGES.iter().chain(&LATENCIES).chain(&ACCURACIES).chain(&bounds);

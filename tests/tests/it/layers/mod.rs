@@ -21,7 +21,7 @@ const LAYERS: [&[&str]; 7] = [
         "peernet-actuators",
         "peernet-report",
     ],
-    &["peernet-aggregator", "peernet-agent"],
+    &["peernet-aggregator", "peernet-agent", "peernet-results"],
     &["peernet-web"],
     &["peernetd"],
 ];

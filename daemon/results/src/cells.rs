@@ -4,8 +4,8 @@ use std::collections::HashSet;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
-use crate::Passage;
-use crate::rows::{Column, FIXED, Holds, Row, Rows};
+use peernet_report::Passage;
+use peernet_report::rows::{Column, FIXED, Holds, Row, Rows};
 
 /// The columns of a `data.csv`: those that every file has, then what this run has beside them.
 #[derive(Clone, Debug)]
@@ -23,17 +23,17 @@ impl Default for Header {
 
 impl Header {
     /// The columns that these rows need.
-    pub(super) fn of(rows: &Rows) -> Self {
+    pub(crate) fn of(rows: &Rows) -> Self {
         let names = rows.names().to_vec();
         Self { known: names.iter().cloned().collect(), names }
     }
 
-    pub(super) fn names(&self) -> impl Iterator<Item = &str> {
+    pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
         self.names.iter().map(AsRef::as_ref)
     }
 
     /// Whether all that the row measured has a column.
-    pub(super) fn covers(&self, row: &Row) -> bool {
+    pub(crate) fn covers(&self, row: &Row) -> bool {
         row.values.iter().all(|(name, _)| self.known.contains(name))
     }
 
@@ -47,7 +47,7 @@ impl Header {
     }
 
     /// The columns that not every file has.
-    pub(super) fn further(&self) -> &[Column] {
+    pub(crate) fn further(&self) -> &[Column] {
         self.names.get(FIXED.len()..).unwrap_or_default()
     }
 
@@ -112,7 +112,7 @@ fn number(value: Option<f64>) -> String {
 }
 
 /// Copies a file of rows, its lines made as long as the header is.
-pub(super) fn widen(from: &Path, to: &Path, header: &Header) -> io::Result<()> {
+pub(crate) fn widen(from: &Path, to: &Path, header: &Header) -> io::Result<()> {
     let mut reader = csv::ReaderBuilder::new().has_headers(false).from_path(from)?;
     let mut out = BufWriter::new(std::fs::File::create(to)?);
     let mut bytes = Vec::new();

@@ -4,18 +4,34 @@ use std::fs::{File, TryLockError};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use super::folder::{DATA, RECORD, SUMMARIES};
-use super::{FolderError, Overwrite};
-use crate::figures;
+use peernet_report::WriteError;
+use peernet_report::figures;
+use serde::{Deserialize, Serialize};
+
+use super::FolderError;
+use super::file_names::{DATA, RECORD, SUMMARIES};
+
+/// What to do when the folder holds something.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Overwrite {
+    /// Nothing: it is an error.
+    #[default]
+    Refuse,
+    /// Results in it are replaced; other files stay.
+    Replace,
+    /// A new folder in it is taken: `run-2`, `run-3`, …
+    Subfolder,
+}
 
 /// How deep below a folder results are looked for.
 const DEEPEST: usize = 8;
 
 /// A folder that this program alone writes to: an open file of it that holds a lock.
-pub(super) type Taken = (PathBuf, File);
+pub(crate) type Taken = (PathBuf, File);
 
 /// Finds the folder that `overwrite` allows and takes it for this program; nothing in it is touched.
-pub(super) fn take(dir: &Path, overwrite: Overwrite) -> Result<Taken, FolderError> {
+pub(crate) fn take(dir: &Path, overwrite: Overwrite) -> Result<Taken, FolderError> {
     let failed = |path: &Path| {
         let path = path.to_owned();
         move |error: std::io::Error| FolderError::Make { path, reason: error.to_string() }
@@ -54,17 +70,17 @@ fn lock(dir: &Path) -> Result<File, FolderError> {
 
 /// The files that an earlier run may have left in a folder: its results, and figures of any kind, which would show what
 /// is there no longer.
-pub(super) fn replaced(dir: &Path) -> impl Iterator<Item = String> {
+pub(crate) fn replaced(dir: &Path) -> impl Iterator<Item = String> {
     let results = [DATA, RECORD].into_iter().chain(SUMMARIES).map(str::to_owned);
     results.chain(figures::files_in(dir))
 }
 
 /// Takes away what an earlier run left.
-pub(super) fn clear(dir: &Path) -> Result<(), FolderError> {
+pub(crate) fn clear(dir: &Path) -> Result<(), FolderError> {
     for path in replaced(dir).map(|name| dir.join(name)) {
         match std::fs::remove_file(&path) {
             Err(error) if error.kind() != ErrorKind::NotFound => {
-                return Err(crate::WriteError::at(&path)(error).into());
+                return Err(WriteError::at(&path)(error).into());
             }
             _ => {}
         }
@@ -85,7 +101,7 @@ fn subfolder(dir: &Path) -> std::io::Result<PathBuf> {
     }
 }
 
-pub(super) fn find(dir: &Path) -> Vec<PathBuf> {
+pub(crate) fn find(dir: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     look(dir, DEEPEST, &mut found);
     found

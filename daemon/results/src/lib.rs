@@ -6,32 +6,28 @@
 //! RunRecord ────────────────────────────── run.json ──┘
 //! ```
 //!
-//! The format is described in `docs/results.md`.
+//! The types are those of `peernet_report`. The format is described in `docs/results.md`.
 
 mod cells;
 mod error;
+mod file_names;
 mod finish;
 mod folder;
 mod parse;
 mod read;
 mod ready;
-mod summary;
+pub mod summary;
 mod writer;
 
 pub use cells::Header;
 pub use error::FolderError;
-pub use folder::{Finished, Overwrite, ResultFolder};
+pub use finish::Finished;
+pub use folder::ResultFolder;
+pub use ready::Overwrite;
 pub use writer::RowWriter;
 
-pub use crate::loaded::Loaded;
-pub use crate::record::{
-    Bounded, ClockCounts, Clocks, Counts, FORMAT, HostRecord, ModelRecord, NetworkConfig, Placement,
-    RunRecord, User, instant,
-};
-pub use crate::rows::{
-    Column, LATENESS, Outcome, PUBLISHED, Row, RowRef, Rows, SKIPPED_STARTS, Units, published,
-};
-pub use crate::summary::{Quantity, Summary};
-
+#[cfg(test)]
+#[path = "../../report/src/testing/iterations.rs"]
+mod iterations;
 #[cfg(test)]
 mod tests;

@@ -2,18 +2,19 @@
 
 use std::path::{Path, PathBuf};
 
+use peernet_report::accuracy::Accuracy;
+use peernet_report::loaded::{Loaded, NO_RECORD};
+use peernet_report::record::{Clocks, Counts, HostRecord, RunRecord};
+use peernet_report::rows::Rows;
+
 use super::FolderError;
-use super::folder::{DATA, RECORD};
+use super::file_names::{DATA, RECORD};
 use super::parse::Reading;
-use crate::accuracy::Accuracy;
-use crate::loaded::{Loaded, NO_RECORD};
-use crate::record::{Clocks, Counts, HostRecord, RunRecord};
-use crate::rows::Rows;
 
 /// Rows at the beginning that the published figures leave out.
 const PUBLISHED_WARM_UP: usize = 5;
 
-pub(super) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, FolderError> {
+pub(crate) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, FolderError> {
     let (folder, data) = if path.is_file() {
         (path.parent().unwrap_or(Path::new("")).to_owned(), path.to_owned())
     } else {

@@ -4,26 +4,13 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use serde::{Deserialize, Serialize};
+use peernet_report::WriteError;
+use peernet_report::loaded::Loaded;
+use peernet_report::record::RunRecord;
+use peernet_report::rows::Rows;
 
-use super::{FolderError, RowWriter};
-use crate::WriteError;
-use crate::loaded::Loaded;
-use crate::record::RunRecord;
-use crate::rows::Rows;
-
-/// What to do when the folder holds something.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Overwrite {
-    /// Nothing: it is an error.
-    #[default]
-    Refuse,
-    /// Results in it are replaced; other files stay.
-    Replace,
-    /// A new folder in it is taken: `run-2`, `run-3`, …
-    Subfolder,
-}
+use super::file_names::DATA;
+use super::{Finished, FolderError, Overwrite, RowWriter};
 
 /// A folder that results are written to, by this program alone for as long as this is there.
 #[derive(Clone, Debug)]
@@ -31,17 +18,6 @@ pub struct ResultFolder {
     path: PathBuf,
     /// Holds the lock.
     _lock: Arc<File>,
-}
-
-/// Where the results are.
-#[derive(Debug)]
-pub struct Finished {
-    /// The folder: the one that was asked for, or a temporary one when that could not be written.
-    pub folder: PathBuf,
-    /// The files in it.
-    pub files: Vec<PathBuf>,
-    /// Why the folder that was asked for could not be written.
-    pub trouble: Option<WriteError>,
 }
 
 impl ResultFolder {
@@ -116,10 +92,3 @@ impl ResultFolder {
         super::ready::find(dir)
     }
 }
-
-/// The rows.
-pub(super) const DATA: &str = "data.csv";
-/// Everything but the rows.
-pub(super) const RECORD: &str = "run.json";
-/// The summary.
-pub(super) const SUMMARIES: [&str; 3] = ["summary.md", "summary.csv", "summary.tex"];

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::WriteError;
+use peernet_report::WriteError;
 
 /// A folder of results that cannot be used.
 #[derive(Debug, thiserror::Error)]

@@ -5,8 +5,7 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
 use peernet_clock::{DelaySource, Verdict};
-
-use crate::rows::{Column, FIXED, Holds, Outcome, RowBuilder, Rows, column};
+use peernet_report::rows::{Column, FIXED, Holds, Outcome, RowBuilder, Rows, column};
 
 /// The published stages, whose sum the paper calls Total.
 const PUBLISHED_STAGES: [&str; 6] =
@@ -14,7 +13,7 @@ const PUBLISHED_STAGES: [&str; 6] =
 
 /// What is wrong with a file of rows.
 #[derive(Debug, thiserror::Error)]
-pub(super) enum Malformed {
+pub(crate) enum Malformed {
     #[error("{0}")]
     Io(#[from] std::io::Error),
     #[error("{0}")]
@@ -26,7 +25,7 @@ pub(super) enum Malformed {
 }
 
 /// A file that is being read, line by line.
-pub(super) struct Reading {
+pub(crate) struct Reading {
     columns: Vec<Cells>,
     /// Whether the sum of the stages is to be added.
     sums: bool,
@@ -49,7 +48,7 @@ impl Reading {
     /// many at the beginning are.
     ///
     /// A last line that was cut off, as by a program that was ended while writing, is left out.
-    pub(super) fn of(
+    pub(crate) fn of(
         path: &Path,
         warm_up: usize,
         wanted: &dyn Fn(&str) -> bool,
@@ -184,7 +183,7 @@ fn take_text(
 }
 
 /// Whether its last line is whole. It is read from the beginning afterwards.
-pub(super) fn ends_with_line(file: &mut File) -> std::io::Result<bool> {
+pub(crate) fn ends_with_line(file: &mut File) -> std::io::Result<bool> {
     let mut last = [0];
     if file.metadata()?.len() > 0 {
         file.seek(SeekFrom::End(-1))?;

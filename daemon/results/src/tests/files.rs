@@ -2,10 +2,15 @@
 
 use std::path::Path;
 
+use peernet_clock::WallTime;
+use peernet_logger::RunId;
+use peernet_report::accuracy::Accuracy;
+use peernet_report::record::{Clocks, FORMAT, ModelRecord, instant};
+use peernet_report::trust::{Evidence, Report};
 use proptest::prelude::*;
 
 use super::*;
-use crate::accuracy::Accuracy;
+use crate::iterations::BEGUN;
 
 #[test]
 fn header_names_every_standard_column_before_the_first_row() {
@@ -13,7 +18,7 @@ fn header_names_every_standard_column_before_the_first_row() {
     let folder = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
     let path = folder.writer().expect("writable").end().expect("writable");
     let text = std::fs::read_to_string(path).expect("it is there at once");
-    let published = published().collect::<Vec<_>>().join(",");
+    let published = peernet_report::rows::published().collect::<Vec<_>>().join(",");
     assert_eq!(
         text,
         format!(
@@ -38,7 +43,7 @@ fn record() -> RunRecord {
         counts: Counts::of(&kept(&rows(10)), 3),
         clocks: Clocks::of(&kept(&rows(10))),
         accuracy: [("top-1".to_owned(), Accuracy::of_counts(8, 9, 1).expect("answers"))].into(),
-        trust: Some(crate::trust::Report::of(&crate::trust::Evidence::default())),
+        trust: Some(Report::of(&Evidence::default())),
         ..RunRecord::default()
     }
 }

@@ -4,9 +4,10 @@ use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+use peernet_report::WriteError;
+use peernet_report::rows::Row;
+
 use super::cells::{self, Header};
-use crate::WriteError;
-use crate::rows::Row;
 
 /// Seconds of the rows' own time between two writes.
 const EVERY: f64 = 1.0;
@@ -38,7 +39,7 @@ pub struct RowWriter {
 
 impl RowWriter {
     /// Makes the file anew, with its header.
-    pub(super) fn begin(path: PathBuf) -> Result<Self, WriteError> {
+    pub(crate) fn begin(path: PathBuf) -> Result<Self, WriteError> {
         let header = Header::default();
         let file = File::create(&path).map_err(WriteError::at(&path))?;
         let mut waiting = Vec::new();
@@ -189,7 +190,7 @@ fn whole_rows(bytes: &[u8]) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rows::Outcome;
+    use peernet_report::rows::Outcome;
 
     fn row(iteration: u64) -> Row {
         Row {

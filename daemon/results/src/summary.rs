@@ -2,13 +2,13 @@
 
 use std::collections::BTreeMap;
 
-use crate::accuracy::{ACCURACIES, UNKNOWN_LABEL};
-use crate::number::{bound_milliseconds, decimals, decimals_within, fixed};
-use crate::record::{ClockCounts, Counts};
-use crate::rows::{SKIPPED_STARTS, Units};
-use crate::summary::{Quantity, Scale, Summary};
-use crate::table::{Table, csv_text};
-use crate::trust::Starts;
+use peernet_report::accuracy::{ACCURACIES, UNKNOWN_LABEL};
+use peernet_report::number::{bound_milliseconds, decimals, decimals_within, fixed};
+use peernet_report::record::{ClockCounts, Counts};
+use peernet_report::rows::{SKIPPED_STARTS, Units};
+use peernet_report::summary::{Quantity, Scale, Summary};
+use peernet_report::table::{Table, csv_text};
+use peernet_report::trust::Starts;
 
 /// What stands where nothing is known.
 const UNKNOWN: &str = "—";
@@ -33,88 +33,78 @@ const NAMED: [(&str, &str); 5] = [
     ("capture_capture-restart", "Restart of the sensor's process"),
     ("actuation_actuation-restart", "Restart of the actuator's process"),
 ];
-impl Summary {
-    /// For documents: the table, then what it rests on.
-    pub fn markdown(&self) -> String {
-        let title = if self.title.is_empty() { String::new() } else { format!("# {}\n\n", self.title) };
-        format!("{title}{}\n{}\n", self.table().markdown(), self.sentences())
-    }
 
-    /// For the terminal.
-    pub fn text(&self) -> String {
-        format!("{}\n\n{}", self.table().text(), self.sentences())
-    }
+/// For documents: the table, then what it rests on.
+pub fn markdown(summary: &Summary) -> String {
+    let title = if summary.title.is_empty() { String::new() } else { format!("# {}\n\n", summary.title) };
+    format!("{title}{}\n{}\n", table(summary).markdown(), sentences(summary))
+}
 
-    /// For papers, with booktabs.
-    pub fn latex(&self) -> String {
-        self.table().latex(&[self.title.as_str(), &self.sentences().replace('\n', " ")].join(". "))
-    }
+/// For the terminal.
+pub fn text(summary: &Summary) -> String {
+    format!("{}\n\n{}", table(summary).text(), sentences(summary))
+}
 
-    /// For programs: seconds, bytes, bits per second, every digit.
-    pub fn csv(&self) -> String {
-        let header =
-            ["column", "count", "mean", "std", "median", "median-lo", "median-hi", "p95", "p99", "max"];
-        let cell = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
-        let row = |quantity: &Quantity| {
-            let Quantity { count, mean, std, median, p95, p99, max, bounds, .. } = *quantity;
-            let numbers = [
-                Some(mean),
-                std,
-                Some(median),
-                bounds.map(|b| b.0),
-                bounds.map(|b| b.1),
-                p95,
-                p99,
-                Some(max),
-            ];
-            [quantity.column.to_string(), count.to_string()].into_iter().chain(numbers.map(cell)).collect()
-        };
-        csv_text(&header, &self.quantities.iter().map(row).collect::<Vec<_>>())
-    }
+/// For papers, with booktabs.
+pub fn latex(summary: &Summary) -> String {
+    table(summary).latex(&[summary.title.as_str(), &sentences(summary).replace('\n', " ")].join(". "))
+}
 
-    /// The paper's metrics first, then all else.
-    fn table(&self) -> Table {
-        let named = TABULATED.iter().filter_map(|(column, name)| Some((self.quantity(column)?, *name)));
-        let rest = self
-            .quantities
-            .iter()
-            .filter(|quantity| TABULATED.iter().all(|(name, _)| *name != quantity.column))
-            // Sentences tell them.
-            .filter(|quantity| ![UNKNOWN_LABEL, SKIPPED_STARTS].contains(&quantity.column.as_ref()));
-        let rest = rest.map(|quantity| {
-            let column = quantity.column.as_ref();
-            (quantity, NAMED.iter().find(|(name, _)| *name == column).map_or(column, |(_, words)| words))
-        });
-        let header = ["metric", "unit", "count", "mean ± std", "median", "clock bounds", "p95", "p99", "max"];
-        Table {
-            header: header.map(str::to_owned).to_vec(),
-            labels: 2,
-            rows: named.chain(rest).map(|(quantity, name)| cells(quantity, name, &self.units)).collect(),
-            marked: Vec::new(),
-        }
-    }
+/// For programs: seconds, bytes, bits per second, every digit.
+pub fn csv(summary: &Summary) -> String {
+    let header = ["column", "count", "mean", "std", "median", "median-lo", "median-hi", "p95", "p99", "max"];
+    let cell = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
+    let row = |quantity: &Quantity| {
+        let Quantity { count, mean, std, median, p95, p99, max, bounds, .. } = *quantity;
+        let numbers =
+            [Some(mean), std, Some(median), bounds.map(|b| b.0), bounds.map(|b| b.1), p95, p99, Some(max)];
+        [quantity.column.to_string(), count.to_string()].into_iter().chain(numbers.map(cell)).collect()
+    };
+    csv_text(&header, &summary.quantities.iter().map(row).collect::<Vec<_>>())
+}
 
-    /// What the table rests on, a line each.
-    fn sentences(&self) -> String {
-        let is_open = |quantity: &Quantity| quantity.bounds.is_some_and(|(lo, hi)| lo < hi);
-        let bounds = self.quantities.iter().any(is_open);
-        let bounds = if bounds { "Clock bounds contain the median of the true values." } else { "" };
-        let unknown = self.unknown_labels.as_ref().map(|unknown| unknown.sentence(self.counts.ok));
-        let parts = [
-            outcomes(&self.counts),
-            starts(&self.starts),
-            clocks(&self.clocks.upload, &self.clocks.download),
-            bounds.to_owned(),
-            unknown.unwrap_or_default(),
-        ];
-        parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("\n")
+/// The paper's metrics first, then all else.
+fn table(summary: &Summary) -> Table {
+    let named = TABULATED.iter().filter_map(|(column, name)| Some((summary.quantity(column)?, *name)));
+    let rest = summary
+        .quantities
+        .iter()
+        .filter(|quantity| TABULATED.iter().all(|(name, _)| *name != quantity.column))
+        // Sentences tell them.
+        .filter(|quantity| ![UNKNOWN_LABEL, SKIPPED_STARTS].contains(&quantity.column.as_ref()));
+    let rest = rest.map(|quantity| {
+        let column = quantity.column.as_ref();
+        (quantity, NAMED.iter().find(|(name, _)| *name == column).map_or(column, |(_, words)| words))
+    });
+    let header = ["metric", "unit", "count", "mean ± std", "median", "clock bounds", "p95", "p99", "max"];
+    Table {
+        header: header.map(str::to_owned).to_vec(),
+        labels: 2,
+        rows: named.chain(rest).map(|(quantity, name)| cells(quantity, name, &summary.units)).collect(),
+        marked: Vec::new(),
     }
+}
+
+/// What the table rests on, a line each.
+fn sentences(summary: &Summary) -> String {
+    let is_open = |quantity: &Quantity| quantity.bounds.is_some_and(|(lo, hi)| lo < hi);
+    let bounds = summary.quantities.iter().any(is_open);
+    let bounds = if bounds { "Clock bounds contain the median of the true values." } else { "" };
+    let unknown = summary.unknown_labels.as_ref().map(|unknown| unknown.sentence(summary.counts.ok));
+    let parts = [
+        outcomes(&summary.counts),
+        starts(&summary.starts),
+        clocks(&summary.clocks.upload, &summary.clocks.download),
+        bounds.to_owned(),
+        unknown.unwrap_or_default(),
+    ];
+    parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("\n")
 }
 
 fn cells(quantity: &Quantity, name: &str, units: &Units) -> Vec<String> {
     let unit = units.of(&quantity.column);
     let scale = Scale::of(&quantity.column, unit);
-    let figure = self::figure(scale, quantity);
+    let figure = figure_of(scale, quantity);
     // Of what is right or wrong the mean is the share, and a quantile says nothing.
     let is_share = ACCURACIES.contains(&quantity.column.as_ref());
     let known = |value: Option<f64>| value.filter(|_| !is_share).map_or_else(|| UNKNOWN.to_owned(), &figure);
@@ -129,7 +119,7 @@ fn cells(quantity: &Quantity, name: &str, units: &Units) -> Vec<String> {
     };
     vec![
         name.to_owned(),
-        self::unit(scale, unit).to_owned(),
+        unit_of(scale, unit).to_owned(),
         fixed(quantity.count as f64, 0),
         mean,
         known(Some(quantity.median)),
@@ -141,7 +131,7 @@ fn cells(quantity: &Quantity, name: &str, units: &Units) -> Vec<String> {
 }
 
 /// What stands in the column of units.
-fn unit<'a>(scale: Scale, logged: Option<&'a str>) -> &'a str {
+fn unit_of<'a>(scale: Scale, logged: Option<&'a str>) -> &'a str {
     match scale {
         Scale::Milliseconds => "ms",
         Scale::MegabytesPerSecond => "MB/s",
@@ -151,7 +141,7 @@ fn unit<'a>(scale: Scale, logged: Option<&'a str>) -> &'a str {
 }
 
 /// How the numbers of one row are written, all with as many decimals.
-fn figure(scale: Scale, quantity: &Quantity) -> impl Fn(f64) -> String {
+fn figure_of(scale: Scale, quantity: &Quantity) -> impl Fn(f64) -> String {
     let (factor, decimals) = match scale {
         Scale::Milliseconds => (1e3, decimals_within(quantity.std)),
         Scale::MegabytesPerSecond => (1.0 / 8e6, decimals(quantity.median / 8e6, 3)),

@@ -1,6 +1,13 @@
 //! Summaries as text.
 
+use peernet_logger::{Measure, Unit};
+use peernet_report::number::counted;
+use peernet_report::rows::Units;
+use peernet_stream::Outcome as Ended;
+
 use super::*;
+use crate::iterations::{add, iteration, offloaded, timer};
+use crate::summary::{csv, latex, markdown, text};
 
 #[test]
 fn labels_that_are_no_classes_of_the_model_are_told() {
@@ -8,10 +15,10 @@ fn labels_that_are_no_classes_of_the_model_are_told() {
     rows.iter_mut().for_each(|row| row.values.push(("unknown-label".into(), 1.0)));
     let facts = vec![("Classes".to_owned(), "4: good, dented".to_owned())];
     let summary = Summary::of(&kept(&rows)).about(&RunRecord { facts, ..RunRecord::default() });
-    let (text, ok) = (summary.text(), summary.counts.ok);
+    let (text, ok) = (text(&summary), summary.counts.ok);
     let told = format!(
         "Not scored: {ok} of {}, because the label is no class of the model (the model knows good, dented).",
-        crate::number::counted(ok, "iteration")
+        counted(ok, "iteration")
     );
     assert!(text.contains(&told) && !text.contains("unknown-label"), "{text}");
 }
@@ -24,14 +31,14 @@ fn counts_are_sums_and_shares() {
         row.values.extend([("top-1".into(), right), ("skipped-starts".into(), 2.0)]);
     }
     let summary = Summary::of(&kept(&rows));
-    let text = summary.text();
+    let text = text(&summary);
     let starts = summary.starts;
     assert!(starts.kept > summary.counts.ok && starts.skipped == 2 * starts.kept, "{starts:?}");
     let told = format!("Skipped: {} of {} starts (66.7 %).", starts.skipped, starts.all());
     assert!(text.contains(&told) && !text.contains("skipped-starts"), "{text}");
     let line = text.lines().find(|line| line.starts_with("top-1")).expect("a line");
     assert_eq!(line.matches('—').count(), 4, "no quantile: {line}");
-    assert!(summary.csv().contains("\nskipped-starts,"), "for programs");
+    assert!(csv(&summary).contains("\nskipped-starts,"), "for programs");
 }
 
 const TEXT: &str = "\
@@ -61,19 +68,19 @@ Clock bounds contain the median of the true values.";
 fn the_summary_reads_as_the_papers_metrics() {
     let record = RunRecord { title: "robot_1".to_owned(), ..RunRecord::default() };
     let summary = Summary::of(&kept(&rows(10))).about(&record);
-    assert_eq!(summary.text(), TEXT);
-    let markdown = summary.markdown();
+    assert_eq!(text(&summary), TEXT);
+    let markdown = markdown(&summary);
     assert!(markdown.starts_with("# robot_1\n\n| metric | unit | count | mean ± std |"), "{markdown}");
     assert!(markdown.contains(
         "| Upload Latency | ms | 7 | 17.007 ± 0.003 | 17.007 | 16.997 – 17.017 | — | — | 17.010 |"
     ));
-    let latex = summary.latex();
+    let latex = latex(&summary);
     assert!(
         latex.contains("Upload Latency & ms & 7 & 17.007 $\\pm$ 0.003 & 17.007 & 16.997 -- 17.017 &"),
         "{latex}"
     );
     assert!(latex.contains("\\caption{robot\\_1. Iterations: 7 answered;"), "{latex}");
-    let csv = summary.csv();
+    let csv = csv(&summary);
     let mut lines = csv.lines();
     assert_eq!(lines.next(), Some("column,count,mean,std,median,median-lo,median-hi,p95,p99,max"));
     let sensing: Vec<&str> = lines.next().expect("sensing").split(',').collect();
@@ -86,7 +93,7 @@ fn nodes_of_a_known_stage_are_times_wherever_they_are() {
         [("ipc", 0.001), ("capture_capture-ipc", 0.002), ("mine_capture-ipc_2", 0.003), ("mine", 4.0)];
     let mut rows = rows(9).split_off(8);
     rows[0].values = values.map(|(name, value)| (name.into(), value)).to_vec();
-    let text = Summary::of(&kept(&rows)).text();
+    let text = text(&Summary::of(&kept(&rows)));
     let unit = |metric: &str| {
         let line =
             text.lines().find(|line| line.starts_with(metric)).unwrap_or_else(|| panic!("{metric}: {text}"));
@@ -119,7 +126,7 @@ fn nodes_of_ones_own_have_the_unit_that_they_were_logged_with() {
     let record = RunRecord { units, ..RunRecord::default() };
     let json = serde_json::to_value(&record).expect("JSON");
     assert_eq!((&json["units"]["grip_val"], &json["units"]["force"]), (&"s".into(), &"N".into()));
-    let text = Summary::of(&kept(&own)).about(&record).text();
+    let text = text(&Summary::of(&kept(&own)).about(&record));
     let line = |metric: &str| {
         let line =
             text.lines().find(|line| line.starts_with(metric)).unwrap_or_else(|| panic!("{metric}: {text}"));

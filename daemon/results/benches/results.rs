@@ -8,8 +8,12 @@ use std::sync::Arc;
 use peernet_clock::{Clock, ClockIdentity, DelaySource, Interval, OneWayDelay, Span, SystemClock, Verdict};
 use peernet_logger::{Anchor, HostId, Measure, NodeId, Rate, RunId, Transit, Tree, Unit, stage};
 use peernet_report::compare::{Comparison, Differences, is_compared};
-use peernet_report::results::{Loaded, Overwrite, ResultFolder, Row, Rows, RunRecord, Summary};
+use peernet_report::loaded::Loaded;
+use peernet_report::record::RunRecord;
+use peernet_report::rows::{Row, Rows};
+use peernet_report::summary::Summary;
 use peernet_report::trust::{Evidence, Report};
+use peernet_results::{Overwrite, ResultFolder};
 use peernet_stream::{Iteration, Outcome};
 
 fn main() {

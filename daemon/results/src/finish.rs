@@ -5,19 +5,31 @@ use std::io::{BufWriter, ErrorKind, Write};
 use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
+use peernet_report::WriteError;
+use peernet_report::record::RunRecord;
+use peernet_report::rows::{FIXED, RowRef, Rows};
+use peernet_report::summary::Summary;
+
 use super::cells::Header;
-use super::folder::{DATA, Finished, RECORD, SUMMARIES};
+use super::file_names::{DATA, RECORD, SUMMARIES};
 use super::parse::ends_with_line;
-use crate::WriteError;
-use crate::error::write;
-use crate::record::RunRecord;
-use crate::rows::{FIXED, RowRef, Rows};
-use crate::summary::Summary;
+use super::summary::{csv, latex, markdown};
+
+/// Where the results are.
+#[derive(Debug)]
+pub struct Finished {
+    /// The folder: the one that was asked for, or a temporary one when that could not be written.
+    pub folder: PathBuf,
+    /// The files in it.
+    pub files: Vec<PathBuf>,
+    /// Why the folder that was asked for could not be written.
+    pub trouble: Option<WriteError>,
+}
 
 /// The permission bits of everybody who is neither the owner nor in the group.
 const OTHERS: u32 = 0o007;
 
-pub(super) fn finish(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<Finished, WriteError> {
+pub(crate) fn finish(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<Finished, WriteError> {
     let trouble = match all(folder, record, rows) {
         Ok(files) => return Ok(Finished { folder: folder.to_owned(), files, trouble: None }),
         Err(trouble) => trouble,
@@ -51,9 +63,9 @@ fn all(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<Vec<PathBuf>, W
     write_private(&json, &text).map_err(WriteError::at(&json))?;
     let summary = Summary::of(rows).about(record);
     let mut files = vec![data, json];
-    for (name, text) in SUMMARIES.into_iter().zip([summary.markdown(), summary.csv(), summary.latex()]) {
+    for (name, text) in SUMMARIES.into_iter().zip([markdown(&summary), csv(&summary), latex(&summary)]) {
         let path = folder.join(name);
-        write(&path, text.as_bytes())?;
+        std::fs::write(&path, text).map_err(WriteError::at(&path))?;
         files.push(path);
     }
     Ok(files)
