@@ -64,5 +64,5 @@ impl Loaded {
 
 /// Those of several runs together, with the words of the first that has some.
 pub(crate) fn unknown_labels<'a>(runs: impl IntoIterator<Item = &'a Loaded>) -> Option<UnknownLabels> {
-    runs.into_iter().filter_map(Loaded::unknown_labels).reduce(UnknownLabels::with)
+    runs.into_iter().filter_map(Loaded::unknown_labels).reduce(|all, more| all.with(&more))
 }

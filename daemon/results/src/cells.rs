@@ -5,7 +5,7 @@ use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
 use peernet_report::Passage;
-use peernet_report::rows::{Column, FIXED, Holds, Row, Rows};
+use peernet_report::rows::{Column, ColumnKind, FIXED_COLUMNS, Row, Rows};
 
 /// The columns of a `data.csv`: those that every file has, then what this run has beside them.
 #[derive(Clone, Debug)]
@@ -16,7 +16,7 @@ pub struct Header {
 
 impl Default for Header {
     fn default() -> Self {
-        let names: Vec<Column> = FIXED.iter().map(|(name, _)| Column::Borrowed(*name)).collect();
+        let names: Vec<Column> = FIXED_COLUMNS.iter().map(|(name, _)| Column::Borrowed(*name)).collect();
         Self { known: names.iter().cloned().collect(), names }
     }
 }
@@ -48,7 +48,7 @@ impl Header {
 
     /// The columns that not every file has.
     pub(crate) fn further(&self) -> &[Column] {
-        self.names.get(FIXED.len()..).unwrap_or_default()
+        self.names.get(FIXED_COLUMNS.len()..).unwrap_or_default()
     }
 
     /// Appends the line with the names.
@@ -58,10 +58,10 @@ impl Header {
 
     /// Appends a row's line; what has no column is left out.
     pub fn row(&self, out: &mut Vec<u8>, row: &Row) {
-        let fixed = FIXED.iter().map(|(name, holds)| match holds {
-            Holds::Place => place(row, name),
-            Holds::Delay => delay(row, name),
-            Holds::Node => number(row.value(name)),
+        let fixed = FIXED_COLUMNS.iter().map(|(name, kind)| match kind {
+            ColumnKind::Place => place(row, name),
+            ColumnKind::Delay => delay(row, name),
+            ColumnKind::Node => number(row.value(name)),
         });
         line(out, fixed.chain(self.further().iter().map(|name| number(row.value(name)))));
     }

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use peernet_report::WriteError;
 use peernet_report::record::RunRecord;
-use peernet_report::rows::{FIXED, RowRef, Rows};
+use peernet_report::rows::{FIXED_COLUMNS, RowRef, Rows};
 use peernet_report::summary::Summary;
 
 use super::cells::Header;
@@ -81,7 +81,7 @@ fn is_whole(path: &Path, rows: &Rows) -> bool {
     let mut reader = csv::Reader::from_reader(file);
     let header = Header::of(rows);
     let is_row = |record: &csv::ByteRecord, row: RowRef<'_>| {
-        let further = header.further().iter().zip(record.iter().skip(FIXED.len()));
+        let further = header.further().iter().zip(record.iter().skip(FIXED_COLUMNS.len()));
         record.get(0) == Some(row.iteration().to_string().as_bytes())
             && further.into_iter().all(|(name, cell)| cell.is_empty() == row.value(name).is_none())
     };

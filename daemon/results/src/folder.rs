@@ -16,7 +16,7 @@ use super::{Finished, FolderError, Overwrite, RowWriter};
 #[derive(Clone, Debug)]
 pub struct ResultFolder {
     path: PathBuf,
-    /// Holds the lock.
+    /// ColumnKind the lock.
     _lock: Arc<File>,
 }
 

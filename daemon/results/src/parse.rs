@@ -5,7 +5,7 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
 use peernet_clock::{DelaySource, Verdict};
-use peernet_report::rows::{Column, FIXED, Holds, Outcome, RowBuilder, Rows, column};
+use peernet_report::rows::{Column, ColumnKind, FIXED_COLUMNS, Outcome, RowBuilder, Rows, column};
 
 /// The published stages, whose sum the paper calls Total.
 const PUBLISHED_STAGES: [&str; 6] =
@@ -35,7 +35,7 @@ pub(crate) struct Reading {
 /// A column of the file.
 struct Cells {
     name: Column,
-    holds: Option<Holds>,
+    kind: Option<ColumnKind>,
     /// Which of the published stages it is.
     stage: Option<usize>,
     /// Where its numbers go; `None` until there is one.
@@ -56,17 +56,18 @@ impl Reading {
         let mut file = File::open(path)?;
         let ends_with_line = ends_with_line(&mut file)?;
         let mut reader = csv::Reader::from_reader(file);
-        let holds = |name: &str| FIXED.iter().find(|(fixed, _)| *fixed == name).map(|(_, holds)| *holds);
+        let kind =
+            |name: &str| FIXED_COLUMNS.iter().find(|(fixed, _)| *fixed == name).map(|(_, kind)| *kind);
         let cells = |name: &str| Cells {
             name: column(name.trim()),
-            holds: holds(name.trim()),
+            kind: kind(name.trim()),
             stage: PUBLISHED_STAGES.iter().position(|stage| *stage == name.trim()),
             place: None,
             wanted: wanted(name.trim()),
         };
         let columns: Vec<Cells> = reader.headers()?.iter().map(cells).collect();
         let has = |wanted: &str| columns.iter().any(|cells| cells.name == wanted);
-        if !columns.iter().any(|cells| matches!(cells.holds, Some(Holds::Node))) {
+        if !columns.iter().any(|cells| matches!(cells.kind, Some(ColumnKind::Node))) {
             return Err(Malformed::Foreign);
         }
         let (flagged, ours, sums) = (has("warm-up"), has("outcome"), !has("stages-total"));
@@ -114,7 +115,7 @@ impl Reading {
                     f64::from(u8::from(cell == "true"))
                 }
                 // A text that somebody put beside the numbers does no harm.
-                Err(_) if cells.holds.is_none() => continue,
+                Err(_) if cells.kind.is_none() => continue,
                 Err(_) => return Err(wrong("number")),
             };
             if let Some(stage) = cells.stage {
@@ -151,7 +152,7 @@ impl Cells {
     fn is_text(&self) -> bool {
         let words =
             ["outcome", "reason", "upload-verdict", "upload-source", "download-verdict", "download-source"];
-        self.holds.is_some() && words.contains(&self.name.as_ref())
+        self.kind.is_some() && words.contains(&self.name.as_ref())
     }
 
     /// Whether the number tells something: upper bounds alone may be open.
@@ -161,7 +162,7 @@ impl Cells {
 
     /// What nobody wrote and nobody asks for is not looked at.
     fn is_passed_over(&self) -> bool {
-        self.holds.is_none() && !self.wanted
+        self.kind.is_none() && !self.wanted
     }
 }
 

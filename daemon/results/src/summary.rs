@@ -131,7 +131,7 @@ fn cells(quantity: &Quantity, name: &str, units: &Units) -> Vec<String> {
 }
 
 /// What stands in the column of units.
-fn unit_of<'a>(scale: Scale, logged: Option<&'a str>) -> &'a str {
+fn unit_of(scale: Scale, logged: Option<&str>) -> &str {
     match scale {
         Scale::Milliseconds => "ms",
         Scale::MegabytesPerSecond => "MB/s",

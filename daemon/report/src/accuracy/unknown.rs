@@ -39,7 +39,7 @@ impl UnknownLabels {
 
     /// Together with those of another run, in the words of this one.
     #[must_use]
-    pub(crate) fn with(self, other: Self) -> Self {
+    pub(crate) fn with(self, other: &Self) -> Self {
         Self { count: self.count + other.count, ..self }
     }
 

@@ -11,9 +11,9 @@ pub const SKIPPED_STARTS: &str = "skipped-starts";
 /// From the start that was ordered to the real one, in an open loop: a part of `unattributed`.
 pub const LATENESS: &str = "lateness";
 
-/// What a column holds.
+/// What the cells of a column say.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Holds {
+pub enum ColumnKind {
     /// The iteration's place in the run, or how it ended.
     Place,
     /// A node of the tree.
@@ -27,69 +27,69 @@ pub const PUBLISHED: usize = 13;
 
 /// The columns that every file has: the published ones in their order, then ours. Whatever else a run measures stands
 /// behind them.
-pub const FIXED: [(&str, Holds); 47] = [
-    ("iteration", Holds::Place),
-    ("sensing", Holds::Node),
-    ("upload", Holds::Node),
-    ("preprocessing", Holds::Node),
-    ("inference", Holds::Node),
-    ("postprocessing", Holds::Node),
-    ("download", Holds::Node),
-    ("download-bytes", Holds::Node),
-    ("download-logger-bytes", Holds::Node),
-    ("upload-bytes", Holds::Node),
-    ("upload-logger-bytes", Holds::Node),
-    ("upload-throughput", Holds::Node),
-    ("download-throughput", Holds::Node),
-    ("upload-raw", Holds::Delay),
-    ("upload-lo", Holds::Delay),
-    ("upload-hi", Holds::Delay),
-    ("upload-verdict", Holds::Delay),
-    ("upload-source", Holds::Delay),
-    ("download-raw", Holds::Delay),
-    ("download-lo", Holds::Delay),
-    ("download-hi", Holds::Delay),
-    ("download-verdict", Holds::Delay),
-    ("download-source", Holds::Delay),
-    ("upload-throughput-lo", Holds::Node),
-    ("upload-throughput-hi", Holds::Node),
-    ("download-throughput-lo", Holds::Node),
-    ("download-throughput-hi", Holds::Node),
-    ("capture", Holds::Node),
-    ("transform", Holds::Node),
-    ("encode", Holds::Node),
-    ("send-queue", Holds::Node),
-    ("queue", Holds::Node),
-    ("ipc", Holds::Node),
-    ("actuation", Holds::Node),
-    (SKIPPED_STARTS, Holds::Node),
-    (LATENESS, Holds::Node),
-    ("total", Holds::Node),
-    ("stages-total", Holds::Node),
-    ("unattributed", Holds::Node),
-    ("top-1", Holds::Node),
-    ("top-5", Holds::Node),
-    ("at", Holds::Place),
-    ("episode", Holds::Place),
-    ("step", Holds::Place),
-    ("warm-up", Holds::Place),
-    ("outcome", Holds::Place),
-    ("reason", Holds::Place),
+pub const FIXED_COLUMNS: [(&str, ColumnKind); 47] = [
+    ("iteration", ColumnKind::Place),
+    ("sensing", ColumnKind::Node),
+    ("upload", ColumnKind::Node),
+    ("preprocessing", ColumnKind::Node),
+    ("inference", ColumnKind::Node),
+    ("postprocessing", ColumnKind::Node),
+    ("download", ColumnKind::Node),
+    ("download-bytes", ColumnKind::Node),
+    ("download-logger-bytes", ColumnKind::Node),
+    ("upload-bytes", ColumnKind::Node),
+    ("upload-logger-bytes", ColumnKind::Node),
+    ("upload-throughput", ColumnKind::Node),
+    ("download-throughput", ColumnKind::Node),
+    ("upload-raw", ColumnKind::Delay),
+    ("upload-lo", ColumnKind::Delay),
+    ("upload-hi", ColumnKind::Delay),
+    ("upload-verdict", ColumnKind::Delay),
+    ("upload-source", ColumnKind::Delay),
+    ("download-raw", ColumnKind::Delay),
+    ("download-lo", ColumnKind::Delay),
+    ("download-hi", ColumnKind::Delay),
+    ("download-verdict", ColumnKind::Delay),
+    ("download-source", ColumnKind::Delay),
+    ("upload-throughput-lo", ColumnKind::Node),
+    ("upload-throughput-hi", ColumnKind::Node),
+    ("download-throughput-lo", ColumnKind::Node),
+    ("download-throughput-hi", ColumnKind::Node),
+    ("capture", ColumnKind::Node),
+    ("transform", ColumnKind::Node),
+    ("encode", ColumnKind::Node),
+    ("send-queue", ColumnKind::Node),
+    ("queue", ColumnKind::Node),
+    ("ipc", ColumnKind::Node),
+    ("actuation", ColumnKind::Node),
+    (SKIPPED_STARTS, ColumnKind::Node),
+    (LATENESS, ColumnKind::Node),
+    ("total", ColumnKind::Node),
+    ("stages-total", ColumnKind::Node),
+    ("unattributed", ColumnKind::Node),
+    ("top-1", ColumnKind::Node),
+    ("top-5", ColumnKind::Node),
+    ("at", ColumnKind::Place),
+    ("episode", ColumnKind::Place),
+    ("step", ColumnKind::Place),
+    ("warm-up", ColumnKind::Place),
+    ("outcome", ColumnKind::Place),
+    ("reason", ColumnKind::Place),
 ];
 
 /// The names of the published columns, in their order.
 pub fn published() -> impl Iterator<Item = &'static str> {
-    FIXED[..PUBLISHED].iter().map(|(name, _)| *name)
+    FIXED_COLUMNS[..PUBLISHED].iter().map(|(name, _)| *name)
 }
 
 /// Position of a column that every file has.
 fn fixed(name: &str) -> Option<usize> {
-    FIXED.iter().position(|(fixed, _)| *fixed == name)
+    FIXED_COLUMNS.iter().position(|(fixed, _)| *fixed == name)
 }
 
 /// The name of a column, without a copy where every file has it.
 pub fn column(name: &str) -> Column {
-    fixed(name).map_or_else(|| Column::Owned(name.to_owned()), |at| Column::Borrowed(FIXED[at].0))
+    fixed(name).map_or_else(|| Column::Owned(name.to_owned()), |at| Column::Borrowed(FIXED_COLUMNS[at].0))
 }
 
 /// Every number of a tree under the name of its column: those that every file has first, in its order, then the others
@@ -104,7 +104,7 @@ pub(super) fn values(tree: &Tree) -> Vec<(Column, f64)> {
 
 /// What is measured in a tree.
 pub(super) struct Found<'a> {
-    fixed: [Option<f64>; FIXED.len()],
+    fixed: [Option<f64>; FIXED_COLUMNS.len()],
     further: Vec<(Column, f64, Unit)>,
     /// How often a parent had a child of that name.
     siblings: HashMap<(NodeId, &'a str), usize>,
@@ -112,7 +112,8 @@ pub(super) struct Found<'a> {
 
 impl<'a> Found<'a> {
     pub(super) fn of(tree: &'a Tree) -> Self {
-        let mut found = Found { fixed: [None; FIXED.len()], further: Vec::new(), siblings: HashMap::new() };
+        let mut found =
+            Found { fixed: [None; FIXED_COLUMNS.len()], further: Vec::new(), siblings: HashMap::new() };
         let mut labels: Vec<Column> = vec![Column::Borrowed(""); tree.nodes().len()];
         for (id, node) in tree.iter().skip(1) {
             labels[id.index()] = found.take(tree, id, node, &labels);
@@ -121,7 +122,7 @@ impl<'a> Found<'a> {
     }
 
     pub(super) fn values(self) -> Vec<(Column, f64)> {
-        let fixed = self.fixed.iter().zip(FIXED);
+        let fixed = self.fixed.iter().zip(FIXED_COLUMNS);
         let fixed = fixed.filter_map(|(value, (name, _))| Some((Column::Borrowed(name), (*value)?)));
         fixed.chain(self.further.into_iter().map(|(name, value, _)| (name, value))).collect()
     }
@@ -141,9 +142,9 @@ impl<'a> Found<'a> {
                 self.fixed[at] = Some(self.fixed[at].unwrap_or_default() + value);
             }
             if let Measure::Throughput(rate) = &node.measure {
-                self.bounds(FIXED[at].0, rate.bounds);
+                self.bounds(FIXED_COLUMNS[at].0, rate.bounds);
             }
-            return Column::Borrowed(FIXED[at].0);
+            return Column::Borrowed(FIXED_COLUMNS[at].0);
         }
         let occurrence = self.siblings.entry((parent, node.name.as_str())).or_default();
         *occurrence += 1;
@@ -191,5 +192,5 @@ fn place(tree: &Tree, parent: NodeId, name: &str) -> Option<usize> {
     let part = name == stage::CAPTURE.as_str() || name == stage::TRANSFORM.as_str();
     let here = if part { below_sensing } else { parent == NodeId::ROOT };
     let derived = name.ends_with("-throughput-lo") || name.ends_with("-throughput-hi");
-    fixed(name).filter(|at| here && !derived && FIXED[*at].1 == Holds::Node)
+    fixed(name).filter(|at| here && !derived && FIXED_COLUMNS[*at].1 == ColumnKind::Node)
 }

@@ -13,7 +13,7 @@ mod row_ref;
 mod tests;
 mod units;
 
-pub use columns::{FIXED, Holds, LATENESS, PUBLISHED, SKIPPED_STARTS, column, published};
+pub use columns::{ColumnKind, FIXED_COLUMNS, LATENESS, PUBLISHED, SKIPPED_STARTS, column, published};
 pub use row::{Column, Outcome, Row};
 pub use row_ref::RowRef;
 pub use units::Units;
@@ -39,7 +39,7 @@ pub struct Rows {
     /// How each ended, and whether it is warm-up.
     ends: Chunks<(Outcome, bool)>,
     /// What the delays were judged to be, upload and download.
-    judged: [Chunks<Option<Judged>>; 2],
+    judged: [Chunks<Option<JudgedDelay>>; 2],
     /// Of the rows that have one, in order. Those that follow upon one another are mostly the same.
     reasons: Vec<(usize, Arc<str>)>,
     /// The row that is put in.
@@ -50,7 +50,7 @@ pub struct Rows {
 const WARM_UP: &str = "warm-up";
 
 /// The verdict on a delay, and what it rests on.
-pub type Judged = (Verdict, DelaySource);
+pub type JudgedDelay = (Verdict, DelaySource);
 
 /// A row that is being put together, cell by cell: its numbers by the place of their column, and what is no number.
 #[derive(Clone, Debug, Default)]
@@ -64,7 +64,7 @@ pub struct RowBuilder {
     /// Why there was no answer, where somebody said so.
     pub reason: Option<String>,
     /// What the delays were judged to be, upload and download.
-    pub judged: [Option<Judged>; 2],
+    pub judged: [Option<JudgedDelay>; 2],
 }
 
 impl Default for Rows {
@@ -78,7 +78,7 @@ impl Default for Rows {
             reasons: Vec::new(),
             line: RowBuilder::default(),
         };
-        for (name, _) in FIXED {
+        for (name, _) in FIXED_COLUMNS {
             rows.place(&Column::Borrowed(name));
         }
         rows
@@ -99,8 +99,8 @@ impl Rows {
     /// Puts a row behind the others.
     pub fn push(&mut self, row: &Row) {
         let mut line = self.build_row();
-        for (name, holds) in FIXED {
-            if holds != Holds::Node && name != WARM_UP {
+        for (name, kind) in FIXED_COLUMNS {
+            if kind != ColumnKind::Node && name != WARM_UP {
                 line.numbers[self.places[name]] = row.value(name);
             }
         }

@@ -2,7 +2,7 @@
 
 use peernet_clock::{Interval, OneWayDelay, Span, Verdict};
 
-use super::columns::{FIXED, Holds};
+use super::columns::{ColumnKind, FIXED_COLUMNS};
 use super::{Column, Outcome, Row, Rows, WARM_UP};
 use crate::Passage;
 
@@ -82,8 +82,8 @@ impl<'a> RowRef<'a> {
     /// Column and value of what was measured: the columns that every file has first.
     pub fn values(&self) -> impl Iterator<Item = (&'a Column, f64)> {
         let Self { rows, place } = *self;
-        let measured = FIXED.iter().map(|(_, holds)| *holds);
-        let measured = measured.map(|holds| holds == Holds::Node);
+        let measured = FIXED_COLUMNS.iter().map(|(_, kind)| *kind);
+        let measured = measured.map(|kind| kind == ColumnKind::Node);
         let columns = rows.names.iter().zip(&rows.numbers).zip(measured.chain(std::iter::repeat(true)));
         columns
             .filter(|(_, measured)| *measured)

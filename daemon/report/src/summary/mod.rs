@@ -9,7 +9,7 @@ use peernet_statistics::{self as statistics, Moments};
 use crate::accuracy::UnknownLabels;
 use crate::order::Ordered;
 use crate::record::{Clocks, Counts, RunRecord};
-use crate::rows::{Column, FIXED, Holds, Rows, Units};
+use crate::rows::{Column, ColumnKind, FIXED_COLUMNS, Rows, Units};
 use crate::trust::Starts;
 
 /// What the columns of a run come to, warm-up and iterations without an answer left out.
@@ -59,7 +59,7 @@ impl Summary {
     /// What these rows come to.
     pub fn of(rows: &Rows) -> Self {
         let measured = rows.names().iter().enumerate().filter(|(place, name)| {
-            FIXED.get(*place).is_none_or(|(_, holds)| *holds == Holds::Node) && !is_bound(name)
+            FIXED_COLUMNS.get(*place).is_none_or(|(_, kind)| *kind == ColumnKind::Node) && !is_bound(name)
         });
         let quantity = |(_, name): (usize, &Column)| {
             let quantity = Quantity::of(name.clone(), rows.counted(name))?;

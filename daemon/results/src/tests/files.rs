@@ -13,7 +13,7 @@ use super::*;
 use crate::iterations::BEGUN;
 
 #[test]
-fn header_names_every_standard_column_before_the_first_row() {
+fn header_of_fixed_columns_is_written_at_once() {
     let folder = tempfile::tempdir().expect("a folder");
     let folder = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
     let path = folder.writer().expect("writable").end().expect("writable");
