@@ -10,9 +10,8 @@
 //!              └─ live lane ── live picture ◄──────── what is stored now ──────────────┘
 //! ```
 //!
-//! Readers get snapshots of the picture by [`Aggregator::live`] and ask the [`Store`] over connections of their own.
-//! `store/write` is the writer's, `store/read` the readers', `store/retention` what the writer deletes between commits,
-//! `store/maintenance` what an operator does with the file.
+//! Readers get snapshots of the picture by [`Aggregator::live`] and ask the [`Store`](peernet_store::Store) over connections of their own.
+//! The database, and all that is asked of it, is the crate `peernet_store`.
 
 mod aggregator;
 mod config;

@@ -13,7 +13,8 @@ pub struct WriteError {
 }
 
 impl WriteError {
-    pub(crate) fn at<E: std::fmt::Display>(path: &Path) -> impl FnOnce(E) -> Self {
+    /// What an error in writing a file becomes.
+    pub fn at<E: std::fmt::Display>(path: &Path) -> impl FnOnce(E) -> Self {
         move |error| Self { path: path.to_owned(), reason: error.to_string() }
     }
 }

@@ -3,11 +3,12 @@
 //! ```text
 //! samples ── calibration (a study: fits, bounds, verdict) ─┬─ table   CSV, text, Markdown, LaTeX
 //!                └─ fit, order                              ├─ figure  SVG, PNG
-//! iterations ── results (rows, record, summary) ── compare ─┘
-//!                └─ trust
+//! iterations ── rows ─┬─ loaded (record, rows) ── compare ──┘
+//!                     └─ accuracy, trust, summary
 //! ```
 //!
-//! Pure but for writing the files: samples in, study out.
+//! Pure but for writing figures and tables: samples in, study out. Files of results are read and written by
+//! `peernet-results`.
 
 pub mod accuracy;
 pub mod batches;
@@ -17,12 +18,18 @@ mod error;
 pub mod figure;
 pub mod figures;
 pub mod fit;
+pub mod loaded;
 pub mod number;
 pub mod order;
 mod passage;
-pub mod results;
+pub mod record;
+pub mod rows;
+mod run_evidence;
 pub mod sensor_study;
+pub mod summary;
 pub mod table;
+#[cfg(test)]
+mod testing;
 pub mod trust;
 pub mod users;
 

@@ -159,7 +159,7 @@ pub fn bytes(bytes: f64) -> String {
 }
 
 /// How many decimals show so many significant digits.
-pub(crate) fn decimals(value: f64, digits: i32) -> usize {
+pub fn decimals(value: f64, digits: i32) -> usize {
     if value == 0.0 || !value.is_finite() {
         return usize::try_from(digits - 1).unwrap_or_default();
     }

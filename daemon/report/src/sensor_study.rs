@@ -4,7 +4,7 @@ use peernet_statistics::Moments;
 
 use crate::number::{counted, fixed, milliseconds, significant};
 use crate::order::{ENOUGH_FOR_P95, Ordered};
-use crate::results::{Outcome, RowRef, Rows};
+use crate::rows::{Outcome, RowRef, Rows};
 use crate::table::Table;
 
 /// What a sensor says of its dropped samples stands in a column that ends with this.
@@ -177,7 +177,7 @@ fn dropped(rows: &Rows) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::results::Row;
+    use crate::rows::Row;
 
     /// A sample each 20 ms, every fourth one 8 ms late, ready 5 ms after it was asked for.
     fn rows(count: u64) -> Vec<Row> {

@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use peernet_report::results::{Outcome, Overwrite, ResultFolder, Row, Rows, RunRecord};
+use peernet_report::record::RunRecord;
+use peernet_report::rows::{Outcome, Row, Rows};
+use peernet_results::{Overwrite, ResultFolder};
 use peernet_tests::{Ended, Process, Site, SmallDisk, program};
 
 /// A folder with results of the published program: `all/small`, and `all/large`, which takes longer; how long the upload

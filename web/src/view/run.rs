@@ -2,7 +2,7 @@
 
 use peernet_clock::{Span, Verdict, WallTime};
 use peernet_report::accuracy::{ACCURACIES, UNKNOWN_LABEL};
-use peernet_report::results::SKIPPED_STARTS;
+use peernet_report::rows::SKIPPED_STARTS;
 use peernet_store::{Episodes, IterationRow, RunDetail, RunStatistics, Series, StageStatistics};
 use serde::Serialize;
 

@@ -2,7 +2,7 @@
 
 use peernet_logger::{Name, stage};
 use peernet_report::accuracy::{ACCURACIES, UNKNOWN_LABEL, UnknownLabels};
-use peernet_report::results::LATENESS;
+use peernet_report::rows::LATENESS;
 use peernet_report::trust::{
     Came, Clocks, Counts, Course, Early, Evidence, Limits, Load, Missing, Publish, Report, Restarts, Starts,
 };

@@ -197,7 +197,7 @@ async fn a_run_is_exported_as_one_row_per_iteration() {
     assert_eq!(answer.header("content-disposition"), "attachment; filename=\"offload-full-1.csv\"");
     let mut table = csv::Reader::from_reader(answer.body.as_slice());
     let header = table.headers().expect("a header").clone();
-    let published: Vec<&str> = peernet_report::results::published().collect();
+    let published: Vec<&str> = peernet_report::rows::published().collect();
     assert_eq!(header.iter().take(published.len()).collect::<Vec<_>>(), published);
     let upload = header.iter().position(|name| name == "upload").expect("a column");
     let rows: Vec<csv::StringRecord> = table.records().collect::<Result<_, _>>().expect("rows");
@@ -226,7 +226,7 @@ async fn a_run_is_exported_as_one_row_per_iteration() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("export.csv");
     std::fs::write(&file, &answer.body).expect("writable");
-    let read = peernet_report::results::ResultFolder::open(&file).expect("it is one");
+    let read = peernet_results::ResultFolder::open(&file).expect("it is one");
     let run = bed.get("/api/v1/runs/1").await.json();
     assert_eq!(serde_json::json!(read.record.counts.ok), run["counts"]["ok"]);
     assert_eq!(serde_json::json!(read.record.counts.warm_up), run["warm_up"], "{run}");

@@ -13,7 +13,7 @@ use crate::output::{complain, say};
 use anyhow::anyhow;
 use clap::ValueEnum;
 use peernet_report::compare::{Comparison, Differences, Repeats, SEED, is_compared};
-use peernet_report::results::Loaded;
+use peernet_report::loaded::Loaded;
 use peernet_report::table::Captioned;
 
 pub(crate) use collect::{Collected, collect, distinct};
@@ -148,7 +148,8 @@ pub(crate) fn joined(first: String, others: impl Iterator<Item = String>) -> Str
 
 #[cfg(test)]
 mod tests {
-    use peernet_report::results::{Rows, RunRecord};
+    use peernet_report::record::RunRecord;
+    use peernet_report::rows::Rows;
     use peernet_stream::ExperimentPlace;
 
     use super::*;

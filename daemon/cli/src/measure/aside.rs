@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use crate::exit::{Exit, Failure};
 use crate::output::complain;
 use anyhow::Context;
-use peernet_report::results::ResultFolder;
+use peernet_results::ResultFolder;
 use tempfile::TempDir;
 
 /// How folders begin that hold results which were moved out of the way.

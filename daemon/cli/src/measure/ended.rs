@@ -3,7 +3,7 @@
 use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
 use peernet_report::number::counted;
-use peernet_report::results::{Outcome, Rows};
+use peernet_report::rows::{Outcome, Rows};
 
 use super::unavailable;
 use crate::foreground::Ended;
@@ -82,7 +82,7 @@ const fn has(count: u64) -> &'static str {
 
 #[cfg(test)]
 mod tests {
-    use peernet_report::results::Row;
+    use peernet_report::rows::Row;
 
     use super::*;
 

@@ -7,7 +7,8 @@ use anyhow::anyhow;
 use peernet_agent::AgentConfig;
 use peernet_agent::config::PipelineConfig;
 use peernet_clock::Span;
-use peernet_report::results::{NetworkConfig, Overwrite, User};
+use peernet_report::record::{NetworkConfig, User};
+use peernet_results::Overwrite;
 use serde::{Deserialize, Serialize};
 
 use crate::foreground::Patience;

@@ -7,7 +7,7 @@ use peernet_agent::AgentConfig;
 use peernet_external::environment;
 use peernet_inference::MODEL_HASH;
 use peernet_report::accuracy::Accuracy;
-use peernet_report::results::{
+use peernet_report::record::{
     Clocks, Counts, FORMAT, HostRecord, ModelRecord, Placement, RunRecord, instant,
 };
 use peernet_stream::{Placement as Told, PlacementKind};

@@ -3,7 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use crate::exit::{Exit, Failure};
-use peernet_report::results::{Finished, FolderError, Overwrite, ResultFolder, RowWriter, Rows, RunRecord};
+use peernet_report::record::RunRecord;
+use peernet_report::rows::Rows;
+use peernet_results::{Finished, FolderError, Overwrite, ResultFolder, RowWriter};
 
 use super::Order;
 use super::aside::Aside;

@@ -7,7 +7,8 @@ use peernet_agent::{Cloud, Running};
 use peernet_clock::{MonoTime, SharedClock, Span, WallTime};
 use peernet_logger::Slug;
 use peernet_networks::OpenError;
-use peernet_report::results::{Outcome, Row, RowWriter, Rows, Units};
+use peernet_report::rows::{Outcome, Row, Rows, Units};
+use peernet_results::RowWriter;
 use peernet_statistics::Sketch;
 use peernet_stream::{Event, HostClock, HostDescription, IncidentKind, PipelineState, RunDescription};
 

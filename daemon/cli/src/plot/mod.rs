@@ -9,8 +9,8 @@ use crate::output::{complain, say};
 use anyhow::anyhow;
 use clap::ValueEnum;
 use peernet_report::figures::{self, Columns, PlotError};
+use peernet_report::loaded::Loaded;
 use peernet_report::number::counted;
-use peernet_report::results::Loaded;
 
 use crate::compare::{Collected, collect, distinct};
 use places::Places;

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use peernet_report::results::Loaded;
+use peernet_report::loaded::Loaded;
 
 /// Folders for the figures.
 #[derive(Debug, PartialEq, Eq)]
@@ -61,7 +61,8 @@ fn names(folders: &[PathBuf]) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-    use peernet_report::results::{Rows, RunRecord};
+    use peernet_report::record::RunRecord;
+    use peernet_report::rows::Rows;
 
     use super::*;
 

@@ -10,7 +10,8 @@ use anyhow::Context;
 use peernet_agent::config::{HostConfig, PipelineConfig};
 use peernet_clock::ClockIdentity;
 use peernet_networks::Address;
-use peernet_report::results::{Overwrite, Summary};
+use peernet_report::summary::Summary;
+use peernet_results::{Overwrite, summary};
 use serde_json::json;
 
 use super::bar::Bar;
@@ -91,7 +92,7 @@ fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
 
 /// Says what came of it, and where it is.
 fn tell(measured: &Measured) {
-    say(Summary::of(&measured.rows).about(&measured.record).text());
+    say(summary::text(&Summary::of(&measured.rows).about(&measured.record)));
     if let Some(trust) = &measured.record.trust {
         say(format_args!("\n{}", trust.text()));
     }

@@ -9,7 +9,7 @@ use crate::small_file;
 use anyhow::{Context, anyhow};
 use peernet_logger::Slug;
 use peernet_networks::Address;
-use peernet_report::results::NetworkConfig;
+use peernet_report::record::NetworkConfig;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 

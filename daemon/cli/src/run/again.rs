@@ -5,7 +5,8 @@ use std::path::PathBuf;
 
 use crate::output::complain;
 use crate::short::plain;
-use peernet_report::results::{Counts, ResultFolder, RunRecord};
+use peernet_report::record::{Counts, RunRecord};
+use peernet_results::ResultFolder;
 
 use super::Beside;
 use super::folder::Folder;

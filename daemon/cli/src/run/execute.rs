@@ -2,7 +2,8 @@
 
 use crate::exit::{Exit, Failure};
 use peernet_clock::SharedClock;
-use peernet_report::results::{Overwrite, ResultFolder, User};
+use peernet_report::record::User;
+use peernet_results::{Overwrite, ResultFolder};
 
 use super::beside::Beside;
 use super::children::{self, Exited, News};

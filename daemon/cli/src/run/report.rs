@@ -9,10 +9,11 @@ use anyhow::anyhow;
 use peernet_report::WriteError;
 use peernet_report::compare::{Comparison, SEED};
 use peernet_report::figures::{self, Columns, Kind, PlotError};
-use peernet_report::results::{Loaded, ResultFolder};
+use peernet_report::loaded::Loaded;
 use peernet_report::table::Captioned;
 use peernet_report::trust::Publish;
 use peernet_report::users::Users;
+use peernet_results::ResultFolder;
 use peernet_stream::Grade;
 
 use super::folder::Folder;

@@ -1,7 +1,7 @@
 //! Sensors alone, side by side.
 
+use peernet_report::loaded::Loaded;
 use peernet_report::number::{fixed, milliseconds, significant};
-use peernet_report::results::Loaded;
 use peernet_report::sensor_study::SensorStudy;
 use peernet_report::table::Table;
 

@@ -10,7 +10,8 @@ use peernet_agent::config::{Limit, LoadConfig, PlacementConfig, WarmUp};
 use peernet_clock::SharedClock;
 use peernet_inference::Scratch;
 use peernet_networks::Address;
-use peernet_report::results::{Overwrite, ResultFolder, RunRecord};
+use peernet_report::record::RunRecord;
+use peernet_results::{Overwrite, ResultFolder};
 use peernet_stream::{Condition, Grade};
 
 use super::children::{self, Exited, News};

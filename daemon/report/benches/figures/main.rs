@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use peernet_clock::{Clock, ClockIdentity, SystemClock};
 use peernet_report::figures::{self, Columns, Kind};
-use peernet_report::results::Loaded;
+use peernet_report::loaded::Loaded;
 
 fn main() {
     let kept = std::env::args().skip(1).find(|argument| !argument.starts_with('-')).map(PathBuf::from);

@@ -1,8 +1,8 @@
 //! Results that look like those of robots: late messages, two clusters of answers, a slow start, losses.
 
-use peernet_report::results::{
-    Column, HostRecord, Loaded, ModelRecord, Outcome, Placement, Row, Rows, RunRecord,
-};
+use peernet_report::loaded::Loaded;
+use peernet_report::record::{HostRecord, ModelRecord, Placement, RunRecord};
+use peernet_report::rows::{Column, Outcome, Row, Rows};
 use peernet_stream::ExperimentPlace;
 
 /// The same numbers every time: SplitMix64.

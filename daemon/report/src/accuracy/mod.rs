@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use crate::order::Z95;
-use crate::results::{RowRef, Rows};
+use crate::rows::{RowRef, Rows};
 
 /// The columns of accuracies: a row has 1 where the labelled class was the first answer, or among the first five, else 0.
 pub const ACCURACIES: [&str; 2] = ["top-1", "top-5"];
@@ -81,7 +81,7 @@ fn wilson(share: f64, count: u64) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::results::{Outcome, Row};
+    use crate::rows::{Outcome, Row};
 
     fn row(score: Option<f64>) -> Row {
         Row {

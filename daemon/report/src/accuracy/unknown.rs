@@ -1,7 +1,7 @@
 //! Samples whose label is no class of the model: no answer to them could be right, so they are neither right nor wrong.
 
 use crate::number::{counted, fixed};
-use crate::results::{Loaded, Rows};
+use crate::rows::Rows;
 
 /// The column that is 1 for such a sample.
 pub const UNKNOWN_LABEL: &str = "unknown-label";
@@ -37,11 +37,10 @@ impl UnknownLabels {
         Self::new(rows.counted(UNKNOWN_LABEL).filter(|is| *is == 1.0).count() as u64, facts)
     }
 
-    /// Those of several runs together, with the words of the first that has some.
-    pub fn of_runs<'a>(runs: impl IntoIterator<Item = &'a Loaded>) -> Option<Self> {
-        let of_run = |run: &Loaded| Self::of(&run.rows, &run.record.facts);
-        let together = |all: Self, more: Self| Self { count: all.count + more.count, ..all };
-        runs.into_iter().filter_map(of_run).reduce(together)
+    /// Together with those of another run, in the words of this one.
+    #[must_use]
+    pub(crate) fn with(self, other: &Self) -> Self {
+        Self { count: self.count + other.count, ..self }
     }
 
     /// A sentence; `all` is how many iterations count.

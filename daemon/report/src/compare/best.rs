@@ -2,8 +2,8 @@
 
 use super::render::{WHAT_IT_DOES_NOT, WHAT_IT_SAYS, in_milliseconds, with_interval};
 use super::{Comparison, Difference, NOTHING, Sample, Statistic, difference, values};
+use crate::loaded::Loaded;
 use crate::number::decimals_within;
-use crate::results::Loaded;
 use crate::table::{Captioned, Table, in_one_line};
 
 impl Comparison {
@@ -70,7 +70,7 @@ mod tests {
     use super::super::tests::paper;
     use super::super::{Repeats, SEED};
     use super::*;
-    use crate::results::Outcome;
+    use crate::rows::Outcome;
 
     #[test]
     fn every_other_line_is_compared_with_the_best() {

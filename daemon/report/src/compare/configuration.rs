@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use super::columns::{self, Chosen, Column};
-use crate::results::{Loaded, RunRecord};
+use crate::loaded::Loaded;
+use crate::record::RunRecord;
 
 /// What stands where a run has nothing of the kind.
 pub(super) const NOTHING: &str = "—";
@@ -265,7 +266,7 @@ pub(super) fn differ(labels: &[String]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::results::Rows;
+    use crate::rows::Rows;
 
     #[test]
     fn runs_are_named_by_their_folders_wherever_these_are() {

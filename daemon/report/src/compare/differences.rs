@@ -7,7 +7,8 @@ use std::thread::available_parallelism;
 use serde::Serialize;
 
 use super::{Comparison, Difference, Sample, Statistic, difference, values};
-use crate::results::{Loaded, RowRef};
+use crate::loaded::Loaded;
+use crate::rows::RowRef;
 
 /// What two lines of a comparison may both have.
 pub(super) const STAGES: [&str; 15] = [

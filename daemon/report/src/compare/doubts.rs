@@ -5,8 +5,9 @@ use peernet_statistics::Summary;
 
 use super::render::named;
 use super::{LATENCIES, Line, NEARLY_ALL};
+use crate::loaded::Loaded;
 use crate::number::counted;
-use crate::results::{Loaded, RowRef};
+use crate::rows::RowRef;
 use crate::trust::Starts;
 
 /// Starts that were skipped, what folders lack of a whole run and the numbers that are missing without a reason, in sentences.

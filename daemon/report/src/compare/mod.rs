@@ -23,7 +23,8 @@ pub use doubts::skipped_starts;
 use peernet_statistics::{Moments, Summary};
 
 use crate::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLabels};
-use crate::results::{Loaded, Rows, SKIPPED_STARTS};
+use crate::loaded::{Loaded, unknown_labels};
+use crate::rows::{Rows, SKIPPED_STARTS};
 use crate::trust::Starts;
 pub(crate) use configuration::Configurations;
 use configuration::NOTHING;
@@ -183,7 +184,7 @@ impl Line {
         let of_line = || self.runs.iter().map(|run| &runs[*run]);
         let rows = || of_line().flat_map(|run| &run.rows);
         self.accuracies = ACCURACIES.map(|column| Accuracy::of(rows(), column));
-        self.unknown_labels = UnknownLabels::of_runs(of_line());
+        self.unknown_labels = unknown_labels(of_line());
         self.latencies = LATENCIES.map(|name| {
             let mut moments = Moments::default();
             let numbers = of_line().flat_map(|run| run.rows.counted(name));
@@ -209,8 +210,7 @@ fn values(rows: &Rows, column: &str) -> Vec<f64> {
     rows.counted(column).filter(|value| Summary::takes(*value)).collect()
 }
 
-/// Whether a comparison asks for a column: what [`ResultFolder::open_columns`](crate::results::ResultFolder::open_columns)
-/// is to read.
+/// Whether a comparison asks for a column: what `peernet_results::ResultFolder::open_columns` is to read.
 pub fn is_compared(column: &str) -> bool {
     let bounds = ["upload-lo", "upload-hi", "download-lo", "download-hi"];
     let all = differences::STAGES.iter().chain(&LATENCIES).chain(&ACCURACIES).chain(&bounds);

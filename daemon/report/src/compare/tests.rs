@@ -5,7 +5,8 @@ use std::path::PathBuf;
 use peernet_stream::ExperimentPlace;
 
 use super::*;
-use crate::results::{HostRecord, ModelRecord, Outcome, Placement, Row, RowRef, RunRecord};
+use crate::record::{HostRecord, ModelRecord, Placement, RunRecord};
+use crate::rows::{Outcome, Row, RowRef};
 
 /// A run in which every stage takes what is said, give or take a microsecond, and the total 1 ms more; `None` for what
 /// did not take place. Milliseconds.
@@ -377,7 +378,7 @@ fn what_is_wrong_with_the_results_is_told() {
     value(22, "upload", Some(f64::INFINITY));
     value(23, "sensing", Some(f64::NEG_INFINITY));
     broken.record.format = 1;
-    broken.record.counts = crate::results::Counts::of(&broken.rows, 0);
+    broken.record.counts = crate::record::Counts::of(&broken.rows, 0);
     broken.record.counts.ok += 4;
     let other = run("other", [Some(1.0), Some(5.0), Some(3.0), Some(1.0)]);
     let text = Comparison::of(&[broken, other]).text();

@@ -3,11 +3,12 @@
 use super::columns::{is_drawable, left_out, too_large};
 use super::configured::{Configured, counted};
 use super::written::{Drawing, Shown};
-use crate::accuracy::{ACCURACIES, UnknownLabels, score};
+use crate::accuracy::{ACCURACIES, score};
 use crate::figure::{Accuracy, Score, Unit};
+use crate::loaded::{Loaded, unknown_labels};
 use crate::number::{self, fixed};
 use crate::order::Ordered;
-use crate::results::{Loaded, RowRef};
+use crate::rows::RowRef;
 
 /// Whether the best class is the label.
 const TOP_1: &str = ACCURACIES[0];
@@ -20,7 +21,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
     let judged = |row: &RowRef<'_>| score(*row, TOP_1).is_some();
     let all = || groups.iter().flat_map(|(_, runs)| counted(runs)).filter(judged);
     if all().next().is_none() {
-        let why = UnknownLabels::of_runs(runs).map_or_else(String::new, |unknown| {
+        let why = unknown_labels(runs).map_or_else(String::new, |unknown| {
             format!("; {} cannot have one, {}", number::counted(unknown.count, "iteration"), unknown.reason())
         });
         return Err(format!(
@@ -61,7 +62,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
     // Of those with scored samples, and for another reason than the label.
     let unscored = |(_, runs): &(String, Vec<&Loaded>)| {
         let valid = counted(runs).filter(judged).count();
-        let foreign = UnknownLabels::of_runs(runs.iter().copied()).map_or(0, |unknown| unknown.count);
+        let foreign = unknown_labels(runs.iter().copied()).map_or(0, |unknown| unknown.count);
         let others = (counted(runs).count() - valid) as u64;
         if valid > 0 { others.saturating_sub(foreign) } else { 0 }
     };
@@ -71,7 +72,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
         let iterations = number::counted(unscored, "iteration");
         notes.push(format!("left out: {iterations} without a valid score"));
     }
-    if let Some(unknown) = UnknownLabels::of_runs(runs) {
+    if let Some(unknown) = unknown_labels(runs) {
         let iterations = number::counted(unknown.count, "iteration");
         notes.push(format!("left out: {iterations}, {}", unknown.reason()));
     }

@@ -3,7 +3,8 @@
 use crate::figure::Unit;
 use crate::number::fixed;
 use crate::order::Ordered;
-use crate::results::{RowRef, Rows, Scale, Units};
+use crate::rows::{RowRef, Rows, Units};
+use crate::summary::Scale;
 
 /// Beyond this nothing was measured: a year is 3·10⁷ s, and the fastest links carry 10¹⁵ bit/s.
 const LARGEST: f64 = 1e18;

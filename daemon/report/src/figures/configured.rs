@@ -1,7 +1,8 @@
 //! Runs by configuration.
 
 use crate::compare::Configurations;
-use crate::results::{Loaded, RowRef};
+use crate::loaded::Loaded;
+use crate::rows::RowRef;
 
 /// Runs of one configuration, its repeats, are taken together.
 pub(super) struct Configured<'a> {

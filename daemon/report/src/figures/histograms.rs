@@ -3,9 +3,12 @@
 use super::columns::{account, heading, titled, too_large, unit, values};
 use super::written::{Drawing, Shown};
 use crate::figure::{Fill, Hatch, Histogram, stage_fill};
+use crate::loaded::Loaded;
 use crate::number::{fixed, megabytes_per_second_between, milliseconds_between};
 use crate::order::Ordered;
-use crate::results::{Loaded, Rows, RunRecord, Scale};
+use crate::record::RunRecord;
+use crate::rows::Rows;
+use crate::summary::Scale;
 
 /// The published histograms: name of the file, column, what it is.
 pub const HISTOGRAMS: [(&str, &str, &str); 6] = [

@@ -4,7 +4,8 @@ use super::Columns;
 use super::columns::{account, heading, is_drawable, titled, too_large, unit};
 use super::written::{Drawing, Shown};
 use crate::figure::Lengths;
-use crate::results::{Loaded, RowRef};
+use crate::loaded::Loaded;
+use crate::rows::RowRef;
 
 /// How long answers take.
 pub const LATENCY: &str = "inference";

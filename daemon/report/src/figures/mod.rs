@@ -28,7 +28,9 @@ pub use written::Written;
 use std::path::{Path, PathBuf};
 
 use crate::WriteError;
-use crate::results::{Loaded, Rows, RunRecord};
+use crate::loaded::Loaded;
+use crate::record::RunRecord;
+use crate::rows::Rows;
 use written::Drawing;
 
 /// The figures there are.

@@ -3,9 +3,10 @@
 use super::columns::{heading, not_shown, unit, values};
 use super::written::{Drawing, Shown};
 use crate::figure::{Group, MOST_GROUPS, MOST_SIDES, Paired};
+use crate::loaded::Loaded;
 use crate::number::counted;
 use crate::order::Ordered;
-use crate::results::{Loaded, RunRecord};
+use crate::record::RunRecord;
 
 /// Every model with the places where it ran, if some model ran in two.
 pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Drawing>, String> {

@@ -7,9 +7,11 @@ use super::written::{Drawing, Shown};
 use crate::compare::Configurations;
 use crate::figure::{DOWNLOAD, Mark, Parts, Scaling, Series, UPLOAD, Unit, Value};
 use crate::fit::{Fit, Point, Weighted, least_squares, rate};
+use crate::loaded::Loaded;
 use crate::number::{bytes, counted, fixed, megabytes_per_second_with, milliseconds_with};
 use crate::order::Ordered;
-use crate::results::{Loaded, RowRef, RunRecord};
+use crate::record::RunRecord;
+use crate::rows::RowRef;
 
 /// More sizes than this are taken together, so that each has enough messages.
 const MOST_SIZES: usize = 24;

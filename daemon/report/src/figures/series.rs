@@ -5,7 +5,8 @@ use peernet_logger::{Name, stage};
 use super::columns::{account, is_drawable, titled, too_large};
 use super::written::{Drawing, Shown};
 use crate::figure::{Course, INK, Line, Unit, stage_line};
-use crate::results::{Outcome, RowRef, Rows, RunRecord};
+use crate::record::RunRecord;
+use crate::rows::{Outcome, RowRef, Rows};
 
 /// So many stages are shown beside the total: those that take longest.
 const STAGES: usize = 4;

@@ -7,8 +7,9 @@ use super::columns::{account, is_drawable, too_large};
 use super::configured::{Configured, counted};
 use super::written::{Drawing, Shown};
 use crate::figure::{Bar, Stacked, UNATTRIBUTED, Unit};
+use crate::loaded::Loaded;
 use crate::number::{self, fixed};
-use crate::results::{LATENESS, Loaded, RowRef};
+use crate::rows::{LATENESS, RowRef};
 
 /// Most bars that one picture has.
 const MOST: usize = 100;

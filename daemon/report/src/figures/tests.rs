@@ -8,7 +8,8 @@ use peernet_stream::ExperimentPlace;
 
 use super::*;
 use crate::figure::{Hatch, UNATTRIBUTED};
-use crate::results::{ModelRecord, Outcome, Placement, Row};
+use crate::record::{ModelRecord, Placement};
+use crate::rows::{Outcome, Row};
 use written::Shown;
 
 /// Rows 1 to `count`: five are warm-up, the seventh is lost; the values are those of `of`, in ms or bytes.

@@ -18,8 +18,11 @@ pub(crate) fn csv(
     file.flush().map_err(WriteError::at(path))
 }
 
-/// The same as text: rows of as many cells as the header has.
-pub(crate) fn csv_text(header: &[&str], rows: &[Vec<String>]) -> String {
+/// Comma-separated values as text: a header and rows of as many cells.
+///
+/// # Panics
+/// When a row has more or fewer cells than the header.
+pub fn csv_text(header: &[&str], rows: &[Vec<String>]) -> String {
     let mut writer = csv::Writer::from_writer(Vec::new());
     let written =
         writer.write_record(header).and_then(|()| rows.iter().try_for_each(|row| writer.write_record(row)));

@@ -5,7 +5,8 @@ mod latex;
 mod markdown;
 mod text;
 
-pub(crate) use csv::{csv, csv_text};
+pub(crate) use csv::csv;
+pub use csv::csv_text;
 pub use latex::escape as latex_escape;
 pub use text::text;
 

@@ -4,7 +4,7 @@ use serde::Deserialize;
 
 use super::Counts;
 use crate::number::{counted, fixed, significant};
-use crate::results::{Rows, RunRecord};
+use crate::rows::Rows;
 
 /// Ends of a run that are no trouble.
 const GOOD_ENDS: [&str; 3] = ["", "finished", "stopped"];
@@ -54,16 +54,9 @@ pub enum Unit {
     Seconds,
 }
 
-impl Limits {
-    /// Those of a run's record; none where it was written by a program that has other ones.
-    pub(super) fn of_record(record: &RunRecord) -> Self {
-        record.pipeline.get("limit").and_then(|limit| Self::deserialize(limit).ok()).unwrap_or_default()
-    }
-}
-
 impl Came {
     /// What rows show, with `unseen` iterations that are not among them.
-    pub(super) fn of(rows: &Rows, counts: &Counts, unseen: u64) -> Self {
+    pub(crate) fn of(rows: &Rows, counts: &Counts, unseen: u64) -> Self {
         Self { measured: counts.measured() + unseen, warm_up: counts.warm_up, seconds: lasted(rows) }
     }
 }
@@ -93,7 +86,7 @@ impl Early {
     }
 
     /// In words: `after 57 of 120 iterations`.
-    pub(super) fn how_far(&self) -> String {
+    pub(crate) fn how_far(&self) -> String {
         let Self { came, of, unit, .. } = self;
         match unit {
             Unit::Iterations => format!("after {} of {}", fixed(*came, 0), counted(*of as u64, "iteration")),
@@ -103,30 +96,12 @@ impl Early {
 }
 
 /// What became of a run that neither finished nor was stopped.
-pub(super) fn broken(reason: &str) -> Option<&str> {
+pub(crate) fn broken(reason: &str) -> Option<&str> {
     (!GOOD_ENDS.contains(&reason)).then_some(reason)
 }
 
-/// What became of a run that somebody ended early or that broke off: `was interrupted after 57 of 120 iterations`. `None` of
-/// one that came to its end, or of which that is not known.
-pub(crate) fn cut_short(record: &RunRecord, rows: &Rows) -> Option<String> {
-    let counts = &record.counts;
-    let came = Came {
-        measured: counts.ok + counts.failed + counts.lost + counts.timeout + counts.unseen,
-        warm_up: counts.warm_up,
-        seconds: lasted(rows),
-    };
-    let early = Early::of(&Limits::of_record(record), &came, &record.reason);
-    match (broken(&record.reason), early) {
-        (Some(reason), Some(early)) => Some(format!("broke off {}: {reason}", early.how_far())),
-        (Some(reason), None) => Some(format!("broke off: {reason}")),
-        (None, Some(early)) if early.interrupted => Some(format!("was interrupted {}", early.how_far())),
-        (None, _) => None,
-    }
-}
-
 /// From the first to the last iteration that is no warm-up, seconds.
-fn lasted(rows: &Rows) -> f64 {
+pub(crate) fn lasted(rows: &Rows) -> f64 {
     let at = || rows.iter().filter(|row| !row.warm_up() && row.at() > 0.0).map(|row| row.at());
     at().next_back().zip(at().next()).map_or(0.0, |(last, first)| (last - first).max(0.0))
 }

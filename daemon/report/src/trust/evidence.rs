@@ -7,11 +7,11 @@ use peernet_logger::{Name, stage};
 use peernet_stream::Condition;
 
 use super::early::broken;
-use super::{Came, Course, Early, Limits, Load, Restarts, Starts};
+use super::{Course, Early, Restarts, Starts};
 use crate::Passage;
 use crate::accuracy::{Accuracy, UnknownLabels};
 use crate::order::Ordered;
-use crate::results::{LATENESS, Outcome, RowRef, Rows, RunRecord};
+use crate::rows::{LATENESS, Outcome, RowRef, Rows};
 
 /// How the fact of a run begins that says of a host's clock that it was made wrong on purpose.
 const REHEARSAL: &str = "Rehearsal";
@@ -134,26 +134,6 @@ impl Evidence {
             unknown_labels: UnknownLabels::of(rows, &[]),
             ..Self::default()
         }
-    }
-
-    /// What the rows of a run say, and its record: conditions of both hosts, how it ended, what was not seen.
-    pub fn of_run(record: &RunRecord, rows: &Rows) -> Self {
-        let hosts = [Some(&record.edge), record.cloud.as_ref()].into_iter().flatten();
-        let conditions: Vec<Condition> = hosts.flat_map(|host| host.conditions.iter().cloned()).collect();
-        let unseen = Missing {
-            count: record.counts.unseen,
-            reason: "measured, but this program was too busy to take them".to_owned(),
-        };
-        let rows_say = Self::of_rows(rows, &conditions);
-        let came = Came::of(rows, &rows_say.counts, record.counts.unseen);
-        Self {
-            starts: Starts { hz: Load::of_record(record).hz, ..rows_say.starts },
-            missing: if unseen.count > 0 { vec![unseen] } else { Vec::new() },
-            early: Early::of(&Limits::of_record(record), &came, &record.reason),
-            ..rows_say
-        }
-        .ended(Some(&record.reason))
-        .with_facts(&record.facts)
     }
 
     /// With the reason for its end.

@@ -3,7 +3,7 @@
 use serde::Deserialize;
 
 use crate::number::{counted, fixed};
-use crate::results::{Rows, RunRecord, SKIPPED_STARTS};
+use crate::rows::{Rows, SKIPPED_STARTS};
 
 /// How often a run was to begin an iteration: its pipeline's `load`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
@@ -25,13 +25,6 @@ pub struct Starts {
     /// Starts that were made per second, from the first to the last, answered or not; `None` where their times are not
     /// known.
     pub made_hz: Option<f64>,
-}
-
-impl Load {
-    /// That of a run's record; none where it was written by a program that has another one.
-    pub(super) fn of_record(record: &RunRecord) -> Self {
-        record.pipeline.get("load").and_then(|load| Self::deserialize(load).ok()).unwrap_or_default()
-    }
 }
 
 impl Starts {

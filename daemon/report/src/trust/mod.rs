@@ -1,8 +1,8 @@
 //! "Can I publish this run?": what was seen before, during and after a run, in plain sentences.
 //!
 //! ```text
-//! rows (peernet-report::results) ──┐
-//! roll-ups of a store ─────────────┴─ Evidence ── Report: a verdict, sentences ── text, JSON, page
+//! rows (crate::rows) ──┐
+//! roll-ups of a store ─┴─ Evidence ── Report: a verdict, sentences ── text, JSON, page
 //! ```
 //!
 //! Pure: evidence in, report out. What is looked at, from which threshold on, and whose method it is stands beside each
@@ -15,14 +15,14 @@ mod judge;
 mod load;
 mod restarts;
 #[cfg(test)]
-mod testing;
+pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
 mod trend;
 
 pub use course::{Beginning, Course, Outliers, batch_means};
-pub(crate) use early::cut_short;
 pub use early::{Came, Early, Limits, Unit};
+pub(crate) use early::{broken, lasted};
 pub use evidence::{Clocks, Counts, Evidence, Missing};
 pub use load::{Load, Starts};
 pub use restarts::Restarts;

@@ -2,7 +2,7 @@
 
 use peernet_logger::{Name, stage};
 
-use crate::results::Rows;
+use crate::rows::Rows;
 
 /// Iterations that waited for a process that was started anew.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,58 +1,14 @@
-use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict};
-use peernet_stream::Condition;
+//! What is said of runs whose course is known.
 
-use super::testing::Noise;
+use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict};
+
+use super::testing::{Noise, about, governor, quiet, rows};
 use super::*;
 use crate::Passage;
-use crate::results::{Outcome, Row, Rows, RunRecord};
-
-/// A row whose total is mostly inference.
-fn row(iteration: u64, seconds: f64) -> Row {
-    let values = [("inference", seconds * 0.99), ("total", seconds), ("unattributed", seconds * 0.01)];
-    Row {
-        iteration,
-        at: iteration as f64,
-        episode: 0,
-        step: 0,
-        warm_up: iteration <= 5,
-        outcome: Outcome::Ok,
-        reason: None,
-        values: values.map(|(name, value)| (name.into(), value)).to_vec(),
-        upload: None,
-        download: None,
-    }
-}
-
-fn rows(totals: impl IntoIterator<Item = f64>) -> Rows {
-    (1..).zip(totals).map(|(iteration, seconds)| row(iteration, seconds)).collect()
-}
-
-/// 10 ms, give or take a per cent, none slow.
-fn quiet(count: usize) -> Vec<f64> {
-    let mut noise = Noise::new(7);
-    (0..count).map(|_| 0.010 * (1.0 + 0.01 * noise.normal())).collect()
-}
-
-fn governor(grade: Grade) -> Condition {
-    Condition {
-        host: "robot".to_owned(),
-        about: "CPU governor".to_owned(),
-        found: "as it is".to_owned(),
-        grade,
-        advice: if grade > Grade::Unknown { "change it".to_owned() } else { String::new() },
-    }
-}
+use crate::rows::{Outcome, Row, Rows};
 
 fn judged(rows: &Rows) -> Report {
     Report::of(&Evidence::of_rows(rows, &[governor(Grade::Good)]))
-}
-
-/// The grade and the text of what is said about a subject.
-fn about<'a>(report: &'a Report, subject: &str) -> (Grade, &'a str) {
-    let mut found = report.sentences.iter().filter(|sentence| sentence.about == subject);
-    let sentence = found.next().unwrap_or_else(|| panic!("nothing about {subject}: {report:#?}"));
-    assert!(found.next().is_none(), "more than one about {subject}");
-    (sentence.grade, &sentence.text)
 }
 
 #[test]
@@ -268,44 +224,6 @@ fn the_wait_for_a_models_new_process_is_told_once() {
     assert!(grade == Grade::Good && text.contains("restarts aside"), "{text}");
 }
 
-#[test]
-fn starts_that_were_skipped_are_told_and_weighed() {
-    let judged = |load: serde_json::Value, skipped: u64| {
-        let record = RunRecord { pipeline: serde_json::json!({ "load": load }), ..RunRecord::default() };
-        let mut rows = rows(quiet(1005));
-        // In the warm-up, before an answer and before none.
-        rows.change(|row| match row.iteration {
-            3 => row.values.push(("skipped-starts".into(), 70.0)),
-            10 => row.values.push(("skipped-starts".into(), skipped as f64 - 1.0)),
-            20 => {
-                row.outcome = Outcome::Lost;
-                row.values.push(("skipped-starts".into(), 1.0));
-            }
-            _ => {}
-        });
-        let report = Report::of(&Evidence::of_run(&record, &rows));
-        let found = report.sentences.iter().find(|sentence| sentence.about == "skipped starts");
-        found.map(|sentence| (sentence.grade, sentence.text.clone()))
-    };
-    let rate = serde_json::json!({ "mode": "rate", "hz": 40 });
-    let poisson = serde_json::json!({ "mode": "poisson", "hz": 40.0, "seed": 7 });
-    for load in [&rate, &poisson] {
-        let text = "1,041 of 2,041 starts (51\u{202f}%) were skipped, because the pipeline was too far behind: \
-                    40.0\u{202f}Hz were ordered, 1.00 starts a second were made. The latency is that of a system at its limit.";
-        assert_eq!(judged(load.clone(), 1041), Some((Grade::Bad, text.to_owned())));
-    }
-    let (grade, text) = judged(rate.clone(), 20).expect("told");
-    assert!(grade == Grade::Doubtful && text.starts_with("20 of 1,020 starts (2.0\u{202f}%)"), "{text}");
-    let (grade, text) = judged(rate.clone(), 1).expect("told");
-    assert!(grade == Grade::Good && text.starts_with("1 of 1,001 starts (0.10\u{202f}%) was"), "{text}");
-    let (_, text) = judged(serde_json::json!(null), 1041).expect("told");
-    assert!(text.contains("too far behind. The latency"), "{text}");
-    let kept = RunRecord { pipeline: serde_json::json!({ "load": rate }), ..RunRecord::default() };
-    let report = Report::of(&Evidence::of_run(&kept, &rows(quiet(205))));
-    let text = "No start was skipped: 40.0\u{202f}Hz were ordered and kept.";
-    assert_eq!(about(&report, "skipped starts"), (Grade::Good, text));
-}
-
 /// Gives a row a message of 6 ms.
 fn send(row: &mut Row, verdict: Verdict) {
     let value = Span::from_millis(6);
@@ -343,76 +261,6 @@ fn verdicts_of_delays_are_weighed_per_direction() {
     let report = judged(&rows);
     let text = "Of the delays of `upload`, ok 100\u{202f}%; the median of 6.00\u{202f}ms is known to ±0.65\u{202f}ms.";
     assert_eq!(about(&report, "clocks, upload"), (Grade::Good, text));
-}
-
-#[test]
-fn the_record_adds_what_rows_cannot_know() {
-    let mut record = RunRecord { reason: "the model crashed".to_owned(), ..RunRecord::default() };
-    record.edge.conditions = vec![governor(Grade::Doubtful)];
-    record.counts.unseen = 3;
-    record.facts = vec![("Rehearsal of cloud".to_owned(), "+137 ms".to_owned())];
-    let report = Report::of(&Evidence::of_run(&record, &rows(quiet(1005))));
-    assert_eq!(report.verdict, Publish::No);
-    let grades: Vec<Grade> = report.sentences.iter().map(|sentence| sentence.grade).collect();
-    assert_eq!(report.sentences[0].about, "end", "that a run broke off stands before all else");
-    assert!(grades[1..].is_sorted_by(|a, b| a >= b), "then the most harmful first: {grades:?}");
-    assert_eq!(about(&report, "rehearsal").0, Grade::Bad);
-    assert_eq!(about(&report, "missing events").0, Grade::Doubtful);
-    assert_eq!(about(&report, "end").1, "The run broke off: the model crashed.");
-    assert_eq!(about(&report, "CPU governor").1, "On robot, CPU governor: as it is.");
-    assert!(report.text().contains("\n    → change it"), "{}", report.text());
-}
-
-#[test]
-fn a_run_that_is_not_what_was_ordered_says_so_first() {
-    let judged = |limit: serde_json::Value, reason: &str| {
-        let record = RunRecord {
-            reason: reason.to_owned(),
-            pipeline: serde_json::json!({ "limit": limit }),
-            ..RunRecord::default()
-        };
-        // 5 of warm-up, 200 measured, one each second.
-        let report = Report::of(&Evidence::of_run(&record, &rows(quiet(205))));
-        (report.verdict, report.sentences[0].text.clone())
-    };
-    let iterations = |count: u32| serde_json::json!({ "iterations": count });
-    let total = serde_json::json!({ "total": 205 });
-    for (limit, reason) in [(iterations(200), "finished"), (total, "stopped"), (iterations(150), "stopped")] {
-        let (_, text) = judged(limit, reason);
-        assert!(!text.starts_with("The run"), "{text}");
-    }
-    let cases = [
-        (400, "stopped", Publish::WithRemarks, "The run was interrupted after 200 of 400 iterations."),
-        (401, "stopped", Publish::No, "The run was interrupted after 200 of 401 iterations."),
-        (
-            210,
-            "the server went",
-            Publish::WithRemarks,
-            "The run broke off after 200 of 210 iterations: the server went.",
-        ),
-        (
-            1000,
-            "the server went",
-            Publish::No,
-            "The run broke off after 200 of 1,000 iterations: the server went.",
-        ),
-        (
-            250,
-            "finished",
-            Publish::WithRemarks,
-            "The run came to its end after 200 of 250 iterations: there was nothing more to measure.",
-        ),
-    ];
-    for (ordered, reason, verdict, text) in cases {
-        assert_eq!(judged(iterations(ordered), reason), (verdict, text.to_owned()));
-    }
-    let minute = serde_json::json!({ "duration_s": 600.0 });
-    let (verdict, text) = judged(minute.clone(), "stopped");
-    assert_eq!(
-        (verdict, text.as_str()),
-        (Publish::No, "The run was interrupted after 199.0 of 600\u{202f}s.")
-    );
-    assert!(!judged(minute, "finished").1.starts_with("The run"), "a duration is as long as the run says");
 }
 
 #[test]

@@ -12,8 +12,8 @@ mod written;
 
 pub use curves::Curve;
 
+use crate::loaded::Loaded;
 use crate::order::Ordered;
-use crate::results::Loaded;
 
 /// Jain's index of fairness, (Σx)² / (n Σx²): from 1/n, where one gets everything, to 1, where all get the same (Jain,
 /// Chiu and Hawe 1984, *A Quantitative Measure of Fairness and Discrimination for Resource Allocation in Shared Computer

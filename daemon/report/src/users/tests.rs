@@ -3,7 +3,8 @@
 use peernet_stream::ExperimentPlace;
 
 use super::*;
-use crate::results::{HostRecord, Outcome, Row, RunRecord};
+use crate::record::{HostRecord, RunRecord};
+use crate::rows::{Outcome, Row};
 
 #[test]
 fn the_index_goes_from_one_nth_to_one() {

@@ -1,8 +1,9 @@
 //! Edges that measured at once, and what each of them got.
 
 use super::Share;
+use crate::loaded::Loaded;
 use crate::order::Ordered;
-use crate::results::{Loaded, RowRef};
+use crate::rows::RowRef;
 
 /// The edges of each run, in the order in which they came: those of one repeat of one configuration of an experiment.
 pub(super) fn runs(edges: &[Loaded]) -> Vec<Vec<&Loaded>> {

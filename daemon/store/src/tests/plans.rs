@@ -115,7 +115,7 @@ async fn a_question_that_reads_a_whole_run_or_sorts_is_found() {
 /// Each statement of the readers stands in `sql.rs`, so that the test above sees it.
 #[test]
 fn no_question_is_asked_elsewhere() {
-    let read = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src/store/read");
+    let read = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src/read");
     let mut folders = vec![read];
     let mut seen = 0;
     while let Some(folder) = folders.pop() {

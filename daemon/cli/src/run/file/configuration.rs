@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use peernet_agent::AgentConfig;
 use peernet_agent::config::{Limit, WarmUp};
 use peernet_inference::bank::Folders;
-use peernet_report::results::NetworkConfig;
+use peernet_report::record::NetworkConfig;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};

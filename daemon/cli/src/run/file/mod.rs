@@ -22,7 +22,7 @@ use crate::exit::{Exit, Failure};
 use crate::expected::told;
 use crate::small_file;
 use anyhow::{Context, anyhow};
-use peernet_report::results::NetworkConfig;
+use peernet_report::record::NetworkConfig;
 use toml::{Table, Value};
 
 use axis::AxisTable;

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use peernet_networks::Address;
-use peernet_report::results::NetworkConfig;
+use peernet_report::record::NetworkConfig;
 use toml::{Table, Value};
 
 use super::experiment::Network;

@@ -1,7 +1,7 @@
 //! What is in no figure is told in the one that it could be in.
 
 use super::*;
-use crate::results::HostRecord;
+use crate::record::HostRecord;
 
 fn varied(count: u64) -> Loaded {
     run(count, |number| {

@@ -1,0 +1,68 @@
+//! Results of a run as they are read back, and whether they are those of a whole run.
+
+use std::path::PathBuf;
+
+use crate::accuracy::UnknownLabels;
+use crate::number::counted;
+use crate::record::{Counts, RunRecord};
+use crate::rows::Rows;
+use crate::run_evidence::cut_short;
+
+/// The reason for the end of a run whose rows are there and whose record, which is written last, is not.
+pub const NO_RECORD: &str =
+    "there is no run.json: the run is under way or was killed, or data.csv came here alone";
+
+/// Results that were read back.
+#[derive(Clone, Debug)]
+pub struct Loaded {
+    /// Where from.
+    pub folder: PathBuf,
+    /// What the run was.
+    pub record: RunRecord,
+    /// Its iterations, in order.
+    pub rows: Rows,
+}
+
+impl Loaded {
+    /// Why the rows are not those of a whole run, in one clause: not all that it measured, or all of a run that was
+    /// interrupted, broke off, was killed or is under way. `None` where they are, or where nobody knows, as of files of
+    /// other programs.
+    pub fn lacking(&self) -> Option<String> {
+        let reason = &self.record.reason;
+        self.damage().or_else(|| match reason == NO_RECORD {
+            true => Some(reason.clone()),
+            false => cut_short(&self.record, &self.rows).map(|end| format!("the run {end}")),
+        })
+    }
+
+    /// Why the rows are not all that were measured: `data.csv` has others than `run.json` counts, as when it was cut off
+    /// or changed. `None` where they are, or where nothing counts them.
+    pub fn damage(&self) -> Option<String> {
+        let said = self.record.counts;
+        let is = Counts::of(&self.rows, said.unseen);
+        let is_known = self.record.format > 0 && said != Counts::default();
+        let all = |counts: Counts| {
+            let counts = [counts.ok, counts.failed, counts.lost, counts.timeout, counts.warm_up];
+            counts.into_iter().fold(0, u64::saturating_add)
+        };
+        (is_known && is != said).then(|| match (all(is), all(said)) {
+            (rows, measured) if rows == measured => {
+                "data.csv has other outcomes or another warm-up than run.json counts".to_owned()
+            }
+            (rows, measured) => {
+                let measured = counted(measured, "iteration");
+                format!("data.csv has {rows} of the {measured} that run.json counts")
+            }
+        })
+    }
+
+    /// Samples that are neither right nor wrong, because their label is no class of the model.
+    fn unknown_labels(&self) -> Option<UnknownLabels> {
+        UnknownLabels::of(&self.rows, &self.record.facts)
+    }
+}
+
+/// Those of several runs together, with the words of the first that has some.
+pub(crate) fn unknown_labels<'a>(runs: impl IntoIterator<Item = &'a Loaded>) -> Option<UnknownLabels> {
+    runs.into_iter().filter_map(Loaded::unknown_labels).reduce(|all, more| all.with(&more))
+}

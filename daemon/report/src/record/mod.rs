@@ -1,0 +1,199 @@
+//! `run.json`: what a run was, whole enough to do it again.
+
+mod clocks;
+
+pub use clocks::{Bounded, ClockCounts, Clocks};
+
+use std::collections::BTreeMap;
+
+use chrono::{DateTime, Utc};
+use peernet_clock::WallTime;
+use peernet_logger::{HostId, RunId};
+use peernet_stream::{Condition, ExperimentPlace, Hardware};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use crate::accuracy::Accuracy;
+use crate::rows::{Outcome, Rows, Units};
+use crate::trust;
+
+/// The form that this program writes.
+pub const FORMAT: u32 = 1;
+
+/// Everything about a run but its rows. What is not known is `None` or empty, so that results of other programs and of
+/// other versions can be read.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct RunRecord {
+    /// [`FORMAT`]; 0 where there was no `run.json`.
+    pub format: u32,
+    /// The pipeline's name.
+    pub name: String,
+    /// For people: the title of figures and tables.
+    pub title: String,
+    /// The run's id, as in a store.
+    pub run: Option<RunId>,
+    /// When it began, on the edge's wall clock.
+    pub started: Option<DateTime<Utc>>,
+    /// When it ended.
+    pub ended: Option<DateTime<Utc>>,
+    /// Why it ended: `finished`, `stopped`, or what went wrong.
+    pub reason: String,
+    /// Version of the program that measured.
+    pub version: String,
+    /// The command that was typed.
+    pub command: String,
+    /// The folder in which it was typed: relative paths of the command and of the configuration belong to it.
+    pub folder: String,
+    /// The variables of its environment that decide what it finds and how fast it computes, as far as they were set.
+    pub environment: BTreeMap<String, String>,
+    /// The file of devices that the command or the experiment names.
+    pub network_config: Option<NetworkConfig>,
+    /// Who sensed.
+    pub edge: HostRecord,
+    /// Who served; `None` where nobody did, or nobody was reached.
+    pub cloud: Option<HostRecord>,
+    /// Where it computed.
+    pub placement: Placement,
+    /// The model; `None` where a sensor ran alone.
+    pub model: Option<ModelRecord>,
+    /// Sensor, transforms, load and so on, as pairs for people.
+    pub facts: Vec<(String, String)>,
+    /// The pipeline's table of the configuration.
+    pub pipeline: Value,
+    /// The agent's other tables.
+    pub agent: Value,
+    /// Its place in an experiment, if it belongs to one.
+    pub experiment: Option<ExperimentPlace>,
+    /// Which edge it was, where several asked at once.
+    pub user: Option<User>,
+    /// How long a peer that is away was to be waited for, before the run and during it; seconds.
+    pub patience_s: Option<f64>,
+    /// Seeds of whatever was random, by what it is for.
+    pub seeds: BTreeMap<String, u64>,
+    /// Which iterations are warm-up, in words.
+    pub warm_up: String,
+    /// How the iterations ended.
+    pub counts: Counts,
+    /// How far the delays can be trusted.
+    pub clocks: Clocks,
+    /// How often the model was right, by column: `top-1`, `top-5`; empty where nobody knew.
+    pub accuracy: BTreeMap<String, Accuracy>,
+    /// In what the columns are measured that the run logged beside the standard ones.
+    pub units: Units,
+    /// Whether the run can be published; `None` where nobody judged.
+    pub trust: Option<trust::Report>,
+}
+
+impl RunRecord {
+    /// Whether nothing was computed: a sensor alone.
+    pub fn is_sensor_alone(&self) -> bool {
+        self.placement.kind == "none"
+    }
+}
+
+/// A file of devices, as it was when the command was typed.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct NetworkConfig {
+    /// Its path, as it was typed.
+    pub file: String,
+    /// All of it.
+    pub text: String,
+}
+
+/// One of several edges that ask one cloud at once.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct User {
+    /// From 1.
+    pub number: u32,
+    /// How many they are.
+    pub of: u32,
+}
+
+/// A host that took part.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct HostRecord {
+    /// For people.
+    pub name: String,
+    /// Decides.
+    pub id: Option<HostId>,
+    /// Version of its program.
+    pub version: String,
+    /// What it is made of.
+    pub hardware: Option<Hardware>,
+    /// What disciplines its clock, in words: `chrony, stratum 2, to 10.0.0.1`; empty where nobody asked.
+    pub clock: String,
+    /// What was found of it before the run.
+    pub conditions: Vec<Condition>,
+}
+
+/// Where a run computed.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Placement {
+    /// `local`, `remote` or `none`.
+    pub kind: String,
+    /// Kind of network, such as `zmq-tcp`, for a remote one.
+    pub network: Option<String>,
+    /// Address of the peer, likewise.
+    pub address: Option<String>,
+}
+
+/// The model of a run.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct ModelRecord {
+    /// Its name in the bank.
+    pub name: String,
+    /// What it ran on.
+    pub device: Option<String>,
+    /// SHA-256 of its file, hexadecimal.
+    pub sha256: Option<String>,
+}
+
+/// How the iterations ended. Warm-up counts apart, whatever its outcome.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Counts {
+    /// Answered: what the statistics rest on.
+    pub ok: u64,
+    /// The sample or the model failed.
+    pub failed: u64,
+    /// The connection broke.
+    pub lost: u64,
+    /// The answer did not come in time.
+    pub timeout: u64,
+    /// Warm-up.
+    pub warm_up: u64,
+    /// Measured, but seen by nobody: this program was too busy to take them.
+    pub unseen: u64,
+}
+
+/// A wall time as it stands in `run.json`.
+pub fn instant(at: WallTime) -> DateTime<Utc> {
+    DateTime::from_timestamp_nanos(at.unix_nanos())
+}
+
+impl Counts {
+    /// Counts rows; `unseen` more iterations are known to have been measured.
+    pub fn of(rows: &Rows, unseen: u64) -> Self {
+        let mut counts = Self { unseen, ..Self::default() };
+        for row in rows {
+            let count = match row.outcome() {
+                _ if row.warm_up() => &mut counts.warm_up,
+                Outcome::Ok => &mut counts.ok,
+                Outcome::Failed => &mut counts.failed,
+                Outcome::Lost => &mut counts.lost,
+                Outcome::Timeout => &mut counts.timeout,
+            };
+            *count += 1;
+        }
+        counts
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,196 @@
+//! The columns of `data.csv`, and where in the tree their numbers stand.
+
+use std::collections::HashMap;
+
+use peernet_logger::{Measure, Node, NodeId, Tree, Unit, stage};
+
+use super::Column;
+
+/// Starts of an open loop that were skipped before an iteration, because the pipeline was too far behind.
+pub const SKIPPED_STARTS: &str = "skipped-starts";
+/// From the start that was ordered to the real one, in an open loop: a part of `unattributed`.
+pub const LATENESS: &str = "lateness";
+
+/// What the cells of a column say.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ColumnKind {
+    /// The iteration's place in the run, or how it ended.
+    Place,
+    /// A node of the tree.
+    Node,
+    /// What is known of a delay beside its value.
+    Delay,
+}
+
+/// How many of the columns are the published ones.
+pub const PUBLISHED: usize = 13;
+
+/// The columns that every file has: the published ones in their order, then ours. Whatever else a run measures stands
+/// behind them.
+pub const FIXED_COLUMNS: [(&str, ColumnKind); 47] = [
+    ("iteration", ColumnKind::Place),
+    ("sensing", ColumnKind::Node),
+    ("upload", ColumnKind::Node),
+    ("preprocessing", ColumnKind::Node),
+    ("inference", ColumnKind::Node),
+    ("postprocessing", ColumnKind::Node),
+    ("download", ColumnKind::Node),
+    ("download-bytes", ColumnKind::Node),
+    ("download-logger-bytes", ColumnKind::Node),
+    ("upload-bytes", ColumnKind::Node),
+    ("upload-logger-bytes", ColumnKind::Node),
+    ("upload-throughput", ColumnKind::Node),
+    ("download-throughput", ColumnKind::Node),
+    ("upload-raw", ColumnKind::Delay),
+    ("upload-lo", ColumnKind::Delay),
+    ("upload-hi", ColumnKind::Delay),
+    ("upload-verdict", ColumnKind::Delay),
+    ("upload-source", ColumnKind::Delay),
+    ("download-raw", ColumnKind::Delay),
+    ("download-lo", ColumnKind::Delay),
+    ("download-hi", ColumnKind::Delay),
+    ("download-verdict", ColumnKind::Delay),
+    ("download-source", ColumnKind::Delay),
+    ("upload-throughput-lo", ColumnKind::Node),
+    ("upload-throughput-hi", ColumnKind::Node),
+    ("download-throughput-lo", ColumnKind::Node),
+    ("download-throughput-hi", ColumnKind::Node),
+    ("capture", ColumnKind::Node),
+    ("transform", ColumnKind::Node),
+    ("encode", ColumnKind::Node),
+    ("send-queue", ColumnKind::Node),
+    ("queue", ColumnKind::Node),
+    ("ipc", ColumnKind::Node),
+    ("actuation", ColumnKind::Node),
+    (SKIPPED_STARTS, ColumnKind::Node),
+    (LATENESS, ColumnKind::Node),
+    ("total", ColumnKind::Node),
+    ("stages-total", ColumnKind::Node),
+    ("unattributed", ColumnKind::Node),
+    ("top-1", ColumnKind::Node),
+    ("top-5", ColumnKind::Node),
+    ("at", ColumnKind::Place),
+    ("episode", ColumnKind::Place),
+    ("step", ColumnKind::Place),
+    ("warm-up", ColumnKind::Place),
+    ("outcome", ColumnKind::Place),
+    ("reason", ColumnKind::Place),
+];
+
+/// The names of the published columns, in their order.
+pub fn published() -> impl Iterator<Item = &'static str> {
+    FIXED_COLUMNS[..PUBLISHED].iter().map(|(name, _)| *name)
+}
+
+/// Position of a column that every file has.
+fn fixed(name: &str) -> Option<usize> {
+    FIXED_COLUMNS.iter().position(|(fixed, _)| *fixed == name)
+}
+
+/// The name of a column, without a copy where every file has it.
+pub fn column(name: &str) -> Column {
+    fixed(name).map_or_else(|| Column::Owned(name.to_owned()), |at| Column::Borrowed(FIXED_COLUMNS[at].0))
+}
+
+/// Every number of a tree under the name of its column: those that every file has first, in its order, then the others
+/// as they were logged.
+///
+/// What lies below a node joins the names with `_`, and a node that has both a value and children gets `_val`: the
+/// published rules. Excepted are the columns that every file has: their names never change, so that `sensing` is
+/// `sensing` whatever lies below it, and its parts are `capture` and `transform`.
+pub(super) fn values(tree: &Tree) -> Vec<(Column, f64)> {
+    Found::of(tree).values()
+}
+
+/// What is measured in a tree.
+pub(super) struct Found<'a> {
+    fixed: [Option<f64>; FIXED_COLUMNS.len()],
+    further: Vec<(Column, f64, Unit)>,
+    /// How often a parent had a child of that name.
+    siblings: HashMap<(NodeId, &'a str), usize>,
+}
+
+impl<'a> Found<'a> {
+    pub(super) fn of(tree: &'a Tree) -> Self {
+        let mut found =
+            Found { fixed: [None; FIXED_COLUMNS.len()], further: Vec::new(), siblings: HashMap::new() };
+        let mut labels: Vec<Column> = vec![Column::Borrowed(""); tree.nodes().len()];
+        for (id, node) in tree.iter().skip(1) {
+            labels[id.index()] = found.take(tree, id, node, &labels);
+        }
+        found
+    }
+
+    pub(super) fn values(self) -> Vec<(Column, f64)> {
+        let fixed = self.fixed.iter().zip(FIXED_COLUMNS);
+        let fixed = fixed.filter_map(|(value, (name, _))| Some((Column::Borrowed(name), (*value)?)));
+        fixed.chain(self.further.into_iter().map(|(name, value, _)| (name, value))).collect()
+    }
+
+    /// Those of the columns that not every file has.
+    pub(super) fn units(&self) -> impl Iterator<Item = (&str, &Unit)> {
+        self.further.iter().map(|(name, _, unit)| (name.as_ref(), unit))
+    }
+
+    /// Takes a node's value; returns the label that its children's names begin with.
+    fn take(&mut self, tree: &Tree, id: NodeId, node: &'a Node, labels: &[Column]) -> Column {
+        let parent = node.parent.unwrap_or(NodeId::ROOT);
+        let value = node.measure.value().filter(|value| !value.is_nan());
+        if let Some(at) = place(tree, parent, &node.name) {
+            // Of several, the sum, as in `stages-total`.
+            if let Some(value) = value {
+                self.fixed[at] = Some(self.fixed[at].unwrap_or_default() + value);
+            }
+            if let Measure::Throughput(rate) = &node.measure {
+                self.bounds(FIXED_COLUMNS[at].0, rate.bounds);
+            }
+            return Column::Borrowed(FIXED_COLUMNS[at].0);
+        }
+        let occurrence = self.siblings.entry((parent, node.name.as_str())).or_default();
+        *occurrence += 1;
+        let mut label = match labels[parent.index()].as_ref() {
+            "" => node.name.to_string(),
+            above => format!("{above}_{}", node.name),
+        };
+        if *occurrence > 1 {
+            label = format!("{label}_{occurrence}");
+        }
+        if let Some(value) = value {
+            let name =
+                if tree.children(id).next().is_some() { format!("{label}_val") } else { label.clone() };
+            let name = self.free(name);
+            self.further.push((Column::Owned(name), value, node.measure.unit()));
+        }
+        Column::Owned(label)
+    }
+
+    fn bounds(&mut self, name: &str, bounds: Option<(f64, f64)>) {
+        let Some((lo, hi)) = bounds else { return };
+        for (end, value) in [("lo", lo), ("hi", hi)] {
+            if let Some(at) = fixed(&format!("{name}-{end}")) {
+                self.fixed[at] = Some(value);
+            }
+        }
+    }
+
+    /// The name, or with a number behind it where another column of the row has it.
+    fn free(&self, name: String) -> String {
+        let taken =
+            |name: &str| fixed(name).is_some() || self.further.iter().any(|(other, ..)| other == name);
+        if !taken(&name) {
+            return name;
+        }
+        let mut numbered = (2..).map(|number| format!("{name}_{number}"));
+        numbered.find(|name| !taken(name)).unwrap_or(name)
+    }
+}
+
+/// The column that every file has for a node of that name in that place.
+fn place(tree: &Tree, parent: NodeId, name: &str) -> Option<usize> {
+    let below_sensing =
+        tree.get(parent).is_some_and(|node| node.name == stage::SENSING && node.parent == Some(NodeId::ROOT));
+    let part = name == stage::CAPTURE.as_str() || name == stage::TRANSFORM.as_str();
+    let here = if part { below_sensing } else { parent == NodeId::ROOT };
+    let derived = name.ends_with("-throughput-lo") || name.ends_with("-throughput-hi");
+    fixed(name).filter(|at| here && !derived && FIXED_COLUMNS[*at].1 == ColumnKind::Node)
+}

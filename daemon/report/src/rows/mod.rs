@@ -1,0 +1,267 @@
+//! The rows of a run as columns.
+//!
+//! ```text
+//! iteration ── Row ── Rows ── RowRef
+//! ```
+
+mod chunks;
+mod columns;
+mod numbers;
+mod row;
+mod row_ref;
+#[cfg(test)]
+mod tests;
+mod units;
+
+pub use columns::{ColumnKind, FIXED_COLUMNS, LATENESS, PUBLISHED, SKIPPED_STARTS, column, published};
+pub use row::{Column, Outcome, Row};
+pub use row_ref::RowRef;
+pub use units::Units;
+
+use std::collections::HashMap;
+use std::ops::Range;
+use std::sync::Arc;
+
+use peernet_clock::{DelaySource, Verdict};
+
+use chunks::Chunks;
+use numbers::Numbers;
+
+/// The iterations of a run, in order: about 150 bytes for each, where a [`Row`] takes more than a thousand.
+///
+/// Nothing is rounded: every row comes back as it was put in.
+#[derive(Clone)]
+pub struct Rows {
+    names: Vec<Column>,
+    places: HashMap<Column, usize>,
+    /// As long as `names`, each as long as `ends`.
+    numbers: Vec<Numbers>,
+    /// How each ended, and whether it is warm-up.
+    ends: Chunks<(Outcome, bool)>,
+    /// What the delays were judged to be, upload and download.
+    judged: [Chunks<Option<JudgedDelay>>; 2],
+    /// Of the rows that have one, in order. Those that follow upon one another are mostly the same.
+    reasons: Vec<(usize, Arc<str>)>,
+    /// The row that is put in.
+    line: RowBuilder,
+}
+
+/// The column of a flag that is kept apart: every statistic asks for it.
+const WARM_UP: &str = "warm-up";
+
+/// The verdict on a delay, and what it rests on.
+pub type JudgedDelay = (Verdict, DelaySource);
+
+/// A row that is being put together, cell by cell: its numbers by the place of their column, and what is no number.
+#[derive(Clone, Debug, Default)]
+pub struct RowBuilder {
+    /// The numbers, by [`RowBuilder::place`]; `None` where there is none.
+    pub numbers: Vec<Option<f64>>,
+    /// How it ended; `None` is an answer.
+    pub outcome: Option<Outcome>,
+    /// Kept, but left out of statistics.
+    pub warm_up: bool,
+    /// Why there was no answer, where somebody said so.
+    pub reason: Option<String>,
+    /// What the delays were judged to be, upload and download.
+    pub judged: [Option<JudgedDelay>; 2],
+}
+
+impl Default for Rows {
+    fn default() -> Self {
+        let mut rows = Self {
+            names: Vec::new(),
+            places: HashMap::new(),
+            numbers: Vec::new(),
+            ends: Chunks::default(),
+            judged: [Chunks::default(), Chunks::default()],
+            reasons: Vec::new(),
+            line: RowBuilder::default(),
+        };
+        for (name, _) in FIXED_COLUMNS {
+            rows.place(&Column::Borrowed(name));
+        }
+        rows
+    }
+}
+
+impl Rows {
+    /// How many.
+    pub fn len(&self) -> usize {
+        self.ends.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Puts a row behind the others.
+    pub fn push(&mut self, row: &Row) {
+        let mut line = self.build_row();
+        for (name, kind) in FIXED_COLUMNS {
+            if kind != ColumnKind::Node && name != WARM_UP {
+                line.numbers[self.places[name]] = row.value(name);
+            }
+        }
+        for (name, value) in &row.values {
+            // Of two of one name, the first.
+            let place = line.place(self, name);
+            line.numbers[place] = line.numbers[place].or(Some(*value));
+        }
+        (line.outcome, line.warm_up) = (Some(row.outcome), row.warm_up);
+        line.reason.clone_from(&row.reason);
+        let judged = |way: &crate::Passage| (way.delay.verdict, way.delay.source);
+        line.judged = [&row.upload, &row.download].map(|way| way.as_ref().map(judged));
+        self.push_built(line);
+    }
+
+    /// A row with nothing in it, to be filled and given to [`Self::push_built`].
+    pub fn build_row(&mut self) -> RowBuilder {
+        let mut line = std::mem::take(&mut self.line);
+        line.numbers.clear();
+        line.numbers.resize(self.names.len(), None);
+        RowBuilder { numbers: line.numbers, ..RowBuilder::default() }
+    }
+
+    /// Puts a row behind the others.
+    pub fn push_built(&mut self, mut line: RowBuilder) {
+        for (numbers, number) in self.numbers.iter_mut().zip(&line.numbers) {
+            numbers.push(*number);
+        }
+        if let Some(reason) = line.reason.take() {
+            let last = self.reasons.last().map(|(_, last)| last).filter(|last| ***last == *reason);
+            let reason = last.map_or_else(|| Arc::from(reason), Arc::clone);
+            self.reasons.push((self.ends.len(), reason));
+        }
+        self.judged.iter_mut().zip(line.judged).for_each(|(all, judged)| all.push(judged));
+        self.ends.push((line.outcome.unwrap_or(Outcome::Ok), line.warm_up));
+        self.line = line;
+    }
+
+    /// The place of a column, which is put behind the others where there is none of that name.
+    fn place(&mut self, name: &Column) -> usize {
+        if let Some(place) = self.places.get(name) {
+            return *place;
+        }
+        self.numbers.push(Numbers::missing(self.ends.len()));
+        self.places.insert(name.clone(), self.names.len());
+        self.names.push(name.clone());
+        self.names.len() - 1
+    }
+
+    /// The columns: those that every file has, then what this run has beside them.
+    pub fn names(&self) -> &[Column] {
+        &self.names
+    }
+
+    /// The rows, in order.
+    pub fn iter(&self) -> Iter<'_> {
+        Iter { rows: self, places: 0..self.len() }
+    }
+
+    /// A row by its place, from 0.
+    pub fn get(&self, at: usize) -> Option<RowRef<'_>> {
+        (at < self.len()).then(|| RowRef::new(self, at))
+    }
+
+    /// The last row.
+    pub fn last(&self) -> Option<RowRef<'_>> {
+        self.iter().next_back()
+    }
+
+    /// The numbers of a column in the rows that count, in order: what statistics are of.
+    pub fn counted(&self, column: &str) -> impl Iterator<Item = f64> + Clone {
+        let place = self.places.get(column);
+        let numbers = place.map(|place| &self.numbers[*place]);
+        let counted = self.iter().filter(|row| row.counts());
+        numbers
+            .into_iter()
+            .flat_map(move |numbers| counted.clone().filter_map(|row| numbers.get(row.place())))
+    }
+}
+
+#[cfg(test)]
+impl Rows {
+    /// Changes every row.
+    pub(crate) fn change(&mut self, mut change: impl FnMut(&mut Row)) {
+        let changed = self.iter().map(|row| {
+            let mut row = row.to_row();
+            change(&mut row);
+            row
+        });
+        *self = changed.collect();
+    }
+}
+
+impl RowBuilder {
+    /// The place of a column of the rows that this is to be one of.
+    pub fn place(&mut self, rows: &mut Rows, name: &Column) -> usize {
+        let place = rows.place(name);
+        self.numbers.resize(rows.names.len(), None);
+        place
+    }
+}
+
+/// The rows of a run, in order.
+#[derive(Clone)]
+pub struct Iter<'a> {
+    rows: &'a Rows,
+    places: Range<usize>,
+}
+
+impl<'a> Iterator for Iter<'a> {
+    type Item = RowRef<'a>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        self.places.next().map(|place| RowRef::new(self.rows, place))
+    }
+
+    fn size_hint(&self) -> (usize, Option<usize>) {
+        self.places.size_hint()
+    }
+}
+
+impl DoubleEndedIterator for Iter<'_> {
+    fn next_back(&mut self) -> Option<Self::Item> {
+        self.places.next_back().map(|place| RowRef::new(self.rows, place))
+    }
+}
+
+impl ExactSizeIterator for Iter<'_> {}
+
+impl<'a> IntoIterator for &'a Rows {
+    type Item = RowRef<'a>;
+    type IntoIter = Iter<'a>;
+
+    fn into_iter(self) -> Iter<'a> {
+        self.iter()
+    }
+}
+
+impl Extend<Row> for Rows {
+    fn extend<I: IntoIterator<Item = Row>>(&mut self, rows: I) {
+        rows.into_iter().for_each(|row| self.push(&row));
+    }
+}
+
+impl FromIterator<Row> for Rows {
+    fn from_iter<I: IntoIterator<Item = Row>>(rows: I) -> Self {
+        let mut all = Self::default();
+        all.extend(rows);
+        all
+    }
+}
+
+impl PartialEq for Rows {
+    /// Whether they hold the same rows, in whatever form.
+    fn eq(&self, other: &Self) -> bool {
+        self.len() == other.len() && self.iter().zip(other.iter()).all(|(a, b)| a.to_row() == b.to_row())
+    }
+}
+
+impl std::fmt::Debug for Rows {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_list().entries(self.iter().map(RowRef::to_row)).finish()
+    }
+}

@@ -1,0 +1,149 @@
+//! One of many rows.
+
+use peernet_clock::{Interval, OneWayDelay, Span, Verdict};
+
+use super::columns::{ColumnKind, FIXED_COLUMNS};
+use super::{Column, Outcome, Row, Rows, WARM_UP};
+use crate::Passage;
+
+/// The columns that a passage is put together of: its delay, payload and metadata, then what is known of the delay.
+const UPLOAD: [&str; 6] =
+    ["upload", "upload-bytes", "upload-logger-bytes", "upload-raw", "upload-lo", "upload-hi"];
+const DOWNLOAD: [&str; 6] =
+    ["download", "download-bytes", "download-logger-bytes", "download-raw", "download-lo", "download-hi"];
+
+/// A row where it stands among the others: what [`Row`] has, without a copy of it.
+#[derive(Clone, Copy)]
+pub struct RowRef<'a> {
+    rows: &'a Rows,
+    place: usize,
+}
+
+impl<'a> RowRef<'a> {
+    pub(super) const fn new(rows: &'a Rows, place: usize) -> Self {
+        Self { rows, place }
+    }
+
+    pub(super) const fn place(&self) -> usize {
+        self.place
+    }
+
+    /// The number in a column of `data.csv`; `None` where the cell is empty, is text, or there is no such column.
+    pub fn value(&self, column: &str) -> Option<f64> {
+        if column == WARM_UP {
+            return Some(f64::from(u8::from(self.warm_up())));
+        }
+        let place = *self.rows.places.get(column)?;
+        self.rows.numbers[place].get(self.place)
+    }
+
+    /// Its number in the run, from 1.
+    pub fn iteration(&self) -> u64 {
+        self.value("iteration").unwrap_or_default() as u64
+    }
+
+    /// When it was meant to begin, seconds of the edge's wall clock since the Unix epoch; 0 where nobody wrote it down.
+    pub fn at(&self) -> f64 {
+        self.value("at").unwrap_or_default()
+    }
+
+    /// Episode, from 0.
+    pub fn episode(&self) -> u32 {
+        self.value("episode").unwrap_or_default() as u32
+    }
+
+    /// Step within the episode, from 0.
+    pub fn step(&self) -> u32 {
+        self.value("step").unwrap_or_default() as u32
+    }
+
+    /// Kept, but left out of statistics.
+    pub fn warm_up(&self) -> bool {
+        self.rows.ends[self.place].1
+    }
+
+    /// How it ended.
+    pub fn outcome(&self) -> Outcome {
+        self.rows.ends[self.place].0
+    }
+
+    /// Whether statistics rest on it: answered, and no warm-up.
+    pub fn counts(&self) -> bool {
+        self.outcome() == Outcome::Ok && !self.warm_up()
+    }
+
+    /// Why there was no answer, where somebody said so.
+    pub fn reason(&self) -> Option<&'a str> {
+        let reasons = &self.rows.reasons;
+        let found = reasons.binary_search_by_key(&self.place, |(place, _)| *place).ok()?;
+        Some(&reasons[found].1)
+    }
+
+    /// Column and value of what was measured: the columns that every file has first.
+    pub fn values(&self) -> impl Iterator<Item = (&'a Column, f64)> {
+        let Self { rows, place } = *self;
+        let measured = FIXED_COLUMNS.iter().map(|(_, kind)| *kind);
+        let measured = measured.map(|kind| kind == ColumnKind::Node);
+        let columns = rows.names.iter().zip(&rows.numbers).zip(measured.chain(std::iter::repeat(true)));
+        columns
+            .filter(|(_, measured)| *measured)
+            .filter_map(move |((name, numbers), _)| Some((name, numbers.get(place)?)))
+    }
+
+    /// Edge to cloud; `None` when it was never sent or never judged.
+    pub fn upload(&self) -> Option<Passage> {
+        self.passage(0, UPLOAD)
+    }
+
+    /// Cloud to edge.
+    pub fn download(&self) -> Option<Passage> {
+        self.passage(1, DOWNLOAD)
+    }
+
+    /// The verdicts on both delays, upload and download.
+    pub fn verdicts(&self) -> [Option<Verdict>; 2] {
+        [0, 1].map(|way: usize| self.rows.judged[way][self.place].map(|(verdict, _)| verdict))
+    }
+
+    fn passage(&self, way: usize, columns: [&str; 6]) -> Option<Passage> {
+        let (verdict, source) = self.rows.judged[way][self.place]?;
+        let [value, payload, metadata, raw, lo, hi] = columns.map(|column| self.value(column));
+        let bounds = lo
+            .zip(hi)
+            .filter(|(lo, hi)| lo <= hi)
+            .map(|(lo, hi)| Interval { lo: Span::from_seconds_f64(lo), hi: Span::from_seconds_f64(hi) });
+        Some(Passage {
+            payload_bytes: payload? as u64,
+            logger_bytes: metadata? as u64,
+            delay: OneWayDelay {
+                raw: Span::from_seconds_f64(raw?),
+                value: value.map(Span::from_seconds_f64),
+                bounds,
+                source,
+                verdict,
+            },
+        })
+    }
+
+    /// A copy that stands alone.
+    pub fn to_row(self) -> Row {
+        Row {
+            iteration: self.iteration(),
+            at: self.at(),
+            episode: self.episode(),
+            step: self.step(),
+            warm_up: self.warm_up(),
+            outcome: self.outcome(),
+            reason: self.reason().map(str::to_owned),
+            values: self.values().map(|(name, value)| (name.clone(), value)).collect(),
+            upload: self.upload(),
+            download: self.download(),
+        }
+    }
+}
+
+impl std::fmt::Debug for RowRef<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.to_row().fmt(f)
+    }
+}

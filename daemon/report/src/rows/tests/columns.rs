@@ -1,0 +1,99 @@
+//! Which number stands under which name.
+
+use peernet_clock::Span;
+use peernet_logger::{Measure, Name, stage};
+use peernet_stream::Outcome as Ended;
+use proptest::prelude::*;
+
+use super::*;
+use crate::rows::published;
+use crate::testing::{add, iteration, offloaded, timer, tree};
+
+#[test]
+fn the_published_columns_come_first_in_their_order() {
+    let expected = "iteration,sensing,upload,preprocessing,inference,postprocessing,download,download-bytes,\
+                    download-logger-bytes,upload-bytes,upload-logger-bytes,upload-throughput,download-throughput";
+    assert_eq!(published().collect::<Vec<_>>().join(","), expected);
+}
+
+#[test]
+fn what_a_model_logs_beside_the_standard_names_gets_columns_of_its_own() {
+    let row = Row::of(&iteration(9, Ended::Ok, offloaded(17_530, 3_700)));
+    let numbers = |columns: &[&str]| columns.iter().map(|column| row.value(column)).collect::<Vec<_>>();
+    assert_eq!(numbers(&["sensing", "capture", "transform"]), [Some(0.0007), Some(0.0005), Some(0.00015)]);
+    assert_eq!(
+        numbers(&["inference", "inference_val", "inference_pre"]),
+        [Some(0.0037), None, Some(0.00003)]
+    );
+    assert_eq!(
+        numbers(&["upload", "upload-lo", "upload-hi", "upload-raw"]),
+        [Some(0.01753), Some(0.01752), Some(0.01754), Some(0.02253)]
+    );
+    assert_eq!(
+        numbers(&["upload-throughput", "upload-throughput-lo", "upload-throughput-hi"]),
+        [Some(8e8), Some(4e8), Some(f64::INFINITY)]
+    );
+    assert_eq!(
+        numbers(&["iteration", "step", "warm-up", "at"]),
+        [Some(9.0), Some(8.0), Some(0.0), Some(1_795_179_293.0)]
+    );
+    assert_eq!(numbers(&["preprocessing", "outcome", "nothing"]), [None; 3]);
+}
+
+#[test]
+fn names_of_others_never_take_a_columns_place() {
+    let mut tree = tree();
+    let root: &[&str] = &[];
+    for name in ["outcome", "capture", "upload-throughput-lo", "upload-lo"] {
+        add(&mut tree, root, name, timer(1));
+    }
+    add(&mut tree, root, "tool", timer(2));
+    add(&mut tree, root, "tool", timer(3));
+    add(&mut tree, &["tool"], "part", timer(4));
+    add(&mut tree, root, "arm", Measure::Container);
+    add(&mut tree, &["arm"], "sensing", timer(5));
+    let row = Row::of(&iteration(1, Ended::Ok, tree));
+    let names: Vec<&str> = row.values.iter().map(|(name, _)| name.as_ref()).collect();
+    let expected = [
+        "outcome_2",
+        "capture_2",
+        "upload-throughput-lo_2",
+        "upload-lo_2",
+        "tool_val",
+        "tool_2",
+        "tool_part",
+        "arm_sensing",
+    ];
+    assert_eq!(names, expected);
+}
+
+#[test]
+fn a_stage_that_took_place_twice_is_the_sum_as_in_the_total() {
+    let mut tree = tree();
+    add(&mut tree, &[], stage::INFERENCE, Measure::Timer(Some(Span::from_seconds(2))));
+    add(&mut tree, &[], stage::INFERENCE, Measure::Timer(Some(Span::from_seconds(3))));
+    let row = Row::of(&iteration(1, Ended::Ok, tree));
+    assert_eq!(row.values, [(Column::Borrowed("inference"), 5.0)]);
+}
+
+proptest! {
+    #[test]
+    fn every_number_of_a_tree_stands_under_a_name_of_its_own(
+        nodes in prop::collection::vec(("(sensing|capture|at|[ab_]{1,2}(_2)?)", 0_usize..6, 1..1000_i64), 0..14),
+    ) {
+        let mut tree = tree();
+        for (name, parent, micros) in &nodes {
+            let parent = peernet_logger::NodeId((parent % tree.nodes().len()) as u32);
+            tree.add(parent, Name::from(name.as_str()), Span::ZERO, timer(*micros));
+        }
+        let row = Row::of(&iteration(1, Ended::Ok, tree));
+        let mut names: Vec<&str> = row.values.iter().map(|(name, _)| name.as_ref()).collect();
+        let sum: f64 = row.values.iter().map(|(_, value)| value * 1e6).sum();
+        let logged: i64 = nodes.iter().map(|(_, _, micros)| micros).sum();
+        prop_assert!((sum - logged as f64).abs() < 1e-6);
+        names.sort_unstable();
+        let count = names.len();
+        names.dedup();
+        prop_assert_eq!(names.len(), count);
+    }
+}

@@ -1,0 +1,61 @@
+//! What a run is judged by, as its record and its rows say.
+
+use peernet_stream::Condition;
+use serde::Deserialize;
+
+use crate::record::RunRecord;
+use crate::rows::Rows;
+use crate::trust::{Came, Early, Evidence, Limits, Load, Missing, Starts, broken, lasted};
+
+impl Evidence {
+    /// What the rows of a run say, and its record: conditions of both hosts, how it ended, what was not seen.
+    pub fn of_run(record: &RunRecord, rows: &Rows) -> Self {
+        let hosts = [Some(&record.edge), record.cloud.as_ref()].into_iter().flatten();
+        let conditions: Vec<Condition> = hosts.flat_map(|host| host.conditions.iter().cloned()).collect();
+        let unseen = Missing {
+            count: record.counts.unseen,
+            reason: "measured, but this program was too busy to take them".to_owned(),
+        };
+        let rows_say = Self::of_rows(rows, &conditions);
+        let came = Came::of(rows, &rows_say.counts, record.counts.unseen);
+        Self {
+            starts: Starts { hz: load(record).hz, ..rows_say.starts },
+            missing: if unseen.count > 0 { vec![unseen] } else { Vec::new() },
+            early: Early::of(&limits(record), &came, &record.reason),
+            ..rows_say
+        }
+        .ended(Some(&record.reason))
+        .with_facts(&record.facts)
+    }
+}
+
+/// What a run was asked for; nothing where its record was written by a program that has other limits.
+fn limits(record: &RunRecord) -> Limits {
+    record.pipeline.get("limit").and_then(|limit| Limits::deserialize(limit).ok()).unwrap_or_default()
+}
+
+/// How often a run was to begin an iteration; nothing where its record was written by a program that has another load.
+fn load(record: &RunRecord) -> Load {
+    record.pipeline.get("load").and_then(|load| Load::deserialize(load).ok()).unwrap_or_default()
+}
+
+/// What became of a run that somebody ended early or that broke off: `was interrupted after 57 of 120 iterations`. `None` of
+/// one that came to its end, or of which that is not known.
+pub(crate) fn cut_short(record: &RunRecord, rows: &Rows) -> Option<String> {
+    let counts = &record.counts;
+    let came = Came {
+        measured: counts.ok + counts.failed + counts.lost + counts.timeout + counts.unseen,
+        warm_up: counts.warm_up,
+        seconds: lasted(rows),
+    };
+    let early = Early::of(&limits(record), &came, &record.reason);
+    match (broken(&record.reason), early) {
+        (Some(reason), Some(early)) => Some(format!("broke off {}: {reason}", early.how_far())),
+        (Some(reason), None) => Some(format!("broke off: {reason}")),
+        (None, Some(early)) if early.interrupted => Some(format!("was interrupted {}", early.how_far())),
+        (None, _) => None,
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,137 @@
+//! The Tabulated Metrics: what a run's columns come to.
+
+mod scale;
+
+pub use scale::Scale;
+
+use peernet_statistics::{self as statistics, Moments};
+
+use crate::accuracy::UnknownLabels;
+use crate::order::Ordered;
+use crate::record::{Clocks, Counts, RunRecord};
+use crate::rows::{Column, ColumnKind, FIXED_COLUMNS, Rows, Units};
+use crate::trust::Starts;
+
+/// What the columns of a run come to, warm-up and iterations without an answer left out.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Summary {
+    /// For people.
+    pub title: String,
+    /// One for each column that has a number in some row that counts, in the order of the file.
+    pub quantities: Vec<Quantity>,
+    /// How the iterations ended.
+    pub counts: Counts,
+    /// What became of the starts that an open loop ordered.
+    pub starts: Starts,
+    /// How far the delays can be trusted.
+    pub clocks: Clocks,
+    /// Samples that are neither right nor wrong, because their label is no class of the model.
+    pub unknown_labels: Option<UnknownLabels>,
+    /// In what the columns are measured that the run logged beside the standard ones.
+    pub units: Units,
+}
+
+/// What one column comes to, in the column's unit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Quantity {
+    /// Which column.
+    pub column: Column,
+    /// How many numbers.
+    pub count: u64,
+    /// Their mean.
+    pub mean: f64,
+    /// Sample standard deviation; `None` below two.
+    pub std: Option<f64>,
+    /// The median, as all quantiles by linear interpolation between neighbours (definition 7 of Hyndman and Fan 1996,
+    /// numpy's default).
+    pub median: f64,
+    /// `None` below 60 numbers.
+    pub p95: Option<f64>,
+    /// `None` below 300 numbers.
+    pub p99: Option<f64>,
+    /// The largest.
+    pub max: f64,
+    /// Contain the median of the true values; the upper one may be infinite. `None` where the column has no bounds.
+    pub bounds: Option<(f64, f64)>,
+}
+
+impl Summary {
+    /// What these rows come to.
+    pub fn of(rows: &Rows) -> Self {
+        let measured = rows.names().iter().enumerate().filter(|(place, name)| {
+            FIXED_COLUMNS.get(*place).is_none_or(|(_, kind)| *kind == ColumnKind::Node) && !is_bound(name)
+        });
+        let quantity = |(_, name): (usize, &Column)| {
+            let quantity = Quantity::of(name.clone(), rows.counted(name))?;
+            Some(Quantity { bounds: bounds(rows, name), ..quantity })
+        };
+        Self {
+            title: String::new(),
+            quantities: measured.filter_map(quantity).collect(),
+            counts: Counts::of(rows, 0),
+            starts: Starts::of_rows(rows),
+            clocks: Clocks::of(rows),
+            unknown_labels: UnknownLabels::of(rows, &[]),
+            units: Units::default(),
+        }
+    }
+
+    /// With the run's title, the units of its own columns, the words of its labels and classes, and what is known of
+    /// iterations that have no row.
+    #[must_use]
+    pub fn about(mut self, record: &RunRecord) -> Self {
+        self.title.clone_from(&record.title);
+        self.units.clone_from(&record.units);
+        self.counts.unseen = record.counts.unseen;
+        self.unknown_labels =
+            self.unknown_labels.and_then(|unknown| UnknownLabels::new(unknown.count, &record.facts));
+        self
+    }
+
+    /// One column's; `None` where no row that counts has a number in it.
+    pub fn quantity(&self, column: &str) -> Option<&Quantity> {
+        self.quantities.iter().find(|quantity| quantity.column == column)
+    }
+}
+
+/// Whether a column holds ends of another one's intervals.
+fn is_bound(column: &str) -> bool {
+    column.ends_with("-throughput-lo") || column.ends_with("-throughput-hi")
+}
+
+/// The median of the lower ends and that of the upper ends: when each value lies between its ends, so does the median of
+/// the values between these two. `None` unless every value has ends.
+fn bounds(rows: &Rows, column: &str) -> Option<(f64, f64)> {
+    let bounded = ["upload", "download", "upload-throughput", "download-throughput"];
+    bounded.contains(&column).then_some(())?;
+    let counted = || rows.iter().filter(|row| row.counts() && row.value(column).is_some());
+    let end = |end: &str| {
+        let name = format!("{column}-{end}");
+        let ends: Option<Ordered> = counted().map(|row| row.value(&name)).collect::<Option<Ordered>>();
+        ends.and_then(|ends| ends.median())
+    };
+    Some((end("lo")?, end("hi")?))
+}
+
+impl Quantity {
+    /// What these numbers come to; `None` when there are none. What is not finite, or as good as infinite, is left out.
+    pub fn of(column: Column, values: impl IntoIterator<Item = f64>) -> Option<Self> {
+        let mut moments = Moments::default();
+        let values = values.into_iter().filter(|value| statistics::Summary::takes(*value));
+        let ordered: Ordered = values.inspect(|value| moments.record(*value)).collect();
+        Some(Self {
+            column,
+            count: moments.count,
+            mean: moments.mean,
+            std: moments.std(),
+            median: ordered.median()?,
+            p95: ordered.p95(),
+            p99: ordered.p99(),
+            max: moments.max,
+            bounds: None,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,65 @@
+//! In what the numbers of a column are shown.
+
+use peernet_logger::Unit;
+
+/// Columns that are times, wherever in the tree they are logged and whoever wrote the file.
+const TIMES: [&str; 17] = [
+    "sensing",
+    "upload",
+    "preprocessing",
+    "inference",
+    "postprocessing",
+    "download",
+    "capture",
+    "transform",
+    "encode",
+    "send-queue",
+    "queue",
+    "ipc",
+    "capture-ipc",
+    "restart",
+    "capture-restart",
+    "actuation-restart",
+    "actuation",
+];
+
+/// What is behind the name of a further column that is one's own value, not the sum of its parts.
+const OWN_VALUE: &str = "_val";
+
+/// How numbers of a column are shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scale {
+    /// Seconds, shown as milliseconds.
+    Milliseconds,
+    /// Bits per second, shown as megabytes per second.
+    MegabytesPerSecond,
+    /// Whole bytes.
+    Bytes,
+    /// In the unit of the column, whatever that is.
+    AsMeasured,
+}
+
+impl Scale {
+    /// By a standard column's name; for another one by the unit that it was logged with.
+    pub fn of(column: &str, unit: Option<&str>) -> Self {
+        let total = ["lateness", "total", "stages-total", "unattributed"].contains(&column);
+        let logged_in = |known: &Unit| unit == Some(known.symbol());
+        match column {
+            _ if total || TIMES.contains(&last_part(column)) => Self::Milliseconds,
+            "upload-throughput" | "download-throughput" => Self::MegabytesPerSecond,
+            _ if column.ends_with("-bytes") => Self::Bytes,
+            _ if logged_in(&Unit::SECONDS) => Self::Milliseconds,
+            _ if logged_in(&Unit::BITS_PER_SECOND) => Self::MegabytesPerSecond,
+            _ if logged_in(&Unit::BYTES) => Self::Bytes,
+            _ => Self::AsMeasured,
+        }
+    }
+}
+
+/// The name of the node that a column is of: without those above it, and without a number behind it.
+fn last_part(column: &str) -> &str {
+    let column = column.strip_suffix(OWN_VALUE).unwrap_or(column);
+    let number = |last: &str| last.bytes().all(|byte| byte.is_ascii_digit());
+    let column = column.rsplit_once('_').filter(|(_, last)| number(last)).map_or(column, |(front, _)| front);
+    column.rsplit_once('_').map_or(column, |(_, last)| last)
+}

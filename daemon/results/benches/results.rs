@@ -1,0 +1,132 @@
+//! What results cost: rows of trees, `data.csv`, summary, reading back and comparing, for the paper's 10,005 iterations and
+//! for up to fifty times as many. Prints seconds and the most memory that was held meanwhile.
+#![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
+
+use std::hint::black_box;
+use std::sync::Arc;
+
+use peernet_clock::{Clock, ClockIdentity, DelaySource, Interval, OneWayDelay, Span, SystemClock, Verdict};
+use peernet_logger::{Anchor, HostId, Measure, NodeId, Rate, RunId, Transit, Tree, Unit, stage};
+use peernet_report::compare::{Comparison, Differences, is_compared};
+use peernet_report::loaded::Loaded;
+use peernet_report::record::RunRecord;
+use peernet_report::rows::{Row, Rows};
+use peernet_report::summary::Summary;
+use peernet_report::trust::{Evidence, Report};
+use peernet_results::{Overwrite, ResultFolder};
+use peernet_stream::{Iteration, Outcome};
+
+fn main() {
+    let clock = Arc::new(SystemClock::new(ClockIdentity::new("bench", "system")));
+    println!("{:>10}  {:32}  {:>9}  {:>9}", "iterations", "what", "seconds", "peak MiB");
+    for iterations in [10_005, 100_000, 500_000] {
+        let timed = |what: &str, work: &mut dyn FnMut()| {
+            forget_peak();
+            let begun = clock.mono();
+            work();
+            let seconds = (clock.mono() - begun).seconds();
+            println!("{iterations:>10}  {what:32}  {seconds:>9.3}  {:>9.1}", peak_kib() as f64 / 1024.0);
+        };
+        let temporary = tempfile::tempdir().expect("a temporary folder");
+        let folder = ResultFolder::create(temporary.path(), Overwrite::Refuse).expect("it is empty");
+        let mut rows = Rows::default();
+        timed("rows of trees, data.csv", &mut || {
+            let mut writer = folder.writer().expect("writable");
+            for row in (1..=iterations).map(|number| Row::of(&iteration(number))) {
+                writer.write(&row);
+                rows.push(&row);
+            }
+            writer.end().expect("writable");
+        });
+        timed("summary", &mut || drop(black_box(Summary::of(&rows))));
+        timed("trust report", &mut || drop(black_box(Report::of(&Evidence::of_rows(&rows, &[])))));
+        timed("run.json, summary.*, check", &mut || {
+            folder.finish(&RunRecord::default(), &rows).expect("writable");
+        });
+        drop(std::mem::take(&mut rows));
+        timed("read back", &mut || drop(ResultFolder::open(temporary.path()).expect("readable")));
+        let mut loaded = Vec::new();
+        timed("two for a table read back", &mut || {
+            let open = || ResultFolder::open_columns(temporary.path(), &is_compared).expect("readable");
+            loaded = vec![open(), Loaded { folder: "another".into(), ..open() }];
+        });
+        timed("table of two, ties", &mut || drop(black_box(Comparison::of(&loaded))));
+        timed("differences of every stage", &mut || {
+            drop(black_box(Differences::of(&loaded[0], &loaded[1], 1)));
+        });
+    }
+}
+
+/// Begins anew with the most memory, as far as the system lets it.
+fn forget_peak() {
+    // proc(5): "5" sets the peak resident set to what is held now.
+    let _ = std::fs::write("/proc/self/clear_refs", "5");
+}
+
+/// The most memory that this process held since then, KiB.
+fn peak_kib() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").expect("Linux");
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).expect("a peak");
+    line.trim().trim_end_matches(" kB").parse().expect("a number")
+}
+
+/// A typical offloaded iteration, no two alike.
+fn iteration(number: u64) -> Iteration {
+    let anchor = Anchor { host: HostId::from_bytes([7; 16]), wall: wall(number) };
+    let mut tree = Tree::new(stage::ITERATION, anchor);
+    let noise = |salt: u64| (number.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(salt) >> 44) as i64;
+    let timer = |micros: i64, salt: u64| Measure::Timer(Some(Span::from_nanos(micros * 1000 + noise(salt))));
+    let transit = |micros: i64, salt: u64| {
+        let value = Span::from_nanos(micros * 1000 + noise(salt));
+        let half = Span::from_micros(20);
+        let delay = OneWayDelay {
+            raw: value + Span::from_millis(3),
+            value: Some(value),
+            bounds: Some(Interval { lo: value - half, hi: value + half }),
+            source: DelaySource::InBand,
+            verdict: Verdict::Ok,
+        };
+        Measure::Transit(Box::new(Transit { sent: wall(number), received: None, delay: Some(delay) }))
+    };
+    let rate =
+        |rate: f64| Measure::Throughput(Rate { value: Some(rate), bounds: Some((rate * 0.9, rate * 1.1)) });
+    let bytes = |bytes: f64| Measure::Value(bytes, Unit::BYTES);
+    let sensing = tree.add(NodeId::ROOT, stage::SENSING, Span::ZERO, timer(700, 1));
+    tree.add(sensing, stage::CAPTURE, Span::ZERO, timer(600, 2));
+    tree.add(sensing, stage::TRANSFORM, Span::ZERO, timer(90, 3));
+    let further = [
+        (stage::ENCODE, timer(30, 4)),
+        (stage::SEND_QUEUE, timer(5, 5)),
+        (stage::UPLOAD, transit(17_000, 6)),
+        (stage::QUEUE, timer(8, 7)),
+        (stage::PREPROCESSING, timer(900, 8)),
+        (stage::INFERENCE, timer(3_700, 9)),
+        (stage::POSTPROCESSING, timer(40, 10)),
+        (stage::DOWNLOAD, transit(370, 11)),
+        (stage::UPLOAD_BYTES, bytes(150_528.0)),
+        (stage::UPLOAD_LOGGER_BYTES, bytes(120.0)),
+        (stage::DOWNLOAD_BYTES, bytes(96.0)),
+        (stage::DOWNLOAD_LOGGER_BYTES, bytes(130.0)),
+        (stage::UPLOAD_THROUGHPUT, rate(7e7)),
+        (stage::DOWNLOAD_THROUGHPUT, rate(4e6)),
+        (stage::TOTAL, timer(22_800, 12)),
+        (stage::STAGES_TOTAL, timer(22_700, 12)),
+        (stage::UNATTRIBUTED, timer(100, 13)),
+    ];
+    for (name, measure) in further {
+        tree.add(NodeId::ROOT, name, Span::ZERO, measure);
+    }
+    Iteration {
+        run: RunId::from_bytes([1; 16]),
+        number,
+        episode: 0,
+        step: number as u32,
+        warm_up: number <= 5,
+        outcome: Outcome::Ok,
+        tree,
+    }
+}
+
+fn wall(number: u64) -> peernet_clock::WallTime {
+    peernet_clock::WallTime::from_unix_nanos(1_795_179_293_000_000_000 + number as i64 * 22_800_000)
+}

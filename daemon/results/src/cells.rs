@@ -1,0 +1,129 @@
+//! Rows as lines of comma-separated values (RFC 4180, lines ended by a line feed).
+
+use std::collections::HashSet;
+use std::io::{self, BufWriter, Write};
+use std::path::Path;
+
+use peernet_report::Passage;
+use peernet_report::rows::{Column, ColumnKind, FIXED_COLUMNS, Row, Rows};
+
+/// The columns of a `data.csv`: those that every file has, then what this run has beside them.
+#[derive(Clone, Debug)]
+pub struct Header {
+    names: Vec<Column>,
+    known: HashSet<Column>,
+}
+
+impl Default for Header {
+    fn default() -> Self {
+        let names: Vec<Column> = FIXED_COLUMNS.iter().map(|(name, _)| Column::Borrowed(*name)).collect();
+        Self { known: names.iter().cloned().collect(), names }
+    }
+}
+
+impl Header {
+    /// The columns that these rows need.
+    pub(crate) fn of(rows: &Rows) -> Self {
+        let names = rows.names().to_vec();
+        Self { known: names.iter().cloned().collect(), names }
+    }
+
+    pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
+        self.names.iter().map(AsRef::as_ref)
+    }
+
+    /// Whether all that the row measured has a column.
+    pub(crate) fn covers(&self, row: &Row) -> bool {
+        row.values.iter().all(|(name, _)| self.known.contains(name))
+    }
+
+    /// Puts the row's columns that are not here behind the others.
+    pub fn add(&mut self, row: &Row) {
+        for (name, _) in &row.values {
+            if self.known.insert(name.clone()) {
+                self.names.push(name.clone());
+            }
+        }
+    }
+
+    /// The columns that not every file has.
+    pub(crate) fn further(&self) -> &[Column] {
+        self.names.get(FIXED_COLUMNS.len()..).unwrap_or_default()
+    }
+
+    /// Appends the line with the names.
+    pub fn write(&self, out: &mut Vec<u8>) {
+        line(out, self.names());
+    }
+
+    /// Appends a row's line; what has no column is left out.
+    pub fn row(&self, out: &mut Vec<u8>, row: &Row) {
+        let fixed = FIXED_COLUMNS.iter().map(|(name, kind)| match kind {
+            ColumnKind::Place => place(row, name),
+            ColumnKind::Delay => delay(row, name),
+            ColumnKind::Node => number(row.value(name)),
+        });
+        line(out, fixed.chain(self.further().iter().map(|name| number(row.value(name)))));
+    }
+}
+
+/// Appends a line of cells. A cell that would break the line is quoted.
+fn line(out: &mut Vec<u8>, cells: impl Iterator<Item = impl AsRef<str>>) {
+    for (place, cell) in cells.enumerate() {
+        let cell = cell.as_ref();
+        if place > 0 {
+            out.push(b',');
+        }
+        if cell.contains([',', '"', '\n', '\r']) {
+            out.push(b'"');
+            out.extend(cell.replace('"', "\"\"").bytes());
+            out.push(b'"');
+        } else {
+            out.extend(cell.bytes());
+        }
+    }
+    out.push(b'\n');
+}
+
+fn place(row: &Row, name: &str) -> String {
+    match name {
+        "outcome" => row.outcome.name().to_owned(),
+        "reason" => row.reason.clone().unwrap_or_default(),
+        _ => number(row.value(name)),
+    }
+}
+
+fn delay(row: &Row, name: &str) -> String {
+    let word = |passage: Option<&Passage>, of: fn(&Passage) -> &'static str| {
+        passage.map(of).unwrap_or_default().to_owned()
+    };
+    match name {
+        "upload-verdict" => word(row.upload.as_ref(), |way| way.delay.verdict.name()),
+        "upload-source" => word(row.upload.as_ref(), |way| way.delay.source.name()),
+        "download-verdict" => word(row.download.as_ref(), |way| way.delay.verdict.name()),
+        "download-source" => word(row.download.as_ref(), |way| way.delay.source.name()),
+        _ => number(row.value(name)),
+    }
+}
+
+/// The shortest figure that reads back as the same number; nothing where nothing is known.
+fn number(value: Option<f64>) -> String {
+    value.map(|value| value.to_string()).unwrap_or_default()
+}
+
+/// Copies a file of rows, its lines made as long as the header is.
+pub(crate) fn widen(from: &Path, to: &Path, header: &Header) -> io::Result<()> {
+    let mut reader = csv::ReaderBuilder::new().has_headers(false).from_path(from)?;
+    let mut out = BufWriter::new(std::fs::File::create(to)?);
+    let mut bytes = Vec::new();
+    header.write(&mut bytes);
+    for record in reader.records().skip(1) {
+        let record = record?;
+        let missing = header.names.len().saturating_sub(record.len());
+        line(&mut bytes, record.iter().chain(std::iter::repeat_n("", missing)));
+        out.write_all(&bytes)?;
+        bytes.clear();
+    }
+    out.write_all(&bytes)?;
+    out.into_inner().map_err(io::IntoInnerError::into_error)?.sync_all()
+}

@@ -1,0 +1,33 @@
+//! Results of a run: `data.csv`, `run.json`, `summary.{md,csv,tex}`; written while it runs and read back.
+//!
+//! ```text
+//! iteration ── Row ──┬─ RowWriter ──────── data.csv ──┐
+//!                    └─ Rows ── Summary ── summary.*  ├─ ResultFolder::open ── Loaded ── compare, figures
+//! RunRecord ────────────────────────────── run.json ──┘
+//! ```
+//!
+//! The types are those of `peernet_report`. The format is described in `docs/results.md`.
+
+mod cells;
+mod error;
+mod file_names;
+mod finish;
+mod folder;
+mod parse;
+mod read;
+mod ready;
+pub mod summary;
+mod writer;
+
+pub use cells::Header;
+pub use error::FolderError;
+pub use finish::Finished;
+pub use folder::ResultFolder;
+pub use ready::Overwrite;
+pub use writer::RowWriter;
+
+#[cfg(test)]
+#[path = "../../report/src/testing/iterations.rs"]
+mod iterations;
+#[cfg(test)]
+mod tests;

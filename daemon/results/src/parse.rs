@@ -1,0 +1,194 @@
+//! Lines of `data.csv` as rows.
+
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::Path;
+
+use peernet_clock::{DelaySource, Verdict};
+use peernet_report::rows::{Column, ColumnKind, FIXED_COLUMNS, Outcome, RowBuilder, Rows, column};
+
+/// The published stages, whose sum the paper calls Total.
+const PUBLISHED_STAGES: [&str; 6] =
+    ["sensing", "upload", "preprocessing", "inference", "postprocessing", "download"];
+
+/// What is wrong with a file of rows.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum Malformed {
+    #[error("{0}")]
+    Io(#[from] std::io::Error),
+    #[error("{0}")]
+    Csv(#[from] csv::Error),
+    #[error("no column of it is one of a run's, such as sensing, inference or total")]
+    Foreign,
+    #[error("line {line}, column {column}: {cell:?} is no {expected}")]
+    Cell { line: u64, column: String, cell: String, expected: &'static str },
+}
+
+/// A file that is being read, line by line.
+pub(crate) struct Reading {
+    columns: Vec<Cells>,
+    /// Whether the sum of the stages is to be added.
+    sums: bool,
+    rows: Rows,
+}
+
+/// A column of the file.
+struct Cells {
+    name: Column,
+    kind: Option<ColumnKind>,
+    /// Which of the published stages it is.
+    stage: Option<usize>,
+    /// Where its numbers go; `None` until there is one.
+    place: Option<usize>,
+    wanted: bool,
+}
+
+impl Reading {
+    /// All rows with the columns that are wanted, and whether a column says which of them are warm-up; if none does, so
+    /// many at the beginning are.
+    ///
+    /// A last line that was cut off, as by a program that was ended while writing, is left out.
+    pub(crate) fn of(
+        path: &Path,
+        warm_up: usize,
+        wanted: &dyn Fn(&str) -> bool,
+    ) -> Result<(Rows, bool), Malformed> {
+        let mut file = File::open(path)?;
+        let ends_with_line = ends_with_line(&mut file)?;
+        let mut reader = csv::Reader::from_reader(file);
+        let kind = |name: &str| FIXED_COLUMNS.iter().find(|(fixed, _)| *fixed == name).map(|(_, kind)| *kind);
+        let cells = |name: &str| Cells {
+            name: column(name.trim()),
+            kind: kind(name.trim()),
+            stage: PUBLISHED_STAGES.iter().position(|stage| *stage == name.trim()),
+            place: None,
+            wanted: wanted(name.trim()),
+        };
+        let columns: Vec<Cells> = reader.headers()?.iter().map(cells).collect();
+        let has = |wanted: &str| columns.iter().any(|cells| cells.name == wanted);
+        if !columns.iter().any(|cells| matches!(cells.kind, Some(ColumnKind::Node))) {
+            return Err(Malformed::Foreign);
+        }
+        let (flagged, ours, sums) = (has("warm-up"), has("outcome"), !has("stages-total"));
+        let mut reading = Self { columns, sums, rows: Rows::default() };
+        let cut_off = ours && !ends_with_line;
+        let mut records = reader.into_records().peekable();
+        while let Some(record) = records.next() {
+            if cut_off && records.peek().is_none() {
+                break;
+            }
+            let is_warm_up = !flagged && reading.rows.len() < warm_up;
+            reading.row(&record?, is_warm_up)?;
+        }
+        Ok((reading.rows, flagged))
+    }
+
+    fn row(&mut self, record: &csv::StringRecord, is_warm_up: bool) -> Result<(), Malformed> {
+        let line = record.position().map_or(0, csv::Position::line);
+        let Self { columns, rows, .. } = self;
+        let mut row = rows.build_row();
+        row.warm_up = is_warm_up;
+        let mut judged = [(None, None); 2];
+        let mut stages = [None; PUBLISHED_STAGES.len()];
+        for (cells, text) in columns.iter_mut().zip(record) {
+            let cell = text.trim();
+            if cell.is_empty() || cells.is_passed_over() {
+                continue;
+            }
+            let wrong = |expected| Malformed::Cell {
+                line,
+                column: cells.name.to_string(),
+                cell: cell.to_owned(),
+                expected,
+            };
+            if cells.is_text() {
+                let way = &mut judged[usize::from(cells.name.starts_with("download"))];
+                take_text(&mut row, way, &cells.name, text)
+                    .ok_or_else(|| wrong("outcome, verdict or source"))?;
+                continue;
+            }
+            let number = match cell.parse::<f64>() {
+                Ok(number) => number,
+                // As the CSV of earlier dashboards has it.
+                Err(_) if cells.name.as_ref() == "warm-up" && ["true", "false"].contains(&cell) => {
+                    f64::from(u8::from(cell == "true"))
+                }
+                // A text that somebody put beside the numbers does no harm.
+                Err(_) if cells.kind.is_none() => continue,
+                Err(_) => return Err(wrong("number")),
+            };
+            if let Some(stage) = cells.stage {
+                stages[stage] = Some(number);
+            }
+            match cells.name.as_ref() {
+                "warm-up" => row.warm_up = number != 0.0,
+                // Nobody wrote it down.
+                "at" if number == 0.0 => {}
+                _ if cells.wanted && cells.may_be(number) => {
+                    let place = *cells.place.get_or_insert_with(|| row.place(rows, &cells.name));
+                    row.numbers[place] = Some(number);
+                }
+                _ => {}
+            }
+        }
+        row.judged = judged.map(|(verdict, source)| verdict.zip(source));
+        let number = rows.len() as f64 + 1.0;
+        let iteration = row.place(rows, &column("iteration"));
+        row.numbers[iteration].get_or_insert(number);
+        // What a stage took that is not known is missing in the sum as well.
+        let sum: Option<f64> = stages.into_iter().flatten().reduce(|sum, stage| sum + stage);
+        if let Some(sum) = sum.filter(|sum| self.sums && sum.is_finite()) {
+            let place = row.place(rows, &column("stages-total"));
+            row.numbers[place] = Some(sum);
+        }
+        rows.push_built(row);
+        Ok(())
+    }
+}
+
+impl Cells {
+    /// Whether it holds words.
+    fn is_text(&self) -> bool {
+        let words =
+            ["outcome", "reason", "upload-verdict", "upload-source", "download-verdict", "download-source"];
+        self.kind.is_some() && words.contains(&self.name.as_ref())
+    }
+
+    /// Whether the number tells something: upper bounds alone may be open.
+    fn may_be(&self, number: f64) -> bool {
+        number.is_finite() || (number == f64::INFINITY && self.name.ends_with("-hi"))
+    }
+
+    /// What nobody wrote and nobody asks for is not looked at.
+    fn is_passed_over(&self) -> bool {
+        self.kind.is_none() && !self.wanted
+    }
+}
+
+/// Takes what is no number; `None` where it cannot stand there.
+fn take_text(
+    row: &mut RowBuilder,
+    way: &mut (Option<Verdict>, Option<DelaySource>),
+    column: &str,
+    text: &str,
+) -> Option<()> {
+    let cell = text.trim();
+    match column.rsplit_once('-').map_or(column, |(_, last)| last) {
+        "outcome" => row.outcome = Some(Outcome::from_name(cell)?),
+        "verdict" => way.0 = Some(Verdict::from_name(cell)?),
+        "source" => way.1 = Some(DelaySource::from_name(cell)?),
+        _ => row.reason = Some(text.to_owned()),
+    }
+    Some(())
+}
+
+/// Whether its last line is whole. It is read from the beginning afterwards.
+pub(crate) fn ends_with_line(file: &mut File) -> std::io::Result<bool> {
+    let mut last = [0];
+    if file.metadata()?.len() > 0 {
+        file.seek(SeekFrom::End(-1))?;
+        file.read_exact(&mut last)?;
+        file.rewind()?;
+    }
+    Ok(last == *b"\n")
+}

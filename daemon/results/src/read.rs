@@ -1,0 +1,75 @@
+//! Results read back.
+
+use std::path::{Path, PathBuf};
+
+use peernet_report::accuracy::Accuracy;
+use peernet_report::loaded::{Loaded, NO_RECORD};
+use peernet_report::record::{Clocks, Counts, HostRecord, RunRecord};
+use peernet_report::rows::Rows;
+
+use super::FolderError;
+use super::file_names::{DATA, RECORD};
+use super::parse::Reading;
+
+/// Rows at the beginning that the published figures leave out.
+const PUBLISHED_WARM_UP: usize = 5;
+
+pub(crate) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, FolderError> {
+    let (folder, data) = if path.is_file() {
+        (path.parent().unwrap_or(Path::new("")).to_owned(), path.to_owned())
+    } else {
+        (path.to_owned(), path.join(DATA))
+    };
+    if !data.is_file() {
+        return Err(FolderError::NoResults(folder));
+    }
+    // It is of these rows, not of whatever else lies in the folder.
+    let record = if data.ends_with(DATA) { record(&folder.join(RECORD))? } else { None };
+    // Whoever writes a record flags its rows.
+    let warm_up = if record.is_none() { PUBLISHED_WARM_UP } else { 0 };
+    let (rows, flagged) = Reading::of(&data, warm_up, wanted).map_err(failed(&data))?;
+    let record = record.unwrap_or_else(|| {
+        let reason = if flagged && data.ends_with(DATA) { NO_RECORD } else { "" };
+        RunRecord { reason: reason.to_owned(), ..alone(path, &rows, flagged) }
+    });
+    Ok(Loaded { folder, record, rows })
+}
+
+fn record(path: &Path) -> Result<Option<RunRecord>, FolderError> {
+    let read = || match path.metadata()? {
+        about if about.is_file() => std::fs::read(path),
+        _ => Err(std::io::Error::other("it is not a regular file")),
+    };
+    match read() {
+        Ok(text) => Ok(Some(serde_json::from_slice(&text).map_err(failed(path))?)),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(failed(path)(error)),
+    }
+}
+
+/// What can be said of rows that nothing stands beside.
+fn alone(path: &Path, rows: &Rows, flagged: bool) -> RunRecord {
+    let name = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    let name = if path.is_file() { name.file_stem() } else { name.file_name() };
+    let name = name.unwrap_or_default().to_string_lossy().into_owned();
+    let warm_up = if flagged {
+        String::new()
+    } else {
+        format!("the first {PUBLISHED_WARM_UP} rows, as the published figures leave them out")
+    };
+    RunRecord {
+        title: name.clone(),
+        name,
+        edge: HostRecord::default(),
+        warm_up,
+        counts: Counts::of(rows, 0),
+        clocks: Clocks::of(rows),
+        accuracy: Accuracy::of_each(rows),
+        ..RunRecord::default()
+    }
+}
+
+fn failed<E: std::fmt::Display>(path: &Path) -> impl Fn(E) -> FolderError {
+    let path = PathBuf::from(path);
+    move |error| FolderError::Read { path: path.clone(), reason: error.to_string() }
+}

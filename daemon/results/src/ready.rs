@@ -1,0 +1,140 @@
+//! Finding folders of results and making them ready.
+
+use std::fs::{File, TryLockError};
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+
+use peernet_report::WriteError;
+use peernet_report::figures;
+use serde::{Deserialize, Serialize};
+
+use super::FolderError;
+use super::file_names::{DATA, RECORD, SUMMARIES};
+
+/// What to do when the folder holds something.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Overwrite {
+    /// Nothing: it is an error.
+    #[default]
+    Refuse,
+    /// Results in it are replaced; other files stay.
+    Replace,
+    /// A new folder in it is taken: `run-2`, `run-3`, …
+    Subfolder,
+}
+
+/// How deep below a folder results are looked for.
+const DEEPEST: usize = 8;
+
+/// A folder that this program alone writes to: an open file of it that holds a lock.
+pub(crate) type Taken = (PathBuf, File);
+
+/// Finds the folder that `overwrite` allows and takes it for this program; nothing in it is touched.
+pub(crate) fn take(dir: &Path, overwrite: Overwrite) -> Result<Taken, FolderError> {
+    let failed = |path: &Path| {
+        let path = path.to_owned();
+        move |error: std::io::Error| FolderError::Make { path, reason: error.to_string() }
+    };
+    if dir.exists() && !dir.is_dir() {
+        return Err(FolderError::NoFolder(dir.to_owned()));
+    }
+    std::fs::create_dir_all(dir).map_err(failed(dir))?;
+    let lock = lock(dir);
+    if overwrite == Overwrite::Replace {
+        return Ok((dir.to_owned(), lock?));
+    }
+    let mut entries = std::fs::read_dir(dir).map_err(failed(dir))?;
+    match (entries.next().is_none(), lock, overwrite) {
+        (true, Ok(lock), _) => Ok((dir.to_owned(), lock)),
+        (_, _, Overwrite::Subfolder) => {
+            let path = subfolder(dir).map_err(failed(dir))?;
+            let lock = self::lock(&path)?;
+            Ok((path, lock))
+        }
+        (false, Ok(_), _) => Err(FolderError::NotEmpty(dir.to_owned())),
+        (_, Err(error), _) => Err(error),
+    }
+}
+
+/// Locks a folder itself: nothing is put into it, and the lock is gone with the program, however that ends.
+fn lock(dir: &Path) -> Result<File, FolderError> {
+    let made = |error: std::io::Error| FolderError::Make { path: dir.to_owned(), reason: error.to_string() };
+    let folder = File::open(dir).map_err(made)?;
+    match folder.try_lock() {
+        Err(TryLockError::WouldBlock) => Err(FolderError::Busy(dir.to_owned())),
+        // Not every network's file system can lock a folder: results are worth more there than the caution.
+        Ok(()) | Err(TryLockError::Error(_)) => Ok(folder),
+    }
+}
+
+/// The files that an earlier run may have left in a folder: its results, and figures of any kind, which would show what
+/// is there no longer.
+pub(crate) fn replaced(dir: &Path) -> impl Iterator<Item = String> {
+    let results = [DATA, RECORD].into_iter().chain(SUMMARIES).map(str::to_owned);
+    results.chain(figures::files_in(dir))
+}
+
+/// Takes away what an earlier run left.
+pub(crate) fn clear(dir: &Path) -> Result<(), FolderError> {
+    for path in replaced(dir).map(|name| dir.join(name)) {
+        match std::fs::remove_file(&path) {
+            Err(error) if error.kind() != ErrorKind::NotFound => {
+                return Err(WriteError::at(&path)(error).into());
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+/// The first that is not there, made at once: two programs never get the same.
+fn subfolder(dir: &Path) -> std::io::Result<PathBuf> {
+    let mut number = 2_u32;
+    loop {
+        let path = dir.join(format!("run-{number}"));
+        match std::fs::create_dir(&path) {
+            Ok(()) => return Ok(path),
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => number += 1,
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+pub(crate) fn find(dir: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    look(dir, DEEPEST, &mut found);
+    found
+}
+
+fn look(dir: &Path, levels: usize, found: &mut Vec<PathBuf>) {
+    if dir.join(DATA).is_file() {
+        found.push(dir.to_owned());
+    }
+    let Some(levels) = levels.checked_sub(1) else { return };
+    // A folder that cannot be looked into holds nothing that could be read.
+    let entries = std::fs::read_dir(dir).into_iter().flatten().filter_map(Result::ok);
+    let mut folders: Vec<PathBuf> = entries
+        .filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_dir()))
+        // Hidden ones hold what a run has put aside, or what other programs keep.
+        .filter(|entry| !entry.file_name().as_encoded_bytes().starts_with(b"."))
+        .map(|entry| entry.path())
+        .collect();
+    folders.sort_by_cached_key(|path| natural(&path.file_name().unwrap_or_default().to_string_lossy()));
+    folders.iter().for_each(|folder| look(folder, levels, found));
+}
+
+/// A key by which `run-2` stands before `run-10`: text and the numbers in it by turns.
+fn natural(name: &str) -> Vec<(String, u128)> {
+    let mut key = Vec::new();
+    let mut rest = name;
+    while !rest.is_empty() {
+        let digits = rest.find(|char: char| char.is_ascii_digit()).unwrap_or(rest.len());
+        let (text, tail) = rest.split_at(digits);
+        let end = tail.find(|char: char| !char.is_ascii_digit()).unwrap_or(tail.len());
+        let (number, tail) = tail.split_at(end);
+        key.push((text.to_owned(), number.parse().unwrap_or(u128::MAX)));
+        rest = tail;
+    }
+    key
+}

@@ -1,0 +1,190 @@
+//! A summary as tables.
+
+use std::collections::BTreeMap;
+
+use peernet_report::accuracy::{ACCURACIES, UNKNOWN_LABEL};
+use peernet_report::number::{bound_milliseconds, decimals, decimals_within, fixed};
+use peernet_report::record::{ClockCounts, Counts};
+use peernet_report::rows::{SKIPPED_STARTS, Units};
+use peernet_report::summary::{Quantity, Scale, Summary};
+use peernet_report::table::{Table, csv_text};
+use peernet_report::trust::Starts;
+
+/// What stands where nothing is known.
+const UNKNOWN: &str = "—";
+/// The Tabulated Metrics of the paper's appendix, then both totals, with the names that they have there.
+const TABULATED: [(&str, &str); 10] = [
+    ("sensing", "Sensing Time"),
+    ("upload-bytes", "Upload Size"),
+    ("upload", "Upload Latency"),
+    ("upload-throughput", "Upload Throughput"),
+    ("inference", "Inference Latency"),
+    ("download-bytes", "Download Size"),
+    ("download", "Download Latency"),
+    ("download-throughput", "Download Throughput"),
+    ("stages-total", "Total (sum of stages)"),
+    ("total", "Total (measured)"),
+];
+/// What columns are called that are not named after their stage.
+const NAMED: [(&str, &str); 5] = [
+    ("ipc", "Border to the model's process"),
+    ("capture_capture-ipc", "Border to the sensor's process"),
+    ("restart", "Restart of the model's process"),
+    ("capture_capture-restart", "Restart of the sensor's process"),
+    ("actuation_actuation-restart", "Restart of the actuator's process"),
+];
+
+/// For documents: the table, then what it rests on.
+pub fn markdown(summary: &Summary) -> String {
+    let title = if summary.title.is_empty() { String::new() } else { format!("# {}\n\n", summary.title) };
+    format!("{title}{}\n{}\n", table(summary).markdown(), sentences(summary))
+}
+
+/// For the terminal.
+pub fn text(summary: &Summary) -> String {
+    format!("{}\n\n{}", table(summary).text(), sentences(summary))
+}
+
+/// For papers, with booktabs.
+pub fn latex(summary: &Summary) -> String {
+    table(summary).latex(&[summary.title.as_str(), &sentences(summary).replace('\n', " ")].join(". "))
+}
+
+/// For programs: seconds, bytes, bits per second, every digit.
+pub fn csv(summary: &Summary) -> String {
+    let header = ["column", "count", "mean", "std", "median", "median-lo", "median-hi", "p95", "p99", "max"];
+    let cell = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
+    let row = |quantity: &Quantity| {
+        let Quantity { count, mean, std, median, p95, p99, max, bounds, .. } = *quantity;
+        let numbers =
+            [Some(mean), std, Some(median), bounds.map(|b| b.0), bounds.map(|b| b.1), p95, p99, Some(max)];
+        [quantity.column.to_string(), count.to_string()].into_iter().chain(numbers.map(cell)).collect()
+    };
+    csv_text(&header, &summary.quantities.iter().map(row).collect::<Vec<_>>())
+}
+
+/// The paper's metrics first, then all else.
+fn table(summary: &Summary) -> Table {
+    let named = TABULATED.iter().filter_map(|(column, name)| Some((summary.quantity(column)?, *name)));
+    let rest = summary
+        .quantities
+        .iter()
+        .filter(|quantity| TABULATED.iter().all(|(name, _)| *name != quantity.column))
+        // Sentences tell them.
+        .filter(|quantity| ![UNKNOWN_LABEL, SKIPPED_STARTS].contains(&quantity.column.as_ref()));
+    let rest = rest.map(|quantity| {
+        let column = quantity.column.as_ref();
+        (quantity, NAMED.iter().find(|(name, _)| *name == column).map_or(column, |(_, words)| words))
+    });
+    let header = ["metric", "unit", "count", "mean ± std", "median", "clock bounds", "p95", "p99", "max"];
+    Table {
+        header: header.map(str::to_owned).to_vec(),
+        labels: 2,
+        rows: named.chain(rest).map(|(quantity, name)| cells(quantity, name, &summary.units)).collect(),
+        marked: Vec::new(),
+    }
+}
+
+/// What the table rests on, a line each.
+fn sentences(summary: &Summary) -> String {
+    let is_open = |quantity: &Quantity| quantity.bounds.is_some_and(|(lo, hi)| lo < hi);
+    let bounds = summary.quantities.iter().any(is_open);
+    let bounds = if bounds { "Clock bounds contain the median of the true values." } else { "" };
+    let unknown = summary.unknown_labels.as_ref().map(|unknown| unknown.sentence(summary.counts.ok));
+    let parts = [
+        outcomes(&summary.counts),
+        starts(&summary.starts),
+        clocks(&summary.clocks.upload, &summary.clocks.download),
+        bounds.to_owned(),
+        unknown.unwrap_or_default(),
+    ];
+    parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("\n")
+}
+
+fn cells(quantity: &Quantity, name: &str, units: &Units) -> Vec<String> {
+    let unit = units.of(&quantity.column);
+    let scale = Scale::of(&quantity.column, unit);
+    let figure = figure_of(scale, quantity);
+    // Of what is right or wrong the mean is the share, and a quantile says nothing.
+    let is_share = ACCURACIES.contains(&quantity.column.as_ref());
+    let known = |value: Option<f64>| value.filter(|_| !is_share).map_or_else(|| UNKNOWN.to_owned(), &figure);
+    let mean = match quantity.std {
+        Some(std) => format!("{} ± {}", figure(quantity.mean), figure(std)),
+        None => figure(quantity.mean),
+    };
+    let bounds = match quantity.bounds {
+        None => String::new(),
+        Some((lo, hi)) if lo == hi => "exact".to_owned(),
+        Some((lo, hi)) => format!("{} – {}", figure(lo), figure(hi)),
+    };
+    vec![
+        name.to_owned(),
+        unit_of(scale, unit).to_owned(),
+        fixed(quantity.count as f64, 0),
+        mean,
+        known(Some(quantity.median)),
+        bounds,
+        known(quantity.p95),
+        known(quantity.p99),
+        known(Some(quantity.max)),
+    ]
+}
+
+/// What stands in the column of units.
+fn unit_of(scale: Scale, logged: Option<&str>) -> &str {
+    match scale {
+        Scale::Milliseconds => "ms",
+        Scale::MegabytesPerSecond => "MB/s",
+        Scale::Bytes => "B",
+        Scale::AsMeasured => logged.unwrap_or_default(),
+    }
+}
+
+/// How the numbers of one row are written, all with as many decimals.
+fn figure_of(scale: Scale, quantity: &Quantity) -> impl Fn(f64) -> String {
+    let (factor, decimals) = match scale {
+        Scale::Milliseconds => (1e3, decimals_within(quantity.std)),
+        Scale::MegabytesPerSecond => (1.0 / 8e6, decimals(quantity.median / 8e6, 3)),
+        Scale::Bytes => (1.0, 0),
+        Scale::AsMeasured => (1.0, decimals(quantity.median, 3)),
+    };
+    move |value| if value.is_infinite() { "∞".to_owned() } else { fixed(value * factor, decimals) }
+}
+
+/// How the iterations ended, in one sentence.
+fn outcomes(counts: &Counts) -> String {
+    let ends = [
+        (counts.failed, "failed"),
+        (counts.lost, "lost"),
+        (counts.timeout, "without an answer in time"),
+        (counts.warm_up, "warm-up, left out"),
+        (counts.unseen, "measured but not recorded"),
+    ];
+    let answered = std::iter::once((counts.ok, "answered"));
+    let ends = answered.chain(ends.into_iter().filter(|(count, _)| *count > 0));
+    let ends: Vec<String> = ends.map(|(count, what)| format!("{} {what}", fixed(count as f64, 0))).collect();
+    format!("Iterations: {}.", ends.join("; "))
+}
+
+/// How many ordered starts did not take place; nothing where all did.
+fn starts(starts: &Starts) -> String {
+    starts.told().map_or_else(String::new, |told| format!("Skipped: {told}."))
+}
+
+/// What the delays were found to be, in one sentence; nothing where there were none.
+fn clocks(up: &ClockCounts, down: &ClockCounts) -> String {
+    let list = |counts: &BTreeMap<String, u64>| {
+        let items = counts.iter().map(|(what, count)| format!("{} {what}", fixed(*count as f64, 0)));
+        items.collect::<Vec<_>>().join(", ")
+    };
+    let way = |name: &str, counts: &ClockCounts| {
+        let sources: Vec<&str> = counts.sources.keys().map(String::as_str).collect();
+        let width = counts.median_width.map(|width| bound_milliseconds(width / 2.0));
+        let width = width.map(|width| if width == "exact" { width } else { format!("{width} ms") });
+        let basis: Vec<&str> = sources.into_iter().chain(width.as_deref()).collect();
+        let known = !counts.verdicts.is_empty();
+        known.then(|| format!("{name} {} ({})", list(&counts.verdicts), basis.join(", ")))
+    };
+    let ways: Vec<String> = [way("upload", up), way("download", down)].into_iter().flatten().collect();
+    if ways.is_empty() { String::new() } else { format!("Clock verdicts: {}.", ways.join("; ")) }
+}

@@ -1,0 +1,298 @@
+//! Files written and read back.
+
+use std::path::Path;
+
+use peernet_clock::WallTime;
+use peernet_logger::RunId;
+use peernet_report::accuracy::Accuracy;
+use peernet_report::record::{Clocks, FORMAT, ModelRecord, instant};
+use peernet_report::trust::{Evidence, Report};
+use proptest::prelude::*;
+
+use super::*;
+use crate::iterations::BEGUN;
+
+#[test]
+fn header_of_fixed_columns_is_written_at_once() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
+    let path = folder.writer().expect("writable").end().expect("writable");
+    let text = std::fs::read_to_string(path).expect("it is there at once");
+    let published = peernet_report::rows::published().collect::<Vec<_>>().join(",");
+    assert_eq!(
+        text,
+        format!(
+            "{published},upload-raw,upload-lo,upload-hi,upload-verdict,upload-source,download-raw,download-lo,\
+             download-hi,download-verdict,download-source,upload-throughput-lo,upload-throughput-hi,\
+             download-throughput-lo,download-throughput-hi,capture,transform,encode,send-queue,queue,ipc,actuation,\
+             skipped-starts,lateness,total,stages-total,unattributed,top-1,top-5,at,episode,step,warm-up,outcome,reason\n"
+        )
+    );
+}
+
+fn record() -> RunRecord {
+    RunRecord {
+        format: FORMAT,
+        name: "robot".to_owned(),
+        title: "A robot & its cloud".to_owned(),
+        run: Some(RunId::from_bytes([1; 16])),
+        started: Some(instant(WallTime::from_unix_nanos(BEGUN))),
+        model: Some(ModelRecord { name: "s".to_owned(), device: Some("cpu".to_owned()), sha256: None }),
+        pipeline: serde_json::json!({"load": {"kind": "closed"}}),
+        seeds: [("order".to_owned(), 7)].into(),
+        counts: Counts::of(&kept(&rows(10)), 3),
+        clocks: Clocks::of(&kept(&rows(10))),
+        accuracy: [("top-1".to_owned(), Accuracy::of_counts(8, 9, 1).expect("answers"))].into(),
+        trust: Some(Report::of(&Evidence::default())),
+        ..RunRecord::default()
+    }
+}
+
+fn write(folder: &Path, rows: &[Row]) -> Finished {
+    let folder = ResultFolder::create(folder, Overwrite::Replace).expect("it can be made");
+    let mut writer = folder.writer().expect("writable");
+    rows.iter().for_each(|row| writer.write(row));
+    writer.end().expect("writable");
+    folder.finish(&record(), &kept(rows)).expect("writable")
+}
+
+#[test]
+fn what_is_written_reads_back_as_it_was() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let finished = write(folder.path(), &rows(10));
+    assert!(finished.trouble.is_none());
+    let names: Vec<_> = finished.files.iter().filter_map(|file| file.file_name()?.to_str()).collect();
+    assert_eq!(names, ["data.csv", "run.json", "summary.md", "summary.csv", "summary.tex"]);
+    let loaded = ResultFolder::open(folder.path()).expect("readable");
+    assert_eq!(loaded.rows, kept(&rows(10)));
+    assert_eq!((loaded.record.clone(), loaded.damage()), (record(), None));
+    let by_file = ResultFolder::open(&folder.path().join("data.csv")).expect("readable");
+    assert_eq!((by_file.rows, by_file.record), (loaded.rows, loaded.record));
+    let beside = folder.path().join("killed.csv");
+    std::fs::copy(folder.path().join("data.csv"), &beside).expect("writable");
+    let beside = ResultFolder::open(&beside).expect("readable").record;
+    assert_eq!((beside.format, beside.name.as_str()), (0, "killed"), "run.json tells of data.csv alone");
+}
+
+#[test]
+fn rows_are_in_the_file_before_the_run_ends() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
+    let mut writer = folder.writer().expect("writable");
+    let lines = || std::fs::read_to_string(folder.path().join("data.csv")).expect("text").lines().count();
+    let mut row = rows(1).remove(0);
+    writer.write(&row);
+    let first = lines();
+    row.at += 0.5;
+    writer.write(&row);
+    assert_eq!((first, lines()), (2, 2), "half a second is not enough");
+    row.at += 0.6;
+    writer.write(&row);
+    assert_eq!(lines(), 4);
+    row.at -= 3600.0;
+    writer.write(&row);
+    assert_eq!(lines(), 5, "a clock that was set back does not stop the writing");
+    writer.write(&row);
+    writer.flush();
+    assert_eq!(lines(), 6);
+}
+
+#[test]
+fn columns_that_come_late_reach_the_file() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut rows = rows(40);
+    for (at, name) in [(3, "grip"), (4, "slip, left"), (30, "late")] {
+        rows[at].values.push((Column::Owned(name.to_owned()), 0.5));
+    }
+    let result = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
+    let mut writer = result.writer().expect("writable");
+    rows.iter().for_each(|row| writer.write(row));
+    writer.flush();
+    let header = |path: &Path| std::fs::read_to_string(path).expect("text").lines().next().map(str::to_owned);
+    let header = header(writer.path()).expect("a header");
+    assert!(header.ends_with("reason,inference_pre,grip,late"), "{header}");
+    writer.end().expect("writable");
+    result.finish(&record(), &kept(&rows)).expect("writable");
+    assert_eq!(ResultFolder::open(folder.path()).expect("readable").rows, kept(&rows));
+}
+
+#[test]
+fn a_file_that_was_cut_off_gives_the_rows_that_are_whole() {
+    let folder = tempfile::tempdir().expect("a folder");
+    write(folder.path(), &rows(10));
+    let path = folder.path().join("data.csv");
+    let text = std::fs::read_to_string(&path).expect("text");
+    std::fs::write(&path, &text[..text.len() - 3]).expect("writable");
+    let loaded = ResultFolder::open(folder.path()).expect("readable");
+    assert_eq!(loaded.rows, kept(&rows(9)));
+    let told = loaded.damage().expect("one is missing");
+    assert_eq!(told, "data.csv has 9 of the 10 iterations that run.json counts");
+    let text = text.replace(",lost,", ",timeout,");
+    std::fs::write(&path, &text).expect("writable");
+    let told = ResultFolder::open(folder.path()).expect("readable").damage().expect("another outcome");
+    assert!(told.contains("other outcomes"), "{told}");
+    std::fs::remove_file(folder.path().join("run.json")).expect("it is there");
+    assert_eq!(ResultFolder::open(folder.path()).expect("readable").damage(), None, "nothing counts them");
+}
+
+#[test]
+fn results_that_are_not_of_a_whole_run_say_so() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let told = |limit: u64, reason: &str| {
+        let pipeline = serde_json::json!({ "limit": { "total": limit } });
+        let written = RunRecord { reason: reason.to_owned(), pipeline, ..record() };
+        let text = serde_json::to_vec(&written).expect("JSON");
+        std::fs::write(folder.path().join("run.json"), text).expect("writable");
+        ResultFolder::open(folder.path()).expect("readable").lacking()
+    };
+    write(folder.path(), &rows(10));
+    assert_eq!(told(10, "finished"), None);
+    assert_eq!(told(10, "stopped"), None, "it had all that was ordered, three unseen");
+    assert_eq!(told(20, "").as_deref(), None, "nobody knows");
+    let interrupted = "the run was interrupted after 13 of 20 iterations";
+    assert_eq!(told(20, "stopped").as_deref(), Some(interrupted));
+    let gone = "the run broke off after 13 of 20 iterations: the cloud went";
+    assert_eq!(told(20, "the cloud went").as_deref(), Some(gone));
+
+    std::fs::remove_file(folder.path().join("run.json")).expect("it is there");
+    let lacking = || ResultFolder::open(folder.path()).expect("readable").lacking();
+    assert!(lacking().is_some_and(|told| told.contains("under way or was killed")), "{:?}", lacking());
+    let alone = folder.path().join("run-7.csv");
+    std::fs::copy(folder.path().join("data.csv"), &alone).expect("writable");
+    assert_eq!(ResultFolder::open(&alone).expect("readable").lacking(), None, "it never had a record");
+    std::fs::write(folder.path().join("data.csv"), "iteration,inference\n1,0.1\n").expect("writable");
+    assert_eq!(lacking(), None, "nor has a file of the published program");
+}
+
+#[test]
+fn a_folder_that_cannot_be_written_loses_nothing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let result = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
+    // Every write to it fails as on a full disk, root's as well.
+    std::os::unix::fs::symlink("/dev/full", folder.path().join("run.json")).expect("a link");
+    let mut writer = result.writer().expect("writable");
+    rows(10).iter().for_each(|row| writer.write(row));
+    writer.end().expect("writable");
+    let finished = result.finish(&record(), &kept(&rows(10))).expect("there is another place");
+    let trouble = finished.trouble.expect("the folder failed").to_string();
+    assert!(trouble.contains("run.json") && trouble.contains("No space left"), "{trouble}");
+    assert_ne!(finished.folder, folder.path());
+    assert_eq!(ResultFolder::open(&finished.folder).expect("readable").rows, kept(&rows(10)));
+    std::fs::remove_dir_all(finished.folder).expect("it is ours");
+}
+
+#[test]
+fn a_full_disk_at_the_start_is_told_at_the_start() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
+    std::os::unix::fs::symlink("/dev/full", folder.path().join("data.csv")).expect("a link");
+    let error = folder.writer().expect_err("it is full").to_string();
+    assert!(error.contains("No space left on device"), "{error}");
+}
+
+#[test]
+fn what_is_there_is_replaced_only_when_that_was_asked_for() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = folder.path();
+    for name in ["data.csv", "sensing-time.png", "series.svg", "stacked.svg", "notes.txt"] {
+        std::fs::write(at.join(name), "x").expect("writable");
+    }
+    let refused = ResultFolder::create(at, Overwrite::Refuse).expect_err("it holds something").to_string();
+    assert!(refused.contains("holds files already") && refused.contains("--overwrite"), "{refused}");
+    let subfolders =
+        [2, 3].map(|_| ResultFolder::create(at, Overwrite::Subfolder).expect("made").path().to_owned());
+    assert_eq!(subfolders, [at.join("run-2"), at.join("run-3")]);
+    ResultFolder::create(at, Overwrite::Replace).expect("it may");
+    let left = ["data.csv", "sensing-time.png", "series.svg", "stacked.svg", "notes.txt", "run-2"];
+    assert_eq!(left.map(|name| at.join(name).exists()), [false, false, false, false, true, true]);
+    let file =
+        ResultFolder::create(&at.join("notes.txt"), Overwrite::Replace).expect_err("a file").to_string();
+    assert!(file.ends_with("notes.txt is no folder"), "{file}");
+}
+
+#[test]
+fn a_folder_is_written_by_one_program_at_a_time() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let first = ResultFolder::create(folder.path(), Overwrite::Replace).expect("it is free");
+    for overwrite in [Overwrite::Replace, Overwrite::Refuse] {
+        let refused = ResultFolder::create(folder.path(), overwrite).expect_err("it is taken").to_string();
+        assert!(refused.contains("another peernet is writing"), "{refused}");
+    }
+    let beside = ResultFolder::create(folder.path(), Overwrite::Subfolder).expect("there is another place");
+    assert_eq!(beside.path(), folder.path().join("run-2"));
+    assert_eq!(std::fs::read_dir(first.path()).expect("a folder").count(), 1, "a lock leaves nothing behind");
+    drop(first);
+    ResultFolder::create(folder.path(), Overwrite::Replace).expect("it is free again");
+}
+
+#[test]
+fn folders_are_found_in_the_order_that_people_expect() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for name in ["b/run-10", "b/run-2", "a", "empty", ".hidden"] {
+        std::fs::create_dir_all(folder.path().join(name)).expect("made");
+    }
+    for name in ["b/run-10", "b/run-2", "a", ".hidden"] {
+        std::fs::write(folder.path().join(name).join("data.csv"), "").expect("writable");
+    }
+    let found = ResultFolder::find(folder.path());
+    let expected = ["a", "b/run-2", "b/run-10"].map(|name| folder.path().join(name));
+    assert_eq!(found, expected);
+    assert_eq!(ResultFolder::find(&expected[0]), expected[..1]);
+}
+
+#[test]
+fn a_file_that_makes_no_sense_says_where() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let open = |text: &str| {
+        std::fs::write(folder.path().join("data.csv"), text).expect("writable");
+        ResultFolder::open(folder.path()).expect_err("it makes no sense").to_string()
+    };
+    assert!(
+        open("iteration,sensing\n1,0.5\n2,fast\n").ends_with("line 3, column sensing: \"fast\" is no number")
+    );
+    assert!(open("x,y\n1,2\n").contains("no column of it is one of a run's"));
+    assert!(open("iteration,sensing\n1,0.5,7\n").contains("data.csv"));
+    std::fs::remove_file(folder.path().join("data.csv")).expect("it is there");
+    let error = ResultFolder::open(folder.path()).expect_err("nothing there").to_string();
+    assert!(error.contains("there is no data.csv in it"), "{error}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(32))]
+    #[test]
+    fn any_number_and_any_text_come_back(
+        numbers in prop::collection::vec(prop::num::f64::NORMAL | prop::num::f64::ZERO | prop::num::f64::SUBNORMAL, 1..8),
+        reason in "[^\r]{1,20}x", name in "[a-z ,\"]{0,8}x", at in 1.0..4e9_f64,
+    ) {
+        let folder = tempfile::tempdir().expect("a folder");
+        let rows: Vec<Row> = numbers.iter().zip(1..).map(|(number, iteration)| Row {
+            iteration, at, episode: 1, step: 2, warm_up: false, outcome: Outcome::Failed,
+            reason: Some(reason.clone()),
+            values: vec![("sensing".into(), *number), (Column::Owned(name.trim().to_owned()), -number)],
+            upload: None, download: None,
+        }).collect();
+        write(folder.path(), &rows);
+        prop_assert_eq!(ResultFolder::open(folder.path()).expect("readable").rows, kept(&rows));
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+    #[test]
+    fn whenever_columns_come_the_file_is_in_the_end_as_if_written_at_once(
+        count in 1..60_usize,
+        cells in prop::collection::vec((0..60_usize, "[a-e]", 0.0..1.0_f64), 0..12),
+    ) {
+        let mut rows = rows(count as u64);
+        for (place, name, value) in cells {
+            rows[place % count].values.push((Column::Owned(name), value));
+        }
+        let folders = [(); 2].map(|()| tempfile::tempdir().expect("a folder"));
+        write(folders[0].path(), &rows);
+        let at_once = ResultFolder::create(folders[1].path(), Overwrite::Refuse).expect("it is empty");
+        at_once.finish(&record(), &kept(&rows)).expect("writable");
+        let [written, expected] =
+            folders.map(|folder| std::fs::read_to_string(folder.path().join("data.csv")).expect("text"));
+        prop_assert_eq!(written, expected);
+    }
+}

@@ -1,0 +1,143 @@
+//! Summaries as text.
+
+use peernet_logger::{Measure, Unit};
+use peernet_report::number::counted;
+use peernet_report::rows::Units;
+use peernet_stream::Outcome as Ended;
+
+use super::*;
+use crate::iterations::{add, iteration, offloaded, timer};
+use crate::summary::{csv, latex, markdown, text};
+
+#[test]
+fn labels_that_are_no_classes_of_the_model_are_told() {
+    let mut rows = rows(20);
+    rows.iter_mut().for_each(|row| row.values.push(("unknown-label".into(), 1.0)));
+    let facts = vec![("Classes".to_owned(), "4: good, dented".to_owned())];
+    let summary = Summary::of(&kept(&rows)).about(&RunRecord { facts, ..RunRecord::default() });
+    let (text, ok) = (text(&summary), summary.counts.ok);
+    let told = format!(
+        "Not scored: {ok} of {}, because the label is no class of the model (the model knows good, dented).",
+        counted(ok, "iteration")
+    );
+    assert!(text.contains(&told) && !text.contains("unknown-label"), "{text}");
+}
+
+#[test]
+fn counts_are_sums_and_shares() {
+    let mut rows = rows(20);
+    for row in &mut rows {
+        let right = f64::from(u8::from(row.iteration % 4 != 0));
+        row.values.extend([("top-1".into(), right), ("skipped-starts".into(), 2.0)]);
+    }
+    let summary = Summary::of(&kept(&rows));
+    let text = text(&summary);
+    let starts = summary.starts;
+    assert!(starts.kept > summary.counts.ok && starts.skipped == 2 * starts.kept, "{starts:?}");
+    let told = format!("Skipped: {} of {} starts (66.7 %).", starts.skipped, starts.all());
+    assert!(text.contains(&told) && !text.contains("skipped-starts"), "{text}");
+    let line = text.lines().find(|line| line.starts_with("top-1")).expect("a line");
+    assert_eq!(line.matches('—').count(), 4, "no quantile: {line}");
+    assert!(csv(&summary).contains("\nskipped-starts,"), "for programs");
+}
+
+const TEXT: &str = "\
+metric                 unit  count             mean ± std     median     clock bounds  p95  p99        max
+Sensing Time           ms        7          0.700 ± 0.000      0.700                     —    —      0.700
+Upload Size            B         7            150,000 ± 0    150,000                     —    —    150,000
+Upload Latency         ms        7         17.007 ± 0.003     17.007  16.997 – 17.017    —    —     17.010
+Upload Throughput      MB/s      7                100 ± 0        100           50 – ∞    —    —        100
+Inference Latency      ms        7          3.700 ± 0.000      3.700                     —    —      3.700
+Download Size          B         7                 40 ± 0         40                     —    —         40
+Download Latency       ms        7          0.400 ± 0.000      0.400    0.390 – 0.410    —    —      0.400
+Download Throughput    MB/s      7          0.500 ± 0.000      0.500        0.250 – ∞    —    —      0.500
+Total (sum of stages)  ms        7         21.807 ± 0.003     21.807                     —    —     21.810
+Total (measured)       ms        7         21.832 ± 0.003     21.832                     —    —     21.835
+download-logger-bytes  B         7                130 ± 0        130                     —    —        130
+upload-logger-bytes    B         7                120 ± 0        120                     —    —        120
+capture                ms        7          0.500 ± 0.000      0.500                     —    —      0.500
+transform              ms        7          0.150 ± 0.000      0.150                     —    —      0.150
+unattributed           ms        7          0.025 ± 0.000      0.025                     —    —      0.025
+inference_pre                    7  0.0000300 ± 0.0000000  0.0000300                     —    —  0.0000300
+
+Iterations: 7 answered; 1 lost; 2 warm-up, left out.
+Clock verdicts: upload 7 ok (in-band, ±0.010 ms); download 7 ok (in-band, ±0.010 ms).
+Clock bounds contain the median of the true values.";
+
+#[test]
+fn the_summary_reads_as_the_papers_metrics() {
+    let record = RunRecord { title: "robot_1".to_owned(), ..RunRecord::default() };
+    let summary = Summary::of(&kept(&rows(10))).about(&record);
+    assert_eq!(text(&summary), TEXT);
+    let markdown = markdown(&summary);
+    assert!(markdown.starts_with("# robot_1\n\n| metric | unit | count | mean ± std |"), "{markdown}");
+    assert!(markdown.contains(
+        "| Upload Latency | ms | 7 | 17.007 ± 0.003 | 17.007 | 16.997 – 17.017 | — | — | 17.010 |"
+    ));
+    let latex = latex(&summary);
+    assert!(
+        latex.contains("Upload Latency & ms & 7 & 17.007 $\\pm$ 0.003 & 17.007 & 16.997 -- 17.017 &"),
+        "{latex}"
+    );
+    assert!(latex.contains("\\caption{robot\\_1. Iterations: 7 answered;"), "{latex}");
+    let csv = csv(&summary);
+    let mut lines = csv.lines();
+    assert_eq!(lines.next(), Some("column,count,mean,std,median,median-lo,median-hi,p95,p99,max"));
+    let sensing: Vec<&str> = lines.next().expect("sensing").split(',').collect();
+    assert_eq!((sensing[0], sensing[1], sensing[4], sensing[7]), ("sensing", "7", "0.0007", ""));
+}
+
+#[test]
+fn nodes_of_a_known_stage_are_times_wherever_they_are() {
+    let values =
+        [("ipc", 0.001), ("capture_capture-ipc", 0.002), ("mine_capture-ipc_2", 0.003), ("mine", 4.0)];
+    let mut rows = rows(9).split_off(8);
+    rows[0].values = values.map(|(name, value)| (name.into(), value)).to_vec();
+    let text = text(&Summary::of(&kept(&rows)));
+    let unit = |metric: &str| {
+        let line =
+            text.lines().find(|line| line.starts_with(metric)).unwrap_or_else(|| panic!("{metric}: {text}"));
+        line[metric.len()..].split_whitespace().map(str::to_owned).collect::<Vec<_>>()
+    };
+    assert_eq!(unit("Border to the model's process")[..3], ["ms", "1", "1.00"]);
+    assert_eq!(unit("Border to the sensor's process")[..3], ["ms", "1", "2.00"]);
+    assert_eq!(unit("mine_capture-ipc_2")[..3], ["ms", "1", "3.00"]);
+    assert_eq!(unit("mine ")[..2], ["1", "4.00"], "nobody knows in what");
+}
+
+#[test]
+fn nodes_of_ones_own_have_the_unit_that_they_were_logged_with() {
+    let logged = |number: u64, mixed: Unit| {
+        let mut tree = offloaded(17_000, 3_700);
+        let value = |value: f64, unit: Unit| Measure::Value(value, unit);
+        add(&mut tree, &[], "grip", timer(250_000));
+        add(&mut tree, &["grip"], "close", timer(100_000));
+        add(&mut tree, &[], "cloud-points", value(1_200.0, Unit::BYTES));
+        add(&mut tree, &[], "camera", value(8e8, Unit::BITS_PER_SECOND));
+        add(&mut tree, &[], "force", value(9.81, Unit::new("N")));
+        add(&mut tree, &[], "tries", value(3.0, Unit::NONE));
+        add(&mut tree, &[], "mixed", value(5.0, mixed));
+        iteration(number, Ended::Ok, tree)
+    };
+    let mut units = Units::default();
+    let iterations = [logged(3, Unit::WATTS), logged(4, Unit::JOULES)];
+    let own: Vec<Row> = iterations.iter().map(|iteration| units.row(iteration)).collect();
+    assert_eq!(own, iterations.each_ref().map(Row::of), "the rows are the same");
+    let record = RunRecord { units, ..RunRecord::default() };
+    let json = serde_json::to_value(&record).expect("JSON");
+    assert_eq!((&json["units"]["grip_val"], &json["units"]["force"]), (&"s".into(), &"N".into()));
+    let text = text(&Summary::of(&kept(&own)).about(&record));
+    let line = |metric: &str| {
+        let line =
+            text.lines().find(|line| line.starts_with(metric)).unwrap_or_else(|| panic!("{metric}: {text}"));
+        line.split_whitespace().take(4).map(str::to_owned).collect::<Vec<_>>()
+    };
+    assert_eq!(line("grip_val"), ["grip_val", "ms", "2", "250.000"]);
+    assert_eq!(line("grip_close"), ["grip_close", "ms", "2", "100.000"]);
+    assert_eq!(line("inference_pre"), ["inference_pre", "ms", "2", "0.030"]);
+    assert_eq!(line("cloud-points"), ["cloud-points", "B", "2", "1,200"]);
+    assert_eq!(line("camera"), ["camera", "MB/s", "2", "100"]);
+    assert_eq!(line("force"), ["force", "N", "2", "9.81"]);
+    assert_eq!(line("tries"), ["tries", "2", "3.00", "±"]);
+    assert_eq!(line("mixed"), ["mixed", "2", "5.00", "±"], "watts are not added to joules");
+}

@@ -1,0 +1,253 @@
+//! `data.csv` while it grows.
+
+use std::fs::{File, OpenOptions};
+use std::io::{ErrorKind, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use peernet_report::WriteError;
+use peernet_report::rows::Row;
+
+use super::cells::{self, Header};
+
+/// Seconds of the rows' own time between two writes.
+const EVERY: f64 = 1.0;
+/// Bytes after which rows are written however little time has passed.
+const MANY_BYTES: usize = 256 * 1024;
+
+/// Writes rows to `data.csv` as they come: at least once a second, and at the end.
+///
+/// A disk that is full, or gone, loses nothing that was measured: what cannot be written stays in memory, is tried again
+/// with the next rows, and the file ends with the last row that is whole.
+#[derive(Debug)]
+pub struct RowWriter {
+    path: PathBuf,
+    file: File,
+    header: Header,
+    /// Bytes of the file that are whole rows.
+    whole: u64,
+    /// Rows that are not in the file yet, all of them as long as the header.
+    waiting: Vec<u8>,
+    /// How many rows there were when it was last tried to make the file anew, and how many there are.
+    rows: (u64, u64),
+    written_at: f64,
+    /// How many bytes were left waiting by the last try.
+    tried: usize,
+    /// Whether there may be part of a row behind the whole ones.
+    torn: bool,
+    trouble: Option<WriteError>,
+}
+
+impl RowWriter {
+    /// Makes the file anew, with its header.
+    pub(crate) fn begin(path: PathBuf) -> Result<Self, WriteError> {
+        let header = Header::default();
+        let file = File::create(&path).map_err(WriteError::at(&path))?;
+        let mut waiting = Vec::new();
+        header.write(&mut waiting);
+        let mut writer = Self {
+            path,
+            file,
+            header,
+            whole: 0,
+            waiting,
+            rows: (0, 0),
+            written_at: 0.0,
+            tried: 0,
+            torn: false,
+            trouble: None,
+        };
+        writer.put().map_err(WriteError::at(&writer.path))?;
+        Ok(writer)
+    }
+
+    /// Where the file is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Takes a row.
+    ///
+    /// A row may bring columns that no row before it had. They are put behind the others: the file is made anew, which
+    /// is done when it has at least doubled since the last time, so that it costs no more than writing does. What has no
+    /// column by then is left out until [`ResultFolder::finish`](super::ResultFolder::finish) puts it in.
+    pub fn write(&mut self, row: &Row) {
+        if self.rows.1 >= 2 * self.rows.0 && !self.header.covers(row) {
+            self.extend(row);
+        }
+        self.header.row(&mut self.waiting, row);
+        self.rows.1 += 1;
+        // A clock that was set back must not stop the writing.
+        let many = self.waiting.len() >= self.tried + MANY_BYTES;
+        if many || (row.at - self.written_at).abs() >= EVERY {
+            self.flush();
+            self.written_at = row.at;
+        }
+    }
+
+    /// Writes what waits: call it when no rows come.
+    pub fn flush(&mut self) {
+        self.trouble = self.put().map_err(WriteError::at(&self.path)).err();
+        self.tried = self.waiting.len();
+    }
+
+    /// Why rows wait in memory; `None` while all is well.
+    pub fn trouble(&self) -> Option<&WriteError> {
+        self.trouble.as_ref()
+    }
+
+    /// Writes what waits a last time, through to the disk.
+    ///
+    /// # Errors
+    /// When rows could not be written. The file ends with the last one that could;
+    /// [`ResultFolder::finish`](super::ResultFolder::finish) finds another place for all.
+    pub fn end(mut self) -> Result<PathBuf, WriteError> {
+        let written = self.put().and_then(|()| self.file.sync_all());
+        written.map_err(WriteError::at(&self.path))?;
+        Ok(self.path)
+    }
+
+    fn put(&mut self) -> std::io::Result<()> {
+        self.mend()?;
+        let (written, outcome) = write_on(&mut self.file, &self.waiting);
+        let whole = whole_rows(&self.waiting[..written]);
+        self.whole += whole as u64;
+        self.waiting.drain(..whole);
+        if outcome.is_err() {
+            self.torn = true;
+            // What a second error says is not what went wrong; it is tried again before the next writing.
+            let _ = self.mend();
+        }
+        outcome
+    }
+
+    /// Takes away the part of a row that a failed writing may have left. Shortening works on a full disk, too.
+    fn mend(&mut self) -> std::io::Result<()> {
+        if self.torn {
+            self.file.set_len(self.whole)?;
+            self.file.seek(SeekFrom::Start(self.whole))?;
+            self.torn = false;
+        }
+        Ok(())
+    }
+
+    /// Makes the file anew with the columns of a row. When that fails all remains as it is, and is not tried again at once.
+    fn extend(&mut self, row: &Row) {
+        self.rows.0 = self.rows.1;
+        self.flush();
+        if self.trouble.is_some() {
+            return;
+        }
+        let mut header = self.header.clone();
+        header.add(row);
+        match self.anew(&header) {
+            Ok((file, whole)) => (self.file, self.whole, self.header) = (file, whole, header),
+            Err(error) => self.trouble = Some(WriteError::at(&self.path)(error)),
+        }
+    }
+
+    fn anew(&self, header: &Header) -> std::io::Result<(File, u64)> {
+        let beside = self.path.with_extension("csv.new");
+        let made = cells::widen(&self.path, &beside, header).and_then(|()| {
+            std::fs::rename(&beside, &self.path)?;
+            let mut file = OpenOptions::new().write(true).open(&self.path)?;
+            let whole = file.seek(SeekFrom::End(0))?;
+            Ok((file, whole))
+        });
+        made.inspect_err(|_| {
+            // It is not there when it could not even be made.
+            let _ = std::fs::remove_file(&beside);
+        })
+    }
+}
+
+/// Writes as `write_all` does, but tells how many bytes there was room for.
+fn write_on(out: &mut impl Write, bytes: &[u8]) -> (usize, std::io::Result<()>) {
+    let mut written = 0;
+    while written < bytes.len() {
+        match out.write(&bytes[written..]) {
+            Ok(0) => return (written, Err(ErrorKind::WriteZero.into())),
+            Ok(count) => written += count,
+            Err(error) if error.kind() == ErrorKind::Interrupted => {}
+            Err(error) => return (written, Err(error)),
+        }
+    }
+    (written, Ok(()))
+}
+
+/// How many of the bytes are whole rows. A line feed within quotes ends none.
+fn whole_rows(bytes: &[u8]) -> usize {
+    let (mut quoted, mut end) = (false, 0);
+    for (at, byte) in bytes.iter().enumerate() {
+        match byte {
+            b'"' => quoted = !quoted,
+            b'\n' if !quoted => end = at + 1,
+            _ => {}
+        }
+    }
+    end
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use peernet_report::rows::Outcome;
+
+    fn row(iteration: u64) -> Row {
+        Row {
+            iteration,
+            at: iteration as f64,
+            episode: 0,
+            step: 0,
+            warm_up: false,
+            outcome: Outcome::Ok,
+            reason: None,
+            values: vec![("total".into(), 0.25)],
+            upload: None,
+            download: None,
+        }
+    }
+
+    #[test]
+    fn rows_of_a_time_when_the_disk_was_full_are_written_when_there_is_room() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let mut writer = RowWriter::begin(folder.path().join("data.csv")).expect("writable");
+        writer.write(&row(1));
+        let disk = std::mem::replace(
+            &mut writer.file,
+            OpenOptions::new().write(true).open("/dev/full").expect("there is one"),
+        );
+        writer.write(&row(2));
+        let trouble = writer.trouble().expect("it is full").to_string();
+        assert!(trouble.contains("data.csv: No space left on device"), "{trouble}");
+        writer.write(&row(3));
+        writer.file = disk;
+        writer.write(&row(4));
+        assert!(writer.trouble().is_none());
+        let path = writer.end().expect("there is room");
+        let text = std::fs::read_to_string(path).expect("text");
+        let numbers: Vec<_> = text.lines().skip(1).filter_map(|line| line.split(',').next()).collect();
+        assert_eq!(numbers, ["1", "2", "3", "4"]);
+    }
+
+    #[test]
+    fn the_rows_that_there_was_room_for_are_whole() {
+        let rows = b"1,ok\n2,\"a \"\"b\"\"\nc\"\n3,ok\n";
+        let kept = [4, 5, 14, rows.len() - 6, rows.len() - 1, rows.len()].map(|room| {
+            let mut room = vec![0; room];
+            let (written, outcome) = write_on(&mut room.as_mut_slice(), rows);
+            assert_eq!((written, outcome.is_ok()), (room.len(), room.len() == rows.len()));
+            whole_rows(&rows[..written])
+        });
+        assert_eq!(kept, [0, 5, 5, 5, rows.len() - 5, rows.len()]);
+    }
+
+    #[test]
+    fn a_disk_that_stays_full_is_told_at_the_end() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let mut writer = RowWriter::begin(folder.path().join("data.csv")).expect("writable");
+        writer.file = OpenOptions::new().write(true).open("/dev/full").expect("there is one");
+        writer.write(&row(1));
+        let error = writer.end().expect_err("it is full").to_string();
+        assert!(error.contains("data.csv"), "{error}");
+    }
+}
