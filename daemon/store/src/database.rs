@@ -1,7 +1,6 @@
 //! Opening the file for writing: settings and migrations.
 
 use std::path::Path;
-use std::time::Duration;
 
 use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
@@ -10,6 +9,7 @@ use sqlx::{ConnectOptions, SqliteConnection};
 use super::contents::Contents;
 use super::foreign_log::mark;
 use super::integrity::is_damage;
+use super::limits::BUSY;
 use super::rebuild::make_coarser;
 use crate::error::OpenError;
 
@@ -26,9 +26,6 @@ const CARRY_OVER: &str = "16000";
 const LOG_BYTES: &str = "65920032";
 
 pub(crate) static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations");
-
-/// How long a connection waits for another program that locks the file.
-pub(super) const BUSY: Duration = Duration::from_secs(1);
 
 /// Settings of the connection that writes.
 ///

@@ -10,7 +10,10 @@ mod error;
 mod extent;
 mod figures;
 pub(crate) mod foreign_log;
+mod incidents;
+mod insert;
 mod integrity;
+mod limits;
 mod lock;
 pub mod maintenance;
 mod opening;
@@ -20,10 +23,13 @@ mod readers;
 pub(crate) mod rebuild;
 mod retention;
 mod retention_config;
+mod rollups;
+mod storage_clock;
 mod stored;
 #[cfg(test)]
 mod tests;
 mod types;
+mod wall_clock;
 mod write;
 
 use peernet_clock::WallTime;

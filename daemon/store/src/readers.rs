@@ -9,8 +9,8 @@ use peernet_clock::{SharedClock, Span};
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePoolOptions};
 use sqlx::{ConnectOptions, SqliteConnection, SqlitePool};
 
-use super::database::BUSY;
 use super::integrity::Integrity;
+use super::limits::BUSY;
 use crate::error::StoreError;
 
 /// How long a question waits for a connection.

@@ -14,7 +14,7 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::{AbortOnDropHandle, TaskTracker};
 
 use super::{Integrity, PageCheck, is_damage};
-use crate::database::BUSY;
+use crate::limits::BUSY;
 
 /// Bytes that are read at once.
 const STEP: u64 = 1 << 20;

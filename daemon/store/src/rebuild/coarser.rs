@@ -4,7 +4,7 @@
 
 use sqlx::{Connection, SqliteConnection};
 
-use crate::write::rollups::{RollupRow, Rollups, Scope, bucket};
+use crate::rollups::{RollupRow, Rollups, Scope, bucket};
 
 /// Width of the buckets that are there.
 const STORED_S: i64 = 10;

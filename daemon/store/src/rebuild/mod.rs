@@ -7,7 +7,7 @@ use sqlx::{Connection, SqliteConnection};
 
 pub(crate) use self::coarser::make_coarser;
 use crate::retention::{Kind, release};
-use crate::write::rollups::{Rollups, Scope, WHOLE_RUN, WIDTHS_S};
+use crate::rollups::{Rollups, Scope, WHOLE_RUN, WIDTHS_S};
 
 /// What a rebuild has done so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -6,7 +6,7 @@ use futures::TryStreamExt as _;
 use peernet_statistics::Summary;
 use sqlx::{FromRow, SqliteConnection};
 
-use crate::write::rollups::{Quantity, Rollups};
+use crate::rollups::{Quantity, Rollups};
 
 /// Iterations that are read at a time.
 const ITERATIONS: i64 = 500;

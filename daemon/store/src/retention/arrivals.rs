@@ -5,7 +5,7 @@ use sqlx::SqliteConnection;
 use super::deletions::{Cause, Deletion};
 use super::{Deleted, Kind, buckets, clocks, nodes};
 use crate::extent::Extent;
-use crate::write::rollups::bucket;
+use crate::rollups::bucket;
 
 /// Rows of the table that one transaction looks at.
 const ROWS: usize = 64;

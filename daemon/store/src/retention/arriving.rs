@@ -7,7 +7,7 @@ use sqlx::{FromRow, SqliteConnection};
 
 use super::{Kind, Periods};
 use crate::extent::Extent;
-use crate::write::rollups::bucket;
+use crate::rollups::bucket;
 
 /// Whether something has been arriving since this second of the storage clock or before: ?1 second.
 const ANY: &str = "SELECT EXISTS (SELECT 1 FROM run INDEXED BY run_arriving WHERE arriving_from_s <= ?1) \

@@ -7,9 +7,9 @@ use peernet_clock::WallTime;
 use sqlx::SqliteConnection;
 
 use super::Kind;
+use crate::incidents;
 use crate::retention_config::RetentionConfig;
 use crate::types::AggregatorIncidentKind;
-use crate::write::incidents;
 
 /// An incident grows for so long on the storage clock.
 const GROUP_S: i64 = 3_600;

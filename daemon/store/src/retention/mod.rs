@@ -22,9 +22,9 @@ use sqlx::{Connection, SqliteConnection};
 pub(crate) use self::arrivals::{pin, release};
 use self::deletions::{Cause, Deletion, Deletions};
 use self::size::SizeLimit;
-use super::write::rollups::WIDTHS_S;
-use super::write::storage_clock::StorageClock;
 use crate::retention_config::{RetentionConfig, kept_s};
+use crate::rollups::WIDTHS_S;
+use crate::storage_clock::StorageClock;
 
 /// Rows that a step deletes, as a hint for its caller: some tens of milliseconds.
 pub(crate) const ROWS: u32 = 20_000;
@@ -299,8 +299,8 @@ pub(crate) fn statements() -> Vec<(&'static str, &'static str)> {
         &clocks::STATEMENTS,
         &deletions::STATEMENTS,
         &trimmed::STATEMENTS,
-        &super::write::incidents::STATEMENTS,
-        &super::write::storage_clock::STATEMENTS,
+        &crate::incidents::STATEMENTS,
+        &crate::storage_clock::STATEMENTS,
     ]
     .concat()
 }

@@ -12,13 +12,13 @@ use tokio_util::sync::CancellationToken;
 use super::{Bed, NOW, STAMP, open};
 use crate::RetentionConfig;
 use crate::error::OpenError;
+use crate::incidents::PendingIncidents;
 use crate::integrity::Integrity;
 use crate::maintenance::{
     Backup, BackupError, ClearSecretError, DoctorError, Examination, RebuildError, RepairError,
     clear_host_secret, examine, rebuild_rollups, repair,
 };
 use crate::opening::OpenDatabase;
-use crate::write::incidents::PendingIncidents;
 
 async fn connect(path: &Path) -> SqliteConnection {
     SqliteConnectOptions::new().filename(path).connect().await.expect("opens")

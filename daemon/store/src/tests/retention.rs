@@ -13,8 +13,8 @@ use crate::maintenance::{Examination, examine};
 use crate::rebuild::rebuild;
 use crate::retention::{Retention, Step, pin};
 use crate::retention_config::RetentionConfig;
+use crate::storage_clock::StorageClock;
 use crate::types::IterationFilter;
-use crate::write::storage_clock::StorageClock;
 
 const DAY: f64 = 86_400.0;
 /// Time between two iterations: a bucket of each width for each of them, nearly.

@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use sqlx::{Connection, SqliteConnection};
 
 use crate::database;
-use crate::write::rollups::{Quantity, Rollups, WHOLE_RUN, WIDTHS_S, bucket};
+use crate::rollups::{Quantity, Rollups, WHOLE_RUN, WIDTHS_S, bucket};
 
 /// Run, width, bucket, name, quantity.
 pub(super) type Key = (i64, i64, i64, i64, i64);
@@ -186,7 +186,7 @@ const LARGE: [&str; 12] = [
 async fn what_is_read_and_deleted_is_found_by_a_key() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut connection = database::open(&folder.path().join("peernet.sqlite")).await.expect("opens");
-    let questions = crate::write::rollups::QUESTIONS
+    let questions = crate::rollups::QUESTIONS
         .into_iter()
         .chain(crate::rebuild::QUESTIONS)
         .chain(crate::retention::statements());

@@ -9,10 +9,10 @@ use peernet_stream::OutcomeCounts;
 use sqlx::{Arguments, SqliteConnection};
 
 use super::ends::LEFT;
-use super::insert::Insert;
 use super::prepared::RunPart;
 use crate::column::{column, count};
 use crate::extent::Extent;
+use crate::insert::Insert;
 use crate::stored::Stored;
 
 /// Hosts whose counters are kept in memory, as many as `[aggregator] max_hosts` may allow; beyond, all are forgotten and read

@@ -7,19 +7,14 @@ mod counters;
 mod ends;
 mod entities;
 mod file;
-pub(crate) mod incidents;
-mod insert;
 mod names;
 mod prepared;
 mod records;
-pub(crate) mod rollups;
 mod rows;
 mod secrets;
-pub(crate) mod storage_clock;
 mod streams;
 mod transaction;
 mod trespasses;
-mod wall_clock;
 mod work;
 
 use std::collections::HashMap;
@@ -33,21 +28,21 @@ use sqlx::{Connection, SqliteConnection};
 pub(crate) use self::entities::{UNKNOWN, newest_runs, placement_word, stored_hosts, unknown_runs};
 use self::file::DatabaseFile;
 pub use self::file::{CommitError, FormerFiles};
-pub use self::incidents::PendingIncidents;
 use self::names::Names;
 use self::prepared::Prepared;
 pub(crate) use self::secrets::known_hosts;
-use self::storage_clock::StorageClock;
 pub use self::streams::Streams;
 use self::transaction::Staging;
 pub(crate) use self::work::Refusal;
 pub use self::work::{Aside, Introduction, RunName, Work};
-use super::database;
 use super::foreign_log::mark;
+use super::limits::BUSY;
 use super::retention::{self, Retention, Step};
 use crate::error::StoreError;
+pub use crate::incidents::PendingIncidents;
 use crate::integrity::Integrity;
 use crate::retention_config::RetentionConfig;
+use crate::storage_clock::StorageClock;
 use crate::stored::Stored;
 
 /// Carries the whole log over into the file and empties it, unless somebody reads.
@@ -98,7 +93,7 @@ impl Writer {
     ) -> Result<Self, sqlx::Error> {
         let streams = Streams::load(&mut connection).await?;
         let names = Names::load(&mut connection).await?;
-        let last_wall = storage_clock::last_wall(&mut connection).await?;
+        let last_wall = crate::storage_clock::last_wall(&mut connection).await?;
         Ok(Self {
             file: DatabaseFile::of(path)?,
             connection,
@@ -220,7 +215,7 @@ impl Writer {
         // Tried again soon: what waits to be stored does not wait for readers.
         sqlx::query("PRAGMA busy_timeout = 0").execute(&mut self.connection).await?;
         let carried_over = sqlx::query(CARRY_OVER_ALL).execute(&mut self.connection).await;
-        let wait = format!("PRAGMA busy_timeout = {}", database::BUSY.as_millis());
+        let wait = format!("PRAGMA busy_timeout = {}", BUSY.as_millis());
         sqlx::raw_sql(sqlx::AssertSqlSafe(wait)).execute(&mut self.connection).await?;
         carried_over?;
         Ok(())

@@ -4,9 +4,9 @@ use sqlx::error::BoxDynError;
 use sqlx::sqlite::SqliteArguments;
 use sqlx::{Arguments, SqliteConnection};
 
-use super::insert::Insert;
 use super::prepared::{AnchorRow, IterationRow, NodeRow, Prepared, TransitRow};
-use super::rollups::Rollups;
+use crate::insert::Insert;
+use crate::rollups::Rollups;
 
 /// A batch, and the numbers of what stands in its lists.
 #[derive(Debug)]

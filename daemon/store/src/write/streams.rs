@@ -8,9 +8,9 @@ use peernet_stream::{BatchHead, Chain, Hello, Known, Lacking, Mark, StreamId};
 use sqlx::{Arguments, FromRow, SqliteConnection};
 
 use super::entities::id;
-use super::insert::Insert;
 use super::{Introduction, Refusal, records};
 use crate::column::{column, count};
+use crate::insert::Insert;
 use crate::stored::Stored;
 
 /// What the database knows of streams.

@@ -13,12 +13,12 @@ use super::ends::Ends;
 use super::entities::{Entities, Reporter};
 use super::names::Names;
 use super::prepared::{Prepared, Step};
-use super::rollups::Rollups;
 use super::rows::{Inserts, Resolved};
-use super::storage_clock::StorageClock;
 use super::streams::Moved;
 use super::trespasses::Trespasses;
 use super::{Committed, Introduction, Refusal, Work, records, secrets};
+use crate::rollups::Rollups;
+use crate::storage_clock::StorageClock;
 
 /// What transactions are made with: what is known of the small tables, and what waits to be written at the end.
 #[derive(Debug, Default)]

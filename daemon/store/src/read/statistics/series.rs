@@ -12,8 +12,8 @@ use super::WHAT;
 use crate::error::StoreError;
 use crate::figures::Figures;
 use crate::readers::Readers;
+use crate::rollups::{RollupRow, WIDTHS_S, bucket};
 use crate::types::{Series, SeriesPoint, StageCourse, StageSeries};
-use crate::write::rollups::{RollupRow, WIDTHS_S, bucket};
 
 /// Widths that a point may have, each a multiple of a stored one, up to the next one of at most fifteen of them.
 const POINTS_S: [i64; 15] = [1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 900, 3_600, 7_200, 21_600, 86_400];

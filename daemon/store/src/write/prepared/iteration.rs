@@ -6,7 +6,7 @@ use peernet_stream::{Iteration, Outcome, OutcomeCounts};
 
 use super::{AnchorRow, IterationRow, NodeRow, Preparing, RunPart, Step, TransitRow};
 use crate::extent::Extent;
-use crate::write::rollups::Quantity;
+use crate::rollups::Quantity;
 
 /// How many starts of an open loop were skipped before an iteration: a node of the agent.
 const SKIPPED_STARTS: &str = "skipped-starts";

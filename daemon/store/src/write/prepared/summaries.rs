@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use peernet_statistics::Summary;
 
-use crate::write::rollups::Quantity;
+use crate::rollups::Quantity;
 
 /// What a batch knows of one quantity in one second.
 #[derive(Debug)]

@@ -5,7 +5,7 @@ use sqlx::{Arguments, FromRow, SqliteConnection};
 
 use super::packed::Packed;
 use super::{Quantity, Series, WHOLE_RUN, WIDTHS_S};
-use crate::write::insert::Insert;
+use crate::insert::Insert;
 
 /// One row of `rollup`.
 #[derive(Clone, Debug, FromRow)]
