@@ -20,6 +20,8 @@ mod serve;
 mod server_names;
 mod state;
 mod svg;
+#[cfg(test)]
+mod tests;
 mod timeline;
 mod view;
 mod zone;

@@ -4,7 +4,7 @@ use peernet_clock::{ClockIdentity, Interval, ManualClock, OneWayDelay, WallTime}
 use peernet_logger::{HostId, Recorder, stage};
 
 use super::*;
-use crate::view::samples;
+use crate::tests::samples;
 
 /// 2 ms sensing, 20 ms up, 4 ms on the cloud, 1 ms down; the cloud's wall clock is `ahead` of the edge's.
 fn offloaded(ahead: Span, judge: impl Fn(Span, Span) -> OneWayDelay) -> IterationDetail {

@@ -262,7 +262,7 @@ mod tests {
     use peernet_clock::{Span, Verdict};
 
     use super::*;
-    use crate::view::samples;
+    use crate::tests::samples;
 
     #[test]
     fn large_pictures_come_less_often() {

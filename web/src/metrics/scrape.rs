@@ -110,7 +110,7 @@ mod tests {
     use peernet_logger::HostId;
 
     use super::*;
-    use crate::view::samples;
+    use crate::tests::samples;
 
     #[test]
     fn a_name_stands_once_and_means_the_host_that_reports() {

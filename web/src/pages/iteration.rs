@@ -162,7 +162,7 @@ fn assemble(app: &AppState, stored: &RunDetail, detail: &IterationDetail) -> Ite
 mod tests {
     use super::*;
     use crate::numbers::SPACE;
-    use crate::view::samples;
+    use crate::tests::samples;
 
     #[test]
     fn the_title_says_how_long_how_unusual_and_why() {

@@ -12,8 +12,8 @@ use peernet_stream::{PipelineState, PlacementKind};
 
 use self::clocks::linked;
 use super::*;
+use crate::tests::samples::{self, HOSTILE, figures, host, incident, picture, pipeline, placement, refused};
 use crate::view::now::{Cell, NowTable};
-use crate::view::samples::{self, HOSTILE, figures, host, incident, picture, pipeline, placement, refused};
 
 /// What holds for every page, whatever it shows.
 fn check(html: &str) {

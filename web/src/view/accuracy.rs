@@ -22,7 +22,7 @@ pub(crate) fn interval(scores: &Figures) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::view::samples;
+    use crate::tests::samples;
 
     #[test]
     fn roll_ups_tell_a_share_its_interval_and_how_many_have_no_score() {

@@ -30,7 +30,7 @@ mod tests {
     use peernet_clock::Verdict;
 
     use super::*;
-    use crate::view::samples::{host, picture, pipeline};
+    use crate::tests::samples::{host, picture, pipeline};
 
     #[test]
     fn agents_are_awaited_for_a_while_and_those_known_from_before_until_one_comes() {

@@ -37,8 +37,8 @@ mod tests {
     use peernet_stream::{OutcomeCounts, PlacementKind};
 
     use super::*;
+    use crate::tests::samples;
     use crate::view::compare::tests::run;
-    use crate::view::samples;
 
     #[test]
     fn episodes_are_counted_and_too_many_have_no_marks() {

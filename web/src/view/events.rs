@@ -245,7 +245,7 @@ mod tests {
     use peernet_aggregator::CatchingUp;
 
     use super::*;
-    use crate::view::samples;
+    use crate::tests::samples;
 
     fn host() -> HostPicture {
         let mut host = samples::host("cam-1", "Orin");

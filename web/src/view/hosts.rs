@@ -173,7 +173,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::view::samples::NOW;
+    use crate::tests::samples::NOW;
 
     #[test]
     fn names_of_hardware_lose_their_noise() {

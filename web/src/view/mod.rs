@@ -21,8 +21,6 @@ pub(crate) mod place;
 pub(crate) mod rehearsal;
 pub(crate) mod run;
 pub(crate) mod runs;
-#[cfg(test)]
-pub(crate) mod samples;
 pub(crate) mod shell;
 pub(crate) mod speed;
 pub(crate) mod stack;

@@ -185,7 +185,7 @@ mod tests {
     use peernet_clock::Span;
 
     use super::*;
-    use crate::view::samples;
+    use crate::tests::samples;
 
     #[test]
     fn what_was_not_recorded_is_said_with_its_reason_and_its_time() {

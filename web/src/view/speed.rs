@@ -107,7 +107,7 @@ pub(crate) fn interval(rate: f64, delay: Option<f64>, half: Option<f64>) -> Opti
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::view::samples;
+    use crate::tests::samples;
 
     #[test]
     fn a_chart_of_a_run_that_is_over_still_knows_its_directions() {

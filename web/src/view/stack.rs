@@ -192,7 +192,7 @@ mod tests {
 
     #[test]
     fn the_bar_of_a_stepped_iteration_holds_both_ways_once() {
-        let mut row = crate::view::samples::iteration().row;
+        let mut row = crate::tests::samples::iteration().row;
         row.total = Some(1.200);
         row.stages = vec![(stage::SENSING, 0.002), (stage::UPLOAD, 0.010), (stage::INFERENCE, 0.0002)];
         (row.unattributed, row.both_ways) = (Some(0.0118), Some(1.186));

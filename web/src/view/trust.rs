@@ -199,8 +199,8 @@ mod tests {
     use peernet_stream::PlacementKind;
 
     use super::*;
+    use crate::tests::samples::NOW;
     use crate::view::compare::tests::{run, stages};
-    use crate::view::samples::NOW;
 
     /// 300 of so many iterations; 59 s of a minute.
     fn detail(configuration: &str, reason: &str) -> RunDetail {

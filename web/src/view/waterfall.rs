@@ -263,7 +263,7 @@ mod tests {
     use peernet_logger::{Measure, Name, NodeId, Transit, stage};
 
     use super::*;
-    use crate::view::samples;
+    use crate::tests::samples;
 
     /// An answered iteration of 1.2 s whose two directions were judged `stepped`.
     fn stepped() -> IterationDetail {

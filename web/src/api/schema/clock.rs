@@ -263,7 +263,7 @@ mod tests {
     use peernet_clock::Verdict;
 
     use super::*;
-    use crate::view::samples;
+    use crate::tests::samples;
 
     #[test]
     fn what_contradicts_itself_has_no_value() {

@@ -4,7 +4,7 @@ use peernet_clock::{Span, Verdict};
 
 use super::super::{link, links, pipeline};
 use super::{check, overview_of};
-use crate::view::samples::{self, host, picture};
+use crate::tests::samples::{self, host, picture};
 
 pub(super) fn linked(half: Option<f64>, verdict: Verdict) -> peernet_aggregator::Picture {
     let mut shown =

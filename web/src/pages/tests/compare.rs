@@ -12,9 +12,9 @@ use peernet_stream::PlacementKind::{Local, Remote};
 use super::super::compare::rendered;
 use super::check;
 use crate::error::WebError;
+use crate::tests::samples;
 use crate::view::compare::Configuration;
 use crate::view::compare::tests::{comparison, configuration, course};
-use crate::view::samples;
 use crate::view::shell::{Place, Shell};
 
 async fn page_of(configurations: Vec<Configuration>, means: Option<(f64, f64)>) -> String {

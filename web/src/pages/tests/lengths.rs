@@ -4,10 +4,10 @@ use peernet_stream::PlacementKind::Remote;
 
 use super::super::compare::rendered;
 use super::check;
+use crate::tests::samples;
 use crate::view::compare::Configuration;
 use crate::view::compare::lengths::tests::{answered, talking};
 use crate::view::compare::tests::{comparison, configuration};
-use crate::view::samples;
 use crate::view::shell::{Place, Shell};
 
 const HEADING: &str = "<h2 id=\"cr-h\">Response length against latency</h2>";

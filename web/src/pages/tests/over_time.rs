@@ -9,9 +9,9 @@ use peernet_stream::PlacementKind::{Local, Remote};
 
 use super::super::compare::rendered;
 use super::check;
+use crate::tests::samples;
 use crate::view::compare::tests::{comparison, configuration, run_courses};
 use crate::view::compare::{Configuration, over_time};
-use crate::view::samples;
 use crate::view::shell::{Place, Shell};
 
 async fn panel_of(configurations: Vec<Configuration>) -> Option<String> {

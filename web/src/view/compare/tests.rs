@@ -5,7 +5,7 @@ use peernet_stream::{OutcomeCounts, Placement};
 
 use super::series::{RunCourse, RunCourses};
 use super::*;
-use crate::view::samples::{self, HOSTILE};
+use crate::tests::samples::{self, HOSTILE};
 
 /// A run with figures `scale` times the usual ones.
 pub(crate) fn run(number: i64, kind: PlacementKind) -> RunSummary {

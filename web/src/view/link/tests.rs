@@ -6,7 +6,7 @@ use super::course::Course;
 use super::finding::{meanings, title};
 use super::origin::Origin;
 use super::*;
-use crate::view::samples::{NOW, clock_point, link};
+use crate::tests::samples::{NOW, clock_point, link};
 use crate::zone::Zone;
 
 fn second(count: u32, value_ms: f64, verdict: Verdict) -> DelaySecond {
@@ -23,7 +23,7 @@ fn course(link: &LinkPicture) -> Course {
 fn a_link_is_found_by_its_two_names() {
     let picture = peernet_aggregator::Picture {
         links: vec![std::sync::Arc::new(link(Some(0.00065), &[]))],
-        ..crate::view::samples::picture(Vec::new(), Vec::new())
+        ..crate::tests::samples::picture(Vec::new(), Vec::new())
     };
     assert!(find(&picture, "cam-1~rack-a").is_some());
     for other in ["rack-a~cam-1", "cam-1", "cam-1~", "~", "cam-1~rack-a~"] {

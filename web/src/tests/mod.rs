@@ -1,0 +1,3 @@
+//! What tests of several modules are made of.
+
+pub(crate) mod samples;
