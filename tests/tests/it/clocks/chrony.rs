@@ -47,10 +47,11 @@ impl Scene {
         })
     }
 
-    /// What a host says of its daemon.
-    fn daemon_of(&self, host: &str) -> String {
-        let host = self.plant.api.json(&format!("/api/v1/hosts/{host}"));
-        host["clock"]["text"].as_str().expect("words").to_owned()
+    /// Waits until a host says so of its daemon: it tells the aggregator on its own, and no sooner than the link does.
+    fn says_of_its_daemon(&self, host: &str, begins: &str) {
+        self.plant.api.until(&format!("/api/v1/hosts/{host}"), |host| {
+            host["clock"]["text"].as_str().is_some_and(|text| text.starts_with(begins)).then_some(())
+        });
     }
 
     /// All iterations, once enough delays more are stored of which an SQL expression holds.
@@ -90,7 +91,7 @@ fn right_clocks(what: &str, network: impl FnOnce(&Path) -> Network, such: &str) 
         assert!(holds(said(&offset, source), Span::ZERO), "{source}: {offset}");
     }
     for host in ["edge", "cloud"] {
-        assert!(scene.daemon_of(host).starts_with("chrony, stratum 11, to 10."), "{}", scene.daemon_of(host));
+        scene.says_of_its_daemon(host, "chrony, stratum 11, to 10.");
     }
     let iterations = scene.iterations(such);
     let kernels = HostClock::kernels();
