@@ -131,8 +131,8 @@ check_rust() {
 cargo_tool() {
     [ "$("$1" --version 2>/dev/null)" != "$1 $2" ] || return 0
     say "$1 $2 ($3) is built with cargo install; this takes a minute, once"
-    # Not into the workspace's own target folder, and without its linker flags. They have little to do, so that
-    # they are built without optimisation, which takes less than half the time.
+    # Not into the workspace's own target folder, and without its linker flags. They have little to do, so
+    # they are built without optimisation, which is quicker.
     (cd "$root" && env -u CARGO_TARGET_DIR -u RUSTFLAGS cargo install --debug --locked --version "$2" "$1") \
         || fail "cargo install $1 --version $2 --debug --locked failed"
     [ "$("$1" --version 2>/dev/null)" = "$1 $2" ] \

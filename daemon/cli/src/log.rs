@@ -35,7 +35,7 @@ where
         let level = *event.metadata().level();
         let room = event.metadata().target().split("::").next().unwrap_or_default();
         let room = room.strip_prefix("peernet_").unwrap_or(room);
-        // The crate is the database of the aggregator, and nobody else writes to this log from there.
+        // The store is a part of the aggregator: its log lines keep that name.
         let room = if room == "store" { "aggregator" } else { room };
         if self.journald {
             write!(writer, "<{}>", priority(level))?;

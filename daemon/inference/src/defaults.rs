@@ -1,4 +1,4 @@
-//! Values of keys that models of several kinds have.
+//! Defaults of configuration keys that several model kinds share.
 
 use std::num::NonZeroUsize;
 

@@ -1,4 +1,4 @@
-//! What can be wrong with a tree.
+//! Errors of trees.
 
 use crate::limits::{MAX_ANCHORS, MAX_DEPTH, MAX_NODES};
 

@@ -1,4 +1,4 @@
-//! What can go wrong, in words that say what was tried, on what, and what to do.
+//! Errors of the store. Each text says what was tried, on which file, and what to do.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -7,7 +7,7 @@ use crate::foreign_log::ForeignLog;
 use crate::integrity::is_partial_damage;
 use crate::lock::LockError;
 
-/// Why a database cannot be had.
+/// The reason why a database cannot be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
     /// The database cannot be opened.
@@ -61,7 +61,7 @@ pub enum OpenError {
 }
 
 impl OpenError {
-    /// The folder of the database cannot be made.
+    /// The error for a folder of the database that cannot be made.
     pub fn no_folder(database: &Path, error: std::io::Error) -> Self {
         Self::Open { path: database.to_owned(), source: error.into() }
     }
@@ -130,12 +130,12 @@ pub enum StoreError {
 }
 
 impl StoreError {
-    /// The task that writes is gone.
+    /// The error for a wish that comes after the writing task has ended.
     pub fn no_writer() -> Self {
         Self::pinning(sqlx::Error::WorkerCrashed)
     }
 
-    /// The database is not open.
+    /// The error for a wish that comes while the database is closed.
     pub fn no_database() -> Self {
         Self::pinning(std::io::Error::other("the database is not open now").into())
     }

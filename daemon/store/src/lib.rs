@@ -50,7 +50,7 @@ pub use types::{
     Series, SeriesPoint, StageCourse, StageMeans, StageSeries, StageStatistics,
 };
 
-/// The writer's side: for the one process that stores.
+/// Types for the one process that writes to the database.
 pub mod writing {
     pub use crate::integrity::Integrity;
     pub use crate::opening::{OpenDatabase, ReopenError, StoredState};

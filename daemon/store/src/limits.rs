@@ -1,6 +1,6 @@
-//! How long connections wait.
+//! Time limits of connections.
 
 use std::time::Duration;
 
-/// How long a connection waits for another program that locks the file.
+/// Time that a connection waits for another program that locks the file.
 pub(crate) const BUSY: Duration = Duration::from_secs(1);

@@ -1,4 +1,4 @@
-//! What the live picture shows of the database, too.
+//! Types of the store that the live picture contains.
 
 use peernet_clock::{Offset, WallTime};
 use peernet_stream::{DelaySecond, ProbeCounts, RoundTrip};

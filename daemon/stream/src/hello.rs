@@ -1,4 +1,4 @@
-//! Who connects, and with which stream of batches.
+//! The hello: the first message of an agent.
 
 use peernet_logger::random_id;
 use serde::{Deserialize, Serialize};

@@ -1,4 +1,4 @@
-//! How much one live update may hold.
+//! Limits of a live update.
 
 /// Links of a live update.
 pub const MAX_LINKS: usize = 1024;

@@ -1,4 +1,4 @@
-//! What was counted since a spool was made, and how far its processes came.
+//! Counts since a spool was made, and the newest batch of each process.
 
 use crate::Gap;
 use crate::counts::HandedIn;

@@ -1,3 +1,3 @@
-//! What tests of several modules are made of.
+//! Test data that several modules share.
 
 pub(crate) mod samples;

@@ -1,4 +1,4 @@
-//! What live updates are made of.
+//! Sources of the live update.
 
 use peernet_clock::WallTime;
 use peernet_logger::HostId;
@@ -8,18 +8,18 @@ use tokio::sync::watch;
 use crate::link::Links;
 use crate::live::{Board, Receipt};
 
-/// Where the figures of a live update come from.
+/// Everything that the agent reads to make a live update.
 #[derive(Clone, Debug)]
 pub(crate) struct LiveSources {
     pub(crate) board: Board,
     pub(crate) metrics: watch::Receiver<HostMetrics>,
     pub(crate) links: Links,
-    /// What is known of this host's own clock.
+    /// State of this host's own clock.
     pub(crate) clock: watch::Receiver<HostClock>,
 }
 
 impl LiveSources {
-    /// How everything is now. The receipt is given back to the board once the update was sent.
+    /// Makes a live update of the current state. The caller gives the receipt back to the board after sending.
     pub(super) fn update(
         &self,
         host: HostId,

@@ -60,11 +60,11 @@ pub(crate) async fn open_spool(
     OpenSpool::open(&path, host, kept_by_agent, clock).await.map(Some)
 }
 
-/// What the rest of the agent knows, and the outbox tells the aggregator.
+/// Everything that the outbox needs from the rest of the agent.
 #[derive(Debug)]
 pub(crate) struct Sources {
     pub(crate) clock: SharedClock,
-    /// Where it reports what happens to itself.
+    /// Takes the incidents of the outbox itself.
     pub(crate) incidents: Incidents,
     pub(crate) runs: Runs,
     pub(crate) live: LiveSources,

@@ -1,4 +1,4 @@
-//! What an experiment's folder holds, as those know it who make it and those who read it.
+//! File names and states of an experiment's folder, for the commands that write it and that read it.
 
 mod undone;
 

@@ -47,8 +47,8 @@ impl Scene {
         })
     }
 
-    /// Waits until a host says so of its daemon: it tells the aggregator on its own, and no sooner than the link does.
-    fn says_of_its_daemon(&self, host: &str, begins: &str) {
+    /// Waits until the aggregator shows such a text for the time daemon of a host. It may show the offset of the link earlier.
+    fn wait_for_daemon(&self, host: &str, begins: &str) {
         self.plant.api.until(&format!("/api/v1/hosts/{host}"), |host| {
             host["clock"]["text"].as_str().is_some_and(|text| text.starts_with(begins)).then_some(())
         });
@@ -91,7 +91,7 @@ fn right_clocks(what: &str, network: impl FnOnce(&Path) -> Network, such: &str) 
         assert!(holds(said(&offset, source), Span::ZERO), "{source}: {offset}");
     }
     for host in ["edge", "cloud"] {
-        scene.says_of_its_daemon(host, "chrony, stratum 11, to 10.");
+        scene.wait_for_daemon(host, "chrony, stratum 11, to 10.");
     }
     let iterations = scene.iterations(such);
     let kernels = HostClock::kernels();

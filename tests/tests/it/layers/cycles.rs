@@ -1,10 +1,10 @@
-//! Modules that name each other in a circle.
+//! Cycles in the graph of modules.
 
 use std::collections::BTreeSet;
 
 use super::modules::Uses;
 
-/// The sets of modules of which each leads to each other.
+/// The strongly connected components with more than one module.
 pub(super) fn cycles(uses: &Uses) -> Vec<BTreeSet<String>> {
     let reached: Vec<(&String, BTreeSet<&String>)> =
         uses.keys().map(|from| (from, reachable(uses, from))).collect();
@@ -19,7 +19,7 @@ pub(super) fn cycles(uses: &Uses) -> Vec<BTreeSet<String>> {
     cycles
 }
 
-/// The modules that one leads to, itself only if something leads back.
+/// The modules that are reachable from one; itself only through a cycle.
 fn reachable<'a>(uses: &'a Uses, from: &String) -> BTreeSet<&'a String> {
     let mut found = BTreeSet::new();
     let mut next: Vec<&String> = uses[from].keys().collect();
@@ -31,7 +31,7 @@ fn reachable<'a>(uses: &'a Uses, from: &String) -> BTreeSet<&'a String> {
     found
 }
 
-/// Who names whom inside a cycle, for the report.
+/// Lists the edges inside a cycle.
 pub(super) fn explain(uses: &Uses, cycle: &BTreeSet<String>) -> String {
     let mut lines = String::new();
     for module in cycle {

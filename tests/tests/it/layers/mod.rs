@@ -77,5 +77,5 @@ fn top_level_modules_have_no_cycles() {
             }
         }
     }
-    assert!(wrong.is_empty(), "modules that name each other in a circle:\n{wrong}");
+    assert!(wrong.is_empty(), "cycles of modules; move what both need to a module below them:\n{wrong}");
 }

@@ -13,7 +13,7 @@ pub(super) type Uses = BTreeMap<String, BTreeMap<String, PathBuf>>;
 /// A path as it is written in a module: `["super", "time", "Span"]`.
 type Segments = Vec<String>;
 
-/// What one file says.
+/// Paths that one module names.
 struct SourceFile {
     path: PathBuf,
     /// Modules from the crate's root to this one.
@@ -68,7 +68,7 @@ impl SourceFile {
 #[derive(Default)]
 struct Reader {
     files: Vec<SourceFile>,
-    /// Names that the root hands on, and the modules where they are.
+    /// Names that the root re-exports, each with its module.
     exported: BTreeMap<String, String>,
 }
 
@@ -107,7 +107,7 @@ impl Reader {
         self.files.push(SourceFile { path: path.to_owned(), module: module.to_vec(), names: names.0 });
     }
 
-    /// Notes the names that the root hands on.
+    /// Records the names that the root re-exports.
     fn export(&mut self, used: &ItemUse) {
         if matches!(used.vis, Visibility::Inherited) {
             return;

@@ -12,10 +12,10 @@ use sqlx::{ConnectOptions, Connection, SqliteConnection};
 use super::error::is_corrupt;
 use super::look::APPLICATION_ID;
 
-/// How long another program that locks the file is waited for.
+/// Time to wait for another program that locks the file.
 const BUSY: Duration = Duration::from_secs(10);
 
-/// What a spool holds.
+/// The contents of a spool.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Inspection {
     /// The host's id.
@@ -28,7 +28,7 @@ pub struct Inspection {
     pub batches: u64,
     /// Numbers of the first and the last of them.
     pub waiting: Option<(i64, i64)>,
-    /// When the first of them began, nanoseconds since 1970 UTC.
+    /// Begin of the first of them, nanoseconds since 1970 UTC.
     pub oldest_ns: Option<i64>,
     /// Events in them.
     pub events: u64,
@@ -38,7 +38,7 @@ pub struct Inspection {
     pub produced: i64,
     /// Of those, dropped for want of room.
     pub dropped: i64,
-    /// What is wrong with it.
+    /// Every damage that was found.
     #[serde(skip)]
     pub damages: Vec<SpoolDamage>,
 }
@@ -49,7 +49,7 @@ pub enum SpoolDamage {
     /// SQLite finds its file broken.
     #[error("the spool is damaged in {places} places, the first: {first}")]
     Pages {
-        /// How many findings there are, at most 100.
+        /// Number of findings, at most 100.
         places: usize,
         /// SQLite's words of the first.
         first: String,
@@ -63,7 +63,7 @@ pub enum SpoolDamage {
     /// Batches do not have the hash that they had.
     #[error("{batches} batches are not what was spooled, the first is number {first}")]
     Altered {
-        /// How many.
+        /// Number of such batches.
         batches: usize,
         /// The number of the first.
         first: i64,
@@ -73,7 +73,7 @@ pub enum SpoolDamage {
     Missing(i64),
 }
 
-/// Why a file cannot be looked into.
+/// The reason why a file cannot be inspected.
 #[derive(Debug, thiserror::Error)]
 pub enum InspectError {
     /// It is an aggregator's database.
@@ -104,7 +104,7 @@ impl From<sqlx::Error> for InspectError {
 /// Reads a whole spool at one moment, beside a running agent if there is one.
 ///
 /// # Errors
-/// When it is no spool, or cannot be read; of one that is damaged it tells what can be read.
+/// If the file is no spool or cannot be read. A damaged spool is not an error: [`Inspection::damages`] lists the damage.
 pub async fn inspect(path: &Path) -> Result<Inspection, InspectError> {
     let mut found = Inspection::default();
     match found.read(path).await {
@@ -119,7 +119,7 @@ pub async fn inspect(path: &Path) -> Result<Inspection, InspectError> {
 /// Events that wait in a spool.
 ///
 /// # Errors
-/// When it cannot be read.
+/// If the spool cannot be read.
 pub async fn waiting_events(path: &Path) -> Result<u64, SpoolReadError> {
     let mut connection = reading(path).connect().await?;
     let events: i64 =
