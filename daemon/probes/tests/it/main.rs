@@ -1,5 +1,6 @@
 //! Probes over real sockets, and the protocol's logic without them.
 
+mod fixtures;
 mod flood;
 mod foreign;
 mod formats;

@@ -1,6 +1,6 @@
 //! The databases in `tests/fixtures/databases`, one of each migration, as SQL text: they stay readable.
 //!
-//! After a new migration, `cargo test -p peernet-aggregator write_missing_fixtures -- --ignored` writes its file. A file that is
+//! After a new migration, `cargo test -p peernet-store write_missing_fixtures -- --ignored` writes its file. A file that is
 //! there is never written again.
 
 use std::fs;

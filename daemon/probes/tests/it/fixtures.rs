@@ -1,0 +1,133 @@
+//! The files in `tests/fixtures/wire/probe`: requests and replies of both modes, byte by byte.
+//!
+//! Hosts of two versions probe each other, so that a reflector answers a stored request with the stored reply, and a
+//! sender takes the stored reply for the answer to its own request. `write_missing_fixtures` writes a file that is not
+//! there and never changes one that is.
+
+use std::fs;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+
+use peernet_clock::{Clock, ClockIdentity, ManualClock, Span, WallTime};
+use peernet_probes::stamp::reflector::{Arrival, Reflecting};
+use peernet_probes::stamp::sender::{Heard, Return, Sending, SendingConfig};
+
+use crate::support::{INSTANCE, key};
+
+/// One way, and what the reflector takes.
+const WAY: Span = Span::from_micros(700);
+const REFLECTION: Span = Span::from_micros(50);
+
+fn file(mode: &str, name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../tests/fixtures/wire/probe/{name}.{mode}.bin"))
+}
+
+/// The requests and replies of two probes, the second of which is told when the first reply really left.
+struct Conversation {
+    requests: [Vec<u8>; 2],
+    replies: [Vec<u8>; 2],
+}
+
+impl Conversation {
+    const NAMES: [(&str, &str); 2] = [("request-1", "reply-1"), ("request-2", "reply-2")];
+
+    /// Returns the packets with their files' names.
+    fn files(&self) -> impl Iterator<Item = (&'static str, &[u8])> {
+        let pairs = Self::NAMES.into_iter().zip(self.requests.iter().zip(&self.replies));
+        pairs.flat_map(|((request, reply), (asked, answered))| {
+            [(request, asked.as_slice()), (reply, answered.as_slice())]
+        })
+    }
+
+    fn read(mode: &str) -> Self {
+        let read = |name: &str| {
+            let path = file(mode, name);
+            fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+        };
+        Self {
+            requests: Self::NAMES.map(|(request, _)| read(request)),
+            replies: Self::NAMES.map(|(_, reply)| read(reply)),
+        }
+    }
+}
+
+/// Sends two probes. The packets that arrive are those of `stored` where it is given.
+fn exchange(with_key: bool, stored: Option<&Conversation>) -> (Conversation, Vec<Heard>) {
+    let key = with_key.then(|| key(7));
+    let edge = ManualClock::new(
+        WallTime::from_unix_nanos(1_800_000_000_123_456_789),
+        ClockIdentity::new("fixture", "edge"),
+    );
+    let mut sender = Sending::new(SendingConfig {
+        key: key.clone(),
+        instance: Some(INSTANCE),
+        ssid: 0xBEEF,
+        first: 0x0102_0304,
+        padding_bytes: 24,
+        timeout: Span::from_seconds(1),
+    });
+    let mut reflector = Reflecting::new(key, INSTANCE, 1000, true);
+    let source: SocketAddr = "192.0.2.1:40000".parse().expect("an address");
+    let mut conversation = Conversation { requests: Default::default(), replies: Default::default() };
+    let mut heard = Vec::new();
+    for number in 0..2 {
+        let (departure, request) = sender.request(&edge);
+        conversation.requests[number] = request.to_vec();
+        sender.sent(departure);
+        edge.advance(WAY);
+
+        let cloud =
+            ManualClock::new(edge.wall() + Span::from_seconds(3), ClockIdentity::new("fixture", "cloud"));
+        let mut packet = stored.map_or(&conversation, |stored| stored).requests[number].clone();
+        let arrival = Arrival { source, received: cloud.wall(), now: edge.mono() };
+        let answer = reflector.prepare(&mut packet, &arrival).expect("the request is answered");
+        cloud.advance(REFLECTION);
+        let stamp = reflector.complete(&answer, &mut packet, &cloud);
+        reflector.sent(&answer, stamp);
+        reflector.departed(&answer.session(), answer.sequence(), stamp + Span::from_micros(5));
+        conversation.replies[number] = packet;
+
+        edge.advance(REFLECTION + WAY);
+        let returned = Return { kernel: None, read: edge.stamp(), epoch: edge.epoch() };
+        let reply = &stored.map_or(&conversation, |stored| stored).replies[number];
+        heard.push(sender.receive(reply, &returned).expect("the reply is taken"));
+        edge.advance(Span::from_millis(200));
+    }
+    (conversation, heard)
+}
+
+const MODES: [(&str, bool); 2] = [("open", false), ("authenticated", true)];
+
+#[test]
+#[ignore = "writes the files of new packets"]
+fn write_missing_fixtures() {
+    for (mode, with_key) in MODES {
+        for (name, packet) in exchange(with_key, None).0.files() {
+            let path = file(mode, name);
+            fs::create_dir_all(path.parent().expect("a folder")).expect("the folder can be made");
+            if !path.exists() {
+                fs::write(path, packet).expect("a fixture can be written");
+            }
+        }
+    }
+}
+
+#[test]
+fn stored_request_gets_stored_reply() {
+    for (mode, with_key) in MODES {
+        let stored = Conversation::read(mode);
+        let (today, heard) = exchange(with_key, Some(&stored));
+        for ((name, packet), (_, before)) in today.files().zip(stored.files()) {
+            assert!(packet == before, "{name}.{mode}: the bytes changed: {packet:02x?}, were {before:02x?}");
+        }
+        let [first, second] = heard[..] else { panic!("two probes are answered: {heard:?}") };
+        let answered = [first, second].map(|heard| heard.answered.expect("the clock was not set").exchange);
+        for exchange in answered {
+            assert_eq!(exchange.returned - exchange.sent, WAY + REFLECTION + WAY, "{mode}");
+            assert_eq!(exchange.received - exchange.sent, WAY + Span::from_seconds(3), "{mode}");
+        }
+        // The second reply says when the first one really left.
+        let refined = second.refined.expect("the first exchange is refined").exchange;
+        assert_eq!(refined.replied - answered[0].replied, Span::from_micros(5), "{mode}");
+    }
+}
