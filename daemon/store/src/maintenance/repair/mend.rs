@@ -84,11 +84,12 @@ impl Mending<'_> {
             self.names().await?;
         }
         let mut lost = 0;
-        if self.lacks(&["iteration", "node", "transit", "anchor", "run"]) {
+        let torn = self.torn_trees().await?;
+        if torn > 0 || self.lacks(&["iteration", "node", "transit", "anchor", "run"]) {
             self.trees().await?;
             lost = self.gaps().await?;
         }
-        if self.lacks(&["host", "pipeline", "run", "iteration", "node", "transit", "anchor"]) {
+        if torn > 0 || self.lacks(&["host", "pipeline", "run", "iteration", "node", "transit", "anchor"]) {
             self.count_nodes().await?;
         }
         if self.lacks(&["arrival", "storage_clock", "retained", "run", "link"]) {
@@ -186,6 +187,17 @@ impl Mending<'_> {
         )
         .await?;
         Ok(())
+    }
+
+    /// Deletes the iterations whose nodes are not numbered from 0 without a gap, and returns how many.
+    ///
+    /// A row whose key was overwritten may still look like a row, of another tree: no hole shows that it is missing.
+    async fn torn_trees(&mut self) -> Result<u64, sqlx::Error> {
+        self.execute(
+            "DELETE FROM iteration WHERE (run, number) IN (SELECT run, iteration FROM node GROUP BY run, iteration \
+             HAVING count(*) <> max(node) + 1)",
+        )
+        .await
     }
 
     /// An iteration is there with all of its tree or not at all.

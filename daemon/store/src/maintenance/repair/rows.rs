@@ -10,8 +10,11 @@ use crate::integrity::pages::{PageFile, column_bytes, varint};
 /// Values of one statement at most: SQLite takes 32,766.
 const MOST_VALUES: usize = 16_384;
 
-/// One value.
-#[derive(Clone, Debug, PartialEq)]
+/// Rows that are kept back from writing: the next one may show that they cannot be trusted.
+const KEPT_BACK: usize = 8;
+
+/// One value, in SQLite's order of types.
+#[derive(Clone, Debug, PartialEq, PartialOrd)]
 pub(super) enum Value {
     Null,
     Integer(i64),
@@ -27,6 +30,8 @@ pub(super) struct Table {
     columns: Vec<Column>,
     /// Columns in the order in which a record has them.
     stored: Vec<usize>,
+    /// How many of `stored` are the key by which a clustered table is ordered.
+    key_columns: usize,
     /// The column that is the row's number.
     rowid: Option<usize>,
     pub(super) has_rowids: bool,
@@ -41,6 +46,13 @@ struct Column {
     not_null: bool,
     /// The value in rows from before the column was added.
     default: Value,
+}
+
+/// A row in the order of the table's columns.
+#[derive(Debug)]
+struct Row {
+    rowid: Option<i64>,
+    values: Vec<Value>,
 }
 
 /// What stands on both sides of something that could not be read: the first three columns of the rows' keys.
@@ -85,6 +97,7 @@ impl Table {
             [key] if !clustered && described[*key].r#type.eq_ignore_ascii_case("INTEGER") => Some(*key),
             _ => None,
         };
+        let key_columns = if clustered { keys.len() } else { 0 };
         // A clustered table's records begin with its key.
         let mut stored = if clustered { keys } else { Vec::new() };
         let others: Vec<usize> = (0..described.len()).filter(|at| !stored.contains(at)).collect();
@@ -100,7 +113,7 @@ impl Table {
         }
         let statement = AssertSqlSafe(format!("SELECT EXISTS (SELECT 1 FROM \"{name}\")"));
         let is_seeded = sqlx::query_scalar(statement).fetch_one(connection).await?;
-        Ok(Self { name, columns, stored, rowid, has_rowids: !clustered, is_seeded })
+        Ok(Self { name, columns, stored, key_columns, rowid, has_rowids: !clustered, is_seeded })
     }
 
     /// Copies all rows that can be read from the tree with that root; `None` as root when nobody knows it.
@@ -115,43 +128,47 @@ impl Table {
             copied.holes.push(Hole { before: None, after: None });
             return Ok(copied);
         };
-        let mut last = None;
+        let most = MOST_VALUES / self.columns.len() - KEPT_BACK;
+        let mut rows: Vec<Row> = Vec::new();
+        // The last row that was written.
+        let mut written = None;
         let mut in_hole = false;
-        let most = MOST_VALUES / self.columns.len();
-        let mut rows = Vec::with_capacity(most);
         for item in Walk::from(file, root, self.has_rowids) {
             let row = match item {
                 Item::Row(rowid, record) => self.decode(&record, rowid),
                 Item::Unreadable => None,
             };
-            let Some(row) = row else {
-                if !in_hole {
-                    copied.holes.push(Hole { before: last, after: None });
+            let last = rows.last().or(written.as_ref());
+            let is_ordered = row.as_ref().zip(last).is_none_or(|(row, last)| self.precedes(last, row));
+            if !is_ordered {
+                // The keys of a tree ascend: bytes of one of these two rows were overwritten, and nothing tells of which.
+                rows.pop();
+            }
+            let before = rows.last().or(written.as_ref()).map(|row| self.key(row));
+            let Some(row) = row.filter(|_| is_ordered) else {
+                match copied.holes.last_mut().filter(|_| in_hole) {
+                    Some(hole) => hole.before = before,
+                    None => copied.holes.push(Hole { before, after: None }),
                 }
                 in_hole = true;
                 continue;
             };
-            last = Some(self.key(&row));
             if std::mem::take(&mut in_hole)
                 && let Some(hole) = copied.holes.last_mut()
             {
-                hole.after = last;
+                hole.after = Some(self.key(&row));
             }
             rows.push(row);
-            if rows.len() == most {
-                self.insert(connection, &rows).await?;
-                rows.clear();
+            if rows.len() == most + KEPT_BACK {
+                self.insert(connection, &rows[..most]).await?;
+                written = rows.drain(..most).next_back();
             }
         }
         self.insert(connection, &rows).await?;
         Ok(copied)
     }
 
-    async fn insert(
-        &self,
-        connection: &mut SqliteConnection,
-        rows: &[Vec<Value>],
-    ) -> Result<(), sqlx::Error> {
+    async fn insert(&self, connection: &mut SqliteConnection, rows: &[Row]) -> Result<(), sqlx::Error> {
         if rows.is_empty() {
             return Ok(());
         }
@@ -167,15 +184,15 @@ impl Table {
         );
         let mut arguments = SqliteArguments::default();
         rows.iter()
-            .flatten()
+            .flat_map(|row| &row.values)
             .try_for_each(|value| value.bind(&mut arguments))
             .map_err(sqlx::Error::Encode)?;
         sqlx::query_with(AssertSqlSafe(statement), arguments).execute(connection).await?;
         Ok(())
     }
 
-    /// A row in the order of the table's columns; `None` when a value is not of its column's type.
-    fn decode(&self, record: &[u8], rowid: Option<i64>) -> Option<Vec<Value>> {
+    /// Reads a record; `None` when a value is not of its column's type.
+    fn decode(&self, record: &[u8], rowid: Option<i64>) -> Option<Row> {
         let mut row: Vec<Value> = self.columns.iter().map(|column| column.default.clone()).collect();
         let values = values(record)?;
         if values.len() > self.stored.len() {
@@ -190,11 +207,20 @@ impl Table {
         for (column, value) in self.columns.iter().zip(&mut row) {
             column.accept(value)?;
         }
-        Some(row)
+        Some(Row { rowid, values: row })
     }
 
-    fn key(&self, row: &[Value]) -> [i64; 3] {
-        let part = |at: usize| match self.stored.get(at).map(|at| &row[*at]) {
+    /// Whether one row stands before another in the table's tree.
+    fn precedes(&self, one: &Row, other: &Row) -> bool {
+        if self.has_rowids {
+            return one.rowid < other.rowid;
+        }
+        let keys = &self.stored[..self.key_columns];
+        keys.iter().map(|at| &one.values[*at]).lt(keys.iter().map(|at| &other.values[*at]))
+    }
+
+    fn key(&self, row: &Row) -> [i64; 3] {
+        let part = |at: usize| match self.stored.get(at).map(|at| &row.values[*at]) {
             Some(Value::Integer(value)) => *value,
             _ => 0,
         };
