@@ -41,7 +41,7 @@ impl Sending {
         if waits {
             return None;
         }
-        let (head, body) = self.backlog.send(next, unspooled, (self.host.id, self.process), self.stored)?;
+        let (head, body) = self.backlog.send(next, unspooled, (self.host.id, self.process))?;
         // Patience begins when there is something to wait for.
         let idle = next == self.backlog.oldest();
         self.link = Link::Up { next: next + 1, heard: if idle { now } else { heard } };

@@ -48,7 +48,7 @@ impl Sending {
     pub(super) fn resolve_earlier(&mut self, number: u64, process: Option<u64>) {
         let Some(unresolved) = self.earlier.unresolved.take() else { return };
         let resolved = unresolved.resolve(number, process);
-        self.stored += resolved.stored;
+        self.backlog.add_stored(resolved.stored);
         let unreported = self.intake.resolve(&unresolved, &resolved);
         (self.earlier.resolved, self.earlier.unwritten) = (resolved, Some(unreported));
     }

@@ -66,7 +66,7 @@ impl Sending {
             | ToAgent::Welcome { stream, .. }
             | ToAgent::Ack { stream, .. }
             | ToAgent::Resend { stream, .. }
-                if *stream != self.backlog.stream || self.renewal.is_some() => {}
+                if *stream != self.backlog.origin.stream || self.renewal.is_some() => {}
             ToAgent::Challenge { aggregator, nonce, enrol, .. } => {
                 self.challenged(aggregator, nonce, *enrol, now.mono);
             }
@@ -174,13 +174,13 @@ impl Sending {
         Hello {
             protocol: PROTOCOL,
             host: self.host.clone(),
-            stream: self.backlog.stream,
-            previous: self.backlog.previous,
-            first: self.backlog.first,
+            stream: self.backlog.origin.stream,
+            previous: self.backlog.origin.previous,
+            first: self.backlog.origin.first,
             oldest: self.backlog.oldest(),
             before,
-            events_before_oldest: self.stored,
-            events_before_first: self.backlog.events_before_first,
+            events_before_oldest: self.backlog.stored(),
+            events_before_first: self.backlog.origin.events_before_first,
             batch_bytes: u32::try_from(self.config.batch_bytes).unwrap_or(u32::MAX),
             process: self.process,
         }
@@ -245,7 +245,7 @@ impl Sending {
 
     /// The aggregator has batches up to a number. Ours of that number must be the same.
     fn welcomed(&mut self, mut welcome: Welcome, now: Stamp) {
-        welcome.stored = welcome.stored.max(self.backlog.first - 1);
+        welcome.stored = welcome.stored.max(self.backlog.origin.first - 1);
         let (acknowledged, _) = self.backlog.acknowledged();
         match self.link {
             Link::Greeting { .. } => {}
@@ -300,8 +300,8 @@ impl Sending {
     /// Goes on when the aggregator's last batch is ours, of which the chain is `ours`.
     fn judge(&mut self, welcome: Welcome, ours: Option<Chain>, skimmed: Option<Skimmed>, now: Stamp) {
         let (acknowledged, _) = self.backlog.acknowledged();
-        let nothing_to_compare =
-            welcome.stored < self.backlog.first || welcome.stored == acknowledged && welcome.chain.is_none();
+        let nothing_to_compare = welcome.stored < self.backlog.origin.first
+            || welcome.stored == acknowledged && welcome.chain.is_none();
         if nothing_to_compare || ours.is_some() && ours == welcome.chain {
             if welcome.stored > acknowledged {
                 self.acknowledged(welcome.stored, skimmed, now);

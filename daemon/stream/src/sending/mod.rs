@@ -82,7 +82,6 @@ pub struct Sending {
     under_way: UnderWay,
     /// What is left of the batch that was sent last.
     rest: Option<Rest>,
-    stored: u64,
     closing: bool,
     notices: VecDeque<Notice>,
 }
@@ -123,7 +122,6 @@ impl Sending {
             flow: Flow::new(budget),
             under_way: UnderWay::default(),
             rest: None,
-            stored: produced - dropped - held,
             closing: false,
             notices: VecDeque::new(),
             config,
@@ -240,16 +238,17 @@ impl Sending {
 
     /// What became of the events.
     pub fn accounting(&self) -> Accounting {
-        let (open, held, pending) = (self.intake.usage(), self.backlog.held(), self.backlog.pending());
+        let (open, held, pending, stored) =
+            (self.intake.usage(), self.backlog.held(), self.backlog.pending(), self.backlog.stored());
         let (produced, dropped) = self.earlier.count(self.intake.counted());
         let gaps = self.intake.counted().gaps;
         let waiting = open.events + held.events;
-        debug_assert_eq!(produced, self.stored + waiting + dropped, "an event is not accounted for");
+        debug_assert_eq!(produced, stored + waiting + dropped, "an event is not accounted for");
         Accounting {
             produced,
-            spooled: self.stored + held.events.saturating_sub(pending.events),
-            sent: self.stored + self.backlog.sent_events(),
-            stored: self.stored,
+            spooled: stored + held.events.saturating_sub(pending.events),
+            sent: stored + self.backlog.sent_events(),
+            stored: stored,
             waiting,
             dropped,
             gaps,
@@ -349,7 +348,6 @@ impl Sending {
             // It was passed, or is found again.
             self.hole = None;
         }
-        self.stored += freed.events;
         self.spooling.freed(freed, now.mono);
         let (bytes, end) = self.under_way.acknowledged(through);
         self.pace.acknowledged(bytes, now.mono);

@@ -211,7 +211,7 @@ impl Sending {
     pub fn renewed(&mut self, now: Stamp) {
         let Some(stream) = self.spooling.renew.end() else { return };
         self.renewal = None;
-        self.backlog.renew(stream, self.stored);
+        self.backlog.renew(stream);
         // Nobody else ever sent in this stream.
         (self.met, self.reached_before) = (false, Vec::new());
         self.recovered(Kind::Renew);
@@ -367,9 +367,9 @@ impl Sending {
         self.spooling.renew.begin(stream);
         Some(Action::Renew {
             stream,
-            previous: self.backlog.stream,
+            previous: self.backlog.origin.stream,
             first: self.backlog.oldest(),
-            events_before_first: self.stored,
+            events_before_first: self.backlog.stored(),
         })
     }
 }
