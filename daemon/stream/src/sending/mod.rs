@@ -9,7 +9,6 @@ mod flow;
 mod intake;
 mod job;
 mod link;
-mod losses;
 mod pace;
 mod rest;
 mod skim;

@@ -153,7 +153,7 @@ impl Sending {
         if missing.events > 0 {
             self.spooling.vanished(missing.bytes);
             let reason = "batches were missing from the agent's spool file".to_owned();
-            self.intake.lose(None, None, missing.events, reason, now);
+            self.intake.lose((None, None), missing.events, reason, now);
             let room = self.room();
             self.intake.report_losses(&room, now);
             self.number();
