@@ -13,6 +13,7 @@ use self::ready_batches::ReadyBatches;
 use self::sent_batches::SentBatches;
 use self::stream_origin::StreamOrigin;
 use super::intake::CutBatch;
+use super::spool_reader::{Scanned, SpoolScan};
 use crate::spool::{SpoolState, SpooledBatch, Usage};
 use crate::totals::Totals;
 use crate::{BatchHead, Chain, HandedIn, SentUnspooled, StreamId};
@@ -277,18 +278,18 @@ impl Backlog {
         before.map(|batch| u64::from(batch.events)).sum()
     }
 
-    /// Batches up to and including `through` are stored over there: they are all in memory, or `skimmed` says what the
+    /// Batches up to and including `through` are stored over there: they are all in memory, or `scanned` says what the
     /// ones in the file only take and the chain of the last of them.
     ///
     /// Batches up to and including `writing` are being written to the file.
-    pub(super) fn free(&mut self, through: u64, skimmed: Option<(Usage, Chain)>, writing: u64) -> Freed {
+    pub(super) fn free(&mut self, through: u64, scanned: Option<Scanned>, writing: u64) -> Freed {
         let mut freed = Freed::default();
         while let Some(batch) = self.ready.pop_through(through) {
             self.held = self.held - batch.usage();
             freed.spooled_bytes += batch.usage().bytes;
             self.forget(&batch, &mut freed);
         }
-        if let Some((usage, chain)) = skimmed {
+        if let Some((usage, chain)) = scanned {
             self.held = self.held - usage;
             freed.events += usage.events;
             freed.spooled_bytes += usage.bytes;
@@ -310,6 +311,23 @@ impl Backlog {
         freed.events += u64::from(batch.events);
         self.sent.forget(batch);
         (self.oldest.number, self.oldest.before) = (batch.number + 1, batch.chain);
+    }
+
+    /// The chain of a batch and what the batches up to it take that are in the file only; `None` when the file must be
+    /// asked.
+    pub(super) fn known(&self, number: u64) -> Option<(Chain, Option<Scanned>)> {
+        let chain = self.chain(number)?;
+        if number < self.unknown() || self.unknown() > self.spooled.0 {
+            return Some((chain, None));
+        }
+        let all = (number >= self.spooled.0).then(|| self.filed());
+        let last = self.chain(self.spooled.0)?;
+        Some((chain, Some((all?, last))))
+    }
+
+    /// What is to be read for [`known`](Self::known) to be answered; nothing when it is.
+    pub(super) fn scan_to(&self, number: u64) -> SpoolScan {
+        SpoolScan::new(self.unknown(), number.min(self.spooled.0))
     }
 
     /// The oldest batches up to the one before `resume` do not exist any more; none of them is in memory. `before` is

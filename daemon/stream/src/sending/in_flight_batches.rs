@@ -17,12 +17,12 @@ struct Sent {
 
 /// Batches under way, contiguous, and what they count together.
 #[derive(Clone, Debug, Default)]
-pub(super) struct UnderWay {
+pub(super) struct InFlightBatches {
     sent: VecDeque<Sent>,
     weight: u64,
 }
 
-impl UnderWay {
+impl InFlightBatches {
     /// Whether a batch with a body of so many bytes must wait while no more than `window` may be under way.
     pub(super) fn is_full(&self, body: usize, window: u64) -> bool {
         let too_much = self.weight + batch_weight(body) > window || self.sent.len() >= MOST_UNDER_WAY;
