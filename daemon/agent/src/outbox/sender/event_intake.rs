@@ -83,7 +83,7 @@ impl EventIntake {
         self.exit.counter.sent_unspooled(sent);
     }
 
-    /// Keeps the counter's file from being taken for one that nobody uses.
+    /// Makes the counter's file anew when somebody has deleted it.
     pub(super) fn keep_counter(&self) {
         self.exit.counter.keep();
     }
