@@ -4,7 +4,7 @@ use peernet_clock::{MonoTime, Span};
 use peernet_logger::HostId;
 
 use super::SendingConfig;
-use super::flow::Flow;
+use super::flow::FlowControl;
 use super::in_flight_batches::InFlightBatches;
 use super::pace::Pace;
 use super::partial_batch::PartialBatch;
@@ -22,7 +22,7 @@ pub(super) struct DurableLane {
     /// What may be under way, in units of batches, by the aggregator's word.
     window: u32,
     pace: Pace,
-    flow: Flow,
+    flow: FlowControl,
     in_flight: InFlightBatches,
     /// What is left of the batch that was sent last.
     partial: Option<PartialBatch>,
@@ -43,7 +43,7 @@ impl DurableLane {
             config,
             window: 1,
             pace: Pace::new(config.compression),
-            flow: Flow::new(most),
+            flow: FlowControl::new(most),
             in_flight: InFlightBatches::default(),
             partial: None,
         }

@@ -5,7 +5,7 @@ use super::super::{Gap, SentUnspooled, Totals, Unresolved};
 
 /// From the start to the aggregator's first word it is unresolved; then the spool is told, and after that losses are reported.
 #[derive(Clone, Debug)]
-pub(super) struct Earlier {
+pub(super) struct EarlierProcess {
     unresolved: Option<Unresolved>,
     /// What the totals of the spool have more than those counted here.
     resolved: Resolved,
@@ -13,7 +13,7 @@ pub(super) struct Earlier {
     unwritten: Option<Vec<Gap>>,
 }
 
-impl Earlier {
+impl EarlierProcess {
     pub(super) fn new(unresolved: Option<Unresolved>) -> Self {
         Self { unresolved, resolved: Resolved::default(), unwritten: None }
     }

@@ -4,7 +4,7 @@ use peernet_clock::{MonoTime, Stamp};
 
 use super::super::{Chain, Hello, Nonce, PROTOCOL, Proof, ToAgent, ToAggregator, codec};
 use super::session::{Link, ScanPurpose, Welcome};
-use super::spool_reader::{Loading, Scanned};
+use super::spool_reader::{LoadPurpose, ScanResult};
 use super::{Notice, Sending};
 use crate::spool::SpooledBatch;
 use crate::totals::Reached;
@@ -208,7 +208,7 @@ impl Sending {
     }
 
     /// The file was read up to `through`; nothing is said of it when that batch was not in it.
-    fn compared(&mut self, through: u64, scanned: Option<Scanned>, purpose: ScanPurpose, now: Stamp) {
+    fn compared(&mut self, through: u64, scanned: Option<ScanResult>, purpose: ScanPurpose, now: Stamp) {
         match purpose {
             ScanPurpose::Compare(welcome) => {
                 let chain = match scanned {
@@ -228,7 +228,7 @@ impl Sending {
     }
 
     /// Goes on when the aggregator's last batch is ours, of which the chain is `ours`.
-    fn judge(&mut self, welcome: Welcome, ours: Option<Chain>, scanned: Option<Scanned>, now: Stamp) {
+    fn judge(&mut self, welcome: Welcome, ours: Option<Chain>, scanned: Option<ScanResult>, now: Stamp) {
         let (acknowledged, _) = self.spooler.backlog.acknowledged();
         let nothing_to_compare = welcome.stored < self.spooler.backlog.origin.first
             || welcome.stored == acknowledged && welcome.chain.is_none();
@@ -295,15 +295,15 @@ impl Sending {
     }
 
     /// Batches came from the spool that were asked for.
-    pub(super) fn read(&mut self, loading: Loading, batches: Vec<SpooledBatch>, now: Stamp) {
+    pub(super) fn read(&mut self, loading: LoadPurpose, batches: Vec<SpooledBatch>, now: Stamp) {
         match loading {
-            Loading::Scan(from) => self.scanned(from, &batches, now),
-            Loading::Probe(from) => {
+            LoadPurpose::Scan(from) => self.scanned(from, &batches, now),
+            LoadPurpose::Probe(from) => {
                 if self.reader.probed(from, &batches, &self.spooler.backlog) {
                     self.pass_gap(now);
                 }
             }
-            Loading::Ahead(from) => self.read_ahead(from, batches, now),
+            LoadPurpose::Ahead(from) => self.read_ahead(from, batches, now),
         }
     }
 
@@ -348,7 +348,7 @@ impl Sending {
     }
 
     /// All batches up to and including `through` are stored over there.
-    fn acknowledged(&mut self, through: u64, scanned: Option<Scanned>, now: Stamp) {
+    fn acknowledged(&mut self, through: u64, scanned: Option<ScanResult>, now: Stamp) {
         if scanned.is_some() {
             // It was passed, or is found again.
             self.reader.forget_gap();

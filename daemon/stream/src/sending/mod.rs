@@ -6,7 +6,7 @@ mod backlog;
 mod config;
 mod deletions;
 mod durable_lane;
-mod earlier;
+mod earlier_process;
 mod flow;
 mod in_flight_batches;
 mod intake;
@@ -51,12 +51,14 @@ pub struct Sending {
     config: SendingConfig,
     host: HostDescription,
     secret: HostSecret,
+    /// Events and numbered batches, in memory and in the spool.
     spooler: EventSpooler,
     reader: SpoolReader,
     renewal: StreamRenewal,
     trouble: SpoolTrouble,
     session: Session,
     lane: DurableLane,
+    /// What the agent is still to be told.
     notices: VecDeque<Notice>,
 }
 

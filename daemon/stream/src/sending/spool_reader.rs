@@ -10,7 +10,7 @@ use crate::Chain;
 use crate::spool::{SpooledBatch, Usage};
 
 /// What the batches take that were read without being kept, and the chain of the last.
-pub(super) type Scanned = (Usage, Chain);
+pub(super) type ScanResult = (Usage, Chain);
 
 /// Batches in the file that are read to be compared and counted, from the first that is not in memory.
 #[derive(Clone, Copy, Debug)]
@@ -35,7 +35,7 @@ impl SpoolScan {
     }
 
     /// What was read; `None` when the last batch was not in the file.
-    pub(super) fn result(&self) -> Option<Scanned> {
+    pub(super) fn result(&self) -> Option<ScanResult> {
         self.chain.map(|chain| (self.usage, chain))
     }
 
@@ -75,7 +75,7 @@ enum SpoolGap {
 
 /// Why batches are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Loading {
+pub(super) enum LoadPurpose {
     /// To be sent, from this number on.
     Ahead(u64),
     /// To be compared and counted.
@@ -87,7 +87,7 @@ pub(super) enum Loading {
 /// What is read from the spool, and the gap that was found in it.
 #[derive(Clone, Debug, Default)]
 pub(super) struct SpoolReader {
-    job: Job<Loading>,
+    job: Job<LoadPurpose>,
     gap: Option<SpoolGap>,
 }
 
@@ -99,13 +99,13 @@ impl SpoolReader {
         }
         let part = backlog.part_bytes();
         let (loading, from, bytes) = match (link, self.gap) {
-            (Link::Comparing { scan, .. }, _) => (Loading::Scan(scan.at), scan.at, part),
-            (_, Some(SpoolGap::Open(at))) => (Loading::Probe(at), at, 1),
+            (Link::Comparing { scan, .. }, _) => (LoadPurpose::Scan(scan.at), scan.at, part),
+            (_, Some(SpoolGap::Open(at))) => (LoadPurpose::Probe(at), at, 1),
             (_, Some(SpoolGap::Ends(..))) => return None,
             (Link::Down, None) => return None,
             _ => {
                 let from = backlog.unknown();
-                backlog.wants_more().then_some((Loading::Ahead(from), from, part))?
+                backlog.wants_more().then_some((LoadPurpose::Ahead(from), from, part))?
             }
         };
         self.job.begin(loading);
@@ -118,7 +118,7 @@ impl SpoolReader {
     }
 
     /// What was asked for was read: why it was; `None` when nothing was asked for.
-    pub(super) const fn end(&mut self) -> Option<Loading> {
+    pub(super) const fn end(&mut self) -> Option<LoadPurpose> {
         self.job.end()
     }
 

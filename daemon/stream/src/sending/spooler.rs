@@ -7,9 +7,9 @@ use peernet_logger::{HostId, RunId};
 use super::appends::Appends;
 use super::backlog::Backlog;
 use super::deletions::Deletions;
-use super::earlier::Earlier;
+use super::earlier_process::EarlierProcess;
 use super::intake::{Intake, Room};
-use super::spool_reader::Scanned;
+use super::spool_reader::ScanResult;
 use super::{Action, SendingConfig};
 use crate::spool::{SpoolState, SpooledBatch};
 use crate::totals::{Reached, Totals};
@@ -31,7 +31,7 @@ pub(super) struct EventSpooler {
     /// Bytes of the bodies in the file.
     file_bytes: u64,
     /// What became of the end of an earlier process.
-    earlier: Earlier,
+    earlier: EarlierProcess,
     /// Whether the aggregator took this process in with the stream at hand.
     is_met: bool,
     /// Whether everything is to be made safe now.
@@ -53,7 +53,7 @@ impl EventSpooler {
             file_bytes: spool.held.bytes,
             intake: Intake::new(config, totals, spool.unreported, spool.unresolved.is_some()),
             backlog,
-            earlier: Earlier::new(spool.unresolved),
+            earlier: EarlierProcess::new(spool.unresolved),
             is_met: false,
             is_closing: false,
             config,
@@ -215,7 +215,7 @@ impl EventSpooler {
     }
 
     /// All batches up to and including `through` are stored over there.
-    pub(super) fn acknowledged(&mut self, through: u64, scanned: Option<Scanned>, now: Stamp) {
+    pub(super) fn acknowledged(&mut self, through: u64, scanned: Option<ScanResult>, now: Stamp) {
         let writing = self.appends.writing();
         let freed = self.backlog.free(through, scanned, writing);
         self.appends.add_freed(freed.writing_bytes);

@@ -13,7 +13,7 @@ use self::ready_batches::ReadyBatches;
 use self::sent_batches::SentBatches;
 use self::stream_origin::StreamOrigin;
 use super::intake::CutBatch;
-use super::spool_reader::{Scanned, SpoolScan};
+use super::spool_reader::{ScanResult, SpoolScan};
 use crate::spool::{SpoolState, SpooledBatch, Usage};
 use crate::totals::Totals;
 use crate::{BatchHead, Chain, HandedIn, SentUnspooled, StreamId};
@@ -57,7 +57,7 @@ struct OldestBatch {
 
 /// What an acknowledgement freed.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Freed {
+pub(super) struct FreedBatches {
     pub(super) events: u64,
     /// Bytes of those that were in the file.
     pub(super) spooled_bytes: u64,
@@ -282,8 +282,8 @@ impl Backlog {
     /// ones in the file only take and the chain of the last of them.
     ///
     /// Batches up to and including `writing` are being written to the file.
-    pub(super) fn free(&mut self, through: u64, scanned: Option<Scanned>, writing: u64) -> Freed {
-        let mut freed = Freed::default();
+    pub(super) fn free(&mut self, through: u64, scanned: Option<ScanResult>, writing: u64) -> FreedBatches {
+        let mut freed = FreedBatches::default();
         while let Some(batch) = self.ready.pop_through(through) {
             self.held = self.held - batch.usage();
             freed.spooled_bytes += batch.usage().bytes;
@@ -307,7 +307,7 @@ impl Backlog {
         freed
     }
 
-    fn forget(&mut self, batch: &SpooledBatch, freed: &mut Freed) {
+    fn forget(&mut self, batch: &SpooledBatch, freed: &mut FreedBatches) {
         freed.events += u64::from(batch.events);
         self.sent.forget(batch);
         (self.oldest.number, self.oldest.before) = (batch.number + 1, batch.chain);
@@ -315,7 +315,7 @@ impl Backlog {
 
     /// The chain of a batch and what the batches up to it take that are in the file only; `None` when the file must be
     /// asked.
-    pub(super) fn known(&self, number: u64) -> Option<(Chain, Option<Scanned>)> {
+    pub(super) fn known(&self, number: u64) -> Option<(Chain, Option<ScanResult>)> {
         let chain = self.chain(number)?;
         if number < self.unknown() || self.unknown() > self.spooled.0 {
             return Some((chain, None));

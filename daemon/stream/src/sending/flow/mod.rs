@@ -23,7 +23,7 @@ const REQUEST_BYTES: u64 = 48;
 
 /// What is on its way, and how much may be.
 #[derive(Clone, Debug)]
-pub(super) struct Flow {
+pub(super) struct FlowControl {
     in_flight: InFlightBytes,
     echoes: PendingEchoes,
     round_trip: MinRoundTrip,
@@ -33,7 +33,7 @@ pub(super) struct Flow {
     owed: u64,
 }
 
-impl Flow {
+impl FlowControl {
     /// Nothing is on its way; no more than `most` bytes ever will be.
     pub(super) fn new(most: u64) -> Self {
         Self::with(Allowance::new(most, false))
