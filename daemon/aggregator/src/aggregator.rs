@@ -14,7 +14,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::config::AggregatorConfig;
 use crate::error::{Failure, Problem, StartError};
-use crate::ingest::{self, Desk, Errand, Hosts, Reopening, committing, preparing, socket};
+use crate::ingest::{self, Errand, Hosts, IngestSession, Reopening, committing, preparing, socket};
 use crate::live::{self, Live, News};
 use crate::picture::Picture;
 use crate::readiness::Readiness;
@@ -106,7 +106,7 @@ impl Aggregator {
         let hosts = Hosts::new(config.max_hosts, known);
         let receiving =
             Receiving::new(ReceivingConfig { budget_bytes, most_window, ..ReceivingConfig::new(name) });
-        let desk = Desk::new(receiving, challenges, hosts, queue, streams, unknown);
+        let session = IngestSession::new(receiving, challenges, hosts, queue, streams, unknown);
         let store = Store::new(Readers::open(
             &config.database,
             config.readers,
@@ -160,7 +160,7 @@ impl Aggregator {
             Ok(())
         });
         let wires = socket::Wires { stored, news: news_in, clock, stop };
-        running.spawn("ingest", socket::run(socket, address, desk, wires));
+        running.spawn("ingest", socket::run(socket, address, session, wires));
         Ok(running)
     }
 

@@ -103,7 +103,8 @@ impl Outbox {
         let ((stop, told), ended) = (oneshot::channel(), CancellationToken::new());
         let spool = SpoolTask::start(file, config.spool.sync_interval());
         let sender = Sender::new(machine, spool, exit, publish, reports, clock, (runs, live));
-        let work = sender.run(address, pauses, told);
+        // Large, for the state machine lives in it.
+        let work = Box::pin(sender.run(address, pauses, told));
         let guard = ended.clone().drop_guard();
         let task = tokio::spawn(async move {
             let _ended = guard;

@@ -12,8 +12,8 @@ use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
 use super::committing::StoreEvent;
-use super::desk::{Desk, Untaken};
 use super::routes::Admission;
+use super::session::{IngestSession, RejectedCounts};
 use crate::config::AggregatorConfig;
 use crate::error::{Failure, Problem, StartError};
 use crate::live::News;
@@ -64,41 +64,41 @@ pub(crate) struct Wires {
 pub(crate) async fn run(
     mut listener: ZmtpListener,
     address: String,
-    mut desk: Desk,
+    mut session: IngestSession,
     mut wires: Wires,
 ) -> Result<(), Failure> {
     let sender = listener.sender();
     let mut ageing = tokio::time::interval(AGE_EVERY);
     ageing.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-    let mut reported = Untaken::default();
+    let mut reported = RejectedCounts::default();
     loop {
         tokio::select! {
             () = wires.stop.cancelled() => break,
             received = listener.receive() => match received {
                 Some(Arrival::Message(from, frames)) => if let Some(frame) = frames.first() {
-                    desk.frame(&from, frame, wires.clock.stamp());
+                    session.frame(&from, frame, wires.clock.stamp());
                 },
-                Some(Arrival::Gone(connection, _)) => desk.gone(connection),
+                Some(Arrival::Gone(connection, _)) => session.gone(connection),
                 Some(Arrival::Garbage(..)) => {}
                 None => return Err(Failure::Socket { address }),
             },
             event = wires.stored.recv() => match event {
-                Some(event) => desk.store_event(event),
+                Some(event) => session.store_event(event),
                 // A writer that cannot store ends as soon as it is told to stop, perhaps before this task looks.
                 None if wires.stop.is_cancelled() => break,
                 None => return Err(Failure::TaskEnded("writer")),
             },
             _ = ageing.tick() => {
-                desk.age(wires.clock.stamp());
-                report(desk.untaken(), &mut reported);
+                session.age(wires.clock.stamp());
+                report(session.rejected(), &mut reported);
             }
         }
-        deliver(&sender, &mut desk, &wires.news).await;
+        deliver(&sender, &mut session, &wires.news).await;
     }
-    desk.close();
+    session.close();
     while let Some(event) = wires.stored.recv().await {
-        desk.store_event(event);
-        deliver(&sender, &mut desk, &wires.news).await;
+        session.store_event(event);
+        deliver(&sender, &mut session, &wires.news).await;
     }
     listener.close(LINGER).await;
     Ok(())
@@ -106,35 +106,35 @@ pub(crate) async fn run(
 
 /// Sends replies and passes on news. Neither waits for the other side: a reply that finds no room is repeated when
 /// the agent asks again, and the live picture's task waits for nothing.
-async fn deliver(sender: &ZmtpSender, desk: &mut Desk, news: &mpsc::Sender<News>) {
+async fn deliver(sender: &ZmtpSender, session: &mut IngestSession, news: &mpsc::Sender<News>) {
     // Before the replies: an agent that is welcome sends at once.
-    for admission in desk.take_admissions() {
+    for admission in session.take_admissions() {
         match admission {
             Admission::Admit(connection) => sender.admit(connection),
             Admission::Demote(connection) => sender.demote(connection),
         }
     }
-    for (to, reply) in desk.take_replies() {
+    for (to, reply) in session.take_replies() {
         if let Err(error) = sender.try_send(to, vec![Bytes::from(codec::encode(&reply))]) {
             tracing::debug!(%error, "a reply was not sent; its agent will ask again");
         }
     }
-    for item in desk.take_news() {
+    for item in session.take_news() {
         // Closed only while everything ends.
         let _ended = news.send(item).await;
     }
 }
 
-fn report(untaken: Untaken, reported: &mut Untaken) {
-    if untaken != *reported {
+fn report(rejected: RejectedCounts, reported: &mut RejectedCounts) {
+    if rejected != *reported {
         tracing::warn!(
-            deferred = untaken.deferred - reported.deferred,
-            damaged = untaken.damaged - reported.damaged,
-            unreadable = untaken.unreadable - reported.unreadable,
-            strangers = untaken.strangers - reported.strangers,
+            deferred = rejected.deferred - reported.deferred,
+            damaged = rejected.damaged - reported.damaged,
+            unreadable = rejected.unreadable - reported.unreadable,
+            strangers = rejected.strangers - reported.strangers,
             "messages were not taken: without room (asked for again), damaged on their way (asked for again), not \
              readable, from hosts that did not say hello"
         );
-        *reported = untaken;
+        *reported = rejected;
     }
 }

@@ -1,60 +1,31 @@
 //! What is known of one host, now.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use peernet_clock::{MonoTime, Span, Stamp, WallTime};
 use peernet_logger::{HostId, RunId, Slug};
-use peernet_stream::{Accounting, HostClock, HostDescription, HostMetrics, LinkLive, LiveUpdate};
+use peernet_stream::{HostClock, HostDescription, LinkLive, LiveUpdate};
 
 use super::bounds;
-use super::catching_up::Lag;
+use super::event_account::EventAccount;
 use super::link::Link;
+use super::metrics_history::MetricsHistory;
 use super::pipeline::Pipeline;
+use super::presence::Presence;
 use super::{MOST_LINKS, MOST_PIPELINES};
-use crate::picture::{Arrivals, HostPicture, LinkPicture, MetricsPoint, PipelinePicture};
+use crate::picture::{Arrivals, HostPicture, LinkPicture, PipelinePicture};
 use peernet_store::Stored;
-
-/// A host that sent nothing for so long counts as disconnected; it sends four times a second.
-const CONNECTED_WITHIN: Span = Span::from_seconds(3);
-/// Distance of the points of the metrics' history.
-const POINT_EVERY: Span = Span::from_seconds(5);
-/// Points of the metrics' history: ten minutes.
-const POINTS: usize = 120;
-
-/// Whether a host is there.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Presence {
-    /// It said hello and tells of itself.
-    Connected,
-    /// It does not, and nobody knows why.
-    Silent,
-    /// It took its leave.
-    Left,
-}
 
 /// One host, its pipelines and its links.
 #[derive(Debug)]
 pub(super) struct Host {
     description: HostDescription,
-    /// The number that its process made at its start.
-    process: u64,
     presence: Presence,
-    seen: Stamp,
-    /// The host's clock at its last update.
-    sent: Option<WallTime>,
-    /// The process that sent it.
-    told_by: Option<u64>,
     clock: HostClock,
-    metrics: HostMetrics,
-    history: VecDeque<Arc<MetricsPoint>>,
-    next_point: MonoTime,
-    accounting: Accounting,
-    lag: Lag,
-    stored: Stored,
-    arrivals: Arrivals,
-    /// The newest moment that is stored, on the host's clock.
-    newest_stored: Option<WallTime>,
+    metrics: MetricsHistory,
+    events: EventAccount,
+    /// Values that were left out of what it told, because they were beyond the limits.
     left_out: u64,
     pipelines: BTreeMap<Slug, Pipeline>,
     links: BTreeMap<HostId, Link>,
@@ -68,20 +39,10 @@ impl Host {
         bounds::description(&mut description, &mut left_out);
         Self {
             description,
-            process,
-            presence: Presence::Connected,
-            seen: now,
-            sent: None,
-            told_by: None,
+            presence: Presence::new(process, now),
             clock: HostClock::default(),
-            metrics: HostMetrics::default(),
-            history: VecDeque::new(),
-            next_point: now.mono,
-            accounting: Accounting::default(),
-            lag: Lag::default(),
-            stored: Stored::default(),
-            arrivals: Arrivals::default(),
-            newest_stored: None,
+            metrics: MetricsHistory::new(now.mono),
+            events: EventAccount::default(),
             left_out,
             pipelines: BTreeMap::new(),
             links: BTreeMap::new(),
@@ -98,11 +59,7 @@ impl Host {
             self.links.values_mut().for_each(Link::redraw);
         }
         self.description = description;
-        self.seen = now;
-        if self.process == process {
-            self.presence = Presence::Connected;
-        } else {
-            self.process = process;
+        if !self.presence.introduce(process, now) {
             self.lose();
         }
         self.picture = None;
@@ -110,7 +67,7 @@ impl Host {
 
     /// It takes its leave: what it told of last has ended, whatever it was told to be at.
     pub(super) fn goodbye(&mut self) {
-        let last = self.sent.filter(|_| self.told_by == Some(self.process));
+        let last = self.presence.sent_by_current();
         for pipeline in self.pipelines.values_mut() {
             if Some(pipeline.sent()) == last {
                 pipeline.end();
@@ -118,39 +75,26 @@ impl Host {
                 pipeline.away();
             }
         }
-        self.presence = Presence::Left;
+        self.presence.leave();
         self.picture = None;
     }
 
     /// It is gone without a word, unless it had left before.
     fn lose(&mut self) {
-        if self.presence == Presence::Connected {
-            self.presence = Presence::Silent;
-        }
+        self.presence.lose();
         self.picture = None;
         self.pipelines.values_mut().for_each(Pipeline::away);
     }
 
     fn is_connected(&self) -> bool {
-        self.presence == Presence::Connected
+        self.presence.is_connected()
     }
 
     /// Takes over an update, within the limits.
     pub(super) fn update(&mut self, update: LiveUpdate, now: Stamp) {
-        self.presence = Presence::Connected;
-        self.seen = now;
-        (self.sent, self.told_by) = (Some(update.sent), Some(self.process));
-        self.accounting = update.accounting;
-        bounds::accounting(&mut self.accounting);
-        self.lag.observe(self.behind(), self.accounting.stored, now.mono);
-        if now.mono >= self.next_point {
-            self.next_point = now.mono + POINT_EVERY;
-            if self.history.len() == POINTS {
-                self.history.pop_front();
-            }
-            self.history.push_back(Arc::new(MetricsPoint { at: now.wall, metrics: update.metrics.clone() }));
-        }
-        self.metrics = update.metrics;
+        self.presence.update(update.sent, now);
+        self.events.update(update.accounting, update.sent, now.mono);
+        self.metrics.push(update.metrics, now);
         self.clock = update.clock;
         bounds::clock(&mut self.clock, &mut self.left_out);
         for live in update.pipelines {
@@ -179,37 +123,30 @@ impl Host {
 
     /// What the database now holds of it.
     pub(super) fn store(&mut self, stored: Stored, newest: Option<WallTime>) {
-        self.stored = Stored { duplicates: self.stored.duplicates, ..stored };
-        self.newest_stored = self.newest_stored.max(newest);
+        self.events.store(stored, newest);
         self.picture = None;
     }
 
     /// Whether the database holds events of it.
     pub(super) fn has_stored(&self) -> bool {
-        self.stored.events > 0
+        self.events.stored().events > 0
     }
 
     /// What the database was last said to hold of it.
     pub(super) fn stored(&self) -> Stored {
-        self.stored
+        self.events.stored()
     }
 
     /// A batch of it came again.
     pub(super) fn duplicate(&mut self) {
-        self.stored.duplicates += 1;
+        self.events.add_duplicate();
         self.picture = None;
     }
 
     /// A batch of it came and was not taken.
     pub(super) fn arrived(&mut self, count: impl FnOnce(&mut Arrivals)) {
-        count(&mut self.arrivals);
+        self.events.add_arrival(count);
         self.picture = None;
-    }
-
-    /// How far storing is behind measuring, by the host's own clock.
-    fn behind(&self) -> Option<Span> {
-        let oldest = self.accounting.oldest.filter(|_| self.accounting.waiting > 0);
-        self.sent.zip(oldest).map(|(sent, oldest)| (sent - oldest).max(Span::ZERO))
     }
 
     /// The store gave a run its number.
@@ -226,7 +163,7 @@ impl Host {
     /// Lets time pass; whether that changed anything to be seen.
     pub(super) fn age(&mut self, now: Stamp, forget: Span) -> bool {
         let mut changed = false;
-        if self.is_connected() && now.mono - self.seen.mono > CONNECTED_WITHIN {
+        if self.presence.is_overdue(now.mono) {
             self.lose();
             changed = true;
         }
@@ -242,7 +179,7 @@ impl Host {
 
     /// When it was last heard of.
     pub(super) fn seen(&self) -> MonoTime {
-        self.seen.mono
+        self.presence.seen().mono
     }
 
     /// Its name, for the order of the picture.
@@ -259,19 +196,19 @@ impl Host {
             id: self.description.id,
             description: self.description.clone(),
             connected: self.is_connected(),
-            left: self.presence == Presence::Left && self.accounting.waiting == 0,
-            last_seen: self.seen.wall,
-            clock_ahead: self.sent.map_or(Span::ZERO, |sent| sent - self.seen.wall),
-            behind: self.behind(),
+            left: self.presence.has_left() && self.events.accounting().waiting == 0,
+            last_seen: self.presence.seen().wall,
+            clock_ahead: self.presence.clock_ahead(),
+            behind: self.events.behind(self.presence.sent()),
             // A host that is away stores nothing, however fast it did.
-            catching_up: self.lag.catching_up().filter(|_| self.is_connected()),
+            catching_up: self.events.lag().catching_up().filter(|_| self.is_connected()),
             clock: self.clock.clone(),
-            metrics: self.metrics.clone(),
-            history: self.history.iter().cloned().collect(),
-            accounting: self.accounting.clone(),
-            stored: self.stored,
-            arrivals: self.arrivals,
-            newest_stored: self.newest_stored,
+            metrics: self.metrics.current().clone(),
+            history: self.metrics.points(),
+            accounting: self.events.accounting().clone(),
+            stored: self.events.stored(),
+            arrivals: self.events.arrivals(),
+            newest_stored: self.events.newest_stored(),
             live_left_out: self.left_out,
         });
         self.picture = Some(Arc::clone(&picture));
@@ -292,7 +229,7 @@ impl Host {
 
     /// Its links as they are shown, by the cloud's name.
     pub(super) fn links(&mut self) -> Vec<Arc<LinkPicture>> {
-        let last = self.is_connected().then_some(self.seen.mono);
+        let last = self.is_connected().then_some(self.presence.seen().mono);
         let mut links: Vec<(&HostId, &mut Link)> = self.links.iter_mut().collect();
         links.sort_by(|(a, x), (b, y)| (x.cloud(), a).cmp(&(y.cloud(), b)));
         let drawn = links

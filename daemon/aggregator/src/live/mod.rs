@@ -7,9 +7,12 @@
 pub(crate) mod bounds;
 mod catching_up;
 mod cell;
+mod event_account;
 mod host;
 mod link;
+mod metrics_history;
 mod pipeline;
+mod presence;
 pub(crate) mod task;
 #[cfg(test)]
 mod tests;

@@ -1,91 +1,55 @@
 //! The connection to the aggregator: the greeting, the comparison of what both ends know, and the frames.
 
-use peernet_clock::{MonoTime, Span, Stamp};
+use peernet_clock::{MonoTime, Stamp};
 
-use super::super::{Chain, Hello, Nonce, PROTOCOL, Proof, StreamId, ToAgent, ToAggregator, codec};
-use super::skim::{Skim, Skimmed};
-use super::{Notice, Reached, Sending};
+use super::super::{Chain, Hello, Nonce, PROTOCOL, Proof, ToAgent, ToAggregator, codec};
+use super::session::{Link, ScanPurpose, Welcome};
+use super::spool_reader::{LoadPurpose, ScanResult};
+use super::{Notice, Sending};
+use crate::spool::SpooledBatch;
+use crate::totals::Reached;
 use peernet_logger::Slug;
-
-/// Greetings without any progress that follow one another at once; later ones wait, each longer than the one before.
-const PROMPT_GREETINGS: u32 = 3;
-
-/// How far the connection has come.
-#[derive(Clone, Debug)]
-pub(super) enum Link {
-    /// There is none.
-    Down,
-    /// A hello is due at `again`; `pause` passes before the one after.
-    Greeting { again: MonoTime, pause: Span },
-    /// Welcomed; the file is read to compare what both ends know.
-    Comparing { skim: Skim, then: Then },
-    /// Taken in; batch `next` is the next to go. `heard` is when there last was progress.
-    Up { next: u64, heard: MonoTime },
-}
-
-/// What the file is read for.
-#[derive(Clone, Debug)]
-pub(super) enum Then {
-    /// For the chain of the batch that the aggregator has.
-    Compare(Welcome),
-    /// For what is taken as stored before the stream is left.
-    Leave,
-}
-
-/// What the aggregator says it has.
-#[derive(Clone, Debug)]
-pub(super) struct Welcome {
-    aggregator: Slug,
-    stored: u64,
-    chain: Option<Chain>,
-    /// Who sent that batch.
-    process: Option<u64>,
-}
 
 impl Sending {
     /// The transport has a connection.
     pub fn connected(&mut self, now: MonoTime) {
-        self.greetings = 0;
-        self.asked.0 = 0;
-        self.flow.restart();
-        self.greet_again(now);
+        self.lane.restart();
+        self.lane.take_back();
+        self.session.connect(now);
     }
 
     /// The transport has none. Batches under way count as not sent.
     pub fn disconnected(&mut self) {
-        self.link = Link::Down;
-        self.take_back();
+        self.session.disconnect();
+        self.lane.take_back();
     }
 
     /// A message came.
     pub fn received(&mut self, message: &ToAgent, now: Stamp) -> Option<Notice> {
         match message {
-            _ if matches!(self.link, Link::Down) => {}
+            _ if matches!(self.session.link, Link::Down) => {}
             // Answers to what was sent in a stream that has been left since, or is being left.
             ToAgent::Challenge { stream, .. }
             | ToAgent::Welcome { stream, .. }
             | ToAgent::Ack { stream, .. }
             | ToAgent::Resend { stream, .. }
-                if *stream != self.backlog.stream || self.renewal.is_some() => {}
+                if *stream != self.spooler.backlog.origin.stream || self.renewal.is_wanted() => {}
             ToAgent::Challenge { aggregator, nonce, enrol, .. } => {
                 self.challenged(aggregator, nonce, *enrol, now.mono);
             }
             ToAgent::Welcome { aggregator, stored, chain, process, window, .. } => {
                 self.answered(now.mono);
                 let (aggregator, chain, process) = (aggregator.clone(), *chain, *process);
-                self.allowed(*window);
+                self.lane.allowed(*window);
                 self.welcomed(Welcome { aggregator, stored: *stored, chain, process }, now);
             }
             ToAgent::Ack { through, window, .. } => {
-                self.allowed(*window);
+                self.lane.allowed(*window);
                 self.acknowledged_through(*through, now);
             }
             ToAgent::Resend { from, .. } => self.asked_again(*from, now.mono),
             ToAgent::Echo { bytes } => {
-                self.flow.echoed(*bytes, now.mono);
-                if self.flow.is_slow() {
-                    self.pace.is_slow();
-                }
+                self.lane.echoed(*bytes, now.mono);
             }
             ToAgent::Refused { reason } => self.refused(reason, now.mono),
             ToAgent::Unknown if self.is_up() => self.greet_again(now.mono),
@@ -96,40 +60,36 @@ impl Sending {
 
     /// The frame to send now, if there is one.
     pub(super) fn frame(&mut self, now: MonoTime) -> Option<Vec<u8>> {
-        if let Some(proof) = self.proof.take() {
+        if let Some(proof) = self.session.take_proof() {
             return Some(proof);
         }
-        match self.link {
-            Link::Greeting { again, pause } if now >= again && self.renewal.is_none() => {
-                self.link = Link::Greeting { again: now + pause, pause: self.longer(pause) };
-                self.asked = (self.asked.0.saturating_add(1), now);
-                Some(codec::encode(&ToAggregator::Hello(self.hello())))
-            }
-            Link::Up { next, heard } => self.durable(next, heard, now),
-            _ => None,
+        if !self.renewal.is_wanted() && self.session.take_hello(now) {
+            return Some(codec::encode(&ToAggregator::Hello(self.hello())));
         }
+        let Link::Up { next, heard } = self.session.link else { return None };
+        let output = self.lane.next(next, &mut self.spooler, self.host.id, now);
+        if output.begins {
+            // Patience begins when there is something to wait for.
+            let idle = next == self.spooler.backlog.oldest();
+            self.session.link = Link::Up { next: next + 1, heard: if idle { now } else { heard } };
+        }
+        output.frame
     }
 
-    /// What is under way counts as not sent.
-    fn take_back(&mut self) {
-        self.under_way.lost(0);
-        (self.rest, self.proof) = (None, None);
-        self.pace.interrupted();
-    }
-
-    /// The aggregator answered a greeting. Which one of several is not known.
+    /// The aggregator answered a greeting.
     fn answered(&mut self, now: MonoTime) {
-        if let (1, at) = std::mem::take(&mut self.asked) {
-            self.flow.round_trip(now - at, now);
+        if let Some(took) = self.session.answered(now) {
+            self.lane.round_trip(took, now);
         }
     }
 
     /// When the link has something to do without anything else happening.
     pub(super) fn link_deadline(&self) -> Option<MonoTime> {
-        match self.link {
-            Link::Greeting { again, .. } => self.renewal.is_none().then_some(again),
-            _ => self.patience_ends().into_iter().chain(self.flow.remind_at().filter(|_| self.is_up())).min(),
+        if let Some(again) = self.session.hello_at() {
+            return (!self.renewal.is_wanted()).then_some(again);
         }
+        let reminder = self.lane.remind_at().filter(|_| self.is_up());
+        self.patience_ends().into_iter().chain(reminder).min()
     }
 
     /// Greets again when nothing was acknowledged for too long.
@@ -140,61 +100,41 @@ impl Sending {
     }
 
     fn patience_ends(&self) -> Option<MonoTime> {
-        match self.link {
-            // What is on a slow link is not lost while it arrives bit by bit.
-            Link::Up { next, heard } if next > self.backlog.oldest() => {
-                Some(heard.max(self.flow.progress()) + self.config.patience)
-            }
-            _ => None,
-        }
+        self.session.patience_ends(self.spooler.backlog.oldest(), self.lane.progress())
     }
 
     /// Says hello: at once, unless that led to nothing several times.
     pub(super) fn greet_again(&mut self, now: MonoTime) {
-        let first = self.config.first_pause;
-        if let Link::Up { heard, .. } = self.link
-            && now - heard > self.config.longest_pause
-        {
-            // It held for long.
-            self.greetings = 0;
-        }
-        let idle = self.greetings.saturating_sub(PROMPT_GREETINGS);
-        let wait = (0..idle.min(16)).fold(Span::ZERO, |wait, _| self.longer(wait.max(first)));
-        self.greetings = self.greetings.saturating_add(1);
-        self.take_back();
-        self.link = Link::Greeting { again: now + wait, pause: first.max(wait) };
-    }
-
-    fn longer(&self, pause: Span) -> Span {
-        (pause + pause).min(self.config.longest_pause.max(self.config.refused_pause))
+        self.lane.take_back();
+        self.session.greet_again(now);
     }
 
     fn hello(&self) -> Hello {
-        let (_, before) = self.backlog.acknowledged();
+        let (_, before) = self.spooler.backlog.acknowledged();
         Hello {
             protocol: PROTOCOL,
             host: self.host.clone(),
-            stream: self.backlog.stream,
-            previous: self.backlog.previous,
-            first: self.backlog.first,
-            oldest: self.backlog.oldest(),
+            stream: self.spooler.backlog.origin.stream,
+            previous: self.spooler.backlog.origin.previous,
+            first: self.spooler.backlog.origin.first,
+            oldest: self.spooler.backlog.oldest(),
             before,
-            events_before_oldest: self.stored,
-            events_before_first: self.backlog.events_before_first,
+            events_before_oldest: self.spooler.backlog.stored(),
+            events_before_first: self.spooler.backlog.origin.events_before_first,
             batch_bytes: u32::try_from(self.config.batch_bytes).unwrap_or(u32::MAX),
-            process: self.process,
+            process: self.spooler.process(),
         }
     }
 
     /// The aggregator asks for the proof that this host is who it says it is.
     fn challenged(&mut self, aggregator: &Slug, nonce: &Nonce, enrol: bool, now: MonoTime) {
-        let Link::Greeting { pause, .. } = self.link else { return };
+        if !self.session.challenged(now) {
+            return;
+        }
         self.answered(now);
-        // What the proof leads to takes another round trip.
-        self.link = Link::Greeting { again: now + pause, pause };
         let code = self.secret.prove(nonce, &self.hello(), aggregator);
         let secret = enrol.then(|| self.secret.clone());
-        self.proof = Some(codec::encode(&ToAggregator::Proof(Proof {
+        self.session.prove(codec::encode(&ToAggregator::Proof(Proof {
             host: self.host.id,
             nonce: *nonce,
             code,
@@ -205,61 +145,51 @@ impl Sending {
         }
     }
 
-    fn allowed(&mut self, window: u32) {
-        self.window = window.clamp(1, self.config.window.max(1));
-    }
-
     fn refused(&mut self, reason: &str, now: MonoTime) {
-        let pause = match self.link {
-            Link::Greeting { pause, .. } => pause.max(self.config.refused_pause),
-            _ => self.config.refused_pause,
-        };
-        self.link = Link::Greeting { again: now + pause, pause: self.longer(pause) };
+        self.session.refused(now);
         self.notices.push_back(Notice::Refused(reason.to_owned()));
     }
 
     fn asked_again(&mut self, from: u64, now: MonoTime) {
-        let Link::Up { next, heard } = self.link else { return };
-        if from < self.backlog.oldest() {
+        let Link::Up { next, heard } = self.session.link else { return };
+        if from < self.spooler.backlog.oldest() {
             // It lacks what is no longer here: the hello tells it so, and it records the gap.
             self.greet_again(now);
         } else {
-            self.link = Link::Up { next: next.min(from), heard };
-            self.under_way.lost(from);
-            self.rest.take_if(|rest| rest.number() >= from);
+            self.session.link = Link::Up { next: next.min(from), heard };
+            self.lane.lost(from);
         }
     }
 
     fn acknowledged_through(&mut self, through: u64, now: Stamp) {
-        let Link::Up { next, .. } = self.link else { return };
-        if through > self.backlog.sent() {
+        let Link::Up { next, .. } = self.session.link else { return };
+        if through > self.spooler.backlog.sent() {
             // Nobody can have stored what was not sent: the greeting finds out what there is.
             self.greet_again(now.mono);
-        } else if through >= self.backlog.oldest() {
-            self.greetings = 0;
-            self.link = Link::Up { next: next.max(through + 1), heard: now.mono };
+        } else if through >= self.spooler.backlog.oldest() {
+            self.session.progressed(next.max(through + 1), now.mono);
             self.acknowledged(through, None, now);
-            self.pass_hole(now);
+            self.pass_gap(now);
         }
     }
 
     /// The aggregator has batches up to a number. Ours of that number must be the same.
     fn welcomed(&mut self, mut welcome: Welcome, now: Stamp) {
-        welcome.stored = welcome.stored.max(self.backlog.first - 1);
-        let (acknowledged, _) = self.backlog.acknowledged();
-        match self.link {
+        welcome.stored = welcome.stored.max(self.spooler.backlog.origin.first - 1);
+        let (acknowledged, _) = self.spooler.backlog.acknowledged();
+        match self.session.link {
             Link::Greeting { .. } => {}
             // The answer to a second hello that was on its way.
             Link::Up { .. } if welcome.stored > acknowledged => {
-                return match self.backlog.chain(welcome.stored) {
+                return match self.spooler.backlog.chain(welcome.stored) {
                     ours if ours == welcome.chain => self.acknowledged_through(welcome.stored, now),
                     _ => self.greet_again(now.mono),
                 };
             }
             _ => return,
         }
-        self.resolve_earlier(welcome.stored, welcome.process);
-        if welcome.stored > self.backlog.newest() {
+        self.spooler.resolve_earlier(welcome.stored, welcome.process);
+        if welcome.stored > self.spooler.backlog.newest() {
             return self.leave(&welcome, now);
         }
         if welcome.stored < acknowledged {
@@ -268,29 +198,29 @@ impl Sending {
                 false => self.leave(&welcome, now),
             };
         }
-        match self.known(welcome.stored) {
-            Some((chain, skimmed)) => self.judge(welcome, Some(chain), skimmed, now),
+        match self.spooler.backlog.known(welcome.stored) {
+            Some((chain, scanned)) => self.judge(welcome, Some(chain), scanned, now),
             None => {
-                let skim = self.skim_to(welcome.stored);
-                self.link = Link::Comparing { skim, then: Then::Compare(welcome) };
+                let scan = self.spooler.backlog.scan_to(welcome.stored);
+                self.session.link = Link::Comparing { scan, purpose: ScanPurpose::Compare(welcome) };
             }
         }
     }
 
     /// The file was read up to `through`; nothing is said of it when that batch was not in it.
-    pub(super) fn compared(&mut self, through: u64, skimmed: Option<Skimmed>, then: Then, now: Stamp) {
-        match then {
-            Then::Compare(welcome) => {
-                let chain = match skimmed {
+    fn compared(&mut self, through: u64, scanned: Option<ScanResult>, purpose: ScanPurpose, now: Stamp) {
+        match purpose {
+            ScanPurpose::Compare(welcome) => {
+                let chain = match scanned {
                     Some((_, chain)) if welcome.stored == through => Some(chain),
-                    Some(_) => self.backlog.chain(welcome.stored),
+                    Some(_) => self.spooler.backlog.chain(welcome.stored),
                     None => None,
                 };
-                self.judge(welcome, chain, skimmed, now);
+                self.judge(welcome, chain, scanned, now);
             }
-            Then::Leave => {
-                if skimmed.is_some() {
-                    self.acknowledged(through, skimmed, now);
+            ScanPurpose::Leave => {
+                if scanned.is_some() {
+                    self.acknowledged(through, scanned, now);
                 }
                 self.renew_stream(now.mono);
             }
@@ -298,13 +228,13 @@ impl Sending {
     }
 
     /// Goes on when the aggregator's last batch is ours, of which the chain is `ours`.
-    fn judge(&mut self, welcome: Welcome, ours: Option<Chain>, skimmed: Option<Skimmed>, now: Stamp) {
-        let (acknowledged, _) = self.backlog.acknowledged();
-        let nothing_to_compare =
-            welcome.stored < self.backlog.first || welcome.stored == acknowledged && welcome.chain.is_none();
+    fn judge(&mut self, welcome: Welcome, ours: Option<Chain>, scanned: Option<ScanResult>, now: Stamp) {
+        let (acknowledged, _) = self.spooler.backlog.acknowledged();
+        let nothing_to_compare = welcome.stored < self.spooler.backlog.origin.first
+            || welcome.stored == acknowledged && welcome.chain.is_none();
         if nothing_to_compare || ours.is_some() && ours == welcome.chain {
             if welcome.stored > acknowledged {
-                self.acknowledged(welcome.stored, skimmed, now);
+                self.acknowledged(welcome.stored, scanned, now);
             }
             self.taken_in(welcome, false, now);
         } else {
@@ -317,15 +247,17 @@ impl Sending {
     fn has_sent(&self, welcome: &Welcome) -> bool {
         let by =
             |reached: &Reached| Some(reached.process) == welcome.process && reached.number >= welcome.stored;
-        welcome.chain.is_none() || welcome.process == Some(self.process) || self.reached_before.iter().any(by)
+        welcome.chain.is_none()
+            || welcome.process == Some(self.spooler.process())
+            || self.renewal.reached_before().iter().any(by)
     }
 
     fn taken_in(&mut self, welcome: Welcome, lacks: bool, now: Stamp) {
-        self.met = true;
-        self.link = Link::Up { next: self.backlog.oldest(), heard: now.mono };
+        self.spooler.meet();
+        self.session.link = Link::Up { next: self.spooler.backlog.oldest(), heard: now.mono };
         let Welcome { aggregator, stored, .. } = welcome;
         self.notices.push_back(Notice::Welcomed { aggregator, stored, lacks });
-        self.pass_hole(now);
+        self.pass_gap(now);
     }
 
     /// The aggregator's stream is not ours any more.
@@ -335,26 +267,93 @@ impl Sending {
     /// came into the spool later was never stored. When that batch came from another process, the spool is a copy of
     /// unknown age, and everything that is held is sent: rather twice, in two streams, than not at all.
     fn leave(&mut self, welcome: &Welcome, now: Stamp) {
-        let (stored, newest) = (welcome.stored, self.backlog.newest());
+        let (stored, newest) = (welcome.stored, self.spooler.backlog.newest());
         self.notices.push_back(Notice::StreamRenewed { stored, newest });
-        let reached = self.reached_before.iter().find(|reached| Some(reached.process) == welcome.process);
+        let reached =
+            self.renewal.reached_before().iter().find(|reached| Some(reached.process) == welcome.process);
         // An aggregator that has less than that, and something else, contradicts itself.
         let common =
             reached.filter(|reached| stored > reached.number).map_or(0, |reached| reached.number.min(newest));
-        if common < self.backlog.oldest() {
+        if common < self.spooler.backlog.oldest() {
             return self.renew_stream(now.mono);
         }
-        match self.known(common) {
-            Some((_, skimmed)) => {
-                self.acknowledged(common, skimmed, now);
+        match self.spooler.backlog.known(common) {
+            Some((_, scanned)) => {
+                self.acknowledged(common, scanned, now);
                 self.renew_stream(now.mono);
             }
-            None => self.link = Link::Comparing { skim: self.skim_to(common), then: Then::Leave },
+            None => {
+                let scan = self.spooler.backlog.scan_to(common);
+                self.session.link = Link::Comparing { scan, purpose: ScanPurpose::Leave };
+            }
         }
     }
 
     fn renew_stream(&mut self, now: MonoTime) {
-        self.renewal = Some(StreamId::random());
+        self.renewal.want();
         self.greet_again(now);
+    }
+
+    /// Batches came from the spool that were asked for.
+    pub(super) fn read(&mut self, loading: LoadPurpose, batches: Vec<SpooledBatch>, now: Stamp) {
+        match loading {
+            LoadPurpose::Scan(from) => self.scanned(from, &batches, now),
+            LoadPurpose::Probe(from) => {
+                if self.reader.probed(from, &batches, &self.spooler.backlog) {
+                    self.pass_gap(now);
+                }
+            }
+            LoadPurpose::Ahead(from) => self.read_ahead(from, batches, now),
+        }
+    }
+
+    /// Batches came that are to be sent.
+    fn read_ahead(&mut self, from: u64, batches: Vec<SpooledBatch>, now: Stamp) {
+        let backlog = &mut self.spooler.backlog;
+        let expected = from == backlog.unknown() && from <= backlog.spooled();
+        // Stored over there meanwhile, or about to be counted.
+        if !expected || self.session.is_comparing() {
+            return;
+        }
+        if backlog.loaded(batches) == 0 {
+            self.reader.open_gap(from + 1, backlog);
+            self.pass_gap(now);
+        }
+        self.spooler.settle(now);
+    }
+
+    /// Batches came that are to be counted.
+    fn scanned(&mut self, from: u64, batches: &[SpooledBatch], now: Stamp) {
+        let Link::Comparing { scan, .. } = &mut self.session.link else { return };
+        if !scan.count(from, batches) {
+            return;
+        }
+        let link = std::mem::replace(&mut self.session.link, Link::Down);
+        if let Link::Comparing { scan, purpose } = link {
+            self.compared(scan.through(), scan.result(), purpose, now);
+        }
+    }
+
+    /// Goes on behind a gap in the spool when everything before it is stored over there.
+    fn pass_gap(&mut self, now: Stamp) {
+        if self.session.is_comparing() {
+            return;
+        }
+        let Some((resume, before)) = self.reader.pass_gap(&self.spooler.backlog) else { return };
+        self.spooler.skip_to(resume, before, now.mono);
+        if self.is_up() {
+            self.greet_again(now.mono);
+        }
+        self.spooler.settle(now);
+    }
+
+    /// All batches up to and including `through` are stored over there.
+    fn acknowledged(&mut self, through: u64, scanned: Option<ScanResult>, now: Stamp) {
+        if scanned.is_some() {
+            // It was passed, or is found again.
+            self.reader.forget_gap();
+        }
+        self.spooler.acknowledged(through, scanned, now);
+        self.lane.acknowledged(through, now.mono);
     }
 }

@@ -1,25 +1,26 @@
 //! The outbox task: between the feed, the sending end of the event stream, the spool, and the connection.
 
-mod account;
-mod giving_up;
-mod hearing;
-mod lanes;
+mod event_intake;
+mod live_lane;
+mod reactions;
 
 use std::collections::VecDeque;
 use std::pin::pin;
 use std::time::Duration;
 
-use peernet_clock::{MonoTime, SharedClock, Span};
+use peernet_clock::SharedClock;
 use peernet_networks::Address;
 use peernet_stream::{Accounting, Sending};
 use tokio::sync::{oneshot, watch};
 use tokio::time::{Instant, MissedTickBehavior};
 
+use self::event_intake::EventIntake;
+use self::live_lane::LiveLane;
 use super::farewell::Farewell;
 use super::line::{Happened, Line};
 use super::live_sources::LiveSources;
 use super::reports::Reports;
-use super::spool::SpoolTask;
+use super::spool::{Done, Order, SpoolTask};
 use crate::feed::Exit;
 use crate::live;
 use crate::pauses::Pauses;
@@ -28,9 +29,6 @@ use crate::runs::Runs;
 /// How often the feed is emptied while events come. Looking is cheaper than being woken for each event, above all for
 /// the pipeline that would have to do the waking.
 const LOOK: Duration = Duration::from_millis(20);
-
-/// Without an event for so long, the next one wakes the task, and looks cost nothing until then.
-const QUIET: Span = Span::from_millis(500);
 
 /// How long an aggregator may take to answer the hello; its machine may be busy, but not for this long.
 const WELCOME: Duration = Duration::from_secs(5);
@@ -46,20 +44,13 @@ const CLOSING: Duration = Duration::from_secs(2);
 pub(super) struct Sender {
     machine: Sending,
     spool: SpoolTask,
-    exit: Exit,
-    live: LiveSources,
+    intake: EventIntake,
+    live: LiveLane,
     accounting: watch::Sender<Accounting>,
     clock: SharedClock,
-    runs: Runs,
     reports: Reports,
-    /// When the feed last held an event.
-    fed: MonoTime,
     /// Frames that the connection had no room for: a window of batches at most.
     held: VecDeque<Vec<u8>>,
-    /// A live update is due.
-    due: bool,
-    /// It waits for room on the connection, not for the way to be free.
-    blocked: bool,
     /// The last try to reach the aggregator failed.
     away: bool,
 }
@@ -74,8 +65,9 @@ impl Sender {
         clock: SharedClock,
         (runs, live): (Runs, LiveSources),
     ) -> Self {
-        let (fed, held, due, blocked, away) = (clock.mono(), VecDeque::new(), false, false, false);
-        Self { machine, spool, exit, live, accounting, clock, runs, reports, fed, held, due, blocked, away }
+        let intake = EventIntake::new(exit, runs, clock.mono());
+        let (live, held) = (LiveLane::new(live), VecDeque::new());
+        Self { machine, spool, intake, live, accounting, clock, reports, held, away: false }
     }
 
     /// Sends until it is told to stop, and by when: then what is left is made safe, and sent as long as it is taken.
@@ -101,8 +93,8 @@ impl Sender {
         let mut unanswered = false;
         let mut line = Line::dial(&address, Duration::ZERO);
         loop {
-            let blocked = self.due && self.blocked || !self.held.is_empty();
-            let quiet = self.clock.mono() - self.fed >= QUIET;
+            let blocked = self.live.is_blocked() || !self.held.is_empty();
+            let quiet = self.intake.is_quiet(self.clock.mono());
             tokio::select! {
                 biased;
                 deadline = &mut stopping, if farewell.is_none() => {
@@ -110,8 +102,8 @@ impl Sender {
                     self.take();
                 }
                 _ = shows.tick() => {
-                    self.due = true;
-                    self.exit.counter.keep();
+                    self.live.fall_due();
+                    self.intake.keep_counter();
                     self.take();
                 }
                 done = self.spool.done() => {
@@ -152,8 +144,8 @@ impl Sender {
                     line = Line::dial(&address, pauses.grow());
                 }
                 _ = looks.tick(), if !quiet => self.take(),
-                Some(event) = self.exit.queue.recv(), if quiet => {
-                    self.offer(&event, self.clock.stamp());
+                Some(event) = self.intake.next(), if quiet => {
+                    self.intake.offer(&mut self.machine, &event, self.clock.stamp());
                     self.take();
                 }
                 () = &mut alarm, if farewell.is_some() => {}
@@ -176,11 +168,16 @@ impl Sender {
         Ok(())
     }
 
+    /// Empties the feed, and lets time pass for the machine.
+    fn take(&mut self) {
+        self.intake.drain(&mut self.machine, self.clock.stamp());
+    }
+
     /// There is no connection.
     fn lost(&mut self) {
         self.machine.disconnected();
         self.held.clear();
-        (self.due, self.blocked) = (false, false);
+        self.live.reset();
         self.away = true;
     }
 
@@ -204,12 +201,83 @@ impl Sender {
         self.publish();
         match tokio::time::timeout_at(closed, self.spool.close()).await {
             Ok(Ok(())) => {
-                if self.exit.counter.all() == Some(self.machine.settled_events()) {
-                    self.exit.counter.remove();
-                }
+                self.intake.remove_counter(self.machine.settled_events());
             }
             Ok(Err(reason)) => tracing::warn!("{reason}"),
             Err(_) => tracing::warn!("not waited for: the spool's disk takes long to close it"),
+        }
+    }
+
+    /// What is said when everything has ended: how it ended, and goodbye. The aggregator hears of this host no more, and
+    /// shows for good what it heard last.
+    fn last_words(&mut self) -> Vec<Vec<u8>> {
+        let update = || self.live.update(&self.machine, self.clock.wall(), self.count()).0;
+        let update = self.machine.is_up().then(update);
+        update.into_iter().chain(self.machine.goodbye()).collect()
+    }
+
+    /// What is in memory only is lost with it; how much that is goes into the spool, for the next start to tell.
+    async fn give_up(&mut self, by: Instant) {
+        if self.machine.is_spooled() {
+            return;
+        }
+        self.take();
+        if self.machine.is_appending() {
+            // It may still get there.
+            let appended = self.appended(by).await;
+            self.spooled(Done::Appended(appended));
+        }
+        if self.machine.is_spooled() {
+            return;
+        }
+        let counted = self.intake.is_counted();
+        let unsafe_events = self.machine.unspooled_events();
+        if counted && self.machine.has_sent_unspooled() {
+            // What of it is stored is asked of the aggregator: to write that all is lost would be wrong.
+            tracing::warn!(
+                events = unsafe_events,
+                "stopped before these events were in the spool or known to be stored; after the next start a gap will say \
+                 which are lost"
+            );
+            return;
+        }
+        let dropped = self.machine.accounting().dropped;
+        let totals = self.machine.give_up();
+        let events = totals.dropped - dropped;
+        let order = Order::Append { batches: Vec::new(), totals };
+        let kept = match self.spool.order(order) {
+            Ok(()) => self.appended(by).await,
+            refused => refused,
+        };
+        match kept {
+            Ok(()) => tracing::warn!(
+                events,
+                "stopped before these events were in the spool or stored: they are lost, and a gap will say so after \
+                 the next start"
+            ),
+            Err(reason) if counted => tracing::warn!(
+                events,
+                %reason,
+                "stopped before these events were in the spool or stored: they are lost, and a gap will say so after \
+                 the next start"
+            ),
+            Err(reason) => tracing::error!(
+                events,
+                %reason,
+                "stopped before these events were in the spool or stored: they are lost, and no gap will say so"
+            ),
+        }
+    }
+
+    /// What becomes of the write to the spool that is under way.
+    async fn appended(&mut self, by: Instant) -> Result<(), String> {
+        loop {
+            match tokio::time::timeout_at(by, self.spool.done()).await {
+                Ok(Some(Done::Appended(appended))) => return appended,
+                Ok(Some(_)) => {}
+                Ok(None) => return Err("the spool's task ended".to_owned()),
+                Err(_) => return Err("the spool's disk takes long".to_owned()),
+            }
         }
     }
 }

@@ -17,7 +17,7 @@ fn backlog(batches: usize) -> Agent {
 
 /// Bytes of bodies in memory.
 fn in_memory(agent: &Agent) -> u64 {
-    agent.sending.backlog.held().bytes - agent.sending.backlog.filed().bytes
+    agent.sending.spooler.backlog.held().bytes - agent.sending.spooler.backlog.filed().bytes
 }
 
 #[test]

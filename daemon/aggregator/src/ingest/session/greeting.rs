@@ -5,13 +5,13 @@ use peernet_logger::HostId;
 use peernet_networks::Peer;
 use peernet_stream::{Greeting, Hello, HostSecret, Nonce, Proof, Proven, Receiving, ToAgent};
 
-use super::Desk;
+use super::IngestSession;
 use crate::ingest::queue::Incoming;
 use crate::live::{News, bounds};
 use crate::picture::RefusedHost;
 use peernet_store::writing::{Introduction, Work};
 
-impl Desk {
+impl IngestSession {
     /// Somebody says that it is a host. Nothing of that host changes before this is proven.
     pub(super) fn hello(&mut self, from: &Peer, mut hello: Hello, now: Stamp) {
         let host = hello.host.id;
@@ -26,7 +26,7 @@ impl Desk {
         }
         let enrol = self.hosts.secret(host).is_none();
         let reply = self.challenges.challenge(from.connection, hello, enrol, Nonce::random(), now.mono);
-        self.replies.push((from.connection, reply));
+        self.output.reply(from.connection, reply);
     }
 
     pub(super) fn proof(&mut self, from: &Peer, proof: Proof, now: Stamp) {
@@ -47,9 +47,7 @@ impl Desk {
                 self.refuse(from, &hello, wrong_secret(host), now);
             }
             Proven::Unasked => {
-                self.untaken.strangers += 1;
-                self.news.push(News::Stranger);
-                self.replies.push((from.connection, ToAgent::Unknown));
+                self.output.reject_stranger(from.connection);
             }
         }
     }
@@ -63,12 +61,12 @@ impl Desk {
         }
         // Without room for what follows from it, a greeting counts as lost; the agent repeats it.
         let (Some(greeting), Some(hole)) = (self.queue.place(0), self.queue.place(0)) else {
-            self.untaken.deferred += 1;
+            self.output.defer_greeting();
             return;
         };
-        let known = self.streams.known(&hello, self.hosts.seniority(host));
+        let known = self.store.streams.known(&hello, self.hosts.seniority(host));
         // A welcome acknowledges what the stream's mark says, and whether that will be there is not known now.
-        if !self.is_database_open && known.mark.is_some_and(|mark| hello.oldest <= mark.stored) {
+        if !self.store.is_open() && known.mark.is_some_and(|mark| hello.oldest <= mark.stored) {
             return;
         }
         match self.receiving.hello(&hello, known, now.mono) {
@@ -116,7 +114,7 @@ impl Desk {
                         Some(missing) => hole.put(Incoming::Work(Work::Missing(missing)), now.mono),
                         None => drop(hole),
                     }
-                    self.streams.came(host, stream);
+                    self.store.streams.came(host, stream);
                     None
                 } else {
                     drop((greeting, hole));
@@ -131,8 +129,8 @@ impl Desk {
                     self.forget_newcomer(displaced);
                 }
                 self.routes.enter(host, from.connection);
-                self.replies.push((from.connection, reply));
-                self.news.push(News::Hello(Box::new(description), process));
+                self.output.reply(from.connection, reply);
+                self.output.announce(News::Hello(Box::new(description), process));
             }
             Greeting::Refused { reason, .. } => {
                 drop((greeting, hole));
@@ -149,9 +147,9 @@ impl Desk {
             let (host, id) = (&hello.host.name, &hello.host.id);
             tracing::warn!(%host, %id, address, %reason, times, "a host was refused");
         }
-        self.replies.push((from.connection, ToAgent::Refused { reason: reason.clone() }));
+        self.output.reply(from.connection, ToAgent::Refused { reason: reason.clone() });
         let refused = RefusedHost { name: hello.host.name.clone(), address, reason, at: now.wall };
-        self.news.push(News::Refused(refused));
+        self.output.announce(News::Refused(refused));
     }
 }
 

@@ -5,15 +5,15 @@ use bytes::Bytes;
 use super::super::codec::{self, PART_HEAD_BYTES, Part};
 use peernet_logger::HostId;
 
-/// What is left of a batch's frame.
+/// What is left of the frame of a batch that is sent in parts.
 #[derive(Clone, Debug)]
-pub(super) struct Rest {
+pub(super) struct PartialBatch {
     number: u64,
     frame: Bytes,
     offset: usize,
 }
 
-impl Rest {
+impl PartialBatch {
     /// All of it.
     pub(super) const fn new(number: u64, frame: Bytes) -> Self {
         Self { number, frame, offset: 0 }

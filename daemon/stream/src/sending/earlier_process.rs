@@ -2,11 +2,10 @@
 
 use super::super::unresolved::Resolved;
 use super::super::{Gap, SentUnspooled, Totals, Unresolved};
-use super::Sending;
 
 /// From the start to the aggregator's first word it is unresolved; then the spool is told, and after that losses are reported.
 #[derive(Clone, Debug)]
-pub(super) struct Earlier {
+pub(super) struct EarlierProcess {
     unresolved: Option<Unresolved>,
     /// What the totals of the spool have more than those counted here.
     resolved: Resolved,
@@ -14,7 +13,7 @@ pub(super) struct Earlier {
     unwritten: Option<Vec<Gap>>,
 }
 
-impl Earlier {
+impl EarlierProcess {
     pub(super) fn new(unresolved: Option<Unresolved>) -> Self {
         Self { unresolved, resolved: Resolved::default(), unwritten: None }
     }
@@ -41,21 +40,21 @@ impl Earlier {
             ..sent
         }
     }
-}
 
-impl Sending {
-    /// The aggregator has all up to this batch, which that process sent.
-    pub(super) fn resolve_earlier(&mut self, number: u64, process: Option<u64>) {
-        let Some(unresolved) = self.earlier.unresolved.take() else { return };
+    /// The aggregator has all up to this batch, which that process sent: what was unresolved until now and what became of it.
+    pub(super) fn resolve(&mut self, number: u64, process: Option<u64>) -> Option<(Unresolved, Resolved)> {
+        let unresolved = self.unresolved.take()?;
         let resolved = unresolved.resolve(number, process);
-        self.stored += resolved.stored;
-        let unreported = self.intake.resolve(&unresolved, &resolved);
-        (self.earlier.resolved, self.earlier.unwritten) = (resolved, Some(unreported));
+        Some((unresolved, resolved))
+    }
+
+    /// The spool is to be told what became of it, and of losses that no gap reports.
+    pub(super) fn write(&mut self, resolved: Resolved, unreported: Vec<Gap>) {
+        (self.resolved, self.unwritten) = (resolved, Some(unreported));
     }
 
     /// The spool was told.
-    pub(super) fn resolution_written(&mut self) {
-        self.earlier.unwritten = None;
-        self.intake.resolution_written();
+    pub(super) fn written(&mut self) {
+        self.unwritten = None;
     }
 }

@@ -6,7 +6,7 @@ use super::super::{MOST_UNDER_WAY, batch_weight};
 
 /// A batch under way.
 #[derive(Clone, Copy, Debug)]
-struct Sent {
+struct InFlightBatch {
     number: u64,
     weight: u64,
     /// Bytes of its frame.
@@ -17,12 +17,12 @@ struct Sent {
 
 /// Batches under way, contiguous, and what they count together.
 #[derive(Clone, Debug, Default)]
-pub(super) struct UnderWay {
-    sent: VecDeque<Sent>,
+pub(super) struct InFlightBatches {
+    sent: VecDeque<InFlightBatch>,
     weight: u64,
 }
 
-impl UnderWay {
+impl InFlightBatches {
     /// Whether a batch with a body of so many bytes must wait while no more than `window` may be under way.
     pub(super) fn is_full(&self, body: usize, window: u64) -> bool {
         let too_much = self.weight + batch_weight(body) > window || self.sent.len() >= MOST_UNDER_WAY;
@@ -32,7 +32,7 @@ impl UnderWay {
     pub(super) fn push(&mut self, number: u64, body: usize, frame: usize) {
         let weight = batch_weight(body);
         self.weight += weight;
-        self.sent.push_back(Sent { number, weight, frame: frame as u64, end: 0 });
+        self.sent.push_back(InFlightBatch { number, weight, frame: frame as u64, end: 0 });
     }
 
     /// The last batch is on its way, all of it.

@@ -1,8 +1,8 @@
 //! Who may speak, and what becomes of each frame. No sockets here: frames in, replies and news out.
 
 mod greeting;
-
-use std::collections::HashSet;
+mod output;
+mod store_view;
 
 use bytes::Bytes;
 use peernet_clock::{MonoTime, Span, Stamp};
@@ -10,6 +10,9 @@ use peernet_logger::{HostId, RunId};
 use peernet_networks::{ConnectionId, Peer};
 use peernet_stream::{Arrival, BatchHead, Challenges, LiveUpdate, Receiving, ToAgent, ToAggregator, codec};
 
+pub(crate) use self::output::RejectedCounts;
+use self::output::SessionOutput;
+use self::store_view::StoreView;
 use super::committing::StoreEvent;
 use super::hosts::{Hosts, Newcomer};
 use super::queue::{Incoming, Queue};
@@ -22,45 +25,24 @@ use peernet_store::writing::{Aside, Committed, RunName, StoredState, Streams, Wo
 const FORGET_SESSIONS: Span = Span::from_seconds(60);
 /// A host of which nothing is stored leaves after this silence: agents speak four times a second.
 const FORGET_NEWCOMERS: Span = Span::from_seconds(10);
-/// Runs that wait for the live lane to name them.
-const MOST_UNKNOWN: usize = 1_024;
 /// Bytes of a batch as agents cut them, as a rule: by them it is reckoned how many there is room for.
 const USUAL_BATCH: usize = 128 * 1024;
 
-/// What could not be taken, since the start.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Untaken {
-    /// Batches and greetings that found no room; batches are asked for again, greetings are repeated.
-    pub(crate) deferred: u64,
-    /// Batches that do not match their hash; they are asked for again.
-    pub(crate) damaged: u64,
-    /// Frames that are no message.
-    pub(crate) unreadable: u64,
-    /// Messages of hosts that did not say hello on that connection, or did not prove who they are.
-    pub(crate) strangers: u64,
-}
-
 /// Decides about every frame.
 #[derive(Debug)]
-pub(crate) struct Desk {
+pub(crate) struct IngestSession {
     receiving: Receiving,
     challenges: Challenges<ConnectionId>,
     hosts: Hosts,
     queue: Queue,
     routes: Routes,
-    streams: Streams,
-    /// Runs of which the store knows iterations only, by their hosts.
-    unknown: HashSet<(HostId, RunId)>,
-    /// Whether the writer has a database: while it has none, nothing is acknowledged.
-    is_database_open: bool,
+    store: StoreView,
     refusals: LogThrottle,
-    replies: Vec<(ConnectionId, ToAgent)>,
-    news: Vec<News>,
-    untaken: Untaken,
+    output: SessionOutput,
 }
 
-impl Desk {
-    /// A desk that knows nobody; `hosts` and `streams` are what is stored, `unknown` the runs of which the store knows iterations
+impl IngestSession {
+    /// A session that knows nobody; `hosts` and `streams` are what is stored, `unknown` the runs of which the store knows iterations
     /// only.
     pub(crate) fn new(
         receiving: Receiving,
@@ -76,13 +58,9 @@ impl Desk {
             hosts,
             queue,
             routes: Routes::default(),
-            streams,
-            unknown: unknown.into_iter().collect(),
-            is_database_open: true,
+            store: StoreView::new(streams, unknown),
             refusals: LogThrottle::default(),
-            replies: Vec::new(),
-            news: Vec::new(),
-            untaken: Untaken::default(),
+            output: SessionOutput::default(),
         }
     }
 
@@ -107,12 +85,12 @@ impl Desk {
             Ok(ToAggregator::Live(update)) => {
                 if self.knows(from, update.host) && self.receiving.live(update.host, now.mono).is_none() {
                     self.name_runs(&update, now.mono);
-                    self.news.push(News::Update(Box::new(update)));
+                    self.output.announce(News::Update(Box::new(update)));
                 }
             }
             Ok(ToAggregator::Echo { host, bytes }) => {
                 if self.knows(from, host) {
-                    self.replies.push((from.connection, self.receiving.echo(host, bytes, now.mono)));
+                    self.output.reply(from.connection, self.receiving.echo(host, bytes, now.mono));
                 }
             }
             Ok(ToAggregator::Goodbye(host)) => {
@@ -123,23 +101,22 @@ impl Desk {
                     if let Some(place) = self.queue.place(0) {
                         place.put(Incoming::Work(Work::Goodbye(host)), now.mono);
                     }
-                    self.news.push(News::Goodbye(host));
+                    self.output.announce(News::Goodbye(host));
                 }
             }
             Err(_) => {
-                self.untaken.unreadable += 1;
-                self.news.push(News::Unreadable);
+                self.output.reject_unreadable();
             }
         }
     }
 
     /// The live lane names runs whose beginning the store never got: it was acknowledged into another database.
     fn name_runs(&mut self, update: &LiveUpdate, now: MonoTime) {
-        if self.unknown.is_empty() {
+        if !self.store.has_unnamed() {
             return;
         }
         for live in &update.pipelines {
-            let Some(run) = live.run.filter(|run| self.unknown.contains(&(update.host, *run))) else {
+            let Some(run) = live.run.filter(|run| self.store.is_unnamed(update.host, *run)) else {
                 continue;
             };
             // Without room, a later update does.
@@ -147,7 +124,7 @@ impl Desk {
             let (host, pipeline, placement) = (update.host, live.pipeline.clone(), live.placement.clone());
             let name = RunName { host, run, pipeline, placement };
             place.put(Incoming::Work(Work::Name(Box::new(name))), now);
-            self.unknown.remove(&(update.host, run));
+            self.store.named(update.host, run);
         }
     }
 
@@ -155,9 +132,7 @@ impl Desk {
     fn knows(&mut self, from: &Peer, host: HostId) -> bool {
         let known = self.routes.of(host) == Some(from.connection);
         if !known {
-            self.untaken.strangers += 1;
-            self.news.push(News::Stranger);
-            self.replies.push((from.connection, ToAgent::Unknown));
+            self.output.reject_stranger(from.connection);
         }
         known
     }
@@ -194,15 +169,14 @@ impl Desk {
             return self.defer(head);
         };
         if body.is_err() {
-            self.untaken.damaged += 1;
-            self.news.push(News::Damaged(head.host));
+            self.output.reject_damaged(head.host);
         }
         let arrival = self.receiving.batch(&head, body.is_ok(), now.mono);
         if matches!(arrival, Arrival::Accept | Arrival::AcceptDamaged)
             && let (Some((greeting, hole)), Some(newcomer)) = (before, self.hosts.store(head.host))
         {
             let Newcomer { introduction, missing, .. } = newcomer;
-            self.streams.came(head.host, introduction.stream);
+            self.store.streams.came(head.host, introduction.stream);
             greeting.put(Incoming::Work(Work::Hello(Box::new(introduction))), now.mono);
             if let Some(missing) = missing {
                 hole.put(Incoming::Work(Work::Missing(missing)), now.mono);
@@ -215,13 +189,13 @@ impl Desk {
                 place.put(Incoming::Work(Work::Aside(Box::new(aside))), now.mono);
             }
             (Arrival::Duplicate(reply), _) => {
-                if self.is_database_open {
-                    self.replies.push((from.connection, reply));
+                if self.store.is_open() {
+                    self.output.reply(from.connection, reply);
                 }
-                self.news.push(News::Duplicate(head.host));
+                self.output.announce(News::Duplicate(head.host));
             }
             (Arrival::Hole(Some(reply)) | Arrival::Unknown(reply), _) => {
-                self.replies.push((from.connection, reply));
+                self.output.reply(from.connection, reply);
             }
             (Arrival::Pending | Arrival::Hole(None) | Arrival::Accept | Arrival::AcceptDamaged, _) => {}
         }
@@ -244,22 +218,21 @@ impl Desk {
         if !self.hosts.is_newcomer(host) {
             self.receiving.goodbye(host);
             self.routes.leave(host);
-            self.news.push(News::Forget(host));
+            self.output.announce(News::Forget(host));
         }
     }
 
     /// There is no room for a batch: it counts as never come.
     fn defer(&mut self, head: BatchHead) {
         self.receiving.deferred(head.stream);
-        self.untaken.deferred += 1;
-        self.news.push(News::Deferred(head.host));
+        self.output.defer_batch(head.host);
     }
 
     /// Asks for what found no room, as far as there is some now.
     fn ask_for_deferred(&mut self) {
         for (host, request) in self.receiving.room(self.queue.room_for(USUAL_BATCH)) {
             if let Some(route) = self.routes.of(host) {
-                self.replies.push((route, request));
+                self.output.reply(route, request);
             }
         }
     }
@@ -276,45 +249,44 @@ impl Desk {
     /// A transaction is on disk.
     fn committed(&mut self, committed: Committed) {
         for (stream, mark) in committed.marks {
-            self.streams.marks.insert(stream, mark);
+            self.store.streams.marks.insert(stream, mark);
             let listener = self.receiving.stored(stream, mark);
             if let Some((route, reply)) =
                 listener.and_then(|(host, reply)| Some((self.routes.of(host)?, reply)))
             {
-                self.replies.push((route, reply));
+                self.output.reply(route, reply);
             }
         }
         self.ask_for_deferred();
         for (host, (stored, newest)) in committed.hosts {
-            self.news.push(News::Stored(host, stored, newest));
+            self.output.announce(News::Stored(host, stored, newest));
         }
-        let room = MOST_UNKNOWN.saturating_sub(self.unknown.len());
-        self.unknown.extend(committed.unknown.into_iter().take(room));
+        self.store.add_unnamed(committed.unknown);
         for (host, secret) in committed.secrets {
             self.hosts.checked(host, secret);
         }
-        self.news.extend(committed.runs.into_iter().map(|(host, run, number)| News::Run(host, run, number)));
+        for (host, run, number) in committed.runs {
+            self.output.announce(News::Run(host, run, number));
+        }
     }
 
     /// The database was closed: its file is away or cannot be used. Agents that are known go on sending.
     fn database_closed(&mut self) {
-        self.is_database_open = false;
+        self.store.close();
     }
 
     /// The database was opened anew, and may be another one: every agent has to say hello again, so that its spool is
     /// compared with what is stored now. What was let in before is dropped by the writer.
     fn database_opened(&mut self, state: StoredState) {
         let StoredState { streams, runs, unknown, hosts, known } = state;
-        self.is_database_open = true;
         self.receiving.forget_sessions();
         self.hosts.restart(known);
         self.queue.begin_generation();
-        self.streams = streams;
-        self.unknown = unknown.into_iter().collect();
+        self.store = StoreView::new(streams, unknown);
         for route in self.routes.clear() {
-            self.replies.push((route, ToAgent::Unknown));
+            self.output.reply(route, ToAgent::Unknown);
         }
-        self.news.push(News::Reopened { runs, hosts });
+        self.output.announce(News::Reopened { runs, hosts });
     }
 
     /// Time has passed.
@@ -338,7 +310,7 @@ impl Desk {
 
     /// What is to be sent, and to whom.
     pub(super) fn take_replies(&mut self) -> Vec<(ConnectionId, ToAgent)> {
-        std::mem::take(&mut self.replies)
+        self.output.take_replies()
     }
 
     /// Which connections have a host from now on, and which have none any more.
@@ -348,12 +320,12 @@ impl Desk {
 
     /// What the live picture should know.
     pub(super) fn take_news(&mut self) -> Vec<News> {
-        std::mem::take(&mut self.news)
+        self.output.take_news()
     }
 
     /// What could not be taken, since the start.
-    pub(super) const fn untaken(&self) -> Untaken {
-        self.untaken
+    pub(super) const fn rejected(&self) -> RejectedCounts {
+        self.output.rejected()
     }
 
     /// Lets nothing more in: the writer ends when it has stored what waits.

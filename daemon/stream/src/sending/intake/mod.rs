@@ -1,16 +1,19 @@
 //! From events to batches: the agent's side before anything is numbered.
 
-use std::collections::{BTreeMap, VecDeque};
+mod known_runs;
+mod losses;
+mod unreported;
 
 use bytes::Bytes;
 use peernet_clock::{MonoTime, Stamp, WallTime};
 
+use self::known_runs::KnownRuns;
+use self::unreported::UnreportedLosses;
 use super::SendingConfig;
-use super::losses::Losses;
 use crate::spool::Usage;
 use crate::totals::Totals;
 use crate::unresolved::Resolved;
-use crate::{Event, Gap, MOST_COUNTED_RUNS, RunCounts, Unresolved, codec};
+use crate::{Event, Gap, RunCounts, Unresolved, codec};
 use peernet_logger::limits::MAX_BYTES;
 use peernet_logger::{RunId, Slug};
 
@@ -34,17 +37,8 @@ pub(super) struct Intake {
     cut_usage: Usage,
     /// The event at hand, encoded; kept to reuse its memory.
     encoded: Vec<u8>,
-    losses: Losses,
-    /// Losses of earlier processes that are still to be reported, before all others.
-    owed: VecDeque<Gap>,
-    /// Events that a process before this one dropped and did not tell of otherwise.
-    untold: u64,
-    /// No loss is reported before it is known what became of the end of an earlier process.
-    is_unresolved: bool,
-    /// Runs whose end was handed in and that are still counted separately.
-    ended: Vec<RunId>,
-    /// Pipelines of the runs under way: an iteration names its run only.
-    pipelines: BTreeMap<RunId, Slug>,
+    losses: UnreportedLosses,
+    runs: KnownRuns,
 }
 
 /// A batch under construction.
@@ -96,23 +90,19 @@ impl Intake {
     pub(super) fn new(config: SendingConfig, totals: Totals, owed: Vec<Gap>, is_unresolved: bool) -> Self {
         let told = owed.iter().fold(totals.told, |told, gap| told.saturating_add(gap.count));
         Self {
-            untold: totals.dropped.saturating_sub(told),
-            is_unresolved,
+            losses: UnreportedLosses::new(owed, totals.dropped.saturating_sub(told), is_unresolved),
             config,
             totals,
             open: OpenBatch::default(),
             cut: Vec::new(),
             cut_usage: Usage::default(),
             encoded: Vec::new(),
-            losses: Losses::default(),
-            owed: owed.into(),
-            ended: Vec::new(),
-            pipelines: BTreeMap::new(),
+            runs: KnownRuns::default(),
         }
     }
 
     pub(super) fn offer(&mut self, event: &Event, room: &Room, now: Stamp) {
-        self.lose_untold(now);
+        self.losses.add_untold(now);
         self.encoded.clear();
         codec::append(&mut self.encoded, event);
         let run = event.run();
@@ -128,25 +118,23 @@ impl Intake {
             Some(reason) => {
                 self.totals.produced += 1;
                 self.totals.handed_in.dropped.add(run, 1);
-                let (pipeline, run) = self.scope(event);
-                self.lose(pipeline, run, 1, reason, now);
+                self.lose(self.runs.scope(event), 1, reason, now);
             }
         }
         self.totals.handed_in.last = Some(now.wall);
-        self.remember(event);
+        self.runs.observe(event);
     }
 
     /// Counts events that are lost.
     pub(super) fn lose(
         &mut self,
-        pipeline: Option<Slug>,
-        run: Option<RunId>,
+        scope: (Option<Slug>, Option<RunId>),
         count: u64,
         reason: String,
         now: Stamp,
     ) {
         self.totals.dropped += count;
-        self.losses.add(pipeline, run, now, count, reason);
+        self.losses.add(scope, count, reason, now);
     }
 
     /// Counts events that were dropped before they came here.
@@ -156,18 +144,6 @@ impl Intake {
         self.totals.handed_in.dropped.add(gap.run, gap.count);
         self.totals.handed_in.last = Some(now.wall);
         self.losses.add_gap(gap.clone(), now);
-    }
-
-    /// What was dropped before the start is told with the first that happens after it.
-    fn lose_untold(&mut self, now: Stamp) {
-        if self.is_unresolved {
-            return;
-        }
-        let count = std::mem::take(&mut self.untold);
-        if count > 0 {
-            let reason = "dropped before the agent last ended, for want of room in its spool";
-            self.losses.add(None, None, now, count, reason.to_owned());
-        }
     }
 
     /// Why the event at hand cannot be taken.
@@ -199,7 +175,7 @@ impl Intake {
     /// Puts gaps that are due where the lost events would have been, as far as there is room.
     pub(super) fn report_losses(&mut self, room: &Room, now: Stamp) {
         while self.has_room_for_report(room)
-            && let Some(gap) = self.owed.pop_front().or_else(|| self.losses.take_due(now.mono))
+            && let Some(gap) = self.losses.take_due(now.mono)
         {
             self.report(gap, now);
         }
@@ -207,9 +183,8 @@ impl Intake {
 
     /// The same for all losses of a run that ends, or of all that end.
     fn report_ended(&mut self, run: Option<RunId>, room: &Room, now: Stamp) {
-        // What earlier processes lost goes first: by the number of events told the spool knows which of it is reported.
         while self.has_room_for_report(room)
-            && let Some(gap) = self.owed.pop_front().or_else(|| self.losses.take_ended(run, now.mono))
+            && let Some(gap) = self.losses.take_ended(run, now.mono)
         {
             self.report(gap, now);
         }
@@ -218,22 +193,21 @@ impl Intake {
     /// Whether nothing is to be reported, now or later.
     #[cfg(test)]
     pub(super) fn has_reported_all(&self) -> bool {
-        self.owed.is_empty() && self.losses.len() == 0 && self.untold == 0
+        self.losses.is_empty()
     }
 
     fn has_room_for_report(&self, room: &Room) -> bool {
-        !self.is_unresolved && room.fits(self.usage() + GAP)
+        self.losses.may_report() && room.fits(self.usage() + GAP)
     }
 
     /// It is known what became of the end of an earlier process. Returns the losses of all earlier ones that no gap reports;
     /// they are reported once the spool has them ([`Self::resolution_written`]).
     pub(super) fn resolve(&mut self, unresolved: &Unresolved, resolved: &Resolved) -> Vec<Gap> {
-        unresolved.unreported(resolved, &mut self.owed, &mut self.untold);
-        self.owed.iter().cloned().collect()
+        self.losses.resolve(unresolved, resolved)
     }
 
     pub(super) const fn resolution_written(&mut self) {
-        self.is_unresolved = false;
+        self.losses.resolution_written();
     }
 
     fn report(&mut self, gap: Gap, now: Stamp) {
@@ -289,7 +263,7 @@ impl Intake {
     }
 
     pub(super) fn tick(&mut self, room: &Room, now: Stamp) {
-        self.lose_untold(now);
+        self.losses.add_untold(now);
         if self.batch_deadline().is_some_and(|deadline| now.mono >= deadline) {
             self.cut();
         }
@@ -299,11 +273,7 @@ impl Intake {
     /// When the batch under construction is old enough, or a loss is to be reported.
     pub(super) fn deadline(&self, room: &Room) -> Option<MonoTime> {
         // Without room there is nothing to do: an acknowledgement makes some.
-        let due = || match self.owed.is_empty() {
-            true => self.losses.due(),
-            false => Some(MonoTime::default()),
-        };
-        let report = self.has_room_for_report(room).then(due).flatten();
+        let report = self.has_room_for_report(room).then(|| self.losses.due()).flatten();
         self.batch_deadline().into_iter().chain(report).min()
     }
 
@@ -326,12 +296,12 @@ impl Intake {
 
     /// Runs that have ended and are still counted separately.
     pub(super) fn ended(&self) -> &[RunId] {
-        &self.ended
+        self.runs.ended()
     }
 
     /// The events of a run that has ended are no longer counted separately.
     pub(super) fn forget_run(&mut self, run: RunId) {
-        self.ended.retain(|ended| *ended != run);
+        self.runs.forget(run);
         self.totals.handed_in.forget(run);
     }
 
@@ -351,39 +321,8 @@ impl Intake {
 
     /// Room for what there is to report.
     fn reports(&self) -> Usage {
-        let gaps = (self.losses.len() + self.owed.len()) as u64;
+        let gaps = self.losses.len() as u64;
         Usage { events: gaps * GAP.events, bytes: gaps * GAP.bytes }
-    }
-
-    /// The pipeline and run that an event concerns.
-    fn scope(&self, event: &Event) -> (Option<Slug>, Option<RunId>) {
-        let of_run = |run: &RunId| (self.pipelines.get(run).cloned(), Some(*run));
-        match event {
-            Event::RunStarted(started) => (Some(started.pipeline.clone()), Some(started.run)),
-            Event::RunEnded(ended) => of_run(&ended.run),
-            Event::Iteration(iteration) => of_run(&iteration.run),
-            Event::Incident(incident) => (incident.pipeline.clone(), incident.run),
-            Event::Gap(gap) => (gap.pipeline.clone(), gap.run),
-            Event::Clock(_) => (None, None),
-        }
-    }
-
-    fn remember(&mut self, event: &Event) {
-        match event {
-            Event::RunStarted(started) => {
-                if self.pipelines.len() >= MOST_COUNTED_RUNS {
-                    self.pipelines.pop_first();
-                }
-                self.pipelines.insert(started.run, started.pipeline.clone());
-            }
-            Event::RunEnded(ended) => {
-                self.pipelines.remove(&ended.run);
-                if self.ended.len() < MOST_COUNTED_RUNS {
-                    self.ended.push(ended.run);
-                }
-            }
-            _ => {}
-        }
     }
 }
 

@@ -1,0 +1,141 @@
+//! What the outbox does about the machine's wishes, the spool's answers and the aggregator's words.
+
+use peernet_stream::{Accounting, Action, Notice, ToAgent, codec};
+
+use super::Sender;
+use crate::outbox::farewell::Standing;
+use crate::outbox::line::Line;
+use crate::outbox::spool::{Done, Order};
+
+impl Sender {
+    /// Does what the machine wants.
+    pub(super) fn act(&mut self, line: &Line) -> Result<(), String> {
+        if self.live.is_due()
+            && let Line::Open(connection) = line
+        {
+            let account = self.count();
+            self.live.show(&mut self.machine, connection, self.clock.wall(), account);
+        }
+        while let Some(action) = self.machine.next(self.clock.mono()) {
+            let order = match action {
+                Action::Send(frame) => {
+                    if let Some(sent) = self.machine.sent_unspooled() {
+                        self.intake.note_sent_unspooled(sent);
+                    }
+                    self.held.push_back(frame);
+                    continue;
+                }
+                Action::Append { batches, totals } => Order::Append { batches, totals },
+                Action::Load { from, bytes } => Order::Load { from, bytes },
+                Action::Delete { through, chain } => Order::Delete { through, chain },
+                Action::Renew { stream, previous, first, events_before_first } => {
+                    Order::Renew { stream, previous, first, events_before_first }
+                }
+            };
+            self.spool.order(order)?;
+        }
+        let Line::Open(connection) = line else { return Ok(()) };
+        while let Some(frame) = self.held.pop_front() {
+            if let Err(back) = connection.send(frame) {
+                self.held.push_front(back);
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// The spool's task did something.
+    pub(super) fn spooled(&mut self, done: Done) {
+        let now = self.clock.stamp();
+        let notice = match done {
+            Done::Appended(Ok(())) => {
+                let notice = self.machine.appended(now);
+                self.intake.release_runs(&mut self.machine);
+                notice
+            }
+            Done::Appended(Err(reason)) => self.machine.append_failed(reason, now),
+            Done::Loaded(Ok(loaded)) => {
+                if let Some(what) = loaded.rotten {
+                    self.reports.rotten(what);
+                }
+                self.machine.loaded(loaded.batches, now)
+            }
+            Done::Loaded(Err(reason)) => self.machine.load_failed(reason, now),
+            Done::Deleted(Ok(())) => {
+                self.machine.deleted();
+                None
+            }
+            Done::Deleted(Err(reason)) => self.machine.delete_failed(reason, now),
+            Done::Renewed(Ok(())) => {
+                self.machine.renewed(now);
+                None
+            }
+            Done::Renewed(Err(reason)) => self.machine.renew_failed(reason, now),
+        };
+        if let Some(notice) = notice {
+            self.noticed(notice);
+        }
+    }
+
+    /// A message came. Returns whether it was an aggregator that spoke.
+    pub(super) fn hear(&mut self, frame: &[u8]) -> bool {
+        let message: ToAgent = match codec::decode(frame) {
+            Ok(message) => message,
+            Err(error) => {
+                tracing::warn!(%error, "what the aggregator sent makes no sense and is dropped");
+                return false;
+            }
+        };
+        if let Some(notice) = self.machine.received(&message, self.clock.stamp()) {
+            self.noticed(notice);
+        }
+        true
+    }
+
+    fn noticed(&mut self, notice: Notice) {
+        match notice {
+            Notice::Welcomed { aggregator, stored, lacks } => {
+                self.reports.welcomed(&aggregator, stored, lacks, self.count().waiting);
+                self.live.start_over();
+                if lacks {
+                    self.intake.repeat_beginnings(&mut self.machine, self.clock.stamp());
+                }
+            }
+            Notice::Enrolling { aggregator } => self.reports.enrolling(&aggregator),
+            Notice::Refused(reason) => self.reports.refused(&reason),
+            Notice::StreamRenewed { stored, newest } => {
+                self.reports.renewed(stored, newest);
+                self.intake.repeat_beginnings(&mut self.machine, self.clock.stamp());
+            }
+            Notice::SpoolFailed(reason) => self.reports.spool_failed(&reason),
+            Notice::SpoolRecovered => self.reports.spool_recovered(),
+        }
+    }
+
+    pub(super) fn standing(&self) -> Standing {
+        let account = self.machine.accounting();
+        Standing {
+            spooled: self.machine.is_spooled(),
+            away: self.away,
+            stored: account.stored,
+            waiting: account.waiting,
+        }
+    }
+
+    /// The machine's account and what has not reached it.
+    pub(super) fn count(&self) -> Accounting {
+        let mut account = self.machine.accounting();
+        self.intake.add_to(&mut account);
+        account
+    }
+
+    pub(super) fn publish(&mut self) {
+        let account = self.count();
+        self.reports.account(&account, self.clock.mono());
+        self.accounting.send_if_modified(|shown| {
+            let changed = *shown != account;
+            *shown = account;
+            changed
+        });
+    }
+}

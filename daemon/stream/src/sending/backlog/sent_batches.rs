@@ -1,0 +1,45 @@
+//! Which batches this process has sent.
+
+use crate::SentUnspooled;
+use crate::spool::SpooledBatch;
+
+/// How far this process has sent, and what of it is still held.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct SentBatches {
+    /// Number of the newest batch that was ever sent by this process; 0 before the first.
+    newest: u64,
+    /// The last that was sent while it was in memory only.
+    unspooled: Option<SentUnspooled>,
+    /// Events of the batches that were sent and are still held.
+    events: u64,
+}
+
+impl SentBatches {
+    pub(super) const fn newest(&self) -> u64 {
+        self.newest
+    }
+
+    pub(super) const fn unspooled(&self) -> Option<SentUnspooled> {
+        self.unspooled
+    }
+
+    pub(super) const fn events(&self) -> u64 {
+        self.events
+    }
+
+    /// Records that a batch is sent; one that is sent again counts once.
+    pub(super) fn record(&mut self, number: u64, events: u32, unspooled: Option<SentUnspooled>) {
+        self.unspooled = unspooled.or(self.unspooled);
+        if number > self.newest {
+            self.newest = number;
+            self.events += u64::from(events);
+        }
+    }
+
+    /// A batch is no longer held.
+    pub(super) const fn forget(&mut self, batch: &SpooledBatch) {
+        if batch.number <= self.newest {
+            self.events = self.events.saturating_sub(batch.events as u64);
+        }
+    }
+}

@@ -1,0 +1,59 @@
+//! Runs whose events pass through.
+
+use std::collections::BTreeMap;
+
+use peernet_logger::{RunId, Slug};
+
+use crate::{Event, MOST_COUNTED_RUNS};
+
+/// Runs under way with their pipelines, and runs that have ended and are still counted separately.
+#[derive(Clone, Debug, Default)]
+pub(super) struct KnownRuns {
+    /// Pipelines of the runs under way: an iteration names its run only.
+    pipelines: BTreeMap<RunId, Slug>,
+    ended: Vec<RunId>,
+}
+
+impl KnownRuns {
+    /// Takes in that a run begins or ends.
+    pub(super) fn observe(&mut self, event: &Event) {
+        match event {
+            Event::RunStarted(started) => {
+                if self.pipelines.len() >= MOST_COUNTED_RUNS {
+                    self.pipelines.pop_first();
+                }
+                self.pipelines.insert(started.run, started.pipeline.clone());
+            }
+            Event::RunEnded(ended) => {
+                self.pipelines.remove(&ended.run);
+                if self.ended.len() < MOST_COUNTED_RUNS {
+                    self.ended.push(ended.run);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// The pipeline and run that an event concerns.
+    pub(super) fn scope(&self, event: &Event) -> (Option<Slug>, Option<RunId>) {
+        let of_run = |run: &RunId| (self.pipelines.get(run).cloned(), Some(*run));
+        match event {
+            Event::RunStarted(started) => (Some(started.pipeline.clone()), Some(started.run)),
+            Event::RunEnded(ended) => of_run(&ended.run),
+            Event::Iteration(iteration) => of_run(&iteration.run),
+            Event::Incident(incident) => (incident.pipeline.clone(), incident.run),
+            Event::Gap(gap) => (gap.pipeline.clone(), gap.run),
+            Event::Clock(_) => (None, None),
+        }
+    }
+
+    /// Runs that have ended and are still counted separately.
+    pub(super) fn ended(&self) -> &[RunId] {
+        &self.ended
+    }
+
+    /// A run that has ended is no longer counted separately.
+    pub(super) fn forget(&mut self, run: RunId) {
+        self.ended.retain(|ended| *ended != run);
+    }
+}
