@@ -2,7 +2,10 @@
 
 use peernet_clock::{MonoTime, Span, Stamp};
 
-use super::super::{Chain, Hello, Nonce, PROTOCOL, Proof, StreamId, ToAgent, ToAggregator, codec};
+use super::super::{
+    Chain, Hello, HelloExtension, Nonce, Proof, STREAM_VERSIONS, StreamId, ToAgent, ToAggregator,
+    VersionRange, codec,
+};
 use super::skim::{Skim, Skimmed};
 use super::{Notice, Reached, Sending};
 use peernet_logger::Slug;
@@ -42,6 +45,13 @@ pub(super) struct Welcome {
     process: Option<u64>,
 }
 
+/// Returns the reason not to answer an aggregator that chose a version which this agent does not speak.
+fn wrong_version(aggregator: &Slug, chosen: Option<u16>) -> Option<String> {
+    let chosen = VersionRange::single(chosen.unwrap_or(STREAM_VERSIONS.oldest()));
+    let mismatch = STREAM_VERSIONS.highest_common(&chosen).err()?;
+    Some(mismatch.describe("the event stream", "this agent", &format!("the aggregator on {aggregator}")))
+}
+
 impl Sending {
     /// The transport has a connection.
     pub fn connected(&mut self, now: MonoTime) {
@@ -67,8 +77,11 @@ impl Sending {
             | ToAgent::Ack { stream, .. }
             | ToAgent::Resend { stream, .. }
                 if *stream != self.backlog.stream || self.renewal.is_some() => {}
-            ToAgent::Challenge { aggregator, nonce, enrol, .. } => {
-                self.challenged(aggregator, nonce, *enrol, now.mono);
+            ToAgent::Challenge { aggregator, nonce, enrol, version, .. } => {
+                match wrong_version(aggregator, *version) {
+                    Some(reason) => self.refused(&reason, now.mono),
+                    None => self.challenged(aggregator, nonce, *enrol, now.mono),
+                }
             }
             ToAgent::Welcome { aggregator, stored, chain, process, window, .. } => {
                 self.answered(now.mono);
@@ -172,7 +185,7 @@ impl Sending {
     fn hello(&self) -> Hello {
         let (_, before) = self.backlog.acknowledged();
         Hello {
-            protocol: PROTOCOL,
+            protocol: STREAM_VERSIONS.oldest(),
             host: self.host.clone(),
             stream: self.backlog.stream,
             previous: self.backlog.previous,
@@ -183,6 +196,7 @@ impl Sending {
             events_before_first: self.backlog.events_before_first,
             batch_bytes: u32::try_from(self.config.batch_bytes).unwrap_or(u32::MAX),
             process: self.process,
+            extension: HelloExtension::of(&STREAM_VERSIONS),
         }
     }
 
