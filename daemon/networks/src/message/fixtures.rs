@@ -7,7 +7,8 @@
 //!
 //! A file is `MESSAGE.bin` or `MESSAGE.DETAIL.bin`. A new message or variant gets a value in [`headers`] with a `DETAIL` of its
 //! own; `write_missing_fixtures` writes its file and never changes one that is there. A file is deleted only together with
-//! a new [`PROTOCOL`](super::PROTOCOL), because peers of the old version still send those bytes.
+//! a new oldest version in [`SESSION_VERSIONS`](super::SESSION_VERSIONS), because peers of the old version still send those
+//! bytes; those of `open` and `refused` never, because these are the same in all versions.
 
 mod accepted;
 mod headers;

@@ -184,8 +184,8 @@ fn heard(shared: &Arc<Shared>, peer: &Peer, frames: Frames, received: (Stamp, u3
     }
     let header = match Header::decode(frames.first().map_or(&[], |frame| frame)) {
         Ok(header) => header,
-        Err(HeaderError::OtherProtocol(theirs)) => {
-            shared.tell(peer, &Server::incompatible(theirs));
+        Err(HeaderError::NoCommonVersion(mismatch)) => {
+            shared.tell(peer, &Server::incompatible(&mismatch));
             return None;
         }
         Err(error) => {
