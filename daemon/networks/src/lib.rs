@@ -14,7 +14,7 @@ mod session;
 mod settings;
 mod transport;
 
-pub use address::{Address, InvalidAddress};
+pub use address::{Address, AddressProblem, InvalidAddress};
 pub use figures::NetworkFigures;
 pub use kind::NetworkKind;
 pub use message::{MAX_CONDITIONS, PeerClock, SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId};

@@ -55,8 +55,12 @@ impl Content {
     /// name.
     fn decode(file: &str, frame: &[u8]) -> Self {
         let content = match file.split('.').next() {
-            Some(variants::TREE_NAME) => decode_tree(frame).map(Self::Tree),
-            Some(variants::GROWTH_NAME) => decode_growth(frame).map(Self::Growth),
+            Some(variants::TREE_NAME) => {
+                decode_tree(frame).map(Self::Tree).map_err(|error| error.to_string())
+            }
+            Some(variants::GROWTH_NAME) => {
+                decode_growth(frame).map(Self::Growth).map_err(|error| error.to_string())
+            }
             _ => Header::decode(frame).map(Self::Header).map_err(|error| error.to_string()),
         };
         content.unwrap_or_else(|error| panic!("{file} cannot be decoded any more: {error}"))

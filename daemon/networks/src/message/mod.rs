@@ -27,7 +27,7 @@ pub(crate) use header::{
     Refused, Reply, Request, SampleHeader, UnknownSession,
 };
 pub use hello::{MAX_CONDITIONS, PeerClock, SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId};
-pub(crate) use tree::{decode_growth, decode_tree, encode_growth, encode_tree, put_upload};
+pub(crate) use tree::{TreeFrameError, decode_growth, decode_tree, encode_growth, encode_tree, put_upload};
 
 use serde::{Deserialize, Deserializer};
 
