@@ -8,8 +8,8 @@ use bytes::Bytes;
 use peernet_clock::ClockIdentity;
 use peernet_logger::HostId;
 use peernet_stream::{
-    BatchHead, Chain, Event, Hardware, Hello, HostDescription, HostSecret, Incident, IncidentKind, PROTOCOL,
-    Proof, StreamId, ToAgent, ToAggregator, codec,
+    BatchHead, Chain, Event, Hardware, Hello, HostDescription, HostSecret, Incident, IncidentKind, Proof,
+    STREAM_VERSIONS, StreamId, ToAgent, ToAggregator, codec,
 };
 use tokio::runtime::{Builder, Runtime};
 use zeromq::{Message, Options, Socket, SocketType};
@@ -82,7 +82,7 @@ impl Stranger {
 
     /// Answers a challenge with the proof of this hello; whether it was one.
     pub fn prove(&self, hello: &Hello, secret: &HostSecret, said: &ToAgent) -> bool {
-        let ToAgent::Challenge { aggregator, stream, nonce, enrol } = said else { return false };
+        let ToAgent::Challenge { aggregator, stream, nonce, enrol, .. } = said else { return false };
         if *stream == hello.stream {
             let (host, nonce) = (hello.host.id, *nonce);
             let code = secret.prove(&nonce, hello, aggregator);
@@ -161,7 +161,7 @@ impl Introduced {
             models: vec![],
         };
         let hello = Hello {
-            protocol: PROTOCOL,
+            protocol: STREAM_VERSIONS.oldest(),
             host,
             stream: StreamId::random(),
             previous: None,
@@ -172,6 +172,7 @@ impl Introduced {
             events_before_first: Some(0),
             batch_bytes: 128 << 10,
             process: chance.bits(),
+            extension: None,
         };
         Self { hello, secret: HostSecret::random(), newest: (0, Chain::START), events: 0 }
     }

@@ -29,7 +29,7 @@ pub(crate) fn address(text: &str, port: u16) -> Result<Address, String> {
     let port = if has_port { String::new() } else { format!(":{port}") };
     format!("{scheme}://{rest}{port}")
         .parse()
-        .map_err(|error: peernet_networks::InvalidAddress| error.problem)
+        .map_err(|error: peernet_networks::InvalidAddress| error.problem.to_string())
 }
 
 #[cfg(test)]

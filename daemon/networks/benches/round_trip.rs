@@ -19,8 +19,8 @@ use bytes::Bytes;
 use peernet_clock::{ClockIdentity, SharedClock, Span, SystemClock};
 use peernet_logger::{HostId, Measure, Recorder, Slug};
 use peernet_networks::{
-    Address, Incoming, Listener, NetworkKind, PROTOCOL, PeerClock, Session, SessionAccepted, SessionHello,
-    SessionSettings,
+    Address, Incoming, Listener, NetworkKind, PeerClock, SESSION_VERSIONS, Session, SessionAccepted,
+    SessionHello, SessionSettings,
 };
 use peernet_sample::{Description, Sample};
 use peernet_stream::Hardware;
@@ -219,7 +219,7 @@ fn edge(plan: &Plan, bare: &str, address: &Address) -> Anyhow<()> {
     let mut stream = TcpStream::connect(bare)?;
     stream.set_nodelay(true)?;
     let hello = SessionHello {
-        protocol: PROTOCOL,
+        versions: SESSION_VERSIONS,
         host: HostId::random(),
         name: "edge".parse()?,
         clock: clock().identity().clone(),

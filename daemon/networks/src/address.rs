@@ -30,7 +30,45 @@ pub struct InvalidAddress {
     /// What was given.
     pub text: String,
     /// What is wrong with it.
-    pub problem: String,
+    pub problem: AddressProblem,
+}
+
+/// What is wrong with a text that is not an address.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum AddressProblem {
+    /// It does not begin with `tcp://`.
+    #[error("the scheme is missing")]
+    NoScheme,
+    /// It begins with another scheme.
+    #[error("unknown scheme {0:?}")]
+    UnknownScheme(String),
+    /// A bracket opens and does not close.
+    #[error("the closing bracket is missing")]
+    NoClosingBracket,
+    /// What stands in brackets is not an IPv6 address.
+    #[error("{0:?} is not an IPv6 address")]
+    InvalidIpv6(String),
+    /// An IPv6 address stands without brackets.
+    #[error("an IPv6 host needs brackets")]
+    Ipv6WithoutBrackets,
+    /// There is no host.
+    #[error("the host is missing")]
+    NoHost,
+    /// The host consists of digits and dots and is not an IPv4 address.
+    #[error("{0:?} is not an IPv4 address")]
+    InvalidIpv4(String),
+    /// The host cannot be a name.
+    #[error("{0:?} is not a host name")]
+    InvalidName(String),
+    /// There is no port.
+    #[error("the port is missing")]
+    NoPort,
+    /// The port is not a number.
+    #[error("{0:?} is not a port")]
+    InvalidPort(String),
+    /// The port is too large a number.
+    #[error("port {0} is above 65535")]
+    PortTooLarge(String),
 }
 
 impl Address {
@@ -78,49 +116,49 @@ impl FromStr for Address {
     }
 }
 
-fn parse(text: &str) -> Result<Address, String> {
+fn parse(text: &str) -> Result<Address, AddressProblem> {
     let Some((scheme, rest)) = text.split_once("://") else {
-        return Err("the scheme is missing".into());
+        return Err(AddressProblem::NoScheme);
     };
     if scheme != "tcp" {
-        return Err(format!("unknown scheme {scheme:?}"));
+        return Err(AddressProblem::UnknownScheme(scheme.to_owned()));
     }
     let (host, port) = if let Some(bracketed) = rest.strip_prefix('[') {
-        let (host, after) = bracketed.split_once(']').ok_or("the closing bracket is missing")?;
-        let ip: Ipv6Addr = host.parse().map_err(|_| format!("{host:?} is not an IPv6 address"))?;
-        let port = after.strip_prefix(':').ok_or("the port is missing")?;
+        let (host, after) = bracketed.split_once(']').ok_or(AddressProblem::NoClosingBracket)?;
+        let ip: Ipv6Addr = host.parse().map_err(|_| AddressProblem::InvalidIpv6(host.to_owned()))?;
+        let port = after.strip_prefix(':').ok_or(AddressProblem::NoPort)?;
         (Host::Ip(IpAddr::V6(ip)), port)
     } else {
-        let (host, port) = rest.rsplit_once(':').ok_or("the port is missing")?;
+        let (host, port) = rest.rsplit_once(':').ok_or(AddressProblem::NoPort)?;
         (parse_host(host)?, port)
     };
     if port.is_empty() || !port.bytes().all(|byte| byte.is_ascii_digit()) {
-        return Err(format!("{port:?} is not a port"));
+        return Err(AddressProblem::InvalidPort(port.to_owned()));
     }
-    let port = port.parse().map_err(|_| format!("port {port} is above 65535"))?;
+    let port = port.parse().map_err(|_| AddressProblem::PortTooLarge(port.to_owned()))?;
     Ok(Address { host, port })
 }
 
 /// A name or an IPv4 address; what looks like an IPv4 address must be one.
-fn parse_host(host: &str) -> Result<Host, String> {
+fn parse_host(host: &str) -> Result<Host, AddressProblem> {
     if host.is_empty() {
-        return Err("the host is missing".into());
+        return Err(AddressProblem::NoHost);
     }
     if host.contains(':') {
-        return Err("an IPv6 host needs brackets".into());
+        return Err(AddressProblem::Ipv6WithoutBrackets);
     }
     if let Ok(ip) = host.parse() {
         return Ok(Host::Ip(IpAddr::V4(ip)));
     }
     if host.bytes().all(|byte| byte.is_ascii_digit() || byte == b'.') {
-        return Err(format!("{host:?} is not an IPv4 address"));
+        return Err(AddressProblem::InvalidIpv4(host.to_owned()));
     }
     let label = |label: &str| {
         (1..=63).contains(&label.len())
             && label.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"-_".contains(&byte))
     };
     if host.len() > 253 || !host.strip_suffix('.').unwrap_or(host).split('.').all(label) {
-        return Err(format!("{host:?} is not a host name"));
+        return Err(AddressProblem::InvalidName(host.to_owned()));
     }
     Ok(Host::Name(host.to_owned()))
 }
@@ -179,7 +217,7 @@ mod tests {
             ("tcp://256.0.0.1:5551", "\"256.0.0.1\" is not an IPv4 address"),
             ("tcp://a b:5551", "\"a b\" is not a host name"),
         ] {
-            assert_eq!(text.parse::<Address>().expect_err(text).problem, problem);
+            assert_eq!(text.parse::<Address>().expect_err(text).problem.to_string(), problem);
         }
     }
 

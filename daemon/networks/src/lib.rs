@@ -14,10 +14,10 @@ mod session;
 mod settings;
 mod transport;
 
-pub use address::{Address, InvalidAddress};
+pub use address::{Address, AddressProblem, InvalidAddress};
 pub use figures::NetworkFigures;
 pub use kind::NetworkKind;
-pub use message::{MAX_CONDITIONS, PROTOCOL, PeerClock, SessionAccepted, SessionHello, SessionId};
+pub use message::{MAX_CONDITIONS, PeerClock, SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId};
 pub use session::{
     Announcer, BindError, CloseReason, Exchange, Failure, Incoming, IncomingRequest, Listener, OpenError,
     OpenRequest, RequestError, Responder, Session,

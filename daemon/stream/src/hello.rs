@@ -1,12 +1,16 @@
 //! The hello: the first message of an agent.
 
 use peernet_logger::random_id;
-use serde::{Deserialize, Serialize};
+use serde::ser::SerializeMap;
+use serde::{Deserialize, Serialize, Serializer};
 
-use crate::{Chain, HostDescription};
+use crate::{Chain, HostDescription, Release, VersionRange};
 
-/// Version of the event stream's messages. Both ends must agree.
-pub const PROTOCOL: u16 = 5;
+/// Versions of the event stream that this release speaks, as an agent and as an aggregator.
+pub const STREAM_VERSIONS: VersionRange = VersionRange::new(5, 5, Release(0, 1, 0));
+
+/// The only version that PEERNet 0.1.0 speaks.
+const FIRST_VERSION: u16 = 5;
 
 random_id! {
     /// A stream of batches: made with the agent's spool, so that a new or copied spool is recognised.
@@ -14,9 +18,11 @@ random_id! {
 }
 
 /// Who connects.
+///
+/// It is sent before a version is chosen, so that its form never changes: what a later version adds goes into the extension.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Hello {
-    /// [`PROTOCOL`] of the agent.
+    /// Oldest version of the event stream that the agent speaks.
     pub protocol: u16,
     /// The host and what it is.
     pub host: HostDescription,
@@ -38,4 +44,44 @@ pub struct Hello {
     pub batch_bytes: u32,
     /// A random number made at process start: tells a reconnect from a second process with a copied host id.
     pub process: u64,
+    /// What was not in the hello of PEERNet 0.1.0; `None` where there is nothing to add.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub extension: Option<HelloExtension>,
+}
+
+impl Hello {
+    /// Returns the versions that the agent speaks.
+    pub fn versions(&self) -> VersionRange {
+        let HelloExtension { newest, since } = self.extension.unwrap_or_default();
+        VersionRange { oldest: self.protocol, newest, since }
+    }
+}
+
+/// Named values at the end of a hello. A reader ignores names that it does not know.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(default)]
+pub struct HelloExtension {
+    /// Newest version of the event stream that the agent speaks; `None` is the oldest.
+    pub newest: Option<u16>,
+    /// First release that speaks the oldest version.
+    pub since: Option<Release>,
+}
+
+impl HelloExtension {
+    /// Returns what the hello of an agent that speaks these versions adds.
+    pub fn of(versions: &VersionRange) -> Option<Self> {
+        // PEERNet 0.1.0 cannot read a hello with an extension. It is left out where there is nothing that 0.1.0 misses.
+        let is_first = (versions.oldest(), versions.newest()) == (FIRST_VERSION, FIRST_VERSION);
+        (!is_first).then_some(Self { newest: versions.newest, since: versions.since })
+    }
+}
+
+impl Serialize for HelloExtension {
+    /// Writes a map, where other structures of the event stream are arrays.
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(Some(2))?;
+        map.serialize_entry("newest", &self.newest)?;
+        map.serialize_entry("since", &self.since)?;
+        map.end()
+    }
 }

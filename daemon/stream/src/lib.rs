@@ -32,6 +32,7 @@ mod sending;
 mod spool;
 mod totals;
 mod unresolved;
+mod versions;
 
 pub use chain::Chain;
 pub use clock::{ClockSample, DelayPoint, DelaySecond, HostClock, LinkLive, ProbeCounts, Probing, RoundTrip};
@@ -40,7 +41,7 @@ pub use counts::{
 };
 pub use event::{Claim, Event, Gap, Incident, IncidentKind, Iteration, Outcome, RunDescription, RunEnded};
 pub use experiment::{Condition, ExperimentPlace, Grade};
-pub use hello::{Hello, PROTOCOL, StreamId};
+pub use hello::{Hello, HelloExtension, STREAM_VERSIONS, StreamId};
 pub use host::{Hardware, HostDescription, HostMetrics};
 pub use live::{
     Accounting, LiveUpdate, OutcomeCounts, PipelineLive, PipelineState, Placement, PlacementKind, Second,
@@ -54,6 +55,7 @@ pub use sending::{Action, Compression, Notice, Sending, SendingConfig};
 pub use spool::{SpoolState, SpooledBatch, Usage};
 pub use totals::{Reached, Totals};
 pub use unresolved::{MOST_SENT_UNSPOOLED, Unresolved};
+pub use versions::{Release, VersionMismatch, VersionRange};
 
 #[cfg(test)]
 mod tests;

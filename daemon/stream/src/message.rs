@@ -65,6 +65,10 @@ pub enum ToAgent {
         nonce: Nonce,
         /// No secret of this host is known here: the proof is to bring it.
         enrol: bool,
+        /// Version of the event stream that was chosen for this connection; `None` is the oldest that the agent speaks.
+        // An agent of PEERNet 0.1.0 speaks one version and cannot read this field.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        version: Option<u16>,
     },
     /// The hello was accepted.
     Welcome {
@@ -81,7 +85,8 @@ pub enum ToAgent {
         /// What may be under way at once, see [`ToAgent::Ack`].
         window: u32,
     },
-    /// The hello was refused; the agent reports the reason and tries again later.
+    /// The hello was refused; the agent reports the reason and tries again later. Sent without a version that both ends
+    /// speak as well, so that its form never changes.
     Refused {
         /// What is wrong and what to do about it.
         reason: String,

@@ -12,7 +12,7 @@ use hmac::{Hmac, KeyInit, Mac};
 use serde::{Deserialize, Serialize};
 use sha2::Sha256;
 
-use super::{Hello, PROTOCOL};
+use super::Hello;
 use peernet_logger::Slug;
 
 /// Keeps these codes apart from any other use of the same secret.
@@ -76,7 +76,8 @@ impl HostSecret {
         let mut code =
             <Hmac<Sha256> as KeyInit>::new_from_slice(&self.0).expect("HMAC takes keys of any length");
         code.update(DOMAIN);
-        code.update(&PROTOCOL.to_be_bytes());
+        // Whoever makes the hello claim fewer versions on its way, to have an older one chosen, spoils the proof.
+        code.update(&hello.versions().newest().to_be_bytes());
         code.update(&nonce.0);
         code.update(hello.host.id.as_bytes());
         code.update(&hello.process.to_be_bytes());

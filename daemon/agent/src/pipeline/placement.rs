@@ -7,7 +7,7 @@ use peernet_clock::Span;
 use peernet_inference::{Done, Job, LoadError, Pool};
 use peernet_logger::{HostId, Recorder, Slug};
 use peernet_networks::{
-    CloseReason, OpenError, PROTOCOL, RequestError, Session, SessionHello, SessionSettings,
+    CloseReason, OpenError, RequestError, SESSION_VERSIONS, Session, SessionHello, SessionSettings,
 };
 use peernet_sample::Sample;
 use peernet_stream::{Condition, Outcome, Placement as Description, PlacementKind};
@@ -66,7 +66,7 @@ impl Placement {
             }
             PlacementConfig::Remote(remote) => {
                 let hello = SessionHello {
-                    protocol: PROTOCOL,
+                    versions: SESSION_VERSIONS,
                     host: host.id,
                     name: host.name.clone(),
                     clock: host.clock.identity().clone(),

@@ -7,7 +7,7 @@ use bytes::Bytes;
 use peernet_clock::WallTime;
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{
-    BatchHead, Chain, Event, Hello, MOST_UNDER_WAY, PROTOCOL, StreamId, batch_weight, codec,
+    BatchHead, Chain, Event, Hello, MOST_UNDER_WAY, STREAM_VERSIONS, StreamId, batch_weight, codec,
 };
 
 use crate::generate;
@@ -99,7 +99,7 @@ impl Plan {
         }
         assert!(longest as u64 <= BATCH_BYTES + 1_024, "batches of {longest} bytes are not cut as agents do");
         let hello = Hello {
-            protocol: PROTOCOL,
+            protocol: STREAM_VERSIONS.oldest(),
             host: generate::host(host, &format!("agent-{agent}")),
             stream,
             previous: None,
@@ -110,6 +110,7 @@ impl Plan {
             events_before_first: Some(0),
             batch_bytes: BATCH_BYTES as u32,
             process: 1,
+            extension: None,
         };
         Load { hello, stream, frames }
     }

@@ -6,8 +6,8 @@ use bytes::Bytes;
 use peernet_clock::{SharedClock, Span};
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{
-    BatchHead, Chain, Event, ExperimentPlace, Hello, HostSecret, Incident, IncidentKind, Outcome, PROTOCOL,
-    Proof, StreamId, ToAgent, ToAggregator, codec,
+    BatchHead, Chain, Event, ExperimentPlace, Hello, HostSecret, Incident, IncidentKind, Outcome, Proof,
+    STREAM_VERSIONS, StreamId, ToAgent, ToAggregator, codec,
 };
 use tokio_util::sync::CancellationToken;
 use zeromq::{Message, Options, Socket, SocketType};
@@ -68,7 +68,7 @@ impl Agent {
         socket.connect(address).await.expect("connects");
         let (edge, cloud, stream) = (HostId::random(), HostId::random(), StreamId::random());
         let hello = Hello {
-            protocol: PROTOCOL,
+            protocol: STREAM_VERSIONS.oldest(),
             host: generate::host(edge, "edge"),
             stream,
             previous: None,
@@ -79,6 +79,7 @@ impl Agent {
             events_before_first: Some(0),
             batch_bytes: 128 * 1024,
             process: 1,
+            extension: None,
         };
         let greeting = codec::encode(&ToAggregator::Hello(hello.clone()));
         socket.send(Message::single(Bytes::from(greeting))).await.expect("sends");

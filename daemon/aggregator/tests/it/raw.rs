@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use peernet_logger::{HostId, RunId};
-use peernet_stream::{BatchHead, Chain, Event, Hello, PROTOCOL, StreamId, ToAgent, codec};
+use peernet_stream::{BatchHead, Chain, Event, Hello, STREAM_VERSIONS, StreamId, ToAgent, codec};
 
 use crate::agent::Wire;
 use crate::bed::Bed;
@@ -47,7 +47,7 @@ impl Raw {
 
     pub(crate) fn hello(&self, name: &str) -> Hello {
         Hello {
-            protocol: PROTOCOL,
+            protocol: STREAM_VERSIONS.oldest(),
             host: generate::host(self.host, name),
             stream: self.stream,
             previous: None,
@@ -58,6 +58,7 @@ impl Raw {
             events_before_first: Some(0),
             batch_bytes: 128 * 1024,
             process: self.process,
+            extension: None,
         }
     }
 

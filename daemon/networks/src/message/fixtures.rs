@@ -7,7 +7,8 @@
 //!
 //! A file is `MESSAGE.bin` or `MESSAGE.DETAIL.bin`. A new message or variant gets a value in [`headers`] with a `DETAIL` of its
 //! own; `write_missing_fixtures` writes its file and never changes one that is there. A file is deleted only together with
-//! a new [`PROTOCOL`](super::PROTOCOL), because peers of the old version still send those bytes.
+//! a new oldest version in [`SESSION_VERSIONS`](super::SESSION_VERSIONS), because peers of the old version still send those
+//! bytes; those of `open` and `refused` never, because these are the same in all versions.
 
 mod accepted;
 mod headers;
@@ -54,8 +55,12 @@ impl Content {
     /// name.
     fn decode(file: &str, frame: &[u8]) -> Self {
         let content = match file.split('.').next() {
-            Some(variants::TREE_NAME) => decode_tree(frame).map(Self::Tree),
-            Some(variants::GROWTH_NAME) => decode_growth(frame).map(Self::Growth),
+            Some(variants::TREE_NAME) => {
+                decode_tree(frame).map(Self::Tree).map_err(|error| error.to_string())
+            }
+            Some(variants::GROWTH_NAME) => {
+                decode_growth(frame).map(Self::Growth).map_err(|error| error.to_string())
+            }
             _ => Header::decode(frame).map(Self::Header).map_err(|error| error.to_string()),
         };
         content.unwrap_or_else(|error| panic!("{file} cannot be decoded any more: {error}"))

@@ -1,14 +1,16 @@
 //! Frame 0: what a message is, in MessagePack.
 //!
-//! Requests and replies are written as arrays, small and fast; the messages that open and close a session are
-//! written as maps, so that a later version can add to them and still be understood well enough to be refused.
+//! Requests and replies are written as arrays, small and fast, in the form of the session's version. The messages that open
+//! and close a session are written as maps: a reader ignores names that it does not know. What opens a session or refuses it
+//! is sent before a version is chosen, so that a later version may add names to it and changes nothing else.
 
 use bytes::Bytes;
 use peernet_clock::{Span, WallTime};
 use peernet_sample::{Description, Part, Sample};
+use peernet_stream::{VersionMismatch, VersionRange};
 use serde::{Deserialize, Serialize};
 
-use super::{PeerClock, SessionAccepted, SessionHello, SessionId, words};
+use super::{PeerClock, SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId, words};
 
 /// Largest header, both ways. Bytes.
 pub(crate) const MAX_HEADER_BYTES: usize = 64 * 1024;
@@ -37,8 +39,8 @@ pub(crate) enum HeaderError {
     Unreadable(String),
     #[error("{0} bytes after the header's end")]
     Trailing(usize),
-    #[error("a hello of protocol {0}")]
-    OtherProtocol(u16),
+    #[error("a hello of {peer}", peer = .0.peer)]
+    NoCommonVersion(VersionMismatch),
     #[error("{described} parts described, {sent} sent")]
     PartCount { described: usize, sent: usize },
 }
@@ -74,6 +76,7 @@ pub(crate) struct Open {
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Accepted {
+    /// The version that the cloud chose for the session.
     pub(crate) protocol: u16,
     pub(crate) session: SessionId,
     pub(crate) accepted: SessionAccepted,
@@ -85,7 +88,9 @@ pub(crate) struct Accepted {
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Refused {
-    pub(crate) protocol: u16,
+    /// The versions that the cloud speaks.
+    #[serde(flatten)]
+    pub(crate) versions: VersionRange,
     pub(crate) kind: RefusalKind,
     #[serde(deserialize_with = "words")]
     pub(crate) reason: String,
@@ -96,7 +101,7 @@ pub(crate) struct Refused {
 pub(crate) enum RefusalKind {
     /// The cloud does not serve what was asked for.
     Refused,
-    /// The cloud speaks another version of the protocol.
+    /// The cloud speaks no version of the protocol that the edge speaks.
     Incompatible,
 }
 
@@ -198,8 +203,8 @@ impl Header {
         let mut reader = rmp_serde::Deserializer::new(wire);
         reader.set_max_depth(MAX_DEPTH);
         let header = Self::deserialize(&mut reader).map_err(|error| {
-            hello_protocol(wire)
-                .map_or_else(|| HeaderError::Unreadable(error.to_string()), HeaderError::OtherProtocol)
+            mismatch(wire)
+                .map_or_else(|| HeaderError::Unreadable(error.to_string()), HeaderError::NoCommonVersion)
         })?;
         match reader.get_ref().len() {
             0 => Ok(header),
@@ -208,8 +213,8 @@ impl Header {
     }
 }
 
-/// The protocol of a hello whose remainder this version does not understand.
-fn hello_protocol(wire: &[u8]) -> Option<u16> {
+/// Returns the versions of a hello whose remainder cannot be read, where none of them is spoken here.
+fn mismatch(wire: &[u8]) -> Option<VersionMismatch> {
     #[derive(Deserialize)]
     #[serde(rename_all = "kebab-case")]
     enum Probe {
@@ -221,10 +226,11 @@ fn hello_protocol(wire: &[u8]) -> Option<u16> {
     }
     #[derive(Deserialize)]
     struct HelloProbe {
-        protocol: u16,
+        #[serde(flatten)]
+        versions: VersionRange,
     }
     let Probe::Open(open) = rmp_serde::from_slice(wire).ok()?;
-    (open.hello.protocol != super::PROTOCOL).then_some(open.hello.protocol)
+    SESSION_VERSIONS.highest_common(&open.hello.versions).err()
 }
 
 impl SampleHeader {
@@ -266,7 +272,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::message::{PROTOCOL, strategies};
+    use crate::message::strategies;
 
     proptest! {
         #[test]
@@ -347,7 +353,7 @@ mod tests {
         fn nor_can_what_a_cloud_says_of_itself(mut accepted in strategies::accepted()) {
             let evil = || "cpu\u{1b}[2J".to_owned();
             (accepted.version, accepted.device, accepted.facts) = (evil(), evil(), vec![(evil(), evil())]);
-            let (protocol, session) = (PROTOCOL, SessionId::random());
+            let (protocol, session) = (SESSION_VERSIONS.newest(), SessionId::random());
             let header = Accepted { protocol, session, accepted, max_message_bytes: 1, max_in_flight: 1 };
             let wire = Header::Accepted(Box::new(header)).encode().expect("short enough");
             let Ok(Header::Accepted(read)) = Header::decode(&wire) else { panic!("it is one") };
@@ -359,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn a_hello_of_a_later_version_is_recognised() {
+    fn unreadable_hello_of_later_version_is_recognised() {
         #[derive(Serialize)]
         #[serde(rename_all = "kebab-case")]
         enum Later {
@@ -368,10 +374,15 @@ mod tests {
         #[derive(Serialize)]
         struct LaterHello {
             protocol: u16,
+            newest: u16,
             host: [u64; 3],
         }
-        let hello = LaterHello { protocol: PROTOCOL + 1, host: [1, 2, 3] };
+        let later = SESSION_VERSIONS.newest() + 1;
+        let hello = LaterHello { protocol: later, newest: later + 1, host: [1, 2, 3] };
         let wire = rmp_serde::to_vec_named(&Later::Open { hello, colour: "green" }).expect("serialises");
-        assert_eq!(Header::decode(&wire), Err(HeaderError::OtherProtocol(PROTOCOL + 1)));
+        let Err(HeaderError::NoCommonVersion(mismatch)) = Header::decode(&wire) else {
+            panic!("it has none")
+        };
+        assert_eq!((mismatch.peer.oldest(), mismatch.peer.newest()), (later, later + 1));
     }
 }

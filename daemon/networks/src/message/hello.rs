@@ -4,15 +4,15 @@ use std::fmt;
 
 use peernet_clock::{ClockIdentity, Discipline, RehearsalDescription};
 use peernet_logger::{HostId, Slug};
-use peernet_stream::{Condition, Hardware};
+use peernet_stream::{Condition, Hardware, Release, VersionRange};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 use uuid::Uuid;
 
 use super::{printable, words};
 
-/// The version of the protocol between edge and cloud. Peers of different versions refuse each other.
-pub const PROTOCOL: u16 = 4;
+/// Versions of the session protocol that this release speaks, as an edge and as a cloud.
+pub const SESSION_VERSIONS: VersionRange = VersionRange::new(4, 4, Release(0, 1, 0));
 
 /// Most findings about a host that a peer may tell.
 pub const MAX_CONDITIONS: usize = 32;
@@ -42,8 +42,9 @@ impl fmt::Display for SessionId {
 /// Who opens a session, and for what.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SessionHello {
-    /// The protocol version the edge speaks, [`PROTOCOL`].
-    pub protocol: u16,
+    /// The versions of the protocol that the edge speaks, [`SESSION_VERSIONS`].
+    #[serde(flatten)]
+    pub versions: VersionRange,
     /// The edge's id.
     pub host: HostId,
     /// The edge's name.

@@ -26,8 +26,8 @@ pub(crate) use header::{
     Accepted, ClockNews, Departure, Goodbye, Header, HeaderError, MAX_FRAMES, Open, Outcome, RefusalKind,
     Refused, Reply, Request, SampleHeader, UnknownSession,
 };
-pub use hello::{MAX_CONDITIONS, PROTOCOL, PeerClock, SessionAccepted, SessionHello, SessionId};
-pub(crate) use tree::{decode_growth, decode_tree, encode_growth, encode_tree, put_upload};
+pub use hello::{MAX_CONDITIONS, PeerClock, SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId};
+pub(crate) use tree::{TreeFrameError, decode_growth, decode_tree, encode_growth, encode_tree, put_upload};
 
 use serde::{Deserialize, Deserializer};
 

@@ -5,7 +5,7 @@ use peernet_clock::{
 };
 use peernet_logger::{HostId, Slug};
 use peernet_sample::{Description, ElementType, MediaType, PixelFormat};
-use peernet_stream::{Condition, Grade, Hardware};
+use peernet_stream::{Condition, Grade, Hardware, Release, VersionRange};
 use proptest::prelude::*;
 
 use super::{
@@ -27,9 +27,9 @@ fn clock() -> impl Strategy<Value = ClockIdentity> {
 
 pub(crate) fn hello() -> impl Strategy<Value = SessionHello> {
     let device = proptest::option::of(words());
-    (any::<u16>(), host(), slug(), clock(), slug(), proptest::option::of(slug()), device).prop_map(
-        |(protocol, host, name, clock, pipeline, model, device)| SessionHello {
-            protocol,
+    (versions(), host(), slug(), clock(), slug(), proptest::option::of(slug()), device).prop_map(
+        |(versions, host, name, clock, pipeline, model, device)| SessionHello {
+            versions,
             host,
             name,
             clock,
@@ -38,6 +38,12 @@ pub(crate) fn hello() -> impl Strategy<Value = SessionHello> {
             device,
         },
     )
+}
+
+fn versions() -> impl Strategy<Value = VersionRange> {
+    let stated = any::<(u16, u16, u16)>()
+        .prop_map(|(oldest, newest, minor)| VersionRange::new(oldest, newest, Release(0, minor, 0)));
+    prop_oneof![any::<u16>().prop_map(VersionRange::single), stated]
 }
 
 fn span() -> impl Strategy<Value = Span> {
@@ -174,7 +180,8 @@ pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> 
         .prop_flat_map(
             |((session, request, departure), sample, returned, outcome, (hello, accepted, clock), rest)| {
                 let (kind, reason, max_message_bytes, ordered) = rest;
-                let (protocol, arrival_epoch) = (hello.protocol, clock.epoch);
+                let (versions, arrival_epoch) = (hello.versions, clock.epoch);
+                let protocol = versions.oldest();
                 prop_oneof![
                     1 => Just(Header::Open(Box::new(Open { hello, max_message_bytes }))),
                     1 => Just(Header::Accepted(Box::new(Accepted {
@@ -184,7 +191,7 @@ pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> 
                         max_message_bytes,
                         max_in_flight: 7,
                     }))),
-                    1 => Just(Header::Refused(Refused { protocol, kind, reason: reason.clone() })),
+                    1 => Just(Header::Refused(Refused { versions, kind, reason: reason.clone() })),
                     4 => Just(Header::Request(Request { session, request, departure, sample })),
                     4 => Just(Header::Reply(Reply { session, request, departure: returned, arrival_epoch, outcome })),
                     1 => Just(Header::Clock(Box::new(ClockNews { session, clock }))),

@@ -6,6 +6,15 @@ use peernet_logger::{Growth, Measure, NodeId, Transit, Tree, stage, wire};
 
 use super::Departure;
 
+/// A tree or a growth that cannot be sent or cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum TreeFrameError {
+    #[error("the tree takes {0} bytes, more than {MAX_BYTES}")]
+    TooLong(usize),
+    #[error(transparent)]
+    Unreadable(#[from] wire::WireError),
+}
+
 /// Puts `upload` into a tree: the edge into its own and the cloud into the copy that arrived, so that the node has
 /// the same position in both without having been sent.
 pub(crate) fn put_upload(tree: &mut Tree, departure: Departure) -> NodeId {
@@ -13,29 +22,29 @@ pub(crate) fn put_upload(tree: &mut Tree, departure: Departure) -> NodeId {
     tree.add(NodeId::ROOT, stage::UPLOAD, departure.start, Measure::Transit(Box::new(transit)))
 }
 
-pub(crate) fn encode_tree(tree: &Tree) -> Result<Bytes, String> {
+pub(crate) fn encode_tree(tree: &Tree) -> Result<Bytes, TreeFrameError> {
     let mut out = Vec::with_capacity(512);
     wire::encode(tree, &mut out);
     sendable(out)
 }
 
-pub(crate) fn decode_tree(bytes: &[u8]) -> Result<Tree, String> {
-    wire::decode(bytes).map_err(|error| error.to_string())
+pub(crate) fn decode_tree(bytes: &[u8]) -> Result<Tree, TreeFrameError> {
+    Ok(wire::decode(bytes)?)
 }
 
-pub(crate) fn encode_growth(growth: &Growth) -> Result<Bytes, String> {
+pub(crate) fn encode_growth(growth: &Growth) -> Result<Bytes, TreeFrameError> {
     let mut out = Vec::with_capacity(512);
     wire::encode_growth(growth, &mut out);
     sendable(out)
 }
 
-pub(crate) fn decode_growth(bytes: &[u8]) -> Result<Growth, String> {
-    wire::decode_growth(bytes).map_err(|error| error.to_string())
+pub(crate) fn decode_growth(bytes: &[u8]) -> Result<Growth, TreeFrameError> {
+    Ok(wire::decode_growth(bytes)?)
 }
 
-fn sendable(out: Vec<u8>) -> Result<Bytes, String> {
+fn sendable(out: Vec<u8>) -> Result<Bytes, TreeFrameError> {
     if out.len() > MAX_BYTES {
-        return Err(format!("the tree takes {} bytes, more than {MAX_BYTES}", out.len()));
+        return Err(TreeFrameError::TooLong(out.len()));
     }
     Ok(out.into())
 }

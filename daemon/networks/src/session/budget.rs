@@ -15,6 +15,19 @@ pub(super) struct Budget {
     held: AtomicU64,
 }
 
+/// There is no room for a request now.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "the cloud holds {held} bytes of requests and has no room for {bytes} more; its max_in_flight_bytes is {most}"
+)]
+pub(super) struct BudgetExceeded {
+    /// Bytes of the requests that are there.
+    held: u64,
+    /// Bytes of the one that came.
+    bytes: u64,
+    most: u64,
+}
+
 /// A part of the budget; given back when it is dropped.
 #[derive(Debug)]
 struct Share {
@@ -49,17 +62,13 @@ impl Budget {
     /// it may be is not decided here.
     ///
     /// # Errors
-    /// Why there is no room for them now, for the edge.
-    pub(super) fn hold(self: &Arc<Self>, frames: Frames) -> Result<Frames, String> {
+    /// When there is no room for them now.
+    pub(super) fn hold(self: &Arc<Self>, frames: Frames) -> Result<Frames, BudgetExceeded> {
         let bytes: u64 = frames.iter().map(|frame| frame.len() as u64).sum();
         let fits = |held: u64| (held == 0 || held.saturating_add(bytes) <= self.most).then(|| held + bytes);
-        self.held.fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits).map_err(|held| {
-            format!(
-                "the cloud holds {held} bytes of requests and has no room for {bytes} more; its max_in_flight_bytes \
-                 is {}",
-                self.most
-            )
-        })?;
+        self.held
+            .fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits)
+            .map_err(|held| BudgetExceeded { held, bytes, most: self.most })?;
         let share = Arc::new(Share { budget: Arc::clone(self), bytes });
         let held = |frame| Bytes::from_owner(Held { frame, _share: Arc::clone(&share) });
         Ok(frames.into_iter().map(held).collect())
@@ -79,7 +88,7 @@ mod tests {
         let budget = Budget::new(100);
         let held = budget.hold(frames(&[10, 50])).expect("fits");
         assert_eq!((held[0].len(), held[1].len()), (10, 50));
-        let refused = budget.hold(frames(&[41])).expect_err("is too much");
+        let refused = budget.hold(frames(&[41])).expect_err("is too much").to_string();
         assert!(refused.contains("60 bytes") && refused.contains("100"), "{refused}");
         let rest = budget.hold(frames(&[40])).expect("fits exactly");
         let part = held[1].slice(5..6);

@@ -3,7 +3,9 @@
 use std::collections::HashMap;
 use std::fmt;
 
-use crate::message::{Accepted, Header, PROTOCOL, PeerClock, RefusalKind, Reply, SessionId};
+use peernet_stream::{VersionMismatch, VersionRange};
+
+use crate::message::{Accepted, Header, PeerClock, RefusalKind, Refused, Reply, SESSION_VERSIONS, SessionId};
 
 /// Why a session is over.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -36,8 +38,8 @@ pub(crate) enum Opened {
     Accepted(Box<Accepted>),
     /// The cloud does not serve what was asked for.
     Refused(String),
-    /// The cloud speaks this version of the protocol.
-    Incompatible(u16),
+    /// The cloud speaks none of our versions of the protocol.
+    Incompatible(VersionMismatch),
     /// Not an answer to a hello; the real one may still come.
     Nonsense,
 }
@@ -45,12 +47,19 @@ pub(crate) enum Opened {
 /// Judges what arrives while a session opens.
 pub(crate) fn opened(header: Header) -> Opened {
     match header {
-        Header::Accepted(accepted) if accepted.protocol == PROTOCOL => Opened::Accepted(accepted),
-        Header::Accepted(accepted) => Opened::Incompatible(accepted.protocol),
-        Header::Refused(refused) => match refused.kind {
-            RefusalKind::Refused => Opened::Refused(refused.reason),
-            RefusalKind::Incompatible => Opened::Incompatible(refused.protocol),
-        },
+        Header::Accepted(accepted) => {
+            match SESSION_VERSIONS.highest_common(&VersionRange::single(accepted.protocol)) {
+                Ok(_) => Opened::Accepted(accepted),
+                Err(mismatch) => Opened::Incompatible(mismatch),
+            }
+        }
+        Header::Refused(Refused { versions, kind: RefusalKind::Incompatible, reason }) => {
+            match SESSION_VERSIONS.highest_common(&versions) {
+                Ok(_) => Opened::Refused(reason),
+                Err(mismatch) => Opened::Incompatible(mismatch),
+            }
+        }
+        Header::Refused(refused) => Opened::Refused(refused.reason),
         _ => Opened::Nonsense,
     }
 }
@@ -257,7 +266,8 @@ mod tests {
 
         #[test]
         fn only_an_answer_opens_a_session(header in strategies::header(Vec::new())) {
-            let answers = matches!(&header, Header::Accepted(accepted) if accepted.protocol == PROTOCOL);
+            let spoken = SESSION_VERSIONS.oldest()..=SESSION_VERSIONS.newest();
+            let answers = matches!(&header, Header::Accepted(accepted) if spoken.contains(&accepted.protocol));
             prop_assert_eq!(matches!(opened(header), Opened::Accepted(_)), answers);
         }
     }

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use bytes::Bytes;
 use peernet_clock::{MonoTime, SharedClock, Stamp};
-use peernet_logger::{HostId, Recorder};
+use peernet_logger::{HostId, Recorder, TreeError};
 use peernet_sample::Sample;
 use tokio::sync::Notify;
 
@@ -20,7 +20,7 @@ use super::server::{Heard, Route, Server, Standing};
 use crate::figures::Counters;
 use crate::message::{
     Departure, Header, HeaderError, MAX_FRAMES, Outcome, PeerClock, Reply, Request, SampleHeader,
-    SessionAccepted, SessionId, decode_tree, encode_growth, put_upload,
+    SessionAccepted, SessionId, TreeFrameError, decode_tree, encode_growth, put_upload,
 };
 use crate::transport::{Arrival, BindFailure, CloudReceiver, CloudSender, ConnectionId, Frames, Peer};
 use crate::{Address, NetworkFigures, NetworkKind, SessionSettings};
@@ -184,8 +184,8 @@ fn heard(shared: &Arc<Shared>, peer: &Peer, frames: Frames, received: (Stamp, u3
     }
     let header = match Header::decode(frames.first().map_or(&[], |frame| frame)) {
         Ok(header) => header,
-        Err(HeaderError::OtherProtocol(theirs)) => {
-            shared.tell(peer, &Server::incompatible(theirs));
+        Err(HeaderError::NoCommonVersion(mismatch)) => {
+            shared.tell(peer, &Server::incompatible(&mismatch));
             return None;
         }
         Err(error) => {
@@ -227,13 +227,13 @@ fn incoming_request(
     let ticket = Ticket { session: request.session, request: request.request, arrival_epoch };
     let frames = match shared.budget.hold(frames) {
         Ok(frames) => frames,
-        Err(reason) => {
-            shared.answer(ticket, None, Err(Failure::Overloaded(reason)));
+        Err(exceeded) => {
+            shared.answer(ticket, None, Err(Failure::Overloaded(exceeded.to_string())));
             return None;
         }
     };
     let log = shared.resume(frames.get(1), request.departure, received);
-    let sample = request.sample.into_sample(frames.into_iter().skip(2)).map_err(|error| error.to_string());
+    let sample = request.sample.into_sample(frames.into_iter().skip(2)).map_err(InvalidRequest::from);
     match (log, sample) {
         (Ok(log), Ok(sample)) => {
             let reply = Responder::new(ticket, Arc::downgrade(shared));
@@ -241,12 +241,25 @@ fn incoming_request(
             Some(Incoming::Request(IncomingRequest { session, sample, log, received, reply }))
         }
         (Err(problem), _) | (_, Err(problem)) => {
-            shared.malformed(peer.address, &problem);
+            shared.malformed(peer.address, &problem.to_string());
             let failure = Failure::Failed(format!("the request makes no sense: {problem}"));
             shared.answer(ticket, None, Err(failure));
             None
         }
     }
+}
+
+/// A request that makes no sense.
+#[derive(Debug, thiserror::Error)]
+enum InvalidRequest {
+    #[error("no tree")]
+    NoTree,
+    #[error(transparent)]
+    Frame(#[from] TreeFrameError),
+    #[error(transparent)]
+    Tree(#[from] TreeError),
+    #[error(transparent)]
+    Sample(#[from] HeaderError),
 }
 
 impl Shared {
@@ -260,11 +273,10 @@ impl Shared {
         tree: Option<&Bytes>,
         departure: Departure,
         received: Stamp,
-    ) -> Result<Recorder, String> {
-        let mut tree = decode_tree(tree.ok_or("no tree")?)?;
+    ) -> Result<Recorder, InvalidRequest> {
+        let mut tree = decode_tree(tree.ok_or(InvalidRequest::NoTree)?)?;
         let upload = put_upload(&mut tree, departure);
-        Recorder::resume(self.clock.clone(), self.host, tree, upload, received)
-            .map_err(|error| error.to_string())
+        Ok(Recorder::resume(self.clock.clone(), self.host, tree, upload, received)?)
     }
 
     /// Tells the transport what the connection may send from now on.
@@ -409,7 +421,7 @@ fn grown(log: Option<Recorder>) -> (Option<Bytes>, peernet_clock::Span) {
     let grown = log.into_growth().and_then(|growth| match encode_growth(&growth) {
         Ok(wire) => Some(wire),
         Err(error) => {
-            tracing::warn!(error, "an answer goes out without what was measured here");
+            tracing::warn!(%error, "an answer goes out without what was measured here");
             None
         }
     });

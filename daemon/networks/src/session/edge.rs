@@ -15,8 +15,8 @@ use super::open::{OpenError, handshake};
 use super::receiving::Receiving;
 use crate::figures::Counters;
 use crate::message::{
-    Accepted, Departure, Header, PeerClock, Request, SampleHeader, SessionAccepted, SessionHello, SessionId,
-    encode_tree, put_upload,
+    Accepted, Departure, Header, HeaderError, PeerClock, Request, SampleHeader, SessionAccepted,
+    SessionHello, SessionId, TreeFrameError, encode_tree, put_upload,
 };
 use crate::transport::{Dialled, EdgeSender, SendFailure};
 use crate::{Address, NetworkFigures, NetworkKind, SessionSettings};
@@ -210,6 +210,17 @@ impl Session {
     }
 }
 
+/// Why a sample cannot be sent.
+#[derive(Debug, thiserror::Error)]
+enum UnsendableSample {
+    #[error(transparent)]
+    Header(#[from] HeaderError),
+    #[error(transparent)]
+    Tree(#[from] TreeFrameError),
+    #[error("{bytes} bytes are more than max_message_bytes allows, {most}")]
+    TooLarge { bytes: u64, most: u64 },
+}
+
 /// A request under way. Giving it up is dropping it.
 struct Pending<'a> {
     shared: &'a Shared,
@@ -252,14 +263,15 @@ impl Shared {
 
     /// Encodes and hands to the network, from the task that asks for it.
     fn send(&self, log: &mut Recorder, sample: &Sample) -> Result<Pending<'_>, RequestError> {
-        let failed = |reason: String| RequestError::Failed(format!("the sample cannot be sent: {reason}"));
+        let failed =
+            |error: UnsendableSample| RequestError::Failed(format!("the sample cannot be sent: {error}"));
         let encoding = log.start(stage::ENCODE);
         let prepared = self.prepare(log, sample);
         let (tree, sample_header) = match prepared {
             Ok(prepared) => prepared,
-            Err(reason) => {
+            Err(error) => {
                 log.stop(encoding);
-                return Err(failed(reason));
+                return Err(failed(error));
             }
         };
         let (waiter, answer) = oneshot::channel();
@@ -276,7 +288,7 @@ impl Shared {
         let mut pending = Pending { shared: self, request, departed, sizes: Sizes::default(), answer };
         let header =
             Header::Request(Request { session: self.session, request, departure, sample: sample_header });
-        let header = header.encode().map_err(|error| failed(error.to_string()))?;
+        let header = header.encode().map_err(|error| failed(error.into()))?;
         let mut frames = Vec::with_capacity(2 + sample.parts.len());
         frames.extend([header, tree]);
         frames.extend(sample.parts.iter().map(|part| part.bytes.clone()));
@@ -294,15 +306,16 @@ impl Shared {
         }
     }
 
-    fn prepare(&self, log: &Recorder, sample: &Sample) -> Result<(bytes::Bytes, SampleHeader), String> {
-        let header = SampleHeader::of(sample).map_err(|error| error.to_string())?;
+    fn prepare(
+        &self,
+        log: &Recorder,
+        sample: &Sample,
+    ) -> Result<(bytes::Bytes, SampleHeader), UnsendableSample> {
+        let header = SampleHeader::of(sample)?;
         let tree = encode_tree(log.tree())?;
         let bytes = sample.payload_bytes().saturating_add(tree.len() as u64);
         if bytes > self.max_message_bytes {
-            return Err(format!(
-                "{bytes} bytes are more than max_message_bytes allows, {}",
-                self.max_message_bytes
-            ));
+            return Err(UnsendableSample::TooLarge { bytes, most: self.max_message_bytes });
         }
         Ok((tree, header))
     }

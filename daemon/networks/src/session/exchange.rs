@@ -1,10 +1,12 @@
 //! One request and its answer, on the edge's tree.
 
 use peernet_clock::{Span, Stamp, WallTime, Witnessed};
-use peernet_logger::{HostId, HostIndex, Measure, Name, Node, NodeId, Recorder, Transit, Unit, stage};
+use peernet_logger::{
+    HostId, HostIndex, Measure, Name, Node, NodeId, Recorder, Transit, TreeError, Unit, stage,
+};
 use peernet_sample::Sample;
 
-use crate::message::{Departure, Outcome, Reply, decode_growth};
+use crate::message::{Departure, Outcome, Reply, TreeFrameError, decode_growth};
 use crate::transport::Frames;
 
 /// What became of a request. The log always comes back.
@@ -95,6 +97,25 @@ impl Sizes {
     }
 }
 
+/// A growth that does not fit the tree which was sent.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum GrowthError {
+    #[error(transparent)]
+    Frame(#[from] TreeFrameError),
+    #[error("the cloud closed another node than upload")]
+    OtherNodeClosed,
+    #[error("the cloud's nodes are another host's")]
+    OtherHost,
+    #[error("too many hosts in one tree")]
+    TooManyHosts,
+    #[error("the cloud added a node to a host that was there before it")]
+    EarlierHost,
+    #[error("too many nodes in one tree")]
+    TooManyNodes,
+    #[error(transparent)]
+    Tree(#[from] TreeError),
+}
+
 /// Takes over what the cloud added to the tree: closes `upload`, appends the cloud's nodes and `download`.
 /// Returns the position of `download`, and the stamps. `None` when no model answered.
 ///
@@ -105,21 +126,21 @@ pub(crate) fn absorb(
     cloud: HostId,
     departed: &Departed,
     arrived: &Arrived,
-) -> Result<Option<(NodeId, Option<Witnessed>)>, String> {
+) -> Result<Option<(NodeId, Option<Witnessed>)>, GrowthError> {
     let (Some(departure), Some(growth)) = (arrived.reply.departure, arrived.frames.get(1)) else {
         return Ok(None);
     };
     let mut growth = decode_growth(growth)?;
     if growth.closed.0 != departed.upload {
-        return Err("the cloud closed another node than upload".into());
+        return Err(GrowthError::OtherNodeClosed);
     }
     if growth.anchor.host != cloud {
-        return Err("the cloud's nodes are another host's".into());
+        return Err(GrowthError::OtherHost);
     }
-    let joined = u8::try_from(log.tree().anchors().len()).map_err(|_| "too many hosts in one tree")?;
+    let joined = u8::try_from(log.tree().anchors().len()).map_err(|_| GrowthError::TooManyHosts)?;
     let host = HostIndex(joined);
     if growth.nodes.iter().any(|node| node.host < host) {
-        return Err("the cloud added a node to a host that was there before it".into());
+        return Err(GrowthError::EarlierHost);
     }
     let transit = Transit { sent: departure.sent, received: Some(arrived.at.wall), delay: None };
     growth.nodes.push(Node {
@@ -130,9 +151,9 @@ pub(crate) fn absorb(
         measure: Measure::Transit(Box::new(transit)),
     });
     let witnessed = witnessed(departed, growth.closed.1, departure, arrived);
-    log.tree_mut().absorb(growth).map_err(|error| error.to_string())?;
+    log.tree_mut().absorb(growth)?;
     let last = log.tree().nodes().len() - 1;
-    let download = u32::try_from(last).map(NodeId).map_err(|_| "too many nodes in one tree")?;
+    let download = u32::try_from(last).map(NodeId).map_err(|_| GrowthError::TooManyNodes)?;
     Ok(Some((download, witnessed)))
 }
 

@@ -1,5 +1,6 @@
 //! Opening a session: connect, say hello, wait for the answer.
 
+use peernet_stream::VersionMismatch;
 use tokio::time::{Instant, timeout_at};
 
 use super::client::{Opened, opened};
@@ -37,18 +38,18 @@ pub enum OpenError {
         /// The cloud's words.
         reason: String,
     },
-    /// The cloud speaks another version of the protocol.
-    #[error(
-        "the cloud at {address} speaks protocol {theirs}, this program {ours}: run the same release on both hosts"
-    )]
+    /// The cloud speaks no version of the protocol that this program speaks.
+    #[error("{}", incompatible(.address, .mismatch))]
     Incompatible {
         /// Where the session was to be opened.
         address: Address,
-        /// The protocol version of the hello.
-        ours: u16,
-        /// The cloud's.
-        theirs: u16,
+        /// What both speak.
+        mismatch: VersionMismatch,
     },
+}
+
+fn incompatible(address: &Address, mismatch: &VersionMismatch) -> String {
+    mismatch.describe("the session protocol", "this program", &format!("the cloud at {address}"))
 }
 
 impl OpenError {
@@ -65,7 +66,6 @@ pub(crate) async fn handshake(
     settings: &SessionSettings,
 ) -> Result<(Dialled, Accepted), OpenError> {
     let unreachable = |reason: String| OpenError::Unreachable { address: address.clone(), reason };
-    let ours = hello.protocol;
     let waited_ms = settings.open_timeout_ms;
     let deadline = Instant::now() + settings.open_timeout();
     let dialled = timeout_at(deadline, kind.dial(address, settings)).await;
@@ -87,8 +87,8 @@ pub(crate) async fn handshake(
         match opened(header) {
             Opened::Accepted(accepted) => return Ok((dialled, *accepted)),
             Opened::Refused(reason) => return Err(OpenError::Refused { address: address.clone(), reason }),
-            Opened::Incompatible(theirs) => {
-                return Err(OpenError::Incompatible { address: address.clone(), ours, theirs });
+            Opened::Incompatible(mismatch) => {
+                return Err(OpenError::Incompatible { address: address.clone(), mismatch });
             }
             Opened::Nonsense => {}
         }

@@ -11,7 +11,7 @@ use super::client::{CloseReason, Heard};
 use super::edge::{Answer, Shared};
 use super::exchange::{Arrived, Sizes};
 use crate::message::{Goodbye, Header};
-use crate::transport::{EdgeReceiver, Frames};
+use crate::transport::{Disconnected, EdgeReceiver, Frames};
 
 impl Shared {
     /// A message arrived at `arrived`. Returns why the session is over, if it now is.
@@ -100,7 +100,7 @@ impl Receiving {
                                 break reason;
                             }
                         }
-                        Err(reason) => break CloseReason::Broken(reason),
+                        Err(Disconnected(reason)) => break CloseReason::Broken(reason),
                     },
                 }
             }

@@ -4,12 +4,13 @@ use std::collections::{HashMap, HashSet};
 
 use crate::SessionSettings;
 use crate::message::{
-    Accepted, ClockNews, Goodbye, Header, Open, Outcome, PROTOCOL, PeerClock, RefusalKind, Refused, Reply,
-    Request, SessionAccepted, SessionHello, SessionId, UnknownSession,
+    Accepted, ClockNews, Goodbye, Header, Open, Outcome, PeerClock, RefusalKind, Refused, Reply, Request,
+    SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId, UnknownSession,
 };
 use crate::transport::zmtp::AddressGroup;
 use crate::transport::{ConnectionId, Peer};
 use peernet_logger::HostId;
+use peernet_stream::VersionMismatch;
 
 /// Sessions that one connection may hold at once.
 const SESSIONS_PER_CONNECTION: usize = 16;
@@ -31,6 +32,8 @@ struct Entry {
     peer: Peer,
     /// Who the edge says it is.
     host: HostId,
+    /// The version of the protocol that was chosen.
+    version: u16,
     accepted: bool,
     in_flight: HashSet<u64>,
     /// Largest message that the edge takes.
@@ -103,20 +106,21 @@ impl Server {
         }
     }
 
-    /// The answer to a hello of another version.
-    pub(crate) fn incompatible(theirs: u16) -> Header {
-        let reason = format!("this cloud speaks protocol {PROTOCOL}, the edge {theirs}");
-        Header::Refused(Refused { protocol: PROTOCOL, kind: RefusalKind::Incompatible, reason })
+    /// The answer to a hello without a common version.
+    pub(crate) fn incompatible(mismatch: &VersionMismatch) -> Header {
+        let reason = mismatch.describe("the session protocol", "the cloud", "the edge");
+        Header::Refused(Refused { versions: SESSION_VERSIONS, kind: RefusalKind::Incompatible, reason })
     }
 
     fn refusal(reason: String) -> Header {
-        Header::Refused(Refused { protocol: PROTOCOL, kind: RefusalKind::Refused, reason })
+        Header::Refused(Refused { versions: SESSION_VERSIONS, kind: RefusalKind::Refused, reason })
     }
 
     fn open(&mut self, peer: &Peer, open: Open) -> Heard {
-        if open.hello.protocol != PROTOCOL {
-            return Heard::Answer(Self::incompatible(open.hello.protocol));
-        }
+        let version = match SESSION_VERSIONS.highest_common(&open.hello.versions) {
+            Ok(version) => version,
+            Err(mismatch) => return Heard::Answer(Self::incompatible(&mismatch)),
+        };
         let of_connection = self.connections.get(&peer.connection).map_or(0, Vec::len);
         if of_connection >= SESSIONS_PER_CONNECTION {
             let reason = format!(
@@ -131,6 +135,7 @@ impl Server {
         let entry = Entry {
             peer: peer.clone(),
             host: open.hello.host,
+            version,
             accepted: false,
             in_flight: HashSet::new(),
             max_message_bytes: open.max_message_bytes,
@@ -229,7 +234,7 @@ impl Server {
             accepted.host_clock.clone_from(clock);
         }
         let header = Header::Accepted(Box::new(Accepted {
-            protocol: PROTOCOL,
+            protocol: entry.version,
             session,
             accepted,
             max_message_bytes: self.max_message_bytes,

@@ -42,10 +42,15 @@ pub(crate) trait EdgeSender: Send + Sync + fmt::Debug {
     fn send(&self, frames: Frames) -> Result<(), SendFailure>;
 }
 
+/// A connection has ended, and why.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub(crate) struct Disconnected(pub(crate) String);
+
 /// The receiving half of the edge's end.
 pub(crate) trait EdgeReceiver: Send + fmt::Debug {
     /// The next whole message, or why there will be none. Dropping the future loses nothing.
-    fn receive(&mut self) -> BoxFuture<'_, Result<Frames, String>>;
+    fn receive(&mut self) -> BoxFuture<'_, Result<Frames, Disconnected>>;
 
     /// Closes the connection, after what was sent has gone out or `linger` has passed.
     fn close(self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()>;

@@ -17,7 +17,7 @@ use zeromq::{
 use super::zmtp::{ListenerLimits, ZmtpListener, ZmtpSender};
 use super::{
     Arrival, BindFailure, Bound, CloudReceiver, CloudSender, ConnectionId, DialFailure, Dialled,
-    EdgeReceiver, EdgeSender, Frames, Peer, SendFailure,
+    Disconnected, EdgeReceiver, EdgeSender, Frames, Peer, SendFailure,
 };
 use crate::descriptors::DescriptorShare;
 use crate::message::MAX_FRAMES;
@@ -147,19 +147,19 @@ struct Dealer {
 }
 
 impl EdgeReceiver for Dealer {
-    fn receive(&mut self) -> BoxFuture<'_, Result<Frames, String>> {
+    fn receive(&mut self) -> BoxFuture<'_, Result<Frames, Disconnected>> {
         Box::pin(async {
             loop {
                 if let Some(reason) = &self.ended {
                     return self
                         .socket
                         .try_recv()
-                        .map_or_else(|_| Err(reason.clone()), |m| Ok(to_frames(&m)));
+                        .map_or_else(|_| Err(Disconnected(reason.clone())), |m| Ok(to_frames(&m)));
                 }
                 tokio::select! {
                     biased;
                     message = self.socket.recv() => {
-                        return message.map_or_else(|error| Err(error.to_string()), |m| Ok(to_frames(&m)));
+                        return message.map_or_else(|error| Err(Disconnected(error.to_string())), |m| Ok(to_frames(&m)));
                     }
                     event = self.monitor.recv() => match event {
                         Ok(MonitorEvent::Disconnected { reason, .. }) => self.ended = Some(reason_text(&reason)),

@@ -1,11 +1,11 @@
 //! A cloud made of a plain ZeroMQ socket.
 
 use bytes::Bytes;
-use peernet_networks::{Address, PROTOCOL};
+use peernet_networks::Address;
 use zeromq::{Message, Options, Socket, SocketType};
 
 use crate::support::{hello, open, settings, within};
-use crate::wire::{self, Header, Id};
+use crate::wire::{self, Header, Id, PROTOCOL};
 
 /// A cloud that says what it likes.
 pub(crate) struct FakeCloud {

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use peernet_networks::{BindError, CloseReason, Listener, NetworkKind, OpenError, PROTOCOL, SessionSettings};
+use peernet_networks::{BindError, CloseReason, Listener, NetworkKind, OpenError, SessionSettings};
 
 use crate::support::{Cloud, accepted, clock, echo, hello, open, settings, within};
 
@@ -57,21 +57,6 @@ async fn a_refusal_arrives_with_its_reason() {
     let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
     drop(cloud.next_open().await);
     assert!(matches!(within(edge).await.expect("no panic"), Err(OpenError::Refused { .. })));
-}
-
-#[tokio::test]
-async fn another_protocol_is_incompatible() {
-    let mut cloud = Cloud::start().await;
-    let address = cloud.address();
-    let mut future = hello();
-    future.protocol = PROTOCOL + 1;
-    let edge = tokio::spawn(async move { open(&address, future, settings()).await });
-    let error = tokio::select! {
-        error = within(edge) => error.expect("no panic").expect_err("incompatible"),
-        incoming = cloud.next() => panic!("handed out {incoming:?}"),
-    };
-    let (ours, theirs) = (PROTOCOL + 1, PROTOCOL);
-    assert_eq!(error, OpenError::Incompatible { address: cloud.address(), ours, theirs });
 }
 
 #[tokio::test]

@@ -3,14 +3,14 @@
 use bytes::Bytes;
 use peernet_clock::{Span, WallTime};
 use peernet_logger::{Anchor, Growth, HostId, HostIndex, Measure, Node, NodeId, Tree, stage, wire as logger};
-use peernet_networks::{CloseReason, Incoming, PROTOCOL, RequestError, SessionSettings};
+use peernet_networks::{CloseReason, Incoming, RequestError, SessionSettings};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use zeromq::Options;
 
 use crate::fake_cloud::FakeCloud;
 use crate::support::{Cloud, PATIENCE, accepted, echo, log, request, sample, settings, within};
-use crate::wire::{self, Header, Id, Outcome, Plain};
+use crate::wire::{self, Header, Id, Outcome, PROTOCOL, Plain};
 
 fn tree() -> Bytes {
     let anchor = Anchor { host: HostId::random(), wall: WallTime::default() };
@@ -100,7 +100,13 @@ async fn frames_that_are_no_message_are_dropped_and_counted() {
         plain.frames(frames).await;
     }
     let out_of_place = [
-        Header::Refused { protocol: 1, kind: "refused".into(), reason: "me too".into() },
+        Header::Refused {
+            protocol: 1,
+            newest: None,
+            since: None,
+            kind: "refused".into(),
+            reason: "me too".into(),
+        },
         Header::Reply(session.clone(), 0, None, 0, Outcome::Failed("no".into())),
         Header::Clock { session: session.clone(), clock: wire::host_clock(1) },
         Header::Goodbye { session: Id::from([9; 16]), reason: "whose?".into(), ordered: None },
@@ -214,23 +220,6 @@ async fn a_crowd_of_silent_connections_keeps_nobody_out() {
     // They are hung up on when their time for a handshake is over.
     malformed_after(&mut cloud, 300).await;
     drop(silent);
-}
-
-#[tokio::test]
-async fn a_hello_from_the_future_is_refused_with_our_version() {
-    let mut cloud = Cloud::start().await;
-    let plain = Plain::dealer(&cloud.address(), Options::default()).await;
-    let mut hello = wire::hello(PROTOCOL + 7);
-    hello.name = "names may have spaces then".into();
-    hello.colour = Some("green".into());
-    plain.say(&Header::Open { hello, max_message_bytes: 1 }, Vec::new()).await;
-    let (header, _) = tokio::select! {
-        heard = plain.hear() => heard,
-        incoming = cloud.next() => panic!("handed out {incoming:?}"),
-    };
-    let Header::Refused { protocol, kind, reason } = header else { panic!("{header:?}") };
-    assert_eq!((protocol, kind.as_str()), (PROTOCOL, "incompatible"));
-    assert!(reason.contains(&(PROTOCOL + 7).to_string()), "{reason}");
 }
 
 #[tokio::test]

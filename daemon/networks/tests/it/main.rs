@@ -11,4 +11,5 @@ mod requests;
 mod shutdown;
 mod support;
 mod telling;
+mod versions;
 mod wire;

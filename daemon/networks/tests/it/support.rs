@@ -7,8 +7,8 @@ use bytes::Bytes;
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
 use peernet_logger::{HostId, Recorder};
 use peernet_networks::{
-    Address, Exchange, Incoming, IncomingRequest, Listener, NetworkKind, OpenError, OpenRequest, PROTOCOL,
-    PeerClock, Session, SessionAccepted, SessionHello, SessionId, SessionSettings,
+    Address, Exchange, Incoming, IncomingRequest, Listener, NetworkKind, OpenError, OpenRequest, PeerClock,
+    SESSION_VERSIONS, Session, SessionAccepted, SessionHello, SessionId, SessionSettings,
 };
 use peernet_sample::{Description, Sample};
 use peernet_stream::Hardware;
@@ -30,7 +30,7 @@ pub(crate) fn settings() -> SessionSettings {
 
 pub(crate) fn hello() -> SessionHello {
     SessionHello {
-        protocol: PROTOCOL,
+        versions: SESSION_VERSIONS,
         host: HostId::random(),
         name: "robot-1".parse().expect("a name"),
         clock: ClockIdentity::new("boot", "system"),

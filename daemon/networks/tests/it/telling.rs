@@ -1,12 +1,12 @@
 //! What hello and its answer carry beside identities.
 
-use peernet_networks::{MAX_CONDITIONS, PROTOCOL};
+use peernet_networks::MAX_CONDITIONS;
 use peernet_stream::{Condition, Grade, Hardware};
 use zeromq::Options;
 
 use crate::fake_cloud::FakeCloud;
 use crate::support::{Cloud, accepted, hello, open, settings, within};
-use crate::wire::{self, Header, Id, Plain};
+use crate::wire::{self, Header, Id, PROTOCOL, Plain};
 
 #[tokio::test]
 async fn an_edge_may_leave_the_model_to_the_cloud() {

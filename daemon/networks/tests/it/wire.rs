@@ -6,6 +6,9 @@ use zeromq::{Message, Options, Socket, SocketType};
 
 use crate::support::within;
 
+/// The version of the protocol that this is.
+pub(crate) const PROTOCOL: u16 = 4;
+
 #[derive(Serialize, Deserialize, Debug)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Header {
@@ -22,6 +25,10 @@ pub(crate) enum Header {
     },
     Refused {
         protocol: u16,
+        #[serde(default)]
+        newest: Option<u16>,
+        #[serde(default)]
+        since: Option<Release>,
         kind: String,
         reason: String,
     },
@@ -43,6 +50,9 @@ pub(crate) enum Header {
     },
 }
 
+/// Major, minor and patch version.
+pub(crate) type Release = (u16, u16, u16);
+
 /// Wall clock, offset on the monotonic clock, epoch.
 pub(crate) type Departure = (i64, i64, u32);
 
@@ -62,7 +72,12 @@ pub(crate) enum Outcome {
 
 #[derive(Serialize, Deserialize, Debug)]
 pub(crate) struct Hello {
+    /// The oldest version that the edge speaks.
     pub(crate) protocol: u16,
+    #[serde(default)]
+    pub(crate) newest: Option<u16>,
+    #[serde(default)]
+    pub(crate) since: Option<Release>,
     pub(crate) host: Id,
     pub(crate) name: String,
     pub(crate) clock: Clock,
@@ -157,6 +172,8 @@ pub(crate) fn host_clock(epoch: u32) -> HostClock {
 pub(crate) fn hello(protocol: u16) -> Hello {
     Hello {
         protocol,
+        newest: None,
+        since: None,
         host: Id::from([1; 16]),
         name: "plain".into(),
         clock: Clock { boot: "b".into(), clock: "c".into() },

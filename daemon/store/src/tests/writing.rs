@@ -2,7 +2,7 @@
 
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{
-    Chain, Event, Gap, Hello, Iteration, Known, Lacking, Mark, Missing, PROTOCOL, StreamId,
+    Chain, Event, Gap, Hello, Iteration, Known, Lacking, Mark, Missing, STREAM_VERSIONS, StreamId,
 };
 
 use super::rollups::{assert_same, table};
@@ -313,7 +313,7 @@ async fn what_an_older_database_lacks_of_a_stream_that_was_left_is_one_gap() {
 
 fn hello_of(host: HostId, stream: StreamId, previous: Option<StreamId>) -> Hello {
     Hello {
-        protocol: PROTOCOL,
+        protocol: STREAM_VERSIONS.oldest(),
         host: generate::host(host, "edge"),
         stream,
         previous,
@@ -324,6 +324,7 @@ fn hello_of(host: HostId, stream: StreamId, previous: Option<StreamId>) -> Hello
         events_before_first: None,
         batch_bytes: 1,
         process: 1,
+        extension: None,
     }
 }
 

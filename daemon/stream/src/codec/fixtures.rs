@@ -5,7 +5,8 @@
 //!
 //! A file is `MESSAGE.bin` or `MESSAGE.DETAIL.bin`. A new message or variant gets a value in [`messages`] or [`events`] with
 //! a `DETAIL` of its own; `write_missing_fixtures` writes its file and never changes one that is there. A file is deleted
-//! only together with a new [`PROTOCOL`](super::super::PROTOCOL), because agents of the old version still send those bytes.
+//! only together with a new oldest version in [`STREAM_VERSIONS`](super::super::STREAM_VERSIONS), because agents of the old
+//! version still send those bytes; those of hellos and refusals never, because these are the same in all versions.
 
 mod events;
 mod messages;

@@ -229,7 +229,8 @@ fn message(script: &mut Script<'_>, (mut stream, chain, number): (StreamId, Chai
         4 => ToAgent::Resend { stream, from: number },
         _ if choice & 0x30 == 0x30 => {
             let (aggregator, nonce) = ("base".parse().expect("a name"), Nonce::from_bytes([choice; 32]));
-            ToAgent::Challenge { aggregator, stream, nonce, enrol: choice & 8 != 0 }
+            let version = (choice & 4 != 0).then_some(u16::from(choice & 7));
+            ToAgent::Challenge { aggregator, stream, nonce, enrol: choice & 8 != 0, version }
         }
         _ if choice & 0x10 != 0 => ToAgent::Refused { reason: "no".into() },
         _ => ToAgent::Unknown,

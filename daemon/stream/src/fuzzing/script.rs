@@ -2,7 +2,9 @@
 
 use peernet_clock::{ClockIdentity, WallTime};
 
-use crate::{BatchHead, Chain, Hardware, Hello, HostDescription, Mark, PROTOCOL, StreamId};
+use crate::{
+    BatchHead, Chain, Hardware, Hello, HelloExtension, HostDescription, Mark, STREAM_VERSIONS, StreamId,
+};
 use peernet_logger::HostId;
 
 /// Reads decisions from bytes; zeros at their end.
@@ -73,7 +75,7 @@ impl Script<'_> {
         let (id, stream, oldest) = (self.host(), self.stream(), self.number());
         let choice = self.byte();
         Hello {
-            protocol: if choice == 255 { 0 } else { PROTOCOL },
+            protocol: if choice == 255 { 0 } else { STREAM_VERSIONS.oldest() },
             host: host(id),
             stream,
             previous: (choice & 1 != 0).then(|| self.stream()),
@@ -84,6 +86,8 @@ impl Script<'_> {
             events_before_first: (choice & 4 == 0).then(|| self.number()),
             batch_bytes: u32::from(choice) << (choice % 25),
             process: u64::from(choice >> 6),
+            extension: (choice & 8 != 0)
+                .then_some(HelloExtension { newest: Some(choice.into()), since: None }),
         }
     }
 }

@@ -3,20 +3,16 @@
 use peernet_clock::MonoTime;
 
 use super::super::codec::MAX_MESSAGE_BYTES;
-use super::super::{PROTOCOL, batch_weight};
+use super::super::{STREAM_VERSIONS, batch_weight};
 use super::progress::LAST_BATCH;
 use super::{Hello, Known, Receiving, StreamId};
 use peernet_logger::{HostId, Slug};
 
-/// What speaks against an agent of another version than this; it would understand nothing else.
+/// Returns the reason to refuse an agent that has no version in common with this aggregator.
 pub(super) fn wrong_version(hello: &Hello) -> Option<String> {
-    let protocol = hello.protocol;
-    (protocol != PROTOCOL).then(|| {
-        format!(
-            "the agent speaks version {protocol} of the event stream, the aggregator version {PROTOCOL}: install the same \
-             release on both"
-        )
-    })
+    let mismatch = STREAM_VERSIONS.highest_common(&hello.versions()).err()?;
+    let agent = format!("the agent on {}", hello.host.name);
+    Some(mismatch.describe("the event stream", "the aggregator", &agent))
 }
 
 /// Whether a host has been stored for longer than another; one that is not stored never has.

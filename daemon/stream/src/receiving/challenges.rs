@@ -5,7 +5,7 @@ use std::hash::Hash;
 
 use peernet_clock::{MonoTime, Span};
 
-use super::super::{HostSecret, Nonce, Proof};
+use super::super::{HostSecret, Nonce, Proof, STREAM_VERSIONS};
 use super::{Hello, ToAgent};
 use peernet_logger::Slug;
 
@@ -53,6 +53,9 @@ impl<C: Eq + Hash> Challenges<C> {
     /// A hello came on a connection. Returns what is to be sent. `enrol` says that no secret of its host is known;
     /// `nonce` is a fresh one.
     ///
+    /// The highest version that both ends speak is chosen. Hellos without one are refused before
+    /// ([`Receiving::refuses_version`](super::Receiving::refuses_version)).
+    ///
     /// A hello that is repeated gets the same challenge again: on a slow link the proof may be on its way. Any other takes
     /// the place of the one before on its connection.
     pub fn challenge(
@@ -68,8 +71,10 @@ impl<C: Eq + Hash> Challenges<C> {
         let before = before.filter(|it| claim(&it.hello) == claim(&hello) && it.enrol == enrol);
         let nonce = before.map_or(nonce, |before| before.nonce);
         let (aggregator, stream) = (self.aggregator.clone(), hello.stream);
+        let chosen = STREAM_VERSIONS.highest_common(&hello.versions()).ok();
+        let version = chosen.filter(|chosen| *chosen != hello.protocol);
         self.pending.insert(connection, Pending { hello: Box::new(hello), nonce, enrol, since: now });
-        ToAgent::Challenge { aggregator, stream, nonce, enrol }
+        ToAgent::Challenge { aggregator, stream, nonce, enrol, version }
     }
 
     /// The host whose proof a connection is to give.

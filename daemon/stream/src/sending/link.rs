@@ -2,13 +2,22 @@
 
 use peernet_clock::{MonoTime, Stamp};
 
-use super::super::{Chain, Hello, Nonce, PROTOCOL, Proof, ToAgent, ToAggregator, codec};
+use super::super::{
+    Chain, Hello, HelloExtension, Nonce, Proof, STREAM_VERSIONS, ToAgent, ToAggregator, VersionRange, codec,
+};
 use super::session::{Link, ScanPurpose, Welcome};
 use super::spool_reader::{LoadPurpose, ScanResult};
 use super::{Notice, Sending};
 use crate::spool::SpooledBatch;
 use crate::totals::Reached;
 use peernet_logger::Slug;
+
+/// Returns the reason not to answer an aggregator that chose a version which this agent does not speak.
+fn wrong_version(aggregator: &Slug, chosen: Option<u16>) -> Option<String> {
+    let chosen = VersionRange::single(chosen.unwrap_or(STREAM_VERSIONS.oldest()));
+    let mismatch = STREAM_VERSIONS.highest_common(&chosen).err()?;
+    Some(mismatch.describe("the event stream", "this agent", &format!("the aggregator on {aggregator}")))
+}
 
 impl Sending {
     /// The transport has a connection.
@@ -34,8 +43,11 @@ impl Sending {
             | ToAgent::Ack { stream, .. }
             | ToAgent::Resend { stream, .. }
                 if *stream != self.spooler.backlog.origin.stream || self.renewal.is_wanted() => {}
-            ToAgent::Challenge { aggregator, nonce, enrol, .. } => {
-                self.challenged(aggregator, nonce, *enrol, now.mono);
+            ToAgent::Challenge { aggregator, nonce, enrol, version, .. } => {
+                match wrong_version(aggregator, *version) {
+                    Some(reason) => self.refused(&reason, now.mono),
+                    None => self.challenged(aggregator, nonce, *enrol, now.mono),
+                }
             }
             ToAgent::Welcome { aggregator, stored, chain, process, window, .. } => {
                 self.answered(now.mono);
@@ -112,7 +124,7 @@ impl Sending {
     fn hello(&self) -> Hello {
         let (_, before) = self.spooler.backlog.acknowledged();
         Hello {
-            protocol: PROTOCOL,
+            protocol: STREAM_VERSIONS.oldest(),
             host: self.host.clone(),
             stream: self.spooler.backlog.origin.stream,
             previous: self.spooler.backlog.origin.previous,
@@ -123,6 +135,7 @@ impl Sending {
             events_before_first: self.spooler.backlog.origin.events_before_first,
             batch_bytes: u32::try_from(self.config.batch_bytes).unwrap_or(u32::MAX),
             process: self.spooler.process(),
+            extension: HelloExtension::of(&STREAM_VERSIONS),
         }
     }
 

@@ -4,7 +4,7 @@ use super::*;
 
 pub(crate) fn hello(id: HostId, name: &str, process: u64, stream: StreamId, oldest: u64) -> Hello {
     Hello {
-        protocol: PROTOCOL,
+        protocol: STREAM_VERSIONS.oldest(),
         host: host(id, name),
         stream,
         previous: None,
@@ -15,6 +15,7 @@ pub(crate) fn hello(id: HostId, name: &str, process: u64, stream: StreamId, olde
         events_before_first: Some(0),
         batch_bytes: 512 * 1024,
         process,
+        extension: None,
     }
 }
 
@@ -61,14 +62,6 @@ fn strangers_are_asked_to_say_hello() {
     assert_eq!(end.live(id, at(0).mono), None);
     end.forget_silent(Span::from_seconds(60), at(60_001).mono);
     assert_eq!(end.live(id, at(60_001).mono), Some(ToAgent::Unknown));
-}
-
-#[test]
-fn another_version_is_refused_with_both_numbers() {
-    let mut other = hello(HostId::random(), "edge", 1, StreamId::random(), 1);
-    other.protocol = 99;
-    let reason = reason(receiving().hello(&other, known(None), at(0).mono));
-    assert!(reason.contains("version 99") && reason.contains(&format!("version {PROTOCOL}")), "{reason}");
 }
 
 #[test]

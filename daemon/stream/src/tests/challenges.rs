@@ -16,7 +16,7 @@ fn nonce(byte: u8) -> Nonce {
 
 /// What an agent with a secret answers.
 fn proof(secret: &HostSecret, hello: &Hello, challenge: &ToAgent) -> Proof {
-    let ToAgent::Challenge { aggregator, stream, nonce, enrol } = challenge else {
+    let ToAgent::Challenge { aggregator, stream, nonce, enrol, version: None } = challenge else {
         panic!("expected a challenge, got {challenge:?}");
     };
     assert_eq!(*stream, hello.stream);

@@ -8,6 +8,7 @@ mod exhaustive;
 mod limits;
 mod progress;
 mod random;
+mod versions;
 mod world;
 
 pub(super) use self::admission::hello;

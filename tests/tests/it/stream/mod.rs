@@ -12,6 +12,7 @@ mod outage;
 mod slow_link;
 mod spool_full;
 mod stopping;
+mod versions;
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 

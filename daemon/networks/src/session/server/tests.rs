@@ -14,7 +14,7 @@ fn peer(connection: u64) -> Peer {
 
 fn hello() -> Header {
     let hello = SessionHello {
-        protocol: PROTOCOL,
+        versions: SESSION_VERSIONS,
         host: HostId::from_bytes([1; 16]),
         name: "edge".parse().expect("a name"),
         clock: ClockIdentity::new("b", "c"),

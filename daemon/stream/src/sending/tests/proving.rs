@@ -1,12 +1,12 @@
 //! The proof that this host is who it says it is.
 
-use super::super::super::Nonce;
+use super::super::super::{Nonce, STREAM_VERSIONS};
 use super::*;
 
 fn challenge(agent: &Agent, stream: StreamId, enrol: bool) -> ToAgent {
     let aggregator = "base".parse().expect("a name");
     assert!(!agent.hellos.is_empty(), "it said hello");
-    ToAgent::Challenge { aggregator, stream, nonce: Nonce::from_bytes([5; 32]), enrol }
+    ToAgent::Challenge { aggregator, stream, nonce: Nonce::from_bytes([5; 32]), enrol, version: None }
 }
 
 #[test]
@@ -22,6 +22,26 @@ fn secret_is_told_only_when_asked_for() {
     let secret = proof.secret.as_ref().expect("told");
     assert!(secret.verify(&proof.code, &Nonce::from_bytes([5; 32]), &agent.hellos[0], &aggregator));
     assert!(agent.notices.iter().any(|notice| matches!(notice, Notice::Enrolling { .. })));
+}
+
+#[test]
+fn version_that_agent_does_not_speak_is_not_proven() {
+    let mut agent = Agent::new(SendingConfig::default());
+    agent.connect();
+    let (stream, chosen) = (agent.hellos[0].stream, STREAM_VERSIONS.newest());
+    let choosing = |version| match challenge(&agent, stream, false) {
+        ToAgent::Challenge { aggregator, stream, nonce, enrol, .. } => {
+            ToAgent::Challenge { aggregator, stream, nonce, enrol, version }
+        }
+        other => other,
+    };
+    let (later, spoken) = (choosing(Some(chosen + 1)), choosing(Some(chosen)));
+    agent.receive(&later);
+    assert!(agent.proofs.is_empty());
+    let Some(Notice::Refused(reason)) = agent.notices.last() else { panic!("{:?}", agent.notices) };
+    assert!(reason.contains("the aggregator on base"), "{reason}");
+    agent.receive(&spoken);
+    assert_eq!(agent.proofs.len(), 1);
 }
 
 #[test]

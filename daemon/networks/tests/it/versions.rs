@@ -1,0 +1,110 @@
+//! Peers of other versions.
+
+use peernet_networks::{OpenError, SESSION_VERSIONS};
+use zeromq::Options;
+
+use crate::fake_cloud::FakeCloud;
+use crate::support::{Cloud, accepted, hello, open, settings, within};
+use crate::wire::{self, Header, Id, PROTOCOL, Plain};
+
+/// An edge that speaks other versions, and names in its hello that this version does not know.
+fn later(oldest: u16, newest: u16) -> Header {
+    let hello = wire::Hello {
+        newest: Some(newest),
+        since: Some((0, 9, 0)),
+        colour: Some("green".into()),
+        ..wire::hello(oldest)
+    };
+    Header::Open { hello, max_message_bytes: 1_000_000 }
+}
+
+#[tokio::test]
+async fn later_edge_is_served_in_common_version() {
+    let mut cloud = Cloud::start().await;
+    let plain = Plain::dealer(&cloud.address(), Options::default()).await;
+    plain.say(&later(PROTOCOL - 1, PROTOCOL + 3), Vec::new()).await;
+    let wish = cloud.next_open().await;
+    assert_eq!(wish.hello.versions.newest(), PROTOCOL + 3);
+    assert!(wish.accept(accepted(cloud.host)));
+    let (Header::Accepted { protocol, .. }, _) = plain.hear().await else { panic!("not accepted") };
+    assert_eq!(protocol, PROTOCOL);
+}
+
+#[tokio::test]
+async fn edge_without_common_version_is_refused_with_release() {
+    let mut cloud = Cloud::start().await;
+    let plain = Plain::dealer(&cloud.address(), Options::default()).await;
+    let mut unreadable = wire::hello(PROTOCOL + 5);
+    unreadable.name = "names may have spaces then".into();
+    let unreadable = Header::Open { hello: unreadable, max_message_bytes: 1 };
+    for (said, needed) in [
+        (wire::open(PROTOCOL - 1), "version 3: update the edge to at least PEERNet 0.1.0"),
+        (later(PROTOCOL + 5, PROTOCOL + 6), "versions 9 to 10: update the cloud to at least PEERNet 0.9.0"),
+        (unreadable, "version 9: update the cloud to at least the release of the edge"),
+    ] {
+        plain.say(&said, Vec::new()).await;
+        let (header, _) = tokio::select! {
+            heard = plain.hear() => heard,
+            incoming = cloud.next() => panic!("handed out {incoming:?}"),
+        };
+        let Header::Refused { protocol, newest, since, kind, reason } = header else { panic!("{header:?}") };
+        assert_eq!((protocol, newest, since), (PROTOCOL, Some(PROTOCOL), Some((0, 1, 0))));
+        assert_eq!(kind, "incompatible");
+        let (spoken, update) = needed.split_once(": ").expect("two parts");
+        assert!(reason.contains(spoken) && reason.ends_with(update), "{reason}");
+    }
+}
+
+/// What an edge makes of a cloud's answer, and the hello that it said.
+async fn answered_by(answer: Header) -> (Result<(), OpenError>, wire::Hello, String) {
+    let cloud = FakeCloud::start().await;
+    let address = cloud.address.clone();
+    let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
+    let (to, Header::Open { hello, .. }) = cloud.hear().await else { panic!("no hello") };
+    cloud.say(&to, &answer, Vec::new()).await;
+    let opened = within(edge).await.expect("no panic").map(|_| ());
+    (opened, hello, cloud.address.to_string())
+}
+
+#[tokio::test]
+async fn edge_states_its_versions() {
+    let (opened, hello, _) = answered_by(FakeCloud::accepted(Id::from([3; 16]), PROTOCOL)).await;
+    assert_eq!(opened, Ok(()));
+    assert_eq!((hello.protocol, hello.newest), (SESSION_VERSIONS.oldest(), Some(SESSION_VERSIONS.newest())));
+    assert_eq!(hello.since, Some((0, 1, 0)));
+}
+
+#[tokio::test]
+async fn refused_edge_says_what_to_update() {
+    let refused = |protocol, newest, since| {
+        let (kind, reason) = ("incompatible".into(), "words of the cloud".into());
+        Header::Refused { protocol, newest, since, kind, reason }
+    };
+    let (opened, _, address) = answered_by(refused(6, Some(7), Some((0, 4, 0)))).await;
+    assert_eq!(
+        opened.expect_err("refused").to_string(),
+        format!(
+            "this program speaks version 4 of the session protocol, the cloud at {address} versions 6 to 7: update this \
+             program to at least PEERNet 0.4.0"
+        )
+    );
+    // As PEERNet 0.1.0 and older builds answer.
+    let (opened, _, address) = answered_by(refused(3, None, None)).await;
+    assert_eq!(
+        opened.expect_err("refused").to_string(),
+        format!(
+            "the cloud at {address} speaks version 3 of the session protocol, this program version 4: update the cloud at \
+             {address} to at least PEERNet 0.1.0"
+        )
+    );
+    let (opened, ..) = answered_by(FakeCloud::accepted(Id::from([3; 16]), PROTOCOL + 1)).await;
+    assert!(
+        matches!(opened, Err(OpenError::Incompatible { .. })),
+        "a version that was not offered: {opened:?}"
+    );
+    let (opened, ..) = answered_by(refused(PROTOCOL, None, None)).await;
+    assert!(
+        matches!(&opened, Err(OpenError::Refused { reason, .. }) if reason == "words of the cloud"),
+        "{opened:?}"
+    );
+}

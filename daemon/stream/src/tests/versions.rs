@@ -1,0 +1,89 @@
+//! Agents of other versions.
+
+use super::super::codec::{decode, encode};
+use super::admission::{hello, known, reason, welcomed};
+use super::*;
+
+/// A hello of an agent that speaks other versions.
+fn hello_of(oldest: u16, extension: Option<HelloExtension>) -> Hello {
+    let hello = hello(HostId::random(), "edge", 1, StreamId::random(), 1);
+    Hello { protocol: oldest, extension, ..hello }
+}
+
+fn extension(newest: u16) -> Option<HelloExtension> {
+    Some(HelloExtension { newest: Some(newest), since: Some(Release(0, 9, 0)) })
+}
+
+/// The version that a challenge names.
+fn chosen(hello: &Hello) -> Option<u16> {
+    let mut end = Challenges::new("base".parse().expect("a name"));
+    match end.challenge(1, hello.clone(), false, Nonce::from_bytes([5; 32]), at(0).mono) {
+        ToAgent::Challenge { version, .. } => version,
+        other => panic!("expected a challenge, got {other:?}"),
+    }
+}
+
+#[test]
+fn agent_of_first_version_hears_nothing_new() {
+    let old = hello_of(5, None);
+    assert_eq!((chosen(&old), HelloExtension::of(&VersionRange::single(5))), (None, None));
+    welcomed(&receiving().hello(&old, known(None), at(0).mono));
+    let frame = encode(&ToAggregator::Hello(old.clone()));
+    assert_eq!(decode(&frame), Ok(ToAggregator::Hello(old)));
+}
+
+#[test]
+fn later_agent_is_served_in_newest_common_version() {
+    let newest = STREAM_VERSIONS.newest();
+    let later = hello_of(STREAM_VERSIONS.oldest(), extension(newest + 3));
+    welcomed(&receiving().hello(&later, known(None), at(0).mono));
+    let (oldest, version) = (later.protocol, chosen(&later));
+    assert_eq!(version.unwrap_or(oldest), newest);
+    assert_eq!(chosen(&hello_of(newest - 1, extension(newest + 1))), Some(newest));
+}
+
+#[test]
+fn unknown_names_in_hello_are_ignored() {
+    let later = hello_of(STREAM_VERSIONS.oldest(), extension(9));
+    let mut frame = encode(&ToAggregator::Hello(later.clone()));
+    // The extension is a map with two names, and the last value in the frame: one more name goes to its end.
+    let mut extension = Vec::new();
+    codec::append(&mut extension, &later.extension);
+    let map = frame.len() - extension.len();
+    assert_eq!((&frame[map..], frame[map]), (&extension[..], 0x82));
+    frame[map] += 1;
+    codec::append(&mut frame, &"colour");
+    codec::append(&mut frame, &["green"]);
+    assert_eq!(decode(&frame), Ok(ToAggregator::Hello(later)));
+}
+
+#[test]
+fn agent_without_common_version_is_refused_with_release() {
+    let refusal = |hello: Hello| {
+        let said = reason(receiving().hello(&hello, known(None), at(0).mono));
+        assert_eq!(Receiving::refuses_version(&hello), Some(said.clone()));
+        said
+    };
+    assert_eq!(
+        refusal(hello_of(4, None)),
+        "the agent on edge speaks version 4 of the event stream, the aggregator version 5: update the agent on edge to at \
+         least PEERNet 0.1.0"
+    );
+    assert_eq!(
+        refusal(hello_of(8, extension(9))),
+        "the aggregator speaks version 5 of the event stream, the agent on edge versions 8 to 9: update the aggregator to \
+         at least PEERNet 0.9.0"
+    );
+}
+
+#[test]
+fn proof_covers_newest_version_of_hello() {
+    let (secret, nonce) = (HostSecret::random(), Nonce::from_bytes([5; 32]));
+    let (said, aggregator) = (hello_of(5, extension(6)), "base".parse().expect("a name"));
+    let proof = secret.prove(&nonce, &said, &aggregator);
+    assert!(secret.verify(&proof, &nonce, &said, &aggregator));
+    for newest in [None, extension(5), extension(7)] {
+        let changed = Hello { extension: newest, ..said.clone() };
+        assert!(!secret.verify(&proof, &nonce, &changed, &aggregator), "{newest:?}");
+    }
+}

@@ -1,0 +1,167 @@
+//! Versions of a protocol: what each end speaks, and the highest version that both speak.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+/// A release of PEERNet: major, minor and patch version.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Release(pub u16, pub u16, pub u16);
+
+impl fmt::Display for Release {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self(major, minor, patch) = self;
+        write!(f, "PEERNet {major}.{minor}.{patch}")
+    }
+}
+
+/// The versions of a protocol that one end speaks.
+///
+/// PEERNet 0.1.0 states one version, which is the oldest and the newest here.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct VersionRange {
+    // PEERNet 0.1.0 reads this name and no other: it serves a later peer that still speaks its version.
+    #[serde(rename = "protocol")]
+    pub(crate) oldest: u16,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) newest: Option<u16>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) since: Option<Release>,
+}
+
+impl VersionRange {
+    /// The versions from `oldest` to `newest`, where `since` is the first release that speaks `oldest`.
+    pub const fn new(oldest: u16, newest: u16, since: Release) -> Self {
+        Self { oldest, newest: Some(newest), since: Some(since) }
+    }
+
+    /// One version.
+    pub const fn single(version: u16) -> Self {
+        Self { oldest: version, newest: None, since: None }
+    }
+
+    /// The oldest version.
+    pub const fn oldest(&self) -> u16 {
+        self.oldest
+    }
+
+    /// The newest version; never below the oldest, whatever a peer states.
+    pub fn newest(&self) -> u16 {
+        self.newest.map_or(self.oldest, |newest| newest.max(self.oldest))
+    }
+
+    /// Returns the highest version that both ends speak.
+    ///
+    /// # Errors
+    /// When there is none.
+    pub fn highest_common(&self, peer: &Self) -> Result<u16, VersionMismatch> {
+        let highest = self.newest().min(peer.newest());
+        if highest < self.oldest.max(peer.oldest) {
+            return Err(VersionMismatch { here: *self, peer: *peer });
+        }
+        Ok(highest)
+    }
+}
+
+impl fmt::Display for VersionRange {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (self.oldest, self.newest()) {
+            (oldest, newest) if oldest == newest => write!(f, "version {oldest}"),
+            (oldest, newest) => write!(f, "versions {oldest} to {newest}"),
+        }
+    }
+}
+
+/// Two ends that have no version of a protocol in common.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct VersionMismatch {
+    /// What this end speaks.
+    pub here: VersionRange,
+    /// What the peer speaks.
+    pub peer: VersionRange,
+}
+
+impl VersionMismatch {
+    /// Returns the text for users: which end is too old, and the release that it needs. `protocol`, `here` and `peer` name
+    /// the protocol and the ends, such as `the event stream`, `the aggregator` and `the agent on edge`.
+    pub fn describe(&self, protocol: &str, here: &str, peer: &str) -> String {
+        let (here, peer) = ((here, self.here), (peer, self.peer));
+        let is_peer_older = peer.1.newest() < here.1.oldest;
+        let ((older, spoken), (newer, range)) = if is_peer_older { (peer, here) } else { (here, peer) };
+        // The end that is too old cannot know which release speaks a version that is newer than itself.
+        let needed = range.since.map_or_else(|| format!("the release of {newer}"), |since| since.to_string());
+        format!("{older} speaks {spoken} of {protocol}, {newer} {range}: update {older} to at least {needed}")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn range(oldest: u16, newest: u16) -> VersionRange {
+        VersionRange::new(oldest, newest, Release(0, oldest, 0))
+    }
+
+    #[test]
+    fn highest_common_version_is_chosen() {
+        let ours = range(5, 7);
+        for (peer, chosen) in [
+            (VersionRange::single(5), 5),
+            (VersionRange::single(7), 7),
+            (range(3, 6), 6),
+            (range(6, 9), 7),
+            (range(1, 9), 7),
+            (ours, 7),
+        ] {
+            assert_eq!(ours.highest_common(&peer), Ok(chosen), "{peer}");
+            assert_eq!(peer.highest_common(&ours), Ok(chosen), "{peer}");
+        }
+    }
+
+    #[test]
+    fn mismatch_names_older_end_and_needed_release() {
+        let text = |here: VersionRange, peer: VersionRange| {
+            let mismatch = here.highest_common(&peer).expect_err("nothing in common");
+            mismatch.describe("the event stream", "the aggregator", "the agent on edge")
+        };
+        assert_eq!(
+            text(range(6, 7), VersionRange::single(5)),
+            "the agent on edge speaks version 5 of the event stream, the aggregator versions 6 to 7: update the agent on \
+             edge to at least PEERNet 0.6.0"
+        );
+        assert_eq!(
+            text(range(5, 5), range(6, 7)),
+            "the aggregator speaks version 5 of the event stream, the agent on edge versions 6 to 7: update the \
+             aggregator to at least PEERNet 0.6.0"
+        );
+        let unstated = text(range(5, 5), VersionRange::single(9));
+        assert!(
+            unstated.ends_with("update the aggregator to at least the release of the agent on edge"),
+            "{unstated}"
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn both_ends_choose_alike_from_any_ranges(
+            a: u16, b in any::<Option<u16>>(), c: u16, d in any::<Option<u16>>(),
+        ) {
+            let here = VersionRange { oldest: a, newest: b, since: None };
+            let peer = VersionRange { oldest: c, newest: d, since: None };
+            let spoken = |range: VersionRange, version| (range.oldest()..=range.newest()).contains(&version);
+            match (here.highest_common(&peer), peer.highest_common(&here)) {
+                (Ok(version), other) => {
+                    prop_assert_eq!(other, Ok(version));
+                    prop_assert!(spoken(here, version) && spoken(peer, version));
+                    prop_assert!(version == here.newest() || version == peer.newest());
+                }
+                (Err(_), other) => {
+                    prop_assert!(other.is_err());
+                    prop_assert!(here.newest() < peer.oldest() || peer.newest() < here.oldest());
+                }
+            }
+        }
+    }
+}

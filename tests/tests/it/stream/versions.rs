@@ -1,0 +1,60 @@
+//! Agents of other versions of the event stream, at a real aggregator.
+
+use peernet_stream::{Hello, HelloExtension, Release, STREAM_VERSIONS, ToAgent, ToAggregator, codec};
+use peernet_tests::{Chance, Fleet, Introduced, Stranger, until};
+
+use super::turn;
+
+/// A hello as a later version may write it: with a name in its extension that this version does not know.
+fn later_frame(hello: &Hello) -> Vec<u8> {
+    let encode = |extension| rmp_serde::to_vec(&extension).expect("plain data serialises");
+    let mut frame = codec::encode(&ToAggregator::Hello(hello.clone()));
+    // The extension is a map and the last value of the frame.
+    let map = frame.len() - encode(hello.extension).len();
+    frame[map] += 1;
+    for text in ["colour", "green"] {
+        frame.extend(rmp_serde::to_vec(text).expect("plain data serialises"));
+    }
+    frame
+}
+
+#[test]
+fn later_agent_is_served_and_unknown_versions_are_refused() {
+    let _turn = turn();
+    let mut chance = Chance::new("other versions");
+    let mut fleet = Fleet::new(&[], "");
+    let newest = STREAM_VERSIONS.newest();
+    let since = Some(Release(0, 9, 0));
+
+    let mut later = Introduced::new("later", &mut chance);
+    later.hello.extension = Some(HelloExtension { newest: Some(newest + 4), since });
+    let stranger = Stranger::at(fleet.site.events);
+    stranger.send(&later_frame(&later.hello));
+    let challenge = stranger.hear();
+    let ToAgent::Challenge { version, .. } = challenge else { panic!("{challenge:?}") };
+    assert_eq!(version.unwrap_or(later.hello.protocol), newest, "the highest that both speak");
+    stranger.prove(&later.hello, &later.secret, &challenge);
+    stranger.hear_until(|said| matches!(said, ToAgent::Welcome { .. }).then_some(()));
+    stranger.send(&later.batch(3));
+    stranger.hear_ack(1);
+
+    let mut too_new = Introduced::new("too-new", &mut chance);
+    too_new.hello.protocol = newest + 3;
+    too_new.hello.extension = Some(HelloExtension { newest: Some(newest + 4), since });
+    let reason = too_new.is_refused(&stranger);
+    assert!(reason.ends_with("update the aggregator to at least PEERNet 0.9.0"), "{reason}");
+    let mut too_old = Introduced::new("too-old", &mut chance);
+    too_old.hello.protocol = STREAM_VERSIONS.oldest() - 1;
+    let reason = too_old.is_refused(&stranger);
+    assert!(reason.contains("update the agent on too-old to at least PEERNet"), "{reason}");
+
+    until("both are shown with what to do", || {
+        let hosts = fleet.api.json("/api/v1/hosts");
+        let reasons: Vec<_> = hosts["refused"].as_array()?.iter().map(|one| one["reason"].as_str()).collect();
+        let has =
+            |host: &str| reasons.iter().flatten().any(|reason| reason.contains(&format!("update {host}")));
+        (has("the aggregator") && has("the agent on too-old")).then_some(())
+    });
+    let ledger = fleet.stop();
+    assert_eq!(ledger.hosts["later"].quarantined, 0, "{ledger:?}");
+}
