@@ -297,8 +297,7 @@ impl Running {
 /// Ends the threads of the models; one that computes or loads for longer than `patience` is left to itself.
 async fn unload(bank: Arc<Bank>, patience: Duration) -> Result<(), Failure> {
     let unloading = tokio::task::spawn_blocking(move || bank.shutdown_within(patience));
-    let left =
-        unloading.await.map_err(|error| Failure { part: "models".to_owned(), reason: error.to_string() })?;
+    let left = unloading.await.map_err(|error| Failure { part: "models".to_owned(), cause: error.into() })?;
     for model in left {
         tracing::warn!(%model, "not waited for: the model is still loading or computing");
     }

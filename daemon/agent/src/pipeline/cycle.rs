@@ -1,5 +1,8 @@
 //! The state of a pipeline's inner loop and its transitions; waiting is in `drive`.
 
+use std::io;
+use std::sync::Arc;
+
 use peernet_clock::{MonoTime, Span, Stamp};
 use peernet_logger::{Recorder, RunId};
 use peernet_stream::{IncidentKind, Outcome};
@@ -20,7 +23,7 @@ use crate::incidents::Concerning;
 const BLIND: u32 = 10;
 
 /// Why the loop ended.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub(super) enum Ended {
     /// The run reached its limit.
     Limit,
@@ -32,8 +35,19 @@ pub(super) enum Ended {
     Disconnected(String),
     /// The agent stops.
     Stopped,
-    /// The pipeline cannot go on; the text says why.
-    Broken(String),
+    /// The pipeline cannot go on.
+    Broken(LoopError),
+}
+
+/// The reason why a pipeline's loop cannot go on.
+#[derive(Clone, Debug, thiserror::Error)]
+pub(super) enum LoopError {
+    /// The sensor panicked.
+    #[error("the sensor's thread has died; the log says why")]
+    SensorDied,
+    /// The kernel does not set the timer.
+    #[error("the timer of the pipeline failed: {0}")]
+    Timer(#[source] Arc<io::Error>),
 }
 
 /// A sample that the sensor's thread is asked for.
@@ -159,7 +173,7 @@ impl<'a> Cycle<'a> {
     pub(super) fn sensor_died(&mut self) {
         self.line.sensing = None;
         self.line.display.set_senses_since(None);
-        self.end(Ended::Broken("the sensor's thread has died; the log says why".to_owned()));
+        self.end(Ended::Broken(LoopError::SensorDied));
     }
 
     /// An iteration came back.

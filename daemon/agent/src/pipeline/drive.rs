@@ -1,12 +1,13 @@
 //! The inner loop of a pipeline: from start to start until something ends it.
 
 use std::pin::pin;
+use std::sync::Arc;
 use std::time::Duration;
 
 use futures::stream::{FuturesUnordered, StreamExt};
 use tokio_util::sync::CancellationToken;
 
-use super::cycle::{Cycle, Ended};
+use super::cycle::{Cycle, Ended, LoopError};
 use super::line::Line;
 use super::placement::Placement;
 use super::run::Run;
@@ -63,7 +64,7 @@ pub(super) async fn drive(
             },
             Some(rung) = maybe(alarm_at.map(|at| Box::pin(alarm.until(at)))) => {
                 if let Err(error) = rung {
-                    cycle.end(Ended::Broken(format!("the timer of the pipeline failed: {error}")));
+                    cycle.end(Ended::Broken(LoopError::Timer(Arc::new(error))));
                 }
             }
             () = &mut given_up, if is_stopping => {

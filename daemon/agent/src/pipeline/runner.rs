@@ -6,14 +6,15 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures::FutureExt;
+use peernet_inference::LoadError;
 use peernet_logger::RunId;
 use peernet_networks::Address;
 use peernet_stream::{IncidentKind, PipelineState};
 use tokio_util::sync::CancellationToken;
 
-use super::cycle::Ended;
+use super::cycle::{Ended, LoopError};
 use super::drive::drive;
-use super::line::Line;
+use super::line::{AssembleError, Line};
 use super::placement::{OpenFailure, Placement};
 use super::run::{Run, end_orphan};
 use crate::config::{PipelineConfig, PlacementConfig};
@@ -35,11 +36,28 @@ pub(crate) async fn run(
     let life = AssertUnwindSafe(runner.live()).catch_unwind().await;
     match life.unwrap_or_else(|panic| Err(runner.panicked(panic.as_ref()))) {
         Ok(()) => runner.display.set_state(PipelineState::Finished),
-        Err(reason) => {
+        Err(error) => {
+            let reason = error.to_string();
             runner.report(IncidentKind::PipelineFailed, None, reason.clone());
             runner.display.set_state(PipelineState::Failed(reason));
         }
     }
+}
+
+/// The reason why a pipeline could not start or had to stop.
+#[derive(Debug, thiserror::Error)]
+enum PipelineError {
+    #[error(transparent)]
+    Assemble(#[from] AssembleError),
+    /// The host's own model cannot be loaded.
+    #[error(transparent)]
+    Model(#[from] LoadError),
+    #[error("loading the model panicked")]
+    ModelPanicked,
+    #[error(transparent)]
+    Loop(#[from] LoopError),
+    #[error("the pipeline panicked: {message}; the log says where")]
+    Panicked { message: String },
 }
 
 struct Runner {
@@ -79,8 +97,8 @@ impl Trouble {
 }
 
 impl Runner {
-    /// The whole life. An error is why the pipeline could not start or had to stop.
-    async fn live(&self) -> Result<(), String> {
+    /// Sets the pipeline up and runs it to its end.
+    async fn live(&self) -> Result<(), PipelineError> {
         let Some(line) = self.stop.run_until_cancelled(self.assemble()).await else { return Ok(()) };
         let mut line = line?;
         let mut run: Option<Run> = None;
@@ -110,7 +128,7 @@ impl Runner {
                 }
                 Ended::Limit | Ended::NoMoreSamples | Ended::Midnight => ("finished".to_owned(), Ok(())),
                 Ended::Stopped => ("stopped".to_owned(), Ok(())),
-                Ended::Broken(reason) => (reason.clone(), Err(reason)),
+                Ended::Broken(error) => (error.to_string(), Err(error.into())),
             };
             self.end(run.as_ref(), &reason);
             if line.schedule.untold() > 0 {
@@ -123,14 +141,14 @@ impl Runner {
     }
 
     /// Sets up sensor, transforms and actuator on a thread that may block.
-    async fn assemble(&self) -> Result<Line, String> {
+    async fn assemble(&self) -> Result<Line, AssembleError> {
         let (config, display) = (Arc::clone(&self.config), Arc::clone(&self.display));
         let (clock, fingerprints) = (Arc::clone(&self.host.clock), self.host.fingerprints.clone());
         self.display.set_senses_since(Some(clock.mono()));
         let assembling = move || Line::assemble(config, display, clock, &fingerprints);
         let assembled = tokio::task::spawn_blocking(assembling).await;
         self.display.set_senses_since(None);
-        assembled.unwrap_or_else(|error| Err(format!("setting up the sensor panicked: {error}")))
+        assembled.unwrap_or_else(|panic| Err(panic.into()))
     }
 
     /// Measures at one placement; midnight begins a new run on the way.
@@ -138,7 +156,7 @@ impl Runner {
         self.display.set_state(PipelineState::Running);
         loop {
             let ended = drive(line, run, placement, &self.host, &self.stop, self.patience).await;
-            if ended != Ended::Midnight {
+            if !matches!(ended, Ended::Midnight) {
                 return ended;
             }
             run.end("finished", &self.host);
@@ -147,13 +165,13 @@ impl Runner {
     }
 
     /// The pipeline's own task panicked: its run ends, and the others go on.
-    fn panicked(&self, panic: &(dyn Any + Send)) -> String {
+    fn panicked(&self, panic: &(dyn Any + Send)) -> PipelineError {
         let message = panic.downcast_ref::<String>().map(String::as_str);
         let message =
             message.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("without a message");
-        let reason = format!("the pipeline panicked: {message}; the log says where");
-        end_orphan(&self.config.name, &reason, &self.host);
-        reason
+        let error = PipelineError::Panicked { message: message.to_owned() };
+        end_orphan(&self.config.name, &error.to_string(), &self.host);
+        error
     }
 
     async fn begin(&self, mut facts: Vec<(String, String)>, placement: &Placement, warm: bool) -> Run {
@@ -171,7 +189,7 @@ impl Runner {
     }
 
     /// Opens the placement, however long that takes. `None` when the agent stops.
-    async fn connect(&self, line: &mut Line, run: Option<RunId>) -> Result<Option<Placement>, String> {
+    async fn connect(&self, line: &mut Line, run: Option<RunId>) -> Result<Option<Placement>, PipelineError> {
         let mut pauses = Pauses::new(self.host.id);
         // What was said last: each trouble is reported once, not at each try. That a peer went away in mid-run
         // has been said.
@@ -186,8 +204,8 @@ impl Runner {
                     self.connected(&placement, run);
                     return Ok(Some(placement));
                 }
-                Err(OpenFailure::Model(error)) => return Err(error.to_string()),
-                Err(OpenFailure::Panicked) => return Err("loading the model panicked".to_owned()),
+                Err(OpenFailure::Model(error)) => return Err(error.into()),
+                Err(OpenFailure::Panicked) => return Err(PipelineError::ModelPanicked),
                 Err(OpenFailure::Away(error)) => (Trouble::Away, error.to_string(), pauses.grow()),
                 Err(OpenFailure::Refused(error)) => {
                     let error = error.to_string();

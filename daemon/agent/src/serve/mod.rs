@@ -16,10 +16,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use peernet_inference::{Done, InferenceError, Job, LoadError, Pool};
 use peernet_logger::{HostId, Slug};
 use peernet_networks::{
-    Announcer, Failure, Incoming, IncomingRequest, Listener, MAX_CONDITIONS, OpenRequest, SessionAccepted,
-    SessionId,
+    Address, Announcer, Failure, Incoming, IncomingRequest, Listener, MAX_CONDITIONS, OpenRequest,
+    SessionAccepted, SessionId,
 };
-use peernet_probes::Reflector;
+use peernet_probes::{ReceiveError, Reflector};
 use peernet_stream::{Condition, Hardware, HostClock, IncidentKind};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
@@ -31,13 +31,24 @@ use crate::host::Host;
 use crate::incidents::Concerning;
 use crate::telemetry;
 
+/// Why serving ended before it was told to.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum ServeError {
+    /// The port for sessions was lost.
+    #[error("the port at {0} was lost")]
+    PortLost(Address),
+    /// The port for probes was lost.
+    #[error(transparent)]
+    Reflector(#[from] ReceiveError),
+}
+
 /// Serves until it is told to stop, and counts the answers. The error is why a port was lost.
 pub(crate) async fn run(
     doors: Doors,
     host: Host,
     served: watch::Sender<Served>,
     stop: CancellationToken,
-) -> Result<(), String> {
+) -> Result<(), ServeError> {
     let named = Named { probes: doors.probes(), instance: doors.instance, built_in: doors.built_in.clone() };
     let (served, hardware) = (Arc::new(served), telemetry::hardware());
     let server = Server {
@@ -50,10 +61,13 @@ pub(crate) async fn run(
         asked: Asked::default(),
     };
     let announcer = doors.listener.announcer();
-    let announcing = announce(host.own, announcer, stop.clone());
+    let announcing = async {
+        announce(host.own, announcer, stop.clone()).await;
+        Ok(())
+    };
     let reflecting = async {
         match doors.reflector {
-            Some(reflector) => reflector.run(stop.clone()).await,
+            Some(reflector) => reflector.run(stop.clone()).await.map_err(ServeError::from),
             None => Ok(()),
         }
     };
@@ -63,20 +77,19 @@ pub(crate) async fn run(
 }
 
 /// Tells all peers at once what becomes known of this host's clock.
-async fn announce(
-    mut own: watch::Receiver<HostClock>,
-    announcer: Announcer,
-    stop: CancellationToken,
-) -> Result<(), String> {
+async fn announce(mut own: watch::Receiver<HostClock>, announcer: Announcer, stop: CancellationToken) {
     while let Some(Ok(())) = stop.run_until_cancelled(own.changed()).await {
         let clock = own.borrow_and_update().clone();
         announcer.announce(to_peers(clock));
     }
-    Ok(())
 }
 
 /// Serves sessions until it is told to stop.
-async fn sessions(mut listener: Listener, mut server: Server, stop: CancellationToken) -> Result<(), String> {
+async fn sessions(
+    mut listener: Listener,
+    mut server: Server,
+    stop: CancellationToken,
+) -> Result<(), ServeError> {
     // Models that are being loaded for a peer; the listener bounds how many peers there are.
     let mut loading: JoinSet<Loaded> = JoinSet::new();
     let mut stopping = std::pin::pin!(stop.cancelled());
@@ -98,7 +111,7 @@ async fn sessions(mut listener: Listener, mut server: Server, stop: Cancellation
                 Some(Incoming::Closed { session, said_goodbye, ordered }) => {
                     server.closed(session, said_goodbye, ordered);
                 }
-                None => return Err(format!("the port at {} was lost", listener.address())),
+                None => return Err(ServeError::PortLost(listener.address().clone())),
             },
         }
     }

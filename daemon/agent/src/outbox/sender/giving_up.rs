@@ -3,7 +3,7 @@
 use tokio::time::Instant;
 
 use super::Sender;
-use crate::outbox::spool::{Done, Order};
+use crate::outbox::spool::{Done, Order, SpoolTaskError};
 
 impl Sender {
     /// What is in memory only is lost with it; how much that is goes into the spool, for the next start to tell.
@@ -60,13 +60,13 @@ impl Sender {
     }
 
     /// What becomes of the write to the spool that is under way.
-    async fn appended(&mut self, by: Instant) -> Result<(), String> {
+    async fn appended(&mut self, by: Instant) -> Result<(), SpoolTaskError> {
         loop {
             match tokio::time::timeout_at(by, self.spool.done()).await {
                 Ok(Some(Done::Appended(appended))) => return appended,
                 Ok(Some(_)) => {}
-                Ok(None) => return Err("the spool's task ended".to_owned()),
-                Err(_) => return Err("the spool's disk takes long".to_owned()),
+                Ok(None) => return Err(SpoolTaskError::Ended),
+                Err(_) => return Err(SpoolTaskError::Slow),
             }
         }
     }

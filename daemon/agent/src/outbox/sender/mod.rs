@@ -19,7 +19,7 @@ use super::farewell::Farewell;
 use super::line::{Happened, Line};
 use super::live_sources::LiveSources;
 use super::reports::Reports;
-use super::spool::SpoolTask;
+use super::spool::{SpoolTask, SpoolTaskError};
 use crate::feed::Exit;
 use crate::live;
 use crate::pauses::Pauses;
@@ -87,7 +87,7 @@ impl Sender {
         address: Address,
         mut pauses: Pauses,
         stop: oneshot::Receiver<Instant>,
-    ) -> Result<(), String> {
+    ) -> Result<(), SpoolTaskError> {
         let mut looks = tokio::time::interval(LOOK);
         let mut shows = tokio::time::interval(live::INTERVAL);
         for ticks in [&mut looks, &mut shows] {
@@ -115,7 +115,7 @@ impl Sender {
                     self.take();
                 }
                 done = self.spool.done() => {
-                    self.spooled(done.ok_or("the spool's task ended")?);
+                    self.spooled(done.ok_or(SpoolTaskError::Ended)?);
                 }
                 event = line.next(blocked) => match event {
                     Happened::Connected(connection) => {
