@@ -7,7 +7,7 @@ use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_sample::Part;
 use serde::{Deserialize, Serialize};
 
-use super::frame::{Reply, Request};
+use super::frame::{FrameError, Reply, Request};
 use super::interpreter;
 use super::worker::{Trouble, Worker};
 use super::{Called, PythonConfig, PythonError, Stage, Times};
@@ -175,7 +175,7 @@ impl PythonObject {
             Reply::Refused { text, stages } => called(Err(PythonError::Value(text)), &stages),
             Reply::Ready(_) => {
                 self.worker = None;
-                called(Err(self.garbled("it says twice that it is ready".to_owned())), &[])
+                called(Err(self.garbled(FrameError::ReadyTwice)), &[])
             }
         }
     }
@@ -249,13 +249,13 @@ impl PythonObject {
                 last_words: worker.kill().last_words(),
             },
             Trouble::Process(error) => PythonError::Process(error),
-            Trouble::Garbled(reason) => self.garbled(reason),
+            Trouble::Garbled(source) => self.garbled(source),
             Trouble::Memory(error) => PythonError::Memory { object, error },
         }
     }
 
-    fn garbled(&self, reason: String) -> PythonError {
-        PythonError::Garbled { object: self.config.object.clone(), reason }
+    fn garbled(&self, source: FrameError) -> PythonError {
+        PythonError::Garbled { object: self.config.object.clone(), source }
     }
 }
 
