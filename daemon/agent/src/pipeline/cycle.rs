@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use peernet_clock::{MonoTime, Span, Stamp};
 use peernet_logger::{Recorder, RunId};
+use peernet_sample::printable_line;
 use peernet_stream::{IncidentKind, Outcome};
 use tokio::sync::oneshot;
 
@@ -223,7 +224,7 @@ impl<'a> Cycle<'a> {
             }
             Err(error) => {
                 let ticket = ticket();
-                let reason = one_line(error.to_string());
+                let reason = printable_line(&error.to_string()).into_owned();
                 self.blind = self.blind.saturating_add(1);
                 if self.blind == BLIND {
                     self.report_blindness(&reason);
@@ -253,7 +254,7 @@ impl<'a> Cycle<'a> {
         transport: Option<Span>,
         ended: Stamp,
     ) {
-        let outcome = in_one_line(outcome);
+        let outcome = with_printable_reason(outcome);
         let closed_loop = self.line.schedule.is_closed();
         if closed_loop {
             self.brake.note(&outcome, ended.mono);
@@ -264,18 +265,10 @@ impl<'a> Cycle<'a> {
 }
 
 /// A reason is a cell of a table and ends up on terminals, whoever gave it: a sensor's or a model's may be a traceback.
-fn in_one_line(outcome: Outcome) -> Outcome {
+fn with_printable_reason(outcome: Outcome) -> Outcome {
     match outcome {
-        Outcome::Failed(reason) => Outcome::Failed(one_line(reason)),
-        Outcome::Lost(reason) => Outcome::Lost(one_line(reason)),
+        Outcome::Failed(reason) => Outcome::Failed(printable_line(&reason).into_owned()),
+        Outcome::Lost(reason) => Outcome::Lost(printable_line(&reason).into_owned()),
         other @ (Outcome::Ok | Outcome::Timeout) => other,
     }
-}
-
-/// Control characters become spaces.
-fn one_line(text: String) -> String {
-    if !text.contains(char::is_control) {
-        return text;
-    }
-    text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
 }

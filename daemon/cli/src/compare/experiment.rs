@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
-use crate::short::plain;
 use crate::small_file;
 use peernet_report::number::counted;
+use peernet_sample::printable_line;
 use serde::Deserialize;
 
 use crate::experiment::{FORMAT, LARGEST_RECORD, RECORD, RUNS, Stage};
@@ -98,7 +98,7 @@ impl Experiments {
             .filter(|(home, _)| has_runs(home))
             .map(|(home, why)| {
                 let (record, why) = (home.join(RECORD), why.to_string());
-                let why = plain(&why);
+                let why = printable_line(&why);
                 format!("cannot read {}: {why}; which of its runs are done is not known", record.display())
             })
             .collect()
@@ -132,7 +132,7 @@ impl Experiment {
 
     /// What is to be typed, so that all of them are done.
     pub(super) fn remedy(&self) -> String {
-        format!("`peernet run {}` again, with the options that it had,", plain(&self.file))
+        format!("`peernet run {}` again, with the options that it had,", printable_line(&self.file))
     }
 }
 
@@ -150,7 +150,11 @@ impl RunOf<'_> {
     pub(super) fn fate(&self) -> String {
         let State { stage, reason } = self.state;
         let why = reason.as_deref().filter(|_| *stage == Stage::Failed);
-        format!("{}{}", stage.left_as(), why.map_or_else(String::new, |why| format!(" ({})", plain(why))))
+        format!(
+            "{}{}",
+            stage.left_as(),
+            why.map_or_else(String::new, |why| format!(" ({})", printable_line(why)))
+        )
     }
 }
 

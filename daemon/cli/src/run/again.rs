@@ -4,10 +4,10 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use crate::output::complain;
-use crate::short::plain;
 use peernet_report::loaded::RowsDamage;
 use peernet_report::record::{Counts, RunRecord};
 use peernet_results::{FolderError, ResultFolder};
+use peernet_sample::printable_line;
 
 use super::Beside;
 use super::folder::Folder;
@@ -38,7 +38,7 @@ pub(super) fn two_builds(record: &Record, to_do: &[Run], version: &str) -> Optio
     (goes_on && record.version != version).then(|| {
         format!(
             "begun by PEERNet {}, and gone on with by {version}: run.json of each run has the version that measured it",
-            plain(&record.version)
+            printable_line(&record.version)
         )
     })
 }
