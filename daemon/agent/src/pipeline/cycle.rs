@@ -11,13 +11,13 @@ use tokio::sync::oneshot;
 
 use super::accuracy;
 use super::brake::Brake;
+use super::context::PipelineContext;
 use super::flight::{Landed, Ticket, Waiting};
 use super::iteration;
 use super::line::Line;
 use super::load::Start;
 use super::run::Run;
 use super::sensing::{Sensed, Sensing};
-use crate::host::Host;
 use crate::incidents::Concerning;
 
 /// So many samples in a row that could not be had are worth an incident.
@@ -67,7 +67,7 @@ pub(super) struct Awaited {
 pub(super) struct Cycle<'a> {
     pub(super) line: &'a mut Line,
     run: &'a mut Run,
-    host: &'a Host,
+    context: &'a PipelineContext,
     waiting: Option<Waiting>,
     aloft: Vec<Ticket>,
     ending: Option<Ended>,
@@ -77,9 +77,9 @@ pub(super) struct Cycle<'a> {
 }
 
 impl<'a> Cycle<'a> {
-    pub(super) fn new(line: &'a mut Line, run: &'a mut Run, host: &'a Host) -> Self {
+    pub(super) fn new(line: &'a mut Line, run: &'a mut Run, context: &'a PipelineContext) -> Self {
         let (aloft, brake) = (Vec::new(), Brake::default());
-        let mut cycle = Self { line, run, host, waiting: None, aloft, ending: None, brake, blind: 0 };
+        let mut cycle = Self { line, run, context, waiting: None, aloft, ending: None, brake, blind: 0 };
         cycle.take_up();
         cycle
     }
@@ -97,7 +97,7 @@ impl<'a> Cycle<'a> {
         }
         let ticket = Ticket { position: self.run.place(start.intended), start, begun };
         let reason = "there was no connection when the sample was there".to_owned();
-        self.finish(ticket, log, Outcome::Lost(reason), None, self.host.clock.stamp());
+        self.finish(ticket, log, Outcome::Lost(reason), None, self.context.host.clock.stamp());
     }
 
     /// The sample that may be sent now: there is one, and a place for it.
@@ -113,7 +113,7 @@ impl<'a> Cycle<'a> {
         if !self.may_begin() {
             return false;
         }
-        let clock = &self.host.clock;
+        let clock = &self.context.host.clock;
         let now = clock.mono();
         if self.run.is_yesterdays(clock.wall()) {
             self.ending = Some(Ended::Midnight);
@@ -129,7 +129,7 @@ impl<'a> Cycle<'a> {
             return false;
         }
         let Some(start) = self.line.schedule.take(now) else { return false };
-        let (log, begun) = iteration::begin(clock, self.host.id, start.intended);
+        let (log, begun) = iteration::begin(clock, self.context.host.id, start.intended);
         match self.line.senses.begin(log) {
             Sensing::Done(sensed) => self.judge(self.run.id(), (start, begun), sensed),
             Sensing::Pending(sample) => {
@@ -145,7 +145,7 @@ impl<'a> Cycle<'a> {
         if !self.may_begin() {
             return None;
         }
-        let now = self.host.clock.mono();
+        let now = self.context.host.clock.mono();
         self.brake.holds_until(now).or_else(|| Some(self.line.schedule.next_at(now)))
     }
 
@@ -181,7 +181,7 @@ impl<'a> Cycle<'a> {
     pub(super) fn land(&mut self, landed: Landed) {
         let Landed { ticket, label, mut log, outcome, answer, transport } = landed;
         self.aloft.retain(|other| other.position.number != ticket.position.number);
-        let ended = self.host.clock.stamp();
+        let ended = self.context.host.clock.stamp();
         // Judged after the end: what a study of accuracy costs is no latency.
         if let (Some(answer), Some(label)) = (answer, label) {
             accuracy::judge(&mut log, &label, &answer);
@@ -194,8 +194,9 @@ impl<'a> Cycle<'a> {
         let waiting = self.waiting.take().map(|waiting| waiting.ticket);
         for ticket in std::mem::take(&mut self.aloft).into_iter().chain(waiting) {
             // What was measured is with the peer or the model; what remains is that it began.
-            let (log, _) = iteration::begin(&self.host.clock, self.host.id, ticket.start.intended);
-            let ended = self.host.clock.stamp();
+            let (log, _) =
+                iteration::begin(&self.context.host.clock, self.context.host.id, ticket.start.intended);
+            let ended = self.context.host.clock.stamp();
             self.finish(ticket, log, Outcome::Lost(reason.to_owned()), None, ended);
         }
     }
@@ -229,7 +230,7 @@ impl<'a> Cycle<'a> {
                 if self.blind == BLIND {
                     self.report_blindness(&reason);
                 }
-                let ended = self.host.clock.stamp();
+                let ended = self.context.host.clock.stamp();
                 self.finish(ticket, log, Outcome::Failed(reason), None, ended);
             }
         }
@@ -243,7 +244,7 @@ impl<'a> Cycle<'a> {
             ..Concerning::default()
         };
         let text = format!("no sample in {BLIND} iterations in a row: {reason}; the pipeline goes on trying");
-        self.host.incidents.report(IncidentKind::PipelineFailed, what, text);
+        self.context.events.incidents.report(IncidentKind::PipelineFailed, what, text);
     }
 
     fn finish(
@@ -260,7 +261,7 @@ impl<'a> Cycle<'a> {
             self.brake.note(&outcome, ended.mono);
         }
         let tree = iteration::close(log, &ticket, ended.mono, closed_loop, transport);
-        self.run.record(ticket.position, outcome, tree, ended, self.host, &self.line.display);
+        self.run.record(ticket.position, outcome, tree, ended, self.context, &self.line.display);
     }
 }
 

@@ -12,13 +12,13 @@ use peernet_networks::Address;
 use peernet_stream::{IncidentKind, PipelineState};
 use tokio_util::sync::CancellationToken;
 
+use super::context::PipelineContext;
 use super::cycle::{Ended, LoopError};
 use super::drive::drive;
 use super::line::{AssembleError, Line};
 use super::placement::{OpenFailure, Placement};
 use super::run::{Run, end_orphan};
 use crate::config::{PipelineConfig, PlacementConfig};
-use crate::host::Host;
 use crate::incidents::Concerning;
 use crate::live::Display;
 use crate::pauses::Pauses;
@@ -28,11 +28,11 @@ use crate::pauses::Pauses;
 pub(crate) async fn run(
     config: Arc<PipelineConfig>,
     display: Arc<Display>,
-    host: Host,
+    context: PipelineContext,
     stop: CancellationToken,
     patience: Duration,
 ) {
-    let runner = Runner { config, display, host, stop, patience };
+    let runner = Runner { config, display, context, stop, patience };
     let life = AssertUnwindSafe(runner.live()).catch_unwind().await;
     match life.unwrap_or_else(|panic| Err(runner.panicked(panic.as_ref()))) {
         Ok(()) => runner.display.set_state(PipelineState::Finished),
@@ -63,7 +63,7 @@ enum PipelineError {
 struct Runner {
     config: Arc<PipelineConfig>,
     display: Arc<Display>,
-    host: Host,
+    context: PipelineContext,
     stop: CancellationToken,
     /// How long iterations under way may take when the agent stops.
     patience: Duration,
@@ -115,7 +115,7 @@ impl Runner {
                 Some(run) => run,
                 None => {
                     let begun = self.begin(line.facts(placement.facts()), &placement, false).await;
-                    line.begin_beat(self.host.clock.mono());
+                    line.begin_beat(self.context.host.clock.mono());
                     run.insert(begun)
                 }
             };
@@ -143,7 +143,7 @@ impl Runner {
     /// Sets up sensor, transforms and actuator on a thread that may block.
     async fn assemble(&self) -> Result<Line, AssembleError> {
         let (config, display) = (Arc::clone(&self.config), Arc::clone(&self.display));
-        let (clock, fingerprints) = (Arc::clone(&self.host.clock), self.host.fingerprints.clone());
+        let (clock, fingerprints) = (Arc::clone(&self.context.host.clock), self.context.fingerprints.clone());
         self.display.set_senses_since(Some(clock.mono()));
         let assembling = move || Line::assemble(config, display, clock, &fingerprints);
         let assembled = tokio::task::spawn_blocking(assembling).await;
@@ -155,11 +155,11 @@ impl Runner {
     async fn measure(&self, line: &mut Line, run: &mut Run, placement: &Placement) -> Ended {
         self.display.set_state(PipelineState::Running);
         loop {
-            let ended = drive(line, run, placement, &self.host, &self.stop, self.patience).await;
+            let ended = drive(line, run, placement, &self.context, &self.stop, self.patience).await;
             if !matches!(ended, Ended::Midnight) {
                 return ended;
             }
-            run.end("finished", &self.host);
+            run.end("finished", &self.context);
             *run = self.begin(line.facts(placement.facts()), placement, true).await;
         }
     }
@@ -170,35 +170,42 @@ impl Runner {
         let message =
             message.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("without a message");
         let error = PipelineError::Panicked { message: message.to_owned() };
-        end_orphan(&self.config.name, &error.to_string(), &self.host);
+        end_orphan(&self.config.name, &error.to_string(), &self.context);
         error
     }
 
     async fn begin(&self, mut facts: Vec<(String, String)>, placement: &Placement, warm: bool) -> Run {
-        if let Some(rehearsal) = self.host.clock.rehearsal() {
+        if let Some(rehearsal) = self.context.host.clock.rehearsal() {
             facts.push(("Rehearsal".to_owned(), rehearsal.to_string()));
         }
-        let conditions = placement.conditions(&self.host, warm).await;
-        Run::begin(&self.config, placement.describe(), (facts, conditions), warm, &self.host, &self.display)
+        let conditions = placement.conditions(&self.context, warm).await;
+        Run::begin(
+            &self.config,
+            placement.describe(),
+            (facts, conditions),
+            warm,
+            &self.context,
+            &self.display,
+        )
     }
 
     fn end(&self, run: Option<&Run>, reason: &str) {
         if let Some(run) = run {
-            run.end(reason, &self.host);
+            run.end(reason, &self.context);
         }
     }
 
     /// Opens the placement, however long that takes. `None` when the agent stops.
     async fn connect(&self, line: &mut Line, run: Option<RunId>) -> Result<Option<Placement>, PipelineError> {
-        let mut pauses = Pauses::new(self.host.id);
+        let mut pauses = Pauses::new(self.context.host.id);
         // What was said last: each trouble is reported once, not at each try. That a peer went away in mid-run
         // has been said.
         let mut said = run.map(|_| Trouble::Away);
         loop {
-            let opening = self.stop.run_until_cancelled(Placement::open(&self.config, &self.host));
+            let opening = self.stop.run_until_cancelled(Placement::open(&self.config, &self.context));
             let Some(opened) = opening.await else { return Ok(None) };
             // In mid-run the plan goes on meanwhile: what comes due now is skipped and counted.
-            line.schedule.catch_up(self.host.clock.mono());
+            line.schedule.catch_up(self.context.host.clock.mono());
             let (trouble, error, pause) = match opened {
                 Ok(placement) => {
                     self.connected(&placement, run);
@@ -230,7 +237,7 @@ impl Runner {
             let device = description.device.as_deref().unwrap_or("an unknown device");
             let text = format!("connected to {name}, which runs {model} on {device}");
             let what = Concerning { pipeline: Some(&self.config.name), run, peer: Some(peer) };
-            self.host.incidents.report(IncidentKind::Connected, what, text);
+            self.context.events.incidents.report(IncidentKind::Connected, what, text);
         }
         self.display.set_placement(description);
     }
@@ -240,7 +247,7 @@ impl Runner {
         let address = self.peer_address().map(Address::to_string).unwrap_or_default();
         let text = format!("lost {name} at {address}: {reason}; the run goes on when it is back");
         let what = Concerning { pipeline: Some(&self.config.name), run: Some(run), peer: Some(peer) };
-        self.host.incidents.report(IncidentKind::Disconnected, what, text);
+        self.context.events.incidents.report(IncidentKind::Disconnected, what, text);
         self.display.set_state(PipelineState::Waiting(reason));
     }
 
@@ -253,7 +260,7 @@ impl Runner {
 
     fn report(&self, kind: IncidentKind, run: Option<RunId>, text: String) {
         let what = Concerning { pipeline: Some(&self.config.name), run, peer: None };
-        self.host.incidents.report(kind, what, text);
+        self.context.events.incidents.report(kind, what, text);
     }
 }
 

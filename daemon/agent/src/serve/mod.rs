@@ -13,7 +13,7 @@ use std::net::IpAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use peernet_inference::{Done, InferenceError, Job, LoadError, Pool};
+use peernet_inference::{Bank, Done, InferenceError, Job, LoadError, Pool};
 use peernet_logger::{HostId, Slug};
 use peernet_networks::{
     Address, Announcer, Failure, Incoming, IncomingRequest, Listener, MAX_CONDITIONS, OpenRequest,
@@ -27,9 +27,23 @@ use tokio_util::sync::CancellationToken;
 
 use self::asked::Asked;
 use self::doors::to_peers;
+use crate::conditions::Places;
 use crate::host::Host;
-use crate::incidents::Concerning;
+use crate::incidents::{Concerning, Incidents};
 use crate::telemetry;
+
+/// What serving needs of the rest of the agent.
+#[derive(Clone, Debug)]
+pub(crate) struct ServeContext {
+    pub(crate) host: Host,
+    pub(crate) incidents: Incidents,
+    /// The models that are served.
+    pub(crate) bank: Arc<Bank>,
+    /// What is known of this host's own clock.
+    pub(crate) own: watch::Receiver<HostClock>,
+    /// Paths in /proc and /sys that show what can disturb a run.
+    pub(crate) places: Arc<Places>,
+}
 
 /// Why serving ended before it was told to.
 #[derive(Debug, thiserror::Error)]
@@ -45,14 +59,15 @@ pub(crate) enum ServeError {
 /// Serves until it is told to stop, and counts the answers. The error is why a port was lost.
 pub(crate) async fn run(
     doors: Doors,
-    host: Host,
+    context: ServeContext,
     served: watch::Sender<Served>,
     stop: CancellationToken,
 ) -> Result<(), ServeError> {
     let named = Named { probes: doors.probes(), instance: doors.instance, built_in: doors.built_in.clone() };
+    let own = context.own.clone();
     let (served, hardware) = (Arc::new(served), telemetry::hardware());
     let server = Server {
-        host: host.clone(),
+        context,
         named,
         hardware,
         served,
@@ -62,7 +77,7 @@ pub(crate) async fn run(
     };
     let announcer = doors.listener.announcer();
     let announcing = async {
-        announce(host.own, announcer, stop.clone()).await;
+        announce(own, announcer, stop.clone()).await;
         Ok(())
     };
     let reflecting = async {
@@ -105,8 +120,8 @@ async fn sessions(
             incoming = listener.next() => match incoming {
                 Some(Incoming::Request(request)) => server.compute(request),
                 Some(Incoming::Open(wish)) => {
-                    let host = server.host.clone();
-                    loading.spawn_blocking(move || prepare(wish, &host));
+                    let context = server.context.clone();
+                    loading.spawn_blocking(move || prepare(wish, &context));
                 }
                 Some(Incoming::Closed { session, said_goodbye, ordered }) => {
                     server.closed(session, said_goodbye, ordered);
@@ -120,17 +135,17 @@ async fn sessions(
 }
 
 /// Gets ready what a peer asks for. Blocks while a model loads.
-fn prepare(wish: OpenRequest, host: &Host) -> Loaded {
+fn prepare(wish: OpenRequest, context: &ServeContext) -> Loaded {
     // First, because a model that loads is a competing load itself.
-    let conditions = conditions(host);
-    let model = wish.hello.model.clone().map_or_else(|| host.bank.only(), Ok);
-    let pool = model.and_then(|model| host.bank.load(&model, wish.hello.device.as_deref()));
+    let conditions = conditions(context);
+    let model = wish.hello.model.clone().map_or_else(|| context.bank.only(), Ok);
+    let pool = model.and_then(|model| context.bank.load(&model, wish.hello.device.as_deref()));
     Loaded { wish, pool, conditions }
 }
 
 /// What a peer is told of this host before a session.
-fn conditions(host: &Host) -> Vec<Condition> {
-    let mut found = crate::conditions::look(&host.places, host.name.as_str());
+fn conditions(context: &ServeContext) -> Vec<Condition> {
+    let mut found = crate::conditions::look(&context.places, context.host.name.as_str());
     found.truncate(MAX_CONDITIONS);
     found
 }
@@ -166,7 +181,7 @@ struct Peer {
 }
 
 struct Server {
-    host: Host,
+    context: ServeContext,
     named: Named,
     /// What this host is made of.
     hardware: Hardware,
@@ -221,14 +236,14 @@ impl Server {
 
     fn accepted(&self, pool: &Pool, conditions: Vec<Condition>) -> SessionAccepted {
         SessionAccepted {
-            host: self.host.id,
-            name: self.host.name.clone(),
-            clock: self.host.clock.identity().clone(),
-            version: self.host.version.to_owned(),
+            host: self.context.host.id,
+            name: self.context.host.name.clone(),
+            clock: self.context.host.clock.identity().clone(),
+            version: self.context.host.version.to_owned(),
             model: pool.name().clone(),
             device: pool.device(),
             facts: pool.facts(),
-            host_clock: to_peers(self.host.own.borrow().clone()),
+            host_clock: to_peers(self.context.own.borrow().clone()),
             probes: self.named.probes,
             instance: self.named.instance,
             conditions,
@@ -283,7 +298,7 @@ impl Server {
 
     fn report(&self, kind: IncidentKind, peer: HostId, text: String) {
         let what = Concerning { peer: Some(peer), ..Concerning::default() };
-        self.host.incidents.report(kind, what, text);
+        self.context.incidents.report(kind, what, text);
     }
 }
 
